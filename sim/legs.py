@@ -34,7 +34,9 @@ def find_legs(model: mujoco.MjModel, name: str) -> LegTree:
             f"found chains of {lengths} hinges"
         )
     ordered = _order_by_place(model, base, chains, name)
-    feet = [_foot_geom(model, chain[-1], leg, name) for chain, leg in zip(ordered, LEGS, strict=True)]
+    feet = [
+        _foot_geom(model, chain[-1], leg, name) for chain, leg in zip(ordered, LEGS, strict=True)
+    ]
     return LegTree(
         base_body=base,
         joint_ids=np.array(ordered),
@@ -117,9 +119,7 @@ def _foot_geom(model: mujoco.MjModel, last_joint: int, leg: str, name: str) -> i
     return best
 
 
-def _constants(
-    model: mujoco.MjModel, base: int, chains: list[list[int]], feet: list[int]
-) -> Legs:
+def _constants(model: mujoco.MjModel, base: int, chains: list[list[int]], feet: list[int]) -> Legs:
     offset, rotation = np.zeros((4, 3, 3)), np.zeros((4, 3, 3, 3))
     foot = np.zeros((4, 3))
     for leg, chain in enumerate(chains):

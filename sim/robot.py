@@ -39,7 +39,8 @@ class Robot:
     legs: Legs
     base_name: str
     joint_names: tuple[str, ...]  # the model's own names, in canonical order
-    foot_geom_ids: np.ndarray  # (4,)
+    foot_bodies: tuple[str, ...]  # name of the body that carries each foot's sphere
+    foot_places: np.ndarray  # (4, 3) m, the sphere's centre in that body
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> "Robot":
@@ -62,7 +63,8 @@ class Robot:
             legs=tree.constants,
             base_name=model.body(tree.base_body).name,
             joint_names=tuple(model.joint(j).name for j in joints),
-            foot_geom_ids=tree.foot_geoms,
+            foot_bodies=tuple(model.body(b).name for b in model.geom_bodyid[tree.foot_geoms]),
+            foot_places=model.geom_pos[tree.foot_geoms].copy(),
         )
 
     @classmethod
@@ -105,11 +107,37 @@ class Robot:
         legs = self.legs
         return float(np.linalg.norm(legs.offset[0, 2]) + np.linalg.norm(legs.foot[0]))
 
+    @cached_property
+    def inertial(self) -> tuple[float, np.ndarray, np.ndarray, float]:
+        """At home: mass [kg], centre of mass (3,) in B [m], principal-axis inertia (3,) about it
+        [kg m^2], and the mass of one leg as felt at its foot [kg]."""
+        return _inertial(self)
+
     def _feet(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         q = np.ascontiguousarray(q, dtype=float)
         if q.ndim != 2 or q.shape[1] != 12:
             raise ValueError(f"q must be (N, 12), is {q.shape}")
         return feet(self.legs, q, self.R_BI, self.p_BI)
+
+
+def _inertial(robot: Robot) -> tuple[float, np.ndarray, np.ndarray, float]:
+    model = robot.spec().compile()
+    data = mujoco.MjData(model)
+    base = model.body(robot.base_name).id
+    data.qpos[:7] = [0, 0, 0, 1, 0, 0, 0]
+    for name, angle in zip(robot.joint_names, robot.q_home, strict=True):
+        data.qpos[model.joint(name).qposadr[0]] = angle
+    mujoco.mj_forward(model, data)
+    M = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, M)
+    com = data.subtree_com[base]
+    about_origin = np.diag(M[3:6, 3:6])
+    shift = robot.mass * (com @ com - com**2)
+    joints = [model.joint(name).dofadr[0] for name in robot.joint_names[:3]]
+    J = robot.feet_jacobian_I(robot.q_home[None])[0, 0]
+    J_inv = np.linalg.inv(J)
+    felt = J_inv.T @ M[np.ix_(joints, joints)] @ J_inv
+    return robot.mass, com.copy(), about_origin - shift, float(np.trace(felt) / 3)
 
 
 def _compile(file: Path) -> mujoco.MjModel:

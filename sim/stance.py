@@ -29,7 +29,10 @@ def standing_joints(legs: Legs, joint_range: np.ndarray) -> np.ndarray:
 
         best, best_cost = middle, np.inf
         for thigh_start in np.linspace(lower[1], upper[1], 5):
-            for knee_start in (0.75 * lower[2] + 0.25 * middle[2], 0.75 * upper[2] + 0.25 * middle[2]):
+            for knee_start in (
+                0.75 * lower[2] + 0.25 * middle[2],
+                0.75 * upper[2] + 0.25 * middle[2],
+            ):
                 start = np.clip([0.0, thigh_start, knee_start], lower + 1e-6, upper - 1e-6)
                 found = least_squares(miss, start, bounds=(lower, upper))
                 off_middle = np.abs((found.x - middle) / (upper - lower)).max()

@@ -1,0 +1,82 @@
+"""Composes a robot and its ground into one MuJoCo model driven by joint torques."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from sim.legs import JOINTS, LEGS
+from sim.robot import Robot
+from sim.terrain import Ground, add_ground
+
+TIMESTEP = 0.002  # s
+
+
+@dataclass(frozen=True)
+class World:
+    """A compiled scene and where in its arrays the robot's parts are, in canonical order."""
+
+    model: mujoco.MjModel
+    qpos_adr: np.ndarray  # (12,)
+    dof_adr: np.ndarray  # (12,)
+    touch_adr: np.ndarray  # (4,) into sensordata
+    start: np.ndarray  # (nq,) standing at the origin
+
+
+def robot_spec(robot: Robot) -> mujoco.MjSpec:
+    """The robot with a torque motor a joint and a touch sensor a foot, whatever its file had."""
+    spec = robot.spec()
+    for part in (*spec.actuators, *spec.keys):
+        spec.delete(part)
+    for name, joint, limit in zip(JOINTS, robot.joint_names, robot.torque_limit, strict=True):
+        motor = spec.add_actuator(
+            name=f"torque_{name}",
+            target=joint,
+            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            ctrllimited=True,
+            ctrlrange=[-limit, limit],
+        )
+        motor.set_to_motor()
+    for leg, body, place, radius in zip(
+        LEGS, robot.foot_bodies, robot.foot_places, robot.foot_radius, strict=True
+    ):
+        site = spec.body(body).add_site(
+            name=f"sole_{leg}",
+            pos=place,
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=[1.3 * radius, 0, 0],
+            group=5,
+        )
+        spec.add_sensor(
+            name=f"touch_{leg}",
+            type=mujoco.mjtSensor.mjSENS_TOUCH,
+            objtype=mujoco.mjtObj.mjOBJ_SITE,
+            objname=site.name,
+        )
+    return spec
+
+
+def build_world(robot: Robot, ground: Ground, spec: mujoco.MjSpec | None = None) -> World:
+    """Compile the robot (or an edited spec of it) standing on `ground`."""
+    spec = spec or robot_spec(robot)
+    # Feet creep on dry ground unless friction is stiff and exact: elliptic cone, high impratio.
+    spec.option.timestep = TIMESTEP
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.impratio = 100.0
+    spec.option.noslip_iterations = 0
+    add_ground(spec, ground)
+    model = spec.compile()
+    joints = [model.joint(name) for name in robot.joint_names]
+    qpos_adr = np.array([joint.qposadr[0] for joint in joints])
+    home_B = robot.feet_I(robot.q_home[None])[0] @ robot.R_BI.T + robot.p_BI
+    start = model.qpos0.copy()
+    start[:7] = [0, 0, np.max(robot.foot_radius - home_B[:, 2]), 1, 0, 0, 0]
+    start[qpos_adr] = robot.q_home
+    return World(
+        model=model,
+        qpos_adr=qpos_adr,
+        dof_adr=np.array([joint.dofadr[0] for joint in joints]),
+        touch_adr=np.array([model.sensor(f"touch_{leg}").adr[0] for leg in LEGS]),
+        start=start,
+    )
