@@ -1,0 +1,24 @@
+"""Contact of a foot from its raw force: an offset, two thresholds and a debounce, all causal."""
+
+import numpy as np
+
+
+def contact_from_force(
+    t: np.ndarray, force: np.ndarray, on: float, off: float, debounce: float
+) -> np.ndarray:
+    """Whether a foot stands (N,), from its force (N,) less its offset, in the sensor's own unit.
+
+    A foot stands once the force has stayed above `on` for `debounce` seconds, and lifts as soon as
+    it falls below `off` <= `on`: late to trust, quick to doubt, and nothing is known in advance.
+    The first row needs no debounce.
+    """
+    above = force > on
+    # The start of the run of rows above `on` that each row belongs to.
+    starts = above & ~np.concatenate(([False], above[:-1]))
+    since = np.maximum.accumulate(np.where(starts, np.arange(len(t)), 0))
+    # Half a microsecond forgives stamps that were rounded.
+    landed = above & ((t - t[since] >= debounce - 5e-7) | (since == 0))
+    lifted = force < off
+    # The last event decides; before any, the foot is in the air.
+    event = np.maximum.accumulate(np.where(landed | lifted, np.arange(len(t)), -1))
+    return landed[event] & (event >= 0)
