@@ -35,7 +35,6 @@ def read_csv(path: str | Path, columns: Sequence[str]) -> dict[str, np.ndarray]:
                 path,
                 index_col=False,
                 encoding="utf-8-sig",
-                float_precision="round_trip",
                 skipinitialspace=True,
                 skip_blank_lines=False,
                 low_memory=False,

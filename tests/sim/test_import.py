@@ -1,0 +1,349 @@
+"""Importing recordings: units, signs, cuts and gaps by construction; one clear line a fault."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation, Slerp
+
+from sim.contacts import contact_from_force
+from sim.csv_table import read_csv
+from sim.errors import SurefootError
+from sim.import_map import ImportMap
+from sim.importer import import_csv, interpolate_reference
+from sim.log import JOINTS, Log
+
+MEASURED = Path(__file__).parents[2].parent / "shared" / "measured"
+needs_measured = pytest.mark.skipif(
+    not MEASURED.is_dir(), reason=f"the measured logs are not here ({MEASURED})"
+)
+FUZZ = settings(
+    max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+
+MAP = """
+[source]
+file = "robot.csv"
+[columns]
+t = { column = "ms", unit = "ms" }
+gyro_x = { column = "wx", unit = "deg/s", sign = -1 }
+gyro_y = "wy"
+gyro_z = "wz"
+accel_x = { column = "ax", unit = "g" }
+accel_y = "ay"
+accel_z = "az"
+q_knee = { column = "knee", unit = "deg" }
+q_des_knee = { column = "knee", unit = "deg" }
+tau_knee = { column = "knee", unit = "mN m" }
+force_FL = "f1"
+force_FR = "f2"
+force_RL = "f3"
+force_RR = "f4"
+x_battery = "volts"
+[reference]
+file = "mocap.csv"
+frame = "base"
+[reference.columns]
+t = "time"
+ref_p_x = { column = "x", unit = "mm" }
+ref_p_y = "y"
+ref_p_z = "z"
+ref_q_w = "qw"
+ref_q_x = "qx"
+ref_q_y = "qy"
+ref_q_z = "qz"
+[robot]
+name = "hopper"
+imu_position = [0.1, 0.0, 0.0]
+imu_orientation = [0.0, 0.0, 0.0, 1.0]
+foot_radius = 0.02
+joint_sign = { knee = -1 }
+joint_offset = { knee = 0.5 }
+[contact]
+offset = { FL = 10, FR = 0, RL = 0, RR = 0 }
+on = 50
+off = { FL = 30, FR = 30, RL = 30, RR = 50 }
+debounce = 0.004
+[motor_law]
+kp = { knee = 20.0 }
+kd = 0.5
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A recording at 500 Hz over 1 s; the reference covers 0.1 to 0.9 s, with one gap of 80 ms."""
+    n = 500
+    rng = np.random.default_rng(0)
+    robot = pd.DataFrame({"ms": 2.0 * np.arange(n)})
+    for name in ("wx", "wy", "wz", "ax", "ay", "az", "volts", "knee", "f2", "f3", "f4"):
+        robot[name] = rng.normal(size=n)
+    robot["f1"] = np.where(np.arange(n) % 100 < 50, 100.0, 10.0)
+    robot["note"] = "walking"
+    robot.to_csv(tmp_path / "robot.csv", index=False)
+    time = np.round(np.arange(0.1, 0.9001, 0.02), 6)
+    time = time[(time < 0.501) | (time > 0.579)]
+    mocap = pd.DataFrame({"time": time, "x": 1000.0 * time, "y": 0.0, "z": 0.3})
+    mocap["qw"], mocap["qx"], mocap["qy"] = np.cos(time / 2), 0.0, 0.0
+    mocap["qz"] = np.sin(time / 2)
+    mocap.to_csv(tmp_path / "mocap.csv", index=False)
+    (tmp_path / "map.toml").write_text(MAP)
+    return tmp_path
+
+
+def edited(folder: Path, file: str, old: str, new: str) -> None:
+    text = (folder / file).read_text()
+    assert old in text
+    (folder / file).write_text(text.replace(old, new, 1))
+
+
+def fault(folder: Path) -> str:
+    with pytest.raises(SurefootError) as caught:
+        import_csv(folder, folder / "map.toml")
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_units_signs_and_offsets(folder):
+    log = import_csv(folder, folder / "map.toml")
+    raw = pd.read_csv(folder / "robot.csv").iloc[50:451].reset_index(drop=True)
+    assert log.rate == 500.0
+    np.testing.assert_allclose(log.t, 1e-3 * raw["ms"])
+    np.testing.assert_allclose(log.gyro[:, 0], -np.radians(raw["wx"]))
+    np.testing.assert_allclose(log.accel[:, 0], 9.80665 * raw["ax"])
+    np.testing.assert_allclose(log.q[:, 0], 0.5 - np.radians(raw["knee"]))
+    np.testing.assert_allclose(log.q_des[:, 0], 0.5 - np.radians(raw["knee"]))
+    np.testing.assert_allclose(log.tau[:, 0], -1e-3 * raw["knee"])
+    np.testing.assert_array_equal(log.frame["x_battery"], raw["volts"])
+    assert log.meta.robot == "hopper"
+    assert log.meta.motor_law == {"kp": [20.0], "kd": [0.5]}
+    assert log.meta.model["foot_radius"] == 0.02
+    assert not log.has("dq")
+    assert not log.has("ref_v")
+
+
+def test_a_base_reference_is_composed_with_the_mounting(folder):
+    log = import_csv(folder, folder / "map.toml")
+    # The base is at (t, 0, 0.3), yawed by t; the IMU sits 0.1 m ahead, turned by 180 degrees.
+    expected = np.column_stack(
+        [log.t + 0.1 * np.cos(log.t), 0.1 * np.sin(log.t), np.full(len(log.t), 0.3)]
+    )
+    np.testing.assert_allclose(log.ref_p, expected, atol=1e-9)
+    yaw = Rotation.from_rotvec(np.outer(log.t + np.pi, [0.0, 0.0, 1.0])).as_matrix()
+    np.testing.assert_allclose(log.ref_R_GI, yaw, atol=1e-9)
+
+
+def test_rows_outside_are_cut_and_gaps_are_marked(folder):
+    log = import_csv(folder, folder / "map.toml")
+    assert log.t[0] == pytest.approx(0.1)
+    assert log.t[-1] == pytest.approx(0.9)
+    inside_gap = (log.t > 0.5 + 1e-9) & (log.t < 0.58 - 1e-9)
+    np.testing.assert_array_equal(log.ref_ok, ~inside_gap)
+
+
+def test_the_main_file_works_like_its_folder_and_the_log_is_readable(folder):
+    log = import_csv(folder / "robot.csv", folder / "map.toml")
+    log.write(folder / "log.parquet")
+    pd.testing.assert_frame_equal(Log.read(folder / "log.parquet").frame, log.frame)
+
+
+def test_interpolation_is_slerp_the_short_way():
+    rng = np.random.default_rng(3)
+    t = np.linspace(0.0, 1.0, 30)
+    q = Rotation.random(30, rng=rng).as_quat(scalar_first=True)
+    q[::2] *= np.sign(rng.normal(size=(15, 1)))
+    q[7] = -q[6]  # the same rotation under the other sign
+    now = np.linspace(0.0, 1.0, 997)
+    found = interpolate_reference(now, t, np.zeros((30, 3)), q)[1]
+    true = Slerp(t, Rotation.from_quat(q, scalar_first=True))(now)
+    apart = (Rotation.from_quat(found, scalar_first=True).inv() * true).magnitude()
+    assert apart.max() < 1e-7
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, atol=1e-12)
+
+
+def test_contact_lands_late_lifts_at_once_and_ignores_chatter():
+    t = np.arange(12) / 100.0
+    force = np.array([0, 90, 0, 0, 60, 60, 60, 40, 60, 20, 60, 60.0])
+    contact = contact_from_force(t, force, on=50, off=30, debounce=0.02)
+    np.testing.assert_array_equal(contact, [0, 0, 0, 0, 0, 0, 1, 1, 1, 0, 0, 0])
+    standing = contact_from_force(t, np.full(12, 60.0), on=50, off=30, debounce=0.02)
+    assert standing.all()
+
+
+@given(
+    force=st.lists(st.floats(-100, 200), min_size=1, max_size=60),
+    debounce=st.sampled_from([0.0, 0.01, 0.03]),
+)
+def test_contact_is_the_state_machine_it_says(force, debounce):
+    t = np.arange(len(force)) / 100.0
+    state, since, expected = False, None, []
+    for k, f in enumerate(force):
+        since = (k if since is None else since) if f > 50 else None
+        if f < 30:
+            state = False
+        elif since is not None and (since == 0 or t[k] - t[since] >= debounce - 5e-7):
+            state = True
+        expected.append(state)
+    found = contact_from_force(t, np.array(force), on=50, off=30, debounce=debounce)
+    np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "said"),
+    [
+        ("robot.csv", "wy,", "w2,", "robot.csv: column 'wy' is missing from the header"),
+        ("robot.csv", "wx,wy", "wy,wy", "robot.csv: column 'wx' is missing from the header"),
+        ("robot.csv", "\n8.0,", "\n6.0,", "column 'ms', line 6: duplicate stamp"),
+        ("robot.csv", "\n8.0,", "\n5.0,", "column 'ms', line 6: jumps back"),
+        ("robot.csv", "\n8.0,", "\noops,", "column 'ms', line 6: 'oops' is not a number"),
+        ("robot.csv", "\n8.0,", "\n,", "column 'ms', line 6: NaN or empty"),
+        ("robot.csv", "\n8.0,", "\n1e999,", "column 'ms', line 6: infinite"),
+        ("robot.csv", "\n8.0,", "\n8.0,8.0,", "line 6"),
+        ("robot.csv", "\n8.0,", "\n\n8.0,", "line 6: NaN or empty"),
+        ("mocap.csv", "\n0.2,200.0", "\n0.2,2;0", "column 'x', line 7: '2;0' is not a number"),
+        ("mocap.csv", ",0.3,", ",0.3,3", "mocap.csv: line 2: not a unit quaternion"),
+        ("map.toml", "[contact]", "[kontact]", "unknown key 'kontact'"),
+        ("map.toml", "debounce", "bounce", "[contact] unknown key 'bounce'"),
+        ("map.toml", 'unit = "g"', 'unit = "G"', "[columns.accel_x] unit 'G' (allowed: m/s^2, g)"),
+        ("map.toml", "sign = -1", "sign = 2", "[columns.gyro_x] sign is 2"),
+        ("map.toml", "sign = -1", "signs = -1", "[columns.gyro_x] unknown key 'signs'"),
+        ("map.toml", "gyro_y", "gyroy", "[columns] gyroy: not a column of the log"),
+        ("map.toml", 'gyro_y = "wy"\n', "", "column gyro_y is missing"),
+        ("map.toml", "FL = 30", "FL = 60", "[contact] off is above on for FL"),
+        ("map.toml", "FL = 30, ", "", "[contact.off] FL is missing"),
+        ("map.toml", 'name = "hopper"', "", "[robot] name is missing"),
+        ("map.toml", "0.0, 1.0]", "0.0, 2.0]", "not a unit quaternion"),
+        ("map.toml", "{ knee = -1 }", "{ ankle = -1 }", "[robot] joint 'ankle' has no column"),
+        ("map.toml", "kp = { knee", "kp = { ankle", "[motor_law] kp: joint 'ankle'"),
+        ("map.toml", 'ref_p_y = "y"\n', "", "[reference.columns] ref_p_y is missing"),
+        ("map.toml", 'frame = "base"', 'frame = "world"', "frame is 'world'"),
+        ("map.toml", '"mocap.csv"', '"vicon.csv"', "vicon.csv: no such file"),
+        ("map.toml", "[source]", "[source", "map.toml"),
+        ("map.toml", 't = { column = "ms", unit = "ms" }', "", "t or [source] rate"),
+    ],
+)
+def test_faults_are_one_line_with_file_and_place(folder, file, old, new, said):
+    edited(folder, file, old, new)
+    assert said in fault(folder)
+
+
+def test_no_file_no_map_no_overlap(folder):
+    with pytest.raises(SurefootError, match="no such file"):
+        import_csv(folder / "nowhere.csv", folder / "map.toml")
+    with pytest.raises(SurefootError, match=r"no such import map \(bundled: .*go1_square"):
+        import_csv(folder, "go7_square")
+    mocap = pd.read_csv(folder / "mocap.csv")
+    mocap.assign(time=mocap["time"] + 50.0).to_csv(folder / "mocap.csv", index=False)
+    assert "do not overlap" in fault(folder)
+
+
+def test_a_recording_without_stamps_takes_the_rate_of_its_map(tmp_path):
+    (tmp_path / "a.csv").write_text("knee\n1\n2\n3\n")
+    (tmp_path / "a.toml").write_text('[source]\nrate = 200\n[columns]\nq_knee = "knee"\n')
+    log = import_csv(tmp_path / "a.csv", tmp_path / "a.toml")
+    np.testing.assert_allclose(log.t, [0.0, 0.005, 0.01])
+    assert log.rate == 200.0
+
+
+@FUZZ
+@given(content=st.one_of(st.binary(max_size=200), st.text("a,b1.-\n\r\"' \x00é", max_size=200)))
+def test_any_bytes_are_a_table_or_one_clear_line(tmp_path, content):
+    path = tmp_path / "any.csv"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    try:
+        table = read_csv(path, ["a", "b"])
+    except SurefootError as error:
+        message = str(error)
+    else:
+        assert np.isfinite(table["a"]).all()
+        return
+    assert str(path) in message
+    assert "\n" not in message
+
+
+@FUZZ
+@given(
+    row=st.integers(0, 9),
+    cell=st.text(st.characters(blacklist_categories=["Cs", "Cc"]), min_size=1, max_size=8),
+)
+def test_a_cell_is_a_number_or_is_named(tmp_path, row, cell):
+    cells = [f"{i}.5" for i in range(10)]
+    cells[row] = '"' + cell.replace('"', '""') + '"'
+    path = tmp_path / "cell.csv"
+    path.write_text("a,b\n" + "".join(f"{c},1\n" for c in cells), encoding="utf-8")
+    try:
+        value = float(cell)
+    except ValueError:
+        value = np.nan
+    if np.isfinite(value):
+        return
+    with pytest.raises(SurefootError, match=f"column 'a', line {row + 2}"):
+        read_csv(path, ["a"])
+
+
+@FUZZ
+@given(
+    table=st.dictionaries(
+        st.sampled_from(["source", "columns", "robot", "contact", "motor_law", "reference", "x"]),
+        st.one_of(
+            st.integers(),
+            st.dictionaries(
+                st.sampled_from(["t", "rate", "name", "on", "off", "file", "kp", "gyro_x"]),
+                st.one_of(st.integers(-2, 2), st.just("a"), st.just([1.0]), st.just({"b": 1.0})),
+            ),
+        ),
+    )
+)
+def test_any_map_is_read_or_refused_in_one_line(tmp_path, table):
+    path = tmp_path / "any.toml"
+    path.write_text("\n".join(f"{key} = {toml(value)}" for key, value in table.items()))
+    try:
+        ImportMap.read(path)
+    except SurefootError as error:
+        message = str(error)
+    else:
+        return
+    assert str(path) in message
+    assert "\n" not in message
+
+
+def toml(value) -> str:
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key} = {toml(item)}" for key, item in value.items()) + "}"
+    return f'"{value}"' if isinstance(value, str) else str(value)
+
+
+@needs_measured
+def test_the_go1_recording_comes_in_whole():
+    log = import_csv(MEASURED / "go1_square", "go1_square")
+    assert log.rate == 400.0
+    assert log.joints == JOINTS
+    assert log.meta.robot == "go1"
+    np.testing.assert_array_equal(log.meta.model["p_BI"], [-0.01592, -0.06659, -0.00617])
+    # The reference starts before the recording and ends 1.05 s before its end.
+    assert len(log.t) == pytest.approx(10148 - 1.05 * 400, abs=4)
+    assert log.t[0] == 42.5811
+    # 20 gaps over 50 ms.
+    assert np.sum(np.diff(log.ref_ok.astype(int)) == -1) == 20
+    standing = (log.t > 44.0) & (log.t < 45.0)
+    assert np.linalg.norm(log.accel[standing].mean(axis=0)) == pytest.approx(9.8, abs=0.2)
+    walking = (log.t > 46.5) & (log.t < 63.0)
+    # A trot: each foot stands about half of the time, on diagonal pairs.
+    assert (
+        (log.contact[walking].mean(axis=0) > 0.35) & (log.contact[walking].mean(axis=0) < 0.7)
+    ).all()
+    FL, FR, RL, RR = log.contact[walking].T
+    assert np.mean(FL == RR) > 0.8
+    assert np.mean(FL == FR) < 0.4
+    assert np.mean(FR == RL) > 0.8
+
+
+@needs_measured
+def test_the_go1_folder_and_its_main_file_are_the_same():
+    folder = MEASURED / "go1_square"
+    by_folder = import_csv(folder, Path(__file__).parents[2] / "sim/maps/go1_square.toml")
+    by_file = import_csv(folder / "imu_joints.csv", "go1_square")
+    pd.testing.assert_frame_equal(by_folder.frame, by_file.frame)

@@ -1,0 +1,254 @@
+"""The Log: what is written is read back exactly, and nothing broken gets in."""
+
+import json
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from sim.log import JOINTS, LEGS, SCHEMA, Log, LogError, Meta
+
+RATE = 500.0
+FUZZ = settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+
+
+def make_log(n: int = 40, seed: int = 0) -> Log:
+    rng = np.random.default_rng(seed)
+    columns = {"t": 12.0 + np.arange(n) / RATE}
+    names = [f"{group}_{axis}" for group in ("gyro", "accel", "ref_p", "ref_v") for axis in "xyz"]
+    names += [f"{group}_{joint}" for group in ("q", "dq", "tau") for joint in JOINTS]
+    names += [f"{group}_{leg}" for group in ("force", "slip", "mu") for leg in LEGS]
+    names += ["x_temperature"]
+    columns |= {name: rng.normal(size=n) for name in names}
+    q = rng.normal(size=(n, 4))
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    columns |= {f"ref_q_{axis}": q[:, i].copy() for i, axis in enumerate("wxyz")}
+    columns |= {f"contact_{leg}": (rng.random(n) > 0.5).astype(float) for leg in LEGS}
+    columns["ref_ok"] = (rng.random(n) > 0.1).astype(float)
+    law = {"kp": [100.0] * 12, "kd": [2.0] * 12}
+    meta = Meta(RATE, robot="spot_class", seed=3, motor_law=law, effects=({"name": "payload"},))
+    return Log(pd.DataFrame(columns), meta)
+
+
+def written(log: Log, path: Path, metadata: dict | bytes | None = None) -> Path:
+    """Write past the checks, as another program might."""
+    if metadata is None:
+        metadata = {"schema": SCHEMA, "rate": RATE}
+    text = metadata if isinstance(metadata, bytes) else json.dumps(metadata).encode()
+    table = pa.Table.from_pandas(log.frame, preserve_index=False)
+    pq.write_table(table.replace_schema_metadata({b"surefoot": text}), path)
+    return path
+
+
+def fault(path: Path) -> str:
+    with pytest.raises(LogError) as caught:
+        Log.read(path)
+    message = str(caught.value)
+    assert str(path) in message
+    assert "\n" not in message
+    return message
+
+
+def test_a_log_comes_back_bit_for_bit(tmp_path):
+    log = make_log()
+    log.write(tmp_path / "walk.parquet")
+    back = Log.read(tmp_path / "walk.parquet")
+    pd.testing.assert_frame_equal(back.frame, log.frame, check_exact=True)
+    assert back.meta == log.meta
+    log.write(tmp_path / "again.parquet")
+    assert (tmp_path / "again.parquet").read_bytes() == (tmp_path / "walk.parquet").read_bytes()
+
+
+def test_arrays_are_contiguous_and_in_canonical_order():
+    log = make_log()
+    shuffled = replace(log, frame=log.frame[list(log.frame.columns[::-1])])
+    assert shuffled.joints == JOINTS
+    for name, shape in (("gyro", 3), ("q", 12), ("dq", 12), ("force", 4), ("ref_q", 4)):
+        value = getattr(shuffled, name)
+        assert value.shape == (40, shape)
+        assert value.flags.c_contiguous
+        np.testing.assert_array_equal(value, getattr(log, name))
+    np.testing.assert_array_equal(log.q.reshape(-1, 4, 3)[:, 2, 1], log.frame["q_RL_thigh"])
+    assert log.contact.dtype == bool
+    assert log.ref_ok.dtype == bool
+    np.testing.assert_allclose(np.linalg.det(log.ref_R_GI), 1.0)
+
+
+def test_a_pendulum_has_one_joint_and_no_feet():
+    t = np.arange(10) / 100.0
+    log = Log(pd.DataFrame({"t": t, "q_shoulder": t, "tau_shoulder": t}), Meta(100.0))
+    assert log.joints == ("shoulder",)
+    assert log.has("tau")
+    assert not log.has("dq")
+    assert not log.has("imu")
+    with pytest.raises(LogError, match=r"lacks imu \(gyro_x.*dq \(dq_shoulder\)"):
+        log.require("imu", "q", "dq")
+
+
+def test_a_missing_group_is_named_and_never_zero():
+    log = make_log()
+    log = replace(log, frame=log.frame.drop(columns=[f"dq_{joint}" for joint in JOINTS]))
+    with pytest.raises(LogError, match=r"lacks dq \(dq_FL_hip"):
+        _ = log.dq
+    with pytest.raises(LogError, match="lacks commands"):
+        log.require("commands")
+
+
+def test_rows_keep_time_and_a_step_divides_the_rate():
+    log = make_log()
+    assert log.rows(slice(5, 15)).t[0] == log.t[5]
+    thinned = log.rows(slice(None, None, 5))
+    assert thinned.rate == RATE / 5
+    assert len(thinned.t) == 8
+    np.testing.assert_array_equal(log.rows(log.ref_ok).gyro, log.gyro[log.ref_ok])
+
+
+def test_nothing_is_overwritten_without_force_and_nothing_half_written(tmp_path, monkeypatch):
+    path = tmp_path / "walk.parquet"
+    make_log(seed=1).write(path)
+    before = path.read_bytes()
+    with pytest.raises(LogError, match="exists already"):
+        make_log(seed=2).write(path)
+    monkeypatch.setattr("sim.log.pq.write_table", _fail_half_way)
+    with pytest.raises(LogError, match="No space left"):
+        make_log(seed=2).write(path, force=True)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def _fail_half_way(table, where, **options):
+    Path(where).write_bytes(b"PAR1 half")
+    raise OSError(28, "No space left on device")
+
+
+def test_an_invalid_log_is_not_written(tmp_path):
+    log = make_log()
+    log.frame.loc[7, "gyro_y"] = np.nan
+    with pytest.raises(LogError, match="column gyro_y, row 7: NaN, for 1 row"):
+        log.write(tmp_path / "walk.parquet")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("column", "rows", "value", "said"),
+    [
+        ("accel_z", slice(11, 14), np.nan, "column accel_z, row 11: NaN, for 4 rows"),
+        ("tau_RR_calf", slice(30, 30), -np.inf, "column tau_RR_calf, row 30: infinite, for 1 row"),
+        ("ref_q_w", slice(9, 9), 2.0, "row 9: not a unit quaternion"),
+        ("contact_FL", slice(4, 4), 0.5, "column contact_FL, row 4: 0.5 is not 0 or 1"),
+        ("t", slice(6, 6), 12.01, "column t, row 6: time stops"),
+        ("t", slice(6, 6), 12.0, "column t, row 6: time jumps back"),
+    ],
+)
+def test_bad_numbers_are_named_by_column_and_row(tmp_path, column, rows, value, said):
+    log = make_log()
+    log.frame.loc[rows, column] = value
+    assert said in fault(written(log, tmp_path / "bad.parquet"))
+
+
+@pytest.mark.parametrize(
+    ("drop", "said"),
+    [
+        (["t"], "column t is missing"),
+        (["gyro_y"], "column gyro_y is missing"),
+        (["q_FL_hip"], "column q_FL_hip is missing"),
+        (["tau_RR_calf"], "column tau_RR_calf is missing"),
+        (["contact_RL"], "column contact_RL is missing"),
+        ([f"ref_p_{axis}" for axis in "xyz"], "column ref_p_x is missing"),
+    ],
+)
+def test_missing_columns_are_named(tmp_path, drop, said):
+    log = make_log()
+    log = replace(log, frame=log.frame.drop(columns=drop))
+    assert said in fault(written(log, tmp_path / "bad.parquet"))
+
+
+def test_doubled_unknown_and_mistyped_columns_are_named(tmp_path):
+    log = make_log()
+    table = pa.Table.from_pandas(log.frame, preserve_index=False)
+    table = table.append_column("gyro_x", table["gyro_x"])
+    pq.write_table(table, tmp_path / "twice.parquet")
+    assert "column gyro_x is there more than once" in fault(tmp_path / "twice.parquet")
+    unknown = replace(log, frame=log.frame.rename(columns={"x_temperature": "temperature"}))
+    assert "unknown column temperature" in fault(written(unknown, tmp_path / "unknown.parquet"))
+    for dtype in ("float32", "int64", "str"):
+        typed = replace(log, frame=log.frame.astype({"mu_FL": dtype}))
+        assert "column mu_FL has type" in fault(written(typed, tmp_path / f"{dtype}.parquet"))
+
+
+@pytest.mark.parametrize(
+    ("metadata", "said"),
+    [
+        ({"schema": SCHEMA + 1, "rate": RATE, "new": 1}, "newer than"),
+        ({"rate": RATE}, "'schema' is missing"),
+        ({"schema": SCHEMA}, "'rate' is missing"),
+        ({"schema": SCHEMA, "rate": "500"}, "'rate' is a str"),
+        ({"schema": SCHEMA, "rate": -1.0}, "'rate' is -1.0"),
+        ({"schema": SCHEMA, "rate": 10.0}, "runs at 500 Hz, the metadata says 10"),
+        ({"schema": SCHEMA, "rate": RATE, "colour": 1}, "unknown metadata key 'colour'"),
+        ({"schema": SCHEMA, "rate": RATE, "effects": [1]}, "'effects' holds something else"),
+        (b"{", "not JSON"),
+        (b"[1]", "not a JSON object"),
+        (b'{"schema": 1, "rate": NaN}', "'rate' is nan"),
+    ],
+)
+def test_bad_metadata_is_named(tmp_path, metadata, said):
+    assert said in fault(written(make_log(), tmp_path / "bad.parquet", metadata))
+
+
+def test_a_log_stripped_of_its_story_is_still_a_log(tmp_path):
+    path = written(make_log(), tmp_path / "renamed.parquet", {"schema": SCHEMA, "rate": RATE})
+    assert Log.read(path).meta == Meta(RATE)
+
+
+def test_files_that_are_no_logs(tmp_path):
+    assert "no such file" in fault(tmp_path / "nowhere.parquet")
+    assert "is a folder" in fault(tmp_path)
+    (tmp_path / "text.parquet").write_text("t,gyro_x\n0,1\n")
+    assert "not a whole Parquet file" in fault(tmp_path / "text.parquet")
+    pq.write_table(pa.table({"t": [0.0, 1.0]}), tmp_path / "bare.parquet")
+    assert "no 'surefoot' metadata" in fault(tmp_path / "bare.parquet")
+    assert "no rows" in fault(written(make_log(0), tmp_path / "empty.parquet"))
+
+
+@FUZZ
+@given(share=st.floats(0.0, 1.0, exclude_max=True))
+def test_a_truncated_file_is_one_clear_error(tmp_path, share):
+    path = tmp_path / "walk.parquet"
+    make_log(5).write(path, force=True)
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    fault(path)
+
+
+@FUZZ
+@given(place=st.floats(0.0, 1.0, exclude_max=True), flip=st.integers(1, 255))
+def test_a_flipped_byte_is_an_error_or_leaves_a_valid_log(tmp_path, place, flip):
+    path = tmp_path / "walk.parquet"
+    make_log(5).write(path, force=True)
+    content = bytearray(path.read_bytes())
+    content[int(place * len(content))] ^= flip
+    path.write_bytes(content)
+    with suppress(LogError):
+        assert np.isfinite(Log.read(path).frame.to_numpy()).all()
+
+
+@FUZZ
+@given(
+    column=st.sampled_from([*make_log(2).frame.columns]),
+    row=st.integers(0, 39),
+    value=st.sampled_from([np.nan, np.inf, -np.inf]),
+)
+def test_any_bad_cell_is_found(tmp_path, column, row, value):
+    log = make_log()
+    log.frame.loc[row, column] = value
+    assert f"column {column}, row {row}" in fault(written(log, tmp_path / "bad.parquet"))
