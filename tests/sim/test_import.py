@@ -347,3 +347,23 @@ def test_the_go1_folder_and_its_main_file_are_the_same():
     by_folder = import_csv(folder, Path(__file__).parents[2] / "sim/maps/go1_square.toml")
     by_file = import_csv(folder / "imu_joints.csv", "go1_square")
     pd.testing.assert_frame_equal(by_folder.frame, by_file.frame)
+
+
+@needs_measured
+def test_a_recording_without_imu_feet_or_stamps_is_a_log_too():
+    log = import_csv(MEASURED / "go2_in_air", "go2_in_air")
+    assert log.joints == JOINTS
+    assert log.rate == 200.0
+    assert not log.has("imu")
+    # The columns agree with each other: the joints follow their targets, at their speed.
+    assert np.corrcoef(log.q[:, 4], log.q_des[:, 4])[0, 1] > 0.5
+    assert np.corrcoef(np.gradient(log.q[:, 4], log.t), log.dq[:, 4])[0, 1] > 0.9
+
+
+@needs_measured
+def test_a_pendulum_log_has_one_joint():
+    file = MEASURED / "ak80_pendulum" / "pd_measured.csv"
+    log = import_csv(file, "ak80_pendulum")
+    assert log.joints == ("shoulder",)
+    assert log.has("tau")
+    assert log.rate == pytest.approx(300.0, rel=1e-3)
