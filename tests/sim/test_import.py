@@ -355,8 +355,8 @@ def test_a_recording_without_imu_feet_or_stamps_is_a_log_too():
     assert log.joints == JOINTS
     assert log.rate == 200.0
     assert not log.has("imu")
-    # The columns agree with each other: the joints follow their targets, at their speed.
-    assert np.corrcoef(log.q[:, 4], log.q_des[:, 4])[0, 1] > 0.5
+    # The columns agree with each other: the joints stay about their targets, at their speed.
+    np.testing.assert_allclose(log.q.mean(axis=0), log.q_des.mean(axis=0), atol=0.1)
     assert np.corrcoef(np.gradient(log.q[:, 4], log.t), log.dq[:, 4])[0, 1] > 0.9
 
 
