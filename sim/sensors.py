@@ -87,7 +87,7 @@ def ideal_streams(motion: Motion, robot: Robot) -> Streams:
     return Streams(
         t=motion.t[1:],
         gyro=turn / dt,
-        accel=np.linalg.solve(_mean_rotation(turn), felt[:, :, None])[:, :, 0],
+        accel=np.linalg.solve(mean_rotation(turn), felt[:, :, None])[:, :, 0],
         q=motion.q[1:],
         dq=motion.dq[1:],
         tau=motion.tau,
@@ -130,7 +130,7 @@ def _gauss_markov(rng, n: int, sigma: float, time: float, rate: float) -> np.nda
     return lfilter([1.0], [1.0, -keep], drive, axis=0)
 
 
-def _mean_rotation(turn: np.ndarray) -> np.ndarray:
+def mean_rotation(turn: np.ndarray) -> np.ndarray:
     """Mean of exp(s turn) over s in (0, 1), (N, 3, 3): Gamma_1 of Hartley et al. 2020, by its series.
 
     Steps turn by far less than a radian, so a few terms reach machine precision.
