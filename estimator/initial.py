@@ -1,0 +1,89 @@
+"""Where a filter starts: from the reference's first row, or from gravity where there is none."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.lie import hat
+from estimator.state import GRAVITY, NavState
+from sim.errors import SurefootError
+from sim.log import Log, reference_velocity
+
+STILL_WINDOW = 0.5
+"""s. How much of a log's start is averaged to find gravity where no reference says more."""
+
+
+@dataclass(frozen=True)
+class InitialStd:
+    """Standard deviations of the start, in G: attitude [rad], velocity [m/s], position [m], biases.
+
+    tilt is about the horizontal axes of G, yaw about the vertical. b_a [m/s^2] covers the offset of
+    a factory-calibrated MEMS accelerometer (10 mg), b_g [rad/s] that of its gyro (0.3 deg/s).
+    Position and yaw are unobservable and aligned before any metric: their values are the
+    reference's, and their deviations only keep the covariance definite.
+    """
+
+    tilt: float = 0.02
+    yaw: float = 1e-3
+    velocity: float = 0.05
+    position: float = 1e-3
+    b_a: float = 0.1
+    b_g: float = 5e-3
+
+
+REFERENCE_STD = InitialStd()
+GRAVITY_STD = InitialStd(tilt=0.05, velocity=0.2)
+
+
+def initial_state(log: Log, std: InitialStd | None = None) -> tuple[NavState, np.ndarray]:
+    """State at the log's first row and its covariance (15, 15) in right-invariant error order.
+
+    With a reference: position, attitude and velocity of its first row (REFERENCE_STD). Without:
+    roll and pitch that put the mean specific force of the first 0.5 s along -gravity, yaw,
+    position and velocity zero (GRAVITY_STD); the robot is taken to stand. Biases start at zero.
+    Raises LogError where the log has neither a reference nor an IMU, and SurefootError where the
+    mean force of the start is no gravity (outside 8 to 12 m/s^2).
+    """
+    if log.has("reference"):
+        row = int(np.flatnonzero(log.ref_ok)[0]) if log.ref_ok.any() else 0
+        if row != 0:
+            raise SurefootError(f"{log.name}: ref_ok is 0 in the first row, nothing to start from")
+        state = NavState(log.ref_R_GI[0], reference_velocity(log)[0], log.ref_p[0])
+        return state, start_covariance(state, std or REFERENCE_STD)
+    log.require("imu")
+    start = log.t <= log.t[0] + STILL_WINDOW
+    force = log.accel[start].mean(axis=0)
+    size = float(np.linalg.norm(force))
+    if abs(size - GRAVITY) > 2.0:
+        raise SurefootError(
+            f"{log.name}: accel averages {size:.1f} m/s^2 over the first {STILL_WINDOW} s, "
+            "so gravity cannot be told; start the log standing or give a reference"
+        )
+    state = NavState(level(force))
+    return state, start_covariance(state, std or GRAVITY_STD)
+
+
+def level(force_I: np.ndarray) -> np.ndarray:
+    """R_GI (3, 3) of zero yaw that turns the specific force (3,) of a body at rest onto +z of G."""
+    up = force_I / np.linalg.norm(force_I)
+    # The x axis of I keeps its heading; where it is vertical, the y axis does.
+    forward = np.array([1.0, 0.0, 0.0]) if abs(up[0]) < 0.99 else np.array([0.0, 1.0, 0.0])
+    x = forward - up * (up @ forward)
+    x /= np.linalg.norm(x)
+    return np.array([x, np.cross(up, x), up])
+
+
+def start_covariance(state: NavState, std: InitialStd) -> np.ndarray:
+    """Covariance (15, 15) of the right-invariant error whose plain errors in G are independent.
+
+    v_bar - v = xi_v - [v_bar]x xi_R and p_bar - p = xi_p - [p_bar]x xi_R to first order, so a
+    position known to a millimetre far from the origin is correlated with the attitude in xi.
+    """
+    plain = np.repeat([0.0, std.velocity, std.position, std.b_a, std.b_g], 3)
+    plain[:3] = std.tilt, std.tilt, std.yaw
+    if not (np.all(np.isfinite(plain)) and np.all(plain > 0)):
+        raise SurefootError("initial std: every deviation must be a finite number > 0")
+    T = np.eye(15)
+    T[3:6, :3] = hat(state.v_GI)
+    T[6:9, :3] = hat(state.p_GI)
+    return T @ np.diag(plain**2) @ T.T

@@ -1,0 +1,168 @@
+"""IMU propagation: the mean and the covariance, both exact for an IMU sample held over its step.
+
+With Gamma_m of `estimator.lie`, phi = (gyro - b_g) dt and a = accel - b_a, the mean moves by
+
+    R' = R Gamma_0,   v' = v + g dt + R Gamma_1 a dt,   p' = p + v dt + g dt^2/2 + R Gamma_2 a dt^2
+
+(eq. estimator_dynamics integrated). The right-invariant error moves by xi' = F xi + B delta b,
+where F holds gravity and dt alone and the columns of B, for (b_a, b_g), are
+
+    rotation   0,               B_R = -R Gamma_1 dt
+    velocity   -R Gamma_1 dt,   [v']x B_R - R d(Gamma_1 a)/dphi dt^2
+    position   -R Gamma_2 dt^2, [p']x B_R - R d(Gamma_2 a)/dphi dt^3.
+
+This is the Phi of eq. continuous_error_dynamics (Hartley 2020) without a small-step approximation:
+it is the derivative of the discrete step itself. The noise of a sample is held over the step as
+the sample is, so Q_d = B (Q/dt) B^T + walks.
+"""
+
+import numpy as np
+from numba import njit
+
+from estimator.lie import cross, entire, gammas
+from estimator.state import B_A, B_G, GRAVITY, P, V
+
+
+@njit(cache=True)
+def propagate(mean, covariance, gyro, accel, dt: float, noise, columns, rotation_columns):
+    """One IMU step of mean (7+E, 3) and covariance (15+3E, 15+3E), in place.
+
+    gyro (3,) [rad/s], accel (3,) [m/s^2]: means over the step of dt [s]; noise (4, 3) as
+    `FilterNoise.packed`. columns (15+3E, 6) is work space for B; its rows of extras, and
+    rotation_columns (3E, 3), the coupling of extras to the rotation error, are the caller's.
+    """
+    propagate_mean(mean, gyro, accel, dt, columns)
+    propagate_covariance(covariance, columns, rotation_columns, dt, noise)
+
+
+@njit(cache=True)
+def propagate_mean(mean, gyro, accel, dt: float, columns):
+    """The mean in place, and the rows (0..8) of B for rotation, velocity and position."""
+    phi, a = np.empty(3), np.empty(3)
+    for i in range(3):
+        phi[i] = (gyro[i] - mean[B_G, i]) * dt
+        a[i] = accel[i] - mean[B_A, i]
+    G0, G1, G2 = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    gammas(phi, G0, G1, G2)
+    D1, D2 = np.empty((3, 3)), np.empty((3, 3))
+    gamma_derivatives(phi, a, D1, D2)
+
+    R = mean[:3].copy()
+    for i in range(3):
+        turned = np.zeros(3)
+        dv = 0.0
+        dp = 0.0
+        for j in range(3):
+            s0 = s1 = s2 = d1 = d2 = 0.0
+            for m in range(3):
+                s0 += R[i, m] * G0[m, j]
+                s1 += R[i, m] * G1[m, j]
+                s2 += R[i, m] * G2[m, j]
+                d1 += R[i, m] * D1[m, j]
+                d2 += R[i, m] * D2[m, j]
+            turned[j] = s0
+            dv += s1 * a[j] * dt
+            dp += s2 * a[j] * dt * dt
+            columns[i, j] = 0.0
+            columns[i, 3 + j] = -s1 * dt
+            columns[3 + i, j] = -s1 * dt
+            columns[3 + i, 3 + j] = -d1 * dt * dt
+            columns[6 + i, j] = -s2 * dt * dt
+            columns[6 + i, 3 + j] = -d2 * dt * dt * dt
+        for j in range(3):
+            mean[i, j] = turned[j]
+        mean[P, i] += mean[V, i] * dt + dp
+        mean[V, i] += dv
+    mean[P, 2] -= 0.5 * GRAVITY * dt * dt
+    mean[V, 2] -= GRAVITY * dt
+    for row, at in ((V, 3), (P, 6)):
+        add_cross_columns(mean[row], columns, at)
+
+
+@njit(cache=True)
+def add_cross_columns(x, columns, at: int):
+    """columns[at:at+3, gyro] += [x]x B_R."""
+    for j in range(3, 6):
+        columns[at, j] += x[1] * columns[2, j] - x[2] * columns[1, j]
+        columns[at + 1, j] += x[2] * columns[0, j] - x[0] * columns[2, j]
+        columns[at + 2, j] += x[0] * columns[1, j] - x[1] * columns[0, j]
+
+
+@njit(cache=True)
+def gamma_derivatives(phi, a, d_gamma_1, d_gamma_2):
+    """d(Gamma_1(phi) a)/dphi and d(Gamma_2(phi) a)/dphi, (3, 3) each, into the last two arrays.
+
+    From Gamma_m a = a/m! + e_{m+1} u + e_{m+2} w with u = phi x a, w = phi x u, and
+    d e_k / dphi = (k e_{k+2} - e_{k+1}) phi^T.
+    """
+    _, _, e2, e3, e4, e5, e6 = entire(phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2)
+    u, w = np.empty(3), np.empty(3)
+    cross(phi, a, u)
+    cross(phi, u, w)
+    dot = phi[0] * a[0] + phi[1] * a[1] + phi[2] * a[2]
+    s2, s3, s4 = 2.0 * e4 - e3, 3.0 * e5 - e4, 4.0 * e6 - e5
+    for i in range(3):
+        for j in range(3):
+            du = 0.0
+            if (j - i) % 3 == 1:
+                du = a[3 - i - j]
+            elif (i - j) % 3 == 1:
+                du = -a[3 - i - j]
+            # w = phi (phi . a) - a |phi|^2
+            dw = phi[i] * a[j] - 2.0 * a[i] * phi[j] + (dot if i == j else 0.0)
+            d_gamma_1[i, j] = e2 * du + e3 * dw + (s2 * u[i] + s3 * w[i]) * phi[j]
+            d_gamma_2[i, j] = e3 * du + e4 * dw + (s3 * u[i] + s4 * w[i]) * phi[j]
+
+
+@njit(cache=True)
+def propagate_covariance(covariance, columns, rotation_columns, dt: float, noise):
+    """Sigma' = Phi Sigma Phi^T + Q_d (eq. covariance_propagation), in place.
+
+    Phi = [F B; 0 I] acts by additions of rows, since F is sparse; the columns follow as rows of
+    the transpose: Phi Sigma Phi^T = Phi (Phi Sigma)^T.
+    """
+    n = covariance.shape[0]
+    for _ in range(2):
+        _add_rows(covariance, columns, rotation_columns, dt)
+        for i in range(n):
+            for j in range(i):
+                covariance[i, j], covariance[j, i] = covariance[j, i], covariance[i, j]
+    for i in range(n):
+        for j in range(i + 1):
+            # Round-off leaves the two halves apart by a digit; their mean keeps it from growing.
+            total = 0.5 * (covariance[i, j] + covariance[j, i])
+            if not (9 <= i < 15 or 9 <= j < 15):
+                for m in range(3):
+                    total += columns[i, m] * columns[j, m] * noise[0, m] / dt
+                    total += columns[i, 3 + m] * columns[j, 3 + m] * noise[1, m] / dt
+            elif i == j:
+                total += noise[2 + (i - 9) // 3, (i - 9) % 3] * dt
+            covariance[i, j] = total
+            covariance[j, i] = total
+
+
+@njit(cache=True)
+def _add_rows(M, columns, rotation_columns, dt: float):
+    """M <- Phi M, in place: position before velocity before rotation, as each reads the next."""
+    n = M.shape[0]
+    fall = 0.5 * GRAVITY * dt * dt
+    for j in range(n):
+        M[6, j] += dt * M[3, j] + fall * M[1, j]
+        M[7, j] += dt * M[4, j] - fall * M[0, j]
+        M[8, j] += dt * M[5, j]
+        M[3, j] += GRAVITY * dt * M[1, j]
+        M[4, j] -= GRAVITY * dt * M[0, j]
+    for i in range(15, n):
+        c = rotation_columns[i - 15]
+        if c[0] != 0.0 or c[1] != 0.0 or c[2] != 0.0:
+            for j in range(n):
+                M[i, j] += c[0] * M[0, j] + c[1] * M[1, j] + c[2] * M[2, j]
+    for i in range(n):
+        if 9 <= i < 15:
+            continue
+        b = columns[i]
+        for j in range(n):
+            M[i, j] += b[3] * M[12, j] + b[4] * M[13, j] + b[5] * M[14, j]
+        if 3 <= i < 9:
+            for j in range(n):
+                M[i, j] += b[0] * M[9, j] + b[1] * M[10, j] + b[2] * M[11, j]
