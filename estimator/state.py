@@ -82,7 +82,7 @@ class FilterNoise:
     accel_walk: float | np.ndarray = 1e-3
 
     def packed(self) -> np.ndarray:
-        """Squared densities (4, 3): rows accel, gyro, accel_walk, gyro_walk, as the kernels want."""
+        """Squared densities (4, 3) with the rows accel, gyro, accel_walk, gyro_walk."""
         rows = []
         for name in ("accel", "gyro", "accel_walk", "gyro_walk"):
             density = np.asarray(getattr(self, name), dtype=float)

@@ -1,0 +1,234 @@
+"""Probability and moments of a three-dimensional Gaussian on a box, without sampling.
+
+Two dimensions are integrated by nested Gauss-Legendre rules, the innermost in closed form. Three
+things keep the digits: the windows come from the exact nearest point of the box (27 faces), all
+weights are relative to the density there, and moments are accumulated about it. The axis whose
+interval is the shortest against its conditional deviation is outermost: narrow, or uncorrelated.
+
+Where axes are strongly correlated the integrand bends fast at places known beforehand: where the
+conditional mean of one axis, given the others, crosses a bound. Rules are cut there.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from estimator.box_faces import nearest_given_first, nearest_in_box
+from estimator.box_line import DEPTH, plane_moments
+from estimator.quadrature import NODES, WEIGHTS, rule
+
+_LOG_2PI = math.log(2.0 * math.pi)
+
+
+def box_moments(
+    mean: np.ndarray, cov: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """Log probability, mean (3,) and covariance (3, 3) of N(mean, cov) truncated to a box.
+
+    mean (3,), cov (3, 3), lower (3,) and upper (3,), in any one unit; bounds may be infinite.
+    These are log pi, mu_C and Sigma_C of eqs. pi_def_error_state and trunc_moments_error_state.
+    Deterministic, and finite for boxes many deviations away. Raises ValueError on wrong shapes,
+    NaN, lower >= upper, or a covariance that is not symmetric positive definite.
+    """
+    arrays = {"mean": mean, "cov": cov, "lower": lower, "upper": upper}
+    for name, value in arrays.items():
+        shape = (3, 3) if name == "cov" else (3,)
+        array = np.ascontiguousarray(value, dtype=float)
+        if array.shape != shape:
+            raise ValueError(f"box_moments: {name} has shape {array.shape}, not {shape}")
+        if np.isnan(array).any() or (name in ("mean", "cov") and np.isinf(array).any()):
+            raise ValueError(f"box_moments: {name} has values that are not finite")
+        arrays[name] = array
+    mean, cov, lower, upper = arrays.values()
+    if not np.all(lower < upper):
+        raise ValueError("box_moments: lower must be below upper on every axis")
+    if np.any(lower == np.inf) or np.any(upper == -np.inf):
+        raise ValueError("box_moments: the box is empty, a bound is infinite on the wrong side")
+    if np.abs(cov - cov.T).max() > 1e-10 * np.abs(cov).max():
+        raise ValueError("box_moments: cov is not symmetric")
+    try:
+        np.linalg.cholesky(cov)
+    except np.linalg.LinAlgError:
+        raise ValueError("box_moments: cov is not positive definite") from None
+    out_mean, out_cov = np.empty(3), np.empty((3, 3))
+    log_prob = box_moments_kernel(mean, cov, lower, upper, out_mean, out_cov)
+    return float(log_prob), out_mean, out_cov
+
+
+@njit(cache=True)
+def box_moments_kernel(mean, cov, lower, upper, out_mean, out_cov) -> float:
+    """`box_moments` without its checks, compiled; fills out_mean and out_cov, returns log_prob."""
+    order, spread = np.empty(3, dtype=np.int64), np.empty(3)
+    C, low, high = np.empty((3, 3)), np.empty(3), np.empty(3)
+    for i in range(3):
+        spread[i] = math.sqrt(cov[i, i])
+    _axis_order(mean, cov, lower, upper, spread, order)
+    for i in range(3):
+        a = order[i]
+        low[i] = (lower[a] - mean[a]) / spread[a]
+        high[i] = (upper[a] - mean[a]) / spread[a]
+        for j in range(3):
+            C[i, j] = cov[a, order[j]] / (spread[a] * spread[order[j]])
+    mode = np.empty(3)
+    distance = nearest_in_box(C, low, high, mode)
+    sums = np.zeros(10)
+    log_density = _integrate(C, low, high, mode, distance, sums)
+    total = sums[0]
+    for i in range(3):
+        a = order[i]
+        out_mean[a] = mean[a] + spread[a] * (mode[i] + sums[1 + i] / total)
+        for j in range(i, 3):
+            b = order[j]
+            second = sums[4 + 3 * i - i * (i - 1) // 2 + j - i] / total
+            value = second - sums[1 + i] * sums[1 + j] / (total * total)
+            out_cov[a, b] = out_cov[b, a] = spread[a] * spread[b] * value
+    return min(log_density + math.log(total), 0.0)
+
+
+@njit(cache=True)
+def _axis_order(mean, cov, lower, upper, spread, order):
+    """Axes by the length of their interval over the deviation that the other two leave them."""
+    length = np.empty(3)
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        b = cov[j, k] / cov[j, j]
+        rest = cov[k, k] - b * cov[j, k]
+        gain = cov[i, k] - b * cov[i, j]
+        left = cov[i, i] - cov[i, j] ** 2 / cov[j, j] - gain * gain / rest
+        reach = math.sqrt(2.0 * DEPTH) * spread[i]
+        inside = min(upper[i] - mean[i], reach) - max(lower[i] - mean[i], -reach)
+        length[i] = max(inside, 0.0) / math.sqrt(max(left, 1e-30 * cov[i, i]))
+        if inside <= 0.0:
+            length[i] = min(upper[i] - lower[i], reach) / math.sqrt(max(left, 1e-30 * cov[i, i]))
+        order[i] = i
+    for i in range(2):
+        for j in range(2 - i):
+            if length[order[j]] > length[order[j + 1]]:
+                order[j], order[j + 1] = order[j + 1], order[j]
+
+
+@njit(cache=True)
+def _integrate(C, low, high, mode, distance, sums) -> float:
+    """Moments 0, 1 and 2 about the mode into sums (10,); returns the log of their common factor."""
+    # Axis 1 given axis 0, and axis 2 given both.
+    b1, b2 = C[0, 1], C[0, 2]
+    v1 = 1.0 - b1 * b1
+    slope = (C[1, 2] - b1 * b2) / v1
+    v2 = 1.0 - b2 * b2 - slope * (C[1, 2] - b1 * b2)
+    s1, s2 = math.sqrt(v1), math.sqrt(v2)
+    left = _outer_end(C, low, high, mode, distance, -1.0)
+    right = _outer_end(C, low, high, mode, distance, 1.0)
+    cuts, scales = np.empty(16), np.empty(16)
+    parts = _outer_parts(C, low, high, left, right, cuts, scales)
+    inner = np.empty(6)
+    for part in range(parts):
+        pieces, count, at = rule(cuts[part + 1] - cuts[part], scales[part])
+        step = (cuts[part + 1] - cuts[part]) / pieces
+        for piece in range(pieces):
+            for i in range(at, at + count):
+                x = cuts[part] + step * (piece + NODES[i])
+                nearest, x1, _ = nearest_given_first(x, C, low, high)
+                depth = DEPTH - 0.5 * (nearest - distance)
+                if depth <= 0.0:
+                    continue
+                plane_moments(
+                    b1 * x, b2 * x, s1, slope, s2, low[1], high[1], low[2], high[2],
+                    mode[1], mode[2], x1, 0.5 * (distance - x * x), depth, inner,
+                )  # fmt: skip
+                w = step * WEIGHTS[i]
+                y = x - mode[0]
+                sums[0] += w * inner[0]
+                sums[1] += w * y * inner[0]
+                sums[2] += w * inner[1]
+                sums[3] += w * inner[2]
+                sums[4] += w * y * y * inner[0]
+                sums[5] += w * y * inner[1]
+                sums[6] += w * y * inner[2]
+                sums[7] += w * inner[3]
+                sums[8] += w * inner[4]
+                sums[9] += w * inner[5]
+    return -0.5 * distance - 1.5 * _LOG_2PI - math.log(s1 * s2)
+
+
+@njit(cache=True)
+def _outer_end(C, low, high, mode, distance, side: float) -> float:
+    """End of the window of axis 0 on one side: where its best point lies DEPTH below the mode."""
+    bound = high[0] if side > 0.0 else low[0]
+    # The profile falls at least as fast as the marginal density does from its own centre.
+    start = mode[0]
+    slope = max(side * mode[0], 0.0)
+    near = start
+    end = start + side * (math.sqrt(slope * slope + 2.0 * DEPTH) - slope)
+    end = min(end, bound) if side > 0.0 else max(end, bound)
+    for _ in range(30):
+        fall = 0.5 * (nearest_given_first(end, C, low, high)[0] - distance)
+        if fall <= DEPTH + 4.0:
+            if fall >= DEPTH or end == bound or near == start:
+                return end
+            near = end
+            return end
+        # Falls are convex from zero at the mode: the root of a parabola through it is beyond.
+        end = start + (end - start) * max(math.sqrt((DEPTH + 2.0) / fall), 0.05)
+    return end
+
+
+@njit(cache=True)
+def _outer_parts(C, low, high, left, right, cuts, scales) -> int:
+    """Cut [left, right] where the integrand over axis 0 begins to bend faster; returns the number.
+
+    cuts gets the ends of the parts and scales the smallest deviation inside each. Zones are half
+    lines on which axis j, alone or with axis k at a bound, has left its interval, or nearly.
+    """
+    edges, sides, sharpness = np.empty(12), np.empty(12), np.empty(12)
+    zones = 0
+    base = 1.0
+    reach = math.sqrt(2.0 * DEPTH)
+    most = 1.0
+    for j in range(1, 3):
+        k = 3 - j
+        v = 1.0 - C[0, k] ** 2
+        gain = (C[j, k] - C[0, j] * C[0, k]) / v
+        own = C[0, j] - gain * C[0, k]
+        rest = 1.0 - C[0, j] ** 2 - gain * (C[j, k] - C[0, j] * C[0, k])
+        for condition in range(3):
+            if condition == 0:
+                slope, offset, deviation = C[0, j], 0.0, math.sqrt(1.0 - C[0, j] ** 2)
+            else:
+                bound = low[k] if condition == 1 else high[k]
+                if not np.isfinite(bound):
+                    continue
+                slope, offset, deviation = own, gain * bound, math.sqrt(rest)
+            precision = (slope / deviation) ** 2
+            if condition == 0:
+                most = max(most, 1.0 + precision)
+            if precision < 1.0:
+                base += precision if condition == 0 else 0.0
+                continue
+            for which in range(2):
+                edge = low[j] if which == 0 else high[j]
+                if np.isfinite(edge):
+                    side = math.copysign(1.0, slope) * (1.0 if which == 1 else -1.0)
+                    edges[zones] = (edge - offset) / slope - side * reach * deviation / abs(slope)
+                    sides[zones] = side
+                    sharpness[zones] = precision
+                    zones += 1
+    cuts[0] = left
+    parts = 1
+    for z in range(zones):
+        if left < edges[z] < right:
+            at = parts
+            while at > 1 and cuts[at - 1] > edges[z]:
+                cuts[at] = cuts[at - 1]
+                at -= 1
+            cuts[at] = edges[z]
+            parts += 1
+    cuts[parts] = right
+    for part in range(parts):
+        middle = 0.5 * (cuts[part] + cuts[part + 1])
+        precision = base
+        for z in range(zones):
+            if sides[z] * (middle - edges[z]) > 0.0:
+                precision += sharpness[z]
+        scales[part] = 1.0 / math.sqrt(precision)
+    return parts

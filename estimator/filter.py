@@ -1,0 +1,239 @@
+"""The invariant filter with velocity and coverage updates: one call a sample, or a whole log."""
+
+import numpy as np
+from numba import njit
+
+from estimator.coverage import update_coverage
+from estimator.propagation import propagate
+from estimator.state import EXTRA, FilterNoise, NavState, numbers, spd
+from estimator.trajectory import Trajectory, UpdateRecord
+from estimator.velocity import update_velocity
+from sim.errors import SurefootError
+
+
+class InvariantFilter:
+    """Right-invariant filter on SE_2(3) x R^6 (paper, Sec. II): one call a sample.
+
+    state: NavState; covariance (15, 15) in the error order (rotation, velocity, position, b_a,
+    b_g); noise: FilterNoise. `persistent` (3, 3) [m^2/s^2], where given, is the prior
+    covariance of a part of the observer's error that lasts through the sequence: it becomes three
+    more states, so that a stream of statements is not taken for independent news. Raises SurefootError on wrong
+    shapes, values that are not finite and covariances that are not positive definite.
+    """
+
+    def __init__(
+        self,
+        state: NavState,
+        covariance: np.ndarray,
+        noise: FilterNoise | None = None,
+        persistent: np.ndarray | None = None,
+    ):
+        self._noise = (noise or FilterNoise()).packed()
+        self._mean, self._covariance = _start(state, covariance, persistent)
+        self._columns, self._rotation_columns = _work(self._mean)
+
+    def predict(self, gyro: np.ndarray, accel: np.ndarray, dt: float) -> None:
+        """IMU step (eq. covariance_propagation): gyro (3,) [rad/s] and accel (3,) [m/s^2], both in
+        I, are means over the dt > 0 [s] that ends now.
+        """
+        gyro, accel = numbers("gyro", gyro, (3,)), numbers("accel", accel, (3,))
+        if not 0.0 < dt < np.inf:
+            raise SurefootError(f"dt: {dt} where a number > 0 is expected")
+        propagate(
+            self._mean,
+            self._covariance,
+            gyro,
+            accel,
+            float(dt),
+            self._noise,
+            self._columns,
+            self._rotation_columns,
+        )
+
+    def update_coverage(self, v_I: np.ndarray, epsilon: np.ndarray, gamma: float) -> float:
+        """Algorithm 1 with P(|v_I - true v_I| <= epsilon) >= gamma, gamma the JOINT level.
+
+        v_I (3,) and epsilon (3,) > 0 in m/s, in I. Returns pi, the prior mass inside the bounds
+        (eq. pi_def_error_state); the state changed if pi < gamma.
+        """
+        v_I, epsilon = numbers("v_I", v_I, (3,)), _bounds(epsilon, (3,))
+        _check_gamma(gamma)
+        return update_coverage(self._mean, self._covariance, 0, v_I, epsilon, float(gamma))
+
+    def update_velocity(self, v_I: np.ndarray, cov: np.ndarray) -> float:
+        """Gaussian update with v_I (3,) [m/s] in I and its covariance (3, 3). Returns the squared
+        Mahalanobis distance of the innovation.
+        """
+        v_I, cov = numbers("v_I", v_I, (3,)), spd("cov", cov, 3)
+        return update_velocity(self._mean, self._covariance, 0, v_I, cov)
+
+    @property
+    def state(self) -> NavState:
+        """The estimate (a copy)."""
+        return NavState.unpack(self._mean)
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Covariance (15, 15) of the error state (a copy)."""
+        return self._covariance[:15, :15].copy()
+
+    @property
+    def persistent(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Estimate (3,) [m/s] and covariance (3, 3) of the persistent error, None without one."""
+        if len(self._mean) == EXTRA:
+            return None
+        return self._mean[EXTRA].copy(), self._covariance[15:, 15:].copy()
+
+
+def run_imu(t, gyro, accel, state, covariance, noise=None, stride=None) -> Trajectory:
+    """Integrate the IMU alone over a log: t (N,), gyro and accel (N, 3); see `run_coverage`."""
+    none = np.zeros((0, 3))
+    return _run(t, gyro, accel, none[:, 0], none, None, None, 0.0, state, covariance, noise, stride)
+
+
+def run_velocity(
+    t, gyro, accel, rows, v_I, cov, state, covariance, noise=None, stride=None, persistent=None
+) -> Trajectory:
+    """Gaussian velocity updates over a log; cov (3, 3) or (M, 3, 3), the rest as `run_coverage`."""
+    v_I = numbers("v_I", v_I, (-1, 3))
+    if np.ndim(cov) == 2:
+        cov = np.broadcast_to(spd("cov", cov, 3), (len(v_I), 3, 3))
+    cov = numbers("cov", cov, (len(v_I), 3, 3))
+    if len(cov) and np.linalg.eigvalsh(cov).min() <= 0:
+        raise SurefootError("cov: is not positive definite in every row")
+    return _run(
+        t, gyro, accel, rows, v_I, None, cov, 0.0, state, covariance, noise, stride, persistent
+    )
+
+
+def run_coverage(
+    t, gyro, accel, rows, v_I, epsilon, gamma, state, covariance, noise=None, stride=None,
+    persistent=None,
+) -> Trajectory:  # fmt: skip
+    """Coverage updates over a whole log, one compiled loop with the numbers of `InvariantFilter`.
+
+    t (N,) [s], gyro (N, 3) and accel (N, 3): row k holds the means over (t[k-1], t[k]], so row 0
+    is where `state` stands and predicts nothing. rows (M,) are the increasing row indices of the
+    measurements v_I (M, 3) [m/s], each applied after its row's prediction; epsilon (3,) or (M, 3)
+    [m/s], gamma the joint level. Output every `stride` rows, by default at 100 Hz.
+    """
+    v_I = numbers("v_I", v_I, (-1, 3))
+    if np.ndim(epsilon) == 1:
+        epsilon = np.broadcast_to(_bounds(epsilon, (3,)), v_I.shape)
+    epsilon = _bounds(epsilon, v_I.shape)
+    _check_gamma(gamma)
+    return _run(
+        t, gyro, accel, rows, v_I, epsilon, None, gamma, state, covariance, noise, stride,
+        persistent,
+    )  # fmt: skip
+
+
+def _run(
+    t, gyro, accel, rows, v_I, epsilon, cov, gamma, state, covariance, noise, stride,
+    persistent=None,
+):  # fmt: skip
+    t, gyro, accel, stride = imu_arrays(t, gyro, accel, stride)
+    rows = row_indices(rows, len(v_I), len(t))
+    mean, P = _start(state, covariance, persistent)
+    out_mean, out_cov = outputs(len(t), stride)
+    pi = np.full(len(rows), np.nan)
+    _loop(
+        t, gyro, accel, rows, v_I,
+        np.zeros((0, 3)) if epsilon is None else epsilon,
+        np.zeros((0, 3, 3)) if cov is None else cov,
+        float(gamma), mean, P, (noise or FilterNoise()).packed(), *_work(mean),
+        stride, out_mean, out_cov, pi,
+    )  # fmt: skip
+    updates = None
+    if epsilon is not None:
+        updates = UpdateRecord(t[rows], v_I, epsilon, pi, pi < gamma)
+    elif cov is not None:
+        updates = UpdateRecord(t[rows], v_I, None, None, np.ones(len(rows), dtype=bool))
+    return trajectory(t[::stride], out_mean, out_cov, updates)
+
+
+@njit(cache=True)
+def _loop(
+    t, gyro, accel, rows, v_I, epsilon, cov, gamma, mean, P, noise, columns, rotation_columns,
+    stride, out_mean, out_cov, pi,
+):  # fmt: skip
+    m = 0
+    for k in range(t.shape[0]):
+        if k > 0:
+            dt = t[k] - t[k - 1]
+            propagate(mean, P, gyro[k], accel[k], dt, noise, columns, rotation_columns)
+        if m < rows.shape[0] and rows[m] == k:
+            if epsilon.shape[0] > 0:
+                pi[m] = update_coverage(mean, P, 0, v_I[m], epsilon[m], gamma)
+            else:
+                update_velocity(mean, P, 0, v_I[m], cov[m])
+            m += 1
+        if k % stride == 0:
+            out_mean[k // stride] = mean[:7]
+            out_cov[k // stride] = P[:15, :15]
+
+
+def imu_arrays(t, gyro, accel, stride):
+    """Checked t (N,), gyro (N, 3), accel (N, 3) and the stride, 100 Hz where it is None."""
+    t = numbers("t", t, (-1,))
+    gyro, accel = numbers("gyro", gyro, (len(t), 3)), numbers("accel", accel, (len(t), 3))
+    if len(t) < 2 or not np.all(np.diff(t) > 0):
+        raise SurefootError("t: needs two rows or more, strictly increasing")
+    if stride is None:
+        stride = max(1, round(0.01 / float(np.median(np.diff(t)))))
+    if stride < 1:
+        raise SurefootError(f"stride: {stride} where a whole number >= 1 is expected")
+    return t, gyro, accel, int(stride)
+
+
+def row_indices(rows, count: int, n: int) -> np.ndarray:
+    """Checked row indices (count,), strictly increasing inside [0, n)."""
+    rows = np.asarray(rows)
+    if rows.shape != (count,):
+        raise SurefootError(f"rows: shape {rows.shape} where ({count},) is expected, one a v_I")
+    rows = rows.astype(np.int64)
+    if count and (rows[0] < 0 or rows[-1] >= n or not np.all(np.diff(rows) > 0)):
+        raise SurefootError(f"rows: must increase strictly inside 0..{n - 1}")
+    return rows
+
+
+def outputs(n: int, stride: int) -> tuple[np.ndarray, np.ndarray]:
+    """Empty packed means (L, 7, 3) and covariances (L, 15, 15) for every stride-th of n rows."""
+    count = (n - 1) // stride + 1
+    return np.empty((count, 7, 3)), np.empty((count, 15, 15))
+
+
+def trajectory(t, mean, covariance, updates) -> Trajectory:
+    """The trajectory of packed means (L, 7, 3). Raises SurefootError where a filter diverged."""
+    bad = np.flatnonzero(~np.isfinite(mean).all(axis=(1, 2)))
+    if len(bad):
+        raise SurefootError(f"filter: the estimate is not finite from t = {t[bad[0]]:.3f} s on")
+    return Trajectory(
+        t, mean[:, :3], mean[:, 3], mean[:, 4], mean[:, 5], mean[:, 6], covariance, updates
+    )
+
+
+def _start(state: NavState, covariance, persistent) -> tuple[np.ndarray, np.ndarray]:
+    covariance = spd("covariance", covariance, 15)
+    if persistent is None:
+        return state.pack(), covariance
+    P = np.zeros((18, 18))
+    P[:15, :15], P[15:, 15:] = covariance, spd("persistent", persistent, 3)
+    return state.pack(1), P
+
+
+def _work(mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    extras = len(mean) - EXTRA
+    return np.zeros((15 + 3 * extras, 6)), np.zeros((3 * extras, 3))
+
+
+def _bounds(epsilon, shape) -> np.ndarray:
+    epsilon = numbers("epsilon", epsilon, shape)
+    if not np.all(epsilon > 0):
+        raise SurefootError("epsilon: every bound must be > 0 m/s")
+    return epsilon
+
+
+def _check_gamma(gamma: float) -> None:
+    if not 0.0 < gamma < 1.0:
+        raise SurefootError(f"gamma: {gamma} where a number inside (0, 1) is expected")

@@ -1,0 +1,97 @@
+"""From the output space of the body velocity to the error state and back.
+
+The IMU's velocity in I is a right-invariant output (eq. meas_model), y = X^-1 d, with
+
+    H = [0  -R_GI^T  0  0  0],     z = H delta X = v_I - v_I_bar to first order,
+
+and -I more on the error of a plain extra vector c where the measurement is v_I + c: the persistent
+part of an observer's error, kept as three more states.
+"""
+
+import numpy as np
+from numba import njit
+
+from estimator.state import EXTRA, V, retract
+
+
+@njit(cache=True)
+def output(mean, covariance, contacts: int, v_I, PHt, S, residual):
+    """Sigma H^T (n, 3), S = H Sigma H^T (3, 3), v_I - v_I_bar (3,): into the last three arrays."""
+    n = covariance.shape[0]
+    persistent = EXTRA + contacts < mean.shape[0]
+    at = 15 + 3 * contacts
+    for i in range(n):
+        for j in range(3):
+            total = 0.0
+            for m in range(3):
+                total -= covariance[i, 3 + m] * mean[m, j]
+            if persistent:
+                total -= covariance[i, at + j]
+            PHt[i, j] = total
+    for j in range(3):
+        residual[j] = v_I[j]
+        for m in range(3):
+            residual[j] -= mean[m, j] * mean[V, m]
+        if persistent:
+            residual[j] -= mean[EXTRA + contacts, j]
+        for k in range(3):
+            total = 0.0
+            for m in range(3):
+                total -= mean[m, j] * PHt[3 + m, k]
+            if persistent:
+                total -= PHt[at + j, k]
+            S[j, k] = total
+    for j in range(3):
+        for k in range(j):
+            S[j, k] = S[k, j] = 0.5 * (S[j, k] + S[k, j])
+
+
+@njit(cache=True)
+def inverse_3(S, out):
+    """out = S^-1 for a symmetric positive definite S (3, 3), scaled so that units do not matter."""
+    d0, d1, d2 = 1.0 / np.sqrt(S[0, 0]), 1.0 / np.sqrt(S[1, 1]), 1.0 / np.sqrt(S[2, 2])
+    a, b, c = S[0, 1] * d0 * d1, S[0, 2] * d0 * d2, S[1, 2] * d1 * d2
+    determinant = 1.0 + 2.0 * a * b * c - a * a - b * b - c * c
+    out[0, 0] = (1.0 - c * c) / determinant * d0 * d0
+    out[1, 1] = (1.0 - b * b) / determinant * d1 * d1
+    out[2, 2] = (1.0 - a * a) / determinant * d2 * d2
+    out[0, 1] = out[1, 0] = (b * c - a) / determinant * d0 * d1
+    out[0, 2] = out[2, 0] = (a * c - b) / determinant * d0 * d2
+    out[1, 2] = out[2, 1] = (a * b - c) / determinant * d1 * d2
+
+
+@njit(cache=True)
+def lift(mean, covariance, contacts: int, PHt, S, z_mean, z_cov):
+    """Eqs. lift_mean and lift_cov with K = Sigma H^T S^-1, then the on-manifold update, in place.
+
+    z_mean (3,) and z_cov (3, 3) are the posterior of z, whose prior is N(0, S).
+    """
+    n = covariance.shape[0]
+    information = np.empty((3, 3))
+    inverse_3(S, information)
+    K = np.empty((n, 3))
+    delta = np.zeros(n)
+    for i in range(n):
+        for j in range(3):
+            K[i, j] = (
+                PHt[i, 0] * information[0, j]
+                + PHt[i, 1] * information[1, j]
+                + PHt[i, 2] * information[2, j]
+            )
+            delta[i] += K[i, j] * z_mean[j]
+    KD = np.empty((n, 3))
+    for i in range(n):
+        for j in range(3):
+            KD[i, j] = (
+                K[i, 0] * (z_cov[0, j] - S[0, j])
+                + K[i, 1] * (z_cov[1, j] - S[1, j])
+                + K[i, 2] * (z_cov[2, j] - S[2, j])
+            )
+    for i in range(n):
+        for j in range(i + 1):
+            total = covariance[i, j]
+            for m in range(3):
+                total += KD[i, m] * K[j, m]
+            covariance[i, j] = total
+            covariance[j, i] = total
+    retract(mean, delta, contacts)

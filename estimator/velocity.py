@@ -1,0 +1,44 @@
+"""The Gaussian velocity update: the invariant EKF correction with a body velocity."""
+
+import numpy as np
+from numba import njit
+
+from estimator.lift import inverse_3, lift, output
+
+
+@njit(cache=True)
+def update_velocity(mean, covariance, contacts: int, v_I, measurement_cov) -> float:
+    """Right-invariant EKF update of the packed state, in place (Hartley 2020, eq. 20).
+
+    v_I (3,) [m/s] measures the IMU's velocity in I with covariance measurement_cov (3, 3). Returns
+    the squared Mahalanobis distance of the innovation. In output space the posterior of z is
+    N(S (S+R)^-1 r, S (S+R)^-1 R), which the same lift as the coverage update carries to the state.
+    """
+    n = covariance.shape[0]
+    PHt, S, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
+    output(mean, covariance, contacts, v_I, PHt, S, residual)
+    return gaussian_update(mean, covariance, contacts, PHt, S, residual, measurement_cov, np.inf)
+
+
+@njit(cache=True)
+def gaussian_update(
+    mean, covariance, contacts: int, PHt, S, residual, measurement_cov, gate: float
+) -> float:
+    """Kalman update for z = H delta X with innovation `residual` (3,), in place.
+
+    Returns the squared Mahalanobis distance of the innovation; beyond `gate` nothing is updated.
+    K (z_cov - S) K^T = -Sigma H^T (S+R)^-1 H Sigma: lifting with W = S + R in the place of S, the
+    posterior's covariance at zero and its mean at the innovation is the textbook update.
+    """
+    W, information = np.empty((3, 3)), np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            W[i, j] = S[i, j] + measurement_cov[i, j]
+    inverse_3(W, information)
+    distance = 0.0
+    for i in range(3):
+        for j in range(3):
+            distance += residual[i] * information[i, j] * residual[j]
+    if distance <= gate:
+        lift(mean, covariance, contacts, PHt, W, residual, np.zeros((3, 3)))
+    return distance
