@@ -7,8 +7,8 @@ import numpy as np
 
 from sim.scenario import Segment
 
-ACCELERATION = 1.0  # m/s^2, of the commanded speed
-TURN_ACCELERATION = 2.0  # rad/s^2
+ACCELERATION = 0.8  # m/s^2, of the commanded speed
+TURN_ACCELERATION = 1.5  # rad/s^2
 
 
 @dataclass(frozen=True)

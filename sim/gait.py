@@ -33,6 +33,11 @@ class Gait(NamedTuple):
     start: float  # s, first step
     phase: np.ndarray  # (4,) share of the period by which each leg's stance begins later
     friction_clamp: float  # horizontal over vertical foot force
+    capture: float  # s, foothold per velocity error
+    course_gain: float  # 1/s, force per velocity error and mass
+    level_gain: float  # 1/s^2, moment per tilt and inertia
+    level_damping: float  # 1/s
+    slide_damping: float  # N s/m, on a stance foot that slides
 
 
 def gait_for(robot: Robot, start: float, period: float = 1.0, clearance: float = 1.0) -> Gait:
@@ -55,6 +60,11 @@ def gait_for(robot: Robot, start: float, period: float = 1.0, clearance: float =
         start=start,
         phase=np.array([0.0, 0.5, 0.5, 0.0]),
         friction_clamp=0.6,
+        capture=0.75 * np.sqrt(length / GRAVITY),
+        course_gain=4.0,
+        level_gain=180.0,
+        level_damping=32.0,
+        slide_damping=80.0 * foot_mass,
     )
 
 
@@ -99,6 +109,7 @@ def tick(legs, gait, memory, t, p, R, v, w, q, dq, load, target, torque):
 
     feet = np.empty((4, 3))
     feet_v = np.empty((4, 3))
+    sole_v = np.empty((4, 3))
     jacobians = np.empty((4, 3, 3))
     mode = np.empty(4, np.int64)
     progress = np.zeros(4)
@@ -109,6 +120,8 @@ def tick(legs, gait, memory, t, p, R, v, w, q, dq, load, target, torque):
         feet[leg] = p + R @ foot
         jacobians[leg] = R @ J
         feet_v[leg] = v + R @ np.cross(w, foot) + jacobians[leg] @ dq[3 * leg : 3 * leg + 3]
+        w_foot = R @ (w + axes @ dq[3 * leg : 3 * leg + 3])
+        sole_v[leg] = feet_v[leg] + np.cross(w_foot, np.array([0.0, 0.0, -gait.foot_radius[leg]]))
         phase = 0.0
         if t >= gait.start:
             phase = ((t - gait.start) / gait.period + gait.phase[leg]) % 1.0
@@ -132,7 +145,7 @@ def tick(legs, gait, memory, t, p, R, v, w, q, dq, load, target, torque):
     _swing(
         gait, memory, p, R, v, yaw, v_want, turn, feet, feet_v, jacobians, mode, progress, torque
     )
-    _stance(gait, p, R, v, w, v_want, turn, feet, jacobians, mode, progress, torque)
+    _stance(gait, p, R, v, w, v_want, turn, feet, sole_v, jacobians, mode, progress, torque)
     for i in range(12):
         torque[i] = min(max(torque[i], -gait.torque_limit[i]), gait.torque_limit[i])
 
@@ -151,12 +164,11 @@ def _swing(gait, memory, p, R, v, yaw, v_want, turn, feet, feet_v, J, mode, prog
         hip = np.array([p[0] + c * x - s * y, p[1] + s * x + c * y])
         arm = np.array([-(hip[1] - p[1]), hip[0] - p[0]])
         ahead = stance_time / 2.0 + (1.0 - progress[leg]) * swing_time * (mode[leg] == SWING)
-        capture = 0.5 * np.sqrt(gait.height / GRAVITY)
         if mode[leg] == SWING:
             for a in range(2):
                 drift = v[a] + turn * arm[a]
                 want = v_want[a] + turn * arm[a]
-                memory[leg, 4 + a] = hip[a] + ahead * drift + capture * (drift - want)
+                memory[leg, 4 + a] = hip[a] + ahead * drift + gait.capture * (drift - want)
             memory[leg, 6] = gait.foot_radius[leg]
         u = progress[leg]
         goal, goal_v, goal_a = np.empty(3), np.zeros(3), np.zeros(3)
@@ -187,7 +199,7 @@ def _swing(gait, memory, p, R, v, yaw, v_want, turn, feet, feet_v, J, mode, prog
 
 
 @njit(cache=True)
-def _stance(gait, p, R, v, w, v_want, turn, feet, J, mode, progress, torque):
+def _stance(gait, p, R, v, w, v_want, turn, feet, sole_v, J, mode, progress, torque):
     """The wrench that holds height, level and course, shared over the feet that stand."""
     standing = np.flatnonzero(mode == STANCE)
     n = len(standing)
@@ -199,7 +211,7 @@ def _stance(gait, p, R, v, w, v_want, turn, feet, J, mode, progress, torque):
     com = p + R @ gait.com_B
     wrench = np.empty(6)
     for a in range(2):
-        wrench[a] = gait.mass * 8.0 * (v_want[a] - v[a])
+        wrench[a] = gait.mass * gait.course_gain * (v_want[a] - v[a])
     wrench[2] = gait.mass * (GRAVITY + 120.0 * (gait.height + ground - p[2]) - 16.0 * v[2])
     # Attitude error as the rotation vector that would level the base, small-angle.
     tilt = np.array([-R[2, 1], R[2, 0], 0.0])
@@ -207,7 +219,9 @@ def _stance(gait, p, R, v, w, v_want, turn, feet, J, mode, progress, torque):
     spin = np.array([-w[0], -w[1], turn - w[2]])
     moment_B = np.empty(3)
     for a in range(3):
-        moment_B[a] = gait.inertia[a] * (180.0 * error_B[a] + 22.0 * spin[a])
+        moment_B[a] = gait.inertia[a] * (
+            gait.level_gain * error_B[a] + gait.level_damping * spin[a]
+        )
     wrench[3:] = R @ moment_B
     size = gait.height
     weight = np.array([1.0, 1.0, 2.0, 2.0 / size**2, 2.0 / size**2, 1.0 / size**2])
@@ -230,4 +244,7 @@ def _stance(gait, p, R, v, w, v_want, turn, feet, J, mode, progress, torque):
         if side > gait.friction_clamp * f[2]:
             f[0] *= gait.friction_clamp * f[2] / side
             f[1] *= gait.friction_clamp * f[2] / side
+        # On a foot that slides the ground has no more to give: the leg itself must stop it.
+        f[0] += gait.slide_damping * sole_v[leg, 0]
+        f[1] += gait.slide_damping * sole_v[leg, 1]
         torque[3 * leg : 3 * leg + 3] = -(J[leg].T @ f)
