@@ -1,0 +1,56 @@
+"""Do the bounds hold? Empirical coverage of an observer's errors, with its binomial interval."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import beta
+
+from models.bounds import Bounds, BoundsError
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Share of errors within their bounds, and the interval of the true share.
+
+    per_axis (3,) and joint, over all errors; per_axis_interval (3, 2) and joint_interval (2,) at
+    `confidence`, Clopper-Pearson's, counting `n` independent errors.
+    """
+
+    per_axis: np.ndarray
+    joint: float
+    per_axis_interval: np.ndarray
+    joint_interval: np.ndarray
+    n: int
+    confidence: float
+
+
+def coverage(errors: np.ndarray, bounds: Bounds, confidence: float = 0.95) -> Coverage:
+    """How often errors (M, 3), at 100 Hz, kept within their bounds.
+
+    Neighbouring errors are no independent trials: the interval counts M / K of them, with the K
+    that the bounds were calibrated at. Raises BoundsError where there is not one.
+    """
+    n = len(errors) // bounds.K
+    if n < 1:
+        raise BoundsError(f"{len(errors)} errors are not one independent trial at K = {bounds.K}")
+    inside = np.abs(errors) <= bounds.epsilon
+    per_axis, joint = inside.mean(axis=0), float(inside.all(axis=1).mean())
+    return Coverage(
+        per_axis=per_axis,
+        joint=joint,
+        per_axis_interval=np.array([binomial_interval(p, n, confidence) for p in per_axis]),
+        joint_interval=binomial_interval(joint, n, confidence),
+        n=n,
+        confidence=confidence,
+    )
+
+
+def binomial_interval(share: float, n: int, confidence: float = 0.95) -> np.ndarray:
+    """Clopper and Pearson's interval (2,) of a probability, from a share of n trials.
+
+    (Biometrika 26, 1934); share * n need not be whole, the bounds are quantiles of beta laws.
+    """
+    tail, hits = 0.5 * (1 - confidence), share * n
+    lower = beta.ppf(tail, hits, n - hits + 1) if hits > 0 else 0.0
+    upper = beta.ppf(1 - tail, hits + 1, n - hits) if hits < n else 1.0
+    return np.array([lower, upper])

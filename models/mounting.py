@@ -1,0 +1,40 @@
+"""Velocities of one body at two IMU mountings: what an observer learnt serves another IMU."""
+
+from typing import Protocol
+
+import numpy as np
+
+
+class Mounted(Protocol):
+    """What the observer needs of a robot: its name and where its IMU frame I sits in its base B."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def p_BI(self) -> np.ndarray: ...
+    @property
+    def R_BI(self) -> np.ndarray: ...
+
+
+def same_mounting(a: Mounted, b: Mounted) -> bool:
+    """Whether two mountings agree to a tenth of a millimetre and a ten-thousandth of a radian."""
+    return bool(np.allclose(a.p_BI, b.p_BI, atol=1e-4) and np.allclose(a.R_BI, b.R_BI, atol=1e-4))
+
+
+def move_velocity(v_I: np.ndarray, gyro: np.ndarray, old: Mounted, new: Mounted) -> np.ndarray:
+    """Velocity (M, 3) of the new IMU's origin, in its own frame, m/s.
+
+    v_I (M, 3) is the old one's; gyro (M, 3) is measured in the new frame, rad/s. With
+    v_I = R_BI^T (v_B + omega x p_BI) at both,
+
+        v_new = R_new^T (R_old v_old + omega x (p_new - p_old)).
+    """
+    omega_B = gyro @ new.R_BI.T
+    v_B = v_I @ old.R_BI.T + np.cross(omega_B, new.p_BI - old.p_BI)
+    return v_B @ new.R_BI
+
+
+def move_covariance(covariance: np.ndarray, old: Mounted, new: Mounted) -> np.ndarray:
+    """Covariances (M, 3, 3) turned from the old IMU's frame into the new one's."""
+    R = new.R_BI.T @ old.R_BI
+    return R @ covariance @ R.T

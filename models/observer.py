@@ -1,0 +1,191 @@
+"""The learned velocity observer: what it is, and its checkpoint on disk.
+
+An Observer is data: weights, what it reads, how that is scaled, for which robot and IMU mounting,
+and which logs it has seen. `models.predict` runs it and `models.training` makes it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, fields
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from models.network import LOSSES, OUTPUTS, Network
+from sim.errors import SurefootError
+from sim.files import whole_file
+from sim.log import Log
+
+FORMAT = "surefoot observer"
+SCHEMA = 1
+INPUTS = (("q",), ("q", "dq"), ("q", "dq", "tau"))
+
+
+class ObserverError(SurefootError):
+    """An observer that cannot be read, or that does not fit the log or robot at hand."""
+
+
+@dataclass(frozen=True)
+class TrainingLog:
+    """A log an observer has seen: its name and the digest of its samples."""
+
+    name: str
+    sha256: str
+
+
+@dataclass(frozen=True, eq=False)
+class Observer:
+    """A trained GRU from joint signals at 100 Hz to v_I, the IMU's velocity in its own frame.
+
+    `weights` is the network's state dict. `inputs` names the joint groups, side by side in the
+    order of `joints`; a sample is scaled as (x - input_mean) / input_scale, an output as
+    output_mean + output_scale * y, in m/s. `p_BI` (3,) and `R_BI` (3, 3) are the IMU's mounting
+    whose velocity was learnt. `causal_dq` says that the joint velocities were derived from q.
+    `rmse` (3,) in m/s is that of the held-out part of the training logs.
+    """
+
+    weights: dict[str, torch.Tensor]
+    inputs: tuple[str, ...]
+    joints: tuple[str, ...]
+    input_mean: np.ndarray
+    input_scale: np.ndarray
+    output_mean: np.ndarray
+    output_scale: np.ndarray
+    robot: str
+    p_BI: np.ndarray
+    R_BI: np.ndarray
+    loss: str
+    logs: tuple[TrainingLog, ...]
+    seed: int
+    rate: float
+    hidden: int
+    rmse: np.ndarray
+    causal_dq: bool = False
+
+    @property
+    def name(self) -> str:
+        """The robot's name: an Observer has a mounting like a robot."""
+        return self.robot
+
+    @cached_property
+    def hash(self) -> str:
+        """SHA-256 of everything above: bounds name the observer they belong to by it."""
+        digest = hashlib.sha256()
+        for name, value in sorted(_plain(self).items()):
+            tensors = value if isinstance(value, dict) else {name: value}
+            for key, item in sorted(tensors.items()):
+                if isinstance(item, torch.Tensor):
+                    item = {"shape": list(item.shape), "dtype": str(item.dtype)}, item
+                    digest.update(json.dumps([name, key, item[0]]).encode())
+                    digest.update(item[1].detach().contiguous().numpy().tobytes())
+                else:
+                    digest.update(json.dumps([name, key, item]).encode())
+        return digest.hexdigest()
+
+    @cached_property
+    def network(self) -> Network:
+        """The network with these weights, ready to run."""
+        network = Network(len(self.input_mean), OUTPUTS[self.loss], self.hidden)
+        network.load_state_dict(self.weights)
+        return network.eval()
+
+    def save(self, path: str | Path, force: bool = False) -> None:
+        """Write the checkpoint, whole or not at all. Raises SurefootError where `path` exists."""
+        with whole_file(path, force) as temporary:
+            torch.save(
+                {"format": FORMAT, "schema": SCHEMA, "hash": self.hash} | _plain(self), temporary
+            )
+
+    @classmethod
+    def load(cls, path: str | Path) -> Observer:
+        """The observer at `path`. Raises ObserverError, one line, where it is none or damaged."""
+        path = Path(path)
+        if not path.is_file():
+            raise ObserverError(f"{path}: {'is a folder' if path.is_dir() else 'no such file'}")
+        try:
+            values: Any = torch.load(path, map_location="cpu", weights_only=True)
+        except Exception as error:
+            # torch raises many kinds here, depending on what the file turns out to be.
+            raise ObserverError(f"{path}: not a surefoot observer, or a damaged one") from error
+        if not isinstance(values, dict) or values.get("format") != FORMAT:
+            raise ObserverError(f"{path}: a torch file, but not a surefoot observer")
+        if values.get("schema", 0) > SCHEMA:
+            raise ObserverError(
+                f"{path}: written by a newer surefoot (schema {values['schema']}, this one reads "
+                f"{SCHEMA})"
+            )
+        try:
+            observer = _from_plain(values)
+            _ = observer.network
+        except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
+            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise ObserverError(f"{path}: not a whole surefoot observer ({reason})") from error
+        if observer.hash != values.get("hash"):
+            raise ObserverError(f"{path}: damaged, its contents do not match their digest")
+        return observer
+
+
+def check_inputs(inputs: tuple[str, ...] | str) -> tuple[str, ...]:
+    """Input groups as a tuple, from "q,dq,tau" too. Raises ObserverError for other subsets."""
+    names = tuple(inputs.replace(" ", "").split(",")) if isinstance(inputs, str) else tuple(inputs)
+    if names not in INPUTS:
+        choices = " | ".join(",".join(choice) for choice in INPUTS)
+        raise ObserverError(f"--inputs {','.join(names)}: choose {choices}")
+    return names
+
+
+def check_loss(loss: str) -> str:
+    """The loss if there is one of that name. Raises ObserverError."""
+    if loss not in LOSSES:
+        raise ObserverError(f"--loss {loss}: choose {' | '.join(LOSSES)}")
+    return loss
+
+
+def log_digest(log: Log) -> str:
+    """SHA-256 of a log's time and joint positions: the same walk under any name has the same."""
+    digest = hashlib.sha256(",".join(log.joints).encode())
+    for values in (log.t, log.q):
+        digest.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
+    return digest.hexdigest()
+
+
+def _plain(observer: Observer) -> dict[str, Any]:
+    """Tensors and plain Python values alone: all that a checkpoint without pickles may hold."""
+    values: dict[str, Any] = {}
+    for field in fields(observer):
+        value = getattr(observer, field.name)
+        if isinstance(value, np.ndarray):
+            value = torch.from_numpy(np.array(value, dtype=float))
+        elif field.name == "logs":
+            value = [asdict(log) for log in value]
+        elif isinstance(value, tuple):
+            value = list(value)
+        values[field.name] = value
+    return values
+
+
+def _from_plain(values: dict[str, Any]) -> Observer:
+    known: dict[str, Any] = {field.name: values[field.name] for field in fields(Observer)}
+    for name, value in known.items():
+        if isinstance(value, torch.Tensor):
+            known[name] = value.numpy()
+    known["logs"] = tuple(TrainingLog(**log) for log in known["logs"])
+    known["inputs"] = check_inputs(tuple(known["inputs"]))
+    known["joints"] = tuple(known["joints"])
+    known["loss"] = check_loss(known["loss"])
+    kinds = {"robot": str, "seed": int, "rate": float, "hidden": int, "causal_dq": bool}
+    for name, kind in kinds.items():
+        if type(known[name]) is not kind:
+            raise ValueError(f"{name} is not a {kind.__name__}")
+    channels = len(known["inputs"]) * len(known["joints"])
+    shapes = {"input_mean": (channels,), "input_scale": (channels,), "R_BI": (3, 3)}
+    shapes |= dict.fromkeys(("output_mean", "output_scale", "p_BI", "rmse"), (3,))
+    for name, shape in shapes.items():
+        if np.shape(known[name]) != shape:
+            raise ValueError(f"{name} is not of shape {shape}")
+    return Observer(**known)

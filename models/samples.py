@@ -1,0 +1,63 @@
+"""What the observer sees of a log, and what it is to answer: arrays at 100 Hz."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.decimate import decimate, observer_rows
+from models.observer import ObserverError, check_inputs
+from sim.derivatives import JOINT_WINDOW, derivative
+from sim.log import Log, reference_velocity
+
+DQ_ZERO_PHASE = "dq (zero-phase)"
+DQ_CAUSAL = "dq (causal)"
+
+
+@dataclass(frozen=True)
+class Samples:
+    """A log at the observer's rows.
+
+    rows (M,) into the log; t (M,), s; x (M, C) the unscaled inputs; causal_dq: whether dq among
+    them was derived from q.
+    """
+
+    rows: np.ndarray
+    t: np.ndarray
+    x: np.ndarray
+    causal_dq: bool
+
+
+def samples(log: Log, inputs: tuple[str, ...]) -> Samples:
+    """Anti-aliased inputs of a log. Raises ObserverError naming what it lacks; nothing is filled.
+
+    Joint velocities that the log declares as derived without phase look into the future: they are
+    derived again, causally, from q.
+    """
+    inputs = check_inputs(inputs)
+    missing = [name for name in inputs if not log.has(name)]
+    if missing:
+        hint = ""
+        if missing == ["dq"] and log.has("q"):
+            hint = "; derive it (sim.log.with_velocities) or use an observer of q alone"
+        raise ObserverError(
+            f"{log.name}: the observer reads {', '.join(inputs)}, the log lacks "
+            f"{', '.join(missing)}{hint}"
+        )
+    groups = {name: getattr(log, name) for name in inputs}
+    if "dq" in inputs and DQ_ZERO_PHASE in log.meta.derived:
+        groups["dq"] = derivative(log.t, log.q, JOINT_WINDOW, causal=True)
+    causal_dq = "dq" in inputs and bool({DQ_ZERO_PHASE, DQ_CAUSAL} & set(log.meta.derived))
+    t = log.t
+    rows = observer_rows(log)
+    x = decimate(t, np.concatenate(list(groups.values()), axis=1), rows)
+    return Samples(rows, t[rows], x, causal_dq)
+
+
+def body_velocity(log: Log, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Reference v_I = R_GI^T v_GI (M, 3), m/s, at `rows`, and which of them were measured (M,).
+
+    Raises LogError where the log has no reference.
+    """
+    log.require("reference")
+    v_I = np.einsum("mji,mj->mi", log.ref_R_GI[rows], reference_velocity(log)[rows])
+    return v_I, log.ref_ok[rows]

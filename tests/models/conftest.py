@@ -1,0 +1,33 @@
+"""One small observer a loss, trained once for all tests of this folder."""
+
+import pytest
+import torch
+
+from models.training import Schedule, train
+from tests.models.synthetic import Body, synthetic_walk
+
+QUICK = Schedule(steps=120, batch=4, rate=1e-2, every=40)
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="session")
+def walks():
+    """Training, calibration and test walks of one synthetic robot."""
+    return {
+        name: synthetic_walk(seed, duration, noise=0.1, name=name)
+        for seed, (name, duration) in enumerate((("fit", 40), ("calibrate", 60), ("test", 60)))
+    }
+
+
+@pytest.fixture(scope="session")
+def mse_observer(walks):
+    return train(walks["fit"], Body(), ("q", "dq"), "mse", seed=1, schedule=QUICK)
+
+
+@pytest.fixture(scope="session")
+def gml_observer(walks):
+    return train(walks["fit"], Body(), ("q", "dq"), "gml", seed=1, schedule=QUICK)

@@ -1,0 +1,190 @@
+"""Bounds hold as often as they say, and are those of an independent implementation."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from scipy.stats import binom, binomtest
+
+from models.bounds import Bounds, BoundsError
+from models.calibration import (
+    calibrate,
+    conformal_bounds,
+    level_per_axis,
+    rank,
+    require_samples,
+    subsample,
+)
+from models.coverage import binomial_interval, coverage
+from models.predict import prediction_errors
+from tests.models.synthetic import Body, synthetic_walk
+
+
+def test_the_counts_of_the_paper():
+    """RoomScan: 66.97 s at 100 Hz with K = 20 gives N = 334 and k = 311 at gamma = 0.8."""
+    chosen = subsample(np.zeros((6697, 3)), 20)
+    assert len(chosen) == 334
+    assert level_per_axis(0.8) == pytest.approx(0.9283, abs=5e-5)
+    assert rank(len(chosen), level_per_axis(0.8)) == 311
+
+
+@given(n=st.integers(1, 500), tenths=st.integers(1, 9))
+def test_rank_is_exact_where_the_product_is_whole(n, tenths):
+    assert rank(n, tenths / 10) == -(-(n + 1) * tenths // 10)
+
+
+@pytest.mark.parametrize("n", [20, 77, 334])
+def test_quantiles_are_those_of_mapie(n):
+    from mapie.regression import SplitConformalRegressor
+    from sklearn.dummy import DummyRegressor
+
+    rng = np.random.default_rng(n)
+    errors = rng.standard_t(3, size=n)
+    level = level_per_axis(0.8)
+    X = np.zeros((n, 1))
+    zero = DummyRegressor(strategy="constant", constant=0.0).fit(X, errors)
+    oracle = SplitConformalRegressor(zero, confidence_level=level, prefit=True)
+    _, interval = oracle.conformalize(X, errors).predict_interval(X[:1])
+    ours = conformal_bounds(np.abs(errors)[:, None], level)[0]
+    assert ours == pytest.approx(interval[0, 1, 0], rel=1e-12)
+
+
+def test_exchangeable_errors_are_covered_as_promised():
+    """Each axis at its level, and independent axes jointly at gamma, over many calibrations."""
+    rng = np.random.default_rng(0)
+    gamma, n, trials = 0.8, 120, 3000
+    level = level_per_axis(gamma)
+    scores = np.abs(rng.standard_cauchy((trials, n + 1, 3)))
+    inside = np.array([s[n] <= conformal_bounds(s[:n], level) for s in scores])
+    expected = rank(n, level) / (n + 1)
+    low, high = binom.interval(0.999, trials, expected)
+    assert np.all((inside.sum(axis=0) >= low) & (inside.sum(axis=0) <= high))
+    low, high = binom.interval(0.999, trials, expected**3)
+    assert low <= inside.all(axis=1).sum() <= high
+
+
+def test_too_few_samples_say_how_many_are_needed():
+    with pytest.raises(BoundsError, match=r"12 independent samples .* needs 13: 2.6 s"):
+        require_samples(259, 20, 0.8)
+    require_samples(260, 20, 0.8)
+
+
+@given(gamma=st.floats(0.05, 0.999))
+def test_the_number_needed_is_the_least_that_will_do(gamma):
+    level = level_per_axis(gamma)
+    needed = next(n for n in range(1, 10_000) if rank(n, level) <= n)
+    require_samples(needed, 1, gamma)
+    if needed > 1:
+        with pytest.raises(BoundsError, match=f"needs {needed}:"):
+            require_samples(needed - 1, 1, gamma)
+
+
+@pytest.mark.parametrize("gamma", [0.0, 1.0, -0.2, 1.5, float("nan")])
+def test_levels_outside_are_refused(gamma):
+    with pytest.raises(BoundsError, match="--gamma"):
+        level_per_axis(gamma)
+
+
+def test_calibration_covers_a_walk_not_seen(mse_observer, walks):
+    bounds = calibrate(mse_observer, walks["calibrate"], 0.8, robot=Body(), K=20)
+    assert (bounds.K, bounds.n, bounds.mixing) == (20, 300, None)
+    _, errors = prediction_errors(mse_observer, walks["test"], Body())
+    found = coverage(errors, bounds)
+    # Axes that err together are covered together more often than gamma.
+    assert found.joint_interval[1] > 0.8
+    assert np.all(found.per_axis_interval[:, 1] > bounds.level_per_axis - 0.05)
+
+
+def test_the_spacing_comes_from_the_mixing_curve(mse_observer, walks):
+    bounds = calibrate(mse_observer, walks["calibrate"], robot=Body())
+    assert bounds.mixing is not None
+    assert bounds.K == bounds.mixing.K
+    assert bounds.n == 6000 // bounds.K
+    assert bounds.mixing.beta.shape == (len(bounds.mixing.lags), 3)
+
+
+def test_what_the_observer_has_seen_cannot_calibrate_it(mse_observer, walks):
+    renamed = replace(walks["fit"], name="other")
+    with pytest.raises(BoundsError, match=r"other: the observer was trained on it \(as fit\)"):
+        calibrate(mse_observer, renamed, robot=Body())
+
+
+def test_a_short_log_and_another_method_are_refused(mse_observer):
+    with pytest.raises(BoundsError, match="needs 13"):
+        calibrate(mse_observer, synthetic_walk(8, 2.0), robot=Body(), K=20)
+    with pytest.raises(BoundsError, match="needs 13"):
+        calibrate(mse_observer, synthetic_walk(8, 0.1), robot=Body())
+    with pytest.raises(BoundsError, match="--method magic"):
+        calibrate(mse_observer, synthetic_walk(8, 2.0), method="magic", robot=Body())
+
+
+def test_bounds_come_back_whole(mse_observer, gml_observer, walks, tmp_path):
+    bounds = calibrate(mse_observer, walks["calibrate"], robot=Body())
+    path = tmp_path / "bounds.json"
+    bounds.save(path)
+    loaded = Bounds.load(path)
+    assert loaded.mixing is not None
+    assert bounds.mixing is not None
+    assert np.array_equal(loaded.epsilon, bounds.epsilon)
+    assert np.array_equal(loaded.mixing.beta, bounds.mixing.beta)
+    assert (loaded.gamma, loaded.K, loaded.n) == (bounds.gamma, bounds.K, bounds.n)
+    loaded.check_observer(mse_observer)
+    with pytest.raises(BoundsError, match="belong to observer"):
+        loaded.check_observer(gml_observer)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"epsilon": [0.1, 0.2]},
+        {"epsilon": [0.1, 0.2, -0.1]},
+        {"epsilon": "wide"},
+        {"gamma": 1.2},
+        {"gamma": None},
+        {"K": 0},
+        {"n": "many"},
+        {"observer": 7},
+        {"R_BI": [[1, 0, 0], [0, 1, 0], [0, 0, 2]]},
+        {"mixing": {"lags": [1]}},
+        {"format": "other"},
+        {"schema": 2},
+        {"extra": 1},
+    ],
+)
+def test_bounds_that_are_none_are_refused(change, mse_observer, walks, tmp_path):
+    path = tmp_path / "bounds.json"
+    calibrate(mse_observer, walks["calibrate"], robot=Body(), K=20).save(path)
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(BoundsError) as refusal:
+        Bounds.load(path)
+    assert str(path) in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("text", [None, "", "[1, 2]", '{"format": "surefoot bo'])
+def test_files_that_are_no_bounds_are_refused(text, tmp_path):
+    path = tmp_path / "bounds.json"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(BoundsError, match=r"bounds\.json"):
+        Bounds.load(path)
+
+
+def test_a_turned_box_still_holds_all_it_held(mse_observer, walks):
+    bounds = calibrate(mse_observer, walks["calibrate"], robot=Body(), K=20)
+    corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, 8).T * bounds.epsilon
+    R = Rotation.from_euler("xyz", [0.4, 0.2, -1.0]).as_matrix()
+    # A corner touches each side: no smaller box along the new axes would do.
+    assert np.abs(corners @ R).max(axis=0) == pytest.approx(bounds.epsilon_at(R))
+    quarter = Rotation.from_euler("z", 90, degrees=True).as_matrix()
+    assert bounds.epsilon_at(quarter) == pytest.approx(bounds.epsilon[[1, 0, 2]])
+
+
+@given(hits=st.integers(0, 40), n=st.integers(40, 60))
+def test_intervals_are_those_of_scipy(hits, n):
+    theirs = binomtest(hits, n).proportion_ci(0.95, method="exact")
+    assert binomial_interval(hits / n, n) == pytest.approx([theirs.low, theirs.high], abs=1e-9)

@@ -1,0 +1,75 @@
+"""The compiled recurrence is torch's, in value and in gradient."""
+
+import numpy as np
+import pytest
+import torch
+
+from models.gru import GRU, tanh
+from models.network import cholesky_factor, loss_of
+
+torch.set_num_threads(1)
+
+
+@pytest.fixture
+def pair():
+    torch.manual_seed(3)
+    reference, ours = torch.nn.GRU(7, 10), GRU(7, 10)
+    ours.load_state_dict(reference.state_dict())
+    return reference, ours
+
+
+def test_values_and_gradients_are_those_of_torch(pair):
+    reference, ours = pair
+    x = torch.randn(60, 3, 7)
+    weight = torch.randn(60, 3, 10)
+    results = []
+    for layer in (reference, ours):
+        inputs = x.clone().requires_grad_()
+        h0 = torch.full((3, 10), 0.2, requires_grad=True)
+        out = layer(inputs, h0[None] if layer is reference else h0)
+        out = out[0] if layer is reference else out
+        (out * weight).sum().backward()
+        grads = [p.grad for _, p in sorted(layer.named_parameters())]
+        results.append([out.detach(), inputs.grad, h0.grad, *grads])
+    for theirs, mine in zip(*results, strict=True):
+        torch.testing.assert_close(mine, theirs, rtol=2e-5, atol=2e-5)
+
+
+def test_running_on_from_a_state_is_running_through(pair):
+    _, ours = pair
+    x = torch.randn(40, 2, 7)
+    whole = ours(x)
+    first = ours(x[:15])
+    rest = ours(x[15:], first[-1])
+    torch.testing.assert_close(torch.cat((first, rest)), whole, rtol=0, atol=0)
+
+
+def test_no_state_is_the_zero_state(pair):
+    _, ours = pair
+    x = torch.randn(5, 2, 7)
+    torch.testing.assert_close(ours(x), ours(x, torch.zeros(2, 10)), rtol=0, atol=0)
+
+
+def test_tanh_keeps_its_promise():
+    x = np.linspace(-12, 12, 20001).astype(np.float32)
+    ours = np.array([tanh.py_func(v) for v in x])
+    assert np.abs(ours - np.tanh(x.astype(float))).max() < 3e-7
+
+
+def test_gaussian_loss_is_the_density_of_scipy():
+    from scipy.stats import multivariate_normal
+
+    torch.manual_seed(0)
+    outputs, target = torch.randn(20, 9).double(), torch.randn(20, 3).double()
+    L = cholesky_factor(outputs).numpy()
+    ours = loss_of("gml", outputs, target).numpy() + 1.5 * np.log(2 * np.pi)
+    for i in range(20):
+        law = multivariate_normal(outputs[i, :3].numpy(), L[i] @ L[i].T)
+        assert ours[i] == pytest.approx(-law.logpdf(target[i].numpy()), rel=1e-9)
+
+
+def test_covariances_are_positive_definite_for_any_output():
+    outputs = 50 * torch.randn(500, 9, generator=torch.Generator().manual_seed(1)).double()
+    L = cholesky_factor(outputs)
+    assert torch.diagonal(L, dim1=-2, dim2=-1).min() >= 1e-3
+    assert torch.equal(L, torch.tril(L))

@@ -1,0 +1,81 @@
+"""The mixing estimate against chains whose coefficients are known."""
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from models.mixing import beta_coefficient, discretise, independence_floor, mixing
+
+
+def markov_chain(P, n, rng):
+    states = np.zeros(n, dtype=int)
+    steps = rng.random(n)
+    edges = P.cumsum(axis=1)
+    for i in range(1, n):
+        states[i] = np.searchsorted(edges[states[i - 1]], steps[i])
+    return states
+
+
+def autoregression(phi, n, rng, axes=1):
+    e = rng.standard_normal((n + 300, axes))
+    x = np.zeros_like(e)
+    for i in range(1, len(e)):
+        x[i] = phi * x[i - 1] + e[i]
+    return x[300:]
+
+
+def gaussian_beta(r):
+    """beta of two standard normal variables with correlation r, by quadrature."""
+    g = np.linspace(-6, 6, 601)
+    X, Y = np.meshgrid(g, g)
+    joint = np.exp(-(X * X - 2 * r * X * Y + Y * Y) / (2 * (1 - r * r)))
+    joint /= 2 * np.pi * np.sqrt(1 - r * r)
+    return 0.5 * np.abs(joint - norm.pdf(X) * norm.pdf(Y)).sum() * (g[1] - g[0]) ** 2
+
+
+@pytest.mark.parametrize("lag", [1, 2, 4, 8])
+def test_two_state_chain(lag):
+    P = np.array([[0.9, 0.1], [0.2, 0.8]])
+    pi = np.array([2 / 3, 1 / 3])
+    true = 0.5 * pi @ np.abs(np.linalg.matrix_power(P, lag) - pi).sum(axis=1)
+    states = markov_chain(P, 40_000, np.random.default_rng(0))
+    assert beta_coefficient(states, lag) == pytest.approx(true, abs=0.015)
+
+
+def test_blocks_see_what_single_samples_cannot():
+    # Each sample is the parity of the two before it: pairwise independent, wholly dependent.
+    rng = np.random.default_rng(1)
+    bits = rng.integers(0, 2, 20_000)
+    triples = np.stack((bits[0::2], bits[1::2], bits[0::2] ^ bits[1::2]), axis=1).ravel()
+    single, double = beta_coefficient(triples, 1), beta_coefficient(triples, 1, blocks=2)
+    assert single < 0.02
+    assert double > 0.1
+
+
+@pytest.mark.parametrize("phi", [0.8, 0.9])
+def test_autoregression_curve_and_spacing(phi):
+    x = autoregression(phi, 7000, np.random.default_rng(2), axes=3)
+    curve = mixing(x)
+    for lag in (5, 10, 20):
+        assert curve.excess[lag - 1] == pytest.approx(gaussian_beta(phi**lag), abs=0.05)
+    # beta is about |correlation| / pi when small; the worst of three noisy axes decides.
+    ideal = np.log(0.05 * np.pi) / np.log(phi)
+    assert curve.mixed
+    assert 0.8 * ideal < curve.K < 1.8 * ideal
+
+
+def test_independent_samples_stay_at_the_floor():
+    states = discretise(np.random.default_rng(3).standard_normal(5000))
+    values = [beta_coefficient(states, lag) for lag in range(1, 30)]
+    assert np.mean(values) == pytest.approx(independence_floor(states), rel=0.1)
+    assert mixing(np.random.default_rng(4).standard_normal((5000, 3))).K <= 2
+
+
+def test_what_never_mixes_is_said():
+    x = np.repeat([0.0, 1.0], 2000)[:, None] + 0.01 * np.random.default_rng(5).random((4000, 1))
+    assert not mixing(x, farthest=100).mixed
+
+
+def test_monotone_maps_do_not_matter():
+    x = autoregression(0.9, 2000, np.random.default_rng(6))
+    assert np.array_equal(mixing(x).beta, mixing(np.exp(3 * x)).beta)

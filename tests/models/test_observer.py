@@ -1,0 +1,111 @@
+"""An observer is whole on disk, or an error says in one line what is wrong."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from models.observer import Observer, ObserverError, check_inputs
+from models.predict import predict
+from sim.errors import SurefootError
+from tests.models.synthetic import Body, synthetic_walk, without
+
+
+def test_a_checkpoint_comes_back_whole(gml_observer, walks, tmp_path):
+    path = tmp_path / "observer.pt"
+    gml_observer.save(path)
+    loaded = Observer.load(path)
+    assert loaded.hash == gml_observer.hash
+    assert loaded.logs == gml_observer.logs
+    ours, theirs = (predict(o, walks["test"], Body()) for o in (gml_observer, loaded))
+    assert np.array_equal(ours.v_I, theirs.v_I)
+    assert ours.covariance is not None
+    assert theirs.covariance is not None
+    assert np.array_equal(ours.covariance, theirs.covariance)
+
+
+def test_nothing_is_overwritten_unless_forced(mse_observer, tmp_path):
+    path = tmp_path / "observer.pt"
+    mse_observer.save(path)
+    with pytest.raises(SurefootError, match="exists already"):
+        mse_observer.save(path)
+    mse_observer.save(path, force=True)
+    assert [p.name for p in tmp_path.iterdir()] == ["observer.pt"]
+
+
+@pytest.mark.parametrize(
+    "change", [{"seed": 9}, {"robot": "other"}, {"p_BI": np.array([0, 0, 1e-9])}, {"loss": "gml"}]
+)
+def test_the_hash_is_of_everything(mse_observer, change):
+    assert replace(mse_observer, **change).hash != mse_observer.hash
+
+
+def test_the_hash_sees_one_weight(mse_observer):
+    weights = {name: value.clone() for name, value in mse_observer.weights.items()}
+    weights["head.bias"][0] += 1e-6
+    assert replace(mse_observer, weights=weights).hash != mse_observer.hash
+
+
+@pytest.mark.parametrize("what", ["absent", "text", "pickle", "other", "cut", "altered", "newer"])
+def test_what_is_no_observer_is_refused_in_one_line(what, mse_observer, tmp_path):
+    path = tmp_path / "file.pt"
+    if what == "text":
+        path.write_text("hello")
+    elif what == "pickle":
+        torch.save(Body(), path)
+    elif what == "other":
+        torch.save({"weights": torch.zeros(3)}, path)
+    elif what != "absent":
+        mse_observer.save(path)
+    if what == "cut":
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    elif what in ("altered", "newer"):
+        values = torch.load(path, weights_only=True)
+        values |= {"seed": 12} if what == "altered" else {"schema": 99}
+        torch.save(values, path)
+    with pytest.raises(ObserverError) as refusal:
+        Observer.load(path)
+    assert str(path) in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_field_of_the_wrong_kind_is_refused(mse_observer, tmp_path):
+    path = tmp_path / "file.pt"
+    mse_observer.save(path)
+    good = torch.load(path, weights_only=True)
+    for name in set(good) - {"format", "schema", "hash"}:
+        for bad in (None, torch.zeros(2), "x"):
+            torch.save(good | {name: bad}, path)
+            with pytest.raises(ObserverError):
+                Observer.load(path)
+
+
+@pytest.mark.parametrize("inputs", ["dq", "q,tau", "", "q,dq,tau,q", ("q", "q")])
+def test_other_inputs_are_refused(inputs):
+    with pytest.raises(ObserverError, match="--inputs"):
+        check_inputs(inputs)
+
+
+def test_missing_inputs_are_named_and_never_filled(mse_observer, walks):
+    with pytest.raises(ObserverError, match=r"lacks dq; derive it"):
+        predict(mse_observer, without(walks["test"], "dq"), Body())
+
+
+def test_another_robot_is_refused(mse_observer, walks):
+    with pytest.raises(ObserverError, match=r"trained on analytic.*of other"):
+        predict(mse_observer, walks["test"], Body("other"))
+
+
+def test_derived_velocities_are_causal(mse_observer):
+    """A zero-phase derivative in the log looks ahead: it is derived again from the past."""
+    log = synthetic_walk(5, duration=12)
+    marked = replace(log, meta=replace(log.meta, derived=("dq (zero-phase)",)))
+    before = predict(mse_observer, marked, Body()).v_I
+    frame = marked.frame.copy()
+    later = np.arange(len(frame)) > 3000
+    columns = [c for c in frame if c.startswith(("q_", "dq_"))]
+    frame.loc[later, columns] += 1.0
+    after = predict(mse_observer, replace(marked, frame=frame), Body()).v_I
+    assert np.array_equal(before[:601], after[:601])
+    assert not np.array_equal(before[601:], after[601:])

@@ -1,0 +1,139 @@
+"""Training recovers a velocity that is a known function of the joints, twice the same."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from models.decimate import decimate
+from models.mounting import move_covariance, move_velocity
+from models.observer import ObserverError
+from models.predict import Loop, predict, prediction_errors
+from models.samples import samples
+from models.training import WINDOW, Schedule, held_out, train
+from sim.log import LogError
+from tests.models.synthetic import Body, synthetic_walk, without
+
+TINY = Schedule(steps=6, batch=2, every=3)
+
+
+def test_a_known_velocity_is_recovered(mse_observer, walks):
+    _, errors = prediction_errors(mse_observer, walks["test"], Body())
+    spread = walks["test"].ref_v.std(axis=0)
+    assert np.all(np.sqrt((errors**2).mean(axis=0)) < 0.35 * spread)
+    assert np.all(mse_observer.rmse < 0.35 * spread)
+
+
+def test_the_predicted_covariance_is_of_the_size_of_the_errors(gml_observer, walks):
+    prediction = predict(gml_observer, walks["test"], Body())
+    _, errors = prediction_errors(gml_observer, walks["test"], Body())
+    assert prediction.covariance is not None
+    nees = np.einsum("mi,mij,mj->m", errors, np.linalg.inv(prediction.covariance), errors)
+    assert 1.0 < nees.mean() < 12.0
+
+
+def test_the_same_seed_gives_the_same_observer(walks):
+    first, again, other = (
+        train(walks["fit"], Body(), "q", "gml", seed=s, schedule=TINY) for s in (4, 4, 5)
+    )
+    assert first.hash == again.hash
+    assert first.hash != other.hash
+
+
+def test_progress_is_told(walks):
+    told = []
+    train(walks["fit"], Body(), "q", schedule=TINY, progress=lambda *step: told.append(step))
+    assert [step[:2] for step in told] == [(3, 6), (6, 6)]
+    assert all(np.all(rmse > 0) for _, _, rmse in told)
+
+
+def test_held_out_labels_do_not_matter(walks):
+    """Other labels in the held-out blocks change the score, never a weight."""
+    log = walks["fit"]
+    frame = log.frame.copy()
+    held = np.repeat(held_out(len(frame) // 5), 5)
+    frame.loc[held, "ref_v_x"] += 1.0
+    plan = replace(TINY, steps=2, every=2)
+    ours, theirs = (train(x, Body(), "q", schedule=plan) for x in (log, replace(log, frame=frame)))
+    assert theirs.rmse[0] > ours.rmse[0]
+    for name, weight in ours.weights.items():
+        assert torch.equal(weight, theirs.weights[name])
+
+
+def test_the_loop_is_the_whole_log(mse_observer, walks):
+    log = walks["test"]
+    seen = samples(log, mse_observer.inputs)
+    whole = predict(mse_observer, log, Body()).v_I
+    loop = Loop(mse_observer)
+    for m in range(200):
+        v_I, covariance = loop.step(seen.x[m])
+        assert v_I == pytest.approx(whole[m], abs=1e-5)
+        assert covariance is None
+
+
+def test_the_state_runs_through_and_knows_no_future(mse_observer, walks):
+    log = walks["test"]
+    whole = predict(mse_observer, log, Body())
+    part = predict(mse_observer, log.rows(slice(0, 10_000)), Body())
+    assert np.array_equal(part.v_I, whole.v_I[: len(part.v_I)])
+
+
+@pytest.mark.parametrize("rate", [400.0, 333.0])
+def test_an_observer_serves_logs_of_other_rates(mse_observer, rate):
+    log = synthetic_walk(2, 20, rate=rate)
+    _, errors = prediction_errors(mse_observer, log, Body())
+    assert np.all(np.sqrt((errors[100:] ** 2).mean(axis=0)) < 0.4 * log.ref_v.std(axis=0))
+
+
+def test_another_mounting_gets_its_own_velocity(mse_observer, walks):
+    """The rigid body decides: v at p' is v + omega x (p' - p), in the frame of the new IMU."""
+    log = walks["test"]
+    R = Rotation.from_euler("xyz", [0.3, -0.2, 1.1]).as_matrix()
+    moved = Body(p_BI=np.array([0.1, -0.05, 0.02]), R_BI=R)
+    frame = log.frame.copy()
+    frame[["gyro_x", "gyro_y", "gyro_z"]] = log.gyro @ R
+    ours = predict(mse_observer, log, Body())
+    theirs = predict(mse_observer, replace(log, frame=frame), moved)
+    for m in (0, 57, 900):
+        omega = log.gyro[ours.rows[m]]
+        expected = R.T @ (ours.v_I[m] + np.cross(omega, moved.p_BI))
+        assert theirs.v_I[m] == pytest.approx(expected, abs=1e-12)
+    bare = replace(log, frame=frame.drop(columns=["gyro_x"]))
+    with pytest.raises(ObserverError, match="gyro"):
+        predict(mse_observer, bare, moved)
+
+
+def test_moving_there_and_back_is_staying():
+    rng = np.random.default_rng(0)
+    a, b = (
+        Body(p_BI=rng.normal(size=3), R_BI=Rotation.random(rng=rng).as_matrix()) for _ in range(2)
+    )
+    v, omega_B = rng.normal(size=(5, 3)), rng.normal(size=(5, 3))
+    there = move_velocity(v, omega_B @ b.R_BI, a, b)
+    assert move_velocity(there, omega_B @ a.R_BI, b, a) == pytest.approx(v)
+    P = np.tile(np.diag([1.0, 2.0, 3.0]), (5, 1, 1))
+    assert move_covariance(move_covariance(P, a, b), b, a) == pytest.approx(P)
+
+
+def test_inputs_come_in_order_and_scaled_back(walks):
+    log = walks["test"]
+    seen = samples(log, ("q", "dq", "tau"))
+    stacked = np.concatenate((log.q, log.dq, log.tau), axis=1)
+    assert np.array_equal(seen.x, decimate(log.t, stacked, seen.rows))
+
+
+def test_what_cannot_be_trained_on_is_said(walks):
+    fit = walks["fit"]
+    with pytest.raises(ObserverError, match="10 s at least"):
+        train(fit.rows(slice(0, 5 * WINDOW - 10)), Body(), schedule=TINY)
+    with pytest.raises(ObserverError, match="lacks tau"):
+        train(without(fit, "tau"), Body(), schedule=TINY)
+    frame = fit.frame.drop(columns=[c for c in fit.frame if c.startswith("ref_")])
+    with pytest.raises(LogError, match="reference"):
+        train(replace(fit, frame=frame), Body(), schedule=TINY)
+    with pytest.raises(ObserverError, match="--loss"):
+        train(fit, Body(), loss="l1", schedule=TINY)
+    with pytest.raises(ObserverError, match="no log"):
+        train([], Body())
