@@ -9,9 +9,10 @@ Residuals are means over bins of 20 ms, short against a step and long against a 
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from scipy.spatial.transform import Rotation
 
-from sim.kinematics import feet
+from sim.kinematics import leg_forward
 from sim.log import Log, joint_velocity, reference_velocity
 from sim.robot import Robot
 from sim.sensors import GRAVITY_G, mean_rotation
@@ -49,7 +50,8 @@ class Frame:
 
     gyro, accel (N, 3): what the reference implies, by the exact inverse of `sim.sensors`; v_I and
     up_I (N, 3): the reference's velocity and the ground's normal in I; ok (N,): rows that have a
-    reference; moved (N,): rows whose step has one; standing (N, 4); bin (N,) and t (M,): bins.
+    reference; moved (N,): rows whose step has one; standing (N, 4): feet well inside a stance;
+    first (M,): first row of each bin, t (M,) its mean time, s.
     """
 
     gyro: np.ndarray
@@ -77,6 +79,9 @@ def measured_against(log: Log) -> Frame:
     number = np.floor((t - t[0]) / BIN + 1e-6).astype(int)
     first = np.flatnonzero(np.diff(number, prepend=-1))
     count = np.diff(np.append(first, len(t)))
+    standing = np.zeros((len(t), 4), dtype=bool)
+    if log.has("contact"):
+        standing = inside_stance(t, log.contact)
     return Frame(
         gyro=gyro,
         accel=accel,
@@ -84,7 +89,9 @@ def measured_against(log: Log) -> Frame:
         up_I=R_GI[:, 2],
         ok=ok,
         moved=ok & np.concatenate([[False], ok[:-1]]) & whole,
-        standing=inside_stance(t, log.contact) if log.has("contact") else np.zeros((len(t), 4), bool),
+        standing=inside_stance(t, log.contact)
+        if log.has("contact")
+        else np.zeros((len(t), 4), bool),
         first=first,
         t=np.add.reduceat(t, first) / count,
     )
@@ -106,43 +113,62 @@ def residual(log: Log, robot: Robot, frame: Frame) -> Residual:
     With v_foot = 0 at the contact point of a foot that rolls on its sphere of radius r,
     v_I = -J dq - omega x f + (omega + omega_foot) x r n, all in I.
     """
-    rows = len(frame.ok)
-    none = np.full((rows, 3), np.nan)
-    gyro = log.gyro if log.has("imu") else None
-    imu_gyro = np.where(frame.moved[:, None], gyro - frame.gyro, np.nan) if gyro is not None else none
-    imu_accel = (
-        np.where(frame.moved[:, None], log.accel - frame.accel, np.nan) if log.has("imu") else none
-    )
-    leg = np.full((rows, 4, 3), np.nan)
-    if log.has("q"):
+    none = np.full((len(frame.ok), 3), np.nan)
+    imu_gyro, imu_accel, leg = none, none, np.full((len(frame.ok), 4, 3), np.nan)
+    omega = frame.gyro
+    if log.has("imu"):
+        omega = log.gyro
+        imu_gyro = np.where(frame.moved[:, None], omega - frame.gyro, np.nan)
+        imu_accel = np.where(frame.moved[:, None], log.accel - frame.accel, np.nan)
+    if log.has("q") and frame.standing.any():
         # Rows hold the mean rate of the step before; the rate at the row itself is between two.
-        omega = frame.gyro if gyro is None else gyro
         omega = 0.5 * (omega + np.concatenate([omega[1:], omega[-1:]]))
-        at = np.flatnonzero(frame.standing.any(axis=1) & frame.ok)
-        leg[at] = leg_velocity(robot, log.q[at], joint_velocity(log)[at], omega[at], frame.up_I[at])
-        leg[at] -= frame.v_I[at, None]
-        leg[~(frame.standing & frame.ok[:, None])] = np.nan
+        leg = leg_velocity(
+            robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI, log.q, joint_velocity(log), omega,
+            frame.up_I, frame.standing,
+        )  # fmt: skip
+        leg -= frame.v_I[:, None]
     return Residual(
         frame.t, _binned(imu_gyro, frame), _binned(imu_accel, frame), _binned(leg, frame)
     )
 
 
-def leg_velocity(
-    robot: Robot, q: np.ndarray, dq: np.ndarray, omega_I: np.ndarray, up_I: np.ndarray
-) -> np.ndarray:
-    """Velocity of the IMU in I (N, 4, 3) [m/s], were each foot the one that stands.
+@njit(cache=True)
+def leg_velocity(legs, radius, R_BI, p_BI, q, dq, omega, up, standing):
+    """Velocity of the IMU in I (N, 4, 3) [m/s] by each standing foot; NaN for the others.
 
-    q, dq (N, 12) [rad, rad/s]; omega_I (N, 3) [rad/s]; up_I (N, 3) the ground's unit normal in I.
+    legs, radius (4,), R_BI, p_BI: the robot's; q, dq (N, 12) [rad, rad/s]; omega (N, 3) [rad/s] and
+    up (N, 3), the ground's unit normal, in I; standing (N, 4).
     """
-    foot, jacobian, axes = feet(robot.legs, np.ascontiguousarray(q), robot.R_BI, robot.p_BI)
-    rates = dq.reshape(-1, 4, 3)
-    arm = robot.foot_radius[:, None] * up_I[:, None]
-    spin = np.einsum("nlij,nlj->nli", axes, rates)
-    return (
-        np.cross(omega_I[:, None], arm - foot)
-        + np.cross(spin, arm)
-        - np.einsum("nlij,nlj->nli", jacobian, rates)
-    )
+    out = np.full((len(q), 4, 3), np.nan)
+    foot, J, axes = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    sole, spin, step = np.empty(3), np.empty(3), np.empty(3)
+    for k in range(len(q)):
+        # In B from here on, where the legs are; the result is turned back into I.
+        for a in range(3):
+            sole[a] = R_BI[a, 0] * up[k, 0] + R_BI[a, 1] * up[k, 1] + R_BI[a, 2] * up[k, 2]
+            spin[a] = R_BI[a, 0] * omega[k, 0] + R_BI[a, 1] * omega[k, 1] + R_BI[a, 2] * omega[k, 2]
+        for leg in range(4):
+            if not standing[k, leg]:
+                continue
+            leg_forward(legs, leg, q[k, 3 * leg : 3 * leg + 3], foot, J, axes)
+            rate = dq[k, 3 * leg : 3 * leg + 3]
+            r = radius[leg]
+            for a in range(3):
+                b, c = (a + 1) % 3, (a + 2) % 3
+                v = 0.0
+                # omega x (r n - (foot - p_BI)), then omega_foot x r n and J dq, joint by joint
+                v += spin[b] * (r * sole[c] - foot[c] + p_BI[c])
+                v -= spin[c] * (r * sole[b] - foot[b] + p_BI[b])
+                for j in range(3):
+                    roll = r * (axes[b, j] * sole[c] - axes[c, j] * sole[b])
+                    v += rate[j] * (roll - J[a, j])
+                step[a] = v
+            for a in range(3):
+                out[k, leg, a] = (
+                    R_BI[0, a] * step[0] + R_BI[1, a] * step[1] + R_BI[2, a] * step[2]
+                )
+    return out
 
 
 def _binned(values: np.ndarray, frame: Frame) -> np.ndarray:
