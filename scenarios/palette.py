@@ -1,0 +1,69 @@
+"""One colour and one name for each estimator, in every figure, recording and report.
+
+The hues are Okabe and Ito's colour-blind safe set; variants of one estimator share its hue and
+differ in lightness and in line style, so that a picture printed in grey can still be read.
+All are legible on the white of a page and on the dark background of the viewer.
+"""
+
+from zlib import crc32
+
+TRUTH = "#8C8C8C"
+OBSERVER = "#E69F00"
+BOUNDS = "#B8913D"
+OUTSIDE = "#EE3377"
+INK = "#222222"
+TRAIN = "#5A5A5A"
+TEST = OBSERVER
+BEFORE, AFTER = "#8C8C8C", "#0072B2"
+
+LEG_COLORS = {"FL": "#DDAA33", "FR": "#CC6677", "RL": "#44AA99", "RR": "#AA66CC"}
+
+_STYLES: dict[str, tuple[str, str, str]] = {
+    "coverage": ("Coverage", "#D55E00", "-"),
+    "coverage_persistent": ("Coverage, persistent error", "#F2A07B", "--"),
+    "coverage_gml": ("Coverage on GML mean", "#9C3D00", ":"),
+    "velocity": ("Velocity IEKF", "#009E73", "-"),
+    "velocity_persistent": ("Velocity IEKF, persistent error", "#74CDB2", "--"),
+    "leg": ("Leg IEKF", "#2F86D1", "-"),
+    "leg_slip": ("Leg IEKF, slip rejected", "#8CBBEA", "--"),
+    "imu": ("IMU alone", "#CC79A7", "-"),
+    "radar_leg": ("Radar and legs", "#9A9A2E", "-"),
+}
+_SPARE_COLORS = ("#AA4499", "#5B6BC0", "#6B8E23", "#A0522D", "#C71585", "#20868F")
+_SPARE_STYLES = ("-", "--", "-.", ":")
+
+
+def estimator_label(name: str) -> str:
+    """The words a reader sees for the estimator `name`; an unknown name is its own label."""
+    return _STYLES[name][0] if name in _STYLES else name
+
+
+def estimator_color(name: str) -> str:
+    """The colour '#RRGGBB' of the estimator `name`, the same in every picture.
+
+    An estimator that surefoot does not know gets a spare colour chosen by its name alone, so
+    that it too keeps one colour from one run to the next.
+    """
+    if name in _STYLES:
+        return _STYLES[name][1]
+    return _SPARE_COLORS[crc32(name.encode()) % len(_SPARE_COLORS)]
+
+
+def estimator_line(name: str) -> str:
+    """The matplotlib line style of the estimator `name`."""
+    if name in _STYLES:
+        return _STYLES[name][2]
+    return _SPARE_STYLES[crc32(name.encode()) // len(_SPARE_COLORS) % len(_SPARE_STYLES)]
+
+
+def rgba(color: str, alpha: float = 1.0) -> tuple[int, int, int, int]:
+    """'#RRGGBB' and an opacity in [0, 1] as four bytes."""
+    r, g, b = (int(color[k : k + 2], 16) for k in (1, 3, 5))
+    return r, g, b, round(255 * alpha)
+
+
+def friction_color(mu: float) -> str:
+    """Ground colour: icy blue-white where slippery (mu near 0.1), dull grey where dry (0.8)."""
+    share = min(max((mu - 0.1) / 0.7, 0.0), 1.0)
+    ice, dry = (0xD6, 0xF3, 0xFF), (0x8A, 0x84, 0x7A)
+    return "#" + "".join(f"{round(a + share * (b - a)):02X}" for a, b in zip(ice, dry, strict=True))
