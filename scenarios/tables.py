@@ -1,0 +1,88 @@
+"""One table in three dresses: Markdown, CSV and HTML, with the same numbers in each."""
+
+import csv
+from collections.abc import Mapping, Sequence
+from html import escape
+from io import StringIO
+from numbers import Integral, Real
+
+import pandas as pd
+
+Table = pd.DataFrame | Sequence[Mapping]
+
+
+def as_frame(table: Table) -> pd.DataFrame:
+    """A data frame, or a list of rows (column -> value), as a data frame; the index is dropped."""
+    if isinstance(table, pd.DataFrame):
+        return table.reset_index(drop=True)
+    return pd.DataFrame(list(table))
+
+
+def cell(value: object, digits: int = 3) -> str:
+    """A value as a reader wants it: so many decimals, fewer for large numbers, a dash for none."""
+    if value is None or value is pd.NA or (isinstance(value, float) and value != value):
+        return "–"
+    if isinstance(value, bool) or type(value).__name__ == "bool_":
+        return "yes" if value else "no"
+    if isinstance(value, Integral) or not isinstance(value, Real):
+        return str(value)
+    number = float(value)
+    if number != 0.0 and abs(number) < 0.5 * 10**-digits:
+        return f"{number:.1e}"
+    return f"{number:.{digits}f}" if abs(number) < 1000 else f"{number:.4g}"
+
+
+def to_markdown(table: Table, digits: int = 3) -> str:
+    """A Markdown table, numbers to the right, columns padded so that the source reads well too."""
+    frame = as_frame(table)
+    header = [_pipe(str(name)) for name in frame.columns]
+    rows = [[_pipe(cell(v, digits)) for v in row] for row in frame.itertuples(index=False)]
+    widths = [max(3, *(len(r[k]) for r in [header, *rows])) for k in range(len(header))]
+    right = _numeric(frame)
+    rule = [("-" * (w - 1) + ":") if r else "-" * w for w, r in zip(widths, right, strict=True)]
+
+    def line(cells: Sequence[str]) -> str:
+        padded = [
+            c.rjust(w) if r else c.ljust(w) for c, w, r in zip(cells, widths, right, strict=True)
+        ]
+        return "| " + " | ".join(padded) + " |"
+
+    return "\n".join([line(header), "|" + "|".join(f" {r} " for r in rule) + "|", *map(line, rows)])
+
+
+def to_csv(table: Table) -> str:
+    """Comma-separated values at full precision, with a header and nothing for what is missing."""
+    frame = as_frame(table)
+    stream = StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(frame.columns)
+    for row in frame.itertuples(index=False):
+        writer.writerow(["" if value is None or value != value else value for value in row])
+    return stream.getvalue()
+
+
+def to_html(table: Table, digits: int = 3) -> str:
+    """An HTML table with every header and cell escaped; numeric columns have the class "number"."""
+    frame = as_frame(table)
+    classes = [' class="number"' if numeric else "" for numeric in _numeric(frame)]
+    header = [f"<th{c}>{escape(str(n))}</th>" for n, c in zip(frame.columns, classes, strict=True)]
+    rows = [
+        [f"<td{c}>{escape(cell(v, digits))}</td>" for v, c in zip(row, classes, strict=True)]
+        for row in frame.itertuples(index=False)
+    ]
+    body = "\n".join(f"<tr>{''.join(row)}</tr>" for row in rows)
+    return (
+        f"<table>\n<thead><tr>{''.join(header)}</tr></thead>\n<tbody>\n{body}\n</tbody>\n</table>"
+    )
+
+
+def _numeric(frame: pd.DataFrame) -> list[bool]:
+    return [
+        all(isinstance(v, Real) and not isinstance(v, bool) for v in column.dropna())
+        and column.notna().any()
+        for _, column in frame.items()
+    ]
+
+
+def _pipe(text: str) -> str:
+    return text.replace("|", "\\|").replace("\n", " ")
