@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import rerun as rr
 import rerun.blueprint as rrb
 
+from scenarios.scene import estimate_path
 from scenarios.series import ANGLES, AXES
 
 _WINDOW = 3.0  # s on each side of the time cursor, about six strides
@@ -62,7 +63,7 @@ def _following(estimators: Sequence[str], eye) -> rrb.Spatial3DView:
         contents=[
             "/world/**",
             "- /world/robot/dot",
-            *[f"- /world/{n}/body/dot" for n in estimators],
+            *[f"- /{estimate_path(n)}/body/dot" for n in estimators],
         ],
         name="Robot, and the box where each estimator believes its trunk to be",
         eye_controls=rrb.EyeControls3D(
@@ -79,7 +80,10 @@ def _map(estimators: Sequence[str], centre, span: float) -> rrb.Spatial3DView:
     hidden = ("outline", "forward", "pole", "flag")
     return rrb.Spatial3DView(
         origin="/world",
-        contents=["/world/**", *[f"- /world/{n}/body/{h}" for n in estimators for h in hidden]],
+        contents=[
+            "/world/**",
+            *[f"- /{estimate_path(n)}/body/{h}" for n in estimators for h in hidden],
+        ],
         name="Whole walk from above: truth (grey) and estimates, a dot where each one is now",
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital,

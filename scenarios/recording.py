@@ -45,8 +45,8 @@ def write_recording(
 ) -> None:
     """Write the .rrd. Raises SurefootError where it exists (no `force`) or the log lacks a group.
 
-    Entities: /world/{ground, robot, truth, footprints, <estimator>}, /velocity/{x,y,z},
-    /distance, /position_error/{x,y,z}, /attitude_error/{roll,pitch,yaw} by estimator,
+    Entities: /world/{ground, robot, truth, footprints, estimates/<name>}, /velocity/{x,y,z},
+    /distance, /position_error/{x,y,z}, /attitude_error/{roll,pitch,yaw} each by estimator,
     /feet/{contact, slip}/<leg>, /update/<estimator>, /about. One timeline, "time": the log's t.
 
     Args:

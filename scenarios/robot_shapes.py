@@ -57,7 +57,7 @@ def link_poses(
         parent = int(model.body_parentid[body])
         if parent not in paths:
             continue
-        name = model.body(body).name or f"link_{body}"
+        name = rr.escape_entity_path_part(model.body(body).name or f"link_{body}")
         paths[body] = f"{paths[parent]}/{name}".lstrip("/")
         R_PG = R[:, parent].transpose(0, 2, 1)
         p_PL = np.einsum("nij,nj->ni", R_PG, p[:, body] - p[:, parent])

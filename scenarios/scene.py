@@ -34,6 +34,11 @@ def time_column(t: np.ndarray) -> rr.TimeColumn:
     return rr.TimeColumn("time", duration=t)
 
 
+def estimate_path(name: str) -> str:
+    """The entity of an estimator in the scene; any name will do."""
+    return f"world/estimates/{rr.escape_entity_path_part(name)}"
+
+
 def write_ground(
     stream: rr.RecordingStream,
     corners: tuple[np.ndarray, np.ndarray],
@@ -152,7 +157,7 @@ def write_estimates(
         size: (3,) m, half sizes of the trunk.
     """
     for k, (name, error) in enumerate(errors.items()):
-        color, root = estimator_color(name), f"world/{name}"
+        color, root = estimator_color(name), estimate_path(name)
         path = rr.LineStrips3D([error.p_GI], colors=[rgba(color)], radii=[_pixels(1.2)])
         stream.log(f"{root}/path", path, static=True)
         R_GB = error.R_GI @ robot.R_BI.T

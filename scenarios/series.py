@@ -65,13 +65,14 @@ def write_velocity(
 def write_errors(stream: rr.RecordingStream, errors: Mapping[str, ErrorSeries]) -> None:
     """Each estimator's position error [m] and attitude error [deg] by axis, and their 3 sigma."""
     for name, error in errors.items():
+        part = rr.escape_entity_path_part(name)
         label, color = estimator_label(name), estimator_color(name)
-        _line(stream, f"distance/{name}/error", error.t, error.distance, label, color, 2.0)
+        _line(stream, f"distance/{part}/error", error.t, error.distance, label, color, 2.0)
         if error.distance_sigma is not None:
             bound = 3.0 * error.distance_sigma
             _line(
                 stream,
-                f"distance/{name}/three_sigma",
+                f"distance/{part}/three_sigma",
                 error.t,
                 bound,
                 f"{label} 3σ",
@@ -83,11 +84,11 @@ def write_errors(stream: rr.RecordingStream, errors: Mapping[str, ErrorSeries]) 
         sigma = None if error.attitude_sigma is None else np.degrees(error.attitude_sigma)
         for k in range(3):
             _error_with_sigma(
-                stream, f"position_error/{AXES[k]}/{name}", error.t, error.position[:, k],
+                stream, f"position_error/{AXES[k]}/{part}", error.t, error.position[:, k],
                 None if error.position_sigma is None else error.position_sigma[:, k], label, color,
             )  # fmt: skip
             _error_with_sigma(
-                stream, f"attitude_error/{ANGLES[k]}/{name}", error.t, degrees[:, k],
+                stream, f"attitude_error/{ANGLES[k]}/{part}", error.t, degrees[:, k],
                 None if sigma is None else sigma[:, k], label, color,
             )  # fmt: skip
 
@@ -97,11 +98,12 @@ def write_update(
 ) -> None:
     """How much prior mass the coverage update found inside the bounds; it acts below gamma."""
     label, color = estimator_label(name), estimator_color(name)
-    _line(stream, f"update/{name}/mass", record.t, record.pi, f"{label}: mass π", color, 1.5)
+    root = f"update/{rr.escape_entity_path_part(name)}"
+    _line(stream, f"{root}/mass", record.t, record.pi, f"{label}: mass π", color, 1.5)
     if gamma is not None:
         level = np.full(2, gamma)
         ends = record.t[[0, -1]]
-        _line(stream, f"update/{name}/gamma", ends, level, f"{label}: γ = {gamma:g}", TRUTH, 1.5)
+        _line(stream, f"{root}/gamma", ends, level, f"{label}: γ = {gamma:g}", TRUTH, 1.5)
 
 
 def write_feet(stream: rr.RecordingStream, log: Log) -> None:

@@ -6,6 +6,7 @@ from html import escape
 from io import StringIO
 from numbers import Integral, Real
 
+import numpy as np
 import pandas as pd
 
 Table = pd.DataFrame | Sequence[Mapping]
@@ -22,14 +23,16 @@ def cell(value: object, digits: int = 3) -> str:
     """A value as a reader wants it: so many decimals, fewer for large numbers, a dash for none."""
     if value is None or value is pd.NA or (isinstance(value, float) and value != value):
         return "–"
-    if isinstance(value, bool) or type(value).__name__ == "bool_":
+    if isinstance(value, bool | np.bool_):
         return "yes" if value else "no"
     if isinstance(value, Integral) or not isinstance(value, Real):
         return str(value)
     number = float(value)
     if number != 0.0 and abs(number) < 0.5 * 10**-digits:
         return f"{number:.1e}"
-    return f"{number:.{digits}f}" if abs(number) < 1000 else f"{number:.4g}"
+    if abs(number) >= 1e6:
+        return f"{number:.3g}"
+    return f"{number:.{digits if abs(number) < 1000 else 0}f}"
 
 
 def to_markdown(table: Table, digits: int = 3) -> str:

@@ -1,0 +1,107 @@
+"""Figures show the numbers they are given, with units, and are the same twice."""
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+
+from estimator.trajectory import reference
+from models.mixing import mixing
+from scenarios import figures, figures_observer, figures_trace
+from scenarios.errors import error_series
+from scenarios.palette import estimator_color, estimator_label, estimator_line
+from scenarios.plotting import png, save_png
+from sim.errors import SurefootError
+
+
+def words(figure: Figure) -> str:
+    """All text of a figure, legends included."""
+    found = [t.get_text() for ax in figure.axes for t in ax.texts]
+    found += [ax.get_title(loc="left") for ax in figure.axes]
+    found += [label for ax in figure.axes for label in (ax.get_xlabel(), ax.get_ylabel())]
+    found += [t.get_text() for legend in figure.legends for t in legend.get_texts()]
+    found += [figure.get_suptitle()]
+    return "\n".join(found)
+
+
+@pytest.fixture(scope="module")
+def errors(walk):
+    truth = reference(walk.log)
+    return {name: error_series(truth, t) for name, t in walk.trajectories.items()}
+
+
+@pytest.fixture(scope="module")
+def drawn(walk, errors) -> dict[str, Figure]:
+    rng = np.random.default_rng(1)
+    train, test = rng.normal(0, 0.02, (2000, 3)), rng.normal(0.02, 0.03, (2000, 3))
+    channel = {"before": 0.3, "after": 0.1, "noise_floor": 0.08, "unit": "m/s"}
+    return {
+        "trajectories": figures.trajectories(walk.log, errors, walk.patches),
+        "height": figures.height(walk.log, errors),
+        "velocity": figures.body_velocity(walk.log, walk.prediction, walk.bounds.epsilon),
+        "error": figures.position_error(errors),
+        "distributions": figures_observer.error_distributions(
+            train, test, walk.bounds.epsilon, walk.bounds.gamma
+        ),
+        "mixing": figures_observer.mixing_curve(mixing(train)),
+        "residuals": figures_trace.residuals({"leg_velocity": channel}),
+        "gains": figures_trace.candidate_gains({"a": 0.5, "b": (0.1, 0.0, 0.2)}, ["a"]),
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("trajectories", ["x [m]", "y [m]", "Truth", "Leg IEKF", "Start", "friction 0.20"]),
+        ("height", ["time [s]", "height z [m]", "Coverage"]),
+        ("velocity", ["m/s", "time [s]", "forward", "inside ± 0.05", "Truth outside"]),
+        ("error", ["position error [m]", "Coverage: own 3σ, holds 100 % of the time"]),
+        ("distributions", ["error [m/s]", "Gaussian fit, test", "meant: at least 80 %"]),
+        ("mixing", ["lag [samples of 10 ms]", "β(lag)"]),
+        ("residuals", ["RMS [m/s]", "leg velocity", "0.3", "0.1", "noise floor"]),
+        ("gains", ["50.0 %", "10.0 %", "held-out data [%]"]),
+    ],
+)
+def test_a_figure_says_what_it_shows(drawn, name, said):
+    text = words(drawn[name])
+    assert [phrase for phrase in said if phrase not in text] == []
+
+
+@pytest.mark.parametrize("name", ["trajectories", "height", "error"])
+def test_every_estimator_keeps_its_colour(drawn, name):
+    (ax,) = drawn[name].axes
+    for line in ax.get_lines():
+        for estimator in ("coverage", "leg"):
+            if str(line.get_label()).startswith(estimator_label(estimator)):
+                assert to_hex(line.get_color()).upper() == estimator_color(estimator)
+
+
+def test_heights_and_paths_are_those_of_the_walk(drawn, walk, errors):
+    lines = {str(line.get_label()).split(" (")[0]: line for line in drawn["height"].axes[0].lines}
+    np.testing.assert_allclose(lines["Truth"].get_ydata(), walk.log.ref_p[:, 2])
+    np.testing.assert_allclose(lines["Leg IEKF"].get_ydata(), errors["leg"].p_GI[:, 2])
+    assert "Leg IEKF (+0.08 m at the end)" in words(drawn["height"])
+
+
+def test_a_figure_is_a_png_and_the_same_twice(drawn, tmp_path):
+    data = png(drawn["height"])
+    assert data.startswith(b"\x89PNG")
+    assert data == png(drawn["height"])
+    save_png(drawn["height"], tmp_path / "height.png")
+    with pytest.raises(SurefootError, match="exists already"):
+        save_png(drawn["height"], tmp_path / "height.png")
+
+
+def test_a_channel_without_a_floor_and_a_walk_without_estimates_still_draw(walk):
+    channel = {"before": 0.3, "after": None, "noise_floor": None, "unit": "rad"}
+    assert png(figures_trace.residuals({f"channel_{k}": channel for k in range(6)}))
+    assert png(figures_trace.residuals({}))
+    assert png(figures_trace.candidate_gains({}))
+    assert png(figures.trajectories(walk.log, {}))
+    assert png(figures.position_error({}))
+
+
+def test_unknown_estimators_keep_one_colour_and_style():
+    assert estimator_color("my_filter") == estimator_color("my_filter")
+    assert estimator_label("my_filter") == "my_filter"
+    assert estimator_line("my_filter") in ("-", "--", "-.", ":")

@@ -1,0 +1,237 @@
+"""The recording is read back and compared with the walk it was made from."""
+
+from itertools import pairwise
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from conftest import DRIFT, RATE, Walk
+from rerun.chunk import RrdReader
+
+from scenarios.errors import error_series
+from scenarios.palette import estimator_color, friction_color
+from scenarios.recording import write_recording
+from scenarios.robot_shapes import geom_shapes
+from sim.errors import SurefootError
+from sim.log import LEGS, Log
+from sim.quaternion import matrix_from_quaternion
+
+
+class Contents:
+    """Columns of a recording by entity: moving ones and static ones apart."""
+
+    def __init__(self, path: Path):
+        self.moving: dict[str, dict[str, list]] = {}
+        self.static: dict[str, dict[str, list]] = {}
+        self.timelines: set[str] = set()
+        for chunk in RrdReader(path).stream().to_chunks():
+            self.timelines |= set(chunk.timeline_names)
+            kept = self.static if chunk.is_static else self.moving
+            batch = chunk.to_record_batch()
+            columns = kept.setdefault(chunk.entity_path, {})
+            for name in batch.schema.names:
+                columns.setdefault(name, []).extend(batch[name].to_pylist())
+
+    def time(self, entity: str) -> np.ndarray:
+        return np.array([t.total_seconds() for t in self.moving[entity]["time"]])
+
+    def values(self, entity: str, component: str = "Scalars:scalars") -> np.ndarray:
+        return np.array(self.moving[entity][component])
+
+
+def written(path: Path, walk: Walk, **options) -> Contents:
+    write_recording(
+        path, walk.log, walk.robot, walk.trajectories, walk.prediction, walk.bounds, walk.patches,
+        **options,
+    )  # fmt: skip
+    return Contents(path)
+
+
+@pytest.fixture(scope="module")
+def contents(walk, tmp_path_factory) -> Contents:
+    return written(tmp_path_factory.mktemp("recording") / "walk.rrd", walk, floor_mu=0.8)
+
+
+def test_there_is_one_timeline_and_every_moving_entity_is_on_it(contents):
+    assert contents.timelines == {"time"}
+    assert all("time" in columns for columns in contents.moving.values())
+
+
+def test_every_panel_has_its_entities(contents):
+    moving = set(contents.moving)
+    for name in ("coverage", "leg"):
+        assert f"/world/estimates/{name}/body" in moving
+        assert f"/world/estimates/{name}/path" in contents.static
+        for group, parts in (
+            ("position_error", "xyz"),
+            ("attitude_error", ("roll", "pitch", "yaw")),
+        ):
+            for part in parts:
+                assert {f"/{group}/{part}/{name}/{s}" for s in ("error", "three_sigma")} <= moving
+    for axis in "xyz":
+        series = ("truth", "observer", "upper", "lower", "outside")
+        assert {f"/velocity/{axis}/{s}" for s in series} <= moving
+    assert {f"/feet/{kind}/{leg}" for kind in ("contact", "slip") for leg in LEGS} <= moving
+    assert {"/update/coverage/mass", "/update/coverage/gamma"} <= moving
+    assert "/update/leg/mass" not in moving
+    assert {"/world/ground/floor", "/world/ground/patch_0", "/about"} <= set(contents.static)
+
+
+def test_the_robot_stands_where_the_reference_says_at_50_hz(contents, walk):
+    rows = np.arange(0, len(walk.log.t), 10)
+    np.testing.assert_allclose(contents.time("/world/robot"), walk.log.t[rows], atol=1e-9)
+    p = contents.values("/world/robot", "Transform3D:translation")[:, 0]
+    xyzw = contents.values("/world/robot", "Transform3D:quaternion")[:, 0]
+    R = matrix_from_quaternion(xyzw[:, [3, 0, 1, 2]])
+    p_GI = p + np.einsum("nij,j->ni", R, walk.robot.p_BI)
+    np.testing.assert_allclose(p_GI, walk.log.ref_p[rows], atol=1e-5)
+    np.testing.assert_allclose(R @ walk.robot.R_BI, walk.log.ref_R_GI[rows], atol=1e-6)
+
+
+def test_the_chain_of_links_ends_where_leg_kinematics_put_the_foot(contents, walk):
+    model = walk.robot.spec().compile()
+    rows = np.arange(0, len(walk.log.t), 10)
+    feet_I = walk.robot.feet_I(walk.log.q[rows])
+    for leg, name in enumerate(walk.robot.foot_bodies):
+        body, point = model.body(name).id, np.tile(walk.robot.foot_places[leg], (len(rows), 1))
+        chain = []
+        while model.body(body).name != walk.robot.base_name:
+            chain.insert(0, model.body(body).name)
+            body = int(model.body_parentid[body])
+        for depth in range(len(chain), 0, -1):
+            p, R = link_pose(contents, "/world/robot/" + "/".join(chain[:depth]), len(rows))
+            point = p + np.einsum("nij,nj->ni", R, point)
+        foot_I = (point - walk.robot.p_BI) @ walk.robot.R_BI
+        np.testing.assert_allclose(foot_I, feet_I[:, leg], atol=1e-5)
+
+
+def link_pose(contents: Contents, entity: str, n: int) -> tuple[np.ndarray, np.ndarray]:
+    columns = contents.moving.get(entity) or contents.static[entity]
+    p = np.array(columns["Transform3D:translation"])[:, 0]
+    xyzw = np.array(columns["Transform3D:quaternion"])[:, 0]
+    R = matrix_from_quaternion(xyzw[:, [3, 0, 1, 2]])
+    return np.broadcast_to(p, (n, 3)), np.broadcast_to(R, (n, 3, 3))
+
+
+def test_velocity_bounds_lie_epsilon_about_the_observer_and_misses_are_marked(contents, walk):
+    rows = walk.prediction.rows
+    truth = np.einsum("nji,nj->ni", walk.log.ref_R_GI, walk.log.ref_v)[rows]
+    for k, axis in enumerate("xyz"):
+        observer = contents.values(f"/velocity/{axis}/observer")[:, 0]
+        np.testing.assert_allclose(observer, walk.prediction.v_I[:, k])
+        for side, sign in (("upper", 1), ("lower", -1)):
+            bound = contents.values(f"/velocity/{axis}/{side}")[:, 0]
+            np.testing.assert_allclose(bound - observer, sign * walk.bounds.epsilon[k])
+        missed = np.abs(truth[:, k] - observer) > walk.bounds.epsilon[k]
+        assert 0 < missed.sum() < len(missed)
+        np.testing.assert_allclose(
+            contents.time(f"/velocity/{axis}/outside"), walk.log.t[rows[missed]], atol=1e-9
+        )
+
+
+def test_errors_are_those_of_the_estimates(contents, walk):
+    for k, axis in enumerate("xyz"):
+        t = contents.time(f"/position_error/{axis}/leg/error")
+        np.testing.assert_allclose(np.diff(t), 0.05, atol=1e-9)
+        error = contents.values(f"/position_error/{axis}/leg/error")[:, 0]
+        np.testing.assert_allclose(error, DRIFT[k] * (t - t[0]), atol=1e-9)
+        right = contents.values(f"/position_error/{axis}/coverage/error")
+        np.testing.assert_allclose(right, 0.0, atol=1e-9)
+        bands = contents.values(f"/position_error/{axis}/leg/three_sigma")
+        np.testing.assert_allclose(bands[:, 0], -bands[:, 1])
+        assert np.all(bands[:, 0] >= 3 * 0.1)
+
+
+def test_contact_lanes_hold_every_change_and_slipping(contents, walk):
+    contact = walk.log.contact[:, 0]
+    states = [s[0] for s in contents.moving["/feet/contact/FL"]["StateChange:state"]]
+    assert set(states) == {"swing", "stance", "slipping"}
+    assert all(a != b for a, b in pairwise(states))
+    t = contents.time("/feet/contact/FL")
+    at = np.searchsorted(t, walk.log.t + 1e-9) - 1
+    np.testing.assert_array_equal(np.array(states)[at] != "swing", contact)
+
+
+def test_slip_keeps_the_peak_of_every_ten_milliseconds(contents, walk):
+    slip = contents.values("/feet/slip/FL")[:, 0]
+    np.testing.assert_allclose(slip, walk.log.slip[:, 0].reshape(-1, 5).max(axis=1))
+
+
+def test_colours_are_those_of_the_palette(contents):
+    color = contents.static["/position_error/x/leg/error"]["SeriesLines:colors"][0][0]
+    assert f"#{color >> 8:06X}" == estimator_color("leg")
+    patch = contents.static["/world/ground/patch_0"]["Boxes3D:colors"][0][0]
+    assert f"#{patch >> 8:06X}" == friction_color(0.2)
+
+
+def test_a_blueprint_comes_with_it(walk, tmp_path):
+    path = tmp_path / "walk.rrd"
+    written(path, walk)
+    assert len(RrdReader(path).blueprints()) == 1
+
+
+def test_without_estimates_contacts_and_truth_there_is_still_a_robot(walk, tmp_path):
+    kept = [c for c in walk.log.frame if not c.startswith(("contact", "slip", "mu", "ref_v"))]
+    log = Log(walk.log.frame[kept], walk.log.meta)
+    write_recording(tmp_path / "bare.rrd", log, walk.robot, {})
+    contents = Contents(tmp_path / "bare.rrd")
+    assert {"/world/robot", "/velocity/x/truth"} <= set(contents.moving)
+    assert not any(entity.startswith("/feet") for entity in contents.moving)
+
+
+def test_an_estimator_may_have_any_name_and_a_log_may_have_calendar_time(walk, tmp_path):
+    offset = 1_700_000_000.0
+    log = Log(walk.log.frame.assign(t=walk.log.t + offset), walk.log.meta)
+    leg = walk.trajectories["leg"]
+    shifted = type(leg)(
+        leg.t + offset, *[getattr(leg, n) for n in ("R_GI", "v_GI", "p_GI", "b_a", "b_g")]
+    )
+    write_recording(tmp_path / "a.rrd", log, walk.robot, {"my filter/v2 (new)": shifted})
+    contents = Contents(tmp_path / "a.rrd")
+    entity = next(e for e in contents.moving if e.startswith("/distance"))
+    assert contents.moving[entity]["time"][0].year == 2023
+    assert not any(e.endswith("three_sigma") for e in contents.moving)
+
+
+def test_errors_are_one_clear_line(walk, tmp_path):
+    (tmp_path / "there.rrd").write_bytes(b"old")
+    with pytest.raises(SurefootError, match=r"there\.rrd: exists already"):
+        written(tmp_path / "there.rrd", walk)
+    assert (tmp_path / "there.rrd").read_bytes() == b"old"
+    with pytest.raises(SurefootError, match=r"walk\.mp4: a recording's name ends in \.rrd"):
+        written(tmp_path / "walk.mp4", walk)
+    blind = Log(walk.log.frame.drop(columns=["ref_p_x"]), walk.log.meta)
+    with pytest.raises(SurefootError, match="lacks reference"):
+        write_recording(tmp_path / "b.rrd", blind, walk.robot, {})
+
+
+def test_a_capsule_is_centred_where_mujoco_centres_it():
+    spec = mujoco.MjSpec.from_string(
+        "<mujoco><worldbody><body name='b'><geom type='capsule' size='.1' fromto='1 2 3 1 2 4'/>"
+        "</body></worldbody></mujoco>"
+    )
+    ((name, capsule),) = geom_shapes(spec.compile(), np.array([0]))
+    start = np.array(capsule.translations.as_arrow_array().to_pylist())[0]
+    length = capsule.lengths.as_arrow_array().to_pylist()[0]
+    x, y, z, w = capsule.quaternions.as_arrow_array().to_pylist()[0]
+    end = start + length * matrix_from_quaternion(np.array([w, x, y, z]))[:, 2]
+    assert name == "capsule"
+    ends = sorted([start.tolist(), end.tolist()], key=lambda p: p[2])
+    np.testing.assert_allclose(ends, [[1, 2, 3], [1, 2, 4]], atol=1e-6)
+
+
+def test_attitude_error_is_seen_from_the_heading_of_the_robot(walk):
+    """A pure roll error is about G's y axis once the robot heads along y."""
+    coverage = walk.trajectories["coverage"]
+    reference = type(coverage)(
+        *[getattr(coverage, n) for n in ("t", "R_GI", "v_GI", "p_GI", "b_a", "b_g")]
+    )
+    roll = np.array([[1, 0, 0], [0, np.cos(0.1), -np.sin(0.1)], [0, np.sin(0.1), np.cos(0.1)]])
+    tilted = type(coverage)(
+        coverage.t, coverage.R_GI @ roll, coverage.v_GI, coverage.p_GI, coverage.b_a, coverage.b_g
+    )
+    error = error_series(reference, tilted)
+    np.testing.assert_allclose(error.attitude, np.tile([0.1, 0, 0], (len(error.t), 1)), atol=1e-9)
+    assert error.attitude_sigma is None
+    assert pytest.approx(1 / np.diff(error.t).mean()) == RATE / 5

@@ -1,0 +1,111 @@
+"""Reports need nothing else and say exactly what they were given; tables agree in every dress."""
+
+import csv
+import re
+from html.parser import HTMLParser
+from io import StringIO
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scenarios.plotting import new_figure
+from scenarios.report import Picture, Section, html_report, write_report
+from scenarios.tables import cell, to_csv, to_html, to_markdown
+from sim.errors import SurefootError
+
+TABLE = [
+    {"filter": "Leg | IEKF", "APE [m]": 1.23456, "ok": True},
+    {"filter": "<b>", "APE [m]": float("nan"), "ok": None},
+]
+
+
+class Page(HTMLParser):
+    """Text, tags and addresses of a page."""
+
+    def __init__(self, page: str):
+        super().__init__()
+        self.text, self.tags, self.addresses = "", [], []
+        self.feed(page)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.addresses += [v for k, v in attrs if k in ("src", "href")]
+
+    def handle_data(self, data):
+        self.text += data
+
+
+def test_a_report_needs_no_network_and_no_other_file(tmp_path):
+    figure, axes = new_figure()
+    axes[0, 0].plot([0, 1])
+    path = tmp_path / "report.html"
+    write_report(path, "T", [Section("H", "P", TABLE, (Picture(figure, "C"),))])
+    text = path.read_text(encoding="utf-8")
+    page = Page(text)
+    assert page.tags.count("img") == 1
+    assert all(a.startswith(("data:image/png;base64,", "#")) for a in page.addresses)
+    assert "@import" not in text
+    assert not re.search(r"url\(|<script|<link", text)
+    with pytest.raises(SurefootError, match="exists already"):
+        write_report(path, "T", [])
+
+
+@given(st.text(st.characters(exclude_categories=("Cs", "Cc")), max_size=30))
+def test_any_text_comes_out_as_it_went_in(text):
+    page = Page(html_report(text, [Section(text, text, [{text: text}], (Picture(b"", text),))]))
+    assert page.text.count(text) >= 5
+    assert page.tags.count("script") == 0
+    assert set(page.tags) <= set(
+        Page(html_report("a", [Section("a", "a", TABLE, (Picture(b"", ""),))])).tags
+    )
+
+
+def test_paragraphs_are_kept_apart():
+    page = Page(html_report("T", [Section("H", "one\n\ntwo\n\n\n")]))
+    assert page.tags.count("p") == 2
+
+
+def test_markdown_lines_up_and_keeps_its_columns():
+    lines = to_markdown(TABLE).splitlines()
+    assert len({len(line) for line in lines}) == 1
+    assert lines[1].replace(" ", "").startswith("|---")
+    assert "---:" in lines[1]
+    assert r"Leg \| IEKF" in lines[2]
+    assert "1.235" in lines[2]
+    assert "–" in lines[3]
+
+
+def test_csv_keeps_every_digit():
+    frame = pd.DataFrame({"x": [0.1 + 0.2, np.nan], "name": ["a,b", 'c"d']})
+    rows = list(csv.DictReader(StringIO(to_csv(frame))))
+    assert float(rows[0]["x"]) == 0.1 + 0.2
+    assert rows[1]["x"] == ""
+    assert [row["name"] for row in rows] == ["a,b", 'c"d']
+
+
+def test_html_escapes_and_sets_numbers_apart():
+    html = to_html(TABLE)
+    assert "&lt;b&gt;" in html
+    assert "<b>" not in html
+    assert '<td class="number">1.235</td>' in html
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        (1.23456, "1.235"), (np.float64(0.5), "0.500"), (12345.678, "12346"), (-2.5e9, "-2.5e+09"), (3, "3"),
+        (1.2e-5, "1.2e-05"), (0.0, "0.000"), (None, "–"), (float("nan"), "–"), (True, "yes"),
+        (np.bool_(False), "no"), ("text", "text"), (np.int64(7), "7"),
+    ],
+)  # fmt: skip
+def test_a_cell_reads_well(value, said):
+    assert cell(value) == said
+
+
+def test_an_empty_table_is_a_table():
+    assert to_html([]).startswith("<table>")
+    assert to_csv(pd.DataFrame(columns=["a", "b"])) == "a,b\n"
+    assert to_markdown(pd.DataFrame(columns=["a", "b"])).splitlines()[0] == "| a   | b   |"

@@ -1,0 +1,58 @@
+"""`view` refuses what is no recording and never listens beyond this machine."""
+
+import subprocess
+
+import pytest
+
+from scenarios.view import recording_file, view
+from sim.errors import SurefootError
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("missing.rrd", None, "no such file"),
+        ("walk.parquet", b"PAR1", r"opens \.rrd files"),
+        ("fake.rrd", b"not a recording", "not a rerun recording"),
+        ("empty.rrd", b"", "not a rerun recording"),
+    ],
+)
+def test_what_is_no_recording_is_one_clear_line(tmp_path, name, content, said):
+    path = tmp_path / name
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(SurefootError, match=said) as caught:
+        view(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_folder_is_no_recording(tmp_path):
+    with pytest.raises(SurefootError, match="is a folder"):
+        recording_file(tmp_path)
+
+
+@pytest.mark.parametrize("web", [False, True])
+def test_the_server_listens_on_this_machine_alone(tmp_path, monkeypatch, web):
+    path = tmp_path / "walk.rrd"
+    path.write_bytes(b"RRF2....")
+    commands = []
+
+    def run(command, check):
+        commands.append(command)
+        return subprocess.CompletedProcess(command, 0)
+
+    monkeypatch.setattr(subprocess, "run", run)
+    view(path, web=web)
+    (command,) = commands
+    assert command[command.index("--bind") + 1] == "127.0.0.1"
+    assert ("--web-viewer" in command) == web
+    assert command[-1] == str(path)
+
+
+def test_a_viewer_that_fails_is_an_error(tmp_path, monkeypatch):
+    path = tmp_path / "walk.rrd"
+    path.write_bytes(b"RRF2....")
+    monkeypatch.setattr(subprocess, "run", lambda c, check: subprocess.CompletedProcess(c, 3))
+    with pytest.raises(SurefootError, match=r"exit code 3; without a screen, try --web"):
+        view(path)
