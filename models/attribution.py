@@ -1,12 +1,14 @@
-"""Which effect does the model lack? Fit every candidate, keep what earns its place on unseen data."""
+"""Which effect does the model lack? Every candidate is fitted; one that earns its place stays."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import t
 
 from models.candidates import Case, Evidence, Key, all_keys, linearise
 from models.fitting import Whitened, by_block, fit, loss, overlap, resampled, whiten
+from models.floor import Floor
 from models.masking import Trust, trust
 from sim.effects import CATALOGUE, Effect, effect
 
@@ -14,6 +16,8 @@ AT_MOST = 4
 """Effects that one trace may name."""
 ABOVE_FLOOR = 4.0
 """How many times its size on walks that lack it an effect must have."""
+DOUBT = 0.3
+"""Share of the size that contacts fake on such walks which is taken for uncertain."""
 WORTH = 0.02
 """Share of what is explained so far that a further effect must add."""
 TWINS = 0.95
@@ -21,20 +25,12 @@ TWINS = 0.95
 
 
 @dataclass(frozen=True)
-class Null:
-    """Evidences of walks that follow the declared model, and the floor (18,) they leave."""
-
-    walks: tuple[Evidence, ...]
-    floor: np.ndarray
-
-
-@dataclass(frozen=True)
 class Candidate:
     """One candidate, fitted with what was chosen before it.
 
-    size and error [its unit]; floor: the size it has on walks that lack it [its unit]; gain: squared
-    error it takes off the unseen blocks, in units of noise, with its 95 % interval; share: the same
-    as a share of what there is to explain.
+    size and error [its unit], less the size it has on walks that lack it; floor: how far that
+    varies [its unit]; gain: squared error it takes off the unseen blocks, in units of noise, with
+    its 95 % interval; share: the same as a share of what there is to explain.
     """
 
     key: Key
@@ -79,7 +75,7 @@ class Split:
 
 def attribute(
     cases: Sequence[Case],
-    null: Null,
+    floor: Floor,
     split: Split,
     rng: np.random.Generator,
     progress: Callable[[float], None] | None = None,
@@ -87,8 +83,8 @@ def attribute(
     """Greedy search: add the candidate that gains most on unseen blocks while one earns its place.
 
     A candidate earns it if its gain's interval lies above zero, its size stands ABOVE_FLOOR times
-    above the one it has on walks of the declared model, it is not at its bound, it adds a share WORTH
-    of what the others explain, and it pays for its parameter (BIC, with blocks as samples).
+    above the one it has on walks of the declared model, it is not at its bound, it adds a share
+    WORTH of what the others explain, and it pays for its parameter (BIC, blocks as samples).
     """
     keys = tuple(dict.fromkeys(key for case in cases for key in all_keys(case.log)))
     chosen: list[Effect] = []
@@ -99,23 +95,23 @@ def attribute(
         if progress:
             progress(len(rounds) / (AT_MOST + 1))
         evidence = linearise(cases, chosen, keys)
-        trusted = trust(evidence, null.floor)
+        trusted = trust(evidence, floor.sigma)
         data = whiten(evidence, trusted)
-        candidates = judge(data, null, split, [_key(e) for e in chosen], explained, rng)
+        candidates = judge(data, floor, split, [_key(e) for e in chosen], explained, rng)
         rounds.append(candidates)
         best = candidates[0] if candidates and candidates[0].earned else None
         if best is None or len(chosen) == AT_MOST:
             break
         rivals += _rivals(data, split, best, candidates, [_key(e) for e in chosen], rng)
         explained += best.gain
-        chosen = _refined(cases, [*chosen, effect(*best.key, best.size)], null, split)
-    found = _with_intervals(evidence, trusted, split, chosen, null)
+        chosen = _refined(cases, [*chosen, effect(*best.key, best.size)], floor, split)
+    found = _with_intervals(evidence, trusted, split, chosen, floor)
     return Attribution(found, tuple(rounds), rivals, trusted, evidence)
 
 
 def judge(
     data: Whitened,
-    null: Null,
+    floor: Floor,
     split: Split,
     chosen: Sequence[Key],
     explained: float,
@@ -137,46 +133,27 @@ def judge(
         gain = float(blocks.sum())
         low, high = np.percentile(resampled(blocks, rng), [2.5, 97.5])
         at_seen = float(np.sum(base_seen - loss(seen, with_it, fitted.sizes)))
-        floor = null_size(null, chosen, key)
+        offset, spread = floor.sizes(chosen, key)
+        size -= offset
+        # The floor's own offset is only as sure as its contact model.
+        spread = float(np.hypot(spread, DOUBT * offset))
         bounds = CATALOGUE[key[0]].bounds
         at_bound = not bounds[0] < size < bounds[1]
         earned = (
             low > 0
             and np.isfinite(error)
-            and abs(size) > ABOVE_FLOOR * np.hypot(floor, error)
+            and abs(size) > ABOVE_FLOOR * np.hypot(spread, error)
             and not at_bound
             and gain > WORTH * explained
             and at_seen > np.log(max(2, len(np.unique(seen.block)))) * _inflation(seen, base_seen)
         )
         judged.append(
             Candidate(
-                key, size, error, floor, gain, (float(low), float(high)),
+                key, size, error, spread, gain, (float(low), float(high)),
                 gain / max(float(base.sum()), 1e-300), at_bound, bool(earned),
             )
         )  # fmt: skip
     return tuple(sorted(judged, key=lambda c: (not c.earned, -c.gain)))
-
-
-def null_size(null: Null, chosen: Sequence[Key], key: Key) -> float:
-    """Root mean square size of a candidate, fitted along with `chosen`, on walks that lack it."""
-    if not null.walks:
-        return 0.0
-    sizes = []
-    for data in _null_data(null):
-        fitted = fit(data, [*chosen, key])
-        sizes.append(fitted.sizes[len(chosen)])
-    return float(np.sqrt(np.mean(np.square(sizes))))
-
-
-def _null_data(null: Null) -> list[Whitened]:
-    key = id(null)
-    if key not in _CACHE:
-        _CACHE.clear()
-        _CACHE[key] = [whiten(walk, trust(walk, null.floor)) for walk in null.walks]
-    return _CACHE[key]
-
-
-_CACHE: dict[int, list[Whitened]] = {}
 
 
 def _key(one: Effect) -> Key:
@@ -214,15 +191,15 @@ def _rivals(
 
 
 def _refined(
-    cases: Sequence[Case], chosen: list[Effect], null: Null, split: Split
+    cases: Sequence[Case], chosen: list[Effect], floor: Floor, split: Split
 ) -> list[Effect]:
     """Gauss-Newton on the true, nonlinear residual over the blocks that are not for the report."""
     keys = [_key(e) for e in chosen]
     use = split.fit | split.select
     for _ in range(3):
         evidence = linearise(cases, chosen, keys, central=True)
-        data = whiten(evidence, trust(evidence, null.floor)).rows(use)
-        step = fit(data, keys).sizes[: len(keys)]
+        data = whiten(evidence, trust(evidence, floor.sigma)).rows(use)
+        step = fit(data, keys).sizes[: len(keys)] - _offsets(floor, keys)
         moved = [_clipped(e, e.value + d) for e, d in zip(chosen, step, strict=True)]
         small = all(
             abs(a.value - b.value) < 1e-3 * abs(a.value) for a, b in zip(moved, chosen, strict=True)
@@ -233,6 +210,11 @@ def _refined(
     return chosen
 
 
+def _offsets(floor: Floor, keys: Sequence[Key]) -> np.ndarray:
+    """Sizes (C,) that these keys, fitted together, have on walks that lack them."""
+    return np.array([floor.sizes([k for k in keys if k != key], key)[0] for key in keys])
+
+
 def _clipped(one: Effect, value: float) -> Effect:
     low, high = one.bounds
     margin = 1.1 * one.step
@@ -240,7 +222,7 @@ def _clipped(one: Effect, value: float) -> Effect:
 
 
 def _with_intervals(
-    evidence: Evidence, trusted: Trust, split: Split, chosen: Sequence[Effect], null: Null
+    evidence: Evidence, trusted: Trust, split: Split, chosen: Sequence[Effect], floor: Floor
 ) -> tuple[Found, ...]:
     """Effects by what they explain, with intervals from blocks and from the floor's own sizes."""
     keys = [_key(e) for e in chosen]
@@ -248,11 +230,13 @@ def _with_intervals(
     fitted = fit(data, keys)
     found = []
     for i, one in enumerate(chosen):
-        others = [key for key in keys if key != keys[i]]
-        # The floor's sizes on short walks hold sampling error too: an interval wide rather than narrow.
-        half = 1.96 * np.hypot(
-            np.sqrt(fitted.covariance[i, i]), null_size(null, others, keys[i])
+        offset, spread = floor.sizes([k for k in keys if k != keys[i]], keys[i])
+        repeats = len(floor.walks)
+        half = np.hypot(1.96 * np.sqrt(fitted.covariance[i, i]), 1.96 * DOUBT * offset)
+        if repeats > 1:
+            half = np.hypot(half, t.ppf(0.975, repeats - 1) * spread * np.sqrt(1 + 1 / repeats))
+        strength = float(
+            np.sum(data.weight * (data.X[:, :, data.keys.index(keys[i])] * one.value) ** 2)
         )
-        strength = float(np.sum(data.weight * (data.X[:, :, data.keys.index(keys[i])] * one.value) ** 2))
         found.append((strength, Found(one, (one.value - half, one.value + half))))
     return tuple(f for _, f in sorted(found, key=lambda pair: -pair[0]))

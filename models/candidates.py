@@ -19,8 +19,8 @@ BIAS_STEP = 1e-3  # rad/s
 class Evidence:
     """Residuals of M bins and what would explain them: table = X sizes + Z biases + noise.
 
-    t (M,) s; log (M,) which log a bin is from; table (M, 18) as `Residual.table`; X (M, 18, C) by the
-    size of each of `keys`; Z (M, 18, 6) by the turn-on biases of gyro [rad/s] and accelerometer
+    t (M,) s; log (M,) which log a bin is from; table (M, 18) as `Residual.table`; X (M, 18, C) by
+    the size of each of `keys`; Z (M, 18, 6) by the turn-on biases of gyro [rad/s] and accelerometer
     [m/s^2]. A bin's missing entries are NaN in the table and zero in X and Z.
     """
 

@@ -25,9 +25,7 @@ class Whitened:
 
     def columns(self, keys: Sequence[Key]) -> list[int]:
         """Where these keys and all biases are in X."""
-        return [self.keys.index(key) for key in keys] + list(
-            range(len(self.keys), self.X.shape[2])
-        )
+        return [self.keys.index(key) for key in keys] + list(range(len(self.keys), self.X.shape[2]))
 
     def rows(self, which: np.ndarray) -> "Whitened":
         """The part at some bins (mask or indices)."""
@@ -94,7 +92,7 @@ def by_block(data: Whitened, values: np.ndarray) -> np.ndarray:
 
 
 def resampled(sums: np.ndarray, rng: np.random.Generator, draws: int = 1000) -> np.ndarray:
-    """Totals (draws, ...) of block sums (K, ...) drawn anew with replacement: the block bootstrap."""
+    """Totals (draws, ...) of block sums (K, ...) drawn with replacement: the block bootstrap."""
     pick = rng.integers(0, len(sums), (draws, len(sums)))
     counts = np.stack([np.bincount(row, minlength=len(sums)) for row in pick])
     return np.tensordot(counts, sums, axes=1)

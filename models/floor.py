@@ -1,14 +1,20 @@
-"""What residual the declared model leaves by itself: repeats of the log's own motion in simulation."""
+"""What residual the declared model leaves by itself: the log's own motion, simulated again."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
+from models.candidates import Case, Evidence, Key, all_keys, linearise
+from models.fitting import Whitened, fit, whiten
+from models.masking import trust
+from models.residual import BIN, measured_against
 from sim.log import Log, reference_velocity
 from sim.robot import Robot
 from sim.scenario import Scenario, Segment
+from sim.sensors import Sensors
 from sim.terrain import Ground
 from sim.walk import Fallen, walk
 
@@ -22,19 +28,61 @@ SEED = 20_011
 STAND = 0.5  # s
 
 
-def repeats(logs: Sequence[Log], robot: Robot) -> tuple[list[Log], Robot | None]:
-    """Short walks of the declared robot along stretches of the logs' own courses, and its model.
+Course = tuple[tuple[float, float, float], ...]
 
-    Each repeat follows the body velocities of the reference. Seeds are fixed, so the floor is a
-    function of the logs. A stretch on which the robot falls is tried again slower; the list is empty
-    and the robot None where it cannot walk.
+
+@dataclass(frozen=True)
+class Floor:
+    """The residual of a robot that is as its model says.
+
+    sigma (18,): noise of each column of the residual table, in its unit; walks: the repeats it is
+    from, whitened, and evidences, as they are; source: in words.
     """
-    walks = [_walk(robot.file, course, SEED + i) for i, course in enumerate(courses(logs))]
-    done = [log for log in walks if log is not None]
-    return (done, Robot.load(robot.file)) if done else ([], None)
+
+    sigma: np.ndarray
+    walks: tuple[Whitened, ...]
+    evidences: tuple[Evidence, ...]
+    source: str
+
+    def sizes(self, chosen: Sequence[Key], key: Key) -> tuple[float, float]:
+        """Mean and spread of the size that `key`, fitted along with `chosen`, has where it is not.
+
+        Contacts that give and creep look a little like effects, the same way on every walk.
+        """
+        if not self.walks:
+            return 0.0, 0.0
+        sizes = [fit(walk, [*chosen, key]).sizes[len(chosen)] for walk in self.walks]
+        return float(np.mean(sizes)), float(np.std(sizes, ddof=1)) if len(sizes) > 1 else 0.0
 
 
-def courses(logs: Sequence[Log]) -> list[tuple[tuple[float, float, float], ...]]:
+def floor_of(logs: Sequence[Log], robot: Robot) -> Floor:
+    """Repeats of the logs' own motion by the declared robot, in simulation.
+
+    Each of a few short walks follows a stretch of the reference's body velocities. Seeds are fixed,
+    so the floor is a function of the logs. A stretch on which the robot falls is tried again
+    slower; where it cannot walk at all, the data sheets' noise alone is the floor.
+    """
+    found = [_evidence(robot.file, c, SEED + i) for i, c in enumerate(courses(logs))]
+    evidences = tuple(e for e in found if e is not None)
+    if not evidences:
+        return Floor(sheet_noise(logs[0].rate), (), (), "data sheets of the declared sensors")
+    each = [trust(e, np.full(18, 1e-9)) for e in evidences]
+    sigma = np.sqrt(np.mean([t.sigma**2 for t in each], axis=0))
+    walks = tuple(whiten(e, trust(e, sigma)) for e in evidences)
+    source = f"{len(walks)} simulated walks of the declared model along the log's own course"
+    return Floor(sigma, walks, evidences, source)
+
+
+def sheet_noise(rate: float) -> np.ndarray:
+    """Standard deviation (18,) of a bin's residual from the sensors' noise alone."""
+    s, rows = Sensors(), max(1.0, BIN * rate)
+    reach = 0.5  # m, from a joint to the foot
+    gyro, accel = s.gyro_noise / np.sqrt(BIN), s.accel_noise / np.sqrt(BIN)
+    leg = s.velocity_noise * reach * np.sqrt(3 / rows)
+    return np.repeat([gyro, accel, leg], [3, 3, 12])
+
+
+def courses(logs: Sequence[Log]) -> list[Course]:
     """Commanded forward, lateral velocity [m/s] and turn [rad/s] a second, for each repeat."""
     motion = [piece for log in logs for piece in _motion(log)]
     length = max(1, min(round(SECONDS / PIECE), len(motion)))
@@ -60,7 +108,7 @@ def _motion(log: Log) -> list[tuple[float, float, float]]:
 
 
 @lru_cache(maxsize=64)
-def _walk(file: Path, course: tuple[tuple[float, float, float], ...], seed: int) -> Log | None:
+def _evidence(file: Path, course: Course, seed: int) -> Evidence | None:
     robot = Robot.load(file)
     for slower in (1.0, 0.6, 0.3):
         segments = tuple(
@@ -69,7 +117,8 @@ def _walk(file: Path, course: tuple[tuple[float, float, float], ...], seed: int)
         )
         scenario = Scenario("floor", segments, Ground(FRICTION), stand=STAND)
         try:
-            return walk(scenario, robot, seed)
+            log = walk(scenario, robot, seed)
         except Fallen:
             continue
+        return linearise([Case(log, robot, measured_against(log))], (), all_keys(log))
     return None

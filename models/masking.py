@@ -123,5 +123,3 @@ def _soft(z: np.ndarray) -> np.ndarray:
         size = np.sqrt(np.nansum(z[:, group] ** 2, axis=1) / 3)
         weight[:, group] = np.minimum(1.0, (SOFT / np.maximum(size, SOFT)) ** 2)[:, None]
     return weight
-
-

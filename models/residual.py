@@ -1,7 +1,7 @@
 """What a walk's readings say beyond the model: residual channels against the log's reference.
 
     imu_gyro, imu_accel   reading minus what the reference motion implies for the same sample
-    leg_velocity          body velocity from the kinematics of each standing foot, minus the reference's
+    leg_velocity          body velocity by each standing foot's kinematics, less the reference's
 
 Residuals are means over bins of 20 ms, short against a step and long against a sample.
 """
@@ -89,9 +89,7 @@ def measured_against(log: Log) -> Frame:
         up_I=R_GI[:, 2],
         ok=ok,
         moved=ok & np.concatenate([[False], ok[:-1]]) & whole,
-        standing=inside_stance(t, log.contact)
-        if log.has("contact")
-        else np.zeros((len(t), 4), bool),
+        standing=standing & ok[:, None],
         first=first,
         t=np.add.reduceat(t, first) / count,
     )
@@ -124,8 +122,8 @@ def residual(log: Log, robot: Robot, frame: Frame) -> Residual:
         # Rows hold the mean rate of the step before; the rate at the row itself is between two.
         omega = 0.5 * (omega + np.concatenate([omega[1:], omega[-1:]]))
         leg = leg_velocity(
-            robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI, log.q, joint_velocity(log), omega,
-            frame.up_I, frame.standing,
+            robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI, log.q, joint_velocity(log),
+            omega, frame.up_I, frame.standing,
         )  # fmt: skip
         leg -= frame.v_I[:, None]
     return Residual(
@@ -165,9 +163,7 @@ def leg_velocity(legs, radius, R_BI, p_BI, q, dq, omega, up, standing):
                     v += rate[j] * (roll - J[a, j])
                 step[a] = v
             for a in range(3):
-                out[k, leg, a] = (
-                    R_BI[0, a] * step[0] + R_BI[1, a] * step[1] + R_BI[2, a] * step[2]
-                )
+                out[k, leg, a] = R_BI[0, a] * step[0] + R_BI[1, a] * step[1] + R_BI[2, a] * step[2]
     return out
 
 

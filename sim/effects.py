@@ -1,7 +1,7 @@
 """Effects that a real robot has and a model may lack: one small class each.
 
-An effect knows two things that share no code: how to put itself into the simulation (the MjSpec or the
-sensor streams), and how a model that knows of it undoes it on a log (`explain`).
+An effect knows two things that share no code: how to put itself into the simulation (the MjSpec or
+the sensor streams), and how a model that knows of it undoes it on a log (`explain`).
 """
 
 from collections.abc import Mapping
@@ -27,9 +27,9 @@ LINKS = tuple(f"{leg}_{link}" for leg in LEGS for link in ("thigh", "calf"))
 class Effect:
     """One effect on one target (a joint, leg, axis or "all"), of one scalar size.
 
-    A subclass says its name, unit, bounds and valid targets, which residual channels it can touch, how
-    it is put into the simulation, and how it is explained away. Raises SurefootError for a target it
-    does not have or a size out of bounds.
+    A subclass says its name, unit, bounds and valid targets, which residual channels it can touch,
+    how it is put into the simulation, and how it is explained away. Raises SurefootError for a
+    target it does not have or a size out of bounds.
     """
 
     target: str
@@ -66,8 +66,8 @@ class Effect:
     def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         """The log and the robot as a model sees them that knows of the effect.
 
-        What it changed in the readings is undone in the log; what it changed in the robot is added to
-        the robot's declared model.
+        What it changed in the readings is undone in the log; what it changed in the robot is added
+        to the robot's declared model.
         """
         raise NotImplementedError
 
@@ -111,9 +111,7 @@ class LinkLength(Effect):
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
         foot = _foot_geom(spec, robot, leg)
-        thigh, knee = (
-            data.xanchor[model.joint(robot.joint_names[3 * leg + j]).id] for j in (1, 2)
-        )
+        thigh, knee = (data.xanchor[model.joint(robot.joint_names[3 * leg + j]).id] for j in (1, 2))
         if link == "thigh":
             moved = spec.joint(robot.joint_names[3 * leg + 2]).parent
             along_G = knee - thigh
@@ -254,7 +252,7 @@ CATALOGUE: Mapping[str, type[Effect]] = {
 
 
 def effect(name: str, target: str, value: float) -> Effect:
-    """The effect of that name. Raises SurefootError for an unknown name or target, or a bad size."""
+    """The effect of that name. Raises SurefootError for an unknown name or target, or bad size."""
     if name not in CATALOGUE:
         raise SurefootError(f"unknown effect '{name}'; known: {', '.join(CATALOGUE)}")
     return CATALOGUE[name](target, float(value))

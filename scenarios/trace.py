@@ -1,0 +1,304 @@
+"""Close the loop: residual of measured logs -> the effect the model lacks -> before and after."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from models.attribution import Attribution, Split, attribute
+from models.candidates import Case, Evidence, all_keys, linearise
+from models.fitting import fit, whiten
+from models.floor import Floor, floor_of
+from models.masking import Trust, trust
+from models.residual import CHANNELS, COLUMNS, measured_against
+from scenarios.trace_filters import BeforeAfter, before_and_after, mean_metrics, stretch
+from scenarios.trace_report import write_outputs
+from scenarios.trace_words import motion_to_tell_apart
+from sim.effects import Effect, explain_all
+from sim.errors import SurefootError
+from sim.log import Log
+from sim.robot import Robot
+
+REPORT_SHARE = 0.35
+"""Of each log, at its end, that no fit and no choice sees."""
+BLOCK, GAP = 4.0, 0.2
+"""s: blocks that fit and blocks that select take turns, with gaps between them."""
+SHORTEST = 12.0
+"""s of a log below which there is too little to split."""
+AT_FLOOR = 1.25
+"""A channel is at its floor up to this ratio of root mean squares."""
+OUTPUTS = ("trace.json", "effects.toml", "report.html", "trace.rrd")
+
+
+@dataclass(frozen=True)
+class Channel:
+    """Root mean square residual on the report split, in `unit`; biases of the sensor are taken off.
+
+    None for the floor where no repeat of the declared model has the channel.
+    """
+
+    before: float
+    after: float
+    noise_floor: float | None
+    unit: str
+
+    @property
+    def at_floor(self) -> bool:
+        """Whether what is left is what the declared model leaves by itself."""
+        return self.noise_floor is None or self.after <= AT_FLOOR * self.noise_floor
+
+
+@dataclass(frozen=True)
+class Trace:
+    """What a trace found; see `as_dict` for the form of trace.json."""
+
+    verdict: str
+    attribution: Attribution | None
+    channels: dict[str, Channel]
+    filters: dict[str, dict[str, dict[str, float]]]
+    masked_share: float
+    floor: str
+    rivals: tuple[dict[str, Any], ...]
+    motion: str
+    notes: tuple[str, ...]
+    stretches: tuple[BeforeAfter, ...]
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The effects found, strongest first."""
+        return tuple(f.effect for f in self.attribution.found) if self.attribution else ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """trace.json: nothing in it depends on what a log is called or what it says of itself."""
+        found = self.attribution.found if self.attribution else ()
+        rounds = self.attribution.rounds if self.attribution else ()
+        out: dict[str, Any] = {
+            "verdict": self.verdict,
+            "effects": [{**f.effect.as_dict(), "interval": list(f.interval)} for f in found],
+            "channels": {
+                name: {
+                    "before": c.before, "after": c.after, "noise_floor": c.noise_floor,
+                    "unit": c.unit,
+                }
+                for name, c in self.channels.items()
+            },
+            "filters": self.filters,
+            "masked_share": self.masked_share,
+            "floor": self.floor,
+            "notes": list(self.notes),
+            "candidates": [
+                [
+                    {
+                        "name": c.key[0], "target": c.key[1], "value": c.size,
+                        "floor": c.floor, "gain": c.share, "earned": c.earned,
+                    }
+                    for c in one
+                ]
+                for one in rounds
+            ],
+        }  # fmt: skip
+        if self.rivals:
+            out |= {"rivals": list(self.rivals), "motion": self.motion}
+        return _plain(out)
+
+
+def trace(
+    logs: Sequence[Log],
+    robot: Robot,
+    out: Path | str,
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+    force: bool = False,
+    declared: Sequence[Effect] = (),
+) -> Trace:
+    """Find which effect `robot` lacks as a model of the logs, and what adding it changes.
+
+    Of the logs only time, IMU, joints, feet and reference are read, and the rate. `declared`
+    effects belong to the model: they are explained before anything is asked. The folder `out` gets
+    trace.json, effects.toml, report.html and trace.rrd. `progress` is told the share that is done.
+    Raises SurefootError where `out` has such files (no `force`), and LogError where a log
+    has no reference.
+    """
+    out = Path(out)
+    if not logs:
+        raise SurefootError("trace: needs at least one log")
+    if not force:
+        for name in OUTPUTS:
+            if (out / name).exists():
+                raise SurefootError(f"{out / name}: exists already; give --force to overwrite it")
+    found = diagnose(logs, robot, seed, progress, declared)
+    write_outputs(found, robot, out, force)
+    return found
+
+
+def diagnose(
+    logs: Sequence[Log],
+    robot: Robot,
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+    declared: Sequence[Effect] = (),
+) -> Trace:
+    """`trace` without the files."""
+    tell = progress or (lambda share: None)
+    logs = [_readings(log) for log in logs]
+    cases = []
+    for log in logs:
+        log.require("reference")
+        known, model = explain_all(declared, log, robot)
+        cases.append(Case(known, model, measured_against(known)))
+    cannot = _cannot_tell(cases)
+    if cannot:
+        return Trace("not_identifiable", None, {}, {}, 0.0, "none", (), "", (cannot,), ())
+    tell(0.02)
+    floor = floor_of(logs, robot)
+    tell(0.35)
+    split, notes = split_of(cases), _said(cases, floor)
+    rng = np.random.default_rng(seed)
+    result = attribute(cases, floor, split, rng, lambda share: tell(0.35 + 0.5 * share))
+    effects = [f.effect for f in result.found]
+    channels = _channels(cases, result, floor, split)
+    tell(0.88)
+    stretches = _filtered(cases, effects)
+    filters = {}
+    if stretches:
+        pairs = [s.metrics for s in stretches]
+        before, after = (mean_metrics([pair[i] for pair in pairs]) for i in (0, 1))
+        filters["leg"] = {"before": before, "after": after}
+    rivals = tuple(
+        {"name": name, "target": target, "overlap": shared}
+        for (name, target), shared in result.rivals
+    )
+    tell(1.0)
+    return Trace(
+        verdict=_verdict(result, channels),
+        attribution=result,
+        channels=channels,
+        filters=filters,
+        masked_share=result.trust.share,
+        floor=floor.source,
+        rivals=rivals,
+        motion=motion_to_tell_apart([r["name"] for r in rivals]) if rivals else "",
+        notes=notes,
+        stretches=stretches,
+    )
+
+
+def split_of(cases: Sequence[Case]) -> Split:
+    """Each log's end reports; before it, blocks that fit and blocks that select take turns."""
+    parts = []
+    for case in cases:
+        t = case.frame.t - case.frame.t[0]
+        begin = (1 - REPORT_SHARE) * t[-1]
+        block = np.floor(t / BLOCK).astype(int)
+        used = (t < begin - GAP) & (t - BLOCK * block >= GAP)
+        parts.append((used & (block % 2 == 0), used & (block % 2 == 1), t >= begin))
+    return Split(*(np.concatenate(masks) for masks in zip(*parts, strict=True)))
+
+
+def _readings(log: Log) -> Log:
+    """The log without anything that a measured one could not have."""
+    known = ("t", "gyro_", "accel_", "q_", "dq_", "tau_", "contact_", "ref_")
+    names = [n for n in log.frame if str(n) == "t" or str(n).startswith(known[1:])]
+    return Log(log.frame[names], log.meta, log.name)
+
+
+def _cannot_tell(cases: Sequence[Case]) -> str:
+    if not any(all_keys(case.log) for case in cases):
+        return "no channel: needs gyro and accel, or q and contact, beside the reference"
+    longest = max(case.frame.t[-1] - case.frame.t[0] for case in cases)
+    if longest < SHORTEST:
+        return f"too short: {longest:.1f} s where {SHORTEST:.0f} s are needed to fit and to check"
+    return ""
+
+
+def _said(cases: Sequence[Case], floor: Floor) -> tuple[str, ...]:
+    """What the reader should know of the data before the result."""
+    notes = []
+    for group, channel in (("imu", "imu_gyro and imu_accel"), ("q", "leg_velocity")):
+        if not all(case.log.has(group) for case in cases):
+            notes.append(f"{channel}: not used, the log lacks {group}")
+    if not all(case.log.has("contact") for case in cases):
+        notes.append("leg_velocity: not used, the log lacks contacts")
+    if not all(case.log.has("ref_v") for case in cases):
+        notes.append("the reference's velocity is derived from its positions, which smooths it")
+    if not floor.walks:
+        notes.append("the model does not walk in simulation: the floor is sensor noise alone")
+    if any(np.any(case.robot.foot_radius == 0) for case in cases):
+        notes.append("the model's feet are points; the floor is from walks with the file's feet")
+    return tuple(notes)
+
+
+def _channels(
+    cases: Sequence[Case], result: Attribution, floor: Floor, split: Split
+) -> dict[str, Channel]:
+    keys = result.evidence.keys
+    plain = linearise(cases, (), keys[:0])
+    trusted = result.trust
+    use = split.fit | split.select
+    before = _without_bias(plain, trusted, use)
+    after = _without_bias(result.evidence, trusted, use)
+    floors = [
+        _without_bias(e, trust(e, floor.sigma), np.ones(len(e.t), bool)) for e in floor.evidences
+    ]
+    channels = {}
+    for name, unit in CHANNELS.items():
+        columns = COLUMNS[name]
+        if not np.isfinite(before[split.report][:, columns]).any():
+            continue
+        level = [_rms(part[:, columns]) for part in floors]
+        channels[name] = Channel(
+            before=_rms(before[split.report][:, columns]),
+            after=_rms(after[split.report][:, columns]),
+            noise_floor=float(np.sqrt(np.mean(np.square(level)))) if level else None,
+            unit=unit,
+        )
+    return channels
+
+
+def _without_bias(evidence: Evidence, trusted: Trust, use: np.ndarray) -> np.ndarray:
+    """The residual table (M, 18) less the sensors' biases as fitted on `use`; slips are NaN."""
+    data = whiten(evidence, trusted)
+    bias = fit(data.rows(use), ()).sizes
+    left = evidence.table - (data.X[:, :, len(data.keys) :] @ bias) * trusted.sigma
+    left[:, 6:][np.repeat(trusted.masked, 3, axis=1)] = np.nan
+    return left
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.nanmean(values**2)))
+
+
+def _filtered(cases: Sequence[Case], effects: Sequence[Effect]) -> tuple[BeforeAfter, ...]:
+    done = []
+    for case in cases:
+        if not all(case.log.has(group) for group in ("imu", "q", "contact")):
+            continue
+        t = case.log.t
+        part = stretch(case.log, t[0] + (1 - REPORT_SHARE) * (t[-1] - t[0]), t[-1])
+        if part is not None:
+            done.append(before_and_after(part, case.robot, effects))
+    return tuple(done)
+
+
+def _verdict(result: Attribution, channels: dict[str, Channel]) -> str:
+    at_floor = all(c.at_floor for c in channels.values())
+    if not result.found:
+        return "no_residual" if at_floor else "none_of_these"
+    if result.rivals:
+        return "confounded"
+    return "attributed" if at_floor else "none_of_these"
+
+
+def _plain(value: Any) -> Any:
+    """JSON has no NaN and no numpy."""
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    if isinstance(value, np.generic):
+        return value.item()
+    return value

@@ -1,0 +1,76 @@
+"""A trace in words: what was found, how sure, and what it changes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from sim.effects import CATALOGUE
+
+if TYPE_CHECKING:
+    from models.attribution import Found
+    from scenarios.trace import Trace
+
+VERDICTS = {
+    "attributed": "traced to what the model lacks; what is left is at the noise floor",
+    "confounded": "the residual has more than one explanation that these data cannot tell apart",
+    "none_of_these": "a residual is left that no effect of the catalogue explains",
+    "not_identifiable": "the data cannot tell",
+    "no_residual": "the model explains the log down to its noise floor",
+}
+_EXPLAIN = {
+    "encoder_offset": "walk crouched and tall, and turn on the spot",
+    "link_length": "stand tall and crouched, and step over a known distance",
+    "foot_rolling": "change the slope of the legs: long against short steps at one speed",
+    "imu_rotation": "tilt the body in stance about each axis in turn",
+    "gyro_scale": "turn the body about that axis, both ways and at several rates",
+    "joint_delay": "change the gait's frequency: a delay's error grows with it",
+}
+_SCALE = {"rad": (1e3, "mrad"), "m": (1e3, "mm"), "s": (1e3, "ms"), "ratio": (1e2, "%")}
+
+
+def motion_to_tell_apart(names: Sequence[str]) -> str:
+    """The motion that would separate effects of these names."""
+    return "; ".join(dict.fromkeys(_EXPLAIN.get(name, "more varied motion") for name in names))
+
+
+def size_in_words(found: Found) -> str:
+    """An effect with its size and interval, in the unit people say: 'encoder_offset FL_thigh +19.8
+    mrad (95 % interval +19.1 .. +20.4)'."""
+    one = found.effect
+    factor, unit = _SCALE[CATALOGUE[one.name].unit]
+    low, high = (factor * x for x in found.interval)
+    return (
+        f"{one.name} {one.target} {factor * one.value:+.3g} {unit} "
+        f"(95 % interval {low:+.3g} .. {high:+.3g})"
+    )
+
+
+def summary(found: Trace) -> str:
+    """What a reader wants on the screen, in a dozen lines."""
+    lines = [f"verdict: {found.verdict}: {VERDICTS[found.verdict]}"]
+    if found.attribution:
+        lines += [f"  lacks {size_in_words(f)}" for f in found.attribution.found]
+    for rival in found.rivals:
+        lines.append(
+            f"  or {rival['name']} {rival['target']} (overlap {rival['overlap']:.2f}); "
+            f"to tell them apart: {found.motion}"
+        )
+    if found.channels:
+        lines.append("residual on the part that no fit has seen (root mean square of 20 ms means):")
+    for name, c in found.channels.items():
+        floor = "unknown" if c.noise_floor is None else f"{c.noise_floor:.3g}"
+        lines.append(f"  {name:13s} {c.before:.3g} -> {c.after:.3g} {c.unit}, noise floor {floor}")
+    for name, metrics in found.filters.items():
+        b, a = metrics["before"], metrics["after"]
+        lines.append(
+            f"{name} filter there: APE {b['ape_trans']:.3f} -> {a['ape_trans']:.3f} m, "
+            f"{b['ape_rot']:.2f} -> {a['ape_rot']:.2f} deg; "
+            f"RPE {b['rpe_trans']:.4f} -> {a['rpe_trans']:.4f} m, "
+            f"{b['rpe_rot']:.3f} -> {a['rpe_rot']:.3f} deg/m"
+        )
+    if found.channels:
+        lines.append(f"masked as slipping: {100 * found.masked_share:.1f} % of stance time")
+        lines.append(f"noise floor: {found.floor}")
+    lines += [f"note: {note}" for note in found.notes]
+    return "\n".join(lines)
