@@ -71,6 +71,28 @@ def scan(gates: np.ndarray, W: np.ndarray, b: np.ndarray, h0: np.ndarray):
 
 
 @njit(cache=True, nogil=True)
+def step(
+    x: np.ndarray,
+    h: np.ndarray,
+    W_x: np.ndarray,
+    b_x: np.ndarray,
+    W_h: np.ndarray,
+    b_h: np.ndarray,
+) -> np.ndarray:
+    """One step without a batch, for a robot's own loop: the next h (H,) from x (C,) and h (H,).
+
+    W_x (C, 3H) and W_h (H, 3H) are the weights transposed; all arrays float32 and contiguous.
+    """
+    gates = b_x.copy()
+    for k in range(x.shape[0]):
+        xk = x[k]
+        for j in range(gates.shape[0]):
+            gates[j] += xk * W_x[k, j]
+    states, _ = scan(gates.reshape(1, 1, -1), W_h, b_h, h.reshape(1, -1))
+    return states[1, 0]
+
+
+@njit(cache=True, nogil=True)
 def scan_backward(dh_out: np.ndarray, h: np.ndarray, saved: np.ndarray, W: np.ndarray):
     """Reverse mode of `scan`: back-propagation through time.
 

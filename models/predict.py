@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from models.gru import step
 from models.mounting import Mounted, move_covariance, move_velocity, same_mounting
 from models.network import cholesky_factor
 from models.observer import Observer, ObserverError
@@ -41,7 +42,7 @@ def predict(observer: Observer, log: Log, robot: Mounted | None = None) -> Predi
     x = scaled_inputs(observer, seen.x)
     with torch.no_grad():
         outputs, _ = observer.network(x[:, None, :])
-    v_I, covariance = _physical(observer, outputs[:, 0])
+    v_I, covariance = _physical(observer, outputs[:, 0].numpy())
     if not same_mounting(observer, robot):
         if not log.has("imu"):
             raise ObserverError(
@@ -69,14 +70,25 @@ class Loop:
     def __init__(self, observer: Observer):
         """Start from the zero state."""
         self.observer = observer
-        self._h: torch.Tensor | None = None
+        gru, head = observer.network.gru, observer.network.head
+        self._gru = (
+            _transposed(gru.weight_ih_l0),
+            gru.bias_ih_l0.detach().numpy(),
+            _transposed(gru.weight_hh_l0),
+            gru.bias_hh_l0.detach().numpy(),
+        )
+        self._head = _transposed(head.weight), head.bias.detach().numpy()
+        self._h = np.zeros(gru.hidden, np.float32)
 
-    @torch.no_grad()
     def step(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-        """v_I (3,), m/s, and covariance (3, 3) or None, from filtered inputs x (C,), unscaled."""
-        x_scaled = scaled_inputs(self.observer, x[None])
-        outputs, self._h = self.observer.network(x_scaled[None], self._h)
-        v_I, covariance = _physical(self.observer, outputs[0])
+        """v_I (3,), m/s, and covariance (3, 3) or None, from inputs x (C,), filtered, unscaled.
+
+        The filter is `models.decimate.decimate` over the samples of the last 20 ms.
+        """
+        scaled = (x - self.observer.input_mean) / self.observer.input_scale
+        self._h = step(scaled.astype(np.float32), self._h, *self._gru)
+        outputs = (self._h @ self._head[0] + self._head[1])[None]
+        v_I, covariance = _physical(self.observer, outputs)
         return v_I[0], None if covariance is None else covariance[0]
 
 
@@ -86,12 +98,16 @@ def scaled_inputs(observer: Observer, x: np.ndarray) -> torch.Tensor:
     return torch.from_numpy(scaled.astype(np.float32))
 
 
-def _physical(observer: Observer, outputs: torch.Tensor) -> tuple[np.ndarray, np.ndarray | None]:
+def _transposed(weight: torch.Tensor) -> np.ndarray:
+    return np.ascontiguousarray(weight.detach().numpy().T)
+
+
+def _physical(observer: Observer, outputs: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
     scale = observer.output_scale
-    v_I = observer.output_mean + scale * outputs[:, :3].double().numpy()
+    v_I = observer.output_mean + scale * outputs[:, :3].astype(float)
     if observer.loss != "gml":
         return v_I, None
-    L = scale[:, None] * cholesky_factor(outputs).double().numpy()
+    L = scale[:, None] * cholesky_factor(torch.from_numpy(outputs)).double().numpy()
     return v_I, L @ L.swapaxes(-1, -2)
 
 

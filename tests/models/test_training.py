@@ -62,15 +62,29 @@ def test_held_out_labels_do_not_matter(walks):
         assert torch.equal(weight, theirs.weights[name])
 
 
-def test_the_loop_is_the_whole_log(mse_observer, walks):
+@pytest.mark.parametrize("loss", ["mse", "gml"])
+def test_the_loop_is_the_whole_log(loss, mse_observer, gml_observer, walks):
+    observer = mse_observer if loss == "mse" else gml_observer
     log = walks["test"]
-    seen = samples(log, mse_observer.inputs)
-    whole = predict(mse_observer, log, Body()).v_I
-    loop = Loop(mse_observer)
-    for m in range(200):
+    seen = samples(log, observer.inputs)
+    whole = predict(observer, log, Body())
+    loop = Loop(observer)
+    for m in range(100):
         v_I, covariance = loop.step(seen.x[m])
-        assert v_I == pytest.approx(whole[m], abs=1e-5)
-        assert covariance is None
+        assert v_I == pytest.approx(whole.v_I[m], abs=1e-5)
+        assert (covariance is None) == (whole.covariance is None)
+        if covariance is not None and whole.covariance is not None:
+            assert covariance == pytest.approx(whole.covariance[m], rel=1e-3, abs=1e-8)
+
+
+def test_filtering_the_last_samples_is_filtering_the_log(walks):
+    """A robot in its loop keeps 20 ms of samples, no more."""
+    log = walks["test"]
+    seen = samples(log, ("q",))
+    t, q = log.t, log.q
+    for m in (5, 250):
+        last = slice(seen.rows[m] - 11, seen.rows[m] + 1)
+        assert decimate(t[last], q[last], np.array([11]))[0] == pytest.approx(seen.x[m])
 
 
 def test_the_state_runs_through_and_knows_no_future(mse_observer, walks):
@@ -122,6 +136,22 @@ def test_inputs_come_in_order_and_scaled_back(walks):
     seen = samples(log, ("q", "dq", "tau"))
     stacked = np.concatenate((log.q, log.dq, log.tau), axis=1)
     assert np.array_equal(seen.x, decimate(log.t, stacked, seen.rows))
+
+
+def test_labels_without_a_measured_reference_are_left_alone(walks):
+    """Even where a whole batch has none; nonsense in rows with ref_ok = 0 changes nothing."""
+    log = walks["fit"]
+    measured = np.arange(len(log.t)) < 6000
+    frame = log.frame.assign(ref_ok=measured.astype(float))
+    nonsense = frame.copy()
+    nonsense.loc[~measured, "ref_v_x"] = 1e6
+    ours, theirs = (
+        train(replace(log, frame=f), Body(), "q", seed=2, schedule=replace(TINY, batch=1))
+        for f in (frame, nonsense)
+    )
+    assert np.all(np.isfinite(ours.rmse))
+    for name, weight in ours.weights.items():
+        assert torch.equal(weight, theirs.weights[name])
 
 
 def test_what_cannot_be_trained_on_is_said(walks):
