@@ -10,6 +10,7 @@ from scenarios.series import ANGLES, AXES
 
 _WINDOW = 3.0  # s on each side of the time cursor, about six strides
 _LEGEND = rrb.PlotLegend(rrb.Corner2D.LeftTop)
+_TRAIL = 10.0  # s of path behind the robot
 _AXIS_WORDS = {"x": "forward", "y": "left", "z": "up"}
 _ANGLE_WORDS = {"roll": "about forward", "pitch": "about left", "yaw": "about up"}
 
@@ -58,14 +59,13 @@ def layout(
 
 def _following(estimators: Sequence[str], eye) -> rrb.Spatial3DView:
     """Seen from a frame that moves with the robot without turning, so the robot stays in view."""
+    estimates = [
+        f"- /{estimate_path(n)}/{part}" for n in estimators for part in ("path", "body/dot")
+    ]
     return rrb.Spatial3DView(
         origin="/world/follow",
-        contents=[
-            "/world/**",
-            "- /world/robot/dot",
-            *[f"- /{estimate_path(n)}/body/dot" for n in estimators],
-        ],
-        name="Robot, and the box where each estimator believes its trunk to be",
+        contents=["/world/**", "- /world/robot/dot", "- /world/truth/path", *estimates],
+        name=f"Robot, boxes where estimators believe its trunk to be, last {_TRAIL:g} s of path",
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital,
             position=eye,
@@ -73,17 +73,20 @@ def _following(estimators: Sequence[str], eye) -> rrb.Spatial3DView:
             eye_up=(0.0, 0.0, 1.0),
         ),
         line_grid=rrb.LineGrid3D(visible=False),
+        time_ranges=rrb.VisibleTimeRange(
+            "time",
+            start=rrb.TimeRangeBoundary.cursor_relative(seconds=-_TRAIL),
+            end=rrb.TimeRangeBoundary.cursor_relative(),
+        ),
     )
 
 
 def _map(estimators: Sequence[str], centre, span: float) -> rrb.Spatial3DView:
-    hidden = ("outline", "forward", "pole", "flag")
+    hidden = ("trail", "body/outline", "body/forward", "body/pole", "body/flag")
+    estimates = [f"- /{estimate_path(n)}/{part}" for n in estimators for part in hidden]
     return rrb.Spatial3DView(
         origin="/world",
-        contents=[
-            "/world/**",
-            *[f"- /{estimate_path(n)}/body/{h}" for n in estimators for h in hidden],
-        ],
+        contents=["/world/**", "- /world/truth/trail", *estimates],
         name="Whole walk from above: truth (grey) and estimates, a dot where each one is now",
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital,

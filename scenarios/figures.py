@@ -197,6 +197,7 @@ def _draw_patch(ax, patch, low: np.ndarray, high: np.ndarray) -> None:
             edgecolor="#7FB5CC",
             hatch="///",
             linewidth=0.8,
+            alpha=0.7,
             zorder=0.5,
         )
     )
@@ -205,6 +206,6 @@ def _draw_patch(ax, patch, low: np.ndarray, high: np.ndarray) -> None:
         top = patch.center_y + 0.5 * patch.size_y
         ax.annotate(
             f"friction {patch.mu:.2f}", (patch.center_x, min(top, high[1])), fontsize=8,
-            ha="center", va="bottom", color="#33677D",
+            ha="center", va="top", color="#33677D",
             bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0},
         )  # fmt: skip

@@ -161,18 +161,16 @@ def _mesh(model: mujoco.MjModel, geom: int, color) -> rr.Mesh3D:
     """One mesh, its vertices moved into the body's frame; a vertex for each (position, normal)."""
     mesh = int(model.geom_dataid[geom])
     faces = slice(model.mesh_faceadr[mesh], model.mesh_faceadr[mesh] + model.mesh_facenum[mesh])
-    corners = np.stack(
-        [
-            model.mesh_face[faces].ravel() + model.mesh_vertadr[mesh],
-            model.mesh_facenormal[faces].ravel() + model.mesh_normaladr[mesh],
-        ],
-        axis=1,
-    )
-    unique, triangles = np.unique(corners, axis=0, return_inverse=True)
+    vertices = model.mesh_face[faces].ravel() + model.mesh_vertadr[mesh]
+    normals = model.mesh_facenormal[faces].ravel() + model.mesh_normaladr[mesh]
+    # One number for each pair: sorting these takes a tenth of the time of sorting rows.
+    pairs = vertices.astype(np.int64) * len(model.mesh_normal) + normals
+    unique, triangles = np.unique(pairs, return_inverse=True)
+    vertices, normals = np.divmod(unique, len(model.mesh_normal))
     R = matrix_from_quaternion(model.geom_quat[geom])
     return rr.Mesh3D(
-        vertex_positions=model.mesh_vert[unique[:, 0]] @ R.T + model.geom_pos[geom],
-        vertex_normals=model.mesh_normal[unique[:, 1]] @ R.T,
+        vertex_positions=model.mesh_vert[vertices] @ R.T + model.geom_pos[geom],
+        vertex_normals=model.mesh_normal[normals] @ R.T,
         triangle_indices=triangles.reshape(-1, 3),
         albedo_factor=color or _geom_color(model, geom),
     )

@@ -24,6 +24,7 @@ POSE_RATE = 50.0  # Hz
 SLIPPING = 0.1  # m/s, foot speed over the ground above which a loaded foot is called slipping
 _MARGIN = 2.0  # m of floor around the walk
 _THICKNESS = 0.02  # m
+_PIECE = 5  # samples of a trail that appear at once
 _FOOTPRINT = (0x2B, 0x2B, 0x2B, 255)
 
 
@@ -143,6 +144,7 @@ def write_truth_path(stream: rr.RecordingStream, log: Log) -> None:
     rows = np.arange(0, len(log.t), max(1, round(log.rate / 20.0)))
     path = rr.LineStrips3D([log.ref_p[rows]], colors=[rgba(TRUTH)], radii=[_pixels(2.0)])
     stream.log("world/truth/path", path, static=True)
+    _send_trail(stream, "world/truth/trail", log.t[rows], log.ref_p[rows], TRUTH)
 
 
 def write_estimates(
@@ -160,6 +162,7 @@ def write_estimates(
         color, root = estimator_color(name), estimate_path(name)
         path = rr.LineStrips3D([error.p_GI], colors=[rgba(color)], radii=[_pixels(1.2)])
         stream.log(f"{root}/path", path, static=True)
+        _send_trail(stream, f"{root}/trail", error.t, error.p_GI, color)
         R_GB = error.R_GI @ robot.R_BI.T
         _send_poses(
             stream, f"{root}/body", [time_column(error.t)], error.p_GI - R_GB @ robot.p_BI, R_GB
@@ -204,6 +207,19 @@ def trunk_size(robot: Robot) -> np.ndarray:
     hips = robot.legs.offset[:, 0]
     half = np.abs(hips - hips.mean(axis=0)).mean(axis=0)
     return np.array([1.25 * half[0], max(1.25 * half[1], 0.3 * half[0]), 0.3 * half[0]])
+
+
+def _send_trail(
+    stream: rr.RecordingStream, path: str, t: np.ndarray, p: np.ndarray, color: str
+) -> None:
+    """The path once more in short pieces, each at its own time, for a view of the last seconds."""
+    starts = np.arange(0, len(t) - 1, _PIECE)
+    pieces = [p[k : k + _PIECE + 1].astype(np.float32) for k in starts]
+    style = rr.LineStrips3D.from_fields(colors=[rgba(color)], radii=[_pixels(1.5)])
+    stream.log(path, style, static=True)
+    stream.send_columns(
+        path, indexes=[time_column(t[starts])], columns=rr.LineStrips3D.columns(strips=pieces)
+    )
 
 
 def _pixels(size: float) -> Any:

@@ -143,6 +143,15 @@ def test_errors_are_those_of_the_estimates(contents, walk):
         assert np.all(bands[:, 0] >= 3 * 0.1)
 
 
+def test_the_trail_in_pieces_is_the_path(contents):
+    (path,) = contents.static["/world/estimates/leg/path"]["LineStrips3D:strips"][0]
+    pieces = [
+        row[0] for row in contents.moving["/world/estimates/leg/trail"]["LineStrips3D:strips"]
+    ]
+    joined = np.concatenate([pieces[0], *[piece[1:] for piece in pieces[1:]]])
+    np.testing.assert_allclose(joined, path, atol=1e-6)
+
+
 def test_contact_lanes_hold_every_change_and_slipping(contents, walk):
     contact = walk.log.contact[:, 0]
     states = [s[0] for s in contents.moving["/feet/contact/FL"]["StateChange:state"]]
