@@ -26,6 +26,8 @@ _STYLES: dict[str, tuple[str, str, str]] = {
     "velocity_persistent": ("Velocity IEKF, persistent error", "#74CDB2", "--"),
     "leg": ("Leg IEKF", "#2F86D1", "-"),
     "leg_slip": ("Leg IEKF, slip rejected", "#8CBBEA", "--"),
+    "leg (declared model)": ("Leg IEKF, declared model", "#8CBBEA", "--"),
+    "leg (effect added)": ("Leg IEKF, effect added", "#2F86D1", "-"),
     "imu": ("IMU alone", "#CC79A7", "-"),
     "radar_leg": ("Radar and legs", "#9A9A2E", "-"),
 }
