@@ -93,7 +93,7 @@ def _numbers(M):
 
 @njit(cache=True)
 def feet(legs, q, R_BI, p_BI):
-    """Of q (N, 12): foot centres (N, 4, 3), Jacobians (N, 4, 3, 3), joint axes (N, 4, 3, 3), in I."""
+    """Of q (N, 12), in I: foot centres (N, 4, 3), Jacobians and joint axes (both (N, 4, 3, 3))."""
     n = q.shape[0]
     position = np.empty((n, 4, 3))
     jacobian = np.empty((n, 4, 3, 3))

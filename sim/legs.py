@@ -89,8 +89,8 @@ def _order_by_place(
         match = np.flatnonzero((front * centred[:, 0] > 0) & (left * centred[:, 1] > 0))
         if len(match) != 1:
             raise SurefootError(
-                f"robot {name}: cannot tell front, rear, left and right legs apart; the base's x axis "
-                "must point forward and y left"
+                f"robot {name}: cannot tell front, rear, left and right legs apart; the base's x "
+                "axis must point forward and y left"
             )
         ordered.append(chains[match[0]])
     return ordered
@@ -114,7 +114,8 @@ def _foot_geom(model: mujoco.MjModel, last_joint: int, leg: str, name: str) -> i
             best, reach = geom, distance
     if best < 0:
         raise SurefootError(
-            f"robot {name}: leg {leg} has no colliding sphere for a foot; add a sphere geom at its end"
+            f"robot {name}: leg {leg} has no colliding sphere for a foot; add a sphere geom at its "
+            "end"
         )
     return best
 

@@ -28,7 +28,8 @@ def robot_file(name_or_path: str | Path) -> Path:
             return path
         raise SurefootError(f"robot {path}: no such MJCF file")
     raise SurefootError(
-        f"unknown robot '{name_or_path}': give a path to an .xml (MJCF), or one of {', '.join(known)}"
+        f"unknown robot '{name_or_path}': give a path to an .xml (MJCF), or one of "
+        f"{', '.join(known)}"
     )
 
 

@@ -10,11 +10,12 @@ import pandas as pd
 from sim.course import Course, lay_course
 from sim.effects import Effect
 from sim.errors import SurefootError
-from sim.gait import Gait, gait_for, tick
+from sim.gait import Gait, fresh_memory, gait_for, tick
 from sim.kinematics import feet
 from sim.legs import JOINTS, LEGS
 from sim.log import Log, Meta
 from sim.quaternion import matrix_from_quaternion, quaternion_from_matrix
+from sim.relief import Relief, height, surfaces
 from sim.robot import Robot
 from sim.scenario import Scenario, drawn
 from sim.sensors import Motion, Sensors, Streams, corrupt, ideal_streams, imu_motion
@@ -85,8 +86,7 @@ def simulate(
     steps = len(course.t) * STEPS_PER_TICK
     qpos, qvel = np.empty((steps + 1, model.nq)), np.empty((steps + 1, model.nv))
     tau, force = np.empty((steps, 12)), np.empty((steps, 4))
-    memory = np.zeros((4, 8))
-    memory[:, 3] = 1.0
+    relief, memory = world.relief, fresh_memory()
     torque, load = np.zeros(12), np.full(4, gait.mass * 9.81 / 4)
     target = np.column_stack([course.pose, course.velocity])
     for k in range(steps):
@@ -95,12 +95,12 @@ def simulate(
             i = k // STEPS_PER_TICK
             R = matrix_of(data.qpos[3:7])
             tick(
-                robot.legs, gait, memory, course.t[i], data.qpos[:3].copy(), R, data.qvel[:3].copy(),
-                data.qvel[3:6].copy(), data.qpos[world.qpos_adr], data.qvel[world.dof_adr],
-                load, target[i], torque,
+                robot.legs, gait, relief, memory, course.t[i], data.qpos[:3].copy(), R,
+                data.qvel[:3].copy(), data.qvel[3:6].copy(), data.qpos[world.qpos_adr],
+                data.qvel[world.dof_adr], load, target[i], torque,
             )  # fmt: skip
             data.ctrl[:] = torque
-            if R[2, 2] < 0.5 or data.qpos[2] < 0.4 * gait.height:
+            if has_fallen(gait, relief, data.qpos[:3], R):
                 raise Fallen(
                     f"robot {robot.name} fell at {course.t[i]:.2f} s of {course.t[-1]:.0f} s"
                 )
@@ -124,6 +124,11 @@ def simulate(
         tau=tau,
         force=force,
     )
+
+
+def has_fallen(gait: Gait, relief: Relief, p: np.ndarray, R: np.ndarray) -> bool:
+    """Tilted by more than 60 degrees, or low: base at p (3,) [m] with attitude R (3, 3)."""
+    return R[2, 2] < 0.5 or p[2] - height(relief, p[0], p[1]) < 0.4 * gait.height
 
 
 def matrix_of(quaternion: np.ndarray) -> np.ndarray:
@@ -172,18 +177,22 @@ def _frame(
 def foot_truth(motion: Motion, robot: Robot, ground: Ground) -> tuple[np.ndarray, np.ndarray]:
     """Per row and leg: speed of the loaded foot's contact point over the ground [m/s], and mu.
 
-    A rolling foot does not slip: the speed is that of the sphere's lowest point, not of its centre.
+    A rolling foot does not slip: the speed is that of its contact point, not of its centre.
     """
     foot_B, jacobian, axes = feet(robot.legs, motion.q[1:], np.eye(3), np.zeros(3))
     R = motion.R_GB[1:]
     dq = motion.dq[1:].reshape(-1, 4, 3)
     w_foot_B = motion.w_B[1:, None] + np.einsum("nlij,nlj->nli", axes, dq)
     v_foot_B = np.cross(motion.w_B[1:, None], foot_B) + np.einsum("nlij,nlj->nli", jacobian, dq)
-    below = np.zeros((4, 3))
-    below[:, 2] = -robot.foot_radius
     v_centre = motion.v_GB[1:, None] + np.einsum("nij,nlj->nli", R, v_foot_B)
-    v_sole = v_centre + np.cross(np.einsum("nij,nlj->nli", R, w_foot_B), below)
     place = motion.p_GB[1:, None] + np.einsum("nij,nlj->nli", R, foot_B)
+    normals = surfaces(ground.relief, place[..., 0].ravel(), place[..., 1].ravel())[1]
+    normals = normals.reshape(place.shape)
+    # The contact point lies below the centre along the ground's normal, not along gravity.
+    sole = -robot.foot_radius[:, None] * normals
+    v_sole = v_centre + np.cross(np.einsum("nij,nlj->nli", R, w_foot_B), sole)
+    v_sole -= np.einsum("nlj,nlj->nl", v_sole, normals)[..., None] * normals
     loaded = motion.force > 0.02 * robot.mass * 9.81
-    slip = np.where(loaded, np.linalg.norm(v_sole[..., :2], axis=-1), 0.0)
-    return slip, ground.friction(place[..., 0], place[..., 1])
+    slip = np.where(loaded, np.linalg.norm(v_sole, axis=-1), 0.0)
+    touching = place + sole
+    return slip, ground.friction(touching[..., 0], touching[..., 1])

@@ -6,8 +6,10 @@ import mujoco
 import numpy as np
 
 from sim.legs import JOINTS, LEGS
+from sim.relief import Relief, height
 from sim.robot import Robot
-from sim.terrain import Ground, add_ground
+from sim.terrain import Ground
+from sim.tiles import add_ground
 
 TIMESTEP = 0.002  # s
 
@@ -21,6 +23,7 @@ class World:
     dof_adr: np.ndarray  # (12,)
     touch_adr: np.ndarray  # (4,) into sensordata
     start: np.ndarray  # (nq,) standing at the origin
+    relief: Relief  # of the ground
 
 
 def robot_spec(robot: Robot) -> mujoco.MjSpec:
@@ -71,7 +74,9 @@ def build_world(robot: Robot, ground: Ground, spec: mujoco.MjSpec | None = None)
     qpos_adr = np.array([joint.qposadr[0] for joint in joints])
     home_B = robot.feet_I(robot.q_home[None])[0] @ robot.R_BI.T + robot.p_BI
     start = model.qpos0.copy()
-    start[:7] = [0, 0, np.max(robot.foot_radius - home_B[:, 2]), 1, 0, 0, 0]
+    relief = ground.relief
+    stand = height(relief, 0.0, 0.0) + np.max(robot.foot_radius - home_B[:, 2])
+    start[:7] = [0, 0, stand, 1, 0, 0, 0]
     start[qpos_adr] = robot.q_home
     return World(
         model=model,
@@ -79,4 +84,5 @@ def build_world(robot: Robot, ground: Ground, spec: mujoco.MjSpec | None = None)
         dof_adr=np.array([joint.dofadr[0] for joint in joints]),
         touch_adr=np.array([model.sensor(f"touch_{leg}").adr[0] for leg in LEGS]),
         start=start,
+        relief=relief,
     )
