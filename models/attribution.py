@@ -119,8 +119,6 @@ def judge(
 ) -> tuple[Candidate, ...]:
     """Every candidate that is not chosen yet, those that earn a place first, by gain."""
     seen, unseen = data.rows(split.fit), data.rows(split.select)
-    base_fit = fit(seen, chosen).sizes
-    base, base_seen = loss(unseen, chosen, base_fit), loss(seen, chosen, base_fit)
     judged = []
     for key in data.keys:
         if key in chosen:
@@ -129,12 +127,13 @@ def judge(
         fitted = fit(seen, with_it)
         at = len(chosen)
         size, error = float(fitted.sizes[at]), float(np.sqrt(fitted.covariance[at, at]))
+        offset, spread = floor.sizes(chosen, key)
+        size -= offset
+        base, base_seen = (_without(part, key, offset, chosen, seen) for part in (unseen, seen))
         blocks = by_block(unseen, base - loss(unseen, with_it, fitted.sizes))
         gain = float(blocks.sum())
         low, high = np.percentile(resampled(blocks, rng), [2.5, 97.5])
         at_seen = float(np.sum(base_seen - loss(seen, with_it, fitted.sizes)))
-        offset, spread = floor.sizes(chosen, key)
-        size -= offset
         # The floor's own offset is only as sure as its contact model.
         spread = float(np.hypot(spread, DOUBT * offset))
         bounds = CATALOGUE[key[0]].bounds
@@ -154,6 +153,15 @@ def judge(
             )
         )  # fmt: skip
     return tuple(sorted(judged, key=lambda c: (not c.earned, -c.gain)))
+
+
+def _without(
+    part: Whitened, key: Key, offset: float, chosen: Sequence[Key], seen: Whitened
+) -> np.ndarray:
+    """Loss (M,) of a part with the candidate at no more than the floor's own size."""
+    column = part.keys.index(key)
+    rest, rest_seen = (replace(d, y=d.y - d.X[:, :, column] * offset) for d in (part, seen))
+    return loss(rest, chosen, fit(rest_seen, chosen).sizes)
 
 
 def _key(one: Effect) -> Key:

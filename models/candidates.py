@@ -70,11 +70,11 @@ def linearise(
     differences instead of forward ones, for the last refinement.
     """
     parts = [_linearise(case, i, chosen, tuple(keys), central) for i, case in enumerate(cases)]
-    return Evidence(
-        *(np.concatenate([getattr(p, name) for p in parts]) for name in ("t", "log", "table")),
-        tuple(keys),
-        *(np.concatenate([getattr(p, name) for p in parts]) for name in ("X", "Z")),
-    )
+    joined = {
+        name: np.concatenate([getattr(part, name) for part in parts])
+        for name in ("t", "log", "table", "X", "Z")
+    }
+    return Evidence(keys=tuple(keys), **joined)
 
 
 def table_of(case: Case, chosen: Sequence[Effect]) -> np.ndarray:

@@ -39,7 +39,7 @@ def trust(evidence: Evidence, floor: np.ndarray) -> Trust:
     there = np.isfinite(table)
     y = np.where(there, table, 0.0)
     masked = np.zeros((len(table), 4), dtype=bool)
-    sigma, weight = floor.copy(), there.astype(float)
+    sigma, weight, left = floor.copy(), there.astype(float), y
     for last in (False, True):
         for _ in range(6):
             left = y - _explained(evidence, y / sigma, weight, sigma)

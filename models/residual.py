@@ -101,7 +101,7 @@ def inside_stance(t: np.ndarray, contact: np.ndarray) -> np.ndarray:
     for leg in range(contact.shape[1]):
         change = np.flatnonzero(np.diff(contact[:, leg].astype(int)))
         for row in change:
-            inside[np.abs(t - t[row]) <= EDGE, leg] = False
+            inside[np.abs(t - 0.5 * (t[row] + t[row + 1])) <= EDGE, leg] = False
     return inside
 
 

@@ -201,7 +201,7 @@ def _readings(log: Log) -> Log:
     """The log without anything that a measured one could not have."""
     known = ("t", "gyro_", "accel_", "q_", "dq_", "tau_", "contact_", "ref_")
     names = [n for n in log.frame if str(n) == "t" or str(n).startswith(known[1:])]
-    return Log(log.frame[names], log.meta, log.name)
+    return Log(log.frame.filter(items=names), log.meta, log.name)
 
 
 def _cannot_tell(cases: Sequence[Case]) -> str:

@@ -47,7 +47,8 @@ def leg_trajectory(log: Log, robot: Robot) -> Trajectory:
     return run_leg(
         log.t, log.gyro, log.accel, robot.feet_I(q), log.contact,
         encoder_covariance(robot.feet_jacobian_I(q), ENCODER, KINEMATICS), *initial_state(log),
-        foot_radius=np.maximum(robot.foot_radius, 0.0), foot_rates_I=robot.foot_rates_I(q, dq),
+        foot_radius=np.maximum(robot.foot_radius, 0.0),  # pyright: ignore[reportArgumentType]
+        foot_rates_I=robot.foot_rates_I(q, dq),
     )  # fmt: skip
 
 

@@ -98,8 +98,8 @@ def sections(found: Trace) -> list[Section]:
         parts.append(
             Section(
                 f"What it does to the {name} filter",
-                "The filter runs over the same end of the log, started from the reference: with the "
-                "declared model, and with the effect added to it.",
+                "The filter runs over the same end of the log, started from the reference: with "
+                "the declared model, and with the effect added to it.",
                 table=[
                     {
                         "metric": words, "unit": unit, "before": metrics["before"][key],

@@ -1,0 +1,137 @@
+"""The loop closes: an effect nobody declared is named with its size, and a plain walk has none."""
+
+import json
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from scenarios.trace import OUTPUTS, diagnose, trace
+from scenarios.trace_words import summary
+from sim.effects import effect
+from sim.effects_file import load_effects
+from sim.errors import SurefootError
+from sim.log import Log, LogError, Meta
+from sim.robot import Robot
+from sim.scenario import Scenario, Segment
+from sim.terrain import Ground, Patch
+from sim.walk import walk
+
+ROBOT = Robot.load("spot_class")
+COURSE = (
+    Segment(5.0, 0.7),
+    Segment(5.0, 0.5, turn=0.5),
+    Segment(4.0, 0.8),
+    Segment(5.0, 0.4, turn=-0.6),
+    Segment(5.0, 0.6, lateral=0.1),
+    Segment(6.0, 0.5, turn=0.4),
+)
+SLIPPERY = tuple(Patch(x, 0.5, 1.2, 3.0, 0.2) for x in (1.5, 4.5))
+
+
+@lru_cache
+def log_with(*one, slippery=True, seed=0):
+    ground = Ground(0.8, SLIPPERY if slippery else ())
+    effects = [effect(*one)] if one else []
+    return walk(Scenario("loop", COURSE, ground), ROBOT, seed, effects=effects, declared=False)
+
+
+@lru_cache
+def traced(*one):
+    return diagnose([log_with(*one)], ROBOT)
+
+
+@pytest.mark.parametrize(
+    "one",
+    [
+        ("encoder_offset", "RL_thigh", -0.02),
+        ("foot_rolling", "all", 0.006),
+        ("gyro_scale", "x", 0.02),
+    ],
+    ids=["encoder_offset", "foot_rolling", "gyro_scale"],
+)
+def test_an_undeclared_effect_is_named_with_its_size(one):
+    found = traced(*one)
+    assert found.verdict == "attributed"
+    assert [(e.name, e.target) for e in found.effects] == [one[:2]]
+    assert found.attribution is not None
+    low, high = found.attribution.found[0].interval
+    assert found.effects[0].value == pytest.approx(one[2], rel=0.1) or low < one[2] < high
+    channel = found.channels["imu_gyro" if one[0] == "gyro_scale" else "leg_velocity"]
+    assert channel.after < 0.95 * channel.before
+    assert channel.noise_floor is not None
+    assert channel.after < 1.25 * channel.noise_floor
+
+
+def test_the_leg_filter_gains_by_what_was_found():
+    before, after = (
+        traced("foot_rolling", "all", 0.006).filters["leg"][k] for k in ("before", "after")
+    )
+    assert after["rpe_trans"] < 0.8 * before["rpe_trans"]
+    assert all(np.isfinite(list(after.values())))
+
+
+@pytest.mark.parametrize("slippery", [True, False])
+def test_a_walk_as_declared_lacks_nothing(slippery):
+    found = diagnose([log_with(slippery=slippery)], ROBOT)
+    assert found.verdict == "no_residual"
+    assert found.effects == ()
+
+
+def stripped(log):
+    """What a stranger would send: no scenario, seed, effects, versions or truth, another name."""
+    names = [n for n in log.frame if not str(n).startswith(("slip_", "mu_"))]
+    return Log(log.frame[names], Meta(rate=log.meta.rate, robot=log.meta.robot), "a_stranger")
+
+
+def test_the_same_trace_of_a_log_that_tells_nothing_of_itself(tmp_path):
+    log = log_with("encoder_offset", "RL_thigh", -0.02)
+    told = replace(log, meta=replace(log.meta, effects=({"name": "gyro_scale"},)))
+    stripped(log).write(tmp_path / "x.parquet")
+    trace([told], ROBOT, tmp_path / "a")
+    trace([Log.read(tmp_path / "x.parquet")], ROBOT, tmp_path / "b")
+    texts = [(tmp_path / d / "trace.json").read_text() for d in ("a", "b")]
+    assert texts[0] == texts[1]
+    said = json.loads(texts[0])
+    assert said["effects"][0]["unit"] == "rad"
+    assert set(said["channels"]) == {"imu_gyro", "imu_accel", "leg_velocity"}
+    assert set(said["filters"]["leg"]) == {"before", "after"}
+    for name in OUTPUTS:
+        assert (tmp_path / "a" / name).stat().st_size > 0
+    assert load_effects(tmp_path / "a" / "effects.toml")[0].target == "RL_thigh"
+    # Nothing is overwritten unless asked, and nothing is computed before that is known.
+    with pytest.raises(SurefootError, match="exists already"):
+        trace([told], ROBOT, tmp_path / "a")
+
+
+def test_a_declared_effect_is_part_of_the_model():
+    known = effect("encoder_offset", "RL_thigh", -0.02)
+    found = diagnose([log_with("encoder_offset", "RL_thigh", -0.02)], ROBOT, declared=[known])
+    assert found.verdict == "no_residual"
+
+
+def test_without_legs_the_imu_is_still_traced():
+    log = log_with("gyro_scale", "x", 0.02)
+    names = [n for n in log.frame if not str(n).startswith(("q_", "dq_", "tau_", "contact_"))]
+    found = diagnose([replace(log, frame=log.frame[names])], ROBOT)
+    assert [(e.name, e.target) for e in found.effects] == [("gyro_scale", "x")]
+    assert set(found.channels) == {"imu_gyro", "imu_accel"}
+    assert any("leg_velocity: not used" in note for note in found.notes)
+    assert "gyro_scale x" in summary(found)
+
+
+def test_data_that_cannot_tell_are_not_identifiable(tmp_path):
+    short = log_with().rows(slice(0, 3000))
+    found = trace([short], ROBOT, tmp_path)
+    assert found.verdict == "not_identifiable"
+    assert "too short: 6.0 s" in summary(found)
+    assert json.loads((tmp_path / "trace.json").read_text())["verdict"] == "not_identifiable"
+
+
+def test_without_a_reference_there_is_nothing_to_trace(tmp_path):
+    log = log_with()
+    names = [n for n in log.frame if not str(n).startswith("ref_")]
+    with pytest.raises(LogError, match="reference"):
+        trace([replace(log, frame=log.frame[names])], ROBOT, tmp_path / "out")
+    assert not (tmp_path / "out").exists()

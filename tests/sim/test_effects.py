@@ -1,0 +1,213 @@
+"""Effects: what they put into the simulation is what they say, and files of them are checked."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+from sim.effects import CATALOGUE, effect
+from sim.effects_file import load_effects, save_effects, to_toml
+from sim.errors import SurefootError
+from sim.kinematics import feet
+from sim.legs import JOINTS, LEGS, find_legs
+from sim.robot import Robot
+from sim.scenario import Scenario, Segment
+from sim.sensors import Streams
+from sim.terrain import Ground
+from sim.walk import walk
+from sim.world import robot_spec
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return Robot.load("spot_class")
+
+
+@pytest.fixture(scope="module")
+def log(robot):
+    segments = (Segment(2.0, 0.5, turn=0.4),)
+    return walk(Scenario("short", segments, Ground(0.8), stand=0.3), robot, seed=3)
+
+
+@pytest.fixture
+def streams():
+    rng = np.random.default_rng(0)
+    t = 0.002 * np.arange(500)
+    smooth = np.sin(2 * np.pi * rng.uniform(0.5, 2, 12) * t[:, None])
+    return Streams(
+        t=t,
+        gyro=rng.normal(size=(500, 3)),
+        accel=rng.normal(size=(500, 3)),
+        q=smooth,
+        dq=2 * smooth,
+        tau=3 * smooth,
+        force=np.ones((500, 4)),
+    )
+
+
+def edited(robot, one):
+    spec = robot_spec(robot)
+    one.edit_spec(spec, robot)
+    model = spec.compile()
+    return model, find_legs(model, robot.name)
+
+
+@pytest.mark.parametrize("target", [f"{leg}_{link}" for leg in LEGS for link in ("thigh", "calf")])
+def test_link_length_moves_the_foot_of_the_compiled_model_as_explained(robot, target):
+    """Two roads to the same leg: MuJoCo's edited bodies, and the constants that a filter uses."""
+    one = effect("link_length", target, 0.007)
+    _, tree = edited(robot, one)
+    q = np.random.default_rng(1).uniform(-0.5, 0.5, (20, 12)) + robot.q_home
+    simulated = feet(tree.constants, q, robot.R_BI, robot.p_BI)[0]
+    _, known = one.explain(None, robot)
+    assert_allclose(known.feet_I(q), simulated, atol=1e-12)
+    moved = np.linalg.norm(simulated - robot.feet_I(q), axis=2)
+    leg = LEGS.index(target[:2])
+    assert_allclose(moved[:, leg], 0.007, atol=1e-12)
+    assert_allclose(np.delete(moved, leg, axis=1), 0.0, atol=1e-12)
+
+
+def test_foot_rolling_changes_the_radius_and_leaves_the_centres(robot):
+    one = effect("foot_rolling", "all", 0.005)
+    _, tree = edited(robot, one)
+    assert_allclose(tree.foot_radius, robot.foot_radius + 0.005)
+    assert_allclose(tree.constants.foot, robot.legs.foot)
+    assert_allclose(one.explain(None, robot)[1].foot_radius, tree.foot_radius)
+
+
+def test_foot_rolling_leaves_every_foot_a_radius(robot):
+    with pytest.raises(SurefootError, match=r"leaves foot FL no radius"):
+        edited(robot, effect("foot_rolling", "all", -0.04))
+
+
+def test_encoder_offset_is_on_one_joint(robot, streams):
+    altered = effect("encoder_offset", "RL_thigh", 0.02).alter_streams(streams, robot)
+    shift = altered.q - streams.q
+    j = JOINTS.index("RL_thigh")
+    assert_allclose(shift[:, j], 0.02)
+    assert not np.delete(shift, j, axis=1).any()
+    assert_array_equal(altered.dq, streams.dq)
+
+
+def test_imu_rotation_turns_the_sensor(robot, streams):
+    """A sensor turned by +90 degrees about z reads what lies along x as lying along its -y."""
+    still = replace(streams, accel=np.tile([1.0, 0.0, 0.0], (500, 1)))
+    # Bounds keep the effect to half a radian, so the quarter turn is made of smaller ones.
+    for _ in range(4):
+        still = effect("imu_rotation", "z", np.pi / 8).alter_streams(still, robot)
+    assert_allclose(still.accel, np.tile([0.0, -1.0, 0.0], (500, 1)), atol=1e-12)
+
+
+def test_gyro_scale_is_on_one_axis(robot, streams):
+    altered = effect("gyro_scale", "y", 0.02).alter_streams(streams, robot)
+    assert_allclose(altered.gyro, streams.gyro * [1, 1.02, 1])
+
+
+def test_joint_delay_is_a_delay(robot, streams):
+    altered = effect("joint_delay", "all", 0.006).alter_streams(streams, robot)
+    for name in ("q", "dq", "tau"):
+        assert_allclose(getattr(altered, name)[3:], getattr(streams, name)[:-3], atol=1e-12)
+    assert_array_equal(altered.gyro, streams.gyro)
+
+
+@pytest.mark.parametrize(
+    ("name", "target", "value"),
+    [
+        ("encoder_offset", "FR_calf", 0.03),
+        ("imu_rotation", "x", -0.04),
+        ("gyro_scale", "z", 0.02),
+        ("joint_delay", "all", 0.005),
+    ],
+)
+def test_explain_undoes_what_was_done_to_the_streams(robot, log, name, target, value):
+    one = effect(name, target, value)
+    ideal = Streams(log.t, log.gyro, log.accel, log.q, log.dq, log.tau, log.force)
+    altered = one.alter_streams(ideal, robot)
+    frame = log.frame.copy()
+    for kind, names in (("gyro", "xyz"), ("accel", "xyz"), ("q", JOINTS), ("dq", JOINTS)):
+        frame[[f"{kind}_{n}" for n in names]] = getattr(altered, kind)
+    known, same = one.explain(replace(log, frame=frame), robot)
+    inside = slice(10, -10)
+    assert same is robot
+    assert_allclose(known.gyro, log.gyro, atol=1e-12)
+    assert_allclose(known.accel, log.accel, atol=1e-12)
+    # The delay is no whole number of samples: what two interpolations of a walk lose.
+    assert np.abs(known.q - log.q)[inside].max() < (2e-3 if name == "joint_delay" else 1e-12)
+
+
+def test_a_walk_keeps_its_effects_to_itself_when_undeclared(robot):
+    scenario = Scenario("tiny", (Segment(0.5, 0.2),), Ground(0.8), stand=0.2)
+    one = effect("encoder_offset", "FL_hip", 0.02)
+    plain = walk(scenario, robot, 1)
+    hidden = walk(scenario, robot, 1, effects=[one], declared=False)
+    told = walk(scenario, robot, 1, effects=[one])
+    assert hidden.meta == plain.meta
+    assert told.meta.effects == (one.as_dict(),)
+    assert_allclose(hidden.q[:, 0] - plain.q[:, 0], 0.02, atol=4e-4)
+    assert_array_equal(hidden.ref_p, plain.ref_p)
+
+
+@given(st.data())
+def test_files_give_back_what_was_saved(tmp_path_factory, data):
+    name = data.draw(st.sampled_from(sorted(CATALOGUE)))
+    kind = CATALOGUE[name]
+    one = effect(name, data.draw(st.sampled_from(kind.targets)), data.draw(st.floats(*kind.bounds)))
+    path = tmp_path_factory.mktemp("effects") / "e.toml"
+    save_effects(path, [one])
+    assert load_effects(path) == (one,)
+
+
+def test_a_file_of_no_effects(tmp_path):
+    save_effects(tmp_path / "none.toml", [])
+    assert load_effects(tmp_path / "none.toml") == ()
+    with pytest.raises(SurefootError, match="exists already"):
+        save_effects(tmp_path / "none.toml", [])
+
+
+GOOD = 'name = "encoder_offset"\ntarget = "FL_hip"\nvalue = 0.02\nunit = "rad"\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[[effect]\n", "not valid TOML"),
+        ("[effect]\n" + GOOD, r"written as \[\[effect\]\]"),
+        ("colour = 1\n", "unknown key 'colour'"),
+        ("[[effect]]\n" + GOOD + "size = 1\n", r"\[\[effect\]\] 1: unknown key 'size'"),
+        ("[[effect]]\n" + GOOD.replace("unit", "#"), "1: needs unit"),
+        ("[[effect]]\n" + GOOD.replace('"rad"', '"deg"'), "unit of encoder_offset must be 'rad'"),
+        (
+            "[[effect]]\n" + GOOD.replace("FL_hip", "FL_hop"),
+            "unknown target 'FL_hop'; known: FL_hip",
+        ),
+        ("[[effect]]\n" + GOOD.replace("encoder_offset", "gremlin"), "unknown effect 'gremlin'"),
+        ("[[effect]]\n" + GOOD.replace("0.02", "20.0"), "lie between -0.2 and 0.2 rad, is 20"),
+        ("[[effect]]\n" + GOOD.replace("0.02", "nan"), "value must be a number"),
+        ("[[effect]]\n" + GOOD.replace("0.02", '"0.02"'), "value must be a number"),
+        ("[[effect]]\n" + GOOD.replace('"FL_hip"', "3"), "target must be a string"),
+        ("[[effect]]\n" + GOOD + "[[effect]]\n" + GOOD, r"\[\[effect\]\] 2: .* twice"),
+    ],
+)
+def test_a_bad_file_is_one_clear_line(tmp_path, text, said):
+    path = tmp_path / "effects.toml"
+    path.write_text(text)
+    with pytest.raises(SurefootError, match=said) as caught:
+        load_effects(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_no_such_file(tmp_path):
+    with pytest.raises(SurefootError, match="No such file"):
+        load_effects(tmp_path / "missing.toml")
+
+
+def test_text_of_a_file():
+    one = effect("gyro_scale", "x", 0.01)
+    assert (
+        to_toml([one])
+        == '[[effect]]\nname = "gyro_scale"\ntarget = "x"\nvalue = 0.01\nunit = "ratio"\n'
+    )
