@@ -13,7 +13,7 @@ from sim.legs import find_legs
 from sim.log import Log
 from sim.quaternion import matrix_from_quaternion
 from sim.robot_files import robot_file
-from sim.stance import standing_joints
+from sim.stance import standing_joints, stands
 
 IMU_SITES = ("imu", "imu_site", "IMU", "trunk_imu")
 
@@ -185,8 +185,10 @@ def _torque_limits(model: mujoco.MjModel, joints: np.ndarray, name: str) -> np.n
 
 
 def _home(model: mujoco.MjModel, joints: np.ndarray, legs: Legs) -> np.ndarray:
-    """The keyframe "home" if the model has one, else knees bent with feet below the hips."""
+    """The keyframe "home" if it stands, else knees bent with feet below the hips."""
     key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
     if key >= 0:
-        return model.key_qpos[key, model.jnt_qposadr[joints]].copy()
+        q_home = model.key_qpos[key, model.jnt_qposadr[joints]].copy()
+        if stands(legs, q_home):
+            return q_home
     return standing_joints(legs, _ranges(model, joints))

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from sim.legs import JOINTS, LEGS
-from sim.relief import Relief, height
+from sim.relief import Relief, surface
 from sim.robot import Robot
 from sim.terrain import Ground
 from sim.tiles import add_ground
@@ -75,8 +75,7 @@ def build_world(robot: Robot, ground: Ground, spec: mujoco.MjSpec | None = None)
     home_B = robot.feet_I(robot.q_home[None])[0] @ robot.R_BI.T + robot.p_BI
     start = model.qpos0.copy()
     relief = ground.relief
-    stand = height(relief, 0.0, 0.0) + np.max(robot.foot_radius - home_B[:, 2])
-    start[:7] = [0, 0, stand, 1, 0, 0, 0]
+    start[:7] = _standing_pose(relief, float(np.max(robot.foot_radius - home_B[:, 2])))
     start[qpos_adr] = robot.q_home
     return World(
         model=model,
@@ -86,3 +85,14 @@ def build_world(robot: Robot, ground: Ground, spec: mujoco.MjSpec | None = None)
         start=start,
         relief=relief,
     )
+
+
+def _standing_pose(relief: Relief, stand: float) -> np.ndarray:
+    """Place and attitude (7,) of the base that stands `stand` [m] above the origin's slope."""
+    z, slope_x, slope_y = surface(relief, 0.0, 0.0)
+    turn = np.array([-slope_y, slope_x, 0.0])
+    steep = np.hypot(slope_x, slope_y)
+    half = 0.5 * np.arctan(steep)
+    axis = turn / steep if steep else turn
+    lifted = z + stand * np.hypot(1.0, steep)
+    return np.array([0.0, 0.0, lifted, np.cos(half), *(-np.sin(half) * axis)])
