@@ -19,6 +19,11 @@ from estimator.propagation import add_cross_columns, propagate_covariance, propa
 from estimator.state import B_G, EXTRA, P
 from estimator.velocity import gaussian_update
 
+MEMORY = 0.1
+"""Weight of the newest innovation in the running mean: about 20 updates, 40 ms at 500 Hz."""
+HOLD = 50
+"""Updates for which a foot that slipped is left out, 0.1 s at 500 Hz."""
+
 
 @njit(cache=True)
 def propagate_contacts(
@@ -68,36 +73,66 @@ def propagate_contacts(
 
 @njit(cache=True)
 def update_contacts(
-    mean, covariance, standing, feet_I, in_contact, measurement_cov, gate: float, slipped
+    mean, covariance, standing, feet_I, in_contact, measurement_cov, gate: float, drift, held
 ):
     """Contacts leave, correct the state and enter, in this order, in place.
 
-    feet_I (K, 3) [m] and measurement_cov (K, 3, 3) [m^2] in I; in_contact (K,) bool. A foot whose
-    innovation lies beyond `gate` (squared Mahalanobis distance) has slipped: nothing is learnt from
-    it, and its contact leaves and enters anew; slipped (K,) bool says so.
+    feet_I (K, 3) [m] and measurement_cov (K, 3, 3) [m^2] in I; in_contact (K,) bool. A foot found
+    slipping (see `_slips`, drift (K, 3)) leaves the state and stays out for HOLD updates, counted
+    down in held (K,), or until it lifts off.
     """
     feet = standing.shape[0]
     n = covariance.shape[0]
     PHt, S, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
     for k in range(feet):
-        slipped[k] = False
+        held[k] = max(held[k] - 1, 0) if in_contact[k] else 0
         if standing[k] and not in_contact[k]:
             _remove(mean, covariance, k)
             standing[k] = False
     for k in range(feet):
-        if standing[k]:
-            contact_output(mean, covariance, k, feet_I[k], PHt, S, residual)
-            distance = gaussian_update(
-                mean, covariance, feet, PHt, S, residual, measurement_cov[k], gate
-            )
-            if distance > gate:
-                slipped[k] = True
-                _remove(mean, covariance, k)
-                standing[k] = False
+        if not standing[k]:
+            continue
+        contact_output(mean, covariance, k, feet_I[k], PHt, S, residual)
+        if np.isfinite(gate) and _slips(S, measurement_cov[k], residual, gate, drift[k]):
+            _remove(mean, covariance, k)
+            standing[k] = False
+            held[k] = HOLD
+        else:
+            gaussian_update(mean, covariance, feet, PHt, S, residual, measurement_cov[k])
     for k in range(feet):
-        if in_contact[k] and not standing[k]:
+        if in_contact[k] and not standing[k] and held[k] == 0:
             _insert(mean, covariance, k, feet_I[k], measurement_cov[k])
             standing[k] = True
+            for i in range(3):
+                drift[k, i] = 0.0
+
+
+@njit(cache=True)
+def _slips(S, measurement_cov, residual, gate: float, drift) -> bool:
+    """Chi-square test (3 degrees of freedom) of one innovation and of their running mean.
+
+    Innovations of a consistent filter are white with covariance S + R. A slip of half a metre a
+    second moves a foot by only a millimetre an update, which no single innovation shows; it does
+    show in the exponential mean `drift` of the whitened ones, of variance MEMORY / (2 - MEMORY).
+    """
+    L = np.zeros((3, 3))
+    white = np.empty(3)
+    single = 0.0
+    running = 0.0
+    for i in range(3):
+        white[i] = residual[i]
+        for j in range(i + 1):
+            total = S[i, j] + measurement_cov[i, j]
+            for m in range(j):
+                total -= L[i, m] * L[j, m]
+            L[i, j] = np.sqrt(total) if i == j else total / L[j, j]
+            if j < i:
+                white[i] -= L[i, j] * white[j]
+        white[i] /= L[i, i]
+        drift[i] += MEMORY * (white[i] - drift[i])
+        single += white[i] ** 2
+        running += drift[i] ** 2 * (2.0 - MEMORY) / MEMORY
+    return max(single, running) > gate
 
 
 @njit(cache=True)

@@ -17,8 +17,9 @@ class InvariantFilter:
     state: NavState; covariance (15, 15) in the error order (rotation, velocity, position, b_a,
     b_g); noise: FilterNoise. `persistent` (3, 3) [m^2/s^2], where given, is the prior
     covariance of a part of the observer's error that lasts through the sequence: it becomes three
-    more states, so that a stream of statements is not taken for independent news. Raises SurefootError on wrong
-    shapes, values that are not finite and covariances that are not positive definite.
+    more states, so that a stream of statements is not taken for independent news. Raises
+    SurefootError on wrong shapes, values that are not finite and covariances that are not positive
+    definite.
     """
 
     def __init__(

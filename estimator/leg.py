@@ -42,9 +42,9 @@ class LegFilter:
 
     state, covariance (15, 15) as `InvariantFilter`; noise: LegNoise. foot_radius [m]: 0 for point
     feet, or one value a foot (K,); `feet` is K. slip_gate, where given, is the squared Mahalanobis
-    distance (3 degrees of freedom; 16.27 is passed by chance once in 1000) beyond which a foot is
-    taken to have slipped and its contact starts anew (`leg_slip`). Raises SurefootError on bad
-    input.
+    distance (3 degrees of freedom; 25 is passed by chance once in 65 000) of an innovation, or of
+    their running mean, beyond which a foot is held to slip and left out (`leg_slip`). Raises
+    SurefootError on bad input.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class LegFilter:
             np.zeros((3 * feet, 3)),
         )
         self._standing = np.zeros(feet, dtype=np.bool_)
-        self._slipped = np.zeros(feet, dtype=np.bool_)
+        self._drift, self._held = np.zeros((feet, 3)), np.zeros(feet, dtype=np.int64)
         self._rates: np.ndarray | None = None
 
     def predict(
@@ -98,7 +98,7 @@ class LegFilter:
         self, foot_positions_I: np.ndarray, in_contact: np.ndarray, covariance: np.ndarray
     ) -> np.ndarray:
         """Leg kinematics now: foot centres (K, 3) [m] in I, which of them stand (K,), and the
-        covariances (K, 3, 3) [m^2] of the positions. Returns (K,) bool: feet found slipping.
+        covariances (K, 3, 3) [m^2] of the positions. Returns (K,) bool: feet held to slip.
         """
         feet = len(self._radius)
         positions = numbers("foot_positions_I", foot_positions_I, (feet, 3))
@@ -108,9 +108,9 @@ class LegFilter:
             spd(f"covariance of foot {k}", cov[k], 3)
         update_contacts(
             self._mean, self._covariance, self._standing, positions, in_contact, cov, self._gate,
-            self._slipped,
+            self._drift, self._held,
         )  # fmt: skip
-        return self._slipped.copy()
+        return self._held > 0
 
     def update_velocity(self, v_I: np.ndarray, cov: np.ndarray) -> float:
         """Gaussian update with a velocity (3,) [m/s] in I, as `InvariantFilter.update_velocity`."""
@@ -161,11 +161,13 @@ def run_leg(
     v_cov = numbers("v_cov", np.zeros((0, 3, 3)) if v_cov is None else v_cov, (len(v_I), 3, 3))
     rows = row_indices(np.zeros(0, int) if rows is None else rows, len(v_I), n)
     noise = noise or LegNoise()
+    contact_noise, rolling_noise = noise.packed()
     mean, P = _start(state, covariance, feet)
     out_mean, out_cov = outputs(n, stride)
     _loop(
         t, gyro, accel, feet_I, contact, cov, rates, radius, rows, v_I, v_cov, mean, P,
-        noise.imu.packed(), *noise.packed(), _gate(slip_gate), stride, out_mean, out_cov,
+        noise.imu.packed(), contact_noise, rolling_noise, _gate(slip_gate), stride, out_mean,
+        out_cov,
     )  # fmt: skip
     return trajectory(t[::stride], out_mean, out_cov, None)
 
@@ -176,7 +178,8 @@ def _loop(
     noise, contact_noise, rolling_noise, gate, stride, out_mean, out_cov,
 ):  # fmt: skip
     feet = radius.shape[0]
-    standing, slipped = np.zeros(feet, dtype=np.bool_), np.zeros(feet, dtype=np.bool_)
+    standing = np.zeros(feet, dtype=np.bool_)
+    drift, held = np.zeros((feet, 3)), np.zeros(feet, dtype=np.int64)
     columns, rotation_columns = np.zeros((15 + 3 * feet, 6)), np.zeros((3 * feet, 3))
     m = 0
     for k in range(t.shape[0]):
@@ -186,7 +189,7 @@ def _loop(
                 mean, P, standing, gyro[k], accel[k], t[k] - t[k - 1], noise, contact_noise,
                 rolling_noise, radius, 0.5 * (before + rates[k]), columns, rotation_columns,
             )  # fmt: skip
-        update_contacts(mean, P, standing, feet_I[k], contact[k], cov[k], gate, slipped)
+        update_contacts(mean, P, standing, feet_I[k], contact[k], cov[k], gate, drift, held)
         if m < rows.shape[0] and rows[m] == k:
             update_velocity(mean, P, feet, v_I[m], v_cov[m])
             m += 1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -78,9 +78,9 @@ class Trajectory:
 
     def rows(self, which: slice | np.ndarray) -> Trajectory:
         """The trajectory at some rows: a slice, a mask (N,) or indices. Updates stay whole."""
-        arrays = [getattr(self, name)[which] for name in ("t", "R_GI", *_ORDER)]
+        arrays = {name: getattr(self, name)[which] for name in ("t", "R_GI", *_POSE)}
         covariance = None if self.covariance is None else self.covariance[which]
-        return Trajectory(*arrays, covariance, self.updates)
+        return replace(self, **arrays, covariance=covariance)
 
     def write(self, path: str | Path, force: bool = False) -> None:
         """Write one Parquet file, whole or not at all; refuses to overwrite without `force`.
@@ -128,7 +128,7 @@ class Trajectory:
         missing = [name for name in needed if name not in frame]
         if missing:
             raise TrajectoryError(f"{path}: column {missing[0]} is missing")
-        states = frame[frame["t"].notna()]
+        states = pd.DataFrame(frame[frame["t"].notna()])
         q = _gather(states, "q", "wxyz")
         if not np.all(np.abs(np.linalg.norm(q, axis=1) - 1) < 1e-6):
             raise TrajectoryError(f"{path}: q_w..q_z are not unit quaternions")
@@ -138,11 +138,11 @@ class Trajectory:
             for i, j in _UPPER:
                 covariance[:, i, j] = covariance[:, j, i] = states[f"cov_{i}_{j}"]
         return cls(
-            states["t"].to_numpy(),
-            matrix_from_quaternion(q),
-            *(_gather(states, _POSE[name], "xyz") for name in _ORDER),
-            covariance,
-            _read_updates(frame),
+            t=states["t"].to_numpy(),
+            R_GI=matrix_from_quaternion(q),
+            **{name: _gather(states, short, "xyz") for name, short in _POSE.items()},
+            covariance=covariance,
+            updates=_read_updates(frame),
         )
 
     def write_tum(self, path: str | Path, force: bool = False) -> None:
@@ -151,9 +151,6 @@ class Trajectory:
         table = np.column_stack([self.t, self.p_GI, q[:, 1:], q[:, :1]])
         with whole_file(path, force) as temporary:
             np.savetxt(temporary, table, fmt="%.17g")
-
-
-_ORDER = ("v_GI", "p_GI", "b_a", "b_g")
 
 
 def reference(log: Log) -> Trajectory:
@@ -178,7 +175,7 @@ def reference(log: Log) -> Trajectory:
 def _read_updates(frame: pd.DataFrame) -> UpdateRecord | None:
     if "update_t" not in frame:
         return None
-    frame = frame[frame["update_t"].notna()]
+    frame = pd.DataFrame(frame[frame["update_t"].notna()])
     return UpdateRecord(
         frame["update_t"].to_numpy(),
         _gather(frame, "update_v", "xyz"),

@@ -17,28 +17,25 @@ def update_velocity(mean, covariance, contacts: int, v_I, measurement_cov) -> fl
     n = covariance.shape[0]
     PHt, S, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
     output(mean, covariance, contacts, v_I, PHt, S, residual)
-    return gaussian_update(mean, covariance, contacts, PHt, S, residual, measurement_cov, np.inf)
+    return gaussian_update(mean, covariance, contacts, PHt, S, residual, measurement_cov)
 
 
 @njit(cache=True)
-def gaussian_update(
-    mean, covariance, contacts: int, PHt, S, residual, measurement_cov, gate: float
-) -> float:
+def gaussian_update(mean, covariance, contacts: int, PHt, S, residual, measurement_cov) -> float:
     """Kalman update for z = H delta X with innovation `residual` (3,), in place.
 
-    Returns the squared Mahalanobis distance of the innovation; beyond `gate` nothing is updated.
-    K (z_cov - S) K^T = -Sigma H^T (S+R)^-1 H Sigma: lifting with W = S + R in the place of S, the
-    posterior's covariance at zero and its mean at the innovation is the textbook update.
+    Returns the squared Mahalanobis distance of the innovation. K (z_cov - S) K^T is
+    -Sigma H^T (S+R)^-1 H Sigma: lifting with W = S + R in the place of S, the posterior's
+    covariance at zero and its mean at the innovation is the textbook update.
     """
     W, information = np.empty((3, 3)), np.empty((3, 3))
     for i in range(3):
         for j in range(3):
             W[i, j] = S[i, j] + measurement_cov[i, j]
     inverse_3(W, information)
+    lift(mean, covariance, contacts, PHt, W, residual, np.zeros((3, 3)))
     distance = 0.0
     for i in range(3):
         for j in range(3):
             distance += residual[i] * information[i, j] * residual[j]
-    if distance <= gate:
-        lift(mean, covariance, contacts, PHt, W, residual, np.zeros((3, 3)))
     return distance

@@ -1,0 +1,211 @@
+"""The invariant filter: known truth, streaming against compiled runs, consistency, bad input."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from motions import motion
+from numpy.testing import assert_array_equal
+
+from estimator.filter import InvariantFilter, run_coverage, run_imu, run_velocity
+from estimator.metrics import evaluate, nees
+from estimator.state import FilterNoise, NavState, retract
+from sim.errors import SurefootError
+
+EPSILON = np.array([0.06, 0.06, 0.04])
+
+
+@pytest.fixture(scope="module")
+def walk():
+    return motion(20.0, 500.0)
+
+
+@pytest.fixture(scope="module")
+def rows(walk):
+    return np.arange(5, len(walk.t), 5)
+
+
+def test_imu_alone_recovers_the_truth(walk):
+    result = evaluate(walk.reference(), run_imu(walk.t, walk.gyro, walk.accel, *walk.start()))
+    assert result.ape_trans < 5e-3
+    assert result.ape_rot < 1e-3
+
+
+def test_perfect_velocities_recover_the_truth(walk, rows):
+    whole = run_velocity(
+        walk.t, walk.gyro, walk.accel, rows, walk.v_I[rows], np.eye(3) * 1e-4, *walk.start()
+    )
+    result = evaluate(walk.reference(), whole)
+    assert result.ape_trans < 1e-3
+    assert result.velocity < 1e-3
+
+
+def test_perfect_statements_recover_the_truth(walk, rows):
+    whole = run_coverage(
+        walk.t, walk.gyro, walk.accel, rows, walk.v_I[rows], EPSILON, 0.8, *walk.start()
+    )
+    assert evaluate(walk.reference(), whole).ape_trans < 5e-3
+
+
+def test_a_gyro_bias_is_found_through_velocities(walk, rows):
+    bias = np.array([0.02, -0.01, 0.0])
+    whole = run_velocity(
+        walk.t, walk.gyro + bias, walk.accel, rows, walk.v_I[rows], np.eye(3) * 1e-4,
+        *walk.start(b_g=0.02),
+    )  # fmt: skip
+    assert np.abs(whole.b_g[-1] - bias)[:2].max() < 2e-3
+
+
+@pytest.mark.parametrize("kind", ["imu", "velocity", "coverage"])
+@pytest.mark.parametrize("persistent", [None, np.eye(3) * 1e-3])
+def test_streaming_is_the_compiled_run(walk, rows, kind, persistent):
+    rng = np.random.default_rng(0)
+    n = 1001
+    t, gyro, accel = walk.t[:n], walk.gyro[:n], walk.accel[:n]
+    rows = rows[rows < n]
+    v_I = walk.v_I[rows] + rng.normal(size=(len(rows), 3)) * 0.05
+    start, cov = walk.start(), np.diag([1e-3, 2e-3, 3e-3])
+    if kind == "imu":
+        if persistent is not None:
+            pytest.skip("there is no observer whose error could persist")
+        whole = run_imu(t, gyro, accel, *start, stride=10)
+    elif kind == "velocity":
+        whole = run_velocity(
+            t, gyro, accel, rows, v_I, cov, *start, stride=10, persistent=persistent
+        )
+    else:
+        whole = run_coverage(
+            t, gyro, accel, rows, v_I, EPSILON, 0.8, *start, stride=10, persistent=persistent
+        )
+    one = InvariantFilter(*start, persistent=persistent)
+    m, pi = 0, []
+    for k in range(n):
+        if k:
+            one.predict(gyro[k], accel[k], t[k] - t[k - 1])
+        if kind != "imu" and m < len(rows) and rows[m] == k:
+            if kind == "velocity":
+                one.update_velocity(v_I[m], cov)
+            else:
+                pi.append(one.update_coverage(v_I[m], EPSILON, 0.8))
+            m += 1
+        if k % 10 == 0:
+            state = one.state
+            for name in ("R_GI", "v_GI", "p_GI", "b_a", "b_g"):
+                assert_array_equal(getattr(state, name), getattr(whole, name)[k // 10])
+            assert_array_equal(one.covariance, whole.covariance[k // 10])
+    if kind == "coverage":
+        assert whole.updates is not None
+        assert_array_equal(whole.updates.pi, pi)
+        assert_array_equal(whole.updates.active, np.array(pi) < 0.8)
+
+
+def trial(walk, rows, rng, noise, std, n):
+    """A start and measurements drawn exactly as the filter believes them to be."""
+    state, P = walk.start(b_a=0.02, b_g=2e-3)
+    start = state.pack()
+    xi = rng.multivariate_normal(np.zeros(15), P)
+    retract(start, -xi, 0)
+    scale = np.sqrt(500.0)
+    gyro = walk.gyro[:n] - xi[12:15] + start[6] + rng.normal(size=(n, 3)) * noise.gyro * scale
+    accel = walk.accel[:n] - xi[9:12] + start[5] + rng.normal(size=(n, 3)) * noise.accel * scale
+    v_I = walk.v_I[rows] + rng.normal(size=(len(rows), 3)) * std
+    return (walk.t[:n], gyro, accel, rows, v_I), (NavState.unpack(start), P)
+
+
+def test_nees_is_within_its_chi_square_bounds(walk, rows):
+    rng = np.random.default_rng(4)
+    noise, std, n, runs = FilterNoise(1e-3, 1e-2, 1e-5, 1e-4), 0.05, 5001, 16
+    rows = rows[rows < n]
+    reference = walk.reference().rows(slice(0, n, 5))
+    found = []
+    for _ in range(runs):
+        data, start = trial(walk, rows, rng, noise, std, n)
+        result = nees(reference, run_velocity(*data, np.eye(3) * std**2, *start, noise))
+        found.append([series[-1] for series in (result.position, result.velocity, result.attitude)])
+    # The mean of `runs` chi-square(3) variables has deviation sqrt(6 / runs).
+    assert np.all(np.abs(np.mean(found, axis=0) - 3.0) < 3 * np.sqrt(6 / runs))
+
+
+def test_coverage_stays_consistent_where_the_gaussian_filter_does_not(walk, rows):
+    """A bias that persists through a run and that the Gaussian filter does not believe in."""
+    rng = np.random.default_rng(5)
+    noise, n = FilterNoise(1e-3, 1e-2, 1e-5, 1e-4), 5001
+    rows = rows[rows < n]
+    reference = walk.reference().rows(slice(0, n, 5))
+    gaussian, coverage, persistent = [], [], []
+    for _ in range(6):
+        (t, gyro, accel, rows, v_I), start = trial(walk, rows, rng, noise, 0.02, n)
+        v_I = v_I + rng.choice([-0.05, 0.05], size=3)
+        cov = np.eye(3) * 0.02**2
+        data = (t, gyro, accel, rows, v_I)
+        for series, estimate in (
+            (gaussian, run_velocity(*data, cov, *start, noise)),
+            (coverage, run_coverage(*data, np.full(3, 0.15), 0.8, *start, noise)),
+            (persistent, run_velocity(*data, cov, *start, noise, persistent=np.eye(3) * 0.05**2)),
+        ):
+            series.append(nees(reference, estimate).position[-1])
+    assert np.mean(gaussian) > 30
+    assert np.mean(coverage) < 0.5 * np.mean(gaussian)
+    assert np.mean(persistent) < 10
+
+
+def test_dropouts_and_outliers_leave_it_finite(walk, rows):
+    rng = np.random.default_rng(1)
+    v_I = walk.v_I[rows] + rng.normal(size=(len(rows), 3)) * 0.03
+    v_I[::97] += 0.8  # 40 standard deviations of the filter's own velocity
+    keep = np.ones(len(rows), dtype=bool)
+    keep[400:700] = False
+    whole = run_coverage(
+        walk.t, walk.gyro, walk.accel, rows[keep], v_I[keep], EPSILON, 0.8, *walk.start()
+    )
+    assert whole.covariance is not None
+    assert np.linalg.eigvalsh(whole.covariance).min() > 0
+    assert evaluate(walk.reference(), whole).velocity < 0.2
+
+
+BAD = st.sampled_from([np.nan, np.inf, -np.inf])
+
+
+@settings(max_examples=30, deadline=None)
+@given(bad=BAD, index=st.integers(0, 2), name=st.sampled_from(["gyro", "accel", "v_I", "epsilon"]))
+def test_what_is_not_finite_is_refused_and_changes_nothing(bad, index, name):
+    one = InvariantFilter(NavState(), np.eye(15))
+    value = np.ones(3)
+    value[index] = bad
+    before = one.covariance
+    calls = {
+        "gyro": lambda: one.predict(value, np.zeros(3), 0.01),
+        "accel": lambda: one.predict(np.zeros(3), value, 0.01),
+        "v_I": lambda: one.update_coverage(value, np.ones(3), 0.8),
+        "epsilon": lambda: one.update_coverage(np.ones(3), value, 0.8),
+    }
+    with pytest.raises(SurefootError, match=name):
+        calls[name]()
+    assert_array_equal(one.covariance, before)
+
+
+def test_bad_input_is_one_clear_line(walk, rows):
+    state, P = walk.start()
+    one = InvariantFilter(state, P)
+    for call, words in (
+        (lambda: one.predict(np.zeros(3), np.zeros(3), 0.0), "dt"),
+        (lambda: one.predict(np.zeros(2), np.zeros(3), 0.1), "gyro: shape"),
+        (lambda: one.update_coverage(np.zeros(3), np.array([0.1, 0.0, 0.1]), 0.8), "epsilon"),
+        (lambda: one.update_coverage(np.zeros(3), np.ones(3), 1.0), "gamma"),
+        (lambda: one.update_velocity(np.zeros(3), -np.eye(3)), "cov: is not positive definite"),
+        (lambda: InvariantFilter(state, np.eye(9)), "covariance: shape"),
+        (lambda: InvariantFilter(state, P + np.eye(15, k=1)), "covariance: is not symmetric"),
+        (lambda: NavState(2 * np.eye(3)), "R_GI is not a rotation"),
+        (lambda: FilterNoise(gyro=-1.0).packed(), "noise: gyro"),
+        (lambda: run_imu(walk.t[::-1], walk.gyro, walk.accel, state, P), "strictly increasing"),
+        (lambda: run_imu(walk.t, walk.gyro[:-1], walk.accel, state, P), "gyro: shape"),
+        (
+            lambda: run_coverage(
+                walk.t, walk.gyro, walk.accel, rows[::-1], walk.v_I[rows], EPSILON, 0.8, state, P
+            ),
+            "rows: must increase",
+        ),
+    ):
+        with pytest.raises(SurefootError, match=words) as caught:
+            call()
+        assert "\n" not in str(caught.value)

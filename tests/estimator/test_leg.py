@@ -1,0 +1,229 @@
+"""The leg filter: known truth, Jacobians, consistency, contacts that come and go, slip."""
+
+import numpy as np
+import pytest
+from motions import feet, motion
+from numpy.testing import assert_allclose, assert_array_equal
+
+from estimator import lie
+from estimator.contacts import contact_output, propagate_contacts
+from estimator.leg import LegFilter, LegNoise, encoder_covariance, run_leg
+from estimator.metrics import evaluate
+from estimator.state import FilterNoise, NavState, retract
+from sim.errors import SurefootError
+
+RADIUS = 0.03
+
+
+@pytest.fixture(scope="module")
+def walk():
+    return motion(10.0, 500.0)
+
+
+@pytest.fixture(scope="module")
+def rolling(walk):
+    return feet(walk, RADIUS)
+
+
+def covariances(legs, std=1e-3):
+    return np.broadcast_to(np.eye(3) * std**2, (*legs.contact.shape, 3, 3))
+
+
+def run(walk, legs, radius, **options):
+    return run_leg(
+        walk.t, walk.gyro, walk.accel, legs.feet_I, legs.contact, covariances(legs), *walk.start(),
+        foot_radius=radius, foot_rates_I=legs.rates_I, **options,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("radius", [0.0, RADIUS])
+def test_perfect_data_gives_the_truth(walk, radius):
+    result = evaluate(walk.reference(), run(walk, feet(walk, radius), radius))
+    assert result.ape_trans < 1e-3
+    assert result.ape_rot < 0.01
+    assert result.velocity < 1e-3
+
+
+def test_ignoring_that_feet_roll_costs_a_scale_error(walk, rolling):
+    """What the rolling model is for: point feet on the same data drift hundreds of times more."""
+    right = evaluate(walk.reference(), run(walk, rolling, RADIUS))
+    wrong = evaluate(walk.reference(), run(walk, rolling, 0.0))
+    assert wrong.ape_trans > 100 * right.ape_trans
+
+
+def test_streaming_is_the_compiled_run(walk, rolling):
+    cov = covariances(rolling)
+    whole = run(walk, rolling, RADIUS, stride=50)
+    one = LegFilter(*walk.start(), foot_radius=RADIUS)
+    for k in range(1001):
+        if k:
+            dt = walk.t[k] - walk.t[k - 1]
+            one.predict(walk.gyro[k], walk.accel[k], dt, rolling.rates_I[k])
+        one.update_contacts(rolling.feet_I[k], rolling.contact[k], cov[k])
+        if k % 50 == 0:
+            assert_array_equal(one.state.p_GI, whole.p_GI[k // 50])
+            assert_array_equal(one.covariance, whole.covariance[k // 50])
+
+
+def group(mean):
+    X = np.eye(3 + len(mean) - 5)
+    X[:3, :3], X[:3, 3:] = mean[:3], mean[[3, 4, *range(7, len(mean))]].T
+    return X
+
+
+def error(estimate, truth):
+    xi = lie.se_log(group(estimate) @ lie.se_inverse(group(truth)))
+    return np.concatenate([xi[:9], (estimate[5:7] - truth[5:7]).ravel(), xi[9:]])
+
+
+@pytest.fixture
+def contacts():
+    rng = np.random.default_rng(4)
+    state = NavState(lie.so3_exp(rng.normal(size=3)), rng.normal(size=3), rng.normal(size=3))
+    mean = state.pack(2)
+    mean[7:] = rng.normal(size=(2, 3))
+    return mean, rng
+
+
+def test_contact_jacobian(contacts):
+    mean, rng = contacts
+    A = rng.normal(size=(21, 21))
+    P = A @ A.T
+    PHt, S, residual = np.empty((21, 3)), np.empty((3, 3)), np.empty(3)
+    foot = mean[:3].T @ (mean[8] - mean[4])
+    contact_output(mean, P, 1, foot, PHt, S, residual)
+    assert_allclose(residual, 0, atol=1e-14)
+    h = 1e-6
+
+    def measured(delta):
+        other = mean.copy()
+        retract(other, delta, 2)
+        return other[:3].T @ (other[8] - other[4])
+
+    H = np.column_stack([(measured(h * e) - measured(-h * e)) / (2 * h) for e in np.eye(21)])
+    assert_allclose(PHt, P @ H.T, atol=1e-7)
+    assert_allclose(S, H @ P @ H.T, atol=1e-7)
+
+
+def test_transition_of_rolling_contacts(contacts):
+    """Phi of the contact points, rotation and gyro bias included, against differences."""
+    mean, rng = contacts
+    gyro, accel, rates, dt = rng.normal(size=3), rng.normal(size=3), rng.normal(size=(2, 3)), 1e-3
+
+    def step(m, P):
+        propagate_contacts(
+            m, P, np.ones(2, bool), gyro, accel, dt, np.zeros((4, 3)), np.zeros(3), 0.0,
+            np.full(2, 0.5), rates, np.zeros((21, 6)), np.zeros((6, 3)),
+        )  # fmt: skip
+        return m
+
+    after, h = step(mean.copy(), np.eye(21)), 1e-5
+
+    def moved(delta):
+        other = mean.copy()
+        retract(other, delta, 2)
+        return error(after, step(other, np.eye(21)))
+
+    Phi = np.column_stack([(moved(h * e) - moved(-h * e)) / (2 * h) for e in np.eye(21)])
+    A = rng.normal(size=(21, 21))
+    P = A @ A.T
+    step(mean.copy(), P)
+    # The feet's rates turn with the mean attitude of the step: an O(dt^2) term is left out.
+    assert_allclose(P, Phi @ A @ A.T @ Phi.T, atol=1e-4)
+
+
+def test_contacts_enter_and_leave(walk, rolling):
+    leg = LegFilter(*walk.start(), foot_radius=RADIUS)
+    cov = covariances(rolling)[0]
+    leg.update_contacts(rolling.feet_I[0], np.array([1, 0, 0, 1]), cov)
+    assert set(leg.contacts) == {0, 3}
+    assert_allclose(leg.contacts[0], walk.p[0] + walk.R[0] @ rolling.feet_I[0, 0], atol=1e-12)
+    leg.update_contacts(rolling.feet_I[0], np.array([0, 0, 0, 1]), cov)
+    assert set(leg.contacts) == {3}
+    before = leg.covariance
+    leg.update_contacts(rolling.feet_I[0], np.zeros(4), cov)
+    assert leg.contacts == {}
+    assert_array_equal(leg.covariance, before)
+
+
+def test_a_foot_entering_tells_nothing_new(walk, rolling):
+    leg = LegFilter(*walk.start(), foot_radius=RADIUS)
+    before = leg.covariance
+    leg.update_contacts(rolling.feet_I[0], np.ones(4), covariances(rolling)[0])
+    assert_array_equal(leg.covariance, before)
+
+
+def test_slip_gate_finds_the_slipping_foot(walk):
+    """FL slides at 0.6 m/s in every third stance: the gate must name it and save the estimate."""
+    legs = feet(walk, RADIUS, slip=0.6)
+    trusting = evaluate(walk.reference(), run(walk, legs, RADIUS))
+    gated = evaluate(walk.reference(), run(walk, legs, RADIUS, slip_gate=25.0))
+    assert gated.ape_trans < 0.7 * trusting.ape_trans
+    leg = LegFilter(*walk.start(), foot_radius=RADIUS, slip_gate=25.0)
+    cov = covariances(legs)
+    named = np.zeros(4, dtype=int)
+    for k in range(400):
+        if k:
+            leg.predict(walk.gyro[k], walk.accel[k], walk.t[k] - walk.t[k - 1], legs.rates_I[k])
+        named += leg.update_contacts(legs.feet_I[k], legs.contact[k], cov[k])
+    assert named[0] > 0
+    assert named[1:].sum() == 0
+
+
+def test_nees_is_within_its_chi_square_bounds(walk, rolling):
+    """Noise drawn as declared: the mean NEES over runs lies where a consistent filter's does."""
+    rng = np.random.default_rng(8)
+    rate, runs, std = 500.0, 12, 2e-3
+    noise = FilterNoise(2e-3, 1e-2, 1e-4, 1e-3)
+    leg_noise = LegNoise(noise, contact=1e-2, rolling=0.0)
+    values = {"position": [], "velocity": [], "attitude": []}
+    short = 2500
+    for _ in range(runs):
+        state, P = walk.start()
+        truth = state.pack()
+        start = truth.copy()
+        xi = rng.multivariate_normal(np.zeros(15), P)
+        retract(start, -xi, 0)
+        b_a, b_g = start[5] - xi[9:12], start[6] - xi[12:15]
+        n = len(walk.t[:short])
+        gyro = walk.gyro[:short] + b_g + rng.normal(size=(n, 3)) * 2e-3 * np.sqrt(rate)
+        accel = walk.accel[:short] + b_a + rng.normal(size=(n, 3)) * 1e-2 * np.sqrt(rate)
+        creep = np.cumsum(rng.normal(size=(n, 4, 3)) * 1e-2 / np.sqrt(rate), axis=0)
+        moved = np.einsum("nji,nkj->nki", walk.R[:short], creep)
+        measured = rolling.feet_I[:short] + moved + rng.normal(size=(n, 4, 3)) * std
+        estimate = run_leg(
+            walk.t[:short], gyro, accel, measured, rolling.contact[:short],
+            np.broadcast_to(np.eye(3) * std**2, (n, 4, 3, 3)), NavState.unpack(start), P,
+            leg_noise, RADIUS, rolling.rates_I[:short],
+        )  # fmt: skip
+        from estimator.metrics import nees
+
+        reference = walk.reference().rows(slice(0, short, 5))
+        found = nees(reference, estimate)
+        for name, series in values.items():
+            series.append(getattr(found, name)[[100, 300, -1]])
+    for name, series in values.items():
+        # Samples of one run are correlated: count runs, not samples. 3 +- 3 sqrt(6 / runs).
+        mean = np.mean(series)
+        assert abs(mean - 3.0) < 3 * np.sqrt(6 / runs), (name, mean)
+
+
+def test_encoder_covariance():
+    J = np.random.default_rng(0).normal(size=(5, 4, 3, 3))
+    out = encoder_covariance(J, 0.01, 0.002)
+    assert_allclose(out[2, 1], J[2, 1] @ J[2, 1].T * 1e-4 + np.eye(3) * 4e-6)
+
+
+def test_bad_input_is_one_clear_line(walk, rolling):
+    state, P = walk.start()
+    with pytest.raises(SurefootError, match="foot_rates_I: needed"):
+        LegFilter(state, P, foot_radius=0.02).predict(np.zeros(3), np.zeros(3), 0.01)
+    with pytest.raises(SurefootError, match="slip_gate"):
+        LegFilter(state, P, slip_gate=-1.0)
+    with pytest.raises(SurefootError, match="foot_radius"):
+        LegFilter(state, P, foot_radius=[0.1, 0.2])
+    leg = LegFilter(state, P)
+    with pytest.raises(SurefootError, match="foot_positions_I: shape"):
+        leg.update_contacts(np.zeros((3, 3)), np.ones(4), np.zeros((4, 3, 3)))
+    with pytest.raises(SurefootError, match="covariance of foot 0"):
+        leg.update_contacts(np.zeros((4, 3)), np.ones(4), np.zeros((4, 3, 3)))

@@ -1,0 +1,146 @@
+"""The IMU step against the group's own differences, and against a fine integration."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from estimator import lie
+from estimator.propagation import gamma_derivatives, propagate
+from estimator.state import GRAVITY, FilterNoise, NavState, retract
+
+SILENT = np.zeros((4, 3))
+
+
+@pytest.fixture
+def case():
+    rng = np.random.default_rng(3)
+    state = NavState(
+        lie.so3_exp(rng.normal(size=3)),
+        rng.normal(size=3),
+        5 * rng.normal(size=3),
+        0.1 * rng.normal(size=3),
+        0.1 * rng.normal(size=3),
+    )
+    return state.pack(), 3 * rng.normal(size=3), 5 * rng.normal(size=3) + [0, 0, GRAVITY], rng
+
+
+def step(mean, covariance, gyro, accel, dt, noise=SILENT):
+    n = len(covariance)
+    propagate(mean, covariance, gyro, accel, dt, noise, np.zeros((n, 6)), np.zeros((n - 15, 3)))
+
+
+def group(mean):
+    X = np.eye(5)
+    X[:3, :3], X[:3, 3], X[:3, 4] = mean[:3], mean[3], mean[4]
+    return X
+
+
+def error(estimate, truth):
+    """The error state of the paper: eta = X_bar X^-1 = exp(xi^), delta b = b_bar - b."""
+    xi = lie.se_log(group(estimate) @ lie.se_inverse(group(truth)))
+    return np.concatenate([xi, (estimate[5:] - truth[5:]).ravel()])
+
+
+@pytest.mark.parametrize("dt", [1e-3, 0.05])
+def test_transition_is_the_derivative_of_the_step(case, dt):
+    mean, gyro, accel, _ = case
+    after = mean.copy()
+    h = 1e-6
+    step(after, np.eye(15), gyro, accel, dt)
+
+    def moved(delta):
+        other = mean.copy()
+        retract(other, delta, 0)
+        step(other, np.eye(15), gyro, accel, dt)
+        return error(after, other)
+
+    Phi = np.column_stack([(moved(h * e) - moved(-h * e)) / (2 * h) for e in np.eye(15)])
+    # The kernel hides Phi: Sigma = a a^T shows Phi a for each direction.
+    rng = case[3]
+    A = rng.normal(size=(15, 15))
+    covariance = A @ A.T
+    step(mean.copy(), covariance, gyro, accel, dt)
+    assert_allclose(covariance, Phi @ A @ A.T @ Phi.T, atol=3e-7)
+
+
+def test_noise_is_anisotropic_and_enters_as_the_biases_do(case):
+    mean, gyro, accel, _ = case
+    dt, h = 0.01, 1e-6
+    noise = FilterNoise(
+        np.array([0.1, 0.2, 0.3]), np.array([0.5, 0.1, 0.2]), 0.01, np.array([0.0, 0.1, 0.2])
+    )
+    after = mean.copy()
+    Q = np.zeros((15, 15))
+    step(after, Q, gyro, accel, dt, noise.packed())
+    columns = []
+    for k in range(6):
+        sample = np.concatenate([accel, gyro])
+        up, down = sample.copy(), sample.copy()
+        up[k] += h
+        down[k] -= h
+        ends = []
+        for s in (up, down):
+            end = mean.copy()
+            step(end, np.eye(15), s[3:], s[:3], dt)
+            ends.append(error(after, end))
+        columns.append((ends[0] - ends[1]) / (2 * h))
+    B = np.column_stack(columns)
+    wanted = B @ np.diag(noise.packed()[:2].ravel() / dt) @ B.T
+    wanted[9:, 9:] += np.diag(noise.packed()[2:].ravel() * dt)
+    assert_allclose(Q, wanted, atol=1e-9)
+
+
+def test_mean_is_exact_for_a_constant_sample(case):
+    """One step of 0.2 s equals ten thousand small Euler steps extrapolated."""
+    mean, gyro, accel, _ = case
+    one = mean.copy()
+    step(one, np.eye(15), gyro, accel, 0.2)
+    many = mean.copy()
+    for _ in range(100):
+        step(many, np.eye(15), gyro, accel, 0.002)
+    assert_allclose(one, many, atol=1e-12)
+    ends = []
+    for n in (2000, 4000):
+        R, v, p, dt = mean[:3].copy(), mean[3].copy(), mean[4].copy(), 0.2 / n
+        half = lie.so3_exp((gyro - mean[6]) * dt / 2)
+        for _ in range(n):
+            R = R @ half
+            a = R @ (accel - mean[5]) - [0, 0, GRAVITY]
+            p += v * dt + 0.5 * a * dt * dt
+            v += a * dt
+            R = R @ half
+        ends.append(np.concatenate([R.ravel(), v, p]))
+    # The midpoint rule is of second order: Richardson takes its error out.
+    assert_allclose(one[:5].ravel(), (4 * ends[1] - ends[0]) / 3, atol=1e-9)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-7, 1e-2, 1.0, 2.5])
+def test_gamma_derivatives(angle):
+    rng = np.random.default_rng(0)
+    phi, a, h = rng.normal(size=3), rng.normal(size=3), 1e-5
+    phi *= angle / np.linalg.norm(phi)
+    D1, D2 = np.empty((3, 3)), np.empty((3, 3))
+    gamma_derivatives(phi, a, D1, D2)
+
+    def products(x):
+        g = [np.empty((3, 3)) for _ in range(3)]
+        lie.gammas(x, *g)
+        return g[1] @ a, g[2] @ a
+
+    pairs = [(products(phi + h * e), products(phi - h * e)) for e in np.eye(3)]
+    for m, D in enumerate((D1, D2)):
+        difference = np.column_stack([(up[m] - down[m]) / (2 * h) for up, down in pairs])
+        assert_allclose(D, difference, atol=1e-9)
+
+
+def test_tiny_rates_lose_no_digits(case):
+    """At 1e-5 rad/s and below the derivative by the bias is smooth: the series are in use."""
+    mean, _, accel, rng = case
+    A = rng.normal(size=(15, 15))
+    results = []
+    for rate in (0.0, 1e-12, 1e-9):
+        covariance = A @ A.T
+        step(mean.copy(), covariance, mean[6] + rate, accel, 0.002)
+        results.append(covariance)
+    assert_allclose(results[1], results[0], rtol=1e-10, atol=1e-10)
+    assert_allclose(results[2], results[0], rtol=1e-8, atol=1e-8)

@@ -1,0 +1,151 @@
+"""Trajectories go out and come back whole; starts come from the reference or from gravity."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from motions import motion
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.spatial.transform import Rotation
+
+from estimator.filter import run_coverage
+from estimator.initial import GRAVITY_STD, initial_state, level
+from estimator.lie import hat
+from estimator.state import NavState
+from estimator.trajectory import Trajectory, TrajectoryError, reference
+from sim.errors import SurefootError
+from sim.log import Log, Meta
+from sim.quaternion import quaternion_from_matrix
+
+
+@pytest.fixture(scope="module")
+def estimate():
+    walk = motion(2.0, 500.0)
+    rows = np.arange(5, len(walk.t), 7)
+    return run_coverage(
+        walk.t, walk.gyro, walk.accel, rows, walk.v_I[rows] + 0.05, np.full(3, 0.1), 0.8,
+        *walk.start(),
+    )  # fmt: skip
+
+
+def log(walk, reference=True) -> Log:
+    columns = {"t": walk.t}
+    for name, values, axes in (
+        ("gyro", walk.gyro, "xyz"),
+        ("accel", walk.accel, "xyz"),
+        *(
+            [
+                ("ref_p", walk.p, "xyz"),
+                ("ref_q", quaternion_from_matrix(walk.R), "wxyz"),
+                ("ref_v", walk.v, "xyz"),
+            ]
+            if reference
+            else []
+        ),
+    ):
+        columns |= {f"{name}_{axis}": values[:, i] for i, axis in enumerate(axes)}
+    return Log(pd.DataFrame(columns), Meta(rate=500.0))
+
+
+def test_parquet_returns_what_was_written(estimate, tmp_path):
+    path = tmp_path / "estimate.parquet"
+    estimate.write(path)
+    back = Trajectory.read(path)
+    for name in ("t", "v_GI", "p_GI", "b_a", "b_g", "covariance"):
+        assert_array_equal(getattr(back, name), getattr(estimate, name))
+    assert_allclose(back.R_GI, estimate.R_GI, atol=1e-15)
+    for name in ("t", "v_I", "epsilon", "pi", "active"):
+        assert_array_equal(getattr(back.updates, name), getattr(estimate.updates, name))
+
+
+def test_never_overwrites_without_force(estimate, tmp_path):
+    for write in (estimate.write, estimate.write_tum):
+        path = tmp_path / f"{write.__name__}.out"
+        write(path)
+        before = path.read_bytes()
+        with pytest.raises(SurefootError, match="exists already"):
+            write(path)
+        assert path.read_bytes() == before
+        write(path, force=True)
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_tum_keeps_every_digit(estimate, tmp_path):
+    estimate.write_tum(tmp_path / "estimate.txt")
+    table = np.loadtxt(tmp_path / "estimate.txt")
+    assert_array_equal(table[:, 0], estimate.t)
+    assert_array_equal(table[:, 1:4], estimate.p_GI)
+    assert_allclose(Rotation.from_quat(table[:, 4:]).as_matrix(), estimate.R_GI, atol=1e-15)
+
+
+def test_bad_files_are_one_clear_line(estimate, tmp_path):
+    text = tmp_path / "text.parquet"
+    text.write_text("no parquet")
+    other = tmp_path / "other.parquet"
+    pd.DataFrame({"t": [1.0]}).to_parquet(other)
+    for path, words in (
+        (tmp_path / "absent.parquet", "cannot be read"),
+        (text, "cannot be read"),
+        (other, "is not a trajectory"),
+    ):
+        with pytest.raises(TrajectoryError, match=words) as caught:
+            Trajectory.read(path)
+        assert str(path) in str(caught.value)
+    with pytest.raises(TrajectoryError, match="p_GI has shape"):
+        Trajectory(*[getattr(estimate, n) for n in ("t", "R_GI", "v_GI")], np.zeros((3, 3)),
+                   estimate.b_a, estimate.b_g)  # fmt: skip
+
+
+def test_reference_is_cut_to_ref_ok():
+    walk = motion(1.0, 500.0)
+    whole = log(walk)
+    ok = np.ones(len(walk.t))
+    ok[100:200] = 0
+    cut = reference(Log(whole.frame.assign(ref_ok=ok), whole.meta))
+    assert len(cut.t) == len(walk.t) - 100
+    assert_allclose(cut.v_GI[150], walk.v[250])
+    assert cut.covariance is None
+
+
+def test_start_is_the_references_first_row():
+    walk = motion(1.0, 500.0)
+    state, covariance = initial_state(log(walk))
+    assert_allclose(state.R_GI, walk.R[0], atol=1e-12)
+    assert_allclose(state.p_GI, walk.p[0])
+    assert_allclose(state.v_GI, walk.v[0])
+    np.linalg.cholesky(covariance)
+    J = np.zeros((3, 15))
+    J[:, :3], J[:, 6:9] = -hat(state.p_GI), np.eye(3)
+    assert_allclose(J @ covariance @ J.T, np.eye(3) * 1e-6, atol=1e-12)
+
+
+def test_start_without_a_reference_is_gravity():
+    walk = motion(1.0, 500.0)
+    R = Rotation.from_euler("ZYX", [0.0, 0.2, -0.3]).as_matrix()
+    still = np.tile(R.T @ [0, 0, 9.81], (len(walk.t), 1))
+    bare = log(walk, reference=False)
+    frame = bare.frame.assign(**{f"accel_{a}": still[:, i] for i, a in enumerate("xyz")})
+    state, covariance = initial_state(Log(frame, bare.meta))
+    assert_allclose(state.R_GI, R, atol=1e-12)
+    assert_allclose(state.v_GI, 0)
+    assert covariance[0, 0] == GRAVITY_STD.tilt**2
+    falling = frame.assign(accel_x=0.0, accel_y=0.0, accel_z=0.1)
+    with pytest.raises(SurefootError, match="gravity cannot be told"):
+        initial_state(Log(falling, bare.meta))
+
+
+def test_level_turns_the_force_upwards():
+    rng = np.random.default_rng(0)
+    for force in [*rng.normal(size=(20, 3)), np.array([1.0, 0, 0]), np.array([0, 0, -1.0])]:
+        R = level(force)
+        assert_allclose(R @ R.T, np.eye(3), atol=1e-14)
+        assert np.linalg.det(R) > 0
+        assert_allclose(R @ force, [0, 0, np.linalg.norm(force)], atol=1e-12)
+
+
+def test_state_packs_and_unpacks():
+    rng = np.random.default_rng(0)
+    R = Rotation.random(random_state=1).as_matrix()
+    state = NavState(R, *rng.normal(size=(4, 3)))
+    back = NavState.unpack(state.pack(2))
+    for name in ("R_GI", "v_GI", "p_GI", "b_a", "b_g"):
+        assert_array_equal(getattr(back, name), getattr(state, name))
