@@ -8,7 +8,7 @@ from scipy.stats import t
 
 from models.candidates import Case, Evidence, Key, all_keys, linearise
 from models.fitting import Whitened, by_block, fit, loss, overlap, resampled, whiten
-from models.floor import Floor
+from models.floor import Floor, floor_with
 from models.masking import Trust, trust
 from sim.effects import CATALOGUE, Effect, effect
 
@@ -55,13 +55,14 @@ class Found:
 @dataclass(frozen=True)
 class Attribution:
     """What was found: effects, strongest first; candidates by round; rivals of the last effect;
-    trust of the final evidence."""
+    trust of the final evidence; floor: that of the model with the effects."""
 
     found: tuple[Found, ...]
     rounds: tuple[tuple[Candidate, ...], ...]
     rivals: tuple[tuple[Key, float], ...]
     trust: Trust
     evidence: Evidence
+    floor: Floor
 
 
 @dataclass(frozen=True)
@@ -105,8 +106,9 @@ def attribute(
         rivals += _rivals(data, split, best, candidates, [_key(e) for e in chosen], rng)
         explained += best.gain
         chosen = _refined(cases, [*chosen, effect(*best.key, best.size)], floor, split)
+        floor = floor_with(floor, chosen)
     found = _with_intervals(evidence, trusted, split, chosen, floor)
-    return Attribution(found, tuple(rounds), rivals, trusted, evidence)
+    return Attribution(found, tuple(rounds), rivals, trusted, evidence, floor)
 
 
 def judge(

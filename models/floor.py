@@ -11,12 +11,14 @@ from models.candidates import Case, Evidence, Key, all_keys, linearise
 from models.fitting import Whitened, fit, whiten
 from models.masking import trust
 from models.residual import BIN, measured_against
+from sim.effects import Effect
+from sim.errors import SurefootError
 from sim.log import Log, reference_velocity
 from sim.robot import Robot
 from sim.scenario import Scenario, Segment
 from sim.sensors import Sensors
 from sim.terrain import Ground
-from sim.walk import Fallen, walk
+from sim.walk import walk
 
 REPEATS = 4
 SECONDS = 12.0
@@ -36,13 +38,16 @@ class Floor:
     """The residual of a robot that is as its model says.
 
     sigma (18,): noise of each column of the residual table, in its unit; walks: the repeats it is
-    from, whitened, and evidences, as they are; source: in words.
+    from, whitened, and evidences, as they are; source: in words; file and courses: the robot and
+    the motion that were walked.
     """
 
     sigma: np.ndarray
     walks: tuple[Whitened, ...]
     evidences: tuple[Evidence, ...]
     source: str
+    file: Path | None = None
+    courses: tuple[Course, ...] = ()
 
     def sizes(self, chosen: Sequence[Key], key: Key) -> tuple[float, float]:
         """Mean and spread of the size that `key`, fitted along with `chosen`, has where it is not.
@@ -62,15 +67,34 @@ def floor_of(logs: Sequence[Log], robot: Robot) -> Floor:
     so the floor is a function of the logs. A stretch on which the robot falls is tried again
     slower; where it cannot walk at all, the data sheets' noise alone is the floor.
     """
-    found = [_evidence(robot.file, c, SEED + i) for i, c in enumerate(courses(logs))]
+    return _floor(robot.file, tuple(courses(logs)), logs[0].rate, ())
+
+
+def floor_with(floor: Floor, effects: Sequence[Effect]) -> Floor:
+    """The floor of a robot that has these effects and a model that knows of them.
+
+    An effect on the body changes how feet land, so the model with it leaves another residual than
+    the model without. The same floor where nothing but readings changed, or the robot falls.
+    """
+    bodily = any(type(e).edit_spec is not Effect.edit_spec for e in effects)
+    if not bodily or floor.file is None or not floor.walks:
+        return floor
+    other = _floor(floor.file, floor.courses, 0.0, tuple(effects))
+    return other if other.walks else floor
+
+
+def _floor(
+    file: Path, along: tuple[Course, ...], rate: float, effects: tuple[Effect, ...]
+) -> Floor:
+    found = [_evidence(file, course, SEED + i, effects) for i, course in enumerate(along)]
     evidences = tuple(e for e in found if e is not None)
     if not evidences:
-        return Floor(sheet_noise(logs[0].rate), (), (), "data sheets of the declared sensors")
+        return Floor(sheet_noise(max(rate, 1.0)), (), (), "data sheets of the declared sensors")
     each = [trust(e, np.full(18, 1e-9)) for e in evidences]
     sigma = np.sqrt(np.mean([t.sigma**2 for t in each], axis=0))
     walks = tuple(whiten(e, trust(e, sigma)) for e in evidences)
     source = f"{len(walks)} simulated walks of the declared model along the log's own course"
-    return Floor(sigma, walks, evidences, source)
+    return Floor(sigma, walks, evidences, source, file, along)
 
 
 def sheet_noise(rate: float) -> np.ndarray:
@@ -108,7 +132,9 @@ def _motion(log: Log) -> list[tuple[float, float, float]]:
 
 
 @lru_cache(maxsize=64)
-def _evidence(file: Path, course: Course, seed: int) -> Evidence | None:
+def _evidence(
+    file: Path, course: Course, seed: int, effects: tuple[Effect, ...]
+) -> Evidence | None:
     robot = Robot.load(file)
     for slower in (1.0, 0.6, 0.3):
         segments = tuple(
@@ -117,8 +143,8 @@ def _evidence(file: Path, course: Course, seed: int) -> Evidence | None:
         )
         scenario = Scenario("floor", segments, Ground(FRICTION), stand=STAND)
         try:
-            log = walk(scenario, robot, seed)
-        except Fallen:
+            log = walk(scenario, robot, seed, effects, declared=False)
+        except SurefootError:  # fallen, or a size that leaves it no foot
             continue
-        return linearise([Case(log, robot, measured_against(log))], (), all_keys(log))
+        return linearise([Case(log, robot, measured_against(log))], effects, all_keys(log))
     return None

@@ -27,8 +27,8 @@ BLOCK, GAP = 4.0, 0.2
 """s: blocks that fit and blocks that select take turns, with gaps between them."""
 SHORTEST = 12.0
 """s of a log below which there is too little to split."""
-AT_FLOOR = 1.25
-"""A channel is at its floor up to this ratio of root mean squares."""
+AT_FLOOR = 1.15
+"""A channel is at its floor up to this ratio to the root mean square of the floor's worst walk."""
 OUTPUTS = ("trace.json", "effects.toml", "report.html", "trace.rrd")
 
 
@@ -43,11 +43,13 @@ class Channel:
     after: float
     noise_floor: float | None
     unit: str
+    highest: float = np.inf
+    """The most that one walk of the floor has."""
 
     @property
     def at_floor(self) -> bool:
         """Whether what is left is what the declared model leaves by itself."""
-        return self.noise_floor is None or self.after <= AT_FLOOR * self.noise_floor
+        return self.after <= AT_FLOOR * self.highest
 
 
 @dataclass(frozen=True)
@@ -158,7 +160,7 @@ def diagnose(
     rng = np.random.default_rng(seed)
     result = attribute(cases, floor, split, rng, lambda share: tell(0.35 + 0.5 * share))
     effects = [f.effect for f in result.found]
-    channels = _channels(cases, result, floor, split)
+    channels = _channels(cases, result, split)
     tell(0.88)
     stretches = _filtered(cases, effects)
     filters = {}
@@ -177,7 +179,7 @@ def diagnose(
         channels=channels,
         filters=filters,
         masked_share=result.trust.share,
-        floor=floor.source,
+        floor=result.floor.source,
         rivals=rivals,
         motion=motion_to_tell_apart([r["name"] for r in rivals]) if rivals else "",
         notes=notes,
@@ -230,12 +232,10 @@ def _said(cases: Sequence[Case], floor: Floor) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _channels(
-    cases: Sequence[Case], result: Attribution, floor: Floor, split: Split
-) -> dict[str, Channel]:
+def _channels(cases: Sequence[Case], result: Attribution, split: Split) -> dict[str, Channel]:
     keys = result.evidence.keys
     plain = linearise(cases, (), keys[:0])
-    trusted = result.trust
+    trusted, floor = result.trust, result.floor
     use = split.fit | split.select
     before = _without_bias(plain, trusted, use)
     after = _without_bias(result.evidence, trusted, use)
@@ -253,6 +253,7 @@ def _channels(
             after=_rms(after[split.report][:, columns]),
             noise_floor=float(np.sqrt(np.mean(np.square(level)))) if level else None,
             unit=unit,
+            highest=max(level, default=np.inf),
         )
     return channels
 
