@@ -45,8 +45,10 @@ class Gait(NamedTuple):
     slide_damping: float  # N s/m, on a stance foot that slides
 
 
-def gait_for(robot: Robot, start: float, period: float = 1.0, clearance: float = 1.0) -> Gait:
-    """The trot of `robot`, its first step at `start` [s]; the last two are factors."""
+def gait_for(
+    robot: Robot, start: float, period: float = 1.0, clearance: float = 1.0, gain: float = 1.0
+) -> Gait:
+    """The trot of `robot`, its first step at `start` [s]; the last three are factors."""
     length = robot.leg_length
     home_B = robot.feet_I(robot.q_home[None])[0] @ robot.R_BI.T + robot.p_BI
     mass, com_B, inertia, foot_mass = robot.inertial
@@ -67,8 +69,8 @@ def gait_for(robot: Robot, start: float, period: float = 1.0, clearance: float =
         phase=np.array([0.0, 0.5, 0.5, 0.0]),
         friction_clamp=0.6,
         capture=0.75 * np.sqrt(length / GRAVITY),
-        course_gain=4.0,
-        level_gain=180.0,
+        course_gain=gain * 4.0,
+        level_gain=gain * 180.0,
         level_damping=32.0,
         slide_damping=80.0 * foot_mass,
     )

@@ -7,7 +7,7 @@ from sim.kinematics import Legs, leg_forward
 
 CROUCH = 0.76  # height of the thigh joint over the foot, as a share of the straight leg
 # What counts as standing, as shares of the straight leg.
-LOWEST, UNEVEN, ASKEW = 0.45, 0.1, 0.3
+LOWEST, UNEVEN, ASKEW = 0.7, 0.1, 0.3
 
 
 def stands(legs: Legs, q: np.ndarray) -> bool:

@@ -20,7 +20,7 @@ from sim.robot import Robot
 from sim.scenario import Scenario, drawn
 from sim.sensors import Motion, Sensors, Streams, corrupt, ideal_streams, imu_motion
 from sim.terrain import Ground
-from sim.world import TIMESTEP, World, build_world, robot_spec
+from sim.world import TIMESTEP, World, add_payload, build_world, robot_spec
 
 STEPS_PER_TICK = 2  # the controller runs at 250 Hz
 
@@ -46,22 +46,30 @@ def walk(
     course_rng, sensor_rng = (
         np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2)
     )
-    drawn_scenario, factors = drawn(scenario, course_rng)
+    draw = drawn(scenario, course_rng)
+    ground = draw.scenario.ground
     spec = robot_spec(robot)
+    if draw.payload:
+        add_payload(spec, robot, draw.payload)
     for effect in effects:
         effect.edit_spec(spec, robot)
-    world = build_world(robot, drawn_scenario.ground, spec)
+    world = build_world(robot, ground, spec)
     course = lay_course(
-        drawn_scenario.segments, TIMESTEP * STEPS_PER_TICK, scenario.stand, scenario.laps
+        draw.scenario.segments, TIMESTEP * STEPS_PER_TICK, scenario.stand, scenario.laps
     )
-    gait = gait_for(robot, start=scenario.stand, **factors)
+    if np.abs(course.pose[:, :2]).max() > ground.half_size - robot.leg_length:
+        raise SurefootError(
+            f"scenario {scenario.name}: the course leaves the floor; "
+            "give [ground] a larger half_size"
+        )
+    gait = gait_for(robot, scenario.stand, draw.period, draw.clearance, draw.gain)
     motion = simulate(world, robot, gait, course, progress)
     streams = ideal_streams(motion, robot)
     for effect in effects:
         streams = effect.alter_streams(streams, robot)
     streams = corrupt(streams, scenario.sensors, sensor_rng)
     return Log(
-        frame=_frame(streams, motion, robot, scenario.sensors, drawn_scenario.ground),
+        frame=_frame(streams, motion, robot, scenario.sensors, ground),
         meta=Meta(
             rate=1.0 / TIMESTEP,
             robot=robot.name,

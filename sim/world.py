@@ -59,6 +59,19 @@ def robot_spec(robot: Robot) -> mujoco.MjSpec:
     return spec
 
 
+def add_payload(spec: mujoco.MjSpec, robot: Robot, mass: float) -> None:
+    """Put `mass` [kg] on the base, a small ball at its origin that touches nothing."""
+    # A body of its own: where the base's inertia is given, its geoms' masses do not count.
+    spec.body(robot.base_name).add_body(name="payload").add_geom(
+        type=mujoco.mjtGeom.mjGEOM_SPHERE,
+        size=[0.05, 0, 0],
+        mass=mass,
+        contype=0,
+        conaffinity=0,
+        group=2,
+    )
+
+
 def build_world(robot: Robot, ground: Ground, spec: mujoco.MjSpec | None = None) -> World:
     """Compile the robot (or an edited spec of it) standing on `ground`."""
     spec = spec or robot_spec(robot)
