@@ -14,9 +14,9 @@ import math
 import numpy as np
 from numba import njit
 
-from estimator.box_faces import nearest_given_first, nearest_in_box
+from estimator.box_faces import nearest_given_first, nearest_in_box, remaining
 from estimator.box_line import DEPTH, plane_moments
-from estimator.quadrature import NODES, WEIGHTS, rule
+from estimator.quadrature import NODES, WEIGHTS, drop_between, rule
 
 _LOG_2PI = math.log(2.0 * math.pi)
 
@@ -93,14 +93,14 @@ def _axis_order(mean, cov, lower, upper, spread, order):
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         b = cov[j, k] / cov[j, j]
-        rest = cov[k, k] - b * cov[j, k]
-        gain = cov[i, k] - b * cov[i, j]
-        left = cov[i, i] - cov[i, j] ** 2 / cov[j, j] - gain * gain / rest
+        own = remaining(cov[i, i], cov[i, j], cov[j, j])
+        rest = remaining(cov[k, k], cov[j, k], cov[j, j])
+        left = remaining(own, cov[i, k] - b * cov[i, j], rest)
         reach = math.sqrt(2.0 * DEPTH) * spread[i]
         inside = min(upper[i] - mean[i], reach) - max(lower[i] - mean[i], -reach)
-        length[i] = max(inside, 0.0) / math.sqrt(max(left, 1e-30 * cov[i, i]))
         if inside <= 0.0:
-            length[i] = min(upper[i] - lower[i], reach) / math.sqrt(max(left, 1e-30 * cov[i, i]))
+            inside = min(upper[i] - lower[i], reach)
+        length[i] = inside / math.sqrt(left)
         order[i] = i
     for i in range(2):
         for j in range(2 - i):
@@ -113,9 +113,9 @@ def _integrate(C, low, high, mode, distance, sums) -> float:
     """Moments 0, 1 and 2 about the mode into sums (10,); returns the log of their common factor."""
     # Axis 1 given axis 0, and axis 2 given both.
     b1, b2 = C[0, 1], C[0, 2]
-    v1 = 1.0 - b1 * b1
+    v1 = remaining(1.0, b1, 1.0)
     slope = (C[1, 2] - b1 * b2) / v1
-    v2 = 1.0 - b2 * b2 - slope * (C[1, 2] - b1 * b2)
+    v2 = remaining(remaining(1.0, b2, 1.0), C[1, 2] - b1 * b2, v1)
     s1, s2 = math.sqrt(v1), math.sqrt(v2)
     left = _outer_end(C, low, high, mode, distance, -1.0)
     right = _outer_end(C, low, high, mode, distance, 1.0)
@@ -123,11 +123,18 @@ def _integrate(C, low, high, mode, distance, sums) -> float:
     parts = _outer_parts(C, low, high, left, right, cuts, scales)
     inner = np.empty(6)
     for part in range(parts):
-        pieces, count, at = rule(cuts[part + 1] - cuts[part], scales[part])
-        step = (cuts[part + 1] - cuts[part]) / pieces
+        start, end = cuts[part], cuts[part + 1]
+        drop = drop_between(
+            0.5 * nearest_given_first(start, C, low, high)[0],
+            0.5 * nearest_given_first(end, C, low, high)[0],
+            0.5 * distance,
+            start < mode[0] < end,
+        )
+        pieces, count, at = rule(end - start, scales[part], drop)
+        step = (end - start) / pieces
         for piece in range(pieces):
             for i in range(at, at + count):
-                x = cuts[part] + step * (piece + NODES[i])
+                x = start + step * (piece + NODES[i])
                 nearest, x1, _ = nearest_given_first(x, C, low, high)
                 depth = DEPTH - 0.5 * (nearest - distance)
                 if depth <= 0.0:
@@ -155,22 +162,24 @@ def _integrate(C, low, high, mode, distance, sums) -> float:
 def _outer_end(C, low, high, mode, distance, side: float) -> float:
     """End of the window of axis 0 on one side: where its best point lies DEPTH below the mode."""
     bound = high[0] if side > 0.0 else low[0]
-    # The profile falls at least as fast as the marginal density does from its own centre.
-    start = mode[0]
-    slope = max(side * mode[0], 0.0)
-    near = start
-    end = start + side * (math.sqrt(slope * slope + 2.0 * DEPTH) - slope)
-    end = min(end, bound) if side > 0.0 else max(end, bound)
-    for _ in range(30):
-        fall = 0.5 * (nearest_given_first(end, C, low, high)[0] - distance)
-        if fall <= DEPTH + 4.0:
-            if fall >= DEPTH or end == bound or near == start:
-                return end
-            near = end
-            return end
-        # Falls are convex from zero at the mode: the root of a parabola through it is beyond.
-        end = start + (end - start) * max(math.sqrt((DEPTH + 2.0) / fall), 0.05)
-    return end
+    # Half the squared distance of the best point is convex and bends at least as the marginal does.
+    far = mode[0] + side * math.sqrt(2.0 * DEPTH)
+    far = min(far, bound) if side > 0.0 else max(far, bound)
+    fall_far = 0.5 * (nearest_given_first(far, C, low, high)[0] - distance)
+    near, fall_near = mode[0], 0.0
+    for _ in range(40):
+        if fall_far <= DEPTH + 4.0:
+            break
+        # Secant of the root of the fall, which is straight where the fall is a parabola.
+        root = math.sqrt(fall_near)
+        share = (math.sqrt(DEPTH + 2.0) - root) / (math.sqrt(fall_far) - root)
+        middle = near + (far - near) * min(max(share, 0.05), 0.95)
+        fall = 0.5 * (nearest_given_first(middle, C, low, high)[0] - distance)
+        if fall < DEPTH:
+            near, fall_near = middle, max(fall, 0.0)
+        else:
+            far, fall_far = middle, fall
+    return far
 
 
 @njit(cache=True)
@@ -184,24 +193,22 @@ def _outer_parts(C, low, high, left, right, cuts, scales) -> int:
     zones = 0
     base = 1.0
     reach = math.sqrt(2.0 * DEPTH)
-    most = 1.0
     for j in range(1, 3):
         k = 3 - j
-        v = 1.0 - C[0, k] ** 2
+        v = remaining(1.0, C[0, k], 1.0)
         gain = (C[j, k] - C[0, j] * C[0, k]) / v
         own = C[0, j] - gain * C[0, k]
-        rest = 1.0 - C[0, j] ** 2 - gain * (C[j, k] - C[0, j] * C[0, k])
+        alone = remaining(1.0, C[0, j], 1.0)
+        rest = remaining(alone, C[j, k] - C[0, j] * C[0, k], v)
         for condition in range(3):
             if condition == 0:
-                slope, offset, deviation = C[0, j], 0.0, math.sqrt(1.0 - C[0, j] ** 2)
+                slope, offset, deviation = C[0, j], 0.0, math.sqrt(alone)
             else:
                 bound = low[k] if condition == 1 else high[k]
                 if not np.isfinite(bound):
                     continue
                 slope, offset, deviation = own, gain * bound, math.sqrt(rest)
             precision = (slope / deviation) ** 2
-            if condition == 0:
-                most = max(most, 1.0 + precision)
             if precision < 1.0:
                 base += precision if condition == 0 else 0.0
                 continue

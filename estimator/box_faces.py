@@ -10,6 +10,16 @@ from numba import njit
 
 
 @njit(cache=True)
+def remaining(variance: float, c: float, other: float) -> float:
+    """Variance left by conditioning on a variable of variance `other` and covariance c.
+
+    Held above working precision: the subtraction may leave nothing, or less, of a variance that a
+    positive definite matrix does leave.
+    """
+    return max(variance - c * c / other, 1e-14 * variance)
+
+
+@njit(cache=True)
 def nearest_on_line(mean: float, lower: float, upper: float) -> float:
     """The point of [lower, upper] nearest to `mean`."""
     return min(max(mean, lower), upper)
@@ -27,7 +37,7 @@ def nearest_in_rectangle(
     a1 = m1 + c / v0 * (a0 - m0)
     if l1 <= a1 <= u1:
         best, x0, x1 = (a0 - m0) ** 2 / v0, a0, a1
-    rest = v0 - c * c / v1
+    rest = remaining(v0, c, v1)
     for side in range(2):
         bound = l1 if side == 0 else u1
         if not np.isfinite(bound):
@@ -47,7 +57,8 @@ def nearest_given_first(x0: float, C, lower, upper):
     b1, b2 = C[0, 1] / C[0, 0], C[0, 2] / C[0, 0]
     distance, x1, x2 = nearest_in_rectangle(
         b1 * x0, b2 * x0,
-        C[1, 1] - b1 * C[0, 1], C[1, 2] - b1 * C[0, 2], C[2, 2] - b2 * C[0, 2],
+        remaining(C[1, 1], C[0, 1], C[0, 0]), C[1, 2] - b1 * C[0, 2],
+        remaining(C[2, 2], C[0, 2], C[0, 0]),
         lower[1], upper[1], lower[2], upper[2],
     )  # fmt: skip
     return distance + x0 * x0 / C[0, 0], x1, x2
@@ -61,7 +72,7 @@ def nearest_in_box(C, lower, upper, point) -> float:
     )
     # Axis 0 free: its conditional mean given the other two, one after the other.
     b = C[1, 2] / C[1, 1]
-    gain = (C[0, 2] - b * C[0, 1]) / (C[2, 2] - b * C[1, 2])
+    gain = (C[0, 2] - b * C[0, 1]) / remaining(C[2, 2], C[1, 2], C[1, 1])
     x0 = C[0, 1] / C[1, 1] * x1 + gain * (x2 - b * x1)
     if not lower[0] <= x0 <= upper[0]:
         best = np.inf

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numba import njit
 
-from estimator.quadrature import NODES, WEIGHTS, rule
+from estimator.quadrature import NODES, WEIGHTS, drop_between, rule
 
 DEPTH = 36.0
 """Parts of a box whose density is below exp(-36) = 2e-16 of its largest are left out."""
@@ -59,9 +59,8 @@ def _closed_form(a: float, b: float):
 @njit(cache=True)
 def _by_quadrature(near: float, far: float, origin: float, sign: float):
     """Moments of exp(-(x^2 - origin^2)/2) about the origin over [near, far], mirrored by sign."""
-    drop = 0.5 * (far - near) * (far + near) if origin > 0.0 else 1.0
-    # An exponential that drops by e^-d is as hard as a bell of half length sqrt(d).
-    _, count, at = rule(2.0 * math.sqrt(drop), 1.0)
+    drop = 0.5 * (far - near) * (far + near)
+    _, count, at = rule(far - near, 1.0, drop)
     m0 = m1 = m2 = 0.0
     for i in range(at, at + count):
         y = near - origin + (far - near) * NODES[i]
@@ -106,7 +105,13 @@ def plane_moments(
         end = first if part == 0 else (second if part == 1 else right)
         if not end > start:
             continue
-        pieces, count, at = rule(end - start, s1 if part == 1 else sharp)
+        drop = drop_between(
+            _fall(start, m1, m2, s1, slope, s2, l2, u2),
+            _fall(end, m1, m2, s1, slope, s2, l2, u2),
+            _fall(x1, m1, m2, s1, slope, s2, l2, u2),
+            start < x1 < end,
+        )
+        pieces, count, at = rule(end - start, s1 if part == 1 else sharp, drop)
         step = (end - start) / pieces
         for piece in range(pieces):
             origin = start + piece * step
@@ -135,18 +140,19 @@ def _window(m1, m2, s1, slope, s2, l1, u1, l2, u2, x1, depth):
     The profile is a concave parabola in three pieces: axis 2 at its lower bound, inside, at its
     upper one. Its exact end on either side is the root of the piece that it ends in.
     """
-    mean = m2 + slope * (x1 - m1)
-    off = (mean - nearest(mean, l2, u2)) / s2
-    level = ((x1 - m1) / s1) ** 2 + off * off + 2.0 * depth
+    level = 2.0 * (_fall(x1, m1, m2, s1, slope, s2, l2, u2) + depth)
     left = _end(m1, m2, s1, slope, s2, l2, u2, level, -1.0)
     right = _end(m1, m2, s1, slope, s2, l2, u2, level, 1.0)
     return max(left, l1), min(right, u1)
 
 
 @njit(cache=True)
-def nearest(x: float, lower: float, upper: float) -> float:
-    """The point of [lower, upper] nearest to x."""
-    return min(max(x, lower), upper)
+def _fall(x, m1, m2, s1, slope, s2, l2, u2) -> float:
+    """Half the squared distance of the best point at x along axis 1."""
+    mean = m2 + slope * (x - m1)
+    off = (mean - min(max(mean, l2), u2)) / s2
+    along = (x - m1) / s1
+    return 0.5 * (along * along + off * off)
 
 
 @njit(cache=True)

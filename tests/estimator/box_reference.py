@@ -48,7 +48,7 @@ def reference(mean, cov, lower, upper, panels=(12, 12, 12)):
 
 
 def worst_error(found, wanted, cov) -> float:
-    """Largest error of log_prob, and of mean and covariance in units of the truncated deviations."""
+    """Largest error of log_prob, and of the moments in units of the truncated deviations."""
     s = np.sqrt(np.diag(wanted[2]))
     return max(
         abs(found[0] - wanted[0]),

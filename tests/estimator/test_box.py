@@ -1,0 +1,198 @@
+"""Box moments against an independent brute force, and properties that hold for every box."""
+
+import numpy as np
+import pytest
+from box_reference import reference, worst_error
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from estimator.box import box_moments
+from estimator.box_faces import nearest_in_box
+
+# name: smallest eigen-deviation, distance of the box in sigma, half widths in sigma, panels
+KINDS = {
+    "ordinary": (0.6, 0.0, (0.5, 2.0), 4),
+    "tiny": (0.6, 0.0, (1e-3, 0.05), 2),
+    "huge": (0.6, 0.0, (3.0, 6.0), 8),
+    "8 sigma": (0.6, 8.0, (0.5, 2.0), 12),
+    "correlated": (0.08, 0.0, (0.5, 2.0), 20),
+    "strongly correlated": (0.03, 0.0, (0.3, 1.0), 20),
+    "correlated tail": (0.2, 5.0, (0.5, 1.5), 20),
+    "40 sigma": (0.6, 40.0, (0.3, 0.8), 20),
+}
+
+
+def box(rng, smallest, distance, widths):
+    Q = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    cov = Q @ np.diag([1.0, rng.uniform(0.3, 1), smallest]) ** 2 @ Q.T
+    s = np.sqrt(np.diag(cov))
+    mean = 0.5 * rng.normal(size=3)
+    direction = rng.normal(size=3)
+    centre = (
+        mean + (0.5 * rng.normal(size=3) + distance * direction / np.linalg.norm(direction)) * s
+    )
+    half = rng.uniform(*widths, size=3) * s
+    return mean, cov, centre - half, centre + half
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_against_brute_force(kind):
+    smallest, distance, widths, panels = KINDS[kind]
+    rng = np.random.default_rng(20)
+    for _ in range(3):
+        case = box(rng, smallest, distance, widths)
+        wanted = reference(*case, (panels,) * 3)
+        assert worst_error(box_moments(*case), wanted, case[1]) < 1e-10
+
+
+def test_independent_axes_are_three_truncated_normals():
+    """Against scipy's one-dimensional truncated normal, where that keeps its digits."""
+    from scipy.stats import norm, truncnorm
+
+    mean, s = np.array([0.3, -1.0, 2.0]), np.array([0.5, 2.0, 1.0])
+    a, b = np.array([-0.7, 1.0, -np.inf]), np.array([1.1, np.inf, 0.4])
+    log_prob, m, cov = box_moments(mean, np.diag(s**2), mean + s * a, mean + s * b)
+    assert_allclose(log_prob, np.log(norm.cdf(b) - norm.cdf(a)).sum(), rtol=1e-12)
+    for i in range(3):
+        law = truncnorm(a[i], b[i], loc=mean[i], scale=s[i])
+        assert_allclose(m[i], law.mean(), rtol=1e-11)
+        assert_allclose(cov[i, i], law.var(), rtol=1e-9)
+    assert_allclose(cov - np.diag(np.diag(cov)), 0, atol=1e-12)
+
+
+@pytest.mark.parametrize("distance", [40.0, 100.0, 1000.0])
+def test_far_tails_meet_their_asymptotics(distance):
+    """On a half space at a the moments are those of an exponential of rate a: 1/a, 1/a^2."""
+    from scipy.special import log_ndtr
+
+    lower = np.array([distance, -np.inf, -np.inf])
+    log_prob, mean, cov = box_moments(np.zeros(3), np.eye(3), lower, np.full(3, np.inf))
+    assert_allclose(log_prob, log_ndtr(-distance), rtol=1e-12)
+    a2 = distance**-2
+    assert_allclose(
+        (mean[0] - distance) * distance, 1 - 2 * a2 + 10 * a2**2, rtol=100 * a2**3 + 1e-9
+    )
+    assert_allclose(cov[0, 0] / a2, 1 - 6 * a2 + 50 * a2**2, rtol=600 * a2**3 + 1e-9)
+    assert_allclose(cov[1:, 1:], np.eye(2), atol=1e-10)
+
+
+def test_the_whole_space_is_the_prior():
+    rng = np.random.default_rng(0)
+    for smallest in (0.5, 0.03):
+        mean, cov, _, _ = box(rng, smallest, 0.0, (1, 2))
+        log_prob, m, C = box_moments(mean, cov, np.full(3, -np.inf), np.full(3, np.inf))
+        assert_allclose(log_prob, 0, atol=1e-11)
+        assert_allclose(m, mean, atol=1e-11)
+        assert_allclose(C, cov, atol=1e-10)
+
+
+def test_a_box_is_the_sum_of_its_halves():
+    """Cutting a box and mixing the parts gives it back: ordinary, correlated and far away."""
+    rng = np.random.default_rng(3)
+    for smallest, distance in ((0.5, 0.0), (0.1, 3.0), (0.5, 12.0), (0.02, 0.0)):
+        mean, cov, lower, upper = box(rng, smallest, distance, (0.5, 2.0))
+        whole = box_moments(mean, cov, lower, upper)
+        for axis in range(3):
+            cut = lower[axis] + 0.4 * (upper[axis] - lower[axis])
+            low, high = lower.copy(), upper.copy()
+            high[axis] = low[axis] = cut
+            parts = [box_moments(mean, cov, lower, high), box_moments(mean, cov, low, upper)]
+            weights = np.exp([part[0] - whole[0] for part in parts])
+            assert_allclose(weights.sum(), 1, rtol=1e-10)
+            s = np.sqrt(np.diag(whole[2]))
+            m = sum(w * part[1] for w, part in zip(weights, parts, strict=True))
+            assert_allclose((m - whole[1]) / s, 0, atol=1e-9)
+            C = sum(
+                w * (part[2] + np.outer(part[1] - m, part[1] - m))
+                for w, part in zip(weights, parts, strict=True)
+            )
+            assert_allclose((C - whole[2]) / np.outer(s, s), 0, atol=1e-9)
+
+
+def test_order_and_units_of_the_axes_do_not_matter():
+    rng = np.random.default_rng(5)
+    mean, cov, lower, upper = box(rng, 0.2, 2.0, (0.5, 2.0))
+    log_prob, m, C = box_moments(mean, cov, lower, upper)
+    for order in ([1, 2, 0], [2, 1, 0], [0, 2, 1]):
+        units = np.array([1e-3, 1.0, 1e4])
+        scale = np.outer(units, units)
+        other = box_moments(
+            mean[order] * units,
+            cov[np.ix_(order, order)] * scale,
+            lower[order] * units,
+            upper[order] * units,
+        )
+        assert_allclose(other[0], log_prob, rtol=1e-11)
+        assert_allclose(other[1], m[order] * units, rtol=1e-10)
+        assert_allclose(other[2], C[np.ix_(order, order)] * scale, rtol=1e-8, atol=0)
+
+
+def test_deterministic():
+    case = box(np.random.default_rng(1), 0.3, 4.0, (0.5, 2.0))
+    one, two = box_moments(*case), box_moments(*case)
+    assert one[0] == two[0]
+    assert np.array_equal(one[1], two[1])
+    assert np.array_equal(one[2], two[2])
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    smallest=st.floats(-2.0, 0.0),
+    distance=st.sampled_from([0.0, 1.0, 5.0, 12.0, 40.0, 200.0]),
+    width=st.floats(-3.0, 1.5),
+    open_side=st.integers(-1, 5),
+)
+def test_always_finite_inside_and_between_zero_and_the_prior(
+    seed, smallest, distance, width, open_side
+):
+    rng = np.random.default_rng(seed)
+    mean, cov, lower, upper = box(rng, 10**smallest, distance, (10**width, 1.5 * 10**width))
+    if open_side >= 0:
+        (lower if open_side < 3 else upper)[open_side % 3] = np.inf * (-1 if open_side < 3 else 1)
+    log_prob, m, C = box_moments(mean, cov, lower, upper)
+    assert np.isfinite(log_prob)
+    assert log_prob <= 0
+    assert np.all((lower <= m) & (m <= upper))
+    s = np.sqrt(np.diag(C))
+    assert np.all(s > 0)
+    assert np.linalg.eigvalsh(C / np.outer(s, s))[0] > 0
+    whitened = np.linalg.solve(L := np.linalg.cholesky(cov), np.linalg.solve(L, C).T)
+    assert np.linalg.eigvalsh(whitened)[-1] < 1 + 1e-8
+
+
+def test_nearest_point_is_the_minimum_of_the_distance():
+    """27 faces against random search: nothing inside the box is nearer, and it lies inside."""
+    rng = np.random.default_rng(2)
+    for _ in range(200):
+        A = rng.normal(size=(3, 3))
+        C = A @ A.T + 0.01 * np.eye(3)
+        C /= np.sqrt(np.outer(np.diag(C), np.diag(C)))
+        centre = 3 * rng.normal(size=3)
+        half = rng.uniform(0.1, 2.0, size=3)
+        lower, upper, point = centre - half, centre + half, np.empty(3)
+        distance = nearest_in_box(C, lower, upper, point)
+        information = np.linalg.inv(C)
+        assert np.all((point >= lower - 1e-12) & (point <= upper + 1e-12))
+        assert_allclose(point @ information @ point, distance, rtol=1e-8, atol=1e-10)
+        others = np.clip(point + 0.1 * rng.normal(size=(200, 3)) * half, lower, upper)
+        assert np.einsum("ni,ij,nj->n", others, information, others).min() >= distance - 1e-9
+
+
+def test_bad_input_is_a_clear_value_error():
+    good = {"mean": np.zeros(3), "cov": np.eye(3), "lower": -np.ones(3), "upper": np.ones(3)}
+    for change, words in (
+        ({"mean": np.zeros(2)}, r"mean has shape \(2,\), not \(3,\)"),
+        ({"cov": np.eye(2)}, r"cov has shape"),
+        ({"mean": np.array([0, np.nan, 0])}, "mean has values that are not finite"),
+        ({"cov": np.diag([1, 1, np.inf])}, "cov has values that are not finite"),
+        ({"lower": np.array([np.nan, 0, 0])}, "lower has values that are not finite"),
+        ({"lower": np.ones(3)}, "lower must be below upper"),
+        ({"lower": np.full(3, np.inf), "upper": np.full(3, np.inf)}, "lower must be below upper"),
+        ({"cov": np.diag([1.0, 1.0, 0.0])}, "not positive definite"),
+        ({"cov": -np.eye(3)}, "not positive definite"),
+        ({"cov": np.eye(3) + np.eye(3, k=1) * 0.1}, "not symmetric"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            box_moments(**{**good, **change})
