@@ -9,9 +9,10 @@ GRAVITY = 9.81
 SWING, STANCE = 0, 1
 # Room between a foothold and an edge, as shares of the leg's length: a falling edge, a riser before
 # the foot, and one behind it, which the shin leans over where it descends.
-BRINK, RISER, SHIN = 0.07, 0.11, 0.17
+BRINK, RISER, SHIN = 0.07, 0.14, 0.17
 JUMP = 0.04  # of the leg's length: ground that jumps by more is an edge
 SETTLED = 0.4  # share of the swing after which a foothold stays on its step
+LIFT = 0.6  # share of the swing in which the foot climbs to, or falls from, another height
 ROOM = 0.04  # of the leg's length, between the sole and what it passes over
 
 
@@ -42,14 +43,15 @@ def swing(gait, relief, memory, p, v, yaw, v_want, turn, feet, feet_v, J, mode, 
             place_foot(gait, relief, memory[leg], leg, want, c, s, u)
             rise_over(gait, relief, memory[leg], leg)
             # Minimum-jerk across; up and down again along a smooth bump that lands softly.
-            blend = u * u * u * (10.0 - 15.0 * u + 6.0 * u * u)
-            slope = 30.0 * u * u * (1.0 - u) * (1.0 - u) / swing_time
-            bend = 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) / swing_time**2
             for a in range(3):
                 span = memory[leg, 4 + a] - memory[leg, a]
+                part, pace = (u, 1.0) if a < 2 else lift_part(span, u)
+                blend = part * part * part * (10.0 - 15.0 * part + 6.0 * part * part)
+                slope = 30.0 * (part * (1.0 - part)) ** 2
+                bend = 60.0 * part * (1.0 - part) * (1.0 - 2.0 * part)
                 goal[a] = memory[leg, a] + blend * span
-                goal_v[a] = slope * span
-                goal_a[a] = bend * span
+                goal_v[a] = slope * span * pace / swing_time
+                goal_a[a] = bend * span * (pace / swing_time) ** 2
             goal[2] += 64.0 * (u * (1.0 - u)) ** 3 * memory[leg, 8]
             goal_v[2] += (
                 192.0 * (u * (1.0 - u)) ** 2 * (1.0 - 2.0 * u) * memory[leg, 8] / swing_time
@@ -64,6 +66,14 @@ def swing(gait, relief, memory, p, v, yaw, v_want, turn, feet, feet_v, J, mode, 
         )
         force[2] += gait.foot_mass * GRAVITY
         torque[3 * leg : 3 * leg + 3] = J[leg].T @ force
+
+
+@njit(cache=True)
+def lift_part(span, u):
+    """Share done of a change of height, and its pace: up before across, across before down."""
+    if span > 0.0:
+        return min(u / LIFT, 1.0), 1.0 / LIFT
+    return max((u - 1.0 + LIFT) / LIFT, 0.0), 1.0 / LIFT
 
 
 @njit(cache=True)
@@ -137,7 +147,9 @@ def rise_over(gait, relief, memory, leg):
         blend = u * u * u * (10.0 - 15.0 * u + 6.0 * u * u)
         x = memory[0] + blend * (memory[4] - memory[0])
         y = memory[1] + blend * (memory[5] - memory[1])
-        line = memory[2] + blend * (memory[6] - memory[2])
+        part, _ = lift_part(memory[6] - memory[2], u)
+        lifted = part * part * part * (10.0 - 15.0 * part + 6.0 * part * part)
+        line = memory[2] + lifted * (memory[6] - memory[2])
         rise = height(relief, x, y) + radius - line
         if rise > 0.01 * gait.leg_length:
             apex = max(apex, (rise + room) / (64.0 * (u * (1.0 - u)) ** 3))
