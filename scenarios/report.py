@@ -86,6 +86,13 @@ def html_report(title: str, sections: Sequence[Section]) -> str:
     return "\n".join(part for part in parts if part) + "\n"
 
 
+def save_picture(picture: Picture, path: str | Path, force: bool = False) -> None:
+    """Write the picture as a PNG. Raises SurefootError where `path` exists (no `force`)."""
+    data = _bytes(picture)
+    with whole_file(path, force) as temporary:
+        temporary.write_bytes(data)
+
+
 def _section(number: int, section: Section) -> str:
     parts = [f'<section id="s{number}"><h2>{escape(section.heading)}</h2>']
     paragraphs = [p.strip() for p in section.prose.split("\n\n")]
@@ -97,9 +104,13 @@ def _section(number: int, section: Section) -> str:
 
 
 def _picture(picture: Picture) -> str:
-    data = picture.figure if isinstance(picture.figure, bytes) else png(picture.figure)
+    data = _bytes(picture)
     caption = escape(picture.caption)
     source = f"data:image/png;base64,{b64encode(data).decode('ascii')}"
     return (
         f'<figure><img alt="{caption}" src="{source}"><figcaption>{caption}</figcaption></figure>'
     )
+
+
+def _bytes(picture: Picture) -> bytes:
+    return picture.figure if isinstance(picture.figure, bytes) else png(picture.figure)

@@ -8,6 +8,12 @@ from pathlib import Path
 from sim.errors import SurefootError
 
 
+def refuse_overwrite(path: str | Path, force: bool) -> None:
+    """Raises SurefootError where `path` exists and `force` is not given: before long work starts."""
+    if Path(path).exists() and not force:
+        raise SurefootError(f"{path}: exists already; give --force (force=True) to overwrite it")
+
+
 @contextmanager
 def whole_file(path: str | Path, force: bool = False) -> Iterator[Path]:
     """Yield a temporary path beside `path`; on success it is synced and takes its place at once.
@@ -18,8 +24,7 @@ def whole_file(path: str | Path, force: bool = False) -> Iterator[Path]:
     path = Path(path)
     if path.is_dir():
         raise SurefootError(f"{path}: is a folder, not a file to write")
-    if path.exists() and not force:
-        raise SurefootError(f"{path}: exists already; give --force (force=True) to overwrite it")
+    refuse_overwrite(path, force)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

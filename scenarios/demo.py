@@ -1,0 +1,176 @@
+"""The main job end to end: walk, learn, calibrate, estimate, compare, and close the loop."""
+
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+import pandas as pd
+from tqdm import tqdm
+
+from models.bounds import Bounds
+from models.calibration import calibrate
+from models.coverage import coverage
+from models.observer import Observer
+from models.predict import prediction_errors
+from models.training import train
+from scenarios.compare import compare_log, prepare_folder, write_comparison
+from scenarios.figures_observer import error_distributions, mixing_curve
+from scenarios.filters import Learnt
+from scenarios.report import Picture, Section, save_picture
+from scenarios.tables import to_markdown
+from scenarios.trace import Trace, trace
+from scenarios.trace_report import sections as trace_sections
+from scenarios.trace_words import summary
+from sim.effects import Effect, effect
+from sim.effects_file import save_effects
+from sim.log import Log
+from sim.robot import Robot
+from sim.scenario import Scenario
+from sim.walk import walk
+
+COURSES = Path(__file__).parent / "demo"
+ROLES = ("train", "calibrate", "walk")
+
+UNDECLARED: tuple[tuple[str, tuple[str, ...], tuple[float, float]], ...] = (
+    ("encoder_offset", ("FL_thigh", "FR_calf", "RL_calf", "RR_thigh"), (0.015, 0.05)),
+    ("link_length", ("FL_calf", "FR_thigh", "RL_thigh", "RR_calf"), (0.01, 0.03)),
+    ("foot_rolling", ("all",), (0.004, 0.01)),
+    ("imu_rotation", ("x", "y", "z"), (0.02, 0.06)),
+    ("gyro_scale", ("x", "y", "z"), (0.01, 0.03)),
+    ("joint_delay", ("all",), (0.003, 0.01)),
+)
+"""What the walk to be traced may hide: an effect, its targets, and the range of its size."""
+
+
+def demo(out: Path, seed: int = 0, force: bool = False) -> pd.DataFrame:
+    """Run everything into `out` and print the table; the same seed gives the same table.
+
+    Raises SurefootError where `out` holds files and `force` is not given.
+    """
+    started = perf_counter()
+    prepare_folder(out, force)
+    robot = Robot.load("spot_class")
+    logs = {role: _walk(role, robot, seed, out, force) for role in ROLES}
+    learnt = _learn(logs, seed, out, force)
+    print("\nThree filters and their rivals, on a walk nobody has seen")
+    comparison = compare_log(logs["walk"], robot, learnt)
+    found, hidden = _trace(robot, seed, out, force)
+    ground = Scenario.load(COURSES / "walk.toml").ground
+    extra = [_observer_section(logs, learnt, out, force), *_loop_sections(found, hidden)]
+    title = "surefoot demo: a walk on slippery ground, estimated from the inside"
+    results = write_comparison(
+        [comparison], out, title, ground.patches, ground.mu, extra=extra, force=force
+    )
+    print("\n" + to_markdown(results))
+    print(f"\n{summary(found)}\nIt was: {_in_words(hidden)}.")
+    print(
+        f"\n{perf_counter() - started:.0f} s in all. Open {out / 'report.html'}, or look at the walk: "
+        f"surefoot view {out / 'walk.rrd'}"
+    )
+    return results
+
+
+def _walk(role: str, robot: Robot, seed: int, out: Path, force: bool) -> Log:
+    scenario = Scenario.load(COURSES / f"{role}.toml")
+    with tqdm(total=100, desc=f"walking: {role}", unit="%", bar_format="{l_bar}{bar}|") as bar:
+        log = walk(scenario, robot, seed, progress=lambda share: bar.update(100 * share - bar.n))
+    path = out / "logs" / f"{role}.parquet"
+    log.write(path, force)
+    return Log.read(path)
+
+
+def _learn(logs: dict[str, Log], seed: int, out: Path, force: bool) -> Learnt:
+    """Both observers at once, one process each, and bounds for both."""
+    print("training two observers on one walk: mean squared error, Gaussian likelihood")
+    train_log = logs["train"]
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        jobs = [pool.submit(_train, train_log, loss, seed) for loss in ("mse", "gml")]
+        observers = tuple(job.result() for job in jobs)
+    bounds = []
+    for observer in observers:
+        observer.save(out / f"observer_{observer.loss}.pt", force)
+        bound = calibrate(observer, logs["calibrate"])
+        bound.save(out / f"bounds_{observer.loss}.json", force)
+        bounds.append(bound)
+    return Learnt(observers, tuple(bounds))
+
+
+def _train(log: Log, loss: str, seed: int) -> Observer:
+    return train(log, loss=loss, seed=seed, progress=True)
+
+
+def _trace(robot: Robot, seed: int, out: Path, force: bool) -> tuple[Trace, Effect]:
+    """Walk once more with something the model lacks, and find it from the log alone."""
+    rng = np.random.default_rng([seed, 7])
+    name, targets, (low, high) = UNDECLARED[rng.integers(len(UNDECLARED))]
+    size = float(rng.choice([-1.0, 1.0]) * np.exp(rng.uniform(np.log(low), np.log(high))))
+    hidden = effect(name, str(rng.choice(targets)), abs(size) if name == "joint_delay" else size)
+    print("\nwalking once more, with an effect that the log does not declare")
+    scenario = Scenario.load(COURSES / "walk.toml")
+    log = replace(walk(scenario, robot, seed + 1, [hidden], declared=False), name="undeclared")
+    log.write(out / "logs" / "undeclared.parquet", force)
+    save_effects(out / "truth.toml", [hidden], force)
+    return trace([log], robot, out / "trace", seed=seed, force=force), hidden
+
+
+def _in_words(hidden: Effect) -> str:
+    return f"{hidden.name} of {hidden.target}, {hidden.value:.4g} {hidden.unit}"
+
+
+def _loop_sections(found: Trace, hidden: Effect) -> list[Section]:
+    told = Section(
+        "The loop closed once",
+        "A further walk was recorded with an effect that its log does not declare; what follows was "
+        f"found from the log alone. The effect was: {_in_words(hidden)}.",
+    )
+    return [told, *trace_sections(found)]
+
+
+def _observer_section(logs: dict[str, Log], learnt: Learnt, out: Path, force: bool) -> Section:
+    observer, bounds = learnt.bounded("mse")
+    train_errors = prediction_errors(observer, logs["train"])[1]
+    test_errors = prediction_errors(observer, logs["walk"])[1]
+    held = coverage(test_errors, bounds)
+    pictures = [
+        Picture(
+            error_distributions(train_errors, test_errors, bounds.epsilon, bounds.gamma),
+            "The observer's errors where it was trained and elsewhere, with one bound for both.",
+        )
+    ]
+    if bounds.mixing is not None:
+        pictures.append(
+            Picture(
+                mixing_curve(bounds.mixing),
+                "How long errors remember: calibration samples are taken K steps apart.",
+            )
+        )
+    for name, picture in zip(("errors", "mixing"), pictures, strict=False):
+        save_picture(picture, out / "figures" / f"observer_{name}.png", force)
+    return Section(
+        "The observer and its bounds",
+        f"Trained on one walk; calibrated on another at joint level {bounds.gamma:g} with "
+        f"{bounds.n} errors, {bounds.K} steps of 10 ms apart. On the third walk {100 * held.joint:.1f} % of "
+        f"the errors lie within all three bounds (95 % interval {100 * held.joint_interval[0]:.0f} "
+        f"to {100 * held.joint_interval[1]:.0f} %).",
+        _errors_table(learnt, logs),
+        tuple(pictures),
+    )
+
+
+def _errors_table(learnt: Learnt, logs: dict[str, Log]) -> list[dict[str, object]]:
+    rows: list[dict[str, object]] = []
+    observer: Observer
+    bounds: Bounds
+    for observer, bounds in zip(learnt.observers, learnt.bounds, strict=True):
+        for role in ROLES:
+            errors = prediction_errors(observer, logs[role])[1]
+            rms = np.sqrt((errors**2).mean(axis=0))
+            row: dict[str, object] = {"loss": observer.loss, "walk": role}
+            for i, axis in enumerate("xyz"):
+                row[f"RMSE {axis} [m/s]"] = rms[i]
+                row[f"epsilon {axis} [m/s]"] = bounds.epsilon[i]
+            rows.append(row)
+    return rows

@@ -1,0 +1,171 @@
+"""The filters by name: what each needs of a log and of what was learnt, and how it is run."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from time import perf_counter
+
+from estimator.filter import run_coverage, run_imu, run_velocity
+from estimator.initial import initial_state
+from estimator.leg import LegNoise, encoder_covariance, run_leg
+from estimator.metrics import Metrics, evaluate
+from estimator.trajectory import Trajectory, reference
+from models.bounds import Bounds
+from models.observer import Observer
+from models.predict import Prediction, predict
+from sim.errors import SurefootError
+from sim.log import Log, joint_velocity
+from sim.robot import Robot
+
+SLIP_GATE = 16.27
+"""Squared Mahalanobis distance, 3 degrees of freedom, passed by chance once in a thousand."""
+ENCODER = 2e-3
+"""rad, of a joint angle: encoder step, calibration and what a loaded drive gives."""
+KINEMATICS = 2e-3
+"""m, of a foot's place: links, mounts and the foot's shape."""
+
+
+@dataclass(frozen=True)
+class Learnt:
+    """What was learnt: observers, and bounds that each name the observer they belong to."""
+
+    observers: tuple[Observer, ...] = ()
+    bounds: tuple[Bounds, ...] = ()
+
+    def gaussian(self) -> Observer:
+        """The observer that predicts a covariance. Raises SurefootError naming the option."""
+        found = [o for o in self.observers if o.loss == "gml"]
+        if len(found) == 1:
+            return found[0]
+        if found:
+            raise SurefootError("--observer: two observers were trained with gml; give one")
+        if self.observers:
+            raise SurefootError(
+                "--observer: this one was trained with mse; train one with --loss gml"
+            )
+        raise SurefootError("needs --observer, one trained with --loss gml")
+
+    def bounded(self, loss: str | None = None) -> tuple[Observer, Bounds]:
+        """The observer and its bounds; of two, the `mse` one unless `loss` says otherwise."""
+        if not self.observers:
+            raise SurefootError("needs --observer and --bounds")
+        if not self.bounds:
+            raise SurefootError("needs --bounds: calibrate the observer")
+        pairs = [(o, b) for o in self.observers for b in self.bounds if b.observer == o.hash]
+        if not pairs:
+            raise SurefootError("--bounds belong to another observer; calibrate this one")
+        wanted = [pair for pair in pairs if loss is None or pair[0].loss == loss]
+        if not wanted:
+            raise SurefootError(f"needs --bounds of an observer trained with --loss {loss}")
+        return min(wanted, key=lambda pair: pair[0].loss != "mse")
+
+
+@dataclass(frozen=True)
+class Result:
+    """One filter on one log."""
+
+    filter: str
+    log: str
+    trajectory: Trajectory
+    metrics: Metrics | None  # None where the log has no reference
+    step_time: float  # s a sample, the compiled loop alone
+
+
+def run_filter(name: str, log: Log, robot: Robot, learnt: Learnt | None = None) -> Result:
+    """Estimate a log with one filter. Raises SurefootError saying what it lacks."""
+    if name not in FILTERS:
+        raise SurefootError(f"--filter {name}: unknown; choose {' | '.join(FILTERS)}")
+    log.require("imu")
+    try:
+        run = FILTERS[name](log, robot, learnt or Learnt())
+    except SurefootError as error:
+        raise SurefootError(f"filter {name}: {error}") from None
+    started = perf_counter()
+    trajectory = run()
+    elapsed = perf_counter() - started
+    judged = evaluate(reference(log), trajectory) if log.has("reference") else None
+    return Result(name, log.name, trajectory, judged, elapsed / len(log.t))
+
+
+def run_all(
+    log: Log,
+    robot: Robot,
+    learnt: Learnt,
+    names: Sequence[str] | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> tuple[list[Result], dict[str, str]]:
+    """Every filter that the log and what was learnt allow, and why each other was left out."""
+    results: list[Result] = []
+    left_out: dict[str, str] = {}
+    for name in names or FILTERS:
+        if progress:
+            progress(name)
+        try:
+            results.append(run_filter(name, log, robot, learnt))
+        except SurefootError as error:
+            left_out[name] = str(error).removeprefix(f"filter {name}: ")
+    return results, left_out
+
+
+Run = Callable[[], Trajectory]
+
+
+def _coverage(log: Log, robot: Robot, learnt: Learnt, loss: str | None = None) -> Run:
+    observer, bounds = learnt.bounded(loss)
+    seen = predict(observer, log, robot)
+    epsilon = bounds.epsilon_at(robot.R_BI)
+    state, covariance = initial_state(log)
+    return lambda: run_coverage(
+        log.t, log.gyro, log.accel, seen.rows, seen.v_I, epsilon, bounds.gamma, state, covariance
+    )
+
+
+def _coverage_gml(log: Log, robot: Robot, learnt: Learnt) -> Run:
+    return _coverage(log, robot, learnt, "gml")
+
+
+def _velocity(log: Log, robot: Robot, learnt: Learnt) -> Run:
+    seen: Prediction = predict(learnt.gaussian(), log, robot)
+    state, covariance = initial_state(log)
+    return lambda: run_velocity(
+        log.t, log.gyro, log.accel, seen.rows, seen.v_I, seen.covariance, state, covariance
+    )
+
+
+def _leg(log: Log, robot: Robot, _: Learnt, gate: float | None = None) -> Run:
+    log.require("q", "contact")
+    dq = log.dq if log.has("dq") else joint_velocity(log, causal=True)
+    feet_I = robot.feet_I(log.q)
+    rates_I = robot.foot_rates_I(log.q, dq)
+    cov = encoder_covariance(robot.feet_jacobian_I(log.q), ENCODER, KINEMATICS)
+    state, covariance = initial_state(log)
+    return lambda: run_leg(
+        log.t, log.gyro, log.accel, feet_I, log.contact, cov, state, covariance, LegNoise(),
+        robot.foot_radius, rates_I, gate,
+    )  # fmt: skip
+
+
+def _leg_slip(log: Log, robot: Robot, learnt: Learnt) -> Run:
+    return _leg(log, robot, learnt, SLIP_GATE)
+
+
+def _imu(log: Log, robot: Robot, _: Learnt) -> Run:
+    state, covariance = initial_state(log)
+    return lambda: run_imu(log.t, log.gyro, log.accel, state, covariance)
+
+
+FILTERS: dict[str, Callable[[Log, Robot, Learnt], Run]] = {
+    "coverage": _coverage,
+    "coverage_gml": _coverage_gml,
+    "velocity": _velocity,
+    "leg": _leg,
+    "leg_slip": _leg_slip,
+    "imu": _imu,
+}
+DESCRIPTIONS = {
+    "coverage": "set-coverage IEKF, bounds of the mse observer",
+    "coverage_gml": "set-coverage IEKF on the gml observer's mean: compares update, not network",
+    "velocity": "Gaussian-velocity IEKF, covariance predicted by the gml observer",
+    "leg": "contact-aided leg IEKF (Hartley)",
+    "leg_slip": "leg IEKF that restarts a contact whose innovation fails a chi-square gate",
+    "imu": "IMU alone: the floor",
+}
