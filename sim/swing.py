@@ -139,18 +139,24 @@ def _along(relief, x, y, axis, distance):
 
 @njit(cache=True)
 def rise_over(gait, relief, memory, leg):
-    """Sets the height of the swing's bump so that the sole clears the ground between its ends."""
-    apex = max(gait.clearance, memory[8])
+    """Sets the height of the swing's bump so that the sole clears the ground between its ends.
+
+    Over ground that rises evenly from one end to the other the plain swing does.
+    """
     radius, room = gait.foot_radius[leg], ROOM * gait.leg_length
+    apex, uneven = 0.0, False
     for k in range(4, 17):
         u = 0.05 * k
         blend = u * u * u * (10.0 - 15.0 * u + 6.0 * u * u)
         x = memory[0] + blend * (memory[4] - memory[0])
         y = memory[1] + blend * (memory[5] - memory[1])
-        part, _ = lift_part(memory[6] - memory[2], u)
+        sole = height(relief, x, y) + radius
+        climb = memory[6] - memory[2]
+        uneven |= abs(sole - memory[2] - blend * climb) > 0.015 * gait.leg_length
+        part, _ = lift_part(climb, u)
         lifted = part * part * part * (10.0 - 15.0 * part + 6.0 * part * part)
-        line = memory[2] + lifted * (memory[6] - memory[2])
-        rise = height(relief, x, y) + radius - line
-        if rise > 0.01 * gait.leg_length:
-            apex = max(apex, (rise + room) / (64.0 * (u * (1.0 - u)) ** 3))
-    memory[8] = min(apex, 0.4 * gait.leg_length)
+        lack = sole + room - memory[2] - lifted * climb
+        apex = max(apex, lack / (64.0 * (u * (1.0 - u)) ** 3))
+    if uneven:
+        memory[8] = max(memory[8], min(apex, 0.4 * gait.leg_length))
+    memory[8] = max(memory[8], gait.clearance)
