@@ -1,6 +1,6 @@
 """Where a filter starts: from the reference's first row, or from gravity where there is none."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,7 +10,12 @@ from sim.errors import SurefootError
 from sim.log import Log, reference_velocity
 
 STILL_WINDOW = 0.5
-"""s. How much of a log's start is averaged to find gravity where no reference says more."""
+"""s. How much of a log's start is averaged to find the gyro's bias, and gravity where no reference
+says more."""
+STILL_GYRO, STILL_ACCEL = 0.03, 0.5
+"""rad/s and m/s^2. A robot whose readings spread by less over that window stands still."""
+STILL_BIAS = 3e-4
+"""rad/s. Least deviation of a gyro bias found standing: legs give a little, and slowly."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +45,8 @@ def initial_state(log: Log, std: InitialStd | None = None) -> tuple[NavState, np
 
     With a reference: position, attitude and velocity of its first row (REFERENCE_STD). Without:
     roll and pitch that put the mean specific force of the first 0.5 s along -gravity, yaw,
-    position and velocity zero (GRAVITY_STD); the robot is taken to stand. Biases start at zero.
+    position and velocity zero (GRAVITY_STD); the robot is taken to stand. Biases start at zero, the
+    gyro's at its mean where the IMU shows that the robot stands still (`still_gyro_bias`).
     Raises LogError where the log has neither a reference nor an IMU, and SurefootError where the
     mean force of the start is no gravity (outside 8 to 12 m/s^2).
     """
@@ -48,8 +54,9 @@ def initial_state(log: Log, std: InitialStd | None = None) -> tuple[NavState, np
         row = int(np.flatnonzero(log.ref_ok)[0]) if log.ref_ok.any() else 0
         if row != 0:
             raise SurefootError(f"{log.name}: ref_ok is 0 in the first row, nothing to start from")
-        state = NavState(log.ref_R_GI[0], reference_velocity(log)[0], log.ref_p[0])
-        return state, start_covariance(state, std or REFERENCE_STD)
+        b_g, std = still_gyro_bias(log, std or REFERENCE_STD)
+        state = NavState(log.ref_R_GI[0], reference_velocity(log)[0], log.ref_p[0], b_g=b_g)
+        return state, start_covariance(state, std)
     log.require("imu")
     start = log.t <= log.t[0] + STILL_WINDOW
     force = log.accel[start].mean(axis=0)
@@ -59,8 +66,26 @@ def initial_state(log: Log, std: InitialStd | None = None) -> tuple[NavState, np
             f"{log.name}: accel averages {size:.1f} m/s^2 over the first {STILL_WINDOW} s, "
             "so gravity cannot be told; start the log standing or give a reference"
         )
-    state = NavState(level(force))
-    return state, start_covariance(state, std or GRAVITY_STD)
+    b_g, std = still_gyro_bias(log, std or GRAVITY_STD)
+    state = NavState(level(force), b_g=b_g)
+    return state, start_covariance(state, std)
+
+
+def still_gyro_bias(log: Log, std: InitialStd) -> tuple[np.ndarray, InitialStd]:
+    """Gyro bias (3,) [rad/s] where the log starts standing still, else zero; and `std` with its own.
+
+    The mean of the first 0.5 s. Its deviation is that of the mean, taking ten neighbouring samples
+    for one independent one, and STILL_BIAS at least.
+    """
+    if not log.has("imu"):
+        return np.zeros(3), std
+    start = log.t <= log.t[0] + STILL_WINDOW
+    gyro, accel = log.gyro[start], log.accel[start]
+    spread = float(gyro.std(axis=0).max())
+    if spread > STILL_GYRO or accel.std(axis=0).max() > STILL_ACCEL:
+        return np.zeros(3), std
+    deviation = max(STILL_BIAS, spread / np.sqrt(max(len(gyro) / 10, 1.0)))
+    return gyro.mean(axis=0), replace(std, b_g=min(deviation, std.b_g))
 
 
 def level(force_I: np.ndarray) -> np.ndarray:

@@ -17,17 +17,17 @@ class Course:
 
     t: np.ndarray  # (N,) s
     pose: np.ndarray  # (N, 3) x, y [m] and yaw [rad] in G
-    velocity: (
-        np.ndarray
-    )  # (N, 3) forward, lateral [m/s] and yaw rate [rad/s], in the base's heading
+    velocity: np.ndarray  # (N, 3) forward, lateral [m/s], yaw rate [rad/s], along the heading
 
 
-def lay_course(segments: Sequence[Segment], dt: float, stand: float, laps: int = 1) -> Course:
+def lay_course(
+    segments: Sequence[Segment], dt: float, stand: float, laps: int = 1, lead: float = 0.0
+) -> Course:
     """Integrate the segments from the origin, with ramps between their velocities.
 
-    It begins and ends with `stand` seconds of standing still.
+    It begins and ends with `stand` seconds of standing still, after `lead` more at the beginning.
     """
-    targets = [np.zeros((round(stand / dt), 3))]
+    targets = [np.zeros((round((lead + stand) / dt), 3))]
     for _ in range(laps):
         for s in segments:
             targets.append(np.tile([s.forward, s.lateral, s.turn], (round(s.duration / dt), 1)))

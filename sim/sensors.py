@@ -1,6 +1,6 @@
 """From the simulated motion to what the robot's sensors would say."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from scipy.signal import lfilter
@@ -51,6 +51,12 @@ class Motion:
     dq: np.ndarray  # (N + 1, 12) rad/s
     tau: np.ndarray  # (N, 12) N m, over each step
     force: np.ndarray  # (N, 4) N, normal foot force over each step
+
+    def after(self, time: float) -> "Motion":
+        """The motion from `time` [s] on, its clock starting there."""
+        first = int(np.searchsorted(self.t, time))
+        parts = {f.name: getattr(self, f.name)[first:] for f in fields(self)}
+        return Motion(**parts | {"t": self.t[first:] - self.t[first]})
 
 
 @dataclass(frozen=True)

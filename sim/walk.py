@@ -23,6 +23,7 @@ from sim.terrain import Ground
 from sim.world import TIMESTEP, World, add_payload, build_world, robot_spec
 
 STEPS_PER_TICK = 2  # the controller runs at 250 Hz
+SETTLE = 3.0  # s of standing before the log begins: a robot is switched on at rest
 
 
 class Fallen(SurefootError):
@@ -55,15 +56,19 @@ def walk(
         effect.edit_spec(spec, robot)
     world = build_world(robot, ground, spec)
     course = lay_course(
-        draw.scenario.segments, TIMESTEP * STEPS_PER_TICK, scenario.stand, scenario.laps
+        draw.scenario.segments,
+        TIMESTEP * STEPS_PER_TICK,
+        scenario.stand,
+        scenario.laps,
+        lead=SETTLE,
     )
     if np.abs(course.pose[:, :2]).max() > ground.half_size - robot.leg_length:
         raise SurefootError(
             f"scenario {scenario.name}: the course leaves the floor; "
             "give [ground] a larger half_size"
         )
-    gait = gait_for(robot, scenario.stand, draw.period, draw.clearance, draw.gain)
-    motion = simulate(world, robot, gait, course, progress)
+    gait = gait_for(robot, SETTLE + scenario.stand, draw.period, draw.clearance, draw.gain)
+    motion = simulate(world, robot, gait, course, progress).after(SETTLE)
     streams = ideal_streams(motion, robot)
     for effect in effects:
         streams = effect.alter_streams(streams, robot)
