@@ -1,18 +1,18 @@
 """Close the loop: residual of measured logs -> the effect the model lacks -> before and after."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from models.attribution import Attribution, Split, attribute
-from models.candidates import Case, Evidence, all_keys, linearise
-from models.fitting import fit, whiten
+from models.candidates import Case, all_keys
 from models.floor import Floor, floor_of
-from models.masking import Trust, trust
-from models.residual import CHANNELS, COLUMNS, measured_against
+from models.levels import Channel, channel_levels, without_bias
+from models.remainder import Remainder, form
+from models.residual import measured_against
 from scenarios.trace_filters import BeforeAfter, before_and_after, mean_metrics, stretch
 from scenarios.trace_report import write_outputs
 from scenarios.trace_words import motion_to_tell_apart
@@ -27,29 +27,7 @@ BLOCK, GAP = 4.0, 0.2
 """s: blocks that fit and blocks that select take turns, with gaps between them."""
 SHORTEST = 12.0
 """s of a log below which there is too little to split."""
-AT_FLOOR = 1.15
-"""A channel is at its floor up to this ratio to the root mean square of the floor's worst walk."""
 OUTPUTS = ("trace.json", "effects.toml", "report.html", "trace.rrd")
-
-
-@dataclass(frozen=True)
-class Channel:
-    """Root mean square residual on the report split, in `unit`; biases of the sensor are taken off.
-
-    None for the floor where no repeat of the declared model has the channel.
-    """
-
-    before: float
-    after: float
-    noise_floor: float | None
-    unit: str
-    highest: float = np.inf
-    """The most that one walk of the floor has."""
-
-    @property
-    def at_floor(self) -> bool:
-        """Whether what is left is what the declared model leaves by itself."""
-        return self.after <= AT_FLOOR * self.highest
 
 
 @dataclass(frozen=True)
@@ -66,6 +44,7 @@ class Trace:
     motion: str
     notes: tuple[str, ...]
     stretches: tuple[BeforeAfter, ...]
+    remainder: tuple[Remainder, ...] = ()
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -101,6 +80,8 @@ class Trace:
                 for one in rounds
             ],
         }  # fmt: skip
+        if self.verdict == "none_of_these":
+            out["remainder"] = [asdict(r) for r in self.remainder]
         if self.rivals:
             out |= {"rivals": list(self.rivals), "motion": self.motion}
         return _plain(out)
@@ -160,7 +141,14 @@ def diagnose(
     rng = np.random.default_rng(seed)
     result = attribute(cases, floor, split, rng, lambda share: tell(0.35 + 0.5 * share))
     effects = [f.effect for f in result.found]
-    channels = _channels(cases, result, split)
+    channels = channel_levels(cases, result, split)
+    verdict, remainder = _verdict(result, channels), ()
+    if verdict == "none_of_these":
+        above = [name for name, c in channels.items() if not c.at_floor or c.worse]
+        used = split.fit | split.select
+        left = without_bias(result.evidence, result.trust, used)
+        remainder = form(cases, left, result.trust, above, split.fit, split.select)
+    notes += tuple(f"{name}: worse with what was found" for name, c in channels.items() if c.worse)
     tell(0.88)
     stretches = _filtered(cases, effects)
     filters = {}
@@ -174,7 +162,7 @@ def diagnose(
     )
     tell(1.0)
     return Trace(
-        verdict=_verdict(result, channels),
+        verdict=verdict,
         attribution=result,
         channels=channels,
         filters=filters,
@@ -184,6 +172,7 @@ def diagnose(
         motion=motion_to_tell_apart([r["name"] for r in rivals]) if rivals else "",
         notes=notes,
         stretches=stretches,
+        remainder=remainder,
     )
 
 
@@ -232,45 +221,6 @@ def _said(cases: Sequence[Case], floor: Floor) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _channels(cases: Sequence[Case], result: Attribution, split: Split) -> dict[str, Channel]:
-    keys = result.evidence.keys
-    plain = linearise(cases, (), keys[:0])
-    trusted, floor = result.trust, result.floor
-    use = split.fit | split.select
-    before = _without_bias(plain, trusted, use)
-    after = _without_bias(result.evidence, trusted, use)
-    floors = [
-        _without_bias(e, trust(e, floor.sigma), np.ones(len(e.t), bool)) for e in floor.evidences
-    ]
-    channels = {}
-    for name, unit in CHANNELS.items():
-        columns = COLUMNS[name]
-        if not np.isfinite(before[split.report][:, columns]).any():
-            continue
-        level = [_rms(part[:, columns]) for part in floors]
-        channels[name] = Channel(
-            before=_rms(before[split.report][:, columns]),
-            after=_rms(after[split.report][:, columns]),
-            noise_floor=float(np.sqrt(np.mean(np.square(level)))) if level else None,
-            unit=unit,
-            highest=max(level, default=np.inf),
-        )
-    return channels
-
-
-def _without_bias(evidence: Evidence, trusted: Trust, use: np.ndarray) -> np.ndarray:
-    """The residual table (M, 18) less the sensors' biases as fitted on `use`; slips are NaN."""
-    data = whiten(evidence, trusted)
-    bias = fit(data.rows(use), ()).sizes
-    left = evidence.table - (data.X[:, :, len(data.keys) :] @ bias) * trusted.sigma
-    left[:, 6:][np.repeat(trusted.masked, 3, axis=1)] = np.nan
-    return left
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.nanmean(values**2)))
-
-
 def _filtered(cases: Sequence[Case], effects: Sequence[Effect]) -> tuple[BeforeAfter, ...]:
     done = []
     for case in cases:
@@ -284,7 +234,7 @@ def _filtered(cases: Sequence[Case], effects: Sequence[Effect]) -> tuple[BeforeA
 
 
 def _verdict(result: Attribution, channels: dict[str, Channel]) -> str:
-    at_floor = all(c.at_floor for c in channels.values())
+    at_floor = all(c.at_floor and not c.worse for c in channels.values())
     if not result.found:
         return "no_residual" if at_floor else "none_of_these"
     if result.rivals:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from scenarios.figures_trace import candidate_gains, residuals
 from scenarios.recording import write_recording
 from scenarios.report import Picture, Section, write_report
-from scenarios.trace_words import VERDICTS, size_in_words, summary
+from scenarios.trace_words import VERDICTS, remainder_in_words, size_in_words, summary
 from sim.effects_file import save_effects
 from sim.files import whole_file
 from sim.robot import Robot
@@ -121,6 +121,7 @@ def _sentences(found: Trace) -> list[str]:
         f"To tell them apart: {found.motion}."
         for r in found.rivals
     ]
+    lines += [line.strip() + "." for line in remainder_in_words(found)]
     return lines + [f"Note: {note}." for note in found.notes]
 
 

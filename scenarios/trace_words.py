@@ -46,6 +46,15 @@ def size_in_words(found: Found) -> str:
     )
 
 
+def remainder_in_words(found: Trace) -> list[str]:
+    """The three strongest forms of what is left, a line each."""
+    return [
+        f"  {100 * r.share:.0f} % of what is left in {r.channel} {r.column} goes with "
+        f"{', '.join(r.regressors)}"
+        for r in found.remainder[:3]
+    ]
+
+
 def summary(found: Trace) -> str:
     """What a reader wants on the screen, in a dozen lines."""
     lines = [f"verdict: {found.verdict}: {VERDICTS[found.verdict]}"]
@@ -56,6 +65,7 @@ def summary(found: Trace) -> str:
             f"  or {rival['name']} {rival['target']} (overlap {rival['overlap']:.2f}); "
             f"to tell them apart: {found.motion}"
         )
+    lines += remainder_in_words(found)
     if found.channels:
         lines.append("residual on the part that no fit has seen (root mean square of 20 ms means):")
     for name, c in found.channels.items():

@@ -56,13 +56,13 @@ def edited(robot, one):
 
 
 @pytest.mark.parametrize("target", [f"{leg}_{link}" for leg in LEGS for link in ("thigh", "calf")])
-def test_link_length_moves_the_foot_of_the_compiled_model_as_explained(robot, target):
+def test_link_length_moves_the_foot_of_the_compiled_model_as_explained(robot, log, target):
     """Two roads to the same leg: MuJoCo's edited bodies, and the constants that a filter uses."""
     one = effect("link_length", target, 0.007)
     _, tree = edited(robot, one)
     q = np.random.default_rng(1).uniform(-0.5, 0.5, (20, 12)) + robot.q_home
     simulated = feet(tree.constants, q, robot.R_BI, robot.p_BI)[0]
-    _, known = one.explain(None, robot)
+    _, known = one.explain(log, robot)
     assert_allclose(known.feet_I(q), simulated, atol=1e-12)
     moved = np.linalg.norm(simulated - robot.feet_I(q), axis=2)
     leg = LEGS.index(target[:2])
@@ -70,12 +70,12 @@ def test_link_length_moves_the_foot_of_the_compiled_model_as_explained(robot, ta
     assert_allclose(np.delete(moved, leg, axis=1), 0.0, atol=1e-12)
 
 
-def test_foot_rolling_changes_the_radius_and_leaves_the_centres(robot):
+def test_foot_rolling_changes_the_radius_and_leaves_the_centres(robot, log):
     one = effect("foot_rolling", "all", 0.005)
     _, tree = edited(robot, one)
     assert_allclose(tree.foot_radius, robot.foot_radius + 0.005)
     assert_allclose(tree.constants.foot, robot.legs.foot)
-    assert_allclose(one.explain(None, robot)[1].foot_radius, tree.foot_radius)
+    assert_allclose(one.explain(log, robot)[1].foot_radius, tree.foot_radius)
 
 
 def test_foot_rolling_leaves_every_foot_a_radius(robot):

@@ -1,0 +1,50 @@
+"""What no effect explains gets the right form: the reading it goes with, or none."""
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from models.candidates import Case
+from models.masking import Trust
+from models.remainder import form, library
+from models.residual import measured_against
+from sim.robot import Robot
+from sim.scenario import Scenario, Segment
+from sim.terrain import Ground
+from sim.walk import walk
+
+ROBOT = Robot.load("spot_class")
+
+
+@lru_cache
+def case():
+    segments = (Segment(6.0, 0.6, turn=0.3), Segment(6.0, 0.5, turn=-0.3))
+    log = walk(Scenario("turns", segments, Ground(0.8)), ROBOT, 2)
+    return Case(log, ROBOT, measured_against(log))
+
+
+def formed(signal=None, column=1):
+    """The form of white noise, with `signal` (a regressor's name) on one column of the gyro."""
+    bins = len(case().frame.t)
+    left = 1e-3 * np.random.default_rng(0).normal(size=(bins, 18))
+    if signal:
+        names, values = library([case()])
+        left[:, column] += 2e-3 * values[:, names.index(signal)]
+    trusted = Trust(np.ones(18), np.ones((bins, 18)), np.zeros((bins, 4), bool), 0.0)
+    seen = (case().frame.t // 2).astype(int) % 2 == 0
+    return form([case()], left, trusted, ["imu_gyro"], seen, ~seen)
+
+
+@pytest.mark.parametrize("signal", ["time", "force_z", "rate_x", "torque_FL_calf"])
+def test_a_rest_that_goes_with_a_reading_is_named(signal):
+    (one,) = formed(signal)
+    assert one.channel == "imu_gyro"
+    assert one.column == "gyro_y"
+    assert one.regressors == (signal,)
+    # Four fifths of the variance over the log; single blocks excite it more or less.
+    assert 0.5 < one.share < 0.95
+
+
+def test_white_noise_has_no_form():
+    assert formed() == ()
