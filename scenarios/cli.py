@@ -23,7 +23,7 @@ Out = Annotated[Path, arg(aliases=["-o"])]
 
 @dataclass(frozen=True)
 class Demo:
-    """The main job end to end: walk, train, calibrate, three filters, table, figures, .rrd, trace."""
+    """The main job end to end: walk, learn, calibrate, three filters, report, .rrd, trace."""
 
     out: Out = Path("out/demo")
     """Folder for everything it makes."""
@@ -122,13 +122,14 @@ class Calibrate:
         bounds.save(self.out, self.force)
         x, y, z = bounds.epsilon
         print(
-            f"{self.out}: |error| <= {x:.4f}, {y:.4f}, {z:.4f} m/s jointly at gamma {bounds.gamma:g} "
-            f"(each axis {bounds.level_per_axis:.4f}), from {bounds.n} errors {bounds.K} steps apart"
+            f"{self.out}: |error| <= {x:.4f}, {y:.4f}, {z:.4f} m/s jointly at gamma "
+            f"{bounds.gamma:g} (each axis {bounds.level_per_axis:.4f}), from {bounds.n} errors "
+            f"{bounds.K} steps apart"
         )
         if bounds.mixing is not None and not bounds.mixing.mixed:
             print(
-                "note: the errors never forget within the longest lag looked at; the bounds rest on "
-                "fewer independent samples than they count"
+                "note: the errors never forget within the longest lag looked at; the bounds rest "
+                "on fewer independent samples than they count"
             )
 
 
@@ -212,23 +213,15 @@ class TraceCommand:
     force: bool = False
 
     def run(self) -> None:
-        from tqdm import tqdm
-
+        from scenarios.progress import percent_bar
         from scenarios.trace import trace
         from scenarios.trace_words import summary
         from sim.robot import Robot
 
         logs = _logs(self.logs)
         robot = Robot.for_log(logs[0], self.robot)
-        with tqdm(total=100, desc="trace", unit="%", bar_format="{l_bar}{bar}| {elapsed}") as bar:
-            found = trace(
-                logs,
-                robot,
-                self.out,
-                self.seed,
-                lambda share: bar.update(100 * share - bar.n),
-                self.force,
-            )
+        with percent_bar("trace") as tell:
+            found = trace(logs, robot, self.out, self.seed, tell, self.force)
         print(summary(found))
         print(f"\nreport: {self.out / 'report.html'}")
 

@@ -8,7 +8,6 @@ from time import perf_counter
 
 import numpy as np
 import pandas as pd
-from tqdm import tqdm
 
 from models.bounds import Bounds
 from models.calibration import calibrate
@@ -19,6 +18,7 @@ from models.training import train
 from scenarios.compare import compare_log, prepare_folder, write_comparison
 from scenarios.figures_observer import error_distributions, mixing_curve
 from scenarios.filters import Learnt
+from scenarios.progress import percent_bar
 from scenarios.report import Picture, Section, save_picture
 from scenarios.tables import to_markdown
 from scenarios.trace import Trace, trace
@@ -53,7 +53,8 @@ def demo(out: Path, seed: int = 0, force: bool = False) -> pd.DataFrame:
     started = perf_counter()
     prepare_folder(out, force)
     robot = Robot.load("spot_class")
-    logs = {role: _walk(role, robot, seed, out, force) for role in ROLES}
+    # Another seed a walk: the same robot, switched on anew, on ground laid anew.
+    logs = {role: _walk(role, robot, 4 * seed + i, out, force) for i, role in enumerate(ROLES)}
     learnt = _learn(logs, seed, out, force)
     print("\nThree filters and their rivals, on a walk nobody has seen")
     comparison = compare_log(logs["walk"], robot, learnt)
@@ -67,16 +68,16 @@ def demo(out: Path, seed: int = 0, force: bool = False) -> pd.DataFrame:
     print("\n" + to_markdown(results))
     print(f"\n{summary(found)}\nIt was: {_in_words(hidden)}.")
     print(
-        f"\n{perf_counter() - started:.0f} s in all. Open {out / 'report.html'}, or look at the walk: "
-        f"surefoot view {out / 'walk.rrd'}"
+        f"\n{perf_counter() - started:.0f} s in all. Report: {out / 'report.html'}\n"
+        f"See the walk: surefoot view {out / 'walk.rrd'}"
     )
     return results
 
 
 def _walk(role: str, robot: Robot, seed: int, out: Path, force: bool) -> Log:
     scenario = Scenario.load(COURSES / f"{role}.toml")
-    with tqdm(total=100, desc=f"walking: {role}", unit="%", bar_format="{l_bar}{bar}|") as bar:
-        log = walk(scenario, robot, seed, progress=lambda share: bar.update(100 * share - bar.n))
+    with percent_bar(f"walking: {role}") as tell:
+        log = walk(scenario, robot, seed, progress=tell)
     path = out / "logs" / f"{role}.parquet"
     log.write(path, force)
     return Log.read(path)
@@ -110,10 +111,13 @@ def _trace(robot: Robot, seed: int, out: Path, force: bool) -> tuple[Trace, Effe
     hidden = effect(name, str(rng.choice(targets)), abs(size) if name == "joint_delay" else size)
     print("\nwalking once more, with an effect that the log does not declare")
     scenario = Scenario.load(COURSES / "walk.toml")
-    log = replace(walk(scenario, robot, seed + 1, [hidden], declared=False), name="undeclared")
+    with percent_bar("walking: undeclared") as tell:
+        log = walk(scenario, robot, 4 * seed + 3, [hidden], declared=False, progress=tell)
+    log = replace(log, name="undeclared")
     log.write(out / "logs" / "undeclared.parquet", force)
     save_effects(out / "truth.toml", [hidden], force)
-    return trace([log], robot, out / "trace", seed=seed, force=force), hidden
+    with percent_bar("trace") as tell:
+        return trace([log], robot, out / "trace", seed, tell, force), hidden
 
 
 def _in_words(hidden: Effect) -> str:
@@ -123,8 +127,8 @@ def _in_words(hidden: Effect) -> str:
 def _loop_sections(found: Trace, hidden: Effect) -> list[Section]:
     told = Section(
         "The loop closed once",
-        "A further walk was recorded with an effect that its log does not declare; what follows was "
-        f"found from the log alone. The effect was: {_in_words(hidden)}.",
+        "A further walk was recorded with an effect that its log does not declare; what follows "
+        f"was found from the log alone. The effect was: {_in_words(hidden)}.",
     )
     return [told, *trace_sections(found)]
 
@@ -152,9 +156,9 @@ def _observer_section(logs: dict[str, Log], learnt: Learnt, out: Path, force: bo
     return Section(
         "The observer and its bounds",
         f"Trained on one walk; calibrated on another at joint level {bounds.gamma:g} with "
-        f"{bounds.n} errors, {bounds.K} steps of 10 ms apart. On the third walk {100 * held.joint:.1f} % of "
-        f"the errors lie within all three bounds (95 % interval {100 * held.joint_interval[0]:.0f} "
-        f"to {100 * held.joint_interval[1]:.0f} %).",
+        f"{bounds.n} errors, {bounds.K} steps of 10 ms apart. On the third walk "
+        f"{100 * held.joint:.1f} % of the errors lie within all three bounds (95 % interval "
+        f"{100 * held.joint_interval[0]:.0f} to {100 * held.joint_interval[1]:.0f} %).",
         _errors_table(learnt, logs),
         tuple(pictures),
     )

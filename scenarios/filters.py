@@ -8,6 +8,7 @@ from estimator.filter import run_coverage, run_imu, run_velocity
 from estimator.initial import initial_state
 from estimator.leg import LegNoise, encoder_covariance, run_leg
 from estimator.metrics import Metrics, evaluate
+from estimator.state import FilterNoise
 from estimator.trajectory import Trajectory, reference
 from models.bounds import Bounds
 from models.observer import Observer
@@ -16,6 +17,11 @@ from sim.errors import SurefootError
 from sim.log import Log, joint_velocity
 from sim.robot import Robot
 
+# Filter noise, chosen on training and calibration courses of the bundled robot alone: lowest
+# errors there among those that stay consistent. A learnt velocity errs for long stretches in one
+# direction; an accelerometer taken at its data sheet's word would carry each such error on.
+LEARNT_NOISE = FilterNoise(gyro=3e-4, accel=3e-2, gyro_walk=1e-5, accel_walk=1e-4)
+LEG_NOISE = LegNoise(FilterNoise(gyro=3e-4, accel=1e-2, gyro_walk=1e-5, accel_walk=1e-4), 0.02)
 SLIP_GATE = 16.27
 """Squared Mahalanobis distance, 3 degrees of freedom, passed by chance once in a thousand."""
 ENCODER = 2e-3
@@ -79,11 +85,17 @@ def run_filter(name: str, log: Log, robot: Robot, learnt: Learnt | None = None) 
         run = FILTERS[name](log, robot, learnt or Learnt())
     except SurefootError as error:
         raise SurefootError(f"filter {name}: {error}") from None
+    if name not in _compiled:
+        run()  # compiles on a fresh machine: not the filter's own time
+        _compiled.add(name)
     started = perf_counter()
     trajectory = run()
     elapsed = perf_counter() - started
     judged = evaluate(reference(log), trajectory) if log.has("reference") else None
     return Result(name, log.name, trajectory, judged, elapsed / len(log.t))
+
+
+_compiled: set[str] = set()
 
 
 def run_all(
@@ -115,8 +127,9 @@ def _coverage(log: Log, robot: Robot, learnt: Learnt, loss: str | None = None) -
     epsilon = bounds.epsilon_at(robot.R_BI)
     state, covariance = initial_state(log)
     return lambda: run_coverage(
-        log.t, log.gyro, log.accel, seen.rows, seen.v_I, epsilon, bounds.gamma, state, covariance
-    )
+        log.t, log.gyro, log.accel, seen.rows, seen.v_I, epsilon, bounds.gamma, state, covariance,
+        LEARNT_NOISE,
+    )  # fmt: skip
 
 
 def _coverage_gml(log: Log, robot: Robot, learnt: Learnt) -> Run:
@@ -127,8 +140,9 @@ def _velocity(log: Log, robot: Robot, learnt: Learnt) -> Run:
     seen: Prediction = predict(learnt.gaussian(), log, robot)
     state, covariance = initial_state(log)
     return lambda: run_velocity(
-        log.t, log.gyro, log.accel, seen.rows, seen.v_I, seen.covariance, state, covariance
-    )
+        log.t, log.gyro, log.accel, seen.rows, seen.v_I, seen.covariance, state, covariance,
+        LEARNT_NOISE,
+    )  # fmt: skip
 
 
 def _leg(log: Log, robot: Robot, _: Learnt, gate: float | None = None) -> Run:
@@ -139,7 +153,7 @@ def _leg(log: Log, robot: Robot, _: Learnt, gate: float | None = None) -> Run:
     cov = encoder_covariance(robot.feet_jacobian_I(log.q), ENCODER, KINEMATICS)
     state, covariance = initial_state(log)
     return lambda: run_leg(
-        log.t, log.gyro, log.accel, feet_I, log.contact, cov, state, covariance, LegNoise(),
+        log.t, log.gyro, log.accel, feet_I, log.contact, cov, state, covariance, LEG_NOISE,
         robot.foot_radius, rates_I, gate,
     )  # fmt: skip
 
@@ -150,7 +164,7 @@ def _leg_slip(log: Log, robot: Robot, learnt: Learnt) -> Run:
 
 def _imu(log: Log, robot: Robot, _: Learnt) -> Run:
     state, covariance = initial_state(log)
-    return lambda: run_imu(log.t, log.gyro, log.accel, state, covariance)
+    return lambda: run_imu(log.t, log.gyro, log.accel, state, covariance, LEG_NOISE.imu)
 
 
 FILTERS: dict[str, Callable[[Log, Robot, Learnt], Run]] = {

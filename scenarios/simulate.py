@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from tqdm import tqdm
-
+from scenarios.progress import percent_bar
 from sim.effects_file import load_effects, save_effects
 from sim.errors import SurefootError
 from sim.files import refuse_overwrite
@@ -51,11 +50,7 @@ def simulate_all(
         if path.exists() and not force:
             print(f"{path}: is there already")
             continue
-        with tqdm(total=100, desc=path.stem, unit="%", bar_format="{l_bar}{bar}| {elapsed}") as bar:
-
-            def tell(share: float, bar=bar) -> None:
-                bar.update(100 * share - bar.n)
-
+        with percent_bar(path.stem) as tell:
             log = walk(scenario, body, seed, chosen, declared=not undeclared, progress=tell)
         replace(log, name=path.stem).write(path, force)
     return written
