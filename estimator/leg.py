@@ -134,7 +134,8 @@ class LegFilter:
 
 
 def run_leg(
-    t, gyro, accel, feet_I, contact, cov, state, covariance, noise=None, foot_radius: float | np.ndarray = 0.0,
+    t, gyro, accel, feet_I, contact, cov, state, covariance, noise=None,
+    foot_radius: float | np.ndarray = 0.0,
     foot_rates_I=None, slip_gate=None, stride=None, rows=None, v_I=None, v_cov=None,
 ) -> Trajectory:  # fmt: skip
     """The leg filter over a whole log in one compiled loop, with the numbers of `LegFilter`.
