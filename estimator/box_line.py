@@ -24,17 +24,18 @@ def line_moments(a: float, b: float, depth: float):
     quadrature. What lies `depth` below the largest density is left out of a tail.
     """
     if a > 0.0:
-        near, far, sign = a, b, 1.0
+        near, sign = a, 1.0
     elif b < 0.0:
-        near, far, sign = -b, -a, -1.0
+        near, sign = -b, -1.0
     else:
-        near, far, sign = 0.0, max(b, -a), 1.0
+        near, sign = 0.0, 1.0
     if near <= _FAR and b - a >= _NARROW:
         return _closed_form(a, b)
     if near == 0.0:
-        return _by_quadrature(a, b, 0.0, 1.0)
-    far = min(far, math.sqrt(near * near + 2.0 * depth))
-    return _by_quadrature(near, far, near, sign)
+        return _by_quadrature(a, b - a, 0.0, 1.0)
+    length = min(b - a, 2.0 * depth / (near + math.sqrt(near * near + 2.0 * depth)))
+    # Bounds so far away that they round to the same number still leave an interval.
+    return _by_quadrature(near, max(length, 1e-100), near, sign)
 
 
 @njit(cache=True)
@@ -57,18 +58,17 @@ def _closed_form(a: float, b: float):
 
 
 @njit(cache=True)
-def _by_quadrature(near: float, far: float, origin: float, sign: float):
-    """Moments of exp(-(x^2 - origin^2)/2) about the origin over [near, far], mirrored by sign."""
-    drop = 0.5 * (far - near) * (far + near)
-    _, count, at = rule(far - near, 1.0, drop)
+def _by_quadrature(near: float, length: float, origin: float, sign: float):
+    """Moments of exp(-(x^2 - origin^2)/2) about the origin from near on, mirrored by sign."""
+    drop = length * (max(near, 0.0) + 0.5 * length)
+    _, count, at = rule(length, 1.0, drop)
     m0 = m1 = m2 = 0.0
     for i in range(at, at + count):
-        y = near - origin + (far - near) * NODES[i]
+        y = near - origin + length * NODES[i]
         w = WEIGHTS[i] * math.exp(-y * (origin + 0.5 * y))
         m0 += w
         m1 += w * y
         m2 += w * y * y
-    length = far - near
     shift = 0.5 * origin * origin
     return shift, m0 * length, sign * m1 * length, m2 * length, sign * origin
 

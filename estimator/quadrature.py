@@ -7,6 +7,10 @@ MOST = 64
 """Nodes of the largest rule; longer pieces are cut."""
 
 
+MOST_PIECES = 15
+"""A bound on the time that an absurd box takes; met where correlations are within 1e-8 of one."""
+
+
 def _tables() -> tuple[np.ndarray, np.ndarray]:
     """Nodes on [0, 1] and weights of the rules with 2, 4 ... MOST points, one after the other."""
     rules = [np.polynomial.legendre.leggauss(n) for n in range(2, MOST + 1, 2)]
@@ -28,7 +32,7 @@ def rule(length: float, scale: float, drop: float) -> tuple[int, int, int]:
     length / scale) nodes, an exponential that drops by exp(-d) needs 4.5 + 2.7 sqrt(d).
     """
     half = 0.5 * length / scale
-    pieces = 1 + int(half / 12.0)
+    pieces = 1 + int(min(half / 12.0, MOST_PIECES))
     count = max(5.5 + 3.5 * half / pieces, 4.5 + 2.7 * np.sqrt(drop))
     pairs = min(int(np.ceil(0.5 * count)), MOST // 2)
     return pieces, 2 * pairs, pairs * (pairs - 1)
