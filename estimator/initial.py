@@ -13,7 +13,7 @@ STILL_WINDOW = 0.5
 """s. How much of a log's start is averaged to find the gyro's bias, and gravity where no reference
 says more."""
 STILL_GYRO, STILL_ACCEL = 0.03, 0.5
-"""rad/s and m/s^2. A robot whose readings spread by less over that window stands still."""
+"""rad/s and m/s^2. A robot whose readings spread by more over that window is not standing still."""
 STILL_BIAS = 3e-4
 """rad/s. Least deviation of a gyro bias found standing: legs give a little, and slowly."""
 
@@ -74,8 +74,9 @@ def initial_state(log: Log, std: InitialStd | None = None) -> tuple[NavState, np
 def still_gyro_bias(log: Log, std: InitialStd) -> tuple[np.ndarray, InitialStd]:
     """Gyro bias (3,) [rad/s] where the log starts standing still, else zero; and `std` with its own.
 
-    The mean of the first 0.5 s. Its deviation is that of the mean, taking ten neighbouring samples
-    for one independent one, and STILL_BIAS at least.
+    The mean of the first 0.5 s, if its two halves agree: a robot that is standing up turns slowly
+    but steadily. Its deviation is that of the mean, taking ten neighbouring samples for one
+    independent one, and STILL_BIAS at least.
     """
     if not log.has("imu"):
         return np.zeros(3), std
@@ -83,6 +84,10 @@ def still_gyro_bias(log: Log, std: InitialStd) -> tuple[np.ndarray, InitialStd]:
     gyro, accel = log.gyro[start], log.accel[start]
     spread = float(gyro.std(axis=0).max())
     if spread > STILL_GYRO or accel.std(axis=0).max() > STILL_ACCEL:
+        return np.zeros(3), std
+    first, second = np.array_split(gyro, 2)
+    turned = np.abs(first.mean(axis=0) - second.mean(axis=0)).max()
+    if turned > 3.0 * (STILL_BIAS + spread * np.sqrt(4.0 / len(gyro))):
         return np.zeros(3), std
     deviation = max(STILL_BIAS, spread / np.sqrt(max(len(gyro) / 10, 1.0)))
     return gyro.mean(axis=0), replace(std, b_g=min(deviation, std.b_g))
