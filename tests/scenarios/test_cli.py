@@ -1,0 +1,134 @@
+"""The command line: what a user types, and what bad input says."""
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from scenarios.cli import main
+from sim.log import Log
+from sim.robot import Robot
+from sim.scenario import Scenario
+from sim.walk import walk
+
+COURSE = """
+name = "short"
+robot = "spot_class"
+[[segment]]
+duration = 3.0
+forward = 0.5
+[[segment]]
+duration = 2.0
+forward = 0.3
+turn = 0.5
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """A scenario, its log, and copies of the log that are each broken in one way."""
+    folder = tmp_path_factory.mktemp("cli")
+    (folder / "short.toml").write_text(COURSE)
+    log = walk(Scenario.load(folder / "short.toml"), Robot.load("spot_class"), 0)
+    log.write(folder / "log.parquet")
+    whole = (folder / "log.parquet").read_bytes()
+    (folder / "half.parquet").write_bytes(whole[: len(whole) // 2])
+    table = pq.read_table(folder / "log.parquet")
+    metadata = table.schema.metadata
+    names = [name.replace("gyro_y", "x_gyro") for name in table.column_names]
+    renamed = table.rename_columns(names).replace_schema_metadata(metadata)
+    pq.write_table(renamed, folder / "renamed.parquet")
+    broken = table.to_pandas()
+    broken.loc[100, "accel_z"] = np.nan
+    with_nan = pa.Table.from_pandas(broken, preserve_index=False).replace_schema_metadata(metadata)
+    pq.write_table(with_nan, folder / "nan.parquet")
+    (folder / "text.toml").write_text("this is not = [ toml")
+    (folder / "typo.toml").write_text(COURSE.replace("forward = 0.5", "forwards = 0.5"))
+    (folder / "effects.toml").write_text(
+        '[[effect]]\nname = "ghost"\ntarget = "all"\nvalue = 1.0\nunit = "m"\n'
+    )
+    (folder / "columns.csv").write_text("a,b\n1,2\n")
+    return folder
+
+
+BAD = {
+    "missing log": ("estimate no.parquet --filter leg", "no.parquet"),
+    "half a file": ("estimate half.parquet --filter leg", "half.parquet"),
+    "missing column": ("estimate renamed.parquet --filter leg", "gyro_y"),
+    "NaN": ("estimate nan.parquet --filter leg", "accel_z"),
+    "unknown robot": ("estimate log.parquet --filter leg --robot unicorn", "unicorn"),
+    "missing robot file": ("estimate log.parquet --filter leg --robot no.xml", "no.xml"),
+    "no observer": ("estimate log.parquet --filter coverage", "--observer"),
+    "no gml observer": ("estimate log.parquet --filter velocity", "--observer"),
+    "not an observer": ("estimate log.parquet --filter velocity --observer text.toml", "text.toml"),
+    "not bounds": ("estimate log.parquet --filter coverage --bounds text.toml", "text.toml"),
+    "missing scenario": ("simulate no.toml -o new", "no.toml"),
+    "not TOML": ("simulate text.toml -o new", "text.toml"),
+    "unknown key": ("simulate typo.toml -o new", "forwards"),
+    "bad seeds": ("simulate short.toml --seeds 3:1 -o new", "--seeds"),
+    "unknown effect": ("simulate short.toml --effects effects.toml -o new", "ghost"),
+    "nothing to hide": ("simulate short.toml --undeclared -o new", "--effects"),
+    "trace unknown robot": ("trace log.parquet --robot unicorn -o new", "unicorn"),
+    "train too short": ("train log.parquet -o new.pt", "training takes"),
+    "train onto a file": ("train log.parquet -o log.parquet", "--force"),
+    "calibrate without observer": ("calibrate no.pt log.parquet -o new.json", "no.pt"),
+    "compare into a full folder": ("compare log.parquet -o .", "--force"),
+    "compare a missing log": ("compare no.parquet -o new", "no.parquet"),
+    "import a missing file": ("import csv no.csv --map go1_square -o new.parquet", "no.csv"),
+    "import an unknown map": ("import csv columns.csv --map no -o new.parquet", "no"),
+    "import wrong columns": ("import csv columns.csv --map go1_square -o new.parquet", "column"),
+    "view a missing file": ("view no.rrd", "no.rrd"),
+    "view another file": ("view short.toml", "short.toml"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_one_clear_line(case, folder, monkeypatch, capsys):
+    """Non-zero exit, one line that names what is at fault, and nothing left behind."""
+    command, named = BAD[case]
+    monkeypatch.chdir(folder)
+    before = sorted(folder.rglob("*"))
+    with pytest.raises(SystemExit) as exit_info:
+        main(command.split())
+    message = exit_info.value.code
+    assert isinstance(message, str), capsys.readouterr()
+    assert message.startswith("surefoot: ")
+    assert named in message
+    assert "\n" not in message
+    assert sorted(folder.rglob("*")) == before
+
+
+def test_unknown_options_are_refused(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    with pytest.raises(SystemExit) as exit_info:
+        main("estimate log.parquet --filter magic".split())
+    assert exit_info.value.code == 2
+    assert "magic" in capsys.readouterr().err
+
+
+def test_simulate_then_estimate(folder, monkeypatch, capsys):
+    """The same seed walks the same log; the leg filter then follows it."""
+    monkeypatch.chdir(folder)
+    main("simulate short.toml --seeds 0:1 -o walks".split())
+    assert Log.read("walks/short_0.parquet").frame.equals(Log.read("log.parquet").frame)
+    main("estimate walks/short_0.parquet --filter leg -o leg.parquet".split())
+    assert "APE_trans" in capsys.readouterr().out
+    assert len((folder / "leg.tum").read_text().splitlines()) > 500
+
+
+def test_compare_says_why_filters_were_left_out(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    main("compare log.parquet -o compared".split())
+    out = capsys.readouterr().out
+    assert "left out on log: coverage (needs --observer and --bounds)" in out
+    for name in ("table.md", "table.csv", "report.html", "log.rrd"):
+        assert (folder / "compared" / name).stat().st_size > 100
+    table = (folder / "compared" / "table.csv").read_text()
+    assert [line.split(",")[1] for line in table.splitlines()[1:]] == ["leg", "leg_slip", "imu"]
+
+
+def test_robots_lists_the_bundled_ones(capsys):
+    main(["robots"])
+    assert "spot_class" in capsys.readouterr().out
