@@ -1,0 +1,104 @@
+"""From walks to a table: what must hold for the whole path, on short walks and little training."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from models.calibration import calibrate
+from models.training import Schedule, train
+from scenarios.compare import compare_log, table, write_comparison
+from scenarios.demo import demo
+from scenarios.filters import FILTERS, Learnt, run_filter
+from sim.errors import SurefootError
+from sim.log import Log
+from sim.robot import Robot
+from sim.scenario import Ranges, Scenario, Segment
+from sim.terrain import Ground, Patch
+from sim.walk import walk
+
+SEGMENTS = (Segment(4.0, 0.6), Segment(3.0, 0.4, turn=0.5), Segment(3.0, 0.5, turn=-0.5))
+SHORT = Schedule(steps=60, batch=4, every=20)
+TIMING = "step [us]"
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return Robot.load("spot_class")
+
+
+@pytest.fixture(scope="module")
+def walks(robot) -> list[Log]:
+    ground = Ground(0.8, (Patch(3.0, 0.0, 1.0, 2.0, 0.2),))
+    ranges = Ranges(speed=(0.9, 1.1))
+    scenario = Scenario("short", SEGMENTS, ground, ranges=ranges, laps=2)
+    return [replace(walk(scenario, robot, seed), name=f"walk{seed}") for seed in range(3)]
+
+
+def learn(walks: list[Log]) -> Learnt:
+    observers = tuple(train(walks[0], loss=loss, seed=0, schedule=SHORT) for loss in ("mse", "gml"))
+    return Learnt(observers, tuple(calibrate(o, walks[1], K=20) for o in observers))
+
+
+@pytest.fixture(scope="module")
+def learnt(walks) -> Learnt:
+    return learn(walks)
+
+
+@pytest.fixture(scope="module")
+def compared(walks, robot, learnt):
+    return compare_log(walks[2], robot, learnt)
+
+
+def test_every_filter_runs_and_stays_near_the_truth(compared):
+    """With an observer that is barely trained: all beat the IMU alone, and report themselves."""
+    assert compared.left_out == {}
+    found = table([compared]).set_index("filter")
+    assert list(found.index) == list(FILTERS)
+    errors = found["APE_trans [m]"]
+    assert (errors[errors.index != "imu"] < errors["imu"]).all()
+    assert errors["leg"] < 0.1
+    assert found["pi<gamma [%]"][["coverage", "coverage_gml"]].between(0, 100).all()
+    assert found["coverage [%]"].notna().sum() == 2
+
+
+def test_the_same_seed_gives_the_same_table(walks, robot, learnt, compared):
+    again = table([compare_log(walks[2], robot, learn(walks))]).drop(columns=TIMING)
+    assert again.equals(table([compared]).drop(columns=TIMING))
+
+
+def test_outputs_are_whole_and_never_overwritten(compared, tmp_path):
+    write_comparison([compared], tmp_path, "title")
+    for name in ("table.md", "table.csv", "report.html", "walk2.rrd"):
+        assert (tmp_path / name).stat().st_size > 100
+    assert len(list((tmp_path / "figures").glob("*.png"))) == 4
+    with pytest.raises(SurefootError, match="--force"):
+        write_comparison([compared], tmp_path, "title")
+
+
+def test_an_mse_observer_is_refused_where_a_covariance_is_needed(walks, robot, learnt):
+    mse = Learnt(learnt.observers[:1], learnt.bounds[:1])
+    with pytest.raises(SurefootError, match="--loss gml"):
+        run_filter("velocity", walks[2], robot, mse)
+
+
+def test_bounds_of_another_observer_are_refused(walks, robot, learnt):
+    mixed = Learnt(learnt.observers[:1], learnt.bounds[1:])
+    with pytest.raises(SurefootError, match="another observer"):
+        run_filter("coverage", walks[2], robot, mixed)
+
+
+def test_coverage_holds_exactly_the_bounds_it_was_given(compared, learnt):
+    result = next(r for r in compared.results if r.filter == "coverage")
+    updates = result.trajectory.updates
+    assert updates is not None
+    assert np.array_equal(np.unique(updates.epsilon, axis=0), learnt.bounds[0].epsilon[None])
+    assert np.array_equal(updates.active, updates.pi < learnt.bounds[0].gamma)
+
+
+@pytest.mark.slow
+def test_the_demo_gives_the_same_table_twice(tmp_path):
+    first, second = (demo(tmp_path / name, seed=1) for name in ("a", "b"))
+    assert first.drop(columns=TIMING).equals(second.drop(columns=TIMING))
+    traces = [(tmp_path / name / "trace" / "trace.json").read_text() for name in ("a", "b")]
+    assert traces[0] == traces[1]
