@@ -5,7 +5,7 @@ from numba import njit
 
 from estimator.coverage import update_coverage
 from estimator.propagation import propagate
-from estimator.state import EXTRA, FilterNoise, NavState, numbers, spd
+from estimator.state import EXTRA, FilterNoise, NavState, numbers, spd, spd_3, vector
 from estimator.trajectory import Trajectory, UpdateRecord
 from estimator.velocity import update_velocity
 from sim.errors import SurefootError
@@ -37,7 +37,7 @@ class InvariantFilter:
         """IMU step (eq. covariance_propagation): gyro (3,) [rad/s] and accel (3,) [m/s^2], both in
         I, are means over the dt > 0 [s] that ends now.
         """
-        gyro, accel = numbers("gyro", gyro, (3,)), numbers("accel", accel, (3,))
+        gyro, accel = vector("gyro", gyro), vector("accel", accel)
         if not 0.0 < dt < np.inf:
             raise SurefootError(f"dt: {dt} where a number > 0 is expected")
         propagate(
@@ -57,7 +57,9 @@ class InvariantFilter:
         v_I (3,) and epsilon (3,) > 0 in m/s, in I. Returns pi, the prior mass inside the bounds
         (eq. pi_def_error_state); the state changed if pi < gamma.
         """
-        v_I, epsilon = numbers("v_I", v_I, (3,)), _bounds(epsilon, (3,))
+        v_I, epsilon = vector("v_I", v_I), vector("epsilon", epsilon)
+        if not min(epsilon.tolist()) > 0:
+            _bounds(epsilon, (3,))
         _check_gamma(gamma)
         return update_coverage(self._mean, self._covariance, 0, v_I, epsilon, float(gamma))
 
@@ -65,7 +67,7 @@ class InvariantFilter:
         """Gaussian update with v_I (3,) [m/s] in I and its covariance (3, 3). Returns the squared
         Mahalanobis distance of the innovation.
         """
-        v_I, cov = numbers("v_I", v_I, (3,)), spd("cov", cov, 3)
+        v_I, cov = vector("v_I", v_I), spd_3("cov", cov)
         return update_velocity(self._mean, self._covariance, 0, v_I, cov)
 
     @property

@@ -7,7 +7,7 @@ from numba import njit
 
 from estimator.contacts import propagate_contacts, update_contacts
 from estimator.filter import imu_arrays, outputs, row_indices, trajectory
-from estimator.state import EXTRA, FilterNoise, NavState, numbers, spd
+from estimator.state import EXTRA, FilterNoise, NavState, numbers, spd, spd_3, vector
 from estimator.trajectory import Trajectory
 from estimator.velocity import update_velocity
 from sim.errors import SurefootError
@@ -42,7 +42,7 @@ class LegFilter:
 
     state, covariance (15, 15) as `InvariantFilter`; noise: LegNoise. foot_radius [m]: 0 for point
     feet, or one value a foot (K,); `feet` is K. slip_gate, where given, is the squared Mahalanobis
-    distance (3 degrees of freedom; 25 is passed by chance once in 65 000) of an innovation, or of
+    distance (3 degrees of freedom; 16.27 is passed by chance once in 1000) of an innovation, or of
     their running mean, beyond which a foot is held to slip and left out (`leg_slip`). Raises
     SurefootError on bad input.
     """
@@ -78,7 +78,7 @@ class LegFilter:
         foot_rates_I (K, 3) [rad/s]: angular velocity of each foot relative to the body now, in I;
         over the step the mean with the last call's is taken. Feet of radius 0 need none.
         """
-        gyro, accel = numbers("gyro", gyro, (3,)), numbers("accel", accel, (3,))
+        gyro, accel = vector("gyro", gyro), vector("accel", accel)
         if not 0.0 < dt < np.inf:
             raise SurefootError(f"dt: {dt} where a number > 0 is expected")
         if foot_rates_I is None:
@@ -105,7 +105,7 @@ class LegFilter:
         cov = numbers("covariance", covariance, (feet, 3, 3))
         in_contact = _flags(in_contact, (feet,))
         for k in np.flatnonzero(in_contact):
-            spd(f"covariance of foot {k}", cov[k], 3)
+            spd_3(f"covariance of foot {k}", cov[k])
         update_contacts(
             self._mean, self._covariance, self._standing, positions, in_contact, cov, self._gate,
             self._drift, self._held,
@@ -114,7 +114,7 @@ class LegFilter:
 
     def update_velocity(self, v_I: np.ndarray, cov: np.ndarray) -> float:
         """Gaussian update with a velocity (3,) [m/s] in I, as `InvariantFilter.update_velocity`."""
-        v_I, cov = numbers("v_I", v_I, (3,)), spd("cov", cov, 3)
+        v_I, cov = vector("v_I", v_I), spd_3("cov", cov)
         return update_velocity(self._mean, self._covariance, len(self._radius), v_I, cov)
 
     @property

@@ -119,50 +119,67 @@ def propagate_covariance(covariance, columns, rotation_columns, dt: float, noise
     """Sigma' = Phi Sigma Phi^T + Q_d (eq. covariance_propagation), in place.
 
     Phi = [F B; 0 I] acts by additions of rows, since F is sparse; the columns follow as rows of
-    the transpose: Phi Sigma Phi^T = Phi (Phi Sigma)^T.
+    the transpose: Phi Sigma Phi^T = Phi (Phi Sigma)^T. The blocks with the biases, whose rows of
+    Phi are the identity's, are complete after one side.
     """
     n = covariance.shape[0]
-    for _ in range(2):
-        _add_rows(covariance, columns, rotation_columns, dt)
-        for i in range(n):
-            for j in range(i):
-                covariance[i, j], covariance[j, i] = covariance[j, i], covariance[i, j]
-    for i in range(n):
-        for j in range(i + 1):
+    _add_rows(covariance, columns, rotation_columns, dt, 0, n)
+    for p in range(n - 6):
+        i = p if p < 9 else p + 6
+        for q in range(p):
+            j = q if q < 9 else q + 6
+            covariance[i, j], covariance[j, i] = covariance[j, i], covariance[i, j]
+        for j in range(9, 15):
+            covariance[j, i] = covariance[i, j]
+    _add_rows(covariance, columns, rotation_columns, dt, 0, 9)
+    if n > 15:
+        _add_rows(covariance, columns, rotation_columns, dt, 15, n)
+    a0, a1, a2 = noise[0, 0] / dt, noise[0, 1] / dt, noise[0, 2] / dt
+    g0, g1, g2 = noise[1, 0] / dt, noise[1, 1] / dt, noise[1, 2] / dt
+    for p in range(n - 6):
+        i = p if p < 9 else p + 6
+        b = columns[i]
+        c0, c1, c2 = b[0] * a0, b[1] * a1, b[2] * a2
+        c3, c4, c5 = b[3] * g0, b[4] * g1, b[5] * g2
+        for q in range(p + 1):
+            j = q if q < 9 else q + 6
+            d = columns[j]
+            added = c0 * d[0] + c1 * d[1] + c2 * d[2] + c3 * d[3] + c4 * d[4] + c5 * d[5]
             # Round-off leaves the two halves apart by a digit; their mean keeps it from growing.
-            total = 0.5 * (covariance[i, j] + covariance[j, i])
-            if not (9 <= i < 15 or 9 <= j < 15):
-                for m in range(3):
-                    total += columns[i, m] * columns[j, m] * noise[0, m] / dt
-                    total += columns[i, 3 + m] * columns[j, 3 + m] * noise[1, m] / dt
-            elif i == j:
-                total += noise[2 + (i - 9) // 3, (i - 9) % 3] * dt
-            covariance[i, j] = total
-            covariance[j, i] = total
+            covariance[i, j] = 0.5 * (covariance[i, j] + covariance[j, i]) + added
+            covariance[j, i] = covariance[i, j]
+    for m in range(3):
+        covariance[9 + m, 9 + m] += noise[2, m] * dt
+        covariance[12 + m, 12 + m] += noise[3, m] * dt
 
 
 @njit(cache=True)
-def _add_rows(M, columns, rotation_columns, dt: float):
-    """M <- Phi M, in place: position before velocity before rotation, as each reads the next."""
-    n = M.shape[0]
+def _add_rows(M, columns, rotation_columns, dt: float, first: int, stop: int):
+    """M <- Phi M on the columns [first, stop), in place: position reads velocity and rotation as
+    they were, velocity the rotation, so they go in this order.
+    """
     fall = 0.5 * GRAVITY * dt * dt
-    for j in range(n):
+    for j in range(first, stop):
         M[6, j] += dt * M[3, j] + fall * M[1, j]
         M[7, j] += dt * M[4, j] - fall * M[0, j]
         M[8, j] += dt * M[5, j]
         M[3, j] += GRAVITY * dt * M[1, j]
         M[4, j] -= GRAVITY * dt * M[0, j]
-    for i in range(15, n):
-        c = rotation_columns[i - 15]
-        if c[0] != 0.0 or c[1] != 0.0 or c[2] != 0.0:
-            for j in range(n):
-                M[i, j] += c[0] * M[0, j] + c[1] * M[1, j] + c[2] * M[2, j]
-    for i in range(n):
-        if 9 <= i < 15:
-            continue
-        b = columns[i]
-        for j in range(n):
-            M[i, j] += b[3] * M[12, j] + b[4] * M[13, j] + b[5] * M[14, j]
-        if 3 <= i < 9:
-            for j in range(n):
-                M[i, j] += b[0] * M[9, j] + b[1] * M[10, j] + b[2] * M[11, j]
+    for i in range(15, M.shape[0]):
+        c, b = rotation_columns[i - 15], columns[i]
+        c0, c1, c2, b3, b4, b5 = c[0], c[1], c[2], b[3], b[4], b[5]
+        # Extra rows without any coupling, of swinging feet or plain vectors, stay as they are.
+        if c0 != 0.0 or c1 != 0.0 or c2 != 0.0 or b3 != 0.0 or b4 != 0.0 or b5 != 0.0:
+            for j in range(first, stop):
+                M[i, j] += c0 * M[0, j] + c1 * M[1, j] + c2 * M[2, j]
+                M[i, j] += b3 * M[12, j] + b4 * M[13, j] + b5 * M[14, j]
+    for i in range(3):
+        b3, b4, b5 = columns[i, 3], columns[i, 4], columns[i, 5]
+        for j in range(first, stop):
+            M[i, j] += b3 * M[12, j] + b4 * M[13, j] + b5 * M[14, j]
+    for i in range(3, 9):
+        b0, b1, b2 = columns[i, 0], columns[i, 1], columns[i, 2]
+        b3, b4, b5 = columns[i, 3], columns[i, 4], columns[i, 5]
+        for j in range(first, stop):
+            M[i, j] += b0 * M[9, j] + b1 * M[10, j] + b2 * M[11, j]
+            M[i, j] += b3 * M[12, j] + b4 * M[13, j] + b5 * M[14, j]

@@ -9,6 +9,7 @@ and its covariance (15+3E, 15+3E) in the right-invariant error order of the pape
 Extras are contact points (columns of the group, as v and p are) or plain vectors (as biases are).
 """
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -106,6 +107,44 @@ def numbers(name: str, value, shape: tuple) -> np.ndarray:
     if not np.all(np.isfinite(out)):
         raise SurefootError(f"{name}: has values that are not finite")
     return out
+
+
+def vector(name: str, value) -> np.ndarray:
+    """`numbers(name, value, (3,))`, fast where `value` is a float array already."""
+    if _plain(value, (3,)) and all(map(math.isfinite, value.tolist())):
+        return value
+    return numbers(name, value, (3,))
+
+
+def spd_3(name: str, value) -> np.ndarray:
+    """`spd(name, value, 3)`, fast where `value` is a float array already."""
+    if _plain(value, (3, 3)) and _definite_3(value):
+        return value
+    return spd(name, value, 3)
+
+
+def _plain(value, shape: tuple) -> bool:
+    return (
+        type(value) is np.ndarray
+        and value.dtype == np.float64
+        and value.shape == shape
+        and value.flags.c_contiguous
+        and value.flags.writeable
+    )
+
+
+@njit(cache=True)
+def _definite_3(S) -> bool:
+    """Whether S (3, 3) is finite, symmetric and positive definite, by its leading minors."""
+    if S[0, 1] != S[1, 0] or S[0, 2] != S[2, 0] or S[1, 2] != S[2, 1]:
+        return False
+    two = S[0, 0] * S[1, 1] - S[0, 1] ** 2
+    three = (
+        S[2, 2] * two
+        - S[0, 2] * (S[0, 2] * S[1, 1] - S[0, 1] * S[1, 2])
+        + S[1, 2] * (S[0, 2] * S[0, 1] - S[0, 0] * S[1, 2])
+    )
+    return 0.0 < S[0, 0] < np.inf and 0.0 < two < np.inf and 0.0 < three < np.inf
 
 
 def spd(name: str, value, size: int) -> np.ndarray:

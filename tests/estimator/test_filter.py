@@ -77,6 +77,7 @@ def test_streaming_is_the_compiled_run(walk, rows, kind, persistent):
         whole = run_coverage(
             t, gyro, accel, rows, v_I, EPSILON, 0.8, *start, stride=10, persistent=persistent
         )
+    assert whole.covariance is not None
     one = InvariantFilter(*start, persistent=persistent)
     m, pi = 0, []
     for k in range(n):

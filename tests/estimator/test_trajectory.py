@@ -1,5 +1,7 @@
 """Trajectories go out and come back whole; starts come from the reference or from gravity."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -91,8 +93,7 @@ def test_bad_files_are_one_clear_line(estimate, tmp_path):
             Trajectory.read(path)
         assert str(path) in str(caught.value)
     with pytest.raises(TrajectoryError, match="p_GI has shape"):
-        Trajectory(*[getattr(estimate, n) for n in ("t", "R_GI", "v_GI")], np.zeros((3, 3)),
-                   estimate.b_a, estimate.b_g)  # fmt: skip
+        replace(estimate, p_GI=np.zeros((3, 3)))
 
 
 def test_reference_is_cut_to_ref_ok():
@@ -139,12 +140,12 @@ def test_level_turns_the_force_upwards():
         R = level(force)
         assert_allclose(R @ R.T, np.eye(3), atol=1e-14)
         assert np.linalg.det(R) > 0
-        assert_allclose(R @ force, [0, 0, np.linalg.norm(force)], atol=1e-12)
+        assert_allclose(R @ force, np.array([0, 0, np.linalg.norm(force)]), atol=1e-12)
 
 
 def test_state_packs_and_unpacks():
     rng = np.random.default_rng(0)
-    R = Rotation.random(random_state=1).as_matrix()
+    R = Rotation.from_rotvec([0.3, -0.2, 1.0]).as_matrix()
     state = NavState(R, *rng.normal(size=(4, 3)))
     back = NavState.unpack(state.pack(2))
     for name in ("R_GI", "v_GI", "p_GI", "b_a", "b_g"):
