@@ -113,14 +113,14 @@ def write_comparison(
         path.write_text(to_markdown(found) + "\n")
     with whole_file(out / "table.csv", force) as path:
         path.write_text(to_csv(found))
-    sections = [_table_section(comparisons, found)]
+    sections = _summary_sections(comparisons, found)
     for comparison in comparisons:
         pictures = _pictures(comparison, patches)
         for name, picture in pictures.items():
             save_picture(picture, out / "figures" / f"{comparison.log.name}_{name}.png", force)
         sections.append(
             Section(
-                f"Walk {comparison.log.name}",
+                f"The log '{comparison.log.name}'",
                 _walk_prose(comparison),
                 None,
                 tuple(pictures.values()),
@@ -159,15 +159,20 @@ def _with_interval(held: Coverage) -> str:
     return f"{100 * held.joint:.1f} ({low:.0f}–{high:.0f})"
 
 
-def _table_section(comparisons: Sequence[Comparison], found: pd.DataFrame) -> Section:
-    lines = [f"{name}: {text}." for name, text in MEANINGS.items() if name in found.columns]
-    ran = dict.fromkeys(r.filter for c in comparisons for r in c.results)
-    lines += [f"{name}: {DESCRIPTIONS[name]}." for name in ran]
-    for comparison in comparisons:
-        lines += [
-            f"Left out on {comparison.log.name}: {n} ({w})." for n, w in comparison.left_out.items()
-        ]
-    return Section("Filters compared", "\n\n".join(lines), found)
+def _summary_sections(comparisons: Sequence[Comparison], found: pd.DataFrame) -> list[Section]:
+    """The table, and how to read it."""
+    left_out = [
+        f"Left out on {comparison.log.name}: {name} ({why})."
+        for comparison in comparisons
+        for name, why in comparison.left_out.items()
+    ]
+    ran = dict.fromkeys(result.filter for c in comparisons for result in c.results)
+    glossary = [{"": name, "means": DESCRIPTIONS[name]} for name in ran]
+    glossary += [{"": n, "means": text} for n, text in MEANINGS.items() if n in found.columns]
+    return [
+        Section("Filters compared", "\n\n".join(left_out), found),
+        Section("How to read the table", "", glossary),
+    ]
 
 
 def _walk_prose(comparison: Comparison) -> str:

@@ -15,17 +15,19 @@ from sim.files import whole_file
 _STYLE = """
 :root { color-scheme: light; }
 body { font: 16px/1.55 system-ui, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif;
-  color: #222; background: #fff; max-width: 62rem; margin: 2.5rem auto; padding: 0 1.25rem; }
+  color: #222; background: #fff; max-width: 70rem; margin: 2.5rem auto; padding: 0 1.25rem; }
 h1 { font-size: 1.7rem; line-height: 1.25; margin: 0 0 1.5rem; }
 h2 { font-size: 1.2rem; margin: 2.6rem 0 .6rem; padding-top: .8rem; border-top: 1px solid #ddd; }
 p { max-width: 46rem; margin: .6rem 0; }
 nav { font-size: .92rem; margin-bottom: 1rem; }
-nav a { color: #0b5a8a; text-decoration: none; margin-right: 1.2rem; white-space: nowrap; }
+nav { display: flex; flex-wrap: wrap; gap: .1rem 1.2rem; }
+nav a { color: #0b5a8a; text-decoration: none; }
 .table { overflow-x: auto; margin: 1rem 0; }
 table { border-collapse: collapse; font-size: .9rem; font-variant-numeric: tabular-nums; }
-th, td { padding: .3rem .8rem; border-bottom: 1px solid #e4e4e4; text-align: left; }
+th, td { padding: .3rem .55rem; border-bottom: 1px solid #e4e4e4; text-align: left; }
 th { border-bottom: 2px solid #999; vertical-align: bottom; }
-.number { text-align: right; white-space: nowrap; }
+.number { text-align: right; }
+td.number { white-space: nowrap; }
 tbody tr:nth-child(even) { background: #f7f7f7; }
 figure { margin: 1.4rem 0; }
 figure img { max-width: 100%; height: auto; }
