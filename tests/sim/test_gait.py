@@ -1,0 +1,122 @@
+"""The controller's parts: forces that make the wrench, footholds off edges, swings over them."""
+
+import numpy as np
+import pytest
+
+from sim.gait import fresh_memory, gait_for, ground_below, tick
+from sim.relief import height
+from sim.robot import Robot
+from sim.support import stance_forces
+from sim.swing import lift_part, place_foot, rise_over
+from sim.terrain import Ground, Strip
+
+SPOT = Robot.load("spot_class")
+GAIT = gait_for(SPOT, 0.0)
+RISER, TREAD = 0.12, 0.32
+STAIRS = Ground(0.8, (), 20.0, (Strip((1.0, 0.0), (4.2, 0.0), 4.0, (0.0, 1.2), steps=10),)).relief
+
+
+def test_four_feet_make_any_wrench():
+    r = np.array([[0.3, 0.2, -0.5], [0.3, -0.2, -0.5], [-0.3, 0.2, -0.5], [-0.3, -0.2, -0.5]])
+    wrench = np.array([20.0, -10.0, 300.0, 5.0, -8.0, 3.0])
+    forces = stance_forces(r, wrench, np.ones(6), np.full(4, 1e-9))
+    np.testing.assert_allclose(forces.sum(axis=0), wrench[:3], atol=1e-4)
+    np.testing.assert_allclose(np.cross(r, forces).sum(axis=0), wrench[3:], atol=1e-4)
+
+
+def test_the_ground_below_a_slope_is_the_slope():
+    slope = Ground(0.8, (), 30.0, (Strip((-9.0, 0.0), (9.0, 0.0), 30.0, (0.0, 3.6)),)).relief
+    for yaw in (0.0, 0.7, 2.5):
+        level, slope_x, slope_y = ground_below(GAIT, slope, np.array([1.0, 0.4, 0.0]), yaw)
+        assert level == pytest.approx(height(slope, 1.0, 0.4), abs=1e-12)
+        assert (slope_x, slope_y) == pytest.approx((0.2, 0.0), abs=1e-12)
+
+
+def test_stairs_look_like_the_slope_that_they_are():
+    x = np.linspace(1.8, 3.4, 200)
+    ground = np.array([ground_below(GAIT, STAIRS, np.array([a, 0.0, 0.0]), 0.0) for a in x])
+    assert ground[:, 1].mean() == pytest.approx(RISER / TREAD, rel=0.05)
+    # Each tread stands above the line of its lower edges by half a riser on average.
+    line = (x - 1.0) * RISER / TREAD + RISER / 2
+    assert np.abs(ground[:, 0] - line).max() < 0.35 * RISER
+
+
+@pytest.mark.parametrize("heading", [1.0, -1.0])
+def test_footholds_keep_off_every_edge(heading):
+    for want in np.linspace(1.4, 3.8, 97):
+        memory = fresh_memory()[0]
+        place_foot(GAIT, STAIRS, memory, 0, np.array([want, 0.0]), heading, 0.0, 0.0)
+        on_tread = (memory[4] - 1.0) % TREAD
+        assert 0.04 < on_tread < TREAD - 0.04
+        assert abs(memory[4] - want) < 0.16
+        # The shin's side, behind the foot, has the more room where the ground behind is higher.
+        if heading < 0:
+            assert TREAD - on_tread > 0.1
+        expected = height(STAIRS, memory[4], 0.0) + GAIT.foot_radius[0]
+        assert memory[6] == pytest.approx(expected, abs=1e-12)
+
+
+def test_late_in_the_swing_a_foothold_stays_on_its_step():
+    memory = fresh_memory()[0]
+    place_foot(GAIT, STAIRS, memory, 0, np.array([2.2, 0.0]), 1.0, 0.0, 0.0)
+    early = memory.copy()
+    place_foot(GAIT, STAIRS, memory, 0, np.array([2.6, 0.0]), 1.0, 0.0, 0.9)
+    np.testing.assert_array_equal(memory, early)
+
+
+def swing_path(memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    u = np.linspace(0.0, 1.0, 400)
+
+    def blend(s):
+        return s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
+
+    climb = memory[6] - memory[2]
+    lifted = np.array([blend(lift_part(climb, v)[0]) for v in u])
+    x = memory[0] + blend(u) * (memory[4] - memory[0])
+    return x, memory[2] + lifted * climb + 64.0 * (u * (1.0 - u)) ** 3 * memory[8]
+
+
+@pytest.mark.parametrize("there", [1.52, 1.84, 2.16])
+@pytest.mark.parametrize("down", [False, True])
+def test_a_swing_clears_the_stairs_between_its_ends(there, down):
+    radius = GAIT.foot_radius[0]
+    ends = [(x, height(STAIRS, x, 0.0) + radius) for x in (0.8, there)]
+    memory = fresh_memory()[0]
+    (memory[0], memory[2]), (memory[4], memory[6]) = ends[::-1] if down else ends
+    memory[8] = 0.0
+    rise_over(GAIT, STAIRS, memory, 0)
+    x, z = swing_path(memory)
+    ground = np.array([height(STAIRS, a, 0.0) for a in x])
+    assert (z - radius - ground)[1:-1].min() > -1e-3
+
+
+def test_on_flat_ground_the_swing_is_the_plain_one():
+    memory = fresh_memory()[0]
+    flat = Ground(0.8).relief
+    memory[[0, 2, 4, 6]] = 0.0, 0.036, 0.4, 0.036
+    rise_over(GAIT, flat, memory, 0)
+    assert memory[8] == GAIT.clearance
+
+
+def test_a_standing_robot_is_held_by_its_weight():
+    torque = np.zeros(12)
+    home_B = SPOT.feet_I(SPOT.q_home[None])[0] @ SPOT.R_BI.T + SPOT.p_BI
+    p = np.array([0.0, 0.0, SPOT.foot_radius.mean() - home_B[:, 2].mean()])
+    gait = GAIT._replace(start=1.0)
+    load = np.full(4, SPOT.mass * 9.81 / 4)
+    tick(
+        SPOT.legs, gait, Ground(0.8).relief, fresh_memory(), 0.0, p, np.eye(3), np.zeros(3),
+        np.zeros(3), SPOT.q_home, np.zeros(12), load, np.zeros(6), torque,
+    )  # fmt: skip
+    J_B = SPOT.feet_jacobian_I(SPOT.q_home[None])[0]
+    J_B = np.einsum("ij,ljk->lik", SPOT.R_BI, J_B)
+    push = [-np.linalg.solve(J.T, t) for J, t in zip(J_B, torque.reshape(4, 3), strict=True)]
+    assert sum(push)[2] == pytest.approx(SPOT.mass * 9.81, rel=0.01)
+
+
+def test_gait_scales_with_the_leg():
+    small = gait_for(Robot.load("v60_class"), 0.0, period=1.1, clearance=0.9, gain=1.2)
+    plain = gait_for(Robot.load("v60_class"), 0.0)
+    assert small.period == pytest.approx(1.1 * plain.period)
+    assert small.clearance == pytest.approx(0.9 * plain.clearance)
+    assert small.level_gain == pytest.approx(1.2 * plain.level_gain)

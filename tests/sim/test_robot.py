@@ -1,0 +1,116 @@
+"""Legs found by the kinematic tree alone are the legs that MuJoCo moves."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from sim.errors import SurefootError
+from sim.legs import LEGS
+from sim.robot import Robot
+from sim.robot_files import known_robots
+from sim.stance import stands
+
+ROBOTS = sorted(known_robots())
+
+
+@pytest.fixture(scope="module", params=ROBOTS)
+def robot(request) -> Robot:
+    return Robot.load(request.param)
+
+
+def random_joints(robot: Robot, seed: int, n: int) -> np.ndarray:
+    lower, upper = robot.joint_range.T
+    return np.random.default_rng(seed).uniform(lower, upper, (n, 12))
+
+
+def test_feet_are_where_mujoco_puts_them(robot):
+    model = robot.spec().compile()
+    data = mujoco.MjData(model)
+    base = model.body(robot.base_name).id
+    for q in random_joints(robot, 0, 20):
+        for name, angle in zip(robot.joint_names, q, strict=True):
+            data.qpos[model.joint(name).qposadr[0]] = angle
+        mujoco.mj_kinematics(model, data)
+        R = data.xmat[base].reshape(3, 3)
+        for leg, (body, place) in enumerate(zip(robot.foot_bodies, robot.foot_places, strict=True)):
+            at = model.body(body).id
+            foot_G = data.xpos[at] + data.xmat[at].reshape(3, 3) @ place
+            foot_I = robot.R_BI.T @ (R.T @ (foot_G - data.xpos[base]) - robot.p_BI)
+            np.testing.assert_allclose(robot.feet_I(q[None])[0, leg], foot_I, atol=1e-9)
+
+
+def test_legs_are_named_by_place(robot):
+    x, y = robot.feet_I(robot.q_home[None])[0, :, :2].T + robot.p_BI[:2, None]
+    for leg, name in enumerate(LEGS):
+        assert (x[leg] > x.mean()) == (name[0] == "F")
+        assert (y[leg] > y.mean()) == (name[1] == "L")
+
+
+def test_home_stands(robot):
+    assert stands(robot.legs, robot.q_home)
+    lower, upper = robot.joint_range.T
+    assert ((robot.q_home > lower) & (robot.q_home < upper)).all()
+
+
+def test_bundled_masses_are_the_published_ones():
+    assert Robot.load("spot_class").mass == pytest.approx(32.7, abs=1e-6)
+    assert Robot.load("v60_class").mass == pytest.approx(51.0, abs=1e-6)
+
+
+def test_an_unknown_robot_is_one_clear_line():
+    with pytest.raises(SurefootError, match="unknown robot 'dog'") as error:
+        Robot.load("dog")
+    assert "\n" not in str(error.value)
+    assert "v60_class" in str(error.value)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(SurefootError, match="no such MJCF"):
+        Robot.load(tmp_path / "robot.xml")
+
+
+MODEL = """<mujoco model="odd"><worldbody><body name="base"><freejoint/>
+<geom type="box" size=".2 .1 .1"/>{legs}</body></worldbody>{actuators}</mujoco>"""
+LEG = """<body name="h{i}" pos="{x} {y} 0"><joint name="h{i}" axis="1 0 0"/>
+<geom type="sphere" size=".03"/><body name="t{i}" pos="0 {o} 0"><joint name="t{i}" axis="0 1 0"/>
+<geom type="sphere" size=".03"/><body name="c{i}" pos="0 0 -.2"><joint name="c{i}" axis="0 1 0"/>
+<geom type="{foot}" size=".02 .02 .02" pos="0 0 -.2"/></body></body></body>"""
+
+
+def odd_robot(places, foot="sphere", motors=True) -> str:
+    legs = "".join(
+        LEG.format(i=i, x=x, y=y, o=0.05 if y > 0 else -0.05, foot=foot)
+        for i, (x, y) in enumerate(places)
+    )
+    names = [f"{part}{i}" for i in range(len(places)) for part in "htc"]
+    drives = "".join(f'<motor joint="{n}" ctrlrange="-20 20"/>' for n in names)
+    return MODEL.format(legs=legs, actuators=f"<actuator>{drives}</actuator>" if motors else "")
+
+
+CORNERS = [(-0.2, -0.1), (0.2, -0.1), (-0.2, 0.1), (0.2, 0.1)]
+
+
+def test_names_and_order_in_the_file_do_not_matter(tmp_path):
+    path = tmp_path / "odd.xml"
+    path.write_text(odd_robot(CORNERS))
+    robot = Robot.load(path)
+    assert robot.joint_names[:3] == ("h3", "t3", "c3")
+    assert robot.joint_names[9:] == ("h0", "t0", "c0")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (odd_robot(CORNERS[:3]), "four legs"),
+        (odd_robot([(0.1, 0.1), (0.2, 0.1), (0.3, 0.1), (0.4, 0.1)]), "front, rear"),
+        (odd_robot(CORNERS, foot="box"), "foot"),
+        (odd_robot(CORNERS, motors=False), "torque limit"),
+        ("<mujoco", "cannot read"),
+    ],
+)
+def test_what_cannot_be_found_is_said_in_one_line(tmp_path, text, words):
+    path = tmp_path / "odd.xml"
+    path.write_text(text)
+    with pytest.raises(SurefootError, match=words) as error:
+        Robot.load(path)
+    assert "\n" not in str(error.value)

@@ -1,0 +1,154 @@
+"""Scenario files: what they mean, what a seed may change, and one clear line for every mistake."""
+
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sim.errors import SurefootError
+from sim.scenario import Scenario, drawn
+
+SUITES = sorted((Path(__file__).parents[2] / "scenarios").glob("*/*.toml"))
+GOOD = """
+robot = "spot_class"
+role = "test"
+segment = [{distance = 2.0, forward = 0.5}, {angle = 1.0, turn = -0.5},
+  {repeat = 2, segment = [{duration = 3.0, lateral = 0.1}]}]
+[ground]
+mu = 0.7
+[[ground.strip]]
+start = [2.0, 0.0]
+end = [4.0, 0.0]
+width = 2.0
+heights = [0.0, 0.4]
+rough = 0.03
+mu = 0.6
+[[ground.patch]]
+center = [2.5, 0.03]
+size = [1.0, 1.0]
+mu = 0.2
+[ranges]
+mu = [0.8, 1.2]
+rough = [0.5, 1.0]
+patch_shift = 0.1
+"""
+
+
+def load(tmp_path, text: str) -> Scenario:
+    path = tmp_path / "walk.toml"
+    path.write_text(text)
+    return Scenario.load(path)
+
+
+def test_segments_by_length_angle_and_rounds(tmp_path):
+    scenario = load(tmp_path, GOOD)
+    assert [s.duration for s in scenario.segments] == [4.0, 2.0, 3.0, 3.0]
+    assert (scenario.name, scenario.role, scenario.robot) == ("walk", "test", "spot_class")
+
+
+def test_a_seed_draws_within_the_ranges_and_the_same_twice(tmp_path):
+    scenario = load(tmp_path, GOOD)
+    one, same = (drawn(scenario, np.random.default_rng(1)).scenario.ground for _ in range(2))
+    other = drawn(scenario, np.random.default_rng(2)).scenario.ground
+    assert one == same != other
+    np.testing.assert_array_equal(one.strips[0].bumps, same.strips[0].bumps)
+    factor = one.mu / 0.7
+    assert 0.8 <= factor <= 1.2
+    assert one.strips[0].mu == pytest.approx(0.6 * factor)
+    assert one.patches[0].mu == pytest.approx(0.2 * factor)
+    assert 0.015 <= one.strips[0].rough <= 0.03
+    # Patches near rough ground keep to its lattice, so that geoms and truth agree.
+    edges = np.array(one.patches[0].rectangle) / 0.1
+    np.testing.assert_allclose(edges, np.round(edges), atol=1e-9)
+
+
+def test_without_ranges_nothing_is_changed(tmp_path):
+    scenario = load(tmp_path, "segment = [{duration = 2.0, forward = 0.5}]")
+    drew = drawn(scenario, np.random.default_rng(0))
+    assert drew.scenario == scenario
+    assert (drew.period, drew.clearance, drew.gain, drew.payload) == (1.0, 1.0, 1.0, 0.0)
+
+
+@pytest.mark.parametrize("path", SUITES, ids=lambda p: p.stem)
+def test_every_scenario_of_the_house_loads(path):
+    scenario = Scenario.load(path)
+    assert scenario.robot
+    if path.parent.name in ("spot", "vision60"):
+        assert scenario.role
+
+
+def test_each_suite_has_one_course_to_train_and_one_to_calibrate_on():
+    for suite, count in (("spot", 10), ("vision60", 7)):
+        roles = [Scenario.load(p).role for p in SUITES if p.parent.name == suite]
+        assert (len(roles), roles.count("train"), roles.count("calibrate")) == (count, 1, 1)
+
+
+SEGMENT = "segment = [{duration = 2.0, forward = 0.5}]\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "at least one"),
+        ("segment = 3", "array of tables"),
+        ("segment = [{forward = 1.0}]", "1 needs one of duration"),
+        ("segment = [{duration = 1.0, distance = 1.0}]", "1 needs one of duration"),
+        ("segment = [{distance = 1.0}]", "distance needs a speed"),
+        ("segment = [{angle = 1.0, forward = 1.0}]", "angle needs a speed"),
+        ("segment = [{duration = -1.0}]", "last longer"),
+        ("segment = [{duration = true}]", "must be a number"),
+        ("segment = [{duration = nan}]", "must be a number"),
+        ("segment = [{repeat = 0, segment = []}]", "repeat"),
+        (SEGMENT + "speed = 1", "unknown key 'speed'"),
+        (SEGMENT + "laps = 0", "laps"),
+        (SEGMENT + "role = 'exam'", "role"),
+        (SEGMENT + "robot = 3", "strings"),
+        (SEGMENT + "[ground]\nmu = 9.0", "mu must lie"),
+        (SEGMENT + "[ground]\nhalf_size = 0.0", "half_size"),
+        (SEGMENT + "[[ground.patch]]\ncenter = [1.0]\nsize = [1, 1]\nmu = 1", "center must be two"),
+        (SEGMENT + "[[ground.patch]]\ncenter = [1, 1]\nmu = 1", "needs size"),
+        (SEGMENT + "[[ground.patch]]\ncenter = [1, 1]\nsize = [0, 1]\nmu = 1", "size"),
+        (SEGMENT + "[[ground.strip]]\nstart = [0, 0]\nend = [1, 1]\nwidth = 1", "strip]] 1 start"),
+        (SEGMENT + "[[ground.strip]]\nstart = [0, 0]\nend = [1, 0]", "needs width"),
+        (SEGMENT + "[ranges]\nmu = [1.1, 0.9]", "[low, high]"),
+        (SEGMENT + "[ranges]\nmu = 1.0", "two numbers"),
+        (SEGMENT + "[sensors]\nnoise = 1.0", "unknown key 'noise'"),
+        (SEGMENT + "ground = 1", "must be a table"),
+        ("= 3", "not valid TOML"),
+    ],
+)
+def test_a_mistake_is_one_line_that_names_file_and_key(tmp_path, text, words):
+    with pytest.raises(SurefootError) as error:
+        load(tmp_path, text)
+    message = str(error.value)
+    assert words in message
+    assert "walk.toml" in message
+    assert "\n" not in message
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(SurefootError, match=r"nowhere\.toml"):
+        Scenario.load(tmp_path / "nowhere.toml")
+
+
+VALUES = st.one_of(
+    st.none(), st.booleans(), st.integers(-3, 3), st.floats(), st.text(max_size=3), st.just([1, 2])
+)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    key=st.sampled_from(["laps", "stand", "name", "robot", "role", "segment", "ground", "ranges"]),
+    value=VALUES,
+)
+def test_no_value_of_any_key_ends_in_another_error(tmp_path_factory, key, value):
+    if value is None:
+        return
+    text = f"{key} = {str(value).lower() if isinstance(value, bool) else repr(value)}\n"
+    path = tmp_path_factory.mktemp("s") / "walk.toml"
+    path.write_text(text if key == "segment" else SEGMENT + text, encoding="utf-8")
+    with suppress(SurefootError):
+        Scenario.load(path)

@@ -1,0 +1,140 @@
+"""Short walks: repeatable to the bit, true to their own reference, feet where they stand."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sim.course import lay_course
+from sim.errors import SurefootError
+from sim.gait import gait_for
+from sim.relief import height
+from sim.robot import Robot
+from sim.scenario import Ranges, Scenario, Segment
+from sim.sensors import GRAVITY_G, Sensors, ideal_streams, imu_motion, mean_rotation
+from sim.terrain import Ground, Patch, Strip
+from sim.walk import STEPS_PER_TICK, Fallen, simulate, walk
+from sim.world import TIMESTEP, build_world
+
+SPOT = Robot.load("spot_class")
+# Nothing between the simulation and the log but the rounding of the IMU.
+PERFECT = Sensors(
+    gyro_noise=0.0, accel_noise=0.0, gyro_instability=0.0, accel_instability=0.0,
+    gyro_turn_on=0.0, accel_turn_on=0.0, encoder_step=0.0,
+    velocity_noise=0.0, torque_noise=0.0, force_noise=0.0,
+)  # fmt: skip
+TERRAIN = Ground(
+    0.8,
+    (Patch(2.0, 0.0, 0.8, 3.0, 0.2),),
+    30.0,
+    (
+        Strip((0.8, 0.0), (1.6, 0.0), 3.0, (0.0, 0.1)),
+        Strip((1.6, 0.0), (4.0, 0.0), 3.0, (0.1, 0.1)),
+    ),
+)
+SCENARIO = Scenario(
+    "short",
+    (Segment(3.0, 0.7), Segment(1.5, 0.4, turn=0.5)),
+    TERRAIN,
+    ranges=Ranges(mu=(0.9, 1.1), speed=(0.9, 1.1), patch_shift=0.1),
+)
+
+
+@pytest.fixture(scope="module")
+def log():
+    return walk(SCENARIO, SPOT, 3)
+
+
+@pytest.fixture(scope="module")
+def perfect():
+    return walk(Scenario("perfect", SCENARIO.segments, TERRAIN, sensors=PERFECT), SPOT, 3)
+
+
+def test_the_same_seed_gives_the_same_log_bit_for_bit(log):
+    again = walk(SCENARIO, SPOT, 3)
+    assert log.frame.equals(again.frame)
+    assert log.meta == again.meta
+
+
+def test_another_seed_gives_another(log):
+    other = walk(SCENARIO, SPOT, 4)
+    n = min(len(log.t), len(other.t))
+    assert not np.array_equal(log.q[:n], other.q[:n])
+
+
+def test_imu_rows_integrate_back_to_the_reference():
+    """Row k carries the state of row k - 1 exactly to that of row k (Hartley et al. 2020)."""
+    world = build_world(SPOT, TERRAIN)
+    course = lay_course(SCENARIO.segments, TIMESTEP * STEPS_PER_TICK, 1.0)
+    motion = simulate(world, SPOT, gait_for(SPOT, 1.0), course)
+    streams = ideal_streams(motion, SPOT)
+    R_GI, p_GI, v_GI = imu_motion(motion, SPOT)
+    R, v = R_GI[0], v_GI[0]
+    for k in range(len(streams.t)):
+        turn = streams.gyro[k] * TIMESTEP
+        v = v + (R @ mean_rotation(turn[None])[0] @ streams.accel[k] + GRAVITY_G) * TIMESTEP
+        R = R @ Rotation.from_rotvec(turn).as_matrix()
+    # The whole walk, dead-reckoned: nothing but rounding is left.
+    np.testing.assert_allclose(R, R_GI[-1], atol=1e-9)
+    np.testing.assert_allclose(v, v_GI[-1], atol=1e-8)
+    assert len(p_GI) == len(streams.t) + 1
+
+
+def test_reference_velocity_integrates_to_the_reference_position(perfect):
+    moved = np.cumsum(perfect.ref_v[1:] * np.diff(perfect.t)[:, None], axis=0)
+    np.testing.assert_allclose(perfect.ref_p[0] + moved, perfect.ref_p[1:], atol=2e-3)
+
+
+def test_feet_stand_still_on_dry_ground(log):
+    standing = (log.slip > 0) & (log.mu > 0.5)
+    assert np.median(log.slip[standing]) < 1e-3
+    assert (log.slip[standing] > 0.05).mean() < 0.01
+
+
+def test_standing_feet_are_on_the_ground(perfect):
+    feet_G = perfect.ref_p[:, None] + np.einsum(
+        "nij,nlj->nli", perfect.ref_R_GI, SPOT.feet_I(perfect.q)
+    )
+    for leg in range(4):
+        loaded = perfect.force[:, leg] > 60.0
+        ground = np.array([height(TERRAIN.relief, x, y) for x, y in feet_G[loaded, leg, :2]])
+        above = feet_G[loaded, leg, 2] - SPOT.foot_radius[leg] - ground
+        assert np.percentile(np.abs(above), 99) < 0.004
+    assert feet_G[-1, :, 2].min() > 0.1
+
+
+def test_friction_of_the_patch_is_in_the_truth(log):
+    assert ((log.mu < 0.3) & (log.slip > 0)).any()
+    assert set(np.unique((log.mu / log.mu.max()).round(6))) == {0.25, 1.0}
+
+
+def test_the_robot_starts_standing_still_and_follows_its_course(log):
+    assert np.linalg.norm(log.ref_v[:450], axis=1).max() < 0.05
+    forward = np.einsum("nj,nj->n", log.ref_R_GI[:, :, 0], log.ref_v)
+    assert 0.5 < forward[1000:2000].mean() < 0.9
+
+
+def test_a_fall_says_when():
+    cliff = Ground(0.8, (), 30.0, (Strip((-2.0, 0.0), (0.7, 0.0), 3.0, (1.5, 1.5)),))
+    with pytest.raises(Fallen, match=r"fell at \d+\.\d+ s"):
+        walk(Scenario("cliff", (Segment(6.0, 0.8),), cliff), SPOT, 0)
+
+
+def test_a_course_that_leaves_the_floor_is_refused():
+    with pytest.raises(SurefootError, match="half_size"):
+        walk(Scenario("far", (Segment(9.0, 1.0),), Ground(0.8, half_size=5.0)), SPOT, 0)
+
+
+def test_payload_presses_harder_on_the_ground():
+    still = (Segment(1.0),)
+    weights = [
+        walk(
+            Scenario("s", still, Ground(0.8), ranges=Ranges(payload=(m, m)), sensors=PERFECT),
+            SPOT,
+            0,
+        )
+        .force[200:450]
+        .sum(axis=1)
+        .mean()
+        for m in (0.0, 5.0)
+    ]
+    assert weights[1] - weights[0] == pytest.approx(5.0 * 9.81, rel=0.1)
