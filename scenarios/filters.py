@@ -13,6 +13,7 @@ from estimator.trajectory import Trajectory, reference
 from models.bounds import Bounds
 from models.observer import Observer
 from models.predict import Prediction, predict
+from sim.effects import effect, explain_all
 from sim.errors import SurefootError
 from sim.log import Log, joint_velocity
 from sim.robot import Robot
@@ -77,10 +78,15 @@ class Result:
 
 
 def run_filter(name: str, log: Log, robot: Robot, learnt: Learnt | None = None) -> Result:
-    """Estimate a log with one filter. Raises SurefootError saying what it lacks."""
+    """Estimate a log with one filter. Raises SurefootError saying what it lacks.
+
+    The filter's model is the declared one: what the log says of its effects is undone first.
+    """
     if name not in FILTERS:
         raise SurefootError(f"--filter {name}: unknown; choose {' | '.join(FILTERS)}")
     log.require("imu")
+    declared = [effect(e["name"], e["target"], e["value"]) for e in log.meta.effects]
+    log, robot = explain_all(declared, log, robot)
     try:
         run = FILTERS[name](log, robot, learnt or Learnt())
     except SurefootError as error:

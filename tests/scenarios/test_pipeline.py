@@ -10,6 +10,7 @@ from models.training import Schedule, train
 from scenarios.compare import compare_log, table, write_comparison
 from scenarios.demo import demo
 from scenarios.filters import FILTERS, Learnt, run_filter
+from sim.effects import effect
 from sim.errors import SurefootError
 from sim.log import Log
 from sim.robot import Robot
@@ -94,6 +95,19 @@ def test_coverage_holds_exactly_the_bounds_it_was_given(compared, learnt):
     assert updates is not None
     assert np.array_equal(np.unique(updates.epsilon, axis=0), learnt.bounds[0].epsilon[None])
     assert np.array_equal(updates.active, updates.pi < learnt.bounds[0].gamma)
+
+
+def test_a_declared_effect_is_part_of_the_filters_model(robot):
+    """A known encoder offset costs the leg filter little, the same one kept quiet a lot."""
+    scenario = Scenario("short", SEGMENTS, Ground(0.8))
+    offset = effect("encoder_offset", "FL_thigh", 0.04)
+    errors = {}
+    for declared in (True, False):
+        log = walk(scenario, robot, 0, [offset], declared)
+        metrics = run_filter("leg", log, robot).metrics
+        assert metrics is not None
+        errors[declared] = metrics.ape_trans
+    assert errors[True] < 0.5 * errors[False]
 
 
 @pytest.mark.slow
