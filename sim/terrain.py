@@ -106,8 +106,9 @@ class Strip:
     @property
     def ends(self) -> tuple[float, float]:
         """Heights [m] at the ends of lower and of higher coordinate."""
+        first, last = self.heights
         forward = self.start[self.axis] < self.end[self.axis]
-        return self.heights if forward else self.heights[::-1]
+        return (first, last) if forward else (last, first)
 
     def roughened(self, rng: np.random.Generator) -> "Strip":
         """The strip with its bumps drawn from `rng`, level with its plane at the edges."""

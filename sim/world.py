@@ -74,15 +74,15 @@ def add_payload(spec: mujoco.MjSpec, robot: Robot, mass: float) -> None:
 
 def build_world(robot: Robot, ground: Ground, spec: mujoco.MjSpec | None = None) -> World:
     """Compile the robot (or an edited spec of it) standing on `ground`."""
-    spec = spec or robot_spec(robot)
+    scene: mujoco.MjSpec = robot_spec(robot) if spec is None else spec
     # Feet creep on dry ground unless friction is stiff and exact: elliptic cone, high impratio.
-    spec.option.timestep = TIMESTEP
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    spec.option.impratio = 100.0
-    spec.option.noslip_iterations = 0
-    add_ground(spec, ground)
-    model = spec.compile()
+    scene.option.timestep = TIMESTEP
+    scene.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    scene.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    scene.option.impratio = 100.0
+    scene.option.noslip_iterations = 0
+    add_ground(scene, ground)
+    model = scene.compile()
     joints = [model.joint(name) for name in robot.joint_names]
     qpos_adr = np.array([joint.qposadr[0] for joint in joints])
     home_B = robot.feet_I(robot.q_home[None])[0] @ robot.R_BI.T + robot.p_BI

@@ -111,7 +111,7 @@ def test_a_standing_robot_is_held_by_its_weight():
     J_B = SPOT.feet_jacobian_I(SPOT.q_home[None])[0]
     J_B = np.einsum("ij,ljk->lik", SPOT.R_BI, J_B)
     push = [-np.linalg.solve(J.T, t) for J, t in zip(J_B, torque.reshape(4, 3), strict=True)]
-    assert sum(push)[2] == pytest.approx(SPOT.mass * 9.81, rel=0.01)
+    assert np.sum(push, axis=0)[2] == pytest.approx(SPOT.mass * 9.81, rel=0.01)
 
 
 def test_gait_scales_with_the_leg():

@@ -106,6 +106,8 @@ def test_stairs_are_the_same_from_either_end():
 def test_bumps_are_drawn_from_the_generator_and_end_level():
     one, same, other = (ROUGH.roughened(np.random.default_rng(s)).bumps for s in (1, 1, 2))
     assert one is not None
+    assert same is not None
+    assert other is not None
     np.testing.assert_array_equal(one, same)
     assert not np.array_equal(one, other)
     assert 0.03 < one.max() <= 0.06
