@@ -3,6 +3,7 @@
 from dataclasses import dataclass, fields
 
 import numpy as np
+from numba import njit
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
@@ -93,7 +94,7 @@ def ideal_streams(motion: Motion, robot: Robot) -> Streams:
     return Streams(
         t=motion.t[1:],
         gyro=turn / dt,
-        accel=np.linalg.solve(mean_rotation(turn), felt[:, :, None])[:, :, 0],
+        accel=_before_turning(turn, felt),
         q=motion.q[1:],
         dq=motion.dq[1:],
         tau=motion.tau,
@@ -102,7 +103,7 @@ def ideal_streams(motion: Motion, robot: Robot) -> Streams:
 
 
 def corrupt(streams: Streams, sensors: Sensors, rng: np.random.Generator) -> Streams:
-    """The readings with every sensor's errors, drawn from `rng`; noise is a density, per root hertz."""
+    """The readings with every sensor's errors, drawn from `rng`; noise is a density, per rtHz."""
     s = sensors
     rate = 1.0 / np.median(np.diff(streams.t))
     n = len(streams.t)
@@ -136,8 +137,32 @@ def _gauss_markov(rng, n: int, sigma: float, time: float, rate: float) -> np.nda
     return lfilter([1.0], [1.0, -keep], drive, axis=0)
 
 
+@njit(cache=True, nogil=True)
+def _before_turning(turn, felt):
+    """The force (N, 3) whose mean, seen from a frame that turns by `turn` (N, 3) rad, is `felt`.
+
+    Solves Gamma_1(turn) x = felt (see `mean_rotation`): the inverse is 1 - W / 2 + c W W.
+    """
+    x = np.empty_like(felt)
+    for k in range(len(turn)):
+        a, b = turn[k], felt[k]
+        square = a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
+        # By its series where the closed form would cancel.
+        if square < 0.01:
+            c = 1 / 12 + square * (1 / 720 + square * (1 / 30240 + square * (1 / 1209600)))
+        else:
+            half = 0.5 * np.sqrt(square)
+            c = (1.0 - half / np.tan(half)) / square
+        along = c * (a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+        keep = 1.0 - c * square
+        x[k, 0] = keep * b[0] - 0.5 * (a[1] * b[2] - a[2] * b[1]) + along * a[0]
+        x[k, 1] = keep * b[1] - 0.5 * (a[2] * b[0] - a[0] * b[2]) + along * a[1]
+        x[k, 2] = keep * b[2] - 0.5 * (a[0] * b[1] - a[1] * b[0]) + along * a[2]
+    return x
+
+
 def mean_rotation(turn: np.ndarray) -> np.ndarray:
-    """Mean of exp(s turn) over s in (0, 1), (N, 3, 3): Gamma_1 of Hartley et al. 2020, by its series.
+    """Mean of exp(s turn) over s in (0, 1), (N, 3, 3): Gamma_1 of Hartley et al. 2020, a series.
 
     Steps turn by far less than a radian, so a few terms reach machine precision.
     """
