@@ -8,7 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sim.course import lay_course
 from sim.errors import SurefootError
+from sim.relief import surfaces
 from sim.scenario import Scenario, drawn
 
 SUITES = sorted((Path(__file__).parents[2] / "scenarios").glob("*/*.toml"))
@@ -84,6 +86,22 @@ def test_each_suite_has_one_course_to_train_and_one_to_calibrate_on():
     for suite, count in (("spot", 10), ("vision60", 7)):
         roles = [Scenario.load(p).role for p in SUITES if p.parent.name == suite]
         assert (len(roles), roles.count("train"), roles.count("calibrate")) == (count, 1, 1)
+
+
+HIGHEST_RISER = 0.13  # m: shins strike the edges of stairs from 15 cm on
+
+
+@pytest.mark.parametrize(
+    "path", [p for p in SUITES if p.parent.name != "demo"], ids=lambda p: p.stem
+)
+def test_no_course_leads_over_a_pit_or_a_wall(path):
+    scenario = Scenario.load(path)
+    relief = drawn(scenario, np.random.default_rng(0)).scenario.ground.relief
+    course = lay_course(scenario.segments, 0.01, scenario.stand, scenario.laps)
+    x, y, yaw = course.pose.T
+    for aside in (-0.7, -0.35, 0.0, 0.35, 0.7):
+        z, _ = surfaces(relief, x - aside * np.sin(yaw), y + aside * np.cos(yaw))
+        assert np.abs(np.diff(z)).max() < HIGHEST_RISER
 
 
 SEGMENT = "segment = [{duration = 2.0, forward = 0.5}]\n"

@@ -32,6 +32,9 @@ PAPER = {
 }  # fmt: skip
 COURSES = sorted(p for suite in ("vision60", "spot") for p in (SUITES / suite).glob("*.toml"))
 DRY, SLIPPING, SEEDS = 0.4, 0.05, 5
+# Riser and tread as shares of the leg; thick shins and a deep belly want shallower stairs.
+STAIRS = {"hyqreal1": (0.12, 0.6), "hyqreal2": (0.12, 0.6)}
+SUITED = (0.15, 0.5)
 
 
 def figures(scenario: Scenario, robot: Robot, seed: int) -> dict[str, float]:
@@ -83,11 +86,12 @@ HEADER = (
 
 
 def trials(robot: Robot) -> dict[str, Scenario]:
-    """A minute on each ground, scaled to the leg: riser 0.15, tread 0.5 of its length."""
+    """A minute on each ground, scaled to the leg."""
     leg = robot.leg_length
     v = 0.8 * np.sqrt(leg / 0.66)
     slope, steps = np.tan(np.radians(10.0)), 8
-    rise, run = 0.15 * leg * steps, 0.5 * leg * steps
+    riser, tread = STAIRS.get(robot.name, SUITED)
+    rise, run = riser * leg * steps, tread * leg * steps
     up, top = 2.0 * leg, 4.0 * leg
     stairs = (
         Strip((up, 0), (up + run, 0), 9.0, (0, rise), steps=steps),
