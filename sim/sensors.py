@@ -5,7 +5,6 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numba import njit
 from scipy.signal import lfilter
-from scipy.spatial.transform import Rotation
 
 from sim.robot import Robot
 
@@ -89,7 +88,7 @@ def ideal_streams(motion: Motion, robot: Robot) -> Streams:
     """
     R_GI, _, v_GI = imu_motion(motion, robot)
     dt = np.diff(motion.t)[:, None]
-    turn = Rotation.from_matrix(np.swapaxes(R_GI[:-1], 1, 2) @ R_GI[1:]).as_rotvec()
+    turn = _turns(R_GI)
     felt = np.einsum("nji,nj->ni", R_GI[:-1], np.diff(v_GI, axis=0) / dt - GRAVITY_G)
     return Streams(
         t=motion.t[1:],
@@ -135,6 +134,26 @@ def _gauss_markov(rng, n: int, sigma: float, time: float, rate: float) -> np.nda
     drive = rng.normal(0.0, sigma * np.sqrt(1.0 - keep**2), (n, 3))
     drive[0] = rng.normal(0.0, sigma, 3)
     return lfilter([1.0], [1.0, -keep], drive, axis=0)
+
+
+@njit(cache=True, nogil=True)
+def _turns(R):
+    """Rotation vectors (N, 3) [rad] from each attitude (N + 1, 3, 3) to the next, below pi."""
+    turn = np.empty((len(R) - 1, 3))
+    for k in range(len(turn)):
+        A, B = R[k], R[k + 1]
+        trace = 0.0
+        turn[k] = 0.0
+        for i in range(3):
+            for c in range(3):
+                trace += A[i, c] * B[i, c]
+                # Half the antisymmetric part of A^T B, as a vector: axis times sine.
+                a, b = (c + 1) % 3, (c + 2) % 3
+                turn[k, c] += 0.5 * (A[i, b] * B[i, a] - A[i, a] * B[i, b])
+        sine = np.sqrt(turn[k, 0] ** 2 + turn[k, 1] ** 2 + turn[k, 2] ** 2)
+        if sine > 0.0:
+            turn[k] *= np.arctan2(sine, 0.5 * (trace - 1.0)) / sine
+    return turn
 
 
 @njit(cache=True, nogil=True)

@@ -3,8 +3,8 @@
 import numpy as np
 from numba import njit
 
-from sim.kinematics import feet
-from sim.relief import Relief, normal
+from sim.kinematics import leg_forward
+from sim.relief import normal
 from sim.robot import Robot
 from sim.sensors import Motion
 from sim.terrain import Ground
@@ -17,9 +17,8 @@ def foot_truth(motion: Motion, robot: Robot, ground: Ground) -> tuple[np.ndarray
 
     A rolling foot does not slip: the speed is that of its contact point, not of its centre.
     """
-    foot_B, jacobian, axes = feet(robot.legs, motion.q[1:], np.eye(3), np.zeros(3))
     slip, touching = _soles(
-        ground.relief, robot.foot_radius, foot_B, jacobian, axes, motion.dq[1:],
+        robot.legs, ground.relief, robot.foot_radius, motion.q[1:], motion.dq[1:],
         motion.p_GB[1:], motion.R_GB[1:], motion.v_GB[1:], motion.w_B[1:],
     )  # fmt: skip
     slip[motion.force <= LOADED * robot.mass * 9.81] = 0.0
@@ -27,15 +26,16 @@ def foot_truth(motion: Motion, robot: Robot, ground: Ground) -> tuple[np.ndarray
 
 
 @njit(cache=True, nogil=True)
-def _soles(relief: Relief, radius, foot_B, jacobian, axes, dq, p, R, v, w):
+def _soles(legs, relief, radius, q, dq, p, R, v, w):
     """Speeds (N, 4) along the ground of the feet's contact points, and these points (N, 4, 2)."""
     n = len(p)
+    f, J, Z = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     speed, touching = np.empty((n, 4)), np.empty((n, 4, 2))
     arm, velocity, spin = np.empty(3), np.empty(3), np.empty(3)
     for k in range(n):
         for leg in range(4):
             rate = dq[k, 3 * leg : 3 * leg + 3]
-            f, J, Z = foot_B[k, leg], jacobian[k, leg], axes[k, leg]
+            leg_forward(legs, leg, q[k, 3 * leg : 3 * leg + 3], f, J, Z)
             wx, wy, wz = w[k, 0], w[k, 1], w[k, 2]
             vx = wy * f[2] - wz * f[1] + J[0, 0] * rate[0] + J[0, 1] * rate[1] + J[0, 2] * rate[2]
             vy = wz * f[0] - wx * f[2] + J[1, 0] * rate[0] + J[1, 1] * rate[1] + J[1, 2] * rate[2]

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import version
 
 import numpy as np
@@ -112,9 +113,14 @@ def record(made: Plan, motion: Motion) -> Log:
             scenario=made.scenario.name,
             seed=made.seed,
             effects=tuple(e.as_dict() for e in made.effects) if made.declared else (),
-            versions={name: version(name) for name in ("surefoot", "mujoco", "numpy")},
+            versions=dict(_versions()),
         ),
     )
+
+
+@cache
+def _versions() -> dict[str, str]:
+    return {name: version(name) for name in ("surefoot", "mujoco", "numpy")}
 
 
 def _frame(
