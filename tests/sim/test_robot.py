@@ -1,5 +1,7 @@
 """Legs found by the kinematic tree alone are the legs that MuJoCo moves."""
 
+import sys
+
 import mujoco
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ import pytest
 from sim.errors import SurefootError
 from sim.legs import LEGS
 from sim.robot import Robot
-from sim.robot_files import known_robots
+from sim.robot_files import known_robots, robot_file
 from sim.stance import stands
 
 ROBOTS = sorted(known_robots())
@@ -114,3 +116,19 @@ def test_what_cannot_be_found_is_said_in_one_line(tmp_path, text, words):
     with pytest.raises(SurefootError, match=words) as error:
         Robot.load(path)
     assert "\n" not in str(error.value)
+
+
+def test_robot_descriptions_are_found_by_name_and_failures_are_one_line(tmp_path, monkeypatch):
+    package = tmp_path / "robot_descriptions"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (tmp_path / "odd.xml").write_text(odd_robot(CORNERS))
+    (package / "odd_mj_description.py").write_text(f"MJCF_PATH = {str(tmp_path / 'odd.xml')!r}")
+    (package / "gone_mj_description.py").write_text("raise OSError('no network')")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "robot_descriptions", raising=False)
+    assert robot_file("odd") == tmp_path / "odd.xml"
+    with pytest.raises(SurefootError, match="robot gone: .* no network"):
+        Robot.load("gone")
+    with pytest.raises(SurefootError, match="unknown robot"):
+        Robot.load("nobody")
