@@ -128,7 +128,7 @@ def test_robot_descriptions_are_found_by_name_and_failures_are_one_line(tmp_path
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "robot_descriptions", raising=False)
     assert robot_file("odd") == tmp_path / "odd.xml"
-    with pytest.raises(SurefootError, match="robot gone: .* no network"):
+    with pytest.raises(SurefootError, match=r"robot gone: .* no network"):
         Robot.load("gone")
     with pytest.raises(SurefootError, match="unknown robot"):
         Robot.load("nobody")
