@@ -1,0 +1,167 @@
+"""Many trials of one filter in compiled loops, spread over threads."""
+
+import math
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from estimator.coverage import FLOOR, update_coverage
+from estimator.lift import output
+from estimator.propagation import propagate
+from estimator.state import EXTRA, FilterNoise, P
+from estimator.velocity import update_velocity
+from scenarios.montecarlo_study import Study
+from scenarios.montecarlo_trials import Trials, Truth
+
+_CHUNK = 5
+"""Trials a thread takes at once: few enough for a bar that moves."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One filter of the study: a Gaussian update with R, or coverage with epsilon at gamma.
+
+    R (3, 3) [m^2/s^2] or None; epsilon (3,) [m/s], gamma the joint level; persistent (3, 3)
+    [m^2/s^2] the prior of the persistent error, None without those states.
+    """
+
+    R: np.ndarray | None = None
+    epsilon: np.ndarray | None = None
+    gamma: float = 0.0
+    persistent: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Scores:
+    """What T trials gave at L instants (the start is left out), against the truth in G.
+
+    distance (T, L) [m] of the position; nees (T, L) of the position; active (T,) the share of
+    updates that changed the state.
+    """
+
+    distance: np.ndarray
+    nees: np.ndarray
+    active: np.ndarray
+
+    @property
+    def rmse(self) -> np.ndarray:
+        """Position RMSE (T,) [m] over each trial."""
+        return np.sqrt(np.mean(self.distance**2, axis=1))
+
+    @property
+    def mean_nees(self) -> np.ndarray:
+        """Mean position NEES (T,) over each trial."""
+        return self.nees.mean(axis=1)
+
+
+def run_batch(
+    study: Study,
+    truth: Truth,
+    trials: Trials,
+    setting: Setting,
+    tell: Callable[[int], None] | None = None,
+) -> Scores:
+    """Run one filter over all trials; the numbers are those of `run_coverage`, `run_velocity`.
+
+    Threads only share the work: the result does not depend on their number. `tell` is called with
+    the number of trials that have become done.
+    """
+    T, extras = len(trials.gyro), 0 if setting.persistent is None else 1
+    means = np.zeros((T, EXTRA + extras, 3))
+    means[:, :EXTRA] = trials.means
+    start = np.zeros((15 + 3 * extras, 15 + 3 * extras))
+    start[:15, :15] = trials.covariance
+    if setting.persistent is not None:
+        start[15:, 15:] = setting.persistent
+    true_p = np.ascontiguousarray(truth.p_GI[study.per_score :: study.per_score])
+    distance, nees = np.empty((T, len(true_p))), np.empty((T, len(true_p)))
+    active = np.empty(T)
+    gaussian = setting.R is not None
+    R = np.eye(3) if setting.R is None else setting.R
+    epsilon = np.ones(3) if setting.epsilon is None else setting.epsilon
+    noise = FilterNoise(study.imu.gyro, study.imu.accel, 0.0, 0.0).packed()
+
+    def chunk(first: int) -> int:
+        part = slice(first, min(first + _CHUNK, T))
+        _run(
+            truth.t, trials.gyro[part], trials.accel[part], trials.v_I[part], study.per_update,
+            gaussian, np.ascontiguousarray(R), np.ascontiguousarray(epsilon), setting.gamma,
+            means[part], start, noise, true_p, study.per_score,
+            distance[part], nees[part], active[part],
+        )  # fmt: skip
+        return part.stop - part.start
+
+    with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
+        for done in pool.map(chunk, range(0, T, _CHUNK)):
+            if tell:
+                tell(done)
+    return Scores(distance, nees, active)
+
+
+# Not cached: numba would keep machine code of the estimator's kernels that have since changed.
+@njit(nogil=True)
+def _run(
+    t, gyro, accel, v_I, per_update, gaussian, R, epsilon, gamma, means, start, noise, true_p,
+    per_score, distance, nees, active,
+):  # fmt: skip
+    """A chunk of trials, one after the other, into distance, nees and active."""
+    n = start.shape[0]
+    for trial in range(gyro.shape[0]):
+        mean, covariance = means[trial].copy(), start.copy()
+        columns, rotation_columns = np.zeros((n, 6)), np.zeros((n - 15, 3))
+        changed = 0
+        for k in range(1, t.shape[0]):
+            propagate(
+                mean, covariance, gyro[trial, k], accel[trial, k], t[k] - t[k - 1], noise,
+                columns, rotation_columns,
+            )  # fmt: skip
+            if k % per_update == 0:
+                m = k // per_update - 1
+                if gaussian:
+                    update_velocity(mean, covariance, 0, v_I[trial, m], R)
+                    changed += 1
+                elif not _holds_already(mean, covariance, v_I[trial, m], epsilon, gamma):
+                    pi = update_coverage(mean, covariance, 0, v_I[trial, m], epsilon, gamma)
+                    if pi < gamma:
+                        changed += 1
+            if k % per_score == 0:
+                m = k // per_score - 1
+                error = mean[P] - true_p[m]
+                distance[trial, m] = np.sqrt(np.sum(error * error))
+                nees[trial, m] = _position_nees(mean[P], error, covariance)
+        active[trial] = changed / v_I.shape[1]
+
+
+@njit(nogil=True)
+def _holds_already(mean, covariance, v_I, epsilon, gamma: float) -> bool:
+    """Whether pi >= gamma without an integral: the axes' own tails leave gamma inside the box.
+
+    pi >= 1 - sum of the six tails, and the update changes nothing where pi >= gamma.
+    """
+    n = covariance.shape[0]
+    PHt, S, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
+    output(mean, covariance, 0, v_I, PHt, S, residual)
+    floor = FLOOR**2 + 1e-10 * (S[0, 0] + S[1, 1] + S[2, 2])
+    outside = 0.0
+    for i in range(3):
+        spread = math.sqrt(2.0 * (S[i, i] + floor))
+        outside += 0.5 * math.erfc((epsilon[i] + residual[i]) / spread)
+        outside += 0.5 * math.erfc((epsilon[i] - residual[i]) / spread)
+    return 1.0 - outside > gamma + 1e-12
+
+
+@njit(nogil=True)
+def _position_nees(p, error, covariance) -> float:
+    """Squared error over J Sigma J^T, J = [-[p_bar]x 0 I] on (rotation, velocity, position)."""
+    J = np.zeros((3, 9))
+    J[0, 1], J[0, 2] = p[2], -p[1]
+    J[1, 0], J[1, 2] = -p[2], p[0]
+    J[2, 0], J[2, 1] = p[1], -p[0]
+    for i in range(3):
+        J[i, 6 + i] = 1.0
+    S = J @ covariance[:9, :9].copy() @ J.T
+    return np.sum(error * np.linalg.solve(S, error))
