@@ -133,7 +133,7 @@ def _gauss_markov(rng, n: int, sigma: float, time: float, rate: float) -> np.nda
     keep = np.exp(-1.0 / (time * rate))
     drive = rng.normal(0.0, sigma * np.sqrt(1.0 - keep**2), (n, 3))
     drive[0] = rng.normal(0.0, sigma, 3)
-    return lfilter([1.0], [1.0, -keep], drive, axis=0)
+    return np.asarray(lfilter([1.0], [1.0, -keep], drive, axis=0))
 
 
 @njit(cache=True, nogil=True)

@@ -1,0 +1,117 @@
+"""A batch of walks on threads: each with the bits that it has alone."""
+
+import threading
+
+import mujoco
+import numpy as np
+import pytest
+from mujoco import rollout
+
+from sim.batch import Job, walk_batch, walk_job
+from sim.log import Log
+from sim.robot import Robot
+from sim.scenario import Ranges, Scenario, Segment
+from sim.stride import rotation
+from sim.terrain import Ground, Patch, Strip
+from sim.walk import Fallen, plan, simulate, walk
+
+FLAT = Scenario(
+    "flat",
+    (Segment(1.5, 0.6, turn=0.2),),
+    Ground(0.8, (Patch(1.0, 0.0, 0.6, 3.0, 0.2),), 20.0),
+    ranges=Ranges(mu=(0.8, 1.2), speed=(0.9, 1.1), payload=(0.0, 3.0)),
+)
+ROUGH = Scenario(
+    "rough",
+    (Segment(1.0, 0.5),),
+    Ground(0.7, (), 20.0, (Strip((0.6, 0.0), (3.0, 0.0), 4.0, rough=0.03),)),
+)
+CLIFF = Scenario(
+    "cliff",
+    (Segment(4.0, 0.8),),
+    Ground(0.8, (), 30.0, (Strip((-2.0, 0.0), (0.7, 0.0), 3.0, (1.5, 1.5)),)),
+)
+
+
+def test_a_batch_gives_the_bits_of_walks_alone():
+    """Robots, grounds and lengths differ within the batch, and more walks than threads."""
+    jobs = [
+        Job(FLAT, "spot_class", 0),
+        Job(ROUGH, "v60_class", 1),
+        Job(FLAT, "spot_class", 2),
+        Job(ROUGH, "spot_class", 1),
+    ]
+    logs = {}
+    for walked in walk_batch(jobs, lambda walked: walked, threads=3):
+        logs[walked.job.scenario.name, walked.job.robot, walked.job.seed] = walked.log
+    assert len(logs) == len(jobs)
+    for job in jobs:
+        alone = walk(job.scenario, Robot.load(job.robot), job.seed)
+        beside = logs[job.scenario.name, job.robot, job.seed]
+        assert alone.frame.equals(beside.frame)
+        assert alone.meta == beside.meta
+
+
+def test_a_fall_is_a_result_and_not_the_end_of_the_batch():
+    jobs = [Job(CLIFF, "spot_class", 0), Job(FLAT, "spot_class", 0)]
+    falls = {w.job.scenario.name: w.log for w in walk_batch(jobs, lambda walked: walked, 2)}
+    fall = falls["cliff"]
+    assert isinstance(fall, Fallen)
+    assert 3.0 < fall.time < 9.0
+    assert isinstance(falls["flat"], Log)
+
+
+def test_progress_never_falls_and_ends_at_one():
+    told = []
+    list(walk_batch([Job(ROUGH, "spot_class", s) for s in (0, 1)], str, 2, told.append))
+    assert told == sorted(told)
+    assert told[-1] == pytest.approx(1.0)
+
+
+def test_an_error_stops_the_walks_that_are_on():
+    """Nothing of the batch goes on in the background."""
+    long = Scenario("long", (Segment(300.0, 0.5, turn=0.3),), Ground(0.8))
+    jobs = [Job(ROUGH, "spot_class", 0), Job(long, "spot_class", 0)]
+
+    def refuse(_):
+        raise ValueError("no")
+
+    with pytest.raises(ValueError, match="no"):
+        list(walk_batch(jobs, refuse, 2))
+    assert not [t for t in threading.enumerate() if t.name.startswith("walk")]
+
+
+def test_the_recorded_torques_replay_to_the_same_states_in_the_bare_engine():
+    """The compiled loop steps MuJoCo and nothing else: `mujoco.rollout` ends in the same bits."""
+    made = plan(FLAT, Robot.load("spot_class"), 5)
+    motion = simulate(made.world, made.robot, made.gait, made.course)
+    model, data = made.world.model, mujoco.MjData(made.world.model)
+    data.qpos[:] = made.world.start
+    first = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
+    mujoco.mj_getState(model, data, first, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    states, _ = rollout.rollout(model, data, first[None], motion.tau[None])
+    qpos = states[0, :, 1 : 1 + model.nq]
+    assert np.array_equal(qpos[:, :3], motion.p_GB[1:])
+    assert np.array_equal(qpos[:, made.world.qpos_adr], motion.q[1:])
+
+
+def test_rotation_is_that_of_mujoco():
+    rng = np.random.default_rng(0)
+    for q in rng.normal(size=(20, 4)):
+        q /= np.linalg.norm(q)
+        R = np.empty(9)
+        mujoco.mju_quat2Mat(R, q)
+        np.testing.assert_allclose(rotation(*q), R.reshape(3, 3), atol=1e-15)
+
+
+def test_a_walk_that_goes_wrong_numerically_is_a_fall(tmp_path, monkeypatch):
+    """MuJoCo resets a world that explodes: that must not look like walking."""
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings into the folder that it runs in
+    made = plan(FLAT, Robot.load("spot_class"), 0)
+    made.world.start[0] = np.nan
+    with pytest.raises(Fallen, match=r"fell at 0\.\d+ s"):
+        simulate(made.world, made.robot, made.gait, made.course)
+
+
+def test_one_job_alone():
+    assert isinstance(walk_job(Job(ROUGH, "spot_class", 0)).log, Log)
