@@ -72,7 +72,7 @@ def initial_state(log: Log, std: InitialStd | None = None) -> tuple[NavState, np
 
 
 def still_gyro_bias(log: Log, std: InitialStd) -> tuple[np.ndarray, InitialStd]:
-    """Gyro bias (3,) [rad/s] where the log starts standing still, else zero; and `std` with its own.
+    """Gyro bias (3,) [rad/s] where the log starts standing still, else zero; `std` with its own.
 
     The mean of the first 0.5 s, if its two halves agree: a robot that is standing up turns slowly
     but steadily. Its deviation is that of the mean, taking ten neighbouring samples for one

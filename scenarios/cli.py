@@ -1,6 +1,7 @@
 """The command line: `surefoot COMMAND`. Each command is a dataclass; its fields are its options."""
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, Union
@@ -39,7 +40,7 @@ class Demo:
 
 @dataclass(frozen=True)
 class Simulate:
-    """Walk scenarios and write a log for each seed."""
+    """Walk scenarios, a log for each seed, and an index of them; goes on where it was killed."""
 
     scenarios: Positional[tuple[Path, ...]]
     """Scenario files (TOML)."""
@@ -53,6 +54,10 @@ class Simulate:
     """File of effects (TOML) to put into the walk."""
     undeclared: bool = False
     """Say nothing of the effects in the logs; truth.toml beside them keeps the answer."""
+    workers: int = 1
+    """Walks at once on this machine, each on a thread."""
+    cluster: str | None = None
+    """Address of a Dask scheduler to walk on instead, such as tcp://127.0.0.1:8786."""
     force: bool = False
 
     def run(self) -> None:
@@ -66,6 +71,8 @@ class Simulate:
             self.effects,
             self.undeclared,
             self.force,
+            self.workers,
+            self.cluster,
         )
 
 
@@ -227,6 +234,24 @@ class TraceCommand:
 
 
 @dataclass(frozen=True)
+class Montecarlo:
+    """The paper's runtime-accuracy and consistency tables, and regimes beyond them."""
+
+    out: Out
+    trials: int | None = None
+    """Trials in each regime; those of montecarlo.toml where left out."""
+    seed: int | None = None
+    force: bool = False
+
+    def run(self) -> None:
+        from scenarios.montecarlo_report import montecarlo
+
+        montecarlo(self.out, self.trials, self.seed, self.force)
+        print((self.out / "table.md").read_text(encoding="utf-8"))
+        print(f"report: {self.out / 'report.html'}")
+
+
+@dataclass(frozen=True)
 class Import:
     """A measured log, by a map that says which column is what."""
 
@@ -297,13 +322,14 @@ COMMANDS: dict[str, type] = {
     "estimate": Estimate,
     "compare": Compare,
     "trace": TraceCommand,
+    "montecarlo": Montecarlo,
     "import": Import,
     "view": View,
     "robots": Robots,
 }
 
 
-def main(arguments: list[str] | None = None) -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Run one command; bad input is one line on stderr and exit code 1, bad options exit code 2."""
     try:
         choices = tuple(Annotated[c, subcommand(n, prefix_name=False)] for n, c in COMMANDS.items())

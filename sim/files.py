@@ -9,7 +9,7 @@ from sim.errors import SurefootError
 
 
 def refuse_overwrite(path: str | Path, force: bool) -> None:
-    """Raises SurefootError where `path` exists and `force` is not given: before long work starts."""
+    """Raises SurefootError where `path` exists, unless `force`: called before long work starts."""
     if Path(path).exists() and not force:
         raise SurefootError(f"{path}: exists already; give --force (force=True) to overwrite it")
 
