@@ -1,0 +1,190 @@
+"""`surefoot simulate`: an index of what happened, runs that go on, effects that stay hidden."""
+
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from scenarios.cli import main
+from scenarios.dataset import Journal, read_index
+from scenarios.simulate import simulate_all
+from sim.effects_file import load_effects
+from sim.errors import SurefootError
+from sim.log import Log
+
+COURSE = """
+name = "short"
+robot = "spot_class"
+[[segment]]
+duration = 1.5
+forward = 0.5
+[ranges]
+mu = [0.8, 1.2]
+payload = [0.0, 2.0]
+"""
+CLIFF = """
+name = "cliff"
+robot = "spot_class"
+[[segment]]
+duration = 4.0
+forward = 0.8
+[[ground.strip]]
+start = [-2.0, 0.0]
+end = [0.7, 0.0]
+width = 3.0
+heights = [1.5, 1.5]
+"""
+EFFECTS = """
+[[effect]]
+name = "gyro_scale"
+target = "z"
+value = 0.05
+unit = "ratio"
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "short.toml").write_text(COURSE)
+    (tmp_path / "cliff.toml").write_text(CLIFF)
+    (tmp_path / "effects.toml").write_text(EFFECTS)
+    return tmp_path
+
+
+def digests(folder: Path) -> dict[str, str]:
+    return {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in folder.glob("*.parquet")}
+
+
+def test_the_index_says_what_was_drawn_and_what_happened(folder, capsys):
+    main("simulate short.toml cliff.toml --seeds 0:2 --workers 2 -o walks".split())
+    assert "fell: cliff, spot_class, seed 0, at" in capsys.readouterr().out
+    index = read_index(folder / "walks")
+    assert list(index.scenario) == ["cliff", "cliff", "short", "short"]
+    assert list(index.falls) == [1, 1, 0, 0]
+    walked = index[index.falls == 0]
+    assert walked.mu.nunique() == 2
+    assert walked.payload.between(0.0, 2.0).all()
+    assert dict(zip(walked.file, walked.sha256, strict=True)) == digests(folder / "walks")
+    for row in walked.itertuples():
+        log = Log.read(folder / "walks" / row.file)
+        assert row.duration == log.t[-1]
+        assert 0.2 < row.length < 0.9
+        assert row.creep < 2e-3
+    card = (folder / "walks" / "dataset" / "README.md").read_text()
+    assert "2 logs" in card
+    assert "| cliff" in card
+
+
+def test_another_run_adds_and_makes_nothing_twice(folder):
+    simulate_all([Path("short.toml")], Path("walks"), seeds="0:2")
+    before = {p: p.stat().st_mtime_ns for p in Path("walks").glob("*.parquet")}
+    simulate_all([Path("short.toml"), Path("cliff.toml")], Path("walks"), seeds="0:3", workers=2)
+    assert {p: p.stat().st_mtime_ns for p in before} == before
+    assert len(read_index(Path("walks"))) == 6
+    lines = Path("walks/dataset/journal.jsonl").read_text().splitlines()
+    assert len(lines) == 6  # falls, too, are not walked again
+
+
+def test_another_robot_has_logs_of_its_own(folder):
+    for robot in (None, "v60_class"):
+        simulate_all([Path("short.toml")], Path("walks"), robot=robot)
+    assert set(read_index(Path("walks")).file) == {"short_0.parquet", "short_v60_class_0.parquet"}
+
+
+def test_a_changed_scenario_is_not_mixed_with_its_past(folder):
+    simulate_all([Path("short.toml")], Path("walks"))
+    (folder / "short.toml").write_text(COURSE.replace("0.5", "0.6"))
+    with pytest.raises(SurefootError, match=r"short_0\.parquet: was made from another"):
+        simulate_all([Path("short.toml")], Path("walks"))
+    simulate_all([Path("short.toml")], Path("walks"), force=True)
+    assert len(read_index(Path("walks"))) == 1
+
+
+def test_a_strangers_file_is_not_taken_for_a_log_of_ours(folder):
+    simulate_all([Path("short.toml")], Path("walks"), seeds="1")
+    Path("other").mkdir()
+    Path("walks/short_1.parquet").rename("other/short_0.parquet")
+    with pytest.raises(SurefootError, match=r"short_0\.parquet: exists already"):
+        simulate_all([Path("short.toml")], Path("other"))
+
+
+def test_a_log_that_a_kill_parted_from_its_row_is_kept(folder):
+    """Killed between the log and its line in the journal, or within the line."""
+    simulate_all([Path("short.toml")], Path("walks"), seeds="0:2")
+    index = read_index(Path("walks"))
+    journal = Path("walks/dataset/journal.jsonl")
+    journal.write_text(journal.read_text()[:-200])
+    before = {p: p.stat().st_mtime_ns for p in Path("walks").glob("*.parquet")}
+    simulate_all([Path("short.toml")], Path("walks"), seeds="0:2")
+    pd.testing.assert_frame_equal(read_index(Path("walks")), index)
+    assert {p: p.stat().st_mtime_ns for p in before} == before
+    assert len(Journal(Path("walks")).rows) == 2
+
+
+def test_undeclared_effects_leave_no_trace_but_the_answer(folder):
+    """Against a walk without effects, only the readings differ."""
+    simulate_all([Path("short.toml")], Path("plain"))
+    simulate_all(
+        [Path("short.toml")], Path("hidden"), effects=Path("effects.toml"), undeclared=True
+    )
+    plain, hidden = (Log.read(f"{name}/short_0.parquet") for name in ("plain", "hidden"))
+    assert plain.meta == hidden.meta
+    differing = {c for c in plain.frame if not plain.frame[c].equals(hidden.frame[c])}
+    assert differing == {"gyro_z"}
+    ours = read_index(Path("plain")).drop(columns="sha256")
+    pd.testing.assert_frame_equal(ours, read_index(Path("hidden")).drop(columns="sha256"))
+    assert load_effects("hidden/truth.toml") == load_effects("effects.toml")
+    for path in Path("hidden").rglob("*"):
+        if path.is_file() and path.name != "truth.toml":
+            assert b"gyro_scale" not in path.read_bytes()
+    with pytest.raises(SurefootError, match="undeclared effects"):
+        simulate_all([Path("short.toml")], Path("hidden"))
+    with pytest.raises(SurefootError, match="without undeclared effects"):
+        simulate_all(
+            [Path("short.toml")], Path("plain"), effects=Path("effects.toml"), undeclared=True
+        )
+
+
+def test_declared_effects_stand_in_log_and_index(folder):
+    simulate_all([Path("short.toml")], Path("walks"), effects=Path("effects.toml"))
+    said = json.loads(read_index(Path("walks")).effects[0])
+    assert said == list(Log.read("walks/short_0.parquet").meta.effects)
+    assert said[0]["name"] == "gyro_scale"
+
+
+def test_killed_and_started_again_it_ends_with_the_same_bits(folder):
+    """SIGKILL once two logs are there; whatever then lies there as a log is whole."""
+    command = [sys.executable, "-m", "scenarios", "simulate", "short.toml", "--seeds", "0:6"]
+    here = {"PYTHONPATH": str(Path(__file__).parents[2])}
+    process = subprocess.Popen(
+        [*command, "--workers", "2", "-o", "walks"], env=os.environ | here, start_new_session=True
+    )
+    deadline = time.monotonic() + 60.0
+    while len(list(Path("walks").glob("*.parquet"))) < 2 and time.monotonic() < deadline:
+        time.sleep(0.002)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    left = digests(Path("walks"))
+    assert 2 <= len(left) <= 6
+    for name in left:
+        Log.read(Path("walks") / name)
+    simulate_all([Path("short.toml")], Path("walks"), seeds="0:6")
+    simulate_all([Path("short.toml")], Path("straight"), seeds="0:6", workers=2)
+    assert digests(Path("walks")) == digests(Path("straight"))
+    assert left.items() <= digests(Path("walks")).items()
+    pd.testing.assert_frame_equal(read_index(Path("walks")), read_index(Path("straight")))
+    assert not list(Path("walks").glob(".*.tmp"))
+
+
+def test_names_that_collide_are_refused(folder):
+    (folder / "twin.toml").write_text(COURSE)
+    with pytest.raises(SurefootError, match=r"short_0\.parquet"):
+        simulate_all([Path("short.toml"), Path("twin.toml")], Path("walks"))
