@@ -212,7 +212,7 @@ def _regime(table: dict[str, Any]) -> Regime:
     )  # fmt: skip
     values: dict[str, Any] = {"bias": 1.0} | {n: table[n] for n in names if n in table}
     # Half the bias, twice the bias: the calibration is still that of the full one.
-    calibrated = values | {"bias": 1.0, "drift": 0.0}
+    calibrated: dict[str, Any] = values | {"bias": 1.0, "drift": 0.0}
     calibrated |= {n: table[f"calibrated_{n}"] for n in names if f"calibrated_{n}" in table}
     for law in (values, calibrated):
         if law.get("mixing", MIXINGS[0]) not in MIXINGS:
