@@ -30,12 +30,14 @@ def walk_on_cluster(
     """
     if not jobs:
         return
-    from distributed import Client, as_completed
-
+    try:
+        from distributed import Client, as_completed
+    except ImportError:
+        raise SurefootError("--cluster: needs the extra, pip install 'surefoot[cluster]'") from None
     with _plainly(address), Client(address, timeout=PATIENCE, set_as_default=False) as client:
         client.wait_for_workers(1, timeout=PATIENCE)
         futures = {client.submit(_walk_remotely, job, recipe(job), pure=False) for job in jobs}
-        for done, future in enumerate(as_completed(futures), 1):
+        for done, future in enumerate(as_completed(futures, loop=client.loop), 1):
             values, content = future.result()
             row = Row(**values)
             if row.file:

@@ -1,0 +1,125 @@
+"""Walks on a Dask cluster of real processes on this machine, one of them killed half-way."""
+
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from scenarios.dataset import read_index
+from scenarios.simulate import simulate_all
+from sim.errors import SurefootError
+
+distributed = pytest.importorskip("distributed")
+
+ROOT = Path(__file__).parents[2]
+QUIET = {"DASK_DISTRIBUTED__LOGGING__DISTRIBUTED": "error", "PYTHONPATH": str(ROOT)}
+COURSE = """
+name = "short"
+robot = "spot_class"
+[[segment]]
+duration = 3.0
+forward = 0.5
+"""
+CLIFF = """
+name = "cliff"
+robot = "spot_class"
+[[segment]]
+duration = 4.0
+forward = 0.8
+[[ground.strip]]
+start = [-2.0, 0.0]
+end = [0.7, 0.0]
+width = 3.0
+heights = [1.5, 1.5]
+"""
+
+
+class Cluster:
+    """A scheduler and workers, each a process of its own on 127.0.0.1."""
+
+    def __init__(self, folder: Path, workers: int):
+        self.folder, self.processes = folder, []
+        file = folder / "scheduler.json"
+        self.run("dask_scheduler", f"--no-dashboard --port 0 --scheduler-file {file}")
+        while not file.exists():
+            time.sleep(0.05)
+        self.workers = [
+            self.run(
+                "dask_worker",
+                f"--scheduler-file {file} --no-nanny --nthreads 1 --no-dashboard "
+                f"--local-directory {folder / str(i)}",
+            )
+            for i in range(workers)
+        ]
+        self.address = json.loads(file.read_text())["address"]
+        with distributed.Client(self.address, set_as_default=False) as client:
+            client.wait_for_workers(workers, timeout=60)
+
+    def run(self, module: str, options: str) -> subprocess.Popen:
+        command = [sys.executable, "-m", f"distributed.cli.{module}", "--host", "127.0.0.1"]
+        process = subprocess.Popen(
+            [*command, *options.split()], env=os.environ | QUIET, cwd=self.folder
+        )
+        self.processes.append(process)
+        return process
+
+    def stop(self) -> None:
+        for process in reversed(self.processes):
+            process.kill()
+            process.wait()
+
+
+@pytest.fixture
+def cluster(tmp_path, monkeypatch) -> Iterator[Cluster]:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "short.toml").write_text(COURSE)
+    (tmp_path / "cliff.toml").write_text(CLIFF)
+    cluster = Cluster(tmp_path, workers=2)
+    yield cluster
+    cluster.stop()
+
+
+def digests(folder: str) -> dict[str, str]:
+    return {
+        p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in Path(folder).glob("*.parquet")
+    }
+
+
+def test_a_worker_dies_half_way_and_no_bit_differs(cluster):
+    """Two processes walk, one is killed by SIGKILL as soon as the first log is here."""
+
+    def kill_one() -> None:
+        while not list(Path("far").glob("*.parquet")):
+            time.sleep(0.005)
+        cluster.workers[0].send_signal(signal.SIGKILL)
+
+    killer = threading.Thread(target=kill_one, daemon=True)
+    killer.start()
+    courses = [Path("short.toml"), Path("cliff.toml")]
+    rows = simulate_all(courses, Path("far"), seeds="0:5", cluster=cluster.address)
+    killer.join(timeout=1.0)
+    assert cluster.workers[0].poll() == -signal.SIGKILL
+    assert cluster.workers[1].poll() is None
+    assert len(rows) == 10
+    simulate_all(courses, Path("near"), seeds="0:5", workers=2)
+    assert digests("far") == digests("near")
+    assert len(digests("far")) == 5
+    pd.testing.assert_frame_equal(read_index(Path("far")), read_index(Path("near")))
+
+
+def test_a_cluster_that_is_not_there_is_one_line(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("scenarios.cluster.PATIENCE", 0.5)
+    (tmp_path / "short.toml").write_text(COURSE)
+    with pytest.raises(SurefootError, match=r"--cluster tcp://127\.0\.0\.1:9: ") as error:
+        simulate_all([Path("short.toml")], Path("far"), cluster="tcp://127.0.0.1:9")
+    assert "\n" not in str(error.value)
