@@ -1,7 +1,7 @@
 """One walk: a scenario, a robot and a seed become a Log."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.metadata import version
 
@@ -12,12 +12,20 @@ from sim.course import Course, lay_course
 from sim.effects import Effect
 from sim.errors import SurefootError
 from sim.gait import Gait, gait_for
-from sim.legs import JOINTS, LEGS
+from sim.legs import JOINTS, LEGS, find_legs
 from sim.log import Log, Meta
 from sim.quaternion import quaternion_from_matrix
 from sim.robot import Robot
 from sim.scenario import Drawn, Scenario, drawn
-from sim.sensors import Motion, Sensors, Streams, corrupt, ideal_streams, imu_motion
+from sim.sensors import (
+    Motion,
+    Reference,
+    Streams,
+    corrupt,
+    ideal_streams,
+    reference_of,
+    sensed_contact,
+)
 from sim.stride import STEPS_PER_TICK, Fallen, simulate
 from sim.terrain import Ground
 from sim.truth import foot_truth
@@ -38,6 +46,7 @@ class Plan:
     effects: tuple[Effect, ...]
     declared: bool
     draw: Drawn
+    ground: Ground  # as drawn, under the effects
     world: World
     course: Course
     gait: Gait
@@ -78,6 +87,7 @@ def plan(
         add_payload(spec, robot, draw.payload)
     for effect in effects:
         effect.edit_spec(spec, robot)
+        ground = effect.alter_ground(ground)
     world = build_world(robot, ground, spec)
     course = lay_course(
         draw.scenario.segments,
@@ -93,20 +103,27 @@ def plan(
         )
     gait = gait_for(robot, SETTLE + scenario.stand, draw.period, draw.clearance, draw.gain)
     return Plan(
-        scenario, robot, seed, tuple(effects), declared, draw, world, course, gait, sensor_seed
-    )
+        scenario, robot, seed, tuple(effects), declared, draw, ground, world, course, gait,
+        sensor_seed,
+    )  # fmt: skip
 
 
 def record(made: Plan, motion: Motion) -> Log:
     """What the sensors say of a motion through the planned world, from the end of settling on."""
     robot, motion = made.robot, motion.after(SETTLE)
-    streams = ideal_streams(motion, robot)
+    mounted, reference = robot, reference_of(motion, robot)
+    for effect in made.effects:
+        mounted = effect.alter_mounting(mounted)
+        reference = effect.alter_reference(reference)
+    streams = ideal_streams(motion, mounted)
     for effect in made.effects:
         streams = effect.alter_streams(streams, robot)
-    sensors = made.scenario.sensors
-    streams = corrupt(streams, sensors, np.random.default_rng(made.sensor_seed))
+    sensors, rng = made.scenario.sensors, np.random.default_rng(made.sensor_seed)
+    streams = corrupt(streams, sensors, rng)
+    contact = sensed_contact(streams, robot.mass * 9.81, sensors, rng)
+    truth = foot_truth(motion, _walked(made), made.ground)
     return Log(
-        frame=_frame(streams, motion, robot, sensors, made.draw.scenario.ground),
+        frame=_frame(streams, contact, reference, *truth),
         meta=Meta(
             rate=1.0 / TIMESTEP,
             robot=robot.name,
@@ -123,12 +140,15 @@ def _versions() -> dict[str, str]:
     return {name: version(name) for name in ("surefoot", "mujoco", "numpy")}
 
 
+def _walked(made: Plan) -> Robot:
+    """The robot with the legs and soles that the world has, effects included: truth is theirs."""
+    tree = find_legs(made.world.model, made.robot.name)
+    return replace(made.robot, legs=tree.constants, foot_radius=tree.foot_radius)
+
+
 def _frame(
-    streams: Streams, motion: Motion, robot: Robot, sensors: Sensors, ground: Ground
+    streams: Streams, contact: np.ndarray, reference: Reference, slip: np.ndarray, mu: np.ndarray
 ) -> pd.DataFrame:
-    R_GI, p_GI, v_GI = imu_motion(motion, robot)
-    slip, mu = foot_truth(motion, robot, ground)
-    threshold = sensors.contact_threshold * robot.mass * 9.81
     groups = {
         "t": streams.t[:, None],
         "gyro": streams.gyro,
@@ -136,11 +156,11 @@ def _frame(
         "q": streams.q,
         "dq": streams.dq,
         "tau": streams.tau,
-        "contact": (streams.force > threshold).astype(float),
+        "contact": contact.astype(float),
         "force": streams.force,
-        "ref_p": p_GI[1:],
-        "ref_q": quaternion_from_matrix(R_GI[1:]),
-        "ref_v": v_GI[1:],
+        "ref_p": reference.p_GI,
+        "ref_q": quaternion_from_matrix(reference.R_GI),
+        "ref_v": reference.v_GI,
         "slip": slip,
         "mu": mu,
     }

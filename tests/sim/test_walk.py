@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sim.course import lay_course
+from sim.effects import effect
 from sim.errors import SurefootError
 from sim.gait import gait_for
 from sim.relief import height
@@ -88,6 +89,17 @@ def test_feet_stand_still_on_dry_ground(log):
     standing = (log.slip > 0) & (log.mu > 0.5)
     assert np.median(log.slip[standing]) < 1e-3
     assert (log.slip[standing] > 0.05).mean() < 0.01
+
+
+@pytest.mark.parametrize(
+    "one", [effect("link_length", "FL_calf", 0.02), effect("foot_rolling", "all", 0.01)]
+)
+def test_feet_stand_still_in_the_truth_of_an_altered_body(one):
+    """The truth is that of the legs that walked, not of the declared ones."""
+    course = Scenario("plain", (Segment(3.0, 0.6, turn=0.2),), Ground(0.8))
+    log = walk(course, SPOT, 0, [one])
+    for leg in range(4):
+        assert np.median(log.slip[log.contact[:, leg], leg]) < 1e-3
 
 
 def test_standing_feet_are_on_the_ground(perfect):
