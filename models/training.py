@@ -28,6 +28,7 @@ from models.observer import (
     log_digest,
 )
 from models.samples import body_velocity, samples
+from sim.errors import check_seed
 from sim.log import Log
 from sim.robot import Robot
 
@@ -91,6 +92,7 @@ def train(
     where the logs disagree on robot, mounting or joints; LogError where one has no reference.
     """
     logs = [logs] if isinstance(logs, Log) else list(logs)
+    check_seed(seed)
     inputs, loss = check_inputs(inputs), check_loss(loss)
     if not logs:
         raise ObserverError("train: no log given")

@@ -165,6 +165,8 @@ class Estimate:
 
         log = Log.read(self.log)
         if self.out:
+            if self.out.suffix == ".tum":
+                raise SurefootError(f"-o {self.out}: name the .parquet; the .tum goes beside it")
             refuse_overwrite(self.out, self.force)
             refuse_overwrite(self.out.with_suffix(".tum"), self.force)
         robot = Robot.for_log(log, self.robot)
@@ -198,6 +200,10 @@ class Compare:
 
         learnt = _learnt(self.observer, self.bounds)
         logs = _logs(self.logs)
+        names = [log.name for log in logs]
+        for path, name in zip(self.logs, names, strict=True):
+            if names.count(name) > 1:
+                raise SurefootError(f"{path}: another log has its name; give each its own")
         prepare_folder(self.out, self.force)
         found = [compare_log(log, Robot.for_log(log, self.robot), learnt) for log in logs]
         results = write_comparison(found, self.out, "Filters compared", force=self.force)
@@ -226,6 +232,11 @@ class TraceCommand:
         from sim.robot import Robot
 
         logs = _logs(self.logs)
+        others = sorted({log.meta.robot for log in logs if log.meta.robot})
+        if not self.robot and len(others) > 1:
+            raise SurefootError(
+                f"the logs are of {' and '.join(others)}: trace one robot at a time"
+            )
         robot = Robot.for_log(logs[0], self.robot)
         with percent_bar("trace") as tell:
             found = trace(logs, robot, self.out, self.seed, tell, self.force)

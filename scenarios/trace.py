@@ -17,7 +17,7 @@ from scenarios.trace_filters import BeforeAfter, before_and_after, mean_metrics,
 from scenarios.trace_report import write_outputs
 from scenarios.trace_words import motion_to_tell_apart
 from sim.effects import Effect, explain_all
-from sim.errors import SurefootError
+from sim.errors import SurefootError, check_seed
 from sim.log import Log
 from sim.robot import Robot
 
@@ -124,6 +124,7 @@ def diagnose(
     declared: Sequence[Effect] = (),
 ) -> Trace:
     """`trace` without the files."""
+    check_seed(seed)
     tell = progress or (lambda share: None)
     logs = [_readings(log) for log in logs]
     cases = []

@@ -112,7 +112,25 @@ def check_metadata(metadata: dict[bytes, bytes], key: bytes, schema: int) -> dic
     for name, kind in (("effects", dict), ("derived", str)):
         if not all(isinstance(item, kind) for item in values.get(name, ())):
             raise SurefootError(f"metadata key {name!r} holds something else than {kind.__name__}")
+    for effect in values.get("effects", ()):
+        kinds = {"name": (str,), "target": (str,), "value": (int, float)}
+        if any(type(effect.get(key)) not in kind for key, kind in kinds.items()):
+            raise SurefootError("metadata key 'effects' holds one without name, target or value")
+    _check_model(values.get("model", {}))
     return values
+
+
+def _check_model(model: dict[str, Any]) -> None:
+    """Raise unless what the metadata say of the robot are numbers of the right shape."""
+    for name, shapes in (("p_BI", ((3,),)), ("q_BI", ((4,),)), ("foot_radius", ((), (4,)))):
+        try:
+            value = np.array(model.get(name, np.ones(shapes[0])), dtype=float)
+        except (TypeError, ValueError):
+            value = np.array(np.nan)
+        if value.shape not in shapes or not np.isfinite(value).all():
+            raise SurefootError(f"metadata key 'model': {name} is {model[name]!r}")
+    if "q_BI" in model and abs(np.linalg.norm(model["q_BI"]) - 1.0) > _UNIT_TOLERANCE:
+        raise SurefootError(f"metadata key 'model': q_BI is {model['q_BI']!r}, not of unit length")
 
 
 def check_frame(frame: pd.DataFrame, rate: float) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from sim.errors import SurefootError
 from sim.kinematics import Legs, feet
-from sim.legs import find_legs
+from sim.legs import JOINTS, find_legs
 from sim.log import Log
 from sim.quaternion import matrix_from_quaternion
 from sim.robot_files import robot_file
@@ -74,6 +74,10 @@ class Robot:
         if not chosen:
             raise SurefootError("the log names no robot: say which with --robot")
         robot = cls.load(chosen)
+        if log.has("q") and log.joints != JOINTS:
+            raise SurefootError(
+                f"{log.name}: its joints are not a quadruped's twelve ({JOINTS[0]} to {JOINTS[-1]})"
+            )
         told = log.meta.model
         if "p_BI" in told:
             robot = replace(robot, p_BI=np.array(told["p_BI"], dtype=float))

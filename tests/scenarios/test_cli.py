@@ -1,5 +1,6 @@
 """The command line: what a user types, and what bad input says."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,10 @@ def folder(tmp_path_factory) -> Path:
     broken.loc[100, "accel_z"] = np.nan
     with_nan = pa.Table.from_pandas(broken, preserve_index=False).replace_schema_metadata(metadata)
     pq.write_table(with_nan, folder / "nan.parquet")
+    hip = table.rename_columns([name.replace("FL_hip", "hip") for name in table.column_names])
+    pq.write_table(hip.replace_schema_metadata(metadata), folder / "joints.parquet")
+    (folder / "other").mkdir()
+    replace(log, meta=replace(log.meta, robot="v60_class")).write(folder / "other" / "log.parquet")
     (folder / "text.toml").write_text("this is not = [ toml")
     (folder / "typo.toml").write_text(COURSE.replace("forward = 0.5", "forwards = 0.5"))
     (folder / "effects.toml").write_text(
@@ -60,6 +65,8 @@ BAD = {
     "NaN": ("estimate nan.parquet --filter leg", "accel_z"),
     "unknown robot": ("estimate log.parquet --filter leg --robot unicorn", "unicorn"),
     "missing robot file": ("estimate log.parquet --filter leg --robot no.xml", "no.xml"),
+    "joints of something else": ("estimate joints.parquet --filter leg", "joints"),
+    "two files of one name": ("estimate log.parquet --filter leg -o new.tum", "new.tum"),
     "no observer": ("estimate log.parquet --filter coverage", "--observer"),
     "no gml observer": ("estimate log.parquet --filter velocity", "--observer"),
     "not an observer": ("estimate log.parquet --filter velocity --observer text.toml", "text.toml"),
@@ -71,11 +78,16 @@ BAD = {
     "unknown effect": ("simulate short.toml --effects effects.toml -o new", "ghost"),
     "nothing to hide": ("simulate short.toml --undeclared -o new", "--effects"),
     "trace unknown robot": ("trace log.parquet --robot unicorn -o new", "unicorn"),
+    "trace of two robots": ("trace log.parquet other/log.parquet -o new", "v60_class"),
+    "trace with a bad seed": ("trace log.parquet --seed -1 -o new", "--seed -1"),
+    "demo with a bad seed": ("demo --seed -1 -o new", "--seed -1"),
+    "train with a bad seed": ("train log.parquet --seed -1 -o new.pt", "--seed -1"),
     "train too short": ("train log.parquet -o new.pt", "training takes"),
     "train onto a file": ("train log.parquet -o log.parquet", "--force"),
     "calibrate without observer": ("calibrate no.pt log.parquet -o new.json", "no.pt"),
     "compare into a full folder": ("compare log.parquet -o .", "--force"),
     "compare a missing log": ("compare no.parquet -o new", "no.parquet"),
+    "compare logs of one name": ("compare log.parquet other/log.parquet -o new", "log.parquet"),
     "import a missing file": ("import csv no.csv --map go1_square -o new.parquet", "no.csv"),
     "import an unknown map": ("import csv columns.csv --map no -o new.parquet", "no"),
     "import wrong columns": ("import csv columns.csv --map go1_square -o new.parquet", "column"),

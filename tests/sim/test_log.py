@@ -35,7 +35,8 @@ def make_log(n: int = 40, seed: int = 0) -> Log:
     columns |= {f"contact_{leg}": (rng.random(n) > 0.5).astype(float) for leg in LEGS}
     columns["ref_ok"] = (rng.random(n) > 0.1).astype(float)
     law = {"kp": [100.0] * 12, "kd": [2.0] * 12}
-    meta = Meta(RATE, robot="spot_class", seed=3, motor_law=law, effects=({"name": "payload"},))
+    effects = ({"name": "payload", "target": "all", "value": 2.0, "unit": "kg"},)
+    meta = Meta(RATE, robot="spot_class", seed=3, motor_law=law, effects=effects)
     return Log(pd.DataFrame(columns), meta)
 
 
@@ -196,6 +197,9 @@ def test_doubled_unknown_and_mistyped_columns_are_named(tmp_path):
         ({"schema": SCHEMA, "rate": 10.0}, "runs at 500 Hz, the metadata says 10"),
         ({"schema": SCHEMA, "rate": RATE, "colour": 1}, "unknown metadata key 'colour'"),
         ({"schema": SCHEMA, "rate": RATE, "effects": [1]}, "'effects' holds something else"),
+        ({"schema": SCHEMA, "rate": RATE, "effects": [{"name": "a"}]}, "without name, target or"),
+        ({"schema": SCHEMA, "rate": RATE, "model": {"p_BI": [1.0, 2.0]}}, "p_BI is [1.0, 2.0]"),
+        ({"schema": SCHEMA, "rate": RATE, "model": {"q_BI": [0, 0, 0, 0]}}, "not of unit length"),
         (b"{", "not JSON"),
         (b"[1]", "not a JSON object"),
         (b'{"schema": 1, "rate": NaN}', "'rate' is nan"),
