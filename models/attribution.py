@@ -54,7 +54,7 @@ class Found:
 
 @dataclass(frozen=True)
 class Attribution:
-    """What was found: effects, strongest first; candidates by round; rivals of the last effect;
+    """What was found: effects, strongest first; candidates by round; rivals of any effect;
     trust of the final evidence; floor: that of the model with the effects."""
 
     found: tuple[Found, ...]
@@ -108,6 +108,8 @@ def attribute(
         chosen = _refined(cases, [*chosen, effect(*best.key, best.size)], floor, split)
         floor = floor_with(floor, chosen)
     found = _with_intervals(evidence, trusted, split, chosen, floor)
+    # What was found beside an effect is no other explanation of it.
+    rivals = tuple(rival for rival in rivals if rival[0] not in [_key(e) for e in chosen])
     return Attribution(found, tuple(rounds), rivals, trusted, evidence, floor)
 
 

@@ -14,7 +14,7 @@ from models.coverage import Coverage, coverage
 from models.predict import Prediction, predict, prediction_errors
 from scenarios.errors import ErrorSeries, error_series
 from scenarios.figures import body_velocity, height, position_error, trajectories
-from scenarios.filters import DESCRIPTIONS, Learnt, Result, run_all
+from scenarios.filters import DESCRIPTIONS, Learnt, Result, declared_model, run_all
 from scenarios.recording import write_recording
 from scenarios.report import Picture, Section, save_picture, write_report
 from scenarios.tables import to_csv, to_markdown
@@ -61,15 +61,16 @@ def compare_log(
             bar.update()
 
         results, left_out = run_all(log, robot, learnt, names, tell)
+    known, model = declared_model(log, robot)  # as the filters see it
     prediction, bounds = None, None
     held: dict[str, Coverage] = {}
     for name, loss in (("coverage_gml", "gml"), ("coverage", None)):
         if name not in {r.filter for r in results}:
             continue
         observer, bounds = learnt.bounded(loss)
-        prediction = predict(observer, log, robot)
+        prediction = predict(observer, known, model)
         if log.has("reference"):
-            held[name] = coverage(prediction_errors(observer, log, robot)[1], bounds)
+            held[name] = coverage(prediction_errors(observer, known, model)[1], bounds)
     return Comparison(log, robot, tuple(results), left_out, prediction, bounds, held)
 
 

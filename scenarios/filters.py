@@ -85,8 +85,7 @@ def run_filter(name: str, log: Log, robot: Robot, learnt: Learnt | None = None) 
     if name not in FILTERS:
         raise SurefootError(f"--filter {name}: unknown; choose {' | '.join(FILTERS)}")
     log.require("imu")
-    declared = [effect(e["name"], e["target"], e["value"]) for e in log.meta.effects]
-    log, robot = explain_all(declared, log, robot)
+    log, robot = declared_model(log, robot)
     try:
         run = FILTERS[name](log, robot, learnt or Learnt())
     except SurefootError as error:
@@ -99,6 +98,12 @@ def run_filter(name: str, log: Log, robot: Robot, learnt: Learnt | None = None) 
     elapsed = perf_counter() - started
     judged = evaluate(reference(log), trajectory) if log.has("reference") else None
     return Result(name, log.name, trajectory, judged, elapsed / len(log.t))
+
+
+def declared_model(log: Log, robot: Robot) -> tuple[Log, Robot]:
+    """The log and robot with what the log says of its own effects undone and known."""
+    declared = [effect(e["name"], e["target"], e["value"]) for e in log.meta.effects]
+    return explain_all(declared, log, robot)
 
 
 _compiled: set[str] = set()

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from sim.effects import CATALOGUE
-
 if TYPE_CHECKING:
     from models.attribution import Found
     from scenarios.trace import Trace
@@ -38,7 +36,7 @@ def size_in_words(found: Found) -> str:
     """An effect with its size and interval, in the unit people say: 'encoder_offset FL_thigh +19.8
     mrad (95 % interval +19.1 .. +20.4)'."""
     one = found.effect
-    factor, unit = _SCALE[CATALOGUE[one.name].unit]
+    factor, unit = _SCALE.get(one.unit, (1.0, one.unit))
     low, high = (factor * x for x in found.interval)
     return (
         f"{one.name} {one.target} {factor * one.value:+.3g} {unit} "
