@@ -16,8 +16,9 @@ setup: .venv/.ready
 demo: setup
 	$(BIN)/surefoot demo -o out/demo --force
 
+# Two workers; a file's tests stay together, for they share their walks.
 test: setup
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 check: setup
 	$(BIN)/ruff check .
