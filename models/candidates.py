@@ -49,14 +49,14 @@ class Case:
 
 
 def all_keys(log: Log) -> tuple[Key, ...]:
-    """Every candidate whose channels the log has."""
+    """Every candidate that a model can know of and whose channels the log has."""
     there = {"imu_gyro": log.has("imu"), "imu_accel": log.has("imu")}
     there["leg_velocity"] = log.has("q") and log.has("contact")
     # What turns the IMU touches leg_velocity too, but it is the IMU that must be there.
     return tuple(
         (kind.name, target)
         for kind in CATALOGUE.values()
-        if there[kind.channels[0]]
+        if kind.is_explained() and there[kind.channels[0]]
         for target in kind.targets
     )
 

@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 from scipy.signal import lfilter
 
+from sim.errors import SurefootError
 from sim.robot import Robot
 
 GRAVITY_G = np.array([0.0, 0.0, -9.81])  # gravity in G [m/s^2]
@@ -36,6 +37,19 @@ class Sensors:
     torque_noise: float = 0.1  # N m
     force_noise: float = 2.0  # N
     contact_threshold: float = 0.08  # of the robot's weight, on one foot
+    imu_bandwidth: float = 0.0  # Hz, of the IMU's first-order low-pass; 0: it has none
+    encoder_offset: float = 0.0  # rad, standard deviation, drawn once a joint
+    contact_delay: float = 0.0  # s, until a change of contact is told
+    contact_missed: float = 0.0  # share of samples of a standing foot that say it does not
+    contact_false: float = 0.0  # share of samples of a lifted foot that say it stands
+
+    def __post_init__(self):
+        for name in (part.name for part in fields(self)):
+            if not getattr(self, name) >= 0.0:
+                raise SurefootError(f"{name} must not be negative, is {getattr(self, name):g}")
+        for name in ("contact_missed", "contact_false"):
+            if getattr(self, name) > 1.0:
+                raise SurefootError(f"{name} is a share, from 0 to 1; is {getattr(self, name):g}")
 
 
 @dataclass(frozen=True)
@@ -71,6 +85,27 @@ class Streams:
     tau: np.ndarray  # (N, 12) N m
     force: np.ndarray  # (N, 4) N
 
+    @property
+    def rate(self) -> float:
+        """Samples a second."""
+        return float(1.0 / np.median(np.diff(self.t)))
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The motion of the nominal IMU frame as measured from outside, at the rows of the streams."""
+
+    t: np.ndarray  # (N,) s
+    R_GI: np.ndarray  # (N, 3, 3)
+    p_GI: np.ndarray  # (N, 3) m
+    v_GI: np.ndarray  # (N, 3) m/s
+
+
+def reference_of(motion: Motion, robot: Robot) -> Reference:
+    """The motion itself, as an outside measurement without error sees it."""
+    R_GI, p_GI, v_GI = imu_motion(motion, robot)
+    return Reference(motion.t[1:], R_GI[1:], p_GI[1:], v_GI[1:])
+
 
 def imu_motion(motion: Motion, robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """R_GI (N, 3, 3), p_GI (N, 3) [m], v_GI (N, 3) [m/s] of the nominal IMU mounting."""
@@ -104,7 +139,7 @@ def ideal_streams(motion: Motion, robot: Robot) -> Streams:
 def corrupt(streams: Streams, sensors: Sensors, rng: np.random.Generator) -> Streams:
     """The readings with every sensor's errors, drawn from `rng`; noise is a density, per rtHz."""
     s = sensors
-    rate = 1.0 / np.median(np.diff(streams.t))
+    rate = streams.rate
     n = len(streams.t)
 
     def imu(reading, density, turn_on, instability, full_scale):
@@ -112,20 +147,43 @@ def corrupt(streams: Streams, sensors: Sensors, rng: np.random.Generator) -> Str
             rng, n, instability, s.instability_time, rate
         )
         noisy = reading + bias + rng.normal(0.0, density * np.sqrt(rate), (n, 3))
+        if s.imu_bandwidth:
+            noisy = low_pass(noisy, 1.0 / (2.0 * np.pi * s.imu_bandwidth), rate)
         step = full_scale / 2**15
         return np.clip(np.round(noisy / step) * step, -full_scale, full_scale)
 
-    return Streams(
-        t=streams.t,
-        gyro=imu(streams.gyro, s.gyro_noise, s.gyro_turn_on, s.gyro_instability, s.gyro_range),
-        accel=imu(
-            streams.accel, s.accel_noise, s.accel_turn_on, s.accel_instability, s.accel_range
-        ),
-        q=np.round(streams.q / s.encoder_step) * s.encoder_step if s.encoder_step else streams.q,
-        dq=streams.dq + rng.normal(0.0, s.velocity_noise, streams.dq.shape),
-        tau=streams.tau + rng.normal(0.0, s.torque_noise, streams.tau.shape),
-        force=np.maximum(streams.force + rng.normal(0.0, s.force_noise, streams.force.shape), 0.0),
-    )
+    gyro = imu(streams.gyro, s.gyro_noise, s.gyro_turn_on, s.gyro_instability, s.gyro_range)
+    accel = imu(streams.accel, s.accel_noise, s.accel_turn_on, s.accel_instability, s.accel_range)
+    dq = streams.dq + rng.normal(0.0, s.velocity_noise, streams.dq.shape)
+    tau = streams.tau + rng.normal(0.0, s.torque_noise, streams.tau.shape)
+    force = np.maximum(streams.force + rng.normal(0.0, s.force_noise, streams.force.shape), 0.0)
+    q = streams.q + rng.normal(0.0, s.encoder_offset, streams.q.shape[1])
+    if s.encoder_step:
+        q = np.round(q / s.encoder_step) * s.encoder_step
+    return Streams(streams.t, gyro, accel, q, dq, tau, force)
+
+
+def sensed_contact(
+    streams: Streams, weight: float, sensors: Sensors, rng: np.random.Generator
+) -> np.ndarray:
+    """Whether each foot is said to stand (N, 4), on a robot of `weight` [N].
+
+    A threshold on the measured force, told late, and wrong on samples drawn from `rng`.
+    """
+    stands = streams.force > sensors.contact_threshold * weight
+    late = round(sensors.contact_delay * streams.rate)
+    stands = stands[np.maximum(np.arange(len(stands)) - late, 0)]
+    wrong = np.where(stands, sensors.contact_missed, sensors.contact_false)
+    return stands ^ (rng.random(stands.shape) < wrong)
+
+
+def low_pass(x: np.ndarray, time: float, rate: float) -> np.ndarray:
+    """x (N, K), `rate` samples a second, behind a first-order low-pass of time constant `time` [s],
+    at rest on its first sample."""
+    if time == 0.0:
+        return x
+    keep = np.exp(-1.0 / (time * rate))
+    return lfilter([1.0 - keep], [1.0, -keep], x, axis=0, zi=keep * x[:1])[0]
 
 
 def _gauss_markov(rng, n: int, sigma: float, time: float, rate: float) -> np.ndarray:

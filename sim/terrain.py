@@ -141,6 +141,7 @@ class Ground:
     patches: tuple[Patch, ...] = ()
     half_size: float = 100.0  # m, of the floor
     strips: tuple[Strip, ...] = ()
+    softness: float = 0.0  # s, what contacts take longer to push back than on hard ground
 
     def friction(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Coefficient of sliding friction at the points x, y [m]."""

@@ -38,7 +38,7 @@ def add_ground(spec: mujoco.MjSpec, ground: Ground) -> None:
                     "friction": [tile_mu, TORSION, ROLLING],
                     "condim": 3,
                     "priority": PRIORITY,
-                    "solref": list(SOLREF),
+                    "solref": [SOLREF[0] + ground.softness, SOLREF[1]],
                     "solimp": list(SOLIMP),
                     "rgba": list(ICY if tile_mu < ground.mu else GREY),
                 }

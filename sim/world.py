@@ -62,7 +62,8 @@ def robot_spec(robot: Robot) -> mujoco.MjSpec:
 def add_payload(spec: mujoco.MjSpec, robot: Robot, mass: float) -> None:
     """Put `mass` [kg] on the base, a small ball at its origin that touches nothing."""
     # A body of its own: where the base's inertia is given, its geoms' masses do not count.
-    spec.body(robot.base_name).add_body(name="payload").add_geom(
+    # It has no name, so that there may be two.
+    spec.body(robot.base_name).add_body().add_geom(
         type=mujoco.mjtGeom.mjGEOM_SPHERE,
         size=[0.05, 0, 0],
         mass=mass,

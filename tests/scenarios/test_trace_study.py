@@ -1,4 +1,4 @@
-"""A blind study in small: each effect of the catalogue at a drawn size and target, and none."""
+"""A blind study in small: each effect a model can know of, at a drawn size and target, and none."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def a_minute(seed):
 
 def drawn(seed):
     rng = np.random.default_rng([seed, 1])
-    names = [None, *CATALOGUE]
+    names = [None, *SIZES]
     name = names[seed % len(names)]
     if name is None:
         return None

@@ -1,0 +1,90 @@
+"""Effects of what resists the motion: friction and inertia of the drives, and the ground."""
+
+from dataclasses import replace
+
+import mujoco
+
+from sim.effect import Effect
+from sim.legs import JOINTS
+from sim.robot import Robot
+from sim.terrain import Ground
+
+
+class ViscousFriction(Effect):
+    """A joint's drive resists with a torque that grows with its rate, beyond the model's."""
+
+    name = "viscous_friction"
+    unit = "N m s/rad"
+    bounds = (0.0, 10.0)
+    channels = ("joint_torque", "tracking")
+    targets = JOINTS
+
+    def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
+        # MuJoCo's damping is a polynomial; its first number multiplies the rate itself.
+        _joint(spec, robot, self.target).damping[0] += self.value
+
+
+class CoulombFriction(Effect):
+    """A joint's drive resists with a constant torque against its motion, beyond the model's."""
+
+    name = "coulomb_friction"
+    unit = "N m"
+    bounds = (0.0, 10.0)
+    channels = ("joint_torque", "tracking")
+    targets = JOINTS
+
+    def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
+        _joint(spec, robot, self.target).frictionloss += self.value
+
+
+class Armature(Effect):
+    """A joint's rotor has more inertia, as felt at the joint, than the model says."""
+
+    name = "armature"
+    unit = "kg m^2"
+    bounds = (0.0, 0.5)
+    channels = ("joint_torque", "tracking")
+    targets = JOINTS
+
+    def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
+        _joint(spec, robot, self.target).armature += self.value
+
+
+class FootSlip(Effect):
+    """The feet hold less than the ground's friction says: every coefficient loses this share."""
+
+    name = "foot_slip"
+    unit = "ratio"
+    bounds = (0.0, 0.95)
+    channels = ("leg_velocity",)
+    targets = ("all",)
+
+    def alter_ground(self, ground: Ground) -> Ground:
+        keep = 1.0 - self.value
+        return replace(
+            ground,
+            mu=ground.mu * keep,
+            patches=tuple(replace(p, mu=p.mu * keep) for p in ground.patches),
+            strips=tuple(s if s.mu is None else replace(s, mu=s.mu * keep) for s in ground.strips),
+        )
+
+
+class SoftGround(Effect):
+    """The ground gives: its contacts take this much longer to push back.
+
+    The size is added to the time constant of MuJoCo's `solref`; how deep a foot sinks grows with
+    its square and with the load.
+    """
+
+    name = "soft_ground"
+    unit = "s"
+    bounds = (0.0, 0.2)
+    channels = ("foot_height", "leg_velocity")
+    targets = ("all",)
+
+    def alter_ground(self, ground: Ground) -> Ground:
+        return replace(ground, softness=ground.softness + self.value)
+
+
+def _joint(spec: mujoco.MjSpec, robot: Robot, name: str):
+    return spec.joint(robot.joint_names[JOINTS.index(name)])

@@ -1,0 +1,158 @@
+"""Effects of the IMU: its errors of bias and scale, where it sits, and its filter."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sim.effect import AXES, Effect, with_columns
+from sim.log import Log
+from sim.robot import Robot
+from sim.sensors import Streams, low_pass
+
+
+class ImuRotation(Effect):
+    """The IMU is turned about one of its own nominal axes; the reference is not."""
+
+    name = "imu_rotation"
+    unit = "rad"
+    bounds = (-0.5, 0.5)
+    channels = ("imu_gyro", "imu_accel", "leg_velocity")
+    targets = AXES
+    step = 1e-3
+
+    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
+        turn = self._turn()
+        # Row vectors: x @ R is R^T x, the reading in the turned sensor's own axes.
+        return replace(streams, gyro=streams.gyro @ turn, accel=streams.accel @ turn)
+
+    def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        back = self._turn().T
+        gyro, accel = log.gyro @ back, log.accel @ back
+        columns = {f"gyro_{a}": gyro[:, i] for i, a in enumerate(AXES)}
+        columns |= {f"accel_{a}": accel[:, i] for i, a in enumerate(AXES)}
+        return with_columns(log, columns), robot
+
+    def _turn(self) -> np.ndarray:
+        return Rotation.from_rotvec(self.value * np.eye(3)[AXES.index(self.target)]).as_matrix()
+
+
+class GyroScale(Effect):
+    """One axis of the gyro reads the rate times one plus a constant."""
+
+    name = "gyro_scale"
+    unit = "ratio"
+    bounds = (-0.3, 0.3)
+    channels = ("imu_gyro", "leg_velocity")
+    targets = AXES
+    step = 1e-3
+
+    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
+        gyro = streams.gyro.copy()
+        gyro[:, AXES.index(self.target)] *= 1.0 + self.value
+        return replace(streams, gyro=gyro)
+
+    def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        column = f"gyro_{self.target}"
+        return with_columns(log, {column: log.frame[column].to_numpy() / (1 + self.value)}), robot
+
+
+class AccelScale(Effect):
+    """One axis of the accelerometer reads the specific force times one plus a constant.
+
+    The MPU-6050's product specification allows 3 % before calibration.
+    """
+
+    name = "accel_scale"
+    unit = "ratio"
+    bounds = (-0.3, 0.3)
+    channels = ("imu_accel",)
+    targets = AXES
+
+    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
+        accel = streams.accel.copy()
+        accel[:, AXES.index(self.target)] *= 1.0 + self.value
+        return replace(streams, accel=accel)
+
+
+class GyroBias(Effect):
+    """One axis of the gyro reads the rate plus a constant, on top of the turn-on bias.
+
+    The MPU-6050's product specification allows 20 deg/s (0.35 rad/s) before calibration.
+    """
+
+    name = "gyro_bias"
+    unit = "rad/s"
+    bounds = (-0.5, 0.5)
+    channels = ("imu_gyro", "leg_velocity")
+    targets = AXES
+
+    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
+        return replace(streams, gyro=streams.gyro + _along(self.target, self.value))
+
+
+class AccelBias(Effect):
+    """One axis of the accelerometer reads the specific force plus a constant.
+
+    The MPU-6050's product specification allows 50 mg (0.5 m/s^2) along x and y, 80 mg along z.
+    """
+
+    name = "accel_bias"
+    unit = "m/s^2"
+    bounds = (-2.0, 2.0)
+    channels = ("imu_accel",)
+    targets = AXES
+
+    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
+        return replace(streams, accel=streams.accel + _along(self.target, self.value))
+
+
+class GyroGSensitivity(Effect):
+    """One axis of the gyro also reads the specific force along it, times a constant.
+
+    The MPU-6050's product specification gives 0.1 deg/s per g, 1.8e-4 in this unit.
+    """
+
+    name = "gyro_g_sensitivity"
+    unit = "rad/s per m/s^2"
+    bounds = (-0.02, 0.02)
+    channels = ("imu_gyro", "leg_velocity")
+    targets = AXES
+
+    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
+        felt = streams.accel * _along(self.target, self.value)
+        return replace(streams, gyro=streams.gyro + felt)
+
+
+class ImuPosition(Effect):
+    """The IMU sits further along one of its own nominal axes; the reference does not."""
+
+    name = "imu_position"
+    unit = "m"
+    bounds = (-0.5, 0.5)
+    channels = ("imu_accel", "leg_velocity")
+    targets = AXES
+
+    def alter_mounting(self, robot: Robot) -> Robot:
+        return replace(robot, p_BI=robot.p_BI + robot.R_BI @ _along(self.target, self.value))
+
+
+class ImuLowpass(Effect):
+    """Gyro and accelerometer pass a first-order low-pass of this time constant.
+
+    A bandwidth of f Hz is 1 / (2 pi f) s: 3.2 ms for 50 Hz.
+    """
+
+    name = "imu_lowpass"
+    unit = "s"
+    bounds = (0.0, 0.1)
+    channels = ("imu_gyro", "imu_accel")
+    targets = ("all",)
+
+    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
+        gyro, accel = (low_pass(x, self.value, streams.rate) for x in (streams.gyro, streams.accel))
+        return replace(streams, gyro=gyro, accel=accel)
+
+
+def _along(axis: str, value: float) -> np.ndarray:
+    return value * np.eye(3)[AXES.index(axis)]

@@ -1,0 +1,122 @@
+"""Effects of the joints' encoders and torque sensing: what is read differs from what is."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from sim.effect import Effect, with_columns
+from sim.legs import JOINTS
+from sim.log import Log
+from sim.robot import Robot
+from sim.sensors import Streams
+
+
+class EncoderOffset(Effect):
+    """A joint's encoder reads its angle plus a constant."""
+
+    name = "encoder_offset"
+    unit = "rad"
+    bounds = (-0.2, 0.2)
+    channels = ("leg_velocity",)
+    targets = JOINTS
+    step = 1e-3
+
+    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
+        q = streams.q.copy()
+        q[:, JOINTS.index(self.target)] += self.value
+        return replace(streams, q=q)
+
+    def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        column = f"q_{self.target}"
+        return with_columns(log, {column: log.frame[column].to_numpy() - self.value}), robot
+
+
+class EncoderScale(Effect):
+    """A joint's encoder reads its angle, and its rate, times one plus a constant."""
+
+    name = "encoder_scale"
+    unit = "ratio"
+    bounds = (-0.2, 0.2)
+    channels = ("leg_velocity",)
+    targets = JOINTS
+
+    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
+        factor = 1.0 + self.value * _only(self.target)
+        return replace(streams, q=streams.q * factor, dq=streams.dq * factor)
+
+
+class JointCompliance(Effect):
+    """A spring between the encoder, on the motor's side, and the joint: q reads q + tau / k.
+
+    The size is 1 / k. The motor's own inertia is left out, so that its angle follows the torque at
+    once; the rate that is read is the derivative of the angle that is read.
+    """
+
+    name = "joint_compliance"
+    unit = "rad/(N m)"
+    bounds = (0.0, 0.02)
+    channels = ("leg_velocity",)
+    targets = JOINTS
+
+    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
+        wound = streams.tau * (self.value * _only(self.target))
+        rate = np.gradient(wound, streams.t, axis=0)
+        return replace(streams, q=streams.q + wound, dq=streams.dq + rate)
+
+
+class Backlash(Effect):
+    """Play of this width between the encoder, on the motor's side, and the joint.
+
+    The motor lies against the side that it pushes on, half the play ahead of the joint, and stays
+    there until the torque changes its sign. It crosses at once: the rate that is read is the
+    joint's.
+    """
+
+    name = "backlash"
+    unit = "rad"
+    bounds = (0.0, 0.1)
+    channels = ("leg_velocity",)
+    targets = JOINTS
+
+    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
+        j = JOINTS.index(self.target)
+        side = np.sign(streams.tau[:, j])
+        # Without a torque nothing moves it from the side where it lay.
+        last = np.maximum.accumulate(np.where(side != 0.0, np.arange(len(side)), 0))
+        q = streams.q.copy()
+        q[:, j] += 0.5 * self.value * side[last]
+        return replace(streams, q=q)
+
+
+class TorqueScale(Effect):
+    """A joint's torque, taken from the motor's current, reads one plus a constant times too much.
+
+    So it does where the motor's torque constant is not the nominal one.
+    """
+
+    name = "torque_scale"
+    unit = "ratio"
+    bounds = (-0.5, 0.5)
+    channels = ("joint_torque", "base_wrench")
+    targets = JOINTS
+
+    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
+        return replace(streams, tau=streams.tau * (1.0 + self.value * _only(self.target)))
+
+
+class TorqueBias(Effect):
+    """A joint's torque reads its value plus a constant."""
+
+    name = "torque_bias"
+    unit = "N m"
+    bounds = (-20.0, 20.0)
+    channels = ("joint_torque", "base_wrench")
+    targets = JOINTS
+
+    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
+        return replace(streams, tau=streams.tau + self.value * _only(self.target))
+
+
+def _only(joint: str) -> np.ndarray:
+    """(12,): one for this joint, zero for the others."""
+    return np.eye(12)[JOINTS.index(joint)]
