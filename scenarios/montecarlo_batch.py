@@ -102,8 +102,7 @@ def run_batch(
     return Scores(distance, nees, active)
 
 
-# Not cached: numba would keep machine code of the estimator's kernels that have since changed.
-@njit(nogil=True)
+@njit(nogil=True, cache=True)
 def _run(
     t, gyro, accel, v_I, per_update, gaussian, R, epsilon, gamma, means, start, noise, true_p,
     per_score, distance, nees, active,
@@ -136,7 +135,7 @@ def _run(
         active[trial] = changed / v_I.shape[1]
 
 
-@njit(nogil=True)
+@njit(nogil=True, cache=True)
 def _holds_already(mean, covariance, v_I, epsilon, gamma: float) -> bool:
     """Whether pi >= gamma without an integral: the axes' own tails leave gamma inside the box.
 
@@ -154,7 +153,7 @@ def _holds_already(mean, covariance, v_I, epsilon, gamma: float) -> bool:
     return 1.0 - outside > gamma + 1e-12
 
 
-@njit(nogil=True)
+@njit(nogil=True, cache=True)
 def _position_nees(p, error, covariance) -> float:
     """Squared error over J Sigma J^T, J = [-[p_bar]x 0 I] on (rotation, velocity, position)."""
     J = np.zeros((3, 9))

@@ -181,8 +181,7 @@ def _evaluate_qmc(means, covs, lowers, uppers, samples, shifts, prob, mean, cov)
             )  # fmt: skip
 
 
-# Not cached: numba would keep machine code of the estimator's kernel that has since changed.
-@njit
+@njit(cache=True)
 def _evaluate_ours(means, covs, lowers, uppers, repeats, prob, mean, cov):
     for s in range(repeats):
         for b in range(means.shape[0]):

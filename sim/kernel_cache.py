@@ -8,16 +8,18 @@ import hashlib
 from pathlib import Path
 
 
-def forget_stale_kernels(package: str) -> None:
+def forget_stale_kernels(package: str, *called: str) -> None:
     """Delete the cached kernels beside the package's modules unless its sources are unchanged.
 
-    package: the package's `__file__`. A folder that cannot be written keeps no cache either, so
+    package: the package's `__file__`; called: those of other packages whose kernels its own call,
+    which count as its sources too. A folder that cannot be written keeps no cache either, so
     nothing is done there.
     """
     folder = Path(package).parent
     digest = hashlib.sha256()
-    for source in sorted(folder.glob("*.py")):
-        digest.update(source.name.encode() + source.read_bytes())
+    for part in (folder, *(Path(other).parent for other in called)):
+        for source in sorted(part.glob("*.py")):
+            digest.update(source.name.encode() + source.read_bytes())
     cache = folder / "__pycache__"
     stamp = cache / "kernels.sha256"
     try:

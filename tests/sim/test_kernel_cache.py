@@ -29,3 +29,21 @@ def test_a_read_only_installation_is_left_alone(tmp_path):
     (tmp_path / "__init__.py").write_text("")
     (tmp_path / "__pycache__").write_text("not a folder")
     forget_stale_kernels(str(tmp_path / "__init__.py"))
+
+
+def test_kernels_die_with_the_sources_of_other_packages_that_they_call(tmp_path):
+    inits = []
+    for name in ("caller", "called"):
+        (tmp_path / name).mkdir()
+        inits.append(tmp_path / name / "__init__.py")
+        inits[-1].write_text("")
+    cache = tmp_path / "caller" / "__pycache__"
+    cache.mkdir()
+    kernel = cache / "batch.run-1.py311.nbi"
+    forget_stale_kernels(*map(str, inits))
+    kernel.write_bytes(b"")
+    forget_stale_kernels(*map(str, inits))
+    assert kernel.exists()
+    inits[1].write_text("a = 2\n")
+    forget_stale_kernels(*map(str, inits))
+    assert not kernel.exists()

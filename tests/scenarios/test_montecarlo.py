@@ -1,0 +1,248 @@
+"""The Monte-Carlo study: trials that are what they claim, and the batch that runs them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.special import ndtri
+
+from estimator.filter import run_coverage, run_imu, run_velocity
+from estimator.metrics import nees
+from estimator.state import FilterNoise, NavState
+from estimator.trajectory import Trajectory
+from scenarios.cli import main
+from scenarios.montecarlo import (
+    READINGS,
+    bounds,
+    paper_settings,
+    run_study,
+    variance_components,
+)
+from scenarios.montecarlo_batch import Setting, run_batch
+from scenarios.montecarlo_report import montecarlo, write_study
+from scenarios.montecarlo_study import (
+    BIASED,
+    BUNDLED,
+    MIXINGS,
+    UNBIASED,
+    ErrorLaw,
+    Study,
+    load_study,
+)
+from scenarios.montecarlo_trials import make_trials, population, true_motion, velocity_errors
+from scenarios.qmc import _phi_inverse, qmc_moments, runtime_accuracy, tensor_moments
+from scenarios.update_study import study_remark, update, update_illustration
+from sim.errors import SurefootError
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    """The bundled study, but a few short trials."""
+    whole = load_study()
+    return replace(
+        whole, trials=2, duration=4.0, gammas=(0.8,), population=4000, beyond_trials=2,
+        beyond=whole.beyond[2:5],
+    )  # fmt: skip
+
+
+def seeds(count: int) -> list[np.random.SeedSequence]:
+    return np.random.SeedSequence(7).spawn(count)
+
+
+def test_perfect_samples_lead_along_the_true_motion(study):
+    truth = true_motion(study)
+    found = run_imu(
+        truth.t, truth.gyro, truth.accel, truth.state(), 1e-6 * np.eye(15), FilterNoise(), 1
+    )
+    assert np.abs(found.p_GI - truth.p_GI).max() < 1e-10
+    assert np.abs(found.v_GI - truth.v_GI).max() < 1e-10
+    assert np.abs(found.R_GI - truth.R_GI).max() < 1e-10
+
+
+def test_the_motion_is_that_of_a_walking_base():
+    truth = true_motion(load_study())
+    speed = np.linalg.norm(truth.v_GI[:, :2], axis=1)
+    assert 0.3 < speed.mean() < 1.2
+    assert np.abs(np.diff(truth.p_GI, axis=0) * 200.0 - truth.v_GI[1:]).max() < 0.1
+    assert np.abs(truth.p_GI[:, 2]).max() < 0.05
+
+
+def test_a_trial_depends_on_its_own_seed_alone(study):
+    truth = true_motion(study)
+    two = make_trials(study, truth, BIASED.test, seeds(2))
+    three = make_trials(study, truth, BIASED.test, seeds(3))
+    for name in ("gyro", "accel", "v_I", "means"):
+        assert np.array_equal(getattr(two, name), getattr(three, name)[:2])
+
+
+def test_starts_are_drawn_from_the_covariance_that_filters_are_given(study):
+    short = replace(study, duration=0.2)
+    trials = make_trials(short, true_motion(short), UNBIASED.test, seeds(2000))
+    b_a = trials.means[:, 5] - study.imu.bias_accel
+    # At rest at the origin's height the plain velocity error is xi_v - [v]x xi_R, of `velocity`.
+    v = trials.means[:, 3] - true_motion(short).v_GI[0]
+    assert b_a.std(axis=0) == pytest.approx([study.prior.b_a] * 3, rel=0.08)
+    assert v.std(axis=0) == pytest.approx([study.prior.velocity] * 3, rel=0.08)
+
+
+@pytest.mark.parametrize("regime", [UNBIASED, BIASED], ids=lambda r: r.name)
+def test_the_batch_gives_the_numbers_of_one_filter_at_a_time(study, regime):
+    truth = true_motion(study)
+    trials = make_trials(study, truth, regime.test, seeds(2))
+    noise = FilterNoise(study.imu.gyro, study.imu.accel, 0.0, 0.0)
+    rows = np.arange(1, study.updates + 1) * study.per_update
+    for name, gamma, _, setting in paper_settings(study, regime, np.random.SeedSequence(1)):
+        scores = run_batch(study, truth, trials, setting)
+        for k in range(2):
+            log = truth.t, trials.gyro[k], trials.accel[k], rows, trials.v_I[k]
+            start = NavState.unpack(trials.means[k]), trials.covariance, noise, study.per_score
+            if setting.epsilon is not None:
+                found = run_coverage(*log, setting.epsilon, gamma, *start, setting.persistent)
+                assert found.updates is not None
+                assert scores.active[k] == pytest.approx(found.updates.active.mean())
+            else:
+                found = run_velocity(*log, setting.R, *start, setting.persistent)
+            at = slice(None, None, study.per_score)
+            zeros = np.zeros((len(found.t), 3))
+            reference = Trajectory(
+                found.t, truth.R_GI[at], truth.v_GI[at], truth.p_GI[at], zeros, zeros
+            )
+            distance = np.linalg.norm(found.p_GI - reference.p_GI, axis=1)[1:]
+            assert np.abs(scores.distance[k] - distance).max() < 1e-9, name
+            position = nees(reference, found).position[1:]
+            assert np.abs(scores.nees[k] / position - 1.0).max() < 1e-9, name
+
+
+def test_the_study_is_the_same_from_the_same_seed_and_is_written_whole(study, tmp_path):
+    first, second = run_study(study), run_study(study)
+    for a, b in zip((*first.rows, *first.beyond), (*second.rows, *second.beyond), strict=True):
+        assert np.array_equal(a.scores.nees, b.scores.nees)
+        assert np.isfinite(a.scores.distance).all()
+    rng = np.random.default_rng(0)
+    write_study(first, runtime_accuracy(rng, 2, 2, 1), study_remark(rng, (0.8,), 10), tmp_path)
+    text = (tmp_path / "table.md").read_text()
+    assert "coverage_persistent" in text
+    assert all(reading in text for reading in READINGS)
+    assert "(paper)" in text
+    assert "<img" in (tmp_path / "report.html").read_text()
+    assert {p.name for p in tmp_path.glob("*.csv")} == {
+        "table.csv", "beyond.csv", "runtime.csv", "remark.csv",
+    }  # fmt: skip
+
+
+def test_the_ekf_is_consistent_where_its_model_is_right(study):
+    long = replace(study, duration=20.0)
+    truth = true_motion(long)
+    trials = make_trials(long, truth, UNBIASED.test, seeds(100))
+    nees = run_batch(long, truth, trials, Setting(R=np.diag(long.noise**2))).nees
+    # The mean of 100 independent chi-square numbers of 3 degrees has deviation 0.245.
+    assert nees[:, -1].mean() == pytest.approx(3.0, abs=0.8)
+    assert nees.mean() == pytest.approx(3.0, abs=0.6)
+
+
+def test_bounds_hold_what_their_reading_says(study):
+    errors = population(replace(study, population=200000), ErrorLaw(), np.random.default_rng(0))
+    for reading, share in zip(READINGS, (0.8**3, 0.8), strict=True):
+        inside = (np.abs(errors) <= bounds(errors, 0.8, reading)).all(axis=1)
+        assert inside.mean() == pytest.approx(share, abs=5e-3)
+
+
+@pytest.mark.parametrize("mixing", MIXINGS)
+def test_mixing_parts_have_zero_mean_and_the_stated_covariance(study, mixing):
+    rng = np.random.default_rng(0)
+    errors = velocity_errors(study, ErrorLaw(mixing=mixing), 400000, rng) / study.noise
+    assert np.abs(errors.mean(axis=0)).max() < 0.02
+    if mixing == "outliers":
+        assert np.var(errors, axis=0) == pytest.approx([0.95 + 0.05 * 100] * 3, rel=0.05)
+    elif mixing == "student":
+        # Its fourth moment is infinite, so the variance is slow to show; the median is not.
+        assert np.median(np.abs(errors)) == pytest.approx(0.7649 / np.sqrt(3), rel=0.02)
+    else:
+        assert np.var(errors, axis=0) == pytest.approx([1.0] * 3, rel=0.03)
+
+
+def test_variance_components_recover_what_made_the_errors():
+    rng = np.random.default_rng(0)
+    between, within = np.array([0.06, 0.03, 0.01]), np.array([0.05, 0.08, 0.04])
+    errors = between * rng.standard_normal((2000, 1, 3)) + within * rng.standard_normal(
+        (2000, 50, 3)
+    )
+    found = variance_components(errors)
+    assert np.diag(found.within) == pytest.approx(within**2 * 49 / 50, rel=0.02)
+    assert np.diag(found.between) == pytest.approx(between**2 + within**2 / 50, rel=0.12)
+    # Few trials tell less, and the prior says so: larger on average, never singular.
+    few = [variance_components(errors[k : k + 8]).between for k in range(0, 2000, 8)]
+    assert np.mean(few, axis=0)[0, 0] > 1.5 * found.between[0, 0]
+    assert min(np.linalg.eigvalsh(b)[0] for b in few) > 0
+
+
+def test_qmc_is_a_fair_peer():
+    p = np.array([1e-200, 1e-10, 0.01, 0.3, 0.5, 0.7, 0.999])
+    assert [_phi_inverse(x) for x in p] == pytest.approx(ndtri(p), abs=1e-13)
+    rng = np.random.default_rng(3)
+    cov = np.array([[1.0, 0.5, -0.2], [0.5, 1.0, 0.3], [-0.2, 0.3, 1.0]])
+    box = np.array([0.1, 0.0, -0.2]), cov, np.array([-0.5, -1.0, 0.2]), np.array([1.0, 0.8, 2.0])
+    mean, spread = np.empty(3), np.empty((3, 3))
+    probability = qmc_moments(*box, 200000, rng.random(3), mean, spread)
+    exact = tensor_moments(*box)
+    assert probability == pytest.approx(exact[0], rel=1e-4)
+    assert mean == pytest.approx(exact[1], abs=1e-4)
+    assert spread == pytest.approx(exact[2], abs=1e-4)
+
+
+def test_sampling_errors_decay_as_the_papers_and_ours_are_a_million_times_less():
+    rows = {row.samples: row for row in runtime_accuracy(np.random.default_rng(0), rounds=1)}
+    ours = rows[None]
+    for name in ("probability", "mean", "covariance"):
+        few, many = getattr(rows[100], name), getattr(rows[10000], name)
+        assert many < few / 15
+        assert getattr(ours, name) < 1e-6 * getattr(rows[1000], name)
+
+
+def test_the_update_raises_the_mass_and_leaves_inactive_boxes_alone():
+    remark = study_remark(np.random.default_rng(1), (0.8,), 60)[0]
+    assert remark.active > 20
+    assert remark.raised == 1.0
+    assert remark.after_five < remark.below
+    wide = np.full(3, 6.0)
+    pi, mean, cov = update(np.zeros(3), np.eye(3), -wide, wide, 0.8)
+    assert pi > 0.8
+    assert np.array_equal(mean, np.zeros(3))
+    assert np.array_equal(cov, np.eye(3))
+    assert len(update_illustration().axes) == 2
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "says"),
+    [
+        ("trials = 100", "trails = 100", "unknown key 'trails'"),
+        ("turn = 0.15", "turns = 0.15", "unknown key 'motion.turns'"),
+        ('mixing = "student"', 'mixing = "cauchy"', "mixing 'cauchy' is unknown"),
+        ("update_rate = 20.0", "update_rate = 30.0", "update_rate must divide imu_rate"),
+        ("calibration_trials = 24", "calibration_trials = 3", "calibration_trials"),
+        ("gammas = [0.70,", "gammas = [1.70,", "gammas must be inside (0, 1)"),
+        ("seed = 2026", "", "'seed' is missing"),
+        ("std = [0.08, 0.06, 0.05]", "std = [0.08, 0.06]", "'noise.std' must be three"),
+    ],
+)
+def test_a_bad_study_file_is_one_line_that_names_the_key(tmp_path, before, after, says):
+    text = BUNDLED.read_text()
+    assert before in text
+    path = tmp_path / "study.toml"
+    path.write_text(text.replace(before, after))
+    with pytest.raises(SurefootError) as caught:
+        load_study(path)
+    assert says in str(caught.value)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_command_refuses_bad_options(tmp_path):
+    for option in (["--trials", "1"], ["--seed", "-1"]):
+        with pytest.raises(SystemExit) as caught:
+            main(["montecarlo", "-o", str(tmp_path / "out"), *option])
+        assert option[0] in str(caught.value)
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "a").write_text("")
+    with pytest.raises(SurefootError, match="not empty"):
+        montecarlo(tmp_path / "full", trials=2)
