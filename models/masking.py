@@ -57,8 +57,9 @@ def trust(evidence: Evidence, floor: np.ndarray) -> Trust:
 def slips(evidence: Evidence, left: np.ndarray, sigma: np.ndarray) -> np.ndarray:
     """Foot bins (M, 4) of the stances that stand out from their foot's own bulk.
 
-    left (M, 18): what the catalogue does not explain. The score of a stance is the root mean square
-    of its bins' speeds.
+    left (M, 18): what the catalogue does not explain. The score of a stance is the speed of
+    its fastest bin: a foot that slides sticks again before the stance is over, and a mean over the
+    stance would leave every second slip in.
     """
     masked = np.zeros((len(left), 4), dtype=bool)
     for leg in range(4):
@@ -66,9 +67,10 @@ def slips(evidence: Evidence, left: np.ndarray, sigma: np.ndarray) -> np.ndarray
         stances = stance_bins(evidence, np.isfinite(speed))
         if len(stances) < 5:
             continue
-        score = np.array([np.sqrt(np.mean(speed[bins] ** 2)) for bins in stances])
+        score = np.array([speed[bins].max() for bins in stances])
         middle = np.median(score)
-        spread = 1.4826 * np.median(np.abs(score - middle))
+        # From below: slips only add speed, and many of them would widen a spread from both sides.
+        spread = 1.4826 * (middle - np.quantile(score, 0.25))
         limit = max(middle + OUTLYING * spread, SLOWEST_SLIP)
         for bins, size in zip(stances, score, strict=True):
             masked[bins, leg] = size > limit

@@ -137,6 +137,10 @@ def test_a_slipping_stance_is_masked_and_a_systematic_error_is_not():
     masked = trust(hurt, NOISE).masked
     assert masked[first, 1].all()
     assert masked.sum() == len(first)
+    brief = one.table.copy()
+    brief[first[5:7], 9] += 0.05
+    slid = Evidence(one.t, one.log, brief, KEYS, one.X, one.Z)
+    assert trust(slid, NOISE).masked[first, 1].all(), "a slide of 40 ms in a longer stance"
     biased = one.table.copy()
     biased[:, 9] += 0.2
     whole = Evidence(one.t, one.log, biased, KEYS, one.X, one.Z)
