@@ -90,7 +90,7 @@ def test_the_recorded_torques_replay_to_the_same_states_in_the_bare_engine():
     first = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
     mujoco.mj_getState(model, data, first, mujoco.mjtState.mjSTATE_FULLPHYSICS)
     states, _ = rollout.rollout(model, data, first[None], motion.tau[None])
-    qpos = states[0, :, 1 : 1 + model.nq]
+    qpos = np.asarray(states)[0, :, 1 : 1 + model.nq]
     assert np.array_equal(qpos[:, :3], motion.p_GB[1:])
     assert np.array_equal(qpos[:, made.world.qpos_adr], motion.q[1:])
 

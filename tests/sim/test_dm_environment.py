@@ -1,0 +1,121 @@
+"""The dm_env environment: a foreign controller drives, and the Log is as if we had walked."""
+
+import unittest
+
+import dm_env
+import numpy as np
+import pytest
+from dm_env import test_utils
+
+from sim.dm_environment import SETTLING, WalkingEnvironment
+from sim.effects import effect
+from sim.errors import SurefootError
+from sim.gait import fresh_memory, tick
+from sim.log import Log
+from sim.robot import Robot
+from sim.scenario import Ranges, Scenario, Segment
+from sim.stride import rotation
+from sim.terrain import Ground
+from sim.walk import plan, walk
+
+# dm_control looks for a screen on import and warns where there is none.
+pytestmark = pytest.mark.filterwarnings("ignore:.*X11.*")
+SPOT = Robot.load("spot_class")
+COURSE = Scenario(
+    "course", (Segment(1.0, 0.5, turn=0.3),), Ground(0.8), ranges=Ranges(payload=(0.0, 3.0))
+)
+
+
+class TestConformsToDmEnv(test_utils.EnvironmentTestMixin, unittest.TestCase):
+    """dm_env's own tests of an environment."""
+
+    def make_object_under_test(self, **_):
+        return WalkingEnvironment(COURSE, SPOT)
+
+
+def the_trot(made):
+    """The bundled controller as a policy: what a user's own would be."""
+    memory, torque = fresh_memory(), np.zeros(12)
+    memory[:, 7] = 1.0  # standing already
+    ticks = iter(range(SETTLING, len(made.course.t)))
+    targets = np.column_stack([made.course.pose, made.course.velocity])
+
+    def policy(seen):
+        i = next(ticks)
+        tick(
+            SPOT.legs, made.gait, made.world.relief, memory, made.course.t[i],
+            seen["position"], rotation(*seen["orientation"]), seen["velocity"],
+            seen["angular_velocity"], seen["joint_position"], seen["joint_velocity"],
+            seen["foot_force"], targets[i], torque,
+        )  # fmt: skip
+        return torque
+
+    return policy
+
+
+@pytest.mark.parametrize("effects", [(), (effect("encoder_offset", "FL_thigh", 0.02),)])
+def test_the_trot_as_a_policy_leaves_the_log_of_walk_bit_for_bit(effects):
+    env = WalkingEnvironment(COURSE, SPOT, seed=7, effects=effects)
+    policy = the_trot(plan(COURSE, SPOT, 7, effects))
+    step = env.reset()
+    while not step.last():
+        step = env.step(policy(step.observation))
+    ours = walk(COURSE, SPOT, 7, effects)
+    assert env.log().frame.equals(ours.frame)
+    assert env.log().meta == ours.meta
+    assert step.discount == 1.0
+    assert step.reward > 0.9
+
+
+def test_position_targets_stand_and_are_in_the_log(tmp_path):
+    env = WalkingEnvironment(COURSE, SPOT, actions="position")
+    step = env.reset()
+    for _ in range(250):
+        step = env.step(SPOT.q_home)
+    assert not step.last()
+    log = env.log()
+    log.write(tmp_path / "log.parquet")
+    log = Log.read(tmp_path / "log.parquet")
+    assert log.t[-1] == pytest.approx(1.0)
+    assert np.array_equal(log.q_des, np.tile(SPOT.q_home, (500, 1)))
+    law = log.meta.motor_law
+    assert law is not None
+    # What the motors did is what their law says of the state before each step.
+    said = law["kp"] * (log.q_des[1:] - log.q[:-1]) - law["kd"] * log.dq[:-1]
+    assert np.abs(said - log.tau[1:]).mean() < 1.0
+
+
+def test_a_fall_ends_the_episode_without_a_future():
+    env = WalkingEnvironment(COURSE, SPOT)
+    step = env.reset()
+    while not step.last():
+        step = env.step(np.zeros(12))
+    assert step.discount == 0.0
+    assert 0.1 < env.log().t[-1] < 2.0
+    assert env.step(np.zeros(12)).first()
+
+
+def test_another_seed_draws_another_walk_and_the_same_one_repeats_it():
+    env = WalkingEnvironment(COURSE, SPOT, seed=1)
+    logs = []
+    for seed in (None, 2, 1):
+        env.reset(seed)
+        for _ in range(20):
+            env.step(np.zeros(12))
+        logs.append(env.log())
+    assert logs[0].frame.equals(logs[2].frame)
+    assert not logs[0].frame.equals(logs[1].frame)
+    assert [log.meta.seed for log in logs] == [1, 2, 1]
+
+
+def test_bad_actions_and_early_logs_are_refused():
+    env = WalkingEnvironment(COURSE, SPOT)
+    env.reset()
+    with pytest.raises(SurefootError, match="no step yet"):
+        env.log()
+    for bad in (np.zeros(11), np.full(12, np.nan)):
+        with pytest.raises(SurefootError, match="12 finite numbers"):
+            env.step(bad)
+    with pytest.raises(SurefootError, match="torque or position"):
+        WalkingEnvironment(COURSE, SPOT, actions="speed")  # type: ignore[arg-type]
+    assert isinstance(env, dm_env.Environment)
