@@ -325,6 +325,32 @@ class Robots:
         print(to_markdown(rows))
 
 
+@dataclass(frozen=True)
+class Bench:
+    """What things cost against what they are measured by, as ratios of one run."""
+
+    rounds: int = 5
+    """Times that each pair runs in turn; the smallest counts."""
+    only: UseAppendAction[tuple[str, ...]] = ()
+    """Items to run; all where left out."""
+
+    def run(self) -> None:
+        from scenarios.bench import ITEMS
+        from scenarios.progress import percent_bar
+        from scenarios.tables import to_markdown
+
+        for name in self.only:
+            if name not in ITEMS:
+                raise SurefootError(f"--only {name}: known are {', '.join(ITEMS)}")
+        if self.rounds < 1:
+            raise SurefootError(f"--rounds {self.rounds}: at least 1")
+        rows = []
+        for name in self.only or ITEMS:
+            with percent_bar(name) as tell:
+                rows.append(ITEMS[name](self.rounds, tell).as_row())
+        print(to_markdown(rows))
+
+
 COMMANDS: dict[str, type] = {
     "demo": Demo,
     "simulate": Simulate,
@@ -337,6 +363,7 @@ COMMANDS: dict[str, type] = {
     "import": Import,
     "view": View,
     "robots": Robots,
+    "bench": Bench,
 }
 
 
