@@ -141,7 +141,11 @@ class ComOffset(Effect):
         built = model.body(robot.base_name)
         place = built.ipos.copy()
         place[AXES.index(self.target)] += self.value
-        # Where the inertia came from the geoms it is now given, turned and sized as it was.
+        if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
+            # The other bodies keep the inertia of their geoms, as the file asks.
+            for body in spec.bodies:
+                body.explicitinertial = False
+            spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
         base.explicitinertial = True
         base.mass = float(built.mass[0])
         base.ipos, base.iquat, base.inertia = place, built.iquat, built.inertia

@@ -1,0 +1,308 @@
+"""Every effect of the catalogue, from a file into a walk, shows in the data as what it says."""
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from sim.effects import CATALOGUE, effect
+from sim.effects_file import load_effects, save_effects
+from sim.legs import JOINTS, LEGS
+from sim.log import Log
+from sim.quaternion import quaternion_from_matrix
+from sim.robot import Robot
+from sim.scenario import Scenario, Segment
+from sim.sensors import Sensors, mean_rotation
+from sim.terrain import Ground, Patch, Strip
+from sim.walk import plan, simulate, walk
+from sim.world import TIMESTEP, World, robot_spec
+
+SPOT = Robot.load("spot_class")
+# Nothing but the effect: sensors without noise, and an IMU of steps that are next to none.
+PERFECT = Sensors(
+    gyro_noise=0, accel_noise=0, gyro_instability=0, accel_instability=0, gyro_turn_on=0,
+    accel_turn_on=0, gyro_range=35, accel_range=1000, encoder_step=0, velocity_noise=0,
+    torque_noise=0, force_noise=0,
+)  # fmt: skip
+ROUNDED = {"gyro": 35 / 2**15, "accel": 1000 / 2**15}
+COURSE = Scenario("short", (Segment(4.0, 0.6, turn=0.4),), Ground(0.8), stand=0.6, sensors=PERFECT)
+STREAMS = ("gyro", "accel", "q", "dq", "tau", "force", "contact")
+REFERENCE = ("ref_p", "ref_q", "ref_v")
+TRUTH = ("slip", "mu")
+LEG, J = LEGS.index("RL"), JOINTS.index("RL_calf")
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return walk(COURSE, SPOT, 3)
+
+
+@pytest.fixture
+def walked(tmp_path):
+    """A walk with an effect that was written to a file and read back."""
+
+    def make(name: str, target: str, value: float) -> Log:
+        save_effects(tmp_path / "effects.toml", [effect(name, target, value)])
+        return walk(COURSE, SPOT, 3, load_effects(tmp_path / "effects.toml"))
+
+    return make
+
+
+def late(x, rows):
+    return x[np.maximum(np.arange(len(x)) - rows, 0)]
+
+
+def only(width, index):
+    return np.eye(width)[index]
+
+
+# What the altered streams should be, from those of the walk without the effect.
+READINGS = [
+    ("gyro_bias", "y", 0.05, lambda log: {"gyro": log.gyro + 0.05 * only(3, 1)}),
+    ("accel_bias", "z", -0.3, lambda log: {"accel": log.accel - 0.3 * only(3, 2)}),
+    ("gyro_scale", "z", 0.02, lambda log: {"gyro": log.gyro * [1, 1, 1.02]}),
+    ("accel_scale", "z", 0.02, lambda log: {"accel": log.accel * [1, 1, 1.02]}),
+    (
+        "gyro_g_sensitivity", "z", 0.002,
+        lambda log: {"gyro": log.gyro + 0.002 * log.accel * only(3, 2)},
+    ),
+    ("imu_delay", "all", 0.01, lambda log: {k: late(getattr(log, k), 5) for k in ROUNDED}),
+    (
+        "imu_rotation", "z", 0.3,
+        lambda log: {
+            k: getattr(log, k)
+            @ [[np.cos(0.3), -np.sin(0.3), 0], [np.sin(0.3), np.cos(0.3), 0], [0, 0, 1]]
+            for k in ROUNDED
+        },
+    ),
+    ("encoder_offset", "RL_calf", 0.02, lambda log: {"q": log.q + 0.02 * only(12, J)}),
+    (
+        "encoder_scale", "RL_calf", 0.02,
+        lambda log: {k: getattr(log, k) * (1 + 0.02 * only(12, J)) for k in ("q", "dq")},
+    ),
+    ("torque_scale", "RL_calf", 0.1, lambda log: {"tau": log.tau * (1 + 0.1 * only(12, J))}),
+    ("torque_bias", "RL_calf", -2.0, lambda log: {"tau": log.tau - 2.0 * only(12, J)}),
+    ("torque_delay", "all", 0.006, lambda log: {"tau": late(log.tau, 3)}),
+    (
+        "joint_delay", "all", 0.006,
+        lambda log: {k: late(getattr(log, k), 3) for k in ("q", "dq", "tau")},
+    ),
+    ("reference_delay", "all", 0.02, lambda log: {k: late(columns(log, k), 10) for k in REFERENCE}),
+]  # fmt: skip
+
+
+def columns(log, group):
+    return log.frame[[name for name in log.frame if str(name).startswith(group + "_")]].to_numpy()
+
+
+@pytest.mark.parametrize(
+    ("name", "target", "value", "expected"), READINGS, ids=[case[0] for case in READINGS]
+)
+def test_readings_change_as_the_effect_says_and_nothing_else_does(
+    plain, walked, name, target, value, expected
+):
+    log, wanted = walked(name, target, value), expected(plain)
+    for group in (*STREAMS, *REFERENCE, *TRUTH):
+        if group in wanted:
+            assert_allclose(
+                columns(log, group), wanted[group], atol=2 * ROUNDED.get(group, 1e-9), rtol=1e-9
+            )
+            assert np.abs(columns(log, group) - columns(plain, group)).max() > 5e-3
+        else:
+            assert_array_equal(columns(log, group), columns(plain, group))
+
+
+def test_imu_position_swings_on_its_arm(plain, walked):
+    """What the moved sensor feels beyond the nominal one carries it along the arm that turns."""
+    log = walked("imu_position", "x", 0.2)
+    assert_array_equal(log.gyro, plain.gyro)
+    assert_array_equal(columns(log, "ref_p"), columns(plain, "ref_p"))
+    R = plain.ref_R_GI
+    mean = R[:-1] @ mean_rotation(plain.gyro[1:] * TIMESTEP)
+    apart = np.einsum("nij,nj->ni", mean, (log.accel - plain.accel)[1:])
+    moved = np.cumsum(np.cumsum(apart, axis=0), axis=0) * TIMESTEP**2
+    arm = R[1:, :, 0] * 0.2
+    swing = arm - arm[0]
+    assert np.abs(swing).max() > 0.2
+    # Rounding leaves a velocity that is a little off, so that a line is free.
+    t = np.column_stack([plain.t[1:], np.ones(len(moved))])
+    left = (moved - swing) - t @ np.linalg.lstsq(t, moved - swing, rcond=None)[0]
+    assert np.abs(left).max() < 5e-3
+
+
+def test_imu_lowpass_is_of_first_order(plain, walked):
+    log, keep = walked("imu_lowpass", "all", 0.004), np.exp(-TIMESTEP / 0.004)
+    for group, rounded in ROUNDED.items():
+        x, y = columns(plain, group), columns(log, group)
+        assert_allclose(y[1:], keep * y[:-1] + (1 - keep) * x[1:], atol=2 * rounded)
+        assert np.abs(np.diff(y, axis=0)).mean() < 0.9 * np.abs(np.diff(x, axis=0)).mean()
+    assert_array_equal(log.q, plain.q)
+
+
+def test_compliance_winds_the_encoder_up_by_the_torque(plain, walked):
+    log = walked("joint_compliance", "RL_calf", 1e-3)
+    assert_allclose(log.q, plain.q + 1e-3 * plain.tau * only(12, J), atol=1e-12)
+    gained = np.cumsum((log.dq - plain.dq)[1:-1, J]) * TIMESTEP
+    wound = 0.5e-3 * (plain.tau[2:, J] + plain.tau[1:-1, J])
+    assert_allclose(gained - gained[0], wound - wound[0], atol=1e-9)
+
+
+def test_backlash_has_two_sides_and_the_torque_chooses(plain, walked):
+    log = walked("backlash", "RL_calf", 0.02)
+    shift = log.q - plain.q
+    assert_allclose(shift[:, J], 0.01 * np.sign(plain.tau[:, J]), atol=1e-12)
+    assert 0.02 < (shift[:, J] < 0).mean() < 0.98
+    assert not np.delete(shift, J, axis=1).any()
+
+
+@pytest.mark.parametrize("target", ["imu", "joints", "feet", "reference"])
+def test_clock_scale_drifts_one_stream_against_the_others(plain, walked, target):
+    log = walked("clock_scale", target, -0.01)
+    groups = {
+        "imu": ("gyro", "accel"), "joints": ("q", "dq", "tau"), "feet": ("force",),
+        "reference": ("ref_p", "ref_v"),
+    }  # fmt: skip
+    then = plain.t[0] + 0.99 * (plain.t - plain.t[0])
+    for group in (*STREAMS, *REFERENCE):
+        was, now = columns(plain, group), columns(log, group)
+        if group in groups[target]:
+            drifted = np.column_stack([np.interp(then, plain.t, x) for x in was.T])
+            assert_allclose(now, drifted, atol=2 * ROUNDED.get(group, 1e-9))
+        elif (group, target) not in {("contact", "feet"), ("ref_q", "reference")}:
+            assert_array_equal(now, was)
+
+
+def heights(log: Log) -> np.ndarray:
+    """Mean height (4,) [m] of the standing feet's centres, by the declared legs."""
+    feet = log.ref_p[:, None] + np.einsum("nij,nlj->nli", log.ref_R_GI, SPOT.feet_I(log.q))
+    return np.array([feet[log.contact[:, leg], leg, 2].mean() for leg in range(4)])
+
+
+@pytest.mark.parametrize(
+    ("name", "target", "value", "low", "high"),
+    [
+        ("hip_offset", "RL_z", 0.02, -0.0205, -0.0195),  # straight up: all of it
+        ("link_length", "RL_calf", 0.02, 0.010, 0.020),  # a calf leans
+        ("foot_rolling", "all", 0.01, 0.0098, 0.0102),
+        ("soft_ground", "all", 0.05, -0.010, -0.002),
+    ],
+)
+def test_standing_feet_are_at_another_height(plain, walked, name, target, value, low, high):
+    rise = heights(walked(name, target, value)) - heights(plain)
+    assert low < rise[LEG] < high
+    others = np.delete(rise, LEG)
+    assert (((low < others) & (others < high)) if target == "all" else (abs(others) < 1e-3)).all()
+
+
+def test_hip_offset_leaves_the_leg_as_it_is():
+    spec = robot_spec(SPOT)
+    bare = spec.compile()
+    effect("hip_offset", "FR_x", 0.03).edit_spec(spec, SPOT)
+    places = [place_of_feet(model) for model in (bare, spec.compile())]
+    assert_allclose((places[1] - places[0])[LEGS.index("FR")], [0.03, 0, 0], atol=1e-12)
+    assert not np.delete(places[1] - places[0], LEGS.index("FR"), axis=0).any()
+
+
+def place_of_feet(model):
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return np.array([data.site(f"sole_{leg}").xpos for leg in LEGS])
+
+
+def missing_torque(world: World, motion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What the swinging knee's motor gives beyond MuJoCo's inverse dynamics of the world: its
+    torque [N m], rate [rad/s] and acceleration [rad/s^2]; exact but for what the world lacks."""
+    model, data = world.model, mujoco.MjData(world.model)
+    model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_INVDISCRETE
+    qpos = np.empty((len(motion.t), model.nq))
+    qvel = np.empty((len(motion.t), model.nv))
+    qpos[:, :3], qpos[:, 3:7] = motion.p_GB, quaternion_from_matrix(motion.R_GB)
+    qvel[:, :3], qvel[:, 3:6] = motion.v_GB, motion.w_B
+    qpos[:, world.qpos_adr], qvel[:, world.dof_adr] = motion.q, motion.dq
+    rate, torque = motion.dq[:, J], []
+    swing = np.flatnonzero((motion.force[:, LEG] == 0) & (np.abs(rate[1:]) > 1.0))
+    for k in swing:
+        data.qpos[:], data.qvel[:] = qpos[k], qvel[k]
+        data.qacc[:] = (qvel[k + 1] - qvel[k]) / TIMESTEP
+        mujoco.mj_inverse(model, data)
+        torque.append(motion.tau[k, J] - data.qfrc_inverse[world.dof_adr[J]])
+    return np.array(torque), rate[swing + 1], (np.diff(rate) / TIMESTEP)[swing]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "size"),
+    [
+        ("viscous_friction", 2.0, lambda rate, acceleration: rate),
+        ("coulomb_friction", 2.0, lambda rate, acceleration: np.sign(rate)),
+        ("armature", 0.1, lambda rate, acceleration: acceleration),
+        (None, 0.0, lambda rate, acceleration: rate),
+    ],
+)
+def test_drives_take_the_torque_that_the_effect_says(name, value, size):
+    without = plan(COURSE, SPOT, 3)
+    made = plan(COURSE, SPOT, 3, [effect(name, "RL_calf", value)] if name else [])
+    motion = simulate(made.world, SPOT, made.gait, made.course)
+    torque, rate, acceleration = missing_torque(without.world, motion)
+    expected = value * size(rate, acceleration)
+    assert len(torque) > 100
+    # Dry friction takes a few samples to change sides and as much to slide at full strength.
+    off = np.quantile(np.abs(torque - expected), 0.9)
+    assert off < 0.02 * np.abs(expected).max() + 1e-9
+
+
+def test_payload_is_carried(plain, walked):
+    log = walked("payload", "all", 5.0)
+    still = plain.t < 0.4
+    more = log.force[still].sum(1).mean() - plain.force[still].sum(1).mean()
+    assert more == pytest.approx(5.0 * 9.81, rel=1e-2)
+
+
+def test_a_payload_on_a_payload():
+    spec = robot_spec(SPOT)
+    for mass in (2.0, 3.0):
+        effect("payload", "all", mass).edit_spec(spec, SPOT)
+    assert spec.compile().body_mass.sum() == pytest.approx(SPOT.mass + 5.0)
+
+
+@pytest.mark.parametrize("mode", ["TRUE", "AUTO"])
+def test_com_offset_moves_the_base_alone(mode):
+    spec = robot_spec(SPOT)
+    modes = mujoco.mjtInertiaFromGeom
+    spec.compiler.inertiafromgeom = getattr(modes, f"mjINERTIAFROMGEOM_{mode}")
+    before = spec.compile()
+    effect("com_offset", "y", 0.03).edit_spec(spec, SPOT)
+    after = spec.compile()
+    base = after.body(SPOT.base_name).id
+    moved = after.body_ipos - before.body_ipos
+    assert_allclose(moved[base], [0, 0.03, 0], atol=1e-12)
+    assert_allclose(np.delete(moved, base, axis=0), 0.0, atol=1e-12)
+    assert_allclose(after.body_mass, before.body_mass, rtol=1e-12)
+    assert_allclose(after.body_inertia, before.body_inertia, rtol=1e-9)
+
+
+def test_com_offset_loads_the_feet_towards_which_it_goes(plain, walked):
+    log, still = walked("com_offset", "y", 0.1), plain.t < 0.4
+    left = [x.force[still][:, [0, 2]].sum() / x.force[still].sum() for x in (plain, log)]
+    assert left[1] > left[0] + 0.1
+
+
+def test_foot_slip_takes_friction_from_all_ground(plain, walked):
+    log = walked("foot_slip", "all", 0.75)
+    assert_allclose(log.mu, 0.25 * plain.mu)
+    assert (log.slip > 0.05).sum() > 10 * max(1, (plain.slip > 0.05).sum())
+    strip = Strip((0.0, 0.0), (1.0, 0.0), 1.0, mu=0.5)
+    ground = Ground(0.8, (Patch(1.0, 0.0, 1.0, 1.0, 0.2),), strips=(strip,))
+    less = effect("foot_slip", "all", 0.5).alter_ground(ground)
+    assert (less.mu, less.patches[0].mu, less.strips[0].mu) == (0.4, 0.1, 0.25)
+
+
+def test_the_whole_catalogue_is_here():
+    elsewhere = {
+        *("imu_position", "imu_lowpass", "joint_compliance", "backlash", "clock_scale"),
+        *("hip_offset", "link_length", "foot_rolling", "soft_ground"),
+        *("viscous_friction", "coulomb_friction", "armature"),
+        *("payload", "com_offset", "foot_slip"),
+    }
+    assert elsewhere | {case[0] for case in READINGS} == set(CATALOGUE)
+    explained = {name for name, kind in CATALOGUE.items() if kind.is_explained()}
+    assert all(hasattr(CATALOGUE[name], "step") for name in explained)

@@ -1,0 +1,100 @@
+"""Sensors: contact that is late and wrong as often as told, an IMU's low-pass, encoder offsets."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from sim.errors import SurefootError
+from sim.sensors import Sensors, Streams, corrupt, low_pass, sensed_contact
+
+WEIGHT = 300.0  # N
+RATE = 500.0  # Hz
+
+
+@pytest.fixture
+def streams():
+    """A robot that trots in place: each foot loaded for every other quarter of a second."""
+    t = np.arange(1, 20001) / RATE
+    stands = (4 * t[:, None]).astype(int) % 2 == [0, 1, 1, 0]
+    still = np.zeros((len(t), 12))
+    return Streams(
+        t=t,
+        gyro=np.sin(2 * np.pi * 40.0 * t)[:, None] * np.ones(3),
+        accel=np.tile([0.0, 0.0, 9.81], (len(t), 1)),
+        q=still,
+        dq=still,
+        tau=still,
+        force=np.where(stands, 0.5 * WEIGHT, 0.0),
+    )
+
+
+def rng():
+    return np.random.default_rng(5)
+
+
+def test_contact_is_a_threshold_by_default(streams):
+    sensed = sensed_contact(streams, WEIGHT, Sensors(), rng())
+    assert_array_equal(sensed, streams.force > 0.08 * WEIGHT)
+
+
+def test_contact_is_told_late(streams):
+    sensed = sensed_contact(streams, WEIGHT, Sensors(contact_delay=0.02), rng())
+    assert_array_equal(sensed[10:], (streams.force > 0.08 * WEIGHT)[:-10])
+
+
+def test_contact_is_wrong_as_often_as_told(streams):
+    stands = streams.force > 0
+    sensors = Sensors(contact_missed=0.05, contact_false=0.01)
+    sensed = sensed_contact(streams, WEIGHT, sensors, rng())
+    # 40000 samples of each kind: three standard deviations of the counts.
+    assert (~sensed[stands]).mean() == pytest.approx(0.05, abs=3 * np.sqrt(0.05 * 0.95 / 4e4))
+    assert sensed[~stands].mean() == pytest.approx(0.01, abs=3 * np.sqrt(0.01 * 0.99 / 4e4))
+
+
+def test_encoder_offsets_are_constant_and_leave_the_other_sensors_alone(streams):
+    plain = corrupt(streams, Sensors(), rng())
+    shifted = corrupt(streams, Sensors(encoder_offset=0.02), rng())
+    offset = shifted.q[0] - plain.q[0]
+    assert 0.005 < np.std(offset) < 0.05
+    assert_allclose(shifted.q - plain.q, np.tile(offset, (len(plain.t), 1)), atol=1e-12)
+    for name in ("gyro", "accel", "dq", "tau", "force"):
+        assert_array_equal(getattr(shifted, name), getattr(plain, name))
+
+
+@pytest.mark.parametrize("frequency", [2.0, 20.0, 60.0])
+def test_low_pass_has_the_gain_of_its_bandwidth(frequency):
+    """1 / sqrt(1 + (f tau 2 pi)^2), far below half the sampling rate."""
+    rate, time = 20000.0, 1 / (2 * np.pi * 20.0)
+    t = np.arange(0, 2.0, 1 / rate)
+    wave = low_pass(np.sin(2 * np.pi * frequency * t)[:, None], time, rate)
+    gain = np.sqrt(2) * wave[len(t) // 2 :].std()
+    assert gain == pytest.approx(1 / np.hypot(1.0, frequency / 20.0), rel=0.01)
+
+
+def test_low_pass_starts_at_rest():
+    assert_allclose(low_pass(np.full((50, 3), 9.81), 0.01, RATE), 9.81)
+    x = np.random.default_rng(0).normal(size=(50, 3))
+    assert_array_equal(low_pass(x, 0.0, RATE), x)
+
+
+def test_imu_bandwidth_takes_vibration_away_and_leaves_the_mean(streams):
+    narrow = corrupt(streams, Sensors(imu_bandwidth=10.0), rng())
+    wide = corrupt(streams, Sensors(), rng())
+    assert narrow.gyro.std() < 0.4 * wide.gyro.std()
+    assert_allclose(narrow.accel.mean(0), wide.accel.mean(0), atol=2e-3)
+    assert_array_equal(narrow.q, wide.q)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("gyro_noise", -1.0, "gyro_noise must not be negative, is -1"),
+        ("contact_delay", float("nan"), "contact_delay must not be negative, is nan"),
+        ("contact_missed", 1.5, "contact_missed is a share, from 0 to 1; is 1.5"),
+    ],
+)
+def test_sensors_that_cannot_be(name, value, said):
+    with pytest.raises(SurefootError, match=said):
+        replace(Sensors(), **{name: value})
