@@ -14,7 +14,7 @@ from models.coverage import Coverage, coverage
 from models.predict import Prediction, predict, prediction_errors
 from scenarios.errors import ErrorSeries, error_series
 from scenarios.figures import body_velocity, height, position_error, trajectories
-from scenarios.filters import DESCRIPTIONS, Learnt, Result, declared_model, run_all
+from scenarios.filters import FILTERS, Learnt, Result, declared_model, run_all
 from scenarios.recording import write_recording
 from scenarios.report import Picture, Section, save_picture, write_report
 from scenarios.tables import to_csv, to_markdown
@@ -168,7 +168,7 @@ def _summary_sections(comparisons: Sequence[Comparison], found: pd.DataFrame) ->
         for name, why in comparison.left_out.items()
     ]
     ran = dict.fromkeys(result.filter for c in comparisons for result in c.results)
-    glossary = [{"": name, "means": DESCRIPTIONS[name]} for name in ran]
+    glossary = [{"": name, "means": FILTERS[name].__doc__} for name in ran]
     glossary += [{"": n, "means": text} for n, text in MEANINGS.items() if n in found.columns]
     return [
         Section("Filters compared", "\n\n".join(left_out), found),

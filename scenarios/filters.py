@@ -133,6 +133,7 @@ Run = Callable[[], Trajectory]
 
 
 def _coverage(log: Log, robot: Robot, learnt: Learnt, loss: str | None = None) -> Run:
+    """Set-coverage IEKF, bounds of the mse observer."""
     observer, bounds = learnt.bounded(loss)
     seen = predict(observer, log, robot)
     epsilon = bounds.epsilon_at(robot.R_BI)
@@ -144,10 +145,12 @@ def _coverage(log: Log, robot: Robot, learnt: Learnt, loss: str | None = None) -
 
 
 def _coverage_gml(log: Log, robot: Robot, learnt: Learnt) -> Run:
+    """Set-coverage IEKF on the gml observer's mean: compares update, not network."""
     return _coverage(log, robot, learnt, "gml")
 
 
 def _velocity(log: Log, robot: Robot, learnt: Learnt) -> Run:
+    """Gaussian-velocity IEKF, covariance predicted by the gml observer."""
     seen: Prediction = predict(learnt.gaussian(), log, robot)
     state, covariance = initial_state(log)
     return lambda: run_velocity(
@@ -157,6 +160,7 @@ def _velocity(log: Log, robot: Robot, learnt: Learnt) -> Run:
 
 
 def _leg(log: Log, robot: Robot, _: Learnt, gate: float | None = None) -> Run:
+    """Contact-aided leg IEKF (Hartley)."""
     log.require("q", "contact")
     dq = log.dq if log.has("dq") else joint_velocity(log, causal=True)
     feet_I = robot.feet_I(log.q)
@@ -170,14 +174,17 @@ def _leg(log: Log, robot: Robot, _: Learnt, gate: float | None = None) -> Run:
 
 
 def _leg_slip(log: Log, robot: Robot, learnt: Learnt) -> Run:
+    """Leg IEKF that restarts a contact whose innovation fails a chi-square gate."""
     return _leg(log, robot, learnt, SLIP_GATE)
 
 
 def _imu(log: Log, robot: Robot, _: Learnt) -> Run:
+    """IMU alone: the floor."""
     state, covariance = initial_state(log)
     return lambda: run_imu(log.t, log.gyro, log.accel, state, covariance, LEG_NOISE.imu)
 
 
+# A filter's docstring is what the tables say of it.
 FILTERS: dict[str, Callable[[Log, Robot, Learnt], Run]] = {
     "coverage": _coverage,
     "coverage_gml": _coverage_gml,
@@ -185,12 +192,4 @@ FILTERS: dict[str, Callable[[Log, Robot, Learnt], Run]] = {
     "leg": _leg,
     "leg_slip": _leg_slip,
     "imu": _imu,
-}
-DESCRIPTIONS = {
-    "coverage": "set-coverage IEKF, bounds of the mse observer",
-    "coverage_gml": "set-coverage IEKF on the gml observer's mean: compares update, not network",
-    "velocity": "Gaussian-velocity IEKF, covariance predicted by the gml observer",
-    "leg": "contact-aided leg IEKF (Hartley)",
-    "leg_slip": "leg IEKF that restarts a contact whose innovation fails a chi-square gate",
-    "imu": "IMU alone: the floor",
 }

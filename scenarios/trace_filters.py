@@ -5,18 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimator.initial import initial_state
-from estimator.leg import encoder_covariance, run_leg
 from estimator.metrics import Metrics, evaluate
 from estimator.trajectory import Trajectory, reference
+from scenarios.filters import FILTERS, Learnt
 from sim.effects import Effect, explain_all
-from sim.log import Log, joint_velocity
+from sim.log import Log
 from sim.robot import Robot
 
-ENCODER = 2e-3
-"""rad, the error of a joint angle that the filter reckons with."""
-KINEMATICS = 2e-3
-"""m, that of links, mounts and soles."""
 REPORTED = (
     "ape_trans", "ape_rot", "rpe_trans", "rpe_rot", "velocity", "nees_position", "nees_velocity",
     "nees_attitude",
@@ -43,13 +38,8 @@ def before_and_after(log: Log, robot: Robot, effects: Sequence[Effect]) -> Befor
 
 def leg_trajectory(log: Log, robot: Robot) -> Trajectory:
     """The leg filter over a log that has IMU, joints, contacts and a reference to start from."""
-    q, dq = log.q, joint_velocity(log, causal=True)
-    return run_leg(
-        log.t, log.gyro, log.accel, robot.feet_I(q), log.contact,
-        encoder_covariance(robot.feet_jacobian_I(q), ENCODER, KINEMATICS), *initial_state(log),
-        foot_radius=np.maximum(robot.foot_radius, 0.0),  # pyright: ignore[reportArgumentType]
-        foot_rates_I=robot.foot_rates_I(q, dq),
-    )  # fmt: skip
+    robot = replace(robot, foot_radius=np.maximum(robot.foot_radius, 0.0))
+    return FILTERS["leg"](log, robot, Learnt())()
 
 
 def stretch(log: Log, begin: float, end: float) -> Log | None:

@@ -1,0 +1,110 @@
+"""Commands that make, fetch and show data."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from tyro.conf import Positional
+
+from scenarios.command_parts import Out
+
+
+@dataclass(frozen=True)
+class Simulate:
+    """Walk scenarios, a log for each seed, and an index of them; goes on where it was killed."""
+
+    scenarios: Positional[tuple[Path, ...]]
+    """Scenario files (TOML)."""
+    out: Out
+    """Folder for the logs."""
+    robot: str | None = None
+    """Robot to walk; the scenario's own where left out."""
+    seeds: str = "0"
+    """One seed, or a range such as 0:8."""
+    effects: Path | None = None
+    """File of effects (TOML) to put into the walk."""
+    undeclared: bool = False
+    """Say nothing of the effects in the logs; truth.toml beside them keeps the answer."""
+    workers: int = 1
+    """Walks at once on this machine, each on a thread."""
+    cluster: str | None = None
+    """Address of a Dask scheduler to walk on instead, such as tcp://127.0.0.1:8786."""
+    force: bool = False
+
+    def run(self) -> None:
+        from scenarios.simulate import simulate_all
+
+        simulate_all(
+            self.scenarios,
+            self.out,
+            self.robot,
+            self.seeds,
+            self.effects,
+            self.undeclared,
+            self.force,
+            self.workers,
+            self.cluster,
+        )
+
+
+@dataclass(frozen=True)
+class Import:
+    """A measured log, by a map that says which column is what."""
+
+    kind: Positional[Literal["csv"]]
+    file: Positional[Path]
+    """The CSV file, or the folder that holds it."""
+    map: str
+    """Map file (TOML), or the name of one that surefoot ships."""
+    out: Out
+    """File for the log (.parquet)."""
+    force: bool = False
+
+    def run(self) -> None:
+        from sim.importer import import_csv
+
+        log = import_csv(self.file, self.map)
+        log.write(self.out, self.force)
+        groups = [g for g in ("imu", "q", "dq", "tau", "contact", "reference") if log.has(g)]
+        print(
+            f"{self.out}: {len(log.t)} samples, {log.t[-1] - log.t[0]:.1f} s at {log.rate:.0f} Hz; "
+            f"{', '.join(groups)}"
+        )
+
+
+@dataclass(frozen=True)
+class View:
+    """Open a recording in the rerun viewer."""
+
+    file: Positional[Path]
+    web: bool = False
+    """Serve it to a browser of this machine, on 127.0.0.1."""
+
+    def run(self) -> None:
+        from scenarios.view import view
+
+        view(self.file, self.web)
+
+
+@dataclass(frozen=True)
+class Robots:
+    """List the robots that are known by name."""
+
+    def run(self) -> None:
+        from scenarios.tables import to_markdown
+        from sim.robot import Robot
+        from sim.robot_files import known_robots
+
+        rows = []
+        for name in known_robots():
+            robot = Robot.load(name)
+            rows.append(
+                {
+                    "robot": name,
+                    "mass [kg]": robot.mass,
+                    "leg [m]": robot.leg_length,
+                    "foot radius [m]": robot.foot_radius.mean(),
+                    "largest torque [N m]": robot.torque_limit.max(),
+                }
+            )
+        print(to_markdown(rows))

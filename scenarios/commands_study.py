@@ -1,0 +1,99 @@
+"""Commands that run a whole job: the demo, traces and studies."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from tyro.conf import Positional, UseAppendAction
+
+from scenarios.command_parts import Out, read_logs
+from sim.errors import SurefootError
+
+
+@dataclass(frozen=True)
+class Demo:
+    """The main job end to end: walk, learn, calibrate, three filters, report, .rrd, trace."""
+
+    out: Out = Path("out/demo")
+    """Folder for everything it makes."""
+    seed: int = 0
+    force: bool = False
+    """Overwrite what is in the folder."""
+
+    def run(self) -> None:
+        from scenarios.demo import demo
+
+        demo(self.out, self.seed, self.force)
+
+
+@dataclass(frozen=True)
+class TraceCommand:
+    """Find the effect that the model lacks, and report before and after it is added."""
+
+    logs: Positional[tuple[Path, ...]]
+    out: Out
+    robot: str | None = None
+    """Name or MJCF file; the log's own where left out."""
+    seed: int = 0
+    force: bool = False
+
+    def run(self) -> None:
+        from scenarios.progress import percent_bar
+        from scenarios.trace import trace
+        from scenarios.trace_words import summary
+        from sim.robot import Robot
+
+        logs = read_logs(self.logs)
+        others = sorted({log.meta.robot for log in logs if log.meta.robot})
+        if not self.robot and len(others) > 1:
+            raise SurefootError(
+                f"the logs are of {' and '.join(others)}: trace one robot at a time"
+            )
+        robot = Robot.for_log(logs[0], self.robot)
+        with percent_bar("trace") as tell:
+            found = trace(logs, robot, self.out, self.seed, tell, self.force)
+        print(summary(found))
+        print(f"\nreport: {self.out / 'report.html'}")
+
+
+@dataclass(frozen=True)
+class Montecarlo:
+    """The paper's runtime-accuracy and consistency tables, and regimes beyond them."""
+
+    out: Out
+    trials: int | None = None
+    """Trials in each regime; those of montecarlo.toml where left out."""
+    seed: int | None = None
+    force: bool = False
+
+    def run(self) -> None:
+        from scenarios.montecarlo_report import montecarlo
+
+        montecarlo(self.out, self.trials, self.seed, self.force)
+        print((self.out / "table.md").read_text(encoding="utf-8"))
+        print(f"report: {self.out / 'report.html'}")
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What things cost against what they are measured by, as ratios of one run."""
+
+    rounds: int = 5
+    """Times that each pair runs in turn; the smallest counts."""
+    only: UseAppendAction[tuple[str, ...]] = ()
+    """Items to run; all where left out."""
+
+    def run(self) -> None:
+        from scenarios.bench import ITEMS
+        from scenarios.progress import percent_bar
+        from scenarios.tables import to_markdown
+
+        for name in self.only:
+            if name not in ITEMS:
+                raise SurefootError(f"--only {name}: known are {', '.join(ITEMS)}")
+        if self.rounds < 1:
+            raise SurefootError(f"--rounds {self.rounds}: at least 1")
+        rows = []
+        for name in self.only or ITEMS:
+            with percent_bar(name) as tell:
+                rows.append(ITEMS[name](self.rounds, tell).as_row())
+        print(to_markdown(rows))
