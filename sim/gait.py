@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from sim.foot_motion import foot_motion, sole_motion
 from sim.kinematics import leg_forward
 from sim.relief import height, normal, surface
 from sim.robot import Robot
@@ -111,19 +112,19 @@ def tick(legs, gait, relief, memory, t, p, R, v, w, q, dq, load, target, torque)
     jacobians = np.empty((4, 3, 3))
     mode = np.empty(4, np.int64)
     progress = np.zeros(4)
-    foot, J, axes = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    foot, J, axes, spin = np.empty(3), np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
     loaded = 0.04 * gait.mass * GRAVITY
     for leg in range(4):
         leg_forward(legs, leg, q[3 * leg : 3 * leg + 3], foot, J, axes)
         radius = gait.foot_radius[leg]
-        feet[leg] = p + R @ foot
-        jacobians[leg] = R @ J
-        feet_v[leg] = v + R @ np.cross(w, foot) + jacobians[leg] @ dq[3 * leg : 3 * leg + 3]
-        w_foot = R @ (w + axes @ dq[3 * leg : 3 * leg + 3])
+        foot_motion(
+            p, R, v, w, dq[3 * leg : 3 * leg + 3], foot, J, axes,
+            feet[leg], feet_v[leg], jacobians[leg], spin,
+        )  # fmt: skip
         normals[leg, 0], normals[leg, 1], normals[leg, 2] = normal(
             relief, feet[leg, 0], feet[leg, 1]
         )
-        sole_v[leg] = feet_v[leg] - np.cross(w_foot, radius * normals[leg])
+        sole_motion(feet_v[leg], spin, radius, normals[leg], sole_v[leg])
         phase = 0.0
         if t >= gait.start:
             phase = ((t - gait.start) / gait.period + gait.phase[leg]) % 1.0
