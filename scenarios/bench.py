@@ -49,7 +49,7 @@ def in_turn(
     return min(a for a, _ in times[1:]), min(b for _, b in times[1:])
 
 
-def walking(rounds: int, tell: Tell | None = None, robots: int = 8, threads: int = 0) -> Ratio:
+def walking(rounds: int, tell: Tell | None = None, robots: int = 4, threads: int = 0) -> Ratio:
     """Simulated walking against `mujoco.rollout` of the recorded controls; threads 0: all cores."""
     threads = threads or os.cpu_count() or 1
     pair = race(robots, threads)

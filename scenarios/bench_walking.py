@@ -15,7 +15,7 @@ from sim.walk import plan, simulate
 
 COURSE = Scenario(
     "bench",
-    (Segment(4.0, 0.7), Segment(3.0, 0.4, turn=0.5), Segment(2.0, 0.6, lateral=0.1)),
+    (Segment(4.0, 0.7), Segment(2.0, 0.4, turn=0.5), Segment(2.0, 0.6, lateral=0.1)),
     Ground(0.8, (Patch(2.0, 0.0, 1.0, 2.0, 0.2),), 20.0),
     ranges=Ranges(mu=(0.9, 1.1), payload=(1.0, 3.0)),
 )
