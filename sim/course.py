@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from sim.scenario import Segment
 
@@ -41,10 +42,13 @@ def lay_course(
     return Course(np.arange(len(yaw)) * dt, np.column_stack([x, y, yaw]), velocity)
 
 
-def _ramped(target: np.ndarray, step: np.ndarray) -> np.ndarray:
-    velocity = np.zeros_like(target)
+@njit(cache=True)
+def _ramped(target, step):
+    """`target` (N, 3) followed from rest, by at most `step` (3,) a row."""
+    velocity = np.empty_like(target)
     now = np.zeros(3)
     for k in range(len(target)):
-        now = now + np.clip(target[k] - now, -step, step)
-        velocity[k] = now
+        for a in range(3):
+            now[a] += min(max(target[k, a] - now[a], -step[a]), step[a])
+            velocity[k, a] = now[a]
     return velocity
