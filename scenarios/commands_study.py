@@ -77,7 +77,7 @@ class Montecarlo:
 class Bench:
     """What things cost against what they are measured by, as ratios of one run."""
 
-    rounds: int = 5
+    rounds: int = 12
     """Times that each pair runs in turn; the smallest counts."""
     only: UseAppendAction[tuple[str, ...]] = ()
     """Items to run; all where left out."""

@@ -1,6 +1,7 @@
 """Many walks: scenarios times seeds, one log each, and an index; goes on where it was killed."""
 
 import os
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -45,8 +46,7 @@ def simulate_all(
     journal = Journal(out)
     _guard_truth(out, chosen if undeclared else (), journal, force)
     todo = jobs if force else [job for job in jobs if not _done(journal, job)]
-    for job in todo:
-        _clear_debris(out, job)
+    _clear_debris(out, {log_name(job) for job in todo})
     with percent_bar("simulate") as tell:
         if cluster:
             rows = walk_on_cluster(cluster, todo, out, force, tell)
@@ -94,9 +94,8 @@ def _jobs(
             raise SurefootError(f"scenario {path}: names no robot: say which with --robot")
         known_robot(name)
         jobs += [Job(scenario, name, seed, effects, declared) for seed in seeds]
-    names = [log_name(job) for job in jobs]
-    for name in names:
-        if names.count(name) > 1:
+    for name, count in Counter(map(log_name, jobs)).items():
+        if count > 1:
             raise SurefootError(f"two scenarios would write {name}.parquet: name them differently")
     return jobs
 
@@ -140,12 +139,15 @@ def _done(journal: Journal, job: Job) -> bool:
     return True
 
 
-def _clear_debris(out: Path, job: Job) -> None:
-    """Remove what killed writers left of a log; those of running ones stay."""
-    for path in out.glob(f".{log_name(job)}.parquet.*.tmp"):
+def _clear_debris(out: Path, names: set[str]) -> None:
+    """Remove what killed writers left of these logs; what running ones write stays."""
+    for path in out.glob(".*.parquet.*.tmp"):
+        name, _, number = path.stem[1:].rpartition(".parquet.")
+        if name not in names or not number.isdigit():
+            continue
         try:
-            os.kill(int(path.suffixes[-2][1:]), 0)
-        except (ProcessLookupError, ValueError):
+            os.kill(int(number), 0)
+        except ProcessLookupError:
             path.unlink(missing_ok=True)
         except OSError:
             continue

@@ -184,6 +184,21 @@ def test_killed_and_started_again_it_ends_with_the_same_bits(folder):
     assert not list(Path("walks").glob(".*.tmp"))
 
 
+def test_debris_of_a_dead_writer_goes_and_that_of_a_living_one_stays(folder):
+    Path("walks").mkdir()
+    dead = subprocess.Popen([sys.executable, "-c", ""])
+    dead.wait()
+    gone, ours = (Path(f"walks/.short_0.parquet.{n}.tmp") for n in (dead.pid, os.getpid()))
+    other = Path(f"walks/.theirs.parquet.{dead.pid}.tmp")
+    living = Path(f"walks/.short_1.parquet.{os.getppid()}.tmp")
+    for path in (gone, ours, other, living):
+        path.write_text("half")
+    simulate_all([Path("short.toml")], Path("walks"), seeds="0:2")
+    assert not gone.exists()
+    assert other.exists()
+    assert living.exists()
+
+
 def test_names_that_collide_are_refused(folder):
     (folder / "twin.toml").write_text(COURSE)
     with pytest.raises(SurefootError, match=r"short_0\.parquet"):
