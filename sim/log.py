@@ -74,7 +74,7 @@ class Meta:
 
 @dataclass(frozen=True)
 class Log:
-    """One walk: `frame` has one float64 column each as DESIGN's table names them, a row a sample.
+    """One walk: `frame` has a float64 column each (`t`, `gyro_x`, `q_FL_hip` ...), a row a sample.
 
     The properties give fresh contiguous arrays in SI units; each raises LogError where its columns
     are missing. J joints in canonical order (leg-major over FL, FR, RL, RR), so a quadruped's
