@@ -1,6 +1,5 @@
 """What the Monte-Carlo study draws from: `montecarlo.toml`, schema-checked, as frozen data."""
 
-import tomllib
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, TypeVar
@@ -9,6 +8,7 @@ import numpy as np
 
 from estimator.initial import InitialStd
 from sim.errors import SurefootError
+from sim.files import read_toml
 
 T = TypeVar("T")
 BUNDLED = Path(__file__).with_name("montecarlo.toml")
@@ -130,12 +130,7 @@ class Study:
 def load_study(path: str | Path = BUNDLED) -> Study:
     """The study of a file. Raises SurefootError, one line with file and key, where it is bad."""
     path = Path(path)
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SurefootError(f"{path}: {error.strerror or error}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SurefootError(f"{path}: not valid TOML: {error}") from None
+    table = read_toml(path)
     try:
         study = _study(table)
     except SurefootError as error:

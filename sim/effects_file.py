@@ -1,6 +1,5 @@
 """Files of effects: TOML with one [[effect]] of name, target, value and unit each."""
 
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -9,7 +8,7 @@ import numpy as np
 
 from sim.effects import CATALOGUE, Effect, effect
 from sim.errors import SurefootError
-from sim.files import whole_file
+from sim.files import read_toml, whole_file
 
 KEYS = ("name", "target", "value", "unit")
 
@@ -17,12 +16,7 @@ KEYS = ("name", "target", "value", "unit")
 def load_effects(path: str | Path) -> tuple[Effect, ...]:
     """The effects of a file. Raises SurefootError, one line with file, entry and key, if bad."""
     path = Path(path)
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SurefootError(f"effects {path}: {error.strerror or error}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SurefootError(f"effects {path}: not valid TOML: {error}") from None
+    table = read_toml(path, "effects")
     unknown = sorted(set(table) - {"effect"})
     if unknown:
         raise SurefootError(f"effects {path}: unknown key '{unknown[0]}'; known: effect")

@@ -1,9 +1,11 @@
 """Files that are either whole or not there: every writer of the product goes through here."""
 
 import os
+import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from sim.errors import SurefootError
 
@@ -12,6 +14,17 @@ def refuse_overwrite(path: str | Path, force: bool) -> None:
     """Raises SurefootError where `path` exists, unless `force`: called before long work starts."""
     if Path(path).exists() and not force:
         raise SurefootError(f"{path}: exists already; give --force (force=True) to overwrite it")
+
+
+def read_toml(path: Path, what: str = "") -> dict[str, Any]:
+    """The tables of a TOML file. Raises SurefootError, one line that starts with `what`, path."""
+    name = f"{what} {path}".lstrip()
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SurefootError(f"{name}: {error.strerror or error}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SurefootError(f"{name}: not valid TOML: {error}") from None
 
 
 @contextmanager

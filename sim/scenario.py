@@ -1,6 +1,5 @@
 """Scenario files: a course, the ground under it, and what a seed may vary. TOML, schema-checked."""
 
-import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from sim.errors import SurefootError
+from sim.files import read_toml
 from sim.sensors import Sensors
 from sim.terrain import Ground, Patch, Strip
 
@@ -62,12 +62,7 @@ class Scenario:
     def load(cls, path: str | Path) -> "Scenario":
         """Read a scenario file. Raises SurefootError naming the file and the key at fault."""
         path = Path(path)
-        try:
-            table = tomllib.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise SurefootError(f"scenario {path}: {error.strerror or error}") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise SurefootError(f"scenario {path}: not valid TOML: {error}") from None
+        table = read_toml(path, "scenario")
         try:
             return _scenario(table, path.stem)
         except SurefootError as error:
