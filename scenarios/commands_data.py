@@ -51,9 +51,9 @@ class Simulate:
 class Import:
     """A measured log, by a map that says which column is what."""
 
-    kind: Positional[Literal["csv"]]
+    kind: Positional[Literal["csv", "bag"]]
     file: Positional[Path]
-    """The CSV file, or the folder that holds it."""
+    """The CSV file, or the folder that holds it; a ROS 1, ROS 2 or MCAP bag."""
     map: str
     """Map file (TOML), or the name of one that surefoot ships."""
     out: Out
@@ -61,9 +61,11 @@ class Import:
     force: bool = False
 
     def run(self) -> None:
+        from sim.bag_importer import import_bag
         from sim.importer import import_csv
 
-        log = import_csv(self.file, self.map)
+        read = import_bag if self.kind == "bag" else import_csv
+        log = read(self.file, self.map)
         log.write(self.out, self.force)
         groups = [g for g in ("imu", "q", "dq", "tau", "contact", "reference") if log.has(g)]
         print(

@@ -1,8 +1,10 @@
 """An import map: the TOML file that says what the columns of somebody's recording are.
 
     [source]     file, rate (Hz, where there is no time column)
-    [columns]    <log column> = "their column" | { column, unit, sign }
-    [reference]  file, frame ("imu" | "base"), and [reference.columns] as above, with a t of its own
+    [columns]    <log column> = "their column" | { column, unit, sign }; a bag's columns are
+                 "topic:field.path" (`sim.bag_table`), and the topic of t is the log's clock
+    [reference]  file (not of a bag), frame ("imu" | "base"), and [reference.columns] as above, with
+                 a t of its own
     [robot]      name, imu_position (m, in B), imu_orientation (w, x, y, z of I in B), foot_radius,
                  joint_sign and joint_offset by joint: q = sign * theirs + offset. Without a
                  foot_radius the declared model has feet that do not roll: a map declares only
@@ -47,9 +49,9 @@ class Column:
 
 @dataclass(frozen=True)
 class Reference:
-    """The reference's own file beside the main one, its columns, and whose pose it holds."""
+    """The reference's own file beside the main one (None in a bag), its columns, whose pose."""
 
-    file: str
+    file: str | None
     columns: dict[str, Column]
     frame: str = "imu"
 
@@ -141,7 +143,7 @@ def _source(section: dict[str, Any]) -> dict[str, Any]:
 
 
 def _reference(section: dict[str, Any]) -> dict[str, Any]:
-    _keys("reference", section, required=("file", "columns"), optional=("frame",))
+    _keys("reference", section, required=("columns",), optional=("file", "frame"))
     columns = _columns("reference.columns", section["columns"])
     needed = ("t", *GROUPS["reference"])
     for name in needed:
@@ -153,7 +155,8 @@ def _reference(section: dict[str, Any]) -> dict[str, Any]:
     frame = section.get("frame", "imu")
     if frame not in ("imu", "base"):
         raise SurefootError(f'[reference] frame is {frame!r}, not "imu" or "base"')
-    return {"reference": Reference(_text("reference", "file", section["file"]), columns, frame)}
+    file = _text("reference", "file", section["file"]) if "file" in section else None
+    return {"reference": Reference(file, columns, frame)}
 
 
 def _robot(section: dict[str, Any]) -> dict[str, Any]:

@@ -33,13 +33,21 @@ def import_csv(path: str | Path, map_path: str | Path) -> Log:
         if rules.file is None:
             raise SurefootError(f"{path}: is a folder, and {rules.path} has no [source] file")
         path = path / rules.file
-    main = _read_table(path, rules.columns)
+    main = _read_csv_table(path, rules.columns)
     reference = None
     if rules.reference is not None:
-        reference = _read_table(path.parent / rules.reference.file, rules.reference.columns)
-        _unit_quaternions(path.parent / rules.reference.file, reference)
+        if rules.reference.file is None:
+            raise SurefootError(f"{rules.path}: [reference] file is missing")
+        beside = path.parent / rules.reference.file
+        reference = _read_csv_table(beside, rules.reference.columns)
+        unit_quaternions(beside, reference)
+    return checked_log(main, reference, rules, path)
+
+
+def checked_log(main: Table, reference: Table | None, rules: ImportMap, path: Path) -> Log:
+    """The log of tables in SI units, every column checked. Raises LogError naming path and map."""
     if "ref_q_w" in main:
-        _unit_quaternions(path, main)
+        unit_quaternions(path, main)
     log = log_from_tables(main, reference, rules, path.stem)
     try:
         check_frame(log.frame, log.rate)
@@ -147,22 +155,30 @@ def _base_to_imu(p: np.ndarray, q: np.ndarray, rules: ImportMap) -> tuple[np.nda
     return p + R_GB @ np.array(rules.model["p_BI"]), quaternion_from_matrix(R_GB @ R_BI)
 
 
-def _read_table(path: Path, columns: dict[str, Column]) -> Table:
+def _read_csv_table(path: Path, columns: dict[str, Column]) -> Table:
     cells = read_csv(path, sorted({column.theirs for column in columns.values()}))
     table = {name: column.scale * cells[column.theirs] for name, column in columns.items()}
     if "t" in table:
-        bad = np.flatnonzero(np.diff(table["t"]) <= 0.0)
-        if bad.size:
-            row = int(bad[0]) + 1
-            how = "duplicate stamp" if table["t"][row] == table["t"][row - 1] else "jumps back"
-            raise LogError(
-                f"{path}: column {columns['t'].theirs!r}, line {row + 2}: {how},"
-                f" {table['t'][row - 1]:.9g} s then {table['t'][row]:.9g} s"
-            )
+        check_rising(table["t"], path, columns["t"].theirs, "line", 2)
     return table
 
 
-def _unit_quaternions(path: Path, table: Table) -> None:
+def check_rising(t: np.ndarray, path: Path, column: str, unit: str, first: int) -> None:
+    """Raise LogError at the first time that does not come after the one before it.
+
+    Rows are counted in `unit`s from `first`.
+    """
+    bad = np.flatnonzero(np.diff(t) <= 0.0)
+    if bad.size:
+        row = int(bad[0]) + 1
+        how = "duplicate stamp" if t[row] == t[row - 1] else "jumps back"
+        raise LogError(
+            f"{path}: column {column!r}, {unit} {row + first}: {how},"
+            f" {t[row - 1]:.9g} s then {t[row]:.9g} s"
+        )
+
+
+def unit_quaternions(path: Path, table: Table) -> None:
     """Normalise decimals to unit length; raise where they were never a rotation."""
     q = np.column_stack([table[f"ref_q_{axis}"] for axis in "wxyz"])
     norm = np.linalg.norm(q, axis=1)

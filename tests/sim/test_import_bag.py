@@ -1,0 +1,163 @@
+"""Importing bags: the same readings in ROS 1, ROS 2 and MCAP, by construction; one line a fault."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_typestore
+
+from sim.bag_importer import import_bag
+from sim.errors import SurefootError
+from sim.log import Log
+
+MAP = """
+[columns]
+t = "/imu:header.stamp"
+gyro_x = { column = "/imu:angular_velocity.x", unit = "deg/s" }
+gyro_y = "/imu:angular_velocity.y"
+gyro_z = "/imu:angular_velocity.z"
+accel_x = "/imu:linear_acceleration.x"
+accel_y = "/imu:linear_acceleration.y"
+accel_z = "/imu:linear_acceleration.z"
+q_knee = "/joints:position[knee]"
+dq_knee = "/joints:velocity[1]"
+contact_FL = "/joints:effort[0]"
+contact_FR = "/joints:effort[0]"
+contact_RL = "/joints:effort[0]"
+contact_RR = "/joints:effort[0]"
+[reference]
+[reference.columns]
+t = "/mocap:received"
+ref_p_x = "/mocap:pose.position.x"
+ref_p_y = "/mocap:pose.position.y"
+ref_p_z = "/mocap:pose.position.z"
+ref_q_w = "/mocap:pose.orientation.w"
+ref_q_x = "/mocap:pose.orientation.x"
+ref_q_y = "/mocap:pose.orientation.y"
+ref_q_z = "/mocap:pose.orientation.z"
+[robot]
+name = "hopper"
+"""
+EPOCH = 1_700_000_000_123_456_789  # ns
+TYPES = {
+    "/imu": "sensor_msgs/msg/Imu",
+    "/joints": "sensor_msgs/msg/JointState",
+    "/mocap": "geometry_msgs/msg/PoseStamped",
+}
+
+
+def messages(types: Any, ros1: bool):
+    """(topic, time received [ns], message): the IMU at 200 Hz, joints at 100 Hz 2 ms off, poses."""
+    T = types.types
+    seq = {"seq": 0} if ros1 else {}
+
+    def header(ns: int):
+        stamp = T["builtin_interfaces/msg/Time"](sec=ns // 10**9, nanosec=ns % 10**9)
+        return T["std_msgs/msg/Header"](stamp=stamp, frame_id="", **seq)
+
+    def vector(x: float, y: float, z: float):
+        return T["geometry_msgs/msg/Vector3"](x=x, y=y, z=z)
+
+    quaternion = T["geometry_msgs/msg/Quaternion"](w=1.0, x=0.0, y=0.0, z=0.0)
+    for k in range(200):
+        ns = EPOCH + 5_000_000 * k
+        imu = T[TYPES["/imu"]](
+            header(ns), quaternion, np.zeros(9), vector(180.0, 0.1, 1e-3 * k), np.zeros(9),
+            vector(0.0, 0.0, 9.81), np.zeros(9),
+        )  # fmt: skip
+        yield "/imu", ns + 700_000, imu
+        if k % 2 == 0:
+            ns += 2_000_000
+            at = 1e-9 * (ns - EPOCH)
+            joints = T[TYPES["/joints"]](
+                header(ns), ["hip", "knee"], np.array([9.0, 2.0 * at]), np.array([9.0, 2.0]),
+                np.array([float(at > 0.5), 0.0]),
+            )  # fmt: skip
+            yield "/joints", ns + 100_000, joints
+        if k % 4 == 0:
+            ns = EPOCH + 5_000_000 * k
+            point = T["geometry_msgs/msg/Point"](x=3e-9 * (ns - EPOCH), y=0.0, z=0.5)
+            pose = T["geometry_msgs/msg/Pose"](point, quaternion)
+            yield "/mocap", ns + 1_000, T[TYPES["/mocap"]](header(0), pose)
+
+
+def write_bag(path: Path, kind: str) -> Path:
+    ros1 = kind == "ros1"
+    types = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    if ros1:
+        path = path.with_suffix(".bag")
+        writer, encode = Writer1(path), types.serialize_ros1
+    else:
+        plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
+        writer, encode = Writer2(path, version=9, storage_plugin=plugin), types.serialize_cdr
+    with writer:
+        topics = {topic: writer.add_connection(topic, t, typestore=types)
+                  for topic, t in TYPES.items()}  # fmt: skip
+        for topic, received, message in messages(types, ros1):
+            writer.write(topics[topic], received, encode(message, TYPES[topic]))
+    return path
+
+
+@pytest.fixture
+def map_file(tmp_path):
+    path = tmp_path / "map.toml"
+    path.write_text(MAP)
+    return path
+
+
+@pytest.mark.parametrize("kind", ["ros1", "sqlite3", "mcap"])
+def test_every_kind_of_bag_gives_the_readings_that_went_in(tmp_path, map_file, kind):
+    log = import_bag(write_bag(tmp_path / "run", kind), map_file)
+    log.write(tmp_path / "log.parquet")
+    log = Log.read(tmp_path / "log.parquet")
+    # From the second IMU sample, the first after a joint reading, to the last pose.
+    assert log.t[0] == pytest.approx(0.005 - 1e-6, abs=2e-6)
+    np.testing.assert_allclose(np.diff(log.t), 0.005, atol=1e-9)
+    assert log.rate == pytest.approx(200.0)
+    np.testing.assert_allclose(log.gyro[:, 0], np.pi)
+    np.testing.assert_allclose(log.frame["q_knee"], 2.0 * log.t, atol=3e-6)
+    np.testing.assert_allclose(log.frame["dq_knee"], 2.0)
+    np.testing.assert_allclose(log.ref_p[:, 0], 3.0 * log.t, atol=1e-5)
+    # A contact is what was last said, not what lies between two messages.
+    joints_at = 0.01 * np.floor((log.t - 0.002 + 1e-6) / 0.01) + 0.002
+    np.testing.assert_array_equal(log.contact[:, 0], joints_at > 0.5)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("/joints:position[knee]", "/legs:position[knee]", "no topic '/legs' (there are /imu"),
+        ("/joints:position[knee]", "/joints:position[ankle]", "the messages have no such field"),
+        ("/joints:position[knee]", "/joints:position[7]", "the messages have no such field"),
+        ("/joints:position[knee]", "/joints:torque", "the messages have no such field"),
+        ("/joints:position[knee]", "/joints:position", "is not a number"),
+        ("/joints:position[knee]", "position", "topic:field.path"),
+        ("/joints:position[knee]", "/joints:a b", "cannot read the path"),
+        ("[reference]\n", '[reference]\nfile = "x.csv"\n', "does not go with a bag"),
+        ("ref_q_z = ", 'ref_q_z = "/imu:orientation.z" #', "are of /imu and /mocap"),
+        ("/mocap:received", "/mocap:header.stamp", "duplicate stamp"),
+    ],
+)
+def test_a_fault_is_one_line_that_names_it(tmp_path, old, new, said):
+    map_file = tmp_path / "map.toml"
+    map_file.write_text(MAP.replace(old, new))
+    bag = write_bag(tmp_path / "run", "sqlite3")
+    with pytest.raises(SurefootError) as caught:
+        import_bag(bag, map_file)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_what_is_no_bag_is_said_in_one_line(tmp_path, map_file):
+    with pytest.raises(SurefootError, match="no such file"):
+        import_bag(tmp_path / "nothing.bag", map_file)
+    for name in ("noise.bag", "noise.mcap", "noise.db3"):
+        (tmp_path / name).write_bytes(b"noise" * 100)
+        with pytest.raises(SurefootError) as caught:
+            import_bag(tmp_path / name, map_file)
+        assert name in str(caught.value)
+        assert "\n" not in str(caught.value)
