@@ -14,6 +14,17 @@ loses every digit as pi -> 1:
     Sigma+ = (1 - alpha) Sigma + alpha Sigma_C + alpha (1 - alpha) (mu_C - mu)(mu_C - mu)^T,
 
 the values of eq. moment_matching, positive definite by construction for every pi in [0, gamma).
+
+The matched Gaussian p+ holds pi+ of mass in C, and pi < pi+ <= gamma (the paper's remark, observed
+there) holds for every set C and every gamma. q has the least KL to the prior, kl(gamma || pi) in
+terms of two outcomes; matching moments projects q on the Gaussians, of which the prior is one, so
+
+    kl(gamma || pi) = KL(q || p) = KL(q || p+) + KL(p+ || p) >= kl(gamma || pi+) + kl(pi+ || pi),
+
+the last step because telling only C from its complement loses divergence. For two outcomes the
+left side exceeds the right one by (gamma - pi+) (logit pi+ - logit pi), therefore >= 0: pi+ lies
+between pi and gamma. It is pi or gamma only if p+ = p, which no box allows (a truncated variance is
+smaller). So the projection can be repeated, and pi climbs towards gamma: `iterations`.
 """
 
 import numpy as np
@@ -49,12 +60,15 @@ def posterior_moments(mean, cov, lower, upper, gamma: float, mean_plus, cov_plus
 
 
 @njit(cache=True)
-def update_coverage(mean, covariance, contacts: int, v_I, epsilon, gamma: float) -> float:
-    """Algorithm 1 of the paper on the packed state, in place; returns pi.
+def update_coverage(
+    mean, covariance, contacts: int, v_I, epsilon, gamma: float, iterations: int = 1
+) -> float:
+    """Algorithm 1 of the paper on the packed state, in place; returns pi of the prior.
 
     v_I (3,) [m/s] is the pseudo-measurement of the IMU's velocity in I, epsilon (3,) [m/s] its
     bounds and gamma their JOINT level: P(|v_I - v_I true| <= epsilon) >= gamma. With z = H delta X
-    (eq. setup_feasible_set_lie_linear_augmented) the box is v_I - v_I_bar -+ epsilon.
+    (eq. setup_feasible_set_lie_linear_augmented) the box is v_I - v_I_bar -+ epsilon. The posterior
+    of z is projected and matched up to `iterations` times, once in the paper, and lifted once.
     """
     n = covariance.shape[0]
     PHt, S, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
@@ -66,5 +80,12 @@ def update_coverage(mean, covariance, contacts: int, v_I, epsilon, gamma: float)
     z_mean, z_cov = np.empty(3), np.empty((3, 3))
     pi = posterior_moments(np.zeros(3), S, lower, upper, gamma, z_mean, z_cov)
     if pi < gamma:
+        for _ in range(iterations - 1):
+            before = z_mean.copy(), z_cov.copy()
+            if (
+                not posterior_moments(before[0], before[1], lower, upper, gamma, z_mean, z_cov)
+                < gamma
+            ):
+                break
         lift(mean, covariance, contacts, PHt, S, z_mean, z_cov)
     return pi

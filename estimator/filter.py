@@ -51,17 +51,22 @@ class InvariantFilter:
             self._rotation_columns,
         )
 
-    def update_coverage(self, v_I: np.ndarray, epsilon: np.ndarray, gamma: float) -> float:
+    def update_coverage(
+        self, v_I: np.ndarray, epsilon: np.ndarray, gamma: float, iterations: int = 1
+    ) -> float:
         """Algorithm 1 with P(|v_I - true v_I| <= epsilon) >= gamma, gamma the JOINT level.
 
         v_I (3,) and epsilon (3,) > 0 in m/s, in I. Returns pi, the prior mass inside the bounds
-        (eq. pi_def_error_state); the state changed if pi < gamma.
+        (eq. pi_def_error_state); the state changed if pi < gamma. More than one of `iterations`
+        repeats the projection, so that the posterior holds closer to gamma.
         """
         v_I, epsilon = vector("v_I", v_I), vector("epsilon", epsilon)
         if not min(epsilon.tolist()) > 0:
             _bounds(epsilon, (3,))
-        _check_gamma(gamma)
-        return update_coverage(self._mean, self._covariance, 0, v_I, epsilon, float(gamma))
+        _check_gamma(gamma, iterations)
+        return update_coverage(
+            self._mean, self._covariance, 0, v_I, epsilon, float(gamma), int(iterations)
+        )
 
     def update_velocity(self, v_I: np.ndarray, cov: np.ndarray) -> float:
         """Gaussian update with v_I (3,) [m/s] in I and its covariance (3, 3). Returns the squared
@@ -111,29 +116,30 @@ def run_velocity(
 
 def run_coverage(
     t, gyro, accel, rows, v_I, epsilon, gamma, state, covariance, noise=None, stride=None,
-    persistent=None,
+    persistent=None, iterations: int = 1,
 ) -> Trajectory:  # fmt: skip
     """Coverage updates over a whole log, one compiled loop with the numbers of `InvariantFilter`.
 
     t (N,) [s], gyro (N, 3) and accel (N, 3): row k holds the means over (t[k-1], t[k]], so row 0
     is where `state` stands and predicts nothing. rows (M,) are the increasing row indices of the
     measurements v_I (M, 3) [m/s], each applied after its row's prediction; epsilon (3,) or (M, 3)
-    [m/s], gamma the joint level. Output every `stride` rows, by default at 100 Hz.
+    [m/s], gamma the joint level, `iterations` as `InvariantFilter.update_coverage`. Output every
+    `stride` rows, by default at 100 Hz.
     """
     v_I = numbers("v_I", v_I, (-1, 3))
     if np.ndim(epsilon) == 1:
         epsilon = np.broadcast_to(_bounds(epsilon, (3,)), v_I.shape)
     epsilon = _bounds(epsilon, v_I.shape)
-    _check_gamma(gamma)
+    _check_gamma(gamma, iterations)
     return _run(
         t, gyro, accel, rows, v_I, epsilon, None, gamma, state, covariance, noise, stride,
-        persistent,
+        persistent, iterations,
     )  # fmt: skip
 
 
 def _run(
     t, gyro, accel, rows, v_I, epsilon, cov, gamma, state, covariance, noise, stride,
-    persistent=None,
+    persistent=None, iterations=1,
 ):  # fmt: skip
     t, gyro, accel, stride = imu_arrays(t, gyro, accel, stride)
     rows = row_indices(rows, len(v_I), len(t))
@@ -144,7 +150,7 @@ def _run(
         t, gyro, accel, rows, v_I,
         np.zeros((0, 3)) if epsilon is None else epsilon,
         np.zeros((0, 3, 3)) if cov is None else cov,
-        float(gamma), mean, P, (noise or FilterNoise()).packed(), *_work(mean),
+        float(gamma), int(iterations), mean, P, (noise or FilterNoise()).packed(), *_work(mean),
         stride, out_mean, out_cov, pi,
     )  # fmt: skip
     updates = None
@@ -157,8 +163,8 @@ def _run(
 
 @njit(cache=True)
 def _loop(
-    t, gyro, accel, rows, v_I, epsilon, cov, gamma, mean, P, noise, columns, rotation_columns,
-    stride, out_mean, out_cov, pi,
+    t, gyro, accel, rows, v_I, epsilon, cov, gamma, iterations, mean, P, noise, columns,
+    rotation_columns, stride, out_mean, out_cov, pi,
 ):  # fmt: skip
     m = 0
     for k in range(t.shape[0]):
@@ -167,7 +173,7 @@ def _loop(
             propagate(mean, P, gyro[k], accel[k], dt, noise, columns, rotation_columns)
         if m < rows.shape[0] and rows[m] == k:
             if epsilon.shape[0] > 0:
-                pi[m] = update_coverage(mean, P, 0, v_I[m], epsilon[m], gamma)
+                pi[m] = update_coverage(mean, P, 0, v_I[m], epsilon[m], gamma, iterations)
             else:
                 update_velocity(mean, P, 0, v_I[m], cov[m])
             m += 1
@@ -237,6 +243,8 @@ def _bounds(epsilon, shape) -> np.ndarray:
     return epsilon
 
 
-def _check_gamma(gamma: float) -> None:
+def _check_gamma(gamma: float, iterations: int) -> None:
     if not 0.0 < gamma < 1.0:
         raise SurefootError(f"gamma: {gamma} where a number inside (0, 1) is expected")
+    if not 1 <= iterations <= 1000:
+        raise SurefootError(f"iterations: {iterations} where a whole number in 1..1000 is expected")

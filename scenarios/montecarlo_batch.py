@@ -26,13 +26,15 @@ class Setting:
     """One filter of the study: a Gaussian update with R, or coverage with epsilon at gamma.
 
     R (3, 3) [m^2/s^2] or None; epsilon (3,) [m/s], gamma the joint level; persistent (3, 3)
-    [m^2/s^2] the prior of the persistent error, None without those states.
+    [m^2/s^2] the prior of the persistent error, None without those states; iterations of the
+    projection in one coverage update.
     """
 
     R: np.ndarray | None = None
     epsilon: np.ndarray | None = None
     gamma: float = 0.0
     persistent: np.ndarray | None = None
+    iterations: int = 1
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,7 @@ def run_batch(
         _run(
             truth.t, trials.gyro[part], trials.accel[part], trials.v_I[part], study.per_update,
             gaussian, np.ascontiguousarray(R), np.ascontiguousarray(epsilon), setting.gamma,
-            means[part], start, noise, true_p, study.per_score,
+            setting.iterations, means[part], start, noise, true_p, study.per_score,
             distance[part], nees[part], active[part],
         )  # fmt: skip
         return part.stop - part.start
@@ -104,8 +106,8 @@ def run_batch(
 
 @njit(nogil=True, cache=True)
 def _run(
-    t, gyro, accel, v_I, per_update, gaussian, R, epsilon, gamma, means, start, noise, true_p,
-    per_score, distance, nees, active,
+    t, gyro, accel, v_I, per_update, gaussian, R, epsilon, gamma, iterations, means, start, noise,
+    true_p, per_score, distance, nees, active,
 ):  # fmt: skip
     """A chunk of trials, one after the other, into distance, nees and active."""
     n = start.shape[0]
@@ -124,7 +126,9 @@ def _run(
                     update_velocity(mean, covariance, 0, v_I[trial, m], R)
                     changed += 1
                 elif not _holds_already(mean, covariance, v_I[trial, m], epsilon, gamma):
-                    pi = update_coverage(mean, covariance, 0, v_I[trial, m], epsilon, gamma)
+                    pi = update_coverage(
+                        mean, covariance, 0, v_I[trial, m], epsilon, gamma, iterations
+                    )
                     if pi < gamma:
                         changed += 1
             if k % per_score == 0:

@@ -151,20 +151,6 @@ def test_lift_keeps_the_conditional_and_replaces_the_marginal():
     assert np.all(moved < np.abs(r)), "the estimate moves towards the statement"
 
 
-def test_feasible_mass_rises_towards_gamma():
-    """The paper's remark: pi < pi+ <= gamma, about, after moment matching."""
-    rng = np.random.default_rng(9)
-    for _ in range(50):
-        A = rng.normal(size=(3, 3))
-        cov = A @ A.T + 0.05 * np.eye(3)
-        centre = rng.normal(size=3)
-        half = rng.uniform(0.2, 1.0, size=3)
-        lower, upper = centre - half, centre + half
-        pi, mean, out = posterior(np.zeros(3), cov, lower, upper, 0.8)
-        if pi < 0.8:
-            assert posterior(mean, out, lower, upper, 0.8)[0] > pi
-
-
 @pytest.mark.parametrize(("extras", "steps"), [(0, 100_000), (1, 20_000)])
 def test_covariance_survives_a_hundred_thousand_updates(extras, steps):
     """Outliers of 40 sigma, dropouts and no process noise at all: PD and finite to the end."""
