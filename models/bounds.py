@@ -27,9 +27,11 @@ class Bounds:
     """A calibrated coverage statement (paper, Eq. coverage_statement).
 
     epsilon (3,), m/s: of |v_I predicted - v_I| by axis, in the frame of an IMU mounted as R_BI
-    (3, 3) says. gamma is the joint level, level_per_axis its cube root. n samples, K steps of
-    10 ms apart, came from `log`; `observer` is the hash of the observer they hold for. `mixing`
-    is the curve behind K, None where K was given.
+    (3, 3) says. gamma is the joint level, level_per_axis the one that each axis alone was ranked
+    at: its cube root for the `conformal` method, gamma itself for one that bounds the axes jointly.
+    n samples, K steps of 10 ms apart, came from `log`; `observer` is the hash of the observer they
+    hold for. `mixing` is the curve behind K, None where K was given; `confidence` is that of
+    `scenario` bounds over calibrations, None where the statement is about the mean of them.
     """
 
     epsilon: np.ndarray
@@ -42,6 +44,7 @@ class Bounds:
     R_BI: np.ndarray
     log: str
     mixing: Mixing | None = None
+    confidence: float | None = None
 
     def check_observer(self, observer: Observer) -> None:
         """Raise BoundsError where these bounds were calibrated for another observer."""
@@ -107,6 +110,8 @@ def _checked(values: dict[str, Any]) -> Bounds:
         raise ValueError("gamma and level_per_axis must lie between 0 and 1")
     if not all(isinstance(count, int) and count > 0 for count in (bounds.K, bounds.n)):
         raise ValueError("K and n must be whole and positive")
+    if bounds.confidence is not None and not 0 < bounds.confidence < 1:
+        raise ValueError("confidence must lie between 0 and 1")
     if not isinstance(bounds.observer, str):
         raise ValueError("observer is not a hash")
     return bounds

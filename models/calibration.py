@@ -1,14 +1,14 @@
-"""Split-conformal bounds on an observer's errors (paper, "Calibration and Coverage Statements").
+"""Bounds on an observer's errors from a log (paper, "Calibration and Coverage Statements").
 
 Errors on a log the observer has not seen, taken K steps apart so that they are nearly independent,
-give each axis the k-th smallest absolute error as its bound, k = ceil((N + 1) gamma^(1/3)). The
-joint level gamma follows if the axes are independent; `models.coverage` measures what it came to.
+become a region by one of the methods of `models.regions`. The paper's is `conformal`: each axis has
+the k-th smallest absolute error as its bound, k = ceil((N + 1) gamma^(1/3)), and the joint level
+gamma follows if the axes are independent. `models.coverage` measures what it came to.
 """
 
 from __future__ import annotations
 
-import math
-from fractions import Fraction
+from itertools import count
 
 import numpy as np
 
@@ -18,10 +18,14 @@ from models.mixing import mixing
 from models.mounting import Mounted
 from models.observer import Observer, log_digest
 from models.predict import prediction_errors
+from models.regions import SHAPED, check_method, conformalize, fit, level_of, samples_needed
 from sim.log import Log
 from sim.robot import Robot
 
-METHODS = ("conformal",)
+CONFIDENCE = 0.95
+"""Of `scenario` bounds, over the calibrations that might have been."""
+SHAPING = 0.25
+"""Share of the log that fixes the shape of a score that has one."""
 
 
 def calibrate(
@@ -31,16 +35,17 @@ def calibrate(
     method: str = "conformal",
     robot: Mounted | None = None,
     K: int | None = None,
+    confidence: float = CONFIDENCE,
 ) -> Bounds:
     """Bounds holding jointly with probability gamma, in the frame of the log's IMU.
 
-    K, in steps of 10 ms, comes from the mixing curve of the errors unless it is given. Raises
-    BoundsError for a gamma outside (0, 1), a log the observer was trained on, or one too short;
-    ObserverError and LogError where the log lacks what the observer or the errors need.
+    `method` is one of `models.regions.METHODS`, `confidence` that of `scenario`. K, in steps of
+    10 ms, comes from the mixing curve of the errors unless it is given. Raises BoundsError for a
+    gamma outside (0, 1), a log the observer was trained on, or one too short; ObserverError and
+    LogError where the log lacks what the observer or the errors need.
     """
-    if method not in METHODS:
-        raise BoundsError(f"--method {method}: choose {' | '.join(METHODS)}")
-    level = level_per_axis(gamma)
+    check_method(method)
+    level = level_of(method, gamma)
     seen = {part.sha256: part.name for part in observer.logs}
     digest = log_digest(log)
     if digest in seen:
@@ -50,14 +55,15 @@ def calibrate(
         )
     robot = Robot.for_log(log) if robot is None else robot
     _, errors = prediction_errors(observer, log, robot)
-    require_samples(len(errors), 1 if K is None else K, gamma, log.name)
+    require_samples(len(errors), 1 if K is None else K, gamma, log.name, method, confidence)
     curve = mixing(errors) if K is None else None
     K = curve.K if curve is not None else K
     assert K is not None
-    chosen = subsample(errors, K)
-    require_samples(len(errors), K, gamma, log.name)
+    require_samples(len(errors), K, gamma, log.name, method, confidence)
+    shaping, chosen = samples_for(method, errors, K)
+    region = conformalize(method, fit(method, shaping), chosen, gamma, confidence)
     return Bounds(
-        epsilon=conformal_bounds(np.abs(chosen), level),
+        epsilon=region.epsilon,
         gamma=gamma,
         level_per_axis=level,
         method=method,
@@ -67,28 +73,8 @@ def calibrate(
         R_BI=np.array(robot.R_BI, dtype=float),
         log=log.name,
         mixing=curve,
+        confidence=confidence if method == "scenario" else None,
     )
-
-
-def level_per_axis(gamma: float) -> float:
-    """gamma^(1/3), the level of each axis. Raises BoundsError unless 0 < gamma < 1."""
-    if not 0 < gamma < 1:
-        raise BoundsError(f"--gamma {gamma:g}: must lie between 0 and 1")
-    return gamma ** (1 / 3)
-
-
-def rank(n: int, level: float) -> int:
-    """k = ceil((n + 1) level): which of n sorted scores is the bound; more than n means none is.
-
-    In exact arithmetic on the level's shortest decimal form, so that 0.9 of 10 is 9 and not 10.
-    """
-    return math.ceil((n + 1) * Fraction(repr(float(level))))
-
-
-def conformal_bounds(scores: np.ndarray, level: float) -> np.ndarray:
-    """The k-th smallest of scores (N, D) by axis, (D,), k = rank(N, level) <= N."""
-    k = rank(len(scores), level)
-    return np.sort(scores, axis=0)[k - 1]
 
 
 def subsample(errors: np.ndarray, K: int) -> np.ndarray:
@@ -96,13 +82,31 @@ def subsample(errors: np.ndarray, K: int) -> np.ndarray:
     return errors[K - 1 :: K]
 
 
-def require_samples(n: int, K: int, gamma: float, name: str = "log") -> None:
+def samples_for(method: str, errors: np.ndarray, K: int) -> tuple[np.ndarray, np.ndarray]:
+    """What `fit` and what `conformalize` are given of errors (n, 3): the first quarter, the rest.
+
+    Where the method's score has no shape, all errors go to the second. The first are as they come,
+    the second K apart.
+    """
+    split = K * int(SHAPING * (len(errors) // K)) if method in SHAPED else 0
+    return errors[:split], subsample(errors[split:], K)
+
+
+def require_samples(
+    n: int,
+    K: int,
+    gamma: float,
+    name: str = "log",
+    method: str = "conformal",
+    confidence: float = CONFIDENCE,
+) -> None:
     """Raise BoundsError where n errors, K apart, are too few for a finite bound."""
     if K < 1:
         raise BoundsError(f"K = {K}: must be 1 at least")
-    level = level_per_axis(gamma)
-    needed = math.ceil(level / (1 - level))
-    if rank(n // K, level) > n // K:
+    needed = samples_needed(method, gamma, confidence)
+    if method in SHAPED:
+        needed = next(m for m in count(needed) if m - int(SHAPING * m) >= needed)
+    if n // K < needed:
         raise BoundsError(
             f"{name}: {n // K} independent samples ({n} at K = {K}), gamma {gamma:g} needs "
             f"{needed}: {needed * K / RATE:.1f} s of walk with a reference"

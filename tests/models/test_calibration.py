@@ -11,16 +11,10 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import binom, binomtest
 
 from models.bounds import Bounds, BoundsError
-from models.calibration import (
-    calibrate,
-    conformal_bounds,
-    level_per_axis,
-    rank,
-    require_samples,
-    subsample,
-)
+from models.calibration import calibrate, require_samples, subsample
 from models.coverage import binomial_interval, coverage
 from models.predict import prediction_errors
+from models.regions import conformal_bounds, level_per_axis, rank
 from tests.models.synthetic import Body, synthetic_walk
 
 
