@@ -14,6 +14,8 @@ most v, where
 of Optimization Theory and Applications 148, 2011, Theorem 2.1).
 """
 
+from functools import lru_cache
+
 import numpy as np
 from numba import njit
 from scipy.special import gammaln
@@ -41,6 +43,7 @@ def log_failure(n: int, k: int, gamma: float) -> float:
     return float(ways + binom.logcdf(k + d - 1, n, 1 - gamma))
 
 
+@lru_cache
 def discards(n: int, gamma: float, confidence: float) -> int:
     """How many of n errors may be thrown away. Raises BoundsError where not even none may."""
     _check_confidence(confidence)
@@ -57,6 +60,7 @@ def discards(n: int, gamma: float, confidence: float) -> int:
     return low
 
 
+@lru_cache
 def least_samples(gamma: float, confidence: float = 0.95) -> int:
     """The least number of errors for which the bound holds with nothing discarded."""
     _check_confidence(confidence)

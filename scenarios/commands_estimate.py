@@ -48,7 +48,13 @@ class Calibrate:
     """File for the bounds (JSON)."""
     gamma: float = 0.8
     """Joint level."""
-    method: Literal["conformal"] = "conformal"
+    method: Literal["conformal", "bonferroni", "maxnorm", "ellipsoid", "scenario"] = "conformal"
+    """conformal and bonferroni bound an axis at a time; maxnorm and ellipsoid all by one score;
+    scenario is the smallest box after discarding."""
+    confidence: float = 0.95
+    """Of scenario bounds, over the calibrations that might have been."""
+    K: int | None = None
+    """Steps of 10 ms between errors taken as independent; from the mixing curve if left out."""
     force: bool = False
 
     def run(self) -> None:
@@ -59,7 +65,9 @@ class Calibrate:
         refuse_overwrite(self.out, self.force)
         observer = Observer.load(self.observer)
         (log,) = read_as_declared((self.log,))
-        bounds = calibrate(observer, log, self.gamma, self.method)
+        bounds = calibrate(
+            observer, log, self.gamma, self.method, K=self.K, confidence=self.confidence
+        )
         bounds.save(self.out, self.force)
         x, y, z = bounds.epsilon
         print(

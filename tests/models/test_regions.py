@@ -1,0 +1,234 @@
+"""Each method's region holds as often as it says: on exchangeable errors, on errors that remember,
+and on axes that err together; and its quantile is that of an independent implementation."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import linprog
+from scipy.signal import lfilter
+from scipy.stats import binom
+
+from models.bounds import BoundsError
+from models.mixing import mixing
+from models.regions import (
+    METHODS,
+    SHAPED,
+    Region,
+    conformalize,
+    fit,
+    level_of,
+    mahalanobis,
+    rank,
+    samples_needed,
+)
+from models.scenario_box import discards, log_failure, scenario_box
+
+TRIALS = 1000
+SPLIT = [m for m in METHODS if m != "scenario"]
+
+
+def mapie_quantile(scores, level):
+    from mapie.regression import SplitConformalRegressor
+    from sklearn.dummy import DummyRegressor
+
+    X = np.zeros((len(scores), 1))
+    zero = DummyRegressor(strategy="constant", constant=0.0).fit(X, scores)
+    oracle = SplitConformalRegressor(zero, confidence_level=level, prefit=True)
+    return oracle.conformalize(X, scores).predict_interval(X[:1])[1][0, 1, 0]
+
+
+@pytest.mark.parametrize("method", SPLIT)
+def test_quantiles_are_those_of_mapie(method):
+    rng = np.random.default_rng(0)
+    pilot, errors = rng.standard_t(4, (100, 3)), rng.standard_t(4, (150, 3)) * [1.0, 0.5, 2.0]
+    shape = fit(method, pilot)
+    region, level = conformalize(method, shape, errors, 0.8), level_of(method, 0.8)
+    if method in ("conformal", "bonferroni"):
+        theirs = [mapie_quantile(np.abs(axis), level) for axis in errors.T]
+        assert region.epsilon == pytest.approx(theirs, rel=1e-12)
+    elif method == "maxnorm":
+        scale = np.sqrt((pilot**2).mean(axis=0))
+        theirs = scale * mapie_quantile(np.abs(errors / scale).max(axis=1), level)
+        assert region.epsilon == pytest.approx(theirs, rel=1e-12)
+    else:
+        assert shape is not None
+        squared = mapie_quantile(mahalanobis(errors, shape), level)
+        assert region.shape == pytest.approx(squared * shape, rel=1e-12)
+
+
+def hits(method, draw, n, rng, gamma=0.8, pilot=60):
+    """Over TRIALS calibrations: whether the region held the next error of its own record."""
+    found = 0
+    for _ in range(TRIALS):
+        errors = draw(rng, pilot + n + 1)
+        region = conformalize(method, fit(method, errors[:pilot]), errors[pilot:-1], gamma)
+        found += region.contains(errors[-1:])[0]
+    return found
+
+
+def heavy(rng, n):
+    return rng.standard_t(3, (n, 3)) * [1.0, 0.3, 0.1]
+
+
+@pytest.mark.parametrize("method", SPLIT)
+def test_exchangeable_errors_are_held_as_promised(method):
+    n, gamma = 150, 0.8
+    exact = rank(n, level_of(method, gamma)) / (n + 1)
+    if method in ("conformal", "bonferroni"):
+        exact = exact**3  # the axes are independent here
+    found = hits(method, heavy, n, np.random.default_rng(1), gamma)
+    low, high = binom.interval(0.999, TRIALS, exact)
+    assert low <= found <= high
+    assert exact >= gamma - 1e-12
+
+
+def test_a_scenario_box_keeps_its_confidence():
+    """At most 5 % of calibrations may give a box that holds less than gamma; here most of it."""
+    rng, gamma, n = np.random.default_rng(2), 0.8, 200
+    held = np.empty(TRIALS)
+    for i in range(TRIALS):
+        box = scenario_box(rng.uniform(-1, 1, (n, 3)), gamma, 0.95)
+        held[i] = np.prod(box)  # of a uniform law, exactly
+    failed = int((held < gamma).sum())
+    assert failed <= binom.ppf(0.999, TRIALS, 0.05)
+    assert held.mean() < gamma + 0.12
+
+
+def autoregression(rng, n, phi=0.9):
+    start = rng.standard_normal((1, 3)) / np.sqrt(1 - phi**2)
+    steps = rng.standard_normal((n, 3))
+    return lfilter([1.0], [1.0, -phi], steps, axis=0, zi=phi * start)[0]
+
+
+def regimes(rng, n):
+    """Quiet and loud stretches of 40 samples on average, by a hidden two-state chain."""
+    stays = rng.geometric(1 / 40, n // 10 + 20)
+    loud = np.repeat(np.arange(len(stays)) + rng.integers(2), stays)[:n] % 2 == 1
+    return rng.standard_normal((n, 3)) * np.where(loud, 1.5, 0.3)[:, None]
+
+
+@pytest.mark.parametrize("process", [autoregression, regimes])
+@pytest.mark.parametrize("method", METHODS)
+def test_errors_that_remember_are_held_as_promised(method, process):
+    """Errors K apart, K from the curve of one long record; judged far beyond each record's end."""
+    rng, gamma, n = np.random.default_rng(3), 0.8, 60
+    K = mixing(process(rng, 20_000)).K
+    gap, found = 10, 0
+    for _ in range(TRIALS):
+        errors = process(rng, K * (20 + n + gap))[K - 1 :: K]
+        region = conformalize(method, fit(method, errors[:20]), errors[20 : 20 + n], gamma)
+        found += region.contains(errors[-1:])[0]
+    if method == "scenario":
+        assert found >= binom.ppf(0.001, TRIALS, gamma)
+        return
+    level = rank(n, level_of(method, gamma)) / (n + 1)
+    split_axes = method in ("conformal", "bonferroni")
+    # Axes that turn loud together are held together more often than independent ones.
+    lowest = level**3 if split_axes else level
+    highest = level if split_axes and process is regimes else lowest
+    assert binom.ppf(0.0005, TRIALS, lowest) <= found <= binom.ppf(0.9995, TRIALS, highest)
+
+
+def test_neighbours_are_no_independent_samples():
+    """Taken one after another, errors that remember make bounds that scatter more than they may.
+
+    Of N independent errors the level held is a beta law; a tenth of it lies below its own decile.
+    """
+    rng, n, level = np.random.default_rng(4), 120, 0.9
+    from scipy.stats import beta, norm
+
+    decile = beta(rank(n, level), n + 1 - rank(n, level)).ppf(0.1)
+    below = {}
+    for K in (1, 20):
+        held = []
+        for _ in range(400):
+            e = np.abs(autoregression(rng, n * K)[K - 1 :: K, 0]) * np.sqrt(1 - 0.9**2)
+            held.append(2 * norm.cdf(np.sort(e)[rank(n, level) - 1]) - 1)
+        below[K] = float(np.mean(np.array(held) < decile))
+    assert below[20] < 0.16
+    assert below[1] > 0.25
+
+
+def test_which_way_the_product_of_levels_errs():
+    """gamma^(1/3) an axis: exact for independent axes, too much for axes that err together, and
+    too little for axes of which one errs just when the others do not; Bonferroni never is."""
+    rng, n, gamma = np.random.default_rng(5), 200_000, 0.8
+    u = rng.uniform(size=n)
+
+    def spread(shift):
+        return np.abs((u + shift) % 1.0)[:, None]
+
+    laws = {
+        "independent": rng.uniform(size=(n, 3)),
+        "together": np.hstack([spread(0.0)] * 3),
+        "in turn": np.hstack([spread(k / 3) for k in range(3)]),
+    }
+    held = {}
+    for name, errors in laws.items():
+        for method in ("conformal", "bonferroni", "maxnorm"):
+            region = conformalize(method, fit(method, errors), errors[:5000], gamma)
+            held[name, method] = region.contains(errors[5000:]).mean()
+    assert held["independent", "conformal"] == pytest.approx(gamma, abs=0.02)
+    assert held["together", "conformal"] == pytest.approx(gamma ** (1 / 3), abs=0.02)
+    assert held["in turn", "conformal"] == pytest.approx(3 * gamma ** (1 / 3) - 2, abs=0.02)
+    assert held["in turn", "conformal"] < gamma - 0.01
+    assert all(held[name, "bonferroni"] > gamma - 0.015 for name in laws)
+    assert all(abs(held[name, "maxnorm"] - gamma) < 0.02 for name in laws)
+
+
+def test_the_joint_score_is_the_smaller_region_where_axes_err_together():
+    rng = np.random.default_rng(6)
+    L = np.linalg.cholesky(np.full((3, 3), 0.95) + 0.05 * np.eye(3))
+    errors = rng.standard_normal((4000, 3)) @ L.T
+    found = {m: conformalize(m, fit(m, errors[:2000]), errors[2000:], 0.8) for m in METHODS}
+    assert found["ellipsoid"].volume < 0.5 * found["maxnorm"].volume
+    assert found["maxnorm"].volume < found["conformal"].volume < found["bonferroni"].volume
+    tight, wide = found["ellipsoid"], found["ellipsoid"].box
+    assert wide.contains(errors)[tight.contains(errors)].all()
+    lower, upper = wide.around(np.ones((2, 3)))
+    assert upper - lower == pytest.approx(np.tile(2 * wide.epsilon, (2, 1)))
+
+
+@given(seed=st.integers(0, 50), n=st.integers(60, 120))
+def test_the_scenario_box_is_the_linear_program_of_what_is_kept(seed, n):
+    errors = np.random.default_rng(seed).standard_t(3, (n, 3))
+    box = scenario_box(errors, 0.8, 0.95)
+    outside = ~Region(box).contains(errors)
+    assert outside.sum() == discards(n, 0.8, 0.95)  # each discarded constraint is violated
+    kept = np.log(np.abs(errors[~outside]))
+    rows = np.vstack([-np.eye(3)] * len(kept))
+    solved = linprog(np.ones(3), rows, -kept.ravel(), bounds=(None, None))
+    assert np.exp(solved.x) == pytest.approx(box, rel=1e-7)
+
+
+def test_the_discarding_bound_by_hand():
+    """Nothing discarded, d = 3: (1-v)^N + N v (1-v)^(N-1) + N(N-1)/2 v^2 (1-v)^(N-2)."""
+    n, v = 30, 0.2
+    sum_ = (1 - v) ** n + n * v * (1 - v) ** (n - 1) + n * (n - 1) / 2 * v**2 * (1 - v) ** (n - 2)
+    assert np.exp(log_failure(n, 0, 1 - v)) == pytest.approx(sum_)
+
+
+@given(
+    method=st.sampled_from(sorted(METHODS)),
+    gamma=st.floats(0.05, 0.995),
+    confidence=st.floats(0.5, 0.999),
+)
+def test_one_sample_less_than_needed_is_refused(method, gamma, confidence):
+    needed = samples_needed(method, gamma, confidence)
+    errors = np.random.default_rng(0).standard_normal((needed, 3))
+    shape = np.eye(3) if method in SHAPED else None
+    region = conformalize(method, shape, errors, gamma, confidence)
+    assert np.all(region.epsilon > 0)
+    with pytest.raises(BoundsError, match=f"needs {needed}"):
+        conformalize(method, shape, errors[1:], gamma, confidence)
+
+
+def test_what_is_no_method_level_or_confidence_is_refused():
+    errors = np.ones((100, 3))
+    with pytest.raises(BoundsError, match="--method magic: choose conformal"):
+        fit("magic", errors)
+    with pytest.raises(BoundsError, match="--gamma 1"):
+        conformalize("maxnorm", np.eye(3), errors, 1.0)
+    with pytest.raises(BoundsError, match="--confidence 0"):
+        conformalize("scenario", None, errors, 0.8, 0.0)
