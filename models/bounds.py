@@ -11,6 +11,7 @@ import numpy as np
 
 from models.mixing import Mixing
 from models.observer import Observer
+from models.persistent import Persistent
 from sim.errors import SurefootError
 from sim.files import whole_file
 
@@ -32,6 +33,8 @@ class Bounds:
     n samples, K steps of 10 ms apart, came from `log`; `observer` is the hash of the observer they
     hold for. `mixing` is the curve behind K, None where K was given; `confidence` is that of
     `scenario` bounds over calibrations, None where the statement is about the mean of them.
+    `persistent` is what lasts of the errors, None of a log too short to tell and in files from
+    before it was estimated.
     """
 
     epsilon: np.ndarray
@@ -45,6 +48,7 @@ class Bounds:
     log: str
     mixing: Mixing | None = None
     confidence: float | None = None
+    persistent: Persistent | None = None
 
     def check_observer(self, observer: Observer) -> None:
         """Raise BoundsError where these bounds were calibrated for another observer."""
@@ -62,10 +66,18 @@ class Bounds:
         """
         return np.abs(np.asarray(R_BI).T @ self.R_BI) @ self.epsilon
 
+    def persistent_at(self, R_BI: np.ndarray) -> Persistent:
+        """What lasts, for an IMU turned otherwise. Raises BoundsError where that is missing."""
+        if self.persistent is None:
+            raise BoundsError("--bounds have no persistent part; calibrate again, on a longer log")
+        return self.persistent.turned(np.asarray(R_BI).T @ self.R_BI)
+
     def save(self, path: str | Path, force: bool = False) -> None:
         """Write them as JSON, whole or not at all. Raises SurefootError where `path` exists."""
         values = {"format": FORMAT, "schema": SCHEMA} | asdict(self)
-        text = json.dumps(values, indent=1, default=lambda array: array.tolist())
+        if self.persistent is not None:
+            values["persistent"] = self.persistent.plain()
+        text = json.dumps(values, indent=1, default=lambda array: array.tolist(), allow_nan=False)
         with whole_file(path, force) as temporary:
             temporary.write_text(text + "\n")
 
@@ -96,7 +108,9 @@ def _checked(values: dict[str, Any]) -> Bounds:
         arrays = {name: np.array(curve[name]) for name in ("lags", "beta", "floor")}
         curve = Mixing(**(curve | arrays))
     arrays: dict[str, Any] = {k: np.array(values[k], dtype=float) for k in ("epsilon", "R_BI")}
-    values = values | arrays | {"mixing": curve}
+    part: Any = values.get("persistent")
+    part = None if part is None else Persistent.from_plain(part)
+    values = values | arrays | {"mixing": curve, "persistent": part}
     bounds = Bounds(**values)
     if bounds.epsilon.shape != (3,) or not np.all(bounds.epsilon > 0):
         raise ValueError("epsilon is not three positive numbers")

@@ -17,6 +17,7 @@ from models.decimate import RATE
 from models.mixing import mixing
 from models.mounting import Mounted
 from models.observer import Observer, log_digest
+from models.persistent import estimate, long_enough
 from models.predict import prediction_errors
 from models.regions import SHAPED, check_method, conformalize, fit, level_of, samples_needed
 from sim.log import Log
@@ -74,6 +75,7 @@ def calibrate(
         log=log.name,
         mixing=curve,
         confidence=confidence if method == "scenario" else None,
+        persistent=estimate(errors, 1 / RATE, gamma) if long_enough(errors, 1 / RATE) else None,
     )
 
 

@@ -1,0 +1,165 @@
+"""The persistent part is recovered where the truth is known, and is nothing where there is none."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import cho_factor, cho_solve, toeplitz
+from scipy.signal import lfilter
+
+from models.bounds import Bounds, BoundsError
+from models.calibration import calibrate
+from models.persistent import Persistent, _innovations, _smoothed, estimate
+from sim.errors import SurefootError
+from tests.models.synthetic import Body
+
+DT = 0.02
+STD = np.array([0.05, 0.03, 0.02])
+MIXING = np.array([0.08, 0.06, 0.05])
+
+
+def gauss_markov(rng, n, keep, std):
+    """A stationary process (n, 3) whose neighbours correlate by `keep`."""
+    steps = rng.standard_normal((n, 3))
+    steps[1:] *= np.sqrt(1 - keep**2)
+    return np.asarray(lfilter([1.0], [1.0, -keep], steps, axis=0)) * std
+
+
+def errors(rng, duration, tau, std=STD, forgets=0.05):
+    n = round(duration / DT)
+    lasting = gauss_markov(rng, n, np.exp(-DT / tau), std)
+    return lasting + gauss_markov(rng, n, np.exp(-DT / forgets), MIXING)
+
+
+def test_sequences_that_each_keep_their_own():
+    rng = np.random.default_rng(0)
+    found = estimate([errors(rng, 40.0, np.inf) for _ in range(30)], DT, 0.8)
+    assert found.time_constant == np.inf
+    assert (found.sequences, found.nu) == (30, 30.0)
+    for i in range(3):
+        low, high = found.interval[i]
+        assert low < STD[i] ** 2 < high
+        assert high < 4 * low
+        assert found.covariance[i, i] == pytest.approx(found.variance[i] * 30 / 28)
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say():
+    """24 single logs of 300 s, three axes each and one tau: binomial bounds at 1e-4."""
+    rng = np.random.default_rng(1)
+    held, tau_held = 0, 0
+    for _ in range(24):
+        found = estimate(errors(rng, 300.0, 15.0), DT, 0.8)
+        held += np.sum((found.interval[:, 0] <= STD**2) & (found.interval[:, 1] >= STD**2))
+        low, high = found.time_constant_interval
+        # The grid's neighbours bound the interval from outside.
+        tau_held += low / 1.32 <= 15.0 <= high * 1.32
+    assert held >= 60
+    assert tau_held >= 19
+
+
+def test_nothing_that_lasts_is_about_nothing():
+    rng = np.random.default_rng(2)
+    found = [estimate(errors(rng, 200.0, np.inf, 0 * STD), DT, 0.8) for _ in range(8)]
+    assert np.median([np.sqrt(f.variance) for f in found]) < 0.05 * MIXING.max()
+    assert sum((f.interval[:, 0] <= 1e-7).sum() for f in found) >= 18
+    for f in found:
+        np.linalg.cholesky(f.covariance)
+
+
+def test_bounds_hold_the_mean_of_a_window_of_the_mixing_part():
+    rng = np.random.default_rng(3)
+    found = estimate([errors(rng, 60.0, np.inf) for _ in range(20)], DT, 0.8)
+    rest = errors(rng, 2000.0, np.inf, 0 * STD)
+    count = len(rest) // found.window
+    means = rest[: count * found.window].reshape(count, found.window, 3).mean(axis=1)
+    assert np.all(np.abs(means) <= found.epsilon, axis=1).mean() == pytest.approx(0.8, abs=0.03)
+    assert np.diag(found.within) / found.window == pytest.approx(means.var(axis=0), rel=0.06)
+    assert np.all(found.reach > 3 * MIXING)
+
+
+def test_the_likelihood_is_the_dense_gaussian_one():
+    rng = np.random.default_rng(4)
+    n, ratio, phi = 40, 1.7, 0.8
+    y = rng.standard_normal(n)
+    fresh = np.arange(n) == 0
+    C = ratio * toeplitz(phi ** np.arange(n))
+    V = cho_factor(C + np.eye(n))
+    s, value = _innovations(y, fresh, ratio, phi)
+    assert s == pytest.approx(y @ cho_solve(V, y) / n)
+    assert value == pytest.approx(-0.5 * n * np.log(s) - np.log(np.diag(V[0])).sum())
+    assert _smoothed(y, ratio, phi) == pytest.approx(C @ cho_solve(V, y))
+
+
+def test_correlated_axes_are_seen():
+    rng = np.random.default_rng(5)
+    A = np.array([[1.0, 0.0, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
+    parts = [errors(rng, 20.0, np.inf, 0 * STD) + 0.1 * A @ rng.normal(size=3) for _ in range(60)]
+    found = estimate(parts, DT, 0.8).covariance
+    std = np.sqrt(np.diag(found))
+    correlation = found / np.outer(std, std)
+    assert correlation[0, 1] == pytest.approx(0.8, abs=0.15)
+    assert abs(correlation[0, 2]) < 0.4
+
+
+def test_one_sequence_says_little_of_a_part_that_never_changes():
+    found = estimate(errors(np.random.default_rng(6), 60.0, np.inf), DT, 0.8)
+    assert found.nu < 20
+    assert np.all(found.interval[:, 1] > 3 * found.variance)
+
+
+@pytest.mark.parametrize("count", [0, 10, 499])
+def test_too_little_is_one_line(count):
+    with pytest.raises(SurefootError, match=r"blocks of 0.5 s; the persistent part needs 20"):
+        estimate(np.zeros((count, 3)), DT, 0.8)
+
+
+def test_calibration_fills_it_and_it_comes_back_whole(mse_observer, walks, tmp_path):
+    bounds = calibrate(mse_observer, walks["calibrate"], robot=Body())
+    assert bounds.persistent is not None
+    constant = replace(bounds.persistent, time_constant=np.inf)
+    for part in (bounds.persistent, constant):
+        path = tmp_path / f"{part.time_constant}.json"
+        replace(bounds, persistent=part).save(path)
+        json.loads(path.read_text(), parse_constant=pytest.fail)
+        loaded = Bounds.load(path).persistent
+        assert loaded is not None
+        for name, value in part.__dict__.items():
+            assert np.array_equal(getattr(loaded, name), value), name
+
+
+def test_files_from_before_it_are_read_and_say_what_is_missing(mse_observer, walks, tmp_path):
+    path = tmp_path / "old.json"
+    calibrate(mse_observer, walks["calibrate"], robot=Body()).save(path)
+    values = json.loads(path.read_text())
+    del values["persistent"]
+    path.write_text(json.dumps(values))
+    old = Bounds.load(path)
+    assert old.persistent is None
+    with pytest.raises(BoundsError, match="have no persistent part; calibrate again"):
+        old.persistent_at(np.eye(3))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"covariance": [[1, 0, 0]] * 3}, {"epsilon": [1, 2]}, {"window": 0}, {"time_constant": -1.0},
+     {"within": None}, {"reach": [0, 1, 1]}, {"more": 1}],
+)  # fmt: skip
+def test_a_part_that_is_none_is_refused(change, mse_observer, walks, tmp_path):
+    path = tmp_path / "bad.json"
+    calibrate(mse_observer, walks["calibrate"], robot=Body()).save(path)
+    values = json.loads(path.read_text())
+    values["persistent"] |= change
+    path.write_text(json.dumps(values))
+    with pytest.raises(BoundsError, match="not whole surefoot bounds"):
+        Bounds.load(path)
+
+
+def test_another_mounting_turns_it(mse_observer, walks):
+    bounds = calibrate(mse_observer, walks["calibrate"], robot=Body())
+    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    part = bounds.persistent
+    assert isinstance(part, Persistent)
+    found = bounds.persistent_at(quarter)
+    assert found.epsilon == pytest.approx(part.epsilon[[1, 0, 2]])
+    assert np.diag(found.covariance) == pytest.approx(np.diag(part.covariance)[[1, 0, 2]])
