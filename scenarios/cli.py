@@ -9,7 +9,7 @@ from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
 
 from scenarios.commands_data import Import, Robots, Simulate, View
 from scenarios.commands_estimate import Calibrate, Compare, Estimate, Train
-from scenarios.commands_study import Bench, Demo, Montecarlo, TraceCommand
+from scenarios.commands_study import Bench, Demo, Montecarlo, TraceCommand, Walking
 from sim.errors import SurefootError
 
 COMMANDS: dict[str, type] = {
@@ -24,6 +24,7 @@ COMMANDS: dict[str, type] = {
     "import": Import,
     "view": View,
     "robots": Robots,
+    "walking": Walking,
     "bench": Bench,
 }
 

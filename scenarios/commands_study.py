@@ -74,6 +74,36 @@ class Montecarlo:
 
 
 @dataclass(frozen=True)
+class Walking:
+    """How robots walk: falls, tracking, slip, creep and pace on four grounds and the courses.
+
+    Without robots and courses: every known robot, and the seventeen courses.
+    """
+
+    out: Out
+    robot: UseAppendAction[tuple[str, ...]] = ()
+    """Name or MJCF file, walked over flat ground, a slope, a slippery patch and stairs."""
+    course: UseAppendAction[tuple[Path, ...]] = ()
+    """Scenario file, walked on its own robot with every seed."""
+    seeds: int = 5
+    """Seeds of each course, from 0."""
+    workers: int = 1
+    """Walks at once, each on a thread."""
+    force: bool = False
+
+    def run(self) -> None:
+        from scenarios.progress import percent_bar
+        from scenarios.walking_study import report, walking_study
+
+        with percent_bar("walking") as tell:
+            walks = walking_study(
+                self.out, self.robot, self.course, self.seeds, self.workers, tell, self.force
+            )
+        print(report(walks))
+        print(f"table: {self.out / 'walking.md'}")
+
+
+@dataclass(frozen=True)
 class Bench:
     """What things cost against what they are measured by, as ratios of one run."""
 

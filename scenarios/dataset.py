@@ -87,7 +87,7 @@ def row_of(walked: Walked) -> Row:
         **_drawn(made),
         falls=int(fell),
         fell_at=log.time if fell else np.nan,
-        **(numbers if fell else _measured(log)),
+        **(numbers if fell else measured(log)),
         sha256="",
         recipe=recipe(job),
     )
@@ -107,7 +107,8 @@ def _drawn(made: Plan) -> dict[str, float]:
     }
 
 
-def _measured(log: Log) -> dict[str, float]:
+def measured(log: Log) -> dict[str, float]:
+    """Duration [s], length [m], share of slipping stance and creep [m/s], as in `Row`."""
     path = log.ref_p[:: max(round(0.5 * log.rate), 1)]
     slip = log.slip
     loaded = slip > 0.0

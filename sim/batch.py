@@ -17,6 +17,7 @@ from sim.robot import Robot
 from sim.scenario import Scenario
 from sim.walk import Fallen, Plan, plan, record, simulate
 
+S = TypeVar("S")
 T = TypeVar("T")
 
 
@@ -73,27 +74,40 @@ def walk_batch(
     `progress` is told the share of the whole batch. An error, or leaving the iterator early,
     stops the walks in progress within a second of simulated time.
     """
-    shares = [0.0] * len(jobs)
+    return on_threads(jobs, lambda job, tell: use(walk_job(job, tell)), threads, progress)
+
+
+def on_threads(
+    items: Sequence[S],
+    work: Callable[[S, Callable[[float], None]], T],
+    threads: int = 1,
+    progress: Callable[[float], None] | None = None,
+) -> Iterator[T]:
+    """`work(item, tell)` of every item on `threads` threads, in order of finishing.
+
+    `work` tells the share of it that is done; there it is stopped too once the batch is over.
+    """
+    shares = [0.0] * len(items)
     stop, guard = threading.Event(), threading.Lock()
 
-    def work(i: int) -> T:
+    def one(i: int) -> T:
         def tell(share: float) -> None:
             if stop.is_set():
                 raise _Stopped
             if progress:
                 with guard:
                     shares[i] = share
-                    progress(sum(shares) / len(jobs))
+                    progress(sum(shares) / len(items))
 
         tell(0.0)
-        result = use(walk_job(jobs[i], tell))
+        result = work(items[i], tell)
         tell(1.0)
         return result
 
     with ThreadPoolExecutor(threads, thread_name_prefix="walk") as pool:
         try:
             # No list of futures is kept: it would hold every result until the end.
-            for future in as_completed({pool.submit(work, i) for i in range(len(jobs))}):
+            for future in as_completed({pool.submit(one, i) for i in range(len(items))}):
                 yield future.result()
         finally:
             stop.set()

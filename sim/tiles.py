@@ -20,6 +20,7 @@ PRIORITY = 3
 SOLREF = (0.004, 1.0)
 SOLIMP = (0.98, 0.995, 0.0005, 0.5, 2.0)
 TORSION, ROLLING = 0.005, 0.0001  # m
+ANYTHING = 2**31 - 1  # contact bits: whatever can touch at all touches the ground
 GREY, ICY = (0.5, 0.5, 0.48, 1), (0.55, 0.75, 0.9, 1)
 
 
@@ -34,7 +35,12 @@ def add_ground(spec: mujoco.MjSpec, ground: Ground) -> None:
         patches = [(patch.rectangle, patch.mu) for patch in ground.patches]
         for rectangle, z_low, z_high in strip.facets():
             for tile, tile_mu in _cut(rectangle, mu, hidden, patches, bool(strip.rough)):
+                # All that the robot's own default for geoms could spoil is said here.
                 geom = {
+                    "contype": ANYTHING,
+                    "conaffinity": ANYTHING,
+                    "margin": 0.0,
+                    "gap": 0.0,
                     "friction": [tile_mu, TORSION, ROLLING],
                     "condim": 3,
                     "priority": PRIORITY,

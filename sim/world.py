@@ -31,6 +31,11 @@ def robot_spec(robot: Robot) -> mujoco.MjSpec:
     spec = robot.spec()
     for part in (*spec.actuators, *spec.keys):
         spec.delete(part)
+    for floor in spec.worldbody.geoms:  # of a file that brings a whole scene
+        spec.delete(floor)
+    # With a margin a sole hovers over the ground: it rolls on a larger radius than it has.
+    for geom in spec.geoms:
+        geom.margin = geom.gap = 0.0
     for name, joint, limit in zip(JOINTS, robot.joint_names, robot.torque_limit, strict=True):
         motor = spec.add_actuator(
             name=f"torque_{name}",

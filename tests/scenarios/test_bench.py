@@ -1,6 +1,7 @@
 """The bench compares like with like: the same work on both sides, the smallest times."""
 
 import time
+from dataclasses import replace
 
 import pytest
 
@@ -22,14 +23,12 @@ def test_walk_and_replay_take_as_many_steps_to_the_same_bits():
     """`race` itself raises where a replay ends elsewhere."""
     pair = bench_walking.race(robots=3, threads=2)
     assert pair.steps == 3 * round(6.5 / 0.002)  # 3 s and twice 1 s of standing, 1 s at the end
-    assert pair.replay().shape[:2] == (3, pair.steps // 3)
 
 
-def test_a_replay_that_ends_elsewhere_is_no_measure(monkeypatch):
-    replay = bench_walking.Race.replay
-    monkeypatch.setattr(bench_walking.Race, "replay", lambda pair: replay(pair) + 1e-15)
+def test_a_replay_that_ends_elsewhere_is_no_measure():
+    bare = bench_walking.race(robots=1, threads=1).bare
     with pytest.raises(RuntimeError, match="differs"):
-        bench_walking.race(robots=1, threads=1)
+        replace(bare, last=bare.last + 1e-15).run()
 
 
 def test_in_turn_tells_the_smallest_times():
