@@ -1,4 +1,7 @@
-"""Effects of the robot's body: its lengths, its feet and its masses."""
+"""Effects of the robot's body: its lengths, its feet and its masses.
+
+Where a docstring gives no source for the bounds, none was found and they were chosen wide.
+"""
 
 from dataclasses import replace
 
@@ -17,7 +20,11 @@ HIPS = tuple(f"{leg}_{axis}" for leg in LEGS for axis in AXES)
 
 
 class LinkLength(Effect):
-    """A link is longer than the model says: thigh (thigh to knee axis) or calf (knee to foot)."""
+    """A link is longer than the model says: thigh (thigh to knee axis) or calf (knee to foot).
+
+    A quadruped was found to place its feet 14 mm wrong before it was calibrated: Zhao et al.,
+    "Accurate Joint Offset Calibration for Quadrupedal Robots", ROBIO 2022.
+    """
 
     name = "link_length"
     unit = "m"
@@ -86,7 +93,10 @@ class HipOffset(Effect):
 
 
 class FootRolling(Effect):
-    """Every foot rolls on a radius larger than the declared one; its centre stays where it was."""
+    """Every foot rolls on a radius larger than the declared one; its centre stays where it was.
+
+    A declared model of point feet lacks the whole radius, 2 to 4 cm on most quadrupeds' models.
+    """
 
     name = "foot_rolling"
     unit = "m"
@@ -114,7 +124,10 @@ class FootRolling(Effect):
 
 
 class Payload(Effect):
-    """A mass on the base, a small ball at its origin."""
+    """A mass on the base, a small ball at its origin.
+
+    Spot carries up to 14 kg (Boston Dynamics, "Spot Specifications").
+    """
 
     name = "payload"
     unit = "kg"
@@ -128,7 +141,10 @@ class Payload(Effect):
 
 
 class ComOffset(Effect):
-    """The base's own centre of mass lies further along one of the base's axes."""
+    """The base's own centre of mass lies further along one of the base's axes.
+
+    "Walk These Ways" (CoRL 2022) draws +-0.15 m in its public code.
+    """
 
     name = "com_offset"
     unit = "m"

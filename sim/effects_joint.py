@@ -1,4 +1,9 @@
-"""Effects of the joints' encoders and torque sensing: what is read differs from what is."""
+"""Effects of the joints' encoders and torque sensing: what is read differs from what is.
+
+Sizes that others use for quadrupeds: Margolis and Agrawal, "Walk These Ways", CoRL 2022 (its public
+code draws joint offsets of +-0.02 rad and motor strengths of 90 to 110 %). Where a docstring gives
+no source for the bounds, none was found and they were chosen wide.
+"""
 
 from dataclasses import replace
 
@@ -12,7 +17,10 @@ from sim.sensors import Streams
 
 
 class EncoderOffset(Effect):
-    """A joint's encoder reads its angle plus a constant."""
+    """A joint's encoder reads its angle plus a constant.
+
+    Beside "Walk These Ways": Haarnoja et al. (Science Robotics 2024) draw +-2.9 degrees, 0.05 rad.
+    """
 
     name = "encoder_offset"
     unit = "rad"
@@ -70,6 +78,9 @@ class Backlash(Effect):
     The motor lies against the side that it pushes on, half the play ahead of the joint, and stays
     there until the torque changes its sign. It crosses at once: the rate that is read is the
     joint's.
+
+    A quasi-direct drive for legs has +-0.11 degrees, 3.8 mrad in all (Perez-Diaz et al. 2024, on
+    the PULSE115-60).
     """
 
     name = "backlash"
@@ -92,6 +103,8 @@ class TorqueScale(Effect):
     """A joint's torque, taken from the motor's current, reads one plus a constant times too much.
 
     So it does where the motor's torque constant is not the nominal one.
+
+    "Walk These Ways" draws 90 to 110 %.
     """
 
     name = "torque_scale"

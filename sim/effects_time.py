@@ -1,4 +1,10 @@
-"""Effects of time: what arrives late, and clocks that disagree."""
+"""Effects of time: what arrives late, and clocks that disagree.
+
+Tan et al., "Sim-to-Real: Learning Agile Locomotion for Quadruped Robots", RSS 2018, draw latencies
+of 0 to 40 ms for their robot; Haarnoja et al., "Learning Agile Soccer Skills for a Bipedal Robot",
+Science Robotics 2024, 10 to 50 ms. The bounds follow them; where a
+bound is wider, it was chosen.
+"""
 
 from dataclasses import replace
 

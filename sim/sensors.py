@@ -16,11 +16,17 @@ GRAVITY_G = np.array([0.0, 0.0, -9.81])  # gravity in G [m/s^2]
 class Sensors:
     """Sensor errors, in SI units.
 
-    IMU: VectorNav VN-100 product brief (accelerometer 0.14 mg/rtHz, < 0.04 mg in-run bias,
-    +-15 g; gyro 0.0035 deg/s/rtHz, 5 deg/h in-run bias, +-2000 deg/s; 16 bits). Turn-on biases
-    are a few mg and a tenth of a degree a second, as left after a factory calibration.
+    IMU: VectorNav VN-100, product brief and https://www.vectornav.com/products/detail/vn-100
+    (accelerometer 0.14 mg/rtHz, < 0.04 mg in-run bias, +-15 g; gyro 0.0035 deg/s/rtHz, 5 deg/h
+    in-run bias, +-2000 deg/s; 16 bits). It gives no turn-on bias: Xsens gives its gyros +-0.5 deg/s
+    from one turn-on to another within a year (https://base.xsens.com/hc/en-us/articles/203307252);
+    a sixth of it, and 3 mg, were chosen as what is left once a robot has stood still. Nor does it
+    give the in-run bias a correlation time: 300 s was chosen.
     Encoders: ams AS5047P data sheet, 14 bits; their integral nonlinearity is calibrated out.
-    Joint velocity, torque and foot force: of the size drives with current sensing report.
+    Joint velocity: such an encoder on the motor's side of a gear of 8, differenced over 2 ms, is
+    out by sqrt(1/6) 3.83e-4 rad / 8 / 2 ms = 0.01 rad/s.
+    Torque and foot force: no published figure was found; chosen as some 0.2 % of the largest torque
+    and 0.5 % of the weight of a robot of 40 kg. So was the threshold of contact, of the weight.
     """
 
     gyro_noise: float = 6.1e-5  # rad/s/rtHz
