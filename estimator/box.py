@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 
 from estimator.box_faces import nearest_given_first, nearest_in_box, remaining
+from estimator.box_grid import grid_moments
 from estimator.box_line import DEPTH, line_moments, plane_moments
 from estimator.box_parts import outer_parts
 from estimator.quadrature import NODES, WEIGHTS, drop_between, rule
@@ -73,6 +74,15 @@ def box_moments_kernel(mean, cov, lower, upper, out_mean, out_cov) -> float:
             C[i, j] = cov[a, order[j]] / (spread[a] * spread[order[j]])
     mode = np.empty(3)
     distance = nearest_in_box(C, low, high, mode)
+    grid_mean, grid_cov = np.empty(3), np.empty((3, 3))
+    log_prob = grid_moments(C, low, high, mode, distance, grid_mean, grid_cov)
+    if not np.isnan(log_prob):
+        for i in range(3):
+            a = order[i]
+            out_mean[a] = min(max(mean[a] + spread[a] * grid_mean[i], lower[a]), upper[a])
+            for j in range(3):
+                out_cov[a, order[j]] = spread[a] * spread[order[j]] * grid_cov[i, j]
+        return min(log_prob, 0.0)
     sums = np.zeros(10)
     log_density = _integrate(C, low, high, mode, distance, sums)
     if not _sound(sums):
@@ -119,7 +129,7 @@ def _corner(C, low, high, mode, distance, sums) -> float:
         gain = (C[i, k] - b * C[i, j]) / rest
         s = math.sqrt(remaining(own, C[i, k] - b * C[i, j], rest))
         mean = C[i, j] * mode[j] + gain * (mode[k] - b * mode[j])
-        _, n0, n1, n2, about = line_moments((low[i] - mean) / s, (high[i] - mean) / s, DEPTH)
+        _, n0, n1, n2, about = line_moments((low[i] - mean) / s, (high[i] - mean) / s)
         first = n1 / n0
         sums[1 + i] = min(max(mean + s * (about + first), low[i]), high[i]) - mode[i]
         sums[4 + 3 * i - i * (i - 1) // 2] = s * s * (n2 / n0 - first * first) + sums[1 + i] ** 2

@@ -5,75 +5,70 @@ import math
 import numpy as np
 from numba import njit
 
+from estimator.mills import mills
 from estimator.quadrature import NODES, WEIGHTS, drop_between, rule
 
-DEPTH = 36.0
-"""Parts of a box whose density is below exp(-36) = 2e-16 of its largest are left out."""
-_FAR = 4.0
-_NARROW = 1.0
-_SQRT_HALF = math.sqrt(0.5)
+DEPTH = 28.0
+"""Parts of a box whose density is below exp(-28) = 7e-13 of its largest are left out."""
+_NARROW = 0.1
+_FEW, _FEW_AT = 6, 6
+"""Nodes of a narrow interval, and where their rule begins in the table."""
 _SQRT_2PI = math.sqrt(2.0 * math.pi)
 
 
-@njit(cache=True)
-def line_moments(a: float, b: float, depth: float):
+@njit(cache=True, error_model="numpy")
+def line_moments(a: float, b: float):
     """log-scaled moments of the standard normal density on [a, b]: (shift, m0, m1, m2, origin).
 
-    The integral of exp(-x^2/2) (x - origin)^n over [a, b] is exp(-shift) m_n. Closed form (erfc)
-    where its differences keep their digits; in tails and on narrow intervals, where they cancel,
-    quadrature. What lies `depth` below the largest density is left out of a tail.
+    The integral of exp(-x^2/2) (x - origin)^n over [a, b] is exp(-shift) m_n. Closed form by Mills'
+    ratio, which keeps its digits in both tails; quadrature on intervals so narrow that its
+    differences cancel.
     """
-    if a > 0.0:
-        near, sign = a, 1.0
-    elif b < 0.0:
-        near, sign = -b, -1.0
-    else:
-        near, sign = 0.0, 1.0
-    if near <= _FAR and b - a >= _NARROW:
-        return _closed_form(a, b)
-    if near == 0.0:
-        return _by_quadrature(a, b - a, 0.0, 1.0)
-    length = min(b - a, 2.0 * depth / (near + math.sqrt(near * near + 2.0 * depth)))
+    if a < 0.0 < b:
+        if b - a < _NARROW:
+            return _by_quadrature(a, b - a, 0.0, 1.0)
+        density_a = math.exp(-0.5 * a * a)
+        density_b = math.exp(-0.5 * b * b)
+        m0 = m2 = _SQRT_2PI
+        if density_a > 0.0:
+            cut = density_a * mills(-a)[0]
+            m0 -= cut
+            m2 -= cut - a * density_a
+        if density_b > 0.0:
+            cut = density_b * mills(b)[0]
+            m0 -= cut
+            m2 -= cut + b * density_b
+        return 0.0, m0, density_a - density_b, m2, 0.0
+    near, far, sign = (a, b, 1.0) if a >= 0.0 else (-b, -a, -1.0)
     # Bounds so far away that they round to the same number still leave an interval.
-    return _by_quadrature(near, max(length, 1e-100), near, sign)
+    length = max(far - near, 1e-100)
+    if length * (1.0 + near) < _NARROW:
+        return _by_quadrature(near, length, near, sign)
+    m0, m1, m2 = mills(near)
+    fall = length * (near + 0.5 * length)
+    if fall < DEPTH:
+        share = math.exp(-fall)
+        r, d, e = mills(far)
+        m0 -= share * r
+        m1 -= share * (d + length * r)
+        m2 -= share * (e + length * (2.0 * d + length * r))
+    return 0.5 * near * near, m0, sign * m1, m2, sign * near
 
 
-@njit(cache=True)
-def _closed_form(a: float, b: float):
-    density_a = math.exp(-0.5 * a * a)
-    density_b = math.exp(-0.5 * b * b)
-    if a > 0.0:
-        m0 = math.erfc(a * _SQRT_HALF) - math.erfc(b * _SQRT_HALF)
-    elif b < 0.0:
-        m0 = math.erfc(-b * _SQRT_HALF) - math.erfc(-a * _SQRT_HALF)
-    else:
-        m0 = math.erf(b * _SQRT_HALF) - math.erf(a * _SQRT_HALF)
-    m0 *= 0.5 * _SQRT_2PI
-    m2 = m0
-    if density_a > 0.0:
-        m2 += a * density_a
-    if density_b > 0.0:
-        m2 -= b * density_b
-    return 0.0, m0, density_a - density_b, m2, 0.0
-
-
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _by_quadrature(near: float, length: float, origin: float, sign: float):
     """Moments of exp(-(x^2 - origin^2)/2) about the origin from near on, mirrored by sign."""
-    drop = length * (max(near, 0.0) + 0.5 * length)
-    _, count, at = rule(length, 1.0, drop)
     m0 = m1 = m2 = 0.0
-    for i in range(at, at + count):
+    for i in range(_FEW_AT, _FEW_AT + _FEW):
         y = near - origin + length * NODES[i]
         w = WEIGHTS[i] * math.exp(-y * (origin + 0.5 * y))
         m0 += w
         m1 += w * y
         m2 += w * y * y
-    shift = 0.5 * origin * origin
-    return shift, m0 * length, sign * m1 * length, m2 * length, sign * origin
+    return 0.5 * origin * origin, m0 * length, sign * m1 * length, m2 * length, sign * origin
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def plane_moments(
     m1: float, m2: float, s1: float, slope: float, s2: float,
     l1: float, u1: float, l2: float, u2: float,
@@ -83,10 +78,27 @@ def plane_moments(
 
     Axis 1 is N(m1, s1^2); axis 2 given it N(m2 + slope (x1 - m1), s2^2). x1 is axis 1 of the
     rectangle's nearest point. The densities are exp(log_scale - distance^2 / 2), without the
-    factor 1/(2 pi s1 s2); out holds the moments 1, 1', 2', 1'1', 1'2', 2'2'.
+    factor 1/(2 pi s1 s2); out holds the moments 1, 1', 2', 1'1', 1'2', 2'2'. Where one axis is free
+    as far as the density counts, the other's line is all there is to integrate.
     """
     out[:] = 0.0
-    left, right = _window(m1, m2, s1, slope, s2, l1, u1, l2, u2, x1, depth)
+    left, right = _window(m1, m2, s1, slope, s2, l2, u2, x1, depth)
+    reach = math.sqrt(2.0 * depth) * s2
+    tilt = slope * (max(left, l1) - m1), slope * (min(right, u1) - m1)
+    if l2 < m2 + min(tilt) - reach and m2 + max(tilt) + reach < u2:
+        out[0], out[1], out[2], out[3], out[4], out[5] = _one_axis(
+            m1, s1, l1, u1, c1, m2 - c2, slope, s2, log_scale
+        )
+        return
+    if l1 < left and right < u1:
+        # Axis 1 given axis 2.
+        spread = math.sqrt(s2 * s2 + slope * slope * s1 * s1)
+        share = s1 / spread
+        out[0], out[2], out[1], out[5], out[4], out[3] = _one_axis(
+            m2, spread, l2, u2, c2, m1 - c1, slope * share * share, s2 * share, log_scale
+        )
+        return
+    left, right = max(left, l1), min(right, u1)
     if not right > left:
         return
     # Beyond the crossings the mean of axis 2 leaves its interval, and the integrand bends faster.
@@ -119,7 +131,7 @@ def plane_moments(
                 x = origin + step * NODES[i]
                 d = (x - m1) / s1
                 mean = m2 + slope * (x - m1)
-                shift, n0, n1, n2, about = line_moments((l2 - mean) / s2, (u2 - mean) / s2, depth)
+                shift, n0, n1, n2, about = line_moments((l2 - mean) / s2, (u2 - mean) / s2)
                 w = step * WEIGHTS[i] * math.exp(log_scale - 0.5 * d * d - shift) * s2
                 y1 = x - c1
                 # Moments about c2: the line's own come about mean + s2 * about.
@@ -133,8 +145,27 @@ def plane_moments(
                 out[5] += w * (off * k1 + s2 * (off * n1 + s2 * n2))
 
 
+@njit(cache=True, error_model="numpy")
+def _one_axis(m, s, lower, upper, c, off, slope, rest, log_scale):
+    """Moments on an axis N(m, s^2) cut to [lower, upper], and on a free one that depends on it.
+
+    The free axis is off + slope (x - m) about its origin, with deviation `rest`; c is the origin of
+    the cut one. Returns the moments 1, x, free, x x, x free, free free.
+    """
+    shift, n0, n1, n2, about = line_moments((lower - m) / s, (upper - m) / s)
+    w = math.exp(log_scale - shift) * s * rest * _SQRT_2PI
+    away = m + s * about - c
+    first = w * (away * n0 + s * n1)
+    second = away * first + w * s * (away * n1 + s * n2)
+    n0 *= w
+    start = off + slope * (c - m)
+    free = start * n0 + slope * first
+    both = start * first + slope * second
+    return n0, first, free, second, both, rest * rest * n0 + start * free + slope * both
+
+
 @njit(cache=True)
-def _window(m1, m2, s1, slope, s2, l1, u1, l2, u2, x1, depth):
+def _window(m1, m2, s1, slope, s2, l2, u2, x1, depth):
     """Where along axis 1 the log density of the best point lies within `depth` of the largest.
 
     The profile is a concave parabola in three pieces: axis 2 at its lower bound, inside, at its
@@ -143,7 +174,7 @@ def _window(m1, m2, s1, slope, s2, l1, u1, l2, u2, x1, depth):
     level = 2.0 * (_fall(x1, m1, m2, s1, slope, s2, l2, u2) + depth)
     left = _end(m1, m2, s1, slope, s2, l2, u2, level, -1.0)
     right = _end(m1, m2, s1, slope, s2, l2, u2, level, 1.0)
-    return max(left, l1), min(right, u1)
+    return left, right
 
 
 @njit(cache=True)

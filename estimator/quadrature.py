@@ -33,7 +33,7 @@ def rule(length: float, scale: float, drop: float) -> tuple[int, int, int]:
     """
     half = 0.5 * length / scale
     pieces = 1 + int(min(half / 12.0, MOST_PIECES))
-    count = max(5.5 + 3.5 * half / pieces, 4.5 + 2.7 * np.sqrt(drop))
+    count = max(4.5 + 3.3 * half / pieces, 4.0 + 2.6 * np.sqrt(drop))
     pairs = min(int(np.ceil(0.5 * count)), MOST // 2)
     return pieces, 2 * pairs, pairs * (pairs - 1)
 

@@ -67,7 +67,7 @@ class Accuracy:
     covariance: float
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def qmc_moments(mean, cov, lower, upper, samples: int, shift, out_mean, out_cov) -> float:
     """Probability, mean (3,) and covariance (3, 3) of N(mean, cov) on a box from `samples` points.
 
