@@ -75,13 +75,13 @@ def run_study(study: Study, tell: Callable[[float], None] | None = None) -> Foun
     beyond: list[Row] = []
     started = perf_counter()
     for number, regime in enumerate((UNBIASED, BIASED)):
-        settings = paper_settings(study, regime, _seed(study, number, 0))
-        trials = _trials(study, truth, regime.test, study.trials, number)
+        settings = paper_settings(study, regime, study_seed(study, number, 0))
+        trials = study_trials(study, truth, regime.test, study.trials, number)
         rows += run_settings(study, truth, trials, regime, settings, count)
     for number, regime in enumerate(study.beyond, start=2):
-        settings = beyond_settings(study, regime, _seed(study, number, 0))
+        settings = beyond_settings(study, regime, study_seed(study, number, 0))
         # The same trial numbers as the paper's regimes, so that rows differ by their errors alone.
-        trials = _trials(study, truth, regime.test, study.beyond_trials, 1)
+        trials = study_trials(study, truth, regime.test, study.beyond_trials, 1)
         beyond += run_settings(study, truth, trials, regime, settings, count)
     return Found(study, truth, tuple(rows), tuple(beyond), perf_counter() - started)
 
@@ -177,9 +177,9 @@ def _persistent(
     return named
 
 
-def _seed(study: Study, number: int, purpose: int) -> np.random.SeedSequence:
+def study_seed(study: Study, number: int, purpose: int) -> np.random.SeedSequence:
     return np.random.SeedSequence([study.seed, number, purpose])
 
 
-def _trials(study: Study, truth: Truth, law: ErrorLaw, count: int, number: int) -> Trials:
-    return make_trials(study, truth, law, _seed(study, number, 1).spawn(count))
+def study_trials(study: Study, truth: Truth, law: ErrorLaw, count: int, number: int) -> Trials:
+    return make_trials(study, truth, law, study_seed(study, number, 1).spawn(count))

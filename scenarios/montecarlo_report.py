@@ -15,7 +15,13 @@ from scenarios.progress import percent_bar
 from scenarios.qmc import PAPER, Accuracy, runtime_accuracy
 from scenarios.report import Picture, Section, save_picture, write_report
 from scenarios.tables import to_csv, to_markdown
-from scenarios.update_study import Remark, study_remark, update_illustration
+from scenarios.update_report import (
+    iteration_table,
+    remark_table,
+    update_pictures,
+    update_sections,
+)
+from scenarios.update_study import Iterated, Remark, study_iterations, study_remark
 from sim.errors import SurefootError
 from sim.files import whole_file
 
@@ -35,22 +41,30 @@ def montecarlo(out: Path, trials: int | None = None, seed: int | None = None, fo
     rng = np.random.default_rng([study.seed, 1000])
     with percent_bar("box moments") as tell:
         runtime = runtime_accuracy(rng, tell=tell)
-    remarks = study_remark(rng, study.gammas, 300)
+    remarks = study_remark(rng, study.gammas, study.beyond_gamma, 2000)
     with percent_bar("trials") as tell:
         found = run_study(study, tell)
-    write_study(found, runtime, remarks, out, force)
+    with percent_bar("iterations") as tell:
+        iterated = study_iterations(study, tell=tell)
+    write_study(found, runtime, remarks, iterated, out, force)
     return found
 
 
 def write_study(
-    found: Found, runtime: Sequence[Accuracy], remarks: Sequence[Remark], out: Path, force=False
+    found: Found,
+    runtime: Sequence[Accuracy],
+    remarks: Sequence[Remark],
+    iterated: Sequence[Iterated],
+    out: Path,
+    force=False,
 ) -> None:
     """Write table.md, the tables as CSV, figures/ and report.html into `out`."""
     tables = {
         "runtime": runtime_table(runtime),
         "table": consistency_table(found.rows),
         "beyond": beyond_table(found.beyond),
-        "remark": pd.DataFrame([r.__dict__ for r in remarks]),
+        "remark": remark_table(remarks),
+        "iterations": iteration_table(iterated),
     }
     numbers = {"table": numbers_table(found.rows), "beyond": numbers_table(found.beyond)}
     for name, table in tables.items():
@@ -70,15 +84,10 @@ def write_study(
             time_figure(found.rows, found.study.beyond_gamma, found.study.score_rate),
             "Position error (root mean square over trials) and NEES (mean over trials) in time.",
         ),
-        "update": Picture(
-            update_illustration(),
-            "What one coverage update does: the prior, the posterior of Theorem 1 (piecewise: the "
-            "prior rescaled inside and outside the box), and the Gaussian of the same moments.",
-        ),
-    }
+    } | update_pictures()
     for name, picture in pictures.items():
         save_picture(picture, out / "figures" / f"{name}.png", force)
-    parts = sections(found, tables, pictures)
+    parts = sections(found, tables, pictures) + update_sections(remarks, iterated, pictures)
     text = [f"## {part.heading}\n\n{part.prose}\n\n{_markdown(part)}" for part in parts]
     with whole_file(out / "table.md", force) as path:
         path.write_text("\n".join(text), encoding="utf-8")
@@ -126,21 +135,6 @@ def sections(
             "gamma^(1/3). Each regime's errors are met by filters that were calibrated as its name "
             "says; each cell is RMSE [m] | NEES.",
             tables["beyond"],
-        ),
-        Section(
-            "One update",
-            "The picture update.png: one coverage update on one axis and on two, drawn from the "
-            "filter's own kernel.",
-            None,
-            (pictures["update"],),
-        ),
-        Section(
-            "The paper's remark: does pi < pi+ <= gamma hold?",
-            "Over random boxes on which the update is active: the share on which the matched "
-            "Gaussian holds more mass than the prior did (raised), the share on which it does not "
-            "overshoot gamma (within), how much is missing to gamma on average (below), and after "
-            "up to five projections.",
-            tables["remark"],
         ),
     ]
 

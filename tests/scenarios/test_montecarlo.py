@@ -13,6 +13,7 @@ from estimator.trajectory import Trajectory
 from scenarios.cli import main
 from scenarios.montecarlo import (
     READINGS,
+    Found,
     bounds,
     paper_settings,
     run_study,
@@ -31,7 +32,14 @@ from scenarios.montecarlo_study import (
 )
 from scenarios.montecarlo_trials import make_trials, population, true_motion, velocity_errors
 from scenarios.qmc import _phi_inverse, qmc_moments, runtime_accuracy, tensor_moments
-from scenarios.update_study import study_remark, update, update_illustration
+from scenarios.update_figures import (
+    gap_on_one_axis,
+    gap_on_three_axes,
+    remark_figure,
+    update_illustration,
+)
+from scenarios.update_report import remark_table, remark_words
+from scenarios.update_study import study_iterations, study_remark, update
 from sim.errors import SurefootError
 
 
@@ -43,6 +51,11 @@ def study() -> Study:
         whole, trials=2, duration=4.0, gammas=(0.8,), population=4000, beyond_trials=2,
         beyond=whole.beyond[2:5],
     )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def found(study) -> Found:
+    return run_study(study)
 
 
 def seeds(count: int) -> list[np.random.SeedSequence]:
@@ -113,20 +126,21 @@ def test_the_batch_gives_the_numbers_of_one_filter_at_a_time(study, regime):
             assert np.abs(scores.nees[k] / position - 1.0).max() < 1e-9, name
 
 
-def test_the_study_is_the_same_from_the_same_seed_and_is_written_whole(study, tmp_path):
-    first, second = run_study(study), run_study(study)
+def test_the_study_is_the_same_from_the_same_seed_and_is_written_whole(study, found, tmp_path):
+    first, second = found, run_study(study)
     for a, b in zip((*first.rows, *first.beyond), (*second.rows, *second.beyond), strict=True):
         assert np.array_equal(a.scores.nees, b.scores.nees)
         assert np.isfinite(a.scores.distance).all()
     rng = np.random.default_rng(0)
-    write_study(first, runtime_accuracy(rng, 2, 2, 1), study_remark(rng, (0.8,), 10), tmp_path)
+    remarks, iterated = study_remark(rng, (0.8,), 0.8, 40), study_iterations(study, (1, 3))
+    write_study(first, runtime_accuracy(rng, 2, 2, 1), remarks, iterated, tmp_path)
     text = (tmp_path / "table.md").read_text()
     assert "coverage_persistent" in text
     assert all(reading in text for reading in READINGS)
     assert "(paper)" in text
     assert "<img" in (tmp_path / "report.html").read_text()
     assert {p.name for p in tmp_path.glob("*.csv")} == {
-        "table.csv", "beyond.csv", "runtime.csv", "remark.csv",
+        "table.csv", "beyond.csv", "runtime.csv", "remark.csv", "iterations.csv",
     }  # fmt: skip
 
 
@@ -199,17 +213,44 @@ def test_sampling_errors_decay_as_the_papers_and_ours_are_a_million_times_less()
         assert getattr(ours, name) < 1e-6 * getattr(rows[1000], name)
 
 
-def test_the_update_raises_the_mass_and_leaves_inactive_boxes_alone():
-    remark = study_remark(np.random.default_rng(1), (0.8,), 60)[0]
-    assert remark.active > 20
-    assert remark.raised == 1.0
-    assert remark.after_five < remark.below
+def test_the_remark_is_studied_where_it_is_proved_and_where_it_is_not():
+    exact, *others = study_remark(np.random.default_rng(1), (0.8,), 0.8, 400)
+    assert exact.active > 200
+    assert (exact.raised, exact.within, exact.breach) == (1.0, 1.0, None)
+    assert 0.3 < exact.closed < exact.after_five < 1.0
+    assert [row.way for row in others] == [
+        "moments from 1000 samples", "moments from 100 samples",
+        "in the filter, attitude known to 0.1 rad", "in the filter, attitude known to 2 rad",
+    ]  # fmt: skip
+    assert min(row.within for row in others) > 0.98
+    assert len(remark_table([exact, *others])) == 5
+    assert f"all {exact.active} random boxes" in remark_words([exact, *others])
+
+
+def test_the_map_of_the_remark_is_empty_where_nothing_is_to_be_done():
+    share = gap_on_one_axis(np.array([0.0, 4.0]), np.array([0.5, 3.0]), 0.8)
+    assert np.isnan(share[1, 0])
+    assert np.all((share[0] > 0) & (share[0] < 1))
+    cubes = gap_on_three_axes(np.array([0.0, 3.0]), np.array([-0.4, 0.0, 0.9]), 1.0, 0.8)
+    assert np.all((cubes > 0) & (cubes < 1))
+    assert len(update_illustration().axes) == 6
+    assert len(remark_figure().axes) == 4
+
+
+def test_an_inactive_box_is_left_alone():
     wide = np.full(3, 6.0)
     pi, mean, cov = update(np.zeros(3), np.eye(3), -wide, wide, 0.8)
     assert pi > 0.8
     assert np.array_equal(mean, np.zeros(3))
     assert np.array_equal(cov, np.eye(3))
-    assert len(update_illustration().axes) == 2
+
+
+def test_iterations_start_from_the_row_of_the_papers_table(study, found):
+    first, third, *_ = study_iterations(study, (1, 3))
+    rows = {(r.regime, r.filter, r.reading): r for r in found.rows}
+    paper = rows["unbiased", "coverage", READINGS[1]]
+    assert np.array_equal(first.scores.nees, paper.scores.nees)
+    assert not np.array_equal(third.scores.nees, paper.scores.nees)
 
 
 @pytest.mark.parametrize(
