@@ -1,4 +1,4 @@
-"""Do the bounds hold? Empirical coverage of an observer's errors, with its binomial interval."""
+"""Do the bounds hold, and where do they not? Empirical coverage of an observer's errors."""
 
 from dataclasses import dataclass
 
@@ -6,6 +6,8 @@ import numpy as np
 from scipy.stats import beta
 
 from models.bounds import Bounds, BoundsError
+from models.cases import cases_of
+from sim.log import Log
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,47 @@ def coverage(errors: np.ndarray, bounds: Bounds, confidence: float = 0.95) -> Co
         n=n,
         confidence=confidence,
     )
+
+
+@dataclass(frozen=True)
+class CaseCoverage:
+    """Joint coverage of the errors that fall into one case of one split.
+
+    time: share of all errors; interval (2,) counts `n` independent ones: the blocks of K samples
+    that hold an error of the case.
+    """
+
+    split: str
+    case: str
+    time: float
+    joint: float
+    interval: np.ndarray
+    n: int
+
+
+def coverage_by(
+    log: Log, rows: np.ndarray, errors: np.ndarray, bounds: Bounds
+) -> list[CaseCoverage]:
+    """Coverage by terrain, slip, motion and gait phase, as far as the log has the columns.
+
+    errors (M, 3) at `rows` (M,) of the log, as `models.predict.prediction_errors` gives them.
+    Returns a CaseCoverage for each case that occurs.
+    """
+    inside = np.all(np.abs(errors) <= bounds.epsilon, axis=1)
+    block = np.arange(len(errors)) // bounds.K
+    found = []
+    for split, case, where in cases_of(log, rows):
+        if where.any():
+            n, joint = len(np.unique(block[where])), float(inside[where].mean())
+            interval = binomial_interval(joint, n)
+            found.append(CaseCoverage(split, case, float(where.mean()), joint, interval, n))
+    return found
+
+
+def worst_case(cases: list[CaseCoverage], least: int = 5) -> CaseCoverage | None:
+    """The case covered least, of those with `least` independent errors; None where none has."""
+    counted = [case for case in cases if case.n >= least]
+    return min(counted, key=lambda case: case.joint, default=None)
 
 
 def binomial_interval(share: float, n: int, confidence: float = 0.95) -> np.ndarray:

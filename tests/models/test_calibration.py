@@ -12,9 +12,11 @@ from scipy.stats import binom, binomtest
 
 from models.bounds import Bounds, BoundsError
 from models.calibration import calibrate, require_samples, subsample
-from models.coverage import binomial_interval, coverage
+from models.cases import stride_phase
+from models.coverage import binomial_interval, coverage, coverage_by, worst_case
 from models.predict import prediction_errors
 from models.regions import conformal_bounds, level_per_axis, rank
+from sim.log import LEGS, Log
 from tests.models.synthetic import Body, synthetic_walk
 
 
@@ -182,3 +184,47 @@ def test_a_turned_box_still_holds_all_it_held(mse_observer, walks):
 def test_intervals_are_those_of_scipy(hits, n):
     theirs = binomtest(hits, n).proportion_ci(0.95, method="exact")
     assert binomial_interval(hits / n, n) == pytest.approx([theirs.low, theirs.high], abs=1e-9)
+
+
+def test_coverage_is_split_by_what_the_log_tells(mse_observer, walks):
+    """Errors that leave the bounds in one known case alone are laid to that case."""
+    log = walks["test"]
+    frame = log.frame.copy()
+    n, t = len(frame), log.t
+    for i, leg in enumerate(LEGS):
+        frame[f"slip_{leg}"] = np.where((t > 20) & (t < 30) & (i == 1), 0.3, 0.01)
+        frame[f"mu_{leg}"] = 0.8
+        frame[f"contact_{leg}"] = (np.floor(4 * t) % 2 == i % 2).astype(float)
+    height = np.interp(t, [0, 40, 50, 60], [0, 0, 5, 5])
+    frame["ref_p_z"], frame["ref_p_x"], frame["ref_p_y"] = height, t, 0.0
+    marked = replace(log, frame=frame)
+    rows = np.arange(0, n, 5)
+    bounds = calibrate(mse_observer, walks["calibrate"], robot=Body(), K=20)
+    errors = np.zeros((len(rows), 3))
+    slips = (t[rows] > 20) & (t[rows] < 30)
+    errors[slips, 0] = 2 * bounds.epsilon[0]
+    found = {(c.split, c.case): c for c in coverage_by(marked, rows, errors, bounds)}
+    assert found["slip", "a foot slips"].joint == 0.0
+    assert found["slip", "no foot slips"].joint == 1.0
+    assert found["slip", "a foot slips"].time == pytest.approx(1 / 6, abs=0.002)
+    assert found["slip", "a foot slips"].n == pytest.approx(50, abs=1)
+    assert found["terrain", "climbing"].time == pytest.approx(1 / 6, abs=0.04)
+    assert found["terrain", "climbing"].joint == 1.0
+    assert ("terrain", "descending") not in found
+    assert ("ground", "friction below 0.4") not in found
+    quarters = [c for (split, _), c in found.items() if split == "stride"]
+    assert [c.time for c in quarters] == pytest.approx([0.25] * 4, abs=0.02)
+    worst = worst_case(list(found.values()))
+    assert worst is not None
+    assert worst.case == "a foot slips"
+    bare = Log(log.frame[["t"]], log.meta, "bare")
+    assert coverage_by(bare, rows, errors, bounds) == []
+
+
+def test_phase_runs_from_touchdown_to_touchdown():
+    t = np.arange(400) / 100
+    contact = (t % 0.5) < 0.3
+    contact[(t > 0.62) & (t < 0.64)] = False  # a bounce
+    phase = stride_phase(t, contact)
+    assert np.isnan(phase[:50]).all()
+    assert phase[50:350] == pytest.approx((t[50:350] / 0.5) % 1.0, abs=0.05)

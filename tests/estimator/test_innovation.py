@@ -1,0 +1,46 @@
+"""Innovations read off a finished trajectory are those that the filter met on its way."""
+
+import numpy as np
+import pytest
+
+from estimator.filter import InvariantFilter, run_coverage, run_imu
+from estimator.initial import initial_state
+from estimator.innovation import innovations
+from estimator.trajectory import TrajectoryError
+from tests.models.synthetic import synthetic_walk
+
+
+@pytest.mark.parametrize("stride", [1, 5])
+def test_they_are_what_the_filter_met(stride):
+    rng = np.random.default_rng(0)
+    log = synthetic_walk(0, 6.0)
+    state, covariance = initial_state(log)
+    rows = np.arange(5, len(log.t), 5)
+    v_I = 0.1 * rng.standard_normal((len(rows), 3))
+    epsilon = np.full(3, 0.05)
+    f = InvariantFilter(state, covariance)
+    met, known, row = [], [], 0
+    for k in range(1, len(log.t)):
+        f.predict(log.gyro[k], log.accel[k], log.t[k] - log.t[k - 1])
+        if row < len(rows) and k == rows[row]:
+            R = f.state.R_GI
+            met.append(v_I[row] - R.T @ f.state.v_GI)
+            known.append(R.T @ f.covariance[3:6, 3:6] @ R)
+            f.update_coverage(v_I[row], epsilon, 0.8)
+            row += 1
+    trajectory = run_coverage(
+        log.t, log.gyro, log.accel, rows, v_I, epsilon, 0.8, state, covariance, stride=stride
+    )
+    found = innovations(log, trajectory)
+    assert found.z == pytest.approx(np.array(met), abs=2e-5)
+    # Of the sample before: it has grown by five samples of noise since.
+    sizes = [np.trace(S, axis1=1, axis2=2) for S in (found.S, np.array(known))]
+    assert np.median(np.abs(sizes[0] / sizes[1] - 1)) < 0.1
+    by_hand = [z @ np.linalg.inv(S) @ z / 3 for z, S in zip(found.z, found.S, strict=True)]
+    assert found.squared == pytest.approx(by_hand)
+
+
+def test_a_trajectory_without_updates_is_refused():
+    log = synthetic_walk(0, 1.0)
+    with pytest.raises(TrajectoryError, match="with velocity updates"):
+        innovations(log, run_imu(log.t, log.gyro, log.accel, *initial_state(log)))
