@@ -95,7 +95,7 @@ class Robots:
     def run(self) -> None:
         from scenarios.tables import to_markdown
         from sim.robot import Robot
-        from sim.robot_files import known_robots
+        from sim.robot_files import downloadable_robots, known_robots
 
         rows = []
         for name in known_robots():
@@ -107,6 +107,10 @@ class Robots:
                     "leg [m]": robot.leg_length,
                     "foot radius [m]": robot.foot_radius.mean(),
                     "largest torque [N m]": robot.torque_limit.max(),
+                    "IMU": f"site {robot.imu}" if robot.imu else "none: the base frame",
                 }
             )
         print(to_markdown(rows))
+        if further := downloadable_robots():
+            print(f"fetched by robot_descriptions at first use: {', '.join(further)}")
+        print("any other 12-joint quadruped: the path of its MJCF file")

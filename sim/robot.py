@@ -22,14 +22,15 @@ IMU_SITES = ("imu", "imu_site", "IMU", "trunk_imu")
 class Robot:
     """A quadruped's declared model. Legs FL, FR, RL, RR; joints hip, thigh, calf.
 
-    The base frame B is that of the body with the free joint, the IMU frame I that of the site
-    named "imu" (the base frame where the model has none). `foot_radius` is what the declared
-    model says of rolling feet: zero means feet are points.
+    The base frame B is that of the body with the free joint, the IMU frame I that of the site that
+    carries a gyro or is named "imu" (the base frame where the model has none). `foot_radius` is
+    what the declared model says of rolling feet: zero means feet are points.
     """
 
     name: str
     file: Path
     mass: float  # kg
+    imu: str | None  # its site; None: the model has none, and the base frame stands for it
     p_BI: np.ndarray  # (3,) m, the IMU's origin in B
     R_BI: np.ndarray  # (3, 3), maps I to B
     foot_radius: np.ndarray  # (4,) m
@@ -49,11 +50,13 @@ class Robot:
         model = _compile(file)
         tree = find_legs(model, file.stem)
         joints = tree.joint_ids.ravel()
-        p_BI, R_BI = _imu_mounting(model, tree.base_body)
+        imu = _imu_site(model, tree.base_body)
+        p_BI, R_BI = _imu_mounting(model, imu)
         return cls(
             name=str(name_or_path) if file.stem == str(name_or_path) else file.stem,
             file=file,
             mass=float(model.body_subtreemass[tree.base_body]),
+            imu=model.site(imu).name if imu >= 0 else None,
             p_BI=p_BI,
             R_BI=R_BI,
             foot_radius=tree.foot_radius,
@@ -152,12 +155,22 @@ def _compile(file: Path) -> mujoco.MjModel:
         raise SurefootError(f"robot {file}: MuJoCo cannot read it: {reason}") from None
 
 
-def _imu_mounting(model: mujoco.MjModel, base: int) -> tuple[np.ndarray, np.ndarray]:
-    for name in IMU_SITES:
-        site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
+def _imu_site(model: mujoco.MjModel, base: int) -> int:
+    """The base's site that a gyro or an accelerometer sits on, or one named so; -1 without one."""
+    inertial = np.isin(
+        model.sensor_type, (mujoco.mjtSensor.mjSENS_GYRO, mujoco.mjtSensor.mjSENS_ACCELEROMETER)
+    )
+    named = (mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name) for name in IMU_SITES)
+    for site in (*model.sensor_objid[inertial], *named):
         if site >= 0 and model.site_bodyid[site] == base:
-            return model.site_pos[site].copy(), matrix_from_quaternion(model.site_quat[site])
-    return np.zeros(3), np.eye(3)
+            return int(site)
+    return -1
+
+
+def _imu_mounting(model: mujoco.MjModel, site: int) -> tuple[np.ndarray, np.ndarray]:
+    if site < 0:
+        return np.zeros(3), np.eye(3)
+    return model.site_pos[site].copy(), matrix_from_quaternion(model.site_quat[site])
 
 
 def _ranges(model: mujoco.MjModel, joints: np.ndarray) -> np.ndarray:

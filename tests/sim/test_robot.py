@@ -9,7 +9,7 @@ import pytest
 from sim.errors import SurefootError
 from sim.legs import LEGS
 from sim.robot import Robot
-from sim.robot_files import known_robots, robot_file
+from sim.robot_files import downloadable_robots, known_robots, robot_file
 from sim.stance import stands
 
 ROBOTS = sorted(known_robots())
@@ -121,14 +121,36 @@ def test_what_cannot_be_found_is_said_in_one_line(tmp_path, text, words):
 def test_robot_descriptions_are_found_by_name_and_failures_are_one_line(tmp_path, monkeypatch):
     package = tmp_path / "robot_descriptions"
     package.mkdir()
-    (package / "__init__.py").write_text("")
     (tmp_path / "odd.xml").write_text(odd_robot(CORNERS))
     (package / "odd_mj_description.py").write_text(f"MJCF_PATH = {str(tmp_path / 'odd.xml')!r}")
-    (package / "gone_mj_description.py").write_text("raise OSError('no network')")
+    text = "Cmd('git') failed due to: exit code(128)\\n stderr: 'fatal: no such host'"
+    (package / "gone_mj_description.py").write_text(f'raise OSError("{text}")')
+    (package / "__init__.py").write_text(
+        "from types import SimpleNamespace as S\n"
+        "DESCRIPTIONS = {n + '_mj_description': S(dof=12, tags={'quadruped'}) "
+        "for n in ('odd', 'go1')} | {'arm_mj_description': S(dof=7, tags={'arm'})}"
+    )
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "robot_descriptions", raising=False)
     assert robot_file("odd") == tmp_path / "odd.xml"
-    with pytest.raises(SurefootError, match=r"robot gone: .* no network"):
+    assert downloadable_robots() == ("odd",)  # go1 is here already
+    with pytest.raises(SurefootError, match=r"robot gone: .*fatal: no such host") as error:
         Robot.load("gone")
+    assert "\n" not in str(error.value)
     with pytest.raises(SurefootError, match="unknown robot"):
         Robot.load("nobody")
+
+
+def test_the_imu_is_where_the_gyro_sits_whatever_it_is_called(tmp_path):
+    """A model without one has the base frame for it, and says so."""
+    path = tmp_path / "odd.xml"
+    path.write_text(odd_robot(CORNERS))
+    assert Robot.load(path).imu is None
+    site = '<freejoint/><site name="box" pos=".1 0 .02" quat="0 0 0 1"/>'
+    sensor = '<sensor><gyro site="box"/></sensor></mujoco>'
+    text = odd_robot(CORNERS).replace("<freejoint/>", site).replace("</mujoco>", sensor)
+    path.write_text(text)
+    robot = Robot.load(path)
+    assert robot.imu == "box"
+    np.testing.assert_allclose(robot.p_BI, [0.1, 0.0, 0.02])
+    np.testing.assert_allclose(robot.R_BI, np.diag([-1.0, -1.0, 1.0]), atol=1e-12)
