@@ -11,6 +11,7 @@ small batches a step costs torch more in dispatch than in arithmetic; this loop 
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import torch
@@ -150,11 +151,12 @@ class GRU(torch.nn.Module):
     """A GRU layer on the CPU in float32, with torch.nn.GRU's equations and parameter names.
 
     `forward(x (T, B, inputs), h0 (B, hidden) | None) -> h (T, B, hidden)`; no h0 means zeros.
+    `stepper()` is the same for a robot's own loop: from x (inputs,) to h (hidden,), state kept.
     """
 
     def __init__(self, inputs: int, hidden: int):
         super().__init__()
-        self.hidden = hidden
+        self.features = hidden
         self.weight_ih_l0 = torch.nn.Parameter(torch.empty(3 * hidden, inputs))
         self.weight_hh_l0 = torch.nn.Parameter(torch.empty(3 * hidden, hidden))
         self.bias_ih_l0 = torch.nn.Parameter(torch.zeros(3 * hidden))
@@ -162,11 +164,27 @@ class GRU(torch.nn.Module):
 
     def initialise(self, generator: torch.Generator) -> None:
         """Uniform within 1/sqrt(hidden), as torch.nn.GRU does, drawn from `generator`."""
-        k = 1 / math.sqrt(self.hidden)
+        k = 1 / math.sqrt(self.features)
         for p in self.parameters():
             torch.nn.init.uniform_(p, -k, k, generator=generator)
 
     def forward(self, x: torch.Tensor, h0: torch.Tensor | None = None) -> torch.Tensor:
         gates = torch.nn.functional.linear(x, self.weight_ih_l0, self.bias_ih_l0)
-        h0 = x.new_zeros(x.shape[1], self.hidden) if h0 is None else h0
+        h0 = x.new_zeros(x.shape[1], self.features) if h0 is None else h0
         return _Recurrence.apply(gates, self.weight_hh_l0, self.bias_hh_l0, h0)  # pyright: ignore[reportReturnType]
+
+    def stepper(self) -> Callable[[np.ndarray], np.ndarray]:
+        W_x, W_h = _transposed(self.weight_ih_l0), _transposed(self.weight_hh_l0)
+        b_x, b_h = self.bias_ih_l0.detach().numpy(), self.bias_hh_l0.detach().numpy()
+        h = np.zeros(self.features, np.float32)
+
+        def one(x: np.ndarray) -> np.ndarray:
+            nonlocal h
+            h = step(x, h, W_x, b_x, W_h, b_h)
+            return h
+
+        return one
+
+
+def _transposed(weight: torch.Tensor) -> np.ndarray:
+    return np.ascontiguousarray(weight.detach().numpy().T)

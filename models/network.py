@@ -1,4 +1,4 @@
-"""The observer's network: one GRU layer and a linear head, and the two losses it is trained by.
+"""The observer's network: one of `models.architectures`, a linear head, and the two losses.
 
     (h_t, v_t) = NN(y_t, h_{t - dt})          the paper's Eq. (setup_rnn), h_0 = 0
 
@@ -14,7 +14,7 @@ import math
 import torch
 from torch.nn.functional import softplus
 
-from models.gru import GRU
+from models.architectures import ARCHITECTURES, Body
 
 LOSSES = ("mse", "gml")
 OUTPUTS = {"mse": 3, "gml": 9}
@@ -23,28 +23,27 @@ SMALLEST = 1e-3
 
 
 class Network(torch.nn.Module):
-    """`forward(x (T, B, inputs), h0 (B, hidden) | None)` -> head (T, B, outputs), last h (B, H).
+    """`forward(x (T, B, inputs)) -> head (T, B, outputs)`, from the beginning of a log."""
 
-    No h0 means zeros.
-    """
-
-    def __init__(self, inputs: int, outputs: int, hidden: int):
+    def __init__(self, model: str, inputs: int, outputs: int, width: int):
         super().__init__()
-        self.gru = GRU(inputs, hidden)
-        self.head = torch.nn.Linear(hidden, outputs)
+        self.body: Body = ARCHITECTURES[model].make(inputs, width)
+        self.head = torch.nn.Linear(self.body.features, outputs)
 
     def initialise(self, generator: torch.Generator) -> None:
         """Draw all weights from `generator`; the head's bias starts at zero."""
-        self.gru.initialise(generator)
+        self.body.initialise(generator)
         k = 1 / math.sqrt(self.head.in_features)
         torch.nn.init.uniform_(self.head.weight, -k, k, generator=generator)
         torch.nn.init.zeros_(self.head.bias)
 
-    def forward(
-        self, x: torch.Tensor, h0: torch.Tensor | None = None
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        h = self.gru(x, h0)
-        return self.head(h), h[-1]
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return self.head(self.body(x))
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return sum(p.numel() for p in self.parameters())
 
 
 def cholesky_factor(outputs: torch.Tensor) -> torch.Tensor:

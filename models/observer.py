@@ -16,13 +16,16 @@ from typing import Any
 import numpy as np
 import torch
 
+from models.architectures import ARCHITECTURES
 from models.network import LOSSES, OUTPUTS, Network
 from sim.errors import SurefootError
 from sim.files import whole_file
 from sim.log import Log
 
 FORMAT = "surefoot observer"
-SCHEMA = 1
+SCHEMA = 2
+WIDEST = 4096
+"""Units of a layer that a checkpoint may ask memory for."""
 INPUTS = (("q",), ("q", "dq"), ("q", "dq", "tau"))
 
 
@@ -40,15 +43,19 @@ class TrainingLog:
 
 @dataclass(frozen=True, eq=False)
 class Observer:
-    """A trained GRU from joint signals at 100 Hz to v_I, the IMU's velocity in its own frame.
+    """A trained network from joint signals at 100 Hz to v_I, the IMU's velocity in its own frame.
 
-    `weights` is the network's state dict. `inputs` names the joint groups, side by side in the
-    order of `joints`; a sample is scaled as (x - input_mean) / input_scale, an output as
-    output_mean + output_scale * y, in m/s. `p_BI` (3,) and `R_BI` (3, 3) are the IMU's mounting
-    whose velocity was learnt. `causal_dq` says that the joint velocities were derived from q.
-    `rmse` (3,) in m/s is that of the held-out part of the training logs.
+    `model` names its architecture, `width` is its layers', `weights` its state dict. `inputs`
+    names the joint groups, side by side in the order of `joints`; a sample is scaled as
+    (x - input_mean) / input_scale, an output as output_mean + output_scale * y, in m/s. `p_BI` (3,)
+    and `R_BI` (3, 3) are the IMU's mounting whose velocity was learnt. `causal_dq` says that the
+    joint velocities were derived from q. `rmse` (3,) in m/s is that of the held-out part of the
+    training logs; `errors` (M, 3) in m/s are those at all their measured rows, log after log: what
+    errors elsewhere are held against.
     """
 
+    model: str
+    width: int
     weights: dict[str, torch.Tensor]
     inputs: tuple[str, ...]
     joints: tuple[str, ...]
@@ -63,8 +70,8 @@ class Observer:
     logs: tuple[TrainingLog, ...]
     seed: int
     rate: float
-    hidden: int
     rmse: np.ndarray
+    errors: np.ndarray
     causal_dq: bool = False
 
     @property
@@ -90,7 +97,7 @@ class Observer:
     @cached_property
     def network(self) -> Network:
         """The network with these weights, ready to run."""
-        network = Network(len(self.input_mean), OUTPUTS[self.loss], self.hidden)
+        network = Network(self.model, len(self.input_mean), OUTPUTS[self.loss], self.width)
         network.load_state_dict(self.weights)
         return network.eval()
 
@@ -114,10 +121,10 @@ class Observer:
             raise ObserverError(f"{path}: not a surefoot observer, or a damaged one") from error
         if not isinstance(values, dict) or values.get("format") != FORMAT:
             raise ObserverError(f"{path}: a torch file, but not a surefoot observer")
-        if values.get("schema", 0) > SCHEMA:
+        if values.get("schema") != SCHEMA:
             raise ObserverError(
-                f"{path}: written by a newer surefoot (schema {values['schema']}, this one reads "
-                f"{SCHEMA})"
+                f"{path}: of schema {values.get('schema')}, this surefoot reads {SCHEMA}; train it "
+                "again"
             )
         try:
             observer = _from_plain(values)
@@ -144,6 +151,13 @@ def check_loss(loss: str) -> str:
     if loss not in LOSSES:
         raise ObserverError(f"--loss {loss}: choose {' | '.join(LOSSES)}")
     return loss
+
+
+def check_model(model: str) -> str:
+    """The architecture's name if there is one of that name. Raises ObserverError."""
+    if model not in ARCHITECTURES:
+        raise ObserverError(f"--model {model}: choose {' | '.join(ARCHITECTURES)}")
+    return model
 
 
 def log_digest(log: Log) -> str:
@@ -178,14 +192,25 @@ def _from_plain(values: dict[str, Any]) -> Observer:
     known["inputs"] = check_inputs(tuple(known["inputs"]))
     known["joints"] = tuple(known["joints"])
     known["loss"] = check_loss(known["loss"])
-    kinds = {"robot": str, "seed": int, "rate": float, "hidden": int, "causal_dq": bool}
+    known["model"] = check_model(known["model"])
+    kinds = {"robot": str, "seed": int, "rate": float, "width": int, "causal_dq": bool}
     for name, kind in kinds.items():
         if type(known[name]) is not kind:
             raise ValueError(f"{name} is not a {kind.__name__}")
+    if not 0 < known["width"] <= WIDEST:
+        raise ValueError(f"width is not within 1 and {WIDEST}")
     channels = len(known["inputs"]) * len(known["joints"])
     shapes = {"input_mean": (channels,), "input_scale": (channels,), "R_BI": (3, 3)}
     shapes |= dict.fromkeys(("output_mean", "output_scale", "p_BI", "rmse"), (3,))
+    shapes["errors"] = (len(known["errors"]), 3)
     for name, shape in shapes.items():
         if np.shape(known[name]) != shape:
             raise ValueError(f"{name} is not of shape {shape}")
+        if not np.all(np.isfinite(known[name])):
+            raise ValueError(f"{name} is not finite")
+    if min(known["input_scale"].min(), known["output_scale"].min()) <= 0:
+        raise ValueError("a scale is not positive")
+    for name, weight in known["weights"].items():
+        if weight.dtype != torch.float32 or not bool(torch.isfinite(weight).all()):
+            raise ValueError(f"weights: {name} is not finite and float32")
     return Observer(**known)

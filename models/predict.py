@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from models.gru import step
+from models.architectures import BothWays
 from models.mounting import Mounted, move_covariance, move_velocity, same_mounting
 from models.network import cholesky_factor
 from models.observer import Observer, ObserverError
@@ -31,7 +31,7 @@ class Prediction:
 
 
 def predict(observer: Observer, log: Log, robot: Mounted | None = None) -> Prediction:
-    """Velocities along a whole log; the hidden state starts at zero and runs through all of it.
+    """Velocities along a whole log; a hidden state starts at zero and runs through all of it.
 
     `robot` is the log's (Robot.for_log where left out); its mounting may differ from the one the
     observer learnt, which then takes the log's gyro to convert. Raises ObserverError where the
@@ -41,7 +41,7 @@ def predict(observer: Observer, log: Log, robot: Mounted | None = None) -> Predi
     seen = samples(log, observer.inputs)
     x = scaled_inputs(observer, seen.x)
     with torch.no_grad():
-        outputs, _ = observer.network(x[:, None, :])
+        outputs = observer.network(x[:, None, :])
     v_I, covariance = _physical(observer, outputs[:, 0].numpy())
     if not same_mounting(observer, robot):
         if not log.has("imu"):
@@ -65,20 +65,26 @@ def prediction_errors(
 
 
 class Loop:
-    """An observer in a robot's own loop: one call each 10 ms, its state kept between calls."""
+    """An observer in a robot's own loop: one call each 10 ms, its past kept between calls.
+
+    A `gru` steps compiled. Raises ObserverError for a model that reads a log from both ends.
+    """
 
     def __init__(self, observer: Observer):
-        """Start from the zero state."""
+        """Begin as at the start of a log."""
+        body = observer.network.body
+        if isinstance(body, BothWays):
+            raise ObserverError(
+                f"the observer is a {observer.model}, which reads a log from both ends: it serves "
+                "whole logs, not a loop; train one with --model gru"
+            )
         self.observer = observer
-        gru, head = observer.network.gru, observer.network.head
-        self._gru = (
-            _transposed(gru.weight_ih_l0),
-            gru.bias_ih_l0.detach().numpy(),
-            _transposed(gru.weight_hh_l0),
-            gru.bias_hh_l0.detach().numpy(),
+        self._features = body.stepper()
+        head = observer.network.head
+        self._head = (
+            np.ascontiguousarray(head.weight.detach().numpy().T),
+            head.bias.detach().numpy(),
         )
-        self._head = _transposed(head.weight), head.bias.detach().numpy()
-        self._h = np.zeros(gru.hidden, np.float32)
 
     def step(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """v_I (3,), m/s, and covariance (3, 3) or None, from inputs x (C,), filtered, unscaled.
@@ -86,8 +92,7 @@ class Loop:
         The filter is `models.decimate.decimate` over the samples of the last 20 ms.
         """
         scaled = (x - self.observer.input_mean) / self.observer.input_scale
-        self._h = step(scaled.astype(np.float32), self._h, *self._gru)
-        outputs = (self._h @ self._head[0] + self._head[1])[None]
+        outputs = (self._features(scaled.astype(np.float32)) @ self._head[0] + self._head[1])[None]
         v_I, covariance = _physical(self.observer, outputs)
         return v_I[0], None if covariance is None else covariance[0]
 
@@ -96,10 +101,6 @@ def scaled_inputs(observer: Observer, x: np.ndarray) -> torch.Tensor:
     """Inputs (M, C) as the network takes them, float32."""
     scaled = (x - observer.input_mean) / observer.input_scale
     return torch.from_numpy(scaled.astype(np.float32))
-
-
-def _transposed(weight: torch.Tensor) -> np.ndarray:
-    return np.ascontiguousarray(weight.detach().numpy().T)
 
 
 def _physical(observer: Observer, outputs: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:

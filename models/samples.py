@@ -7,7 +7,7 @@ import numpy as np
 from models.decimate import decimate, observer_rows
 from models.observer import ObserverError, check_inputs
 from sim.derivatives import JOINT_WINDOW, derivative
-from sim.log import Log, reference_velocity
+from sim.log import Log, LogError, reference_velocity
 
 DQ_ZERO_PHASE = "dq (zero-phase)"
 DQ_CAUSAL = "dq (causal)"
@@ -34,15 +34,11 @@ def samples(log: Log, inputs: tuple[str, ...]) -> Samples:
     derived again, causally, from q.
     """
     inputs = check_inputs(inputs)
-    missing = [name for name in inputs if not log.has(name)]
-    if missing:
-        hint = ""
-        if missing == ["dq"] and log.has("q"):
-            hint = "; derive it (sim.log.with_velocities) or use an observer of q alone"
-        raise ObserverError(
-            f"{log.name}: the observer reads {', '.join(inputs)}, the log lacks "
-            f"{', '.join(missing)}{hint}"
-        )
+    try:
+        log.require(*inputs)
+    except LogError as error:
+        hint = "; sim.log.with_velocities derives dq" if log.has("q") and not log.has("dq") else ""
+        raise ObserverError(f"{error}; the observer reads {','.join(inputs)}{hint}") from None
     groups = {name: getattr(log, name) for name in inputs}
     if "dq" in inputs and DQ_ZERO_PHASE in log.meta.derived:
         groups["dq"] = derivative(log.t, log.q, JOINT_WINDOW, causal=True)

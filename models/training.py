@@ -8,16 +8,20 @@ used, its state running through the whole log, and the best weights so scored ar
 from __future__ import annotations
 
 import copy
+import json
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
 
 import numpy as np
 import torch
 from tqdm import tqdm
 
+from models.architectures import ARCHITECTURES
 from models.decimate import RATE
-from models.mounting import Mounted, same_mounting
+from models.mounting import Mounted
 from models.network import OUTPUTS, Network, loss_of
 from models.observer import (
     Observer,
@@ -25,22 +29,16 @@ from models.observer import (
     TrainingLog,
     check_inputs,
     check_loss,
+    check_model,
     log_digest,
 )
-from models.samples import body_velocity, samples
+from models.training_data import Lessons, Walk, draw, prepare
+from models.training_state import State, task_digest
 from sim.errors import check_seed
 from sim.log import Log
-from sim.robot import Robot
 
-HIDDEN = 64
-WINDOW = 1000
-"""Steps of 10 ms, as in the paper."""
-BEGINNINGS = 1 / 8
-"""Share of windows that begin where their log does. An observer starts there, from the zero state
-and mostly at rest; left to chance, one window in thousands would show it, and its first predictions
-are off by half a metre a second."""
 WARM_UP = 25
-"""Steps of other windows that are not learnt from."""
+"""Steps, of windows that begin inside a walk, that a recurrent network is not taught by."""
 MEAN_FIRST = 0.4
 """Share of the steps in which a Gaussian's mean is fitted alone, by mse. A likelihood from the
 start explains the smaller motions as noise: the vertical error came out twice as large."""
@@ -50,29 +48,20 @@ start explains the smaller motions as noise: the vertical error came out twice a
 class Schedule:
     """How long and how fast to train: see DEFAULT for what was found to do.
 
-    steps of Adam, each on `batch` windows, its rate rising over the first twentieth to `rate` and
-    falling to zero along a cosine; validation every `every` steps, and an end after `patience`
-    of them without a better one.
+    steps of Adam, each on `batch` windows, its rate rising over the first twentieth to `rate` (the
+    architecture's own where None) and falling to zero along a cosine; validation every `every`
+    steps, and an end after `patience` of them without a better one.
     """
 
     steps: int = 1200
     batch: int = 4
-    rate: float = 1e-2
+    rate: float | None = None
     every: int = 25
     patience: int = 20
 
 
 DEFAULT = Schedule()
-
-
-@dataclass(frozen=True)
-class _Walk:
-    """One log, scaled: x (M, C), y (M, 3), and which rows are learnt from or held out (M,)."""
-
-    x: torch.Tensor
-    y: torch.Tensor
-    learn: torch.Tensor
-    held: torch.Tensor
+Progress = Callable[[int, int, np.ndarray], None]
 
 
 def train(
@@ -81,184 +70,188 @@ def train(
     inputs: tuple[str, ...] | str = ("q", "dq", "tau"),
     loss: str = "mse",
     seed: int = 0,
-    progress: bool | Callable[[int, int, np.ndarray], None] = False,
+    progress: bool | Progress = False,
     schedule: Schedule = DEFAULT,
+    model: str = "gru",
+    partial: Path | None = None,
 ) -> Observer:
     """An observer of `logs`' robot from `inputs`; the same seed and logs give the same one.
 
-    `progress` True draws a bar with the held-out RMSE; a function is called with (step, steps,
-    rmse (3,) in m/s) after each validation. One thread is used, whatever the machine has: more
-    would sum in another order. Raises ObserverError where a log is too short, lacks an input, or
-    where the logs disagree on robot, mounting or joints; LogError where one has no reference.
+    `model` is one of models.architectures. `progress` True draws a bar with the held-out RMSE; a
+    function is called with (step, steps, rmse (3,) in m/s) after each validation. `partial` is a
+    file for the state after each of them: a training that was killed goes on from there, to the
+    same bits; whoever saves the observer deletes it. One thread is used, whatever the machine has:
+    more would sum in another order. Raises ObserverError where a log is too short, lacks an input,
+    or where the logs disagree on robot, mounting or joints; LogError where one has no reference.
     """
     logs = [logs] if isinstance(logs, Log) else list(logs)
     check_seed(seed)
-    inputs, loss = check_inputs(inputs), check_loss(loss)
+    inputs, loss, model = check_inputs(inputs), check_loss(loss), check_model(model)
     if not logs:
         raise ObserverError("train: no log given")
-    robot = _common_robot(logs, robot)
-    seen = [samples(log, inputs) for log in logs]
-    labels = [body_velocity(log, sample.rows) for log, sample in zip(logs, seen, strict=True)]
-    for log, (_, measured) in zip(logs, labels, strict=True):
-        if len(measured) < WINDOW or measured.sum() < WINDOW // 2:
-            raise ObserverError(
-                f"{log.name}: {len(measured) / RATE:.1f} s of walk, {measured.sum() / RATE:.1f} s "
-                f"of it with a reference; training takes {WINDOW / RATE:g} s at least"
-            )
-    x_mean, x_scale = _scaling([sample.x for sample in seen])
-    _, y_scale = _scaling([v_I[ok & ~held_out(len(ok))] for v_I, ok in labels])
-    # Not centred: the zero state then answers about zero, and a log starts at rest.
-    y_mean = np.zeros(3)
-    walks = []
-    for sample, (v_I, measured) in zip(seen, labels, strict=True):
-        held = held_out(len(measured)) & measured
-        walks.append(
-            _Walk(
-                torch.from_numpy(((sample.x - x_mean) / x_scale).astype(np.float32)),
-                torch.from_numpy(((v_I - y_mean) / y_scale).astype(np.float32)),
-                torch.from_numpy(measured & ~held),
-                torch.from_numpy(held),
-            )
-        )
-    if not any(walk.held.any() for walk in walks):
-        raise ObserverError("train: the reference is missing wherever the score would be taken")
+    lessons = prepare(logs, robot, inputs)
     with _one_thread():
-        weights, rmse = _fit(walks, loss, y_scale, seed, schedule, progress)
+        fitted = _fit(model, loss, lessons, seed, schedule, progress, partial)
+        network = fitted.network
+        network.load_state_dict(fitted.best)
+        errors = _errors(network, lessons)
     return Observer(
-        weights=weights,
+        model=model,
+        width=ARCHITECTURES[model].width,
+        weights=network.state_dict(),
         inputs=inputs,
         joints=logs[0].joints,
-        input_mean=x_mean,
-        input_scale=x_scale,
-        output_mean=y_mean,
-        output_scale=y_scale,
-        robot=robot.name,
-        p_BI=np.array(robot.p_BI, dtype=float),
-        R_BI=np.array(robot.R_BI, dtype=float),
+        input_mean=lessons.x_mean,
+        input_scale=lessons.x_scale,
+        output_mean=lessons.y_mean,
+        output_scale=lessons.y_scale,
+        robot=lessons.robot.name,
+        p_BI=np.array(lessons.robot.p_BI, dtype=float),
+        R_BI=np.array(lessons.robot.R_BI, dtype=float),
         loss=loss,
         logs=tuple(TrainingLog(log.name, log_digest(log)) for log in logs),
         seed=seed,
         rate=RATE,
-        hidden=HIDDEN,
-        rmse=rmse,
-        causal_dq=seen[0].causal_dq,
+        rmse=fitted.rmse,
+        errors=errors,
+        causal_dq=lessons.causal_dq,
     )
 
 
-def held_out(steps: int) -> np.ndarray:
-    """Which of a log's steps (M,) are held out: one second in each ten, from the fifth on.
+@dataclass
+class _Training:
+    """A training under way: the fields are those of State, alive."""
 
-    Short blocks all along the log withhold no manoeuvre whole (two seconds in sixteen cost half of
-    the forward accuracy elsewhere); a second is two strides, more than the neighbours of what was
-    learnt, and the score on it came out as that on walks not seen.
-    """
-    return np.arange(steps) % 1000 // 100 == 5
+    network: Network
+    optimiser: torch.optim.Adam
+    rng: np.random.Generator
+    best: dict[str, torch.Tensor]
+    step: int = 0
+    score: float = np.inf
+    rmse: np.ndarray = field(default_factory=lambda: np.full(3, np.nan))
+    since: int = 0
+
+    def state(self) -> State:
+        return State(
+            step=self.step,
+            network=self.network.state_dict(),
+            optimiser=self.optimiser.state_dict(),
+            rng=json.dumps(self.rng.bit_generator.state),
+            best=self.best,
+            score=self.score,
+            rmse=self.rmse.tolist(),
+            since=self.since,
+        )
+
+    def restore(self, state: State) -> None:
+        self.network.load_state_dict(state.network)
+        self.optimiser.load_state_dict(state.optimiser)
+        self.rng.bit_generator.state = json.loads(state.rng)
+        self.best, self.step, self.score = state.best, state.step, state.score
+        self.rmse, self.since = np.array(state.rmse), state.since
+
+    def judge(self, score: float, rmse: np.ndarray) -> None:
+        """Keep the weights if no earlier ones scored better."""
+        self.since += 1
+        if score < self.score:
+            self.best = copy.deepcopy(self.network.state_dict())
+            self.score, self.rmse, self.since = score, rmse, 0
 
 
 def _fit(
-    walks: list[_Walk],
+    model: str,
     loss: str,
-    y_scale: np.ndarray,
+    lessons: Lessons,
     seed: int,
     schedule: Schedule,
-    progress: bool | Callable[[int, int, np.ndarray], None],
-) -> tuple[dict[str, torch.Tensor], np.ndarray]:
-    rng = np.random.default_rng(seed)
-    network = Network(walks[0].x.shape[1], OUTPUTS[loss], HIDDEN)
-    network.initialise(torch.Generator().manual_seed(int(rng.integers(2**63))))
-    optimiser = torch.optim.Adam(network.parameters(), lr=schedule.rate)
-    best, best_score, best_rmse, since = network.state_dict(), np.inf, np.full(3, np.nan), 0
-    stage = "mse"
-    bar = tqdm(
-        total=schedule.steps, desc=f"train {loss}", unit="step", disable=progress is not True
+    progress: bool | Progress,
+    partial: Path | None,
+) -> _Training:
+    architecture, walks = ARCHITECTURES[model], lessons.walks
+    rate = schedule.rate or architecture.rate
+    unsettled = max(WARM_UP, (architecture.field or 0) - 1)
+    task = task_digest(
+        walks, model=model, loss=loss, seed=seed, schedule=asdict(schedule), rate=rate
     )
+    now = _begin(model, loss, lessons, seed, rate)
+    if partial and (state := State.load(partial, task)):
+        now.restore(state)
+    bar = tqdm(
+        total=schedule.steps, initial=now.step, desc=f"train {model} {loss}", unit="step",
+        disable=progress is not True,
+    )  # fmt: skip
+
+    def stage(step: int) -> str:
+        return "mse" if step <= MEAN_FIRST * schedule.steps else loss
+
     with bar:
-        for step in range(1, schedule.steps + 1):
-            if stage != loss and step > MEAN_FIRST * schedule.steps:
-                stage, best_score, since = loss, np.inf, 0
-            for group in optimiser.param_groups:
-                group["lr"] = schedule.rate * _warm_cosine(step / schedule.steps)
-            x, y, learn = _draw(walks, schedule.batch, rng)
-            optimiser.zero_grad()
-            outputs, _ = network(x)
+        while now.step < schedule.steps:
+            if now.since >= schedule.patience and stage(now.step) == loss:
+                break
+            now.step += 1
+            kind = stage(now.step)
+            if kind != stage(now.step - 1):
+                now.score, now.since = np.inf, 0
+            for group in now.optimiser.param_groups:
+                group["lr"] = rate * _warm_cosine(now.step / schedule.steps)
+            x, y, learn = draw(walks, schedule.batch, unsettled, now.rng)
+            now.optimiser.zero_grad()
             # A sum, not a mean over nothing, where a batch has no measured reference at all.
-            (loss_of(stage, outputs, y)[learn].sum() / max(int(learn.sum()), 1)).backward()
-            torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-            optimiser.step()
+            losses = loss_of(kind, now.network(x), y)[learn]
+            (losses.sum() / max(int(learn.sum()), 1)).backward()
+            torch.nn.utils.clip_grad_norm_(now.network.parameters(), 1.0)
+            now.optimiser.step()
             bar.update()
-            if step % schedule.every and step != schedule.steps:
+            if now.step % schedule.every and now.step != schedule.steps:
                 continue
-            score, rmse = _score(network, walks, stage, y_scale)
-            since += 1
-            if score < best_score:
-                best, best_score, best_rmse = copy.deepcopy(network.state_dict()), score, rmse
-                since = 0
+            score, rmse = _score(now.network, walks, kind, lessons.y_scale)
+            now.judge(score, rmse)
+            if partial:
+                now.state().save(partial, task)
             bar.set_postfix_str("held-out RMSE " + " ".join(f"{e:.3f}" for e in rmse) + " m/s")
             if callable(progress):
-                progress(step, schedule.steps, rmse)
-            if since >= schedule.patience and stage == loss:
-                break
-    if not np.isfinite(best_score):
+                progress(now.step, schedule.steps, rmse)
+    if not np.isfinite(now.score):
         raise ObserverError("train: the loss did not stay finite; are the inputs of one unit?")
-    return best, best_rmse
+    return now
 
 
-def _draw(
-    walks: list[_Walk], batch: int, rng: np.random.Generator
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Random windows: x (WINDOW, B, C), y (WINDOW, B, 3), learn (WINDOW, B)."""
-    starts = np.array([len(walk.x) - WINDOW + 1 for walk in walks])
-    chosen = rng.choice(len(walks), size=batch, p=starts / starts.sum())
-    windows = []
-    for i in chosen:
-        first = 0 if rng.random() < BEGINNINGS else int(rng.integers(starts[i]))
-        windows.append((walks[i], slice(first, first + WINDOW)))
-    x = torch.stack([walk.x[window] for walk, window in windows], 1)
-    y = torch.stack([walk.y[window] for walk, window in windows], 1)
-    learn = torch.stack([walk.learn[window] for walk, window in windows], 1)
-    # Cut out of a walk, a window starts from a state that no observer in use is ever in.
-    cut = torch.tensor([window.start > 0 for _, window in windows])
-    learn[:WARM_UP, cut] = False
-    return x, y, learn
+def _begin(model: str, loss: str, lessons: Lessons, seed: int, rate: float) -> _Training:
+    rng = np.random.default_rng(seed)
+    inputs = len(lessons.x_mean)
+    network = Network(model, inputs, OUTPUTS[loss], ARCHITECTURES[model].width)
+    network.initialise(torch.Generator().manual_seed(int(rng.integers(2**63))))
+    optimiser = torch.optim.Adam(network.parameters(), lr=rate)
+    return _Training(network, optimiser, rng, copy.deepcopy(network.state_dict()))
 
 
 @torch.no_grad()
 def _score(
-    network: Network, walks: list[_Walk], loss: str, y_scale: np.ndarray
+    network: Network, walks: Sequence[Walk], loss: str, y_scale: np.ndarray
 ) -> tuple[float, np.ndarray]:
     """Loss of the held-out rows, and their RMSE (3,) in m/s."""
     losses, squares = [], []
     for walk in walks:
-        outputs = network(walk.x[:, None])[0][:, 0][walk.held]
+        outputs = network(walk.x[:, None])[:, 0][walk.held]
         losses.append(loss_of(loss, outputs, walk.y[walk.held]))
         squares.append((outputs[:, :3] - walk.y[walk.held]).square())
     rmse = torch.cat(squares).mean(0).sqrt().double().numpy() * y_scale
     return float(torch.cat(losses).mean()), rmse
 
 
+@torch.no_grad()
+def _errors(network: Network, lessons: Lessons) -> np.ndarray:
+    """Errors (M, 3), m/s, at all measured rows of all walks."""
+    errors = []
+    for walk in lessons.walks:
+        measured = walk.learn | walk.held
+        outputs = network(walk.x[:, None])[:, 0, :3]
+        errors.append((outputs - walk.y)[measured].double().numpy() * lessons.y_scale)
+    return np.concatenate(errors)
+
+
 def _warm_cosine(done: float) -> float:
-    return min(1.0, done / 0.05) * 0.5 * (1 + np.cos(np.pi * done))
-
-
-def _scaling(parts: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and standard deviation of each channel; a channel that never moves keeps unit scale."""
-    values = np.concatenate(parts)
-    spread = values.std(axis=0)
-    return values.mean(axis=0), np.where(spread > 1e-6, spread, 1.0)
-
-
-def _common_robot(logs: list[Log], robot: Mounted | None) -> Mounted:
-    robots = [Robot.for_log(log) if robot is None else robot for log in logs]
-    for log, other in zip(logs, robots, strict=True):
-        if other.name != robots[0].name:
-            raise ObserverError(
-                f"{log.name}: is of {other.name}, {logs[0].name} of {robots[0].name}"
-            )
-        if not same_mounting(other, robots[0]):
-            raise ObserverError(f"{log.name}: its IMU is mounted elsewhere than {logs[0].name}'s")
-        if log.joints != logs[0].joints:
-            raise ObserverError(f"{log.name}: its joints differ from {logs[0].name}'s")
-    return robots[0]
+    return min(1.0, done / 0.05) * 0.5 * (1 + math.cos(math.pi * done))
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from sim.errors import SurefootError
 
 @dataclass(frozen=True)
 class Train:
-    """Train a velocity observer on one or more logs."""
+    """Train a velocity observer on one or more logs; killed, it goes on where it was."""
 
     logs: Positional[tuple[Path, ...]]
     out: Out
@@ -20,18 +20,25 @@ class Train:
     loss: Literal["mse", "gml"] = "mse"
     """Mean squared error, or Gaussian likelihood, which predicts a covariance too."""
     inputs: Literal["q", "q,dq", "q,dq,tau"] = "q,dq,tau"
-    model: Literal["gru"] = "gru"
+    """What it reads of a log, which must have it: joint angles, velocities, torques."""
+    model: Literal["gru", "mlp", "rnn", "lstm", "bigru", "tcn"] = "gru"
+    """The network; a bigru reads a log from both ends, so it serves whole logs alone."""
     seed: int = 0
     force: bool = False
 
     def run(self) -> None:
         from models.training import train
+        from models.training_state import partial_path
         from sim.files import refuse_overwrite
 
         refuse_overwrite(self.out, self.force)
         logs = read_as_declared(self.logs)
-        observer = train(logs, inputs=self.inputs, loss=self.loss, seed=self.seed, progress=True)
+        partial = partial_path(self.out)
+        observer = train(
+            logs, None, self.inputs, self.loss, self.seed, True, model=self.model, partial=partial
+        )
         observer.save(self.out, self.force)
+        partial.unlink(missing_ok=True)
         x, y, z = observer.rmse
         print(
             f"{self.out}: held-out RMSE {x:.4f}, {y:.4f}, {z:.4f} m/s (forward, lateral, vertical)"

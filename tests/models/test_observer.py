@@ -35,7 +35,14 @@ def test_nothing_is_overwritten_unless_forced(mse_observer, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "change", [{"seed": 9}, {"robot": "other"}, {"p_BI": np.array([0, 0, 1e-9])}, {"loss": "gml"}]
+    "change",
+    [
+        {"seed": 9},
+        {"robot": "other"},
+        {"p_BI": np.array([0, 0, 1e-9])},
+        {"loss": "gml"},
+        {"model": "rnn"},
+    ],
 )
 def test_the_hash_is_of_everything(mse_observer, change):
     assert replace(mse_observer, **change).hash != mse_observer.hash
@@ -88,7 +95,7 @@ def test_other_inputs_are_refused(inputs):
 
 
 def test_missing_inputs_are_named_and_never_filled(mse_observer, walks):
-    with pytest.raises(ObserverError, match=r"lacks dq; derive it"):
+    with pytest.raises(ObserverError, match=r"lacks dq \(dq_FL_hip.*reads q,dq; .* derives"):
         predict(mse_observer, without(walks["test"], "dq"), Body())
 
 

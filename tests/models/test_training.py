@@ -12,7 +12,8 @@ from models.mounting import move_covariance, move_velocity
 from models.observer import ObserverError
 from models.predict import Loop, predict, prediction_errors
 from models.samples import samples
-from models.training import WINDOW, Schedule, held_out, train
+from models.training import Schedule, train
+from models.training_data import WINDOW, held_out
 from sim.log import LogError
 from tests.models.synthetic import Body, synthetic_walk, without
 

@@ -1,0 +1,124 @@
+"""Every architecture behind one interface: what it may see, step by step as over the whole log."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from models.architectures import ARCHITECTURES, BothWays
+from models.network import LOSSES, OUTPUTS, Network
+from models.observer import Observer, ObserverError
+from models.predict import Loop, predict, prediction_errors
+from models.samples import samples
+from models.training import Schedule, train
+from tests.models.synthetic import Body
+
+MODELS = list(ARCHITECTURES)
+CAUSAL = [name for name in MODELS if ARCHITECTURES[name].causal]
+TINY = Schedule(steps=6, batch=2, every=3)
+
+
+def network_of(model: str, inputs: int = 7) -> Network:
+    network = Network(model, inputs, 3, ARCHITECTURES[model].width)
+    network.initialise(torch.Generator().manual_seed(2))
+    return network
+
+
+def changed_by(network: Network, k: int, T: int = 150) -> np.ndarray:
+    """At which of T steps (T,) the answer changes when the input of step k does."""
+    x = torch.randn(T, 1, 7, generator=torch.Generator().manual_seed(0))
+    other = x.clone()
+    other[k] += 1.0
+    with torch.no_grad():
+        return (network(x) != network(other)).any(-1)[:, 0].numpy()
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_an_answer_depends_on_what_is_stated(model):
+    changed = np.flatnonzero(changed_by(network_of(model), 40))
+    stated = ARCHITECTURES[model]
+    assert (changed[0] >= 40) == stated.causal
+    if stated.field is not None:
+        assert changed[-1] == 40 + stated.field - 1
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_sizes_are_comparable(model):
+    assert network_of(model, 36).size == pytest.approx(20_000, rel=0.15)
+
+
+@pytest.mark.parametrize("model", CAUSAL)
+def test_step_by_step_is_the_whole_sequence(model):
+    """From the first step on, where a window has no past yet."""
+    network = network_of(model)
+    x = torch.randn(90, 1, 7, generator=torch.Generator().manual_seed(1))
+    with torch.no_grad():
+        whole = network.body(x)[:, 0].numpy()
+    assert not isinstance(network.body, BothWays)
+    step = network.body.stepper()
+    alone = np.array([step(row) for row in x[:, 0].numpy()])
+    assert alone == pytest.approx(whole, rel=1e-5, abs=1e-5)
+
+
+def test_both_ways_is_torchs_bidirectional_gru():
+    torch.manual_seed(3)
+    theirs, ours = torch.nn.GRU(7, 10, bidirectional=True), BothWays(7, 10)
+    for layer, suffix in ((ours.forwards, ""), (ours.backwards, "_reverse")):
+        layer.load_state_dict(
+            {name: theirs.state_dict()[name + suffix] for name in layer.state_dict()}
+        )
+    x, weight = torch.randn(40, 3, 7), torch.randn(40, 3, 20)
+    expected, found = theirs(x)[0], ours(x)
+    torch.testing.assert_close(found, expected, rtol=2e-5, atol=2e-5)
+    (found * weight).sum().backward()
+    (expected * weight).sum().backward()
+    for layer, suffix in ((ours.forwards, ""), (ours.backwards, "_reverse")):
+        for name, p in layer.named_parameters():
+            grad = dict(theirs.named_parameters())[name + suffix].grad
+            torch.testing.assert_close(p.grad, grad, rtol=2e-4, atol=2e-4)
+
+
+@pytest.mark.parametrize("model", [m for m in MODELS if m != "gru"])
+def test_every_model_learns_and_comes_back_from_disk(model, walks, tmp_path):
+    plan = Schedule(steps=60, batch=2, every=30)
+    observer = train(walks["fit"], Body(), "q,dq", model=model, schedule=plan)
+    _, errors = prediction_errors(observer, walks["test"], Body())
+    spread = walks["test"].ref_v.std(axis=0)
+    assert np.sqrt((errors**2).mean(axis=0))[0] < 0.5 * spread[0]
+    observer.save(tmp_path / "o.pt")
+    loaded = Observer.load(tmp_path / "o.pt")
+    assert loaded.model == model
+    ours, theirs = (predict(o, walks["test"], Body()) for o in (observer, loaded))
+    assert np.array_equal(ours.v_I, theirs.v_I)
+    seen = samples(walks["test"], observer.inputs)
+    if model == "bigru":
+        with pytest.raises(ObserverError, match="both ends"):
+            Loop(loaded)
+        return
+    loop = Loop(loaded)
+    for m in range(80):
+        assert loop.step(seen.x[m])[0] == pytest.approx(ours.v_I[m], abs=1e-5)
+
+
+@pytest.mark.parametrize("loss", LOSSES)
+@pytest.mark.parametrize("model", ["mlp", "bigru"])
+def test_the_same_seed_gives_the_same_model(model, loss, walks):
+    first, again = (
+        train(walks["fit"], Body(), "q", loss, seed=4, schedule=TINY, model=model) for _ in range(2)
+    )
+    assert first.hash == again.hash
+    assert first.network.head.out_features == OUTPUTS[loss]
+
+
+def test_an_unknown_model_is_refused(walks, mse_observer, tmp_path):
+    with pytest.raises(ObserverError, match=r"--model transformer: choose gru \| mlp"):
+        train(walks["fit"], Body(), model="transformer")
+    replace(mse_observer, model="lstm").save(tmp_path / "o.pt")
+    with pytest.raises(ObserverError, match="not a whole"):
+        Observer.load(tmp_path / "o.pt")
+
+
+def test_training_errors_are_kept_with_the_observer(mse_observer, walks):
+    _, errors = prediction_errors(mse_observer, walks["fit"], Body())
+    assert mse_observer.errors == pytest.approx(errors, abs=1e-6)

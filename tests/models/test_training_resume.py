@@ -1,0 +1,99 @@
+"""A training that was killed goes on where it was, to the same bits."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from models.observer import Observer, ObserverError
+from models.training import Schedule, train
+from models.training_state import State, partial_path
+from tests.models.synthetic import Body, synthetic_walk
+
+PLAN = Schedule(steps=24, batch=1, every=2)
+SCRIPT = """
+from pathlib import Path
+from tests.models.test_training_resume import PLAN, fit
+fit(Path("{partial}"), lambda step, *_: print(step, flush=True)).save("{out}")
+"""
+
+
+def fit(partial=None, progress: Any = False, loss="gml", **options):
+    walk = synthetic_walk(0, duration=15, noise=0.1)
+    options = {"schedule": PLAN, "model": "gru"} | options
+    return train(walk, Body(), "q", loss, 3, progress, partial=partial, **options)
+
+
+def test_a_real_kill_costs_no_bit(tmp_path):
+    out = tmp_path / "o.pt"
+    partial = partial_path(out)
+    script = SCRIPT.format(partial=partial, out=out)
+    victim = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
+    assert victim.stdout is not None
+    for line in victim.stdout:
+        # After the mean's own steps, at no validation in particular.
+        if int(line) >= 12:
+            break
+    time.sleep(0.01)
+    os.kill(victim.pid, signal.SIGKILL)
+    victim.wait()
+    assert partial.exists()
+    assert not out.exists()
+    told = []
+    resumed = fit(partial, lambda step, *_: told.append(step))
+    assert told[0] > 12
+    assert resumed.hash == fit().hash
+
+
+def test_a_killed_end_is_only_ended(tmp_path):
+    """All steps made, the observer not yet saved: nothing is trained again."""
+    partial = tmp_path / "o.pt.partial"
+    first = fit(partial)
+    told = []
+    assert fit(partial, lambda *step: told.append(step)).hash == first.hash
+    assert told == []
+
+
+def test_an_early_end_stays_an_early_end(tmp_path):
+    partial = tmp_path / "o.pt.partial"
+    patient = replace(PLAN, every=1, patience=2, rate=0.5, steps=40)
+    first = fit(partial, loss="mse", schedule=patient)
+    assert State.load(partial, "another task") is None
+    told = []
+    again = fit(partial, lambda *step: told.append(step), loss="mse", schedule=patient)
+    assert again.hash == first.hash
+    assert told == []
+
+
+@pytest.mark.parametrize(
+    "other", [{"loss": "mse"}, {"model": "mlp"}, {"schedule": replace(PLAN, steps=22)}]
+)
+def test_the_state_of_another_training_is_not_gone_on_from(other, tmp_path):
+    partial = tmp_path / "o.pt.partial"
+    fit(partial)
+    assert fit(partial, **other).hash == fit(**other).hash
+
+
+@pytest.mark.parametrize("what", ["text", "observer"])
+def test_a_file_that_is_no_state_is_left_alone(what, tmp_path, mse_observer):
+    partial = tmp_path / "o.pt.partial"
+    if what == "text":
+        partial.write_text("my notes")
+    else:
+        mse_observer.save(partial)
+    before = partial.read_bytes()
+    with pytest.raises(ObserverError, match="not a training that was broken off"):
+        fit(partial)
+    assert partial.read_bytes() == before
+
+
+def test_no_state_is_an_observer(tmp_path):
+    partial = tmp_path / "o.pt.partial"
+    fit(partial)
+    with pytest.raises(ObserverError, match="not a surefoot observer"):
+        Observer.load(partial)
