@@ -81,11 +81,11 @@ def test_both_ways_is_torchs_bidirectional_gru():
 
 @pytest.mark.parametrize("model", [m for m in MODELS if m != "gru"])
 def test_every_model_learns_and_comes_back_from_disk(model, walks, tmp_path):
-    plan = Schedule(steps=60, batch=2, every=30)
+    plan = Schedule(steps=60, batch=2, every=60)
     observer = train(walks["fit"], Body(), "q,dq", model=model, schedule=plan)
     _, errors = prediction_errors(observer, walks["test"], Body())
     spread = walks["test"].ref_v.std(axis=0)
-    assert np.sqrt((errors**2).mean(axis=0))[0] < 0.5 * spread[0]
+    assert np.sqrt((errors**2).mean(axis=0))[0] < 0.6 * spread[0]
     observer.save(tmp_path / "o.pt")
     loaded = Observer.load(tmp_path / "o.pt")
     assert loaded.model == model
