@@ -4,6 +4,14 @@ import numpy as np
 from numba import njit
 
 from estimator.coverage import update_coverage
+from estimator.persistent import (
+    EXTRAS,
+    NONE,
+    PersistentError,
+    update_coverage_persistent,
+    update_velocity_persistent,
+    wander,
+)
 from estimator.propagation import propagate
 from estimator.state import EXTRA, FilterNoise, NavState, numbers, spd, spd_3, vector
 from estimator.trajectory import Trajectory, UpdateRecord
@@ -15,11 +23,11 @@ class InvariantFilter:
     """Right-invariant filter on SE_2(3) x R^6 (paper, Sec. II): one call a sample.
 
     state: NavState; covariance (15, 15) in the error order (rotation, velocity, position, b_a,
-    b_g); noise: FilterNoise. `persistent` (3, 3) [m^2/s^2], where given, is the prior
-    covariance of a part of the observer's error that lasts through the sequence: it becomes three
-    more states, so that a stream of statements is not taken for independent news. Raises
-    SurefootError on wrong shapes, values that are not finite and covariances that are not positive
-    definite.
+    b_g); noise: FilterNoise. `persistent`, where given, describes a part of the
+    observer's error that lasts: it becomes three more states, so that a stream of measurements is
+    not taken for independent news, and coverage statements are about means (the derivation is in
+    `estimator.persistent`). Raises SurefootError on wrong shapes, values that are not finite and
+    covariances that are not positive definite.
     """
 
     def __init__(
@@ -27,10 +35,11 @@ class InvariantFilter:
         state: NavState,
         covariance: np.ndarray,
         noise: FilterNoise | None = None,
-        persistent: np.ndarray | None = None,
+        persistent: PersistentError | None = None,
     ):
         self._noise = (noise or FilterNoise()).packed()
         self._mean, self._covariance = _start(state, covariance, persistent)
+        self._persistent = None if persistent is None else persistent.model()
         self._columns, self._rotation_columns = _work(self._mean)
 
     def predict(self, gyro: np.ndarray, accel: np.ndarray, dt: float) -> None:
@@ -50,6 +59,8 @@ class InvariantFilter:
             self._columns,
             self._rotation_columns,
         )
+        if self._persistent:
+            wander(self._mean, self._covariance, *self._persistent[:2], float(dt))
 
     def update_coverage(
         self, v_I: np.ndarray, epsilon: np.ndarray, gamma: float, iterations: int = 1
@@ -58,21 +69,33 @@ class InvariantFilter:
 
         v_I (3,) and epsilon (3,) > 0 in m/s, in I. Returns pi, the prior mass inside the bounds
         (eq. pi_def_error_state); the state changed if pi < gamma. More than one of `iterations`
-        repeats the projection, so that the posterior holds closer to gamma.
+        repeats the projection, so that the posterior holds closer to gamma. With a persistent part
+        epsilon bounds the mean mixing error of a window: pi is nan, and the state unchanged, but
+        for the measurement that ends one.
         """
         v_I, epsilon = vector("v_I", v_I), vector("epsilon", epsilon)
         if not min(epsilon.tolist()) > 0:
             _bounds(epsilon, (3,))
         _check_gamma(gamma, iterations)
+        if self._persistent:
+            return update_coverage_persistent(
+                self._mean, self._covariance, v_I, epsilon, float(gamma), int(iterations),
+                *self._persistent[2:],
+            )  # fmt: skip
         return update_coverage(
             self._mean, self._covariance, 0, v_I, epsilon, float(gamma), int(iterations)
         )
 
     def update_velocity(self, v_I: np.ndarray, cov: np.ndarray) -> float:
         """Gaussian update with v_I (3,) [m/s] in I and its covariance (3, 3). Returns the squared
-        Mahalanobis distance of the innovation.
+        Mahalanobis distance of the innovation. With a persistent part cov is that of the mixing
+        error, and the distance is nan where v_I was left out as an outlier.
         """
         v_I, cov = vector("v_I", v_I), spd_3("cov", cov)
+        if self._persistent:
+            return update_velocity_persistent(
+                self._mean, self._covariance, v_I, cov, *self._persistent[2:]
+            )
         return update_velocity(self._mean, self._covariance, 0, v_I, cov)
 
     @property
@@ -88,9 +111,9 @@ class InvariantFilter:
     @property
     def persistent(self) -> tuple[np.ndarray, np.ndarray] | None:
         """Estimate (3,) [m/s] and covariance (3, 3) of the persistent error, None without one."""
-        if len(self._mean) == EXTRA:
+        if self._persistent is None:
             return None
-        return self._mean[EXTRA].copy(), self._covariance[15:, 15:].copy()
+        return self._mean[EXTRA].copy(), self._covariance[15:18, 15:18].copy()
 
 
 def run_imu(t, gyro, accel, state, covariance, noise=None, stride=None) -> Trajectory:
@@ -123,8 +146,8 @@ def run_coverage(
     t (N,) [s], gyro (N, 3) and accel (N, 3): row k holds the means over (t[k-1], t[k]], so row 0
     is where `state` stands and predicts nothing. rows (M,) are the increasing row indices of the
     measurements v_I (M, 3) [m/s], each applied after its row's prediction; epsilon (3,) or (M, 3)
-    [m/s], gamma the joint level, `iterations` as `InvariantFilter.update_coverage`. Output every
-    `stride` rows, by default at 100 Hz.
+    [m/s], gamma the joint level, `iterations` as `InvariantFilter.update_coverage`, `persistent` as
+    there. Output every `stride` rows, by default at 100 Hz.
     """
     v_I = numbers("v_I", v_I, (-1, 3))
     if np.ndim(epsilon) == 1:
@@ -152,30 +175,42 @@ def _run(
         np.zeros((0, 3, 3)) if cov is None else cov,
         float(gamma), int(iterations), mean, P, (noise or FilterNoise()).packed(), *_work(mean),
         stride, out_mean, out_cov, pi,
+        persistent is not None, *(NONE if persistent is None else persistent.model()),
     )  # fmt: skip
     updates = None
+    # Of a window, the record has the measurement that ended it; of velocities, those not left out.
+    done = np.isfinite(pi)
     if epsilon is not None:
-        updates = UpdateRecord(t[rows], v_I, epsilon, pi, pi < gamma)
+        updates = UpdateRecord(t[rows[done]], v_I[done], epsilon[done], pi[done], pi[done] < gamma)
     elif cov is not None:
-        updates = UpdateRecord(t[rows], v_I, None, None, np.ones(len(rows), dtype=bool))
+        updates = UpdateRecord(t[rows], v_I, None, None, done)
     return trajectory(t[::stride], out_mean, out_cov, updates)
 
 
 @njit(cache=True)
 def _loop(
     t, gyro, accel, rows, v_I, epsilon, cov, gamma, iterations, mean, P, noise, columns,
-    rotation_columns, stride, out_mean, out_cov, pi,
+    rotation_columns, stride, out_mean, out_cov, pi, lasting, prior, time_constant, window, reach,
+    counts,
 ):  # fmt: skip
     m = 0
     for k in range(t.shape[0]):
         if k > 0:
             dt = t[k] - t[k - 1]
             propagate(mean, P, gyro[k], accel[k], dt, noise, columns, rotation_columns)
+            if lasting:
+                wander(mean, P, prior, time_constant, dt)
         if m < rows.shape[0] and rows[m] == k:
-            if epsilon.shape[0] > 0:
+            if epsilon.shape[0] > 0 and lasting:
+                pi[m] = update_coverage_persistent(
+                    mean, P, v_I[m], epsilon[m], gamma, iterations, window, reach, counts
+                )
+            elif epsilon.shape[0] > 0:
                 pi[m] = update_coverage(mean, P, 0, v_I[m], epsilon[m], gamma, iterations)
+            elif lasting:
+                pi[m] = update_velocity_persistent(mean, P, v_I[m], cov[m], window, reach, counts)
             else:
-                update_velocity(mean, P, 0, v_I[m], cov[m])
+                pi[m] = update_velocity(mean, P, 0, v_I[m], cov[m])
             m += 1
         if k % stride == 0:
             out_mean[k // stride] = mean[:7]
@@ -222,13 +257,13 @@ def trajectory(t, mean, covariance, updates) -> Trajectory:
     )
 
 
-def _start(state: NavState, covariance, persistent) -> tuple[np.ndarray, np.ndarray]:
+def _start(
+    state: NavState, covariance, persistent: PersistentError | None
+) -> tuple[np.ndarray, np.ndarray]:
     covariance = spd("covariance", covariance, 15)
     if persistent is None:
         return state.pack(), covariance
-    P = np.zeros((18, 18))
-    P[:15, :15], P[15:, 15:] = covariance, spd("persistent", persistent, 3)
-    return state.pack(1), P
+    return state.pack(EXTRAS), persistent.enter(covariance)
 
 
 def _work(mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -79,19 +79,19 @@ def lift(mean, covariance, contacts: int, PHt, S, z_mean, z_cov):
                 + PHt[i, 2] * information[2, j]
             )
             delta[i] += K[i, j] * z_mean[j]
-    KD = np.empty((n, 3))
+    # Sigma + K (z_cov - S) K^T in Joseph's form: with D it is stationary in K, so that an error of
+    # K, which comes of inverting an S near singular, acts by its square alone.
+    D = np.empty((n, 3))
     for i in range(n):
         for j in range(3):
-            KD[i, j] = (
-                K[i, 0] * (z_cov[0, j] - S[0, j])
-                + K[i, 1] * (z_cov[1, j] - S[1, j])
-                + K[i, 2] * (z_cov[2, j] - S[2, j])
-            )
+            D[i, j] = PHt[i, j]
+            for m in range(3):
+                D[i, j] -= 0.5 * K[i, m] * (S[m, j] + z_cov[m, j])
     for i in range(n):
         for j in range(i + 1):
             total = covariance[i, j]
             for m in range(3):
-                total += KD[i, m] * K[j, m]
+                total -= K[i, m] * D[j, m] + D[i, m] * K[j, m]
             covariance[i, j] = total
             covariance[j, i] = total
     retract(mean, delta, contacts)

@@ -6,25 +6,20 @@ from time import perf_counter
 
 from estimator.filter import run_coverage, run_imu, run_velocity
 from estimator.initial import initial_state
-from estimator.leg import LegNoise, encoder_covariance, run_leg
+from estimator.leg import encoder_covariance, run_leg
 from estimator.metrics import Metrics, evaluate
-from estimator.state import FilterNoise
+from estimator.persistent import PersistentError
 from estimator.trajectory import Trajectory, reference
 from models.bounds import Bounds
 from models.observer import Observer
+from models.persistent import Persistent
 from models.predict import Prediction, predict
+from scenarios.tuned import tuned
 from sim.effects import effect, explain_all
 from sim.errors import SurefootError
 from sim.log import Log, joint_velocity
 from sim.robot import Robot
 
-# Filter noise, chosen on training and calibration courses of the bundled robot alone: lowest
-# errors there among those that stay consistent. A learnt velocity errs for long stretches in one
-# direction; an accelerometer taken at its data sheet's word would carry each such error on.
-LEARNT_NOISE = FilterNoise(gyro=3e-4, accel=3e-2, gyro_walk=1e-5, accel_walk=1e-4)
-LEG_NOISE = LegNoise(FilterNoise(gyro=3e-4, accel=1e-2, gyro_walk=1e-5, accel_walk=1e-4), 0.02)
-SLIP_GATE = 16.27
-"""Squared Mahalanobis distance, 3 degrees of freedom, passed by chance once in a thousand."""
 ENCODER = 2e-3
 """rad, of a joint angle: encoder step, calibration and what a loaded drive gives."""
 KINEMATICS = 2e-3
@@ -138,9 +133,10 @@ def _coverage(log: Log, robot: Robot, learnt: Learnt, loss: str | None = None) -
     seen = predict(observer, log, robot)
     epsilon = bounds.epsilon_at(robot.R_BI)
     state, covariance = initial_state(log)
+    noise = tuned(robot).learnt_noise("coverage")
     return lambda: run_coverage(
         log.t, log.gyro, log.accel, seen.rows, seen.v_I, epsilon, bounds.gamma, state, covariance,
-        LEARNT_NOISE,
+        noise,
     )  # fmt: skip
 
 
@@ -149,14 +145,52 @@ def _coverage_gml(log: Log, robot: Robot, learnt: Learnt) -> Run:
     return _coverage(log, robot, learnt, "gml")
 
 
-def _velocity(log: Log, robot: Robot, learnt: Learnt) -> Run:
+def _coverage_persistent(log: Log, robot: Robot, learnt: Learnt) -> Run:
+    """Set-coverage IEKF with the observer's persistent error as states, bounds on window means."""
+    observer, bounds = learnt.bounded()
+    part = bounds.persistent_at(robot.R_BI)
+    seen = predict(observer, log, robot)
+    state, covariance = initial_state(log)
+    noise = tuned(robot).learnt_noise("coverage_persistent")
+    return lambda: run_coverage(
+        log.t, log.gyro, log.accel, seen.rows, seen.v_I, part.epsilon, bounds.gamma, state,
+        covariance, noise, persistent=persistent_error(part),
+    )  # fmt: skip
+
+
+def _velocity(log: Log, robot: Robot, learnt: Learnt, inflation: float = 1.0) -> Run:
     """Gaussian-velocity IEKF, covariance predicted by the gml observer."""
     seen: Prediction = predict(learnt.gaussian(), log, robot)
+    assert seen.covariance is not None
+    cov = inflation * seen.covariance
     state, covariance = initial_state(log)
+    noise = tuned(robot).learnt_noise("velocity" if inflation == 1.0 else "velocity_inflated")
     return lambda: run_velocity(
-        log.t, log.gyro, log.accel, seen.rows, seen.v_I, seen.covariance, state, covariance,
-        LEARNT_NOISE,
+        log.t, log.gyro, log.accel, seen.rows, seen.v_I, cov, state, covariance, noise
+    )
+
+
+def _velocity_inflated(log: Log, robot: Robot, learnt: Learnt) -> Run:
+    """The same, its covariance times a factor chosen on training and calibration courses."""
+    return _velocity(log, robot, learnt, tuned(robot).inflation)
+
+
+def _velocity_persistent(log: Log, robot: Robot, learnt: Learnt) -> Run:
+    """Gaussian-velocity IEKF with the persistent error as states, covariance of the rest."""
+    observer, bounds = learnt.bounded()
+    part = bounds.persistent_at(robot.R_BI)
+    seen = predict(observer, log, robot)
+    state, covariance = initial_state(log)
+    noise = tuned(robot).learnt_noise("velocity_persistent")
+    return lambda: run_velocity(
+        log.t, log.gyro, log.accel, seen.rows, seen.v_I, part.within, state, covariance, noise,
+        persistent=persistent_error(part),
     )  # fmt: skip
+
+
+def persistent_error(part: Persistent) -> PersistentError:
+    """What the filter needs of what the calibration found."""
+    return PersistentError(part.covariance, part.time_constant, part.window, part.reach)
 
 
 def _leg(log: Log, robot: Robot, _: Learnt, gate: float | None = None) -> Run:
@@ -167,28 +201,33 @@ def _leg(log: Log, robot: Robot, _: Learnt, gate: float | None = None) -> Run:
     rates_I = robot.foot_rates_I(log.q, dq)
     cov = encoder_covariance(robot.feet_jacobian_I(log.q), ENCODER, KINEMATICS)
     state, covariance = initial_state(log)
+    noise = tuned(robot).leg_noise("leg" if gate is None else "leg_slip")
     return lambda: run_leg(
-        log.t, log.gyro, log.accel, feet_I, log.contact, cov, state, covariance, LEG_NOISE,
+        log.t, log.gyro, log.accel, feet_I, log.contact, cov, state, covariance, noise,
         robot.foot_radius, rates_I, gate,
     )  # fmt: skip
 
 
 def _leg_slip(log: Log, robot: Robot, learnt: Learnt) -> Run:
     """Leg IEKF that restarts a contact whose innovation fails a chi-square gate."""
-    return _leg(log, robot, learnt, SLIP_GATE)
+    return _leg(log, robot, learnt, tuned(robot).slip_gate)
 
 
 def _imu(log: Log, robot: Robot, _: Learnt) -> Run:
     """IMU alone: the floor."""
     state, covariance = initial_state(log)
-    return lambda: run_imu(log.t, log.gyro, log.accel, state, covariance, LEG_NOISE.imu)
+    noise = tuned(robot).leg_noise("leg").imu
+    return lambda: run_imu(log.t, log.gyro, log.accel, state, covariance, noise)
 
 
 # A filter's docstring is what the tables say of it.
 FILTERS: dict[str, Callable[[Log, Robot, Learnt], Run]] = {
     "coverage": _coverage,
     "coverage_gml": _coverage_gml,
+    "coverage_persistent": _coverage_persistent,
     "velocity": _velocity,
+    "velocity_inflated": _velocity_inflated,
+    "velocity_persistent": _velocity_persistent,
     "leg": _leg,
     "leg_slip": _leg_slip,
     "imu": _imu,

@@ -23,6 +23,7 @@ _STYLES: dict[str, tuple[str, str, str]] = {
     "coverage_persistent": ("Coverage, persistent error", "#F2A07B", "--"),
     "coverage_gml": ("Coverage on GML mean", "#9C3D00", ":"),
     "velocity": ("Velocity IEKF", "#009E73", "-"),
+    "velocity_inflated": ("Velocity IEKF, covariance inflated", "#3C6E5D", ":"),
     "velocity_persistent": ("Velocity IEKF, persistent error", "#74CDB2", "--"),
     "leg": ("Leg IEKF", "#2F86D1", "-"),
     "leg_slip": ("Leg IEKF, slip rejected", "#8CBBEA", "--"),

@@ -9,10 +9,13 @@ from numpy.testing import assert_array_equal
 
 from estimator.filter import InvariantFilter, run_coverage, run_imu, run_velocity
 from estimator.metrics import evaluate, nees
+from estimator.persistent import PersistentError
 from estimator.state import FilterNoise, NavState, retract
 from sim.errors import SurefootError
 
 EPSILON = np.array([0.06, 0.06, 0.04])
+LASTS = np.diag([1e-3, 2e-3, 1e-3]), 20.0, 7, np.full(3, 0.5)
+"""A persistent error that wanders: prior, time constant, window, reach."""
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +60,9 @@ def test_a_gyro_bias_is_found_through_velocities(walk, rows):
 
 
 @pytest.mark.parametrize("kind", ["imu", "velocity", "coverage"])
-@pytest.mark.parametrize("persistent", [None, np.eye(3) * 1e-3])
+@pytest.mark.parametrize(
+    "persistent", [None, PersistentError(np.eye(3) * 1e-3), PersistentError(*LASTS)], ids=str
+)
 def test_streaming_is_the_compiled_run(walk, rows, kind, persistent):
     rng = np.random.default_rng(0)
     n = 1001
@@ -96,6 +101,8 @@ def test_streaming_is_the_compiled_run(walk, rows, kind, persistent):
             assert_array_equal(one.covariance, whole.covariance[k // 10])
     if kind == "coverage":
         assert whole.updates is not None
+        pi = [x for x in pi if np.isfinite(x)]
+        assert len(pi) == len(rows) // (persistent.window if persistent else 1)
         assert_array_equal(whole.updates.pi, pi)
         assert_array_equal(whole.updates.active, np.array(pi) < 0.8)
 
@@ -134,6 +141,7 @@ def test_coverage_stays_consistent_where_the_gaussian_filter_does_not(walk, rows
     rows = rows[rows < n]
     reference = walk.reference().rows(slice(0, n, 5))
     gaussian, coverage, persistent = [], [], []
+    lasting = PersistentError(np.eye(3) * 0.05**2)
     for _ in range(6):
         (t, gyro, accel, rows, v_I), start = trial(walk, rows, rng, noise, 0.02, n)
         v_I = v_I + rng.choice([-0.05, 0.05], size=3)
@@ -142,7 +150,7 @@ def test_coverage_stays_consistent_where_the_gaussian_filter_does_not(walk, rows
         for series, estimate in (
             (gaussian, run_velocity(*data, cov, *start, noise)),
             (coverage, run_coverage(*data, np.full(3, 0.15), 0.8, *start, noise)),
-            (persistent, run_velocity(*data, cov, *start, noise, persistent=np.eye(3) * 0.05**2)),
+            (persistent, run_velocity(*data, cov, *start, noise, persistent=lasting)),
         ):
             series.append(nees(reference, estimate).position[-1])
     assert np.mean(gaussian) > 30

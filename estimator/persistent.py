@@ -1,0 +1,198 @@
+"""The persistent part of an observer's error as three more states, and statements about means.
+
+An observer's errors come in two parts, v_tilde = R_GI^T v + b_p + e: b_p (3,) in I lasts for long
+stretches and e mixes. A filter that takes every measurement for news believes that b_p averages
+out, which it never does. So b_p joins the state, with the error delta b_p = b_p_bar - b_p, and
+
+    z = H delta X = (v_I + b_p) - (v_I_bar + b_p_bar) to first order,   H = [0 -R^T 0 0 0 -I]
+
+(for the velocity as eq. setup_feasible_set_lie_linear_augmented: it stays right-invariant, as b_p
+adds to the output alone). b_p is a first-order Gauss-Markov process of prior covariance C and time
+constant tau; over dt it and its error shrink by exp(-dt/tau) and C (1 - exp(-2 dt/tau)) is added.
+tau = inf is a constant. What the updates are then told, bounds or R, is of e alone.
+
+One statement an update cannot average: the posterior of Theorem 1 believes z to within the bounds
+and learns nothing more from them once it does, however many e have passed. So the statement is made
+of the MEAN e of a window of w measurements, whose calibrated bounds are narrower. The window is
+three more states as well, s = -(mean of e so far), which is exact whatever the IMU does meanwhile:
+
+    s_bar <- s_bar + (v_I_bar + b_p_bar - v_tilde)/w,    delta s <- delta s - H delta X / w,
+
+and |s| <= epsilon with probability gamma is the box update with z = -delta s at the window's end;
+then s starts from zero again.
+
+Outliers. As pi -> 0 Theorem 1 moves gamma of the mass into a box however far away: the statement is
+believed and the prior is not. An error beyond all that the calibration saw (`reach`) was worth at
+most 1/(n+1) there; where no state within 3.3 deviations of the estimate explains a measurement by
+an error within reach, it is taken for one of these and left out, unless this goes on for longer
+than a window: then the estimate is wrong. This goes beyond the paper, and serves both updates.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numba import njit
+
+from estimator.coverage import FLOOR, posterior_moments
+from estimator.lift import lift, output
+from estimator.state import EXTRA, spd
+from estimator.velocity import gaussian_update
+from sim.errors import SurefootError
+
+DOUBT = 3.3
+"""Deviations of the estimate that are granted before a measurement counts as an outlier."""
+EXTRAS = 2
+"""Extra vectors in the packed state: b_p, then s."""
+_B, _S = EXTRA, EXTRA + 1
+_b, _s = 15, 18
+
+
+@dataclass(frozen=True)
+class PersistentError:
+    """What the filter is told of an observer's persistent error, all in I.
+
+    covariance (3, 3) [m^2/s^2]: prior of b_p. time_constant [s] > 0, inf for a constant. window:
+    measurements in the mean that a coverage update's epsilon bounds. reach (3,) [m/s]: the largest
+    mixing errors; larger ones are outliers.
+    """
+
+    covariance: np.ndarray
+    time_constant: float = np.inf
+    window: int = 1
+    reach: np.ndarray = field(default_factory=lambda: np.full(3, np.inf))
+
+    def __post_init__(self):
+        object.__setattr__(self, "covariance", spd("persistent", self.covariance, 3))
+        reach = np.array(self.reach, dtype=float)
+        if reach.shape != (3,) or not np.all(reach > 0):
+            raise SurefootError("persistent: reach must be three numbers > 0")
+        object.__setattr__(self, "reach", reach)
+        if not self.time_constant > 0:
+            raise SurefootError(f"persistent: time_constant {self.time_constant} must be > 0")
+        if self.window < 1 or self.window != int(self.window):
+            raise SurefootError(f"persistent: window {self.window} must be a whole number >= 1")
+
+    def enter(self, covariance: np.ndarray) -> np.ndarray:
+        """The covariance (15, 15) with these states in it, (21, 21)."""
+        P = np.zeros((15 + 3 * EXTRAS, 15 + 3 * EXTRAS))
+        P[:15, :15], P[_b:_s, _b:_s] = covariance, self.covariance
+        return P
+
+    def model(self) -> tuple[np.ndarray, float, int, np.ndarray, np.ndarray]:
+        """What the kernels take: covariance, time constant, window, reach, and fresh counts."""
+        counts = np.zeros(2, dtype=np.int64)
+        return self.covariance, float(self.time_constant), int(self.window), self.reach, counts
+
+
+NONE = (np.zeros((3, 3)), np.inf, 1, np.full(3, np.inf), np.zeros(2, dtype=np.int64))
+"""The `model` of a filter without a persistent part, for the kernels' arguments."""
+
+
+@njit(cache=True)
+def wander(mean, covariance, prior, time_constant: float, dt: float):
+    """b_p over dt [s], in place; prior (3, 3) is its stationary covariance."""
+    if time_constant == np.inf:
+        return
+    keep = np.exp(-dt / time_constant)
+    for i in range(3):
+        mean[_B, i] *= keep
+        for j in range(covariance.shape[0]):
+            covariance[_b + i, j] *= keep
+    for i in range(3):
+        for j in range(covariance.shape[0]):
+            covariance[j, _b + i] *= keep
+        for j in range(3):
+            covariance[_b + i, _b + j] += (1.0 - keep * keep) * prior[i, j]
+
+
+@njit(cache=True)
+def update_velocity_persistent(mean, covariance, v_I, R, window: int, reach, counts) -> float:
+    """Gaussian update with v_I (3,) whose mixing error has the covariance R (3, 3), in place.
+
+    Returns the squared Mahalanobis distance of the innovation, nan where it was left out.
+    """
+    n = covariance.shape[0]
+    PHt, S, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
+    output(mean, covariance, 0, v_I, PHt, S, residual)
+    if _outlier(S, residual, reach, window, counts):
+        return np.nan
+    return gaussian_update(mean, covariance, 0, PHt, S, residual, R)
+
+
+@njit(cache=True)
+def update_coverage_persistent(
+    mean, covariance, v_I, epsilon, gamma: float, iterations: int, window: int, reach, counts
+) -> float:
+    """One measurement v_I (3,), and at the window's end the coverage update, in place.
+
+    epsilon (3,) [m/s] bounds the mean of `window` mixing errors at the joint level gamma; counts
+    (2,) are the measurements gathered and those left out in a row. Returns pi of the window that
+    ends, nan within one.
+    """
+    n = covariance.shape[0]
+    PHt, S, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
+    output(mean, covariance, 0, v_I, PHt, S, residual)
+    if _outlier(S, residual, reach, window, counts):
+        return np.nan
+    _gather(mean, covariance, PHt, S, residual, 1.0 / window)
+    counts[0] += 1
+    if counts[0] < window:
+        return np.nan
+    counts[0] = 0
+    for i in range(3):
+        residual[i] = -mean[_S, i]
+        for j in range(n):
+            PHt[j, i] = -covariance[j, _s + i]
+        for j in range(3):
+            S[i, j] = covariance[_s + i, _s + j]
+    floor = FLOOR**2 + 1e-10 * (S[0, 0] + S[1, 1] + S[2, 2])
+    for i in range(3):
+        S[i, i] += floor
+    lower, upper = residual - epsilon, residual + epsilon
+    z_mean, z_cov = np.zeros(3), S.copy()
+    first = np.nan
+    for _ in range(iterations):
+        before, spread = z_mean.copy(), z_cov.copy()
+        pi = posterior_moments(before, spread, lower, upper, gamma, z_mean, z_cov)
+        if np.isnan(first):
+            first = pi
+        if not pi < gamma:
+            break
+    if first < gamma:
+        lift(mean, covariance, 0, PHt, S, z_mean, z_cov)
+    mean[_S] = 0.0
+    covariance[_s : _s + 3, :] = 0.0
+    covariance[:, _s : _s + 3] = 0.0
+    return first
+
+
+@njit(cache=True)
+def _gather(mean, covariance, PHt, S, residual, share: float):
+    """s_bar and delta s take one measurement's share, with the covariance."""
+    n = covariance.shape[0]
+    for i in range(3):
+        mean[_S, i] -= share * residual[i]
+    # H Sigma of delta s' = delta s - share z, before its columns change.
+    HPs = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            HPs[i, j] = PHt[_s + j, i]
+    for i in range(n):
+        if not _s <= i < _s + 3:
+            for j in range(3):
+                covariance[i, _s + j] -= share * PHt[i, j]
+                covariance[_s + j, i] = covariance[i, _s + j]
+    for i in range(3):
+        for j in range(3):
+            covariance[_s + i, _s + j] += share * (share * S[i, j] - HPs[i, j] - HPs[j, i])
+
+
+@njit(cache=True)
+def _outlier(S, residual, reach, window: int, counts) -> bool:
+    """Whether to leave this measurement out; counts[1] are those left out in a row."""
+    for i in range(3):
+        if abs(residual[i]) > reach[i] + DOUBT * np.sqrt(S[i, i]):
+            counts[1] += 1
+            return counts[1] <= window
+    counts[1] = 0
+    return False
