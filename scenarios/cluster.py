@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import TypeVar
 
 from scenarios.dataset import Row, recipe, row_of, with_hash
 from sim.batch import Job, known_robot, walk_job
@@ -12,6 +13,8 @@ from sim.errors import SurefootError
 from sim.files import whole_file
 from sim.log import Log
 
+T = TypeVar("T")
+R = TypeVar("R")
 PATIENCE = 20.0  # s to wait for the scheduler and a first worker
 
 
@@ -48,6 +51,25 @@ def walk_on_cluster(
                 progress(done / len(jobs))
             # The file is here: a worker that dies now has nothing left to lose.
             futures.discard(future)
+            future.release()
+
+
+def run_on_cluster(
+    address: str, function: Callable[[T], R], arguments: Sequence[T]
+) -> Iterator[tuple[int, R]]:
+    """function(argument) on the scheduler at `address`: places in `arguments` and results, as done.
+
+    Raises SurefootError in one line where the cluster cannot be reached or lacks the function.
+    """
+    try:
+        from distributed import Client, as_completed
+    except ImportError:
+        raise SurefootError("--cluster: needs the extra, pip install 'surefoot[cluster]'") from None
+    with _plainly(address), Client(address, timeout=PATIENCE, set_as_default=False) as client:
+        client.wait_for_workers(1, timeout=PATIENCE)
+        futures = {client.submit(function, x, pure=False): i for i, x in enumerate(arguments)}
+        for future in as_completed(list(futures), loop=client.loop):
+            yield futures.pop(future), future.result()
             future.release()
 
 

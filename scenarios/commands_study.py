@@ -63,12 +63,16 @@ class Montecarlo:
     trials: int | None = None
     """Trials in each regime; those of montecarlo.toml where left out."""
     seed: int | None = None
+    workers: int | None = None
+    """Processes of this machine that share the trials; threads do where left out."""
+    cluster: str | None = None
+    """Address of a Dask scheduler whose workers share them."""
     force: bool = False
 
     def run(self) -> None:
         from scenarios.montecarlo_report import montecarlo
 
-        montecarlo(self.out, self.trials, self.seed, self.force)
+        montecarlo(self.out, self.trials, self.seed, self.force, self.workers, self.cluster)
         print((self.out / "table.md").read_text(encoding="utf-8"))
         print(f"report: {self.out / 'report.html'}")
 

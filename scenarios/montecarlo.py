@@ -3,21 +3,25 @@
 Two readings of "bounds from the gamma-quantiles of the noise" are kept apart: each axis' quantile
 of |e| at gamma (the box then holds less than gamma jointly), and at gamma^(1/3) (the paper's own
 calibration, which holds gamma where axes are independent). The filters with a persistent state are
-given what separate calibration trials show; see `variance_components`.
+given what separate calibration trials show (`models.persistent`).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
 
+from estimator.persistent import PersistentError
+from models.persistent import estimate
 from scenarios.montecarlo_batch import Scores, Setting, run_batch
 from scenarios.montecarlo_study import BIASED, UNBIASED, ErrorLaw, Regime, Study
 from scenarios.montecarlo_trials import Trials, Truth, make_trials, population, true_motion
 from scenarios.montecarlo_trials import velocity_errors as draw_errors
 
 READINGS = ("gamma", "gamma^(1/3)")
+JOB = 20
+"""Trials in a job."""
 
 
 @dataclass(frozen=True)
@@ -36,18 +40,6 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Components:
-    """Variance components of errors: between trials (3, 3) and within, both [m^2/s^2].
-
-    residuals (n, 3) [m/s] is the mixing part, each trial's mean taken off.
-    """
-
-    between: np.ndarray
-    within: np.ndarray
-    residuals: np.ndarray
-
-
-@dataclass(frozen=True)
 class Found:
     """The study's rows: the paper's two regimes, and those beyond; seconds that the runs took."""
 
@@ -58,32 +50,81 @@ class Found:
     seconds: float
 
 
-def run_study(study: Study, tell: Callable[[float], None] | None = None) -> Found:
-    """Both tables from the study's seed alone; `tell` is given the share done."""
-    truth = true_motion(study)
-    per_regime = 2 * len(study.gammas) + 4
-    total = 2 * study.trials * per_regime + len(study.beyond) * study.beyond_trials * 4
-    done = 0
+@dataclass(frozen=True)
+class Job:
+    """Some trials of one regime, all filters on each: what a worker is sent.
 
-    def count(trials: int) -> None:
-        nonlocal done
-        done += trials
-        if tell:
-            tell(done / total)
+    Trials first..stop - 1 of those with the seed `number`.
+    """
 
-    rows: list[Row] = []
-    beyond: list[Row] = []
+    study: Study
+    regime: Regime
+    settings: "tuple[Named, ...]"
+    number: int
+    first: int
+    stop: int
+
+
+Spread = Callable[[Sequence[Job]], Iterator[tuple[int, list[Scores]]]]
+"""Runs jobs somewhere: their places in the sequence and what `run_job` gives, in any order."""
+
+
+def run_study(
+    study: Study, tell: Callable[[float], None] | None = None, spread: Spread | None = None
+) -> Found:
+    """Both tables from the study's seed alone; `tell` is given the share done.
+
+    `spread` runs the jobs, here one after the other where left out; the numbers are the same.
+    """
     started = perf_counter()
+    jobs = study_jobs(study)
+    scores: list[list[Scores]] = [[] for _ in jobs]
+    for done, (place, found) in enumerate((spread or here)(jobs), 1):
+        scores[place] = found
+        if tell:
+            tell(done / len(jobs))
+    rows: dict[tuple, Row] = {}
+    for job, found in zip(jobs, scores, strict=True):
+        for (name, gamma, reading, setting), part in zip(job.settings, found, strict=True):
+            key = job.regime.name, name, gamma, reading
+            whole = rows[key].scores.joined(part) if key in rows else part
+            rows[key] = Row(*key[:1], name, gamma, reading, setting.epsilon, whole)
+    paper = [r for r in rows.values() if r.regime in (UNBIASED.name, BIASED.name)]
+    beyond = [r for r in rows.values() if r.regime not in (UNBIASED.name, BIASED.name)]
+    return Found(study, true_motion(study), tuple(paper), tuple(beyond), perf_counter() - started)
+
+
+def study_jobs(study: Study) -> list[Job]:
+    """The study in pieces of JOB trials."""
+    jobs = []
     for number, regime in enumerate((UNBIASED, BIASED)):
-        settings = paper_settings(study, regime, study_seed(study, number, 0))
-        trials = study_trials(study, truth, regime.test, study.trials, number)
-        rows += run_settings(study, truth, trials, regime, settings, count)
+        settings = tuple(paper_settings(study, regime, study_seed(study, number, 0)))
+        jobs += _pieces(study, regime, settings, number, study.trials)
     for number, regime in enumerate(study.beyond, start=2):
-        settings = beyond_settings(study, regime, study_seed(study, number, 0))
+        settings = tuple(beyond_settings(study, regime, study_seed(study, number, 0)))
         # The same trial numbers as the paper's regimes, so that rows differ by their errors alone.
-        trials = study_trials(study, truth, regime.test, study.beyond_trials, 1)
-        beyond += run_settings(study, truth, trials, regime, settings, count)
-    return Found(study, truth, tuple(rows), tuple(beyond), perf_counter() - started)
+        jobs += _pieces(study, regime, settings, 1, study.beyond_trials)
+    return jobs
+
+
+def here(jobs: Sequence[Job]) -> Iterator[tuple[int, list[Scores]]]:
+    """All jobs in this process, threads sharing each."""
+    for place, job in enumerate(jobs):
+        yield place, run_job(job)
+
+
+def run_job(job: Job, threads: int | None = None) -> list[Scores]:
+    """The scores of each setting on the job's trials."""
+    truth = true_motion(job.study)
+    trials = study_trials(job.study, truth, job.regime.test, job.stop, job.number, job.first)
+    return [run_batch(job.study, truth, trials, setting, threads) for *_, setting in job.settings]
+
+
+def _pieces(study, regime: Regime, settings, number: int, count: int) -> list[Job]:
+    return [
+        Job(study, regime, settings, number, first, min(first + JOB, count))
+        for first in range(0, count, JOB)
+    ]
 
 
 Named = tuple[str, float | None, str | None, Setting]
@@ -115,40 +156,6 @@ def beyond_settings(study: Study, regime: Regime, seed: np.random.SeedSequence) 
     ]
 
 
-def run_settings(
-    study: Study,
-    truth: Truth,
-    trials: Trials,
-    regime: Regime,
-    settings: list[Named],
-    tell: Callable[[int], None] | None = None,
-) -> list[Row]:
-    """One row a setting, all on the same trials."""
-    return [
-        Row(
-            regime.name, name, gamma, reading, setting.epsilon,
-            run_batch(study, truth, trials, setting, tell),
-        )
-        for name, gamma, reading, setting in settings
-    ]  # fmt: skip
-
-
-def variance_components(errors: np.ndarray) -> Components:
-    """What lasts through a trial and what does not, from errors (S, n, 3) of S trials.
-
-    Within: the covariance about each trial's mean. Between: the second moment M of the means. As a
-    prior of the next trial's mean it has to tell what S trials do not: given M, the covariance
-    follows an inverse Wishart law with S degrees of freedom (its scale S M, no prior weight), whose
-    mean is S / (S - 4) M in three dimensions. The share of M that the mixing part's own mean makes
-    (within / n_eff) stays in it: a smaller persistent part cannot be told from none.
-    """
-    S = len(errors)
-    means = errors.mean(axis=1)
-    residuals = (errors - means[:, None]).reshape(-1, 3)
-    between = means.T @ means / (S - 4)
-    return Components(between, second_moment(residuals), residuals)
-
-
 def bounds(errors: np.ndarray, gamma: float, reading: str) -> np.ndarray:
     """epsilon (3,): each axis' quantile of |errors (n, 3)| at the level that the reading means."""
     level = gamma if reading == READINGS[0] else gamma ** (1 / 3)
@@ -163,23 +170,33 @@ def second_moment(errors: np.ndarray) -> np.ndarray:
 def _persistent(
     study: Study, law: ErrorLaw, seed: np.random.SeedSequence, readings: tuple[str, ...]
 ) -> list[Named]:
+    """Both filters with a persistent state, given what separate calibration trials show."""
     seeds = seed.spawn(study.calibration_trials)
     errors = [draw_errors(study, law, study.updates, np.random.default_rng(s)) for s in seeds]
-    parts = variance_components(np.array(errors))
-    gamma = study.beyond_gamma
-    named: list[Named] = [
-        ("velocity_persistent", None, None, Setting(R=parts.within, persistent=parts.between))
+    gamma, dt = study.beyond_gamma, 1.0 / study.update_rate
+    # `estimate` ranks each axis at the cube root of the level that it is given.
+    levels = {READINGS[0]: gamma**3, READINGS[1]: gamma}
+    parts = {reading: estimate(errors, dt, levels[reading]) for reading in readings}
+    part = parts[readings[0]]
+    lasting = PersistentError(part.covariance, part.time_constant, part.window, part.reach)
+    coverage: list[Named] = [
+        (
+            "coverage_persistent", gamma, reading,
+            Setting(epsilon=found.epsilon, gamma=gamma, persistent=lasting),
+        )
+        for reading, found in parts.items()
+    ]  # fmt: skip
+    return [
+        ("velocity_persistent", None, None, Setting(R=part.within, persistent=lasting)),
+        *coverage,
     ]
-    for reading in readings:
-        epsilon = bounds(parts.residuals, gamma, reading)
-        setting = Setting(epsilon=epsilon, gamma=gamma, persistent=parts.between)
-        named.append(("coverage_persistent", gamma, reading, setting))
-    return named
 
 
 def study_seed(study: Study, number: int, purpose: int) -> np.random.SeedSequence:
     return np.random.SeedSequence([study.seed, number, purpose])
 
 
-def study_trials(study: Study, truth: Truth, law: ErrorLaw, count: int, number: int) -> Trials:
-    return make_trials(study, truth, law, study_seed(study, number, 1).spawn(count))
+def study_trials(
+    study: Study, truth: Truth, law: ErrorLaw, stop: int, number: int, first: int = 0
+) -> Trials:
+    return make_trials(study, truth, law, study_seed(study, number, 1).spawn(stop)[first:])

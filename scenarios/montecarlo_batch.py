@@ -2,7 +2,6 @@
 
 import math
 import os
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -11,6 +10,14 @@ from numba import njit
 
 from estimator.coverage import FLOOR, update_coverage
 from estimator.lift import output
+from estimator.persistent import (
+    EXTRAS,
+    NONE,
+    PersistentError,
+    update_coverage_persistent,
+    update_velocity_persistent,
+    wander,
+)
 from estimator.propagation import propagate
 from estimator.state import EXTRA, FilterNoise, P
 from estimator.velocity import update_velocity
@@ -25,15 +32,15 @@ _CHUNK = 5
 class Setting:
     """One filter of the study: a Gaussian update with R, or coverage with epsilon at gamma.
 
-    R (3, 3) [m^2/s^2] or None; epsilon (3,) [m/s], gamma the joint level; persistent (3, 3)
-    [m^2/s^2] the prior of the persistent error, None without those states; iterations of the
-    projection in one coverage update.
+    R (3, 3) [m^2/s^2] or None; epsilon (3,) [m/s], gamma the joint level; persistent, None
+    without those states: then epsilon bounds the mean of a window; iterations of the projection in
+    one coverage update.
     """
 
     R: np.ndarray | None = None
     epsilon: np.ndarray | None = None
     gamma: float = 0.0
-    persistent: np.ndarray | None = None
+    persistent: PersistentError | None = None
     iterations: int = 1
 
 
@@ -48,6 +55,14 @@ class Scores:
     distance: np.ndarray
     nees: np.ndarray
     active: np.ndarray
+
+    def joined(self, more: "Scores") -> "Scores":
+        """These trials and those of `more` after them."""
+        return Scores(
+            np.concatenate([self.distance, more.distance]),
+            np.concatenate([self.nees, more.nees]),
+            np.concatenate([self.active, more.active]),
+        )
 
     @property
     def rmse(self) -> np.ndarray:
@@ -65,20 +80,18 @@ def run_batch(
     truth: Truth,
     trials: Trials,
     setting: Setting,
-    tell: Callable[[int], None] | None = None,
+    threads: int | None = None,
 ) -> Scores:
     """Run one filter over all trials; the numbers are those of `run_coverage`, `run_velocity`.
 
-    Threads only share the work: the result does not depend on their number. `tell` is called with
-    the number of trials that have become done.
+    Threads (one a core where None) only share the work: the result does not depend on them.
     """
-    T, extras = len(trials.gyro), 0 if setting.persistent is None else 1
+    lasting = setting.persistent
+    T, extras = len(trials.gyro), 0 if lasting is None else EXTRAS
     means = np.zeros((T, EXTRA + extras, 3))
     means[:, :EXTRA] = trials.means
-    start = np.zeros((15 + 3 * extras, 15 + 3 * extras))
-    start[:15, :15] = trials.covariance
-    if setting.persistent is not None:
-        start[15:, 15:] = setting.persistent
+    start = trials.covariance if lasting is None else lasting.enter(trials.covariance)
+    model = (NONE if lasting is None else lasting.model())[:4]
     true_p = np.ascontiguousarray(truth.p_GI[study.per_score :: study.per_score])
     distance, nees = np.empty((T, len(true_p))), np.empty((T, len(true_p)))
     active = np.empty(T)
@@ -87,56 +100,65 @@ def run_batch(
     epsilon = np.ones(3) if setting.epsilon is None else setting.epsilon
     noise = FilterNoise(study.imu.gyro, study.imu.accel, 0.0, 0.0).packed()
 
-    def chunk(first: int) -> int:
+    def chunk(first: int) -> None:
         part = slice(first, min(first + _CHUNK, T))
         _run(
             truth.t, trials.gyro[part], trials.accel[part], trials.v_I[part], study.per_update,
             gaussian, np.ascontiguousarray(R), np.ascontiguousarray(epsilon), setting.gamma,
             setting.iterations, means[part], start, noise, true_p, study.per_score,
-            distance[part], nees[part], active[part],
+            distance[part], nees[part], active[part], lasting is not None, *model,
         )  # fmt: skip
-        return part.stop - part.start
 
-    with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
-        for done in pool.map(chunk, range(0, T, _CHUNK)):
-            if tell:
-                tell(done)
+    with ThreadPoolExecutor(max_workers=threads or os.cpu_count() or 1) as pool:
+        list(pool.map(chunk, range(0, T, _CHUNK)))
     return Scores(distance, nees, active)
 
 
 @njit(nogil=True, cache=True)
 def _run(
     t, gyro, accel, v_I, per_update, gaussian, R, epsilon, gamma, iterations, means, start, noise,
-    true_p, per_score, distance, nees, active,
+    true_p, per_score, distance, nees, active, lasting, prior, time_constant, window, reach,
 ):  # fmt: skip
     """A chunk of trials, one after the other, into distance, nees and active."""
     n = start.shape[0]
     for trial in range(gyro.shape[0]):
         mean, covariance = means[trial].copy(), start.copy()
         columns, rotation_columns = np.zeros((n, 6)), np.zeros((n - 15, 3))
-        changed = 0
+        counts = np.zeros(2, dtype=np.int64)
+        changed = judged = 0
         for k in range(1, t.shape[0]):
             propagate(
                 mean, covariance, gyro[trial, k], accel[trial, k], t[k] - t[k - 1], noise,
                 columns, rotation_columns,
             )  # fmt: skip
+            if lasting:
+                wander(mean, covariance, prior, time_constant, t[k] - t[k - 1])
             if k % per_update == 0:
                 m = k // per_update - 1
-                if gaussian:
-                    update_velocity(mean, covariance, 0, v_I[trial, m], R)
+                v = v_I[trial, m]
+                if lasting:
+                    if gaussian:
+                        pi = update_velocity_persistent(
+                            mean, covariance, v, R, window, reach, counts
+                        )
+                    else:
+                        pi = update_coverage_persistent(
+                            mean, covariance, v, epsilon, gamma, iterations, window, reach, counts
+                        )
+                    judged += gaussian or not np.isnan(pi)
+                    changed += not np.isnan(pi) if gaussian else pi < gamma
+                elif gaussian:
+                    update_velocity(mean, covariance, 0, v, R)
                     changed += 1
-                elif not _holds_already(mean, covariance, v_I[trial, m], epsilon, gamma):
-                    pi = update_coverage(
-                        mean, covariance, 0, v_I[trial, m], epsilon, gamma, iterations
-                    )
-                    if pi < gamma:
-                        changed += 1
+                elif not _holds_already(mean, covariance, v, epsilon, gamma):
+                    pi = update_coverage(mean, covariance, 0, v, epsilon, gamma, iterations)
+                    changed += pi < gamma
             if k % per_score == 0:
                 m = k // per_score - 1
                 error = mean[P] - true_p[m]
                 distance[trial, m] = np.sqrt(np.sum(error * error))
                 nees[trial, m] = _position_nees(mean[P], error, covariance)
-        active[trial] = changed / v_I.shape[1]
+        active[trial] = changed / (judged if lasting else v_I.shape[1])
 
 
 @njit(nogil=True, cache=True)

@@ -8,8 +8,9 @@ import numpy as np
 import pandas as pd
 
 from scenarios.compare import prepare_folder
-from scenarios.montecarlo import READINGS, Found, Row, run_study
+from scenarios.montecarlo import READINGS, Found, Row, Spread, run_study
 from scenarios.montecarlo_figures import PAPER_ROWS, nees_figure, runtime_figure, time_figure
+from scenarios.montecarlo_spread import on_cluster, on_workers
 from scenarios.montecarlo_study import load_study
 from scenarios.progress import percent_bar
 from scenarios.qmc import PAPER, Accuracy, runtime_accuracy
@@ -26,9 +27,18 @@ from sim.errors import SurefootError
 from sim.files import whole_file
 
 
-def montecarlo(out: Path, trials: int | None = None, seed: int | None = None, force=False) -> Found:
-    """Run the whole study and write it into `out`. Raises SurefootError on bad input."""
+def montecarlo(
+    out: Path, trials: int | None = None, seed: int | None = None, force=False,
+    workers: int | None = None, cluster: str | None = None,
+) -> Found:  # fmt: skip
+    """Run the whole study and write it into `out`, its trials spread over `workers` processes or a
+    Dask `cluster` where one is named. Raises SurefootError on bad input.
+    """
     study = load_study()
+    if workers is not None and cluster is not None:
+        raise SurefootError("--workers and --cluster: one of the two")
+    if workers is not None and workers < 1:
+        raise SurefootError(f"--workers {workers}: at least 1")
     if trials is not None:
         if trials < 2:
             raise SurefootError("--trials: needs 2 or more, the table gives spreads")
@@ -43,11 +53,19 @@ def montecarlo(out: Path, trials: int | None = None, seed: int | None = None, fo
         runtime = runtime_accuracy(rng, tell=tell)
     remarks = study_remark(rng, study.gammas, study.beyond_gamma, 2000)
     with percent_bar("trials") as tell:
-        found = run_study(study, tell)
+        found = run_study(study, tell, _elsewhere(workers, cluster))
     with percent_bar("iterations") as tell:
         iterated = study_iterations(study, tell=tell)
     write_study(found, runtime, remarks, iterated, out, force)
     return found
+
+
+def _elsewhere(workers: int | None, cluster: str | None) -> Spread | None:
+    if cluster is not None:
+        return lambda jobs: on_cluster(cluster, jobs)
+    if workers is not None:
+        return lambda jobs: on_workers(jobs, workers)
+    return None
 
 
 def write_study(

@@ -17,10 +17,10 @@ from scenarios.montecarlo import (
     bounds,
     paper_settings,
     run_study,
-    variance_components,
 )
 from scenarios.montecarlo_batch import Setting, run_batch
 from scenarios.montecarlo_report import montecarlo, write_study
+from scenarios.montecarlo_spread import on_cluster, on_workers
 from scenarios.montecarlo_study import (
     BIASED,
     BUNDLED,
@@ -48,7 +48,7 @@ def study() -> Study:
     """The bundled study, but a few short trials."""
     whole = load_study()
     return replace(
-        whole, trials=2, duration=4.0, gammas=(0.8,), population=4000, beyond_trials=2,
+        whole, trials=2, duration=4.0,  gammas=(0.8,), population=4000, beyond_trials=2,
         beyond=whole.beyond[2:5],
     )  # fmt: skip
 
@@ -110,7 +110,9 @@ def test_the_batch_gives_the_numbers_of_one_filter_at_a_time(study, regime):
             log = truth.t, trials.gyro[k], trials.accel[k], rows, trials.v_I[k]
             start = NavState.unpack(trials.means[k]), trials.covariance, noise, study.per_score
             if setting.epsilon is not None:
-                found = run_coverage(*log, setting.epsilon, gamma, *start, setting.persistent)
+                found = run_coverage(
+                    *log, setting.epsilon, gamma, *start, persistent=setting.persistent
+                )
                 assert found.updates is not None
                 assert scores.active[k] == pytest.approx(found.updates.active.mean())
             else:
@@ -144,6 +146,33 @@ def test_the_study_is_the_same_from_the_same_seed_and_is_written_whole(study, fo
     }  # fmt: skip
 
 
+@pytest.mark.parametrize("where", ["workers", "cluster"])
+def test_other_processes_give_the_same_numbers(study, where):
+    small = replace(study, duration=3.0, beyond=())
+    near = run_study(small)
+    if where == "workers":
+        far = run_study(small, spread=lambda jobs: on_workers(jobs, 2))
+    else:
+        distributed = pytest.importorskip("distributed")
+        with distributed.LocalCluster(
+            n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None,
+            protocol="tcp://", host="127.0.0.1",
+        ) as cluster:  # fmt: skip
+            far = run_study(small, spread=lambda jobs: on_cluster(cluster.scheduler_address, jobs))
+    for a, b in zip(near.rows, far.rows, strict=True):
+        assert (a.filter, a.gamma, a.reading) == (b.filter, b.gamma, b.reading)
+        assert np.array_equal(a.scores.nees, b.scores.nees)
+        assert np.array_equal(a.scores.distance, b.scores.distance)
+
+
+def test_a_cluster_that_is_not_there_is_one_line(study, monkeypatch):
+    monkeypatch.setattr("scenarios.cluster.PATIENCE", 0.5)
+    pytest.importorskip("distributed")
+    with pytest.raises(SurefootError, match=r"--cluster tcp://127\.0\.0\.1:9: ") as error:
+        run_study(study, spread=lambda jobs: on_cluster("tcp://127.0.0.1:9", jobs))
+    assert "\n" not in str(error.value)
+
+
 def test_the_ekf_is_consistent_where_its_model_is_right(study):
     long = replace(study, duration=20.0)
     truth = true_motion(long)
@@ -173,21 +202,6 @@ def test_mixing_parts_have_zero_mean_and_the_stated_covariance(study, mixing):
         assert np.median(np.abs(errors)) == pytest.approx(0.7649 / np.sqrt(3), rel=0.02)
     else:
         assert np.var(errors, axis=0) == pytest.approx([1.0] * 3, rel=0.03)
-
-
-def test_variance_components_recover_what_made_the_errors():
-    rng = np.random.default_rng(0)
-    between, within = np.array([0.06, 0.03, 0.01]), np.array([0.05, 0.08, 0.04])
-    errors = between * rng.standard_normal((2000, 1, 3)) + within * rng.standard_normal(
-        (2000, 50, 3)
-    )
-    found = variance_components(errors)
-    assert np.diag(found.within) == pytest.approx(within**2 * 49 / 50, rel=0.02)
-    assert np.diag(found.between) == pytest.approx(between**2 + within**2 / 50, rel=0.12)
-    # Few trials tell less, and the prior says so: larger on average, never singular.
-    few = [variance_components(errors[k : k + 8]).between for k in range(0, 2000, 8)]
-    assert np.mean(few, axis=0)[0, 0] > 1.5 * found.between[0, 0]
-    assert min(np.linalg.eigvalsh(b)[0] for b in few) > 0
 
 
 def test_qmc_is_a_fair_peer():
@@ -279,7 +293,10 @@ def test_a_bad_study_file_is_one_line_that_names_the_key(tmp_path, before, after
 
 
 def test_the_command_refuses_bad_options(tmp_path):
-    for option in (["--trials", "1"], ["--seed", "-1"]):
+    for option in (
+        ["--trials", "1"], ["--seed", "-1"], ["--workers", "0"],
+        ["--cluster", "tcp://x:1", "--workers", "2"],
+    ):  # fmt: skip
         with pytest.raises(SystemExit) as caught:
             main(["montecarlo", "-o", str(tmp_path / "out"), *option])
         assert option[0] in str(caught.value)
