@@ -48,14 +48,14 @@ def posterior_moments(mean, cov, lower, upper, gamma: float, mean_plus, cov_plus
     """
     truncated_mean, truncated_cov = np.empty(3), np.empty((3, 3))
     pi = np.exp(box_moments_kernel(mean, cov, lower, upper, truncated_mean, truncated_cov))
-    alpha = (gamma - pi) / (1.0 - pi) if pi < gamma else 0.0
+    alpha, keep = 0.0, 1.0
+    if pi < gamma:  # keep is 1 - alpha, to the last digit where gamma is next to one
+        alpha, keep = (gamma - pi) / (1.0 - pi), (1.0 - gamma) / (1.0 - pi)
     for i in range(3):
         mean_plus[i] = mean[i] + alpha * (truncated_mean[i] - mean[i])
         for j in range(3):
             between = (truncated_mean[i] - mean[i]) * (truncated_mean[j] - mean[j])
-            cov_plus[i, j] = cov[i, j] + alpha * (
-                truncated_cov[i, j] - cov[i, j] + (1.0 - alpha) * between
-            )
+            cov_plus[i, j] = keep * cov[i, j] + alpha * (truncated_cov[i, j] + keep * between)
     return pi
 
 

@@ -48,16 +48,23 @@ def output(mean, covariance, contacts: int, v_I, PHt, S, residual):
 
 @njit(cache=True)
 def inverse_3(S, out):
-    """out = S^-1 for a symmetric positive definite S (3, 3), scaled so that units do not matter."""
-    d0, d1, d2 = 1.0 / np.sqrt(S[0, 0]), 1.0 / np.sqrt(S[1, 1]), 1.0 / np.sqrt(S[2, 2])
-    a, b, c = S[0, 1] * d0 * d1, S[0, 2] * d0 * d2, S[1, 2] * d1 * d2
-    determinant = 1.0 + 2.0 * a * b * c - a * a - b * b - c * c
-    out[0, 0] = (1.0 - c * c) / determinant * d0 * d0
-    out[1, 1] = (1.0 - b * b) / determinant * d1 * d1
-    out[2, 2] = (1.0 - a * a) / determinant * d2 * d2
-    out[0, 1] = out[1, 0] = (b * c - a) / determinant * d0 * d1
-    out[0, 2] = out[2, 0] = (a * c - b) / determinant * d0 * d2
-    out[1, 2] = out[2, 1] = (a * b - c) / determinant * d1 * d2
+    """out = S^-1 for a symmetric positive definite S (3, 3), scaled so that units do not matter.
+
+    By S = L D L^T: two axes next to dependent leave 1e-20 of the determinant, which cofactors lose.
+    """
+    s0, s1, s2 = 1.0 / np.sqrt(S[0, 0]), 1.0 / np.sqrt(S[1, 1]), 1.0 / np.sqrt(S[2, 2])
+    a, b, c = S[0, 1] * s0 * s1, S[0, 2] * s0 * s2, S[1, 2] * s1 * s2
+    d1 = 1.0 - a * a
+    l21 = (c - a * b) / d1
+    d2 = 1.0 - b * b - l21 * l21 * d1
+    m20 = a * l21 - b
+    w1, w2 = 1.0 / d1, 1.0 / d2
+    out[0, 0] = (1.0 + a * a * w1 + m20 * m20 * w2) * s0 * s0
+    out[1, 1] = (w1 + l21 * l21 * w2) * s1 * s1
+    out[2, 2] = w2 * s2 * s2
+    out[0, 1] = out[1, 0] = -(a * w1 + m20 * l21 * w2) * s0 * s1
+    out[0, 2] = out[2, 0] = m20 * w2 * s0 * s2
+    out[1, 2] = out[2, 1] = -l21 * w2 * s1 * s2
 
 
 @njit(cache=True)
