@@ -36,7 +36,7 @@ def _table() -> np.ndarray:
 TABLE = _table()
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy")
 def mills(x: float):
     """R, D and E: the integrals of exp(-x t - t^2/2) over t from 0 with the weights 1, t and t^2.
 

@@ -129,5 +129,5 @@ class Bench:
         rows = []
         for name in self.only or ITEMS:
             with percent_bar(name) as tell:
-                rows.append(ITEMS[name](self.rounds, tell).as_row())
+                rows += [ratio.as_row() for ratio in ITEMS[name](self.rounds, tell)]
         print(to_markdown(rows))

@@ -3,10 +3,16 @@
 import time
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from estimator.filter import run_coverage
+from estimator.state import FilterNoise, NavState
 from scenarios import bench_walking
-from scenarios.bench import ITEMS, in_turn
+from scenarios.bench import ITEMS
+from scenarios.bench_box import box_kinds, less_error, outputs, run_ours, run_qmc
+from scenarios.bench_filter import GAMMA, gtsam_filter, trial, velocity_filter, walk
+from scenarios.bench_ratio import Ratio, in_turn
 from scenarios.cli import main
 from sim.scenario import Scenario, Segment
 from sim.terrain import Ground
@@ -47,3 +53,44 @@ def test_the_command_prints_a_table(capsys):
 def test_an_unknown_item_is_one_line(capsys):
     with pytest.raises(SystemExit, match="--only flying: known are"):
         main("bench --only flying".split())
+
+
+def test_a_line_says_whether_its_target_is_met():
+    words = [Ratio("a", "b", value, 5.0, "").as_row()[""] for value in (5.0, 4.9, None)]
+    assert words == ["met", "missed", "-"]
+
+
+def test_samples_and_box_moments_do_the_same_work():
+    """On every kind of box where the samples give a number, both mean the same Gaussian."""
+    for name, boxes in box_kinds(np.random.default_rng(4), 20).items():
+        ours, theirs = outputs(20), outputs(20)
+        run_ours(*boxes, *ours)
+        run_qmc(*boxes, np.random.default_rng(5).random((20, 3)), *theirs)
+        # Where nothing is left of the box's mass, nothing is left of the samples either.
+        fair = ours[0] > 1e-3
+        assert np.abs(ours[0] - theirs[0])[fair].max(initial=0.0) < 0.02, name
+        if name == "ordinary":
+            assert less_error(boxes, ours, theirs) > 1e6
+
+
+def test_the_filter_with_samples_is_the_same_filter():
+    study, truth, trials = trial()
+    noise = FilterNoise(study.imu.gyro, study.imu.accel, 0.0, 0.0)
+    epsilon, shifts = 1.8 * study.noise, np.random.default_rng(6).random((200, 3))
+    ends = []
+    for samples in (0, 5000):
+        mean, covariance = trials.means[0].copy(), trials.covariance.copy()
+        data = truth.t, trials.gyro[0], trials.accel[0], trials.v_I[0]
+        walk(*data, epsilon, mean, covariance, noise.packed(), shifts, samples)
+        ends.append(mean)
+    whole = run_coverage(
+        truth.t, trials.gyro[0], trials.accel[0], np.arange(1, 201), trials.v_I[0], epsilon, GAMMA,
+        NavState.unpack(trials.means[0]), trials.covariance, noise, 1,
+    )  # fmt: skip
+    assert np.abs(ends[0][3] - whole.v_GI[-1]).max() < 1e-12
+    assert np.abs(ends[1][3] - ends[0][3]).max() < 1e-2
+
+
+def test_gtsams_filter_is_given_the_same_problem():
+    gtsam = pytest.importorskip("gtsam")
+    assert np.abs(velocity_filter()() - gtsam_filter(gtsam)()).max() < 2e-3
