@@ -35,10 +35,10 @@ def cases_of(log: Log, rows: np.ndarray) -> Iterator[Case]:
         slipping = log.slip[rows].max(axis=1) > SLIPPING
         yield "slip", "a foot slips", slipping
         yield "slip", "no foot slips", ~slipping
-        loaded = log.slip[rows] > 0
-        slippery = (loaded & (log.mu[rows] < SLIPPERY)).any(axis=1)
-        yield "ground", f"friction below {SLIPPERY:g}", slippery
-        yield "ground", "dry", ~slippery
+        under = np.where(log.slip[rows] > 0, log.mu[rows], np.inf)
+        least = under.min(axis=1)  # no foot loaded: neither
+        yield "ground", f"friction below {SLIPPERY:g}", least < SLIPPERY
+        yield "ground", "dry", (least >= SLIPPERY) & np.isfinite(least)
     if log.has("contact"):
         phase = stride_phase(log.t, log.contact[:, LEGS.index("FL")])[rows]
         for k, name in enumerate(QUARTERS):

@@ -62,14 +62,25 @@ class Calibrate:
     """Of scenario bounds, over the calibrations that might have been."""
     K: int | None = None
     """Steps of 10 ms between errors taken as independent; from the mixing curve if left out."""
+    report: Path | None = None
+    """Folder for a report: mixing curve, methods, and coverage on the walks of --on."""
+    on: tuple[Path, ...] = ()
+    """Logs to judge the bounds by, in the report."""
     force: bool = False
 
     def run(self) -> None:
         from models.calibration import calibrate
         from models.observer import Observer
+        from scenarios.calibration_report import write_calibration_report
+        from scenarios.compare import prepare_folder
         from sim.files import refuse_overwrite
 
         refuse_overwrite(self.out, self.force)
+        if self.on and not self.report:
+            raise SurefootError("--on: these logs are for the report; give --report DIR too")
+        recorded = read_logs((self.log, *self.on)) if self.report else []
+        if self.report:
+            prepare_folder(self.report, self.force)
         observer = Observer.load(self.observer)
         (log,) = read_as_declared((self.log,))
         bounds = calibrate(
@@ -79,14 +90,19 @@ class Calibrate:
         x, y, z = bounds.epsilon
         print(
             f"{self.out}: |error| <= {x:.4f}, {y:.4f}, {z:.4f} m/s jointly at gamma "
-            f"{bounds.gamma:g} (each axis {bounds.level_per_axis:.4f}), from {bounds.n} errors "
-            f"{bounds.K} steps apart"
+            f"{bounds.gamma:g} ({bounds.method}, ranked at {bounds.level_per_axis:.4f}), from "
+            f"{bounds.n} errors {bounds.K} steps apart"
         )
         if bounds.mixing is not None and not bounds.mixing.mixed:
             print(
                 "note: the errors never forget within the longest lag looked at; the bounds rest "
                 "on fewer independent samples than they count"
             )
+        if self.report:
+            write_calibration_report(
+                self.report, observer, bounds, recorded[0], recorded[1:], self.force
+            )
+            print(f"report: {self.report / 'report.html'}")
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 from scipy.stats import norm
 
 from models.mixing import beta_coefficient, discretise, independence_floor, mixing
@@ -79,3 +80,39 @@ def test_what_never_mixes_is_said():
 def test_monotone_maps_do_not_matter():
     x = autoregression(0.9, 2000, np.random.default_rng(6))
     assert np.array_equal(mixing(x).beta, mixing(np.exp(3 * x)).beta)
+
+
+def test_a_chain_of_four_states_exactly():
+    """On the chain's own states the estimate is the coefficient, up to the floor of its noise."""
+    rng = np.random.default_rng(7)
+    P = rng.dirichlet(np.ones(4), 4) * 0.5 + 0.5 * np.eye(4)
+    pi = np.linalg.matrix_power(P, 200)[0]
+    states = markov_chain(P, 60_000, rng)
+    for lag in (1, 2, 3, 5, 8):
+        true = 0.5 * pi @ np.abs(np.linalg.matrix_power(P, lag) - pi).sum(axis=1)
+        assert beta_coefficient(states, lag) == pytest.approx(true, abs=0.012)
+
+
+@pytest.mark.parametrize(("phi", "n"), [(0.8, 6700), (0.9, 6700), (0.95, 20_000)])
+def test_spacing_is_close_to_the_true_one_and_never_much_below(phi, n):
+    """Over records as long as a calibration: true K is where gaussian_beta(phi^K) = 0.05."""
+    rng = np.random.default_rng(8)
+    correlation = brentq(lambda r: gaussian_beta(r) - 0.05, 0.1, 0.2, xtol=1e-3)
+    true = np.log(correlation) / np.log(phi)
+    found = np.array([mixing(autoregression(phi, n, rng, axes=3)).K for _ in range(8)])
+    assert true * 0.85 <= found.min()
+    assert true <= np.median(found) <= 1.35 * true
+
+
+def test_a_clock_never_mixes_and_its_period_is_avoided():
+    """A gait by the clock: errors repeat with the stride, however far apart they are taken."""
+    rng, period = np.random.default_rng(9), 50
+    clock = np.tile(np.sign(np.arange(period) - 9.5), 200)  # one fifth of the stride differs
+    x = np.array(autoregression(0.9, len(clock), rng, axes=1))[:, 0]
+    curve = mixing((x / x.std() + 2 * clock)[:, None])
+    beta = curve.excess[:, 0]
+    at_stride, between = beta[period - 1 :: period], beta[period // 2 - 1 :: period]
+    assert at_stride.min() > 0.2
+    assert at_stride.min() > 2 * between.max()
+    assert at_stride[-1] > 0.9 * at_stride[0]
+    assert min(curve.K % period, period - curve.K % period) > 2
