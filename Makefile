@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo test check study lock clean
+.PHONY: setup demo test check study study-observer lock clean
 
 setup: .venv/.ready
 
@@ -27,6 +27,10 @@ check: setup
 
 study: setup
 	$(BIN)/python -m pytest -m slow -s
+
+# The architectures compared over seeds, on both suites; killed, it goes on where it was.
+study-observer: setup
+	$(BIN)/python -m scenarios.observer_study -o out/observer_study
 
 lock: setup
 	$(BIN)/pip freeze --exclude-editable | sed 's/+cpu$$//' > requirements.lock

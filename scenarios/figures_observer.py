@@ -19,9 +19,8 @@ def error_distributions(
 ) -> Figure:
     """Histograms with fitted Gaussians and the bounds, and below them quantiles against a Gaussian.
 
-    The paper's figures "errors_motivation" and "coverage_validity" in one: an error that is
-    Gaussian in training need not be so elsewhere, while one statement |e| <= epsilon can hold for
-    both.
+    The paper's figure "errors_motivation": an error that is Gaussian in training need not be so
+    elsewhere.
 
     Args:
         train: errors (N, 3) in I, m/s, on the walk that the observer was trained on.
@@ -77,6 +76,44 @@ def error_distributions(
     return figure
 
 
+def error_bounds(
+    train: np.ndarray,
+    test: np.ndarray,
+    epsilon: np.ndarray,
+    gamma: float,
+    title: str = "One bound for the errors in training and on another walk",
+) -> Figure:
+    """The paper's figure "coverage_validity": the share of errors below each size, and the bound.
+
+    A bound holds where the curve crosses it above gamma^(1/3). Arguments as `error_distributions`.
+    """
+    figure, axes = new_figure(1, 3, size=(9.5, 3.4))
+    level = gamma ** (1 / 3)
+    for k, (axis, word) in enumerate(AXES):
+        ax = axes[0, k]
+        edge = max(1.6 * epsilon[k], *[np.quantile(np.abs(e[:, k]), 0.995) for e in (train, test)])
+        ax.axvspan(0, epsilon[k], color=BOUNDS, alpha=0.18, label="Bounds |e| ≤ ε")
+        ax.axhline(
+            100 * level, color=INK, linewidth=1.0, linestyle=":", label="meant for each axis"
+        )
+        shares = []
+        for name, e, color, line in (("Training", train, TRAIN, "-"), ("Test", test, TEST, "--")):
+            sizes = np.sort(np.abs(e[:, k]))
+            share = 100 * np.arange(1, len(sizes) + 1) / len(sizes)
+            ax.plot(
+                sizes, share, color=color, linestyle=line, linewidth=1.9, label=f"{name} errors"
+            )
+            shares.append(f"{name.lower()} {100 * (sizes <= epsilon[k]).mean():.1f} %")
+        ax.set_title(
+            f"{axis} ({word}), ε = {epsilon[k]:.3g} m/s\ninside: {', '.join(shares)}", fontsize=9
+        )
+        ax.set(xlabel="|error| [m/s]", xlim=(0, edge), ylim=(0, 101))
+    axes[0, 0].set_ylabel("errors that are smaller [%]")
+    figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+    legend_below(figure, axes[0, 0])
+    return figure
+
+
 def mixing_curve(
     mixing: Mixing,
     rate: float = 100.0,
@@ -93,7 +130,7 @@ def mixing_curve(
         style = ("-", "--", ":")[k]
         ax.plot(mixing.lags, mixing.beta[:, k], color="#BDBDBD", linestyle=style, linewidth=1.0)
         ax.plot(
-            mixing.lags, mixing.excess[:, k], color=TRAIN, linestyle=style, linewidth=1.9,
+            mixing.lags, mixing.excess[:, k], color=INK, linestyle=style, linewidth=1.9,
             label=f"{axis} ({word})",
         )  # fmt: skip
     ax.plot([], [], color="#BDBDBD", linewidth=1.0, label="before the floor is taken off")

@@ -1,0 +1,66 @@
+"""What is said of errors is what was put into them."""
+
+import numpy as np
+import pytest
+
+from models.error_statistics import error_statistics
+from scenarios.figures_observer import error_bounds
+from scenarios.observer_errors import bound_words, error_section, error_words
+from scenarios.plotting import png
+
+EPSILON = np.array([0.1, 0.1, 0.1])
+
+
+@pytest.fixture(scope="module")
+def errors():
+    """Gaussian in training; elsewhere skewed and biased, heavy-tailed, and the same."""
+    rng = np.random.default_rng(0)
+    train = 0.03 * rng.standard_normal((6000, 3))
+    test = 0.03 * rng.standard_normal((6000, 3))
+    test[:, 0] = 0.02 * (rng.gamma(2.0, size=6000) - 1.0)
+    test[:, 1] = 0.03 * rng.standard_t(3, size=6000)
+    return train, test
+
+
+def test_words_name_bias_skewness_and_tails(errors):
+    of_train, of_test = error_statistics(errors[0], K=4), error_statistics(errors[1], K=4)
+    forward, lateral, vertical, _ = error_words(of_train, of_test, "Stroll").split("\n\n")
+    for sentence in (forward, lateral, vertical):
+        assert "in training nothing speaks against a Gaussian" in sentence
+    assert "on Stroll they are not Gaussian, skewed upwards" in forward
+    assert "biased by +0.02" in forward.split("on Stroll")[1]
+    assert "heavy tails" in lateral
+    assert "on Stroll nothing speaks against a Gaussian" in vertical
+    assert "spread 1.0 times" in vertical
+
+
+@pytest.mark.parametrize(
+    ("scale", "said"),
+    [
+        ((1.0, 1.0), "One bound holds for both"),
+        ((1.0, 9.0), "is lost on the test"),
+        ((9.0, 1.0), "not in training"),
+        ((9.0, 9.0), "on neither"),
+    ],
+)
+def test_words_say_where_the_bound_holds(errors, scale, said):
+    train = errors[0]
+    assert said in bound_words(scale[0] * train, scale[1] * train, EPSILON, 0.8)
+
+
+def test_the_section_holds_words_table_and_both_figures(errors):
+    train, test = errors
+    section = error_section(train, test, EPSILON, 0.8, "Stroll")
+    assert "Stroll" in section.heading
+    assert section.table is not None
+    assert len(section.table) == 6
+    assert len(section.pictures) == 2
+
+
+def test_the_bounds_figure_shows_shares_of_the_data(errors):
+    train, test = errors
+    figure = error_bounds(train, test, EPSILON, 0.8)
+    ax = figure.axes[0]
+    share = 100 * (np.abs(test[:, 0]) <= EPSILON[0]).mean()
+    assert f"test {share:.1f} %" in ax.get_title()
+    assert png(figure)[:4] == b"\x89PNG"
