@@ -1,0 +1,101 @@
+"""A million steps of every filter, with outliers, dropouts and 40-sigma measurements."""
+
+import numpy as np
+import pytest
+from numba import njit
+
+from estimator.contacts import propagate_contacts, update_contacts
+from estimator.coverage import update_coverage
+from estimator.persistent import (
+    EXTRAS,
+    PersistentError,
+    update_coverage_persistent,
+    update_velocity_persistent,
+    wander,
+)
+from estimator.propagation import propagate
+from estimator.state import FilterNoise, NavState
+from estimator.velocity import update_velocity
+
+KINDS = ("coverage", "velocity", "coverage_persistent", "velocity_persistent", "leg", "leg_slip")
+NOISE = FilterNoise(3e-4, 1e-2, 1e-5, 1e-4).packed()
+FEET = np.array([[0.3, 0.2, -0.5], [0.3, -0.2, -0.5], [-0.3, 0.2, -0.5], [-0.3, -0.2, -0.5]])
+
+
+@njit(cache=True)
+def march(kind, steps, seed, mean, P, prior, tau, window, reach, noise, feet_I, check):
+    """Walk in circles at 500 Hz; `check` (M, n, n) receives P at even intervals."""
+    np.random.seed(seed)
+    n = P.shape[0]
+    columns, rotation = np.zeros((n, 6)), np.zeros((n - 15, 3))
+    counts = np.zeros(2, dtype=np.int64)
+    standing, drift = np.zeros(4, dtype=np.bool_), np.zeros((4, 3))
+    held, rates = np.zeros(4, dtype=np.int64), np.zeros((4, 3))
+    contact, cov = np.zeros(4, dtype=np.bool_), np.zeros((4, 3, 3))
+    R, epsilon = np.eye(3) * 4e-4, np.array([0.05, 0.2, 0.05])
+    every = steps // check.shape[0]
+    for i in range(4):
+        cov[i] = np.eye(3) * 4e-6
+    for k in range(steps):
+        gyro = np.array([0.2 * np.sin(0.02 * k), 0.1, 0.3]) + 0.01 * np.random.randn(3)
+        accel = mean[:3].T.copy() @ np.array([0.0, 0.0, 9.81]) + 0.5 * np.random.randn(3)
+        if kind < 4:
+            propagate(mean, P, gyro, accel, 0.002, noise, columns, rotation)
+        else:
+            propagate_contacts(
+                mean, P, standing, gyro, accel, 0.002, noise, np.full(3, 4e-4), 0.01,
+                np.full(4, 0.02), rates, columns, rotation,
+            )  # fmt: skip
+        if kind == 2 or kind == 3:
+            wander(mean, P, prior, tau, 0.002)
+        if k % 5000 >= 4500:
+            continue
+        wild = 40.0 if np.random.rand() < 0.01 else 1.0
+        if kind < 4 and k % 5 == 0:
+            # 40 of the filter's own deviations where wild, the calibration's otherwise.
+            size = 40.0 * np.sqrt(P[3, 3] + P[4, 4] + P[5, 5]) if wild > 1.0 else 0.03
+            v = size * np.random.randn(3)
+            if kind == 0:
+                update_coverage(mean, P, 0, v, epsilon, 0.8)
+            elif kind == 1:
+                update_velocity(mean, P, 0, v, R)
+            elif kind == 2:
+                update_coverage_persistent(mean, P, v, epsilon, 0.8, 1, window, reach, counts)
+            else:
+                update_velocity_persistent(mean, P, v, R, window, reach, counts)
+        elif kind >= 4:
+            for i in range(4):
+                contact[i] = (k // 150 + i // 2 + i) % 2 == 0
+            seen = feet_I + wild * 2e-3 * np.random.randn(4, 3)
+            gate = np.inf if kind == 4 else 16.27
+            update_contacts(mean, P, standing, seen, contact, cov, gate, drift, held)
+        if k % every == every - 1:
+            check[k // every] = P
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("steps", [20_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
+def test_the_covariance_stays_definite_and_nothing_diverges(kind, steps):
+    place = KINDS.index(kind)
+    start = np.diag(np.repeat([4e-4, 2.5e-3, 1e-6, 1e-2, 2.5e-5], 3))
+    lasting = PersistentError(np.diag([2e-3, 1e-3, 5e-4]), 20.0, 12, np.full(3, 0.5))
+    if kind.startswith("leg"):
+        mean, P = NavState().pack(4), np.zeros((27, 27))
+        P[:15, :15] = start
+    elif kind.endswith("persistent"):
+        mean, P = NavState().pack(EXTRAS), lasting.enter(start)
+    else:
+        mean, P = NavState().pack(), start
+    check = np.full((40, *P.shape), np.nan)
+    march(place, steps, 1, mean, P, *lasting.model()[:4], NOISE, FEET, check)
+    seen = check[np.isfinite(check).all(axis=(1, 2))]
+    assert len(seen) > 30, "an interval that ends in a dropout has no row, no other has a NaN"
+    assert np.isfinite(P).all()
+    assert np.isfinite(mean).all()
+    assert np.abs(mean[:3] @ mean[:3].T - np.eye(3)).max() < 1e-9
+    for each in (*seen, P):
+        # In units of its own deviations, as metres and radians do not compare.
+        scale = np.sqrt(np.diag(each)[:15])
+        assert np.linalg.eigvalsh(each[:15, :15] / np.outer(scale, scale))[0] > 0
+        assert np.abs(each - each.T).max() <= 1e-12 * np.abs(each).max()
+    assert np.abs(mean[3]).max() < 50.0

@@ -1,0 +1,196 @@
+"""Persistent errors as states: the derivation's Jacobians, limits, outliers, and what it is for."""
+
+import numpy as np
+import pytest
+from motions import motion
+from numpy.testing import assert_allclose, assert_array_equal
+
+from estimator import lie
+from estimator.filter import InvariantFilter, run_coverage, run_velocity
+from estimator.metrics import nees
+from estimator.persistent import (
+    EXTRAS,
+    PersistentError,
+    update_coverage_persistent,
+    update_velocity_persistent,
+    wander,
+)
+from estimator.propagation import propagate
+from estimator.state import FilterNoise, NavState, retract
+from sim.errors import SurefootError
+
+INF = np.full(3, np.inf)
+GRAVITY = np.array([0.0, 0.0, 9.8])
+
+
+def prior(rng, size=1e-3):
+    """A state with a persistent part, and its covariance (21, 21), s at zero."""
+    mean = NavState(lie.so3_exp(rng.normal(size=3)), rng.normal(size=3)).pack(EXTRAS)
+    mean[7] = 0.1 * rng.normal(size=3)
+    A = rng.normal(size=(18, 18)) * size
+    P = np.zeros((21, 21))
+    P[:18, :18] = A @ A.T + 1e-3 * size**2 * np.eye(18)
+    return mean, P
+
+
+def gather(mean, P, samples, v_I, window):
+    """IMU steps with a measurement after each, all gathered; nothing wanders and nothing is new."""
+    work = np.zeros((21, 6)), np.zeros((6, 3))
+    for (gyro, accel), v in zip(samples, v_I, strict=True):
+        propagate(mean, P, gyro, accel, 0.02, np.zeros((4, 3)), *work)
+        update_coverage_persistent(
+            mean, P, v, np.ones(3), 0.8, 1, window, INF, np.zeros(2, dtype=np.int64)
+        )
+
+
+def test_the_windows_mean_by_differences():
+    """Covariance of s, and with all other errors, after turning steps: J P J^T, J differenced."""
+    rng = np.random.default_rng(0)
+    mean, P = prior(rng)
+    samples = [(rng.normal(size=3), rng.normal(size=3) + GRAVITY) for _ in range(6)]
+    v_I = rng.normal(size=(6, 3))
+
+    def s_after(delta):
+        moved, spread = mean.copy(), np.zeros((21, 21))
+        retract(moved, delta, 0)
+        gather(moved, spread, samples, v_I, 50)
+        return moved[8]
+
+    h = 1e-5
+    # True state = X_bar moved by delta, so delta s = s_bar - s is minus what the state does.
+    J = -np.column_stack([(s_after(h * e) - s_after(-h * e)) / (2 * h) for e in np.eye(21)])
+    after, spread = mean.copy(), P.copy()
+    gather(after, spread, samples, v_I, 50)
+    assert_allclose(spread[18:, 18:], J @ P @ J.T, rtol=1e-6, atol=1e-12)
+    # b_p did not change on the way: its cross covariance with s is P J^T's.
+    assert_allclose(spread[15:18, 18:], (P @ J.T)[15:18], rtol=1e-6, atol=1e-12)
+    assert_array_equal(spread, spread.T)
+
+
+def test_it_wanders_as_gauss_and_markov_say():
+    rng = np.random.default_rng(1)
+    mean, P = prior(rng)
+    C, tau, dt = np.diag([1e-3, 2e-3, 3e-3]), 5.0, 0.7
+    before, spread = mean.copy(), P.copy()
+    wander(mean, P, C, tau, dt)
+    F = np.eye(21)
+    F[15:18, 15:18] *= np.exp(-dt / tau)
+    Q = np.zeros((21, 21))
+    Q[15:18, 15:18] = (1 - np.exp(-2 * dt / tau)) * C
+    assert_allclose(P, F @ spread @ F.T + Q, rtol=1e-12, atol=1e-18)
+    assert_allclose(mean[7], before[7] * np.exp(-dt / tau))
+    for _ in range(200):
+        wander(mean, P, C, tau, dt)
+    assert_allclose(P[15:18, 15:18], C, rtol=1e-10, atol=1e-15)
+    spread = P.copy()
+    wander(mean, P, C, np.inf, dt)
+    assert_array_equal(P, spread)
+
+
+def test_a_window_of_one_without_a_persistent_part_is_the_papers_update():
+    state, P = NavState(v_GI=np.array([0.5, 0.1, 0.0])), np.eye(15) * 1e-2
+    epsilon = np.array([0.1, 0.2, 0.05])
+    plain = InvariantFilter(state, P)
+    ours = InvariantFilter(state, P, persistent=PersistentError(np.eye(3) * 1e-14))
+    for _ in range(3):
+        v_I = state.v_I + np.array([0.2, -0.1, 0.3])
+        pi = plain.update_coverage(v_I, epsilon, 0.8)
+        assert ours.update_coverage(v_I, epsilon, 0.8) == pytest.approx(pi, rel=1e-6)
+    assert_allclose(ours.covariance, plain.covariance, atol=1e-9)
+    assert_allclose(ours.state.v_GI, plain.state.v_GI, atol=1e-8)
+
+
+def test_a_bias_is_told_from_motion_by_turning():
+    """A constant error of the observer is found where the body turns, by both updates."""
+    walk = motion(20.0, 500.0)
+    rows = np.arange(5, len(walk.t), 5)
+    bias = np.array([0.08, -0.05, 0.0])
+    lasting = PersistentError(np.eye(3) * 0.05**2, window=20)
+    one = InvariantFilter(*walk.start(), FilterNoise(1e-4, 1e-3, 0, 0), lasting)
+    two = InvariantFilter(*walk.start(), FilterNoise(1e-4, 1e-3, 0, 0), lasting)
+    for k in range(1, len(walk.t)):
+        for each in (one, two):
+            each.predict(walk.gyro[k], walk.accel[k], walk.t[k] - walk.t[k - 1])
+        if k in rows:
+            one.update_coverage(walk.v_I[k] + bias, np.full(3, 0.01), 0.8)
+            two.update_velocity(walk.v_I[k] + bias, np.eye(3) * 1e-3)
+    for each in (one, two):
+        assert each.persistent is not None
+        found, cov = each.persistent
+        assert np.abs(found - bias)[:2].max() < 0.02
+        assert np.all(np.abs(found - bias) < 4 * np.sqrt(np.diag(cov)))
+
+
+def test_outliers_alone_are_left_out_and_a_jump_is_not():
+    state, P = NavState(), np.eye(15) * 1e-4
+    lasting = PersistentError(np.eye(3) * 1e-4, window=5, reach=np.full(3, 0.2))
+    far = np.array([30.0, 0.0, 0.0])
+    for kind in ("coverage", "velocity"):
+        one = InvariantFilter(state, P, persistent=lasting)
+
+        def tell(v, one=one, kind=kind):
+            if kind == "coverage":
+                return one.update_coverage(v, np.full(3, 0.05), 0.8)
+            return one.update_velocity(v, np.eye(3) * 0.01)
+
+        for _ in range(20):
+            tell(np.zeros(3))
+            assert np.isnan(tell(far))
+        assert np.abs(one.state.v_GI).max() < 1e-3
+        for _ in range(10):
+            tell(far)
+        assert one.state.v_GI[0] > 0.1, "a jump that stays is believed in the end"
+
+
+def test_outliers_cost_it_less_than_the_same_filter_without_reach():
+    rng = np.random.default_rng(3)
+    walk = motion(20.0, 500.0)
+    rows = np.arange(10, len(walk.t), 10)
+    noise = FilterNoise(1e-3, 1e-2, 1e-5, 1e-4)
+    errors = rng.normal(size=(len(rows), 3)) * 0.03
+    errors[rng.random(len(rows)) < 0.05] *= 30
+    log = walk.t, walk.gyro, walk.accel, rows, walk.v_I[rows] + errors
+    found = {}
+    for reach in (np.full(3, 0.15), INF):
+        lasting = PersistentError(np.eye(3) * 1e-4, window=10, reach=reach)
+        for kind, whole in (
+            ("coverage", run_coverage(*log, np.full(3, 0.02), 0.8, *walk.start(), noise,
+                                      persistent=lasting)),
+            ("velocity", run_velocity(*log, np.eye(3) * 1e-3, *walk.start(), noise,
+                                      persistent=lasting)),
+        ):  # fmt: skip
+            # The first row is the start itself, aligned to no error at all.
+            series = nees(walk.reference().rows(slice(0, None, 5)), whole).velocity[1:]
+            found[kind, reach[0]] = series.mean()
+    for kind in ("coverage", "velocity"):
+        assert found[kind, 0.15] < 0.5 * found[kind, np.inf]
+        assert found[kind, 0.15] < 6.0
+
+
+@pytest.mark.parametrize(
+    ("values", "says"),
+    [
+        ({"covariance": np.zeros((3, 3))}, "persistent: is not positive definite"),
+        ({"covariance": np.eye(2)}, "persistent: shape"),
+        ({"time_constant": 0.0}, "time_constant"),
+        ({"window": 0}, "window"),
+        ({"window": 1.5}, "window"),
+        ({"reach": np.zeros(3)}, "reach"),
+    ],
+)
+def test_what_is_no_persistent_error_is_one_line(values, says):
+    with pytest.raises(SurefootError, match=says) as caught:
+        PersistentError(**({"covariance": np.eye(3)} | values))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_velocity_left_out_changes_nothing():
+    mean, P = prior(np.random.default_rng(5))
+    before = mean.copy(), P.copy()
+    counts = np.zeros(2, dtype=np.int64)
+    found = update_velocity_persistent(
+        mean, P, np.full(3, 1e3), np.eye(3), 5, np.full(3, 0.1), counts
+    )
+    assert np.isnan(found)
+    assert_array_equal(mean, before[0])
+    assert_array_equal(P, before[1])
