@@ -51,21 +51,6 @@ def test_ignoring_that_feet_roll_costs_a_scale_error(walk, rolling):
     assert wrong.ape_trans > 100 * right.ape_trans
 
 
-def test_streaming_is_the_compiled_run(walk, rolling):
-    cov = covariances(rolling)
-    whole = run(walk, rolling, RADIUS, stride=50)
-    assert whole.covariance is not None
-    one = LegFilter(*walk.start(), foot_radius=RADIUS)
-    for k in range(1001):
-        if k:
-            dt = walk.t[k] - walk.t[k - 1]
-            one.predict(walk.gyro[k], walk.accel[k], dt, rolling.rates_I[k])
-        one.update_contacts(rolling.feet_I[k], rolling.contact[k], cov[k])
-        if k % 50 == 0:
-            assert_array_equal(one.state.p_GI, whole.p_GI[k // 50])
-            assert_array_equal(one.covariance, whole.covariance[k // 50])
-
-
 def group(mean):
     X = np.eye(3 + len(mean) - 5)
     X[:3, :3], X[:3, 3:] = mean[:3], mean[[3, 4, *range(7, len(mean))]].T
