@@ -3,7 +3,7 @@
 After each walk the bare engine steps the same model through the same torques, on the same thread.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import thread_time
@@ -69,9 +69,10 @@ def walking_study(
     if seeds < 1 or workers < 1:
         raise SurefootError("--seeds and --workers: at least 1")
     on_grounds = [Job(g, name, 0) for name in robots for g in grounds_for(known_robot(name))]
-    on_courses = [job for path in courses for job in _course_jobs(path, seeds)]
+    on_courses = [_course_job(path, seed) for path in courses for seed in range(seeds)]
     jobs = [*on_grounds, *on_courses]
     order = {(known_robot(j.robot).name, j.scenario.name, j.seed): i for i, j in enumerate(jobs)}
+    jobs.sort(key=lambda job: job.seed)  # every course once before any twice
     walked(Job(COURSE, "spot_class", 0))  # compiles what is compiled at first use
     walks: list[Walk] = []
     for walk in on_threads(jobs, walked, workers, progress):
@@ -175,8 +176,8 @@ def _line(walks: Sequence[Walk]) -> dict[str, Any]:
     }
 
 
-def _course_jobs(path: Path, seeds: int) -> Iterable[Job]:
+def _course_job(path: Path, seed: int) -> Job:
     scenario = Scenario.load(path)
     if not scenario.robot:
         raise SurefootError(f"scenario {path}: names no robot")
-    return [Job(scenario, scenario.robot, seed) for seed in range(seeds)]
+    return Job(scenario, scenario.robot, seed)
