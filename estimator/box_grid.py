@@ -82,7 +82,7 @@ def grid_moments(C, low, high, mode, distance, mean, cov) -> float:
             largest += abs(information[b, c]) * half[b] * half[c]
     if not largest < _LARGEST:
         return np.nan
-    if sizes[0] * sizes[1] * sizes[2] > (4.0 if ridge else 1.0) * _MOST_POINTS:
+    if sizes[0] * sizes[1] * sizes[2] > _MOST_POINTS:
         return np.nan
     ni, nj, nk = sizes[i], sizes[j], sizes[k]
     blocks = (nj + 3) // 4

@@ -9,7 +9,6 @@ and its covariance (15+3E, 15+3E) in the right-invariant error order of the pape
 Extras are contact points (columns of the group, as v and p are) or plain vectors (as biases are).
 """
 
-import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,6 +19,8 @@ from sim.errors import SurefootError
 
 GRAVITY = 9.81
 """Magnitude of gravity [m/s^2]; it points along -z of G."""
+
+_FLOAT = np.dtype(float)
 
 V, P, B_A, B_G, EXTRA = 3, 4, 5, 6, 7
 """Rows of the packed mean."""
@@ -111,8 +112,11 @@ def numbers(name: str, value, shape: tuple) -> np.ndarray:
 
 def vector(name: str, value) -> np.ndarray:
     """`numbers(name, value, (3,))`, fast where `value` is a float array already."""
-    if _plain(value, (3,)) and all(map(math.isfinite, value.tolist())):
-        return value
+    if _plain(value, (3,)):
+        x, y, z = value.tolist()
+        # Not a number where one of them is infinite or none itself.
+        if (x - x) + (y - y) + (z - z) == 0.0:
+            return value
     return numbers(name, value, (3,))
 
 
@@ -126,10 +130,9 @@ def spd_3(name: str, value) -> np.ndarray:
 def _plain(value, shape: tuple) -> bool:
     return (
         type(value) is np.ndarray
-        and value.dtype == np.float64
+        and value.dtype is _FLOAT
         and value.shape == shape
-        and value.flags.c_contiguous
-        and value.flags.writeable
+        and value.flags.carray
     )
 
 

@@ -6,6 +6,7 @@ by another composite rule; weights relative to the largest density met. Nothing 
 """
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 
 def composite(lower: float, upper: float, panels: int, order: int = 16):
@@ -55,3 +56,32 @@ def worst_error(found, wanted, cov) -> float:
         np.max(np.abs(found[1] - wanted[1]) / s),
         np.max(np.abs(found[2] - wanted[2]) / np.outer(s, s)),
     )
+
+
+def trimmed(mean, cov, lower, upper, depth=45.0):
+    """The box (lower, upper), cut to where the density is above exp(-depth) of its largest.
+
+    For boxes far out, most of which holds nothing. Ends are found by bisection on bounded least
+    squares: the largest density with one axis held.
+    """
+    W = np.linalg.inv(np.linalg.cholesky(cov))
+
+    def fall(held, x):
+        rest = [b for b in range(3) if b != held]
+        target = W @ mean if held is None else W @ mean - W[:, held] * x
+        best = lsq_linear(W[:, rest], target, (lower[rest], upper[rest]), method="bvls", tol=1e-14)
+        return best.cost, best.x
+
+    least, mode = fall(None, 0.0)
+    low, high = lower.copy(), upper.copy()
+    for axis in range(3):
+        for end, bounds in ((lower[axis], low), (upper[axis], high)):
+            near, far = mode[axis], end
+            if fall(axis, far)[0] - least <= depth:
+                continue
+            for _ in range(40):
+                middle = 0.5 * (near + far)
+                deeper = fall(axis, middle)[0] - least > depth
+                near, far = (near, middle) if deeper else (middle, far)
+            bounds[axis] = far
+    return low, high

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from box_reference import reference, worst_error
+from box_reference import reference, trimmed, worst_error
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
@@ -44,6 +44,25 @@ def test_against_brute_force(kind):
         case = box(rng, smallest, distance, widths)
         wanted = reference(*case, (panels,) * 3)
         assert worst_error(box_moments(*case), wanted, case[1]) < 1e-9
+
+
+@pytest.mark.parametrize("distance", [3.0, 20.0, 60.0, 130.0])
+def test_far_tails_of_nearly_singular_covariances(distance):
+    """Correlation determinants below 1e-3, log probabilities down to about -10 000."""
+    rng = np.random.default_rng(int(distance))
+    Q = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    cov = Q @ np.diag([1.0, rng.uniform(0.3, 1), 0.01]) ** 2 @ Q.T
+    s = np.sqrt(np.diag(cov))
+    assert np.linalg.det(cov / np.outer(s, s)) < 1e-3
+    away = rng.normal(size=3)
+    away *= distance / np.linalg.norm(np.linalg.solve(np.linalg.cholesky(cov), away))
+    half = rng.uniform(0.2, 1.0, size=3) * s
+    # The corner that faces the mean lies at that distance.
+    lower, upper = away + (np.sign(away) - 1) * half, away + (np.sign(away) + 1) * half
+    found = box_moments(np.zeros(3), cov, lower, upper)
+    assert found[0] > -12_000
+    wanted = reference(np.zeros(3), cov, *trimmed(np.zeros(3), cov, lower, upper), (16, 16, 16))
+    assert worst_error(found, wanted, cov) < (1e-8 if found[0] > -1000 else 1e-6)
 
 
 def test_independent_axes_are_three_truncated_normals():
