@@ -9,6 +9,7 @@ from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
 
 from scenarios.commands_data import Import, Robots, Simulate, View
 from scenarios.commands_estimate import Calibrate, Compare, Estimate, Train
+from scenarios.commands_experiment import ExperimentCommand, Suite
 from scenarios.commands_study import Bench, Demo, Montecarlo, TraceCommand, Walking
 from sim.errors import SurefootError
 
@@ -19,6 +20,8 @@ COMMANDS: dict[str, type] = {
     "calibrate": Calibrate,
     "estimate": Estimate,
     "compare": Compare,
+    "experiment": ExperimentCommand,
+    "suite": Suite,
     "trace": TraceCommand,
     "montecarlo": Montecarlo,
     "import": Import,

@@ -22,6 +22,7 @@ from sim.errors import SurefootError
 from sim.files import whole_file
 from sim.log import Log
 from sim.robot import Robot
+from sim.terrain import Ground
 
 MEANINGS = {
     "APE_trans [m]": "position RMSE after aligning position and yaw at the first sample",
@@ -103,8 +104,7 @@ def write_comparison(
     comparisons: Sequence[Comparison],
     out: Path,
     title: str,
-    patches: Sequence = (),
-    floor_mu: float | None = None,
+    ground: Ground | None = None,
     extra: Sequence[Section] = (),
     force: bool = False,
 ) -> pd.DataFrame:
@@ -116,7 +116,7 @@ def write_comparison(
         path.write_text(to_csv(found))
     sections = _summary_sections(comparisons, found)
     for comparison in comparisons:
-        pictures = _pictures(comparison, patches)
+        pictures = _pictures(comparison, ground.patches if ground else ())
         for name, picture in pictures.items():
             save_picture(picture, out / "figures" / f"{comparison.log.name}_{name}.png", force)
         sections.append(
@@ -135,8 +135,7 @@ def write_comparison(
                 {r.filter: r.trajectory for r in comparison.results if r.filter != "imu"},
                 comparison.prediction,
                 comparison.bounds,
-                patches,
-                floor_mu,
+                ground,
                 force=force,
             )
     write_report(out / "report.html", title, [*sections, *extra], force)

@@ -64,9 +64,7 @@ def demo(out: Path, seed: int = 0, force: bool = False) -> pd.DataFrame:
     ground = plan(_scenario("walk"), robot, _seed("walk", seed)).draw.scenario.ground
     extra = [_observer_section(logs, learnt, out, force), *_loop_sections(found, hidden)]
     title = "surefoot demo: a walk on slippery ground, estimated from the inside"
-    results = write_comparison(
-        [comparison], out, title, ground.patches, ground.mu, extra=extra, force=force
-    )
+    results = write_comparison([comparison], out, title, ground, extra=extra, force=force)
     print("\n" + to_markdown(results))
     print(f"\n{summary(found)}\nIt was: {_in_words(hidden)}.")
     print(

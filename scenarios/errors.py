@@ -26,6 +26,7 @@ class ErrorSeries:
     attitude: np.ndarray  # (M, 3) rad
     position_sigma: np.ndarray | None  # (M, 3) m
     attitude_sigma: np.ndarray | None  # (M, 3) rad
+    position_covariance: np.ndarray | None = None  # (M, 3, 3) m^2
 
     @property
     def distance(self) -> np.ndarray:
@@ -57,10 +58,12 @@ def error_series(
     to_heading = Rotation.from_rotvec(yaw[:, None] * [0.0, 0.0, -1.0]).as_matrix()
     turned = aligned.R_GI @ reference.R_GI.transpose(0, 2, 1)
     attitude = Rotation.from_matrix(turned).as_rotvec()
-    position_sigma, attitude_sigma = None, None
+    position_sigma, attitude_sigma, covariance = None, None, None
     if aligned.covariance is not None:
         S = aligned.covariance[:, :9, :9]
-        position_sigma = _sigma(position_jacobian(aligned.p_GI), S)
+        J = position_jacobian(aligned.p_GI)
+        covariance = J @ S @ J.swapaxes(1, 2)
+        position_sigma = _sigma(J, S)
         attitude_sigma = _sigma(to_heading, S[:, :3, :3])
     return ErrorSeries(
         t=aligned.t,
@@ -70,6 +73,7 @@ def error_series(
         attitude=(to_heading @ attitude[..., None])[..., 0],
         position_sigma=position_sigma,
         attitude_sigma=attitude_sigma,
+        position_covariance=covariance,
     )
 
 

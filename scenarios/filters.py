@@ -232,3 +232,12 @@ FILTERS: dict[str, Callable[[Log, Robot, Learnt], Run]] = {
     "leg_slip": _leg_slip,
     "imu": _imu,
 }
+
+NEEDS: dict[str, tuple[str, ...]] = {
+    "velocity": ("observers",),
+    "leg": (),
+    "leg_slip": (),
+    "imu": (),
+}
+"""What a filter reads besides the log, observers and bounds where it is not said: a filter that
+reads no bounds is the same at every gamma."""

@@ -1,9 +1,8 @@
 """One walk and every estimator of it as one rerun recording that opens with a layout of its own."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import rerun as rr
 
@@ -12,13 +11,13 @@ from models.bounds import Bounds
 from models.predict import Prediction
 from scenarios.blueprint import layout
 from scenarios.errors import ErrorSeries, error_series
+from scenarios.ground_shapes import write_ground
 from scenarios.palette import estimator_label
 from scenarios.scene import (
     SLIPPING,
     trunk_size,
     write_estimates,
     write_footprints,
-    write_ground,
     write_robot,
     write_truth_path,
 )
@@ -27,6 +26,7 @@ from sim.errors import SurefootError
 from sim.files import whole_file
 from sim.log import Log
 from sim.robot import Robot
+from sim.terrain import Ground
 
 _ERROR_RATE = 20.0  # Hz; errors and paths change over seconds, not over milliseconds
 
@@ -38,9 +38,7 @@ def write_recording(
     trajectories: Mapping[str, Trajectory],
     prediction: Prediction | None = None,
     bounds: Bounds | None = None,
-    patches: Sequence = (),
-    floor_mu: float | None = None,
-    terrain: mujoco.MjModel | None = None,
+    ground: Ground | None = None,
     force: bool = False,
 ) -> None:
     """Write the .rrd. Raises SurefootError where it exists (no `force`) or the log lacks a group.
@@ -56,10 +54,7 @@ def write_recording(
         trajectories: estimator name -> its estimate.
         prediction: the observer's rows (M,) of the log and v_I (M, 3) m/s there.
         bounds: of that observer; they are turned to the robot's IMU where it is mounted otherwise.
-        patches: ground of other friction, such as sim.terrain.Patch: center_x, center_y,
-            size_x, size_y (m), mu, and perhaps yaw (rad).
-        floor_mu: friction of the floor z = 0; None draws no floor.
-        terrain: a scene whose world geoms are drawn as the ground.
+        ground: what the robot walked on, as its seed drew it; None draws none.
         force: overwrite.
     """
     log.require("q", "reference")
@@ -76,7 +71,8 @@ def write_recording(
         stream.log("/about", about, static=True)
         stream.log("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         corners = log.ref_p.min(axis=0), log.ref_p.max(axis=0)
-        write_ground(stream, corners, floor_mu, patches, terrain)
+        if ground is not None:
+            write_ground(stream, corners, ground)
         write_robot(stream, log, robot)
         write_truth_path(stream, log)
         write_estimates(stream, errors, robot, trunk_size(robot))
@@ -122,7 +118,8 @@ def _about(log: Log, robot: Robot, errors: Mapping[str, ErrorSeries]) -> str:
             "box is the trunk where one estimator believes it to be; its arrow points forward.",
             "",
             "Estimates are laid on the true position and heading at their first sample, because an "
-            "estimator that only feels its own body can observe neither.",
+            "estimator that only feels its own body can observe neither. The wire ellipsoid is "
+            "where one is nearly sure to be: three of its own standard deviations.",
             "",
             *(table if errors else []),
             "- **Ground**: the paler and bluer, the more slippery; labels give the friction "

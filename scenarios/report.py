@@ -15,7 +15,7 @@ from sim.files import whole_file
 _STYLE = """
 :root { color-scheme: light; }
 body { font: 16px/1.55 system-ui, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif;
-  color: #222; background: #fff; max-width: 70rem; margin: 2.5rem auto; padding: 0 1.25rem; }
+  color: #222; background: #fff; max-width: 76rem; margin: 2.5rem auto; padding: 0 1.25rem; }
 h1 { font-size: 1.7rem; line-height: 1.25; margin: 0 0 1.5rem; }
 h2 { font-size: 1.2rem; margin: 2.6rem 0 .6rem; padding-top: .8rem; border-top: 1px solid #ddd; }
 p { max-width: 46rem; margin: .6rem 0; }
@@ -23,7 +23,7 @@ nav { font-size: .92rem; margin-bottom: 1rem; }
 nav { display: flex; flex-wrap: wrap; gap: .1rem 1.2rem; }
 nav a { color: #0b5a8a; text-decoration: none; }
 .table { overflow-x: auto; margin: 1rem 0; }
-table { border-collapse: collapse; font-size: .9rem; font-variant-numeric: tabular-nums; }
+table { border-collapse: collapse; font-size: .84rem; font-variant-numeric: tabular-nums; }
 th, td { padding: .3rem .55rem; border-bottom: 1px solid #e4e4e4; text-align: left; }
 th { border-bottom: 2px solid #999; vertical-align: bottom; }
 .number { text-align: right; }
@@ -37,6 +37,11 @@ figcaption { font-size: .9rem; color: #444; max-width: 46rem; margin-top: .3rem;
   nav { display: none; }
   figure, tr { break-inside: avoid; }
   h2 { break-after: avoid; }
+  .table { overflow: visible; }
+  table { font-size: 6.8pt; }
+  th, td { padding: .12rem .25rem; }
+  thead { display: table-header-group; }
+  @page { size: A4 landscape; margin: 12mm; }
   figure img { max-height: 22cm; }
 }
 """

@@ -1,6 +1,6 @@
-"""The 3-D half of a recording: ground, robot, footprints, and where each estimator thinks it is."""
+"""The 3-D half of a recording: robot, footprints, and where each estimator thinks it is."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import mujoco
@@ -8,22 +8,14 @@ import numpy as np
 import rerun as rr
 
 from scenarios.errors import ErrorSeries
-from scenarios.palette import (
-    OUTSIDE,
-    TRUTH,
-    estimator_color,
-    estimator_label,
-    friction_color,
-    rgba,
-)
-from scenarios.robot_shapes import geom_shapes, link_poses, link_shapes, rerun_quaternion
+from scenarios.palette import OUTSIDE, TRUTH, estimator_color, estimator_label, rgba
+from scenarios.robot_shapes import link_poses, link_shapes, rerun_quaternion
 from sim.log import Log
 from sim.robot import Robot
 
 POSE_RATE = 50.0  # Hz
 SLIPPING = 0.1  # m/s, foot speed over the ground above which a loaded foot is called slipping
-_MARGIN = 2.0  # m of floor around the walk
-_THICKNESS = 0.02  # m
+_ELLIPSOID_RATE = 5.0  # Hz
 _PIECE = 5  # samples of a trail that appear at once
 _FOOTPRINT = (0x2B, 0x2B, 0x2B, 255)
 
@@ -38,53 +30,6 @@ def time_column(t: np.ndarray) -> rr.TimeColumn:
 def estimate_path(name: str) -> str:
     """The entity of an estimator in the scene; any name will do."""
     return f"world/estimates/{rr.escape_entity_path_part(name)}"
-
-
-def write_ground(
-    stream: rr.RecordingStream,
-    corners: tuple[np.ndarray, np.ndarray],
-    floor_mu: float | None,
-    patches: Sequence,
-    terrain: mujoco.MjModel | None,
-) -> None:
-    """Floor, patches and terrain, each coloured by its friction coefficient.
-
-    Args:
-        stream: the recording.
-        corners: lower and upper (3,) corner of the walk, m.
-        floor_mu: friction of the plane z = 0; None where there is no such plane.
-        patches: things with center_x, center_y, size_x, size_y (m), mu, and perhaps yaw (rad).
-        terrain: a model whose world body carries the ground's geoms, drawn as they are.
-    """
-    if floor_mu is not None:
-        lower, upper = corners
-        centre, half = 0.5 * (lower + upper)[:2], 0.5 * (upper - lower)[:2] + _MARGIN
-        floor = rr.Boxes3D(
-            centers=[[*centre, -0.5 * _THICKNESS]],
-            half_sizes=[[*half, 0.5 * _THICKNESS]],
-            colors=[rgba(friction_color(floor_mu))],
-            fill_mode="solid",
-        )
-        stream.log("world/ground/floor", floor, static=True)
-    for k, patch in enumerate(patches):
-        box = rr.Boxes3D(
-            centers=[[patch.center_x, patch.center_y, 0.004 - 0.5 * _THICKNESS]],
-            half_sizes=[[0.5 * patch.size_x, 0.5 * patch.size_y, 0.5 * _THICKNESS]],
-            rotation_axis_angles=[
-                rr.RotationAxisAngle([0, 0, 1], radians=getattr(patch, "yaw", 0.0))
-            ],
-            colors=[rgba(friction_color(patch.mu))],
-            labels=[f"friction {patch.mu:.2f}"],
-            show_labels=True,
-            fill_mode="solid",
-        )
-        stream.log(f"world/ground/patch_{k}", box, static=True)
-    if terrain is not None:
-        ground = np.flatnonzero(terrain.geom_bodyid == 0)
-        for mu in np.unique(terrain.geom_friction[ground, 0]):
-            alike = ground[terrain.geom_friction[ground, 0] == mu]
-            for name, shape in geom_shapes(terrain, alike, rgba(friction_color(mu))):
-                stream.log(f"world/ground/terrain/friction_{mu:.2f}/{name}", shape, static=True)
 
 
 def write_robot(stream: rr.RecordingStream, log: Log, robot: Robot) -> None:
@@ -150,7 +95,8 @@ def write_truth_path(stream: rr.RecordingStream, log: Log) -> None:
 def write_estimates(
     stream: rr.RecordingStream, errors: Mapping[str, ErrorSeries], robot: Robot, size: np.ndarray
 ) -> None:
-    """Each estimator's path, and a box the size of the trunk that moves where it thinks it is.
+    """Each estimator's path, a box the size of the trunk that moves where it thinks it is, and the
+    ellipsoid of three standard deviations of its position.
 
     Args:
         stream: the recording.
@@ -168,6 +114,28 @@ def write_estimates(
             stream, f"{root}/body", [time_column(error.t)], error.p_GI - R_GB @ robot.p_BI, R_GB
         )
         _write_marker(stream, f"{root}/body", name, size, height=2.0 + 0.7 * k)
+        if error.position_covariance is not None:
+            ellipsoid = f"{root}/ellipsoid"
+            _write_ellipsoid(stream, ellipsoid, error, error.position_covariance, color)
+
+
+def _write_ellipsoid(
+    stream: rr.RecordingStream, path: str, error: ErrorSeries, covariance: np.ndarray, color: str
+) -> None:
+    """Where the estimator is nearly sure to be, by its own account: semi-axes of three sigma."""
+    rows = np.searchsorted(error.t, np.arange(error.t[0], error.t[-1], 1.0 / _ELLIPSOID_RATE))
+    variance, axes = np.linalg.eigh(covariance[rows])
+    axes[np.linalg.det(axes) < 0.0, :, 0] *= -1.0
+    style = rr.Ellipsoids3D.from_fields(
+        colors=[rgba(color, 0.25)], line_radii=[_pixels(0.7)], fill_mode="majorwireframe"
+    )
+    stream.log(path, style, static=True)
+    columns = rr.Ellipsoids3D.columns(
+        centers=error.p_GI[rows].astype(np.float32),
+        half_sizes=(3.0 * np.sqrt(variance.clip(0.0))).astype(np.float32),
+        quaternions=rerun_quaternion(axes).astype(np.float32),
+    )
+    stream.send_columns(path, indexes=[time_column(error.t[rows])], columns=columns)
 
 
 def _write_marker(stream, path: str, name: str, size: np.ndarray, height: float) -> None:

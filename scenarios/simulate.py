@@ -1,6 +1,5 @@
 """Many walks: scenarios times seeds, one log each, and an index; goes on where it was killed."""
 
-import os
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +11,7 @@ from sim.batch import Job, Walked, known_robot, walk_batch
 from sim.effects import Effect
 from sim.effects_file import load_effects, save_effects
 from sim.errors import SurefootError
-from sim.files import refuse_overwrite
+from sim.files import clear_debris, refuse_overwrite
 from sim.log import Log
 from sim.scenario import Scenario
 from sim.walk import plan
@@ -46,7 +45,8 @@ def simulate_all(
     journal = Journal(out)
     _guard_truth(out, chosen if undeclared else (), journal, force)
     todo = jobs if force else [job for job in jobs if not _done(journal, job)]
-    _clear_debris(out, {log_name(job) for job in todo})
+    names = {f".{log_name(job)}.parquet" for job in todo}
+    clear_debris(p for p in out.glob(".*.tmp") if p.stem.rpartition(".")[0] in names)
     with percent_bar("simulate") as tell:
         if cluster:
             rows = walk_on_cluster(cluster, todo, out, force, tell)
@@ -137,20 +137,6 @@ def _done(journal: Journal, job: Job) -> bool:
         refuse_overwrite(path, False)
     journal.add(with_hash(row_of(Walked(job, made, log)), path))
     return True
-
-
-def _clear_debris(out: Path, names: set[str]) -> None:
-    """Remove what killed writers left of these logs; what running ones write stays."""
-    for path in out.glob(".*.parquet.*.tmp"):
-        name, _, number = path.stem[1:].rpartition(".parquet.")
-        if name not in names or not number.isdigit():
-            continue
-        try:
-            os.kill(int(number), 0)
-        except ProcessLookupError:
-            path.unlink(missing_ok=True)
-        except OSError:
-            continue
 
 
 def seed_range(text: str) -> range:

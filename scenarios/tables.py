@@ -1,6 +1,7 @@
 """One table in three dresses: Markdown, CSV and HTML, with the same numbers in each."""
 
 import csv
+import re
 from collections.abc import Mapping, Sequence
 from html import escape
 from io import StringIO
@@ -65,12 +66,15 @@ def to_csv(table: Table) -> str:
 
 
 def to_html(table: Table, digits: int = 3) -> str:
-    """An HTML table with every header and cell escaped; numeric columns have the class "number"."""
+    """An HTML table with every header and cell escaped; numeric columns have the class "number".
+
+    A cell that Markdown shows in bold (**so**) is bold here too.
+    """
     frame = as_frame(table)
     classes = [' class="number"' if numeric else "" for numeric in _numeric(frame)]
     header = [f"<th{c}>{escape(str(n))}</th>" for n, c in zip(frame.columns, classes, strict=True)]
     rows = [
-        [f"<td{c}>{escape(cell(v, digits))}</td>" for v, c in zip(row, classes, strict=True)]
+        [f"<td{c}>{_strong(cell(v, digits))}</td>" for v, c in zip(row, classes, strict=True)]
         for row in frame.itertuples(index=False)
     ]
     body = "\n".join(f"<tr>{''.join(row)}</tr>" for row in rows)
@@ -81,10 +85,22 @@ def to_html(table: Table, digits: int = 3) -> str:
 
 def _numeric(frame: pd.DataFrame) -> list[bool]:
     return [
-        all(isinstance(v, Real) and not isinstance(v, bool) for v in column.dropna())
-        and column.notna().any()
+        all(map(_is_number, column.dropna())) and column.notna().any()
         for _, column in frame.items()
     ]
+
+
+def _is_number(value: object) -> bool:
+    """A number, or one as text with what follows it: "0.12 ± 0.03", "80.1 (75–86)"."""
+    if isinstance(value, str):
+        return re.fullmatch(r"-?[\d.]+( ± [\d.]+)?( \([\d.–-]+\))?", value) is not None
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def _strong(text: str) -> str:
+    if len(text) > 4 and text.startswith("**") and text.endswith("**"):
+        return f"<strong>{escape(text[2:-2])}</strong>"
+    return escape(text)
 
 
 def _pipe(text: str) -> str:

@@ -2,7 +2,7 @@
 
 import os
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,20 @@ def read_toml(path: Path, what: str = "") -> dict[str, Any]:
         raise SurefootError(f"{name}: {error.strerror or error}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise SurefootError(f"{name}: not valid TOML: {error}") from None
+
+
+def clear_debris(paths: Iterable[Path]) -> None:
+    """Remove those `.tmp` of `whole_file` whose writer was killed; what a live one writes stays."""
+    for path in paths:
+        number = path.stem.rpartition(".")[2]
+        if path.suffix != ".tmp" or not number.isdigit():
+            continue
+        try:
+            os.kill(int(number), 0)
+        except ProcessLookupError:
+            path.unlink(missing_ok=True)
+        except OSError:
+            continue
 
 
 @contextmanager

@@ -16,6 +16,7 @@ from scenarios.robot_shapes import geom_shapes
 from sim.errors import SurefootError
 from sim.log import LEGS, Log
 from sim.quaternion import matrix_from_quaternion
+from sim.terrain import Ground
 
 
 class Contents:
@@ -42,15 +43,16 @@ class Contents:
 
 def written(path: Path, walk: Walk, **options) -> Contents:
     write_recording(
-        path, walk.log, walk.robot, walk.trajectories, walk.prediction, walk.bounds, walk.patches,
-        **options,
+        path, walk.log, walk.robot, walk.trajectories, walk.prediction, walk.bounds, **options,
     )  # fmt: skip
     return Contents(path)
 
 
 @pytest.fixture(scope="module")
 def contents(walk, tmp_path_factory) -> Contents:
-    return written(tmp_path_factory.mktemp("recording") / "walk.rrd", walk, floor_mu=0.8)
+    return written(
+        tmp_path_factory.mktemp("recording") / "walk.rrd", walk, ground=Ground(0.8, walk.patches)
+    )
 
 
 def test_there_is_one_timeline_and_every_moving_entity_is_on_it(contents):
@@ -75,7 +77,9 @@ def test_every_panel_has_its_entities(contents):
     assert {f"/feet/{kind}/{leg}" for kind in ("contact", "slip") for leg in LEGS} <= moving
     assert {"/update/coverage/mass", "/update/coverage/gamma"} <= moving
     assert "/update/leg/mass" not in moving
-    assert {"/world/ground/floor", "/world/ground/patch_0", "/about"} <= set(contents.static)
+    assert {"/world/ground/friction_0.80/box", "/world/ground/patch_0", "/about"} <= set(
+        contents.static
+    )
 
 
 def test_the_robot_stands_where_the_reference_says_at_50_hz(contents, walk):
@@ -170,7 +174,7 @@ def test_slip_keeps_the_peak_of_every_ten_milliseconds(contents, walk):
 def test_colours_are_those_of_the_palette(contents):
     color = contents.static["/position_error/x/leg/error"]["SeriesLines:colors"][0][0]
     assert f"#{color >> 8:06X}" == estimator_color("leg")
-    patch = contents.static["/world/ground/patch_0"]["Boxes3D:colors"][0][0]
+    patch = contents.static["/world/ground/friction_0.20/box"]["Boxes3D:colors"][0][0]
     assert f"#{patch >> 8:06X}" == friction_color(0.2)
 
 

@@ -15,6 +15,7 @@ from rerun.experimental import ViewerClient
 
 from scenarios.palette import OBSERVER, estimator_color, friction_color, rgba
 from scenarios.recording import write_recording
+from sim.terrain import Ground
 
 PATIENCE = 60.0  # s
 
@@ -90,7 +91,7 @@ def test_the_picture_shows_robot_ground_estimates_and_series(viewer, walk: Walk,
     recording = tmp_path / "walk.rrd"
     write_recording(
         recording, walk.log, walk.robot, walk.trajectories, walk.prediction, walk.bounds,
-        walk.patches, floor_mu=0.8,
+        ground=Ground(0.8, walk.patches),
     )  # fmt: skip
     image = picture(viewer, recording, 2.0, tmp_path / "walk.png")
     rows, columns, _ = image.shape

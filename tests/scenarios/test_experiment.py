@@ -1,0 +1,241 @@
+"""A small experiment from its file to its folder: killed, gone on with, and changed."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import scenarios
+from scenarios.experiment import Experiment
+from scenarios.experiment_report import experiment
+from scenarios.experiment_tables import averages, published, sweep, with_spread
+from sim.errors import SurefootError
+
+# pyright: reportArgumentType=false, reportGeneralTypeIssues=false
+
+SUITES = Path(scenarios.__file__).parent / "suites"
+
+WALK = """
+name = "{name}"
+robot = "spot_class"
+role = "{role}"
+segment = [{{duration = {seconds}, forward = {speed}, turn = 0.2}}]
+[ranges]
+speed = [0.9, 1.1]
+"""
+GRID = """
+title = "A small grid"
+scenarios = ["learn.toml", "hold.toml", "try.toml"]
+filters = ["coverage", "leg", "imu"]
+gammas = [0.8]
+[sweep]
+gammas = [0.6]
+[observer]
+losses = ["mse"]
+inputs = "q,dq"
+steps = 4
+[[condition]]
+name = "as drawn"
+[[condition]]
+name = "as built"
+imperfections = "built.toml"
+sensors = {contact_delay = 0.004}
+"""
+BUILT = """
+[[imperfection]]
+effect = "encoder_offset"
+normal = 0.01
+source = "a test"
+"""
+
+
+@pytest.fixture(scope="module")
+def grid(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("grid")
+    for name, role, seconds, speed in (
+        ("learn", "train", 11, 0.5), ("hold", "calibrate", 22, 0.6), ("try", "test", 4, 0.5),
+    ):  # fmt: skip
+        text = WALK.format(name=name, role=role, seconds=seconds, speed=speed)
+        (folder / f"{name}.toml").write_text(text)
+    (folder / "grid.toml").write_text(GRID)
+    (folder / "built.toml").write_text(BUILT)
+    return folder
+
+
+def made(grid: Path) -> dict[str, dict[str, int]]:
+    """Files of the cache by kind, with the time of their making."""
+    return {
+        kind.name: {p.name: p.stat().st_mtime_ns for p in kind.glob("*") if p.suffix != ".json"}
+        for kind in (grid / "out" / "cache").iterdir()
+    }
+
+
+@pytest.fixture(scope="module")
+def killed(grid) -> dict[str, dict[str, int]]:
+    """What a run leaves that is killed as soon as it has made one walk."""
+    command = [sys.executable, "-m", "scenarios", "experiment", str(grid / "grid.toml")]
+    process = subprocess.Popen(
+        [*command, "-o", str(grid / "out")], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )  # fmt: skip
+    deadline = time.monotonic() + 300
+    while not list((grid / "out").glob("cache/walk/*.json")) and time.monotonic() < deadline:
+        assert process.poll() is None
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    return made(grid)
+
+
+@pytest.fixture(scope="module")
+def rows(grid, killed) -> pd.DataFrame:
+    return experiment(grid / "grid.toml", grid / "out")
+
+
+def test_a_killed_run_goes_on_where_it_stopped(grid, killed, rows):
+    kept = {p.stem for p in (grid / "out").glob("cache/walk/*.json")}
+    assert len(killed["walk"]) >= 1
+    for name, stamp in killed["walk"].items():
+        if Path(name).stem in kept:
+            assert made(grid)["walk"][name] == stamp
+    assert not list((grid / "out").rglob(".*.tmp"))
+
+
+def test_the_grid_is_one_tidy_table(grid, rows):
+    read = pd.read_parquet(grid / "out" / "results.parquet")
+    pd.testing.assert_frame_equal(read, rows)
+    # Three walks under two conditions; coverage at two gammas, the others at none.
+    assert len(rows) == 3 * 2 * (2 + 1 + 1)
+    cells = rows[["sequence", "condition", "filter", "gamma"]]
+    assert not cells.duplicated().any()
+    assert set(rows["role"]) == {"train", "calibrate", "test"}
+    assert rows["APE_trans [m]"].notna().all()
+    assert rows.loc[rows["filter"] == "coverage", "coverage [%]"].between(0, 100).all()
+    wider = rows[rows["filter"] == "coverage"].pivot_table(
+        index=["sequence", "condition"], columns="gamma", values="coverage [%]"
+    )
+    assert (wider[0.8] >= wider[0.6]).all()
+
+
+def test_what_a_robot_is_built_like_costs_the_filter_that_trusts_its_drawing(rows):
+    leg = rows[rows["filter"] == "leg"].groupby("condition")["APE_trans [m]"].mean()
+    assert leg["as built"] > 1.5 * leg["as drawn"]
+
+
+def test_the_folder_holds_tables_report_figures_and_recordings(grid, rows):
+    out = grid / "out"
+    files = {"results.csv", "averages.csv", "averages.md", "sweep.md", "sequences_as_built.md"}
+    assert files <= {p.name for p in out.iterdir()}
+    page = (out / "report.html").read_text()
+    assert "perfect model of the legs" in page
+    assert "<strong>try</strong>" in page
+    assert page.count("<img") == len(list((out / "figures").glob("*.png")))
+    assert {p.stem for p in (out / "recordings").glob("*.rrd")} == {
+        f"{walk}_as_{how}" for walk in ("learn", "hold", "try") for how in ("drawn", "built")
+    }
+
+
+def test_a_finished_run_is_not_written_over(grid, rows):
+    with pytest.raises(SurefootError, match="holds a finished run; give --force"):
+        experiment(grid / "grid.toml", grid / "out")
+
+
+def test_a_changed_scenario_makes_only_what_it_decides(grid, rows):
+    before = made(grid)
+    (grid / "try.toml").write_text(WALK.format(name="try", role="test", seconds=5, speed=0.5))
+    again = experiment(grid / "grid.toml", grid / "out", force=True, recordings=False)
+    added = {kind: set(files) - set(before[kind]) for kind, files in made(grid).items()}
+    assert {kind: len(names) for kind, names in added.items() if names} == {
+        "walk": 2, "estimate": 2 * 4,
+    }  # fmt: skip
+    for kind, files in before.items():
+        assert files.items() <= made(grid)[kind].items()
+    same = again["sequence"] != "try"
+    pd.testing.assert_frame_equal(again[same], rows[same])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("gammas = [0.8]", "gammas = [1.8]", "gammas must lie between 0 and 1"),
+        ("gammas = [0.8]", "gammas = []", "gammas must be a list"),
+        ('"leg", "imu"', '"legs"', "unknown 'legs'"),
+        ("try.toml", "trial.toml", "trial.toml: No such file"),
+        ("try.toml", "learn.toml", "each once"),
+        ('name = "as built"', 'name = "as drawn"', "two conditions are named as drawn"),
+        ('name = "as built"', "", "needs name"),
+        ("contact_delay", "smell", "sensors: unknown"),
+        ("contact_delay = 0.004", "contact_delay = -1.0", "must not be negative"),
+        ("built.toml", "rebuilt.toml", "rebuilt.toml: No such file"),
+        ("steps = 4", "stairs = 5", "unknown key 'stairs'"),
+        ('losses = ["mse"]', 'losses = ["l1"]', "unknown 'l1'"),
+        ('title = "A small grid"', "seeds = [-1]", "must not be negative"),
+        ('title = "A small grid"', "robots = ['horse']", "horse"),
+        ('title = "A small grid"', "title = 5", "title must be text"),
+        ('title = "A small grid"', "[roles]\nnobody = 'test'\n", "nobody: no scenario"),
+    ],
+)
+def test_bad_files_are_one_clear_line(grid, tmp_path, old, new, said):
+    for path in grid.glob("*.toml"):
+        (tmp_path / path.name).write_text(path.read_text())
+    text = GRID.replace(old, new)
+    if new.startswith("[roles]"):
+        text = GRID + "\n[roles]\nnobody = 'test'\n"
+    (tmp_path / "bad.toml").write_text(text)
+    with pytest.raises(SurefootError, match=r"bad\.toml") as caught:
+        Experiment.load(tmp_path / "bad.toml")
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "courses", "train", "calibrate"),
+    [("spot", 10, "Upstair", "Quad"), ("vision60", 7, "3CC3CCW", "RoomScan")],
+)
+def test_the_suites_are_two_such_files(name, courses, train, calibrate):
+    suite = Experiment.load(SUITES / f"{name}.toml")
+    assert len(suite.scenarios) == courses
+    roles = {s.name: s.role for s in suite.scenarios}
+    assert [n for n, role in roles.items() if role == "train"] == [train]
+    assert [n for n, role in roles.items() if role == "calibrate"] == [calibrate]
+    assert len(suite.seeds) >= 3
+    rows, _, _ = published(name)
+    assert set(rows["sequence"]) == set(roles)
+
+
+def test_the_papers_averages_are_given_as_printed_and_from_its_rows():
+    _, both, note = published("spot")
+    ours = both[both["method"] == "Ours"].set_index("average")["APE_trans [m]"]
+    assert ours["as printed"] == 2.736
+    assert ours["from its rows"] == pytest.approx(3.043, abs=5e-4)
+    assert "Real robots" in note
+    _, both, note = published("vision60")
+    assert "no drift per metre" in note
+    assert both.loc[both["method"] == "GaRLILEO"].empty
+
+
+def test_averages_are_over_test_sequences_and_spread_is_over_seeds(rows):
+    grown = pd.concat([rows, rows.assign(seed=1, **{"APE_trans [m]": rows["APE_trans [m]"] + 1})])
+    leg = averages(grown[grown["filter"] == "leg"]).set_index("condition")
+    test = rows[(rows["role"] == "test") & (rows["filter"] == "leg")].set_index("condition")
+    for condition, value in test["APE_trans [m]"].items():
+        text = leg.loc[condition, "APE_trans [m]"]
+        assert text == f"{value + 0.5:.3f} ± {np.sqrt(0.5):.3f}"
+
+
+def test_the_sweep_has_a_row_a_gamma(grid, rows):
+    table = sweep(rows, Experiment.load(grid / "grid.toml"))
+    assert list(table["gamma"]) == [0.6, 0.8, 0.6, 0.8]
+    assert set(table["filter"]) == {"coverage"}
+
+
+def test_a_mean_of_one_has_no_spread():
+    assert with_spread(pd.Series([1.0])) == "1.000"
+    assert with_spread(pd.Series([np.nan])) is None
+    assert with_spread(pd.Series([10.0, 12.0])) == "11.00 ± 1.41"

@@ -1,0 +1,64 @@
+"""A robot as built is one robot: the same wherever it walks, and not its neighbour."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import scenarios
+from scenarios.experiment import Experiment, walk_to_make
+from scenarios.imperfections import Imperfection, load_imperfections
+from sim.errors import SurefootError
+from sim.legs import JOINTS
+
+SUITES = Path(scenarios.__file__).parent / "suites"
+
+
+def test_an_instance_draws_the_same_wherever_it_walks_and_others_draw_otherwise():
+    suite = Experiment.load(SUITES / "vision60.toml")
+    _, built = suite.conditions
+    jobs = [walk_to_make(s, "v60_class", built, 1) for s in suite.scenarios]
+    assert all(job.effects == jobs[0].effects for job in jobs)
+    assert len({job.seed for job in jobs}) == len(jobs)
+    assert not any(job.declared for job in jobs)
+    assert walk_to_make(suite.scenarios[0], "v60_class", built, 2).effects != jobs[0].effects
+    assert jobs[0].scenario.sensors.contact_delay == 0.005
+
+
+def test_sizes_follow_the_law_of_the_file():
+    offsets = Imperfection("encoder_offset", JOINTS, "normal", 0.01, "")
+    drawn = np.array([[e.value for e in offsets.drawn(k)] for k in range(400)])
+    # The standard error of a deviation from n draws is about 1 / sqrt(2 n) of it.
+    assert np.std(drawn) == pytest.approx(0.01, rel=4 / np.sqrt(2 * drawn.size))
+    assert abs(drawn.mean()) < 4 * 0.01 / np.sqrt(drawn.size)
+    turns = Imperfection("imu_rotation", ("x", "y", "z"), "uniform", 0.006, "")
+    drawn = np.array([[e.value for e in turns.drawn(k)] for k in range(400)])
+    assert 0.0059 < np.abs(drawn).max() <= 0.006
+    compliance = Imperfection("joint_compliance", JOINTS, "fixed", 1e-4, "")
+    assert {e.value for e in compliance.drawn(3)} == {1e-4}
+
+
+def test_every_size_of_the_suites_has_a_source():
+    for one in load_imperfections(SUITES / "as_built.toml"):
+        assert len(one.source) > 20
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "are written as"),
+        ("[[imperfection]]\neffect='wings'\nnormal=1\nsource=''", "unknown effect 'wings'"),
+        ("[[imperfection]]\neffect='payload'\nsource=''", "needs one of normal"),
+        ("[[imperfection]]\neffect='payload'\nfixed=true\nsource=''", "must be a number"),
+        ("[[imperfection]]\neffect='payload'\nfixed=1", "needs source"),
+        ("[[imperfection]]\neffect='payload'\nfixed=99\nsource=''", "must lie between"),
+        ("[[imperfection]]\neffect='payload'\nfixed=1\nsource=''\ntargets=['x']", "unknown target"),
+        ("[[imperfection]]\neffect='payload'\nfixed=1\nsource=''\nsize=2", "unknown key 'size'"),
+    ],
+)
+def test_bad_files_are_one_clear_line(tmp_path, text, said):
+    (tmp_path / "bad.toml").write_text(text)
+    with pytest.raises(SurefootError, match=r"bad\.toml") as caught:
+        load_imperfections(tmp_path / "bad.toml")
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
