@@ -1,7 +1,7 @@
 """What an experiment is made of: walks, observers, bounds and estimates, each found or made."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from scenarios.dataset import recipe, row_of
 from scenarios.estimate_facts import error_table, estimate_facts
 from scenarios.experiment import Learning
 from scenarios.filters import NEEDS, Learnt, declared_model, run_filter
+from scenarios.tuned import tuned
 from scenarios.walk_recording import record_walk
 from sim.batch import Job, known_robot, walk_job
 from sim.errors import SurefootError
@@ -102,6 +103,7 @@ def make_estimates(
     folder: Path,
     walk: Product,
     name: str,
+    robot_name: str,
     learnt: LearntFiles,
     filters: Sequence[str],
     gammas: Sequence[float],
@@ -111,6 +113,7 @@ def make_estimates(
     A filter without bounds has the gamma None and is run once. The file of an estimate holds its
     errors over time, the facts its metrics.
     """
+    parameters = tuned(known_robot(robot_name))
     log = cache(lambda: replace(Log.read(walk.path), name=name))
     loaded = cache(learnt.load)
     found: dict[tuple[str, float | None], Product] = {}
@@ -119,6 +122,7 @@ def make_estimates(
         needs = NEEDS.get(filter_name, ("observers", "bounds"))
         for gamma in gammas if "bounds" in needs else gammas[:1]:
             inputs: dict[str, Any] = {"walk": walk.digest, "filter": filter_name}
+            inputs["parameters"] = asdict(parameters)
             if "observers" in needs:
                 inputs["observers"] = sorted(one.digest for one in learnt.observers.values())
             if "bounds" in needs:
@@ -126,7 +130,7 @@ def make_estimates(
                 inputs["bounds"] = sorted(one.digest for one in bounds.values())
 
             def make(path: Path, filter_name: str = filter_name, gamma: float = gamma) -> dict:
-                robot = known_robot(log().meta.robot or "")
+                robot = known_robot(robot_name)
                 result = run_filter(filter_name, log(), robot, loaded(gamma))
                 error_table(log(), result.trajectory).to_parquet(path, index=False)
                 return estimate_facts(log(), result, loaded(gamma))

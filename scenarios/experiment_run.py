@@ -160,8 +160,8 @@ def _estimate(
         if not walk.facts["falls"]:
             files = learnt.get(cell.group, LearntFiles({}, {}))
             gammas = _gammas(experiment, cell.seed)
-            name = cell.scenario.name
-            tasks[cell] = (make_estimates, folder, walk, name, files, experiment.filters, gammas)
+            what = (cell.scenario.name, cell.robot, files, experiment.filters, gammas)
+            tasks[cell] = (make_estimates, folder, walk, *what)
     found, left_out = [], {}
     for cell, (products, why) in _stage(pool, "estimates", tasks).items():
         found += [Estimated(cell, name, gamma, one) for (name, gamma), one in products.items()]

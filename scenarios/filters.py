@@ -235,6 +235,7 @@ FILTERS: dict[str, Callable[[Log, Robot, Learnt], Run]] = {
 
 NEEDS: dict[str, tuple[str, ...]] = {
     "velocity": ("observers",),
+    "velocity_inflated": ("observers",),
     "leg": (),
     "leg_slip": (),
     "imu": (),

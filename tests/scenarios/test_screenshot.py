@@ -15,7 +15,7 @@ from rerun.experimental import ViewerClient
 
 from scenarios.palette import OBSERVER, estimator_color, friction_color, rgba
 from scenarios.recording import write_recording
-from sim.terrain import Ground
+from sim.terrain import Ground, Strip
 
 PATIENCE = 60.0  # s
 
@@ -104,3 +104,26 @@ def test_the_picture_shows_robot_ground_estimates_and_series(viewer, walk: Walk,
         assert near(scene, estimator_color(name)) > 50, f"{name} is not in the scene"
         assert near(plots, estimator_color(name)) > 50, f"{name} is not in the plots"
     assert near(plots, OBSERVER) > 50, "no observer in the plots"
+
+
+def test_stairs_slopes_and_bumps_are_in_the_picture(viewer, walk: Walk, tmp_path):
+    """The same walk twice from the same eye: level ground hides what terrain shows."""
+    rough = Strip((-1.0, 3.6), (3.0, 3.6), 1.6, rough=0.12, mu=0.3)
+    strips = (
+        Strip((2.2, 2.0), (3.4, 2.0), 1.6, heights=(0.0, 0.6), steps=4),
+        Strip((3.4, 2.0), (5.0, 2.0), 1.6, heights=(0.6, 0.6)),
+        Strip((-1.0, 0.0), (1.5, 0.0), 1.6, heights=(0.0, 0.5)),
+        Strip((1.5, 0.0), (3.0, 0.0), 1.6, heights=(0.5, 0.5)),
+        rough.roughened(np.random.default_rng(0)),
+    )
+    images = []
+    for name, ground in (("level", Ground(0.8)), ("course", Ground(0.8, walk.patches, 20, strips))):
+        recording = tmp_path / f"{name}.rrd"
+        write_recording(recording, walk.log, walk.robot, walk.trajectories, ground=ground)
+        images.append(picture(viewer, recording, 2.0, tmp_path / f"{name}.png"))
+    level, course = images
+    scene = np.s_[:, : level.shape[1] // 2]
+    changed = np.abs(level[scene] - course[scene]).max(axis=2) > 20
+    assert changed.mean() > 0.05, "the terrain does not show"
+    icy = [near(image[scene], friction_color(0.3), 45) for image in images]
+    assert icy[1] > icy[0] + 500, "no bumps in the colour of their friction"
