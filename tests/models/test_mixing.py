@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq
+from scipy.optimize import root_scalar
 from scipy.stats import norm
 
 from models.mixing import beta_coefficient, discretise, independence_floor, mixing
@@ -97,8 +97,8 @@ def test_a_chain_of_four_states_exactly():
 def test_spacing_is_close_to_the_true_one_and_never_much_below(phi, n):
     """Over records as long as a calibration: true K is where gaussian_beta(phi^K) = 0.05."""
     rng = np.random.default_rng(8)
-    correlation = brentq(lambda r: gaussian_beta(r) - 0.05, 0.1, 0.2, xtol=1e-3)
-    true = np.log(correlation) / np.log(phi)
+    correlation = root_scalar(lambda r: gaussian_beta(r) - 0.05, bracket=(0.1, 0.2), xtol=1e-3)
+    true = np.log(correlation.root) / np.log(phi)
     found = np.array([mixing(autoregression(phi, n, rng, axes=3)).K for _ in range(8)])
     assert true * 0.85 <= found.min()
     assert true <= np.median(found) <= 1.35 * true
