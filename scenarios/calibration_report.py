@@ -17,9 +17,11 @@ from scenarios.calibration_tables import (
     methods_table,
     sequence_table,
 )
-from scenarios.figures_observer import error_distributions, mixing_curve
+from scenarios.figures_observer import mixing_curve
+from scenarios.observer_errors import error_section
 from scenarios.report import Picture, Section, save_picture, write_report
 from scenarios.tables import to_csv, to_markdown
+from sim.errors import SurefootError
 from sim.files import whole_file
 from sim.log import Log
 
@@ -44,21 +46,20 @@ def write_calibration_report(
         "coverage": sequence_table(first, others),
         "cases": case_table(others),
     }
-    pictures = _pictures(first, others)
+    pictures = _pictures(bounds)
     for name, table in tables.items():
         if len(table):
             _write(out / f"{name}.md", to_markdown(table) + "\n", force)
             _write(out / f"{name}.csv", to_csv(table), force)
     for name, picture in pictures.items():
         save_picture(picture, out / f"{name}.png", force)
-    sections = _sections(first, others, tables, pictures)
+    sections = _sections(observer, first, others, tables, pictures)
     title = f"Bounds calibrated on {calibration.name}, and where they hold"
     write_report(out / "report.html", title, sections, force)
     return sections
 
 
-def _pictures(calibration: Walk, others: Sequence[Walk]) -> dict[str, Picture]:
-    bounds = calibration.bounds
+def _pictures(bounds: Bounds) -> dict[str, Picture]:
     pictures = {}
     if bounds.mixing is not None:
         pictures["mixing"] = Picture(
@@ -66,20 +67,11 @@ def _pictures(calibration: Walk, others: Sequence[Walk]) -> dict[str, Picture]:
             "How long errors remember. Peaks that do not decay are the stride: a gait by the clock "
             "errs alike at each of its steps, however far apart.",
         )
-    trained = [walk.errors for walk in others if walk.role == "training" and len(walk.errors)]
-    tests = [walk.errors for walk in others if walk.role == "test" and len(walk.errors)]
-    if trained and tests:
-        pictures["errors"] = Picture(
-            error_distributions(
-                np.vstack(trained), np.vstack(tests), bounds.epsilon, bounds.gamma,
-                "Velocity errors on the training walk and on all test walks",
-            ),
-            "Errors where the observer was trained and elsewhere, with the one bound for both.",
-        )  # fmt: skip
     return pictures
 
 
 def _sections(
+    observer: Observer,
     calibration: Walk,
     others: Sequence[Walk],
     tables: dict[str, pd.DataFrame],
@@ -93,8 +85,16 @@ def _sections(
         ),
         Section("Methods", METHODS_PROSE, tables["methods"]),
     ]
-    if "errors" in pictures:
-        sections.append(Section("The errors", "", None, _only(pictures, "errors")))
+    tests = [walk.errors for walk in others if walk.role == "test" and len(walk.errors)]
+    if tests:
+        together = np.vstack(tests)
+        try:
+            found = error_section(
+                observer.errors, together, bounds.epsilon, bounds.gamma, "test walks"
+            )
+        except SurefootError as error:  # too few to test, not too few to cover
+            found = Section("The observer's errors", str(error))
+        sections.append(found)
     if others:
         sections.append(Section("Where the bounds hold", _shift_prose(tables), tables["coverage"]))
     if len(tables["cases"]):
