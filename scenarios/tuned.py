@@ -1,4 +1,4 @@
-"""The filters' parameters by robot, from `tuned.toml`: what `scenarios.tuning` chose and why."""
+"""The filters' parameters by robot, from `tuned.toml`, one set for all courses."""
 
 from dataclasses import dataclass, fields
 from functools import cache

@@ -48,6 +48,8 @@ def march(kind, steps, seed, mean, P, prior, tau, window, reach, noise, feet_I, 
             )  # fmt: skip
         if kind == 2 or kind == 3:
             wander(mean, P, prior, tau, 0.002)
+        if k % every == every - 1:
+            check[k // every] = P
         if k % 5000 >= 4500:
             continue
         wild = 40.0 if np.random.rand() < 0.01 else 1.0
@@ -69,8 +71,6 @@ def march(kind, steps, seed, mean, P, prior, tau, window, reach, noise, feet_I, 
             seen = feet_I + wild * 2e-3 * np.random.randn(4, 3)
             gate = np.inf if kind == 4 else 16.27
             update_contacts(mean, P, standing, seen, contact, cov, gate, drift, held)
-        if k % every == every - 1:
-            check[k // every] = P
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -88,12 +88,11 @@ def test_the_covariance_stays_definite_and_nothing_diverges(kind, steps):
         mean, P = NavState().pack(), start
     check = np.full((40, *P.shape), np.nan)
     march(place, steps, 1, mean, P, *lasting.model()[:4], NOISE, FEET, check)
-    seen = check[np.isfinite(check).all(axis=(1, 2))]
-    assert len(seen) > 30, "an interval that ends in a dropout has no row, no other has a NaN"
+    assert np.isfinite(check).all()
     assert np.isfinite(P).all()
     assert np.isfinite(mean).all()
     assert np.abs(mean[:3] @ mean[:3].T - np.eye(3)).max() < 1e-9
-    for each in (*seen, P):
+    for each in (*check, P):
         # In units of its own deviations, as metres and radians do not compare.
         scale = np.sqrt(np.diag(each)[:15])
         assert np.linalg.eigvalsh(each[:15, :15] / np.outer(scale, scale))[0] > 0
