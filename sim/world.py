@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from sim.errors import SurefootError
 from sim.legs import JOINTS, LEGS
 from sim.relief import Relief, surface
 from sim.robot import Robot
@@ -29,7 +30,7 @@ class World:
 def robot_spec(robot: Robot) -> mujoco.MjSpec:
     """The robot with a torque motor a joint and a touch sensor a foot, whatever its file had."""
     spec = robot.spec()
-    for part in (*spec.actuators, *spec.keys):
+    for part in (*spec.sensors, *spec.actuators, *spec.keys):
         spec.delete(part)
     for floor in spec.worldbody.geoms:  # of a file that brings a whole scene
         spec.delete(floor)
@@ -82,13 +83,22 @@ def build_world(robot: Robot, ground: Ground, spec: mujoco.MjSpec | None = None)
     """Compile the robot (or an edited spec of it) standing on `ground`."""
     scene: mujoco.MjSpec = robot_spec(robot) if spec is None else spec
     # Feet creep on dry ground unless friction is stiff and exact: elliptic cone, high impratio.
+    scene.option.gravity = [0.0, 0.0, -9.81]
+    scene.option.disableflags = scene.option.enableflags = 0
+    scene.memory = -1  # what MuJoCo thinks fit: running out of it ends the whole process
     scene.option.timestep = TIMESTEP
     scene.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     scene.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     scene.option.impratio = 100.0
     scene.option.noslip_iterations = 0
     add_ground(scene, ground)
-    model = scene.compile()
+    try:
+        model = scene.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        reason = str(error).strip().splitlines()[0]
+        raise SurefootError(
+            f"robot {robot.name}: MuJoCo cannot build its world: {reason}"
+        ) from None
     joints = [model.joint(name) for name in robot.joint_names]
     qpos_adr = np.array([joint.qposadr[0] for joint in joints])
     home_B = robot.feet_I(robot.q_home[None])[0] @ robot.R_BI.T + robot.p_BI

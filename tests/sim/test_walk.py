@@ -153,12 +153,15 @@ def test_payload_presses_harder_on_the_ground():
 
 
 def test_what_a_robots_file_says_of_other_geoms_does_not_move_the_ground(tmp_path):
-    """A margin lets soles hover, a default mutes contacts, a floor of its own hides the ice."""
+    """A margin lets soles hover, a floor of its own hides the ice, too little memory is fatal."""
     plain = SPOT.file.read_text()
     odd = plain.replace("<default>", '<default>\n<geom margin="0.002"/>', 1).replace(
         "<worldbody>", '<worldbody><geom type="plane" size="0 0 1" pos="0 0 -0.01"/>', 1
     )
-    assert odd != plain
+    odd = odd.replace("<option ", '<size memory="20K"/><option gravity="0 0 -1" ', 1)
+    odd = odd.replace(
+        "</mujoco>", '<sensor><jointpos joint="FL_hip" name="touch_FL"/></sensor></mujoco>'
+    )
     (tmp_path / "odd.xml").write_text(odd)
     course = Scenario("s", (Segment(1.5, 0.6),), Ground(0.8, (Patch(0.5, 0, 0.6, 3.0, 0.2),)))
     ours, theirs = (walk(course, robot, 0) for robot in (SPOT, Robot.load(tmp_path / "odd.xml")))
