@@ -97,4 +97,7 @@ def test_the_covariance_stays_definite_and_nothing_diverges(kind, steps):
         scale = np.sqrt(np.diag(each)[:15])
         assert np.linalg.eigvalsh(each[:15, :15] / np.outer(scale, scale))[0] > 0
         assert np.abs(each - each.T).max() <= 1e-12 * np.abs(each).max()
-    assert np.abs(mean[3]).max() < 50.0
+    # The published update follows every outlier (Theorem 1 as pi -> 0), and its covariance with it,
+    # in which the next one is measured: it stays definite but is no good guide just after.
+    if kind != "coverage":
+        assert np.abs(mean[3]).max() < 50.0
