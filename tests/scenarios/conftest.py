@@ -1,5 +1,6 @@
 """A short made-up walk with known errors, for everything that draws."""
 
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,18 @@ from sim.terrain import Patch
 
 RATE = 500.0
 DRIFT = np.array([0.10, -0.05, 0.02])  # m/s, of the estimate "leg"
+CLIFF = """
+name = "cliff"
+robot = "spot_class"
+[[segment]]
+duration = 4.0
+forward = 0.8
+[[ground.strip]]
+start = [-2.0, 0.0]
+end = [0.7, 0.0]
+width = 3.0
+heights = [1.5, 1.5]
+"""
 
 
 class Walk(NamedTuple):
@@ -27,6 +40,14 @@ class Walk(NamedTuple):
     prediction: Prediction
     bounds: Bounds
     patches: tuple[Patch, ...]
+
+
+@pytest.fixture
+def cliff(tmp_path) -> Path:
+    """Scenario file of a walk that ends in a fall."""
+    path = tmp_path / "cliff.toml"
+    path.write_text(CLIFF)
+    return path
 
 
 @pytest.fixture(scope="session")

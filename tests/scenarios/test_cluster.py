@@ -29,18 +29,6 @@ robot = "spot_class"
 duration = 3.0
 forward = 0.5
 """
-CLIFF = """
-name = "cliff"
-robot = "spot_class"
-[[segment]]
-duration = 4.0
-forward = 0.8
-[[ground.strip]]
-start = [-2.0, 0.0]
-end = [0.7, 0.0]
-width = 3.0
-heights = [1.5, 1.5]
-"""
 
 
 class Cluster:
@@ -79,10 +67,9 @@ class Cluster:
 
 
 @pytest.fixture
-def cluster(tmp_path, monkeypatch) -> Iterator[Cluster]:
+def cluster(tmp_path, monkeypatch, cliff) -> Iterator[Cluster]:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "short.toml").write_text(COURSE)
-    (tmp_path / "cliff.toml").write_text(CLIFF)
     cluster = Cluster(tmp_path, workers=2)
     yield cluster
     cluster.stop()

@@ -29,18 +29,6 @@ forward = 0.5
 mu = [0.8, 1.2]
 payload = [0.0, 2.0]
 """
-CLIFF = """
-name = "cliff"
-robot = "spot_class"
-[[segment]]
-duration = 4.0
-forward = 0.8
-[[ground.strip]]
-start = [-2.0, 0.0]
-end = [0.7, 0.0]
-width = 3.0
-heights = [1.5, 1.5]
-"""
 EFFECTS = """
 [[effect]]
 name = "gyro_scale"
@@ -51,10 +39,9 @@ unit = "ratio"
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch) -> Path:
+def folder(tmp_path, monkeypatch, cliff) -> Path:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "short.toml").write_text(COURSE)
-    (tmp_path / "cliff.toml").write_text(CLIFF)
     (tmp_path / "effects.toml").write_text(EFFECTS)
     return tmp_path
 

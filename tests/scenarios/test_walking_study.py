@@ -51,11 +51,8 @@ def test_the_command_leaves_a_row_a_walk_and_a_line_a_course(course, capsys):
         main("walking --course short.toml -o study".split())
 
 
-def test_a_fall_is_counted_and_the_study_goes_on(course):
-    text = COURSE.replace("short", "cliff").replace("0.5, turn = 0.3", "0.8")
-    text += "[[ground.strip]]\nstart = [-2.0, 0.0]\nend = [0.7, 0.0]\nwidth = 3.0\n"
-    Path("cliff.toml").write_text(text + "heights = [1.5, 1.5]\n")
-    walks = walking_study(Path("study"), courses=[Path("cliff.toml"), course], seeds=1)
+def test_a_fall_is_counted_and_the_study_goes_on(course, cliff):
+    walks = walking_study(Path("study"), courses=[cliff, course], seeds=1)
     assert [(w.walk, w.falls) for w in walks] == [("cliff", 1), ("short", 0)]
     assert "| cliff | 1 of 1 | –" in Path("study/walking.md").read_text()
 
