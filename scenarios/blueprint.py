@@ -60,7 +60,9 @@ def layout(
 def _following(estimators: Sequence[str], eye) -> rrb.Spatial3DView:
     """Seen from a frame that moves with the robot without turning, so the robot stays in view."""
     estimates = [
-        f"- /{estimate_path(n)}/{part}" for n in estimators for part in ("path", "body/dot")
+        f"- /{estimate_path(n)}/{part}"
+        for n in estimators
+        for part in ("path", "body/dot", "ellipsoid")
     ]
     return rrb.Spatial3DView(
         origin="/world/follow",
@@ -87,7 +89,7 @@ def _map(estimators: Sequence[str], centre, span: float) -> rrb.Spatial3DView:
     return rrb.Spatial3DView(
         origin="/world",
         contents=["/world/**", "- /world/truth/trail", *estimates],
-        name="Whole walk from above: truth (grey) and estimates, a dot where each one is now",
+        name="Whole walk from above: truth (grey), estimates, dots where they are now, wire: 3σ",
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital,
             position=(centre[0], centre[1] - 0.02 * span, centre[2] + 1.15 * span),
