@@ -112,7 +112,7 @@ class Estimate:
     log: Positional[Path]
     filter: str
     """coverage, coverage_gml, coverage_persistent, velocity, velocity_inflated,
-    velocity_persistent, leg, leg_slip or imu."""
+    velocity_persistent, leg, leg_slip, radar_leg or imu."""
     robot: str | None = None
     """Name or MJCF file; the log's own where left out."""
     observer: UseAppendAction[tuple[Path, ...]] = ()

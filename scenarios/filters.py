@@ -14,6 +14,7 @@ from models.bounds import Bounds
 from models.observer import Observer
 from models.persistent import Persistent
 from models.predict import Prediction, predict
+from scenarios.radar_velocity import radar_velocity
 from scenarios.tuned import tuned
 from sim.effects import effect, explain_all
 from sim.errors import SurefootError
@@ -193,7 +194,9 @@ def persistent_error(part: Persistent) -> PersistentError:
     return PersistentError(part.covariance, part.time_constant, part.window, part.reach)
 
 
-def _leg(log: Log, robot: Robot, _: Learnt, gate: float | None = None) -> Run:
+def _leg(
+    log: Log, robot: Robot, _: Learnt, gate: float | None = None, seen: tuple = (None, None, None)
+) -> Run:
     """Contact-aided leg IEKF (Hartley)."""
     log.require("q", "contact")
     dq = log.dq if log.has("dq") else joint_velocity(log, causal=True)
@@ -204,13 +207,20 @@ def _leg(log: Log, robot: Robot, _: Learnt, gate: float | None = None) -> Run:
     noise = tuned(robot).leg_noise("leg" if gate is None else "leg_slip")
     return lambda: run_leg(
         log.t, log.gyro, log.accel, feet_I, log.contact, cov, state, covariance, noise,
-        robot.foot_radius, rates_I, gate,
+        robot.foot_radius, rates_I, gate, None, *seen,
     )  # fmt: skip
 
 
 def _leg_slip(log: Log, robot: Robot, learnt: Learnt) -> Run:
     """Leg IEKF that restarts a contact whose innovation fails a chi-square gate."""
     return _leg(log, robot, learnt, tuned(robot).slip_gate)
+
+
+def _radar_leg(log: Log, robot: Robot, learnt: Learnt) -> Run:
+    """Perceptive: a simulated radar's ego velocity with leg_slip; sees gravity through the IEKF."""
+    # GaRLILEO (arXiv 2511.13216) ties velocity to gravity by factors of their own; in a
+    # right-invariant filter the same velocities make roll and pitch observable already.
+    return _leg(log, robot, learnt, tuned(robot).slip_gate, radar_velocity(log, robot))
 
 
 def _imu(log: Log, robot: Robot, _: Learnt) -> Run:
@@ -230,6 +240,7 @@ FILTERS: dict[str, Callable[[Log, Robot, Learnt], Run]] = {
     "velocity_persistent": _velocity_persistent,
     "leg": _leg,
     "leg_slip": _leg_slip,
+    "radar_leg": _radar_leg,
     "imu": _imu,
 }
 
@@ -238,6 +249,7 @@ NEEDS: dict[str, tuple[str, ...]] = {
     "velocity_inflated": ("observers",),
     "leg": (),
     "leg_slip": (),
+    "radar_leg": (),
     "imu": (),
 }
 """What a filter reads besides the log, observers and bounds where it is not said: a filter that

@@ -53,9 +53,9 @@ def compared(walks, robot, learnt):
 
 def test_every_filter_runs_and_stays_near_the_truth(compared):
     """With an observer that is barely trained: all beat the IMU alone, and report themselves."""
-    assert compared.left_out == {}
+    assert set(compared.left_out) == {"radar_leg"}  # this course is not a bundled one
     found = table([compared])
-    assert list(found["filter"]) == list(FILTERS)
+    assert list(found["filter"]) == [name for name in FILTERS if name != "radar_leg"]
     errors = dict(zip(found["filter"], found["APE_trans [m]"], strict=True))
     assert all(error < errors["imu"] for name, error in errors.items() if name != "imu")
     assert errors["leg"] < 0.1

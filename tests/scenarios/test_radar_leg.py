@@ -1,0 +1,87 @@
+"""The perceptive reference: what the radar adds to the legs, and where there is none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from scenarios import radar_velocity as module
+from scenarios.filters import FILTERS, Learnt, run_all, run_filter
+from scenarios.radar_velocity import radar_velocity
+from sim.errors import SurefootError
+from sim.log import Log
+from sim.robot import Robot
+from sim.scenario import Scenario
+from sim.walk import walk
+
+COURSE = """
+name = "radar_test"
+robot = "spot_class"
+segment = [{ duration = 3.0, forward = 0.6 }, { duration = 3.0, forward = 0.4, turn = 0.5 }]
+[ground]
+mu = 0.8
+"""
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return Robot.load("spot_class")
+
+
+@pytest.fixture(scope="module")
+def course(tmp_path_factory):
+    path = tmp_path_factory.mktemp("course") / "radar_test.toml"
+    path.write_text(COURSE)
+    return path
+
+
+@pytest.fixture(scope="module")
+def log(course, robot) -> Log:
+    return walk(Scenario.load(course), robot, 1)
+
+
+@pytest.fixture
+def known(monkeypatch, course):
+    """The test's course, as if it were a bundled one."""
+    monkeypatch.setattr(module, "_scenarios", lambda: {"radar_test": course})
+
+
+def test_velocities_are_those_of_the_walk_within_their_covariances(known, log, robot):
+    rows, v_I, cov = radar_velocity(log, robot)
+    true = np.einsum("nji,nj->ni", log.ref_R_GI[rows], log.ref_v[rows])
+    error = v_I - true
+    assert len(rows) > 0.9 * (log.t[-1] - log.t[0]) / 0.055
+    assert np.sqrt(np.mean(error**2, axis=0)).max() < 0.1
+    assert np.abs(error.mean(axis=0)).max() < 0.02
+    nees = np.einsum("ni,nij,nj->n", error, np.linalg.inv(cov / module.INFLATION), error)
+    assert 1.0 < nees.mean() < 6.0
+
+
+def test_without_a_foot_on_the_ground_the_radar_carries_the_estimate(known, log, robot):
+    blind = log.frame.copy()
+    blind[[c for c in blind if c.startswith("contact_")]] = 0.0
+    found = {n: run_filter(n, Log(blind, log.meta), robot).metrics for n in ("radar_leg", "leg")}
+    whole = run_filter("radar_leg", log, robot).metrics
+    assert whole is not None
+    assert found["radar_leg"] is not None
+    assert found["leg"] is not None
+    assert whole.ape_trans < 0.1
+    assert found["radar_leg"].ape_trans < 0.25
+    assert found["radar_leg"].velocity < 0.3 * found["leg"].velocity
+
+
+def test_a_log_without_a_world_is_left_out_with_the_reason(log, robot):
+    with pytest.raises(SurefootError, match="radar_leg: needs the world of a bundled scenario"):
+        run_filter("radar_leg", log, robot)
+    measured = Log(log.frame, replace(log.meta, scenario=None, seed=None))
+    results, left_out = run_all(measured, robot, Learnt(), ["leg", "radar_leg"])
+    assert [r.filter for r in results] == ["leg"]
+    assert "perceptive" in left_out["radar_leg"]
+
+
+def test_bundled_courses_are_known_by_name_and_the_table_says_perceptive():
+    module._scenarios.cache_clear()
+    assert {"Atrium", "RoomScan", "demo_walk"} <= set(module._scenarios())
+    doc = FILTERS["radar_leg"].__doc__
+    assert doc is not None
+    assert doc.startswith("Perceptive")
