@@ -10,7 +10,7 @@ from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
 from scenarios.commands_data import Import, Robots, Simulate, View
 from scenarios.commands_estimate import Calibrate, Compare, Estimate, Train
 from scenarios.commands_experiment import ExperimentCommand, Suite
-from scenarios.commands_study import Bench, Demo, Montecarlo, TraceCommand, Walking
+from scenarios.commands_study import Bench, Demo, LoopCommand, Montecarlo, TraceCommand, Walking
 from sim.errors import SurefootError
 
 COMMANDS: dict[str, type] = {
@@ -23,6 +23,7 @@ COMMANDS: dict[str, type] = {
     "experiment": ExperimentCommand,
     "suite": Suite,
     "trace": TraceCommand,
+    "loop": LoopCommand,
     "montecarlo": Montecarlo,
     "import": Import,
     "view": View,

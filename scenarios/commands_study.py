@@ -56,6 +56,31 @@ class TraceCommand:
 
 
 @dataclass(frozen=True)
+class LoopCommand:
+    """Trace a log, put what was found into the simulation, learn anew, estimate the log again."""
+
+    log: Positional[Path]
+    out: Out
+    """Folder for everything it makes; a run that was killed goes on there."""
+    robot: str | None = None
+    """Name or MJCF file; the log's own where left out."""
+    seed: int = 0
+    force: bool = False
+
+    def run(self) -> None:
+        from scenarios.loop import loop
+        from scenarios.tables import to_markdown
+        from sim.log import Log
+        from sim.robot import Robot
+
+        log = Log.read(self.log)
+        robot = Robot.for_log(log, self.robot)
+        table, _ = loop(log, robot, self.out, self.seed, self.force)
+        print("\n" + to_markdown(table))
+        print(f"\nreport: {self.out / 'report.html'}")
+
+
+@dataclass(frozen=True)
 class Montecarlo:
     """The paper's runtime-accuracy and consistency tables, and regimes beyond them."""
 

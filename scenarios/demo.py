@@ -1,8 +1,6 @@
 """The main job end to end: walk, learn, calibrate, estimate, compare, and close the loop."""
 
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter
 
@@ -10,14 +8,13 @@ import numpy as np
 import pandas as pd
 
 from models.bounds import Bounds
-from models.calibration import calibrate
 from models.coverage import coverage
 from models.observer import Observer
 from models.predict import prediction_errors
-from models.training import train
 from scenarios.compare import compare_log, prepare_folder, write_comparison
 from scenarios.figures_observer import error_distributions, mixing_curve
 from scenarios.filters import Learnt
+from scenarios.learning import learn
 from scenarios.progress import percent_bar
 from scenarios.report import Picture, Section, save_picture
 from scenarios.tables import to_markdown
@@ -56,7 +53,8 @@ def demo(out: Path, seed: int = 0, force: bool = False) -> pd.DataFrame:
     prepare_folder(out, force)
     robot = Robot.load("spot_class")
     logs = {role: _walk(role, robot, _seed(role, seed), out, force) for role in ROLES}
-    learnt = _learn(logs, seed, out, force)
+    print("training two observers on one walk: mean squared error, Gaussian likelihood")
+    learnt = learn([logs["train"]], logs["calibrate"], out, seed, force=force)
     print("\nThree filters and their rivals, on a walk nobody has seen")
     comparison = compare_log(logs["walk"], robot, learnt)
     found, hidden = _trace(robot, seed, out, force)
@@ -89,26 +87,6 @@ def _walk(role: str, robot: Robot, seed: int, out: Path, force: bool) -> Log:
     path = out / "logs" / f"{role}.parquet"
     log.write(path, force)
     return Log.read(path)
-
-
-def _learn(logs: dict[str, Log], seed: int, out: Path, force: bool) -> Learnt:
-    """Both observers at once, one process each, and bounds for both."""
-    print("training two observers on one walk: mean squared error, Gaussian likelihood")
-    train_log = logs["train"]
-    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-        jobs = [pool.submit(_train, train_log, loss, seed) for loss in ("mse", "gml")]
-        observers = tuple(job.result() for job in jobs)
-    bounds = []
-    for observer in observers:
-        observer.save(out / f"observer_{observer.loss}.pt", force)
-        bound = calibrate(observer, logs["calibrate"])
-        bound.save(out / f"bounds_{observer.loss}.json", force)
-        bounds.append(bound)
-    return Learnt(observers, tuple(bounds))
-
-
-def _train(log: Log, loss: str, seed: int) -> Observer:
-    return train(log, loss=loss, seed=seed, progress=True)
 
 
 def _trace(robot: Robot, seed: int, out: Path, force: bool) -> tuple[Trace, Effect]:

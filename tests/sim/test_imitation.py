@@ -1,0 +1,83 @@
+"""Imitation: a walk's manner is read from its log, and walking in that manner gives it back."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim.errors import SurefootError
+from sim.imitation import Manner, body_twists, imitation, manner, slower
+from sim.robot import Robot
+from sim.scenario import Ranges, Scenario, Segment
+from sim.terrain import Ground
+from sim.walk import walk
+
+FORWARD, TURN = 0.6, 0.4
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return Robot.load("spot_class")
+
+
+@pytest.fixture(scope="module")
+def shown(robot):
+    """A walk with a slow, high-stepping, crouched gait: forward, then in a curve."""
+    crouched = robot.q_home + np.tile([0.0, 0.08, -0.16], 4)
+    ranges = Ranges(period=(1.25, 1.25), clearance=(1.3, 1.3))
+    segments = (Segment(8.0, FORWARD), Segment(8.0, FORWARD, 0.0, TURN))
+    scenario = Scenario("shown", segments, Ground(0.8), "spot_class", ranges=ranges)
+    return walk(scenario, replace(robot, q_home=crouched), 5), crouched
+
+
+def test_the_manner_of_a_walk_is_read_from_its_log(robot, shown):
+    log, crouched = shown
+    read = manner(log, robot)
+    assert read.period == pytest.approx(1.25, rel=0.03)
+    assert read.clearance == pytest.approx(1.3, rel=0.25)
+    knees = slice(2, None, 3)
+    np.testing.assert_allclose(read.q_stance[knees], crouched[knees], atol=0.06)
+    steady = read.twists[3:7], read.twists[12:15]
+    np.testing.assert_allclose(steady[0].mean(axis=0), [FORWARD, 0, 0], atol=0.05)
+    np.testing.assert_allclose(steady[1].mean(axis=0), [FORWARD, 0, TURN], atol=0.06)
+
+
+def test_a_walk_in_that_manner_has_it(robot, shown):
+    read = manner(shown[0], robot)
+    scenario, poised = imitation(read, robot, "again", 16.0, np.random.default_rng(0))
+    again = manner(walk(scenario, poised, 0), robot)
+    assert again.period == pytest.approx(read.period, rel=0.13)  # drawn within a tenth
+    np.testing.assert_allclose(again.q_stance, read.q_stance, atol=0.08)
+    speeds = [np.median(np.hypot(*m.twists[:, :2].T)) for m in (read, again)]
+    assert speeds[1] == pytest.approx(speeds[0], rel=0.2)
+
+
+def test_stretches_change_order_and_nothing_else(robot):
+    twists = np.column_stack([np.arange(12.0), np.zeros(12), np.zeros(12)])
+    read = Manner(twists, 1.0, 1.0, robot.q_home)
+    drawn = [
+        imitation(read, robot, "x", 12.0, np.random.default_rng(seed))[0].segments
+        for seed in (0, 0, 1)
+    ]
+    assert drawn[0] == drawn[1] != drawn[2]
+    assert sorted(s.forward for s in drawn[0]) == list(range(12))
+    half = slower(imitation(read, robot, "x", 12.0, np.random.default_rng(0))[0], 0.5)
+    assert [s.forward for s in half.segments] == [0.5 * s.forward for s in drawn[0]]
+
+
+def test_without_contacts_the_gait_is_the_controllers_own(robot, shown):
+    log = shown[0]
+    bare = log.frame.drop(columns=[c for c in log.frame if str(c).startswith("contact_")])
+    read = manner(replace(log, frame=bare), robot)
+    assert (read.period, read.clearance) == (1.0, 1.0)
+    np.testing.assert_array_equal(read.q_stance, robot.q_home)
+
+
+def test_gaps_in_the_reference_are_not_walked(robot, shown):
+    log = shown[0]
+    hidden = log.frame.copy()
+    hidden["ref_ok"] = ((log.t < 2.0) | (log.t > 6.0)).astype(float)
+    assert len(body_twists(replace(log, frame=hidden))) == len(body_twists(log)) - 4
+    hidden["ref_ok"] = (log.t < 1.5).astype(float)
+    with pytest.raises(SurefootError, match="covers less than 3 s"):
+        manner(replace(log, frame=hidden), robot)
