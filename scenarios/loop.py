@@ -43,8 +43,8 @@ RECIPE = "recipe.json"
 class Lesson:
     """How much an observer is taught in simulation."""
 
-    walks: int = 3
-    seconds: float = 60.0  # of each walk to train on
+    walks: int = 8
+    seconds: float = 30.0  # of each walk to train on
     calibration: float = 150.0  # s of the one to calibrate on
     schedule: Schedule = DEFAULT
 

@@ -21,6 +21,9 @@ STRETCH = 3
 """Pieces that stay together where the order is drawn anew."""
 SPREAD = 0.1
 """Share by which speed, period and clearance are varied about the measured ones."""
+POSTURE = (0.05, 0.15, 0.2)
+"""rad, largest shifts of hip, thigh and calf, all legs alike, about the measured posture: an
+observer that has seen one posture takes another for a speed."""
 PERIODS, CLEARANCES = (0.6, 1.6), (0.5, 2.0)
 """Factors on the controller's own gait beyond which it would not walk."""
 
@@ -77,7 +80,7 @@ def imitation(
 ) -> tuple[Scenario, Robot]:
     """A walk of about `duration` seconds in the manner shown, its stretches in an order drawn.
 
-    Returns the scenario and the robot that stands in the measured posture.
+    Returns the scenario and the robot that stands in about the measured posture.
     """
     groups = [shown.twists[i : i + STRETCH] for i in range(0, len(shown.twists), STRETCH)]
     needed = int(np.ceil(duration / PIECE))
@@ -94,7 +97,10 @@ def imitation(
         gain=(0.8, 1.2),
     )
     scenario = Scenario(name, segments, Ground(0.8), robot.name, ranges=ranges)
-    return scenario, replace(robot, q_home=shown.q_stance)
+    shift = rng.uniform(-1.0, 1.0, 3) * POSTURE
+    outward = np.repeat([1.0, -1.0, 1.0, -1.0], 3).reshape(4, 3)
+    outward[:, 1:] = 1.0
+    return scenario, replace(robot, q_home=shown.q_stance + (shift * outward).ravel())
 
 
 def slower(scenario: Scenario, factor: float) -> Scenario:

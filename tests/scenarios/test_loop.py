@@ -1,0 +1,101 @@
+"""The loop: what a trace found is put into the simulation, and what is learnt there is worth it."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from models.predict import prediction_errors
+from models.training import train
+from scenarios.filters import declared_model
+from scenarios.loop import RECIPE, Lesson, bodily, inputs_of, loop, teach, world_of
+from sim.effects import effect
+from sim.errors import SurefootError
+from sim.imitation import manner
+from sim.robot import Robot
+from sim.scenario import Scenario, Segment
+from sim.terrain import Ground
+from sim.walk import walk
+
+SHORT = Lesson(walks=1, seconds=4.0, calibration=4.0)
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return Robot.load("spot_class")
+
+
+@pytest.fixture(scope="module")
+def log(robot):
+    segments = (Segment(4.0, 0.6), Segment(4.0, 0.5, 0.0, 0.4))
+    return walk(Scenario("measured", segments, Ground(0.8), "spot_class"), robot, 3)
+
+
+def test_the_simulated_robot_has_the_files_feet_and_the_declared_mounting(robot):
+    told = replace(robot, foot_radius=np.zeros(4), p_BI=np.array([0.1, 0.0, 0.02]))
+    world = world_of(told)
+    np.testing.assert_array_equal(world.foot_radius, robot.foot_radius)
+    np.testing.assert_array_equal(world.p_BI, told.p_BI)
+    # Point feet of which 30 mm were found lacking roll at 30 mm, whatever the file's radius is.
+    (added,) = bodily([effect("foot_rolling", "all", 0.03)], told, world)
+    assert added.value == pytest.approx(0.03 - robot.foot_radius.mean())
+    same = [effect("link_length", "FL_calf", 0.01)]
+    assert bodily(same, told, world) == tuple(same)
+
+
+def test_lessons_are_walked_with_the_effects_and_seen_by_a_model_that_knows_them(robot, log):
+    shown = manner(log, robot)
+    plain = teach(shown, robot, (), 0, SHORT)
+    offset = effect("encoder_offset", "FR_thigh", 0.05)
+    told = teach(shown, robot, [offset], 0, SHORT)
+    assert [len(told[0]), len(plain[0])] == [1, 1]
+    # An encoder's offset changes readings alone; undone, the walk is the one without it.
+    np.testing.assert_allclose(told[1].q, plain[1].q, atol=1e-12)
+    longer = teach(shown, robot, [effect("link_length", "FR_thigh", 0.03)], 0, SHORT)
+    assert np.abs(longer[1].q - plain[1].q).max() > 0.01
+
+
+@pytest.mark.parametrize(
+    ("dropped", "inputs"), [((), "q,dq,tau"), (("tau_",), "q,dq"), (("dq_",), "q")]
+)
+def test_an_observer_reads_what_the_measured_log_has(log, dropped, inputs):
+    kept = [c for c in log.frame if not str(c).startswith(dropped or ("none",))]
+    assert inputs_of(replace(log, frame=log.frame[kept])) == inputs
+
+
+def test_another_loops_folder_is_left_alone(robot, log, tmp_path):
+    (tmp_path / RECIPE).write_text(json.dumps({"log": "another"}))
+    with pytest.raises(SurefootError, match="not empty"):
+        loop(log, robot, tmp_path)
+    bare = replace(log, frame=log.frame.drop(columns=[c for c in log.frame if "ref" in str(c)]))
+    with pytest.raises(SurefootError, match="ref"):
+        loop(bare, robot, tmp_path / "new")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "target", "value"),
+    [("link_length", "RL_thigh", 0.03), ("encoder_offset", "FL_calf", 0.06)],
+)
+def test_the_loop_recovers_most_of_what_knowing_the_effect_would_gain(
+    name, target, value, robot, tmp_path
+):
+    course = Scenario.load(Path(__file__).parents[2] / "scenarios" / "demo" / "walk.toml")
+    hidden = effect(name, target, value)
+    measured = walk(course, robot, 11, [hidden], declared=False)
+    out = tmp_path / "loop"
+    loop(measured, robot, out)
+    sides = json.loads((out / "loop.json").read_text())["sides"]
+    rmse = {side: np.linalg.norm(sides[side]["observer_rmse"]["mse"]) for side in sides}
+    training, _ = teach(manner(measured, robot), robot, [hidden], 0)
+    told = replace(measured, meta=replace(measured.meta, effects=(hidden.as_dict(),)))
+    errors = prediction_errors(train(training), *declared_model(told, robot))[1]
+    known = np.linalg.norm(np.sqrt((errors**2).mean(axis=0)))
+    recovered = (rmse["before"] - rmse["after"]) / (rmse["before"] - known)
+    print(
+        f"\n{name} {target}: observer RMSE {rmse['before']:.4f} -> {rmse['after']:.4f} m/s, "
+        f"{known:.4f} with the true effect: {100 * recovered:.0f} % recovered"
+    )
+    assert recovered >= 0.8
