@@ -12,9 +12,10 @@ from models.coverage import coverage
 from models.observer import Observer
 from models.predict import prediction_errors
 from scenarios.compare import compare_log, prepare_folder, write_comparison
-from scenarios.figures_observer import error_distributions, mixing_curve
+from scenarios.figures_observer import mixing_curve
 from scenarios.filters import Learnt
 from scenarios.learning import learn
+from scenarios.observer_errors import error_section
 from scenarios.progress import percent_bar
 from scenarios.report import Picture, Section, save_picture
 from scenarios.tables import to_markdown
@@ -23,7 +24,7 @@ from scenarios.trace_report import sections as trace_sections
 from scenarios.trace_words import summary
 from sim.effects import Effect, effect
 from sim.effects_file import save_effects
-from sim.errors import check_seed
+from sim.errors import SurefootError, check_seed
 from sim.log import Log
 from sim.robot import Robot
 from sim.scenario import Scenario
@@ -60,7 +61,7 @@ def demo(out: Path, seed: int = 0, force: bool = False) -> pd.DataFrame:
     found, hidden = _trace(robot, seed, out, force)
     # The ground as this seed laid it, not as the file has it before patches and mu are drawn.
     ground = plan(_scenario("walk"), robot, _seed("walk", seed)).draw.scenario.ground
-    extra = [_observer_section(logs, learnt, out, force), *_loop_sections(found, hidden)]
+    extra = [*_observer_sections(logs, learnt, out, force), *_loop_sections(found, hidden)]
     title = "surefoot demo: a walk on slippery ground, estimated from the inside"
     results = write_comparison([comparison], out, title, ground, extra=extra, force=force)
     print("\n" + to_markdown(results))
@@ -118,35 +119,35 @@ def _loop_sections(found: Trace, hidden: Effect) -> list[Section]:
     return [told, *trace_sections(found)]
 
 
-def _observer_section(logs: dict[str, Log], learnt: Learnt, out: Path, force: bool) -> Section:
+def _observer_sections(
+    logs: dict[str, Log], learnt: Learnt, out: Path, force: bool
+) -> list[Section]:
     observer, bounds = learnt.bounded("mse")
-    train_errors = prediction_errors(observer, logs["train"])[1]
     test_errors = prediction_errors(observer, logs["walk"])[1]
     held = coverage(test_errors, bounds)
-    pictures = [
-        Picture(
-            error_distributions(train_errors, test_errors, bounds.epsilon, bounds.gamma),
-            "The observer's errors where it was trained and elsewhere, with one bound for both.",
-        )
-    ]
+    pictures = ()
     if bounds.mixing is not None:
-        pictures.append(
-            Picture(
-                mixing_curve(bounds.mixing),
-                "How long errors remember: calibration samples are taken K steps apart.",
-            )
-        )
-    for name, picture in zip(("errors", "mixing"), pictures, strict=False):
-        save_picture(picture, out / "figures" / f"observer_{name}.png", force)
-    return Section(
+        caption = "How long errors remember: calibration samples are taken K steps apart."
+        pictures = (Picture(mixing_curve(bounds.mixing), caption),)
+        save_picture(pictures[0], out / "figures" / "observer_mixing.png", force)
+    learning = Section(
         "The observer and its bounds",
         f"Trained on one walk; calibrated on another at joint level {bounds.gamma:g} with "
         f"{bounds.n} errors, {bounds.K} steps of 10 ms apart. On the third walk "
         f"{100 * held.joint:.1f} % of the errors lie within all three bounds (95 % interval "
         f"{100 * held.joint_interval[0]:.0f} to {100 * held.joint_interval[1]:.0f} %).",
         _errors_table(learnt, logs),
-        tuple(pictures),
+        pictures,
     )
+    try:
+        errors = error_section(
+            observer.errors, test_errors, bounds.epsilon, bounds.gamma, "the third walk"
+        )
+    except SurefootError as few:  # errors that remember too long for statistics
+        return [learning, Section("The observer's errors", str(few))]
+    for k, picture in enumerate(errors.pictures):
+        save_picture(picture, out / "figures" / f"observer_errors_{k + 1}.png", force)
+    return [learning, errors]
 
 
 def _errors_table(learnt: Learnt, logs: dict[str, Log]) -> list[dict[str, object]]:
