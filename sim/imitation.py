@@ -24,6 +24,8 @@ SPREAD = 0.1
 POSTURE = (0.05, 0.15, 0.2)
 """rad, largest shifts of hip, thigh and calf, all legs alike, about the measured posture: an
 observer that has seen one posture takes another for a speed."""
+SHORTEST_SWING, LONGEST_STRIDE = 0.08, 2.0
+"""s: a foot off the ground for less has bounced; one that lands later has paused."""
 PERIODS, CLEARANCES = (0.6, 1.6), (0.5, 2.0)
 """Factors on the controller's own gait beyond which it would not walk."""
 
@@ -138,9 +140,11 @@ def _moving(log: Log) -> np.ndarray:
 
 def _period(log: Log) -> float | None:
     """Median time [s] between touchdowns of one leg, None where there are none."""
-    intervals: list[float] = []
+    strides: list[float] = []
     for leg in range(4):
-        landed = np.flatnonzero(np.diff(log.contact[:, leg].astype(int)) == 1) + 1
-        # A bounce is no stride, nor is a pause.
-        intervals += [float(d) for d in np.diff(log.t[landed]) if 0.15 < d < 2.0]
-    return float(np.median(intervals)) if intervals else None
+        change = np.diff(log.contact[:, leg].astype(int))
+        landed, left = log.t[1:][change == 1], log.t[1:][change == -1]
+        before = np.searchsorted(left, landed) - 1
+        aloft = np.where(before >= 0, landed - left[np.maximum(before, 0)], 0.0)
+        strides += [float(d) for d in np.diff(landed[aloft > SHORTEST_SWING]) if d < LONGEST_STRIDE]
+    return float(np.median(strides)) if strides else None

