@@ -39,7 +39,7 @@ def test_the_manner_of_a_walk_is_read_from_its_log(robot, shown):
     np.testing.assert_allclose(read.q_stance[knees], crouched[knees], atol=0.12)
     steady = read.twists[3:7], read.twists[12:15]
     np.testing.assert_allclose(steady[0].mean(axis=0), [FORWARD, 0, 0], atol=0.05)
-    np.testing.assert_allclose(steady[1].mean(axis=0), [FORWARD, 0, TURN], atol=0.06)
+    np.testing.assert_allclose(steady[1].mean(axis=0), [FORWARD, 0, TURN], atol=0.1)
 
 
 def test_a_walk_in_that_manner_has_it(robot, shown):
