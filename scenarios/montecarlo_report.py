@@ -51,7 +51,7 @@ def montecarlo(
     rng = np.random.default_rng([study.seed, 1000])
     with percent_bar("box moments") as tell:
         runtime = runtime_accuracy(rng, tell=tell)
-    remarks = study_remark(rng, study.gammas, study.beyond_gamma, 2000)
+    remarks = study_remark(rng, study.gammas, study.beyond_gamma, 1000)
     with percent_bar("trials") as tell:
         found = run_study(study, tell, _elsewhere(workers, cluster))
     with percent_bar("iterations") as tell:

@@ -55,7 +55,7 @@ def update_sections(
         Section(
             "Iterated projections",
             "The projection repeated within one update (`iterations`), bounds at gamma^(1/3), on "
-            "the trials of the tables above. Mean ± standard deviation over trials.\n\n"
+            "the first trials of the tables above. Mean ± standard deviation over trials.\n\n"
             + iteration_words(iterated),
             iteration_table(iterated),
         ),
@@ -81,7 +81,7 @@ def remark_words(remarks: Sequence[Remark]) -> str:
             broken = 100 * (1 - row.raised) + 100 * (1 - row.within)
             said += (
                 f" With {row.way} at gamma {row.gamma:g} it failed on {broken:.2g} % of boxes, by "
-                f"most from pi = {row.breach[0]:.4f} to pi+ = {row.breach[1]:.4f}."
+                f"most from pi = {row.breach[0]:.5f} to pi+ = {row.breach[1]:.5f}."
             )
     return said
 
@@ -114,7 +114,7 @@ def remark_table(remarks: Sequence[Remark]) -> pd.DataFrame:
                 "pi+ <= gamma [%]": f"{100 * r.within:.2f}",
                 "gap closed [%]": f"{100 * r.closed:.0f}",
                 "by five [%]": f"{100 * r.after_five:.0f}" if np.isfinite(r.after_five) else "–",
-                "worst breach": f"{r.breach[0]:.4f} -> {r.breach[1]:.4f}" if r.breach else "none",
+                "worst breach": f"{r.breach[0]:.5f} -> {r.breach[1]:.5f}" if r.breach else "none",
             }
             for r in remarks
         ]

@@ -101,13 +101,13 @@ def study_iterations(
     iterations: tuple[int, ...] = ITERATIONS,
     tell: Callable[[float], None] | None = None,
 ) -> list[Iterated]:
-    """The coverage filters in the paper's two regimes, on the trials of the paper's rows."""
+    """The coverage filters in the paper's two regimes, on the first trials of the paper's rows."""
     truth = true_motion(study)
     regimes = UNBIASED, BIASED
     rows: list[Iterated] = []
     for number, regime in enumerate(regimes):
         settings = beyond_settings(study, regime, study_seed(study, number, 0))
-        trials = study_trials(study, truth, regime.test, study.trials, number)
+        trials = study_trials(study, truth, regime.test, study.beyond_trials, number)
         filters = [(name, setting) for name, _, _, setting in settings if setting.R is None]
         for name, setting in filters:
             for count in iterations:
