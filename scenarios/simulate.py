@@ -42,6 +42,12 @@ def simulate_all(
     if undeclared and not chosen:
         raise SurefootError("--undeclared: needs --effects")
     jobs = _jobs(scenarios, robot, seed_range(seeds), chosen, not undeclared)
+    for name in dict.fromkeys(job.robot for job in jobs):
+        if known_robot(name).imu is None:
+            print(
+                f"note: {name}: its model has no IMU, so the base frame stands for it; give the "
+                "base body a site named imu to place one"
+            )
     journal = Journal(out)
     _guard_truth(out, chosen if undeclared else (), journal, force)
     todo = jobs if force else [job for job in jobs if not _done(journal, job)]

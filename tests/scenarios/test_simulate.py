@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from scenarios.simulate import simulate_all
 from sim.effects_file import load_effects
 from sim.errors import SurefootError
 from sim.log import Log
+from sim.robot import Robot
 
 COURSE = """
 name = "short"
@@ -80,10 +82,19 @@ def test_another_run_adds_and_makes_nothing_twice(folder):
     assert len(lines) == 6  # falls, too, are not walked again
 
 
-def test_another_robot_has_logs_of_its_own(folder):
+def test_another_robot_has_logs_of_its_own(folder, capsys):
     for robot in (None, "v60_class"):
         simulate_all([Path("short.toml")], Path("walks"), robot=robot)
     assert set(read_index(Path("walks")).file) == {"short_0.parquet", "short_v60_class_0.parquet"}
+    assert "no IMU" not in capsys.readouterr().out
+
+
+def test_a_robot_whose_model_has_no_imu_is_said_to_have_none(folder, capsys):
+    text = Robot.load("spot_class").file.read_text()
+    bare = re.sub(r'<site name="imu"[^>]*/>|<sensor>.*</sensor>', "", text, flags=re.DOTALL)
+    (folder / "blind.xml").write_text(bare)
+    simulate_all([Path("short.toml")], Path("walks"), robot="blind.xml")
+    assert "note: blind.xml: its model has no IMU" in capsys.readouterr().out
 
 
 def test_a_changed_scenario_is_not_mixed_with_its_past(folder):
