@@ -1,11 +1,13 @@
 """Experiment files: a grid over scenarios, robots, conditions, gamma, filters and seeds. TOML."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 from zlib import crc32
 
+from models.observer import check_inputs, check_loss, check_model
+from models.regions import METHODS
 from models.training import DEFAULT
 from scenarios.filters import FILTERS
 from scenarios.imperfections import Imperfection, load_imperfections
@@ -25,11 +27,16 @@ KEYS = (
 
 @dataclass(frozen=True)
 class Learning:
-    """How the observers are trained; one of each loss, for each robot, condition and seed."""
+    """How the observers are trained and bounded: one of each loss for each robot, condition, seed.
+
+    model is one of models.architectures, method (of calibration) one of models.regions.
+    """
 
     losses: tuple[str, ...] = ("mse", "gml")
     inputs: str = "q,dq,tau"
     steps: int = DEFAULT.steps
+    model: str = "gru"
+    method: str = "conformal"
 
 
 @dataclass(frozen=True)
@@ -206,14 +213,20 @@ def _condition(table: Mapping[str, Any], folder: Path, number: int) -> Condition
 
 
 def _learning(table: Mapping[str, Any]) -> Learning:
-    _only(table, ("losses", "inputs", "steps"), "[observer] ")
     default = Learning()
+    _only(table, tuple(f.name for f in fields(Learning)), "[observer] ")
     losses = _strings(table, "losses") if "losses" in table else default.losses
     for loss in losses:
-        if loss not in default.losses:
-            raise SurefootError(f"[observer] losses: unknown '{loss}'; known: mse, gml")
+        check_loss(loss)
+    model, inputs, method = (
+        _string(table, key, getattr(default, key)) for key in ("model", "inputs", "method")
+    )
+    check_inputs(inputs)
+    check_model(model)
+    if method not in METHODS:
+        raise SurefootError(f"[observer] method {method}: choose {' | '.join(METHODS)}")
     (steps,) = _whole({"steps": [table.get("steps", default.steps)]}, "steps", ())
-    return Learning(losses, _string(table, "inputs", default.inputs) or default.inputs, steps)
+    return Learning(losses, inputs, steps, model, method)
 
 
 def _sweep(table: Mapping[str, Any]) -> Sweep:

@@ -10,7 +10,7 @@ from models.bounds import Bounds
 from models.calibration import calibrate
 from models.observer import Observer
 from models.training import Schedule, train
-from scenarios.cache import Product, product
+from scenarios.cache import Product, product, product_key
 from scenarios.dataset import recipe, row_of
 from scenarios.estimate_facts import error_table, estimate_facts
 from scenarios.experiment import Learning
@@ -66,27 +66,42 @@ def make_observer(
         "logs": [(name, walk.digest) for name, walk in logs],
         "inputs": learning.inputs,
         "steps": learning.steps,
+        "model": learning.model,
         "loss": loss,
         "seed": seed,
     }
 
     def make(path: Path) -> dict[str, Any]:
         walks = [read_walk(walk, name) for name, walk in logs]
-        schedule = Schedule(steps=learning.steps)
-        observer = train(walks, inputs=learning.inputs, loss=loss, seed=seed, schedule=schedule)
+        observer = train(
+            walks,
+            inputs=learning.inputs,
+            loss=loss,
+            seed=seed,
+            schedule=Schedule(steps=learning.steps),
+            model=learning.model,
+            partial=partial,
+        )
         observer.save(path, force=True)
+        partial.unlink(missing_ok=True)
         return {"rmse": observer.rmse.tolist()}
 
-    return product(folder, "observer", inputs, "models.training", ".pt", make)
+    code = "models.training"
+    # A killed training goes on from what it had learnt.
+    partial = folder / "observer" / f"{product_key('observer', inputs, code)}.partial"
+    return product(folder, "observer", inputs, code, ".pt", make)
 
 
-def make_bounds(folder: Path, observer: Product, log: tuple[str, Product], gamma: float) -> Product:
+def make_bounds(
+    folder: Path, observer: Product, log: tuple[str, Product], gamma: float, method: str
+) -> Product:
     """The observer's bounds at joint level gamma, from this walk."""
     name, walk = log
-    inputs = {"observer": observer.digest, "log": (name, walk.digest), "gamma": gamma}
+    inputs = {"observer": observer.digest, "log": (name, walk.digest)}
+    inputs |= {"gamma": gamma, "method": method}
 
     def make(path: Path) -> dict[str, Any]:
-        bounds = calibrate(Observer.load(observer.path), read_walk(walk, name), gamma)
+        bounds = calibrate(Observer.load(observer.path), read_walk(walk, name), gamma, method)
         bounds.save(path, force=True)
         return {"epsilon": bounds.epsilon.tolist(), "K": bounds.K, "n": bounds.n}
 

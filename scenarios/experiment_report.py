@@ -31,7 +31,13 @@ from scenarios.experiment_tables import (
 )
 from scenarios.experiment_words import FLOOR, findings
 from scenarios.filters import FILTERS
-from scenarios.report import Picture, Section, save_picture, write_report
+from scenarios.report import (
+    Picture,
+    Section,
+    markdown_report,
+    save_picture,
+    write_report,
+)
 from scenarios.simulate import seed_range
 from scenarios.tables import to_csv, to_markdown
 from sim.errors import SurefootError
@@ -68,6 +74,9 @@ def experiment(
         with whole_file(out / "recordings" / f"{name}.rrd", force=True) as temporary:
             copyfile(recording.path, temporary)
     pages = sections(rows, outcome, found, out)
+    with whole_file(out / "report.md", force=True) as temporary:
+        temporary.write_text(markdown_report(found.title, pages), encoding="utf-8")
+    # The page comes last: where it is, everything else is whole.
     write_report(out / "report.html", found.title, pages, force=True)
     print("\n" + to_markdown(averages(at_gamma(rows, found.gammas[0]))))
     for name, why in outcome.left_out.items():

@@ -113,7 +113,7 @@ def _learn(
         if cell.scenario.role in by_role and not walk.facts["falls"]:
             named = by_role[cell.scenario.role].setdefault(cell.group, [])
             named.append((cell.scenario.name, walk))
-    learning = experiment.learning
+    learning, held_out = experiment.learning, by_role["calibrate"]
     observers = _stage(
         pool,
         "observers",
@@ -128,10 +128,10 @@ def _learn(
         "bounds",
         {
             (group, gamma, loss): (
-                make_bounds, folder, observer, by_role["calibrate"][group][0], gamma,
+                make_bounds, folder, observer, held_out[group][0], gamma, learning.method,
             )
             for (group, loss), observer in observers.items()
-            if group in by_role["calibrate"]
+            if group in held_out
             for gamma in _gammas(experiment, group[2])
         },
     )  # fmt: skip

@@ -9,7 +9,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from scenarios.plotting import png
-from scenarios.tables import Table, to_html
+from scenarios.tables import Table, to_html, to_markdown
 from sim.files import whole_file
 
 _STYLE = """
@@ -91,6 +91,15 @@ def html_report(title: str, sections: Sequence[Section]) -> str:
         "</body></html>",
     ]
     return "\n".join(part for part in parts if part) + "\n"
+
+
+def markdown_report(title: str, sections: Sequence[Section]) -> str:
+    """The same in Markdown: headings, words and tables, without the pictures."""
+    parts = [f"# {title}"]
+    for section in sections:
+        parts += [f"## {section.heading}", section.prose.strip()]
+        parts.append("" if section.table is None else to_markdown(section.table))
+    return "\n\n".join(part for part in parts if part) + "\n"
 
 
 def save_picture(picture: Picture, path: str | Path, force: bool = False) -> None:
