@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo test check study study-observer lock clean
+.PHONY: setup demo test check study study-observer study-trace lock clean
 
 setup: .venv/.ready
 
@@ -31,6 +31,10 @@ study: setup
 # The architectures compared over seeds, on both suites; killed, it goes on where it was.
 study-observer: setup
 	$(BIN)/python -m scenarios.observer_study -o out/observer_study
+
+# What trace takes undeclared effects for, whole catalogue; killed, it goes on where it was.
+study-trace: setup
+	$(BIN)/python -m scenarios.blind_study --out out/blind_study
 
 lock: setup
 	$(BIN)/pip freeze --exclude-editable | sed 's/+cpu$$//' > requirements.lock

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.stats import t
 
 from models.candidates import Case, Evidence, Key, all_keys, linearise
-from models.fitting import Whitened, by_block, fit, loss, overlap, resampled, whiten
+from models.fitting import Grams, design, draws, fit, grams, loss, overlap
 from models.floor import Floor, floor_with
 from models.masking import Trust, trust
 from sim.effects import CATALOGUE, Effect, effect
@@ -22,6 +22,7 @@ WORTH = 0.02
 """Share of what is explained so far that a further effect must add."""
 TWINS = 0.95
 """Overlap from which two regressors are hard to tell apart."""
+FIT, SELECT, REPORT = 0, 1, 2
 
 
 @dataclass(frozen=True)
@@ -73,6 +74,14 @@ class Split:
     select: np.ndarray
     report: np.ndarray
 
+    @property
+    def part(self) -> np.ndarray:
+        """FIT, SELECT or REPORT of each bin (M,), -1 for none."""
+        part = np.full(len(self.fit), -1)
+        for number, mask in enumerate((self.fit, self.select, self.report)):
+            part[mask] = number
+        return part
+
 
 def attribute(
     cases: Sequence[Case],
@@ -86,58 +95,67 @@ def attribute(
     A candidate earns it if its gain's interval lies above zero, its size stands ABOVE_FLOOR times
     above the one it has on walks of the declared model, it is not at its bound, it adds a share
     WORTH of what the others explain, and it pays for its parameter (BIC, blocks as samples).
+    One that no longer earns its place beside a later one goes.
     """
-    keys = tuple(dict.fromkeys(key for case in cases for key in all_keys(case.log)))
+    keys = tuple(dict.fromkeys(key for case in cases for key in all_keys(case)))
     chosen: list[Effect] = []
     rounds: list[tuple[Candidate, ...]] = []
     rivals: tuple[tuple[Key, float], ...] = ()
     explained = 0.0
+    evidence, trusted = None, None
     while True:
         if progress:
             progress(len(rounds) / (AT_MOST + 1))
-        evidence = linearise(cases, chosen, keys)
-        trusted = trust(evidence, floor.sigma)
-        data = whiten(evidence, trusted)
-        candidates = judge(data, floor, split, [_key(e) for e in chosen], explained, rng)
+        evidence = linearise(cases, chosen, keys, evidence)
+        whole = design(evidence)
+        # What the whole catalogue cannot explain hardly depends on what was chosen from it.
+        trusted = trusted or trust(whole, floor.sigma)
+        data = grams(whole, trusted.sigma, trusted.weight, split.part)
+        candidates = judge(data, floor, [_key(e) for e in chosen], explained, rng)
         rounds.append(candidates)
         best = candidates[0] if candidates and candidates[0].earned else None
         if best is None or len(chosen) == AT_MOST:
             break
-        rivals += _rivals(data, split, best, candidates, [_key(e) for e in chosen], rng)
+        rivals += _rivals(data, best, candidates, [_key(e) for e in chosen], rng)
         explained += best.gain
-        chosen = _refined(cases, [*chosen, effect(*best.key, best.size)], floor, split)
+        chosen = _refined(
+            cases, [*chosen, effect(*best.key, best.size)], floor, split, evidence, trusted
+        )
         floor = floor_with(floor, chosen)
-    found = _with_intervals(evidence, trusted, split, chosen, floor)
+    found = _with_intervals(data, chosen, floor)
     # What was found beside an effect is no other explanation of it.
     rivals = tuple(rival for rival in rivals if rival[0] not in [_key(e) for e in chosen])
     return Attribution(found, tuple(rounds), rivals, trusted, evidence, floor)
 
 
 def judge(
-    data: Whitened,
+    data: Grams,
     floor: Floor,
-    split: Split,
     chosen: Sequence[Key],
     explained: float,
     rng: np.random.Generator,
 ) -> tuple[Candidate, ...]:
     """Every candidate that is not chosen yet, those that earn a place first, by gain."""
-    seen, unseen = data.rows(split.fit), data.rows(split.select)
+    seen, unseen = data.rows(data.part == FIT), data.rows(data.part == SELECT)
+    counts = draws(len(unseen.G), rng)
+    plain = fit(seen, chosen, errors=False).vector
+    base = {0.0: (loss(unseen, plain), loss(seen, plain))}
     judged = []
-    for key in data.keys:
+    for at, key in enumerate(data.keys):
         if key in chosen:
             continue
-        with_it = [*chosen, key]
-        fitted = fit(seen, with_it)
-        at = len(chosen)
-        size, error = float(fitted.sizes[at]), float(np.sqrt(fitted.covariance[at, at]))
+        fitted = fit(seen, [*chosen, key])
+        size, error = float(fitted.sizes[-1]), float(np.sqrt(fitted.covariance[-1, -1]))
         offset, spread = floor.sizes(chosen, key)
         size -= offset
-        base, base_seen = (_without(part, key, offset, chosen, seen) for part in (unseen, seen))
-        blocks = by_block(unseen, base - loss(unseen, with_it, fitted.sizes))
+        before, before_seen = base[0.0]
+        if offset:
+            faked = _without(seen, at, offset, chosen)
+            before, before_seen = loss(unseen, faked), loss(seen, faked)
+        blocks = before - loss(unseen, fitted.vector)
         gain = float(blocks.sum())
-        low, high = np.percentile(resampled(blocks, rng), [2.5, 97.5])
-        at_seen = float(np.sum(base_seen - loss(seen, with_it, fitted.sizes)))
+        low, high = np.percentile(counts @ blocks, [2.5, 97.5])
+        at_seen = float(np.sum(before_seen - loss(seen, fitted.vector)))
         # The floor's own offset is only as sure as its contact model.
         spread = float(np.hypot(spread, DOUBT * offset))
         bounds = CATALOGUE[key[0]].bounds
@@ -148,70 +166,77 @@ def judge(
             and abs(size) > ABOVE_FLOOR * np.hypot(spread, error)
             and not at_bound
             and gain > WORTH * explained
-            and at_seen > np.log(max(2, len(np.unique(seen.block)))) * _inflation(seen, base_seen)
+            and at_seen > np.log(max(2, len(seen.G))) * _inflation(seen, before_seen)
         )
         judged.append(
             Candidate(
                 key, size, error, spread, gain, (float(low), float(high)),
-                gain / max(float(base.sum()), 1e-300), at_bound, bool(earned),
+                gain / max(float(before.sum()), 1e-300), at_bound, bool(earned),
             )
         )  # fmt: skip
     return tuple(sorted(judged, key=lambda c: (not c.earned, -c.gain)))
 
 
-def _without(
-    part: Whitened, key: Key, offset: float, chosen: Sequence[Key], seen: Whitened
-) -> np.ndarray:
-    """Loss (M,) of a part with the candidate at no more than the floor's own size."""
-    column = part.keys.index(key)
-    rest, rest_seen = (replace(d, y=d.y - d.X[:, :, column] * offset) for d in (part, seen))
-    return loss(rest, chosen, fit(rest_seen, chosen).sizes)
+def _without(seen: Grams, at: int, offset: float, chosen: Sequence[Key]) -> np.ndarray:
+    """The vector (P,) of a fit with the candidate `at` held at the floor's own size."""
+    held = seen.total()
+    G = held.G.copy()
+    G[0, 0] -= offset * G[0, 1 + at]
+    G[0, :, 0] -= offset * G[0, :, 1 + at]
+    G[0, 0, 1:] = G[0, 1:, 0]
+    vector = fit(replace(held, G=G), chosen, errors=False).vector.copy()
+    vector[1 + at] = -offset
+    return vector
 
 
 def _key(one: Effect) -> Key:
     return one.name, one.target
 
 
-def _inflation(data: Whitened, losses: np.ndarray) -> float:
+def _inflation(data: Grams, losses: np.ndarray) -> float:
     """How much more a block's errors add up than independent ones would: 1 for white noise."""
-    blocks = by_block(data, losses)
-    entries = by_block(data, (data.weight > 0).sum(axis=1).astype(float))
-    return float(max(1.0, np.var(blocks - entries) / max(2.0 * np.mean(entries), 1e-300)) ** 0.5)
+    entries = data.entries
+    return float(max(1.0, np.var(losses - entries) / max(2.0 * np.mean(entries), 1e-300)) ** 0.5)
 
 
 def _rivals(
-    data: Whitened,
-    split: Split,
+    data: Grams,
     best: Candidate,
     candidates: Sequence[Candidate],
     chosen: Sequence[Key],
     rng: np.random.Generator,
 ) -> tuple[tuple[Key, float], ...]:
     """Candidates that explain the unseen blocks as well as the best, with their overlap."""
-    seen, unseen = data.rows(split.fit), data.rows(split.select)
-    of_best = loss(unseen, [*chosen, best.key], fit(seen, [*chosen, best.key]).sizes)
+    seen, unseen = data.rows(data.part == FIT), data.rows(data.part == SELECT)
+    counts = draws(len(unseen.G), rng)
+    of_best = loss(unseen, fit(seen, [*chosen, best.key], errors=False).vector)
     rivals = []
     for other in candidates:
         if other.key == best.key or other.gain < 0.5 * best.gain:
             continue
-        keys = [*chosen, other.key]
-        behind = by_block(unseen, loss(unseen, keys, fit(seen, keys).sizes) - of_best)
+        behind = loss(unseen, fit(seen, [*chosen, other.key], errors=False).vector) - of_best
         shared = overlap(data, best.key, other.key, chosen)
-        if np.percentile(resampled(behind, rng), 2.5) <= 0 and shared > TWINS:
+        if np.percentile(counts @ behind, 2.5) <= 0 and shared > TWINS:
             rivals.append((other.key, shared))
     return tuple(rivals)
 
 
 def _refined(
-    cases: Sequence[Case], chosen: list[Effect], floor: Floor, split: Split
+    cases: Sequence[Case],
+    chosen: list[Effect],
+    floor: Floor,
+    split: Split,
+    evidence: Evidence,
+    trusted: Trust,
 ) -> list[Effect]:
     """Gauss-Newton on the true, nonlinear residual over the blocks that are not for the report."""
     keys = [_key(e) for e in chosen]
-    use = split.fit | split.select
+    part = np.where(split.fit | split.select, FIT, -1)
+    chosen = [_clipped(e, e.value) for e in chosen]
     for _ in range(3):
-        evidence = linearise(cases, chosen, keys, central=True)
-        data = whiten(evidence, trust(evidence, floor.sigma)).rows(use)
-        step = fit(data, keys).sizes[: len(keys)] - _offsets(floor, keys)
+        data = design(linearise(cases, chosen, keys, evidence.only(keys)))
+        step = fit(grams(data, trusted.sigma, trusted.weight, part), keys, errors=False).sizes
+        step = step - _offsets(floor, keys)
         moved = [_clipped(e, e.value + d) for e, d in zip(chosen, step, strict=True)]
         small = all(
             abs(a.value - b.value) < 1e-3 * abs(a.value) for a, b in zip(moved, chosen, strict=True)
@@ -233,22 +258,20 @@ def _clipped(one: Effect, value: float) -> Effect:
     return replace(one, value=float(np.clip(value, low + margin, high - margin)))
 
 
-def _with_intervals(
-    evidence: Evidence, trusted: Trust, split: Split, chosen: Sequence[Effect], floor: Floor
-) -> tuple[Found, ...]:
+def _with_intervals(data: Grams, chosen: Sequence[Effect], floor: Floor) -> tuple[Found, ...]:
     """Effects by what they explain, with intervals from blocks and from the floor's own sizes."""
     keys = [_key(e) for e in chosen]
-    data = whiten(evidence, trusted).rows(split.fit | split.select)
-    fitted = fit(data, keys)
+    used = data.rows(data.part != REPORT)
+    covariance = fit(used, keys).covariance
+    total = used.G.sum(axis=0)
     found = []
     for i, one in enumerate(chosen):
         offset, spread = floor.sizes([k for k in keys if k != keys[i]], keys[i])
-        repeats = len(floor.walks)
-        half = np.hypot(1.96 * np.sqrt(fitted.covariance[i, i]), 1.96 * DOUBT * offset)
+        repeats = len(floor.repeats)
+        half = np.hypot(1.96 * np.sqrt(covariance[i, i]), 1.96 * DOUBT * offset)
         if repeats > 1:
             half = np.hypot(half, t.ppf(0.975, repeats - 1) * spread * np.sqrt(1 + 1 / repeats))
-        strength = float(
-            np.sum(data.weight * (data.X[:, :, data.keys.index(keys[i])] * one.value) ** 2)
-        )
+        at = 1 + data.keys.index(keys[i])
+        strength = float(total[at, at] * one.value**2)
         found.append((strength, Found(one, (one.value - half, one.value + half))))
     return tuple(f for _, f in sorted(found, key=lambda pair: -pair[0]))

@@ -1,42 +1,52 @@
 """How the residual of a log answers to each candidate effect: linear regressors by its size."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from models.residual import Frame, residual
+from models.bins import Frame, frame_mean, measured_against
+from models.layout import Layout
+from models.residual import Parts, residual, with_ground
+from models.signature import Answers, Regressor, answers, by_readings, by_robot, sparse
 from sim.effects import CATALOGUE, Effect, effect, explain_all
+from sim.fixed_base import Machine
+from sim.legs import JOINTS
 from sim.log import Log
 from sim.robot import Robot
+from sim.sensors import Sensors
 
 Key = tuple[str, str]
 """A candidate: effect name and target."""
-BIAS_STEP = 1e-3  # rad/s
+TURN_ON = 4.5
+"""Standard deviations of a declared turn-on bias beyond which a bias is an effect."""
 
 
 @dataclass(frozen=True)
 class Evidence:
     """Residuals of M bins and what would explain them: table = X sizes + Z biases + noise.
 
-    t (M,) s; log (M,) which log a bin is from; table (M, 18) as `Residual.table`; X (M, 18, C) by
-    the size of each of `keys`; Z (M, 18, 6) by the turn-on biases of gyro [rad/s] and accelerometer
-    [m/s^2]. A bin's missing entries are NaN in the table and zero in X and Z.
+    t (M,) s; log (M,) which log a bin is from; table (M, W), its columns as `layout` says, NaN
+    where a bin has none; X: by the size of each of `keys`; Z: by what may be free in each log, the
+    turn-on biases of its IMU, up to +-limits (B,), and the plane that it stands on. `stands_for`:
+    of each of Z, the candidate that takes its place without a limit.
     """
 
+    layout: Layout
     t: np.ndarray
     log: np.ndarray
     table: np.ndarray
     keys: tuple[Key, ...]
-    X: np.ndarray
-    Z: np.ndarray
+    X: tuple[Regressor, ...]
+    Z: tuple[Regressor, ...]
+    limits: np.ndarray
+    stands_for: tuple[Key | None, ...]
 
-    def rows(self, which: np.ndarray) -> "Evidence":
-        """The evidence of some bins: mask (M,) or indices."""
-        return Evidence(
-            self.t[which], self.log[which], self.table[which], self.keys, self.X[which],
-            self.Z[which],
-        )  # fmt: skip
+    def only(self, keys: Sequence[Key]) -> "Evidence":
+        """The evidence with no other candidates than these."""
+        X = tuple(self.X[self.keys.index(key)] for key in keys)
+        return replace(self, keys=tuple(keys), X=X)
 
 
 @dataclass(frozen=True)
@@ -44,79 +54,204 @@ class Case:
     """A log, the declared model it is held against, and its reference."""
 
     log: Log
-    robot: Robot
+    robot: Machine
     frame: Frame
+    fixed: bool = False
 
 
-def all_keys(log: Log) -> tuple[Key, ...]:
+def case_of(log: Log, robot: Machine) -> Case:
+    """The log held against the robot. Without a reference only a fixed base can be traced: a
+    machine that has one, or a robot whose log shows no foot on the ground."""
+    hung = not log.has("reference") and not log.has("contact") and log.has("q")
+    fixed = not isinstance(robot, Robot) or hung
+    frame = measured_against(log, fixed)
+    return Case(log, robot, with_ground(frame, log, robot), fixed)
+
+
+def channels_of(case: Case) -> tuple[str, ...]:
+    """The channels that a log can fill at all."""
+    log, legged = case.log, not case.fixed
+    there = {
+        "imu_gyro": legged and log.has("imu"),
+        "imu_accel": legged and log.has("imu"),
+        "leg_velocity": legged and log.has("q") and log.has("contact"),
+        "foot_height": legged and log.has("q") and log.has("contact") and case.frame.level,
+        "joint_torque": log.has("q") and log.has("tau"),
+        "base_wrench": legged and log.has("q") and log.has("tau") and log.has("contact"),
+        "joint_rate": log.has("q") and log.has("dq"),
+    }
+    return tuple(name for name, has in there.items() if has)
+
+
+def all_keys(case: Case) -> tuple[Key, ...]:
     """Every candidate that a model can know of and whose channels the log has."""
-    there = {"imu_gyro": log.has("imu"), "imu_accel": log.has("imu")}
-    there["leg_velocity"] = log.has("q") and log.has("contact")
-    # What turns the IMU touches leg_velocity too, but it is the IMU that must be there.
-    return tuple(
-        (kind.name, target)
-        for kind in CATALOGUE.values()
-        if kind.is_explained() and there[kind.channels[0]]
-        for target in kind.targets
-    )
+    there = channels_of(case)
+    keys = []
+    for kind in CATALOGUE.values():
+        lacks = not any(c in there for c in kind.channels)
+        lacks |= case.fixed and "reference" in kind.needs
+        if not kind.is_explained() or lacks or not all(case.log.has(g) for g in kind.needs):
+            continue
+        targets = case.log.joints if kind.targets == JOINTS else kind.targets
+        keys += [(kind.name, target) for target in targets]
+    return tuple(keys)
 
 
 def linearise(
-    cases: Sequence[Case], chosen: Sequence[Effect], keys: Sequence[Key], central: bool = False
+    cases: Sequence[Case],
+    chosen: Sequence[Effect],
+    keys: Sequence[Key],
+    before: Evidence | None = None,
 ) -> Evidence:
     """Residuals once `chosen` are explained, and their derivatives by the sizes of `keys`.
 
-    A key among the chosen is varied about its value, any other about zero. With `central`
-    differences instead of forward ones, for the last refinement.
+    A key among the chosen is varied about its value, by central differences of the true residual;
+    any other about zero, by the chain rule. Derivatives by the latter change by no more than a
+    chosen effect's own share of what is read: those of an evidence `before` may serve again.
     """
-    parts = [_linearise(case, i, chosen, tuple(keys), central) for i, case in enumerate(cases)]
-    joined = {
-        name: np.concatenate([getattr(part, name) for part in parts])
-        for name in ("t", "log", "table", "X", "Z")
-    }
-    return Evidence(keys=tuple(keys), **joined)
-
-
-def table_of(case: Case, chosen: Sequence[Effect]) -> np.ndarray:
-    """Residual table (M, 18) of a case once `chosen` are explained."""
-    log, robot = explain_all(chosen, case.log, case.robot)
-    return residual(log, robot, case.frame).table
-
-
-def _linearise(
-    case: Case, number: int, chosen: Sequence[Effect], keys: tuple[Key, ...], central: bool
-) -> Evidence:
-    table = table_of(case, chosen)
-    X = np.zeros((*table.shape, len(keys)))
-    for i, key in enumerate(keys):
-        step = CATALOGUE[key[0]].step
-        ahead = table_of(case, _moved(chosen, key, step))
-        behind = table_of(case, _moved(chosen, key, -step)) if central else table
-        X[:, :, i] = (behind - ahead) / (2 * step if central else step)
-    Z = np.zeros((*table.shape, 6))
-    Z[:, range(6), range(6)] = 1.0
-    if case.log.has("imu"):
-        log, robot = explain_all(chosen, case.log, case.robot)
-        for axis, name in enumerate("xyz"):
-            frame = log.frame.copy(deep=False)
-            frame[f"gyro_{name}"] = frame[f"gyro_{name}"] - BIAS_STEP
-            shifted = residual(replace(log, frame=frame), robot, case.frame).table
-            Z[:, :, axis] = (table - shifted) / BIAS_STEP
-    there = np.isfinite(table)[:, :, None]
+    parts = [_Linear(case, chosen) for case in cases]
+    tables = [p.parts.table for p in parts]
+    starts = np.cumsum([0] + [len(table) for table in tables])
+    if before is not None and len(before.t) == starts[-1]:
+        own = {(e.name, e.target) for e in chosen}
+        X = tuple(
+            _joined([p.regressor(key) for p in parts], starts) if key in own else one
+            for key, one in zip(before.keys, before.X, strict=True)
+        )
+        return replace(before, table=np.concatenate(tables), X=X)
+    X = tuple(_joined([p.regressor(key) for p in parts], starts) for key in keys)
+    Z, limits, stands_for = [], [], []
+    for i, part in enumerate(parts):
+        for one, limit, key in part.free():
+            whole = np.zeros((starts[-1], len(one.columns)))
+            whole[starts[i] : starts[i + 1]] = one.values
+            Z.append(Regressor(one.columns, whole))
+            limits.append(limit)
+            stands_for.append(key)
     return Evidence(
-        t=case.frame.t,
-        log=np.full(len(table), number),
-        table=table,
-        keys=keys,
-        X=np.where(there, X, 0.0),
-        Z=np.where(there, Z, 0.0),
+        layout=parts[0].parts.layout,
+        t=np.concatenate([p.parts.t for p in parts]),
+        log=np.repeat(np.arange(len(parts)), np.diff(starts)),
+        table=np.concatenate(tables),
+        keys=tuple(keys),
+        X=X,
+        Z=tuple(Z),
+        limits=np.array(limits),
+        stands_for=tuple(stands_for),
     )
 
 
+def table_of(case: Case, chosen: Sequence[Effect]) -> np.ndarray:
+    """Residual table (M, W) of a case once `chosen` are explained."""
+    return _parts(case, chosen)[2].table
+
+
+def _parts(case: Case, chosen: Sequence[Effect]) -> tuple[Log, Machine, Parts, Frame]:
+    log, robot = explain_all(chosen, case.log, case.robot)
+    frame = case.frame
+    if log is not case.log and _moves_frame(log.frame.attrs["changed"]):
+        frame = replace(measured_against(log, case.fixed), level=case.frame.level)
+    return log, robot, residual(log, robot, frame), frame
+
+
+class _Linear:
+    """One log's residual with the chosen effects explained, and its derivatives."""
+
+    def __init__(self, case: Case, chosen: Sequence[Effect]):
+        self.case, self.chosen = case, list(chosen)
+        self.log, self.robot, self.parts, self.frame = _parts(case, chosen)
+        self.mean: Callable = frame_mean(self.frame)
+        self.joints = self.log.joints
+
+    @cached_property
+    def answers(self) -> Answers:
+        return answers(self.parts, self.robot)
+
+    def regressor(self, key: Key) -> Regressor:
+        """What one unit of the effect `key` adds to the table."""
+        if any((e.name, e.target) == key for e in self.chosen):
+            return self._about_its_value(key)
+        step = CATALOGUE[key[0]].step
+        one = effect(*key, step)
+        log, robot = explain_all([one], self.log, self.robot)
+        if robot is not self.robot:
+            if robot.beyond.imu_lowpass != self.robot.beyond.imu_lowpass:
+                return self._by_difference(log, robot, step)
+            assert isinstance(robot, Robot)
+            return _minus(by_robot(self.parts, self.robot, robot, step))
+        if _moves_frame(log.frame.attrs["last"]):
+            return self._by_difference(log, robot, step)
+        change = _change(self.log, log, self.joints, self.mean, step)
+        return _minus(by_readings(self.parts, self.answers, change))
+
+    def _about_its_value(self, key: Key) -> Regressor:
+        step = CATALOGUE[key[0]].step
+        ahead, behind = (table_of(self.case, _moved(self.chosen, key, s)) for s in (step, -step))
+        return sparse((behind - ahead) / (2 * step), self.parts.table)
+
+    def _by_difference(self, log: Log, robot: Machine, step: float) -> Regressor:
+        frame = self.frame
+        if log is not self.log:
+            frame = replace(measured_against(log, self.case.fixed), level=frame.level)
+        moved = residual(log, robot, frame).table
+        return sparse((self.parts.table - moved) / step, self.parts.table)
+
+    def free(self) -> list[tuple[Regressor, float, Key | None]]:
+        """What may be free in a log, its limit, and the candidate that stands for it."""
+        out: list[tuple[Regressor, float, Key | None]] = []
+        parts, sensors = self.parts, Sensors()
+        if not self.case.fixed and self.case.log.has("imu"):
+            for axis, name in enumerate("xyz"):
+                for kind, turn_on in (
+                    ("gyro", sensors.gyro_turn_on), ("accel", sensors.accel_turn_on),
+                ):  # fmt: skip
+                    unit = {kind: {axis: np.ones(len(parts.t))}}
+                    one = by_readings(parts, self.answers, unit)
+                    out.append((one, TURN_ON * turn_on, (f"{kind}_bias", name)))
+        if not self.case.fixed and self.frame.level:
+            columns = np.arange(18, 22)
+            there = np.isfinite(parts.table[:, columns])
+            for values in (np.ones(len(parts.t)), *parts.bins.p_GI[:, :2].T):
+                out.append((Regressor(columns, there * values[:, None]), np.inf, None))
+        return out
+
+
+def _moves_frame(columns: Sequence[str]) -> bool:
+    return any(name.startswith(("ref_", "contact_")) for name in columns)
+
+
 def _moved(chosen: Sequence[Effect], key: Key, step: float) -> list[Effect]:
-    effects = list(chosen)
-    for i, one in enumerate(effects):
-        if (one.name, one.target) == key:
-            effects[i] = effect(*key, one.value + step)
-            return effects
-    return [*effects, effect(*key, step)]
+    return [effect(*key, e.value + step) if (e.name, e.target) == key else e for e in chosen]
+
+
+def _change(
+    old: Log, new: Log, joints: Sequence[str], mean: Callable, step: float
+) -> dict[str, dict[int, np.ndarray]]:
+    """Change of each stream for one unit of an effect: stream -> place -> means over bins (M,)."""
+    change: dict[str, dict[int, np.ndarray]] = {}
+    for name in new.frame.attrs["last"]:
+        stream, _, what = name.partition("_")
+        if stream in ("gyro", "accel"):
+            place = "xyz".index(what)
+        elif what in joints:
+            place = joints.index(what)
+        else:
+            continue
+        difference = new.frame[name].to_numpy() - old.frame[name].to_numpy()
+        change.setdefault(stream, {})[place] = mean(difference) / step
+    return change
+
+
+def _minus(one: Regressor) -> Regressor:
+    return Regressor(one.columns, -one.values)
+
+
+def _joined(parts: Sequence[Regressor], starts: np.ndarray) -> Regressor:
+    """One regressor over several logs."""
+    if len(parts) == 1:
+        return parts[0]
+    columns = np.unique(np.concatenate([p.columns for p in parts]))
+    values = np.zeros((starts[-1], len(columns)))
+    for i, part in enumerate(parts):
+        values[starts[i] : starts[i + 1], np.searchsorted(columns, part.columns)] = part.values
+    return Regressor(columns, values)

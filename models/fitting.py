@@ -1,113 +1,214 @@
-"""Weighted least squares on an evidence: sizes of effects, their errors, and what they gain."""
+"""Weighted least squares on an evidence: sizes of effects, their errors, and what they gain.
+
+Everything is computed from sums of products over blocks of two seconds, so that trying hundreds of
+combinations of candidates costs no more passes over the data.
+"""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from models.candidates import Evidence, Key
-from models.masking import Trust, biases
+from models.candidates import TURN_ON, Evidence, Key
 
 BLOCK = 2.0
 """s; residuals of one step resemble the next step's, blocks of this length hardly each other."""
 
 
 @dataclass(frozen=True)
-class Whitened:
-    """An evidence divided by its noise: y (M, 18), X (M, 18, C + B) with biases last, weight
-    (M, 18), keys (C,), block (M,) a number for each stretch of BLOCK seconds."""
+class Design:
+    """An evidence by the table's columns: for each, its numbers y (M,), which of the candidates and
+    the free parts touch it (k,), its bins with a number (n,) and the regressors there (n, k)."""
 
-    y: np.ndarray
-    X: np.ndarray
-    weight: np.ndarray
-    keys: tuple[Key, ...]
-    block: np.ndarray
+    evidence: Evidence
+    y: np.ndarray  # (M, W), zero where missing
+    there: np.ndarray  # (M, W)
+    which: tuple[np.ndarray, ...]
+    rows: tuple[np.ndarray, ...]
+    X: tuple[np.ndarray, ...]
 
-    def columns(self, keys: Sequence[Key]) -> list[int]:
-        """Where these keys and all biases are in X."""
-        return [self.keys.index(key) for key in keys] + list(range(len(self.keys), self.X.shape[2]))
+    @property
+    def size(self) -> int:
+        """Candidates and free parts."""
+        return len(self.evidence.X) + len(self.evidence.Z)
 
-    def rows(self, which: np.ndarray) -> "Whitened":
-        """The part at some bins (mask or indices)."""
-        return Whitened(
-            self.y[which], self.X[which], self.weight[which], self.keys, self.block[which]
-        )
+    def explained(self, sizes: np.ndarray) -> np.ndarray:
+        """X sizes (M, W), sizes (C + B,) of candidates and free parts."""
+        out = np.zeros_like(self.y)
+        for column, (rows, X, which) in enumerate(zip(self.rows, self.X, self.which, strict=True)):
+            out[rows, column] = X @ sizes[which]
+        return out
 
 
-def whiten(evidence: Evidence, trusted: Trust) -> Whitened:
-    """The evidence in units of its noise, missing entries at weight zero."""
-    sigma = trusted.sigma
-    X = np.concatenate([evidence.X, biases(evidence)], axis=2) / sigma[:, None]
-    block = np.floor((evidence.t - evidence.t.min()) / BLOCK).astype(int)
-    return Whitened(
-        y=np.where(np.isfinite(evidence.table), evidence.table, 0.0) / sigma,
-        X=X,
-        weight=trusted.weight,
-        keys=evidence.keys,
-        block=block + evidence.log * (block.max() + 1),
+def design(evidence: Evidence) -> Design:
+    """The evidence by columns."""
+    there = np.isfinite(evidence.table)
+    which: list[list[int]] = [[] for _ in range(evidence.layout.width)]
+    X: list[list[np.ndarray]] = [[] for _ in range(evidence.layout.width)]
+    for i, one in enumerate((*evidence.X, *evidence.Z)):
+        for n, column in enumerate(one.columns):
+            which[column].append(i)
+            X[column].append(one.values[:, n])
+    rows = [np.flatnonzero(column) for column in there.T]
+    stacked = [
+        np.column_stack([one[here] for one in x]) if x else np.zeros((len(here), 0))
+        for x, here in zip(X, rows, strict=True)
+    ]
+    return Design(
+        evidence,
+        np.where(there, evidence.table, 0.0),
+        there,
+        tuple(np.array(w, dtype=int) for w in which),
+        tuple(rows),
+        tuple(stacked),
     )
 
 
 @dataclass(frozen=True)
+class Grams:
+    """Sums of products over K blocks. G (K, P, P), P = 1 + C + B, of the whitened numbers, the
+    candidates `keys` and the free parts with their `limits` (B,); entries (K,) of each block;
+    part (K,): which part of the split a block belongs to."""
+
+    G: np.ndarray
+    keys: tuple[Key, ...]
+    limits: np.ndarray
+    stands_for: tuple[Key | None, ...]
+    entries: np.ndarray
+    part: np.ndarray
+
+    @cached_property
+    def whole(self) -> np.ndarray:
+        """Sums of products over all blocks (P, P)."""
+        return self.G.sum(axis=0)
+
+    def rows(self, which: np.ndarray) -> "Grams":
+        """Some of the blocks: mask (K,) or indices."""
+        return replace(self, G=self.G[which], entries=self.entries[which], part=self.part[which])
+
+    def total(self) -> "Grams":
+        """All blocks as one: enough for sizes, not for their errors."""
+        return replace(
+            self, G=self.G.sum(0, keepdims=True), entries=self.entries.sum(keepdims=True),
+            part=self.part[:1],
+        )  # fmt: skip
+
+
+def grams(
+    data: Design, sigma: np.ndarray, weight: np.ndarray, part: np.ndarray | None = None
+) -> Grams:
+    """The sums of products of a design whose columns have noise sigma (W,) and weight (M, W).
+
+    part (M,): which part of a split each bin belongs to, negative for none.
+    """
+    evidence = data.evidence
+    part = np.zeros(len(evidence.t), dtype=int) if part is None else part
+    stretch = np.floor((evidence.t - evidence.t.min()) / BLOCK).astype(int)
+    label = (evidence.log * (stretch.max() + 1) + stretch) * (part.max() + 1) + part
+    label = np.where(part < 0, -1, label)
+    blocks = [b for b in np.unique(label) if b >= 0]
+    size = 1 + data.size
+    G = np.zeros((len(blocks), size, size))
+    inside = [np.flatnonzero(label == b) for b in blocks]
+    for column, (rows, X, which) in enumerate(zip(data.rows, data.X, data.which, strict=True)):
+        if not len(rows):
+            continue
+        place = np.concatenate([[0], 1 + which])
+        A = np.column_stack([data.y[rows, column], X]) / sigma[column]
+        A = A * np.sqrt(weight[rows, column])[:, None]
+        for k, b in enumerate(blocks):
+            block = A[label[rows] == b]
+            G[k][np.ix_(place, place)] += block.T @ block
+    entries = np.array([np.sum(weight[here] > 0) for here in inside], dtype=float)
+    parts = np.array([part[here[0]] for here in inside], dtype=int)
+    return Grams(G, evidence.keys, evidence.limits, evidence.stands_for, entries, parts)
+
+
+@dataclass(frozen=True)
 class Fit:
-    """Sizes of the keys and then of the biases, (C + B,), with their covariance from blocks."""
+    """Sizes of the keys fitted, (C,), with their covariance from blocks, and `vector` (P,): one for
+    the numbers, minus each size; G vector is what is left."""
 
     sizes: np.ndarray
     covariance: np.ndarray
+    vector: np.ndarray
 
 
-def fit(data: Whitened, keys: Sequence[Key]) -> Fit:
-    """Least squares of y on these keys and the biases; errors by the sandwich over blocks.
+def fit(data: Grams, keys: Sequence[Key], errors: bool = True) -> Fit:
+    """Least squares of these keys and the free parts within their limits.
 
-    A column that the data do not excite at all gets size zero and infinite variance.
+    A free part whose candidate is among the keys gives way to it. A column that the data do not
+    excite at all gets size zero and infinite variance. Errors are the sandwich's over blocks.
     """
-    columns = data.columns(keys)
-    X = data.X[:, :, columns].reshape(-1, len(columns))
-    w = data.weight.reshape(-1, 1)
-    normal = X.T @ (X * w)
-    scale = np.sqrt(np.diag(normal))
+    G = data.whole
+    first = 1 + len(data.keys)
+    own = [1 + data.keys.index(key) for key in keys]
+    free = [first + i for i, k in enumerate(data.stands_for) if k is None or k not in keys]
+    vector = np.zeros(len(G))
+    vector[0] = 1.0
+    held: list[int] = []
+    while True:
+        use = own + [f for f in free if f not in held]
+        sizes, inverse, dead = _solve(G, vector, use, held)
+        beyond = [
+            (f, s) for f, s in zip(use, sizes, strict=True)
+            if f >= first and abs(s) > data.limits[f - first]
+        ]  # fmt: skip
+        if not beyond:
+            break
+        for f, s in beyond:
+            held.append(f)
+            vector[f] = -np.sign(s) * data.limits[f - first]
+    vector[use] = -sizes
+    covariance = np.full((len(keys), len(keys)), np.nan)
+    if errors:
+        there = np.flatnonzero(vector)
+        scores = data.G[:, np.array(use)[:, None], there] @ vector[there]
+        covariance = (inverse @ (scores.T @ scores) @ inverse)[: len(keys), : len(keys)]
+        covariance[dead[: len(keys)], dead[: len(keys)]] = np.inf
+        # A bias that an effect stands for is not known better than it is declared.
+        for i, key in enumerate(keys):
+            if key in data.stands_for:
+                covariance[i, i] += (data.limits[data.stands_for.index(key)] / TURN_ON) ** 2
+    return Fit(sizes[: len(keys)], covariance, vector)
+
+
+def _solve(G: np.ndarray, vector: np.ndarray, use: list[int], held: list[int]):
+    known = [0, *held]
+    right = G[np.ix_(use, known)] @ vector[known]
+    normal = G[np.ix_(use, use)]
+    scale = np.sqrt(np.maximum(np.diag(normal), 0.0))
     dead = scale < 1e-9
     scale = np.where(dead, 1.0, scale)
-    inverse = np.linalg.pinv(normal / scale / scale[:, None], rcond=1e-10) / scale / scale[:, None]
-    sizes = inverse @ (X.T @ (w * data.y.reshape(-1, 1)))[:, 0]
-    score = (X * (w * (data.y.reshape(-1, 1) - X @ sizes[:, None]))).reshape(len(data.y), 18, -1)
-    _, number = np.unique(data.block, return_inverse=True)
-    blocks = np.zeros((number.max() + 1, len(columns)))
-    np.add.at(blocks, number, score.sum(axis=1))
-    covariance = inverse @ (blocks.T @ blocks) @ inverse
-    covariance[dead, dead] = np.inf
-    return Fit(sizes, covariance)
+    inverse = np.linalg.pinv(normal / scale / scale[:, None], rcond=1e-9, hermitian=True)
+    inverse = inverse / scale / scale[:, None]
+    return inverse @ right, inverse, dead
 
 
-def loss(data: Whitened, keys: Sequence[Key], sizes: np.ndarray) -> np.ndarray:
-    """Weighted squared error of each bin (M,) once these keys and biases are taken off."""
-    left = data.y - data.X[:, :, data.columns(keys)] @ sizes
-    return np.sum(data.weight * left**2, axis=1)
+def loss(data: Grams, vector: np.ndarray) -> np.ndarray:
+    """Weighted squared error (K,) of each block with the sizes of `vector` taken off."""
+    there = np.flatnonzero(vector)
+    return (data.G[:, there[:, None], there] @ vector[there]) @ vector[there]
 
 
-def by_block(data: Whitened, values: np.ndarray) -> np.ndarray:
-    """Sums of values (M,) over the blocks, (K,)."""
-    _, number = np.unique(data.block, return_inverse=True)
-    return np.bincount(number, weights=values)
+def draws(blocks: int, rng: np.random.Generator, count: int = 1000) -> np.ndarray:
+    """How often each of K blocks is in each of `count` samples of the block bootstrap."""
+    return rng.multinomial(blocks, np.full(blocks, 1.0 / blocks), size=count).astype(float)
 
 
-def resampled(sums: np.ndarray, rng: np.random.Generator, draws: int = 1000) -> np.ndarray:
-    """Totals (draws, ...) of block sums (K, ...) drawn with replacement: the block bootstrap."""
-    pick = rng.integers(0, len(sums), (draws, len(sums)))
-    counts = np.stack([np.bincount(row, minlength=len(sums)) for row in pick])
-    return np.tensordot(counts, sums, axes=1)
-
-
-def overlap(data: Whitened, one: Key, other: Key, given: Sequence[Key]) -> float:
-    """Cosine (0..1) between two regressors once `given` and the biases are projected out of both.
+def overlap(data: Grams, one: Key, other: Key, given: Sequence[Key]) -> float:
+    """Cosine (0..1) between two regressors once `given` and the free parts are projected out.
 
     At one, no size of the other could be told from some size of the first with these data.
     """
-    base = data.columns(given)
-    w = np.sqrt(data.weight).reshape(-1, 1)
-    pair = [data.keys.index(one), data.keys.index(other)]
-    A = data.X[:, :, base].reshape(-1, len(base)) * w
-    P = data.X[:, :, pair].reshape(-1, 2) * w
-    P = P - A @ np.linalg.lstsq(A, P, rcond=1e-10)[0]
-    norms = np.linalg.norm(P, axis=0)
-    return float(abs(P[:, 0] @ P[:, 1]) / max(norms[0] * norms[1], 1e-300))
+    G = data.whole
+    first = 1 + len(data.keys)
+    pair = [1 + data.keys.index(one), 1 + data.keys.index(other)]
+    base = [1 + data.keys.index(key) for key in given]
+    base += [first + i for i, k in enumerate(data.stands_for) if k not in (one, other)]
+    A, B = G[np.ix_(base, base)], G[np.ix_(base, pair)]
+    scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    inverse = np.linalg.pinv(A / scale / scale[:, None], rcond=1e-9, hermitian=True)
+    P = G[np.ix_(pair, pair)] - B.T @ (inverse / scale / scale[:, None]) @ B
+    return float(abs(P[0, 1]) / max(np.sqrt(max(P[0, 0] * P[1, 1], 0.0)), 1e-300))

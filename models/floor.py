@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from models.candidates import Case, Evidence, Key, all_keys, linearise
-from models.fitting import Whitened, fit, whiten
-from models.masking import trust
-from models.residual import BIN, measured_against
+from models.bins import BIN
+from models.candidates import TURN_ON, Case, Evidence, Key, all_keys, case_of, linearise
+from models.fitting import Grams, design, fit, grams
+from models.layout import Layout, layout_of
+from models.masking import Trust, trust
 from sim.effects import Effect
 from sim.errors import SurefootError
 from sim.log import Log, reference_velocity
@@ -31,43 +32,73 @@ STAND = 0.5  # s
 
 
 Course = tuple[tuple[float, float, float], ...]
+Groups = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Repeat:
+    """One walk of the declared model: its evidence, what of it to believe, its sums of products."""
+
+    evidence: Evidence
+    trust: Trust
+    grams: Grams
 
 
 @dataclass(frozen=True)
 class Floor:
     """The residual of a robot that is as its model says.
 
-    sigma (18,): noise of each column of the residual table, in its unit; walks: the repeats it is
-    from, whitened, and evidences, as they are; source: in words; file and courses: the robot and
-    the motion that were walked.
+    sigma (W,): noise of each column of the residual table, in its unit; repeats: the walks it is
+    from; source: in words; file, courses and groups: the robot, the motion that was walked, and
+    the groups of columns that the log has.
     """
 
     sigma: np.ndarray
-    walks: tuple[Whitened, ...]
-    evidences: tuple[Evidence, ...]
+    repeats: tuple[Repeat, ...]
     source: str
     file: Path | None = None
     courses: tuple[Course, ...] = ()
+    groups: Groups = ()
 
     def sizes(self, chosen: Sequence[Key], key: Key) -> tuple[float, float]:
         """Mean and spread of the size that `key`, fitted along with `chosen`, has where it is not.
 
         Contacts that give and creep look a little like effects, the same way on every walk.
         """
-        if not self.walks:
+        if not self.repeats:
             return 0.0, 0.0
-        sizes = [fit(walk, [*chosen, key]).sizes[len(chosen)] for walk in self.walks]
+        keys = [*chosen, key]
+        knowing = [one for one in self.repeats if set(keys) <= set(one.grams.keys)]
+        if not knowing:
+            return 0.0, 0.0
+        free = knowing[0].grams
+        if key in free.stands_for:
+            # A bias is drawn anew whenever the sensor is switched on.
+            return 0.0, float(free.limits[free.stands_for.index(key)] / TURN_ON)
+        sizes = [fit(one.grams, keys, errors=False).sizes[-1] for one in knowing]
         return float(np.mean(sizes)), float(np.std(sizes, ddof=1)) if len(sizes) > 1 else 0.0
 
 
-def floor_of(logs: Sequence[Log], robot: Robot) -> Floor:
+def floor_of(cases: Sequence[Case]) -> Floor:
     """Repeats of the logs' own motion by the declared robot, in simulation.
 
     Each of a few short walks follows a stretch of the reference's body velocities. Seeds are fixed,
     so the floor is a function of the logs. A stretch on which the robot falls is tried again
-    slower; where it cannot walk at all, the data sheets' noise alone is the floor.
+    slower; where it cannot walk at all, and for a machine on a fixed base, the noise of the
+    readings alone is the floor.
     """
-    return _floor(robot.file, tuple(courses(logs)), logs[0].rate, ())
+    first = cases[0]
+    if first.fixed:
+        sigma = np.max([reading_noise(case) for case in cases], axis=0)
+        return Floor(sigma, (), "how the readings differ from one row to the next")
+    known = ("imu", "q", "dq", "tau", "contact", "ref_v")
+    groups = tuple(g for g in known if all(case.log.has(g) for case in cases))
+    along = tuple(courses([case.log for case in cases]))
+    floor = _floor(first.robot.file, along, groups, ())
+    if floor.repeats:
+        return floor
+    sigma = sheet_noise(first.log.rate, layout_of(first.log.joints))
+    return Floor(sigma, (), "data sheets of the declared sensors")
 
 
 def floor_with(floor: Floor, effects: Sequence[Effect]) -> Floor:
@@ -76,34 +107,70 @@ def floor_with(floor: Floor, effects: Sequence[Effect]) -> Floor:
     An effect on the body changes how feet land, so the model with it leaves another residual than
     the model without. The same floor where nothing but readings changed, or the robot falls.
     """
-    bodily = any(type(e).edit_spec is not Effect.edit_spec for e in effects)
-    if not bodily or floor.file is None or not floor.walks:
+    bodily = any(
+        type(e).edit_spec is not Effect.edit_spec or type(e).alter_ground is not Effect.alter_ground
+        for e in effects
+    )
+    if not bodily or floor.file is None or not floor.repeats:
         return floor
-    other = _floor(floor.file, floor.courses, 0.0, tuple(effects))
-    return other if other.walks else floor
+    other = _floor(floor.file, floor.courses, floor.groups, tuple(effects))
+    return other if other.repeats else floor
 
 
 def _floor(
-    file: Path, along: tuple[Course, ...], rate: float, effects: tuple[Effect, ...]
+    file: Path, along: tuple[Course, ...], groups: Groups, effects: tuple[Effect, ...]
 ) -> Floor:
-    found = [_evidence(file, course, SEED + i, effects) for i, course in enumerate(along)]
-    evidences = tuple(e for e in found if e is not None)
-    if not evidences:
-        return Floor(sheet_noise(max(rate, 1.0)), (), (), "data sheets of the declared sensors")
-    each = [trust(e, np.full(18, 1e-9)) for e in evidences]
-    sigma = np.sqrt(np.mean([t.sigma**2 for t in each], axis=0))
-    walks = tuple(whiten(e, trust(e, sigma)) for e in evidences)
-    source = f"{len(walks)} simulated walks of the declared model along the log's own course"
-    return Floor(sigma, walks, evidences, source, file, along)
+    walks = [_repeat(file, course, SEED + i, groups, effects) for i, course in enumerate(along)]
+    repeats = tuple(one for one in walks if one is not None)
+    if not repeats:
+        return Floor(np.zeros(0), (), "")
+    sigma = np.sqrt(np.mean([one.trust.sigma**2 for one in repeats], axis=0))
+    layout = repeats[0].evidence.layout
+    heights = layout.channels["foot_height"]
+    # Simulated ground is level to a hundredth of a millimetre; an encoder does not see that.
+    sigma[heights] = np.maximum(sigma[heights], sheet_noise(1.0, layout)[heights])
+    source = f"{len(repeats)} simulated walks of the declared model along the log's own course"
+    return Floor(sigma, repeats, source, file, along, groups)
 
 
-def sheet_noise(rate: float) -> np.ndarray:
-    """Standard deviation (18,) of a bin's residual from the sensors' noise alone."""
+def sheet_noise(rate: float, layout: Layout) -> np.ndarray:
+    """Standard deviation (W,) of a bin's residual from the sensors' noise alone."""
     s, rows = Sensors(), max(1.0, BIN * rate)
     reach = 0.5  # m, from a joint to the foot
-    gyro, accel = s.gyro_noise / np.sqrt(BIN), s.accel_noise / np.sqrt(BIN)
-    leg = s.velocity_noise * reach * np.sqrt(3 / rows)
-    return np.repeat([gyro, accel, leg], [3, 3, 12])
+    torque = s.torque_noise / np.sqrt(rows)
+    noise = {
+        "imu_gyro": s.gyro_noise / np.sqrt(BIN),
+        "imu_accel": s.accel_noise / np.sqrt(BIN),
+        "leg_velocity": s.velocity_noise * reach * np.sqrt(3 / rows),
+        "foot_height": s.encoder_step * reach,
+        "joint_torque": torque,
+        "base_wrench": torque / reach * np.sqrt(12),
+        "joint_rate": s.velocity_noise / np.sqrt(rows) + s.encoder_step / BIN / np.sqrt(rows),
+    }
+    sigma = np.zeros(layout.width)
+    for name, columns in layout.channels.items():
+        sigma[columns] = noise[name]
+    return sigma
+
+
+def reading_noise(case: Case) -> np.ndarray:
+    """Standard deviation (W,) of a bin's residual from what its readings do between rows.
+
+    The second difference of a reading has six times its noise's variance, and little of a motion.
+    """
+    layout, log = layout_of(case.log.joints), case.log
+    rows = float(np.median(case.frame.count))
+
+    def jitter(values: np.ndarray) -> np.ndarray:
+        return np.std(np.diff(values, n=2, axis=0), axis=0) / np.sqrt(6.0)
+
+    sigma = np.full(layout.width, 1e-9)
+    if log.has("tau"):
+        sigma[layout.channels["joint_torque"]] = jitter(log.tau) / np.sqrt(rows)
+    if log.has("dq"):
+        noise = np.hypot(jitter(log.q) / BIN, jitter(log.dq)) / np.sqrt(rows)
+        sigma[layout.channels["joint_rate"]] = noise
+    return np.maximum(sigma, 1e-9)
 
 
 def courses(logs: Sequence[Log]) -> list[Course]:
@@ -131,10 +198,10 @@ def _motion(log: Log) -> list[tuple[float, float, float]]:
     return pieces
 
 
-@lru_cache(maxsize=64)
-def _evidence(
-    file: Path, course: Course, seed: int, effects: tuple[Effect, ...]
-) -> Evidence | None:
+@lru_cache(maxsize=16)
+def _repeat(
+    file: Path, course: Course, seed: int, groups: Groups, effects: tuple[Effect, ...]
+) -> Repeat | None:
     robot = Robot.load(file)
     for slower in (1.0, 0.6, 0.3):
         segments = tuple(
@@ -146,5 +213,19 @@ def _evidence(
             log = walk(scenario, robot, seed, effects, declared=False)
         except SurefootError:  # fallen, or a size that leaves it no foot
             continue
-        return linearise([Case(log, robot, measured_against(log))], effects, all_keys(log))
+        case = case_of(_with_groups(log, groups), robot)
+        data = design(linearise([case], effects, all_keys(case)))
+        believed = trust(data, np.full(data.evidence.layout.width, 1e-12))
+        sums = grams(data, believed.sigma, believed.weight).total()
+        # Of the walk itself only what is left of it matters from here on.
+        return Repeat(data.evidence.only(()), believed, sums)
     return None
+
+
+def _with_groups(log: Log, groups: Groups) -> Log:
+    """The walk with no more columns than the measured log has."""
+    drop = [g for g in ("imu", "q", "dq", "tau", "contact", "ref_v") if g not in groups]
+    prefixes = {"imu": ("gyro_", "accel_"), "ref_v": ("ref_v_",)}
+    gone = tuple(p for g in drop for p in prefixes.get(g, (f"{g}_",)))
+    names = [n for n in log.frame if gone and str(n).startswith(gone)]
+    return Log(log.frame.drop(columns=names), log.meta, log.name)

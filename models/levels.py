@@ -7,9 +7,9 @@ import numpy as np
 
 from models.attribution import Attribution, Split
 from models.candidates import Case, Evidence, linearise
-from models.fitting import fit, whiten
-from models.masking import Trust, trust
-from models.residual import CHANNELS, COLUMNS
+from models.fitting import design, fit, grams
+from models.layout import UNITS
+from models.masking import Trust, hidden
 
 AT_FLOOR = 1.15
 """A channel is at its floor up to this ratio to the root mean square of the floor's worst walk."""
@@ -44,39 +44,52 @@ class Channel:
 
 def channel_levels(cases: Sequence[Case], result: Attribution, split: Split) -> dict[str, Channel]:
     """Level of each channel on the report split, with and without the effects found."""
-    keys = result.evidence.keys
-    plain = linearise(cases, (), keys[:0])
-    trusted, floor = result.trust, result.floor
+    evidence, trusted, floor = result.evidence, result.trust, result.floor
+    plain = linearise(cases, (), (), None)
     use = split.fit | split.select
     before = without_bias(plain, trusted, use)
-    after = without_bias(result.evidence, trusted, use)
+    after = without_bias(evidence, trusted, use)
+    every = [np.ones(len(one.evidence.t), dtype=bool) for one in floor.repeats]
     floors = [
-        without_bias(e, trust(e, floor.sigma), np.ones(len(e.t), bool)) for e in floor.evidences
+        without_bias(one.evidence, one.trust, rows)
+        for one, rows in zip(floor.repeats, every, strict=True)
     ]
     channels = {}
-    for name, unit in CHANNELS.items():
-        columns = COLUMNS[name]
+    for name, columns in evidence.layout.channels.items():
         if not np.isfinite(before[split.report][:, columns]).any():
             continue
-        level = [_rms(part[:, columns]) for part in floors]
+        least = float(floor.sigma[columns].min()) if name == "foot_height" else 0.0
+        level = [
+            max(_rms(part[:, columns]), least)
+            for part in floors
+            if np.isfinite(part[:, columns]).any()
+        ]
+        known = float(np.sqrt(np.mean(np.square(level)))) if level else None
+        if known is None and not floor.repeats:
+            known = float(np.sqrt(np.mean(floor.sigma[columns] ** 2)))
         channels[name] = Channel(
             before=_rms(before[split.report][:, columns]),
             after=_rms(after[split.report][:, columns]),
-            noise_floor=float(np.sqrt(np.mean(np.square(level)))) if level else None,
-            unit=unit,
-            highest=max(level, default=np.inf),
+            noise_floor=known,
+            unit=UNITS[name],
+            highest=max(level, default=known if known is not None else np.inf),
         )
     return channels
 
 
 def without_bias(evidence: Evidence, trusted: Trust, use: np.ndarray) -> np.ndarray:
-    """The residual table (M, 18) less the sensors' biases as fitted on `use`; slips are NaN."""
-    data = whiten(evidence, trusted)
-    bias = fit(data.rows(use), ()).sizes
-    left = evidence.table - (data.X[:, :, len(data.keys) :] @ bias) * trusted.sigma
-    left[:, 6:][np.repeat(trusted.masked, 3, axis=1)] = np.nan
+    """The residual table (M, W) less the free parts as fitted on `use`; slips are NaN."""
+    data = design(evidence.only(()))
+    sums = grams(data, trusted.sigma, trusted.weight, np.where(use, 0, -1)).total()
+    vector = fit(sums, (), errors=False).vector
+    left = np.where(data.there, data.y - data.explained(-vector[1:]), np.nan)
+    if trusted.masked.any():
+        columns = hidden(trusted.masked)
+        left[:, columns] = np.where(np.repeat(trusted.masked, 4, axis=1), np.nan, left[:, columns])
     return left
 
 
 def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.nanmean(values**2)))
+    # A few bins in which a foot lands between two looks would say all of a torque's level.
+    square = np.sort(values[np.isfinite(values)] ** 2)
+    return float(np.sqrt(square[: max(1, round(0.99 * len(square)))].mean()))

@@ -9,22 +9,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.candidates import Evidence
-from models.residual import BIN
+from models.bins import BIN
+from models.fitting import Design
+from models.layout import QUADRUPED, Layout
 
-GROUPS = (slice(0, 3), slice(3, 6), *(slice(6 + 3 * leg, 9 + 3 * leg) for leg in range(4)))
-"""Columns that one reading fills: gyro, accelerometer, each foot."""
 SOFT = 2.5
 """Standard deviations beyond which an entry loses weight."""
 OUTLYING = 6.0
 """Robust deviations above the foot's median at which a stance is taken for a slip."""
 SLOWEST_SLIP = 0.02
 """m/s. Below this a standing foot creeps, as compliant contacts do."""
+ROUNDS = 3
 
 
 @dataclass(frozen=True)
 class Trust:
-    """sigma (18,): noise of each column in the residual's unit; weight (M, 18) in 0..1, zero where
+    """sigma (W,): noise of each column in the residual's unit; weight (M, W) in 0..1, zero where
     missing or masked; masked (M, 4): foot bins taken for slips, of which share is the share."""
 
     sigma: np.ndarray
@@ -33,38 +33,44 @@ class Trust:
     share: float
 
 
-def trust(evidence: Evidence, floor: np.ndarray) -> Trust:
-    """Weights of an evidence whose columns the declared model leaves at `floor` (18,)."""
-    table = evidence.table
-    there = np.isfinite(table)
-    y = np.where(there, table, 0.0)
-    masked = np.zeros((len(table), 4), dtype=bool)
-    sigma, weight, left = floor.copy(), there.astype(float), y
-    for last in (False, True):
-        for _ in range(6):
-            left = y - _explained(evidence, y / sigma, weight, sigma)
-            left[~there] = np.nan
-            sigma = np.maximum(floor, _pooled(left, masked))
-            weight = there * _soft(left / sigma)
-            for leg in range(4):
-                weight[masked[:, leg], GROUPS[2 + leg]] = 0.0
+def trust(data: Design, floor: np.ndarray) -> Trust:
+    """Weights of an evidence whose columns the declared model leaves at `floor` (W,)."""
+    layout, there = data.evidence.layout, data.there
+    legged = layout is QUADRUPED
+    masked = np.zeros((len(there), 4), dtype=bool)
+    sigma, weight = np.where(floor > 0, floor, 1e-12), there.astype(float)
+    for last in (False, True) if legged else (True,):
+        left = data.y
+        for _ in range(ROUNDS):
+            left = np.where(there, data.y - _explained(data, sigma, weight), np.nan)
+            sigma = np.maximum(floor, _pooled(layout, left, masked))
+            weight = there * _soft(layout, left / sigma)
+            if legged:
+                weight[:, hidden(masked)] = np.where(
+                    np.repeat(masked, 4, axis=1), 0.0, weight[:, hidden(masked)]
+                )
         if not last:
-            masked = slips(evidence, left, sigma)
-    standing = there[:, 6::3].sum()
+            masked = slips(data, left)
+    standing = there[:, 6:18:3].sum() if legged else 0
     return Trust(sigma, weight, masked, float(masked.sum() / max(standing, 1)))
 
 
-def slips(evidence: Evidence, left: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+def hidden(masked: np.ndarray) -> np.ndarray:
+    """Columns (16,), foot by foot, that a slip of each foot spoils: its velocity and its height."""
+    return np.concatenate([[6 + 3 * f, 7 + 3 * f, 8 + 3 * f, 18 + f] for f in range(4)])
+
+
+def slips(data: Design, left: np.ndarray) -> np.ndarray:
     """Foot bins (M, 4) of the stances that stand out from their foot's own bulk.
 
-    left (M, 18): what the catalogue does not explain. The score of a stance is the speed of
+    left (M, W): what the catalogue does not explain. The score of a stance is the speed of
     its fastest bin: a foot that slides sticks again before the stance is over, and a mean over the
     stance would leave every second slip in.
     """
     masked = np.zeros((len(left), 4), dtype=bool)
     for leg in range(4):
-        speed = np.sqrt(np.sum(left[:, GROUPS[2 + leg]] ** 2, axis=1))
-        stances = stance_bins(evidence, np.isfinite(speed))
+        speed = np.sqrt(np.sum(left[:, 6 + 3 * leg : 9 + 3 * leg] ** 2, axis=1))
+        stances = stance_bins(data.evidence.t, data.evidence.log, np.isfinite(speed))
         if len(stances) < 5:
             continue
         score = np.array([speed[bins].max() for bins in stances])
@@ -72,56 +78,56 @@ def slips(evidence: Evidence, left: np.ndarray, sigma: np.ndarray) -> np.ndarray
         # From below: slips only add speed, and many of them would widen a spread from both sides.
         spread = 1.4826 * (middle - np.quantile(score, 0.25))
         limit = max(middle + OUTLYING * spread, SLOWEST_SLIP)
-        for bins, size in zip(stances, score, strict=True):
-            masked[bins, leg] = size > limit
+        for bins in np.flatnonzero(score > limit):
+            masked[stances[bins], leg] = True
     return masked
 
 
-def stance_bins(evidence: Evidence, standing: np.ndarray) -> list[np.ndarray]:
-    """Runs of consecutive bins with standing (M,) true, as index arrays, one a stance."""
-    rows = np.flatnonzero(standing)
+def stance_bins(t: np.ndarray, log: np.ndarray, there: np.ndarray) -> list[np.ndarray]:
+    """Bins of each stance: neighbours in time and log where a foot has a value."""
+    rows = np.flatnonzero(there)
     if not len(rows):
         return []
-    apart = (np.diff(evidence.t[rows]) > 1.5 * BIN) | (np.diff(evidence.log[rows]) != 0)
+    apart = (np.diff(t[rows]) > 1.5 * BIN) | (np.diff(log[rows]) != 0)
     return np.split(rows, np.flatnonzero(apart) + 1)
 
 
-def _explained(evidence: Evidence, y: np.ndarray, weight: np.ndarray, sigma: np.ndarray):
-    """Best joint fit of every candidate and bias to the whitened y (M, 18), in the table's unit."""
-    X = np.concatenate([evidence.X, biases(evidence)], axis=2) / sigma[:, None]
-    A = (X * weight[:, :, None]).reshape(-1, X.shape[2])
-    normal = A.T @ X.reshape(A.shape)
-    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+def _explained(data: Design, sigma: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Best joint fit (M, W) of every candidate and free part, in the table's unit."""
+    size = data.size
+    normal, right = np.zeros((size, size)), np.zeros(size)
+    for column, (rows, X, which) in enumerate(zip(data.rows, data.X, data.which, strict=True)):
+        if not len(which) or not len(rows):
+            continue
+        A = X * (weight[rows, column, None] / sigma[column] ** 2)
+        normal[np.ix_(which, which)] += A.T @ X
+        right[which] += A.T @ data.y[rows, column]
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     # A ridge far below what data say keeps twins apart without moving anything that they tell.
-    normal = normal / size / size[:, None] + 1e-9 * np.eye(len(size))
-    fit = np.linalg.solve(normal, A.T @ y.ravel() / size) / size
-    return (X @ fit) * sigma
+    normal = normal / scale / scale[:, None] + 1e-9 * np.eye(size)
+    return data.explained(np.linalg.solve(normal, right / scale) / scale)
 
 
-def biases(evidence: Evidence) -> np.ndarray:
-    """Z with columns of its own for each log, (M, 18, 6 L)."""
-    logs = range(int(evidence.log.max()) + 1)
-    return np.concatenate([evidence.Z * (evidence.log == i)[:, None, None] for i in logs], axis=2)
-
-
-def _pooled(left: np.ndarray, masked: np.ndarray) -> np.ndarray:
-    """Robust standard deviation of each column, that of a foot's axis over all feet."""
-    sigma = np.empty(18)
-    left = left.copy()
-    for leg in range(4):
-        left[masked[:, leg], GROUPS[2 + leg]] = np.nan
-    columns = [[i] for i in range(6)] + [list(range(6 + axis, 18, 3)) for axis in range(3)]
-    for group in columns:
-        values = np.abs(left[:, group])
+def _pooled(layout: Layout, left: np.ndarray, masked: np.ndarray) -> np.ndarray:
+    """Robust standard deviation of each column, pooled over those that are alike."""
+    sigma = np.zeros(layout.width)
+    if masked.any():
+        left = left.copy()
+        left[:, hidden(masked)] = np.where(
+            np.repeat(masked, 4, axis=1), np.nan, left[:, hidden(masked)]
+        )
+    for columns in layout.alike:
+        values = np.abs(left[:, list(columns)])
         values = values[np.isfinite(values)]
-        sigma[group] = 1.4826 * np.median(values) if len(values) else 0.0
-    return sigma
+        sigma[list(columns)] = 1.4826 * np.median(values) if len(values) else 0.0
+    return np.maximum(sigma, 1e-12)
 
 
-def _soft(z: np.ndarray) -> np.ndarray:
-    """Weights (M, 18): one for the bulk, falling as the inverse square beyond SOFT deviations."""
+def _soft(layout: Layout, z: np.ndarray) -> np.ndarray:
+    """Weights (M, W): one for the bulk, falling as the inverse square beyond SOFT deviations."""
     weight = np.ones_like(z)
-    for group in GROUPS:
-        size = np.sqrt(np.nansum(z[:, group] ** 2, axis=1) / 3)
+    for group in layout.groups:
+        count = group.stop - group.start
+        size = np.sqrt(np.nansum(z[:, group] ** 2, axis=1) / count)
         weight[:, group] = np.minimum(1.0, (SOFT / np.maximum(size, SOFT)) ** 2)[:, None]
     return weight

@@ -6,15 +6,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.candidates import Case
-from models.masking import GROUPS, Trust
-from models.residual import COLUMNS
+from models.layout import layout_of
+from models.masking import Trust
+from sim.effects_contact import STICKING
+from sim.legs import LEGS
 from sim.log import joint_velocity
 
 AT_MOST = 3
 """Regressors named for one column."""
 LEAST = 0.05
 """Share of a column's rest that a regressor must explain on unseen blocks to be named."""
-_NAMES = ("gyro", "accel", *(f"leg_{leg}" for leg in ("FL", "FR", "RL", "RR")))
+
+HARMONICS = (2, 3, 4, 6, 8, 10, 12)
+"""Of a joint's turn: what repeats with the turns of a gear or of its motor."""
 
 
 @dataclass(frozen=True)
@@ -35,19 +39,20 @@ def form(
     seen: np.ndarray,
     unseen: np.ndarray,
 ) -> tuple[Remainder, ...]:
-    """What goes with the rest `left` (M, 18) in these channels, the strongest first.
+    """What goes with the rest `left` (M, W) in these channels, the strongest first.
 
     Forward selection of regressors on the bins `seen` (M,), shares on the bins `unseen` (M,).
     """
     names, values = library(cases)
+    layout = layout_of(cases[0].log.joints)
     found = []
     for channel in channels:
-        for column in range(*COLUMNS[channel].indices(18)):
+        for column in range(*layout.channels[channel].indices(layout.width)):
             one = _column(values, left[:, column], trusted.weight[:, column], seen, unseen)
             if one is not None:
                 chosen, share = one
                 found.append(
-                    Remainder(channel, _label(column), tuple(names[i] for i in chosen), share)
+                    Remainder(channel, layout.names[column], tuple(names[i] for i in chosen), share)
                 )
     return tuple(sorted(found, key=lambda r: -r.share))
 
@@ -59,28 +64,33 @@ def library(cases: Sequence[Case]) -> tuple[tuple[str, ...], np.ndarray]:
     for case in cases:
         log, first = case.log, case.frame.first
         count = np.diff(np.append(first, len(log.t)))[:, None]
-        columns = {"time": log.t[:, None]}
-        if log.has("imu"):
-            columns |= {"rate": log.gyro, "force": log.accel}
-        columns["velocity"] = case.frame.v_I
-        columns["upward"] = case.frame.up_I
+        columns = {"time": log.t}
+        if log.has("imu") and not case.fixed:
+            columns |= _named("rate", log.gyro, "xyz") | _named("force", log.accel, "xyz")
+        if not case.fixed:
+            columns |= _named("velocity", case.frame.v_I, "xyz")
+            columns |= _named("upward", case.frame.up_I, "xyz")
         if log.has("q"):
-            columns |= {"angle": log.q, "speed": joint_velocity(log)}
+            dq = joint_velocity(log)
+            columns |= _named("angle", log.q, log.joints) | _named("speed", dq, log.joints)
+            columns |= _named("sense", np.tanh(dq / STICKING), log.joints)
+            for k in HARMONICS:
+                columns |= _named(f"sin_{k}_angle", np.sin(k * log.q), log.joints)
+                columns |= _named(f"cos_{k}_angle", np.cos(k * log.q), log.joints)
         if log.has("tau"):
-            columns["torque"] = log.tau
+            columns |= _named("torque", log.tau, log.joints)
         if log.has("contact"):
-            columns["stance"] = log.contact.astype(float)
-        names = [
-            name if x.shape[1] == 1 else f"{name}_{suffix}"
-            for name, x in columns.items()
-            for suffix in ("xyz" if x.shape[1] == 3 else log.joints if x.shape[1] == 12 else
-                           ("FL", "FR", "RL", "RR"))[: x.shape[1]]
-        ]  # fmt: skip
+            columns |= _named("stance", log.contact.astype(float), LEGS)
+        names = list(columns)
         rows = np.column_stack(list(columns.values()))
         tables.append(np.add.reduceat(rows, first, axis=0) / count)
     values = np.concatenate(tables)
     spread = values.std(axis=0)
     return tuple(names), (values - values.mean(axis=0)) / np.where(spread > 1e-12, spread, 1.0)
+
+
+def _named(kind: str, values: np.ndarray, names: Sequence[str]) -> dict[str, np.ndarray]:
+    return {f"{kind}_{name}": values[:, i] for i, name in enumerate(names)}
 
 
 def _column(
@@ -114,8 +124,3 @@ def _column(
 
 def _solve(A: np.ndarray, y: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return np.linalg.lstsq(A[rows], y[rows], rcond=1e-10)[0]
-
-
-def _label(column: int) -> str:
-    group = next(i for i, g in enumerate(GROUPS) if g.start <= column < g.stop)
-    return f"{_NAMES[group]}_{'xyz'[column - GROUPS[group].start]}"

@@ -1,134 +1,113 @@
-"""What a walk's readings say beyond the model: residual channels against the log's reference.
+"""What a log's readings say beyond the model: residual channels against the log's reference.
 
     imu_gyro, imu_accel   reading minus what the reference motion implies for the same sample
     leg_velocity          body velocity by each standing foot's kinematics, less the reference's
+    foot_height           height of each standing foot in the world, where the ground is level
+    joint_torque          measured torque less inverse dynamics, of legs in swing or a fixed base
+    base_wrench           what the standing feet give the base less what its motion takes
+    joint_rate            slope of a joint's measured angle less its measured rate
 
-Residuals are means over bins of 20 ms, short against a step and long against a sample.
+Residuals are means over bins of 20 ms.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
-from scipy.spatial.transform import Rotation
 
+from models.bins import Bins, Frame, binned
+from models.layout import QUADRUPED, Layout, layout_of
+from models.torques import (
+    Effort,
+    Smooth,
+    effort,
+    slope,
+    smoothed,
+    torque_residual,
+    wrench_residual,
+)
+from sim.fixed_base import Machine
 from sim.kinematics import leg_forward
-from sim.log import Log, joint_velocity, reference_velocity
+from sim.log import Log
 from sim.robot import Robot
-from sim.sensors import GRAVITY_G, mean_rotation
-
-BIN = 0.02
-"""s, the length of a bin."""
-EDGE = 0.03
-"""s at either end of a stance that are left out: there the foot lands, rocks or already lifts."""
-CHANNELS = {"imu_gyro": "rad/s", "imu_accel": "m/s^2", "leg_velocity": "m/s"}
 
 
 @dataclass(frozen=True)
-class Residual:
-    """Residuals of M bins, NaN where a bin has none: t (M,) s; gyro and accel (M, 3) in I;
-    leg (M, 4, 3) m/s in I, a standing foot each."""
+class Parts:
+    """A log's residuals and what they were computed from: what derivatives need again."""
 
-    t: np.ndarray
-    gyro: np.ndarray
-    accel: np.ndarray
-    leg: np.ndarray
-
-    @property
-    def table(self) -> np.ndarray:
-        """(M, 18): gyro, accel, then x, y, z of each leg."""
-        return np.column_stack([self.gyro, self.accel, self.leg.reshape(len(self.t), 12)])
+    layout: Layout
+    bins: Bins
+    smooth: Smooth
+    effort: Effort | None
+    table: np.ndarray  # (M, W)
+    t: np.ndarray  # (M,) s
 
 
-COLUMNS = {"imu_gyro": slice(0, 3), "imu_accel": slice(3, 6), "leg_velocity": slice(6, 18)}
-"""Where the channels are in `Residual.table`."""
+def residual(log: Log, robot: Machine, frame: Frame) -> Parts:
+    """Residuals of the log's readings under the declared model `robot`."""
+    layout = layout_of(log.joints)
+    bins = binned(log, robot, frame)
+    table = np.full((len(bins.t), layout.width), np.nan)
+    smooth, needed = smoothed(bins, robot), None
+    if np.isfinite(bins.tau).any():
+        needed = effort(smooth, robot)
+        table[:, layout.channels["joint_torque"]] = torque_residual(smooth, needed)
+    if log.has("q") and log.has("dq"):
+        rates = slope(bins.lag)
+        rates[[0, -1]] = np.nan
+        table[:, layout.channels["joint_rate"]] = rates
+    if layout is QUADRUPED:
+        assert isinstance(robot, Robot)
+        table[:, :3], table[:, 3:6] = bins.gyro, bins.accel
+        if log.has("q") and bins.standing.any():
+            table[:, 6:18] = leg_columns(bins, robot)
+            if frame.level:
+                table[:, 18:22] = height_columns(bins, robot)
+            if needed is not None:
+                table[:, 34:40] = wrench_residual(smooth, needed, robot)
+    return Parts(layout, bins, smooth, needed, table, frame.t)
 
 
-@dataclass(frozen=True)
-class Frame:
-    """What the residual of a log is measured against; it stays as it is while effects are tried.
-
-    gyro, accel (N, 3): what the reference implies, by the exact inverse of `sim.sensors`; v_I and
-    up_I (N, 3): the reference's velocity and the ground's normal in I; ok (N,): rows that have a
-    reference; moved (N,): rows whose step has one; standing (N, 4): feet well inside a stance;
-    first (M,): first row of each bin, t (M,) its mean time, s.
-    """
-
-    gyro: np.ndarray
-    accel: np.ndarray
-    v_I: np.ndarray
-    up_I: np.ndarray
-    ok: np.ndarray
-    moved: np.ndarray
-    standing: np.ndarray
-    first: np.ndarray
-    t: np.ndarray
+def leg_columns(bins: Bins, robot: Robot) -> np.ndarray:
+    """(M, 12) [m/s] in I. With v_foot = 0 at the contact point of a foot that rolls on its sphere
+    of radius r, v_I = -J dq - omega x f + (omega + omega_foot) x r n, all in I."""
+    v = leg_velocity(
+        robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI, bins.q, bins.dq, bins.omega,
+        bins.R_GI[:, 2], bins.standing,
+    )  # fmt: skip
+    return (v - bins.v_I[:, None]).reshape(len(v), 12)
 
 
-def measured_against(log: Log) -> Frame:
-    """The reference, stances and bins of a log. Raises LogError where it has no reference."""
-    log.require("reference")
-    t, R_GI, v_GI, ok = log.t, log.ref_R_GI, reference_velocity(log), log.ref_ok
-    dt = np.diff(t)
-    turn = Rotation.from_matrix(np.swapaxes(R_GI[:-1], 1, 2) @ R_GI[1:]).as_rotvec()
-    felt = np.einsum("nji,nj->ni", R_GI[:-1], np.diff(v_GI, axis=0) / dt[:, None] - GRAVITY_G)
-    gyro, accel = np.zeros_like(v_GI), np.zeros_like(v_GI)
-    gyro[1:] = turn / dt[:, None]
-    accel[1:] = np.linalg.solve(mean_rotation(turn), felt[:, :, None])[:, :, 0]
-    whole = np.concatenate([[False], dt < 1.5 * np.median(dt)])
-    number = np.floor((t - t[0]) / BIN + 1e-6).astype(int)
-    first = np.flatnonzero(np.diff(number, prepend=-1))
-    count = np.diff(np.append(first, len(t)))
-    standing = np.zeros((len(t), 4), dtype=bool)
-    if log.has("contact"):
-        standing = inside_stance(t, log.contact)
-    return Frame(
-        gyro=gyro,
-        accel=accel,
-        v_I=np.einsum("nji,nj->ni", R_GI, v_GI),
-        up_I=R_GI[:, 2],
-        ok=ok,
-        moved=ok & np.concatenate([[False], ok[:-1]]) & whole,
-        standing=standing & ok[:, None],
-        first=first,
-        t=np.add.reduceat(t, first) / count,
-    )
+def height_columns(bins: Bins, robot: Robot) -> np.ndarray:
+    """Height (M, 4) [m] of each standing foot's centre in the world."""
+    feet_I = robot.feet_I(bins.q)
+    z = bins.p_GI[:, 2, None] + np.einsum("nj,nlj->nl", bins.R_GI[:, 2], feet_I)
+    return np.where(bins.standing, z, np.nan)
 
 
-def inside_stance(t: np.ndarray, contact: np.ndarray) -> np.ndarray:
-    """Rows and feet (N, 4) that stand, farther than EDGE from either end of their stance."""
-    inside = contact.copy()
-    for leg in range(contact.shape[1]):
-        change = np.flatnonzero(np.diff(contact[:, leg].astype(int)))
-        for row in change:
-            inside[np.abs(t - 0.5 * (t[row] + t[row + 1])) <= EDGE, leg] = False
-    return inside
+def level_ground(bins: Bins, robot: Robot, within: float = 0.006) -> bool:
+    """Whether the feet stand on one plane: what a leg's heights have beyond a plane through all
+    feet and a constant of the leg's own varies by less than `within` [m]."""
+    z = height_columns(bins, robot)
+    rows, legs = np.nonzero(np.isfinite(z))
+    if len(rows) < 100:
+        return False
+    A = np.hstack([np.eye(4)[legs], bins.p_GI[rows, :2]])
+    left = z[rows, legs]
+    for _ in range(3):
+        fit = np.linalg.lstsq(A, z[rows, legs], rcond=1e-10)[0]
+        left = np.abs(z[rows, legs] - A @ fit)
+        keep = left <= 4 * np.median(left) + 1e-4
+        rows, legs, A = rows[keep], legs[keep], A[keep]
+    return bool(1.4826 * np.median(left) < within)
 
 
-def residual(log: Log, robot: Robot, frame: Frame) -> Residual:
-    """Residuals of the log's readings under the declared model `robot`.
-
-    With v_foot = 0 at the contact point of a foot that rolls on its sphere of radius r,
-    v_I = -J dq - omega x f + (omega + omega_foot) x r n, all in I.
-    """
-    none = np.full((len(frame.ok), 3), np.nan)
-    imu_gyro, imu_accel, leg = none, none, np.full((len(frame.ok), 4, 3), np.nan)
-    omega = frame.gyro
-    if log.has("imu"):
-        omega = log.gyro
-        imu_gyro = np.where(frame.moved[:, None], omega - frame.gyro, np.nan)
-        imu_accel = np.where(frame.moved[:, None], log.accel - frame.accel, np.nan)
-    if log.has("q") and frame.standing.any():
-        # Rows hold the mean rate of the step before; the rate at the row itself is between two.
-        omega = 0.5 * (omega + np.concatenate([omega[1:], omega[-1:]]))
-        leg = leg_velocity(
-            robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI, log.q, joint_velocity(log),
-            omega, frame.up_I, frame.standing,
-        )  # fmt: skip
-        leg -= frame.v_I[:, None]
-    return Residual(
-        frame.t, _binned(imu_gyro, frame), _binned(imu_accel, frame), _binned(leg, frame)
-    )
+def with_ground(frame: Frame, log: Log, robot: Machine) -> Frame:
+    """The frame, knowing whether heights of feet mean anything."""
+    if not isinstance(robot, Robot) or not log.has("q") or not frame.standing.any():
+        return frame
+    return replace(frame, level=level_ground(binned(log, robot, frame), robot))
 
 
 @njit(cache=True)
@@ -165,13 +144,3 @@ def leg_velocity(legs, radius, R_BI, p_BI, q, dq, omega, up, standing):
             for a in range(3):
                 out[k, leg, a] = R_BI[0, a] * step[0] + R_BI[1, a] * step[1] + R_BI[2, a] * step[2]
     return out
-
-
-def _binned(values: np.ndarray, frame: Frame) -> np.ndarray:
-    """Mean of the rows (N, ...) of each bin; NaN where fewer than half of them have a value."""
-    there = np.isfinite(values)
-    total = np.add.reduceat(np.where(there, values, 0.0), frame.first, axis=0)
-    count = np.add.reduceat(there.astype(float), frame.first, axis=0)
-    size = np.diff(np.append(frame.first, len(values))).reshape(-1, *[1] * (values.ndim - 1))
-    enough = (count >= 0.5 * size) & (count > 0)
-    return np.where(enough, total / np.maximum(count, 1), np.nan)

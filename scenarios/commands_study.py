@@ -40,7 +40,7 @@ class TraceCommand:
         from scenarios.progress import percent_bar
         from scenarios.trace import trace
         from scenarios.trace_words import summary
-        from sim.robot import Robot
+        from sim.fixed_base import machine_for_log
 
         logs = read_logs(self.logs)
         others = sorted({log.meta.robot for log in logs if log.meta.robot})
@@ -48,7 +48,7 @@ class TraceCommand:
             raise SurefootError(
                 f"the logs are of {' and '.join(others)}: trace one robot at a time"
             )
-        robot = Robot.for_log(logs[0], self.robot)
+        robot = machine_for_log(logs[0], self.robot)
         with percent_bar("trace") as tell:
             found = trace(logs, robot, self.out, self.seed, tell, self.force)
         print(summary(found))

@@ -8,16 +8,17 @@ from typing import Any
 import numpy as np
 
 from models.attribution import Attribution, Split, attribute
-from models.candidates import Case, all_keys
+from models.candidates import Case, all_keys, case_of, channels_of
 from models.floor import Floor, floor_of
 from models.levels import Channel, channel_levels, without_bias
 from models.remainder import Remainder, form
-from models.residual import measured_against
+from scenarios.filters import Learnt
 from scenarios.trace_filters import BeforeAfter, before_and_after, mean_metrics, stretch
 from scenarios.trace_report import write_outputs
 from scenarios.trace_words import motion_to_tell_apart
 from sim.effects import Effect, explain_all
 from sim.errors import SurefootError, check_seed
+from sim.fixed_base import Machine
 from sim.log import Log
 from sim.robot import Robot
 
@@ -27,6 +28,18 @@ BLOCK, GAP = 4.0, 0.2
 """s: blocks that fit and blocks that select take turns, with gaps between them."""
 SHORTEST = 12.0
 """s of a log below which there is too little to split."""
+SHORTEST_FIXED = 3.5
+"""s, of a machine on a fixed base, every row of which tells something."""
+NEEDS = {
+    "imu_gyro": ("imu", "reference"),
+    "imu_accel": ("imu", "reference"),
+    "leg_velocity": ("q", "contact", "reference"),
+    "foot_height": ("q", "contact", "reference"),
+    "joint_torque": ("q", "tau"),
+    "base_wrench": ("q", "tau", "contact", "reference"),
+    "joint_rate": ("q", "dq"),
+}
+"""Groups of columns that each channel takes."""
 OUTPUTS = ("trace.json", "effects.toml", "report.html", "trace.rrd")
 
 
@@ -89,12 +102,13 @@ class Trace:
 
 def trace(
     logs: Sequence[Log],
-    robot: Robot,
+    robot: Machine,
     out: Path | str,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
     force: bool = False,
     declared: Sequence[Effect] = (),
+    learnt: Learnt | None = None,
 ) -> Trace:
     """Find which effect `robot` lacks as a model of the logs, and what adding it changes.
 
@@ -111,32 +125,32 @@ def trace(
         for name in OUTPUTS:
             if (out / name).exists():
                 raise SurefootError(f"{out / name}: exists already; give --force to overwrite it")
-    found = diagnose(logs, robot, seed, progress, declared)
+    found = diagnose(logs, robot, seed, progress, declared, learnt)
     write_outputs(found, robot, out, force)
     return found
 
 
 def diagnose(
     logs: Sequence[Log],
-    robot: Robot,
+    robot: Machine,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
     declared: Sequence[Effect] = (),
+    learnt: Learnt | None = None,
 ) -> Trace:
     """`trace` without the files."""
     check_seed(seed)
+    learnt = learnt or Learnt()
     tell = progress or (lambda share: None)
-    logs = [_readings(log) for log in logs]
     cases = []
     for log in logs:
-        log.require("reference")
-        known, model = explain_all(declared, log, robot)
-        cases.append(Case(known, model, measured_against(known)))
+        known, model = explain_all(declared, _readings(log), robot)
+        cases.append(case_of(known, model))
     cannot = _cannot_tell(cases)
     if cannot:
         return Trace("not_identifiable", None, {}, {}, 0.0, "none", (), "", (cannot,), ())
     tell(0.02)
-    floor = floor_of(logs, robot)
+    floor = floor_of(cases)
     tell(0.35)
     split, notes = split_of(cases), _said(cases, floor)
     rng = np.random.default_rng(seed)
@@ -151,12 +165,12 @@ def diagnose(
         remainder = form(cases, left, result.trust, above, split.fit, split.select)
     notes += tuple(f"{name}: worse with what was found" for name, c in channels.items() if c.worse)
     tell(0.88)
-    stretches = _filtered(cases, effects)
+    stretches = _filtered(cases, effects, learnt)
     filters = {}
-    if stretches:
-        pairs = [s.metrics for s in stretches]
+    for name in dict.fromkeys(s.filter for s in stretches):
+        pairs = [s.metrics for s in stretches if s.filter == name]
         before, after = (mean_metrics([pair[i] for pair in pairs]) for i in (0, 1))
-        filters["leg"] = {"before": before, "after": after}
+        filters[name] = {"before": before, "after": after}
     rivals = tuple(
         {"name": name, "target": target, "overlap": shared}
         for (name, target), shared in result.rivals
@@ -191,46 +205,58 @@ def split_of(cases: Sequence[Case]) -> Split:
 
 def _readings(log: Log) -> Log:
     """The log without anything that a measured one could not have."""
-    known = ("t", "gyro_", "accel_", "q_", "dq_", "tau_", "contact_", "ref_")
+    known = ("t", "gyro_", "accel_", "q_", "dq_", "tau_", "contact_", "force_", "ref_")
     names = [n for n in log.frame if str(n) == "t" or str(n).startswith(known[1:])]
     return Log(log.frame.filter(items=names), log.meta, log.name)
 
 
 def _cannot_tell(cases: Sequence[Case]) -> str:
-    if not any(all_keys(case.log) for case in cases):
-        return "no channel: needs gyro and accel, or q and contact, beside the reference"
+    if not any(all_keys(case) for case in cases):
+        return (
+            "no channel: needs gyro and accel, or q and contact, beside the reference; or q and "
+            "tau of a fixed base"
+        )
     longest = max(case.frame.t[-1] - case.frame.t[0] for case in cases)
-    if longest < SHORTEST:
-        return f"too short: {longest:.1f} s where {SHORTEST:.0f} s are needed to fit and to check"
+    shortest = SHORTEST_FIXED if cases[0].fixed else SHORTEST
+    if longest < shortest:
+        return f"too short: {longest:.1f} s where {shortest:.0f} s are needed to fit and to check"
     return ""
 
 
 def _said(cases: Sequence[Case], floor: Floor) -> tuple[str, ...]:
     """What the reader should know of the data before the result."""
     notes = []
-    for group, channel in (("imu", "imu_gyro and imu_accel"), ("q", "leg_velocity")):
-        if not all(case.log.has(group) for case in cases):
-            notes.append(f"{channel}: not used, the log lacks {group}")
-    if not all(case.log.has("contact") for case in cases):
-        notes.append("leg_velocity: not used, the log lacks contacts")
-    if not all(case.log.has("ref_v") for case in cases):
+    there = set.intersection(*(set(channels_of(case)) for case in cases))
+    for channel, needed in NEEDS.items():
+        lacking = [g for g in needed if not all(case.log.has(g) for case in cases)]
+        if channel in there:
+            continue
+        if lacking:
+            notes.append(f"{channel}: not used, the log lacks {' and '.join(lacking)}")
+        elif channel == "foot_height":
+            notes.append("foot_height: not used, the ground is not level")
+    if cases[0].fixed:
+        notes.append("without a reference the base is taken to be held still and level")
+    elif not all(case.log.has("ref_v") for case in cases):
         notes.append("the reference's velocity is derived from its positions, which smooths it")
-    if not floor.walks:
+    if not floor.repeats and not cases[0].fixed:
         notes.append("the model does not walk in simulation: the floor is sensor noise alone")
-    if any(np.any(case.robot.foot_radius == 0) for case in cases):
+    if any(isinstance(c.robot, Robot) and np.any(c.robot.foot_radius == 0) for c in cases):
         notes.append("the model's feet are points; the floor is from walks with the file's feet")
     return tuple(notes)
 
 
-def _filtered(cases: Sequence[Case], effects: Sequence[Effect]) -> tuple[BeforeAfter, ...]:
-    done = []
+def _filtered(
+    cases: Sequence[Case], effects: Sequence[Effect], learnt: Learnt
+) -> tuple[BeforeAfter, ...]:
+    done: list[BeforeAfter] = []
     for case in cases:
-        if not all(case.log.has(group) for group in ("imu", "q", "contact")):
+        if case.fixed or not isinstance(case.robot, Robot) or not case.log.has("imu"):
             continue
         t = case.log.t
         part = stretch(case.log, t[0] + (1 - REPORT_SHARE) * (t[-1] - t[0]), t[-1])
         if part is not None:
-            done.append(before_and_after(part, case.robot, effects))
+            done += before_and_after(part, case.robot, effects, learnt)
     return tuple(done)
 
 

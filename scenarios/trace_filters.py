@@ -1,4 +1,4 @@
-"""What an effect costs a filter: the leg filter without it in the model, and with it."""
+"""What an effect costs the filters: each without it in the model, and with it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,6 +9,7 @@ from estimator.metrics import Metrics, evaluate
 from estimator.trajectory import Trajectory, reference
 from scenarios.filters import FILTERS, Learnt
 from sim.effects import Effect, explain_all
+from sim.errors import SurefootError
 from sim.log import Log
 from sim.robot import Robot
 
@@ -22,24 +23,35 @@ REPORTED = (
 class BeforeAfter:
     """One filter on one stretch of a log, declared model and with the effects explained."""
 
+    filter: str
     log: Log
     before: Trajectory
     after: Trajectory
     metrics: tuple[Metrics, Metrics]
 
 
-def before_and_after(log: Log, robot: Robot, effects: Sequence[Effect]) -> BeforeAfter:
-    """The leg filter, started from the reference at the log's first row, twice."""
-    truth = reference(log)
-    before = leg_trajectory(log, robot)
-    after = leg_trajectory(*explain_all(effects, log, robot)) if effects else before
-    return BeforeAfter(log, before, after, (evaluate(truth, before), evaluate(truth, after)))
+def before_and_after(
+    log: Log, robot: Robot, effects: Sequence[Effect], learnt: Learnt
+) -> list[BeforeAfter]:
+    """Every filter that the log and what was learnt allow, started from the reference at the log's
+    first row: twice."""
+    truth, done = reference(log), []
+    for name in FILTERS:
+        try:
+            before = filtered(name, log, robot, learnt)
+            after = filtered(name, *explain_all(effects, log, robot), learnt) if effects else before
+        except SurefootError:  # the log, or what was learnt, lacks what this filter takes
+            continue
+        metrics = evaluate(truth, before), evaluate(truth, after)
+        done.append(BeforeAfter(name, log, before, after, metrics))
+    # The leg filter first: it is the one that a model of the legs serves.
+    return sorted(done, key=lambda one: one.filter != "leg")
 
 
-def leg_trajectory(log: Log, robot: Robot) -> Trajectory:
-    """The leg filter over a log that has IMU, joints, contacts and a reference to start from."""
+def filtered(name: str, log: Log, robot: Robot, learnt: Learnt) -> Trajectory:
+    """One filter over a log. Raises SurefootError saying what it lacks."""
     robot = replace(robot, foot_radius=np.maximum(robot.foot_radius, 0.0))
-    return FILTERS["leg"](log, robot, Learnt())()
+    return FILTERS[name](log, robot, learnt)()
 
 
 def stretch(log: Log, begin: float, end: float) -> Log | None:

@@ -12,6 +12,7 @@ from scenarios.report import Picture, Section, write_report
 from scenarios.trace_words import VERDICTS, remainder_in_words, size_in_words, summary
 from sim.effects_file import save_effects
 from sim.files import whole_file
+from sim.fixed_base import Machine
 from sim.robot import Robot
 
 if TYPE_CHECKING:
@@ -29,14 +30,15 @@ _METRICS = {
 }
 
 
-def write_outputs(found: Trace, robot: Robot, out: Path, force: bool = False) -> None:
+def write_outputs(found: Trace, robot: Machine, out: Path, force: bool = False) -> None:
     """Write the trace's files, trace.json last: where it is, the others are whole too."""
     effects = found.effects
     if found.stretches:
         shown = found.stretches[0]
-        names = {"leg (declared model)": shown.before}
+        names = {f"{shown.filter} (declared model)": shown.before}
         if effects:
-            names["leg (effect added)"] = shown.after
+            names[f"{shown.filter} (effect added)"] = shown.after
+        assert isinstance(robot, Robot)
         write_recording(out / "trace.rrd", shown.log, robot, names, force=force)
     write_report(out / "report.html", "Trace: what does the model lack?", sections(found), force)
     save_effects(out / "effects.toml", effects, force)

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from sim.errors import SurefootError
+from sim.legs import JOINTS, LEGS
 from sim.log import Log
 from sim.robot import Robot
 from sim.sensors import Reference, Streams
@@ -41,9 +42,11 @@ class Effect:
     targets: ClassVar[tuple[str, ...]]
     step: ClassVar[float]
     """A small size, for numerical derivatives by it; an effect that is explained needs one."""
+    needs: ClassVar[tuple[str, ...]] = ()
+    """Groups of columns of a log without which nothing can be explained, beyond a channel's own."""
 
     def __post_init__(self):
-        if self.target not in self.targets:
+        if self.target not in self.targets and not self._is_other_joint():
             raise SurefootError(
                 f"effect {self.name}: unknown target '{self.target}'; known: "
                 f"{', '.join(self.targets)}"
@@ -54,6 +57,11 @@ class Effect:
                 f"effect {self.name}: value must lie between {low:g} and {high:g} {self.unit}, "
                 f"is {self.value:g}"
             )
+
+    def _is_other_joint(self) -> bool:
+        """Whether the target may be a joint of a machine that is no quadruped."""
+        legged = self.target.split("_")[0] in LEGS
+        return self.targets == JOINTS and self.target.isidentifier() and not legged
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         """Change the simulated world; most effects of sensors do not."""
@@ -92,7 +100,11 @@ class Effect:
 
 
 def with_columns(log: Log, columns: Mapping[str, np.ndarray]) -> Log:
+    """The log with some columns replaced; its frame's `attrs` say which, `changed` in all and
+    `last` just now, so that nobody needs to compare numbers."""
     frame = log.frame.copy(deep=False)
+    changed = {*log.frame.attrs.get("changed", ()), *columns}
+    frame.attrs = {"changed": tuple(sorted(changed)), "last": tuple(columns)}
     for name, values in columns.items():
         frame[name] = values
     return replace(log, frame=frame)

@@ -1,6 +1,7 @@
 """The catalogue of effects that a real robot has and a model may lack: one small class each."""
 
 from collections.abc import Iterable, Mapping
+from typing import Any, TypeVar
 
 from sim.effect import AXES, Effect
 from sim.effects_body import ComOffset, FootRolling, HipOffset, LinkLength, Payload
@@ -26,7 +27,8 @@ from sim.effects_joint import (
 from sim.effects_time import ClockScale, ImuDelay, JointDelay, ReferenceDelay, TorqueDelay
 from sim.errors import SurefootError
 from sim.log import Log
-from sim.robot import Robot
+
+M = TypeVar("M")
 
 __all__ = ["AXES", "CATALOGUE", "Effect", "effect", "explain_all"]
 
@@ -49,12 +51,14 @@ def effect(name: str, target: str, value: float) -> Effect:
     return CATALOGUE[name](target, float(value))
 
 
-def explain_all(effects: Iterable[Effect], log: Log, robot: Robot) -> tuple[Log, Robot]:
+def explain_all(effects: Iterable[Effect], log: Log, robot: M) -> tuple[Log, M]:
     """The log and robot as a model sees them that knows of all `effects`.
 
-    Those that no model knows of yet (`Effect.is_explained`) stay in the log as they are.
+    Those that no model knows of yet (`Effect.is_explained`) stay in the log as they are. A machine
+    on a fixed base may stand for the robot where no effect changes its body.
     """
+    known: Any = robot
     for one in effects:
         if one.is_explained():
-            log, robot = one.explain(log, robot)
-    return log, robot
+            log, known = one.explain(log, known)
+    return log, known

@@ -29,7 +29,7 @@ class LinkLength(Effect):
     name = "link_length"
     unit = "m"
     bounds = (-0.03, 0.03)
-    channels = ("leg_velocity",)
+    channels = ("leg_velocity", "foot_height", "base_wrench")
     targets = LINKS
     step = 1e-3
 
@@ -78,8 +78,9 @@ class HipOffset(Effect):
     name = "hip_offset"
     unit = "m"
     bounds = (-0.05, 0.05)
-    channels = ("leg_velocity", "foot_height")
+    channels = ("leg_velocity", "foot_height", "base_wrench")
     targets = HIPS
+    step = 1e-3
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         leg, axis = self.target.split("_")
@@ -91,6 +92,12 @@ class HipOffset(Effect):
         parent = model.body_parentid[model.body(moved.name).id]
         moved.pos = moved.pos + _in_frame(data, parent, along_G) * self.value
 
+    def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        leg, axis = self.target.split("_")
+        offset = robot.legs.offset.copy()
+        offset[LEGS.index(leg), 0, AXES.index(axis)] += self.value
+        return log, replace(robot, legs=robot.legs._replace(offset=offset))
+
 
 class FootRolling(Effect):
     """Every foot rolls on a radius larger than the declared one; its centre stays where it was.
@@ -101,7 +108,7 @@ class FootRolling(Effect):
     name = "foot_rolling"
     unit = "m"
     bounds = (-0.06, 0.06)
-    channels = ("leg_velocity",)
+    channels = ("leg_velocity", "foot_height", "base_wrench")
     targets = ("all",)
     step = 1e-3
 
@@ -132,12 +139,17 @@ class Payload(Effect):
     name = "payload"
     unit = "kg"
     bounds = (0.0, 30.0)
-    channels = ("base_wrench", "joint_torque")
+    channels = ("base_wrench",)
     targets = ("all",)
+    step = 0.1
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         if self.value:
             add_payload(spec, robot, self.value)
+
+    def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        known = replace(robot.beyond, payload=robot.beyond.payload + self.value)
+        return log, replace(robot, beyond=known)
 
 
 class ComOffset(Effect):
@@ -149,8 +161,9 @@ class ComOffset(Effect):
     name = "com_offset"
     unit = "m"
     bounds = (-0.2, 0.2)
-    channels = ("base_wrench", "joint_torque")
+    channels = ("base_wrench",)
     targets = AXES
+    step = 1e-3
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         base, model = spec.body(robot.base_name), spec.compile()
@@ -166,6 +179,11 @@ class ComOffset(Effect):
         base.mass = float(built.mass[0])
         base.ipos, base.iquat, base.inertia = place, built.iquat, built.inertia
         base.fullinertia = [np.nan, 0, 0, 0, 0, 0]
+
+    def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        along = self.value * np.eye(3)[AXES.index(self.target)]
+        known = replace(robot.beyond, com_shift=robot.beyond.com_shift + along)
+        return log, replace(robot, beyond=known)
 
 
 def _foot_geom(spec: mujoco.MjSpec, robot: Robot, leg: int):

@@ -6,11 +6,17 @@ Where a docstring gives no source for the bounds, none was found and they were c
 from dataclasses import replace
 
 import mujoco
+import numpy as np
 
-from sim.effect import Effect
+from sim.derivatives import JOINT_WINDOW, derivative
+from sim.effect import Effect, with_columns
 from sim.legs import JOINTS
+from sim.log import Log
 from sim.robot import Robot
 from sim.terrain import Ground
+
+STICKING = 0.03
+"""rad/s. Below it dry friction takes what it gets: a few times the noise of a measured rate."""
 
 
 class ViscousFriction(Effect):
@@ -24,10 +30,14 @@ class ViscousFriction(Effect):
     bounds = (0.0, 10.0)
     channels = ("joint_torque", "tracking")
     targets = JOINTS
+    step = 1e-2
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         # MuJoCo's damping is a polynomial; its first number multiplies the rate itself.
         _joint(spec, robot, self.target).damping[0] += self.value
+
+    def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        return _less_torque(log, self.target, self.value * _rate(log, self.target)), robot
 
 
 class CoulombFriction(Effect):
@@ -42,9 +52,14 @@ class CoulombFriction(Effect):
     bounds = (0.0, 10.0)
     channels = ("joint_torque", "tracking")
     targets = JOINTS
+    step = 1e-2
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         _joint(spec, robot, self.target).frictionloss += self.value
+
+    def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        side = np.tanh(_rate(log, self.target) / STICKING)
+        return _less_torque(log, self.target, self.value * side), robot
 
 
 class Armature(Effect):
@@ -58,9 +73,14 @@ class Armature(Effect):
     bounds = (0.0, 0.5)
     channels = ("joint_torque", "tracking")
     targets = JOINTS
+    step = 1e-3
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         _joint(spec, robot, self.target).armature += self.value
+
+    def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        rate = _rate(log, self.target)
+        return _less_torque(log, self.target, self.value * np.gradient(rate, log.t)), robot
 
 
 class FootSlip(Effect):
@@ -97,6 +117,19 @@ class SoftGround(Effect):
 
     def alter_ground(self, ground: Ground) -> Ground:
         return replace(ground, softness=ground.softness + self.value)
+
+
+def _rate(log: Log, joint: str) -> np.ndarray:
+    """A joint's rate (N,) [rad/s]: logged, else derived."""
+    if f"dq_{joint}" in log.frame:
+        return log.frame[f"dq_{joint}"].to_numpy()
+    return derivative(log.t, log.frame[[f"q_{joint}"]].to_numpy(), JOINT_WINDOW, causal=False)[:, 0]
+
+
+def _less_torque(log: Log, joint: str, taken: np.ndarray) -> Log:
+    """The log with a joint's torque less what the drive takes (N,) [N m]."""
+    column = f"tau_{joint}"
+    return with_columns(log, {column: log.frame[column].to_numpy() - taken})
 
 
 def _joint(spec: mujoco.MjSpec, robot: Robot, name: str):

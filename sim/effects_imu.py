@@ -26,6 +26,7 @@ class ImuRotation(Effect):
     bounds = (-0.5, 0.5)
     channels = ("imu_gyro", "imu_accel", "leg_velocity")
     targets = AXES
+    needs = ("imu",)
     step = 1e-3
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
@@ -55,6 +56,7 @@ class GyroScale(Effect):
     bounds = (-0.3, 0.3)
     channels = ("imu_gyro", "leg_velocity")
     targets = AXES
+    needs = ("imu",)
     step = 1e-3
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
@@ -78,11 +80,17 @@ class AccelScale(Effect):
     bounds = (-0.3, 0.3)
     channels = ("imu_accel",)
     targets = AXES
+    needs = ("imu",)
+    step = 1e-3
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         accel = streams.accel.copy()
         accel[:, AXES.index(self.target)] *= 1.0 + self.value
         return replace(streams, accel=accel)
+
+    def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        column = f"accel_{self.target}"
+        return with_columns(log, {column: log.frame[column].to_numpy() / (1 + self.value)}), robot
 
 
 class GyroBias(Effect):
@@ -96,9 +104,15 @@ class GyroBias(Effect):
     bounds = (-0.5, 0.5)
     channels = ("imu_gyro", "leg_velocity")
     targets = AXES
+    needs = ("imu",)
+    step = 1e-3
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         return replace(streams, gyro=streams.gyro + _along(self.target, self.value))
+
+    def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        column = f"gyro_{self.target}"
+        return with_columns(log, {column: log.frame[column].to_numpy() - self.value}), robot
 
 
 class AccelBias(Effect):
@@ -112,9 +126,15 @@ class AccelBias(Effect):
     bounds = (-2.0, 2.0)
     channels = ("imu_accel",)
     targets = AXES
+    needs = ("imu",)
+    step = 1e-2
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         return replace(streams, accel=streams.accel + _along(self.target, self.value))
+
+    def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        column = f"accel_{self.target}"
+        return with_columns(log, {column: log.frame[column].to_numpy() - self.value}), robot
 
 
 class GyroGSensitivity(Effect):
@@ -128,10 +148,16 @@ class GyroGSensitivity(Effect):
     bounds = (-0.02, 0.02)
     channels = ("imu_gyro", "leg_velocity")
     targets = AXES
+    needs = ("imu",)
+    step = 1e-4
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         felt = streams.accel * _along(self.target, self.value)
         return replace(streams, gyro=streams.gyro + felt)
+
+    def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        rate, force = (log.frame[f"{kind}_{self.target}"].to_numpy() for kind in ("gyro", "accel"))
+        return with_columns(log, {f"gyro_{self.target}": rate - self.value * force}), robot
 
 
 class ImuPosition(Effect):
@@ -144,11 +170,21 @@ class ImuPosition(Effect):
     name = "imu_position"
     unit = "m"
     bounds = (-0.5, 0.5)
-    channels = ("imu_accel", "leg_velocity")
+    channels = ("imu_accel",)
     targets = AXES
+    needs = ("imu",)
+    step = 1e-3
 
     def alter_mounting(self, robot: Robot) -> Robot:
         return replace(robot, p_BI=robot.p_BI + robot.R_BI @ _along(self.target, self.value))
+
+    def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        # Rows are means over a step: the rate's change over it lies between its neighbours.
+        omega, arm = log.gyro, _along(self.target, self.value)
+        spin = np.gradient(omega, log.t, axis=0)
+        felt = np.cross(spin, arm) + np.cross(omega, np.cross(omega, arm))
+        accel = log.accel - felt
+        return with_columns(log, {f"accel_{a}": accel[:, i] for i, a in enumerate(AXES)}), robot
 
 
 class ImuLowpass(Effect):
@@ -164,10 +200,17 @@ class ImuLowpass(Effect):
     bounds = (0.0, 0.1)
     channels = ("imu_gyro", "imu_accel")
     targets = ("all",)
+    needs = ("imu",)
+    step = 1e-3
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         gyro, accel = (low_pass(x, self.value, streams.rate) for x in (streams.gyro, streams.accel))
         return replace(streams, gyro=gyro, accel=accel)
+
+    def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        # The model's IMU gets the filter: undoing it on readings would raise their noise.
+        known = replace(robot.beyond, imu_lowpass=robot.beyond.imu_lowpass + self.value)
+        return log, replace(robot, beyond=known)
 
 
 def _along(axis: str, value: float) -> np.ndarray:

@@ -8,12 +8,16 @@ no source for the bounds, none was found and they were chosen wide.
 from dataclasses import replace
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from sim.effect import Effect, with_columns
 from sim.legs import JOINTS
 from sim.log import Log
 from sim.robot import Robot
 from sim.sensors import Streams
+
+TORQUE_WINDOW = 0.03
+"""s, over which a measured torque is averaged or differentiated before it says where a joint is."""
 
 
 class EncoderOffset(Effect):
@@ -25,7 +29,7 @@ class EncoderOffset(Effect):
     name = "encoder_offset"
     unit = "rad"
     bounds = (-0.2, 0.2)
-    channels = ("leg_velocity",)
+    channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
     targets = JOINTS
     step = 1e-3
 
@@ -45,12 +49,18 @@ class EncoderScale(Effect):
     name = "encoder_scale"
     unit = "ratio"
     bounds = (-0.2, 0.2)
-    channels = ("leg_velocity",)
+    channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
     targets = JOINTS
+    step = 1e-3
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         factor = 1.0 + self.value * _only(self.target)
         return replace(streams, q=streams.q * factor, dq=streams.dq * factor)
+
+    def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        names = [n for n in (f"q_{self.target}", f"dq_{self.target}") if n in log.frame]
+        scaled = {name: log.frame[name].to_numpy() / (1 + self.value) for name in names}
+        return with_columns(log, scaled), robot
 
 
 class JointCompliance(Effect):
@@ -63,13 +73,25 @@ class JointCompliance(Effect):
     name = "joint_compliance"
     unit = "rad/(N m)"
     bounds = (0.0, 0.02)
-    channels = ("leg_velocity",)
+    channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
     targets = JOINTS
+    needs = ("tau",)
+    step = 1e-4
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         wound = streams.tau * (self.value * _only(self.target))
         rate = np.gradient(wound, streams.t, axis=0)
         return replace(streams, q=streams.q + wound, dq=streams.dq + rate)
+
+    def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        torque = log.frame[f"tau_{self.target}"].to_numpy()
+        wound = {f"q_{self.target}": self.value * torque}
+        if f"dq_{self.target}" in log.frame:
+            # The torque's noise, differenced row by row, would drown the rate that is read.
+            slope = np.gradient(uniform_filter1d(torque, _window(log)), log.t)
+            wound[f"dq_{self.target}"] = self.value * slope
+        columns = {name: log.frame[name].to_numpy() - wound[name] for name in wound}
+        return with_columns(log, columns), robot
 
 
 class Backlash(Effect):
@@ -86,8 +108,10 @@ class Backlash(Effect):
     name = "backlash"
     unit = "rad"
     bounds = (0.0, 0.1)
-    channels = ("leg_velocity",)
+    channels = ("joint_rate", "leg_velocity", "foot_height", "base_wrench")
     targets = JOINTS
+    needs = ("tau",)
+    step = 1e-3
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         j = JOINTS.index(self.target)
@@ -97,6 +121,13 @@ class Backlash(Effect):
         q = streams.q.copy()
         q[:, j] += 0.5 * self.value * side[last]
         return replace(streams, q=q)
+
+    def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        torque = log.frame[f"tau_{self.target}"].to_numpy()
+        # A noisy torque near zero would jump from side to side: a mean over some rows does less.
+        side = np.sign(uniform_filter1d(torque, max(1, _window(log) // 4)))
+        q = log.frame[f"q_{self.target}"].to_numpy() - 0.5 * self.value * side
+        return with_columns(log, {f"q_{self.target}": q}), robot
 
 
 class TorqueScale(Effect):
@@ -112,9 +143,14 @@ class TorqueScale(Effect):
     bounds = (-0.5, 0.5)
     channels = ("joint_torque", "base_wrench")
     targets = JOINTS
+    step = 1e-2
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         return replace(streams, tau=streams.tau * (1.0 + self.value * _only(self.target)))
+
+    def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        column = f"tau_{self.target}"
+        return with_columns(log, {column: log.frame[column].to_numpy() / (1 + self.value)}), robot
 
 
 class TorqueBias(Effect):
@@ -125,9 +161,19 @@ class TorqueBias(Effect):
     bounds = (-20.0, 20.0)
     channels = ("joint_torque", "base_wrench")
     targets = JOINTS
+    step = 0.1
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         return replace(streams, tau=streams.tau + self.value * _only(self.target))
+
+    def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        column = f"tau_{self.target}"
+        return with_columns(log, {column: log.frame[column].to_numpy() - self.value}), robot
+
+
+def _window(log: Log) -> int:
+    """Rows within TORQUE_WINDOW."""
+    return max(1, round(TORQUE_WINDOW * log.rate))
 
 
 def _only(joint: str) -> np.ndarray:

@@ -14,10 +14,13 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from sim.effect import Effect, with_columns
 from sim.log import Log
+from sim.quaternion import quaternion_from_matrix
 from sim.robot import Robot
 from sim.sensors import Reference, Streams
 
 STREAMS = {"imu": ("gyro", "accel"), "joints": ("q", "dq", "tau"), "feet": ("force",)}
+COLUMNS = {**STREAMS, "feet": ("force", "contact"), "reference": ("ref",)}
+"""What a log has of each stream: contacts are told from the feet's forces."""
 
 
 class JointDelay(Effect):
@@ -26,20 +29,16 @@ class JointDelay(Effect):
     name = "joint_delay"
     unit = "s"
     bounds = (-0.05, 0.05)
-    channels = ("leg_velocity",)
+    channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
     targets = ("all",)
+    needs = ("reference",)
     step = 1e-3
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         return _late(streams, ("q", "dq", "tau"), self.value)
 
     def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        t = log.t
-        then = np.clip(t + self.value, t[0], t[-1])
-        names = [f"{kind}_{j}" for kind in ("q", "dq", "tau") if log.has(kind) for j in log.joints]
-        # A spline passes noise at every fraction of a sample; lines would smooth it at the half.
-        moved = CubicSpline(t, log.frame[names].to_numpy())(then)
-        return with_columns(log, {name: moved[:, i] for i, name in enumerate(names)}), robot
+        return _moved(log, ("q", "dq", "tau"), log.t + self.value), robot
 
 
 class ImuDelay(Effect):
@@ -50,10 +49,14 @@ class ImuDelay(Effect):
     bounds = (-0.05, 0.05)
     channels = ("imu_gyro", "imu_accel", "leg_velocity")
     targets = ("all",)
+    needs = ("imu",)
+    step = 1e-3
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        # Between two means over a sample lies the mean over parts of both: lines are right here.
         return _late(streams, STREAMS["imu"], self.value)
+
+    def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        return _moved(log, ("gyro", "accel"), log.t + self.value), robot
 
 
 class TorqueDelay(Effect):
@@ -64,9 +67,13 @@ class TorqueDelay(Effect):
     bounds = (-0.05, 0.05)
     channels = ("joint_torque", "base_wrench")
     targets = ("all",)
+    step = 1e-3
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         return _late(streams, ("tau",), self.value)
+
+    def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        return _moved(log, ("tau",), log.t + self.value), robot
 
 
 class ReferenceDelay(Effect):
@@ -75,11 +82,16 @@ class ReferenceDelay(Effect):
     name = "reference_delay"
     unit = "s"
     bounds = (-0.2, 0.2)
-    channels = ("imu_gyro", "imu_accel", "leg_velocity")
+    channels = ("imu_gyro", "imu_accel", "leg_velocity", "foot_height")
     targets = ("all",)
+    needs = ("reference",)
+    step = 1e-3
 
     def alter_reference(self, reference: Reference) -> Reference:
         return _reference_at(reference, reference.t - self.value)
+
+    def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        return _moved(log, ("ref",), log.t + self.value), robot
 
 
 class ClockScale(Effect):
@@ -94,6 +106,8 @@ class ClockScale(Effect):
     bounds = (-0.02, 0.02)
     channels = ("imu_gyro", "imu_accel", "leg_velocity")
     targets = (*STREAMS, "reference")
+    needs = ("reference",)
+    step = 1e-4
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         return _at(streams, STREAMS.get(self.target, ()), self._then(streams.t))
@@ -102,6 +116,10 @@ class ClockScale(Effect):
         if self.target != "reference":
             return reference
         return _reference_at(reference, self._then(reference.t))
+
+    def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        t = log.t
+        return _moved(log, COLUMNS[self.target], t[0] + (t - t[0]) / (1.0 + self.value)), robot
 
     def _then(self, t: np.ndarray) -> np.ndarray:
         return t[0] + (1.0 + self.value) * (t - t[0])
@@ -112,12 +130,17 @@ def _late(streams: Streams, names: tuple[str, ...], delay: float) -> Streams:
 
 
 def _at(streams: Streams, names: tuple[str, ...], then: np.ndarray) -> Streams:
-    """The streams with those of `names` as they were at the times `then` (N,) [s]."""
+    """The streams with those of `names` as they were at the times `then` (N,) [s].
+
+    Lines between the rows of an IMU would also be a low-pass, which no delay is.
+    """
     t = streams.t
     then = np.clip(then, t[0], t[-1])
     moved = {
-        name: np.column_stack([np.interp(then, t, x) for x in getattr(streams, name).T])
-        for name in names
+        name: CubicSpline(t, x)(then)
+        if name in STREAMS["imu"]
+        else np.column_stack([np.interp(then, t, column) for column in x.T])
+        for name, x in ((name, getattr(streams, name)) for name in names)
     }
     return replace(streams, **moved)
 
@@ -131,3 +154,32 @@ def _reference_at(reference: Reference, then: np.ndarray) -> Reference:
         for part in (reference.p_GI, reference.v_GI)
     )
     return Reference(t, turned.as_matrix(), p_GI, v_GI)
+
+
+def _moved(log: Log, kinds: tuple[str, ...], then: np.ndarray) -> Log:
+    """The log with the columns of these kinds as their rows at the times `then` (N,) [s] show them.
+
+    A spline passes noise at every fraction of a sample; lines would smooth it at the half. Flags
+    and attitudes are not for splines.
+    """
+    t = log.t
+    then = np.clip(then, t[0], t[-1])
+    names = [str(n) for n in log.frame if str(n).split("_")[0] in kinds and not _commanded(str(n))]
+    flags = [n for n in names if n.startswith(("contact_", "ref_ok"))]
+    turns = [n for n in names if n.startswith("ref_q_")]
+    smooth = [n for n in names if n not in flags and n not in turns]
+    columns = {}
+    if smooth:
+        values = CubicSpline(t, log.frame[smooth].to_numpy())(then)
+        columns |= {name: values[:, i] for i, name in enumerate(smooth)}
+    nearest = np.clip(np.searchsorted(0.5 * (t[1:] + t[:-1]), then), 0, len(t) - 1)
+    columns |= {name: log.frame[name].to_numpy()[nearest] for name in flags}
+    if turns:
+        attitude = Slerp(t, Rotation.from_matrix(log.ref_R_GI))(then).as_matrix()
+        values = quaternion_from_matrix(attitude)
+        columns |= {f"ref_q_{axis}": values[:, i] for i, axis in enumerate("wxyz")}
+    return with_columns(log, columns)
+
+
+def _commanded(name: str) -> bool:
+    return name.startswith(("q_des_", "dq_des_", "tau_ff_"))

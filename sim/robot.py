@@ -1,6 +1,6 @@
 """A 12-joint quadruped read from its MJCF: legs, feet, IMU and limits, in canonical order."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -16,6 +16,15 @@ from sim.robot_files import robot_file
 from sim.stance import standing_joints, stands
 
 IMU_SITES = ("imu", "imu_site", "IMU", "trunk_imu")
+
+
+@dataclass(frozen=True)
+class Beyond:
+    """What a model knows of its robot beyond the MJCF: effects that were added to it."""
+
+    payload: float = 0.0  # kg at the base's origin
+    com_shift: np.ndarray = field(default_factory=lambda: np.zeros(3))  # m, of the base's own, in B
+    imu_lowpass: float = 0.0  # s, time constant
 
 
 @dataclass(frozen=True)
@@ -42,6 +51,7 @@ class Robot:
     joint_names: tuple[str, ...]  # the model's own names, in canonical order
     foot_bodies: tuple[str, ...]  # name of the body that carries each foot's sphere
     foot_places: np.ndarray  # (4, 3) m, the sphere's centre in that body
+    beyond: Beyond = field(default_factory=Beyond)
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> "Robot":

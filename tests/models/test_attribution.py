@@ -1,14 +1,18 @@
 """Attribution on evidence with a known answer: sizes, intervals, masks, rivals and a placebo."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from models.attribution import Split, judge
+from models.attribution import judge
 from models.candidates import Evidence
-from models.fitting import Whitened, by_block, fit, overlap, resampled, whiten
-from models.floor import Floor
+from models.fitting import design, draws, fit, grams, loss, overlap
+from models.floor import Floor, Repeat
+from models.layout import QUADRUPED
 from models.masking import slips, trust
+from models.signature import sparse
 
 KEYS = (
     ("encoder_offset", "FL_hip"),
@@ -17,42 +21,62 @@ KEYS = (
     ("joint_delay", "all"),
 )
 BINS = 1500
-NOISE = np.repeat([5e-4, 1e-2, 2e-3], [3, 3, 12])
-NO_WALKS = Floor(NOISE, (), (), "none")
+WIDTH = QUADRUPED.width
+NOISE = np.repeat([5e-4, 1e-2, 2e-3, 1.0], [3, 3, 12, WIDTH - 18])
+NO_WALKS = Floor(NOISE, (), "none")
 
 
 def evidence(sizes=(0, 0, 0, 0), bias=(0, 0, 0, 0, 0, 0), seed=0, noise=NOISE):
     """Smooth random regressors on the columns that effects touch; feet stand half the time."""
     rng = np.random.default_rng(seed)
     t = 0.01 + 0.02 * np.arange(BINS)
-    X = np.zeros((BINS, 18, len(KEYS)))
+    X = np.zeros((BINS, WIDTH, len(KEYS)))
     waves = np.sin(
         2 * np.pi * rng.uniform(0.3, 4, (18, 4)) * t[:, None, None] + rng.uniform(0, 6, (18, 4))
     )
     X[:, 6:9, 0], X[:, 6:9, 1] = waves[:, 6:9, 0], waves[:, 6:9, 1]
     X[:, 0, 2] = 0.4 * waves[:, 0, 2]
-    X[:, 6:, 3] = 3.0 * waves[:, 6:, 3]
-    Z = np.zeros((BINS, 18, 6))
+    X[:, 6:18, 3] = 3.0 * waves[:, 6:18, 3]
+    Z = np.zeros((BINS, WIDTH, 6))
     Z[:, range(6), range(6)] = 1.0
-    Z[:, 6:, :3] = 0.3
+    Z[:, 6:18, :3] = 0.3
     table = X @ np.asarray(sizes, float) + Z @ np.asarray(bias, float)
     table += rng.normal(size=table.shape) * noise
     standing = (np.arange(BINS)[:, None] // 12 + np.array([0, 1, 1, 0])) % 2 == 0
-    missing = np.repeat(~standing, 3, axis=1)
-    table[:, 6:][missing] = np.nan
-    X[:, 6:][missing] = 0.0
-    Z[:, 6:][missing] = 0.0
-    return Evidence(t, np.zeros(BINS, int), table, KEYS, X, Z)
+    table[:, 6:18][np.repeat(~standing, 3, axis=1)] = np.nan
+    table[:, 18:] = np.nan
+    return made_of(t, table, X, Z)
 
 
-def halves(one):
-    block = np.floor(one.t / 4).astype(int)
-    return Split(block % 2 == 0, block % 2 == 1, np.zeros(len(one.t), bool))
+def made_of(t, table, X, Z):
+    return Evidence(
+        QUADRUPED, t, np.zeros(len(t), int), table, KEYS,
+        tuple(sparse(X[..., i], table) for i in range(X.shape[2])),
+        tuple(sparse(Z[..., i], table) for i in range(Z.shape[2])),
+        np.full(6, 1.0), (None,) * 6,
+    )  # fmt: skip
+
+
+def dense(one):
+    X = np.zeros((len(one.t), WIDTH, len(one.X)))
+    for i, x in enumerate(one.X):
+        X[:, x.columns, i] = x.values
+    return X
+
+
+def with_X(one, X):
+    return replace(one, X=tuple(sparse(X[..., i], one.table) for i in range(X.shape[2])))
+
+
+def whitened(one, floor=NOISE):
+    data = design(one)
+    believed = trust(data, floor)
+    split = np.floor(one.t / 4).astype(int) % 2
+    return grams(data, believed.sigma, believed.weight, split)
 
 
 def judged(one, chosen=(), floor=NO_WALKS, explained=0.0):
-    data = whiten(one, trust(one, NOISE))
-    return judge(data, floor, halves(one), chosen, explained, np.random.default_rng(0))
+    return judge(whitened(one), floor, chosen, explained, np.random.default_rng(0))
 
 
 def test_fit_recovers_sizes_and_biases_with_honest_errors():
@@ -60,18 +84,19 @@ def test_fit_recovers_sizes_and_biases_with_honest_errors():
     pulls = []
     for seed in range(12):
         one = evidence(truth[:4], truth[4:], seed)
-        found = fit(whiten(one, trust(one, NOISE)), KEYS)
-        pulls.append((found.sizes - truth) / np.sqrt(np.diag(found.covariance)))
+        found = fit(whitened(one), KEYS)
+        pulls.append((found.sizes - truth[:4]) / np.sqrt(np.diag(found.covariance)))
+        assert_allclose(-found.vector[5:], truth[4:], atol=3e-3)
     assert np.abs(pulls).max() < 5.5
     assert 0.7 < np.std(pulls) < 1.5
 
 
 def test_a_column_without_excitation_has_no_size_and_no_bound():
     one = evidence()
-    X = one.X.copy()
+    X = dense(one)
     X[..., 2] = 0.0
-    dead = Evidence(one.t, one.log, one.table, KEYS, X, one.Z)
-    found = fit(whiten(dead, trust(dead, NOISE)), KEYS[2:3])
+    dead = with_X(one, X)
+    found = fit(whitened(dead), KEYS[2:3])
     assert found.sizes[0] == 0.0
     assert np.isinf(found.covariance[0, 0])
     assert not any(c.earned for c in judged(dead) if c.key == KEYS[2])
@@ -99,9 +124,9 @@ def test_a_placebo_earns_nothing_beside_the_truth():
     rng = np.random.default_rng(3)
     for seed in range(5):
         one = evidence((0.004, 0, 0, 0), seed=seed)
-        X = one.X.copy()
-        X[..., 1] = np.where(np.isfinite(one.table), rng.normal(size=one.table.shape), 0.0)
-        with_placebo = Evidence(one.t, one.log, one.table, KEYS, X, one.Z)
+        X = dense(one)
+        X[..., 1] = rng.normal(size=one.table.shape)
+        with_placebo = with_X(one, X)
         best, *others = judged(with_placebo)
         assert best.key == KEYS[0]
         assert not any(c.earned for c in others)
@@ -110,10 +135,13 @@ def test_a_placebo_earns_nothing_beside_the_truth():
 
 def test_what_the_declared_model_fakes_is_taken_off():
     """Walks without the effect that show it at 2 mrad: 2 mrad are nothing, 8 mrad are 6."""
-    walks = tuple(
-        whiten(e, trust(e, NOISE)) for e in (evidence((0.002, 0, 0, 0), seed=k) for k in (1, 2, 3))
-    )
-    floor = Floor(NOISE, walks, (), "three walks")
+    walks = []
+    for k in (1, 2, 3):
+        data = design(evidence((0.002, 0, 0, 0), seed=k))
+        believed = trust(data, NOISE)
+        sums = grams(data, NOISE, believed.weight).total()
+        walks.append(Repeat(data.evidence, believed, sums))
+    floor = Floor(NOISE, tuple(walks), "three walks")
     assert not any(c.earned for c in judged(evidence((0.002, 0, 0, 0), seed=7), floor=floor))
     best = judged(evidence((0.008, 0, 0, 0), seed=7), floor=floor)[0]
     assert best.key == KEYS[0]
@@ -133,42 +161,59 @@ def test_a_slipping_stance_is_masked_and_a_systematic_error_is_not():
     standing = np.isfinite(table[:, 9])
     first = np.flatnonzero(standing)[60:72]
     table[first, 9] += 0.2
-    hurt = Evidence(one.t, one.log, table, KEYS, one.X, one.Z)
-    masked = trust(hurt, NOISE).masked
+    masked = trust(design(replace(one, table=table)), NOISE).masked
     assert masked[first, 1].all()
     assert masked.sum() == len(first)
     brief = one.table.copy()
     brief[first[5:7], 9] += 0.05
-    slid = Evidence(one.t, one.log, brief, KEYS, one.X, one.Z)
+    slid = design(replace(one, table=brief))
     assert trust(slid, NOISE).masked[first, 1].all(), "a slide of 40 ms in a longer stance"
     biased = one.table.copy()
     biased[:, 9] += 0.2
-    whole = Evidence(one.t, one.log, biased, KEYS, one.X, one.Z)
-    assert not trust(whole, NOISE).masked.any()
+    assert not trust(design(replace(one, table=biased)), NOISE).masked.any()
 
 
 def test_few_stances_are_no_bulk_to_stand_out_from():
-    one = evidence().rows(np.arange(60))
-    left = one.table.copy()
+    data = design(evidence())
+    left = np.full_like(data.evidence.table, np.nan)
+    left[:60] = data.evidence.table[:60]
     left[:12, 6] = 1.0
-    assert not slips(one, left, NOISE).any()
+    assert not slips(data, left).any()
 
 
 def test_overlap_is_the_cosine_of_what_biases_leave():
     one = evidence()
-    X = one.X.copy()
+    X = dense(one)
     X[..., 1] = -2.0 * X[..., 0]
-    data = whiten(Evidence(one.t, one.log, one.table, KEYS, X, one.Z), trust(one, NOISE))
+    data = whitened(with_X(one, X))
     assert overlap(data, KEYS[0], KEYS[1], ()) == pytest.approx(1.0)
     assert overlap(data, KEYS[0], KEYS[2], ()) < 1e-4
 
 
-def test_block_sums_and_their_bootstrap():
-    data = Whitened(
-        np.zeros((6, 18)), np.zeros((6, 18, 6)), np.ones((6, 18)), (), np.array([0, 0, 1, 1, 4, 4])
-    )
-    sums = by_block(data, np.arange(6.0))
-    assert_allclose(sums, [1.0, 5.0, 9.0])
-    drawn = resampled(sums, np.random.default_rng(0), draws=4000)
+def test_losses_from_block_sums_are_those_of_the_bins():
+    """The sums of products give what taking the sizes off bin by bin gives."""
+    one = evidence((0.01, 0, 0.02, 0), (1e-3, 0, 0, 0, 0.1, 0))
+    data = design(one)
+    believed = trust(data, NOISE)
+    sums = grams(data, believed.sigma, believed.weight)
+    vector = fit(sums, KEYS[:1]).vector
+    left = (data.y - data.explained(-vector[1:])) / believed.sigma
+    by_bin = np.sum(believed.weight * np.where(data.there, left, 0.0) ** 2, axis=1)
+    block = np.floor((one.t - one.t.min()) / 2.0).astype(int)
+    assert_allclose(loss(sums, vector), np.bincount(block, by_bin), rtol=1e-9)
+
+
+def test_a_bias_stays_within_what_is_declared():
+    """Beyond its limit a bias is not free: what is left of it is for an effect to explain."""
+    one = replace(evidence(bias=(0.02, 0, 0, 0, 0, 0)), limits=np.full(6, 5e-3))
+    sums = whitened(one)
+    vector = fit(sums, ()).vector
+    assert -vector[5] == pytest.approx(5e-3)
+    assert loss(sums, vector).sum() > 50 * loss(whitened(evidence()), fit(sums, ()).vector).min()
+
+
+def test_the_block_bootstrap_has_the_spread_of_block_sums():
+    sums = np.array([1.0, 5.0, 9.0])
+    drawn = draws(3, np.random.default_rng(0), 4000) @ sums
     assert drawn.mean() == pytest.approx(15.0, rel=0.02)
     assert drawn.std() == pytest.approx(np.sqrt(3 * np.var(sums)), rel=0.05)

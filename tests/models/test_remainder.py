@@ -5,10 +5,9 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from models.candidates import Case
+from models.candidates import case_of
 from models.masking import Trust
 from models.remainder import form, library
-from models.residual import measured_against
 from sim.robot import Robot
 from sim.scenario import Scenario, Segment
 from sim.terrain import Ground
@@ -21,17 +20,17 @@ ROBOT = Robot.load("spot_class")
 def case():
     segments = (Segment(6.0, 0.6, turn=0.3), Segment(6.0, 0.5, turn=-0.3))
     log = walk(Scenario("turns", segments, Ground(0.8)), ROBOT, 2)
-    return Case(log, ROBOT, measured_against(log))
+    return case_of(log, ROBOT)
 
 
 def formed(signal=None, column=1):
     """The form of white noise, with `signal` (a regressor's name) on one column of the gyro."""
     bins = len(case().frame.t)
-    left = 1e-3 * np.random.default_rng(0).normal(size=(bins, 18))
+    left = 1e-3 * np.random.default_rng(0).normal(size=(bins, 52))
     if signal:
         names, values = library([case()])
         left[:, column] += 2e-3 * values[:, names.index(signal)]
-    trusted = Trust(np.ones(18), np.ones((bins, 18)), np.zeros((bins, 4), bool), 0.0)
+    trusted = Trust(np.ones(52), np.ones((bins, 52)), np.zeros((bins, 4), bool), 0.0)
     seen = (case().frame.t // 2).astype(int) % 2 == 0
     return form([case()], left, trusted, ["imu_gyro"], seen, ~seen)
 

@@ -1,13 +1,14 @@
 """Residual channels: the sensors' own noise without an effect, and each effect's signature."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from models.residual import inside_stance, leg_velocity, measured_against, residual
+from models.bins import inside_stance, measured_against
+from models.residual import Parts, leg_velocity, residual
 from sim.effects import effect
 from sim.log import LogError
 from sim.robot import Robot
@@ -39,11 +40,27 @@ def rms(values):
     return np.sqrt(np.nanmean((values - np.nanmean(values, axis=0)) ** 2))
 
 
+@dataclass(frozen=True)
+class Left:
+    """The channels of a residual by name; a foot's velocity is (M, 4, 3)."""
+
+    parts: Parts
+
+    def __getattr__(self, name):
+        columns = {"gyro": slice(0, 3), "accel": slice(3, 6), "leg": slice(6, 18)}[name]
+        values = self.parts.table[:, columns]
+        return values.reshape(-1, 4, 3) if name == "leg" else values
+
+    @property
+    def t(self):
+        return self.parts.t
+
+
 def residual_of(log, robot=ROBOT, explained=()):
     frame = measured_against(log)
     for one in explained:
         log, robot = one.explain(log, robot)
-    return residual(log, robot, frame)
+    return Left(residual(log, robot, frame))
 
 
 def test_a_walk_as_declared_leaves_the_noise_of_its_imu():

@@ -94,7 +94,10 @@ def test_the_same_trace_of_a_log_that_tells_nothing_of_itself(tmp_path):
     assert texts[0] == texts[1]
     said = json.loads(texts[0])
     assert said["effects"][0]["unit"] == "rad"
-    assert set(said["channels"]) == {"imu_gyro", "imu_accel", "leg_velocity"}
+    assert set(said["channels"]) == {
+        *("imu_gyro", "imu_accel", "leg_velocity", "foot_height"),
+        *("joint_torque", "base_wrench", "joint_rate"),
+    }
     assert set(said["filters"]["leg"]) == {"before", "after"}
     for name in OUTPUTS:
         assert (tmp_path / "a" / name).stat().st_size > 0

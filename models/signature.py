@@ -1,0 +1,156 @@
+"""How each residual answers to a small change of the readings, bin by bin: the chain rule.
+
+An effect's `explain` says how it changes readings; from there on the derivatives are the same for
+all effects and are computed once a log.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from models.layout import QUADRUPED
+from models.residual import Parts, height_columns, leg_columns
+from models.torques import Effort, effort, slope, three, wrench_residual
+from sim.fixed_base import Machine
+from sim.robot import Robot
+
+STEP = 1e-5  # rad, rad/s
+
+
+@dataclass(frozen=True)
+class Regressor:
+    """What one unit of an effect adds to some columns (n,) of the residual table: values (M, n)."""
+
+    columns: np.ndarray
+    values: np.ndarray
+
+
+@dataclass(frozen=True)
+class Answers:
+    """Derivatives of a table's columns at each bin. Of legs, by the rate of the IMU (M, 12, 3) and
+    by the leg's own joints' angles and rates (M, 4, 3, 3); of heights, by the own joints' angles
+    (M, 4, 3); of torques and wrench together (M, J + 6, J), by angle, acceleration and torque."""
+
+    leg_omega: np.ndarray
+    leg_q: np.ndarray
+    leg_dq: np.ndarray
+    height_q: np.ndarray
+    effort_q: np.ndarray
+    effort_ddq: np.ndarray
+    effort_tau: np.ndarray
+
+
+def answers(parts: Parts, robot: Machine) -> Answers:
+    """Every derivative that a change of readings can ask for."""
+    m, joints = parts.bins.q.shape
+    leg_omega, leg = np.zeros((m, 12, 3)), np.zeros((2, m, 4, 3, 3))
+    height_q = np.zeros((m, 4, 3))
+    legged = parts.layout is QUADRUPED and np.isfinite(parts.table[:, 6:18]).any()
+    if legged:
+        assert isinstance(robot, Robot)
+        bins = parts.bins
+
+        def by(**moved) -> np.ndarray:
+            ahead = leg_columns(replace(bins, **moved), robot)
+            return np.nan_to_num(ahead - parts.table[:, 6:18]) / STEP
+
+        for axis in range(3):
+            leg_omega[:, :, axis] = by(omega=bins.omega + STEP * np.eye(3)[axis])
+            all_legs = STEP * np.tile(np.eye(3)[axis], 4)
+            leg[0, ..., axis] = by(q=bins.q + all_legs).reshape(m, 4, 3)
+            leg[1, ..., axis] = by(dq=bins.dq + all_legs).reshape(m, 4, 3)
+            if np.isfinite(parts.table[:, 18:22]).any():
+                rise = height_columns(replace(bins, q=bins.q + all_legs), robot)
+                height_q[:, :, axis] = np.nan_to_num(rise - parts.table[:, 18:22]) / STEP
+    by_effort = np.zeros((3, m, joints + 6, joints))
+    if parts.effort is not None:
+        by_effort = _by_effort(parts, parts.effort, robot)
+    return Answers(leg_omega, leg[0], leg[1], height_q, *by_effort)
+
+
+def _by_effort(parts: Parts, needed: Effort, robot: Machine) -> np.ndarray:
+    """(3, M, J + 6, J): torques then wrench, by each joint's angle, acceleration and torque."""
+    m, joints = parts.bins.q.shape
+    out = np.zeros((3, m, joints + 6, joints))
+    use = np.flatnonzero(parts.smooth.swings.any(axis=1) | parts.smooth.steady)
+    s = replace(parts.smooth, **{k: v[use] for k, v in vars(parts.smooth).items() if k != "names"})
+    here = Effort(needed.wrench[use], needed.torque[use])
+    base = _given(s, here, robot)
+    for j in range(joints):
+        one = np.eye(joints)[j]
+        for kind, moved in (
+            (0, replace(s, q=s.q + STEP * one)),
+            (1, replace(s, ddq=s.ddq + STEP * one)),
+        ):
+            other = effort(moved, robot)
+            out[kind, use, :joints, j] = (here.torque - other.torque) / STEP
+            out[kind, use, joints:, j] = (_given(moved, other, robot) - base) / STEP
+        moved = replace(s, tau=s.tau + one)
+        out[2, use, j, j] = 1.0
+        out[2, use, joints:, j] = _given(moved, here, robot) - base
+    return out
+
+
+def _given(s, needed: Effort, robot: Machine) -> np.ndarray:
+    """Wrench residual (M, 6), zero where there is none."""
+    if not isinstance(robot, Robot) or not s.steady.any():
+        return np.zeros((len(s.q), 6))
+    return np.nan_to_num(wrench_residual(s, needed, robot))
+
+
+def by_readings(
+    parts: Parts, known: Answers, change: Mapping[str, Mapping[int, np.ndarray]]
+) -> Regressor:
+    """What a change of readings does to the table: of each stream, at each place (axis or joint),
+    its means over bins (M,)."""
+    out = np.zeros(parts.table.shape)
+    layout, joints = parts.layout, parts.bins.q.shape[1]
+    legged = layout is QUADRUPED
+    torque, rate = layout.channels["joint_torque"].start, layout.channels["joint_rate"].start
+    forces = np.zeros((len(out), joints + 6))
+    for axis, x in change.get("gyro", {}).items():
+        out[:, axis] += x
+        out[:, 6:18] += known.leg_omega[:, :, axis] * x[:, None]
+    for axis, x in change.get("accel", {}).items():
+        out[:, 3 + axis] += x
+    for place, x in change.get("q", {}).items():
+        leg, j = divmod(place, 3)
+        if legged:
+            out[:, 6 + 3 * leg : 9 + 3 * leg] += known.leg_q[:, leg, :, j] * x[:, None]
+            out[:, 18 + leg] += known.height_q[:, leg, j] * x
+        out[:, rate + place] += slope(x)
+        forces += known.effort_q[:, :, place] * three(x)[:, None]
+    for place, x in change.get("dq", {}).items():
+        leg, j = divmod(place, 3)
+        if legged:
+            out[:, 6 + 3 * leg : 9 + 3 * leg] += known.leg_dq[:, leg, :, j] * x[:, None]
+        out[:, rate + place] -= three(x)
+        forces += known.effort_ddq[:, :, place] * slope(x)[:, None]
+    for place, x in change.get("tau", {}).items():
+        forces += known.effort_tau[:, :, place] * three(x)[:, None]
+    out[:, torque : torque + joints] += forces[:, :joints]
+    if legged:
+        out[:, layout.channels["base_wrench"]] += forces[:, joints:]
+    return sparse(out, parts.table)
+
+
+def by_robot(parts: Parts, robot: Machine, one: Robot, step: float) -> Regressor:
+    """What a changed body does to the table, the model `one` having `step` more than `robot`."""
+    table = parts.table.copy()
+    same_masses = robot.beyond is one.beyond
+    if np.isfinite(table[:, 6:18]).any() and same_masses:
+        table[:, 6:18] = leg_columns(parts.bins, one)
+        if np.isfinite(table[:, 18:22]).any():
+            table[:, 18:22] = height_columns(parts.bins, one)
+    if parts.effort is not None and parts.smooth.steady.any():
+        needed = parts.effort if same_masses else effort(parts.smooth, one)
+        table[:, 34:40] = wrench_residual(parts.smooth, needed, one)
+    return sparse((table - parts.table) / step, parts.table)
+
+
+def sparse(change: np.ndarray, table: np.ndarray) -> Regressor:
+    """The columns that change at all, zero where the table has nothing."""
+    change = np.where(np.isfinite(table), np.nan_to_num(change), 0.0)
+    columns = np.flatnonzero(np.abs(change).max(axis=0) > 1e-9)
+    return Regressor(columns, np.ascontiguousarray(change[:, columns]))

@@ -1,0 +1,148 @@
+"""Residuals of the joints' torques: against inverse dynamics in swing, and of the whole base.
+
+Rates of joints are too noisy to differentiate over less than three bins; so everything else in the
+equation of motion is averaged in the same way, by quarters, half and quarters.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from models.bins import BIN, Bins
+from sim.fixed_base import Machine
+from sim.inverse import dynamics_of
+from sim.kinematics import leg_forward
+from sim.robot import Robot
+
+
+@dataclass(frozen=True)
+class Smooth:
+    """What inverse dynamics takes, averaged over three bins: q, dq, ddq, tau (M, J), base (M, 9),
+    up_B (M, 3), standing (M, 4); swings (M, J): joints of feet that are in the air throughout;
+    steady (M,): bins within which no foot lands or lifts."""
+
+    q: np.ndarray
+    dq: np.ndarray
+    ddq: np.ndarray
+    tau: np.ndarray
+    base: np.ndarray
+    up_B: np.ndarray
+    standing: np.ndarray
+    swings: np.ndarray
+    steady: np.ndarray
+
+
+def smoothed(bins: Bins, robot: Machine) -> Smooth:
+    """The streams of a log's bins, ready for inverse dynamics."""
+    whole = np.zeros(len(bins.t), dtype=bool)
+    gaps = np.abs(np.diff(bins.t) - BIN) < 0.25 * BIN
+    whole[1:-1] = gaps[1:] & gaps[:-1]
+    stays, lifted = _always(bins.standing), _always(bins.lifted)
+    up_B, standing = np.zeros((len(bins.t), 3)), stays
+    if isinstance(robot, Robot):
+        up_B = three(bins.R_GI[:, 2]) @ robot.R_BI.T
+        legged = bool(bins.standing.any())
+        swings = np.repeat(lifted, 3, axis=1) if legged else np.ones_like(bins.q, dtype=bool)
+        steady = (stays | lifted).all(axis=1) & standing.any(axis=1)
+    else:
+        swings, steady = np.ones_like(bins.q, dtype=bool), np.zeros(len(bins.t), dtype=bool)
+    return Smooth(
+        three(bins.q), three(bins.dq), slope(bins.dq), three(bins.tau), three(bins.base), up_B,
+        standing, swings & whole[:, None], steady & whole,
+    )  # fmt: skip
+
+
+def three(x: np.ndarray) -> np.ndarray:
+    """Mean of x (M, ...) with its neighbours, by quarters; the ends stay as they are."""
+    out = x.copy()
+    out[1:-1] = 0.25 * x[:-2] + 0.5 * x[1:-1] + 0.25 * x[2:]
+    return out
+
+
+def slope(x: np.ndarray) -> np.ndarray:
+    """Slope of x (M, ...) per second from the bin before to the bin after."""
+    out = np.zeros_like(x)
+    out[1:-1] = (x[2:] - x[:-2]) / (2 * BIN)
+    return out
+
+
+@dataclass(frozen=True)
+class Effort:
+    """What the motion takes: wrench (M, 6) on the base, in B about its origin; torque (M, J)."""
+
+    wrench: np.ndarray
+    torque: np.ndarray
+
+
+def effort(s: Smooth, robot: Machine) -> Effort:
+    """Inverse dynamics of the declared model and of what it knows of its masses."""
+    dynamics = dynamics_of(robot.file, robot.joint_names)
+    wrench, torque = dynamics.inverse(s.q, s.dq, s.ddq, s.base)
+    if not dynamics.floating:
+        return Effort(wrench, torque)
+    omega, spin, force = s.base[:, :3], s.base[:, 3:6], s.base[:, 6:]
+    body = dynamics.model.body(robot.base_name) if isinstance(robot, Robot) else None
+    if body is not None:
+        shift, mass, place = robot.beyond.com_shift, float(body.mass[0]), body.ipos
+        felt = [
+            force + np.cross(spin, c) + np.cross(omega, np.cross(omega, c))
+            for c in (place, place + shift)
+        ]
+        wrench = wrench.copy()
+        wrench[:, :3] += mass * (felt[1] - felt[0]) + robot.beyond.payload * force
+        wrench[:, 3:] += mass * (np.cross(place + shift, felt[1]) - np.cross(place, felt[0]))
+    return Effort(wrench, torque)
+
+
+def torque_residual(s: Smooth, needed: Effort) -> np.ndarray:
+    """Measured torque less what the motion takes (M, J) [N m], NaN where a foot is loaded."""
+    return np.where(s.swings, s.tau - needed.torque, np.nan)
+
+
+def wrench_residual(s: Smooth, needed: Effort, robot: Robot) -> np.ndarray:
+    """What the feet give the base less what its motion takes (M, 6), in B; NaN where unsteady.
+
+    The leg rows of the equation of motion give each standing foot's force:
+    J^T f = inverse dynamics - measured torque.
+    """
+    given = feet_wrenches(
+        robot.legs, np.maximum(robot.foot_radius, 0.0), s.q, s.up_B, s.standing,
+        np.ascontiguousarray(needed.torque - s.tau),
+    ).sum(axis=1)  # fmt: skip
+    return np.where(s.steady[:, None], given - needed.wrench, np.nan)
+
+
+@njit(cache=True)
+def feet_wrenches(legs, radius, q, up, standing, taken):
+    """Force and moment (M, 4, 6) [N, N m] of each standing foot on the base, in B about its origin.
+
+    q (M, 12) [rad]; up (M, 3): the ground's normal in B; standing (M, 4); taken (M, 12): J^T f.
+    """
+    out = np.zeros((len(q), 4, 6))
+    foot, J, axes = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    for k in range(len(q)):
+        for leg in range(4):
+            if not standing[k, leg]:
+                continue
+            leg_forward(legs, leg, q[k, 3 * leg : 3 * leg + 3], foot, J, axes)
+            # At the point that touches, below the sphere's centre.
+            for a in range(3):
+                foot[a] -= radius[leg] * up[k, a]
+            for j in range(3):
+                for a in range(3):
+                    b, c = (a + 1) % 3, (a + 2) % 3
+                    J[a, j] -= radius[leg] * (axes[b, j] * up[k, c] - axes[c, j] * up[k, b])
+            f = np.linalg.solve(J.T, taken[k, 3 * leg : 3 * leg + 3])
+            for a in range(3):
+                b, c = (a + 1) % 3, (a + 2) % 3
+                out[k, leg, a] = f[a]
+                out[k, leg, 3 + a] = foot[b] * f[c] - foot[c] * f[b]
+    return out
+
+
+def _always(flag: np.ndarray) -> np.ndarray:
+    """Bins (M, 4) whose neighbours have the flag too."""
+    out = np.zeros_like(flag)
+    out[1:-1] = flag[:-2] & flag[1:-1] & flag[2:]
+    return out

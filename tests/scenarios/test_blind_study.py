@@ -1,0 +1,95 @@
+"""The blind study: its plan covers what it must, and its rules count as they say."""
+
+import pytest
+
+from scenarios.blind_report import write_report_of
+from scenarios.blind_score import points, right_channel, rules, sized, tells_twins
+from scenarios.blind_study import PLAN, cases, read_cases, run_study
+from scenarios.outside_effects import OUTSIDE
+from sim.effects import CATALOGUE
+from sim.files import read_toml
+
+TRUE = {"name": "encoder_offset", "target": "FL_hip", "value": 0.02, "unit": "rad"}
+
+
+def record(verdict="attributed", found=(), rivals=(), kind="single", effects=(TRUE,), **more):
+    said = [
+        {"name": n, "target": t, "value": v, "interval": [v - 1e-3, v + 1e-3]} for n, t, v in found
+    ]
+    names = [{"name": n, "target": t, "overlap": 0.99} for n, t in rivals]
+    return {
+        "number": 0, "kind": kind, "robot": "spot_class", "seed": 0, "effects": list(effects),
+        "verdict": verdict, "effects_found": said, "rivals": names, "over_floor": [3.0],
+        "channels": {}, **more,
+    }  # fmt: skip
+
+
+def test_the_plan_has_the_whole_catalogue_and_the_kinds_it_must():
+    planned = cases(read_toml(PLAN, "study"))
+    single = [c.effects[0].name for c in planned if c.kind == "single"]
+    assert len(single) >= 200
+    assert {single.count(name) for name in CATALOGUE} == {7}
+    outside = [c.effects[0].name for c in planned if c.kind == "outside"]
+    assert {outside.count(name) for name in OUTSIDE} == {3}
+    assert all(len(c.effects) == 2 for c in planned if c.kind == "together")
+    assert all(not c.effects for c in planned if c.kind == "clean")
+    assert min(c.seed for c in planned) >= 100
+    assert planned == cases(read_toml(PLAN, "study"))
+
+
+def test_half_a_point_for_the_truth_among_two():
+    right = ("encoder_offset", "FL_hip", 0.0205)
+    other = ("hip_offset", "FL_y", 0.01)
+    assert points(record(found=[right])) == 1.0
+    assert points(record(found=[other])) == 0.0
+    assert points(record(found=[("encoder_offset", "FR_hip", 0.02)])) == 0.0
+    assert points(record("confounded", [other], [right[:2]])) == 0.5
+    assert points(record("confounded", [other], [right[:2], ("gyro_bias", "x")])) == 0.0
+    assert points(record("no_residual")) == 0.0
+    assert sized(record(found=[right])) is True
+    assert sized(record(found=[("encoder_offset", "FL_hip", 0.03)])) is False
+    assert sized(record(found=[other])) is None
+
+
+def test_outside_the_catalogue_the_channel_counts():
+    warm = {"name": "thermal_gyro_drift", "target": "x", "value": 0.02, "unit": "rad/s"}
+    form = [{"channel": "imu_gyro", "column": "gyro_x", "regressors": ["time"], "share": 0.9}]
+    assert right_channel(record("none_of_these", effects=[warm], remainder=form))
+    assert not right_channel(record("attributed", effects=[warm], remainder=form))
+    levels = {
+        "imu_gyro": {"before": 2.0, "noise_floor": 1.0},
+        "leg_velocity": {"before": 9.0, "noise_floor": 3.0},
+    }
+    assert not right_channel(record("none_of_these", effects=[warm], channels=levels))
+
+
+def test_twins_must_both_be_named():
+    found, twin = [("encoder_offset", "FL_hip", 0.02)], [("backlash", "FL_hip")]
+    assert tells_twins(record("confounded", found, twin, twin="backlash FL_hip"))
+    assert not tells_twins(record("attributed", found, twin="backlash FL_hip"))
+
+
+def test_the_report_is_written_from_what_was_run(tmp_path):
+    right = [("encoder_offset", "FL_hip", 0.02)]
+    records = [
+        record(found=right),
+        record("no_residual", kind="clean", effects=(), over_floor=[]),
+        record(found=right, kind="together", effects=(TRUE,)),
+    ]
+    text = write_report_of(tmp_path, records)
+    assert "| right effect and target first" in text
+    assert (tmp_path / "report.html").stat().st_size > 10_000
+    measured = {row["rule"]: row["measured"] for row in rules(records)}
+    assert measured["a false name on a clean log"].startswith("0 %")
+
+
+@pytest.mark.slow
+def test_the_blind_study(tmp_path):
+    """The whole of it: a few hours of one core."""
+    run_study(tmp_path, workers=2)
+    records = list(read_cases(tmp_path))
+    print(write_report_of(tmp_path, records))
+    single = [points(r) for r in records if r["kind"] == "single" and "fell" not in r]
+    clean = [bool(r["effects_found"]) for r in records if r["kind"] == "clean"]
+    assert sum(single) >= 0.8 * len(single)
+    assert sum(clean) <= 1

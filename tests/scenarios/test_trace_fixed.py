@@ -1,0 +1,82 @@
+"""One drive on a bench: what its rigid model lacks is found from torque, angle and rate alone."""
+
+import mujoco
+import numpy as np
+import pandas as pd
+import pytest
+
+from scenarios.trace import diagnose
+from scenarios.trace_words import summary
+from sim.errors import SurefootError
+from sim.fixed_base import FixedBase, load_machine, machine_for_log
+from sim.inverse import dynamics_of
+from sim.log import Log, Meta
+from sim.robot import Robot
+
+PENDULUM = load_machine("ak80_pendulum")
+RATE = 500.0
+
+
+def swung(seconds=12.0, viscous=0.0, dry=0.0, rotor=0.0, scale=0.0, seed=0):
+    """The pendulum driven through sines; friction and rotor are put into its MjSpec."""
+    spec = mujoco.MjSpec.from_file(str(PENDULUM.file))
+    joint = spec.joint("shoulder")
+    joint.damping[0], joint.frictionloss, joint.armature = viscous, dry, rotor
+    motor = spec.add_actuator(target="shoulder", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    motor.set_to_motor()
+    spec.option.timestep = 1.0 / RATE
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(seed)
+    rows = []
+    for k in range(int(seconds * RATE)):
+        t = k / RATE
+        goal = 1.2 * np.sin(2.0 * t) + 0.6 * np.sin(5.1 * t + 1.0)
+        data.ctrl[0] = 20.0 * (goal - data.qpos[0]) - 1.0 * data.qvel[0]
+        mujoco.mj_step(model, data)
+        rows.append((t, data.qpos[0], data.qvel[0], data.ctrl[0] * (1.0 + scale)))
+    frame = pd.DataFrame(np.array(rows), columns=["t", "q_shoulder", "dq_shoulder", "tau_shoulder"])
+    frame["tau_shoulder"] += rng.normal(0, 0.02, len(frame))
+    frame["dq_shoulder"] += rng.normal(0, 0.01, len(frame))
+    frame["q_shoulder"] = np.round(frame["q_shoulder"] / 3.8e-4) * 3.8e-4
+    return Log(frame, Meta(rate=RATE, robot="ak80_pendulum"), "swing")
+
+
+@pytest.mark.parametrize(
+    ("made", "name", "size"),
+    [
+        ({"viscous": 0.1}, "viscous_friction", 0.1),
+        ({"dry": 0.2}, "coulomb_friction", 0.2),
+        ({"rotor": 0.02}, "armature", 0.02),
+        ({"scale": 0.1}, "torque_scale", 0.1),
+    ],
+)
+def test_what_one_drive_lacks_is_named_with_its_size(made, name, size):
+    found = diagnose([swung(**made)], PENDULUM)
+    assert (found.effects[0].name, found.effects[0].target) == (name, "shoulder")
+    assert found.effects[0].value == pytest.approx(size, rel=0.1)
+    assert found.channels["joint_torque"].after < 0.3 * found.channels["joint_torque"].before
+    assert "imu_gyro: not used" in summary(found)
+
+
+def test_a_drive_as_declared_lacks_nothing():
+    assert diagnose([swung()], PENDULUM).effects == ()
+
+
+def test_inverse_dynamics_is_the_pendulum_s_equation():
+    """I q'' + m g l sin q, with the published mass and the inertia of rod and point mass."""
+    dynamics = dynamics_of(PENDULUM.file, PENDULUM.joint_names)
+    q, ddq = np.array([[0.3], [-1.1]]), np.array([[2.0], [-0.5]])
+    _, torque = dynamics.inverse(q, np.zeros((2, 1)), ddq)
+    inertia = 0.546 * 0.25 + 0.13 * (0.24**2 + 0.48**2 / 12)
+    assert torque == pytest.approx(inertia * ddq + 0.676 * 9.81 * 0.45 * np.sin(q), rel=1e-3)
+
+
+def test_machines_are_told_from_robots_and_joints_are_checked():
+    assert isinstance(PENDULUM, FixedBase)
+    assert isinstance(load_machine("spot_class"), Robot)
+    log = swung(1.0)
+    assert machine_for_log(log).joint_names == ("shoulder",)
+    renamed = log.frame.rename(columns=lambda n: n.replace("shoulder", "elbow"))
+    with pytest.raises(SurefootError, match="joint elbow is not one of ak80_pendulum's: shoulder"):
+        machine_for_log(Log(renamed, log.meta, "x"))
