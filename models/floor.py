@@ -76,7 +76,13 @@ class Floor:
             # A bias is drawn anew whenever the sensor is switched on.
             return 0.0, float(free.limits[free.stands_for.index(key)] / TURN_ON)
         sizes = [fit(one.grams, keys, errors=False).sizes[-1] for one in knowing]
-        return float(np.mean(sizes)), float(np.std(sizes, ddof=1)) if len(sizes) > 1 else 0.0
+        mean, spread = (
+            float(np.mean(sizes)),
+            float(np.std(sizes, ddof=1)) if len(sizes) > 1 else 0.0,
+        )
+        # Only what the walks agree on is the contacts' doing; the rest is chance.
+        systematic = abs(mean) > 2.0 * spread / np.sqrt(len(sizes))
+        return (mean if systematic else 0.0), spread
 
 
 def floor_of(cases: Sequence[Case]) -> Floor:
