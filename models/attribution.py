@@ -270,7 +270,7 @@ def _with_intervals(data: Grams, chosen: Sequence[Effect], floor: Floor) -> tupl
         repeats = len(floor.repeats)
         half = np.hypot(1.96 * np.sqrt(covariance[i, i]), 1.96 * DOUBT * offset)
         if repeats > 1:
-            half = np.hypot(half, t.ppf(0.975, repeats - 1) * spread * np.sqrt(1 + 1 / repeats))
+            half = np.hypot(half, t.ppf(0.975, repeats - 1) * spread)
         at = 1 + data.keys.index(keys[i])
         strength = float(total[at, at] * one.value**2)
         found.append((strength, Found(one, (one.value - half, one.value + half))))

@@ -1,7 +1,7 @@
 """What residual the declared model leaves by itself: the log's own motion, simulated again."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
@@ -59,30 +59,48 @@ class Floor:
     file: Path | None = None
     courses: tuple[Course, ...] = ()
     groups: Groups = ()
+    _known: dict = field(default_factory=dict, compare=False, repr=False)
 
     def sizes(self, chosen: Sequence[Key], key: Key) -> tuple[float, float]:
         """Mean and spread of the size that `key`, fitted along with `chosen`, has where it is not.
 
         Contacts that give and creep look a little like effects, the same way on every walk.
         """
-        if not self.repeats:
+        alike = [k for k in self._keys if k[0] == key[0] and _part(k) == _part(key)]
+        if key not in alike:
             return 0.0, 0.0
-        keys = [*chosen, key]
-        knowing = [one for one in self.repeats if set(keys) <= set(one.grams.keys)]
-        if not knowing:
-            return 0.0, 0.0
-        free = knowing[0].grams
+        free = self.repeats[0].grams
         if key in free.stands_for:
             # A bias is drawn anew whenever the sensor is switched on.
             return 0.0, float(free.limits[free.stands_for.index(key)] / TURN_ON)
-        sizes = [fit(one.grams, keys, errors=False).sizes[-1] for one in knowing]
-        mean, spread = (
-            float(np.mean(sizes)),
-            float(np.std(sizes, ddof=1)) if len(sizes) > 1 else 0.0,
-        )
+        own = self._sizes(chosen, key)
+        mean, count = float(np.mean(own)), len(own)
+        if count < 2:
+            return mean, 0.0
+        # A few walks tell little of how far a size varies: its like on other legs tell as much.
+        spreads = [np.var(self._sizes(chosen, k), ddof=1) for k in alike if k not in chosen]
+        spread = float(np.sqrt(max(np.var(own, ddof=1), np.mean(spreads)) * (1 + 1 / count)))
         # Only what the walks agree on is the contacts' doing; the rest is chance.
-        systematic = abs(mean) > 2.0 * spread / np.sqrt(len(sizes))
-        return (mean if systematic else 0.0), spread
+        return (mean if abs(mean) > 2.0 * spread / np.sqrt(count) else 0.0), spread
+
+    @property
+    def _keys(self) -> tuple[Key, ...]:
+        return self.repeats[0].grams.keys if self.repeats else ()
+
+    def _sizes(self, chosen: Sequence[Key], key: Key) -> np.ndarray:
+        """Size of `key` (R,), fitted along with `chosen`, on each walk that knows of all."""
+        asked = (tuple(chosen), key)
+        if asked not in self._known:
+            keys = [*chosen, key]
+            knowing = [one for one in self.repeats if set(keys) <= set(one.grams.keys)]
+            sizes = [fit(one.grams, keys, errors=False).sizes[-1] for one in knowing]
+            self._known[asked] = np.array(sizes or [0.0])
+        return self._known[asked]
+
+
+def _part(key: Key) -> str:
+    """What of a leg or of the body a target is: 'calf' of 'FL_calf'."""
+    return key[1].rsplit("_", 1)[-1] if key[0] != "clock_scale" else key[1]
 
 
 def floor_of(cases: Sequence[Case]) -> Floor:

@@ -37,11 +37,8 @@ def load_machine(name_or_path: str | Path) -> Machine:
         raise SurefootError(f"robot {file}: MuJoCo cannot read it: {reason}") from None
     if (model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any():
         return Robot.load(name_or_path)
-    single = [
-        model.joint(j).name
-        for j in range(model.njnt)
-        if model.jnt_type[j] in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
-    ]
+    moves = {int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)}
+    single = [model.joint(j).name for j in range(model.njnt) if int(model.jnt_type[j]) in moves]
     if not single:
         raise SurefootError(f"robot {file}: has no hinge or slide")
     return FixedBase(file.stem, file, tuple(single))

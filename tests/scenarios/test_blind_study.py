@@ -30,7 +30,8 @@ def test_the_plan_has_the_whole_catalogue_and_the_kinds_it_must():
     assert len(single) >= 200
     assert {single.count(name) for name in CATALOGUE} == {7}
     outside = [c.effects[0].name for c in planned if c.kind == "outside"]
-    assert {outside.count(name) for name in OUTSIDE} == {3}
+    assert len(outside) == 18
+    assert min(outside.count(name) for name in OUTSIDE) >= 2
     assert all(len(c.effects) == 2 for c in planned if c.kind == "together")
     assert all(not c.effects for c in planned if c.kind == "clean")
     assert min(c.seed for c in planned) >= 100

@@ -32,9 +32,12 @@ def swung(seconds=12.0, viscous=0.0, dry=0.0, rotor=0.0, scale=0.0, seed=0):
     for k in range(int(seconds * RATE)):
         t = k / RATE
         goal = 1.2 * np.sin(2.0 * t) + 0.6 * np.sin(5.1 * t + 1.0)
+        before = data.ctrl[0]
         data.ctrl[0] = 20.0 * (goal - data.qpos[0]) - 1.0 * data.qvel[0]
+        # At the row's own time the torque is between those of the steps around it.
+        torque = 0.5 * (before + data.ctrl[0]) * (1.0 + scale)
+        rows.append((t, data.qpos[0], data.qvel[0], torque))
         mujoco.mj_step(model, data)
-        rows.append((t, data.qpos[0], data.qvel[0], data.ctrl[0] * (1.0 + scale)))
     frame = pd.DataFrame(np.array(rows), columns=["t", "q_shoulder", "dq_shoulder", "tau_shoulder"])
     frame["tau_shoulder"] += rng.normal(0, 0.02, len(frame))
     frame["dq_shoulder"] += rng.normal(0, 0.01, len(frame))
