@@ -164,7 +164,7 @@ def fit(data: Grams, keys: Sequence[Key], errors: bool = True) -> Fit:
     covariance = np.full((len(keys), len(keys)), np.nan)
     if errors:
         there = np.flatnonzero(vector)
-        scores = data.G[:, np.array(use)[:, None], there] @ vector[there]
+        scores = data.G[:, np.array(use, dtype=int)[:, None], there] @ vector[there]
         covariance = (inverse @ (scores.T @ scores) @ inverse)[: len(keys), : len(keys)]
         covariance[dead[: len(keys)], dead[: len(keys)]] = np.inf
         # A bias that an effect stands for is not known better than it is declared.
