@@ -268,9 +268,9 @@ def _with_intervals(data: Grams, chosen: Sequence[Effect], floor: Floor) -> tupl
     for i, one in enumerate(chosen):
         offset, spread = floor.sizes([k for k in keys if k != keys[i]], keys[i])
         repeats = len(floor.repeats)
-        half = np.hypot(1.96 * np.sqrt(covariance[i, i]), 1.96 * DOUBT * offset)
+        half = float(np.hypot(1.96 * np.sqrt(covariance[i, i]), 1.96 * DOUBT * offset))
         if repeats > 1:
-            half = np.hypot(half, t.ppf(0.975, repeats - 1) * spread)
+            half = float(np.hypot(half, t.ppf(0.975, repeats - 1) * spread))
         at = 1 + data.keys.index(keys[i])
         strength = float(total[at, at] * one.value**2)
         found.append((strength, Found(one, (one.value - half, one.value + half))))
