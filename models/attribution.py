@@ -14,9 +14,9 @@ from sim.effects import CATALOGUE, Effect, effect
 
 AT_MOST = 4
 """Effects that one trace may name."""
-ABOVE_FLOOR = 4.0
+ABOVE_FLOOR = 5.0
 """How many times its size on walks that lack it an effect must have."""
-DOUBT = 0.3
+DOUBT = 0.5
 """Share of the size that contacts fake on such walks which is taken for uncertain."""
 WORTH = 0.02
 """Share of what is explained so far that a further effect must add."""

@@ -29,6 +29,8 @@ PIECE = 1.0
 FRICTION = 0.8
 SEED = 20_011
 STAND = 0.5  # s
+LEVEL = 4e-5
+"""m. Simulated ground is level to a hundredth of a millimetre, which no real floor is."""
 
 
 Course = tuple[tuple[float, float, float], ...]
@@ -151,8 +153,7 @@ def _floor(
     sigma = np.sqrt(np.mean([one.trust.sigma**2 for one in repeats], axis=0))
     layout = repeats[0].evidence.layout
     heights = layout.channels["foot_height"]
-    # Simulated ground is level to a hundredth of a millimetre; an encoder does not see that.
-    sigma[heights] = np.maximum(sigma[heights], sheet_noise(1.0, layout)[heights])
+    sigma[heights] = np.maximum(sigma[heights], LEVEL)
     source = f"{len(repeats)} simulated walks of the declared model along the log's own course"
     return Floor(sigma, repeats, source, file, along, groups)
 

@@ -8,6 +8,7 @@ import numpy as np
 from models.attribution import Attribution, Split
 from models.candidates import Case, Evidence, linearise
 from models.fitting import design, fit, grams
+from models.floor import LEVEL
 from models.layout import UNITS
 from models.masking import Trust, hidden
 
@@ -58,7 +59,7 @@ def channel_levels(cases: Sequence[Case], result: Attribution, split: Split) -> 
     for name, columns in evidence.layout.channels.items():
         if not np.isfinite(before[split.report][:, columns]).any():
             continue
-        least = float(floor.sigma[columns].min()) if name == "foot_height" else 0.0
+        least = 5.0 * LEVEL if name == "foot_height" else 0.0
         level = [
             max(_rms(part[:, columns]), least)
             for part in floors
