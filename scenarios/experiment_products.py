@@ -140,7 +140,7 @@ def make_estimates(
             inputs["parameters"] = asdict(parameters)
             if "observers" in needs:
                 inputs["observers"] = sorted(one.digest for one in learnt.observers.values())
-            if "bounds" in needs:
+            if {"bounds", "persistent"} & set(needs):
                 bounds = learnt.bounds.get(gamma, {})
                 inputs["bounds"] = sorted(one.digest for one in bounds.values())
 

@@ -247,10 +247,13 @@ FILTERS: dict[str, Callable[[Log, Robot, Learnt], Run]] = {
 NEEDS: dict[str, tuple[str, ...]] = {
     "velocity": ("observers",),
     "velocity_inflated": ("observers",),
+    "velocity_persistent": ("observers", "persistent"),
     "leg": (),
     "leg_slip": (),
     "radar_leg": (),
     "imu": (),
 }
-"""What a filter reads besides the log, observers and bounds where it is not said: a filter that
-reads no bounds is the same at every gamma."""
+"""What a filter reads besides the log: observers, bounds, or of these the persistent part alone.
+
+Observers and bounds where it is not said. Who does not read bounds is the same at every gamma.
+"""
