@@ -14,12 +14,13 @@ from scenarios.cli import main
 from scenarios.montecarlo import (
     READINGS,
     Found,
+    Row,
     bounds,
     paper_settings,
     run_study,
 )
-from scenarios.montecarlo_batch import Setting, run_batch
-from scenarios.montecarlo_report import montecarlo, write_study
+from scenarios.montecarlo_batch import Scores, Setting, run_batch
+from scenarios.montecarlo_report import beyond_table, montecarlo, write_study
 from scenarios.montecarlo_spread import on_cluster, on_workers
 from scenarios.montecarlo_study import (
     BIASED,
@@ -144,6 +145,30 @@ def test_the_study_is_the_same_from_the_same_seed_and_is_written_whole(study, fo
     assert {p.name for p in tmp_path.glob("*.csv")} == {
         "table.csv", "beyond.csv", "runtime.csv", "remark.csv", "iterations.csv",
     }  # fmt: skip
+
+
+def test_paired_trials_say_where_coverage_pays():
+    rng = np.random.default_rng(0)
+    hardness = rng.lognormal(0.0, 1.0, 40)  # common to both filters: pairing takes it out
+
+    def verdict(rmse: float, nees: float) -> str:
+        rows = [
+            Row("some", name, None, None, None, _constant_scores(scale[0] * hardness, scale[1]))
+            for name, scale in {
+                "velocity_persistent": (1.0, 6.0), "coverage_persistent": (rmse, nees),
+            }.items()
+        ]  # fmt: skip
+        return beyond_table(rows)["coverage beside velocity"].iloc[0]
+
+    def _constant_scores(rmse: np.ndarray, nees: float) -> Scores:
+        distance = (rmse * rng.normal(1.0, 0.01, 40))[:, None]
+        return Scores(distance, nees * rng.normal(1.0, 0.01, (40, 1)), np.ones(40))
+
+    assert verdict(0.9, 3.0) == "more accurate, more consistent"
+    assert verdict(1.1, 12.0) == "less accurate, less consistent"
+    # Twice too sure and twice too cautious are equally far from 3.
+    assert verdict(1.1, 0.5) == "less accurate, less consistent"
+    assert verdict(0.9, 2.0) == "more accurate, more consistent"
 
 
 @pytest.mark.parametrize("where", ["workers", "cluster"])
