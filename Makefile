@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo test check study study-observer study-trace lock clean
+.PHONY: setup demo test check study study-observer study-trace suites lock clean
 
 setup: .venv/.ready
 
@@ -35,6 +35,11 @@ study-observer: setup
 # What trace takes undeclared effects for, whole catalogue; killed, it goes on where it was.
 study-trace: setup
 	$(BIN)/python -m scenarios.blind_study --out out/blind_study
+
+# The paper's two tables on three seeds, about half an hour on two idle cores; killed, it goes on.
+suites: setup
+	$(BIN)/surefoot suite vision60 -o out/suite_vision60 --workers 2 --force
+	$(BIN)/surefoot suite spot -o out/suite_spot --workers 2 --force
 
 lock: setup
 	$(BIN)/pip freeze --exclude-editable | sed 's/+cpu$$//' > requirements.lock

@@ -148,7 +148,7 @@ def make_estimates(
                 robot = known_robot(robot_name)
                 result = run_filter(filter_name, log(), robot, loaded(gamma))
                 error_table(log(), result.trajectory).to_parquet(path, index=False)
-                return estimate_facts(log(), result, loaded(gamma))
+                return estimate_facts(log(), robot, result, loaded(gamma))
 
             try:
                 one = product(

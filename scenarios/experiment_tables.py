@@ -34,6 +34,8 @@ SHARE = "APE [% of path]"
 HELD = "coverage [%]"
 MEANINGS = {
     **MEANINGS,
+    HELD: "share of velocity errors jointly inside the bounds, with a 95 % interval; not told of "
+    "filters whose bounds are on something else",
     SHARE: "APE_trans over the length of the walk",
     "±": "standard deviation over seeds; each seed is a robot, its walks and its observers",
 }
