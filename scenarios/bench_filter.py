@@ -11,6 +11,7 @@ from estimator.filter import InvariantFilter
 from estimator.lift import lift, output
 from estimator.propagation import propagate
 from estimator.state import EXTRA, FilterNoise, NavState
+from models.architectures import ARCHITECTURES
 from models.network import Network
 from models.observer import Observer
 from models.predict import Loop
@@ -122,16 +123,18 @@ def step_row(rounds: int, tell: Tell | None = None) -> Ratio:
     )
 
 
-def untrained_observer(hidden: int = 64, inputs: int = 36) -> Observer:
-    """An observer of the usual size (q, dq and tau of 12 joints) with weights as drawn."""
-    network = Network(inputs, 3, hidden)
+def untrained_observer(inputs: int = 36) -> Observer:
+    """A GRU of the usual size (q, dq and tau of 12 joints) with weights as drawn."""
+    width = ARCHITECTURES["gru"].width
+    network = Network("gru", inputs, 3, width)
     network.initialise(torch.Generator().manual_seed(0))
     return Observer(
-        weights=network.state_dict(), inputs=("q", "dq", "tau"),
+        model="gru", width=width, weights=network.state_dict(), inputs=("q", "dq", "tau"),
         joints=tuple(f"joint_{k}" for k in range(inputs // 3)),
         input_mean=np.zeros(inputs), input_scale=np.ones(inputs),
         output_mean=np.zeros(3), output_scale=np.ones(3), robot="none", p_BI=np.zeros(3),
-        R_BI=np.eye(3), loss="mse", logs=(), seed=0, rate=100.0, hidden=hidden, rmse=np.ones(3),
+        R_BI=np.eye(3), loss="mse", logs=(), seed=0, rate=100.0, rmse=np.ones(3),
+        errors=np.zeros((1, 3)),
     )  # fmt: skip
 
 
