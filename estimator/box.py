@@ -18,9 +18,12 @@ from estimator.box_faces import nearest_given_first, nearest_in_box, remaining
 from estimator.box_grid import grid_moments
 from estimator.box_line import DEPTH, line_moments, plane_moments
 from estimator.box_parts import outer_parts
+from estimator.box_prior import below_prior, clip_to_prior
 from estimator.quadrature import NODES, WEIGHTS, drop_between, rule
 
 _LOG_2PI = math.log(2.0 * math.pi)
+_FAR = 1e6
+"""Squared distance beyond which what is above the prior's covariance has lost its digits."""
 
 
 def box_moments(
@@ -74,29 +77,38 @@ def box_moments_kernel(mean, cov, lower, upper, out_mean, out_cov) -> float:
             C[i, j] = cov[a, order[j]] / (spread[a] * spread[order[j]])
     mode = np.empty(3)
     distance = nearest_in_box(C, low, high, mode)
-    grid_mean, grid_cov = np.empty(3), np.empty((3, 3))
-    log_prob = grid_moments(C, low, high, mode, distance, grid_mean, grid_cov)
-    if not np.isnan(log_prob):
-        for i in range(3):
-            a = order[i]
-            out_mean[a] = min(max(mean[a] + spread[a] * grid_mean[i], lower[a]), upper[a])
-            for j in range(3):
-                out_cov[a, order[j]] = spread[a] * spread[order[j]] * grid_cov[i, j]
-        return min(log_prob, 0.0)
-    sums = np.zeros(10)
-    log_density = _integrate(C, low, high, mode, distance, sums)
-    if not _sound(sums):
-        log_density = _corner(C, low, high, mode, distance, sums)
-    total = sums[0]
+    found, S = np.empty(3), np.empty((3, 3))
+    log_prob = grid_moments(C, low, high, mode, distance, found, S)
+    if np.isnan(log_prob):
+        sums = np.zeros(10)
+        log_prob = _integrate(C, low, high, mode, distance, sums)
+        sound = _sound(sums)
+        if sound:
+            _centre(sums, mode, found, S)
+            sound = distance < _FAR or below_prior(C, S)
+        if not sound:
+            log_prob = _corner(C, low, high, mode, distance, sums)
+            _centre(sums, mode, found, S)
+        log_prob += math.log(sums[0])
+    if not below_prior(C, S):
+        clip_to_prior(C, S)
     for i in range(3):
         a = order[i]
-        out_mean[a] = mean[a] + spread[a] * (mode[i] + sums[1 + i] / total)
+        out_mean[a] = min(max(mean[a] + spread[a] * found[i], lower[a]), upper[a])
+        for j in range(3):
+            out_cov[a, order[j]] = spread[a] * spread[order[j]] * S[i, j]
+    return min(log_prob, 0.0)
+
+
+@njit(cache=True)
+def _centre(sums, mode, mean, cov):
+    """Mean (3,) and covariance (3, 3) from the moments 0, 1 and 2 about the mode."""
+    total = sums[0]
+    for i in range(3):
+        mean[i] = mode[i] + sums[1 + i] / total
         for j in range(i, 3):
-            b = order[j]
             second = sums[4 + 3 * i - i * (i - 1) // 2 + j - i] / total
-            value = second - sums[1 + i] * sums[1 + j] / (total * total)
-            out_cov[a, b] = out_cov[b, a] = spread[a] * spread[b] * value
-    return min(log_density + math.log(total), 0.0)
+            cov[i, j] = cov[j, i] = second - sums[1 + i] * sums[1 + j] / (total * total)
 
 
 @njit(cache=True)
