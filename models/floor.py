@@ -14,7 +14,8 @@ from models.layout import Layout, layout_of
 from models.masking import Trust, trust
 from sim.effects import Effect
 from sim.errors import SurefootError
-from sim.log import Log, reference_velocity
+from sim.imitation import PIECE, body_twists
+from sim.log import Log
 from sim.robot import Robot
 from sim.scenario import Scenario, Segment
 from sim.sensors import Sensors
@@ -24,8 +25,6 @@ from sim.walk import walk
 REPEATS = 4
 SECONDS = 12.0
 """s of walking in each repeat."""
-PIECE = 1.0
-"""s over which the log's motion is averaged into one commanded velocity."""
 FRICTION = 0.8
 SEED = 20_011
 STAND = 0.5  # s
@@ -200,27 +199,15 @@ def reading_noise(case: Case) -> np.ndarray:
 
 def courses(logs: Sequence[Log]) -> list[Course]:
     """Commanded forward, lateral velocity [m/s] and turn [rad/s] a second, for each repeat."""
-    motion = [piece for log in logs for piece in _motion(log)]
+    # Two decimals: rounding makes equal courses equal, so that they are walked once.
+    motion = [
+        (round(float(forward), 2), round(float(lateral), 2), round(float(turn), 2))
+        for log in logs
+        for forward, lateral, turn in body_twists(log)
+    ]
     length = max(1, min(round(SECONDS / PIECE), len(motion)))
     starts = np.linspace(0, len(motion) - length, REPEATS).round().astype(int)
     return [tuple(motion[start : start + length]) for start in starts] if motion else []
-
-
-def _motion(log: Log) -> list[tuple[float, float, float]]:
-    t, ok, R, v = log.t, log.ref_ok, log.ref_R_GI, reference_velocity(log)
-    yaw = np.unwrap(np.arctan2(R[:, 1, 0], R[:, 0, 0]))
-    c, s = np.cos(yaw), np.sin(yaw)
-    forward, lateral = c * v[:, 0] + s * v[:, 1], c * v[:, 1] - s * v[:, 0]
-    pieces = []
-    for begin in np.arange(t[0], t[-1] - PIECE, PIECE):
-        rows = np.flatnonzero((t >= begin) & (t < begin + PIECE) & ok)
-        if len(rows) < 2 or t[rows[-1]] - t[rows[0]] < 0.5 * PIECE:
-            continue
-        turn = (yaw[rows[-1]] - yaw[rows[0]]) / (t[rows[-1]] - t[rows[0]])
-        # Two decimals: rounding makes equal courses equal, so that they are walked once.
-        velocity = forward[rows].mean(), lateral[rows].mean(), turn
-        pieces.append(tuple(round(float(x), 2) for x in velocity))
-    return pieces
 
 
 @lru_cache(maxsize=16)
