@@ -31,13 +31,16 @@ _STYLES: dict[str, tuple[str, str, str]] = {
     "imu": ("IMU alone", "#CC79A7", "-"),
     "radar_leg": ("Radar and legs", "#9A9A2E", "-"),
 }
+_SIDES = {"before": "--", "after": "-"}
 _SPARE_COLORS = ("#AA4499", "#5B6BC0", "#6B8E23", "#A0522D", "#C71585", "#20868F")
 _SPARE_STYLES = ("-", "--", "-.", ":")
 
 
 def estimator_label(name: str) -> str:
     """The words a reader sees for the estimator `name`; an unknown name is its own label."""
-    return _STYLES[name][0] if name in _STYLES else name
+    base, side = _side(name)
+    label = _STYLES[base][0] if base in _STYLES else base
+    return f"{label}, {side}" if side else label
 
 
 def estimator_color(name: str) -> str:
@@ -46,16 +49,26 @@ def estimator_color(name: str) -> str:
     An estimator that surefoot does not know gets a spare colour chosen by its name alone, so
     that it too keeps one colour from one run to the next.
     """
+    name, _ = _side(name)
     if name in _STYLES:
         return _STYLES[name][1]
     return _SPARE_COLORS[crc32(name.encode()) % len(_SPARE_COLORS)]
 
 
 def estimator_line(name: str) -> str:
-    """The matplotlib line style of the estimator `name`."""
+    """The matplotlib line style of the estimator `name`: dashed before, solid after."""
+    name, side = _side(name)
+    if side:
+        return _SIDES[side]
     if name in _STYLES:
         return _STYLES[name][2]
     return _SPARE_STYLES[crc32(name.encode()) // len(_SPARE_COLORS) % len(_SPARE_STYLES)]
+
+
+def _side(name: str) -> tuple[str, str]:
+    """An estimator's name and which of two worlds it ran in: "leg before" is leg, before."""
+    base, _, side = name.rpartition(" ")
+    return (base, side) if side in _SIDES else (name, "")
 
 
 def rgba(color: str, alpha: float = 1.0) -> tuple[int, int, int, int]:

@@ -105,3 +105,12 @@ def test_unknown_estimators_keep_one_colour_and_style():
     assert estimator_color("my_filter") == estimator_color("my_filter")
     assert estimator_label("my_filter") == "my_filter"
     assert estimator_line("my_filter") in ("-", "--", "-.", ":")
+
+
+def test_two_worlds_of_one_estimator_share_its_colour_and_differ_in_line():
+    shown = [f"{name} {side}" for name in ("leg", "coverage") for side in ("before", "after")]
+    assert [estimator_color(name) for name in shown[::2]] == [
+        estimator_color(name) for name in ("leg", "coverage")
+    ]
+    assert len({(estimator_color(name), estimator_line(name)) for name in shown}) == 4
+    assert estimator_label("leg before") == f"{estimator_label('leg')}, before"
