@@ -9,53 +9,47 @@ from tyro.conf import Positional
 from scenarios.command_parts import Out
 
 
-@dataclass(frozen=True)
-class ExperimentCommand:
+@dataclass(frozen=True, kw_only=True)
+class Grid:
+    """What both commands take."""
+
+    out: Out
+    """Folder for tables, report and recordings."""
+    workers: int = 1
+    """Processes at once."""
+    seeds: str | None = None
+    """One seed, or a range such as 0:8; the file's where left out (three in a suite)."""
+    cache: Path | None = None
+    """Folder of what is made on the way, to go on from; `cache` in the output where left out."""
+    recordings: bool = True
+    """Write a rerun recording of each sequence."""
+    force: bool = False
+    """Write tables and report again; what is in the cache is not made again."""
+
+    def make(self, file: Path) -> None:
+        from scenarios.experiment_report import experiment
+
+        experiment(
+            file, self.out, self.workers, self.seeds, self.cache, self.recordings, self.force
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExperimentCommand(Grid):
     """A grid over scenarios, robots, conditions, gamma, filters and seeds: one tidy table."""
 
     file: Positional[Path]
     """Experiment file (TOML)."""
-    out: Out
-    """Folder for tables, report and recordings."""
-    workers: int = 1
-    """Processes at once."""
-    seeds: str | None = None
-    """One seed, or a range such as 0:8; the file's where left out."""
-    cache: Path | None = None
-    """Folder of what is made on the way, to go on from; `cache` in the output where left out."""
-    recordings: bool = True
-    """Write a rerun recording of each sequence."""
-    force: bool = False
-    """Write tables and report again; what is in the cache is not made again."""
 
     def run(self) -> None:
-        from scenarios.experiment_report import experiment
-
-        experiment(
-            self.file, self.out, self.workers, self.seeds, self.cache, self.recordings, self.force
-        )
+        self.make(self.file)
 
 
-@dataclass(frozen=True)
-class Suite:
+@dataclass(frozen=True, kw_only=True)
+class Suite(Grid):
     """The paper's two tables on the simulated suites, from simulation to table."""
 
     name: Positional[Literal["spot", "vision60"]]
-    out: Out
-    """Folder for tables, report and recordings."""
-    workers: int = 1
-    """Processes at once."""
-    seeds: str | None = None
-    """One seed, or a range such as 0:8; three where left out."""
-    cache: Path | None = None
-    """Folder of what is made on the way, to go on from; `cache` in the output where left out."""
-    recordings: bool = True
-    """Write a rerun recording of each sequence."""
-    force: bool = False
-    """Write tables and report again; what is in the cache is not made again."""
 
     def run(self) -> None:
-        file = Path(__file__).parent / "suites" / f"{self.name}.toml"
-        ExperimentCommand(
-            file, self.out, self.workers, self.seeds, self.cache, self.recordings, self.force
-        ).run()
+        self.make(Path(__file__).parent / "suites" / f"{self.name}.toml")

@@ -41,7 +41,8 @@ def write_loop(log: Log, robot: Robot, sides: Sequence[Side], out: Path) -> pd.D
         with whole_file(out / name, True) as path:
             path.write_text(text, encoding="utf-8")
     found = json.loads((out / "trace" / "trace.json").read_text(encoding="utf-8"))
-    summary = {"trace": found, "sides": {side.name: _summary(side) for side in sides}}
+    rmse = {side.name: observer_rmse(side) for side in sides}
+    summary = {"trace": found, "sides": {s.name: _summary(s, rmse[s.name]) for s in sides}}
     with whole_file(out / "loop.json", True) as path:
         path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     shown = _trajectories(sides)
@@ -50,7 +51,7 @@ def write_loop(log: Log, robot: Robot, sides: Sequence[Side], out: Path) -> pd.D
         out / "loop.rrd", log, robot, shown, last.prediction, last.bounds, force=True
     )  # fmt: skip
     sections = [
-        Section("Before and after", _prose(found, sides), table),
+        Section("Before and after", _prose(found, sides, rmse), table),
         *_pictures(log, sides, shown),
     ]
     write_report(
@@ -79,7 +80,7 @@ def _metrics(comparison: Comparison, name: str):
     return next((r.metrics for r in comparison.results if r.filter == name), None)
 
 
-def _summary(side: Side) -> dict[str, Any]:
+def _summary(side: Side, rmse: dict[str, list[float]]) -> dict[str, Any]:
     filters = {
         r.filter: {key: float(getattr(r.metrics, key)) for key in METRICS}
         for r in side.comparison.results
@@ -87,7 +88,7 @@ def _summary(side: Side) -> dict[str, Any]:
     }
     return {
         "effects": [e.as_dict() for e in side.effects],
-        "observer_rmse": observer_rmse(side),
+        "observer_rmse": rmse,
         "coverage": {name: held.joint for name, held in side.comparison.held.items()},
         "filters": filters,
     }
@@ -112,7 +113,9 @@ def _trajectories(sides: Sequence[Side]) -> dict[str, Trajectory]:
     }
 
 
-def _prose(found: dict[str, Any], sides: Sequence[Side]) -> str:
+def _prose(
+    found: dict[str, Any], sides: Sequence[Side], rmse: dict[str, dict[str, list[float]]]
+) -> str:
     added = [f"{e['name']} of {e['target']}, {e['value']:.4g} {e['unit']}"
              for e in found["effects"]]  # fmt: skip
     text = f"The trace's verdict: {found['verdict']}. "
@@ -123,8 +126,7 @@ def _prose(found: dict[str, Any], sides: Sequence[Side]) -> str:
         "bounds, and the level asked for holds only as far as the simulation is like the robot."
     )
     for side in sides:
-        for loss, rmse in observer_rmse(side).items():
-            x, y, z = rmse
+        for loss, (x, y, z) in rmse[side.name].items():
             text += (
                 f"\n\n{side.name}: the {loss} observer errs by {x:.3f}, {y:.3f}, {z:.3f} m/s "
                 "(root mean square; forward, lateral, vertical)."

@@ -100,8 +100,8 @@ def imitation(
     )
     scenario = Scenario(name, segments, Ground(0.8), robot.name, ranges=ranges)
     shift = rng.uniform(-1.0, 1.0, 3) * POSTURE
-    outward = np.repeat([1.0, -1.0, 1.0, -1.0], 3).reshape(4, 3)
-    outward[:, 1:] = 1.0
+    outward = np.ones((4, 3))
+    outward[1::2, 0] = -1.0  # hips turn about one axis, so right legs spread the other way
     return scenario, replace(robot, q_home=shown.q_stance + (shift * outward).ravel())
 
 
