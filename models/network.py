@@ -4,7 +4,8 @@
 
 `mse` reads a velocity off the head. `gml` reads a Gaussian's mean and the Cholesky factor L of its
 covariance L L^T, and maximises its likelihood (Russell and Reale, Multivariate Uncertainty in Deep
-Learning, TNNLS 2022). Everything here is in scaled units, float32.
+Learning, TNNLS 2022). With leg odometry the head adds to what
+the soles say (`models.odometry`). Everything here is in scaled units, float32.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import torch
 from torch.nn.functional import softplus
 
 from models.architectures import ARCHITECTURES, Body
+from models.odometry import Odometry
 
 LOSSES = ("mse", "gml")
 OUTPUTS = {"mse": 3, "gml": 9}
@@ -25,10 +27,11 @@ SMALLEST = 1e-3
 class Network(torch.nn.Module):
     """`forward(x (T, B, inputs)) -> head (T, B, outputs)`, from the beginning of a log."""
 
-    def __init__(self, model: str, inputs: int, outputs: int, width: int):
+    def __init__(self, model: str, inputs: int, outputs: int, width: int, odometry: bool = False):
         super().__init__()
         self.body: Body = ARCHITECTURES[model].make(inputs, width)
         self.head = torch.nn.Linear(self.body.features, outputs)
+        self.odometry = Odometry(self.body.features) if odometry else None
 
     def initialise(self, generator: torch.Generator) -> None:
         """Draw all weights from `generator`; the head's bias starts at zero."""
@@ -36,9 +39,17 @@ class Network(torch.nn.Module):
         k = 1 / math.sqrt(self.head.in_features)
         torch.nn.init.uniform_(self.head.weight, -k, k, generator=generator)
         torch.nn.init.zeros_(self.head.bias)
+        if self.odometry is not None:
+            # Begin as plain odometry.
+            torch.nn.init.zeros_(self.head.weight)
+            self.odometry.initialise()
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        return self.head(self.body(x))
+        features = self.body(x)
+        outputs = self.head(features)
+        if self.odometry is None:
+            return outputs
+        return torch.cat((outputs[..., :3] + self.odometry(x, features), outputs[..., 3:]), -1)
 
     @property
     def size(self) -> int:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -17,16 +17,22 @@ import numpy as np
 import torch
 
 from models.architectures import ARCHITECTURES
+from models.mounting import Mounted
 from models.network import LOSSES, OUTPUTS, Network
+from models.odometry import Drawing, check_drawing, soles
 from sim.errors import SurefootError
 from sim.files import whole_file
+from sim.legs import JOINTS
 from sim.log import Log
 
 FORMAT = "surefoot observer"
 SCHEMA = 2
 WIDEST = 4096
 """Units of a layer that a checkpoint may ask memory for."""
-INPUTS = (("q",), ("q", "dq"), ("q", "dq", "tau"))
+INPUTS = (
+    ("q",), ("q", "dq"), ("q", "dq", "tau"), ("feet",), ("tau", "feet"), ("q", "dq", "tau", "feet"),
+)  # fmt: skip
+"""Groups of columns of a log; `feet` is computed of q and dq, and comes last."""
 
 
 class ObserverError(SurefootError):
@@ -51,7 +57,8 @@ class Observer:
     and `R_BI` (3, 3) are the IMU's mounting whose velocity was learnt. `causal_dq` says that the
     joint velocities were derived from q. `rmse` (3,) in m/s is that of the held-out part of the
     training logs; `errors` (M, 3) in m/s are those at all their measured rows, log after log: what
-    errors elsewhere are held against.
+    errors elsewhere are held against. `legs` is the drawing of the robot that `feet` is computed
+    of, wherever the observer is used; empty without `feet`.
     """
 
     model: str
@@ -73,6 +80,7 @@ class Observer:
     rmse: np.ndarray
     errors: np.ndarray
     causal_dq: bool = False
+    legs: Drawing = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -97,9 +105,15 @@ class Observer:
     @cached_property
     def network(self) -> Network:
         """The network with these weights, ready to run."""
-        network = Network(self.model, len(self.input_mean), OUTPUTS[self.loss], self.width)
+        inputs, outputs = len(self.input_mean), OUTPUTS[self.loss]
+        network = Network(self.model, inputs, outputs, self.width, "feet" in self.inputs)
         network.load_state_dict(self.weights)
         return network.eval()
+
+    def scaled(self, x: np.ndarray) -> np.ndarray:
+        """Inputs (M, C) as the network takes them, float32, of `signals` (M, S), unscaled."""
+        x = observer_inputs(self.inputs, self.legs, self, x)
+        return ((x - self.input_mean) / self.input_scale).astype(np.float32)
 
     def save(self, path: str | Path, force: bool = False) -> None:
         """Write the checkpoint, whole or not at all. Raises SurefootError where `path` exists."""
@@ -146,6 +160,24 @@ def check_inputs(inputs: tuple[str, ...] | str) -> tuple[str, ...]:
     return names
 
 
+def signals(inputs: tuple[str, ...]) -> tuple[str, ...]:
+    """The groups of a log's columns that these inputs are made of."""
+    wanted = {"q", "dq", *inputs} if "feet" in inputs else set(inputs)
+    return tuple(name for name in ("q", "dq", "tau") if name in wanted)
+
+
+def observer_inputs(
+    inputs: tuple[str, ...], legs: Drawing, mounting: Mounted, x: np.ndarray
+) -> np.ndarray:
+    """Unscaled inputs (M, C) of a network from `signals(inputs)` (M, S) at the same rows."""
+    if "feet" not in inputs:
+        return x
+    joints = len(JOINTS)
+    q, dq = x[:, :joints], x[:, joints : 2 * joints]
+    own = x if "q" in inputs else x[:, 2 * joints :]
+    return np.concatenate((own, soles(legs, mounting, q, dq)), axis=1)
+
+
 def check_loss(loss: str) -> str:
     """The loss if there is one of that name. Raises ObserverError."""
     if loss not in LOSSES:
@@ -171,20 +203,22 @@ def log_digest(log: Log) -> str:
 def _plain(observer: Observer) -> dict[str, Any]:
     """Tensors and plain Python values alone: all that a checkpoint without pickles may hold."""
     values: dict[str, Any] = {}
-    for field in fields(observer):
-        value = getattr(observer, field.name)
+    for name in (f.name for f in fields(observer)):
+        value = getattr(observer, name)
         if isinstance(value, np.ndarray):
             value = torch.from_numpy(np.array(value, dtype=float))
-        elif field.name == "logs":
+        elif name == "logs":
             value = [asdict(log) for log in value]
         elif isinstance(value, tuple):
             value = list(value)
-        values[field.name] = value
+        values[name] = value
     return values
 
 
 def _from_plain(values: dict[str, Any]) -> Observer:
-    known: dict[str, Any] = {field.name: values[field.name] for field in fields(Observer)}
+    # Checkpoints made before there was leg odometry have no legs.
+    values = {"legs": {}} | values
+    known: dict[str, Any] = {f.name: values[f.name] for f in fields(Observer)}
     for name, value in known.items():
         if isinstance(value, torch.Tensor):
             known[name] = value.numpy()
@@ -199,7 +233,13 @@ def _from_plain(values: dict[str, Any]) -> Observer:
             raise ValueError(f"{name} is not a {kind.__name__}")
     if not 0 < known["width"] <= WIDEST:
         raise ValueError(f"width is not within 1 and {WIDEST}")
-    channels = len(known["inputs"]) * len(known["joints"])
+    channels = sum(24 if name == "feet" else len(known["joints"]) for name in known["inputs"])
+    if "feet" in known["inputs"]:
+        check_drawing(known["legs"])
+        if known["joints"] != JOINTS:
+            raise ValueError("feet of joints that are not a quadruped's twelve")
+    elif known["legs"]:
+        raise ValueError("legs without feet among the inputs")
     shapes = {"input_mean": (channels,), "input_scale": (channels,), "R_BI": (3, 3)}
     shapes |= dict.fromkeys(("output_mean", "output_scale", "p_BI", "rmse"), (3,))
     shapes["errors"] = (len(known["errors"]), 3)

@@ -39,7 +39,7 @@ def predict(observer: Observer, log: Log, robot: Mounted | None = None) -> Predi
     """
     robot = _fitting(observer, log, robot)
     seen = samples(log, observer.inputs)
-    x = scaled_inputs(observer, seen.x)
+    x = torch.from_numpy(observer.scaled(seen.x))
     with torch.no_grad():
         outputs = observer.network(x[:, None, :])
     v_I, covariance = _physical(observer, outputs[:, 0].numpy())
@@ -80,27 +80,27 @@ class Loop:
             )
         self.observer = observer
         self._features = body.stepper()
-        head = observer.network.head
+        head, odometry = observer.network.head, observer.network.odometry
+        self._odometry = odometry.stepper() if odometry is not None else None
         self._head = (
             np.ascontiguousarray(head.weight.detach().numpy().T),
             head.bias.detach().numpy(),
         )
 
     def step(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-        """v_I (3,), m/s, and covariance (3, 3) or None, from inputs x (C,), filtered, unscaled.
+        """v_I (3,), m/s, and covariance (3, 3) or None, from signals x (S,), filtered, unscaled.
 
-        The filter is `models.decimate.decimate` over the samples of the last 20 ms.
+        The signals are those of models.observer.signals, side by side: q, dq, tau as far as the
+        inputs are made of them. The filter is `models.decimate.decimate` over the samples of the
+        last 20 ms.
         """
-        scaled = (x - self.observer.input_mean) / self.observer.input_scale
-        outputs = (self._features(scaled.astype(np.float32)) @ self._head[0] + self._head[1])[None]
+        scaled = self.observer.scaled(x[None])[0]
+        features = self._features(scaled)
+        outputs = (features @ self._head[0] + self._head[1])[None]
+        if self._odometry is not None:
+            outputs[0, :3] += self._odometry(scaled, features)
         v_I, covariance = _physical(self.observer, outputs)
         return v_I[0], None if covariance is None else covariance[0]
-
-
-def scaled_inputs(observer: Observer, x: np.ndarray) -> torch.Tensor:
-    """Inputs (M, C) as the network takes them, float32."""
-    scaled = (x - observer.input_mean) / observer.input_scale
-    return torch.from_numpy(scaled.astype(np.float32))
 
 
 def _physical(observer: Observer, outputs: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:

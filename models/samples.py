@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.decimate import decimate, observer_rows
-from models.observer import ObserverError, check_inputs
+from models.observer import ObserverError, check_inputs, signals
 from sim.derivatives import JOINT_WINDOW, derivative
 from sim.log import Log, LogError, reference_velocity
 
@@ -17,8 +17,8 @@ DQ_CAUSAL = "dq (causal)"
 class Samples:
     """A log at the observer's rows.
 
-    rows (M,) into the log; t (M,), s; x (M, C) the unscaled inputs; causal_dq: whether dq among
-    them was derived from q.
+    rows (M,) into the log; t (M,), s; x (M, S) what the inputs are made of
+    (models.observer.signals), unscaled; causal_dq: whether dq among them was derived from q.
     """
 
     rows: np.ndarray
@@ -28,21 +28,23 @@ class Samples:
 
 
 def samples(log: Log, inputs: tuple[str, ...]) -> Samples:
-    """Anti-aliased inputs of a log. Raises ObserverError naming what it lacks; nothing is filled.
+    """Anti-aliased signals of a log for these inputs.
+
+    Raises ObserverError naming what the log lacks; nothing is filled.
 
     Joint velocities that the log declares as derived without phase look into the future: they are
     derived again, causally, from q.
     """
     inputs = check_inputs(inputs)
     try:
-        log.require(*inputs)
+        log.require(*signals(inputs))
     except LogError as error:
         hint = "; sim.log.with_velocities derives dq" if log.has("q") and not log.has("dq") else ""
         raise ObserverError(f"{error}; the observer reads {','.join(inputs)}{hint}") from None
-    groups = {name: getattr(log, name) for name in inputs}
-    if "dq" in inputs and DQ_ZERO_PHASE in log.meta.derived:
+    groups = {name: getattr(log, name) for name in signals(inputs)}
+    if "dq" in groups and DQ_ZERO_PHASE in log.meta.derived:
         groups["dq"] = derivative(log.t, log.q, JOINT_WINDOW, causal=True)
-    causal_dq = "dq" in inputs and bool({DQ_ZERO_PHASE, DQ_CAUSAL} & set(log.meta.derived))
+    causal_dq = "dq" in groups and bool({DQ_ZERO_PHASE, DQ_CAUSAL} & set(log.meta.derived))
     t = log.t
     rows = observer_rows(log)
     x = decimate(t, np.concatenate(list(groups.values()), axis=1), rows)

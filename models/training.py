@@ -115,6 +115,7 @@ def train(
         rmse=fitted.rmse,
         errors=errors,
         causal_dq=lessons.causal_dq,
+        legs=lessons.legs,
     )
 
 
@@ -219,8 +220,11 @@ def _fit(
 def _begin(model: str, loss: str, lessons: Lessons, seed: int, rate: float) -> _Training:
     rng = np.random.default_rng(seed)
     inputs = len(lessons.x_mean)
-    network = Network(model, inputs, OUTPUTS[loss], ARCHITECTURES[model].width)
+    width = ARCHITECTURES[model].width
+    network = Network(model, inputs, OUTPUTS[loss], width, bool(lessons.legs))
     network.initialise(torch.Generator().manual_seed(int(rng.integers(2**63))))
+    if network.odometry is not None:
+        network.odometry.set_units(lessons.x_mean, lessons.x_scale, lessons.y_scale)
     optimiser = torch.optim.Adam(network.parameters(), lr=rate)
     return _Training(network, optimiser, rng, copy.deepcopy(network.state_dict()))
 

@@ -10,7 +10,8 @@ import torch
 
 from models.decimate import RATE
 from models.mounting import Mounted, same_mounting
-from models.observer import ObserverError
+from models.observer import ObserverError, observer_inputs
+from models.odometry import Drawing, drawing_of
 from models.samples import body_velocity, samples
 from sim.log import Log
 from sim.robot import Robot
@@ -44,6 +45,7 @@ class Lessons:
     y_scale: np.ndarray
     robot: Mounted
     causal_dq: bool
+    legs: Drawing
 
 
 def prepare(logs: Sequence[Log], robot: Mounted | None, inputs: tuple[str, ...]) -> Lessons:
@@ -61,16 +63,18 @@ def prepare(logs: Sequence[Log], robot: Mounted | None, inputs: tuple[str, ...])
                 f"{log.name}: {len(measured) / RATE:.1f} s of walk, {measured.sum() / RATE:.1f} s "
                 f"of it with a reference; training takes {WINDOW / RATE:g} s at least"
             )
-    x_mean, x_scale = _scaling([sample.x for sample in seen])
+    legs = drawing_of(robot, logs[0].joints) if "feet" in inputs else {}
+    shown = [observer_inputs(inputs, legs, robot, sample.x) for sample in seen]
+    x_mean, x_scale = _scaling(shown)
     _, y_scale = _scaling([v_I[ok & ~held_out(len(ok))] for v_I, ok in labels])
     # Not centred: the zero state then answers about zero, and a log starts at rest.
     y_mean = np.zeros(3)
     walks = []
-    for sample, (v_I, measured) in zip(seen, labels, strict=True):
+    for x, (v_I, measured) in zip(shown, labels, strict=True):
         held = held_out(len(measured)) & measured
         walks.append(
             Walk(
-                torch.from_numpy(((sample.x - x_mean) / x_scale).astype(np.float32)),
+                torch.from_numpy(((x - x_mean) / x_scale).astype(np.float32)),
                 torch.from_numpy(((v_I - y_mean) / y_scale).astype(np.float32)),
                 torch.from_numpy(measured & ~held),
                 torch.from_numpy(held),
@@ -78,7 +82,7 @@ def prepare(logs: Sequence[Log], robot: Mounted | None, inputs: tuple[str, ...])
         )
     if not any(walk.held.any() for walk in walks):
         raise ObserverError("train: the reference is missing wherever the score would be taken")
-    return Lessons(tuple(walks), x_mean, x_scale, y_mean, y_scale, robot, seen[0].causal_dq)
+    return Lessons(tuple(walks), x_mean, x_scale, y_mean, y_scale, robot, seen[0].causal_dq, legs)
 
 
 def held_out(steps: int) -> np.ndarray:

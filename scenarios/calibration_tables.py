@@ -12,7 +12,7 @@ from models.calibration import CONFIDENCE, samples_for
 from models.coverage import CaseCoverage, binomial_interval, coverage, coverage_by, worst_case
 from models.decimate import RATE, observer_rows
 from models.observer import Observer, log_digest
-from models.predict import prediction_errors, scaled_inputs
+from models.predict import prediction_errors
 from models.regions import METHODS, Region, conformalize, fit
 from models.samples import samples
 from models.shift_alarm import Alarm, block_sizes, inflation, shift_alarm
@@ -50,7 +50,7 @@ def look_at(observer: Observer, bounds: Bounds, log: Log, calibrated: bool = Fal
     trained = log_digest(known) in {part.sha256 for part in observer.logs}
     role = "calibration" if calibrated else "training" if trained else "test"
     own = replace(bounds, epsilon=bounds.epsilon_at(robot.R_BI), R_BI=np.array(robot.R_BI))
-    x = scaled_inputs(observer, samples(known, observer.inputs).x).numpy().astype(float)
+    x = observer.scaled(samples(known, observer.inputs).x).astype(float)
     return Walk(known, role, own, rows, errors, x, found.t, found.squared)
 
 

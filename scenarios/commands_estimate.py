@@ -19,8 +19,9 @@ class Train:
     """File for the observer."""
     loss: Literal["mse", "gml"] = "mse"
     """Mean squared error, or Gaussian likelihood, which predicts a covariance too."""
-    inputs: Literal["q", "q,dq", "q,dq,tau"] = "q,dq,tau"
-    """What it reads of a log, which must have it: joint angles, velocities, torques."""
+    inputs: Literal["q", "q,dq", "q,dq,tau", "feet", "tau,feet", "q,dq,tau,feet"] = "q,dq,tau"
+    """What it reads of a log, which must have it: joint angles, velocities, torques. feet is
+    computed of q and dq: leg odometry of the drawn robot, which the network then mends."""
     model: Literal["gru", "mlp", "rnn", "lstm", "bigru", "tcn"] = "gru"
     """The network; a bigru reads a log from both ends, so it serves whole logs alone."""
     seed: int = 0

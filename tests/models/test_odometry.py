@@ -1,0 +1,171 @@
+"""Leg odometry in the observer: its kinematics are MuJoCo's; it carries over to other speeds."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from models.network import Network
+from models.observer import Observer, ObserverError, observer_inputs
+from models.odometry import drawing_of, soles
+from models.predict import Loop, predict, prediction_errors
+from models.samples import samples
+from models.training import Schedule, train
+from models.training_data import prepare
+from sim.errors import SurefootError
+from sim.legs import JOINTS
+from sim.log import Log
+from sim.quaternion import matrix_from_quaternion
+from sim.robot import Robot
+from tests.models.synthetic import Body, synthetic_walk
+
+ROBOT = Robot.load("spot_class")
+PLAN = Schedule(steps=80, batch=2, every=40)
+
+
+@pytest.fixture(scope="module")
+def drawing():
+    return drawing_of(ROBOT, JOINTS)
+
+
+def turned() -> Robot:
+    """The robot with its IMU turned and moved."""
+    axis = np.array([0.8, 0.1, -0.3, 0.5])
+    R_BI = matrix_from_quaternion(axis / np.linalg.norm(axis))
+    return replace(ROBOT, p_BI=np.array([0.1, -0.05, 0.2]), R_BI=R_BI)
+
+
+@pytest.mark.parametrize("robot", [ROBOT, turned()])
+def test_soles_are_mujocos(robot, drawing):
+    """The point of the foot's body, a radius below its centre, moved by MuJoCo's own Jacobian."""
+    model = robot.spec().compile()
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(0)
+    q = robot.q_home + 0.3 * rng.standard_normal((20, 12))
+    dq = rng.standard_normal((20, 12))
+    found = soles(drawing, robot, q, dq)
+    joints = [model.joint(name) for name in robot.joint_names]
+    for k in range(len(q)):
+        data.qpos[:7] = [0, 0, 0, 1, 0, 0, 0]
+        rates = np.zeros(model.nv)
+        for joint, angle, rate in zip(joints, q[k], dq[k], strict=True):
+            data.qpos[joint.qposadr[0]], rates[joint.dofadr[0]] = angle, rate
+        mujoco.mj_forward(model, data)
+        for leg in range(4):
+            body = model.body(robot.foot_bodies[leg]).id
+            centre = data.xpos[body] + data.xmat[body].reshape(3, 3) @ robot.foot_places[leg]
+            sole = centre - [0, 0, robot.foot_radius[leg]]
+            J = np.zeros((3, model.nv))
+            mujoco.mj_jac(model, data, J, None, sole, body)
+            base = data.xpos[model.body(robot.base_name).id]
+            place = robot.R_BI.T @ (sole - base - robot.p_BI)
+            assert found[k, 3 * leg : 3 * leg + 3] == pytest.approx(place, abs=1e-9)
+            velocity = robot.R_BI.T @ (J @ rates)
+            assert found[k, 12 + 3 * leg : 15 + 3 * leg] == pytest.approx(velocity, abs=1e-9)
+
+
+def test_soles_of_a_point_foot_are_the_leg_filters_feet(drawing):
+    robot = turned()
+    points = drawing | {"radius": torch.zeros(4, dtype=torch.float64)}
+    rng = np.random.default_rng(1)
+    q, dq = ROBOT.q_home + 0.2 * rng.standard_normal((9, 12)), rng.standard_normal((9, 12))
+    found, h = soles(points, robot, q, dq), 1e-6
+    assert found[:, :12].reshape(9, 4, 3) == pytest.approx(robot.feet_I(q), abs=1e-12)
+    slope = (robot.feet_I(q + h * dq) - robot.feet_I(q - h * dq)) / (2 * h)
+    assert found[:, 12:].reshape(9, 4, 3) == pytest.approx(slope, abs=1e-7)
+
+
+def test_an_untrained_network_is_plain_odometry(drawing):
+    log = walk(3, 12)
+    inputs = ("tau", "feet")
+    lessons = prepare([log], ROBOT, inputs)
+    network = Network("mlp", 36, 3, 8, odometry=True)
+    network.initialise(torch.Generator().manual_seed(0))
+    assert network.odometry is not None
+    network.odometry.set_units(lessons.x_mean, lessons.x_scale, lessons.y_scale)
+    v = network(lessons.walks[0].x[:, None])[:, 0].detach().numpy() * lessons.y_scale
+    u = observer_inputs(inputs, drawing, ROBOT, samples(log, inputs).x)[:, -12:]
+    assert v == pytest.approx(-u.reshape(-1, 4, 3).mean(axis=1), abs=1e-4)
+
+
+@pytest.mark.parametrize("model", ["gru", "mlp", "tcn"])
+@pytest.mark.parametrize("loss", ["mse", "gml"])
+def test_the_loop_and_the_disk_give_the_whole_log(model, loss, tmp_path):
+    log = walk(3, 12)
+    plan = Schedule(steps=6, batch=2, every=3)
+    observer = train(log, inputs="q,dq,tau,feet", model=model, loss=loss, schedule=plan)
+    observer.save(tmp_path / "o.pt")
+    loaded = Observer.load(tmp_path / "o.pt")
+    assert loaded.hash == observer.hash
+    whole = predict(observer, log)
+    again = predict(loaded, log)
+    assert np.array_equal(whole.v_I, again.v_I)
+    loop, seen = Loop(loaded), samples(log, loaded.inputs)
+    for m in range(80):
+        v_I, covariance = loop.step(seen.x[m])
+        assert v_I == pytest.approx(whole.v_I[m], abs=2e-5)
+        if covariance is not None and whole.covariance is not None:
+            assert covariance == pytest.approx(whole.covariance[m], rel=1e-3, abs=1e-8)
+
+
+def test_it_carries_over_to_another_speed():
+    """Taught at one pace and tested at twice that, it errs half as much as raw joints, or less."""
+    slow, fast = walk(0, 30), walk(1, 30, pace=2.0)
+    rms = {}
+    for inputs in ("q,dq,tau", "tau,feet"):
+        observer = train(slow, inputs=inputs, model="mlp", schedule=PLAN)
+        rms[inputs] = np.sqrt((prediction_errors(observer, fast)[1] ** 2).sum(axis=1).mean())
+    assert rms["tau,feet"] < 0.5 * rms["q,dq,tau"]
+
+
+def test_robots_without_known_feet_are_refused(walks):
+    with pytest.raises(SurefootError, match=r"--inputs feet: analytic is not known as a quadruped"):
+        train(walks["fit"], Body(), "feet", schedule=PLAN)
+
+
+def test_a_checkpoint_without_legs_is_one_from_before(mse_observer, tmp_path):
+    mse_observer.save(tmp_path / "now.pt")
+    values = torch.load(tmp_path / "now.pt", weights_only=True)
+    del values["legs"]
+    torch.save(values, tmp_path / "before.pt")
+    assert Observer.load(tmp_path / "before.pt").hash == mse_observer.hash
+
+
+@pytest.mark.parametrize("change", ["absent", "short", "nan", "extra"])
+def test_a_damaged_drawing_is_refused(change, tmp_path):
+    plan = Schedule(steps=2, batch=2, every=2)
+    observer = train(walk(3, 12), inputs="feet", model="mlp", schedule=plan)
+    legs = dict(observer.legs)
+    if change == "absent":
+        legs = {}
+    elif change == "extra":
+        legs["more"] = torch.zeros(1)
+    else:
+        legs["foot"] = legs["foot"][:3] if change == "short" else legs["foot"] * torch.nan
+    replace(observer, legs=legs).save(tmp_path / "o.pt")
+    with pytest.raises(ObserverError, match="not a whole surefoot observer"):
+        Observer.load(tmp_path / "o.pt")
+
+
+def walk(seed: int, duration: float, pace: float = 1.0) -> Log:
+    """A trot of the robot whose base does not turn: its velocity is that of the soles in stance.
+
+    The loaded legs' torques tell which those are.
+    """
+    log = synthetic_walk(seed, duration, robot="spot_class")
+    frame = log.frame.copy()
+    q, dq = ROBOT.q_home + log.q - [0, 0, -1] * 4, pace * log.dq
+    # Legs in diagonal pairs carry while they swing back.
+    carry = np.stack([dq[:, 3 * leg + 1] > 0 for leg in range(4)], axis=1)
+    stance = np.repeat(carry, 3, axis=1)
+    for i, joint in enumerate(JOINTS):
+        frame[f"q_{joint}"], frame[f"dq_{joint}"] = q[:, i], dq[:, i]
+        frame[f"tau_{joint}"] = np.where(stance[:, i], 20.0, 0.0)
+    u = soles(drawing_of(ROBOT, JOINTS), ROBOT, q, dq)[:, 12:].reshape(-1, 4, 3)
+    v_I = -(carry[..., None] * u).sum(axis=1) / carry.sum(axis=1, keepdims=True).clip(1)
+    v_G = np.einsum("nij,nj->ni", log.ref_R_GI, v_I)
+    for i, axis in enumerate("xyz"):
+        frame[f"ref_v_{axis}"] = v_G[:, i]
+    return Log(frame, log.meta, log.name)
