@@ -94,7 +94,8 @@ def attribute(
 
     A candidate earns it if its gain's interval lies above zero, its size stands ABOVE_FLOOR times
     above the one it has on walks of the declared model, it is not at its bound, it adds a share
-    WORTH of what the others explain, and it pays for its parameter (BIC, blocks as samples).
+    WORTH of what the others explain, and it pays for its parameter and for having been one of many
+    (extended BIC, blocks as samples).
     One that no longer earns its place beside a later one goes.
     """
     keys = tuple(dict.fromkeys(key for case in cases for key in all_keys(case)))
@@ -110,7 +111,7 @@ def attribute(
         whole = design(evidence)
         # What the whole catalogue cannot explain hardly depends on what was chosen from it.
         trusted = trusted or trust(whole, floor.sigma)
-        data = grams(whole, trusted.sigma, trusted.weight, split.part)
+        data = grams(whole, floor.counted(trusted.sigma), trusted.weight, split.part)
         candidates = judge(data, floor, [_key(e) for e in chosen], explained, rng)
         rounds.append(candidates)
         best = candidates[0] if candidates and candidates[0].earned else None
@@ -140,6 +141,8 @@ def judge(
     counts = draws(len(unseen.G), rng)
     plain = fit(seen, chosen, errors=False).vector
     base = {0.0: (loss(unseen, plain), loss(seen, plain))}
+    # Chen and Chen 2008, extended BIC: one of many costs more than one alone.
+    price = np.log(max(2, len(seen.G))) + 2.0 * np.log(len(data.keys))
     judged = []
     for at, key in enumerate(data.keys):
         if key in chosen:
@@ -166,7 +169,7 @@ def judge(
             and abs(size) > ABOVE_FLOOR * np.hypot(spread, error)
             and not at_bound
             and gain > WORTH * explained
-            and at_seen > np.log(max(2, len(seen.G))) * _inflation(seen, before_seen)
+            and min(at_seen, gain) > price
         )
         judged.append(
             Candidate(
@@ -191,12 +194,6 @@ def _without(seen: Grams, at: int, offset: float, chosen: Sequence[Key]) -> np.n
 
 def _key(one: Effect) -> Key:
     return one.name, one.target
-
-
-def _inflation(data: Grams, losses: np.ndarray) -> float:
-    """How much more a block's errors add up than independent ones would: 1 for white noise."""
-    entries = data.entries
-    return float(max(1.0, np.var(losses - entries) / max(2.0 * np.mean(entries), 1e-300)) ** 0.5)
 
 
 def _rivals(
@@ -235,7 +232,8 @@ def _refined(
     chosen = [_clipped(e, e.value) for e in chosen]
     for _ in range(3):
         data = design(linearise(cases, chosen, keys, evidence.only(keys)))
-        step = fit(grams(data, trusted.sigma, trusted.weight, part), keys, errors=False).sizes
+        sums = grams(data, floor.counted(trusted.sigma), trusted.weight, part)
+        step = fit(sums, keys, errors=False).sizes
         step = step - _offsets(floor, keys)
         moved = [_clipped(e, e.value + d) for e, d in zip(chosen, step, strict=True)]
         small = all(

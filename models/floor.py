@@ -12,6 +12,7 @@ from models.candidates import TURN_ON, Case, Evidence, Key, all_keys, case_of, l
 from models.fitting import Grams, design, fit, grams
 from models.layout import Layout, layout_of
 from models.masking import Trust, trust
+from models.whiteness import excess
 from sim.effects import Effect
 from sim.errors import SurefootError
 from sim.imitation import PIECE, body_twists
@@ -38,11 +39,13 @@ Groups = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Repeat:
-    """One walk of the declared model: its evidence, what of it to believe, its sums of products."""
+    """One walk of the declared model: its evidence, what of it to believe, its sums of products,
+    and how far each column (W,) is from white (`models.whiteness`)."""
 
     evidence: Evidence
     trust: Trust
     grams: Grams
+    excess: np.ndarray = field(default_factory=lambda: np.ones(1))
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,12 @@ class Floor:
     courses: tuple[Course, ...] = ()
     groups: Groups = ()
     _known: dict = field(default_factory=dict, compare=False, repr=False)
+
+    def counted(self, sigma: np.ndarray) -> np.ndarray:
+        """The noise sigma (W,) as it counts in a fit: what is not white tells less."""
+        if not self.repeats:
+            return sigma
+        return sigma * np.sqrt(np.mean([one.excess for one in self.repeats], axis=0))
 
     def sizes(self, chosen: Sequence[Key], key: Key) -> tuple[float, float]:
         """Mean and spread of the size that `key`, fitted along with `chosen`, has where it is not.
@@ -228,9 +237,10 @@ def _repeat(
         case = case_of(_with_groups(log, groups), robot)
         data = design(linearise([case], effects, all_keys(case)))
         believed = trust(data, np.full(data.evidence.layout.width, 1e-12))
-        sums = grams(data, believed.sigma, believed.weight).total()
+        beyond = excess(data, believed)
+        sums = grams(data, believed.sigma * np.sqrt(beyond), believed.weight).total()
         # Of the walk itself only what is left of it matters from here on.
-        return Repeat(data.evidence.only(()), believed, sums)
+        return Repeat(data.evidence.only(()), believed, sums, beyond)
     return None
 
 
