@@ -13,7 +13,7 @@ from models.fitting import Grams, design, fit, grams
 from models.layout import Layout, layout_of
 from models.masking import Trust, trust
 from models.whiteness import excess
-from sim.effects import Effect
+from sim.effects import CATALOGUE, Effect
 from sim.errors import SurefootError
 from sim.imitation import PIECE, body_twists
 from sim.log import Log
@@ -154,7 +154,8 @@ def floor_with(floor: Floor, effects: Sequence[Effect]) -> Floor:
 def _floor(
     file: Path, along: tuple[Course, ...], groups: Groups, effects: tuple[Effect, ...]
 ) -> Floor:
-    walks = [_repeat(file, course, SEED + i, groups, effects) for i, course in enumerate(along)]
+    known = tuple(CATALOGUE)
+    walks = [_repeat(file, one, SEED + i, groups, effects, known) for i, one in enumerate(along)]
     repeats = tuple(one for one in walks if one is not None)
     if not repeats:
         return Floor(np.zeros(0), (), "")
@@ -221,8 +222,14 @@ def courses(logs: Sequence[Log]) -> list[Course]:
 
 @lru_cache(maxsize=16)
 def _repeat(
-    file: Path, course: Course, seed: int, groups: Groups, effects: tuple[Effect, ...]
+    file: Path,
+    course: Course,
+    seed: int,
+    groups: Groups,
+    effects: tuple[Effect, ...],
+    known: tuple[str, ...],
 ) -> Repeat | None:
+    """One walk, fitted with what the catalogue has: the effects `known` to it."""
     robot = Robot.load(file)
     for slower in (1.0, 0.6, 0.3):
         segments = tuple(

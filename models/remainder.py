@@ -20,6 +20,9 @@ LEAST = 0.05
 HARMONICS = (2, 3, 4, 6, 8, 10, 12)
 """Of a joint's turn: what repeats with the turns of a gear or of its motor."""
 
+SETTLING = (4, 8, 16, 32, 64)
+"""s, time constants of what warms up or comes to rest after the log's first row."""
+
 
 @dataclass(frozen=True)
 class Remainder:
@@ -65,6 +68,8 @@ def library(cases: Sequence[Case]) -> tuple[tuple[str, ...], np.ndarray]:
         log, first = case.log, case.frame.first
         count = np.diff(np.append(first, len(log.t)))[:, None]
         columns = {"time": log.t}
+        for k in SETTLING:
+            columns[f"settling_{k}_s"] = np.exp(-(log.t - log.t[0]) / k)
         if log.has("imu") and not case.fixed:
             columns |= _named("rate", log.gyro, "xyz") | _named("force", log.accel, "xyz")
         if not case.fixed:

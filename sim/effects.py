@@ -1,6 +1,6 @@
 """The catalogue of effects that a real robot has and a model may lack: one small class each."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any, TypeVar
 
 from sim.effect import AXES, Effect
@@ -30,9 +30,11 @@ from sim.log import Log
 
 M = TypeVar("M")
 
-__all__ = ["AXES", "CATALOGUE", "Effect", "effect", "explain_all"]
+K = TypeVar("K", bound=type[Effect])
 
-CATALOGUE: Mapping[str, type[Effect]] = {
+__all__ = ["AXES", "CATALOGUE", "Effect", "add", "effect", "explain_all"]
+
+CATALOGUE: dict[str, type[Effect]] = {
     kind.name: kind
     for kind in (
         *(EncoderOffset, LinkLength, FootRolling, ImuRotation, GyroScale, JointDelay),
@@ -42,6 +44,23 @@ CATALOGUE: Mapping[str, type[Effect]] = {
         *(Payload, ComOffset, FootSlip, SoftGround, ReferenceDelay, ClockScale),
     )
 }
+
+
+def add(kind: K) -> K:
+    """Put a class of one's own into the catalogue, above it as `@add`; docs/new_effect.md does.
+
+    Raises SurefootError where it lacks something that every effect says, or where its name is
+    taken by another.
+    """
+    says = ("name", "unit", "bounds", "channels", "targets") + ("step",) * kind.is_explained()
+    lacking = [one for one in says if not hasattr(kind, one)]
+    if lacking:
+        raise SurefootError(f"effect {kind.__name__}: does not say its {', '.join(lacking)}")
+    known = CATALOGUE.setdefault(kind.name, kind)
+    if (known.__module__, known.__qualname__) != (kind.__module__, kind.__qualname__):
+        raise SurefootError(f"effect {kind.name}: the catalogue has one of that name")
+    CATALOGUE[kind.name] = kind
+    return kind
 
 
 def effect(name: str, target: str, value: float) -> Effect:

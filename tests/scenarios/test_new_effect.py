@@ -1,0 +1,101 @@
+"""`none_of_these` goes on, as docs/new_effect.md tells it: the form that trace names is enough to
+write a class, and with the class the same log is attributed. Of the log the IMU is kept, so that
+it is quick; the page traces all of it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from scenarios.outside_effects import ThermalGyroDrift
+from scenarios.trace import diagnose
+from sim.effect import AXES, Effect, with_columns
+from sim.effects import CATALOGUE, add
+from sim.errors import SurefootError
+from sim.robot import Robot
+from sim.scenario import Scenario, Segment
+from sim.terrain import Ground
+from sim.walk import walk
+
+ROBOT = Robot.load("spot_class")
+SIZE = 0.03  # rad/s
+
+
+class GyroWarming(Effect):
+    """A gyro's bias grows to this size while it warms up, with a time constant of 16 s."""
+
+    name = "gyro_warming"
+    unit = "rad/s"
+    bounds = (-0.5, 0.5)
+    channels = ("imu_gyro", "leg_velocity")
+    targets = AXES
+    needs = ("imu",)
+    step = 1e-3
+
+    def alter_streams(self, streams, robot):
+        gyro = streams.gyro.copy()
+        gyro[:, AXES.index(self.target)] += self.value * settled(streams.t)
+        return replace(streams, gyro=gyro)
+
+    def explain(self, log, robot):
+        column = f"gyro_{self.target}"
+        reading = log.frame[column].to_numpy() - self.value * settled(log.t)
+        return with_columns(log, {column: reading}), robot
+
+
+def settled(t):
+    return 1.0 - np.exp(-(t - t[0]) / 16.0)
+
+
+@pytest.fixture
+def catalogue():
+    """The catalogue, as it was again after the test."""
+    before = dict(CATALOGUE)
+    yield CATALOGUE
+    CATALOGUE.clear()
+    CATALOGUE.update(before)
+
+
+@pytest.fixture(scope="module")
+def log():
+    course = (Segment(10.0, 0.6, turn=0.3), Segment(10.0, 0.5, turn=-0.4), Segment(10.0, 0.6))
+    warm = [ThermalGyroDrift("y", SIZE)]
+    walked = walk(Scenario("warm", course, Ground(0.8)), ROBOT, 5, warm, declared=False)
+    legs = ("q_", "dq_", "tau_", "contact_", "slip_", "mu_")
+    names = [n for n in walked.frame if not str(n).startswith(legs)]
+    return replace(walked, frame=walked.frame[names])
+
+
+def test_the_form_that_is_left_becomes_an_effect(log, catalogue):
+    before = diagnose([log], ROBOT)
+    assert before.verdict == "none_of_these"
+    form = before.remainder[0]
+    assert (form.channel, form.column) == ("imu_gyro", "gyro_y")
+    assert form.regressors[0] in {"settling_8_s", "settling_16_s", "settling_32_s"}
+
+    add(GyroWarming)
+    after = diagnose([log], ROBOT)
+    assert after.verdict == "attributed"
+    assert [(e.name, e.target) for e in after.effects] == [("gyro_warming", "y")]
+    assert after.effects[0].value == pytest.approx(SIZE, rel=0.1)
+    level = after.channels["imu_gyro"]
+    assert level.noise_floor is not None
+    assert level.after < 1.1 * level.noise_floor < 0.5 * level.before
+
+
+def test_a_class_that_says_too_little_or_takes_a_name_is_not_added(catalogue):
+    class Nameless(Effect):
+        unit = "m"
+        bounds = (0.0, 1.0)
+        channels = ("imu_gyro",)
+        targets = AXES
+
+    with pytest.raises(SurefootError, match="Nameless: does not say its name"):
+        add(Nameless)
+
+    class Taken(GyroWarming):
+        name = "gyro_bias"
+
+    with pytest.raises(SurefootError, match="gyro_bias: the catalogue has one of that name"):
+        add(Taken)
+    assert not any(k.__qualname__.endswith(("Nameless", "Taken")) for k in CATALOGUE.values())
