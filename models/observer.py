@@ -17,9 +17,8 @@ import numpy as np
 import torch
 
 from models.architectures import ARCHITECTURES
-from models.mounting import Mounted
 from models.network import LOSSES, OUTPUTS, Network
-from models.odometry import Drawing, check_drawing, soles
+from models.odometry import Drawing, Kinematics, check_drawing, soles
 from sim.errors import SurefootError
 from sim.files import whole_file
 from sim.legs import JOINTS
@@ -110,9 +109,13 @@ class Observer:
         network.load_state_dict(self.weights)
         return network.eval()
 
+    @cached_property
+    def _kinematics(self) -> Kinematics | None:
+        return Kinematics.of(self.legs, self) if self.legs else None
+
     def scaled(self, x: np.ndarray) -> np.ndarray:
         """Inputs (M, C) as the network takes them, float32, of `signals` (M, S), unscaled."""
-        x = observer_inputs(self.inputs, self.legs, self, x)
+        x = observer_inputs(self.inputs, self._kinematics, x)
         return ((x - self.input_mean) / self.input_scale).astype(np.float32)
 
     def save(self, path: str | Path, force: bool = False) -> None:
@@ -166,16 +169,17 @@ def signals(inputs: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(name for name in ("q", "dq", "tau") if name in wanted)
 
 
-def observer_inputs(
-    inputs: tuple[str, ...], legs: Drawing, mounting: Mounted, x: np.ndarray
-) -> np.ndarray:
-    """Unscaled inputs (M, C) of a network from `signals(inputs)` (M, S) at the same rows."""
-    if "feet" not in inputs:
+def observer_inputs(inputs: tuple[str, ...], known: Kinematics | None, x: np.ndarray) -> np.ndarray:
+    """Unscaled inputs (M, C) of a network from `signals(inputs)` (M, S) at the same rows.
+
+    `known` is needed for `feet` alone.
+    """
+    if known is None:
         return x
     joints = len(JOINTS)
     q, dq = x[:, :joints], x[:, joints : 2 * joints]
     own = x if "q" in inputs else x[:, 2 * joints :]
-    return np.concatenate((own, soles(legs, mounting, q, dq)), axis=1)
+    return np.concatenate((own, soles(known, q, dq)), axis=1)
 
 
 def check_loss(loss: str) -> str:

@@ -13,6 +13,7 @@ drawing. Speeds that no training walk had come out of the kinematics, not of the
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -59,22 +60,34 @@ def check_drawing(drawing: Drawing) -> Drawing:
     return drawing
 
 
-def soles(drawing: Drawing, mounting: Mounted, q: np.ndarray, dq: np.ndarray) -> np.ndarray:
+class Kinematics(NamedTuple):
+    """A drawing and the IMU's mounting, ready to compute with."""
+
+    legs: Legs
+    radius: np.ndarray
+    R_BI: np.ndarray
+    p_BI: np.ndarray
+
+    @classmethod
+    def of(cls, drawing: Drawing, mounting: Mounted) -> Kinematics:
+        values = {name: np.ascontiguousarray(value) for name, value in drawing.items()}
+        R_BI, p_BI = (np.array(x, dtype=float) for x in (mounting.R_BI, mounting.p_BI))
+        return cls(radius=values.pop("radius"), R_BI=R_BI, p_BI=p_BI, legs=Legs(**values))
+
+
+def soles(known: Kinematics, q: np.ndarray, dq: np.ndarray) -> np.ndarray:
     """Places s and velocities u (N, 24) of the soles relative to the base, in I, m and m/s.
 
     q and dq (N, 12) in rad and rad/s. The sole is the point of the foot's link that lies the foot's
     radius below its centre, along the base's vertical: a foot that rolls has it at rest, not its
     centre.
     """
-    values = {name: value.numpy() for name, value in drawing.items()}
-    radius = values.pop("radius")
-    q, dq = (np.ascontiguousarray(x, dtype=float) for x in (q, dq))
-    R_BI, p_BI = (np.ascontiguousarray(x, dtype=float) for x in (mounting.R_BI, mounting.p_BI))
-    return _soles(Legs(**values), radius, R_BI, p_BI, q, dq)
+    return _soles(known, np.ascontiguousarray(q), np.ascontiguousarray(dq))
 
 
 @njit(cache=True)
-def _soles(legs, radius, R_BI, p_BI, q, dq):
+def _soles(known, q, dq):
+    legs, radius, R_BI, p_BI = known
     found = np.empty((len(q), 24))
     foot, J, axes = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     velocity = np.empty(3)
@@ -133,13 +146,23 @@ class Odometry(torch.nn.Module):
 
     def stepper(self) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
         """The same for one sample: from x (C,) and features to (3,)."""
-        W, b = (p.detach().numpy() for p in (self.gates.weight, self.gates.bias))
-        gain, mean, scale = (p.detach().numpy() for p in (self.gain, self.mean, self.scale))
+        parameters = (self.gates.weight, self.gates.bias, self.gain, self.mean, self.scale)
+        W, b, gain, mean, scale = (np.ascontiguousarray(p.detach().numpy()) for p in parameters)
+        return lambda x, features: _odometry(W, b, gain, mean, scale, x, features)
 
-        def step(x: np.ndarray, features: np.ndarray) -> np.ndarray:
-            w = W @ features + b
-            w = np.exp(w - w.max())
-            u = mean + scale * x[-VELOCITIES:]
-            return -gain * (w @ u.reshape(LEGS, 3)) / w.sum()
 
-        return step
+@njit(cache=True)
+def _odometry(W, b, gain, mean, scale, x, features):
+    w = b.copy()
+    for leg in range(4):
+        for k in range(len(features)):
+            w[leg] += W[leg, k] * features[k]
+    w = np.exp(w - w.max())
+    w /= w.sum()
+    v = np.zeros(3, np.float32)
+    first = len(x) - 12
+    for leg in range(4):
+        for i in range(3):
+            j = 3 * leg + i
+            v[i] -= gain[i] * w[leg] * (mean[j] + scale[j] * x[first + j])
+    return v

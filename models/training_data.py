@@ -11,7 +11,7 @@ import torch
 from models.decimate import RATE
 from models.mounting import Mounted, same_mounting
 from models.observer import ObserverError, observer_inputs
-from models.odometry import Drawing, drawing_of
+from models.odometry import Drawing, Kinematics, drawing_of
 from models.samples import body_velocity, samples
 from sim.log import Log
 from sim.robot import Robot
@@ -64,7 +64,8 @@ def prepare(logs: Sequence[Log], robot: Mounted | None, inputs: tuple[str, ...])
                 f"of it with a reference; training takes {WINDOW / RATE:g} s at least"
             )
     legs = drawing_of(robot, logs[0].joints) if "feet" in inputs else {}
-    shown = [observer_inputs(inputs, legs, robot, sample.x) for sample in seen]
+    known = Kinematics.of(legs, robot) if legs else None
+    shown = [observer_inputs(inputs, known, sample.x) for sample in seen]
     x_mean, x_scale = _scaling(shown)
     _, y_scale = _scaling([v_I[ok & ~held_out(len(ok))] for v_I, ok in labels])
     # Not centred: the zero state then answers about zero, and a log starts at rest.

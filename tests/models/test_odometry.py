@@ -9,7 +9,7 @@ import torch
 
 from models.network import Network
 from models.observer import Observer, ObserverError, observer_inputs
-from models.odometry import drawing_of, soles
+from models.odometry import Kinematics, drawing_of, soles
 from models.predict import Loop, predict, prediction_errors
 from models.samples import samples
 from models.training import Schedule, train
@@ -45,7 +45,7 @@ def test_soles_are_mujocos(robot, drawing):
     rng = np.random.default_rng(0)
     q = robot.q_home + 0.3 * rng.standard_normal((20, 12))
     dq = rng.standard_normal((20, 12))
-    found = soles(drawing, robot, q, dq)
+    found = soles(Kinematics.of(drawing, robot), q, dq)
     joints = [model.joint(name) for name in robot.joint_names]
     for k in range(len(q)):
         data.qpos[:7] = [0, 0, 0, 1, 0, 0, 0]
@@ -71,7 +71,7 @@ def test_soles_of_a_point_foot_are_the_leg_filters_feet(drawing):
     points = drawing | {"radius": torch.zeros(4, dtype=torch.float64)}
     rng = np.random.default_rng(1)
     q, dq = ROBOT.q_home + 0.2 * rng.standard_normal((9, 12)), rng.standard_normal((9, 12))
-    found, h = soles(points, robot, q, dq), 1e-6
+    found, h = soles(Kinematics.of(points, robot), q, dq), 1e-6
     assert found[:, :12].reshape(9, 4, 3) == pytest.approx(robot.feet_I(q), abs=1e-12)
     slope = (robot.feet_I(q + h * dq) - robot.feet_I(q - h * dq)) / (2 * h)
     assert found[:, 12:].reshape(9, 4, 3) == pytest.approx(slope, abs=1e-7)
@@ -86,7 +86,7 @@ def test_an_untrained_network_is_plain_odometry(drawing):
     assert network.odometry is not None
     network.odometry.set_units(lessons.x_mean, lessons.x_scale, lessons.y_scale)
     v = network(lessons.walks[0].x[:, None])[:, 0].detach().numpy() * lessons.y_scale
-    u = observer_inputs(inputs, drawing, ROBOT, samples(log, inputs).x)[:, -12:]
+    u = observer_inputs(inputs, Kinematics.of(drawing, ROBOT), samples(log, inputs).x)[:, -12:]
     assert v == pytest.approx(-u.reshape(-1, 4, 3).mean(axis=1), abs=1e-4)
 
 
@@ -163,7 +163,7 @@ def walk(seed: int, duration: float, pace: float = 1.0) -> Log:
     for i, joint in enumerate(JOINTS):
         frame[f"q_{joint}"], frame[f"dq_{joint}"] = q[:, i], dq[:, i]
         frame[f"tau_{joint}"] = np.where(stance[:, i], 20.0, 0.0)
-    u = soles(drawing_of(ROBOT, JOINTS), ROBOT, q, dq)[:, 12:].reshape(-1, 4, 3)
+    u = soles(Kinematics.of(drawing_of(ROBOT, JOINTS), ROBOT), q, dq)[:, 12:].reshape(-1, 4, 3)
     v_I = -(carry[..., None] * u).sum(axis=1) / carry.sum(axis=1, keepdims=True).clip(1)
     v_G = np.einsum("nij,nj->ni", log.ref_R_GI, v_I)
     for i, axis in enumerate("xyz"):
