@@ -13,6 +13,7 @@ from estimator.persistent import (
     wander,
 )
 from estimator.propagation import propagate
+from estimator.quick import quick_predict, quick_velocity
 from estimator.state import EXTRA, FilterNoise, NavState, numbers, spd, spd_3, vector
 from estimator.trajectory import Trajectory, UpdateRecord
 from estimator.velocity import update_velocity
@@ -46,19 +47,21 @@ class InvariantFilter:
         """IMU step (eq. covariance_propagation): gyro (3,) [rad/s] and accel (3,) [m/s^2], both in
         I, are means over the dt > 0 [s] that ends now.
         """
-        gyro, accel = vector("gyro", gyro), vector("accel", accel)
-        if not 0.0 < dt < np.inf:
-            raise SurefootError(f"dt: {dt} where a number > 0 is expected")
-        propagate(
-            self._mean,
-            self._covariance,
-            gyro,
-            accel,
-            float(dt),
-            self._noise,
-            self._columns,
-            self._rotation_columns,
-        )
+        try:
+            done = quick_predict(
+                self._mean, self._covariance, gyro, accel, dt, self._noise, self._columns,
+                self._rotation_columns,
+            )  # fmt: skip
+        except TypeError:
+            done = False
+        if not done:
+            gyro, accel = numbers("gyro", gyro, (3,)), numbers("accel", accel, (3,))
+            if not 0.0 < dt < np.inf:
+                raise SurefootError(f"dt: {dt} where a number > 0 is expected")
+            propagate(
+                self._mean, self._covariance, gyro, accel, float(dt), self._noise, self._columns,
+                self._rotation_columns,
+            )  # fmt: skip
         if self._persistent:
             wander(self._mean, self._covariance, *self._persistent[:2], float(dt))
 
@@ -91,11 +94,18 @@ class InvariantFilter:
         Mahalanobis distance of the innovation. With a persistent part cov is that of the mixing
         error, and the distance is nan where v_I was left out as an outlier.
         """
-        v_I, cov = vector("v_I", v_I), spd_3("cov", cov)
         if self._persistent:
+            v_I, cov = vector("v_I", v_I), spd_3("cov", cov)
             return update_velocity_persistent(
                 self._mean, self._covariance, v_I, cov, *self._persistent[2:]
             )
+        try:
+            distance = quick_velocity(self._mean, self._covariance, 0, v_I, cov)
+        except TypeError:
+            distance = -1.0
+        if distance >= 0.0:
+            return distance
+        v_I, cov = vector("v_I", v_I), spd_3("cov", cov)
         return update_velocity(self._mean, self._covariance, 0, v_I, cov)
 
     @property

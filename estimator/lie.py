@@ -48,14 +48,6 @@ def entire(x: float) -> tuple[float, float, float, float, float, float, float]:
 
 
 @njit(cache=True)
-def cross(a, b, out):
-    """out = a x b for vectors (3,)."""
-    out[0] = a[1] * b[2] - a[2] * b[1]
-    out[1] = a[2] * b[0] - a[0] * b[2]
-    out[2] = a[0] * b[1] - a[1] * b[0]
-
-
-@njit(cache=True)
 def hat(phi):
     """[phi]x (3, 3) of phi (3,): hat(a) @ b = a x b."""
     out = np.zeros((3, 3))

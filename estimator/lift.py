@@ -74,31 +74,37 @@ def lift(mean, covariance, contacts: int, PHt, S, z_mean, z_cov):
     z_mean (3,) and z_cov (3, 3) are the posterior of z, whose prior is N(0, S).
     """
     n = covariance.shape[0]
-    information = np.empty((3, 3))
+    # One piece of memory for all: asking for many is slower than the arithmetic.
+    work = np.empty(7 * n + 9)
+    K, D = work[: 3 * n].reshape(3, n), work[3 * n : 6 * n].reshape(3, n)
+    delta, information = work[6 * n : 7 * n], work[7 * n :].reshape(3, 3)
     inverse_3(S, information)
-    K = np.empty((n, 3))
-    delta = np.zeros(n)
     for i in range(n):
+        delta[i] = 0.0
         for j in range(3):
-            K[i, j] = (
+            K[j, i] = (
                 PHt[i, 0] * information[0, j]
                 + PHt[i, 1] * information[1, j]
                 + PHt[i, 2] * information[2, j]
             )
-            delta[i] += K[i, j] * z_mean[j]
+            delta[i] += K[j, i] * z_mean[j]
     # Sigma + K (z_cov - S) K^T in Joseph's form: with D it is stationary in K, so that an error of
     # K, which comes of inverting an S near singular, acts by its square alone.
-    D = np.empty((n, 3))
+    for j in range(3):
+        h0, h1, h2 = (
+            0.5 * (S[0, j] + z_cov[0, j]),
+            0.5 * (S[1, j] + z_cov[1, j]),
+            0.5 * (S[2, j] + z_cov[2, j]),
+        )
+        for i in range(n):
+            D[j, i] = PHt[i, j] - K[0, i] * h0 - K[1, i] * h1 - K[2, i] * h2
     for i in range(n):
-        for j in range(3):
-            D[i, j] = PHt[i, j]
-            for m in range(3):
-                D[i, j] -= 0.5 * K[i, m] * (S[m, j] + z_cov[m, j])
-    for i in range(n):
-        for j in range(i + 1):
-            total = covariance[i, j]
-            for m in range(3):
-                total -= K[i, m] * D[j, m] + D[i, m] * K[j, m]
-            covariance[i, j] = total
-            covariance[j, i] = total
+        k0, k1, k2, d0, d1, d2 = K[0, i], K[1, i], K[2, i], D[0, i], D[1, i], D[2, i]
+        for j in range(n):
+            # In pairs, whose sums are the same with i and j exchanged: symmetric to the last bit.
+            covariance[i, j] -= (
+                (k0 * D[0, j] + d0 * K[0, j])
+                + (k1 * D[1, j] + d1 * K[1, j])
+                + (k2 * D[2, j] + d2 * K[2, j])
+            )
     retract(mean, delta, contacts)

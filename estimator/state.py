@@ -122,7 +122,7 @@ def vector(name: str, value) -> np.ndarray:
 
 def spd_3(name: str, value) -> np.ndarray:
     """`spd(name, value, 3)`, fast where `value` is a float array already."""
-    if _plain(value, (3, 3)) and _definite_3(value):
+    if _plain(value, (3, 3)) and definite_3(value):
         return value
     return spd(name, value, 3)
 
@@ -137,7 +137,7 @@ def _plain(value, shape: tuple) -> bool:
 
 
 @njit(cache=True)
-def _definite_3(S) -> bool:
+def definite_3(S) -> bool:
     """Whether S (3, 3) is finite, symmetric and positive definite, by its leading minors."""
     if S[0, 1] != S[1, 0] or S[0, 2] != S[2, 0] or S[1, 2] != S[2, 1]:
         return False

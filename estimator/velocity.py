@@ -15,7 +15,8 @@ def update_velocity(mean, covariance, contacts: int, v_I, measurement_cov) -> fl
     N(S (S+R)^-1 r, S (S+R)^-1 R), which the same lift as the coverage update carries to the state.
     """
     n = covariance.shape[0]
-    PHt, S, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
+    work = np.empty((n + 4, 3))
+    PHt, S, residual = work[:n], work[n : n + 3], work[n + 3]
     output(mean, covariance, contacts, v_I, PHt, S, residual)
     return gaussian_update(mean, covariance, contacts, PHt, S, residual, measurement_cov)
 
@@ -28,12 +29,13 @@ def gaussian_update(mean, covariance, contacts: int, PHt, S, residual, measureme
     -Sigma H^T (S+R)^-1 H Sigma: lifting with W = S + R in the place of S, the posterior's
     covariance at zero and its mean at the innovation is the textbook update.
     """
-    W, information = np.empty((3, 3)), np.empty((3, 3))
+    work = np.zeros((3, 3, 3))
+    W, information, nothing = work[0], work[1], work[2]
     for i in range(3):
         for j in range(3):
             W[i, j] = S[i, j] + measurement_cov[i, j]
     inverse_3(W, information)
-    lift(mean, covariance, contacts, PHt, W, residual, np.zeros((3, 3)))
+    lift(mean, covariance, contacts, PHt, W, residual, nothing)
     distance = 0.0
     for i in range(3):
         for j in range(3):
