@@ -161,8 +161,8 @@ def judge(
         at_seen = float(np.sum(before_seen - loss(seen, fitted.vector)))
         # The floor's own offset is only as sure as its contact model.
         spread = float(np.hypot(spread, DOUBT * offset))
-        bounds = CATALOGUE[key[0]].bounds
-        at_bound = not bounds[0] < size < bounds[1]
+        low_end, high_end = _inside(CATALOGUE[key[0]])
+        at_bound = not low_end < size < high_end
         earned = (
             low > 0
             and np.isfinite(error)
@@ -251,9 +251,13 @@ def _offsets(floor: Floor, keys: Sequence[Key]) -> np.ndarray:
 
 
 def _clipped(one: Effect, value: float) -> Effect:
-    low, high = one.bounds
-    margin = 1.1 * one.step
-    return replace(one, value=float(np.clip(value, low + margin, high - margin)))
+    return replace(one, value=float(np.clip(value, *_inside(type(one)))))
+
+
+def _inside(kind: type[Effect]) -> tuple[float, float]:
+    """Bounds between which a size can still be varied by its step to either side."""
+    low, high = kind.bounds
+    return low + 1.1 * kind.step, high - 1.1 * kind.step
 
 
 def _with_intervals(data: Grams, chosen: Sequence[Effect], floor: Floor) -> tuple[Found, ...]:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
@@ -17,6 +18,8 @@ BIN = 0.02
 """s, the length of a bin."""
 EDGE = 0.03
 """s at either end of a stance that are left out: there the foot lands, rocks or already lifts."""
+ENDS = 0.006
+"""s, over which a rate is averaged at either end of a bin before it says how it changed."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +60,8 @@ class Bins:
     accel (M, 3) less what the reference implies, NaN where it implies nothing; omega (M, 3): rate
     of the IMU at the rows' own times, in I; base (M, 9): rate, its derivative and specific force of
     the base's origin, in B; v_I, p_GI (M, 3), R_GI (M, 3, 3): the reference's motion; standing,
-    lifted (M, 4)."""
+    lifted (M, 4); lag (M, J) rad: angles less the integral of the rates; q_step, dq_step, ddq
+    (M, J): means over the times of its torques."""
 
     t: np.ndarray
     q: np.ndarray
@@ -73,7 +77,9 @@ class Bins:
     standing: np.ndarray
     lifted: np.ndarray
     lag: np.ndarray
-    """(M, J) rad: angles less the integral of the rates."""
+    q_step: np.ndarray
+    dq_step: np.ndarray
+    ddq: np.ndarray
 
 
 def measured_against(log: Log, fixed: bool = False) -> Frame:
@@ -160,6 +166,7 @@ def binned(log: Log, robot: Machine, frame: Frame) -> Bins:
         mean(omega), mean(base), mean(frame.v_I), mean(frame.p_GI), mean(frame.R_GI),
         mean(frame.standing.astype(float)) >= 0.5, mean(frame.lifted.astype(float)) >= 0.999,
         mean(q - cumulative_trapezoid(dq, log.t, axis=0, initial=0.0)),
+        mean(at_torques(q, frame)), mean(at_torques(dq, frame)), gained(dq, log.t, frame),
     )  # fmt: skip
 
 
@@ -171,6 +178,32 @@ def frame_mean(frame: Frame):
         return np.add.reduceat(values, frame.first, axis=0) / count
 
     return mean
+
+
+def at_torques(x: np.ndarray, frame: Frame) -> np.ndarray:
+    """x (N, ...) at the time of each row's torque.
+
+    Of a walk that is the middle of the step before the row, as it is of the IMU's readings that
+    the torque is held against; of a fixed base, where there are none, the row's own.
+    """
+    if not frame.moved.any():
+        return x
+    return np.concatenate([x[:1], 0.5 * (x[1:] + x[:-1])])
+
+
+def gained(x: np.ndarray, t: np.ndarray, frame: Frame) -> np.ndarray:
+    """Mean slope of x (N, ...) over the times of each bin's torques, per second.
+
+    Of the first bin, which has no row before it, from its first row.
+    """
+    rows = max(1, round(ENDS / np.median(np.diff(t))))
+    x = uniform_filter1d(x, rows - 1 + rows % 2, axis=0)
+    if not frame.moved.any():
+        x = np.concatenate([0.5 * (x[1:] + x[:-1]), x[-1:]])
+    last = frame.first + frame.count - 1
+    before = np.maximum(frame.first - 1, 0)
+    time = np.maximum(t[last] - t[before], 1e-9).reshape(-1, *[1] * (x.ndim - 1))
+    return (x[last] - x[before]) / time
 
 
 def _behind(x: np.ndarray, time: float, rate: float) -> np.ndarray:

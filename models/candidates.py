@@ -1,12 +1,12 @@
 """How the residual of a log answers to each candidate effect: linear regressors by its size."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from models.bins import Frame, frame_mean, measured_against
+from models.bins import Frame, frame_mean, gained, measured_against
 from models.layout import Layout
 from models.residual import Parts, residual, with_ground
 from models.signature import Answers, Regressor, answers, by_readings, by_robot, sparse
@@ -160,7 +160,6 @@ class _Linear:
     def __init__(self, case: Case, chosen: Sequence[Effect]):
         self.case, self.chosen = case, list(chosen)
         self.log, self.robot, self.parts, self.frame = _parts(case, chosen)
-        self.mean: Callable = frame_mean(self.frame)
         self.joints = self.log.joints
 
     @cached_property
@@ -181,7 +180,7 @@ class _Linear:
             return _minus(by_robot(self.parts, self.robot, robot, step))
         if _moves_frame(log.frame.attrs["last"]):
             return self._by_difference(log, robot, step)
-        change = _change(self.log, log, self.joints, self.mean, step)
+        change = _change(self.log, log, self.joints, self.frame, step)
         return _minus(by_readings(self.parts, self.answers, change))
 
     def _about_its_value(self, key: Key) -> Regressor:
@@ -225,10 +224,11 @@ def _moved(chosen: Sequence[Effect], key: Key, step: float) -> list[Effect]:
 
 
 def _change(
-    old: Log, new: Log, joints: Sequence[str], mean: Callable, step: float
+    old: Log, new: Log, joints: Sequence[str], frame: Frame, step: float
 ) -> dict[str, dict[int, np.ndarray]]:
     """Change of each stream for one unit of an effect: stream -> place -> means over bins (M,)."""
     change: dict[str, dict[int, np.ndarray]] = {}
+    mean = frame_mean(frame)
     for name in new.frame.attrs["last"]:
         stream, _, what = name.partition("_")
         if stream in ("gyro", "accel"):
@@ -239,6 +239,8 @@ def _change(
             continue
         difference = new.frame[name].to_numpy() - old.frame[name].to_numpy()
         change.setdefault(stream, {})[place] = mean(difference) / step
+        if stream == "dq":
+            change.setdefault("ddq", {})[place] = gained(difference, old.t, frame) / step
     return change
 
 

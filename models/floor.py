@@ -29,7 +29,7 @@ SECONDS = 12.0
 FRICTION = 0.8
 SEED = 20_011
 STAND = 0.5  # s
-LEVEL = 4e-5
+LEVEL = 2e-4
 """m. Simulated ground is level to a hundredth of a millimetre, which no real floor is."""
 
 

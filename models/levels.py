@@ -59,7 +59,7 @@ def channel_levels(cases: Sequence[Case], result: Attribution, split: Split) -> 
     for name, columns in evidence.layout.channels.items():
         if not np.isfinite(before[split.report][:, columns]).any():
             continue
-        least = 5.0 * LEVEL if name == "foot_height" else 0.0
+        least = LEVEL if name == "foot_height" else 0.0
         level = [
             max(_rms(part[:, columns]), least)
             for part in floors

@@ -19,10 +19,10 @@ from models.bins import Bins, Frame, binned
 from models.layout import QUADRUPED, Layout, layout_of
 from models.torques import (
     Effort,
-    Smooth,
+    Steps,
     effort,
     slope,
-    smoothed,
+    steps_of,
     torque_residual,
     wrench_residual,
 )
@@ -38,7 +38,7 @@ class Parts:
 
     layout: Layout
     bins: Bins
-    smooth: Smooth
+    steps: Steps
     effort: Effort | None
     table: np.ndarray  # (M, W)
     t: np.ndarray  # (M,) s
@@ -49,10 +49,10 @@ def residual(log: Log, robot: Machine, frame: Frame) -> Parts:
     layout = layout_of(log.joints)
     bins = binned(log, robot, frame)
     table = np.full((len(bins.t), layout.width), np.nan)
-    smooth, needed = smoothed(bins, robot), None
+    steps, needed = steps_of(bins, robot), None
     if np.isfinite(bins.tau).any():
-        needed = effort(smooth, robot)
-        table[:, layout.channels["joint_torque"]] = torque_residual(smooth, needed)
+        needed = effort(steps, robot)
+        table[:, layout.channels["joint_torque"]] = torque_residual(steps, needed)
     if log.has("q") and log.has("dq"):
         rates = slope(bins.lag)
         rates[[0, -1]] = np.nan
@@ -65,8 +65,8 @@ def residual(log: Log, robot: Machine, frame: Frame) -> Parts:
             if frame.level:
                 table[:, 18:22] = height_columns(bins, robot)
             if needed is not None:
-                table[:, 34:40] = wrench_residual(smooth, needed, robot)
-    return Parts(layout, bins, smooth, needed, table, frame.t)
+                table[:, 34:40] = wrench_residual(steps, needed, robot)
+    return Parts(layout, bins, steps, needed, table, frame.t)
 
 
 def leg_columns(bins: Bins, robot: Robot) -> np.ndarray:

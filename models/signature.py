@@ -11,7 +11,7 @@ import numpy as np
 
 from models.layout import QUADRUPED
 from models.residual import Parts, height_columns, leg_columns
-from models.torques import Effort, effort, slope, three, wrench_residual
+from models.torques import Effort, Steps, effort, slope, three, unbalanced, wrench_residual
 from sim.fixed_base import Machine
 from sim.robot import Robot
 
@@ -73,10 +73,10 @@ def _by_effort(parts: Parts, needed: Effort, robot: Machine) -> np.ndarray:
     """(3, M, J + 6, J): torques then wrench, by each joint's angle, acceleration and torque."""
     m, joints = parts.bins.q.shape
     out = np.zeros((3, m, joints + 6, joints))
-    use = np.flatnonzero(parts.smooth.swings.any(axis=1) | parts.smooth.steady)
-    s = replace(parts.smooth, **{k: v[use] for k, v in vars(parts.smooth).items() if k != "names"})
+    use = np.flatnonzero(_near(parts.steps.swings.any(axis=1) | parts.steps.steady))
+    s = replace(parts.steps, **{name: values[use] for name, values in vars(parts.steps).items()})
     here = Effort(needed.wrench[use], needed.torque[use])
-    base = _given(s, here, robot)
+    base = _unbalanced(s, here, robot)
     for j in range(joints):
         one = np.eye(joints)[j]
         for kind, moved in (
@@ -85,25 +85,33 @@ def _by_effort(parts: Parts, needed: Effort, robot: Machine) -> np.ndarray:
         ):
             other = effort(moved, robot)
             out[kind, use, :joints, j] = (here.torque - other.torque) / STEP
-            out[kind, use, joints:, j] = (_given(moved, other, robot) - base) / STEP
+            out[kind, use, joints:, j] = (_unbalanced(moved, other, robot) - base) / STEP
         moved = replace(s, tau=s.tau + one)
         out[2, use, j, j] = 1.0
-        out[2, use, joints:, j] = _given(moved, here, robot) - base
+        out[2, use, joints:, j] = _unbalanced(moved, here, robot) - base
     return out
 
 
-def _given(s, needed: Effort, robot: Machine) -> np.ndarray:
-    """Wrench residual (M, 6), zero where there is none."""
+def _unbalanced(s: Steps, needed: Effort, robot: Machine) -> np.ndarray:
+    """What is left of the wrench (M, 6), zero where no foot is known to stand."""
     if not isinstance(robot, Robot) or not s.steady.any():
         return np.zeros((len(s.q), 6))
-    return np.nan_to_num(wrench_residual(s, needed, robot))
+    return unbalanced(s, needed, robot)
+
+
+def _near(flag: np.ndarray) -> np.ndarray:
+    """Bins (M,) that have the flag, or a neighbour of which has it."""
+    near = flag.copy()
+    near[1:] |= flag[:-1]
+    near[:-1] |= flag[1:]
+    return near
 
 
 def by_readings(
     parts: Parts, known: Answers, change: Mapping[str, Mapping[int, np.ndarray]]
 ) -> Regressor:
     """What a change of readings does to the table: of each stream, at each place (axis or joint),
-    its means over bins (M,)."""
+    its means over bins (M,); of "ddq" what the rate gains over them."""
     out = np.zeros(parts.table.shape)
     layout, joints = parts.layout, parts.bins.q.shape[1]
     legged = layout is QUADRUPED
@@ -120,15 +128,17 @@ def by_readings(
             out[:, 6 + 3 * leg : 9 + 3 * leg] += known.leg_q[:, leg, :, j] * x[:, None]
             out[:, 18 + leg] += known.height_q[:, leg, j] * x
         out[:, rate + place] += slope(x)
-        forces += known.effort_q[:, :, place] * three(x)[:, None]
+        forces += known.effort_q[:, :, place] * x[:, None]
     for place, x in change.get("dq", {}).items():
         leg, j = divmod(place, 3)
         if legged:
             out[:, 6 + 3 * leg : 9 + 3 * leg] += known.leg_dq[:, leg, :, j] * x[:, None]
         out[:, rate + place] -= three(x)
-        forces += known.effort_ddq[:, :, place] * slope(x)[:, None]
+    for place, x in change.get("ddq", {}).items():
+        forces += known.effort_ddq[:, :, place] * x[:, None]
     for place, x in change.get("tau", {}).items():
-        forces += known.effort_tau[:, :, place] * three(x)[:, None]
+        forces += known.effort_tau[:, :, place] * x[:, None]
+    forces = three(forces)
     out[:, torque : torque + joints] += forces[:, :joints]
     if legged:
         out[:, layout.channels["base_wrench"]] += forces[:, joints:]
@@ -143,9 +153,9 @@ def by_robot(parts: Parts, robot: Machine, one: Robot, step: float) -> Regressor
         table[:, 6:18] = leg_columns(parts.bins, one)
         if np.isfinite(table[:, 18:22]).any():
             table[:, 18:22] = height_columns(parts.bins, one)
-    if parts.effort is not None and parts.smooth.steady.any():
-        needed = parts.effort if same_masses else effort(parts.smooth, one)
-        table[:, 34:40] = wrench_residual(parts.smooth, needed, one)
+    if parts.effort is not None and parts.steps.steady.any():
+        needed = parts.effort if same_masses else effort(parts.steps, one)
+        table[:, 34:40] = wrench_residual(parts.steps, needed, one)
     return sparse((table - parts.table) / step, parts.table)
 
 

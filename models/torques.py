@@ -1,7 +1,8 @@
 """Residuals of the joints' torques: against inverse dynamics in swing, and of the whole base.
 
-Rates of joints are too noisy to differentiate over less than three bins; so everything else in the
-equation of motion is averaged in the same way, by quarters, half and quarters.
+Everything in the equation of motion is a mean over the same steps of a bin, an acceleration what a
+rate gained over them. Rates of joints are too noisy for less than three bins: what is left of the
+equation is averaged over three, by quarters, half and quarters.
 """
 
 from dataclasses import dataclass
@@ -17,10 +18,10 @@ from sim.robot import Robot
 
 
 @dataclass(frozen=True)
-class Smooth:
-    """What inverse dynamics takes, averaged over three bins: q, dq, ddq, tau (M, J), base (M, 9),
-    up_B (M, 3), standing (M, 4); swings (M, J): joints of feet that are in the air throughout;
-    steady (M,): bins within which no foot lands or lifts."""
+class Steps:
+    """What inverse dynamics takes, bin by bin: q, dq, ddq, tau (M, J), base (M, 9), up_B (M, 3),
+    standing (M, 4); swings (M, J): joints of feet that are in the air for three bins; steady (M,):
+    bins that no foot lands or lifts in, nor in their neighbours."""
 
     q: np.ndarray
     dq: np.ndarray
@@ -33,23 +34,23 @@ class Smooth:
     steady: np.ndarray
 
 
-def smoothed(bins: Bins, robot: Machine) -> Smooth:
+def steps_of(bins: Bins, robot: Machine) -> Steps:
     """The streams of a log's bins, ready for inverse dynamics."""
     whole = np.zeros(len(bins.t), dtype=bool)
     gaps = np.abs(np.diff(bins.t) - BIN) < 0.25 * BIN
     whole[1:-1] = gaps[1:] & gaps[:-1]
     stays, lifted = _always(bins.standing), _always(bins.lifted)
-    up_B, standing = np.zeros((len(bins.t), 3)), stays
+    up_B = np.zeros((len(bins.t), 3))
     if isinstance(robot, Robot):
-        up_B = three(bins.R_GI[:, 2]) @ robot.R_BI.T
+        up_B = bins.R_GI[:, 2] @ robot.R_BI.T
         legged = bool(bins.standing.any())
         swings = np.repeat(lifted, 3, axis=1) if legged else np.ones_like(bins.q, dtype=bool)
-        steady = (stays | lifted).all(axis=1) & standing.any(axis=1)
+        steady = (stays | lifted).all(axis=1) & stays.any(axis=1)
     else:
         swings, steady = np.ones_like(bins.q, dtype=bool), np.zeros(len(bins.t), dtype=bool)
-    return Smooth(
-        three(bins.q), three(bins.dq), slope(bins.dq), three(bins.tau), three(bins.base), up_B,
-        standing, swings & whole[:, None], steady & whole,
+    return Steps(
+        bins.q_step, bins.dq_step, bins.ddq, bins.tau, bins.base, up_B,
+        bins.standing, swings & whole[:, None], steady & whole,
     )  # fmt: skip
 
 
@@ -75,7 +76,7 @@ class Effort:
     torque: np.ndarray
 
 
-def effort(s: Smooth, robot: Machine) -> Effort:
+def effort(s: Steps, robot: Machine) -> Effort:
     """Inverse dynamics of the declared model and of what it knows of its masses."""
     dynamics = dynamics_of(robot.file, robot.joint_names)
     wrench, torque = dynamics.inverse(s.q, s.dq, s.ddq, s.base)
@@ -95,13 +96,18 @@ def effort(s: Smooth, robot: Machine) -> Effort:
     return Effort(wrench, torque)
 
 
-def torque_residual(s: Smooth, needed: Effort) -> np.ndarray:
+def torque_residual(s: Steps, needed: Effort) -> np.ndarray:
     """Measured torque less what the motion takes (M, J) [N m], NaN where a foot is loaded."""
-    return np.where(s.swings, s.tau - needed.torque, np.nan)
+    return np.where(s.swings, three(s.tau - needed.torque), np.nan)
 
 
-def wrench_residual(s: Smooth, needed: Effort, robot: Robot) -> np.ndarray:
-    """What the feet give the base less what its motion takes (M, 6), in B; NaN where unsteady.
+def wrench_residual(s: Steps, needed: Effort, robot: Robot) -> np.ndarray:
+    """What the feet give the base less what its motion takes (M, 6), in B; NaN where unsteady."""
+    return np.where(s.steady[:, None], three(unbalanced(s, needed, robot)), np.nan)
+
+
+def unbalanced(s: Steps, needed: Effort, robot: Robot) -> np.ndarray:
+    """The wrench (M, 6), in B, that the standing feet give the base less what its motion takes.
 
     The leg rows of the equation of motion give each standing foot's force:
     J^T f = inverse dynamics - measured torque.
@@ -110,7 +116,7 @@ def wrench_residual(s: Smooth, needed: Effort, robot: Robot) -> np.ndarray:
         robot.legs, np.maximum(robot.foot_radius, 0.0), s.q, s.up_B, s.standing,
         np.ascontiguousarray(needed.torque - s.tau),
     ).sum(axis=1)  # fmt: skip
-    return np.where(s.steady[:, None], given - needed.wrench, np.nan)
+    return given - needed.wrench
 
 
 @njit(cache=True)

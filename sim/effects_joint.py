@@ -76,7 +76,7 @@ class JointCompliance(Effect):
     channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
     targets = JOINTS
     needs = ("tau",)
-    step = 1e-4
+    step = 2e-5
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         wound = streams.tau * (self.value * _only(self.target))
@@ -111,7 +111,7 @@ class Backlash(Effect):
     channels = ("joint_rate", "leg_velocity", "foot_height", "base_wrench")
     targets = JOINTS
     needs = ("tau",)
-    step = 1e-3
+    step = 2e-4
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         j = JOINTS.index(self.target)
