@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo test check study study-observer study-trace suites lock clean
+.PHONY: setup demo test check study study-observer study-trace study-hardware suites lock clean
 
 setup: .venv/.ready
 
@@ -35,6 +35,10 @@ study-observer: setup
 # What trace takes undeclared effects for, whole catalogue; killed, it goes on where it was.
 study-trace: setup
 	$(BIN)/python -m scenarios.blind_study --out out/blind_study
+
+# What models lack of three real machines; a study whose recording is not there is skipped.
+study-hardware: setup
+	$(BIN)/python -m scenarios.hardware_study -o out/hardware --force
 
 # The paper's two tables on three seeds, about half an hour on two idle cores; killed, it goes on.
 suites: setup

@@ -82,11 +82,17 @@ def log_from_tables(main: Table, reference: Table | None, rules: ImportMap, name
             ).astype(float)
     if reference is not None:
         main = _with_reference(main, reference, rules)
+    joints = joint_names(main)
+    law = _motor_law(rules, joints)
+    torques = _torques_by_law(main, joints, law)
+    if torques:
+        main |= torques
+        derived.append("tau (motor law)")
     frame = pd.DataFrame({column: main[column] for column in sorted(main, key=_column_order)})
     meta = Meta(
         rate=rate,
         robot=rules.robot,
-        motor_law=_motor_law(rules, joint_names(frame.columns)),
+        motor_law=law,
         derived=tuple(derived),
         versions=_versions(),
         model=rules.model,
@@ -219,6 +225,23 @@ def _motor_law(rules: ImportMap, joints: tuple[str, ...]) -> dict[str, list[floa
         else:
             law[key] = [gains] * len(joints)
     return law
+
+
+def _torques_by_law(
+    main: Table, joints: tuple[str, ...], law: dict[str, list[float]] | None
+) -> Table:
+    """tau = kp (q_des - q) + kd (dq_des - dq) + tau_ff [N m], where a log has positions, rates and
+    targets but no torque of its own; targets that it lacks are zero, as the law has them."""
+    if law is None or any(f"tau_{joint}" in main for joint in joints):
+        return {}
+    if not all(f"{kind}_{joint}" in main for joint in joints for kind in ("dq", "q_des")):
+        return {}
+    return {
+        f"tau_{joint}": kp * (main[f"q_des_{joint}"] - main[f"q_{joint}"])
+        + kd * (main.get(f"dq_des_{joint}", 0.0) - main[f"dq_{joint}"])
+        + main.get(f"tau_ff_{joint}", 0.0)
+        for joint, kp, kd in zip(joints, law["kp"], law["kd"], strict=True)
+    }
 
 
 _ORDER = ("t", "gyro", "accel", "q_", "dq_", "tau_", "contact", "force", "ref", "x_")

