@@ -174,7 +174,8 @@ class _Linear:
         one = effect(*key, step)
         log, robot = explain_all([one], self.log, self.robot)
         if robot is not self.robot:
-            if robot.beyond.imu_lowpass != self.robot.beyond.imu_lowpass:
+            old, new = self.robot.beyond, robot.beyond
+            if (old.imu_lowpass, old.softness) != (new.imu_lowpass, new.softness):
                 return self._by_difference(log, robot, step)
             assert isinstance(robot, Robot)
             return _minus(by_robot(self.parts, self.robot, robot, step))

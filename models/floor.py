@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from models.bins import BIN
-from models.candidates import TURN_ON, Case, Evidence, Key, all_keys, case_of, linearise
+from models.candidates import Case, Evidence, Key, all_keys, case_of, linearise
 from models.fitting import Grams, design, fit, grams
 from models.layout import Layout, layout_of
 from models.masking import Trust, trust
@@ -81,8 +81,8 @@ class Floor:
             return 0.0, 0.0
         free = self.repeats[0].grams
         if key in free.stands_for:
-            # A bias is drawn anew whenever the sensor is switched on.
-            return 0.0, float(free.limits[free.stands_for.index(key)] / TURN_ON)
+            # A bias is drawn anew whenever the sensor is switched on: `fit` puts that in its error.
+            return 0.0, 0.0
         own = self._sizes(chosen, key)
         mean, count = float(np.mean(own)), len(own)
         if count < 2:

@@ -12,8 +12,8 @@ from models.floor import LEVEL
 from models.layout import UNITS
 from models.masking import Trust, hidden
 
-AT_FLOOR = 1.15
-"""A channel is at its floor up to this ratio to the root mean square of the floor's worst walk."""
+AT_FLOOR = 1.05
+"""A channel is at its floor up to this ratio to what the floor's walks reach (`highest`)."""
 WORSE = 1.02
 """A channel got worse from this ratio of after to before."""
 
@@ -30,7 +30,7 @@ class Channel:
     noise_floor: float | None
     unit: str
     highest: float = np.inf
-    """The most that one walk of the floor has."""
+    """The most that walks of the floor have: of those walked, and as far again as they differ."""
 
     @property
     def at_floor(self) -> bool:
@@ -73,7 +73,7 @@ def channel_levels(cases: Sequence[Case], result: Attribution, split: Split) -> 
             after=_rms(after[split.report][:, columns]),
             noise_floor=known,
             unit=UNITS[name],
-            highest=max(level, default=known if known is not None else np.inf),
+            highest=2.0 * max(level) - min(level) if level else known or np.inf,
         )
     return channels
 

@@ -42,7 +42,8 @@ def form(
     seen: np.ndarray,
     unseen: np.ndarray,
 ) -> tuple[Remainder, ...]:
-    """What goes with the rest `left` (M, W) in these channels, the strongest first.
+    """What goes with the rest `left` (M, W) in these channels, first what explains most of it in
+    units of noise.
 
     Forward selection of regressors on the bins `seen` (M,), shares on the bins `unseen` (M,).
     """
@@ -54,10 +55,11 @@ def form(
             one = _column(values, left[:, column], trusted.weight[:, column], seen, unseen)
             if one is not None:
                 chosen, share = one
-                found.append(
-                    Remainder(channel, layout.names[column], tuple(names[i] for i in chosen), share)
-                )
-    return tuple(sorted(found, key=lambda r: -r.share))
+                regressors = tuple(names[i] for i in chosen)
+                loud = float(np.nanmean(left[seen, column] ** 2)) / trusted.sigma[column] ** 2
+                one = Remainder(channel, layout.names[column], regressors, share)
+                found.append((share * loud, one))
+    return tuple(one for _, one in sorted(found, key=lambda pair: -pair[0]))
 
 
 def library(cases: Sequence[Case]) -> tuple[tuple[str, ...], np.ndarray]:

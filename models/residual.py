@@ -17,6 +17,7 @@ from numba import njit
 
 from models.bins import Bins, Frame, binned
 from models.layout import QUADRUPED, Layout, layout_of
+from models.sinking import sinking
 from models.torques import (
     Effort,
     Steps,
@@ -64,6 +65,11 @@ def residual(log: Log, robot: Machine, frame: Frame) -> Parts:
             table[:, 6:18] = leg_columns(bins, robot)
             if frame.level:
                 table[:, 18:22] = height_columns(bins, robot)
+            if robot.beyond.softness:
+                depth, rate = sinking(log, robot, frame)
+                table[:, 18:22] += depth
+                up_I = bins.R_GI[:, 2]
+                table[:, 6:18] -= (rate[:, :, None] * up_I[:, None]).reshape(-1, 12)
             if needed is not None:
                 table[:, 34:40] = wrench_residual(steps, needed, robot)
     return Parts(layout, bins, steps, needed, table, frame.t)

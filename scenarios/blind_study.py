@@ -7,7 +7,7 @@ stopped goes on where it was; `python -m scenarios.blind_study -o DIR` runs it a
 import json
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -92,7 +92,8 @@ def ground_and_course(seed: int, standing: bool) -> Scenario:
     """The walk of a seed: some stretches, and patches of little friction on the way."""
     w = read_toml(PLAN, "study")["walk"]
     if standing:
-        return Scenario("stand", (Segment(20.0),), Ground(0.8))
+        # A last step or two, since a walk without any is none.
+        return Scenario("stand", (Segment(0.5),), Ground(0.8), stand=20.0)
     rng = np.random.default_rng([seed, 7])
     segments = tuple(
         Segment(
@@ -128,13 +129,17 @@ def run_case(case: Case) -> dict[str, Any]:
 
 
 def over_floor(found: Trace, one: Effect) -> float | None:
-    """An effect's size over the least that this log could show of it; None where unknown."""
+    """An effect's size over the least that this log could show of it; None where unknown.
+
+    Zero for what is no candidate and leaves no channel above its floor: it never showed.
+    """
     rounds = found.attribution.rounds if found.attribution else ()
     for c in rounds[0] if rounds else ():
         if c.key == (one.name, one.target):
             least = 4.0 * float(np.hypot(c.floor, c.error))
             return abs(one.value) / least if np.isfinite(least) and least > 0 else 0.0
-    return None
+    shown = any(not replace(c, after=c.before).at_floor for c in found.channels.values())
+    return None if shown else 0.0
 
 
 def run_study(out: Path, workers: int, at_most: int | None = None) -> list[dict[str, Any]]:

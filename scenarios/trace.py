@@ -264,9 +264,9 @@ def _verdict(result: Attribution, channels: dict[str, Channel]) -> str:
     at_floor = all(c.at_floor and not c.worse for c in channels.values())
     if not result.found:
         return "no_residual" if at_floor else "none_of_these"
-    if result.rivals:
-        return "confounded"
-    return "attributed" if at_floor else "none_of_these"
+    if not at_floor:
+        return "none_of_these"
+    return "confounded" if result.rivals else "attributed"
 
 
 def _plain(value: Any) -> Any:

@@ -105,8 +105,9 @@ class FootSlip(Effect):
 class SoftGround(Effect):
     """The ground gives: its contacts take this much longer to push back.
 
-    The size is added to the time constant of MuJoCo's `solref`; how deep a foot sinks grows with
-    its square and with the load.
+    The size is added to the time constant of MuJoCo's `solref`: a foot that lands sinks, and is
+    pushed back within a few of them. A model that knows of it is told how deep it is at each time
+    (`models.sinking`).
     """
 
     name = "soft_ground"
@@ -114,9 +115,14 @@ class SoftGround(Effect):
     bounds = (0.0, 0.2)
     channels = ("foot_height", "leg_velocity")
     targets = ("all",)
+    step = 1e-2
 
     def alter_ground(self, ground: Ground) -> Ground:
         return replace(ground, softness=ground.softness + self.value)
+
+    def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        known = replace(robot.beyond, softness=robot.beyond.softness + self.value)
+        return log, replace(robot, beyond=known)
 
 
 def _rate(log: Log, joint: str) -> np.ndarray:

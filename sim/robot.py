@@ -25,6 +25,7 @@ class Beyond:
     payload: float = 0.0  # kg at the base's origin
     com_shift: np.ndarray = field(default_factory=lambda: np.zeros(3))  # m, of the base's own, in B
     imu_lowpass: float = 0.0  # s, time constant
+    softness: float = 0.0  # s, what the ground takes longer to push back than hard ground
 
 
 @dataclass(frozen=True)
