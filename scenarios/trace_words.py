@@ -23,6 +23,19 @@ _EXPLAIN = {
     "imu_rotation": "tilt the body in stance about each axis in turn",
     "gyro_scale": "turn the body about that axis, both ways and at several rates",
     "joint_delay": "change the gait's frequency: a delay's error grows with it",
+    "imu_delay": "shake the body at several frequencies: a delay's error grows with them",
+    "reference_delay": "change speed often: a late reference errs where the motion changes",
+    "clock_scale": "log for longer: clocks drift apart without end",
+    "encoder_scale": "bend the joint over its whole range: a scale's error grows with the angle",
+    "hip_offset": "turn on the spot and walk sideways, crouched and tall",
+    "gyro_bias": "tilt the body and hold it: a bias stays, what goes with gravity turns along",
+    "gyro_g_sensitivity": "tilt the body and hold it: gravity along the axis then changes",
+    "accel_bias": "tilt the body and hold it: a bias stays, gravity along the axis changes",
+    "accel_scale": "tilt the body and hold it, best upside down: gravity along the axis changes",
+    "imu_position": "turn fast about each axis: a lever arm's error grows with the rate squared",
+    "joint_compliance": "stand on the leg and lift it: a spring gives with the load",
+    "backlash": "load the joint one way and the other at one angle",
+    "soft_ground": "walk on hard ground",
 }
 _SCALE = {"rad": (1e3, "mrad"), "m": (1e3, "mm"), "s": (1e3, "ms"), "ratio": (1e2, "%")}
 

@@ -18,7 +18,7 @@ from sim.terrain import Ground
 from sim.walk import walk
 
 ROBOT = Robot.load("spot_class")
-SIZE = 0.03  # rad/s
+SIZE = 0.015  # rad/s
 
 
 class GyroWarming(Effect):
@@ -80,7 +80,7 @@ def test_the_form_that_is_left_becomes_an_effect(log, catalogue):
     assert after.effects[0].value == pytest.approx(SIZE, rel=0.1)
     level = after.channels["imu_gyro"]
     assert level.noise_floor is not None
-    assert level.after < 1.1 * level.noise_floor < 0.5 * level.before
+    assert level.after < 1.1 * level.noise_floor < 0.2 * level.before
 
 
 def test_a_class_that_says_too_little_or_takes_a_name_is_not_added(catalogue):
