@@ -7,9 +7,17 @@ out, which it never does. So b_p joins the state, with the error delta b_p = b_p
     z = H delta X = (v_I + b_p) - (v_I_bar + b_p_bar) to first order,   H = [0 -R^T 0 0 0 -I]
 
 (for the velocity as eq. setup_feasible_set_lie_linear_augmented: it stays right-invariant, as b_p
-adds to the output alone). b_p is a first-order Gauss-Markov process of prior covariance C and time
-constant tau; over dt it and its error shrink by exp(-dt/tau) and C (1 - exp(-2 dt/tau)) is added.
-tau = inf is a constant. What the updates are then told, bounds or R, is of e alone.
+adds to the output alone). What lasts does so on two scales: over a stretch of ground or a turn, and
+over the whole of a course, or for the life of a robot. So b_p is a first-order Gauss-Markov
+process, of covariance C and time constant tau, about a constant c of prior covariance C_c that is
+three more states,
+
+    b_p <- c + k (b_p - c),    delta b_p <- k delta b_p + (1 - k) delta c,    k = exp(-dt/tau),
+
+with C (1 - k^2) added. tau = inf is a constant; C_c = 0 leaves c at zero. Without c, a filter whose
+tau is a few seconds takes a bias of a whole course for a row of independent ones: position
+covariance then grows by the duration, and its error by the duration squared. What the updates are
+told, bounds or R, is of e alone.
 
 One statement an update cannot average: the posterior of Theorem 1 believes z to within the bounds
 and learns nothing more from them once it does, however many e have passed. So the statement is made
@@ -35,34 +43,41 @@ from numba import njit
 
 from estimator.coverage import FLOOR, posterior_moments
 from estimator.lift import lift, output
-from estimator.state import EXTRA, spd
+from estimator.state import EXTRA, numbers, spd
 from estimator.velocity import gaussian_update
 from sim.errors import SurefootError
 
 DOUBT = 3.3
 """Deviations of the estimate that are granted before a measurement counts as an outlier."""
-EXTRAS = 2
-"""Extra vectors in the packed state: b_p, then s."""
-_B, _S = EXTRA, EXTRA + 1
-_b, _s = 15, 18
+EXTRAS = 3
+"""Extra vectors in the packed state: b_p, then s, then c."""
+_B, _S, _C = EXTRA, EXTRA + 1, EXTRA + 2
+_b, _s, _c = 15, 18, 21
 
 
 @dataclass(frozen=True)
 class PersistentError:
     """What the filter is told of an observer's persistent error, all in I.
 
-    covariance (3, 3) [m^2/s^2]: prior of b_p. time_constant [s] > 0, inf for a constant. window:
-    measurements in the mean that a coverage update's epsilon bounds. reach (3,) [m/s]: the largest
-    mixing errors; larger ones are outliers.
+    covariance (3, 3) [m^2/s^2]: prior of b_p about c. time_constant [s] > 0, inf for a constant.
+    window: measurements in the mean that a coverage update's epsilon bounds. reach (3,) [m/s]: the
+    largest mixing errors; larger ones are outliers. course (3, 3) [m^2/s^2]: prior of c, which may
+    be zero.
     """
 
     covariance: np.ndarray
     time_constant: float = np.inf
     window: int = 1
     reach: np.ndarray = field(default_factory=lambda: np.full(3, np.inf))
+    course: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
 
     def __post_init__(self):
         object.__setattr__(self, "covariance", spd("persistent", self.covariance, 3))
+        course = numbers("persistent: course", self.course, (3, 3))
+        least = -1e-12 * max(float(np.trace(course)), 1e-12)
+        if not np.allclose(course, course.T) or np.linalg.eigvalsh(course)[0] < least:
+            raise SurefootError("persistent: course is no covariance")
+        object.__setattr__(self, "course", 0.5 * (course + course.T))
         reach = np.array(self.reach, dtype=float)
         if reach.shape != (3,) or not np.all(reach > 0):
             raise SurefootError("persistent: reach must be three numbers > 0")
@@ -73,9 +88,10 @@ class PersistentError:
             raise SurefootError(f"persistent: window {self.window} must be a whole number >= 1")
 
     def enter(self, covariance: np.ndarray) -> np.ndarray:
-        """The covariance (15, 15) with these states in it, (21, 21)."""
+        """The covariance (15, 15) with these states in it, (24, 24)."""
         P = np.zeros((15 + 3 * EXTRAS, 15 + 3 * EXTRAS))
-        P[:15, :15], P[_b:_s, _b:_s] = covariance, self.covariance
+        P[:15, :15], P[_b:_s, _b:_s] = covariance, self.covariance + self.course
+        P[_b:_s, _c:] = P[_c:, _b:_s] = P[_c:, _c:] = self.course
         return P
 
     def model(self) -> tuple[np.ndarray, float, int, np.ndarray, np.ndarray]:
@@ -90,17 +106,19 @@ NONE = (np.zeros((3, 3)), np.inf, 1, np.full(3, np.inf), np.zeros(2, dtype=np.in
 
 @njit(cache=True)
 def wander(mean, covariance, prior, time_constant: float, dt: float):
-    """b_p over dt [s], in place; prior (3, 3) is its stationary covariance."""
+    """b_p over dt [s], in place; prior (3, 3) is its stationary covariance about c."""
     if time_constant == np.inf:
         return
     keep = np.exp(-dt / time_constant)
     for i in range(3):
-        mean[_B, i] *= keep
+        mean[_B, i] = keep * mean[_B, i] + (1.0 - keep) * mean[_C, i]
         for j in range(covariance.shape[0]):
             covariance[_b + i, j] *= keep
+            covariance[_b + i, j] += (1.0 - keep) * covariance[_c + i, j]
     for i in range(3):
         for j in range(covariance.shape[0]):
             covariance[j, _b + i] *= keep
+            covariance[j, _b + i] += (1.0 - keep) * covariance[j, _c + i]
         for j in range(3):
             covariance[_b + i, _b + j] += (1.0 - keep * keep) * prior[i, j]
 
@@ -178,7 +196,7 @@ def _gather(mean, covariance, PHt, S, residual, share: float):
         for j in range(3):
             HPs[i, j] = PHt[_s + j, i]
     for i in range(n):
-        if not _s <= i < _s + 3:
+        if not _s <= i < _c:
             for j in range(3):
                 covariance[i, _s + j] -= share * PHt[i, j]
                 covariance[_s + j, i] = covariance[i, _s + j]

@@ -11,6 +11,14 @@ scalar Kalman filter (Harvey, Forecasting, Structural Time Series Models and the
 1989, ch. 3.4). It is maximised over a grid of tau, tau = inf being a part that stays the same
 throughout. Several sequences add to it, each drawing its b anew; so do long blocks of one.
 
+What a fitted b cannot show is how one course differs from the next: its tau is that of what changes
+on the way, and a tau of seconds averages out over minutes, which the mean error of a course need
+not. So b varies about a constant c, another for each course. Its variance is that of the course
+means seen, together with one more course that is all of one kind, as far off as b is within a
+course: few courses say little of others, and the ground that a stretch of this one had may be the
+whole of the next. What b already explains of a course's mean is taken off, all of it where tau is
+infinite.
+
 The mean is zero, not estimated: what all sequences share is persistent as well. Intervals are those
 of the likelihood ratio (Wilks): all values at which the likelihood, at its best over the others,
 lies within half a chi-square quantile of 1 degree of freedom of the maximum.
@@ -47,9 +55,11 @@ LEAST_STD = 1e-4
 class Persistent:
     """The persistent part of an observer's error, and what holds for the rest; in I.
 
-    covariance (3, 3) [m^2/s^2]: prior of the part in a sequence not yet seen. Its variances are
+    covariance (3, 3) [m^2/s^2]: prior of b in a sequence not yet seen. Its variances are
     c nu / (nu - 2), what Student's law says of a next draw after nu (at most doubled), its
-    correlations those found with three uncorrelated draws added. time_constant [s], may be inf.
+    correlations those found with three uncorrelated draws added. course (3, 3) [m^2/s^2]: prior of
+    the constant that b varies about, by the same laws; it may be zero. time_constant [s], may be
+    inf.
     epsilon (3,) [m/s] bounds the mean of `window` successive mixing errors at the joint level of
     the bounds; within (3, 3) [m^2/s^2] is that mean's covariance times `window`; reach (3,) [m/s]
     the largest single mixing error seen. variance (3,) is c itself, interval (3, 2) and
@@ -57,6 +67,7 @@ class Persistent:
     """
 
     covariance: np.ndarray
+    course: np.ndarray
     time_constant: float
     epsilon: np.ndarray
     within: np.ndarray
@@ -77,6 +88,7 @@ class Persistent:
         return replace(
             self,
             covariance=R @ self.covariance @ R.T,
+            course=R @ self.course @ R.T,
             within=R @ self.within @ R.T,
             epsilon=np.abs(R) @ self.epsilon,
             reach=np.abs(R) @ self.reach,
@@ -107,6 +119,8 @@ class Persistent:
         found = cls(**values)
         for name in ("covariance", "within"):
             np.linalg.cholesky(values[name])
+        if np.linalg.eigvalsh(found.course)[0] < -1e-12:
+            raise ValueError("persistent.course is no covariance")
         if not (found.time_constant > 0 and np.all(found.epsilon > 0) and np.all(found.reach > 0)):
             raise ValueError("persistent.time_constant, epsilon and reach must be > 0")
         if not (isinstance(found.window, int) and found.window > 0):
@@ -115,8 +129,8 @@ class Persistent:
 
 
 _SHAPES = {
-    "covariance": (3, 3), "within": (3, 3), "epsilon": (3,), "reach": (3,), "variance": (3,),
-    "interval": (3, 2),
+    "covariance": (3, 3), "course": (3, 3), "within": (3, 3), "epsilon": (3,), "reach": (3,),
+    "variance": (3,), "interval": (3, 2),
 }  # fmt: skip
 
 
@@ -142,7 +156,9 @@ def estimate(
     y, fresh = np.concatenate(means), np.concatenate([np.arange(len(m)) == 0 for m in means])
     ratio, variance, tau, interval, tau_interval = _fit(y, fresh, size * dt)
     nu = sum(1.0 + (0.0 if math.isinf(tau) else len(m) * size * dt / tau) for m in means)
-    covariance = _prior(y, fresh, variance, math.exp(-size * dt / tau), nu)
+    correlation = _correlation(y, fresh, math.exp(-size * dt / tau), nu)
+    std = np.maximum(np.sqrt(_next_draw(variance, nu)), LEAST_STD)
+    of_course = np.sqrt(_course_variance(sequences, dt, variance, tau))
     mixing = [
         _mixing(part, mean, size, ratio, math.exp(-size * dt / tau))
         for part, mean in zip(sequences, means, strict=True)
@@ -154,7 +170,8 @@ def estimate(
     length = max(1, round(window / dt))
     windows = np.concatenate([block_means(part, length) for part in mixing])
     return Persistent(
-        covariance=covariance,
+        covariance=correlation * np.outer(std, std),
+        course=correlation * np.outer(of_course, of_course),
         time_constant=tau,
         epsilon=_quantile(np.abs(windows), gamma ** (1 / 3)),
         within=windows.T @ windows / len(windows) * length,
@@ -228,9 +245,27 @@ def _innovations(y, fresh, ratio: float, phi: float) -> tuple[float, float]:
     return s, -0.5 * (y.shape[0] * math.log(s) + logs)
 
 
-def _prior(y, fresh, variance, phi: float, nu: float) -> np.ndarray:
-    """Prior covariance (3, 3): the variances' predictive values, correlations from lagged pairs."""
-    lagged, weight = np.zeros((3, 3)), 0.0
+def _next_draw(variance, nu: float):
+    """Variance of a next draw after nu (Student), at most doubled."""
+    return np.maximum(variance * nu / (nu - 2.0) if nu > 4.0 else 2.0 * variance, 0.0)
+
+
+def _course_variance(sequences, dt: float, variance, tau: float) -> np.ndarray:
+    """Variance (3,) of the constant that b varies about: see the module's text."""
+    explained, squares = 0.0, variance.copy()
+    for part in sequences:
+        x = len(part) * dt / tau
+        # Variance of a Gauss-Markov process's mean over x time constants, in shares of its own.
+        explained += 1.0 if x < 1e-6 else 2.0 * (x + math.expm1(-x)) / x**2
+        squares = squares + np.mean(part, axis=0) ** 2
+    nu = len(sequences) + 1.0
+    explained /= len(sequences)
+    return np.maximum(_next_draw(squares / nu, nu) - _next_draw(variance, nu) * explained, 0.0)
+
+
+def _correlation(y, fresh, phi: float, nu: float) -> np.ndarray:
+    """Correlations (3, 3) of what lasts, from lagged pairs of block means."""
+    lagged = np.zeros((3, 3))
     for part in np.split(y, np.flatnonzero(fresh)[1:]):
         # Weighted sums over all pairs of different blocks, by one pass of a decaying sum.
         before = np.zeros(3)
@@ -243,10 +278,7 @@ def _prior(y, fresh, variance, phi: float, nu: float) -> np.ndarray:
     np.fill_diagonal(correlation, 1.0)
     values, vectors = np.linalg.eigh(correlation)
     correlation = vectors * np.maximum(values, 0.05) @ vectors.T
-    correlation /= np.sqrt(np.outer(np.diag(correlation), np.diag(correlation)))
-    std = np.sqrt(np.maximum(variance * nu / (nu - 2.0) if nu > 4.0 else 2.0 * variance, 0.0))
-    std = np.maximum(std, LEAST_STD)
-    return correlation * np.outer(std, std)
+    return correlation / np.sqrt(np.outer(np.diag(correlation), np.diag(correlation)))
 
 
 def _mixing(errors, means, size: int, ratio, phi: float) -> np.ndarray:

@@ -1,7 +1,7 @@
 """What an experiment is made of: walks, observers, bounds and estimates, each found or made."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -137,7 +137,8 @@ def make_estimates(
         needs = NEEDS.get(filter_name, ("observers", "bounds"))
         for gamma in gammas if "bounds" in needs else gammas[:1]:
             inputs: dict[str, Any] = {"walk": walk.digest, "filter": filter_name}
-            inputs["parameters"] = asdict(parameters)
+            inputs["parameters"] = parameters.filters[filter_name]
+            inputs["mounting"] = parameters.mounting
             if "observers" in needs:
                 inputs["observers"] = sorted(one.digest for one in learnt.observers.values())
             if {"bounds", "persistent"} & set(needs):

@@ -88,9 +88,9 @@ def run(
         for scenario in experiment.scenarios
         for robot in experiment.robots_of(scenario)
     ]
-    with _processes(workers) as pool:
+    with processes(workers) as pool:
         tasks = {cell: (make_walk, folder, _job(cell)) for cell in cells}
-        walks = _stage(pool, "walks", tasks)
+        walks = stage(pool, "walks", tasks)
         learnt = _learn(pool, experiment, folder, walks)
         estimates, left_out = _estimate(pool, experiment, folder, walks, learnt)
         recorded = _record(pool, experiment, folder, walks, learnt) if recordings else {}
@@ -114,7 +114,7 @@ def _learn(
             named = by_role[cell.scenario.role].setdefault(cell.group, [])
             named.append((cell.scenario.name, walk))
     learning, held_out = experiment.learning, by_role["calibrate"]
-    observers = _stage(
+    observers = stage(
         pool,
         "observers",
         {
@@ -123,7 +123,7 @@ def _learn(
             for loss in learning.losses
         },
     )
-    bounds = _stage(
+    bounds = stage(
         pool,
         "bounds",
         {
@@ -163,7 +163,7 @@ def _estimate(
             what = (cell.scenario.name, cell.robot, files, experiment.filters, gammas)
             tasks[cell] = (make_estimates, folder, walk, *what)
     found, left_out = [], {}
-    for cell, (products, why) in _stage(pool, "estimates", tasks).items():
+    for cell, (products, why) in stage(pool, "estimates", tasks).items():
         found += [Estimated(cell, name, gamma, one) for (name, gamma), one in products.items()]
         left_out |= why
     return found, left_out
@@ -184,11 +184,11 @@ def _record(
             tasks[cell.title(experiment)] = (
                 make_recording, folder, walk, _job(cell), files, experiment.filters, gamma,
             )  # fmt: skip
-    return _stage(pool, "recordings", tasks)
+    return stage(pool, "recordings", tasks)
 
 
 @contextmanager
-def _processes(workers: int) -> Iterator[ProcessPoolExecutor | None]:
+def processes(workers: int) -> Iterator[ProcessPoolExecutor | None]:
     """A pool of processes; one worker is this process itself."""
     if workers == 1:
         yield None
@@ -197,7 +197,7 @@ def _processes(workers: int) -> Iterator[ProcessPoolExecutor | None]:
         yield pool
 
 
-def _stage(pool: ProcessPoolExecutor | None, words: str, tasks: dict[Any, tuple]) -> dict[Any, Any]:
+def stage(pool: ProcessPoolExecutor | None, words: str, tasks: dict[Any, tuple]) -> dict[Any, Any]:
     """What the tasks (a function and its arguments each) return, made in the pool.
 
     An error ends the stage; what is done stays in the cache.

@@ -8,6 +8,7 @@ from estimator.filter import run_coverage, run_imu, run_velocity
 from estimator.initial import initial_state
 from estimator.leg import encoder_covariance, run_leg
 from estimator.metrics import Metrics, evaluate
+from estimator.mounting import with_mounting
 from estimator.persistent import PersistentError
 from estimator.trajectory import Trajectory, reference
 from models.bounds import Bounds
@@ -15,7 +16,7 @@ from models.observer import Observer
 from models.persistent import Persistent
 from models.predict import Prediction, predict
 from scenarios.radar_velocity import radar_velocity
-from scenarios.tuned import tuned
+from scenarios.tuned import Parameters, imu_noise, leg_noise, tuned
 from sim.effects import effect, explain_all
 from sim.errors import SurefootError
 from sim.log import Log, joint_velocity
@@ -86,12 +87,15 @@ def run_filter(name: str, log: Log, robot: Robot, learnt: Learnt | None = None) 
         run = FILTERS[name](log, robot, learnt or Learnt())
     except SurefootError as error:
         raise SurefootError(f"filter {name}: {error}") from None
+    parameters = tuned(robot)
+    values = parameters.filters[name]
     if name not in _compiled:
-        run()  # compiles on a fresh machine: not the filter's own time
+        run(values)  # compiles on a fresh machine: not the filter's own time
         _compiled.add(name)
     started = perf_counter()
-    trajectory = run()
+    trajectory = run(values)
     elapsed = perf_counter() - started
+    trajectory = with_mounting(trajectory, parameters.mounting)
     judged = evaluate(reference(log), trajectory) if log.has("reference") else None
     return Result(name, log.name, trajectory, judged, elapsed / len(log.t))
 
@@ -125,7 +129,8 @@ def run_all(
     return results, left_out
 
 
-Run = Callable[[], Trajectory]
+Run = Callable[[Parameters], Trajectory]
+"""A filter on one log, all that does not depend on its parameters done."""
 
 
 def _coverage(log: Log, robot: Robot, learnt: Learnt, loss: str | None = None) -> Run:
@@ -134,10 +139,9 @@ def _coverage(log: Log, robot: Robot, learnt: Learnt, loss: str | None = None) -
     seen = predict(observer, log, robot)
     epsilon = bounds.epsilon_at(robot.R_BI)
     state, covariance = initial_state(log)
-    noise = tuned(robot).learnt_noise("coverage")
-    return lambda: run_coverage(
+    return lambda values: run_coverage(
         log.t, log.gyro, log.accel, seen.rows, seen.v_I, epsilon, bounds.gamma, state, covariance,
-        noise,
+        imu_noise(values),
     )  # fmt: skip
 
 
@@ -152,28 +156,27 @@ def _coverage_persistent(log: Log, robot: Robot, learnt: Learnt) -> Run:
     part = bounds.persistent_at(robot.R_BI)
     seen = predict(observer, log, robot)
     state, covariance = initial_state(log)
-    noise = tuned(robot).learnt_noise("coverage_persistent")
-    return lambda: run_coverage(
+    return lambda values: run_coverage(
         log.t, log.gyro, log.accel, seen.rows, seen.v_I, part.epsilon, bounds.gamma, state,
-        covariance, noise, persistent=persistent_error(part),
+        covariance, imu_noise(values), persistent=persistent_error(part, values["lasting"]),
     )  # fmt: skip
 
 
-def _velocity(log: Log, robot: Robot, learnt: Learnt, inflation: float = 1.0) -> Run:
+def _velocity(log: Log, robot: Robot, learnt: Learnt) -> Run:
     """Gaussian-velocity IEKF, covariance predicted by the gml observer."""
     seen: Prediction = predict(learnt.gaussian(), log, robot)
     assert seen.covariance is not None
-    cov = inflation * seen.covariance
+    cov = seen.covariance
     state, covariance = initial_state(log)
-    noise = tuned(robot).learnt_noise("velocity" if inflation == 1.0 else "velocity_inflated")
-    return lambda: run_velocity(
-        log.t, log.gyro, log.accel, seen.rows, seen.v_I, cov, state, covariance, noise
-    )
+    return lambda values: run_velocity(
+        log.t, log.gyro, log.accel, seen.rows, seen.v_I, values.get("inflation", 1.0) * cov, state,
+        covariance, imu_noise(values),
+    )  # fmt: skip
 
 
 def _velocity_inflated(log: Log, robot: Robot, learnt: Learnt) -> Run:
     """The same, its covariance times a factor chosen on training and calibration courses."""
-    return _velocity(log, robot, learnt, tuned(robot).inflation)
+    return _velocity(log, robot, learnt)
 
 
 def _velocity_persistent(log: Log, robot: Robot, learnt: Learnt) -> Run:
@@ -182,21 +185,21 @@ def _velocity_persistent(log: Log, robot: Robot, learnt: Learnt) -> Run:
     part = bounds.persistent_at(robot.R_BI)
     seen = predict(observer, log, robot)
     state, covariance = initial_state(log)
-    noise = tuned(robot).learnt_noise("velocity_persistent")
-    return lambda: run_velocity(
-        log.t, log.gyro, log.accel, seen.rows, seen.v_I, part.within, state, covariance, noise,
-        persistent=persistent_error(part),
+    return lambda values: run_velocity(
+        log.t, log.gyro, log.accel, seen.rows, seen.v_I, part.within, state, covariance,
+        imu_noise(values), persistent=persistent_error(part, values["lasting"]),
     )  # fmt: skip
 
 
-def persistent_error(part: Persistent) -> PersistentError:
-    """What the filter needs of what the calibration found."""
-    return PersistentError(part.covariance, part.time_constant, part.window, part.reach)
+def persistent_error(part: Persistent, lasting: float) -> PersistentError:
+    """What the filter needs of what the calibration found, its deviations times `lasting`."""
+    square = lasting**2
+    return PersistentError(
+        square * part.covariance, part.time_constant, part.window, part.reach, square * part.course
+    )
 
 
-def _leg(
-    log: Log, robot: Robot, _: Learnt, gate: float | None = None, seen: tuple = (None, None, None)
-) -> Run:
+def _leg(log: Log, robot: Robot, _: Learnt, seen: tuple | None = None) -> Run:
     """Contact-aided leg IEKF (Hartley)."""
     log.require("q", "contact")
     dq = log.dq if log.has("dq") else joint_velocity(log, causal=True)
@@ -204,30 +207,34 @@ def _leg(
     rates_I = robot.foot_rates_I(log.q, dq)
     cov = encoder_covariance(robot.feet_jacobian_I(log.q), ENCODER, KINEMATICS)
     state, covariance = initial_state(log)
-    noise = tuned(robot).leg_noise("leg" if gate is None else "leg_slip")
-    return lambda: run_leg(
-        log.t, log.gyro, log.accel, feet_I, log.contact, cov, state, covariance, noise,
-        robot.foot_radius, rates_I, gate, None, *seen,
-    )  # fmt: skip
+
+    def run(values: Parameters) -> Trajectory:
+        velocities = (None, None, None) if seen is None else (*seen[:2], values["radar"] * seen[2])
+        return run_leg(
+            log.t, log.gyro, log.accel, feet_I, log.contact, cov, state, covariance,
+            leg_noise(values), robot.foot_radius, rates_I, values.get("slip_gate"), None,
+            *velocities,
+        )  # fmt: skip
+
+    return run
 
 
 def _leg_slip(log: Log, robot: Robot, learnt: Learnt) -> Run:
     """Leg IEKF that restarts a contact whose innovation fails a chi-square gate."""
-    return _leg(log, robot, learnt, tuned(robot).slip_gate)
+    return _leg(log, robot, learnt)
 
 
 def _radar_leg(log: Log, robot: Robot, learnt: Learnt) -> Run:
     """Perceptive: a simulated radar's ego velocity with leg_slip; sees gravity through the IEKF."""
     # GaRLILEO (arXiv 2511.13216) ties velocity to gravity by factors of their own; in a
     # right-invariant filter the same velocities make roll and pitch observable already.
-    return _leg(log, robot, learnt, tuned(robot).slip_gate, radar_velocity(log, robot))
+    return _leg(log, robot, learnt, radar_velocity(log, robot))
 
 
 def _imu(log: Log, robot: Robot, _: Learnt) -> Run:
     """IMU alone: the floor."""
     state, covariance = initial_state(log)
-    noise = tuned(robot).leg_noise("leg").imu
-    return lambda: run_imu(log.t, log.gyro, log.accel, state, covariance, noise)
+    return lambda values: run_imu(log.t, log.gyro, log.accel, state, covariance, imu_noise(values))
 
 
 # A filter's docstring is what the tables say of it.

@@ -178,7 +178,9 @@ def _persistent(
     levels = {READINGS[0]: gamma**3, READINGS[1]: gamma}
     parts = {reading: estimate(errors, dt, levels[reading]) for reading in readings}
     part = parts[readings[0]]
-    lasting = PersistentError(part.covariance, part.time_constant, part.window, part.reach)
+    lasting = PersistentError(
+        part.covariance, part.time_constant, part.window, part.reach, part.course
+    )
     coverage: list[Named] = [
         (
             "coverage_persistent", gamma, reading,

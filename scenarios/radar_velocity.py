@@ -15,16 +15,13 @@ from sim.scenario import Scenario
 FOLDERS = ("demo", "spot", "vision60", "shift")
 DOPPLER = 0.06
 """m/s, a return's error as the estimator takes it: step, noise and what a wrong direction does."""
-INFLATION = 16.0
-"""On a frame's covariance. What is left of the directions' pull lasts (about 1 % of the speed), and
-a filter that takes frames for independent would trust it. Chosen on the training and calibration
-courses of both suites among 1, 4, 16 and 64: the only one with NEES below 1.5 on all of them, its
-APE within 0.1 m of the best."""
 
 
 def radar_velocity(log: Log, robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """rows (M,) of the log, the IMU's velocity v_I (M, 3) [m/s] there, and covariances (M, 3, 3),
-    inflated.
+    """rows (M,) of the log, the IMU's velocity v_I (M, 3) [m/s] there, and covariances (M, 3, 3).
+
+    What is left of the directions' pull lasts (about 1 % of the speed), and a filter that takes
+    frames for independent would trust it: `radar` of tuned.toml multiplies the covariances.
 
     Raises SurefootError where there is no world for a radar to see: the log is measured, or of a
     scenario that is not among the bundled ones.
@@ -40,7 +37,7 @@ def radar_velocity(log: Log, robot: Robot) -> tuple[np.ndarray, np.ndarray, np.n
     rows = seen.rows[frames]
     # The sensor's velocity is that of the IMU and of the arm between them, turning.
     v_I = velocity @ seen.R_IR.T - np.cross(log.gyro[rows], seen.p_IR)
-    return rows, v_I, INFLATION * (seen.R_IR @ cov @ seen.R_IR.T)
+    return rows, v_I, seen.R_IR @ cov @ seen.R_IR.T
 
 
 @cache

@@ -6,8 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimator.metrics import Metrics, evaluate
+from estimator.mounting import with_mounting
 from estimator.trajectory import Trajectory, reference
 from scenarios.filters import FILTERS, Learnt
+from scenarios.tuned import tuned
 from sim.effects import Effect, explain_all
 from sim.errors import SurefootError
 from sim.log import Log
@@ -51,7 +53,9 @@ def before_and_after(
 def filtered(name: str, log: Log, robot: Robot, learnt: Learnt) -> Trajectory:
     """One filter over a log. Raises SurefootError saying what it lacks."""
     robot = replace(robot, foot_radius=np.maximum(robot.foot_radius, 0.0))
-    return FILTERS[name](log, robot, learnt)()
+    parameters = tuned(robot)
+    found = FILTERS[name](log, robot, learnt)(parameters.filters[name])
+    return with_mounting(found, parameters.mounting)
 
 
 def stretch(log: Log, begin: float, end: float) -> Log | None:

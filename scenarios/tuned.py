@@ -1,6 +1,7 @@
-"""The filters' parameters by robot, from `tuned.toml`, one set for all courses."""
+"""The filters' parameters by robot, from `tuned.toml`: what `scenarios.tune_filters` found."""
 
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -11,33 +12,52 @@ from sim.files import read_toml
 from sim.robot import Robot
 
 BUNDLED = Path(__file__).with_name("tuned.toml")
-GYRO, GYRO_WALK, ACCEL_WALK = 3e-4, 1e-5, 1e-4
-"""rad/s/sqrt(Hz), rad/s^2/sqrt(Hz) and m/s^3/sqrt(Hz), the same for all filters."""
+GYRO_WALK, ACCEL_WALK = 1e-5, 1e-4
+"""rad/s^2/sqrt(Hz) and m/s^3/sqrt(Hz), the same for all filters."""
+IMU = ("accel", "gyro")
+OWN: dict[str, tuple[str, ...]] = {
+    "coverage": IMU,
+    "coverage_gml": IMU,
+    "coverage_persistent": (*IMU, "lasting"),
+    "velocity": IMU,
+    "velocity_inflated": (*IMU, "inflation"),
+    "velocity_persistent": (*IMU, "lasting"),
+    "leg": (*IMU, "contact"),
+    "leg_slip": (*IMU, "contact", "slip_gate"),
+    "radar_leg": (*IMU, "contact", "slip_gate", "radar"),
+    "imu": IMU,
+}
+"""Each filter's own parameters.
+
+accel [m/s^2/sqrt(Hz)] and gyro [rad/s/sqrt(Hz)]: a measurement errs for long stretches in one
+direction, and an IMU taken at its data sheet's word would carry each such error on. contact
+[m/s/sqrt(Hz)]: of a standing foot. slip_gate: a squared Mahalanobis distance of 3 degrees of
+freedom. inflation: times the covariance that a gml observer predicts. lasting: times the deviations
+of the persistent part's prior. radar: times a radar frame's covariance.
+"""
+
+Parameters = Mapping[str, float]
 
 
 @dataclass(frozen=True)
 class Tuned:
-    """Parameters of one robot's filters.
+    """Parameters of one robot's filters, by filter: the names in OWN, all > 0.
 
-    accel [m/s^2/sqrt(Hz)] by filter: a learnt velocity errs for long stretches in one direction,
-    and an accelerometer taken at its data sheet's word would carry each such error on. contact
-    [m/s/sqrt(Hz)] by leg filter; inflation multiplies the covariance that a gml observer predicts;
-    slip_gate is a squared Mahalanobis distance of 3 degrees of freedom. reason says who chose them.
+    mounting [rad]: deviation of the IMU's mounting about each axis, declared for all filters and
+    never tuned. reason says who chose the rest.
     """
 
-    accel: dict[str, float]
-    contact: dict[str, float]
-    inflation: float
-    slip_gate: float
+    filters: dict[str, dict[str, float]]
+    mounting: float
     reason: str
 
-    def learnt_noise(self, name: str) -> FilterNoise:
-        """The IMU's noise for the filter `name`."""
-        return FilterNoise(GYRO, self.accel[name], GYRO_WALK, ACCEL_WALK)
 
-    def leg_noise(self, name: str) -> LegNoise:
-        """The noise of the leg filter `name`."""
-        return LegNoise(self.learnt_noise(name), self.contact[name])
+def imu_noise(values: Parameters) -> FilterNoise:
+    return FilterNoise(values["gyro"], values["accel"], GYRO_WALK, ACCEL_WALK)
+
+
+def leg_noise(values: Parameters) -> LegNoise:
+    return LegNoise(imu_noise(values), values["contact"])
 
 
 def tuned(robot: Robot) -> Tuned:
@@ -49,12 +69,23 @@ def tuned(robot: Robot) -> Tuned:
 @cache
 def read_tuned(path: Path = BUNDLED) -> dict[str, Tuned]:
     """All robots' parameters. Raises SurefootError, one line, on a bad file."""
-    names = {f.name for f in fields(Tuned)}
-    found = {}
-    for robot, values in read_toml(path).items():
-        if not isinstance(values, dict) or set(values) != names:
-            raise SurefootError(f"{path}: [{robot}] must have {', '.join(sorted(names))}")
-        found[robot] = Tuned(**values)
+    found = {name: _tuned(values, f"{path}: [{name}]") for name, values in read_toml(path).items()}
     if "default" not in found:
         raise SurefootError(f"{path}: [default] is missing")
     return found
+
+
+def _tuned(values, where: str) -> Tuned:
+    names = {"reason", "mounting", *OWN}
+    if not isinstance(values, dict) or set(values) != names:
+        raise SurefootError(f"{where} must have {', '.join(sorted(names))}")
+    filters = {}
+    for name, own in OWN.items():
+        table = values[name]
+        if not isinstance(table, dict) or set(table) != set(own):
+            raise SurefootError(f"{where}: {name} must have {', '.join(own)}")
+        for parameter, value in table.items():
+            if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
+                raise SurefootError(f"{where}: {name}.{parameter} = {value!r} must be > 0")
+        filters[name] = {parameter: float(table[parameter]) for parameter in own}
+    return Tuned(filters, float(values["mounting"]), str(values["reason"]))

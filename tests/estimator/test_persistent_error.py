@@ -24,18 +24,20 @@ GRAVITY = np.array([0.0, 0.0, 9.8])
 
 
 def prior(rng, size=1e-3):
-    """A state with a persistent part, and its covariance (21, 21), s at zero."""
+    """A state with a persistent part, and its covariance (24, 24), s at zero."""
     mean = NavState(lie.so3_exp(rng.normal(size=3)), rng.normal(size=3)).pack(EXTRAS)
     mean[7] = 0.1 * rng.normal(size=3)
-    A = rng.normal(size=(18, 18)) * size
-    P = np.zeros((21, 21))
-    P[:18, :18] = A @ A.T + 1e-3 * size**2 * np.eye(18)
+    mean[9] = 0.1 * rng.normal(size=3)
+    A = rng.normal(size=(21, 21)) * size
+    P = np.zeros((24, 24))
+    some = np.r_[:18, 21:24]
+    P[np.ix_(some, some)] = A @ A.T + 1e-3 * size**2 * np.eye(21)
     return mean, P
 
 
 def gather(mean, P, samples, v_I, window):
     """IMU steps with a measurement after each, all gathered; nothing wanders and nothing is new."""
-    work = np.zeros((21, 6)), np.zeros((6, 3))
+    work = np.zeros((24, 6)), np.zeros((9, 3))
     for (gyro, accel), v in zip(samples, v_I, strict=True):
         propagate(mean, P, gyro, accel, 0.02, np.zeros((4, 3)), *work)
         update_coverage_persistent(
@@ -51,19 +53,19 @@ def test_the_windows_mean_by_differences():
     v_I = rng.normal(size=(6, 3))
 
     def s_after(delta):
-        moved, spread = mean.copy(), np.zeros((21, 21))
+        moved, spread = mean.copy(), np.zeros((24, 24))
         retract(moved, delta, 0)
         gather(moved, spread, samples, v_I, 50)
         return moved[8]
 
     h = 1e-5
     # True state = X_bar moved by delta, so delta s = s_bar - s is minus what the state does.
-    J = -np.column_stack([(s_after(h * e) - s_after(-h * e)) / (2 * h) for e in np.eye(21)])
+    J = -np.column_stack([(s_after(h * e) - s_after(-h * e)) / (2 * h) for e in np.eye(24)])
     after, spread = mean.copy(), P.copy()
     gather(after, spread, samples, v_I, 50)
-    assert_allclose(spread[18:, 18:], J @ P @ J.T, rtol=1e-6, atol=1e-12)
+    assert_allclose(spread[18:21, 18:21], J @ P @ J.T, rtol=1e-6, atol=1e-12)
     # b_p did not change on the way: its cross covariance with s is P J^T's.
-    assert_allclose(spread[15:18, 18:], (P @ J.T)[15:18], rtol=1e-6, atol=1e-12)
+    assert_allclose(spread[15:18, 18:21], (P @ J.T)[15:18], rtol=1e-6, atol=1e-12)
     assert_array_equal(spread, spread.T)
 
 
@@ -73,15 +75,22 @@ def test_it_wanders_as_gauss_and_markov_say():
     C, tau, dt = np.diag([1e-3, 2e-3, 3e-3]), 5.0, 0.7
     before, spread = mean.copy(), P.copy()
     wander(mean, P, C, tau, dt)
-    F = np.eye(21)
+    F = np.eye(24)
     F[15:18, 15:18] *= np.exp(-dt / tau)
-    Q = np.zeros((21, 21))
+    F[15:18, 21:] = (1 - np.exp(-dt / tau)) * np.eye(3)
+    Q = np.zeros((24, 24))
     Q[15:18, 15:18] = (1 - np.exp(-2 * dt / tau)) * C
     assert_allclose(P, F @ spread @ F.T + Q, rtol=1e-12, atol=1e-18)
-    assert_allclose(mean[7], before[7] * np.exp(-dt / tau))
+    assert_allclose(mean[7], before[9] + (before[7] - before[9]) * np.exp(-dt / tau))
     for _ in range(200):
         wander(mean, P, C, tau, dt)
-    assert_allclose(P[15:18, 15:18], C, rtol=1e-10, atol=1e-15)
+    assert_allclose(P[15:18, 15:18], C + spread[21:, 21:], rtol=1e-10, atol=1e-15)
+    assert_allclose(mean[7], mean[9])
+    lasting = PersistentError(C, tau, course=np.eye(3) * 4e-3)
+    start = lasting.enter(np.eye(15))
+    before = start.copy()
+    wander(mean, start, C, tau, dt)
+    assert_allclose(start, before, rtol=1e-12, atol=1e-18, err_msg="the prior is stationary")
     spread = P.copy()
     wander(mean, P, C, np.inf, dt)
     assert_array_equal(P, spread)
@@ -176,6 +185,8 @@ def test_outliers_cost_it_less_than_the_same_filter_without_reach():
         ({"window": 0}, "window"),
         ({"window": 1.5}, "window"),
         ({"reach": np.zeros(3)}, "reach"),
+        ({"course": -np.eye(3)}, "course"),
+        ({"course": np.eye(2)}, "course"),
     ],
 )
 def test_what_is_no_persistent_error_is_one_line(values, says):

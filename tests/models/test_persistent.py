@@ -163,3 +163,29 @@ def test_another_mounting_turns_it(mse_observer, walks):
     found = bounds.persistent_at(quarter)
     assert found.epsilon == pytest.approx(part.epsilon[[1, 0, 2]])
     assert np.diag(found.covariance) == pytest.approx(np.diag(part.covariance)[[1, 0, 2]])
+
+
+def test_courses_that_each_have_a_mean_of_their_own():
+    """Seconds of wandering about a constant by course: both variances are found from 30 courses."""
+    rng = np.random.default_rng(8)
+    parts = [
+        errors(rng, 120.0, 4.0) + np.array([0.04, 0.02, 0.0]) * rng.normal(size=3)
+        for _ in range(30)
+    ]
+    found = estimate(parts, DT, 0.8)
+    of_course = np.sqrt(np.diag(found.course))
+    assert of_course[:2] == pytest.approx([0.04, 0.02], rel=0.5)
+    assert of_course[2] < 0.015
+
+
+def test_one_course_alone_grants_others_a_mean_as_large_as_its_own_wandering():
+    rng = np.random.default_rng(9)
+    found = estimate(errors(rng, 300.0, 4.0), DT, 0.8)
+    ratio = np.sqrt(np.diag(found.course) / found.variance)
+    assert np.all((ratio > 0.8) & (ratio < 1.5))
+
+
+def test_a_constant_part_leaves_nothing_to_the_courses():
+    rng = np.random.default_rng(10)
+    found = estimate([errors(rng, 40.0, np.inf) for _ in range(30)], DT, 0.8)
+    assert np.all(np.diag(found.course) < 0.5 * np.diag(found.covariance))

@@ -53,7 +53,7 @@ def test_velocities_are_those_of_the_walk_within_their_covariances(known, log, r
     assert len(rows) > 0.9 * (log.t[-1] - log.t[0]) / 0.055
     assert np.sqrt(np.mean(error**2, axis=0)).max() < 0.1
     assert np.abs(error.mean(axis=0)).max() < 0.02
-    nees = np.einsum("ni,nij,nj->n", error, np.linalg.inv(cov / module.INFLATION), error)
+    nees = np.einsum("ni,nij,nj->n", error, np.linalg.inv(cov), error)
     assert 1.0 < nees.mean() < 6.0
 
 
