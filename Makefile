@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo test check study study-observer study-trace study-hardware suites lock clean
+.PHONY: setup demo test check study study-observer study-trace study-hardware suites tune lock clean
 
 setup: .venv/.ready
 
@@ -44,6 +44,10 @@ study-hardware: setup
 suites: setup
 	$(BIN)/surefoot suite vision60 -o out/suite_vision60 --workers 2 --force
 	$(BIN)/surefoot suite spot -o out/suite_spot --workers 2 --force
+
+# One search for all filters' parameters, on training and calibration courses; killed, it goes on.
+tune: setup
+	$(BIN)/python -m scenarios.tune_filters -o out/tuned --workers 2 --force
 
 lock: setup
 	$(BIN)/pip freeze --exclude-editable | sed 's/+cpu$$//' > requirements.lock
