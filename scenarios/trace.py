@@ -13,7 +13,7 @@ from models.floor import Floor, floor_of
 from models.levels import Channel, channel_levels, without_bias
 from models.remainder import Remainder, form
 from scenarios.filters import Learnt
-from scenarios.trace_filters import BeforeAfter, before_and_after, mean_metrics, stretch
+from scenarios.trace_filters import BeforeAfter, before_and_after, mean_metrics
 from scenarios.trace_report import write_outputs
 from scenarios.trace_words import motion_to_tell_apart
 from sim.effects import Effect, explain_all
@@ -254,9 +254,8 @@ def _filtered(
         if case.fixed or not isinstance(case.robot, Robot) or not case.log.has("imu"):
             continue
         t = case.log.t
-        part = stretch(case.log, t[0] + (1 - REPORT_SHARE) * (t[-1] - t[0]), t[-1])
-        if part is not None:
-            done += before_and_after(part, case.robot, effects, learnt)
+        begin = t[0] + (1 - REPORT_SHARE) * (t[-1] - t[0])
+        done += before_and_after(case.log, case.robot, effects, learnt, begin, t[-1])
     return tuple(done)
 
 

@@ -33,19 +33,27 @@ class BeforeAfter:
 
 
 def before_and_after(
-    log: Log, robot: Robot, effects: Sequence[Effect], learnt: Learnt
+    log: Log, robot: Robot, effects: Sequence[Effect], learnt: Learnt, begin: float, end: float
 ) -> list[BeforeAfter]:
-    """Every filter that the log and what was learnt allow, started from the reference at the log's
-    first row: twice."""
-    truth, done = reference(log), []
+    """Every filter that the log and what was learnt allow, on the stretch from `begin` to `end`
+    [s], started from the reference at its first row: twice. None where the stretch is too short.
+
+    The whole log is explained before it is cut: of some effects the size goes with the time since
+    the log began.
+    """
+    explained, informed = explain_all(effects, log, robot)
+    part, other = stretch(log, begin, end), stretch(explained, begin, end)
+    if part is None or other is None:
+        return []
+    truth, done = reference(part), []
     for name in FILTERS:
         try:
-            before = filtered(name, log, robot, learnt)
-            after = filtered(name, *explain_all(effects, log, robot), learnt) if effects else before
+            before = filtered(name, part, robot, learnt)
+            after = filtered(name, other, informed, learnt) if effects else before
         except SurefootError:  # the log, or what was learnt, lacks what this filter takes
             continue
         metrics = evaluate(truth, before), evaluate(truth, after)
-        done.append(BeforeAfter(name, log, before, after, metrics))
+        done.append(BeforeAfter(name, part, before, after, metrics))
     # The leg filter first: it is the one that a model of the legs serves.
     return sorted(done, key=lambda one: one.filter != "leg")
 

@@ -1,0 +1,43 @@
+"""What an effect costs the filters, before it is known and after."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from scenarios.filters import Learnt
+from scenarios.trace_filters import before_and_after
+from sim.effect import Effect, with_columns
+from sim.robot import Robot
+from sim.scenario import Scenario, Segment
+from sim.terrain import Ground
+from sim.walk import walk
+
+
+class Drift(Effect):
+    """A gyro that drifts with the time since the log began."""
+
+    name = "drift"
+    unit = "rad/s^2"
+    bounds = (-1.0, 1.0)
+    channels = ("imu_gyro",)
+    targets = ("all",)
+
+    def explain(self, log, robot):
+        reading = log.frame["gyro_x"].to_numpy() - self.value * (log.t - log.t[0])
+        return with_columns(log, {"gyro_x": reading}), robot
+
+
+def test_an_effect_that_grows_with_time_is_explained_before_the_log_is_cut():
+    robot = Robot.load("spot_class")
+    clean = walk(Scenario("short", (Segment(8.0, 0.5),), Ground(0.8)), robot, 0)
+    drifted = clean.frame["gyro_x"].to_numpy() + 0.01 * (clean.t - clean.t[0])
+    log = with_columns(replace(clean), {"gyro_x": drifted})
+    found = before_and_after(log, robot, [Drift("all", 0.01)], Learnt(), 5.0, log.t[-1])
+    right = before_and_after(clean, robot, [], Learnt(), 5.0, log.t[-1])
+    assert [one.filter for one in found] == [one.filter for one in right]
+    for one, other in zip(found, right, strict=True):
+        assert one.metrics[1].ape_rot == pytest.approx(other.metrics[0].ape_rot, rel=1e-6)
+    imu = next(one for one in found if one.filter == "imu")
+    assert imu.metrics[0].ape_rot > 5 * imu.metrics[1].ape_rot
+    assert np.isfinite(imu.metrics[1].ape_trans)
