@@ -203,13 +203,15 @@ def _rivals(
     chosen: Sequence[Key],
     rng: np.random.Generator,
 ) -> tuple[tuple[Key, float], ...]:
-    """Candidates that explain the unseen blocks as well as the best, with their overlap."""
+    """Candidates inside their bounds that explain the unseen blocks as well as the best, with their
+    overlap.
+    """
     seen, unseen = data.rows(data.part == FIT), data.rows(data.part == SELECT)
     counts = draws(len(unseen.G), rng)
     of_best = loss(unseen, fit(seen, [*chosen, best.key], errors=False).vector)
     rivals = []
     for other in candidates:
-        if other.key == best.key or other.gain < 0.5 * best.gain:
+        if other.key == best.key or other.at_bound or other.gain < 0.5 * best.gain:
             continue
         behind = loss(unseen, fit(seen, [*chosen, other.key], errors=False).vector) - of_best
         shared = overlap(data, best.key, other.key, chosen)

@@ -42,15 +42,15 @@ def form(
     seen: np.ndarray,
     unseen: np.ndarray,
 ) -> tuple[Remainder, ...]:
-    """What goes with the rest `left` (M, W) in these channels, first what explains most of it in
-    units of noise.
+    """What goes with the rest `left` (M, W) in these channels, one channel after the other, and in
+    each first what explains most in units of noise.
 
     Forward selection of regressors on the bins `seen` (M,), shares on the bins `unseen` (M,).
     """
     names, values = library(cases)
     layout = layout_of(cases[0].log.joints)
     found = []
-    for channel in channels:
+    for place, channel in enumerate(channels):
         for column in range(*layout.channels[channel].indices(layout.width)):
             one = _column(values, left[:, column], trusted.weight[:, column], seen, unseen)
             if one is not None:
@@ -58,8 +58,8 @@ def form(
                 regressors = tuple(names[i] for i in chosen)
                 loud = float(np.nanmean(left[seen, column] ** 2)) / trusted.sigma[column] ** 2
                 one = Remainder(channel, layout.names[column], regressors, share)
-                found.append((share * loud, one))
-    return tuple(one for _, one in sorted(found, key=lambda pair: -pair[0]))
+                found.append(((place, -share * loud), one))
+    return tuple(one for _, one in sorted(found, key=lambda pair: pair[0]))
 
 
 def library(cases: Sequence[Case]) -> tuple[tuple[str, ...], np.ndarray]:

@@ -160,6 +160,7 @@ def diagnose(
     verdict, remainder = _verdict(result, channels), ()
     if verdict == "none_of_these":
         above = [name for name, c in channels.items() if not c.at_floor or c.worse]
+        above.sort(key=lambda name: -channels[name].after / channels[name].highest)
         used = split.fit | split.select
         left = without_bias(result.evidence, result.trust, used)
         remainder = form(cases, left, result.trust, above, split.fit, split.select)
