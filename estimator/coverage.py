@@ -32,6 +32,7 @@ from numba import njit
 
 from estimator.box import box_moments_kernel
 from estimator.lift import lift, output
+from estimator.outliers import PATIENCE, is_outlier
 
 FLOOR = 1e-6
 """Standard deviation [m/s] added to S. The set update brings no noise of its own, and without a
@@ -73,6 +74,29 @@ def update_coverage(
     n = covariance.shape[0]
     PHt, S, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
     output(mean, covariance, contacts, v_I, PHt, S, residual)
+    return _set_update(mean, covariance, contacts, PHt, S, residual, epsilon, gamma, iterations)
+
+
+@njit(cache=True)
+def update_coverage_within(
+    mean, covariance, contacts: int, v_I, epsilon, gamma: float, iterations: int, reach, counts
+) -> float:
+    """`update_coverage`, but that an error beyond reach (3,) [m/s] is left out: pi is nan.
+
+    counts (2,) are kept as `estimator.outliers.is_outlier` says.
+    """
+    n = covariance.shape[0]
+    PHt, S, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
+    output(mean, covariance, contacts, v_I, PHt, S, residual)
+    if is_outlier(S, residual, reach, PATIENCE, counts):
+        return np.nan
+    return _set_update(mean, covariance, contacts, PHt, S, residual, epsilon, gamma, iterations)
+
+
+@njit(cache=True)
+def _set_update(
+    mean, covariance, contacts: int, PHt, S, residual, epsilon, gamma: float, iterations: int
+) -> float:
     floor = FLOOR**2 + 1e-10 * (S[0, 0] + S[1, 1] + S[2, 2])
     for i in range(3):
         S[i, i] += floor

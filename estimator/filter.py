@@ -3,7 +3,9 @@
 import numpy as np
 from numba import njit
 
-from estimator.coverage import update_coverage
+from estimator.coverage import update_coverage_within
+from estimator.log_arrays import imu_arrays, outputs, row_indices, trajectory
+from estimator.outliers import ANY
 from estimator.persistent import (
     EXTRAS,
     NONE,
@@ -42,6 +44,7 @@ class InvariantFilter:
         self._mean, self._covariance = _start(state, covariance, persistent)
         self._persistent = None if persistent is None else persistent.model()
         self._columns, self._rotation_columns = _work(self._mean)
+        self._left_out = np.zeros(2, dtype=np.int64)
 
     def predict(self, gyro: np.ndarray, accel: np.ndarray, dt: float) -> None:
         """IMU step (eq. covariance_propagation): gyro (3,) [rad/s] and accel (3,) [m/s^2], both in
@@ -66,7 +69,7 @@ class InvariantFilter:
             wander(self._mean, self._covariance, *self._persistent[:2], float(dt))
 
     def update_coverage(
-        self, v_I: np.ndarray, epsilon: np.ndarray, gamma: float, iterations: int = 1
+        self, v_I: np.ndarray, epsilon: np.ndarray, gamma: float, iterations: int = 1, reach=None
     ) -> float:
         """Algorithm 1 with P(|v_I - true v_I| <= epsilon) >= gamma, gamma the JOINT level.
 
@@ -74,20 +77,23 @@ class InvariantFilter:
         (eq. pi_def_error_state); the state changed if pi < gamma. More than one of `iterations`
         repeats the projection, so that the posterior holds closer to gamma. With a persistent part
         epsilon bounds the mean mixing error of a window: pi is nan, and the state unchanged, but
-        for the measurement that ends one.
+        for the measurement that ends one. Errors beyond reach (3,) [m/s] are outliers and left out,
+        where it is given (`estimator.outliers`); a persistent part has its own.
         """
         v_I, epsilon = vector("v_I", v_I), vector("epsilon", epsilon)
         if not min(epsilon.tolist()) > 0:
             _bounds(epsilon, (3,))
         _check_gamma(gamma, iterations)
+        reach = ANY if reach is None else _reach(reach, self._persistent)
         if self._persistent:
             return update_coverage_persistent(
                 self._mean, self._covariance, v_I, epsilon, float(gamma), int(iterations),
                 *self._persistent[2:],
             )  # fmt: skip
-        return update_coverage(
-            self._mean, self._covariance, 0, v_I, epsilon, float(gamma), int(iterations)
-        )
+        return update_coverage_within(
+            self._mean, self._covariance, 0, v_I, epsilon, float(gamma), int(iterations), reach,
+            self._left_out,
+        )  # fmt: skip
 
     def update_velocity(self, v_I: np.ndarray, cov: np.ndarray) -> float:
         """Gaussian update with v_I (3,) [m/s] in I and its covariance (3, 3). Returns the squared
@@ -149,15 +155,15 @@ def run_velocity(
 
 def run_coverage(
     t, gyro, accel, rows, v_I, epsilon, gamma, state, covariance, noise=None, stride=None,
-    persistent=None, iterations: int = 1,
+    persistent=None, iterations: int = 1, reach=None,
 ) -> Trajectory:  # fmt: skip
     """Coverage updates over a whole log, one compiled loop with the numbers of `InvariantFilter`.
 
     t (N,) [s], gyro (N, 3) and accel (N, 3): row k holds the means over (t[k-1], t[k]], so row 0
     is where `state` stands and predicts nothing. rows (M,) are the increasing row indices of the
     measurements v_I (M, 3) [m/s], each applied after its row's prediction; epsilon (3,) or (M, 3)
-    [m/s], gamma the joint level, `iterations` as `InvariantFilter.update_coverage`, `persistent` as
-    there. Output every `stride` rows, by default at 100 Hz.
+    [m/s], gamma the joint level, `iterations` and `reach` as `InvariantFilter.update_coverage`,
+    `persistent` as `InvariantFilter`. Output every `stride` rows, by default at 100 Hz.
     """
     v_I = numbers("v_I", v_I, (-1, 3))
     if np.ndim(epsilon) == 1:
@@ -166,17 +172,20 @@ def run_coverage(
     _check_gamma(gamma, iterations)
     return _run(
         t, gyro, accel, rows, v_I, epsilon, None, gamma, state, covariance, noise, stride,
-        persistent, iterations,
+        persistent, iterations, ANY if reach is None else _reach(reach, persistent),
     )  # fmt: skip
 
 
 def _run(
     t, gyro, accel, rows, v_I, epsilon, cov, gamma, state, covariance, noise, stride,
-    persistent=None, iterations=1,
+    persistent=None, iterations=1, reach=ANY,
 ):  # fmt: skip
     t, gyro, accel, stride = imu_arrays(t, gyro, accel, stride)
     rows = row_indices(rows, len(v_I), len(t))
     mean, P = _start(state, covariance, persistent)
+    model = (*NONE[:3], reach, np.zeros(2, dtype=np.int64))
+    if persistent is not None:
+        model = persistent.model()
     out_mean, out_cov = outputs(len(t), stride)
     pi = np.full(len(rows), np.nan)
     _loop(
@@ -185,7 +194,7 @@ def _run(
         np.zeros((0, 3, 3)) if cov is None else cov,
         float(gamma), int(iterations), mean, P, (noise or FilterNoise()).packed(), *_work(mean),
         stride, out_mean, out_cov, pi,
-        persistent is not None, *(NONE if persistent is None else persistent.model()),
+        persistent is not None, *model,
     )  # fmt: skip
     updates = None
     # Of a window, the record has the measurement that ended it; of velocities, those not left out.
@@ -216,7 +225,9 @@ def _loop(
                     mean, P, v_I[m], epsilon[m], gamma, iterations, window, reach, counts
                 )
             elif epsilon.shape[0] > 0:
-                pi[m] = update_coverage(mean, P, 0, v_I[m], epsilon[m], gamma, iterations)
+                pi[m] = update_coverage_within(
+                    mean, P, 0, v_I[m], epsilon[m], gamma, iterations, reach, counts
+                )
             elif lasting:
                 pi[m] = update_velocity_persistent(mean, P, v_I[m], cov[m], window, reach, counts)
             else:
@@ -225,46 +236,6 @@ def _loop(
         if k % stride == 0:
             out_mean[k // stride] = mean[:7]
             out_cov[k // stride] = P[:15, :15]
-
-
-def imu_arrays(t, gyro, accel, stride):
-    """Checked t (N,), gyro (N, 3), accel (N, 3) and the stride, 100 Hz where it is None."""
-    t = numbers("t", t, (-1,))
-    gyro, accel = numbers("gyro", gyro, (len(t), 3)), numbers("accel", accel, (len(t), 3))
-    if len(t) < 2 or not np.all(np.diff(t) > 0):
-        raise SurefootError("t: needs two rows or more, strictly increasing")
-    if stride is None:
-        stride = max(1, round(0.01 / float(np.median(np.diff(t)))))
-    if stride < 1:
-        raise SurefootError(f"stride: {stride} where a whole number >= 1 is expected")
-    return t, gyro, accel, int(stride)
-
-
-def row_indices(rows, count: int, n: int) -> np.ndarray:
-    """Checked row indices (count,), strictly increasing inside [0, n)."""
-    rows = np.asarray(rows)
-    if rows.shape != (count,):
-        raise SurefootError(f"rows: shape {rows.shape} where ({count},) is expected, one a v_I")
-    rows = rows.astype(np.int64)
-    if count and (rows[0] < 0 or rows[-1] >= n or not np.all(np.diff(rows) > 0)):
-        raise SurefootError(f"rows: must increase strictly inside 0..{n - 1}")
-    return rows
-
-
-def outputs(n: int, stride: int) -> tuple[np.ndarray, np.ndarray]:
-    """Empty packed means (L, 7, 3) and covariances (L, 15, 15) for every stride-th of n rows."""
-    count = (n - 1) // stride + 1
-    return np.empty((count, 7, 3)), np.empty((count, 15, 15))
-
-
-def trajectory(t, mean, covariance, updates) -> Trajectory:
-    """The trajectory of packed means (L, 7, 3). Raises SurefootError where a filter diverged."""
-    bad = np.flatnonzero(~np.isfinite(mean).all(axis=(1, 2)))
-    if len(bad):
-        raise SurefootError(f"filter: the estimate is not finite from t = {t[bad[0]]:.3f} s on")
-    return Trajectory(
-        t, mean[:, :3], mean[:, 3], mean[:, 4], mean[:, 5], mean[:, 6], covariance, updates
-    )
 
 
 def _start(
@@ -286,6 +257,15 @@ def _bounds(epsilon, shape) -> np.ndarray:
     if not np.all(epsilon > 0):
         raise SurefootError("epsilon: every bound must be > 0 m/s")
     return epsilon
+
+
+def _reach(reach, persistent) -> np.ndarray:
+    reach = numbers("reach", reach, (3,))
+    if not np.all(reach > 0):
+        raise SurefootError("reach: every one must be > 0 m/s")
+    if persistent:
+        raise SurefootError("reach: a persistent part has its own")
+    return reach
 
 
 def _check_gamma(gamma: float, iterations: int) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from estimator.contacts import propagate_contacts, update_contacts
-from estimator.filter import imu_arrays, outputs, row_indices, trajectory
+from estimator.log_arrays import imu_arrays, outputs, row_indices, trajectory
 from estimator.state import EXTRA, FilterNoise, NavState, numbers, spd, spd_3, vector
 from estimator.trajectory import Trajectory
 from estimator.velocity import update_velocity

@@ -29,11 +29,7 @@ three more states as well, s = -(mean of e so far), which is exact whatever the 
 and |s| <= epsilon with probability gamma is the box update with z = -delta s at the window's end;
 then s starts from zero again.
 
-Outliers. As pi -> 0 Theorem 1 moves gamma of the mass into a box however far away: the statement is
-believed and the prior is not. An error beyond all that the calibration saw (`reach`) was worth at
-most 1/(n+1) there; where no state within 3.3 deviations of the estimate explains a measurement by
-an error within reach, it is taken for one of these and left out, unless this goes on for longer
-than a window: then the estimate is wrong. This goes beyond the paper, and serves both updates.
+Both updates leave outliers out (`estimator.outliers`), no more of them in a row than a window has.
 """
 
 from dataclasses import dataclass, field
@@ -43,12 +39,11 @@ from numba import njit
 
 from estimator.coverage import FLOOR, posterior_moments
 from estimator.lift import lift, output
+from estimator.outliers import is_outlier
 from estimator.state import EXTRA, numbers, spd
 from estimator.velocity import gaussian_update
 from sim.errors import SurefootError
 
-DOUBT = 3.3
-"""Deviations of the estimate that are granted before a measurement counts as an outlier."""
 EXTRAS = 3
 """Extra vectors in the packed state: b_p, then s, then c."""
 _B, _S, _C = EXTRA, EXTRA + 1, EXTRA + 2
@@ -132,7 +127,7 @@ def update_velocity_persistent(mean, covariance, v_I, R, window: int, reach, cou
     n = covariance.shape[0]
     PHt, S, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
     output(mean, covariance, 0, v_I, PHt, S, residual)
-    if _outlier(S, residual, reach, window, counts):
+    if is_outlier(S, residual, reach, window, counts):
         return np.nan
     return gaussian_update(mean, covariance, 0, PHt, S, residual, R)
 
@@ -150,7 +145,7 @@ def update_coverage_persistent(
     n = covariance.shape[0]
     PHt, S, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
     output(mean, covariance, 0, v_I, PHt, S, residual)
-    if _outlier(S, residual, reach, window, counts):
+    if is_outlier(S, residual, reach, window, counts):
         return np.nan
     _gather(mean, covariance, PHt, S, residual, 1.0 / window)
     counts[0] += 1
@@ -203,14 +198,3 @@ def _gather(mean, covariance, PHt, S, residual, share: float):
     for i in range(3):
         for j in range(3):
             covariance[_s + i, _s + j] += share * (share * S[i, j] - HPs[i, j] - HPs[j, i])
-
-
-@njit(cache=True)
-def _outlier(S, residual, reach, window: int, counts) -> bool:
-    """Whether to leave this measurement out; counts[1] are those left out in a row."""
-    for i in range(3):
-        if abs(residual[i]) > reach[i] + DOUBT * np.sqrt(S[i, i]):
-            counts[1] += 1
-            return counts[1] <= window
-    counts[1] = 0
-    return False

@@ -91,6 +91,33 @@ def test_coverage(walk, log, measured, persistent, iterations):
     assert_array_equal(whole.updates.pi, [x for x in pi if np.isfinite(x)])
 
 
+def test_coverage_without_outliers(walk, log, measured):
+    t, gyro, accel = log
+    rows, v_I, epsilon, _ = measured
+    v_I, reach = v_I.copy(), np.full(3, 0.5)
+    v_I[10::40, 1] += 40.0
+    start = walk[0].start()
+    one, pi = InvariantFilter(*start), []
+
+    def at_row(k):
+        if k:
+            one.predict(gyro[k], accel[k], t[k] - t[k - 1])
+        for m in np.flatnonzero(rows == k):
+            pi.append(one.update_coverage(v_I[m], epsilon[m], 0.8, reach=reach))
+
+    found = stream(one, log, at_row)
+    data = (t, gyro, accel, rows, v_I, epsilon, 0.8, *start)
+    whole = run_coverage(*data, stride=STRIDE, reach=reach)
+    assert_same(*found, whole)
+    keep = np.isfinite(pi)
+    assert not keep[10::40].any()
+    assert keep.mean() > 0.8
+    without = run_coverage(
+        t, gyro, accel, rows[keep], v_I[keep], epsilon[keep], 0.8, *start, stride=STRIDE
+    )
+    assert_array_equal(whole.p_GI, without.p_GI)
+
+
 @pytest.mark.parametrize("persistent", [None, LASTING], ids=["plain", "persistent"])
 def test_velocity(walk, log, measured, persistent):
     t, gyro, accel = log
