@@ -189,7 +189,7 @@ def _integrate(C, low, high, mode, distance, sums) -> float:
     left = _outer_end(C, low, high, mode, distance, -1.0)
     right = _outer_end(C, low, high, mode, distance, 1.0)
     cuts, scales = np.empty(16), np.empty(16)
-    parts = outer_parts(C, low, high, left, right, cuts, scales)
+    parts = outer_parts(C, low, high, left, right, distance, cuts, scales)
     inner = np.empty(6)
     for part in range(parts):
         start, end = cuts[part], cuts[part + 1]

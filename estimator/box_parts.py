@@ -5,6 +5,10 @@ intervals. That probability falls where a conditional mean leaves an interval: o
 of axis j while axis k is held at a bound. Each such event is a half line, a zone, that begins
 `reach` deviations before the crossing; inside, the logarithm bends by up to (slope/deviation)^2
 more. Rules are cut where a zone that matters begins.
+
+With two axes at bounds, a corner, the bend lasts only while both are past them: the zones that share
+the corner must cover together. Once one of them has left, the log bends as slowly as the density
+falls along the edge: far out that is fast as well, so there the half line stands.
 """
 
 import math
@@ -15,14 +19,18 @@ from numba import njit
 from estimator.box_faces import remaining
 from estimator.box_line import DEPTH
 
+_NEAR = 16.0
+"""Squared distance up to which a density falls slowly along an edge."""
+
 
 @njit(cache=True)
-def outer_parts(C, low, high, left: float, right: float, cuts, scales) -> int:
+def outer_parts(C, low, high, left: float, right: float, distance, cuts, scales) -> int:
     """Cut [left, right] of axis 0 into parts; returns their number.
 
     cuts gets the ends of the parts, scales the smallest deviation that the integrand shows inside
-    each. Zone 6 (j - 1) + 2 c + w is axis j past its lower (w = 0) or upper bound, alone (c = 0)
-    or with the other axis at its lower (c = 1) or upper bound (c = 2).
+    each; distance is the box's squared one. Zone 6 (j - 1) + 2 c + w is axis j past its lower
+    (w = 0) or upper bound, alone (c = 0) or with the other axis at its lower (c = 1) or upper bound
+    (c = 2).
     """
     edges, sides, bends = np.zeros(12), np.zeros(12), np.zeros(12)
     _zones(C, low, high, edges, sides, bends)
@@ -44,10 +52,10 @@ def outer_parts(C, low, high, left: float, right: float, cuts, scales) -> int:
         precision = 1.0
         for z in range(12):
             if _covers(z, cuts[part], cuts[part + 1], edges, sides):
+                # A corner needs one of its axes past its bound, and both where the fall is slow.
                 condition = (z % 6) // 2
-                # With both axes at bounds, one of them alone is past its bound already.
-                alone = (6 if z < 6 else 0) + condition - 1
-                if condition == 0 or _covers(alone, cuts[part], cuts[part + 1], edges, sides):
+                other = _corner(z) if distance < _NEAR else (6 if z < 6 else 0) + condition - 1
+                if condition == 0 or _covers(other, cuts[part], cuts[part + 1], edges, sides):
                     precision += bends[z]
         scales[part] = 1.0 / math.sqrt(min(precision, most))
     return parts
@@ -59,6 +67,13 @@ def _covers(z: int, start: float, end: float, edges, sides) -> bool:
     if sides[z] == 0.0:
         return False
     return end > edges[z] if sides[z] > 0.0 else start < edges[z]
+
+
+@njit(cache=True)
+def _corner(z: int) -> int:
+    """The zone that shares a corner with z: the other axis past its bound, z's axis at its own."""
+    condition, which = (z % 6) // 2 - 1, z % 2
+    return (6 if z < 6 else 0) + 2 * (which + 1) + condition
 
 
 @njit(cache=True)
