@@ -6,9 +6,9 @@ of axis j while axis k is held at a bound. Each such event is a half line, a zon
 `reach` deviations before the crossing; inside, the logarithm bends by up to (slope/deviation)^2
 more. Rules are cut where a zone that matters begins.
 
-With two axes at bounds, a corner, the bend lasts only while both are past them: the zones that share
-the corner must cover together. Once one of them has left, the log bends as slowly as the density
-falls along the edge: far out that is fast as well, so there the half line stands.
+With two axes at bounds, a corner, the bend lasts only while both are past them: the zones that
+share the corner must cover together. Once one of them has left, the log bends as slowly as the
+density falls along the edge: far out that is fast as well, so there the half line stands.
 """
 
 import math
