@@ -62,7 +62,8 @@ class Case:
 def case_of(log: Log, robot: Machine) -> Case:
     """The log held against the robot. Without a reference only a fixed base can be traced: a
     machine that has one, or a robot whose log shows no foot on the ground."""
-    hung = not log.has("reference") and not log.has("contact") and log.has("q")
+    stands = log.has("contact") and log.contact.any()
+    hung = not log.has("reference") and not stands and log.has("q")
     fixed = not isinstance(robot, Robot) or hung
     frame = measured_against(log, fixed)
     return Case(log, robot, with_ground(frame, log, robot), fixed)
@@ -76,7 +77,7 @@ def channels_of(case: Case) -> tuple[str, ...]:
         "imu_accel": legged and log.has("imu"),
         "leg_velocity": legged and log.has("q") and log.has("contact"),
         "foot_height": legged and log.has("q") and log.has("contact") and case.frame.level,
-        "joint_torque": log.has("q") and log.has("tau"),
+        "joint_torque": log.has("q") and log.has("tau") and (case.fixed or log.has("contact")),
         "base_wrench": legged and log.has("q") and log.has("tau") and log.has("contact"),
         "joint_rate": log.has("q") and log.has("dq"),
     }

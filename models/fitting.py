@@ -105,8 +105,10 @@ def grams(
     evidence = data.evidence
     part = np.zeros(len(evidence.t), dtype=int) if part is None else part
     stretch = np.floor((evidence.t - evidence.t.min()) / BLOCK).astype(int)
-    label = (evidence.log * (stretch.max() + 1) + stretch) * (part.max() + 1) + part
-    label = np.where(part < 0, -1, label)
+    number = (evidence.log * (stretch.max() + 1) + stretch) * (part.max() + 1) + part
+    # Parts of a short log take turns more often than that: each turn is a block of its own.
+    turns = np.cumsum(np.diff(np.where(part < 0, -1, number), prepend=-1) != 0)
+    label = np.where(part < 0, -1, turns)
     blocks = [b for b in np.unique(label) if b >= 0]
     size = 1 + data.size
     G = np.zeros((len(blocks), size, size))

@@ -1,18 +1,19 @@
 """What residual the declared model leaves by itself: the log's own motion, simulated again."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
 from models.bins import BIN
-from models.candidates import Case, Evidence, Key, all_keys, case_of, linearise
+from models.candidates import Case, Evidence, Key, all_keys, case_of, linearise, table_of
 from models.fitting import Grams, design, fit, grams
 from models.layout import Layout, layout_of
 from models.masking import Trust, trust
 from models.whiteness import excess
+from sim.effect import with_columns
 from sim.effects import CATALOGUE, Effect
 from sim.errors import SurefootError
 from sim.imitation import PIECE, body_twists
@@ -54,7 +55,7 @@ class Floor:
 
     sigma (W,): noise of each column of the residual table, in its unit; repeats: the walks it is
     from; source: in words; file, courses and groups: the robot, the motion that was walked, and
-    the groups of columns that the log has.
+    the groups of columns that the log has; readings: the logs, where their own noise is the floor.
     """
 
     sigma: np.ndarray
@@ -63,6 +64,7 @@ class Floor:
     file: Path | None = None
     courses: tuple[Course, ...] = ()
     groups: Groups = ()
+    readings: tuple[Case, ...] = ()
     _known: dict = field(default_factory=dict, compare=False, repr=False)
 
     def counted(self, sigma: np.ndarray) -> np.ndarray:
@@ -123,8 +125,8 @@ def floor_of(cases: Sequence[Case]) -> Floor:
     """
     first = cases[0]
     if first.fixed:
-        sigma = np.max([reading_noise(case) for case in cases], axis=0)
-        return Floor(sigma, (), "how the readings differ from one row to the next")
+        source = "how the readings differ from one row to the next"
+        return Floor(reading_noise(cases), (), source, readings=tuple(cases))
     known = ("imu", "q", "dq", "tau", "contact", "ref_v")
     groups = tuple(g for g in known if all(case.log.has(g) for case in cases))
     along = tuple(courses([case.log for case in cases]))
@@ -139,8 +141,11 @@ def floor_with(floor: Floor, effects: Sequence[Effect]) -> Floor:
     """The floor of a robot that has these effects and a model that knows of them.
 
     An effect on the body changes how feet land, so the model with it leaves another residual than
-    the model without. The same floor where nothing but readings changed, or the robot falls.
+    the model without. The same floor where nothing but readings changed, or the robot falls. Of a
+    fixed base noise alone is the floor, and an effect may carry more of it into the residual.
     """
+    if floor.readings:
+        return replace(floor, sigma=reading_noise(floor.readings, effects))
     bodily = any(
         type(e).edit_spec is not Effect.edit_spec or type(e).alter_ground is not Effect.alter_ground
         for e in effects
@@ -187,24 +192,42 @@ def sheet_noise(rate: float, layout: Layout) -> np.ndarray:
     return sigma
 
 
-def reading_noise(case: Case) -> np.ndarray:
-    """Standard deviation (W,) of a bin's residual from what its readings do between rows.
+def reading_noise(cases: Sequence[Case], effects: Sequence[Effect] = ()) -> np.ndarray:
+    """Standard deviation (W,) of a bin's residual from what readings do between rows, under a
+    model that knows of the effects.
 
-    The second difference of a reading has six times its noise's variance, and little of a motion.
+    As much noise again is put on the readings, to see what it does to the residual.
     """
-    layout, log = layout_of(case.log.joints), case.log
-    rows = float(np.median(case.frame.count))
+    rng = np.random.default_rng(SEED)
+    change = [
+        table_of(replace(case, log=_noisier(case, rng)), effects) - table_of(case, effects)
+        for case in cases
+    ]
+    square = np.concatenate(change) ** 2
+    count = np.maximum(np.isfinite(square).sum(axis=0), 1)
+    return np.maximum(np.sqrt(np.nansum(square, axis=0) / count), 1e-9)
 
-    def jitter(values: np.ndarray) -> np.ndarray:
-        return np.std(np.diff(values, n=2, axis=0), axis=0) / np.sqrt(6.0)
 
-    sigma = np.full(layout.width, 1e-9)
-    if log.has("tau"):
-        sigma[layout.channels["joint_torque"]] = jitter(log.tau) / np.sqrt(rows)
-    if log.has("dq"):
-        noise = np.hypot(jitter(log.q) / BIN, jitter(log.dq)) / np.sqrt(rows)
-        sigma[layout.channels["joint_rate"]] = noise
-    return np.maximum(sigma, 1e-9)
+def _noisier(case: Case, rng: np.random.Generator) -> Log:
+    """The log with noise as its own on top.
+
+    The second difference of a reading has six times its noise's variance, and little of a motion;
+    the rounding of a slow one may stay for a whole bin.
+    """
+    log, noisy, count = case.log, {}, case.frame.count
+    for group in ("q", "dq", "tau"):
+        for joint in log.joints if log.has(group) else ():
+            values = log.frame[f"{group}_{joint}"].to_numpy()
+            jitter = np.std(np.diff(values, n=2)) / np.sqrt(6.0)
+            rounding = np.repeat(rng.uniform(-0.5, 0.5, len(count)), count) * _resolution(values)
+            noisy[f"{group}_{joint}"] = values + rng.normal(0.0, jitter, len(values)) + rounding
+    return with_columns(log, noisy)
+
+
+def _resolution(values: np.ndarray) -> float:
+    """The least that a reading (N,) changes by from one row to the next."""
+    steps = np.abs(np.diff(values))
+    return float(np.min(steps, where=steps > 0, initial=np.inf)) if steps.any() else 0.0
 
 
 def courses(logs: Sequence[Log]) -> list[Course]:

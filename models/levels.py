@@ -30,7 +30,8 @@ class Channel:
     noise_floor: float | None
     unit: str
     highest: float = np.inf
-    """The most that walks of the floor have: of those walked, and as far again as they differ."""
+    """The most that walks of the floor have: of those walked, and as far again as they differ. Of
+    noise alone, the most that so few bins reach by chance."""
 
     @property
     def at_floor(self) -> bool:
@@ -66,14 +67,18 @@ def channel_levels(cases: Sequence[Case], result: Attribution, split: Split) -> 
             if np.isfinite(part[:, columns]).any()
         ]
         known = float(np.sqrt(np.mean(np.square(level)))) if level else None
+        most = 2.0 * max(level) - min(level) if level else np.inf
         if known is None and not floor.repeats:
             known = float(np.sqrt(np.mean(floor.sigma[columns] ** 2)))
+            # Neighbours share noise, so that a level of n bins is known to one part in sqrt(n).
+            count = np.isfinite(after[split.report][:, columns]).sum()
+            most = known * (1.0 + 2.0 / float(np.sqrt(max(count, 1))))
         channels[name] = Channel(
             before=_rms(before[split.report][:, columns]),
             after=_rms(after[split.report][:, columns]),
             noise_floor=known,
             unit=UNITS[name],
-            highest=2.0 * max(level) - min(level) if level else known or np.inf,
+            highest=most,
         )
     return channels
 

@@ -43,8 +43,7 @@ def steps_of(bins: Bins, robot: Machine) -> Steps:
     up_B = np.zeros((len(bins.t), 3))
     if isinstance(robot, Robot):
         up_B = bins.R_GI[:, 2] @ robot.R_BI.T
-        legged = bool(bins.standing.any())
-        swings = np.repeat(lifted, 3, axis=1) if legged else np.ones_like(bins.q, dtype=bool)
+        swings = np.repeat(lifted, 3, axis=1)
         steady = (stays | lifted).all(axis=1) & stays.any(axis=1)
     else:
         swings, steady = np.ones_like(bins.q, dtype=bool), np.zeros(len(bins.t), dtype=bool)

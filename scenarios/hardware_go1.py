@@ -20,7 +20,8 @@ from scenarios.filters import Learnt
 from scenarios.hardware_words import between
 from scenarios.palette import AFTER, BEFORE, INK, estimator_color
 from scenarios.plotting import new_figure, set_title
-from scenarios.trace import Trace, split_of
+from scenarios.trace import Trace
+from scenarios.trace_data import split_of
 from scenarios.trace_filters import filtered
 from sim.effects import Effect, effect, explain_all
 from sim.log import Log, joint_velocity

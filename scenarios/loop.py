@@ -75,6 +75,7 @@ def loop(
     """
     check_seed(seed)
     log.require("imu", "q", "reference")
+    shown = manner(*declared_model(log, robot))
     recipe = {
         "log": log_digest(log), "robot": robot.name, "seed": seed, "lesson": asdict(lesson),
     }  # fmt: skip
@@ -86,7 +87,6 @@ def loop(
             (out / stale).unlink(missing_ok=True)
     declared = tuple(effect(e["name"], e["target"], e["value"]) for e in log.meta.effects)
     found = _traced(log, robot, out / "trace", seed, declared)
-    shown = manner(*declared_model(log, robot))
     worlds = {"before": declared, "after": (*declared, *found)} if found else {"before": declared}
     sides = []
     for name, effects in worlds.items():

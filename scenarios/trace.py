@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from models.attribution import Attribution, Split, attribute
-from models.candidates import Case, all_keys, case_of, channels_of
-from models.floor import Floor, floor_of
+from models.attribution import Attribution, attribute
+from models.candidates import Case, case_of
+from models.floor import floor_of
 from models.levels import Channel, channel_levels, without_bias
 from models.remainder import Remainder, form
 from scenarios.filters import Learnt
+from scenarios.trace_data import REPORT_SHARE, cannot_tell, dead_contacts, readings, said, split_of
 from scenarios.trace_filters import BeforeAfter, before_and_after, mean_metrics
 from scenarios.trace_report import write_outputs
 from scenarios.trace_words import motion_to_tell_apart
@@ -22,24 +23,6 @@ from sim.fixed_base import Machine
 from sim.log import Log
 from sim.robot import Robot
 
-REPORT_SHARE = 0.35
-"""Of each log, at its end, that no fit and no choice sees."""
-BLOCK, GAP = 4.0, 0.2
-"""s: blocks that fit and blocks that select take turns, with gaps between them."""
-SHORTEST = 12.0
-"""s of a log below which there is too little to split."""
-SHORTEST_FIXED = 3.5
-"""s, of a machine on a fixed base, every row of which tells something."""
-NEEDS = {
-    "imu_gyro": ("imu", "reference"),
-    "imu_accel": ("imu", "reference"),
-    "leg_velocity": ("q", "contact", "reference"),
-    "foot_height": ("q", "contact", "reference"),
-    "joint_torque": ("q", "tau"),
-    "base_wrench": ("q", "tau", "contact", "reference"),
-    "joint_rate": ("q", "dq"),
-}
-"""Groups of columns that each channel takes."""
 OUTPUTS = ("trace.json", "effects.toml", "report.html", "trace.rrd")
 
 
@@ -144,15 +127,17 @@ def diagnose(
     tell = progress or (lambda share: None)
     cases = []
     for log in logs:
-        known, model = explain_all(declared, _readings(log), robot)
+        known, model = explain_all(declared, readings(log), robot)
         cases.append(case_of(known, model))
-    cannot = _cannot_tell(cases)
+    split = split_of(cases)
+    cannot = cannot_tell(cases, split)
     if cannot:
         return Trace("not_identifiable", None, {}, {}, 0.0, "none", (), "", (cannot,), ())
     tell(0.02)
     floor = floor_of(cases)
     tell(0.35)
-    split, notes = split_of(cases), _said(cases, floor)
+    dead = dict.fromkeys(note for note in map(dead_contacts, logs) if note)
+    notes = (*dead, *said(cases, floor))
     rng = np.random.default_rng(seed)
     result = attribute(cases, floor, split, rng, lambda share: tell(0.35 + 0.5 * share))
     effects = [f.effect for f in result.found]
@@ -190,61 +175,6 @@ def diagnose(
         stretches=stretches,
         remainder=remainder,
     )
-
-
-def split_of(cases: Sequence[Case]) -> Split:
-    """Each log's end reports; before it, blocks that fit and blocks that select take turns."""
-    parts = []
-    for case in cases:
-        t = case.frame.t - case.frame.t[0]
-        begin = (1 - REPORT_SHARE) * t[-1]
-        block = np.floor(t / BLOCK).astype(int)
-        used = (t < begin - GAP) & (t - BLOCK * block >= GAP)
-        parts.append((used & (block % 2 == 0), used & (block % 2 == 1), t >= begin))
-    return Split(*(np.concatenate(masks) for masks in zip(*parts, strict=True)))
-
-
-def _readings(log: Log) -> Log:
-    """The log without anything that a measured one could not have."""
-    known = ("t", "gyro_", "accel_", "q_", "dq_", "tau_", "contact_", "force_", "ref_")
-    names = [n for n in log.frame if str(n) == "t" or str(n).startswith(known[1:])]
-    return Log(log.frame.filter(items=names), log.meta, log.name)
-
-
-def _cannot_tell(cases: Sequence[Case]) -> str:
-    if not any(all_keys(case) for case in cases):
-        return (
-            "no channel: needs gyro and accel, or q and contact, beside the reference; or q and "
-            "tau of a fixed base"
-        )
-    longest = max(case.frame.t[-1] - case.frame.t[0] for case in cases)
-    shortest = SHORTEST_FIXED if cases[0].fixed else SHORTEST
-    if longest < shortest:
-        return f"too short: {longest:.1f} s where {shortest:.0f} s are needed to fit and to check"
-    return ""
-
-
-def _said(cases: Sequence[Case], floor: Floor) -> tuple[str, ...]:
-    """What the reader should know of the data before the result."""
-    notes = []
-    there = set.intersection(*(set(channels_of(case)) for case in cases))
-    for channel, needed in NEEDS.items():
-        lacking = [g for g in needed if not all(case.log.has(g) for case in cases)]
-        if channel in there:
-            continue
-        if lacking:
-            notes.append(f"{channel}: not used, the log lacks {' and '.join(lacking)}")
-        elif channel == "foot_height":
-            notes.append("foot_height: not used, the ground is not level")
-    if cases[0].fixed:
-        notes.append("without a reference the base is taken to be held still and level")
-    elif not all(case.log.has("ref_v") for case in cases):
-        notes.append("the reference's velocity is derived from its positions, which smooths it")
-    if not floor.repeats and not cases[0].fixed:
-        notes.append("the model does not walk in simulation: the floor is sensor noise alone")
-    if any(isinstance(c.robot, Robot) and np.any(c.robot.foot_radius == 0) for c in cases):
-        notes.append("the model's feet are points; the floor is from walks with the file's feet")
-    return tuple(notes)
 
 
 def _filtered(

@@ -33,7 +33,7 @@ _METRICS = {
 def write_outputs(found: Trace, robot: Machine, out: Path, force: bool = False) -> None:
     """Write the trace's files, trace.json last: where it is, the others are whole too."""
     effects = found.effects
-    if found.stretches:
+    if found.stretches and found.stretches[0].log.has("q"):
         shown = found.stretches[0]
         names = {f"{shown.filter} (declared model)": shown.before}
         if effects:

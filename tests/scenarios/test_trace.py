@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from scenarios.trace import OUTPUTS, diagnose, trace
+from scenarios.trace_data import dead_contacts, readings
 from scenarios.trace_words import summary
 from sim.effects import effect
 from sim.effects_file import load_effects
@@ -113,10 +114,11 @@ def test_a_declared_effect_is_part_of_the_model():
     assert found.verdict == "no_residual"
 
 
-def test_without_legs_the_imu_is_still_traced():
+def test_without_legs_the_imu_is_still_traced(tmp_path):
     log = log_with("gyro_scale", "x", 0.02)
     names = [n for n in log.frame if not str(n).startswith(("q_", "dq_", "tau_", "contact_"))]
-    found = diagnose([replace(log, frame=log.frame[names])], ROBOT)
+    found = trace([replace(log, frame=log.frame[names])], ROBOT, tmp_path)
+    assert not (tmp_path / "trace.rrd").exists()  # it shows the robot's legs
     assert [(e.name, e.target) for e in found.effects] == [("gyro_scale", "x")]
     assert found.effects[0].value == pytest.approx(0.02, rel=0.1)
     assert set(found.channels) == {"imu_gyro", "imu_accel"}
@@ -130,6 +132,27 @@ def test_data_that_cannot_tell_are_not_identifiable(tmp_path):
     assert found.verdict == "not_identifiable"
     assert "too short: 6.0 s" in summary(found)
     assert json.loads((tmp_path / "trace.json").read_text())["verdict"] == "not_identifiable"
+
+
+def test_a_reference_that_covers_only_the_report_is_not_identifiable():
+    frame = log_with().frame.copy()
+    frame["ref_ok"] = (frame["t"] > 0.8 * frame["t"].iloc[-1]).astype(float)
+    found = diagnose([replace(log_with(), frame=frame)], ROBOT)
+    assert found.verdict == "not_identifiable"
+    assert "too little reference: 0.0 s to fit" in summary(found)
+
+
+@pytest.mark.parametrize("dead", [("RR",), ("FL", "FR", "RL", "RR")])
+def test_contacts_that_never_change_while_the_robot_walks_are_not_believed(dead):
+    log = log_with()
+    assert dead_contacts(log) == ""
+    frame = log.frame.assign(**{f"contact_{leg}": 0.0 for leg in dead})
+    broken = replace(log, frame=frame)
+    assert f"no change in contact_{dead[0]}" in dead_contacts(broken)
+    assert not readings(broken).has("contact")
+    assert readings(log).has("contact")
+    still = replace(broken, frame=frame.assign(ref_p_x=0.0, ref_p_y=0.0))
+    assert (dead_contacts(still) == "") == (len(dead) == 4)  # one that stands or hangs still
 
 
 def test_without_a_reference_there_is_nothing_to_trace(tmp_path):

@@ -15,6 +15,8 @@ from sim.robot import Robot
 
 PENDULUM = load_machine("ak80_pendulum")
 RATE = 500.0
+SUBSTEPS = 10
+"""Of each row: a first-order integrator's rates are half a step behind its angles."""
 
 
 def swung(seconds=12.0, viscous=0.0, dry=0.0, rotor=0.0, scale=0.0, seed=0):
@@ -24,7 +26,7 @@ def swung(seconds=12.0, viscous=0.0, dry=0.0, rotor=0.0, scale=0.0, seed=0):
     joint.damping[0], joint.frictionloss, joint.armature = viscous, dry, rotor
     motor = spec.add_actuator(target="shoulder", trntype=mujoco.mjtTrn.mjTRN_JOINT)
     motor.set_to_motor()
-    spec.option.timestep = 1.0 / RATE
+    spec.option.timestep = 1.0 / RATE / SUBSTEPS
     model = spec.compile()
     data = mujoco.MjData(model)
     rng = np.random.default_rng(seed)
@@ -37,7 +39,7 @@ def swung(seconds=12.0, viscous=0.0, dry=0.0, rotor=0.0, scale=0.0, seed=0):
         # At the row's own time the torque is between those of the steps around it.
         torque = 0.5 * (before + data.ctrl[0]) * (1.0 + scale)
         rows.append((t, data.qpos[0], data.qvel[0], torque))
-        mujoco.mj_step(model, data)
+        mujoco.mj_step(model, data, SUBSTEPS)
     frame = pd.DataFrame(np.array(rows), columns=["t", "q_shoulder", "dq_shoulder", "tau_shoulder"])
     frame["tau_shoulder"] += rng.normal(0, 0.02, len(frame))
     frame["dq_shoulder"] += rng.normal(0, 0.01, len(frame))
@@ -62,8 +64,25 @@ def test_what_one_drive_lacks_is_named_with_its_size(made, name, size):
     assert "imu_gyro: not used" in summary(found)
 
 
-def test_a_drive_as_declared_lacks_nothing():
-    assert diagnose([swung()], PENDULUM).effects == ()
+@pytest.mark.parametrize("seconds", [4.0, 12.0])
+def test_a_drive_as_declared_lacks_nothing(seconds):
+    """Its noise is that of its readings, rates among them: inertia makes torque of theirs."""
+    found = diagnose([swung(seconds)], PENDULUM)
+    assert found.verdict == "no_residual"
+    assert found.effects == ()
+
+
+def test_a_few_seconds_of_one_drive_are_enough():
+    found = diagnose([swung(4.0, rotor=0.02)], PENDULUM)
+    assert found.verdict == "attributed"
+    assert [(e.name, e.target) for e in found.effects] == [("armature", "shoulder")]
+    assert found.effects[0].value == pytest.approx(0.02, rel=0.1)
+
+
+def test_too_short_a_log_is_not_identifiable():
+    found = diagnose([swung(1.0)], PENDULUM)
+    assert found.verdict == "not_identifiable"
+    assert "too short: 1.0 s where 3 s are needed" in summary(found)
 
 
 def test_inverse_dynamics_is_the_pendulum_s_equation():
