@@ -7,21 +7,19 @@ from pathlib import Path
 
 import numpy as np
 
-from models.bins import BIN
-from models.candidates import Case, Evidence, Key, all_keys, case_of, linearise, table_of
+from models.candidates import Case, Evidence, Key, all_keys, case_of, linearise
 from models.fitting import Grams, design, fit, grams
-from models.layout import Layout, layout_of
+from models.layout import layout_of
 from models.masking import Trust, trust
+from models.noise import reading_noise, sheet_noise
 from models.whiteness import excess
-from sim.effect import with_columns
 from sim.effects import CATALOGUE, Effect
 from sim.errors import SurefootError
 from sim.imitation import PIECE, body_twists
 from sim.log import Log
 from sim.robot import Robot
 from sim.scenario import Scenario, Segment
-from sim.sensors import Sensors
-from sim.terrain import Ground
+from sim.terrain import Ground, Strip
 from sim.walk import walk
 
 REPEATS = 4
@@ -31,7 +29,7 @@ FRICTION = 0.8
 SEED = 20_011
 STAND = 0.5  # s
 LEVEL = 2e-4
-"""m. Simulated ground is level to a hundredth of a millimetre, which no real floor is."""
+"""m. Simulated ground is level to a hundredth of a millimetre, which no reference measures."""
 
 
 Course = tuple[tuple[float, float, float], ...]
@@ -55,7 +53,8 @@ class Floor:
 
     sigma (W,): noise of each column of the residual table, in its unit; repeats: the walks it is
     from; source: in words; file, courses and groups: the robot, the motion that was walked, and
-    the groups of columns that the log has; readings: the logs, where their own noise is the floor.
+    the groups of columns that the log has; evenness: how far the ground is from a plane [m];
+    readings: the logs, where their own noise is the floor.
     """
 
     sigma: np.ndarray
@@ -64,6 +63,7 @@ class Floor:
     file: Path | None = None
     courses: tuple[Course, ...] = ()
     groups: Groups = ()
+    evenness: float = 0.0
     readings: tuple[Case, ...] = ()
     _known: dict = field(default_factory=dict, compare=False, repr=False)
 
@@ -130,10 +130,11 @@ def floor_of(cases: Sequence[Case]) -> Floor:
     known = ("imu", "q", "dq", "tau", "contact", "ref_v")
     groups = tuple(g for g in known if all(case.log.has(g) for case in cases))
     along = tuple(courses([case.log for case in cases]))
-    floor = _floor(first.robot.file, along, groups, ())
+    evenness = max(float(case.log.meta.model.get("ground_evenness", 0.0)) for case in cases)
+    floor = _floor(first.robot.file, along, groups, evenness, ())
     if floor.repeats:
         return floor
-    sigma = sheet_noise(first.log.rate, layout_of(first.log.joints))
+    sigma = sheet_noise(first.log.rate, layout_of(first.log.joints), evenness)
     return Floor(sigma, (), "data sheets of the declared sensors")
 
 
@@ -152,15 +153,22 @@ def floor_with(floor: Floor, effects: Sequence[Effect]) -> Floor:
     )
     if not bodily or floor.file is None or not floor.repeats:
         return floor
-    other = _floor(floor.file, floor.courses, floor.groups, tuple(effects))
+    other = _floor(floor.file, floor.courses, floor.groups, floor.evenness, tuple(effects))
     return other if other.repeats else floor
 
 
 def _floor(
-    file: Path, along: tuple[Course, ...], groups: Groups, effects: tuple[Effect, ...]
+    file: Path,
+    along: tuple[Course, ...],
+    groups: Groups,
+    evenness: float,
+    effects: tuple[Effect, ...],
 ) -> Floor:
     known = tuple(CATALOGUE)
-    walks = [_repeat(file, one, SEED + i, groups, effects, known) for i, one in enumerate(along)]
+    walks = [
+        _repeat(file, one, SEED + i, groups, evenness, effects, known)
+        for i, one in enumerate(along)
+    ]
     repeats = tuple(one for one in walks if one is not None)
     if not repeats:
         return Floor(np.zeros(0), (), "")
@@ -169,65 +177,7 @@ def _floor(
     heights = layout.channels["foot_height"]
     sigma[heights] = np.maximum(sigma[heights], LEVEL)
     source = f"{len(repeats)} simulated walks of the declared model along the log's own course"
-    return Floor(sigma, repeats, source, file, along, groups)
-
-
-def sheet_noise(rate: float, layout: Layout) -> np.ndarray:
-    """Standard deviation (W,) of a bin's residual from the sensors' noise alone."""
-    s, rows = Sensors(), max(1.0, BIN * rate)
-    reach = 0.5  # m, from a joint to the foot
-    torque = s.torque_noise / np.sqrt(rows)
-    noise = {
-        "imu_gyro": s.gyro_noise / np.sqrt(BIN),
-        "imu_accel": s.accel_noise / np.sqrt(BIN),
-        "leg_velocity": s.velocity_noise * reach * np.sqrt(3 / rows),
-        "foot_height": s.encoder_step * reach,
-        "joint_torque": torque,
-        "base_wrench": torque / reach * np.sqrt(12),
-        "joint_rate": s.velocity_noise / np.sqrt(rows) + s.encoder_step / BIN / np.sqrt(rows),
-    }
-    sigma = np.zeros(layout.width)
-    for name, columns in layout.channels.items():
-        sigma[columns] = noise[name]
-    return sigma
-
-
-def reading_noise(cases: Sequence[Case], effects: Sequence[Effect] = ()) -> np.ndarray:
-    """Standard deviation (W,) of a bin's residual from what readings do between rows, under a
-    model that knows of the effects.
-
-    As much noise again is put on the readings, to see what it does to the residual.
-    """
-    rng = np.random.default_rng(SEED)
-    change = [
-        table_of(replace(case, log=_noisier(case, rng)), effects) - table_of(case, effects)
-        for case in cases
-    ]
-    square = np.concatenate(change) ** 2
-    count = np.maximum(np.isfinite(square).sum(axis=0), 1)
-    return np.maximum(np.sqrt(np.nansum(square, axis=0) / count), 1e-9)
-
-
-def _noisier(case: Case, rng: np.random.Generator) -> Log:
-    """The log with noise as its own on top.
-
-    The second difference of a reading has six times its noise's variance, and little of a motion;
-    the rounding of a slow one may stay for a whole bin.
-    """
-    log, noisy, count = case.log, {}, case.frame.count
-    for group in ("q", "dq", "tau"):
-        for joint in log.joints if log.has(group) else ():
-            values = log.frame[f"{group}_{joint}"].to_numpy()
-            jitter = np.std(np.diff(values, n=2)) / np.sqrt(6.0)
-            rounding = np.repeat(rng.uniform(-0.5, 0.5, len(count)), count) * _resolution(values)
-            noisy[f"{group}_{joint}"] = values + rng.normal(0.0, jitter, len(values)) + rounding
-    return with_columns(log, noisy)
-
-
-def _resolution(values: np.ndarray) -> float:
-    """The least that a reading (N,) changes by from one row to the next."""
-    steps = np.abs(np.diff(values))
-    return float(np.min(steps, where=steps > 0, initial=np.inf)) if steps.any() else 0.0
+    return Floor(sigma, repeats, source, file, along, groups, evenness)
 
 
 def courses(logs: Sequence[Log]) -> list[Course]:
@@ -249,6 +199,7 @@ def _repeat(
     course: Course,
     seed: int,
     groups: Groups,
+    evenness: float,
     effects: tuple[Effect, ...],
     known: tuple[str, ...],
 ) -> Repeat | None:
@@ -259,7 +210,7 @@ def _repeat(
             Segment(PIECE, forward * slower, lateral * slower, turn * slower)
             for forward, lateral, turn in course
         )
-        scenario = Scenario("floor", segments, Ground(FRICTION), stand=STAND)
+        scenario = Scenario("floor", segments, ground_of(segments, evenness), stand=STAND)
         try:
             log = walk(scenario, robot, seed, effects, declared=False)
         except SurefootError:  # fallen, or a size that leaves it no foot
@@ -272,6 +223,17 @@ def _repeat(
         # Of the walk itself only what is left of it matters from here on.
         return Repeat(data.evidence.only(()), believed, sums, beyond)
     return None
+
+
+def ground_of(segments: Sequence[Segment], evenness: float) -> Ground:
+    """Ground for a walk, whose heights differ from a plane by `evenness` [m, standard deviation].
+
+    The bumps of a rough strip deviate by a quarter of the highest.
+    """
+    if not evenness:
+        return Ground(FRICTION)
+    far = float(np.ceil(2 + sum(s.duration * np.hypot(s.forward, s.lateral) for s in segments)))
+    return Ground(FRICTION, strips=(Strip((-far, 0.0), (far, 0.0), 2 * far, rough=4 * evenness),))
 
 
 def _with_groups(log: Log, groups: Groups) -> Log:

@@ -8,12 +8,14 @@ import numpy as np
 from models.attribution import Attribution, Split
 from models.candidates import Case, Evidence, linearise
 from models.fitting import design, fit, grams
-from models.floor import LEVEL
+from models.floor import LEVEL, Repeat
 from models.layout import UNITS
 from models.masking import Trust, hidden
 
 AT_FLOOR = 1.05
 """A channel is at its floor up to this ratio to what the floor's walks reach (`highest`)."""
+AHEAD = 0.35
+"""Share of a floor's walk, at its end, on which an uneven ground is judged."""
 WORSE = 1.02
 """A channel got worse from this ratio of after to before."""
 
@@ -56,6 +58,7 @@ def channel_levels(cases: Sequence[Case], result: Attribution, split: Split) -> 
         without_bias(one.evidence, one.trust, rows)
         for one, rows in zip(floor.repeats, every, strict=True)
     ]
+    ahead = [_ahead(one) for one in floor.repeats] if floor.evenness else floors
     channels = {}
     for name, columns in evidence.layout.channels.items():
         if not np.isfinite(before[split.report][:, columns]).any():
@@ -63,7 +66,7 @@ def channel_levels(cases: Sequence[Case], result: Attribution, split: Split) -> 
         least = LEVEL if name == "foot_height" else 0.0
         level = [
             max(_rms(part[:, columns]), least)
-            for part in floors
+            for part in (ahead if name == "foot_height" else floors)
             if np.isfinite(part[:, columns]).any()
         ]
         known = float(np.sqrt(np.mean(np.square(level)))) if level else None
@@ -93,6 +96,13 @@ def without_bias(evidence: Evidence, trusted: Trust, use: np.ndarray) -> np.ndar
         columns = hidden(trusted.masked)
         left[:, columns] = np.where(np.repeat(trusted.masked, 4, axis=1), np.nan, left[:, columns])
     return left
+
+
+def _ahead(one: Repeat) -> np.ndarray:
+    """The end of a walk, over ground that the plane fitted to its beginning has not seen."""
+    t = one.evidence.t
+    use = t < t[0] + (1.0 - AHEAD) * (t[-1] - t[0])
+    return without_bias(one.evidence, one.trust, use)[~use]
 
 
 def _rms(values: np.ndarray) -> float:

@@ -23,6 +23,8 @@ from sim.fixed_base import Machine
 from sim.log import Log
 from sim.robot import Robot
 
+FAR = 3.0
+"""Times the floor beyond which what is left of a channel makes every size doubtful."""
 OUTPUTS = ("trace.json", "effects.toml", "report.html", "trace.rrd")
 
 
@@ -150,6 +152,12 @@ def diagnose(
         left = without_bias(result.evidence, result.trust, used)
         remainder = form(cases, left, result.trust, above, split.fit, split.select)
     notes += tuple(f"{name}: worse with what was found" for name, c in channels.items() if c.worse)
+    notes += tuple(
+        f"{name}: what is left is {c.after / c.highest:.0f} times what the declared model leaves; "
+        "sizes may be its doing"
+        for name, c in channels.items()
+        if result.found and c.after > FAR * c.highest
+    )
     tell(0.88)
     stretches = _filtered(cases, effects, learnt)
     filters = {}

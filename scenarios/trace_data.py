@@ -112,6 +112,10 @@ def said(cases: Sequence[Case], floor: Floor) -> tuple[str, ...]:
         notes.append("the reference's velocity is derived from its positions, which smooths it")
     if not floor.repeats and not cases[0].fixed:
         notes.append("the model does not walk in simulation: the floor is sensor noise alone")
+    if floor.evenness and "foot_height" in there:
+        notes.append(
+            f"the ground is taken for even to {1e3 * floor.evenness:.2g} mm (standard deviation)"
+        )
     if any(isinstance(c.robot, Robot) and np.any(c.robot.foot_radius == 0) for c in cases):
         notes.append("the model's feet are points; the floor is from walks with the file's feet")
     return tuple(notes)

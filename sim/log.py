@@ -57,7 +57,8 @@ class Meta:
 
     `rate` is in Hz. `effects` are the declared ones, each a dict of name, target, value, unit.
     `motor_law` is {"kp": (J,), "kd": (J,)} in N m/rad and N m s/rad. `model` is what an import map
-    says of the robot (p_BI in m, q_BI as w, x, y, z, foot_radius in m), which overrides the MJCF.
+    says of the robot (p_BI in m, q_BI as w, x, y, z, foot_radius in m), which overrides the MJCF,
+    and of its ground (ground_evenness in m).
     """
 
     rate: float

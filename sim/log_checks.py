@@ -122,7 +122,8 @@ def check_metadata(metadata: dict[bytes, bytes], key: bytes, schema: int) -> dic
 
 def _check_model(model: dict[str, Any]) -> None:
     """Raise unless what the metadata say of the robot are numbers of the right shape."""
-    for name, shapes in (("p_BI", ((3,),)), ("q_BI", ((4,),)), ("foot_radius", ((), (4,)))):
+    known = {"p_BI": ((3,),), "q_BI": ((4,),), "foot_radius": ((), (4,)), "ground_evenness": ((),)}
+    for name, shapes in known.items():
         try:
             value = np.array(model.get(name, np.ones(shapes[0])), dtype=float)
         except (TypeError, ValueError):

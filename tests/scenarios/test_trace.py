@@ -7,12 +7,14 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from models.floor import ground_of
 from scenarios.trace import OUTPUTS, diagnose, trace
 from scenarios.trace_data import dead_contacts, readings
 from scenarios.trace_words import summary
 from sim.effects import effect
 from sim.effects_file import load_effects
 from sim.errors import SurefootError
+from sim.import_map import EVENNESS
 from sim.log import Log, LogError, Meta
 from sim.robot import Robot
 from sim.scenario import Scenario, Segment
@@ -112,6 +114,21 @@ def test_a_declared_effect_is_part_of_the_model():
     known = effect("encoder_offset", "RL_thigh", -0.02)
     found = diagnose([log_with("encoder_offset", "RL_thigh", -0.02)], ROBOT, declared=[known])
     assert found.verdict == "no_residual"
+
+
+def test_a_leg_is_measured_on_a_floor_that_is_no_more_even_than_floors_are():
+    """Its map says so; the model then walks on such a floor too, and 2 mm of a calf are seen."""
+    ground = ground_of(COURSE, EVENNESS)
+    one = effect("link_length", "RR_calf", 0.002)
+    log = walk(Scenario("uneven", COURSE, ground), ROBOT, 4, effects=[one], declared=False)
+    log = replace(log, meta=replace(log.meta, model={"ground_evenness": EVENNESS}))
+    found = diagnose([log], ROBOT)
+    assert found.verdict == "attributed"
+    assert [(e.name, e.target) for e in found.effects] == [("link_length", "RR_calf")]
+    assert found.attribution is not None
+    low, high = found.attribution.found[0].interval
+    assert low < one.value < high
+    assert "even to 1.3 mm" in summary(found)
 
 
 def test_without_legs_the_imu_is_still_traced(tmp_path):

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from sim.contacts import contact_from_force
 from sim.csv_table import read_csv
 from sim.errors import SurefootError
-from sim.import_map import ImportMap
+from sim.import_map import EVENNESS, ImportMap
 from sim.importer import import_csv, interpolate_reference
 from sim.log import JOINTS, Log
 
@@ -121,8 +121,14 @@ def test_units_signs_and_offsets(folder):
     assert log.meta.robot == "hopper"
     assert log.meta.motor_law == {"kp": [20.0], "kd": [0.5]}
     assert log.meta.model["foot_radius"] == 0.02
+    assert log.meta.model["ground_evenness"] == EVENNESS
     assert not log.has("dq")
     assert not log.has("ref_v")
+
+
+def test_a_map_may_say_how_even_the_ground_is(folder):
+    edited(folder, "map.toml", "[contact]", "[ground]\nevenness = 0.0\n\n[contact]")
+    assert import_csv(folder, folder / "map.toml").meta.model["ground_evenness"] == 0.0
 
 
 def test_a_base_reference_is_composed_with_the_mounting(folder):
@@ -206,6 +212,12 @@ def test_contact_is_the_state_machine_it_says(force, debounce):
         ("mocap.csv", "\n0.2,200.0", "\n0.2,2;0", "column 'x', line 7: '2;0' is not a number"),
         ("mocap.csv", ",0.3,", ",0.3,3", "mocap.csv: line 2: not a unit quaternion"),
         ("map.toml", "[contact]", "[kontact]", "unknown key 'kontact'"),
+        (
+            "map.toml",
+            "[contact]",
+            "[ground]\nevenness = -1\n[contact]",
+            "evenness is -1, too small",
+        ),
         ("map.toml", "debounce", "bounce", "[contact] unknown key 'bounce'"),
         ("map.toml", 'unit = "g"', 'unit = "G"', "[columns.accel_x] unit 'G' (allowed: m/s^2, g)"),
         ("map.toml", "sign = -1", "sign = 2", "[columns.gyro_x] sign is 2"),
