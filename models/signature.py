@@ -11,7 +11,16 @@ import numpy as np
 
 from models.layout import QUADRUPED
 from models.residual import Parts, height_columns, leg_columns
-from models.torques import Effort, Steps, effort, slope, three, unbalanced, wrench_residual
+from models.torques import (
+    Effort,
+    Steps,
+    effort,
+    slope,
+    three,
+    torque_residual,
+    unbalanced,
+    wrench_residual,
+)
 from sim.fixed_base import Machine
 from sim.robot import Robot
 
@@ -148,13 +157,18 @@ def by_readings(
 def by_robot(parts: Parts, robot: Machine, one: Robot, step: float) -> Regressor:
     """What a changed body does to the table, the model `one` having `step` more than `robot`."""
     table = parts.table.copy()
-    same_masses = robot.beyond is one.beyond
-    if np.isfinite(table[:, 6:18]).any() and same_masses:
+    legs_alone = robot.beyond is one.beyond
+    same_masses = legs_alone and robot.legs.offset is one.legs.offset
+    if np.isfinite(table[:, 6:18]).any() and legs_alone:
         table[:, 6:18] = leg_columns(parts.bins, one)
         if np.isfinite(table[:, 18:22]).any():
             table[:, 18:22] = height_columns(parts.bins, one)
     if parts.effort is not None and parts.steps.steady.any():
-        needed = parts.effort if same_masses else effort(parts.steps, one)
+        needed = parts.effort
+        if not same_masses:
+            needed = effort(parts.steps, one)
+            torques = parts.layout.channels["joint_torque"]
+            table[:, torques] = torque_residual(parts.steps, needed)
         table[:, 34:40] = wrench_residual(parts.steps, needed, one)
     return sparse((table - parts.table) / step, parts.table)
 

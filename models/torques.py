@@ -6,6 +6,8 @@ equation is averaged over three, by quarters, half and quarters.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 from numba import njit
@@ -78,7 +80,10 @@ class Effort:
 def effort(s: Steps, robot: Machine) -> Effort:
     """Inverse dynamics of the declared model and of what it knows of its masses."""
     dynamics = dynamics_of(robot.file, robot.joint_names)
-    wrench, torque = dynamics.inverse(s.q, s.dq, s.ddq, s.base)
+    shift = None
+    if isinstance(robot, Robot):
+        shift = (robot.legs.offset - _drawn_offset(robot.file)).reshape(-1, 3)
+    wrench, torque = dynamics.inverse(s.q, s.dq, s.ddq, s.base, shift)
     if not dynamics.floating:
         return Effort(wrench, torque)
     omega, spin, force = s.base[:, :3], s.base[:, 3:6], s.base[:, 6:]
@@ -93,6 +98,12 @@ def effort(s: Steps, robot: Machine) -> Effort:
         wrench[:, :3] += mass * (felt[1] - felt[0]) + robot.beyond.payload * force
         wrench[:, 3:] += mass * (np.cross(place + shift, felt[1]) - np.cross(place, felt[0]))
     return Effort(wrench, torque)
+
+
+@lru_cache(maxsize=16)
+def _drawn_offset(file: Path) -> np.ndarray:
+    """Where the robot's file has its joints (4, 3, 3) [m], each in the frame of the one before."""
+    return Robot.load(file).legs.offset
 
 
 def torque_residual(s: Steps, needed: Effort) -> np.ndarray:

@@ -22,22 +22,33 @@ _mj_inverse = types.ExternalFunction("mj_inverse", types.void(types.uintp, types
 
 @dataclass(frozen=True)
 class Dynamics:
-    """A compiled model, scratch memory for it, and where its joints are in canonical order."""
+    """A compiled model, scratch memory for it, and where its joints are in canonical order.
+
+    hung (J,): the body that hangs on the one before the joint's, or on the base, and carries it.
+    """
 
     model: mujoco.MjModel
     data: mujoco.MjData
     qpos_adr: np.ndarray  # (J,)
     dof_adr: np.ndarray  # (J,)
+    hung: np.ndarray  # (J,)
     floating: bool
 
     def inverse(
-        self, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray, base: np.ndarray | None = None
+        self,
+        q: np.ndarray,
+        dq: np.ndarray,
+        ddq: np.ndarray,
+        base: np.ndarray | None = None,
+        shift: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Wrench on the base (N, 6) [N, N m] in B about its origin, and joint torques (N, J) [N m].
 
         q, dq, ddq (N, J) in rad, rad/s, rad/s^2; base (N, 9), in B: angular velocity [rad/s],
         angular acceleration [rad/s^2] and specific force at the base's origin [m/s^2]; None where
-        it stands still and level, or where there is none (then the wrench is zero).
+        it stands still and level, or where there is none (then the wrench is zero). shift (J, 3)
+        [m]: how far each joint, with all that hangs on it, is from where the file has it, in the
+        frame of the joint before.
         """
         n, model = len(q), self.model
         Q = np.tile(model.qpos0, (n, 1))
@@ -49,10 +60,14 @@ class Dynamics:
                 V[:, 3:6], A[:, 3:6] = base[:, :3], base[:, 3:6]
                 A[:, :3] = base[:, 6:] + model.opt.gravity
         out, data = np.empty((n, model.nv)), self.data
+        as_drawn = model.body_pos.copy()
+        if shift is not None:
+            model.body_pos[self.hung] += shift
         _sweep(
             model._address, data._address, data.qpos, data.qvel, data.qacc, data.qfrc_inverse,
             Q, V, A, out,
         )  # fmt: skip
+        model.body_pos[:] = as_drawn
         wrench = out[:, :6] if self.floating else np.zeros((n, 6))
         return wrench, out[:, self.dof_adr]
 
@@ -69,8 +84,16 @@ def dynamics_of(file: Path, joint_names: tuple[str, ...]) -> Dynamics:
         mujoco.MjData(model),
         np.array([joint.qposadr[0] for joint in joints]),
         np.array([joint.dofadr[0] for joint in joints]),
+        np.array([_hung(model, int(joint.bodyid[0])) for joint in joints]),
         bool(model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE),
     )
+
+
+def _hung(model: mujoco.MjModel, body: int) -> int:
+    """The first body above this one, or it, whose parent moves: has a joint, or is the world."""
+    while (parent := int(model.body_parentid[body])) and not model.body_jntnum[parent]:
+        body = parent
+    return body
 
 
 @njit(cache=True, nogil=True)

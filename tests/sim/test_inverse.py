@@ -1,0 +1,47 @@
+"""Inverse dynamics of a robot whose joints are not where its file has them."""
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from sim.effects import effect
+from sim.inverse import dynamics_of
+from sim.robot import Robot
+
+
+@pytest.mark.parametrize("joint, name, target", [
+    (3, "hip_offset", "FR_y"), (6, "hip_offset", "RL_z"), (2, "link_length", "FL_thigh"),
+])  # fmt: skip
+def test_a_shifted_leg_takes_its_masses_along(joint, name, target):
+    robot = Robot.load("spot_class")
+    one = effect(name, target, 0.02)
+    spec = robot.spec()
+    one.edit_spec(spec, robot)
+    edited = spec.compile()
+    legs = one.explain(None, robot)[1].legs  # type: ignore[arg-type]
+    shift = (legs.offset - robot.legs.offset).reshape(12, 3)
+    assert np.flatnonzero(np.abs(shift).sum(axis=1)).tolist() == [joint]
+
+    rng = np.random.default_rng(3)
+    q = robot.q_home + 0.3 * rng.standard_normal((4, 12))
+    dq, ddq = rng.standard_normal((2, 4, 12))
+    base = rng.standard_normal((4, 9)) + [0, 0, 0, 0, 0, 0, 0, 0, 9.8]
+    dynamics = dynamics_of(robot.file, robot.joint_names)
+    before = dynamics.inverse(q, dq, ddq, base)
+    wrench, torque = dynamics.inverse(q, dq, ddq, base, shift)
+
+    data = mujoco.MjData(edited)
+    edited.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    edited.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
+    at, dof = dynamics.qpos_adr, dynamics.dof_adr
+    for k in range(4):
+        data.qpos[:7], data.qpos[at], data.qvel[dof] = [0, 0, 0, 1, 0, 0, 0], q[k], dq[k]
+        data.qacc[dof], data.qvel[3:6], data.qacc[3:6] = ddq[k], base[k, :3], base[k, 3:6]
+        data.qvel[:3], data.qacc[:3] = 0.0, base[k, 6:] + edited.opt.gravity
+        mujoco.mj_inverse(edited, data)
+        assert_allclose(wrench[k], data.qfrc_inverse[:6], atol=1e-9)
+        assert_allclose(torque[k], data.qfrc_inverse[dof], atol=1e-9)
+    assert np.abs(wrench - before[0]).max() > 0.05
+    # Nothing stays behind in the model.
+    assert_array_equal(dynamics.inverse(q, dq, ddq, base)[0], before[0])
