@@ -39,13 +39,15 @@ class Regressor:
 class Answers:
     """Derivatives of a table's columns at each bin. Of legs, by the rate of the IMU (M, 12, 3) and
     by the leg's own joints' angles and rates (M, 4, 3, 3); of heights, by the own joints' angles
-    (M, 4, 3); of torques and wrench together (M, J + 6, J), by angle, acceleration and torque."""
+    (M, 4, 3); of torques and wrench together (M, J + 6, J), by angle, rate, acceleration and
+    torque."""
 
     leg_omega: np.ndarray
     leg_q: np.ndarray
     leg_dq: np.ndarray
     height_q: np.ndarray
     effort_q: np.ndarray
+    effort_dq: np.ndarray
     effort_ddq: np.ndarray
     effort_tau: np.ndarray
 
@@ -72,16 +74,16 @@ def answers(parts: Parts, robot: Machine) -> Answers:
             if np.isfinite(parts.table[:, 18:22]).any():
                 rise = height_columns(replace(bins, q=bins.q + all_legs), robot)
                 height_q[:, :, axis] = np.nan_to_num(rise - parts.table[:, 18:22]) / STEP
-    by_effort = np.zeros((3, m, joints + 6, joints))
+    by_effort = np.zeros((4, m, joints + 6, joints))
     if parts.effort is not None:
         by_effort = _by_effort(parts, parts.effort, robot)
     return Answers(leg_omega, leg[0], leg[1], height_q, *by_effort)
 
 
 def _by_effort(parts: Parts, needed: Effort, robot: Machine) -> np.ndarray:
-    """(3, M, J + 6, J): torques then wrench, by each joint's angle, acceleration and torque."""
+    """(4, M, J + 6, J): torques then wrench, by a joint's angle, rate, acceleration and torque."""
     m, joints = parts.bins.q.shape
-    out = np.zeros((3, m, joints + 6, joints))
+    out = np.zeros((4, m, joints + 6, joints))
     use = np.flatnonzero(_near(parts.steps.swings.any(axis=1) | parts.steps.steady))
     s = replace(parts.steps, **{name: values[use] for name, values in vars(parts.steps).items()})
     here = Effort(needed.wrench[use], needed.torque[use])
@@ -90,14 +92,15 @@ def _by_effort(parts: Parts, needed: Effort, robot: Machine) -> np.ndarray:
         one = np.eye(joints)[j]
         for kind, moved in (
             (0, replace(s, q=s.q + STEP * one)),
-            (1, replace(s, ddq=s.ddq + STEP * one)),
+            (1, replace(s, dq=s.dq + STEP * one)),
+            (2, replace(s, ddq=s.ddq + STEP * one)),
         ):
             other = effort(moved, robot)
             out[kind, use, :joints, j] = (here.torque - other.torque) / STEP
             out[kind, use, joints:, j] = (_unbalanced(moved, other, robot) - base) / STEP
         moved = replace(s, tau=s.tau + one)
-        out[2, use, j, j] = 1.0
-        out[2, use, joints:, j] = _unbalanced(moved, here, robot) - base
+        out[3, use, j, j] = 1.0
+        out[3, use, joints:, j] = _unbalanced(moved, here, robot) - base
     return out
 
 
@@ -143,6 +146,7 @@ def by_readings(
         if legged:
             out[:, 6 + 3 * leg : 9 + 3 * leg] += known.leg_dq[:, leg, :, j] * x[:, None]
         out[:, rate + place] -= three(x)
+        forces += known.effort_dq[:, :, place] * x[:, None]
     for place, x in change.get("ddq", {}).items():
         forces += known.effort_ddq[:, :, place] * x[:, None]
     for place, x in change.get("tau", {}).items():

@@ -32,7 +32,8 @@ class JointDelay(Effect):
     channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
     targets = ("all",)
     needs = ("reference",)
-    step = 1e-3
+    # Longer than a row: noise must not pass for the slope of torques and rates.
+    step = 4e-3
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         return _late(streams, ("q", "dq", "tau"), self.value)
