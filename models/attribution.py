@@ -7,9 +7,10 @@ import numpy as np
 from scipy.stats import t
 
 from models.candidates import Case, Evidence, Key, all_keys, linearise
-from models.fitting import Grams, design, draws, fit, grams, loss, overlap
+from models.fitting import Design, Grams, design, draws, fit, grams, loss, overlap
 from models.floor import Floor, floor_with
 from models.masking import Trust, trust
+from models.refinement import Data, inside, refined
 from sim.effects import CATALOGUE, Effect, effect
 
 AT_MOST = 4
@@ -20,8 +21,17 @@ DOUBT = 0.5
 """Share of the size that contacts fake on such walks which is taken for uncertain."""
 WORTH = 0.02
 """Share of what is explained so far that a further effect must add."""
+CLEAR, LARGE = 20.0, 0.2
+"""One that stands so many times above its floor and takes such a share of all that is left may add
+less: beside a very large effect even a large one is little."""
 TWINS = 0.95
 """Overlap from which two regressors are hard to tell apart."""
+CLOSE_BEHIND = 0.3
+"""Share of the best gain from which a candidate might be better than linear regressors say."""
+TRIED = 3
+"""Candidates that are tried on the true residual in a round."""
+SETTLING, MOVED = 3, 0.01
+"""Times at most that sizes and weights are found anew, and the share of a size that is a move."""
 FIT, SELECT, REPORT = 0, 1, 2
 
 
@@ -94,8 +104,8 @@ def attribute(
 
     A candidate earns it if its gain's interval lies above zero, its size stands ABOVE_FLOOR times
     above the one it has on walks of the declared model, it is not at its bound, it adds a share
-    WORTH of what the others explain, and it pays for its parameter and for having been one of many
-    (extended BIC, blocks as samples).
+    WORTH of what the others explain or is CLEAR by itself, and it pays for its parameter and for
+    having been one of many (extended BIC, blocks as samples).
     One that no longer earns its place beside a later one goes.
     """
     keys = tuple(dict.fromkeys(key for case in cases for key in all_keys(case)))
@@ -103,25 +113,26 @@ def attribute(
     rounds: list[tuple[Candidate, ...]] = []
     rivals: tuple[tuple[Key, float], ...] = ()
     explained = 0.0
-    evidence, trusted = None, None
+    evidence = None
     while True:
         if progress:
             progress(len(rounds) / (AT_MOST + 1))
-        evidence = linearise(cases, chosen, keys, evidence)
-        whole = design(evidence)
-        # What the whole catalogue cannot explain hardly depends on what was chosen from it.
-        trusted = trusted or trust(whole, floor.sigma)
+        evidence, whole, trusted, chosen = _settled(cases, chosen, keys, evidence, floor, split)
         data = grams(whole, floor.counted(trusted.sigma), trusted.weight, split.part)
         candidates = judge(data, floor, [_key(e) for e in chosen], explained, rng)
         rounds.append(candidates)
         best = candidates[0] if candidates and candidates[0].earned else None
         if best is None or len(chosen) == AT_MOST:
             break
+        known = Data(cases, floor, evidence, trusted, split.part)
+        tried = [
+            (c, *refined(known, [*chosen, effect(*c.key, c.size)], REPORT))
+            for c in contenders(candidates)
+        ]
+        best, chosen_with, _ = min(tried, key=lambda one: one[2])
         rivals += _rivals(data, best, candidates, [_key(e) for e in chosen], rng)
         explained += best.gain
-        chosen = _refined(
-            cases, [*chosen, effect(*best.key, best.size)], floor, split, evidence, trusted
-        )
+        chosen = chosen_with
         floor = floor_with(floor, chosen)
     found = _with_intervals(data, chosen, floor)
     # What was found beside an effect is no other explanation of it.
@@ -161,23 +172,61 @@ def judge(
         at_seen = float(np.sum(before_seen - loss(seen, fitted.vector)))
         # The floor's own offset is only as sure as its contact model.
         spread = float(np.hypot(spread, DOUBT * offset))
-        low_end, high_end = _inside(CATALOGUE[key[0]])
+        low_end, high_end = inside(CATALOGUE[key[0]])
         at_bound = not low_end < size < high_end
+        share = gain / max(float(before.sum()), 1e-300)
+        clear = abs(size) / max(float(np.hypot(spread, error)), 1e-300)
+        plain_to_see = clear > CLEAR and share > LARGE
         earned = (
             low > 0
             and np.isfinite(error)
-            and abs(size) > ABOVE_FLOOR * np.hypot(spread, error)
+            and clear > ABOVE_FLOOR
             and not at_bound
-            and gain > WORTH * explained
+            and (gain > WORTH * explained or plain_to_see)
             and min(at_seen, gain) > price
         )
         judged.append(
             Candidate(
                 key, size, error, spread, gain, (float(low), float(high)),
-                gain / max(float(before.sum()), 1e-300), at_bound, bool(earned),
+                share, at_bound, bool(earned),
             )
         )  # fmt: skip
     return tuple(sorted(judged, key=lambda c: (not c.earned, -c.gain)))
+
+
+def _settled(
+    cases: Sequence[Case],
+    chosen: list[Effect],
+    keys: Sequence[Key],
+    evidence: Evidence | None,
+    floor: Floor,
+    split: Split,
+) -> tuple[Evidence, Design, Trust, list[Effect]]:
+    """The evidence about the chosen effects, which of it to believe, and their sizes on that.
+
+    A large effect that is not linear spoils much of the evidence before it is explained.
+    """
+    times = 0
+    while True:
+        evidence = linearise(cases, chosen, keys, evidence)
+        whole = design(evidence)
+        trusted = trust(whole, floor.sigma)
+        times += 1
+        if not chosen or times == SETTLING:
+            return evidence, whole, trusted, chosen
+        data = Data(cases, floor, evidence, trusted, split.part)
+        moved, _ = refined(data, chosen, REPORT)
+        pairs = list(zip(moved, chosen, strict=True))
+        if all(abs(a.value - b.value) < MOVED * abs(b.value) for a, b in pairs):
+            return evidence, whole, trusted, chosen
+        chosen = moved
+
+
+def contenders(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Of those that earn a place, best first, the few whose gain is not far from the best's: which
+    of them explains most is for the true residual to say."""
+    earned = [c for c in candidates if c.earned]
+    return [c for c in earned if c.gain > CLOSE_BEHIND * earned[0].gain][:TRIED]
 
 
 def _without(seen: Grams, at: int, offset: float, chosen: Sequence[Key]) -> np.ndarray:
@@ -208,58 +257,25 @@ def _rivals(
     """
     seen, unseen = data.rows(data.part == FIT), data.rows(data.part == SELECT)
     counts = draws(len(unseen.G), rng)
-    of_best = loss(unseen, fit(seen, [*chosen, best.key], errors=False).vector)
+
+    def left(*keys: Key) -> np.ndarray:
+        return loss(unseen, fit(seen, [*chosen, *keys], errors=False).vector)
+
+    of_best, of_none = left(best.key), left()
+    # What is no better by the price of one parameter is as good.
+    price = np.log(max(2, len(seen.G)))
     rivals = []
     for other in candidates:
-        if other.key == best.key or other.at_bound or other.gain < 0.5 * best.gain:
+        if other.key == best.key or other.at_bound:
             continue
-        behind = loss(unseen, fit(seen, [*chosen, other.key], errors=False).vector) - of_best
         shared = overlap(data, best.key, other.key, chosen)
-        if np.percentile(counts @ behind, 2.5) <= 0 and shared > TWINS:
+        if shared <= TWINS:
+            continue
+        behind = left(other.key) - of_best
+        as_good = np.percentile(counts @ behind, 2.5) <= price
+        if as_good and np.sum(of_none - of_best - behind) > 0.5 * np.sum(of_none - of_best):
             rivals.append((other.key, shared))
     return tuple(rivals)
-
-
-def _refined(
-    cases: Sequence[Case],
-    chosen: list[Effect],
-    floor: Floor,
-    split: Split,
-    evidence: Evidence,
-    trusted: Trust,
-) -> list[Effect]:
-    """Gauss-Newton on the true, nonlinear residual over the blocks that are not for the report."""
-    keys = [_key(e) for e in chosen]
-    part = np.where(split.fit | split.select, FIT, -1)
-    chosen = [_clipped(e, e.value) for e in chosen]
-    for _ in range(3):
-        data = design(linearise(cases, chosen, keys, evidence.only(keys)))
-        sums = grams(data, floor.counted(trusted.sigma), trusted.weight, part)
-        step = fit(sums, keys, errors=False).sizes
-        step = step - _offsets(floor, keys)
-        moved = [_clipped(e, e.value + d) for e, d in zip(chosen, step, strict=True)]
-        small = all(
-            abs(a.value - b.value) < 1e-3 * abs(a.value) for a, b in zip(moved, chosen, strict=True)
-        )
-        chosen = moved
-        if small:
-            break
-    return chosen
-
-
-def _offsets(floor: Floor, keys: Sequence[Key]) -> np.ndarray:
-    """Sizes (C,) that these keys, fitted together, have on walks that lack them."""
-    return np.array([floor.sizes([k for k in keys if k != key], key)[0] for key in keys])
-
-
-def _clipped(one: Effect, value: float) -> Effect:
-    return replace(one, value=float(np.clip(value, *_inside(type(one)))))
-
-
-def _inside(kind: type[Effect]) -> tuple[float, float]:
-    """Bounds between which a size can still be varied by its step to either side."""
-    low, high = kind.bounds
-    return low + 1.1 * kind.step, high - 1.1 * kind.step
 
 
 def _with_intervals(data: Grams, chosen: Sequence[Effect], floor: Floor) -> tuple[Found, ...]:

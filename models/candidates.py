@@ -1,6 +1,6 @@
 """How the residual of a log answers to each candidate effect: linear regressors by its size."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -10,6 +10,7 @@ from models.bins import Frame, frame_mean, gained, measured_against
 from models.layout import Layout
 from models.residual import Parts, residual, with_ground
 from models.signature import Answers, Regressor, answers, by_readings, by_robot, sparse
+from sim.effect import with_columns
 from sim.effects import CATALOGUE, Effect, effect, explain_all
 from sim.fixed_base import Machine
 from sim.legs import JOINTS
@@ -116,11 +117,11 @@ def linearise(
     if before is not None and len(before.t) == starts[-1]:
         own = {(e.name, e.target) for e in chosen}
         X = tuple(
-            _joined([p.regressor(key) for p in parts], starts) if key in own else one
+            joined([p.regressor(key) for p in parts], starts) if key in own else one
             for key, one in zip(before.keys, before.X, strict=True)
         )
         return replace(before, table=np.concatenate(tables), X=X)
-    X = tuple(_joined([p.regressor(key) for p in parts], starts) for key in keys)
+    X = tuple(joined([p.regressor(key) for p in parts], starts) for key in keys)
     Z, limits, stands_for = [], [], []
     for i, part in enumerate(parts):
         for one, limit, key in part.free():
@@ -140,6 +141,16 @@ def linearise(
         limits=np.array(limits),
         stands_for=tuple(stands_for),
     )
+
+
+def by_columns(
+    case: Case,
+    chosen: Sequence[Effect],
+    altered: Callable[[Log], Sequence[Mapping[str, np.ndarray]]],
+) -> list[Regressor]:
+    """What changes of a log's columns, each (N,), add to its table once `chosen` are explained."""
+    linear = _Linear(case, chosen)
+    return [linear.by_columns(columns) for columns in altered(linear.log)]
 
 
 def table_of(case: Case, chosen: Sequence[Effect]) -> np.ndarray:
@@ -186,6 +197,12 @@ class _Linear:
             return self._by_difference(log, robot, step)
         change = _change(self.log, log, self.joints, self.frame, step)
         return _minus(by_readings(self.parts, self.answers, change))
+
+    def by_columns(self, added: Mapping[str, np.ndarray]) -> Regressor:
+        """What these additions (N,) to the readings add to the table."""
+        columns = {name: self.log.frame[name].to_numpy() + x for name, x in added.items()}
+        change = _change(self.log, with_columns(self.log, columns), self.joints, self.frame, 1.0)
+        return by_readings(self.parts, self.answers, change)
 
     def _about_its_value(self, key: Key) -> Regressor:
         step = CATALOGUE[key[0]].step
@@ -252,7 +269,7 @@ def _minus(one: Regressor) -> Regressor:
     return Regressor(one.columns, -one.values)
 
 
-def _joined(parts: Sequence[Regressor], starts: np.ndarray) -> Regressor:
+def joined(parts: Sequence[Regressor], starts: np.ndarray) -> Regressor:
     """One regressor over several logs."""
     if len(parts) == 1:
         return parts[0]

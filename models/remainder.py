@@ -26,7 +26,10 @@ SETTLING = (4, 8, 16, 32, 64)
 
 @dataclass(frozen=True)
 class Remainder:
-    """One column of a channel, regressors that go with its rest, and the share they explain."""
+    """One column of a channel, regressors that go with its rest, and the share they explain.
+
+    Without a regressor none of the library goes with it, though the channel is above its floor.
+    """
 
     channel: str
     column: str
@@ -43,7 +46,8 @@ def form(
     unseen: np.ndarray,
 ) -> tuple[Remainder, ...]:
     """What goes with the rest `left` (M, W) in these channels, one channel after the other, and in
-    each first what explains most in units of noise.
+    each first what explains most in units of noise. A channel that nothing goes with is named by
+    its loudest column.
 
     Forward selection of regressors on the bins `seen` (M,), shares on the bins `unseen` (M,).
     """
@@ -51,14 +55,20 @@ def form(
     layout = layout_of(cases[0].log.joints)
     found = []
     for place, channel in enumerate(channels):
-        for column in range(*layout.channels[channel].indices(layout.width)):
+        columns = range(*layout.channels[channel].indices(layout.width))
+        known = [c for c in columns if np.isfinite(left[seen, c]).any()]
+        noise = {c: np.nanmean(left[seen, c] ** 2) / trusted.sigma[c] ** 2 for c in known}
+        before = len(found)
+        for column in known:
             one = _column(values, left[:, column], trusted.weight[:, column], seen, unseen)
             if one is not None:
                 chosen, share = one
                 regressors = tuple(names[i] for i in chosen)
-                loud = float(np.nanmean(left[seen, column] ** 2)) / trusted.sigma[column] ** 2
                 one = Remainder(channel, layout.names[column], regressors, share)
-                found.append(((place, -share * loud), one))
+                found.append(((place, -share * noise[column]), one))
+        if noise and len(found) == before:
+            loudest = max(noise, key=lambda c: noise[c])
+            found.append(((place, 0.0), Remainder(channel, layout.names[loudest], (), 0.0)))
     return tuple(one for _, one in sorted(found, key=lambda pair: pair[0]))
 
 

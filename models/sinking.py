@@ -13,6 +13,8 @@ from sim.tiles import SOLREF
 
 BEFORE = 0.008
 """s before a foot touches, over which its speed is taken."""
+SWING = 0.05
+"""s in the air from which a foot has swung; after less it has only bounced."""
 
 
 def sinking(log: Log, robot: Robot, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
@@ -29,16 +31,21 @@ def since_landing(t: np.ndarray, contact: np.ndarray) -> np.ndarray:
     """Time (N, 4) [s] since each foot touched; NaN in swing and where it never was seen to land."""
     since = np.full(contact.shape, np.nan)
     for leg in range(contact.shape[1]):
-        touch = landings(contact[:, leg])
+        touch = landings(t, contact[:, leg])
         last = np.searchsorted(touch, np.arange(len(t)), side="right") - 1
         known = contact[:, leg] & (last >= 0)
         since[known, leg] = t[known] - t[touch[last[known]]]
     return since
 
 
-def landings(contact: np.ndarray) -> np.ndarray:
-    """Rows on which a foot that was lifted touches: contact (N,)."""
-    return 1 + np.flatnonzero(contact[1:] & ~contact[:-1])
+def landings(t: np.ndarray, contact: np.ndarray) -> np.ndarray:
+    """Rows on which a foot that has swung touches: t (N,) [s], contact (N,)."""
+    touch = 1 + np.flatnonzero(contact[1:] & ~contact[:-1])
+    lift = 1 + np.flatnonzero(contact[:-1] & ~contact[1:])
+    last = np.searchsorted(lift, touch) - 1
+    known = last >= 0
+    touch, last = touch[known], last[known]
+    return touch[t[touch] - t[lift[last]] > SWING]
 
 
 def landing_speed(log: Log, robot: Robot, frame: Frame) -> np.ndarray:
@@ -46,7 +53,7 @@ def landing_speed(log: Log, robot: Robot, frame: Frame) -> np.ndarray:
     rows = max(1, round(BEFORE * log.rate))
     speed = np.zeros(4)
     for leg in range(4):
-        touch = landings(log.contact[:, leg])
+        touch = landings(log.t, log.contact[:, leg])
         touch = touch[touch >= rows]
         if not len(touch):
             continue

@@ -21,12 +21,15 @@ from scenarios.trace import Trace, diagnose
 from sim.effects import CATALOGUE, Effect, effect
 from sim.errors import SurefootError
 from sim.files import read_toml, whole_file
+from sim.log import Log
 from sim.robot import Robot
 from sim.scenario import Scenario, Segment
 from sim.terrain import Ground, Patch
 from sim.walk import walk
 
 PLAN = Path(__file__).with_suffix(".toml")
+STAND = 20.0
+"""s that a robot stands which is to tell its twins apart."""
 
 
 @dataclass(frozen=True)
@@ -92,8 +95,8 @@ def ground_and_course(seed: int, standing: bool) -> Scenario:
     """The walk of a seed: some stretches, and patches of little friction on the way."""
     w = read_toml(PLAN, "study")["walk"]
     if standing:
-        # A last step or two, since a walk without any is none.
-        return Scenario("stand", (Segment(0.5),), Ground(0.8), stand=20.0)
+        # A last step or two, since a walk without any is none; `standing_part` cuts them off.
+        return Scenario("stand", (Segment(0.5),), Ground(0.8), stand=STAND)
     rng = np.random.default_rng([seed, 7])
     segments = tuple(
         Segment(
@@ -119,6 +122,8 @@ def run_case(case: Case) -> dict[str, Any]:
         log = walk(scenario, robot, case.seed, case.effects, declared=False)
     except SurefootError as fell:
         return record | {"fell": str(fell)}
+    if case.standing:
+        log = standing_part(log)
     found = diagnose([log], robot)
     said = found.as_dict()
     record |= {key: said.get(key) for key in ("verdict", "rivals", "remainder")}
@@ -126,6 +131,12 @@ def run_case(case: Case) -> dict[str, Any]:
     record["channels"] = said["channels"]
     record["over_floor"] = [over_floor(found, one) for one in case.effects]
     return record
+
+
+def standing_part(log: Log) -> Log:
+    """The log up to its first step: a few samples of stepping would tell the twins apart."""
+    still = log.t - log.t[0] < STAND - 0.5
+    return replace(log, frame=log.frame[still])
 
 
 def over_floor(found: Trace, one: Effect) -> float | None:

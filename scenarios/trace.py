@@ -11,6 +11,7 @@ from models.attribution import Attribution, attribute
 from models.candidates import Case, case_of
 from models.floor import floor_of
 from models.levels import Channel, channel_levels, without_bias
+from models.misfit import misfits
 from models.remainder import Remainder, form
 from scenarios.filters import Learnt
 from scenarios.trace_data import REPORT_SHARE, cannot_tell, dead_contacts, readings, said, split_of
@@ -144,13 +145,17 @@ def diagnose(
     result = attribute(cases, floor, split, rng, lambda share: tell(0.35 + 0.5 * share))
     effects = [f.effect for f in result.found]
     channels = channel_levels(cases, result, split)
-    verdict, remainder = _verdict(result, channels), ()
+    bent = misfits(cases, result, split, rng)
+    verdict, remainder = _verdict(result, channels, bool(bent)), ()
     if verdict == "none_of_these":
         above = [name for name, c in channels.items() if not c.at_floor or c.worse]
         above.sort(key=lambda name: -channels[name].after / channels[name].highest)
         used = split.fit | split.select
         left = without_bias(result.evidence, result.trust, used)
-        remainder = form(cases, left, result.trust, above, split.fit, split.select)
+        remainder = tuple(
+            Remainder(one.channel, one.joint, (f"curve_of_angle_{one.joint}",), one.share)
+            for one in bent
+        ) + form(cases, left, result.trust, above, split.fit, split.select)
     notes += tuple(f"{name}: worse with what was found" for name, c in channels.items() if c.worse)
     notes += tuple(
         f"{name}: what is left is {c.after / c.highest:.0f} times what the declared model leaves; "
@@ -198,8 +203,8 @@ def _filtered(
     return tuple(done)
 
 
-def _verdict(result: Attribution, channels: dict[str, Channel]) -> str:
-    at_floor = all(c.at_floor and not c.worse for c in channels.values())
+def _verdict(result: Attribution, channels: dict[str, Channel], bent: bool) -> str:
+    at_floor = not bent and all(c.at_floor and not c.worse for c in channels.values())
     if not result.found:
         return "no_residual" if at_floor else "none_of_these"
     if not at_floor:

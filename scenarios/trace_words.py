@@ -62,6 +62,8 @@ def remainder_in_words(found: Trace) -> list[str]:
     return [
         f"  {100 * r.share:.0f} % of what is left in {r.channel} {r.column} goes with "
         f"{', '.join(r.regressors)}"
+        if r.regressors
+        else f"  nothing simple goes with what is left in {r.channel} {r.column}"
         for r in found.remainder[:3]
     ]
 

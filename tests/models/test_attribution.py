@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from models.attribution import judge
+from models.attribution import CLOSE_BEHIND, TRIED, contenders, judge
 from models.candidates import Evidence
 from models.fitting import design, draws, fit, grams, loss, overlap
 from models.floor import Floor, Repeat
@@ -131,6 +131,23 @@ def test_a_placebo_earns_nothing_beside_the_truth():
         assert best.key == KEYS[0]
         assert not any(c.earned for c in others)
         assert not any(c.earned for c in judged(with_placebo, [KEYS[0]]))
+
+
+def test_a_few_near_the_best_are_tried_on_the_true_residual():
+    found = judged(evidence((3e-3, 0, 0.05, 0)))
+    tried = contenders(found)
+    assert tried[0] is found[0]
+    assert len(tried) <= TRIED
+    assert all(one.earned and one.gain > CLOSE_BEHIND * tried[0].gain for one in tried)
+
+
+def test_what_stands_out_is_worth_its_place_beside_a_far_larger_one():
+    small = evidence((5e-3, 0, 0, 0))
+    least = judged(small)[0].gain
+    (best, *_) = judged(small, explained=200.0 * least)
+    assert best.key == KEYS[0]
+    assert best.earned
+    assert not judged(evidence((2e-4, 0, 0, 0)), explained=200.0 * least)[0].earned
 
 
 def test_what_the_declared_model_fakes_is_taken_off():

@@ -45,5 +45,8 @@ def test_a_rest_that_goes_with_a_reading_is_named(signal):
     assert 0.5 < one.share < 0.95
 
 
-def test_white_noise_has_no_form():
-    assert formed() == ()
+def test_white_noise_has_no_form_but_its_channel_and_loudest_column():
+    (one,) = formed()
+    assert one.channel == "imu_gyro"
+    assert one.regressors == ()
+    assert one.share == 0.0

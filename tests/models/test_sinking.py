@@ -20,9 +20,16 @@ ROBOT = Robot.load("spot_class")
 def test_time_runs_from_each_landing_and_not_from_the_first_row():
     t = 0.1 * np.arange(8)
     contact = np.array([[1, 1, 0, 0, 1, 1, 0, 1]], dtype=bool).T
-    assert_array_equal(landings(contact[:, 0]), [4, 7])
+    assert_array_equal(landings(t, contact[:, 0]), [4, 7])
     expected = [np.nan, np.nan, np.nan, np.nan, 0.0, 0.1, np.nan, 0.0]
     assert_allclose(since_landing(t, contact)[:, 0], expected, atol=1e-12)
+
+
+def test_a_foot_that_bounces_has_not_landed_again():
+    t = 0.02 * np.arange(9)
+    contact = np.array([[1, 0, 0, 0, 0, 1, 0, 1, 1]], dtype=bool).T
+    assert_array_equal(landings(t, contact[:, 0]), [5])
+    assert_allclose(since_landing(t, contact)[7:, 0], [0.04, 0.06], atol=1e-12)
 
 
 def test_a_model_that_knows_of_soft_ground_finds_the_feet_where_they_are():

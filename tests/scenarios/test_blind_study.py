@@ -4,10 +4,19 @@ import pytest
 
 from scenarios.blind_report import write_report_of
 from scenarios.blind_score import points, right_channel, rules, sized, tells_twins
-from scenarios.blind_study import PLAN, cases, read_cases, run_study
+from scenarios.blind_study import (
+    PLAN,
+    cases,
+    ground_and_course,
+    read_cases,
+    run_study,
+    standing_part,
+)
 from scenarios.outside_effects import OUTSIDE
 from sim.effects import CATALOGUE
 from sim.files import read_toml
+from sim.robot import Robot
+from sim.walk import walk
 
 TRUE = {"name": "encoder_offset", "target": "FL_hip", "value": 0.02, "unit": "rad"}
 
@@ -68,6 +77,12 @@ def test_twins_must_both_be_named():
     found, twin = [("encoder_offset", "FL_hip", 0.02)], [("backlash", "FL_hip")]
     assert tells_twins(record("confounded", found, twin, twin="backlash FL_hip"))
     assert not tells_twins(record("attributed", found, twin="backlash FL_hip"))
+
+
+def test_a_robot_whose_twins_cannot_be_told_never_lifts_a_foot():
+    log = standing_part(walk(ground_and_course(301, True), Robot.load("spot_class"), 301))
+    assert log.contact.all()
+    assert log.t[-1] - log.t[0] > 15.0
 
 
 def test_the_report_is_written_from_what_was_run(tmp_path):

@@ -1,0 +1,71 @@
+"""Sizes on the true residual, which hardly any effect changes in a straight line."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from models.candidates import Case, Evidence, Key, linearise
+from models.fitting import Grams, design, fit, grams, loss
+from models.floor import Floor
+from models.masking import Trust
+from sim.effects import Effect
+
+AT_MOST = 10
+"""Steps of Gauss-Newton: a derivative that noise enters falls short of the size at each."""
+CLOSE = 1e-3
+"""Share of its size by which an effect may still move when it is taken for settled."""
+
+
+@dataclass(frozen=True)
+class Data:
+    """What sizes are refined on: part (M,) of each bin, as in `Split.part`."""
+
+    cases: Sequence[Case]
+    floor: Floor
+    evidence: Evidence
+    trust: Trust
+    part: np.ndarray
+
+    def about(self, chosen: Sequence[Effect]) -> Grams:
+        """Sums of products of the residual once `chosen` are explained, varied about them."""
+        keys = [(e.name, e.target) for e in chosen]
+        there = design(linearise(self.cases, chosen, keys, self.evidence.only(keys)))
+        return grams(there, self.floor.counted(self.trust.sigma), self.trust.weight, self.part)
+
+
+def refined(data: Data, chosen: Sequence[Effect], report: int) -> tuple[list[Effect], float]:
+    """The effects at the sizes that leave least on all blocks but those of the part `report`, by
+    Gauss-Newton, and the weighted squared error that they leave there."""
+    keys = [(e.name, e.target) for e in chosen]
+    chosen = [clipped(e, e.value) for e in chosen]
+    offsets, left = _offsets(data.floor, keys), np.inf
+    for _ in range(AT_MOST):
+        sums = data.about(chosen)
+        sums = sums.rows(sums.part != report)
+        found = fit(sums, keys, errors=False)
+        left = float(loss(sums, found.vector).sum())
+        steps = found.sizes - offsets
+        moved = [clipped(e, e.value + d) for e, d in zip(chosen, steps, strict=True)]
+        pairs = zip(moved, chosen, strict=True)
+        settled = all(abs(a.value - b.value) < CLOSE * abs(a.value) for a, b in pairs)
+        chosen = moved
+        if settled:
+            break
+    return chosen, left
+
+
+def _offsets(floor: Floor, keys: Sequence[Key]) -> np.ndarray:
+    """Sizes (C,) that these keys, fitted together, have on walks that lack them."""
+    return np.array([floor.sizes([k for k in keys if k != key], key)[0] for key in keys])
+
+
+def clipped(one: Effect, value: float) -> Effect:
+    """The effect of this size, or of the nearest inside its bounds."""
+    return replace(one, value=float(np.clip(value, *inside(type(one)))))
+
+
+def inside(kind: type[Effect]) -> tuple[float, float]:
+    """Bounds between which a size can still be varied by its step to either side."""
+    low, high = kind.bounds
+    return low + 1.1 * kind.step, high - 1.1 * kind.step

@@ -1,0 +1,52 @@
+"""A joint read wrong by a curve is none of the catalogue's; one that is off by a line is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from models.attribution import attribute
+from models.candidates import case_of
+from models.floor import floor_of
+from models.misfit import bends, misfits
+from scenarios.outside_effects import OUTSIDE
+from scenarios.trace import split_of
+from sim.effects import effect
+from sim.robot import Robot
+from sim.scenario import Scenario, Segment
+from sim.terrain import Ground
+from sim.walk import walk
+
+ROBOT = Robot.load("spot_class")
+COURSE = Scenario("there", (Segment(10.0, 0.5, turn=0.3), Segment(10.0, 0.6)), Ground(0.8))
+
+
+def found(one):
+    case = case_of(walk(COURSE, ROBOT, 3, [one], declared=False), ROBOT)
+    split, rng = split_of([case]), np.random.default_rng(0)
+    result = attribute([case], floor_of([case]), split, rng)
+    return result, misfits([case], result, split, rng)
+
+
+def test_a_curve_is_told_from_the_line_that_comes_nearest():
+    result, bent = found(OUTSIDE["encoder_eccentricity"]("FL_thigh", 0.03))
+    assert result.found, "something of the catalogue comes near"
+    assert [(one.joint, one.channel) for one in bent[:1]] == [("FL_thigh", "leg_velocity")]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "size"), [("encoder_scale", 0.03), ("joint_compliance", 1e-3)])
+def test_what_the_catalogue_has_is_no_curve(name, size):
+    result, bent = found(effect(name, "FL_thigh", size))
+    assert [f.effect.name for f in result.found] == [name]
+    assert bent == ()
+
+
+def test_bends_leave_out_what_an_offset_and_a_scale_can_do():
+    log = walk(replace(COURSE, segments=(Segment(1.0, 0.5),)), ROBOT, 3)
+    q = log.frame["q_FL_thigh"].to_numpy()
+    even = np.linspace(q.min(), q.max(), 2001)
+    for change in bends(log, "FL_thigh")[:5]:
+        curve = np.interp(even, np.sort(q), change["q_FL_thigh"][np.argsort(q)])
+        line = np.polynomial.Legendre.fit(even, curve, 1)
+        assert np.abs(line.coef).max() < 0.05
