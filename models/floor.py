@@ -228,7 +228,10 @@ def _repeat(
             log = replace(log, frame=log.frame[log.t - log.t[0] < SECONDS - STAND])
         case = case_of(_with_groups(log, groups), robot)
         data = design(linearise([case], effects, all_keys(case)))
-        believed = trust(data, np.full(data.evidence.layout.width, 1e-12))
+        # The same least noise as of the log: each channel then weighs alike in both.
+        least = np.full(data.evidence.layout.width, 1e-12)
+        least[data.evidence.layout.channels["foot_height"]] = LEVEL
+        believed = trust(data, least)
         beyond = excess(data, believed)
         sums = grams(data, believed.sigma * np.sqrt(beyond), believed.weight).total()
         # Of the walk itself only what is left of it matters from here on.
