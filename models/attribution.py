@@ -173,7 +173,9 @@ def judge(
         # The floor's own offset is only as sure as its contact model.
         spread = float(np.hypot(spread, DOUBT * offset))
         low_end, high_end = inside(CATALOGUE[key[0]])
-        at_bound = not low_end < size < high_end
+        # A fit beyond them is no size either, however much of it the floor's walks have.
+        fitted_beyond = abs(fitted.sizes[-1]) > max(-low_end, high_end)
+        at_bound = fitted_beyond or not low_end < size < high_end
         share = gain / max(float(before.sum()), 1e-300)
         clear = abs(size) / max(float(np.hypot(spread, error)), 1e-300)
         plain_to_see = clear > CLEAR and share > LARGE
@@ -188,7 +190,7 @@ def judge(
         judged.append(
             Candidate(
                 key, size, error, spread, gain, (float(low), float(high)),
-                share, at_bound, bool(earned),
+                share, bool(at_bound), bool(earned),
             )
         )  # fmt: skip
     return tuple(sorted(judged, key=lambda c: (not c.earned, -c.gain)))

@@ -156,6 +156,11 @@ def diagnose(
             Remainder(one.channel, one.joint, (f"curve_of_angle_{one.joint}",), one.share)
             for one in bent
         ) + form(cases, left, result.trust, above, split.fit, split.select)
+    if "leg_velocity" in channels:
+        notes += (
+            "foot_slip: cannot be told; friction shows where feet slide, and that they did on "
+            f"{100 * result.trust.share:.1f} % of their stance, wherever it was slippery",
+        )
     notes += tuple(f"{name}: worse with what was found" for name, c in channels.items() if c.worse)
     notes += tuple(
         f"{name}: what is left is {c.after / c.highest:.0f} times what the declared model leaves; "
