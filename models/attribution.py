@@ -17,8 +17,9 @@ AT_MOST = 4
 """Effects that one trace may name."""
 ABOVE_FLOOR = 5.0
 """How many times its size on walks that lack it an effect must have."""
-DOUBT = 0.5
-"""Share of the size that contacts fake on such walks which is taken for uncertain."""
+DOUBT = 0.7
+"""Share of the size that contacts fake on such walks which is taken for uncertain: on slippery
+ground they faked a delay of joints four times as long as on the floor's."""
 WORTH = 0.02
 """Share of what is explained so far that a further effect must add."""
 CLEAR, LARGE = 20.0, 0.2
