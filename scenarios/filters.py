@@ -1,8 +1,11 @@
 """The filters by name: what each needs of a log and of what was learnt, and how it is run."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 from estimator.filter import run_coverage, run_imu, run_velocity
 from estimator.initial import initial_state
@@ -11,16 +14,18 @@ from estimator.metrics import Metrics, evaluate
 from estimator.mounting import with_mounting
 from estimator.persistent import PersistentError
 from estimator.trajectory import Trajectory, reference
-from models.bounds import Bounds
-from models.observer import Observer
-from models.persistent import Persistent
-from models.predict import Prediction, predict
 from scenarios.radar_velocity import radar_velocity
 from scenarios.tuned import Parameters, imu_noise, leg_noise, tuned
 from sim.effects import effect, explain_all
 from sim.errors import SurefootError
 from sim.log import Log, joint_velocity
 from sim.robot import Robot
+
+if TYPE_CHECKING:  # what legs and IMU need comes without a network's library, which is slow to load
+    from models.bounds import Bounds
+    from models.observer import Observer
+    from models.persistent import Persistent
+    from models.predict import Prediction
 
 ENCODER = 2e-3
 """rad, of a joint angle: encoder step, calibration and what a loaded drive gives."""
@@ -133,10 +138,16 @@ Run = Callable[[Parameters], Trajectory]
 """A filter on one log, all that does not depend on its parameters done."""
 
 
+def _predict(observer: Observer, log: Log, robot: Robot) -> Prediction:
+    from models.predict import predict
+
+    return predict(observer, log, robot)
+
+
 def _coverage(log: Log, robot: Robot, learnt: Learnt, loss: str | None = None) -> Run:
     """Set-coverage IEKF, bounds of the mse observer."""
     observer, bounds = learnt.bounded(loss)
-    seen = predict(observer, log, robot)
+    seen = _predict(observer, log, robot)
     epsilon = bounds.epsilon_at(robot.R_BI)
     state, covariance = initial_state(log)
     return lambda values: run_coverage(
@@ -154,7 +165,7 @@ def _coverage_persistent(log: Log, robot: Robot, learnt: Learnt) -> Run:
     """Set-coverage IEKF with the observer's persistent error as states, bounds on window means."""
     observer, bounds = learnt.bounded()
     part = bounds.persistent_at(robot.R_BI)
-    seen = predict(observer, log, robot)
+    seen = _predict(observer, log, robot)
     state, covariance = initial_state(log)
     return lambda values: run_coverage(
         log.t, log.gyro, log.accel, seen.rows, seen.v_I, part.epsilon, bounds.gamma, state,
@@ -164,7 +175,7 @@ def _coverage_persistent(log: Log, robot: Robot, learnt: Learnt) -> Run:
 
 def _velocity(log: Log, robot: Robot, learnt: Learnt) -> Run:
     """Gaussian-velocity IEKF, covariance predicted by the gml observer."""
-    seen: Prediction = predict(learnt.gaussian(), log, robot)
+    seen = _predict(learnt.gaussian(), log, robot)
     assert seen.covariance is not None
     cov = seen.covariance
     state, covariance = initial_state(log)
@@ -183,7 +194,7 @@ def _velocity_persistent(log: Log, robot: Robot, learnt: Learnt) -> Run:
     """Gaussian-velocity IEKF with the persistent error as states, covariance of the rest."""
     observer, bounds = learnt.bounded()
     part = bounds.persistent_at(robot.R_BI)
-    seen = predict(observer, log, robot)
+    seen = _predict(observer, log, robot)
     state, covariance = initial_state(log)
     return lambda values: run_velocity(
         log.t, log.gyro, log.accel, seen.rows, seen.v_I, part.within, state, covariance,

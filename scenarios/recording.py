@@ -1,14 +1,15 @@
 """One walk and every estimator of it as one rerun recording that opens with a layout of its own."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import rerun as rr
 
 from estimator.trajectory import Trajectory, reference
-from models.bounds import Bounds
-from models.predict import Prediction
 from scenarios.blueprint import layout
 from scenarios.errors import ErrorSeries, error_series
 from scenarios.ground_shapes import write_ground
@@ -27,6 +28,10 @@ from sim.files import whole_file
 from sim.log import Log
 from sim.robot import Robot
 from sim.terrain import Ground
+
+if TYPE_CHECKING:
+    from models.bounds import Bounds
+    from models.predict import Prediction
 
 _ERROR_RATE = 20.0  # Hz; errors and paths change over seconds, not over milliseconds
 

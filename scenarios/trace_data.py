@@ -106,6 +106,10 @@ def said(cases: Sequence[Case], floor: Floor) -> tuple[str, ...]:
             notes.append(f"{channel}: not used, the log lacks {' and '.join(lacking)}")
         elif channel == "foot_height":
             notes.append("foot_height: not used, the ground is not level")
+    if "joint_torque" not in there and all(case.log.has("q_des") for case in cases):
+        notes.append(
+            "tracking: commanded angles tell of drives by torques alone; give the map a motor law"
+        )
     if cases[0].fixed:
         notes.append("without a reference the base is taken to be held still and level")
     elif not all(case.log.has("ref_v") for case in cases):

@@ -28,7 +28,7 @@ class ViscousFriction(Effect):
     name = "viscous_friction"
     unit = "N m s/rad"
     bounds = (0.0, 10.0)
-    channels = ("joint_torque", "tracking")
+    channels = ("joint_torque",)
     targets = JOINTS
     step = 1e-2
 
@@ -50,7 +50,7 @@ class CoulombFriction(Effect):
     name = "coulomb_friction"
     unit = "N m"
     bounds = (0.0, 10.0)
-    channels = ("joint_torque", "tracking")
+    channels = ("joint_torque",)
     targets = JOINTS
     step = 1e-2
 
@@ -71,7 +71,7 @@ class Armature(Effect):
     name = "armature"
     unit = "kg m^2"
     bounds = (0.0, 0.5)
-    channels = ("joint_torque", "tracking")
+    channels = ("joint_torque",)
     targets = JOINTS
     step = 1e-3
 
