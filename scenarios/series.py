@@ -1,12 +1,14 @@
 """The time-series half of a recording: velocity and its bounds, errors with 3 sigma, feet."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 import rerun as rr
 
 from estimator.trajectory import UpdateRecord
-from models.predict import Prediction
 from scenarios.errors import ErrorSeries
 from scenarios.palette import (
     BOUNDS,
@@ -20,6 +22,9 @@ from scenarios.palette import (
 )
 from scenarios.scene import SLIPPING, time_column
 from sim.log import LEGS, Log, reference_velocity
+
+if TYPE_CHECKING:
+    from models.predict import Prediction
 
 SERIES_RATE = 100.0  # Hz
 AXES = ("x", "y", "z")
