@@ -28,6 +28,8 @@ from sim.log import Log, joint_velocity
 from sim.robot import Robot
 
 TENTHS = 10
+STANCES = {"all of it": (0.0, 1.0), "10 to 90 %": (0.1, 0.9), "25 to 60 %": (0.25, 0.6)}
+"""Parts of the stance that are asked how large the feet are."""
 METRICS = {
     "APE_trans [m]": "ape_trans",
     "APE_rot [deg]": "ape_rot",
@@ -88,7 +90,7 @@ def shares_table(log: Log, robot: Robot, effects: Sequence[Effect], seed: int = 
     before, count = squares(())
     draws = rng.multinomial(len(before), np.full(len(before), 1 / len(before)), size=1000)
     rows = []
-    for words, chosen in _ladder(effects):
+    for words, chosen in ladder(effects, robot):
         after, _ = squares(chosen)
         share = 100 * (1 - after.sum() / before.sum())
         spread = 100 * (1 - (draws @ after) / (draws @ before))
@@ -101,11 +103,51 @@ def shares_table(log: Log, robot: Robot, effects: Sequence[Effect], seed: int = 
     return pd.DataFrame(rows)
 
 
-def _ladder(effects: Sequence[Effect]) -> list[tuple[str, list[Effect]]]:
-    """The declared model, each effect alone, and all of them."""
+def rolling_table(log: Log, robot: Robot, seed: int = 0) -> pd.DataFrame:
+    """Radius of the feet by parts of the stance: what the body's forward and lateral velocity say,
+    each by least squares over walking, with intervals by blocks."""
+    rng = np.random.default_rng(seed)
+    frame = case_of(log, robot).frame
+    phase = np.column_stack([phase_of(contact) for contact in log.contact.T])
+    walks = (np.linalg.norm(frame.v_I, axis=1) > WALKING) & log.ref_ok
+    dq, up = joint_velocity(log), frame.up_I
+
+    def off(radius: float) -> np.ndarray:
+        v = leg_velocity(
+            robot.legs, np.full(4, radius), robot.R_BI, robot.p_BI, log.q, dq, log.gyro, up,
+            log.contact & walks[:, None],
+        )  # fmt: skip
+        return v - frame.v_I[:, None]
+
+    point, slope = off(0.0), off(1.0) - off(0.0)
+    block = np.floor((log.t - log.t[0]) / BLOCK).astype(int)
+    rows = []
+    for words, (begin, end) in STANCES.items():
+        row = {"part of the stance": words}
+        use = (phase >= begin) & (phase <= end) & np.isfinite(point).all(axis=2)
+        for axis, name in enumerate(("forward", "lateral")):
+            y, x = np.where(use, point[..., axis], 0.0), np.where(use, slope[..., axis], 0.0)
+            sums = [np.bincount(block, values.sum(axis=1)) for values in (-x * y, x * x)]
+            counts = rng.multinomial(len(sums[0]), np.full(len(sums[0]), 1 / len(sums[0])), 1000)
+            drawn = 1e3 * (counts @ sums[0]) / (counts @ sums[1])
+            size = 1e3 * sums[0].sum() / sums[1].sum()
+            row[f"radius by {name} velocity [mm]"] = between(
+                size, np.percentile(drawn, [2.5, 97.5]), 1
+            )
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def ladder(effects: Sequence[Effect], robot: Robot) -> list[tuple[str, list[Effect]]]:
+    """The declared model, each effect alone, all of them, and feet as large as they are drawn."""
     steps: list[tuple[str, list[Effect]]] = [("as declared", [])]
     steps += [(f"{_named(e)} alone", [e]) for e in effects]
-    return [*steps, ("all of them", list(effects))] if len(effects) > 1 else steps
+    steps += [("all of them", list(effects))] if len(effects) > 1 else []
+    drawn = float(np.mean(Robot.load(robot.file).foot_radius - robot.foot_radius))
+    if drawn > 0 and not any(e.name == "foot_rolling" for e in effects):
+        rolling = effect("foot_rolling", "all", drawn)
+        steps.append((f"not found: {_named(rolling)}, as drawn", [rolling]))
+    return steps
 
 
 def _named(one: Effect) -> str:
@@ -118,7 +160,7 @@ def leg_filter_table(
     """The leg filter over the whole log: as declared, with each effect, with all, with sizes drawn
     from their intervals, and against a reference moved by `shifts` [s]."""
     rng = np.random.default_rng(seed)
-    rows = [_judged(words, log, robot, chosen) for words, chosen in _ladder(found.effects)]
+    rows = [_judged(words, log, robot, chosen) for words, chosen in ladder(found.effects, robot)]
     if found.attribution is not None and found.effects:
         drawn = [
             _judged(

@@ -101,6 +101,8 @@ def go1_square(folder: Path, options: Options) -> Chapter:
         found = trace([log], robot, options.out / "go1_trace", progress=tell, force=options.force)
     tables = {
         "Streams against the reference": go1.lags_table(late),
+        "How large the feet are, by the part of the stance that is asked":
+            go1.rolling_table(log, robot),
         "Velocity by standing legs, on the third that only reports":
             go1.shares_table(log, robot, found.effects),
         "Leg filter over the whole walk": go1.leg_filter_table(log, robot, found, SHIFTS),

@@ -1,16 +1,22 @@
 """The studies of real hardware: without the recordings they skip; with them, what they find."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from scenarios import hardware_go2, hardware_pendulum
+from scenarios.hardware_go1 import ladder, rolling_table
 from scenarios.hardware_study import MEASURED, RUNS, Options, as_markdown, study
 from sim.errors import SurefootError
 from sim.fixed_base import load_machine
 from sim.importer import import_csv
+from sim.robot import Robot
 from sim.robot_files import known_robots
+from sim.scenario import Scenario, Segment
+from sim.terrain import Ground
+from sim.walk import walk
 from tests.models.test_drives import swung
 
 needs_measured = pytest.mark.skipif(
@@ -76,3 +82,15 @@ def test_the_go2_has_rows_of_two_lengths_and_torques_by_its_motor_law():
 
 def test_measured_logs_are_looked_for_beside_the_project():
     assert Path(__file__).parents[2].parent / "shared" / "measured" == MEASURED
+
+
+def test_simulated_feet_tell_their_radius_by_any_part_of_the_stance():
+    robot = Robot.load("spot_class")
+    course = (Segment(6.0, 0.7), Segment(6.0, 0.4, turn=0.5))
+    log = walk(Scenario("rolling", course, Ground(0.8)), robot, 2)
+    points = replace(robot, foot_radius=np.zeros(4))
+    told = rolling_table(log, points)["radius by forward velocity [mm]"]
+    radii = [float(one.split(" ")[0]) for one in told]
+    assert radii == pytest.approx([1e3 * robot.foot_radius[0]] * len(radii), rel=0.2)
+    assert [words for words, _ in ladder([], points)][1].startswith("not found: foot rolling")
+    assert [words for words, _ in ladder([], robot)] == ["as declared"]
