@@ -18,7 +18,7 @@ from models.residual import leg_velocity
 from models.stream_lags import BLOCK, WALKING, Lag, phase_of
 from scenarios.filters import Learnt
 from scenarios.hardware_words import between
-from scenarios.palette import AFTER, BEFORE, INK, estimator_color
+from scenarios.palette import AFTER, BEFORE, INK
 from scenarios.plotting import new_figure, set_title
 from scenarios.trace import Trace
 from scenarios.trace_data import split_of
@@ -28,6 +28,8 @@ from sim.log import Log, joint_velocity
 from sim.robot import Robot
 
 TENTHS = 10
+DRAWN = "#AA4499"
+"""Colour of the model whose feet are as large as its file says."""
 STANCES = {"all of it": (0.0, 1.0), "10 to 90 %": (0.1, 0.9), "25 to 60 %": (0.25, 0.6)}
 """Parts of the stance that are asked how large the feet are."""
 METRICS = {
@@ -143,11 +145,15 @@ def ladder(effects: Sequence[Effect], robot: Robot) -> list[tuple[str, list[Effe
     steps: list[tuple[str, list[Effect]]] = [("as declared", [])]
     steps += [(f"{_named(e)} alone", [e]) for e in effects]
     steps += [("all of them", list(effects))] if len(effects) > 1 else []
-    drawn = float(np.mean(Robot.load(robot.file).foot_radius - robot.foot_radius))
-    if drawn > 0 and not any(e.name == "foot_rolling" for e in effects):
-        rolling = effect("foot_rolling", "all", drawn)
-        steps.append((f"not found: {_named(rolling)}, as drawn", [rolling]))
-    return steps
+    return steps + [(f"not found: {_named(e)}, as drawn", [e]) for e in drawn_feet(effects, robot)]
+
+
+def drawn_feet(effects: Sequence[Effect], robot: Robot) -> list[Effect]:
+    """What the declared model's feet lack of the file's radius, unless it is among the effects."""
+    missing = float(np.mean(Robot.load(robot.file).foot_radius - robot.foot_radius))
+    if missing <= 0 or any(e.name == "foot_rolling" for e in effects):
+        return []
+    return [effect("foot_rolling", "all", missing)]
 
 
 def _named(one: Effect) -> str:
@@ -200,12 +206,14 @@ def figure(log: Log, robot: Robot, found: Trace, late: Sequence[Lag]) -> Figure:
     drawn, axes = new_figure(1, 3, (12.0, 4.2))
     above, stance, times = axes[0]
     truth = reference(log)
-    for words, chosen, color, line in (
-        ("leg filter, model as declared", (), BEFORE, "--"),
-        ("leg filter, with what was found", found.effects, estimator_color("leg"), "-"),
-    ):
+    models: list[tuple[str, Sequence[Effect], str, str]] = [
+        ("as declared", (), BEFORE, "--"), ("with what was found", found.effects, AFTER, "-"),
+    ]  # fmt: skip
+    if rolling := drawn_feet(found.effects, robot):
+        models.append(("with feet as drawn", rolling, DRAWN, "-"))
+    for words, chosen, color, line in models:
         path = align_first(truth, filtered("leg", *explain_all(chosen, log, robot), Learnt()))
-        above.plot(*_plan(path), line, color=color, label=words)
+        above.plot(*_plan(path), line, color=color, label=f"leg filter, {words}")
     above.plot(*_plan(truth), color=INK, linewidth=2.0, label="motion capture")
     above.set_aspect("equal", adjustable="datalim")
     above.set_xlabel("x [m]")
@@ -213,9 +221,7 @@ def figure(log: Log, robot: Robot, found: Trace, late: Sequence[Lag]) -> Figure:
     above.legend(fontsize=7.5, frameon=False, loc="center")
     set_title(above, "the walk from above")
     where = (np.arange(TENTHS) + 0.5) * 100 / TENTHS
-    for words, chosen, color, line in (
-        ("as declared", (), BEFORE, "--"), ("with what was found", found.effects, AFTER, "-"),
-    ):  # fmt: skip
+    for words, chosen, color, line in models:
         speed = np.sqrt(np.nanmean(stance_profile(log, robot, chosen) ** 2, axis=1))
         stance.plot(where, speed, line, marker="o", markersize=3, color=color, label=words)
     stance.set_ylim(0.0, None)

@@ -26,6 +26,8 @@ from sim.robot import Robot
 
 FAR = 3.0
 """Times the floor beyond which what is left of a channel makes every size doubtful."""
+HARM = 1.05
+"""Ratio of a filter's errors, after to before, from which what was found is said to do harm."""
 OUTPUTS = ("trace.json", "effects.toml", "report.html", "trace.rrd")
 
 
@@ -175,6 +177,11 @@ def diagnose(
         pairs = [s.metrics for s in stretches if s.filter == name]
         before, after = (mean_metrics([pair[i] for pair in pairs]) for i in (0, 1))
         filters[name] = {"before": before, "after": after}
+    notes += tuple(
+        f"{name} filter: farther off with what was found"
+        for name, m in filters.items()
+        if m["after"]["ape_trans"] > HARM * m["before"]["ape_trans"]
+    )
     rivals = tuple(
         {"name": name, "target": target, "overlap": shared}
         for (name, target), shared in result.rivals

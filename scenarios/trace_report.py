@@ -119,10 +119,10 @@ def _sentences(found: Trace) -> list[str]:
         f"Lacks {size_in_words(f)}." for f in (found.attribution.found if found.attribution else ())
     ]
     lines += [
-        f"Or {r['name']} {r['target']}: their regressors overlap by {r['overlap']:.2f}. "
-        f"To tell them apart: {found.motion}."
+        f"Or {r['name']} {r['target']}: their regressors overlap by {r['overlap']:.2f}."
         for r in found.rivals
     ]
+    lines += [f"To tell them apart: {found.motion}."] if found.rivals else []
     lines += [line.strip() + "." for line in remainder_in_words(found)]
     return lines + [f"Note: {note}." for note in found.notes]
 

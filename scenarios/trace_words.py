@@ -73,11 +73,9 @@ def summary(found: Trace) -> str:
     lines = [f"verdict: {found.verdict}: {VERDICTS[found.verdict]}"]
     if found.attribution:
         lines += [f"  lacks {size_in_words(f)}" for f in found.attribution.found]
-    for rival in found.rivals:
-        lines.append(
-            f"  or {rival['name']} {rival['target']} (overlap {rival['overlap']:.2f}); "
-            f"to tell them apart: {found.motion}"
-        )
+    lines += [f"  or {r['name']} {r['target']} (overlap {r['overlap']:.2f})" for r in found.rivals]
+    if found.rivals:
+        lines.append(f"  to tell them apart: {found.motion}")
     lines += remainder_in_words(found)
     if found.channels:
         lines.append("residual on the part that no fit has seen (root mean square of 20 ms means):")

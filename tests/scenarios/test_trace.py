@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from models.floor import ground_of
-from scenarios.trace import OUTPUTS, diagnose, trace
+from scenarios.trace import OUTPUTS, Trace, diagnose, trace
 from scenarios.trace_data import dead_contacts, readings
 from scenarios.trace_words import summary
 from sim.effects import effect
@@ -182,3 +182,10 @@ def test_without_a_reference_there_is_nothing_to_trace(tmp_path):
     with pytest.raises(LogError, match="reference"):
         trace([replace(log, frame=log.frame[names])], ROBOT, tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_rivals_are_named_and_the_motion_that_tells_them_apart_is_said_once():
+    rivals = tuple({"name": "encoder_scale", "target": t, "overlap": 0.97} for t in ("a", "b"))
+    said = summary(Trace("confounded", None, {}, {}, 0.0, "none", rivals, "bend the joint", (), ()))
+    assert "or encoder_scale a (overlap 0.97)" in said
+    assert said.count("bend the joint") == 1
