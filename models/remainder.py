@@ -125,9 +125,13 @@ def _column(
         A = np.hstack([ones, values[:, chosen]]) * root
         base = _solve(A, y * root[:, 0], fit)
         rest = np.where(there, np.nan_to_num(y) * root[:, 0] - A @ base, 0.0)
-        X = values * root
-        pull = np.abs(X[fit].T @ rest[fit]) / np.maximum(np.linalg.norm(X[fit], axis=0), 1e-12)
-        pull[chosen] = 0.0
+        # What each regressor has that those chosen, and a constant, have not.
+        Q = np.linalg.qr(A[fit])[0]
+        X = (values * root)[fit]
+        own = X - Q @ (Q.T @ X)
+        size = np.linalg.norm(own, axis=0)
+        known = size < 1e-6 * np.maximum(np.linalg.norm(X, axis=0), 1e-12)
+        pull = np.where(known, 0.0, np.abs(own.T @ rest[fit]) / np.maximum(size, 1e-12))
         best = int(np.argmax(pull))
         A = np.hstack([ones, values[:, [*chosen, best]]]) * root
         after = y[check] * root[check, 0] - A[check] @ _solve(A, y * root[:, 0], fit)
