@@ -107,7 +107,6 @@ def attribute(
     above the one it has on walks of the declared model, it is not at its bound, it adds a share
     WORTH of what the others explain or is CLEAR by itself, and it pays for its parameter and for
     having been one of many (extended BIC, blocks as samples).
-    One that no longer earns its place beside a later one goes.
     """
     keys = tuple(dict.fromkeys(key for case in cases for key in all_keys(case)))
     chosen: list[Effect] = []
@@ -152,7 +151,7 @@ def judge(
     seen, unseen = data.rows(data.part == FIT), data.rows(data.part == SELECT)
     counts = draws(len(unseen.G), rng)
     plain = fit(seen, chosen, errors=False).vector
-    base = {0.0: (loss(unseen, plain), loss(seen, plain))}
+    plainly = loss(unseen, plain), loss(seen, plain)
     # Chen and Chen 2008, extended BIC: one of many costs more than one alone.
     price = np.log(max(2, len(seen.G))) + 2.0 * np.log(len(data.keys))
     judged = []
@@ -163,7 +162,7 @@ def judge(
         size, error = float(fitted.sizes[-1]), float(np.sqrt(fitted.covariance[-1, -1]))
         offset, spread = floor.sizes(chosen, key)
         size -= offset
-        before, before_seen = base[0.0]
+        before, before_seen = plainly
         if offset:
             faked = _without(seen, at, offset, chosen)
             before, before_seen = loss(unseen, faked), loss(seen, faked)
