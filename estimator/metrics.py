@@ -204,7 +204,8 @@ def path_length(trajectory: Trajectory, every: float = 0.5) -> float:
     """Path length [m] of the positions sampled every 0.5 s, so that a gait's bob does not count."""
     t = trajectory.t
     stamps = np.arange(t[0], t[-1], every)
-    rows = np.append(np.searchsorted(t, stamps), len(t) - 1)
+    # Rounding may put the last stamp behind the last row.
+    rows = np.append(np.minimum(np.searchsorted(t, stamps), len(t) - 1), len(t) - 1)
     return float(np.linalg.norm(np.diff(trajectory.p_GI[rows], axis=0), axis=1).sum())
 
 

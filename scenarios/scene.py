@@ -123,7 +123,9 @@ def _write_ellipsoid(
     stream: rr.RecordingStream, path: str, error: ErrorSeries, covariance: np.ndarray, color: str
 ) -> None:
     """Where the estimator is nearly sure to be, by its own account: semi-axes of three sigma."""
-    rows = np.searchsorted(error.t, np.arange(error.t[0], error.t[-1], 1.0 / _ELLIPSOID_RATE))
+    stamps = np.arange(error.t[0], error.t[-1], 1.0 / _ELLIPSOID_RATE)
+    # Rounding may put the last stamp behind the last row.
+    rows = np.minimum(np.searchsorted(error.t, stamps), len(error.t) - 1)
     variance, axes = np.linalg.eigh(covariance[rows])
     axes[np.linalg.det(axes) < 0.0, :, 0] *= -1.0
     style = rr.Ellipsoids3D.from_fields(

@@ -106,7 +106,9 @@ def radar_over(
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     p_IR, R_IR = mounting(robot, sensor)
-    rows = np.searchsorted(log.t, np.arange(log.t[0], log.t[-1], sensor.period))
+    stamps = np.arange(log.t[0], log.t[-1], sensor.period)
+    # Rounding may put the last stamp behind the last row.
+    rows = np.unique(np.minimum(np.searchsorted(log.t, stamps), len(log.t) - 1))
     rows = rows[log.ref_ok[rows] > 0]
     R_GI = log.ref_R_GI
     place = log.ref_p + R_GI @ p_IR

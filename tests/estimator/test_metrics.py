@@ -1,5 +1,7 @@
 """Metrics against evo (a peer, used as an oracle here alone) and against finite differences."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from motions import motion
@@ -11,6 +13,7 @@ from estimator.metrics import (
     align_first,
     evaluate,
     matched,
+    path_length,
     position_jacobian,
     segments,
     velocity_jacobian,
@@ -204,3 +207,9 @@ def test_nothing_in_common_is_one_clear_error(pair):
     )
     with pytest.raises(TrajectoryError, match="no two stamps in common"):
         evaluate(truth, later)
+
+
+def test_a_path_s_length_bears_a_stamp_that_rounding_puts_behind_its_end():
+    truth = motion(10.01, 100.0).reference()
+    late = replace(truth, t=15.502 + 0.01 * np.arange(len(truth.t)))
+    assert path_length(late) == pytest.approx(path_length(truth), rel=1e-2)

@@ -6,13 +6,15 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+import rerun as rr
 from conftest import DRIFT, RATE, Walk
 from rerun.chunk import RrdReader
 
-from scenarios.errors import error_series
+from scenarios.errors import ErrorSeries, error_series
 from scenarios.palette import estimator_color, friction_color
 from scenarios.recording import write_recording
 from scenarios.robot_shapes import geom_shapes
+from scenarios.scene import write_estimates
 from sim.errors import SurefootError
 from sim.log import LEGS, Log
 from sim.quaternion import matrix_from_quaternion
@@ -248,3 +250,12 @@ def test_attitude_error_is_seen_from_the_heading_of_the_robot(walk):
     np.testing.assert_allclose(error.attitude, np.tile([0.1, 0, 0], (len(error.t), 1)), atol=1e-9)
     assert error.attitude_sigma is None
     assert pytest.approx(1 / np.diff(error.t).mean()) == RATE / 5
+
+
+def test_a_stamp_that_rounding_puts_behind_the_last_row_is_the_last_row(walk):
+    """0.352 + 116 * 0.2 is a hair more than 0.352 + 464 * 0.05."""
+    t, n = 0.352 + 0.05 * np.arange(465), 465
+    assert np.arange(t[0], t[-1], 0.2)[-1] > t[-1]
+    eyes, none = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
+    error = ErrorSeries(t, none, eyes, none, none, None, None, eyes)
+    write_estimates(rr.RecordingStream("rounding"), {"leg": error}, walk.robot, np.ones(3))
