@@ -30,11 +30,15 @@ class TraceCommand:
     """Find the effect that the model lacks, and report before and after it is added."""
 
     logs: Positional[tuple[Path, ...]]
+    """Logs of one robot, traced together."""
     out: Out
+    """Folder for trace.json, effects.toml, report.html and trace.rrd."""
     robot: str | None = None
     """Name or MJCF file; the log's own where left out."""
     seed: int = 0
+    """Of the bootstrap that intervals come from."""
     force: bool = False
+    """Overwrite what is in the folder."""
 
     def run(self) -> None:
         from scenarios.progress import percent_bar
@@ -60,12 +64,15 @@ class LoopCommand:
     """Trace a log, put what was found into the simulation, learn anew, estimate the log again."""
 
     log: Positional[Path]
+    """A log with IMU, joint angles and reference."""
     out: Out
     """Folder for everything it makes; a run that was killed goes on there."""
     robot: str | None = None
     """Name or MJCF file; the log's own where left out."""
     seed: int = 0
+    """Of walks, training and intervals."""
     force: bool = False
+    """Start anew and overwrite what is in the folder."""
 
     def run(self) -> None:
         from scenarios.loop import loop

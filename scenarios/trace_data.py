@@ -1,6 +1,7 @@
 """What a trace may know of its logs, how it splits them, and what they can and cannot tell."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -57,7 +58,8 @@ def readings(log: Log) -> Log:
     if dead_contacts(log):
         known = tuple(name for name in known if name != "contact_")
     names = [n for n in log.frame if str(n) == "t" or str(n).startswith(known)]
-    return Log(log.frame.filter(items=names), log.meta, log.name)
+    meta = replace(log.meta, scenario=None, seed=None, effects=(), versions={})
+    return Log(log.frame.filter(items=names), meta, log.name)
 
 
 def dead_contacts(log: Log) -> str:

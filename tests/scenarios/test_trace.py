@@ -93,7 +93,9 @@ def stripped(log):
 
 def test_the_same_trace_of_a_log_that_tells_nothing_of_itself(tmp_path):
     log = log_with("encoder_offset", "RL_thigh", -0.02)
-    told = replace(log, meta=replace(log.meta, effects=({"name": "gyro_scale"},)))
+    # A bundled course is one that a radar can be simulated on: not for a log that tells its name.
+    meta = replace(log.meta, effects=({"name": "gyro_scale"},), scenario="demo_walk")
+    told = replace(log, meta=meta)
     stripped(log).write(tmp_path / "x.parquet")
     trace([told], ROBOT, tmp_path / "a")
     trace([Log.read(tmp_path / "x.parquet")], ROBOT, tmp_path / "b")
