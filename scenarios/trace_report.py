@@ -68,13 +68,14 @@ def sections(found: Trace) -> list[Section]:
             "Root mean square residual of each channel on the end of the log, which no fit and no "
             "choice has seen. The dashed line is what a robot leaves that is as the model says.",
         )
+        masked = f"Masked as slipping: {100 * found.masked_share:.1f} % of stance time. "
+        masked = masked if "leg_velocity" in found.channels else ""
         parts.append(
             Section(
                 "Residual before and after",
                 "Residuals are means over 20 ms. Turn-on biases of the IMU belong to the declared "
                 "sensors and are taken off. "
-                f"Masked as slipping: {100 * found.masked_share:.1f} % of stance time. "
-                f"Noise floor: {found.floor}.",
+                f"{masked}Noise floor: {found.floor}.",
                 pictures=(picture,),
             )
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isfinite
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -85,13 +86,19 @@ def summary(found: Trace) -> str:
     for name, metrics in found.filters.items():
         b, a = metrics["before"], metrics["after"]
         lines.append(
-            f"{name} filter there: APE {b['ape_trans']:.3f} -> {a['ape_trans']:.3f} m, "
-            f"{b['ape_rot']:.2f} -> {a['ape_rot']:.2f} deg; "
-            f"RPE {b['rpe_trans']:.4f} -> {a['rpe_trans']:.4f} m, "
-            f"{b['rpe_rot']:.3f} -> {a['rpe_rot']:.3f} deg/m"
+            f"{name} filter there: APE {_change(b, a, 'ape_trans', 3)} m, "
+            f"{_change(b, a, 'ape_rot', 2)} deg; RPE {_change(b, a, 'rpe_trans', 4)} m, "
+            f"{_change(b, a, 'rpe_rot', 3)} deg/m"
         )
-    if found.channels:
+    if "leg_velocity" in found.channels:
         lines.append(f"masked as slipping: {100 * found.masked_share:.1f} % of stance time")
+    if found.channels:
         lines.append(f"noise floor: {found.floor}")
     lines += [f"note: {note}" for note in found.notes]
     return "\n".join(lines)
+
+
+def _change(before: dict[str, float], after: dict[str, float], metric: str, digits: int) -> str:
+    """A metric before and after; a dash where the walk is too short for it."""
+    said = [f"{m[metric]:.{digits}f}" if isfinite(m[metric]) else "–" for m in (before, after)]
+    return " -> ".join(said)
