@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from estimator.trajectory import Trajectory, TrajectoryError
+from sim.stamps import rows_every
 
 RATE = 100.0
 """Hz. The rate at which metrics are taken."""
@@ -203,9 +204,7 @@ def velocity_jacobian(v: np.ndarray) -> np.ndarray:
 def path_length(trajectory: Trajectory, every: float = 0.5) -> float:
     """Path length [m] of the positions sampled every 0.5 s, so that a gait's bob does not count."""
     t = trajectory.t
-    stamps = np.arange(t[0], t[-1], every)
-    # Rounding may put the last stamp behind the last row.
-    rows = np.append(np.minimum(np.searchsorted(t, stamps), len(t) - 1), len(t) - 1)
+    rows = np.append(rows_every(t, every), len(t) - 1)
     return float(np.linalg.norm(np.diff(trajectory.p_GI[rows], axis=0), axis=1).sum())
 
 

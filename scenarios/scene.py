@@ -12,6 +12,7 @@ from scenarios.palette import OUTSIDE, TRUTH, estimator_color, estimator_label, 
 from scenarios.robot_shapes import link_poses, link_shapes, rerun_quaternion
 from sim.log import Log
 from sim.robot import Robot
+from sim.stamps import rows_every
 
 POSE_RATE = 50.0  # Hz
 SLIPPING = 0.1  # m/s, foot speed over the ground above which a loaded foot is called slipping
@@ -123,9 +124,7 @@ def _write_ellipsoid(
     stream: rr.RecordingStream, path: str, error: ErrorSeries, covariance: np.ndarray, color: str
 ) -> None:
     """Where the estimator is nearly sure to be, by its own account: semi-axes of three sigma."""
-    stamps = np.arange(error.t[0], error.t[-1], 1.0 / _ELLIPSOID_RATE)
-    # Rounding may put the last stamp behind the last row.
-    rows = np.minimum(np.searchsorted(error.t, stamps), len(error.t) - 1)
+    rows = rows_every(error.t, 1.0 / _ELLIPSOID_RATE)
     variance, axes = np.linalg.eigh(covariance[rows])
     axes[np.linalg.det(axes) < 0.0, :, 0] *= -1.0
     style = rr.Ellipsoids3D.from_fields(

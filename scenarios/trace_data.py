@@ -76,6 +76,7 @@ def dead_contacts(log: Log) -> str:
 
 
 def cannot_tell(cases: Sequence[Case], split: Split) -> str:
+    """Why these logs cannot be traced, in a line; "" where they can."""
     if not any(all_keys(case) for case in cases):
         return (
             "no channel: needs gyro and accel, or q and contact, beside the reference; or q and "

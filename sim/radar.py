@@ -17,6 +17,7 @@ from sim.errors import SurefootError
 from sim.log import Log
 from sim.robot import Robot
 from sim.scenario import Scenario, drawn
+from sim.stamps import rows_every
 from sim.terrain import Ground
 from sim.tiles import add_ground
 
@@ -106,9 +107,7 @@ def radar_over(
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     p_IR, R_IR = mounting(robot, sensor)
-    stamps = np.arange(log.t[0], log.t[-1], sensor.period)
-    # Rounding may put the last stamp behind the last row.
-    rows = np.unique(np.minimum(np.searchsorted(log.t, stamps), len(log.t) - 1))
+    rows = rows_every(log.t, sensor.period)
     rows = rows[log.ref_ok[rows] > 0]
     R_GI = log.ref_R_GI
     place = log.ref_p + R_GI @ p_IR
