@@ -7,12 +7,11 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
-from scipy.spatial.transform import Rotation
 
 from sim.fixed_base import Machine
 from sim.log import Log, joint_velocity, reference_velocity
 from sim.robot import Robot
-from sim.sensors import GRAVITY_G, mean_rotation
+from sim.sensors import between_states
 
 BIN = 0.02
 """s, the length of a bin."""
@@ -98,11 +97,8 @@ def measured_against(log: Log, fixed: bool = False) -> Frame:
     log.require("reference")
     R_GI, v_GI, ok = log.ref_R_GI, reference_velocity(log), log.ref_ok
     dt = np.diff(t)
-    turn = Rotation.from_matrix(np.swapaxes(R_GI[:-1], 1, 2) @ R_GI[1:]).as_rotvec()
-    felt = np.einsum("nji,nj->ni", R_GI[:-1], np.diff(v_GI, axis=0) / dt[:, None] - GRAVITY_G)
     gyro, accel = np.zeros_like(v_GI), np.zeros_like(v_GI)
-    gyro[1:] = turn / dt[:, None]
-    accel[1:] = np.linalg.solve(mean_rotation(turn), felt[:, :, None])[:, :, 0]
+    gyro[1:], accel[1:] = between_states(t, R_GI, v_GI)
     gyro[0], accel[0] = gyro[1], accel[1]
     whole = np.concatenate([[False], dt < 1.5 * np.median(dt)])
     feet = np.zeros((2, len(t), 4), dtype=bool)

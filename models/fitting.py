@@ -109,21 +109,21 @@ def grams(
     # Parts of a short log take turns more often than that: each turn is a block of its own.
     turns = np.cumsum(np.diff(np.where(part < 0, -1, number), prepend=-1) != 0)
     label = np.where(part < 0, -1, turns)
-    blocks = [b for b in np.unique(label) if b >= 0]
+    # Rows of a block follow each other: from its first on, `many` of them.
+    blocks, first, many = np.unique(label, return_index=True, return_counts=True)
+    blocks, first, many = (x[blocks >= 0] for x in (blocks, first, many))
     size = 1 + data.size
     G = np.zeros((len(blocks), size, size))
-    inside = [np.flatnonzero(label == b) for b in blocks]
     for column, (rows, X, which) in enumerate(zip(data.rows, data.X, data.which, strict=True)):
-        if not len(rows):
-            continue
+        begin, end = np.searchsorted(rows, first), np.searchsorted(rows, first + many)
         place = np.concatenate([[0], 1 + which])
         A = np.column_stack([data.y[rows, column], X]) / sigma[column]
         A = A * np.sqrt(weight[rows, column])[:, None]
-        for k, b in enumerate(blocks):
-            block = A[label[rows] == b]
-            G[k][np.ix_(place, place)] += block.T @ block
-    entries = np.array([np.sum(weight[here] > 0) for here in inside], dtype=float)
-    parts = np.array([part[here[0]] for here in inside], dtype=int)
+        own = [A[i:j].T @ A[i:j] for i, j in zip(begin, end, strict=True)]
+        G[:, place[:, None], place] += own
+    known = np.count_nonzero(weight, axis=1)
+    entries = np.array([known[i : i + n].sum() for i, n in zip(first, many, strict=True)], float)
+    parts = part[first].astype(int)
     return Grams(G, evidence.keys, evidence.limits, evidence.stands_for, entries, parts)
 
 

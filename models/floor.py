@@ -12,12 +12,12 @@ from models.fitting import Grams, design, fit, grams
 from models.layout import layout_of
 from models.masking import Trust, trust
 from models.noise import reading_noise, sheet_noise
+from models.torques import declared
 from models.whiteness import excess
 from sim.effects import CATALOGUE, Effect
 from sim.errors import SurefootError
 from sim.imitation import PIECE, body_twists
 from sim.log import Log
-from sim.robot import Robot
 from sim.scenario import Scenario, Segment
 from sim.terrain import Ground, Strip
 from sim.walk import walk
@@ -212,7 +212,7 @@ def _repeat(
     known: tuple[str, ...],
 ) -> Repeat | None:
     """One walk, fitted with what the catalogue has: the effects `known` to it."""
-    robot = Robot.load(file)
+    robot = declared(file)
     for slower in (1.0, 0.6, 0.3) if course else (1.0,):
         segments = tuple(
             Segment(PIECE, forward * slower, lateral * slower, turn * slower)

@@ -14,11 +14,14 @@ from models.residual import Parts, height_columns, leg_columns
 from models.torques import (
     Effort,
     Steps,
+    carried,
     effort,
+    effort_slopes,
+    given_by_feet,
+    near,
     slope,
     three,
     torque_residual,
-    unbalanced,
     wrench_residual,
 )
 from sim.fixed_base import Machine
@@ -39,8 +42,8 @@ class Regressor:
 class Answers:
     """Derivatives of a table's columns at each bin. Of legs, by the rate of the IMU (M, 12, 3) and
     by the leg's own joints' angles and rates (M, 4, 3, 3); of heights, by the own joints' angles
-    (M, 4, 3); of torques and wrench together (M, J + 6, J), by angle, rate, acceleration and
-    torque."""
+    (M, 4, 3); of torques and wrench together (J, M, J + 6), by each joint's angle, rate,
+    acceleration and torque."""
 
     leg_omega: np.ndarray
     leg_q: np.ndarray
@@ -74,49 +77,52 @@ def answers(parts: Parts, robot: Machine) -> Answers:
             if np.isfinite(parts.table[:, 18:22]).any():
                 rise = height_columns(replace(bins, q=bins.q + all_legs), robot)
                 height_q[:, :, axis] = np.nan_to_num(rise - parts.table[:, 18:22]) / STEP
-    by_effort = np.zeros((4, m, joints + 6, joints))
+    by_effort = np.zeros((4, joints, m, joints + 6))
     if parts.effort is not None:
         by_effort = _by_effort(parts, parts.effort, robot)
     return Answers(leg_omega, leg[0], leg[1], height_q, *by_effort)
 
 
 def _by_effort(parts: Parts, needed: Effort, robot: Machine) -> np.ndarray:
-    """(4, M, J + 6, J): torques then wrench, by a joint's angle, rate, acceleration and torque."""
+    """(4, J, M, J + 6): by each joint's angle, rate, acceleration and torque, the torques, then the
+    wrench."""
     m, joints = parts.bins.q.shape
-    out = np.zeros((4, m, joints + 6, joints))
-    use = np.flatnonzero(_near(parts.steps.swings.any(axis=1) | parts.steps.steady))
+    out = np.zeros((4, joints, m, joints + 6))
+    use = np.flatnonzero(near(parts.steps.swings.any(axis=1) | parts.steps.steady))
     s = replace(parts.steps, **{name: values[use] for name, values in vars(parts.steps).items()})
-    here = Effort(needed.wrench[use], needed.torque[use])
-    base = _unbalanced(s, here, robot)
+    wrench, torque = effort_slopes(s, robot, STEP)
+    out[:3, :, use, :joints], out[:3, :, use, joints:] = -torque, -wrench
     for j in range(joints):
-        one = np.eye(joints)[j]
-        for kind, moved in (
-            (0, replace(s, q=s.q + STEP * one)),
-            (1, replace(s, dq=s.dq + STEP * one)),
-            (2, replace(s, ddq=s.ddq + STEP * one)),
-        ):
-            other = effort(moved, robot)
-            out[kind, use, :joints, j] = (here.torque - other.torque) / STEP
-            out[kind, use, joints:, j] = (_unbalanced(moved, other, robot) - base) / STEP
-        moved = replace(s, tau=s.tau + one)
-        out[3, use, j, j] = 1.0
-        out[3, use, joints:, j] = _unbalanced(moved, here, robot) - base
+        out[3, j, use, j] = 1.0
+    if isinstance(robot, Robot) and s.steady.any():
+        out[:, :, use, joints:] += _by_feet(s, needed.torque[use], torque, robot)
     return out
 
 
-def _unbalanced(s: Steps, needed: Effort, robot: Machine) -> np.ndarray:
-    """What is left of the wrench (M, 6), zero where no foot is known to stand."""
-    if not isinstance(robot, Robot) or not s.steady.any():
-        return np.zeros((len(s.q), 6))
-    return unbalanced(s, needed, robot)
+def _by_feet(s: Steps, needed: np.ndarray, torque: np.ndarray, robot: Robot) -> np.ndarray:
+    """What the feet give the base (4, 12, M, 6), likewise. The base's motion being what it is, a
+    joint changes the torques of its own leg alone, and so the force of its own foot: all four legs
+    can be moved at once.
 
-
-def _near(flag: np.ndarray) -> np.ndarray:
-    """Bins (M,) that have the flag, or a neighbour of which has it."""
-    near = flag.copy()
-    near[1:] |= flag[:-1]
-    near[:-1] |= flag[1:]
-    return near
+    needed (M, 12), torque (3, 12, M, 12): what the motion takes, and its derivatives.
+    """
+    legs, bins = np.arange(4), len(needed)
+    out = np.zeros((4, 12, bins, 6))
+    plain = given_by_feet(s, s.q, needed - s.tau, robot)
+    for j in range(3):
+        at = 3 * legs + j
+        moved = np.zeros(12)
+        moved[at] = 1.0
+        for kind in range(4):
+            if kind == 3:
+                step, gained = 1.0, -moved
+            else:
+                own = torque[kind, at].reshape(4, bins, 4, 3)[legs, :, legs]
+                step, gained = STEP, STEP * np.moveaxis(own, 0, 1).reshape(bins, 12)
+            q = s.q + STEP * moved if kind == 0 else s.q
+            given = given_by_feet(s, q, needed - s.tau + gained, robot)
+            out[kind, at] = np.moveaxis(given - plain, 1, 0) / step
+    return out
 
 
 def by_readings(
@@ -140,17 +146,17 @@ def by_readings(
             out[:, 6 + 3 * leg : 9 + 3 * leg] += known.leg_q[:, leg, :, j] * x[:, None]
             out[:, 18 + leg] += known.height_q[:, leg, j] * x
         out[:, rate + place] += slope(x)
-        forces += known.effort_q[:, :, place] * x[:, None]
+        forces += known.effort_q[place] * x[:, None]
     for place, x in change.get("dq", {}).items():
         leg, j = divmod(place, 3)
         if legged:
             out[:, 6 + 3 * leg : 9 + 3 * leg] += known.leg_dq[:, leg, :, j] * x[:, None]
         out[:, rate + place] -= three(x)
-        forces += known.effort_dq[:, :, place] * x[:, None]
+        forces += known.effort_dq[place] * x[:, None]
     for place, x in change.get("ddq", {}).items():
-        forces += known.effort_ddq[:, :, place] * x[:, None]
+        forces += known.effort_ddq[place] * x[:, None]
     for place, x in change.get("tau", {}).items():
-        forces += known.effort_tau[:, :, place] * x[:, None]
+        forces += known.effort_tau[place] * x[:, None]
     forces = three(forces)
     out[:, torque : torque + joints] += forces[:, :joints]
     if legged:
@@ -162,23 +168,27 @@ def by_robot(parts: Parts, robot: Machine, one: Robot, step: float) -> Regressor
     """What a changed body does to the table, the model `one` having `step` more than `robot`."""
     table = parts.table.copy()
     legs_alone = robot.beyond is one.beyond
-    same_masses = legs_alone and robot.legs.offset is one.legs.offset
     if np.isfinite(table[:, 6:18]).any() and legs_alone:
         table[:, 6:18] = leg_columns(parts.bins, one)
         if np.isfinite(table[:, 18:22]).any():
             table[:, 18:22] = height_columns(parts.bins, one)
     if parts.effort is not None and parts.steps.steady.any():
         needed = parts.effort
-        if not same_masses:
+        if robot.legs.offset is not one.legs.offset:
             needed = effort(parts.steps, one)
             torques = parts.layout.channels["joint_torque"]
             table[:, torques] = torque_residual(parts.steps, needed)
+        elif not legs_alone:
+            more = carried(parts.steps, one) - carried(parts.steps, robot)
+            needed = replace(needed, wrench=needed.wrench + more)
         table[:, 34:40] = wrench_residual(parts.steps, needed, one)
     return sparse((table - parts.table) / step, parts.table)
 
 
 def sparse(change: np.ndarray, table: np.ndarray) -> Regressor:
     """The columns that change at all, zero where the table has nothing."""
-    change = np.where(np.isfinite(table), np.nan_to_num(change), 0.0)
-    columns = np.flatnonzero(np.abs(change).max(axis=0) > 1e-9)
-    return Regressor(columns, np.ascontiguousarray(change[:, columns]))
+    touched = np.flatnonzero(change.any(axis=0))
+    change, there = change[:, touched], np.isfinite(table[:, touched])
+    change = np.where(there, np.nan_to_num(change), 0.0)
+    large = np.abs(change).max(axis=0) > 1e-9
+    return Regressor(touched[large], np.ascontiguousarray(change[:, large]))

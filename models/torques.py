@@ -78,32 +78,50 @@ class Effort:
 
 
 def effort(s: Steps, robot: Machine) -> Effort:
-    """Inverse dynamics of the declared model and of what it knows of its masses."""
+    """Inverse dynamics of the declared model and of what it knows of its masses; of bins that no
+    residual is asked for, zero."""
+    use = np.flatnonzero(near(s.swings.any(axis=1) | s.steady))
+    dynamics, shift = dynamics_of(robot.file, robot.joint_names), _shift(robot)
+    wrench, torque = np.zeros((len(s.q), 6)), np.zeros_like(s.q)
+    wrench[use], torque[use] = dynamics.inverse(s.q[use], s.dq[use], s.ddq[use], s.base[use], shift)
+    return Effort(wrench + carried(s, robot), torque)
+
+
+def effort_slopes(s: Steps, robot: Machine, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives of an effort's wrench (3, J, M, 6) and torque (3, J, M, J), by each joint's
+    angle, rate and acceleration: forward differences."""
     dynamics = dynamics_of(robot.file, robot.joint_names)
-    shift = None
-    if isinstance(robot, Robot):
-        shift = (robot.legs.offset - _drawn_offset(robot.file)).reshape(-1, 3)
-    wrench, torque = dynamics.inverse(s.q, s.dq, s.ddq, s.base, shift)
-    if not dynamics.floating:
-        return Effort(wrench, torque)
+    return dynamics.derivatives(s.q, s.dq, s.ddq, s.base, _shift(robot), step)
+
+
+def _shift(robot: Machine) -> np.ndarray | None:
+    """How far each joint (J, 3) [m] is from where the robot's file has it."""
+    if not isinstance(robot, Robot):
+        return None
+    return (robot.legs.offset - declared(robot.file).legs.offset).reshape(-1, 3)
+
+
+def carried(s: Steps, robot: Machine) -> np.ndarray:
+    """Wrench (M, 6) that the known payload and the shift of the base's centre of mass take."""
+    wrench = np.zeros((len(s.q), 6))
+    if not isinstance(robot, Robot) or not (robot.beyond.payload or robot.beyond.com_shift.any()):
+        return wrench
     omega, spin, force = s.base[:, :3], s.base[:, 3:6], s.base[:, 6:]
-    body = dynamics.model.body(robot.base_name) if isinstance(robot, Robot) else None
-    if body is not None:
-        shift, mass, place = robot.beyond.com_shift, float(body.mass[0]), body.ipos
-        felt = [
-            force + np.cross(spin, c) + np.cross(omega, np.cross(omega, c))
-            for c in (place, place + shift)
-        ]
-        wrench = wrench.copy()
-        wrench[:, :3] += mass * (felt[1] - felt[0]) + robot.beyond.payload * force
-        wrench[:, 3:] += mass * (np.cross(place + shift, felt[1]) - np.cross(place, felt[0]))
-    return Effort(wrench, torque)
+    body = dynamics_of(robot.file, robot.joint_names).model.body(robot.base_name)
+    shift, mass, place = robot.beyond.com_shift, float(body.mass[0]), body.ipos
+    felt = [
+        force + np.cross(spin, c) + np.cross(omega, np.cross(omega, c))
+        for c in (place, place + shift)
+    ]
+    wrench[:, :3] = mass * (felt[1] - felt[0]) + robot.beyond.payload * force
+    wrench[:, 3:] = mass * (np.cross(place + shift, felt[1]) - np.cross(place, felt[0]))
+    return wrench
 
 
 @lru_cache(maxsize=16)
-def _drawn_offset(file: Path) -> np.ndarray:
-    """Where the robot's file has its joints (4, 3, 3) [m], each in the frame of the one before."""
-    return Robot.load(file).legs.offset
+def declared(file: Path) -> Robot:
+    """The robot as its file has it."""
+    return Robot.load(file)
 
 
 def torque_residual(s: Steps, needed: Effort) -> np.ndarray:
@@ -122,11 +140,14 @@ def unbalanced(s: Steps, needed: Effort, robot: Robot) -> np.ndarray:
     The leg rows of the equation of motion give each standing foot's force:
     J^T f = inverse dynamics - measured torque.
     """
-    given = feet_wrenches(
-        robot.legs, np.maximum(robot.foot_radius, 0.0), s.q, s.up_B, s.standing,
-        np.ascontiguousarray(needed.torque - s.tau),
-    ).sum(axis=1)  # fmt: skip
-    return given - needed.wrench
+    return given_by_feet(s, s.q, needed.torque - s.tau, robot).sum(axis=1) - needed.wrench
+
+
+def given_by_feet(s: Steps, q: np.ndarray, taken: np.ndarray, robot: Robot) -> np.ndarray:
+    """What each standing foot gives the base (M, 4, 6), at angles q (M, 12), its leg taking the
+    torques `taken` (M, 12) more than were measured."""
+    radius = np.maximum(robot.foot_radius, 0.0)
+    return feet_wrenches(robot.legs, radius, q, s.up_B, s.standing, np.ascontiguousarray(taken))
 
 
 @njit(cache=True)
@@ -136,7 +157,7 @@ def feet_wrenches(legs, radius, q, up, standing, taken):
     q (M, 12) [rad]; up (M, 3): the ground's normal in B; standing (M, 4); taken (M, 12): J^T f.
     """
     out = np.zeros((len(q), 4, 6))
-    foot, J, axes = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    foot, f, J, axes = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     for k in range(len(q)):
         for leg in range(4):
             if not standing[k, leg]:
@@ -149,11 +170,30 @@ def feet_wrenches(legs, radius, q, up, standing, taken):
                 for a in range(3):
                     b, c = (a + 1) % 3, (a + 2) % 3
                     J[a, j] -= radius[leg] * (axes[b, j] * up[k, c] - axes[c, j] * up[k, b])
-            f = np.linalg.solve(J.T, taken[k, 3 * leg : 3 * leg + 3])
+            # J^T f = taken, by the columns' cross products.
+            f[:], volume = 0.0, 0.0
+            for j in range(3):
+                m, n = (j + 1) % 3, (j + 2) % 3
+                for a in range(3):
+                    b, c = (a + 1) % 3, (a + 2) % 3
+                    normal = J[b, m] * J[c, n] - J[c, m] * J[b, n]
+                    f[a] += taken[k, 3 * leg + j] * normal
+                    if j == 0:
+                        volume += J[a, 0] * normal
+            for a in range(3):
+                f[a] = f[a] / volume if volume else np.nan
             for a in range(3):
                 b, c = (a + 1) % 3, (a + 2) % 3
                 out[k, leg, a] = f[a]
                 out[k, leg, 3 + a] = foot[b] * f[c] - foot[c] * f[b]
+    return out
+
+
+def near(flag: np.ndarray) -> np.ndarray:
+    """Bins (M,) that have the flag, or a neighbour of which has it."""
+    out = flag.copy()
+    out[1:] |= flag[:-1]
+    out[:-1] |= flag[1:]
     return out
 
 

@@ -5,6 +5,8 @@ held at the origin with its axes along the world's, so that its force and moment
 """
 
 import ctypes
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -16,8 +18,15 @@ from numba import njit, types
 
 from sim.stride import library
 
-binding.add_symbol("mj_inverse", ctypes.cast(library().mj_inverse, ctypes.c_void_p).value)
-_mj_inverse = types.ExternalFunction("mj_inverse", types.void(types.uintp, types.uintp))
+_address = ctypes.cast(library().mj_inverseSkip, ctypes.c_void_p).value
+binding.add_symbol("mj_inverseSkip", _address)
+_mj_inverse = types.ExternalFunction(
+    "mj_inverseSkip", types.void(types.uintp, types.uintp, types.intc, types.intc)
+)
+# What MuJoCo need not compute again: nothing, what places decide, or what places and rates do.
+_ALL, _SAME_PLACES, _SAME_RATES = (int(stage) for stage in (
+    mujoco.mjtStage.mjSTAGE_NONE, mujoco.mjtStage.mjSTAGE_POS, mujoco.mjtStage.mjSTAGE_VEL,
+))  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -50,6 +59,31 @@ class Dynamics:
         [m]: how far each joint, with all that hangs on it, is from where the file has it, in the
         frame of the joint before.
         """
+        motion = self._motion(q, dq, ddq, base)
+        out = np.empty((len(q), self.model.nv))
+        with self._shifted(shift):
+            _sweep(self._memory, *motion, out)
+        return self._wrench(out), out[:, self.dof_adr]
+
+    def derivatives(
+        self,
+        q: np.ndarray,
+        dq: np.ndarray,
+        ddq: np.ndarray,
+        base: np.ndarray | None = None,
+        shift: np.ndarray | None = None,
+        step: float = 1e-5,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Forward differences of `inverse`: wrenches (3, J, N, 6) and torques (3, J, N, J), by each
+        joint's angle, rate and acceleration."""
+        motion = self._motion(q, dq, ddq, base)
+        out = np.empty((3, len(self.dof_adr), len(q), self.model.nv))
+        with self._shifted(shift):
+            _sweep_about(self._memory, *motion, self.qpos_adr, self.dof_adr, step, out)
+        return self._wrench(out), out[..., self.dof_adr]
+
+    def _motion(self, q, dq, ddq, base) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The motion as MuJoCo has it: positions (N, nq), rates and accelerations (N, nv)."""
         n, model = len(q), self.model
         Q = np.tile(model.qpos0, (n, 1))
         V, A = np.zeros((n, model.nv)), np.zeros((n, model.nv))
@@ -59,17 +93,29 @@ class Dynamics:
             if base is not None:
                 V[:, 3:6], A[:, 3:6] = base[:, :3], base[:, 3:6]
                 A[:, :3] = base[:, 6:] + model.opt.gravity
-        out, data = np.empty((n, model.nv)), self.data
-        as_drawn = model.body_pos.copy()
+        return Q, V, A
+
+    def _wrench(self, forces: np.ndarray) -> np.ndarray:
+        return forces[..., :6] if self.floating else np.zeros((*forces.shape[:-1], 6))
+
+    @contextmanager
+    def _shifted(self, shift: np.ndarray | None) -> Iterator[None]:
+        """The model with its joints moved, for a while."""
+        as_drawn = self.model.body_pos.copy()
         if shift is not None:
-            model.body_pos[self.hung] += shift
-        _sweep(
-            model._address, data._address, data.qpos, data.qvel, data.qacc, data.qfrc_inverse,
-            Q, V, A, out,
+            self.model.body_pos[self.hung] += shift
+        try:
+            yield
+        finally:
+            self.model.body_pos[:] = as_drawn
+
+    @property
+    def _memory(self) -> tuple:
+        """Addresses of model and data, and the arrays of `data` that go in and come out."""
+        model, data = self.model, self.data
+        return (
+            model._address, data._address, data.qpos, data.qvel, data.qacc, data.qfrc_inverse
         )  # fmt: skip
-        model.body_pos[:] = as_drawn
-        wrench = out[:, :6] if self.floating else np.zeros((n, 6))
-        return wrench, out[:, self.dof_adr]
 
 
 @lru_cache(maxsize=16)
@@ -97,8 +143,35 @@ def _hung(model: mujoco.MjModel, body: int) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _sweep(model, data, qpos, qvel, qacc, force, Q, V, A, out):
+def _sweep(memory, Q, V, A, out):
+    model, data, qpos, qvel, qacc, force = memory
     for k in range(len(Q)):
         qpos[:], qvel[:], qacc[:] = Q[k], V[k], A[k]
-        _mj_inverse(model, data)
+        _mj_inverse(model, data, _ALL, 1)
         out[k] = force
+
+
+@njit(cache=True, nogil=True)
+def _sweep_about(memory, Q, V, A, qpos_adr, dof_adr, step, out):
+    model, data, qpos, qvel, qacc, force = memory
+    here = np.empty(len(force))
+    for k in range(len(Q)):
+        qpos[:], qvel[:], qacc[:] = Q[k], V[k], A[k]
+        _mj_inverse(model, data, _ALL, 1)
+        here[:] = force
+        # From what asks for the least work to what asks for the most.
+        for j in range(len(dof_adr)):
+            qacc[dof_adr[j]] += step
+            _mj_inverse(model, data, _SAME_RATES, 1)
+            out[2, j, k] = (force - here) / step
+            qacc[:] = A[k]
+        for j in range(len(dof_adr)):
+            qvel[dof_adr[j]] += step
+            _mj_inverse(model, data, _SAME_PLACES, 1)
+            out[1, j, k] = (force - here) / step
+            qvel[:] = V[k]
+        for j in range(len(dof_adr)):
+            qpos[qpos_adr[j]] += step
+            _mj_inverse(model, data, _ALL, 1)
+            out[0, j, k] = (force - here) / step
+            qpos[:] = Q[k]

@@ -71,7 +71,8 @@ def joint_prefix(column: str) -> str | None:
 
 def joint_names(columns: Iterable[str]) -> tuple[str, ...]:
     """The joints that have a position column, in the order of the columns."""
-    return tuple(name[2:] for name in columns if joint_prefix(name) == "q_")
+    near = [name for name in columns if name.startswith("q_")]
+    return tuple(name[2:] for name in near if joint_prefix(name) == "q_")
 
 
 def check_table(schema: pa.Schema) -> None:

@@ -128,18 +128,28 @@ def ideal_streams(motion: Motion, robot: Robot) -> Streams:
     carry the attitude and velocity of one state exactly to the next's.
     """
     R_GI, _, v_GI = imu_motion(motion, robot)
-    dt = np.diff(motion.t)[:, None]
-    turn = _turns(R_GI)
-    felt = np.einsum("nji,nj->ni", R_GI[:-1], np.diff(v_GI, axis=0) / dt - GRAVITY_G)
+    gyro, accel = between_states(motion.t, R_GI, v_GI)
     return Streams(
         t=motion.t[1:],
-        gyro=turn / dt,
-        accel=_before_turning(turn, felt),
+        gyro=gyro,
+        accel=accel,
         q=motion.q[1:],
         dq=motion.dq[1:],
         tau=motion.tau,
         force=motion.force,
     )
+
+
+def between_states(
+    t: np.ndarray, R_GI: np.ndarray, v_GI: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rates [rad/s] and specific forces [m/s^2] (N, 3) in I, constant between one state and the
+    next, that carry attitudes R_GI (N + 1, 3, 3) and velocities v_GI (N + 1, 3) [m/s] through the
+    times t (N + 1,) [s]; it turns by less than pi in between."""
+    dt = np.diff(t)[:, None]
+    turn = _turns(R_GI)
+    felt = np.einsum("nji,nj->ni", R_GI[:-1], np.diff(v_GI, axis=0) / dt - GRAVITY_G)
+    return turn / dt, _before_turning(turn, felt)
 
 
 def corrupt(streams: Streams, sensors: Sensors, rng: np.random.Generator) -> Streams:
@@ -224,7 +234,8 @@ def _turns(R):
 def _before_turning(turn, felt):
     """The force (N, 3) whose mean, seen from a frame that turns by `turn` (N, 3) rad, is `felt`.
 
-    Solves Gamma_1(turn) x = felt (see `mean_rotation`): the inverse is 1 - W / 2 + c W W.
+    Solves Gamma_1(turn) x = felt, Gamma_1 the mean of exp(s turn) over s in (0, 1) (Hartley et al.
+    2020): the inverse is 1 - W / 2 + c W W.
     """
     x = np.empty_like(felt)
     for k in range(len(turn)):
@@ -242,19 +253,3 @@ def _before_turning(turn, felt):
         x[k, 1] = keep * b[1] - 0.5 * (a[2] * b[0] - a[0] * b[2]) + along * a[1]
         x[k, 2] = keep * b[2] - 0.5 * (a[0] * b[1] - a[1] * b[0]) + along * a[2]
     return x
-
-
-def mean_rotation(turn: np.ndarray) -> np.ndarray:
-    """Mean of exp(s turn) over s in (0, 1), (N, 3, 3): Gamma_1 of Hartley et al. 2020, a series.
-
-    Steps turn by far less than a radian, so a few terms reach machine precision.
-    """
-    W = np.zeros((len(turn), 3, 3))
-    W[:, 0, 1], W[:, 0, 2], W[:, 1, 2] = -turn[:, 2], turn[:, 1], -turn[:, 0]
-    W -= np.swapaxes(W, 1, 2)
-    term = np.broadcast_to(np.eye(3), W.shape)
-    total = term.copy()
-    for k in range(2, 14):
-        term = term @ W / k
-        total = total + term
-    return total

@@ -13,10 +13,11 @@ from sim.log import Log
 from sim.quaternion import quaternion_from_matrix
 from sim.robot import Robot
 from sim.scenario import Scenario, Segment
-from sim.sensors import Sensors, mean_rotation
+from sim.sensors import Sensors
 from sim.terrain import Ground, Patch, Strip
 from sim.walk import plan, simulate, walk
 from sim.world import TIMESTEP, World, robot_spec
+from tests.sim.turning import mean_rotation
 
 SPOT = Robot.load("spot_class")
 # Nothing but the effect: sensors without noise, and an IMU of steps that are next to none.

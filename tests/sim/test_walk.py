@@ -11,10 +11,11 @@ from sim.gait import gait_for
 from sim.relief import height
 from sim.robot import Robot
 from sim.scenario import Ranges, Scenario, Segment
-from sim.sensors import GRAVITY_G, Sensors, ideal_streams, imu_motion, mean_rotation
+from sim.sensors import GRAVITY_G, Sensors, ideal_streams, imu_motion
 from sim.terrain import Ground, Patch, Strip
 from sim.walk import STEPS_PER_TICK, Fallen, simulate, walk
 from sim.world import TIMESTEP, build_world
+from tests.sim.turning import mean_rotation
 
 SPOT = Robot.load("spot_class")
 # Nothing between the simulation and the log but the rounding of the IMU.
