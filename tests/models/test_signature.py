@@ -1,0 +1,45 @@
+"""The chain rule against the true residual: one small effect at a time, on a walk."""
+
+import numpy as np
+import pytest
+
+from models.candidates import _Linear, all_keys, case_of, table_of
+from models.layout import QUADRUPED
+from sim.effects import CATALOGUE, effect
+from sim.robot import Robot
+from sim.scenario import Scenario, Segment
+from sim.terrain import Ground
+from sim.walk import walk
+
+SPOT = Robot.load("spot_class")
+SCENARIO = Scenario("short", (Segment(4.0, 0.5, 0.1, 0.3),), Ground(0.8))
+# An offset and a torque of one joint, of a leg and of the base: every branch of the chain.
+KEYS = (
+    ("encoder_offset", "RL_thigh"), ("encoder_scale", "FR_calf"), ("torque_scale", "FL_calf"),
+    ("torque_bias", "RR_hip"), ("joint_compliance", "RR_calf"), ("gyro_scale", "z"),
+    ("armature", "FL_thigh"), ("hip_offset", "FR_y"), ("link_length", "RL_thigh"),
+    ("link_length", "FL_calf"), ("foot_rolling", "all"), ("payload", "all"), ("com_offset", "x"),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def case():
+    return case_of(walk(SCENARIO, SPOT, 7), SPOT)
+
+
+@pytest.mark.parametrize("key", KEYS, ids=" ".join)
+def test_a_regressor_is_the_slope_of_the_true_residual(case, key):
+    assert key in all_keys(case)
+    one = _Linear(case, ()).regressor(key)
+    step = 1e-2 * CATALOGUE[key[0]].step
+    table = table_of(case, ())
+    slope = (table - table_of(case, [effect(key[0], key[1], step)])) / step
+    slope = np.where(np.isfinite(table), slope, 0.0)
+    whole = np.zeros_like(table)
+    whole[:, one.columns] = one.values
+    for name, columns in QUADRUPED.channels.items():
+        if name == "joint_rate":  # what is left of two changes that cancel
+            continue
+        # Products of means over a bin are not quite the means of products.
+        apart = np.linalg.norm(whole[:, columns] - slope[:, columns])
+        assert apart <= 0.03 * np.linalg.norm(slope[:, columns]) + 1e-6 * np.linalg.norm(slope)
