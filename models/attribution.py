@@ -124,7 +124,7 @@ def attribute(
         best = candidates[0] if candidates and candidates[0].earned else None
         if best is None or len(chosen) == AT_MOST:
             break
-        known = Data(cases, floor, evidence, trusted, split.part)
+        known = Data(cases, floor, evidence, chosen, trusted, split.part)
         tried = [
             (c, *refined(known, [*chosen, effect(*c.key, c.size)], REPORT))
             for c in contenders(candidates)
@@ -216,7 +216,7 @@ def _settled(
         times += 1
         if not chosen or times == SETTLING:
             return evidence, whole, trusted, chosen
-        data = Data(cases, floor, evidence, trusted, split.part)
+        data = Data(cases, floor, evidence, chosen, trusted, split.part)
         moved, _ = refined(data, chosen, REPORT)
         pairs = list(zip(moved, chosen, strict=True))
         if all(abs(a.value - b.value) < MOVED * abs(b.value) for a, b in pairs):

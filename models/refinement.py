@@ -19,19 +19,24 @@ CLOSE = 1e-3
 
 @dataclass(frozen=True)
 class Data:
-    """What sizes are refined on: part (M,) of each bin, as in `Split.part`."""
+    """What sizes are refined on: the evidence once `explained` are; part (M,) of each bin, as in
+    `Split.part`."""
 
     cases: Sequence[Case]
     floor: Floor
     evidence: Evidence
+    explained: Sequence[Effect]
     trust: Trust
     part: np.ndarray
 
     def about(self, chosen: Sequence[Effect]) -> Grams:
         """Sums of products of the residual once `chosen` are explained, varied about them."""
         keys = [(e.name, e.target) for e in chosen]
-        there = design(linearise(self.cases, chosen, keys, self.evidence.only(keys)))
-        return grams(there, self.floor.counted(self.trust.sigma), self.trust.weight, self.part)
+        evidence = self.evidence.only(keys)
+        if list(chosen) != list(self.explained):
+            evidence = linearise(self.cases, chosen, keys, evidence)
+        sigma = self.floor.counted(self.trust.sigma)
+        return grams(design(evidence), sigma, self.trust.weight, self.part)
 
 
 def refined(data: Data, chosen: Sequence[Effect], report: int) -> tuple[list[Effect], float]:

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from sim.effect import Effect, with_columns
 from sim.log import Log
-from sim.quaternion import quaternion_from_matrix
+from sim.quaternion import slerp
 from sim.robot import Robot
 from sim.sensors import Reference, Streams
 
@@ -171,13 +171,13 @@ def _moved(log: Log, kinds: tuple[str, ...], then: np.ndarray) -> Log:
     smooth = [n for n in names if n not in flags and n not in turns]
     columns = {}
     if smooth:
-        values = CubicSpline(t, log.frame[smooth].to_numpy())(then)
+        rows = np.column_stack([log.frame[name].to_numpy() for name in smooth])
+        values = CubicSpline(t, rows)(then)
         columns |= {name: values[:, i] for i, name in enumerate(smooth)}
     nearest = np.clip(np.searchsorted(0.5 * (t[1:] + t[:-1]), then), 0, len(t) - 1)
     columns |= {name: log.frame[name].to_numpy()[nearest] for name in flags}
     if turns:
-        attitude = Slerp(t, Rotation.from_matrix(log.ref_R_GI))(then).as_matrix()
-        values = quaternion_from_matrix(attitude)
+        values = slerp(t, log.ref_q, then)
         columns |= {f"ref_q_{axis}": values[:, i] for i, axis in enumerate("wxyz")}
     return with_columns(log, columns)
 

@@ -16,3 +16,22 @@ def quaternion_from_matrix(R: np.ndarray) -> np.ndarray:
     R = np.asarray(R, dtype=float)
     q = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_quat(canonical=True, scalar_first=True)
     return q.reshape(*R.shape[:-2], 4)
+
+
+def slerp(t: np.ndarray, q: np.ndarray, then: np.ndarray) -> np.ndarray:
+    """Attitudes (M, 4), w >= 0, at times `then` (M,) [s] of a body that turns evenly, the short way
+    round, from one of q (N, 4) at t (N,) [s] to the next (Shoemake 1985)."""
+    q = q / np.linalg.norm(q, axis=1, keepdims=True)
+    at = np.clip(np.searchsorted(t, then, side="right") - 1, 0, len(t) - 2)
+    share = (then - t[at]) / (t[at + 1] - t[at])
+    here, ahead = q[at], q[at + 1]
+    ahead = np.where(np.sum(here * ahead, axis=1, keepdims=True) < 0.0, -ahead, ahead)
+    # The angle between them over pi, as `sinc` has it, by the chord: exact where they are close.
+    angle = 2.0 / np.pi * np.arcsin(np.minimum(1.0, 0.5 * np.linalg.norm(ahead - here, axis=1)))
+
+    def weight(share: np.ndarray) -> np.ndarray:
+        return (share * np.sinc(share * angle) / np.sinc(angle))[:, None]
+
+    found = weight(1.0 - share) * here + weight(share) * ahead
+    found /= np.linalg.norm(found, axis=1, keepdims=True)
+    return np.where(found[:, :1] < 0.0, -found, found)
