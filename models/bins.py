@@ -60,7 +60,8 @@ class Bins:
     of the IMU at the rows' own times, in I; base (M, 9): rate, its derivative and specific force of
     the base's origin, in B; v_I, p_GI (M, 3), R_GI (M, 3, 3): the reference's motion; standing,
     lifted (M, 4); lag (M, J) rad: angles less the integral of the rates; q_step, dq_step, ddq
-    (M, J): means over the times of its torques."""
+    (M, J): means over the times of its torques; depth (M, 4) [m] and v_sole (M, 4, 3) [m/s], in I:
+    how deep feet are in soft ground and how they move in it, where the model knows it to be."""
 
     t: np.ndarray
     q: np.ndarray
@@ -79,6 +80,8 @@ class Bins:
     q_step: np.ndarray
     dq_step: np.ndarray
     ddq: np.ndarray
+    depth: np.ndarray | None = None
+    v_sole: np.ndarray | None = None
 
 
 def measured_against(log: Log, fixed: bool = False) -> Frame:

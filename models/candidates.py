@@ -182,7 +182,8 @@ class _Linear:
         """What one unit of the effect `key` adds to the table."""
         if any((e.name, e.target) == key for e in self.chosen):
             return self._about_its_value(key)
-        step = CATALOGUE[key[0]].step
+        kind = CATALOGUE[key[0]]
+        step = kind.typical or kind.step
         one = effect(*key, step)
         log, robot = explain_all([one], self.log, self.robot)
         if robot is not self.robot:

@@ -1,4 +1,5 @@
-"""Which parts of a residual to believe: robust weights, and stances on which a foot slid.
+"""Which parts of a residual to believe: robust weights, and stances on which a foot slid or stood
+on something else than at its other steps.
 
 Both are judged by what the whole catalogue together cannot explain, so that neither can hide an
 effect of the catalogue: a mask takes a stance that stands out from its own foot's bulk, not a foot
@@ -17,6 +18,8 @@ SOFT = 2.5
 """Standard deviations beyond which an entry loses weight."""
 OUTLYING = 6.0
 """Robust deviations above the foot's median at which a stance is taken for a slip."""
+RAISED = 0.001
+"""m off its own foot's height from which a stance that stands out is on something else: an edge."""
 SLOWEST_SLIP = 0.02
 """m/s. Below this a standing foot creeps, as compliant contacts do."""
 ROUNDS = 3
@@ -25,7 +28,7 @@ ROUNDS = 3
 @dataclass(frozen=True)
 class Trust:
     """sigma (W,): noise of each column in the residual's unit; weight (M, W) in 0..1, zero where
-    missing or masked; masked (M, 4): foot bins taken for slips, of which share is the share."""
+    missing or masked; masked (M, 4): foot bins so taken, of which share is the share."""
 
     sigma: np.ndarray
     weight: np.ndarray
@@ -63,9 +66,10 @@ def hidden(masked: np.ndarray) -> np.ndarray:
 def slips(data: Design, left: np.ndarray) -> np.ndarray:
     """Foot bins (M, 4) of the stances that stand out from their foot's own bulk.
 
-    left (M, W): what the catalogue does not explain. The score of a stance is the speed of
-    its fastest bin: a foot that slides sticks again before the stance is over, and a mean over the
-    stance would leave every second slip in.
+    left (M, W): what the catalogue does not explain. A stance is judged by the speed of its
+    fastest bin: a foot that slides sticks again before the stance is over, and a mean over the
+    stance would leave every second slip in. And by its height, since one that stands on an edge
+    does not slide.
     """
     masked = np.zeros((len(left), 4), dtype=bool)
     for leg in range(4):
@@ -73,14 +77,21 @@ def slips(data: Design, left: np.ndarray) -> np.ndarray:
         stances = stance_bins(data.evidence.t, data.evidence.log, np.isfinite(speed))
         if len(stances) < 5:
             continue
-        score = np.array([speed[bins].max() for bins in stances])
-        middle = np.median(score)
-        # From below: slips only add speed, and many of them would widen a spread from both sides.
-        spread = 1.4826 * (middle - np.quantile(score, 0.25))
-        limit = max(middle + OUTLYING * spread, SLOWEST_SLIP)
-        for bins in np.flatnonzero(score > limit):
+        fastest = np.array([speed[bins].max() for bins in stances])
+        height = np.nan_to_num(np.array([left[bins, 18 + leg].mean() for bins in stances]))
+        off = np.abs(height - np.median(height))
+        out = _stands_out(fastest, SLOWEST_SLIP) | _stands_out(off, RAISED)
+        for bins in np.flatnonzero(out):
             masked[stances[bins], leg] = True
     return masked
+
+
+def _stands_out(score: np.ndarray, least: float) -> np.ndarray:
+    """Which stances (K,) score above their foot's bulk, and above `least`."""
+    middle = np.median(score)
+    # From below: slips only add to it, and many of them would widen a spread from both sides.
+    spread = 1.4826 * (middle - np.quantile(score, 0.25))
+    return score > max(middle + OUTLYING * spread, least)
 
 
 def stance_bins(t: np.ndarray, log: np.ndarray, there: np.ndarray) -> list[np.ndarray]:

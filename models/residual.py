@@ -13,10 +13,11 @@ Residuals are means over bins of 20 ms.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 
 from models.bins import Bins, Frame, binned
 from models.layout import QUADRUPED, Layout, layout_of
+from models.leg_velocity import leg_velocity
+from models.loads import loads
 from models.sinking import sinking
 from models.torques import (
     Effort,
@@ -28,7 +29,6 @@ from models.torques import (
     wrench_residual,
 )
 from sim.fixed_base import Machine
-from sim.kinematics import leg_forward
 from sim.log import Log
 from sim.robot import Robot
 
@@ -62,14 +62,13 @@ def residual(log: Log, robot: Machine, frame: Frame) -> Parts:
         assert isinstance(robot, Robot)
         table[:, :3], table[:, 3:6] = bins.gyro, bins.accel
         if log.has("q") and bins.standing.any():
+            if robot.beyond.softness:
+                load = loads(log, robot, frame, bins, steps, needed)
+                depth, v_sole = sinking(log, robot, frame, bins, load)
+                bins = replace(bins, depth=depth, v_sole=v_sole)
             table[:, 6:18] = leg_columns(bins, robot)
             if frame.level:
                 table[:, 18:22] = height_columns(bins, robot)
-            if robot.beyond.softness:
-                depth, rate = sinking(log, robot, frame)
-                table[:, 18:22] += depth
-                up_I = bins.R_GI[:, 2]
-                table[:, 6:18] -= (rate[:, :, None] * up_I[:, None]).reshape(-1, 12)
             if needed is not None:
                 table[:, 34:40] = wrench_residual(steps, needed, robot)
     return Parts(layout, bins, steps, needed, table, frame.t)
@@ -82,13 +81,20 @@ def leg_columns(bins: Bins, robot: Robot) -> np.ndarray:
         robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI, bins.q, bins.dq, bins.omega,
         bins.R_GI[:, 2], bins.standing,
     )  # fmt: skip
-    return (v - bins.v_I[:, None]).reshape(len(v), 12)
+    v -= bins.v_I[:, None]
+    if bins.depth is not None and bins.v_sole is not None:
+        # A contact is halfway between a sole and the ground that it has sunk into.
+        spin = bins.omega[:, None] + robot.foot_rates_I(bins.q, bins.dq)
+        v += bins.v_sole - 0.5 * bins.depth[:, :, None] * np.cross(spin, bins.R_GI[:, None, 2])
+    return v.reshape(len(v), 12)
 
 
 def height_columns(bins: Bins, robot: Robot) -> np.ndarray:
     """Height (M, 4) [m] of each standing foot's centre in the world."""
     feet_I = robot.feet_I(bins.q)
     z = bins.p_GI[:, 2, None] + np.einsum("nj,nlj->nl", bins.R_GI[:, 2], feet_I)
+    if bins.depth is not None:
+        z = z + bins.depth
     return np.where(bins.standing, z, np.nan)
 
 
@@ -114,39 +120,3 @@ def with_ground(frame: Frame, log: Log, robot: Machine) -> Frame:
     if not isinstance(robot, Robot) or not log.has("q") or not frame.standing.any():
         return frame
     return replace(frame, level=level_ground(binned(log, robot, frame), robot))
-
-
-@njit(cache=True)
-def leg_velocity(legs, radius, R_BI, p_BI, q, dq, omega, up, standing):
-    """Velocity of the IMU in I (N, 4, 3) [m/s] by each standing foot; NaN for the others.
-
-    legs, radius (4,), R_BI, p_BI: the robot's; q, dq (N, 12) [rad, rad/s]; omega (N, 3) [rad/s] and
-    up (N, 3), the ground's unit normal, in I; standing (N, 4).
-    """
-    out = np.full((len(q), 4, 3), np.nan)
-    foot, J, axes = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
-    sole, spin, step = np.empty(3), np.empty(3), np.empty(3)
-    for k in range(len(q)):
-        # In B from here on, where the legs are; the result is turned back into I.
-        for a in range(3):
-            sole[a] = R_BI[a, 0] * up[k, 0] + R_BI[a, 1] * up[k, 1] + R_BI[a, 2] * up[k, 2]
-            spin[a] = R_BI[a, 0] * omega[k, 0] + R_BI[a, 1] * omega[k, 1] + R_BI[a, 2] * omega[k, 2]
-        for leg in range(4):
-            if not standing[k, leg]:
-                continue
-            leg_forward(legs, leg, q[k, 3 * leg : 3 * leg + 3], foot, J, axes)
-            rate = dq[k, 3 * leg : 3 * leg + 3]
-            r = radius[leg]
-            for a in range(3):
-                b, c = (a + 1) % 3, (a + 2) % 3
-                v = 0.0
-                # omega x (r n - (foot - p_BI)), then omega_foot x r n and J dq, joint by joint
-                v += spin[b] * (r * sole[c] - foot[c] + p_BI[c])
-                v -= spin[c] * (r * sole[b] - foot[b] + p_BI[b])
-                for j in range(3):
-                    roll = r * (axes[b, j] * sole[c] - axes[c, j] * sole[b])
-                    v += rate[j] * (roll - J[a, j])
-                step[a] = v
-            for a in range(3):
-                out[k, leg, a] = R_BI[0, a] * step[0] + R_BI[1, a] * step[1] + R_BI[2, a] * step[2]
-    return out

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from models.bins import Frame
 from models.candidates import case_of
-from models.residual import leg_velocity
+from models.leg_velocity import leg_velocity
 from sim.log import Log, joint_velocity, reference_velocity
 from sim.robot import Robot
 from sim.sensors import GRAVITY_G

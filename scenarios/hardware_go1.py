@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from estimator.metrics import align_first, evaluate
 from estimator.trajectory import Trajectory, reference
 from models.candidates import case_of, table_of
-from models.residual import leg_velocity
+from models.leg_velocity import leg_velocity
 from models.stream_lags import BLOCK, WALKING, Lag, phase_of
 from scenarios.filters import Learnt
 from scenarios.hardware_words import between

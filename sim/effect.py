@@ -42,6 +42,8 @@ class Effect:
     targets: ClassVar[tuple[str, ...]]
     step: ClassVar[float]
     """A small size, for numerical derivatives by it; an effect that is explained needs one."""
+    typical: ClassVar[float | None] = None
+    """A size that one effect of any size looks like; None where the step will do."""
     needs: ClassVar[tuple[str, ...]] = ()
     """Groups of columns of a log without which nothing can be explained, beyond a channel's own."""
 

@@ -112,9 +112,10 @@ class FootSlip(Effect):
 class SoftGround(Effect):
     """The ground gives: its contacts take this much longer to push back.
 
-    The size is added to the time constant of MuJoCo's `solref`: a foot that lands sinks, and is
-    pushed back within a few of them. A model that knows of it is told how deep it is at each time
-    (`models.sinking`).
+    The size is added to the time constant of MuJoCo's `solref`: a foot that lands sinks and is
+    pushed back within a few of them, to the depth at which its load keeps it, which grows as the
+    square. A model that knows of it is told how deep each foot is, and how it moves there, from its
+    landings and its load (`models.sinking`).
     """
 
     name = "soft_ground"
@@ -122,7 +123,8 @@ class SoftGround(Effect):
     bounds = (0.0, 0.2)
     channels = ("foot_height", "leg_velocity")
     targets = ("all",)
-    step = 1e-2
+    step = 1e-3
+    typical = 0.02
 
     def alter_ground(self, ground: Ground) -> Ground:
         return replace(ground, softness=ground.softness + self.value)

@@ -190,6 +190,21 @@ def test_a_slipping_stance_is_masked_and_a_systematic_error_is_not():
     assert not trust(design(replace(one, table=biased)), NOISE).masked.any()
 
 
+def test_a_stance_on_something_else_than_the_others_is_masked_by_its_height():
+    one, rng = evidence(), np.random.default_rng(1)
+    table = one.table.copy()
+    standing = np.isfinite(table[:, 6:18:3])
+    table[:, 18:22] = np.where(standing, rng.normal(0.0, 1e-4, standing.shape), np.nan)
+    first = np.flatnonzero(standing[:, 1])[:12]
+    table[first, 19] += 0.003
+    assert not trust(design(replace(one, table=one.table)), NOISE).masked.any()
+    masked = trust(design(replace(one, table=table)), NOISE).masked
+    assert masked[first, 1].all()
+    assert masked.sum() == len(first)
+    uneven = table + 0.003 * np.sin(np.arange(BINS) // 12)[:, None] * (np.arange(WIDTH) >= 18)
+    assert not trust(design(replace(one, table=uneven)), NOISE).masked.any()
+
+
 def test_few_stances_are_no_bulk_to_stand_out_from():
     data = design(evidence())
     left = np.full_like(data.evidence.table, np.nan)

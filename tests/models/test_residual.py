@@ -9,7 +9,8 @@ from numpy.testing import assert_allclose
 
 from models.bins import inside_stance, measured_against
 from models.layout import QUADRUPED
-from models.residual import Parts, leg_velocity, residual
+from models.leg_velocity import leg_velocity
+from models.residual import Parts, residual
 from sim.effects import effect
 from sim.log import LogError
 from sim.robot import Robot

@@ -2,48 +2,154 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from models.candidates import case_of
+from models.bins import binned
+from models.candidates import case_of, linearise
+from models.loads import loads
 from models.residual import residual
-from models.sinking import landings, since_landing, sinking
+from models.sinking import _follow, between_swings, swept
+from models.torques import effort, steps_of
 from sim.effects import effect
+from sim.log import Log
+from sim.quaternion import quaternion_from_matrix
 from sim.robot import Robot
 from sim.scenario import Scenario, Segment
 from sim.terrain import Ground
+from sim.tiles import SOLIMP
 from sim.walk import walk
+from sim.world import build_world
 
-ROBOT = Robot.load("spot_class")
+COURSE = (Segment(4.0, 0.5), Segment(4.0, 0.4, turn=0.4))
+SOFT = 0.03
 
 
-def test_time_runs_from_each_landing_and_not_from_the_first_row():
+def walked(robot: Robot, *effects) -> Log:
+    return walk(Scenario("soft", COURSE, Ground(0.8)), robot, 4, effects, declared=False)
+
+
+@pytest.fixture(scope="module", params=["spot_class", "go2"])
+def on_soft_ground(request):
+    robot = Robot.load(request.param)
+    return robot, walked(robot, effect("soft_ground", "all", SOFT))
+
+
+def knowing(robot: Robot, softness: float) -> Robot:
+    return replace(robot, beyond=replace(robot.beyond, softness=softness))
+
+
+def test_a_stance_begins_with_a_landing_and_the_first_with_the_log():
     t = 0.1 * np.arange(8)
-    contact = np.array([[1, 1, 0, 0, 1, 1, 0, 1]], dtype=bool).T
-    assert_array_equal(landings(t, contact[:, 0]), [4, 7])
-    expected = [np.nan, np.nan, np.nan, np.nan, 0.0, 0.1, np.nan, 0.0]
-    assert_allclose(since_landing(t, contact)[:, 0], expected, atol=1e-12)
+    first, last = between_swings(t, np.array([1, 1, 0, 0, 1, 1, 0, 1], dtype=bool))
+    assert_array_equal([first, last], [[0, 4, 7], [2, 6, 8]])
+    assert len(between_swings(t, np.zeros(8, dtype=bool))[0]) == 0
 
 
 def test_a_foot_that_bounces_has_not_landed_again():
     t = 0.02 * np.arange(9)
-    contact = np.array([[1, 0, 0, 0, 0, 1, 0, 1, 1]], dtype=bool).T
-    assert_array_equal(landings(t, contact[:, 0]), [5])
-    assert_allclose(since_landing(t, contact)[7:, 0], [0.04, 0.06], atol=1e-12)
+    first, last = between_swings(t, np.array([1, 0, 0, 0, 0, 1, 0, 1, 1], dtype=bool))
+    assert_array_equal([first, last], [[0, 5], [1, 9]])
 
 
-def test_a_model_that_knows_of_soft_ground_finds_the_feet_where_they_are():
-    soft = effect("soft_ground", "all", 0.03)
-    course = Scenario("soft", (Segment(8.0, 0.5, turn=0.3),), Ground(0.8))
-    log = walk(course, ROBOT, 4, [soft], declared=False)
-    case = case_of(log, ROBOT)
-    _, known = soft.explain(log, ROBOT)
-    before, after = (
-        residual(log, r, replace(case.frame, level=True)).table for r in (ROBOT, known)
-    )
-    spread = [np.nanstd(table[:, 18:22]) for table in (before, after)]
-    assert spread[1] < 0.5 * spread[0]
-    speed = [np.sqrt(np.nanmean(table[:, 6:18] ** 2)) for table in (before, after)]
-    assert speed[1] < 0.7 * speed[0]
-    depth, _ = sinking(log, known, case.frame)
-    assert np.all(depth >= 0.0)
+def test_a_foot_sinks_as_a_critically_damped_spring_does():
+    """Without a load v t exp(-t / T), with one its share of the load, along the ground less and
+    less: all in closed form, where the impedance is what it is at depth."""
+    t, T, speed, give, load = 1e-4 * np.arange(5001), 0.05, 0.4, 5.0, 200.0
+    end = SOLIMP[1] * T
+    depth, v = np.zeros(len(t)), np.zeros((len(t), 3))
+    _follow(t, np.zeros((len(t), 4)), 0, len(t), 0.0, np.array([0.3, 0, -speed]), give, T, depth, v)
+    assert_allclose(depth, speed * t * np.exp(-t / end), atol=0.01 * depth.max())
+    assert_allclose(v[:, 0], 0.3 * np.exp(-2.0 * t / end), atol=0.003)
+    assert_allclose(v[1:, 2], -np.diff(depth) / np.diff(t), atol=1e-9)
+    rows = np.tile([0.2, 0.0, 0.0, load], (len(t), 1))
+    _follow(t, rows, 0, len(t), 0.0, np.zeros(3), give, T, depth, v)
+    assert depth[-1] == pytest.approx((1 / SOLIMP[1] - 1) * give * load * end**2 / SOLIMP[1], 1e-3)
+    assert v[-1, 0] == pytest.approx(0.2 * end / 2, 1e-3)
+
+
+def test_what_the_rates_alone_do_is_what_mujoco_says(on_soft_ground):
+    robot, log = on_soft_ground
+    frame = case_of(log, robot).frame
+    bins, world = binned(log, robot, frame), build_world(robot, Ground(0.8))
+    ours, model = swept(robot, bins), world.model
+    data = mujoco.MjData(model)
+    for k in range(50, 150, 20):
+        R_GB = bins.R_GI[k] @ robot.R_BI.T
+        data.qpos[3:7] = quaternion_from_matrix(R_GB[None])[0]
+        data.qpos[world.qpos_adr], data.qvel[world.dof_adr] = bins.q[k], bins.dq[k]
+        data.qvel[3:6] = robot.R_BI @ bins.omega[k]
+        mujoco.mj_forward(model, data)
+        for leg, (body, place) in enumerate(zip(robot.foot_bodies, robot.foot_places, strict=True)):
+            p, r = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+            at = model.body(body).id
+            centre = data.xpos[at] + data.xmat[at].reshape(3, 3) @ place
+            mujoco.mj_jacDot(model, data, p, r, centre, at)
+            sole = -robot.foot_radius[leg] * np.array([0.0, 0.0, 1.0])
+            expected = p @ data.qvel + np.cross(r @ data.qvel, sole)
+            assert_allclose(bins.R_GI[k] @ ours[k, leg], expected, rtol=2e-3, atol=5e-3)
+
+
+def test_a_foots_load_is_read_from_its_legs_torques(on_soft_ground):
+    robot, log = on_soft_ground
+    frame = case_of(log, robot).frame
+    bins = binned(log, robot, frame)
+    steps = steps_of(bins, robot)
+    of_torques = loads(log, robot, frame, bins, steps, effort(steps, robot))
+    shared = loads(log, robot, frame, bins, steps, None)
+    inside, true = frame.standing, log.force
+    weight = 9.81 * robot.mass
+    assert np.std((of_torques - true)[inside]) < 0.03 * weight
+    assert abs(np.mean((of_torques - true)[inside])) < 0.01 * weight
+    assert_allclose(shared.sum(axis=1)[log.contact.any(axis=1)], weight, rtol=1e-2)
+    assert abs(np.mean((shared - true)[inside])) < 0.05 * weight
+
+
+@pytest.mark.parametrize("torques", [True, False])
+def test_a_model_that_knows_of_soft_ground_finds_the_feet_where_they_are(on_soft_ground, torques):
+    """What is left is what hard ground leaves; without torques, half of it is."""
+    robot, log = on_soft_ground
+    if not torques:
+        kept = [c for c in log.frame if not str(c).startswith("tau_")]
+        log = Log(log.frame[kept], log.meta, log.name)
+    frame = replace(case_of(log, robot).frame, level=True)
+    left = {
+        size: residual(log, knowing(robot, size), frame).table
+        for size in (0.0, 0.9 * SOFT, SOFT, 1.1 * SOFT)
+    }
+    height = {size: typical(table[:, 18:22]) for size, table in left.items()}
+    speed = {size: typical(table[:, 6:18]) for size, table in left.items()}
+    assert height[SOFT] < (0.1 if torques else 0.5) * height[0.0]
+    assert speed[SOFT] < 0.6 * speed[0.0]
+    if torques:
+        assert height[SOFT] < 0.7 * min(height[0.9 * SOFT], height[1.1 * SOFT])
+        assert speed[SOFT] < 0.0025
+
+
+def typical(values: np.ndarray) -> float:
+    """Standard deviation of the bulk: a foot that slides sinks otherwise."""
+    values = values - np.nanmedian(values, axis=0)
+    return float(1.4826 * np.nanmedian(np.abs(values)))
+
+
+def test_a_model_of_hard_ground_says_what_it_said(on_soft_ground):
+    """The form vanishes with the softness: no step where a candidate is first varied."""
+    robot, log = on_soft_ground
+    frame = replace(case_of(log, robot).frame, level=True)
+    hard, nearly = (residual(log, knowing(robot, size), frame).table for size in (0.0, 1e-6))
+    assert_allclose(nearly[:, :22], hard[:, :22], atol=1e-5)
+
+
+def test_derivatives_by_readings_know_of_the_depth(on_soft_ground):
+    """On ground known to be soft, an encoder's offset changes the height of its own foot by the
+    lever of its leg, and the other feet's by nothing."""
+    robot, log = on_soft_ground
+    case = case_of(log, knowing(robot, SOFT))
+    case = replace(case, frame=replace(case.frame, level=True))
+    (one,) = linearise([case], (), [("encoder_offset", "FL_calf")]).X
+    heights = one.values[:, np.searchsorted(one.columns, 18)]
+    assert one.columns[np.searchsorted(one.columns, 18)] == 18
+    assert np.abs(heights).max() < robot.leg_length
+    assert not np.isin([19, 20, 21], one.columns).any()
