@@ -4,28 +4,28 @@ import numpy as np
 from numba import njit
 
 from models.bins import Bins, Frame, at_torques
-from models.torques import Effort, Steps
+from models.torques import Steps, effort
 from sim.kinematics import leg_forward
 from sim.log import Log
 from sim.robot import Robot
 from sim.sensors import GRAVITY_G
 
 
-def loads(
-    log: Log, robot: Robot, frame: Frame, bins: Bins, steps: Steps, needed: Effort | None
-) -> np.ndarray:
+def loads(log: Log, robot: Robot, frame: Frame, bins: Bins, steps: Steps) -> np.ndarray:
     """Force (N, 4) [N] along the ground's normal on each foot that stands, zero on the others.
 
-    J^T f = inverse dynamics - measured torque, the former a mean over bins. A log without torques
+    J^T f = inverse dynamics - measured torque, the former as means over bins. A log without torques
     has the weight shared evenly by the feet that stand.
     """
     stands = log.contact
-    if needed is None:
+    if not np.isfinite(bins.tau).any():
         weight = -GRAVITY_G[2] * (robot.mass + robot.beyond.payload)
         return weight * stands / np.maximum(stands.sum(axis=1, keepdims=True), 1)
+    motion = normal_forces(
+        robot.legs, steps.q, steps.up_B, np.ones_like(bins.standing),
+        effort(steps, robot, every=True).torque,
+    )  # fmt: skip
     up_B = frame.R_GI[:, 2] @ robot.R_BI.T
-    every = np.ones_like(bins.standing)
-    motion = normal_forces(robot.legs, steps.q, steps.up_B, every, needed.torque)
     motor = normal_forces(robot.legs, at_torques(log.q, frame), up_B, stands, log.tau)
     rows = np.column_stack([np.interp(log.t, bins.t, one) for one in motion.T])
     return np.where(stands, np.maximum(rows - motor, 0.0), 0.0)

@@ -63,7 +63,7 @@ def residual(log: Log, robot: Machine, frame: Frame) -> Parts:
         table[:, :3], table[:, 3:6] = bins.gyro, bins.accel
         if log.has("q") and bins.standing.any():
             if robot.beyond.softness:
-                load = loads(log, robot, frame, bins, steps, needed)
+                load = loads(log, robot, frame, bins, steps)
                 depth, v_sole = sinking(log, robot, frame, bins, load)
                 bins = replace(bins, depth=depth, v_sole=v_sole)
             table[:, 6:18] = leg_columns(bins, robot)

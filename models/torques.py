@@ -77,10 +77,10 @@ class Effort:
     torque: np.ndarray
 
 
-def effort(s: Steps, robot: Machine) -> Effort:
+def effort(s: Steps, robot: Machine, every: bool = False) -> Effort:
     """Inverse dynamics of the declared model and of what it knows of its masses; of bins that no
-    residual is asked for, zero."""
-    use = np.flatnonzero(near(s.swings.any(axis=1) | s.steady))
+    residual is asked for, zero, unless it is wanted of `every` one."""
+    use = np.flatnonzero(near(s.swings.any(axis=1) | s.steady) | every)
     dynamics, shift = dynamics_of(robot.file, robot.joint_names), _shift(robot)
     wrench, torque = np.zeros((len(s.q), 6)), np.zeros_like(s.q)
     wrench[use], torque[use] = dynamics.inverse(s.q[use], s.dq[use], s.ddq[use], s.base[use], shift)
