@@ -32,6 +32,9 @@ from sim.fixed_base import Machine
 from sim.log import Log
 from sim.robot import Robot
 
+HALFWAY = 0.5
+"""Share of a foot's depth above its sole at which it touches."""
+
 
 @dataclass(frozen=True)
 class Parts:
@@ -66,6 +69,7 @@ def residual(log: Log, robot: Machine, frame: Frame) -> Parts:
                 load = loads(log, robot, frame, bins, steps)
                 depth, v_sole = sinking(log, robot, frame, bins, load)
                 bins = replace(bins, depth=depth, v_sole=v_sole)
+                steps = replace(steps, sunk=HALFWAY * depth)
             table[:, 6:18] = leg_columns(bins, robot)
             if frame.level:
                 table[:, 18:22] = height_columns(bins, robot)
@@ -83,9 +87,9 @@ def leg_columns(bins: Bins, robot: Robot) -> np.ndarray:
     )  # fmt: skip
     v -= bins.v_I[:, None]
     if bins.depth is not None and bins.v_sole is not None:
-        # A contact is halfway between a sole and the ground that it has sunk into.
         spin = bins.omega[:, None] + robot.foot_rates_I(bins.q, bins.dq)
-        v += bins.v_sole - 0.5 * bins.depth[:, :, None] * np.cross(spin, bins.R_GI[:, None, 2])
+        rise = HALFWAY * bins.depth[:, :, None] * bins.R_GI[:, None, 2]
+        v += bins.v_sole - np.cross(spin, rise)
     return v.reshape(len(v), 12)
 
 

@@ -23,7 +23,8 @@ from sim.robot import Robot
 class Steps:
     """What inverse dynamics takes, bin by bin: q, dq, ddq, tau (M, J), base (M, 9), up_B (M, 3),
     standing (M, 4); swings (M, J): joints of feet that are in the air for three bins; steady (M,):
-    bins that no foot lands or lifts in, nor in their neighbours."""
+    bins that no foot lands or lifts in, nor in their neighbours; sunk (M, 4) [m]: how much nearer
+    to a foot's centre than its radius it touches."""
 
     q: np.ndarray
     dq: np.ndarray
@@ -34,6 +35,7 @@ class Steps:
     standing: np.ndarray
     swings: np.ndarray
     steady: np.ndarray
+    sunk: np.ndarray
 
 
 def steps_of(bins: Bins, robot: Machine) -> Steps:
@@ -52,6 +54,7 @@ def steps_of(bins: Bins, robot: Machine) -> Steps:
     return Steps(
         bins.q_step, bins.dq_step, bins.ddq, bins.tau, bins.base, up_B,
         bins.standing, swings & whole[:, None], steady & whole,
+        np.zeros(bins.standing.shape),
     )  # fmt: skip
 
 
@@ -146,7 +149,7 @@ def unbalanced(s: Steps, needed: Effort, robot: Robot) -> np.ndarray:
 def given_by_feet(s: Steps, q: np.ndarray, taken: np.ndarray, robot: Robot) -> np.ndarray:
     """What each standing foot gives the base (M, 4, 6), at angles q (M, 12), its leg taking the
     torques `taken` (M, 12) more than were measured."""
-    radius = np.maximum(robot.foot_radius, 0.0)
+    radius = np.maximum(robot.foot_radius - s.sunk, 0.0)
     return feet_wrenches(robot.legs, radius, q, s.up_B, s.standing, np.ascontiguousarray(taken))
 
 
@@ -154,7 +157,8 @@ def given_by_feet(s: Steps, q: np.ndarray, taken: np.ndarray, robot: Robot) -> n
 def feet_wrenches(legs, radius, q, up, standing, taken):
     """Force and moment (M, 4, 6) [N, N m] of each standing foot on the base, in B about its origin.
 
-    q (M, 12) [rad]; up (M, 3): the ground's normal in B; standing (M, 4); taken (M, 12): J^T f.
+    radius (M, 4) [m]; q (M, 12) [rad]; up (M, 3): the ground's normal in B; standing (M, 4); taken
+    (M, 12): J^T f.
     """
     out = np.zeros((len(q), 4, 6))
     foot, f, J, axes = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty((3, 3))
@@ -165,11 +169,11 @@ def feet_wrenches(legs, radius, q, up, standing, taken):
             leg_forward(legs, leg, q[k, 3 * leg : 3 * leg + 3], foot, J, axes)
             # At the point that touches, below the sphere's centre.
             for a in range(3):
-                foot[a] -= radius[leg] * up[k, a]
+                foot[a] -= radius[k, leg] * up[k, a]
             for j in range(3):
                 for a in range(3):
                     b, c = (a + 1) % 3, (a + 2) % 3
-                    J[a, j] -= radius[leg] * (axes[b, j] * up[k, c] - axes[c, j] * up[k, b])
+                    J[a, j] -= radius[k, leg] * (axes[b, j] * up[k, c] - axes[c, j] * up[k, b])
             # J^T f = taken, by the columns' cross products.
             f[:], volume = 0.0, 0.0
             for j in range(3):
