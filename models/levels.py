@@ -10,7 +10,7 @@ from models.candidates import Case, Evidence, linearise
 from models.fitting import design, fit, grams
 from models.floor import LEVEL, Repeat
 from models.layout import UNITS
-from models.masking import Trust, hidden
+from models.masking import Trust
 
 AT_FLOOR = 1.05
 """A channel is at its floor up to this ratio to what the floor's walks reach (`highest`)."""
@@ -87,15 +87,12 @@ def channel_levels(cases: Sequence[Case], result: Attribution, split: Split) -> 
 
 
 def without_bias(evidence: Evidence, trusted: Trust, use: np.ndarray) -> np.ndarray:
-    """The residual table (M, W) less the free parts as fitted on `use`; slips are NaN."""
+    """The residual table (M, W) less the free parts as fitted on `use`; NaN where masked."""
     data = design(evidence.only(()))
     sums = grams(data, trusted.sigma, trusted.weight, np.where(use, 0, -1)).total()
     vector = fit(sums, (), errors=False).vector
     left = np.where(data.there, data.y - data.explained(-vector[1:]), np.nan)
-    if trusted.masked.any():
-        columns = hidden(trusted.masked)
-        left[:, columns] = np.where(np.repeat(trusted.masked, 4, axis=1), np.nan, left[:, columns])
-    return left
+    return np.where(trusted.weight > 0, left, np.nan)
 
 
 def _ahead(one: Repeat) -> np.ndarray:

@@ -40,38 +40,42 @@ def trust(data: Design, floor: np.ndarray) -> Trust:
     """Weights of an evidence whose columns the declared model leaves at `floor` (W,)."""
     layout, there = data.evidence.layout, data.there
     legged = layout is QUADRUPED
-    masked = np.zeros((len(there), 4), dtype=bool)
+    masked, spoiled = np.zeros((len(there), 4), dtype=bool), np.zeros(there.shape, dtype=bool)
     sigma, weight = np.where(floor > 0, floor, 1e-12), there.astype(float)
     for last in (False, True) if legged else (True,):
         left = data.y
         for _ in range(ROUNDS):
             left = np.where(there, data.y - _explained(data, sigma, weight), np.nan)
-            sigma = np.maximum(floor, _pooled(layout, left, masked))
-            weight = there * _soft(layout, left / sigma)
-            if legged:
-                weight[:, hidden(masked)] = np.where(
-                    np.repeat(masked, 4, axis=1), 0.0, weight[:, hidden(masked)]
-                )
+            sigma = np.maximum(floor, _pooled(layout, np.where(spoiled, np.nan, left)))
+            weight = (there & ~spoiled) * _soft(layout, left / sigma)
         if not last:
-            masked = slips(data, left)
+            slid, raised = slips(data, left)
+            masked, spoiled = slid | raised, _spoiled(layout, slid, raised)
     standing = there[:, 6:18:3].sum() if legged else 0
     return Trust(sigma, weight, masked, float(masked.sum() / max(standing, 1)))
 
 
-def hidden(masked: np.ndarray) -> np.ndarray:
-    """Columns (16,), foot by foot, that a slip of each foot spoils: its velocity and its height."""
-    return np.concatenate([[6 + 3 * f, 7 + 3 * f, 8 + 3 * f, 18 + f] for f in range(4)])
+def _spoiled(layout: Layout, slid: np.ndarray, raised: np.ndarray) -> np.ndarray:
+    """Entries (M, W) not to believe, of feet (M, 4) that slid or stood elsewhere: their velocity
+    and height; of the latter, which touch at another point, what they give the base as well."""
+    spoiled = np.zeros((len(slid), layout.width), dtype=bool)
+    either = slid | raised
+    spoiled[:, layout.channels["leg_velocity"]] = np.repeat(either, 3, axis=1)
+    spoiled[:, layout.channels["foot_height"]] = either
+    spoiled[:, layout.channels["base_wrench"]] = raised.any(axis=1, keepdims=True)
+    return spoiled
 
 
 def slips(data: Design, left: np.ndarray) -> np.ndarray:
-    """Foot bins (M, 4) of the stances that stand out from their foot's own bulk.
+    """Foot bins (2, M, 4) of the stances that stand out from their foot's own bulk, by their speed
+    and by their height.
 
     left (M, W): what the catalogue does not explain. A stance is judged by the speed of its
     fastest bin: a foot that slides sticks again before the stance is over, and a mean over the
     stance would leave every second slip in. And by its height, since one that stands on an edge
     does not slide.
     """
-    masked = np.zeros((len(left), 4), dtype=bool)
+    masked = np.zeros((2, len(left), 4), dtype=bool)
     for leg in range(4):
         speed = np.sqrt(np.sum(left[:, 6 + 3 * leg : 9 + 3 * leg] ** 2, axis=1))
         stances = stance_bins(data.evidence.t, data.evidence.log, np.isfinite(speed))
@@ -80,9 +84,9 @@ def slips(data: Design, left: np.ndarray) -> np.ndarray:
         fastest = np.array([speed[bins].max() for bins in stances])
         height = np.nan_to_num(np.array([left[bins, 18 + leg].mean() for bins in stances]))
         off = np.abs(height - np.median(height))
-        out = _stands_out(fastest, SLOWEST_SLIP) | _stands_out(off, RAISED)
-        for bins in np.flatnonzero(out):
-            masked[stances[bins], leg] = True
+        for kind, out in enumerate((_stands_out(fastest, SLOWEST_SLIP), _stands_out(off, RAISED))):
+            for stance in np.flatnonzero(out):
+                masked[kind, stances[stance], leg] = True
     return masked
 
 
@@ -119,14 +123,9 @@ def _explained(data: Design, sigma: np.ndarray, weight: np.ndarray) -> np.ndarra
     return data.explained(np.linalg.solve(normal, right / scale) / scale)
 
 
-def _pooled(layout: Layout, left: np.ndarray, masked: np.ndarray) -> np.ndarray:
+def _pooled(layout: Layout, left: np.ndarray) -> np.ndarray:
     """Robust standard deviation of each column, pooled over those that are alike."""
     sigma = np.zeros(layout.width)
-    if masked.any():
-        left = left.copy()
-        left[:, hidden(masked)] = np.where(
-            np.repeat(masked, 4, axis=1), np.nan, left[:, hidden(masked)]
-        )
     for columns in layout.alike:
         values = np.abs(left[:, list(columns)])
         values = values[np.isfinite(values)]
