@@ -9,7 +9,15 @@ import numpy as np
 from models.bins import Frame, frame_mean, gained, measured_against
 from models.layout import Layout
 from models.residual import Parts, residual, with_ground
-from models.signature import Answers, Regressor, answers, by_readings, by_robot, sparse
+from models.signature import (
+    Answers,
+    Regressor,
+    answers,
+    by_readings,
+    by_robot,
+    likeness,
+    sparse,
+)
 from sim.effect import with_columns
 from sim.effects import CATALOGUE, Effect, effect, explain_all
 from sim.fixed_base import Machine
@@ -183,9 +191,13 @@ class _Linear:
         if any((e.name, e.target) == key for e in self.chosen):
             return self._about_its_value(key)
         kind = CATALOGUE[key[0]]
-        step = kind.typical or kind.step
-        one = effect(*key, step)
-        log, robot = explain_all([one], self.log, self.robot)
+        tried = [self._from_zero(key, size) for size in kind.starts or (kind.step,)]
+        if len(tried) == 1:
+            return tried[0]
+        return max(tried, key=lambda one: likeness(one, self.parts.table))
+
+    def _from_zero(self, key: Key, step: float) -> Regressor:
+        log, robot = explain_all([effect(*key, step)], self.log, self.robot)
         if robot is not self.robot:
             old, new = self.robot.beyond, robot.beyond
             if (old.imu_lowpass, old.softness) != (new.imu_lowpass, new.softness):

@@ -30,6 +30,10 @@ from sim.robot import Robot
 STEP = 1e-5  # rad, rad/s
 
 
+OUTLYING = 4.0
+"""Standard deviations of a column's bulk beyond which an entry counts no more."""
+
+
 @dataclass(frozen=True)
 class Regressor:
     """What one unit of an effect adds to some columns (n,) of the residual table: values (M, n)."""
@@ -192,3 +196,15 @@ def sparse(change: np.ndarray, table: np.ndarray) -> Regressor:
     change = np.where(there, np.nan_to_num(change), 0.0)
     large = np.abs(change).max(axis=0) > 1e-9
     return Regressor(touched[large], np.ascontiguousarray(change[:, large]))
+
+
+def likeness(one: Regressor, table: np.ndarray) -> float:
+    """Share of the table's columns that a positive size of the regressor explains; less than zero
+    where it wants a negative one. Columns weigh by their bulk."""
+    y = table[:, one.columns] - np.nanmedian(table[:, one.columns], axis=0)
+    bulk = np.maximum(1.4826 * np.nanmedian(np.abs(y), axis=0), 1e-12)
+    y = np.clip(y / bulk, -OUTLYING, OUTLYING)
+    x = np.where(np.isfinite(y), one.values / bulk, np.nan)
+    x, y = np.nan_to_num(x - np.nanmean(x, axis=0)), np.nan_to_num(y)
+    shared = np.sum(x * y)
+    return float(shared * abs(shared) / max(np.sum(x * x) * np.sum(y * y), 1e-300))

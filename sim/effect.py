@@ -42,8 +42,8 @@ class Effect:
     targets: ClassVar[tuple[str, ...]]
     step: ClassVar[float]
     """A small size, for numerical derivatives by it; an effect that is explained needs one."""
-    typical: ClassVar[float | None] = None
-    """A size that one effect of any size looks like; None where the step will do."""
+    starts: ClassVar[tuple[float, ...]] = ()
+    """Sizes to begin a search from, where what it explains is far from linear in the size."""
     needs: ClassVar[tuple[str, ...]] = ()
     """Groups of columns of a log without which nothing can be explained, beyond a channel's own."""
 

@@ -124,7 +124,7 @@ class SoftGround(Effect):
     channels = ("foot_height", "leg_velocity")
     targets = ("all",)
     step = 1e-3
-    typical = 0.02
+    starts = (0.015, 0.03, 0.06)
 
     def alter_ground(self, ground: Ground) -> Ground:
         return replace(ground, softness=ground.softness + self.value)

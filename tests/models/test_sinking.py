@@ -11,6 +11,7 @@ from models.bins import binned
 from models.candidates import case_of, linearise
 from models.loads import loads
 from models.residual import residual
+from models.signature import Regressor, likeness
 from models.sinking import _follow, between_swings, swept
 from models.torques import steps_of
 from sim.effects import effect
@@ -153,3 +154,13 @@ def test_derivatives_by_readings_know_of_the_depth(on_soft_ground):
     assert one.columns[np.searchsorted(one.columns, 18)] == 18
     assert np.abs(heights).max() < robot.leg_length
     assert not np.isin([19, 20, 21], one.columns).any()
+
+
+@pytest.mark.parametrize("size", [0.012, 0.06])
+def test_a_small_and_a_large_softness_both_look_like_the_candidate(size):
+    """How a foot sinks is far from linear in the size: the candidate begins where it is like."""
+    robot = Robot.load("spot_class")
+    case = case_of(walked(robot, effect("soft_ground", "all", size)), robot)
+    (one,) = (evidence := linearise([case], (), [("soft_ground", "all")])).X
+    assert likeness(one, evidence.table) > 0.25
+    assert likeness(Regressor(one.columns, -one.values), evidence.table) < -0.25
