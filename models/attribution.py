@@ -1,59 +1,26 @@
 """Which effect does the model lack? Every candidate is fitted; one that earns its place stays."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import t
 
 from models.candidates import Case, Evidence, Key, all_keys, linearise
+from models.contenders import contenders, tried_best
 from models.fitting import Design, Grams, design, draws, fit, grams, loss, overlap
 from models.floor import Floor, floor_with
+from models.judging import DOUBT, FIT, REPORT, SELECT, Candidate, judge
 from models.masking import Trust, trust
-from models.refinement import Data, inside, refined
-from sim.effects import CATALOGUE, Effect, effect
+from models.refinement import Data, refined
+from sim.effects import Effect
 
 AT_MOST = 4
 """Effects that one trace may name."""
-ABOVE_FLOOR = 5.0
-"""How many times its size on walks that lack it an effect must have."""
-DOUBT = 0.7
-"""Share of the size that contacts fake on such walks which is taken for uncertain: on slippery
-ground they faked a delay of joints four times as long as on the floor's."""
-WORTH = 0.02
-"""Share of what is explained so far that a further effect must add."""
-CLEAR, LARGE = 20.0, 0.2
-"""One that stands so many times above its floor and takes such a share of all that is left may add
-less: beside a very large effect even a large one is little."""
 TWINS = 0.95
 """Overlap from which two regressors are hard to tell apart."""
-CLOSE_BEHIND = 0.3
-"""Share of the best gain from which a candidate might be better than linear regressors say."""
-TRIED = 3
-"""Candidates that are tried on the true residual in a round."""
 SETTLING, MOVED = 3, 0.01
 """Times at most that sizes and weights are found anew, and the share of a size that is a move."""
-FIT, SELECT, REPORT = 0, 1, 2
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """One candidate, fitted with what was chosen before it.
-
-    size and error [its unit], less the size it has on walks that lack it; floor: how far that
-    varies [its unit]; gain: squared error it takes off the unseen blocks, in units of noise, with
-    its 95 % interval; share: the same as a share of what there is to explain.
-    """
-
-    key: Key
-    size: float
-    error: float
-    floor: float
-    gain: float
-    interval: tuple[float, float]
-    share: float
-    at_bound: bool
-    earned: bool
 
 
 @dataclass(frozen=True)
@@ -125,11 +92,7 @@ def attribute(
         if best is None or len(chosen) == AT_MOST:
             break
         known = Data(cases, floor, evidence, chosen, trusted, split.part)
-        tried = [
-            (c, *refined(known, [*chosen, effect(*c.key, c.size)], REPORT))
-            for c in contenders(candidates)
-        ]
-        best, chosen_with, _ = min(tried, key=lambda one: one[2])
+        best, chosen_with = tried_best(known, contenders(data, candidates, [*map(_key, chosen)]))
         rivals += _rivals(data, best, candidates, [_key(e) for e in chosen], rng)
         explained += best.gain
         chosen = chosen_with
@@ -138,62 +101,6 @@ def attribute(
     # What was found beside an effect is no other explanation of it.
     rivals = tuple(rival for rival in rivals if rival[0] not in [_key(e) for e in chosen])
     return Attribution(found, tuple(rounds), rivals, trusted, evidence, floor)
-
-
-def judge(
-    data: Grams,
-    floor: Floor,
-    chosen: Sequence[Key],
-    explained: float,
-    rng: np.random.Generator,
-) -> tuple[Candidate, ...]:
-    """Every candidate that is not chosen yet, those that earn a place first, by gain."""
-    seen, unseen = data.rows(data.part == FIT), data.rows(data.part == SELECT)
-    counts = draws(len(unseen.G), rng)
-    plain = fit(seen, chosen, errors=False).vector
-    plainly = loss(unseen, plain), loss(seen, plain)
-    # Chen and Chen 2008, extended BIC: one of many costs more than one alone.
-    price = np.log(max(2, len(seen.G))) + 2.0 * np.log(len(data.keys))
-    judged = []
-    for at, key in enumerate(data.keys):
-        if key in chosen:
-            continue
-        fitted = fit(seen, [*chosen, key])
-        size, error = float(fitted.sizes[-1]), float(np.sqrt(fitted.covariance[-1, -1]))
-        offset, spread = floor.sizes(chosen, key)
-        size -= offset
-        before, before_seen = plainly
-        if offset:
-            faked = _without(seen, at, offset, chosen)
-            before, before_seen = loss(unseen, faked), loss(seen, faked)
-        blocks = before - loss(unseen, fitted.vector)
-        gain = float(blocks.sum())
-        low, high = np.percentile(counts @ blocks, [2.5, 97.5])
-        at_seen = float(np.sum(before_seen - loss(seen, fitted.vector)))
-        # The floor's own offset is only as sure as its contact model.
-        spread = float(np.hypot(spread, DOUBT * offset))
-        low_end, high_end = inside(CATALOGUE[key[0]])
-        # A fit beyond them is no size either, however much of it the floor's walks have.
-        fitted_beyond = abs(fitted.sizes[-1]) > max(-low_end, high_end)
-        at_bound = fitted_beyond or not low_end < size < high_end
-        share = gain / max(float(before.sum()), 1e-300)
-        clear = abs(size) / max(float(np.hypot(spread, error)), 1e-300)
-        plain_to_see = clear > CLEAR and share > LARGE
-        earned = (
-            low > 0
-            and np.isfinite(error)
-            and clear > ABOVE_FLOOR
-            and not at_bound
-            and (gain > WORTH * explained or plain_to_see)
-            and min(at_seen, gain) > price
-        )
-        judged.append(
-            Candidate(
-                key, size, error, spread, gain, (float(low), float(high)),
-                share, bool(at_bound), bool(earned),
-            )
-        )  # fmt: skip
-    return tuple(sorted(judged, key=lambda c: (not c.earned, -c.gain)))
 
 
 def _settled(
@@ -217,30 +124,11 @@ def _settled(
         if not chosen or times == SETTLING:
             return evidence, whole, trusted, chosen
         data = Data(cases, floor, evidence, chosen, trusted, split.part)
-        moved, _ = refined(data, chosen, REPORT)
+        moved = refined(data, chosen, REPORT)
         pairs = list(zip(moved, chosen, strict=True))
         if all(abs(a.value - b.value) < MOVED * abs(b.value) for a, b in pairs):
             return evidence, whole, trusted, chosen
         chosen = moved
-
-
-def contenders(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Of those that earn a place, best first, the few whose gain is not far from the best's: which
-    of them explains most is for the true residual to say."""
-    earned = [c for c in candidates if c.earned]
-    return [c for c in earned if c.gain > CLOSE_BEHIND * earned[0].gain][:TRIED]
-
-
-def _without(seen: Grams, at: int, offset: float, chosen: Sequence[Key]) -> np.ndarray:
-    """The vector (P,) of a fit with the candidate `at` held at the floor's own size."""
-    held = seen.total()
-    G = held.G.copy()
-    G[0, 0] -= offset * G[0, 1 + at]
-    G[0, :, 0] -= offset * G[0, :, 1 + at]
-    G[0, 0, 1:] = G[0, 1:, 0]
-    vector = fit(replace(held, G=G), chosen, errors=False).vector.copy()
-    vector[1 + at] = -offset
-    return vector
 
 
 def _key(one: Effect) -> Key:

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.polynomial import Legendre
 from scipy.ndimage import uniform_filter1d
 
-from models.attribution import FIT, SELECT, Attribution, Split
+from models.attribution import Attribution, Split
 from models.candidates import Case, Evidence, by_columns, joined
 from models.fitting import design, draws, fit, grams, loss
+from models.judging import FIT, SELECT
 from sim.legs import JOINTS, LEGS
 from sim.log import Log
 

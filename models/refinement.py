@@ -39,25 +39,29 @@ class Data:
         return grams(design(evidence), sigma, self.trust.weight, self.part)
 
 
-def refined(data: Data, chosen: Sequence[Effect], report: int) -> tuple[list[Effect], float]:
+def refined(data: Data, chosen: Sequence[Effect], report: int) -> list[Effect]:
     """The effects at the sizes that leave least on all blocks but those of the part `report`, by
-    Gauss-Newton, and the weighted squared error that they leave there."""
-    keys = [(e.name, e.target) for e in chosen]
+    Gauss-Newton."""
     chosen = [clipped(e, e.value) for e in chosen]
-    offsets, left = _offsets(data.floor, keys), np.inf
+    offsets = _offsets(data.floor, [(e.name, e.target) for e in chosen])
     for _ in range(AT_MOST):
-        sums = data.about(chosen)
-        sums = sums.rows(sums.part != report)
-        found = fit(sums, keys, errors=False)
-        left = float(loss(sums, found.vector).sum())
-        steps = found.sizes - offsets
+        steps = best_near(data, chosen, report)[0] - offsets
         moved = [clipped(e, e.value + d) for e, d in zip(chosen, steps, strict=True)]
         pairs = zip(moved, chosen, strict=True)
         settled = all(abs(a.value - b.value) < CLOSE * abs(a.value) for a, b in pairs)
         chosen = moved
         if settled:
             break
-    return chosen, left
+    return chosen
+
+
+def best_near(data: Data, chosen: Sequence[Effect], report: int) -> tuple[np.ndarray, float]:
+    """By how much (C,) the effects' sizes miss the best, in a straight line, and the weighted
+    squared error that is left there, on all blocks but those of the part `report`."""
+    sums = data.about(chosen)
+    sums = sums.rows(sums.part != report)
+    found = fit(sums, [(e.name, e.target) for e in chosen], errors=False)
+    return found.sizes, float(loss(sums, found.vector).sum())
 
 
 def _offsets(floor: Floor, keys: Sequence[Key]) -> np.ndarray:

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from models.attribution import CLOSE_BEHIND, TRIED, contenders, judge
 from models.candidates import Evidence
+from models.contenders import CLOSE_BEHIND, TRIED, contenders
 from models.fitting import design, draws, fit, grams, loss, overlap
 from models.floor import Floor, Repeat
+from models.judging import judge
 from models.layout import QUADRUPED
 from models.masking import slips, trust
 from models.signature import sparse
@@ -134,11 +135,34 @@ def test_a_placebo_earns_nothing_beside_the_truth():
 
 
 def test_a_few_near_the_best_are_tried_on_the_true_residual():
-    found = judged(evidence((3e-3, 0, 0.05, 0)))
-    tried = contenders(found)
+    one = evidence((3e-3, 0, 0.05, 0))
+    found = judged(one)
+    tried = contenders(whitened(one), found, ())
     assert tried[0] is found[0]
     assert len(tried) <= TRIED
     assert all(one.earned and one.gain > CLOSE_BEHIND * tried[0].gain for one in tried)
+
+
+def test_one_that_explains_more_is_tried_even_where_it_is_not_sure_of_itself():
+    """The right one's size varies much on walks that lack it; another with half its pattern is."""
+    one = evidence((0.01, 0, 0, 0))
+    X = dense(one)
+    X[..., 1] = 0.7 * X[..., 0] + 0.7 * X[..., 1]
+    alike = with_X(one, X)
+    right, other, *_ = sorted(judged(alike), key=lambda c: KEYS.index(c.key))
+    unsure = (other, replace(right, earned=False, floor=0.003))
+    data = whitened(alike)
+    assert [c.key for c in contenders(data, unsure, ())] == [right.key, other.key]
+    # No size of its own, no more of the gain, or something else that it explains: not tried.
+    for kept in (
+        (other, replace(unsure[1], floor=0.01)),
+        (replace(other, gain=2 * right.gain), unsure[1]),
+    ):
+        assert contenders(data, kept, ()) == [kept[0]]
+    apart = evidence((0.01, 0.006, 0, 0))
+    right, other, *_ = sorted(judged(apart), key=lambda c: KEYS.index(c.key))
+    assert right.interval[0] > other.gain
+    assert contenders(whitened(apart), (other, replace(right, earned=False)), ()) == [other]
 
 
 def test_what_stands_out_is_worth_its_place_beside_a_far_larger_one():

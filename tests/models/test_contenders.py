@@ -1,0 +1,67 @@
+"""Streams that are late, tried on the true residual of a walk: the legs say which of two it is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from models.candidates import all_keys, case_of, linearise
+from models.contenders import told_between_rows, tried_best
+from models.fitting import design
+from models.floor import floor_of
+from models.judging import FIT, SELECT, Candidate
+from models.masking import trust
+from models.refinement import Data
+from sim.effects import effect
+from sim.robot import Robot
+from sim.scenario import Scenario, Segment
+from sim.terrain import Ground
+from sim.walk import walk
+
+SPOT = Robot.load("spot_class")
+SCENARIO = Scenario("short", (Segment(12.0, 0.6, 0.1, 0.3),), Ground(0.8))
+
+
+def case_with(*effects):
+    return case_of(walk(SCENARIO, SPOT, 3, effects, declared=False), SPOT)
+
+
+@pytest.fixture(scope="module")
+def floor():
+    return floor_of([case_with()])
+
+
+def data_of(case, floor):
+    whole = design(linearise([case], (), all_keys(case)))
+    evidence = whole.evidence
+    part = np.where(np.floor(evidence.t / 4).astype(int) % 2 == 0, FIT, SELECT)
+    return Data([case], floor, evidence, (), trust(whole, floor.sigma), part)
+
+
+def candidate(name, target, size):
+    return Candidate((name, target), size, 1e-6, 1e-6, 1e4, (9e3, 1.1e4), 0.9, False, True)
+
+
+# Half a step between two rows: there most is lost by moving a stream.
+@pytest.mark.parametrize(("late", "other"), [
+    ("imu_delay", "reference_delay"), ("reference_delay", "imu_delay"),
+])  # fmt: skip
+def test_of_two_streams_the_late_one_is_named(floor, late, other):
+    data = data_of(case_with(effect(late, "all", 0.001)), floor)
+    right, wrong = candidate(late, "all", 0.001), candidate(other, "all", -0.001)
+    best, effects = tried_best(data, [wrong, right])
+    assert best is right
+    assert effects[0].value == pytest.approx(0.001, rel=0.15)
+
+
+def test_shocks_of_the_imu_lose_weight_and_nothing_else_does(floor):
+    data = data_of(case_with(), floor)
+    weight = told_between_rows(data)
+    assert np.all(weight[:, 6:] == 1.0)
+    case = data.cases[0]
+    quiet = (case.frame.standing.all(axis=1)).astype(float)
+    bins = np.add.reduceat(quiet, case.frame.first) == case.frame.count
+    assert np.median(weight[bins, :6]) > 0.4
+    assert weight[:, 3:6].min() < 0.02
+    still = replace(data, cases=[replace(case, fixed=True)])
+    assert np.all(told_between_rows(still) == 1.0)
