@@ -7,7 +7,11 @@ carries. Of a foot at the depth z, with the impedance i of at most d,
 
 and along the ground v' = -b v + c. F is the load, 1 / m what a unit of force accelerates the foot
 by, and c what the robot's rates alone do, which a contact does not feel (MuJoCo's documentation,
-"Computation", on its constraints). A foot so sinks by the speed at which it lands, and by its load.
+"Computation", on its constraints). So a foot sinks by the speed at which it lands, and is kept
+where its load is borne: at 5 mm for spot at T = 0.024 s, and four times as deep at twice that.
+
+Only feet are known to touch. Where they sink so deep that a shank touches as well (spot's, from
+T = 0.05 s), it takes a part of the load, and `trace` finds too small a size or another effect.
 """
 
 from dataclasses import dataclass
