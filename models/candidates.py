@@ -89,6 +89,7 @@ def channels_of(case: Case) -> tuple[str, ...]:
         "joint_torque": log.has("q") and log.has("tau") and (case.fixed or log.has("contact")),
         "base_wrench": legged and log.has("q") and log.has("tau") and log.has("contact"),
         "joint_rate": log.has("q") and log.has("dq"),
+        "contact_timing": legged and log.has("q") and log.has("contact"),
     }
     return tuple(name for name, has in there.items() if has)
 
@@ -191,7 +192,7 @@ class _Linear:
         if any((e.name, e.target) == key for e in self.chosen):
             return self._about_its_value(key)
         kind = CATALOGUE[key[0]]
-        tried = [self._from_zero(key, size) for size in kind.starts or (kind.step,)]
+        tried = [self._from_zero(key, size) for size in kind.starts or (kind.step_of(key[1]),)]
         if len(tried) == 1:
             return tried[0]
         return max(tried, key=lambda one: likeness(one, self.parts.table))
@@ -200,7 +201,8 @@ class _Linear:
         log, robot = explain_all([effect(*key, step)], self.log, self.robot)
         if robot is not self.robot:
             old, new = self.robot.beyond, robot.beyond
-            if (old.imu_lowpass, old.softness) != (new.imu_lowpass, new.softness):
+            timed = log is not self.log and _moves_frame(log.frame.attrs["last"])
+            if timed or (old.imu_lowpass, old.softness) != (new.imu_lowpass, new.softness):
                 return self._by_difference(log, robot, step)
             assert isinstance(robot, Robot)
             return _minus(by_robot(self.parts, self.robot, robot, step))
@@ -218,7 +220,7 @@ class _Linear:
         return by_readings(self.parts, self.answers, change)
 
     def _about_its_value(self, key: Key) -> Regressor:
-        step = CATALOGUE[key[0]].step
+        step = CATALOGUE[key[0]].step_of(key[1])
         ahead, behind = (table_of(self.case, _moved(self.chosen, key, s)) for s in (step, -step))
         return sparse((behind - ahead) / (2 * step), self.parts.table)
 

@@ -77,7 +77,7 @@ def judge(
         at_seen = float(np.sum(before_seen - loss(seen, fitted.vector)))
         # The floor's own offset is only as sure as its contact model.
         spread = float(np.hypot(spread, DOUBT * offset))
-        low_end, high_end = inside(CATALOGUE[key[0]])
+        low_end, high_end = inside(CATALOGUE[key[0]], key[1])
         # A fit beyond them is no size either, however much of it the floor's walks have.
         fitted_beyond = abs(fitted.sizes[-1]) > max(-low_end, high_end)
         at_bound = fitted_beyond or not low_end < size < high_end

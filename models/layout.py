@@ -12,6 +12,7 @@ UNITS = {
     "joint_torque": "N m",
     "base_wrench": "N and N m",
     "joint_rate": "rad/s",
+    "contact_timing": "s",
 }
 """The channels and their units."""
 
@@ -42,17 +43,19 @@ def _quadruped() -> Layout:
     names += [f"torque_{joint}" for joint in JOINTS]
     names += [f"{kind}_{axis}" for kind in ("force", "moment") for axis in "xyz"]
     names += [f"rate_{joint}" for joint in JOINTS]
+    names += [f"{change}_{leg}" for change in ("touchdown", "liftoff") for leg in LEGS]
     begin, channels = 0, {}
-    for name, width in zip(UNITS, (3, 3, 12, 4, 12, 6, 12), strict=True):
+    for name, width in zip(UNITS, (3, 3, 12, 4, 12, 6, 12, 8), strict=True):
         channels[name] = slice(begin, begin + width)
         begin += width
     legs = tuple(slice(6 + 3 * leg, 9 + 3 * leg) for leg in range(4))
     single = tuple(slice(c, c + 1) for c in range(18, 34))
     groups = (slice(0, 3), slice(3, 6), *legs, *single, slice(34, 37), slice(37, 40))
-    groups += tuple(slice(c, c + 1) for c in range(40, 52))
+    groups += tuple(slice(c, c + 1) for c in range(40, 60))
     alike = [(c,) for c in range(6)] + [tuple(range(6 + axis, 18, 3)) for axis in range(3)]
     alike += [tuple(range(18, 22))] + [tuple(range(22 + j, 34, 3)) for j in range(3)]
     alike += [(c,) for c in range(34, 40)] + [tuple(range(40 + j, 52, 3)) for j in range(3)]
+    alike += [tuple(range(52, 56)), tuple(range(56, 60))]
     return Layout(tuple(names), channels, groups, tuple(alike))
 
 

@@ -27,6 +27,7 @@ def sheet_noise(rate: float, layout: Layout, evenness: float = 0.0) -> np.ndarra
         "foot_height": float(np.hypot(s.encoder_step * reach, evenness)),
         "joint_torque": torque,
         "base_wrench": torque / reach * np.sqrt(12),
+        "contact_timing": 1.0 / rate,
         "joint_rate": s.velocity_noise / np.sqrt(rows) + s.encoder_step / BIN / np.sqrt(rows),
     }
     sigma = np.zeros(layout.width)

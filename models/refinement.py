@@ -71,10 +71,10 @@ def _offsets(floor: Floor, keys: Sequence[Key]) -> np.ndarray:
 
 def clipped(one: Effect, value: float) -> Effect:
     """The effect of this size, or of the nearest inside its bounds."""
-    return replace(one, value=float(np.clip(value, *inside(type(one)))))
+    return replace(one, value=float(np.clip(value, *inside(type(one), one.target))))
 
 
-def inside(kind: type[Effect]) -> tuple[float, float]:
+def inside(kind: type[Effect], target: str) -> tuple[float, float]:
     """Bounds between which a size can still be varied by its step to either side."""
-    low, high = kind.bounds
-    return low + 1.1 * kind.step, high - 1.1 * kind.step
+    (low, high), step = kind.bounds, kind.step_of(target)
+    return low + 1.1 * step, high - 1.1 * step

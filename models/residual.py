@@ -6,6 +6,7 @@
     joint_torque          measured torque less inverse dynamics, of legs in swing or a fixed base
     base_wrench           what the standing feet give the base less what its motion takes
     joint_rate            slope of a joint's measured angle less its measured rate
+    contact_timing        when a contact is told to change less when the foot stopped or moved
 
 Residuals are means over bins of 20 ms.
 """
@@ -15,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.bins import Bins, Frame, binned
+from models.contact_timing import contact_timing
 from models.layout import QUADRUPED, Layout, layout_of
 from models.leg_velocity import leg_velocity
 from models.loads import loads
@@ -73,6 +75,7 @@ def residual(log: Log, robot: Machine, frame: Frame) -> Parts:
             table[:, 6:18] = leg_columns(bins, robot)
             if frame.level:
                 table[:, 18:22] = height_columns(bins, robot)
+            table[:, layout.channels["contact_timing"]] = contact_timing(log, robot, frame)
             if needed is not None:
                 table[:, 34:40] = wrench_residual(steps, needed, robot)
     return Parts(layout, bins, steps, needed, table, frame.t)

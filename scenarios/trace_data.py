@@ -34,6 +34,7 @@ NEEDS = {
     "joint_torque": ("q", "tau", "contact"),
     "base_wrench": ("q", "tau", "contact", "reference"),
     "joint_rate": ("q", "dq"),
+    "contact_timing": ("q", "contact", "reference"),
 }
 """Groups of columns that each channel takes."""
 

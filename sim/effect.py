@@ -93,6 +93,11 @@ class Effect:
         raise NotImplementedError(f"effect {self.name} is only for simulation")
 
     @classmethod
+    def step_of(cls, target: str) -> float:
+        """A small size on this target, for numerical derivatives by it."""
+        return cls.step
+
+    @classmethod
     def is_explained(cls) -> bool:
         """Whether a model can know of the effect, so that `trace` has it as a candidate."""
         return cls.explain is not Effect.explain

@@ -24,7 +24,14 @@ from sim.effects_joint import (
     TorqueBias,
     TorqueScale,
 )
-from sim.effects_time import ClockScale, ImuDelay, JointDelay, ReferenceDelay, TorqueDelay
+from sim.effects_time import (
+    ClockScale,
+    ContactDelay,
+    ImuDelay,
+    JointDelay,
+    ReferenceDelay,
+    TorqueDelay,
+)
 from sim.errors import SurefootError
 from sim.log import Log
 
@@ -41,7 +48,7 @@ CATALOGUE: dict[str, type[Effect]] = {
         *(GyroBias, AccelBias, AccelScale, ImuPosition, GyroGSensitivity, ImuDelay, ImuLowpass),
         *(EncoderScale, JointCompliance, Backlash, HipOffset),
         *(ViscousFriction, CoulombFriction, Armature, TorqueScale, TorqueBias, TorqueDelay),
-        *(Payload, ComOffset, FootSlip, SoftGround, ReferenceDelay, ClockScale),
+        *(Payload, ComOffset, FootSlip, SoftGround, ContactDelay, ReferenceDelay, ClockScale),
     )
 }
 

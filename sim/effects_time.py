@@ -13,12 +13,15 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
 from sim.effect import Effect, with_columns
+from sim.legs import LEGS
 from sim.log import Log
 from sim.quaternion import slerp
 from sim.robot import Robot
 from sim.sensors import Reference, Streams
 
 STREAMS = {"imu": ("gyro", "accel"), "joints": ("q", "dq", "tau"), "feet": ("force",)}
+SWING = 0.05
+"""s in the air from which a foot has swung; after less it has only bounced."""
 COLUMNS = {**STREAMS, "feet": ("force", "contact"), "reference": ("ref",)}
 """What a log has of each stream: contacts are told from the feet's forces."""
 
@@ -77,6 +80,52 @@ class TorqueDelay(Effect):
         return _moved(log, ("tau",), log.t + self.value), robot
 
 
+class ContactDelay(Effect):
+    """The feet's contacts begin late, or end late, by a constant time.
+
+    Thresholds, debouncing and filters of a foot's force make them; foam that springs back makes
+    them end late alone. An end that is told early enough does no harm: an unloaded foot still
+    stands for a while.
+    """
+
+    name = "contact_delay"
+    unit = "s"
+    bounds = (0.0, 0.15)
+    channels = ("contact_timing",)
+    targets = ("touchdown", "liftoff")
+    needs = ("contact", "q", "reference")
+    # Less than a row: of contacts that bounce, some appear and some vanish with every row.
+    step = 1e-3
+
+    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
+        late, stands = _late(streams, STREAMS["feet"], self.value), streams.force > 0
+        force = streams.force.copy()
+        for leg in range(len(LEGS)):
+            lifts, lands = swings(streams.t, stands[:, leg])
+            middles = (lifts + lands) // 2
+            if self.target == "touchdown":
+                spans = zip(
+                    middles, np.append((lands[:-1] + lifts[1:]) // 2, len(force)), strict=True
+                )
+            else:
+                spans = zip(np.append(0, (lands[:-1] + lifts[1:]) // 2), middles, strict=True)
+            for begin, end in spans:
+                force[begin:end, leg] = late.force[begin:end, leg]
+        return replace(streams, force=force)
+
+    def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        rows, told = int(self.value * log.rate), log.contact
+        for leg in range(len(LEGS)):
+            lifts, lands = swings(log.t, log.contact[:, leg])
+            for edge in lands if self.target == "touchdown" else lifts:
+                told[max(edge - rows, 0) : edge, leg] = self.target == "touchdown"
+        columns = {f"contact_{leg}": told[:, i].astype(float) for i, leg in enumerate(LEGS)}
+        # What is less than a row is for the model to know.
+        name, rest = f"{self.target}_late", self.value - rows / log.rate
+        known = replace(robot.beyond, **{name: getattr(robot.beyond, name) + rest})
+        return with_columns(log, columns), replace(robot, beyond=known)
+
+
 class ReferenceDelay(Effect):
     """The reference arrives late by a constant time: its rows show where the robot was."""
 
@@ -105,7 +154,7 @@ class ClockScale(Effect):
     name = "clock_scale"
     unit = "ratio"
     bounds = (-0.02, 0.02)
-    channels = ("imu_gyro", "imu_accel", "leg_velocity")
+    channels = ("imu_gyro", "imu_accel", "leg_velocity", "contact_timing")
     targets = (*STREAMS, "reference")
     needs = ("reference",)
     step = 1e-4
@@ -122,8 +171,24 @@ class ClockScale(Effect):
         t = log.t
         return _moved(log, COLUMNS[self.target], t[0] + (t - t[0]) / (1.0 + self.value)), robot
 
+    @classmethod
+    def step_of(cls, target: str) -> float:
+        # Contacts move by whole rows, which a small step leaves where they are.
+        return 10 * cls.step if target == "feet" else cls.step
+
     def _then(self, t: np.ndarray) -> np.ndarray:
         return t[0] + (1.0 + self.value) * (t - t[0])
+
+
+def swings(t: np.ndarray, stands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First rows of a foot's swings and of the stances after them (K,); a foot that is up for no
+    longer than SWING has bounced. t (N,) [s]; stands (N,) bool."""
+    lifts = 1 + np.flatnonzero(stands[:-1] & ~stands[1:])
+    lands = 1 + np.flatnonzero(~stands[:-1] & stands[1:])
+    lands = lands[lands > lifts[0]] if len(lifts) else lands[:0]
+    lifts = lifts[: len(lands)]
+    swung = t[lands] - t[lifts] > SWING
+    return lifts[swung], lands[swung]
 
 
 def _late(streams: Streams, names: tuple[str, ...], delay: float) -> Streams:
@@ -133,16 +198,20 @@ def _late(streams: Streams, names: tuple[str, ...], delay: float) -> Streams:
 def _at(streams: Streams, names: tuple[str, ...], then: np.ndarray) -> Streams:
     """The streams with those of `names` as they were at the times `then` (N,) [s].
 
-    Lines between the rows of an IMU would also be a low-pass, which no delay is.
+    Lines between the rows of an IMU would also be a low-pass, which no delay is; between those of a
+    force they would begin each contact early.
     """
     t = streams.t
     then = np.clip(then, t[0], t[-1])
-    moved = {
-        name: CubicSpline(t, x)(then)
-        if name in STREAMS["imu"]
-        else np.column_stack([np.interp(then, t, column) for column in x.T])
-        for name, x in ((name, getattr(streams, name)) for name in names)
-    }
+    moved = {}
+    for name in names:
+        x = getattr(streams, name)
+        if name in STREAMS["imu"]:
+            moved[name] = CubicSpline(t, x)(then)
+        elif name in STREAMS["feet"]:
+            moved[name] = x[_nearest(t, then)]
+        else:
+            moved[name] = np.column_stack([np.interp(then, t, column) for column in x.T])
     return replace(streams, **moved)
 
 
@@ -174,12 +243,16 @@ def _moved(log: Log, kinds: tuple[str, ...], then: np.ndarray) -> Log:
         rows = np.column_stack([log.frame[name].to_numpy() for name in smooth])
         values = CubicSpline(t, rows)(then)
         columns |= {name: values[:, i] for i, name in enumerate(smooth)}
-    nearest = np.clip(np.searchsorted(0.5 * (t[1:] + t[:-1]), then), 0, len(t) - 1)
-    columns |= {name: log.frame[name].to_numpy()[nearest] for name in flags}
+    columns |= {name: log.frame[name].to_numpy()[_nearest(t, then)] for name in flags}
     if turns:
         values = slerp(t, log.ref_q, then)
         columns |= {f"ref_q_{axis}": values[:, i] for i, axis in enumerate("wxyz")}
     return with_columns(log, columns)
+
+
+def _nearest(t: np.ndarray, then: np.ndarray) -> np.ndarray:
+    """The row nearest to each time of `then` (N,) [s]."""
+    return np.searchsorted(0.5 * (t[1:] + t[:-1]), then)
 
 
 def _commanded(name: str) -> bool:

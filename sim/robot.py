@@ -26,6 +26,8 @@ class Beyond:
     com_shift: np.ndarray = field(default_factory=lambda: np.zeros(3))  # m, of the base's own, in B
     imu_lowpass: float = 0.0  # s, time constant
     softness: float = 0.0  # s, what the ground takes longer to push back than hard ground
+    touchdown_late: float = 0.0  # s, of a contact's delay what whole rows of a log cannot undo
+    liftoff_late: float = 0.0  # s, the same where it ends
 
 
 @dataclass(frozen=True)
