@@ -201,10 +201,13 @@ class _Linear:
         log, robot = explain_all([effect(*key, step)], self.log, self.robot)
         if robot is not self.robot:
             old, new = self.robot.beyond, robot.beyond
-            timed = log is not self.log and _moves_frame(log.frame.attrs["last"])
-            if timed or (old.imu_lowpass, old.softness) != (new.imu_lowpass, new.softness):
-                return self._by_difference(log, robot, step)
             assert isinstance(robot, Robot)
+            assert isinstance(self.robot, Robot)
+            timed = log is not self.log and _moves_frame(log.frame.attrs["last"])
+            turned = robot.R_BI is not self.robot.R_BI
+            slower = (old.imu_lowpass, old.softness) != (new.imu_lowpass, new.softness)
+            if timed or turned or slower:
+                return self._by_difference(log, robot, step)
             return _minus(by_robot(self.parts, self.robot, robot, step))
         moved = log.frame.attrs["last"]
         # Of joints that all move in time, the parts of the chain rule cancel but for their errors.

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from models.candidates import Case, Evidence, Key, all_keys, case_of, linearise
+from models.coarse_reference import Coarse, as_coarse, coarseness
 from models.fitting import Grams, design, fit, grams
 from models.layout import layout_of
 from models.masking import Trust, trust
@@ -56,6 +57,7 @@ class Floor:
     sigma (W,): noise of each column of the residual table, in its unit; repeats: the walks it is
     from; source: in words; file, courses and groups: the robot, the motion that was walked, and
     the groups of columns that the log has; evenness: how far the ground is from a plane [m];
+    coarse: how coarse the reference is;
     readings: the logs, where their own noise is the floor.
     """
 
@@ -66,6 +68,7 @@ class Floor:
     courses: tuple[Course, ...] = ()
     groups: Groups = ()
     evenness: float = 0.0
+    coarse: Coarse | None = None
     readings: tuple[Case, ...] = ()
     _known: dict = field(default_factory=dict, compare=False, repr=False)
 
@@ -133,7 +136,8 @@ def floor_of(cases: Sequence[Case]) -> Floor:
     groups = tuple(g for g in known if all(case.log.has(g) for case in cases))
     along = tuple(courses([case.log for case in cases]))
     evenness = max(float(case.log.meta.model.get("ground_evenness", 0.0)) for case in cases)
-    floor = _floor(first.robot.file, along, groups, evenness, ())
+    coarse = coarseness(first.log)
+    floor = _floor(first.robot.file, along, groups, evenness, coarse, ())
     if floor.repeats:
         return floor
     sigma = sheet_noise(first.log.rate, layout_of(first.log.joints), evenness)
@@ -158,7 +162,7 @@ def floor_with(floor: Floor, effects: Sequence[Effect]) -> Floor:
     )
     if not bodily or floor.file is None or not floor.repeats:
         return floor
-    other = _floor(floor.file, floor.courses, floor.groups, floor.evenness, bodily)
+    other = _floor(floor.file, floor.courses, floor.groups, floor.evenness, floor.coarse, bodily)
     return other if other.repeats else floor
 
 
@@ -167,11 +171,12 @@ def _floor(
     along: tuple[Course, ...],
     groups: Groups,
     evenness: float,
+    coarse: Coarse | None,
     effects: tuple[Effect, ...],
 ) -> Floor:
     known = tuple(CATALOGUE)
     walks = [
-        _repeat(file, one, SEED + i, groups, evenness, effects, known)
+        _repeat(file, one, SEED + i, groups, evenness, coarse, effects, known)
         for i, one in enumerate(along)
     ]
     repeats = tuple(one for one in walks if one is not None)
@@ -182,7 +187,9 @@ def _floor(
     heights = layout.channels["foot_height"]
     sigma[heights] = np.maximum(sigma[heights], LEVEL)
     source = f"{len(repeats)} simulated walks of the declared model along the log's own course"
-    return Floor(sigma, repeats, source, file, along, groups, evenness)
+    if coarse:
+        source += ", seen by a reference as coarse as the log's"
+    return Floor(sigma, repeats, source, file, along, groups, evenness, coarse)
 
 
 def courses(logs: Sequence[Log]) -> list[Course]:
@@ -208,6 +215,7 @@ def _repeat(
     seed: int,
     groups: Groups,
     evenness: float,
+    coarse: Coarse | None,
     effects: tuple[Effect, ...],
     known: tuple[str, ...],
 ) -> Repeat | None:
@@ -226,7 +234,10 @@ def _repeat(
             continue
         if not course:
             log = replace(log, frame=log.frame[log.t - log.t[0] < SECONDS - STAND])
-        case = case_of(_with_groups(log, groups), robot)
+        log = _with_groups(log, groups)
+        if coarse:
+            log = as_coarse(log, coarse, np.random.default_rng(seed))
+        case = case_of(log, robot)
         data = design(linearise([case], effects, all_keys(case)))
         # The same least noise as of the log: each channel then weighs alike in both.
         least = np.full(data.evidence.layout.width, 1e-12)

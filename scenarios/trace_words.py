@@ -36,6 +36,8 @@ _EXPLAIN = {
     "imu_position": "turn fast about each axis: a lever arm's error grows with the rate squared",
     "joint_compliance": "stand on the leg and lift it: a spring gives with the load",
     "backlash": "load the joint one way and the other at one angle",
+    "mounting_rotation": "walk in every direction, crouched and tall",
+    "contact_delay": "change the gait's frequency and speed",
     "soft_ground": "walk on hard ground",
 }
 _SCALE = {"rad": (1e3, "mrad"), "m": (1e3, "mm"), "s": (1e3, "ms"), "ratio": (1e2, "%")}

@@ -4,7 +4,14 @@ from collections.abc import Iterable
 from typing import Any, TypeVar
 
 from sim.effect import AXES, Effect
-from sim.effects_body import ComOffset, FootRolling, HipOffset, LinkLength, Payload
+from sim.effects_body import (
+    ComOffset,
+    FootRolling,
+    HipOffset,
+    LinkLength,
+    MountingRotation,
+    Payload,
+)
 from sim.effects_contact import Armature, CoulombFriction, FootSlip, SoftGround, ViscousFriction
 from sim.effects_imu import (
     AccelBias,
@@ -46,7 +53,7 @@ CATALOGUE: dict[str, type[Effect]] = {
     for kind in (
         *(EncoderOffset, LinkLength, FootRolling, ImuRotation, GyroScale, JointDelay),
         *(GyroBias, AccelBias, AccelScale, ImuPosition, GyroGSensitivity, ImuDelay, ImuLowpass),
-        *(EncoderScale, JointCompliance, Backlash, HipOffset),
+        *(EncoderScale, JointCompliance, Backlash, HipOffset, MountingRotation),
         *(ViscousFriction, CoulombFriction, Armature, TorqueScale, TorqueBias, TorqueDelay),
         *(Payload, ComOffset, FootSlip, SoftGround, ContactDelay, ReferenceDelay, ClockScale),
     )

@@ -7,12 +7,14 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from sim.effect import AXES, Effect
 from sim.errors import SurefootError
 from sim.legs import LEGS
 from sim.log import Log
 from sim.robot import Robot
+from sim.sensors import Reference
 from sim.world import add_payload
 
 LINKS = tuple(f"{leg}_{link}" for leg in LEGS for link in ("thigh", "calf"))
@@ -201,3 +203,31 @@ def _in_frame(data: mujoco.MjData, body: int, along_G: np.ndarray) -> np.ndarray
 
 def _unit(v: np.ndarray) -> np.ndarray:
     return v / np.linalg.norm(v)
+
+
+class MountingRotation(Effect):
+    """The IMU sits turned on the body about one of its own nominal axes, and the reference was
+    aligned with the IMU: the two agree, and the legs are turned against both.
+
+    Motion capture is aligned to a body or to its IMU by hand or by fitting, to a degree or so.
+    """
+
+    name = "mounting_rotation"
+    unit = "rad"
+    bounds = (-0.5, 0.5)
+    channels = ("leg_velocity", "foot_height", "base_wrench")
+    targets = AXES
+    needs = ("reference",)
+    step = 1e-3
+
+    def alter_mounting(self, robot: Robot) -> Robot:
+        return replace(robot, R_BI=robot.R_BI @ self._turn())
+
+    def alter_reference(self, reference: Reference) -> Reference:
+        return replace(reference, R_GI=reference.R_GI @ self._turn())
+
+    def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        return log, replace(robot, R_BI=robot.R_BI @ self._turn())
+
+    def _turn(self) -> np.ndarray:
+        return Rotation.from_rotvec(self.value * np.eye(3)[AXES.index(self.target)]).as_matrix()
