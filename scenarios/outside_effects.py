@@ -20,7 +20,7 @@ class EncoderEccentricity(Effect):
     name = "encoder_eccentricity"
     unit = "rad"
     bounds = (0.0, 0.1)
-    channels = ("leg_velocity", "foot_height")
+    channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
     targets = JOINTS
     gear = 6.0
 
@@ -55,7 +55,7 @@ class MagnetCrosstalk(Effect):
     name = "magnet_crosstalk"
     unit = "rad"
     bounds = (0.0, 0.1)
-    channels = ("leg_velocity", "foot_height")
+    channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
     targets = JOINTS
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:

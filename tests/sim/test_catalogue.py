@@ -5,9 +5,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
 
 from sim.effects import CATALOGUE, effect
 from sim.effects_file import load_effects, save_effects
+from sim.effects_time import swings
 from sim.legs import JOINTS, LEGS
 from sim.log import Log
 from sim.quaternion import quaternion_from_matrix
@@ -159,21 +161,48 @@ def test_backlash_has_two_sides_and_the_torque_chooses(plain, walked):
 
 @pytest.mark.parametrize("target", ["imu", "joints", "feet", "reference"])
 def test_clock_scale_drifts_one_stream_against_the_others(plain, walked, target):
-    log = walked("clock_scale", target, -0.01)
+    log = walked("clock_scale", target, -0.0101)
     groups = {
         "imu": ("gyro", "accel"), "joints": ("q", "dq", "tau"), "feet": ("force",),
         "reference": ("ref_p", "ref_v"),
     }  # fmt: skip
-    then = plain.t[0] + 0.99 * (plain.t - plain.t[0])
+    then = plain.t[0] + 0.9899 * (plain.t - plain.t[0])
     for group in (*STREAMS, *REFERENCE):
         was, now = columns(plain, group), columns(log, group)
         if group in groups[target]:
             drifted = np.column_stack([np.interp(then, plain.t, x) for x in was.T])
             if target == "imu":
                 drifted = CubicSpline(plain.t, was)(then)
+            if target == "feet":
+                drifted = was[np.abs(plain.t[:, None] - then).argmin(axis=0)]
             assert_allclose(now, drifted, atol=2 * ROUNDED.get(group, 1e-9))
         elif (group, target) not in {("contact", "feet"), ("ref_q", "reference")}:
             assert_array_equal(now, was)
+
+
+@pytest.mark.parametrize("target", ["touchdown", "liftoff"])
+def test_contact_delay_moves_one_edge_of_every_stance(plain, walked, target):
+    log, rows = walked("contact_delay", target, 0.024), 12
+    for leg in range(4):
+        was, now = (
+            swings(one.t, one.contact[:, leg])[target == "touchdown"] for one in (plain, log)
+        )
+        kept = len(now) - len(was)  # the last swing may now be over only after the log
+        assert abs(kept) <= 1
+        assert np.median(now[: len(was)] - was[: len(now)]) == rows
+    other = swings(plain.t, plain.contact[:, 0])[target == "liftoff"]
+    assert_array_equal(swings(log.t, log.contact[:, 0])[target == "liftoff"][: len(other)], other)
+    assert_array_equal(log.q, plain.q)
+
+
+def test_mounting_rotation_turns_imu_and_reference_alike(plain, walked):
+    log = walked("mounting_rotation", "y", 0.05)
+    turn = Rotation.from_rotvec([0, 0.05, 0]).as_matrix()
+    assert_allclose(log.ref_R_GI, plain.ref_R_GI @ turn, atol=1e-12)
+    assert_allclose(log.gyro, plain.gyro @ turn, atol=3 * ROUNDED["gyro"])
+    assert_allclose(log.accel, plain.accel @ turn, atol=3 * ROUNDED["accel"])
+    for group in ("q", "tau", "contact", "ref_p", "ref_v"):
+        assert_array_equal(columns(log, group), columns(plain, group))
 
 
 def heights(log: Log) -> np.ndarray:
@@ -306,6 +335,7 @@ def test_the_whole_catalogue_is_here():
         *("hip_offset", "link_length", "foot_rolling", "soft_ground"),
         *("viscous_friction", "coulomb_friction", "armature"),
         *("payload", "com_offset", "foot_slip"),
+        *("contact_delay", "mounting_rotation"),
     }
     assert elsewhere | {case[0] for case in READINGS} == set(CATALOGUE)
     explained = {name for name, kind in CATALOGUE.items() if kind.is_explained()}

@@ -1,0 +1,80 @@
+"""When contacts are told to change, against when feet stop and start to move."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from models.candidates import case_of, linearise, table_of
+from models.contact_timing import MOVES, moments
+from models.layout import QUADRUPED
+from sim.effects import effect
+from sim.robot import Robot
+from sim.scenario import Scenario, Segment
+from sim.terrain import Ground
+from sim.walk import walk
+
+ROBOT = Robot.load("spot_class")
+COURSE = (Segment(4.0, 0.5), Segment(4.0, 0.4, turn=0.4))
+TOUCHDOWN, LIFTOFF = slice(52, 56), slice(56, 60)
+
+
+def case_with(*effects):
+    scenario = Scenario("timing", COURSE, Ground(0.8))
+    return case_of(walk(scenario, ROBOT, 4, effects, declared=False), ROBOT)
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return case_with()
+
+
+def test_moments_are_those_at_which_a_foot_stops_and_starts():
+    """A foot that moves from 0.103 to 0.397 s and is told to do so from 0.12 to 0.41 s."""
+    t = 0.002 * np.arange(400)
+    ramp = np.minimum(t - 0.103, 0.397 - t) * 20.0
+    speed = np.clip(ramp, 0.0, 1.0) + 0.05
+    stands = (t < 0.12) | (t > 0.41)
+    changes = 1 + np.flatnonzero(stands[1:] != stands[:-1])
+    at, when, lifts = moments(t, stands, speed, changes, 40)
+    assert lifts.tolist() == [True, False]
+    early = (MOVES - 0.05) / 20.0
+    assert_allclose(when, [0.103 + early, 0.397 - early], atol=1e-9)
+    assert (np.abs(t[at] - when) <= 0.002).all()
+    # Too slow ever to be seen to move, and one whose reference has a hole.
+    assert np.isnan(moments(t, stands, 0.5 * MOVES + 0 * t, changes, 40)[1]).all()
+    assert np.isnan(moments(t, stands, np.full(400, np.nan), changes, 40)[1]).all()
+
+
+@pytest.mark.parametrize(("target", "columns"), [("touchdown", TOUCHDOWN), ("liftoff", LIFTOFF)])
+def test_a_late_contact_shows_by_its_delay_and_is_explained(plain, target, columns):
+    one = effect("contact_delay", target, 0.021)
+    late = case_with(one)
+    before = np.nanmedian(table_of(plain, ()), axis=0)
+    seen = np.nanmedian(table_of(late, ()), axis=0) - before
+    assert_allclose(seen[columns], 0.021, atol=2e-3)  # a row
+    left = np.nanmedian(table_of(late, [one]), axis=0) - before
+    assert_allclose(left[52:], 0.0, atol=2e-3)
+
+
+def test_a_delay_adds_its_size_and_a_clock_the_time_that_it_is_off(plain):
+    keys = [("contact_delay", "touchdown"), ("contact_delay", "liftoff"), ("clock_scale", "feet")]
+    found = linearise([plain], (), keys)
+    for one, columns in zip(found.X[:2], (TOUCHDOWN, LIFTOFF), strict=True):
+        there = np.isfinite(found.table[:, columns])
+        assert set(one.columns) == set(range(columns.start, columns.stop))
+        assert_allclose(one.values, there.astype(float), atol=1e-6)
+    clock = found.X[2]
+    at = np.searchsorted(clock.columns, np.arange(52, 60))
+    since = (found.t - plain.log.t[0])[:, None]
+    there = np.isfinite(found.table[:, 52:60])
+    # Contacts move by whole rows of 2 ms, with a step of a thousandth.
+    off = np.abs(clock.values[:, at] + since)[there]
+    assert np.quantile(off, 0.95) < 1.2
+
+
+def test_sensors_alone_tell_touchdowns_to_a_millisecond(plain):
+    table = table_of(plain, ())
+    assert QUADRUPED.channels["contact_timing"] == slice(52, 60)
+    touchdowns = table[:, TOUCHDOWN][np.isfinite(table[:, TOUCHDOWN])]
+    assert len(touchdowns) > 40
+    assert np.quantile(np.abs(touchdowns), 0.8) < 1e-3
