@@ -134,5 +134,5 @@ OUTSIDE = {
         LooseImu,
     )
 }  # fmt: skip
-"""By name; the channels of each are those that it shows in: any of them is right to name. Those of an
-encoder's error are the catalogue's own of an encoder's offset."""
+"""By name; the channels of each are those that it shows in: any of them is right to name. Those of
+an encoder's error are the catalogue's own of an encoder's offset."""
