@@ -42,8 +42,9 @@ class Channel:
 
     @property
     def worse(self) -> bool:
-        """Whether what was added to the model does harm on data that no fit has seen."""
-        return self.after > WORSE * self.before
+        """Whether what was added to the model does harm on data that no fit has seen: more than the
+        floor's own walks leave."""
+        return self.after > max(WORSE * self.before, self.noise_floor or 0.0)
 
 
 def channel_levels(cases: Sequence[Case], result: Attribution, split: Split) -> dict[str, Channel]:
