@@ -10,7 +10,7 @@ import numpy as np
 from models.candidates import Case, Evidence, Key, all_keys, case_of, linearise
 from models.coarse_reference import Coarse, as_coarse, coarseness
 from models.fitting import Grams, design, fit, grams
-from models.layout import layout_of
+from models.layout import Layout, layout_of
 from models.masking import Trust, trust
 from models.noise import reading_noise, sheet_noise
 from models.torques import declared
@@ -33,6 +33,8 @@ STANDS = 0.999
 """Share of rows with a foot on the ground from which a log is one of standing."""
 LEVEL = 2e-4
 """m. Simulated ground is level to a hundredth of a millimetre, which no reference measures."""
+ROW = 1e-3
+"""s. A contact is told by the row, so that its time is known to half of one."""
 
 
 Course = tuple[tuple[float, float, float], ...]
@@ -184,12 +186,19 @@ def _floor(
         return Floor(np.zeros(0), (), "")
     sigma = np.sqrt(np.mean([one.trust.sigma**2 for one in repeats], axis=0))
     layout = repeats[0].evidence.layout
-    heights = layout.channels["foot_height"]
-    sigma[heights] = np.maximum(sigma[heights], LEVEL)
+    sigma = np.maximum(sigma, _least(layout))
     source = f"{len(repeats)} simulated walks of the declared model along the log's own course"
     if coarse:
         source += ", seen by a reference as coarse as the log's"
     return Floor(sigma, repeats, source, file, along, groups, evenness, coarse)
+
+
+def _least(layout: Layout) -> np.ndarray:
+    """The least noise (W,) that a quadruped's columns count with."""
+    least = np.full(layout.width, 1e-12)
+    least[layout.channels["foot_height"]] = LEVEL
+    least[layout.channels["contact_timing"]] = ROW
+    return least
 
 
 def courses(logs: Sequence[Log]) -> list[Course]:
@@ -240,9 +249,7 @@ def _repeat(
         case = case_of(log, robot)
         data = design(linearise([case], effects, all_keys(case)))
         # The same least noise as of the log: each channel then weighs alike in both.
-        least = np.full(data.evidence.layout.width, 1e-12)
-        least[data.evidence.layout.channels["foot_height"]] = LEVEL
-        believed = trust(data, least)
+        believed = trust(data, _least(data.evidence.layout))
         beyond = excess(data, believed)
         sums = grams(data, believed.sigma * np.sqrt(beyond), believed.weight).total()
         # Of the walk itself only what is left of it matters from here on.
