@@ -23,7 +23,7 @@ from scenarios.learning import learn, learnt_in
 from scenarios.loop_report import write_loop
 from scenarios.progress import percent_bar
 from scenarios.trace import trace
-from scenarios.trace_words import summary
+from scenarios.trace_words import caution, summary
 from sim.effects import Effect, effect
 from sim.effects_file import load_effects
 from sim.errors import SurefootError, check_seed
@@ -165,6 +165,8 @@ def _traced(
         with percent_bar("trace") as tell:
             found = trace([log], robot, out, seed, tell, force=True, declared=declared)
         print(summary(found))
+        if warned := caution(found.as_dict()):
+            print(warned)
     return load_effects(out / "effects.toml")
 
 

@@ -18,6 +18,7 @@ from scenarios.filters import declared_model
 from scenarios.recording import write_recording
 from scenarios.report import Picture, Section, write_report
 from scenarios.tables import to_csv, to_markdown
+from scenarios.trace_words import caution
 from sim.files import whole_file
 from sim.log import Log
 from sim.robot import Robot
@@ -120,6 +121,8 @@ def _prose(
              for e in found["effects"]]  # fmt: skip
     text = f"The trace's verdict: {found['verdict']}. "
     text += f"Put into the simulation: {'; '.join(added)}." if added else "Nothing to add."
+    if warned := caution(found):
+        text += f"\n\n{warned[0].upper()}{warned[1:]}."
     text += (
         "\n\nObservers are trained and calibrated in simulation alone, on walks in the manner of "
         "the measured one; the coverage column is the share of the measured errors within the "

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import isfinite
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from models.attribution import Found
@@ -98,6 +98,16 @@ def summary(found: Trace) -> str:
         lines.append(f"noise floor: {found.floor}")
     lines += [f"note: {note}" for note in found.notes]
     return "\n".join(lines)
+
+
+def caution(found: Mapping[str, Any]) -> str:
+    """What one should know, by a trace.json, before its effects are put to use; "" if nothing."""
+    if found["verdict"] != "none_of_these" or not found["effects"]:
+        return ""
+    harm = [note for note in found["notes"] if note.endswith("with what was found")]
+    return "; ".join([
+        "caution: more is left than was found, and what was found may stand for it", *harm
+    ])  # fmt: skip
 
 
 def _change(before: dict[str, float], after: dict[str, float], metric: str, digits: int) -> str:

@@ -10,7 +10,7 @@ import pytest
 from models.floor import ground_of
 from scenarios.trace import OUTPUTS, Trace, diagnose, trace
 from scenarios.trace_data import dead_contacts, readings
-from scenarios.trace_words import summary
+from scenarios.trace_words import caution, summary
 from sim.effects import effect
 from sim.effects_file import load_effects
 from sim.errors import SurefootError
@@ -191,3 +191,12 @@ def test_rivals_are_named_and_the_motion_that_tells_them_apart_is_said_once():
     said = summary(Trace("confounded", None, {}, {}, 0.0, "none", rivals, "bend the joint", (), ()))
     assert "or encoder_scale a (overlap 0.97)" in said
     assert said.count("bend the joint") == 1
+
+
+def test_what_was_found_beside_a_rest_is_put_to_use_with_caution():
+    harm = "leg filter: farther off with what was found"
+    found = {"verdict": "none_of_these", "effects": [{}], "notes": ["the ground is level", harm]}
+    assert caution(found).endswith(f"; {harm}")
+    assert "level" not in caution(found)
+    assert caution({**found, "effects": []}) == ""
+    assert caution({**found, "verdict": "attributed"}) == ""
