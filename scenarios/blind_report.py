@@ -1,10 +1,22 @@
-"""The report of the blind study: its rules, its confusion matrix, and tables by effect and size."""
+"""The report of the blind study: its rules, its confusion matrix, and tables of what was found."""
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from scenarios.blind_figures import confusion, sizes
-from scenarios.blind_score import Record, by_effect, by_size, rules
+from scenarios.blind_score import (
+    Record,
+    by_effect,
+    by_size,
+    channel_said,
+    named,
+    points,
+    right_channel,
+    rules,
+    tells_twins,
+    truth,
+)
 from scenarios.report import Picture, Section, write_report
 from scenarios.tables import to_csv, to_markdown
 from sim.files import whole_file
@@ -16,6 +28,7 @@ def write_report_of(out: Path, records: Sequence[Record]) -> str:
         "What was asked, and what was measured": rules(records),
         "By effect": by_effect(records),
         "By size over the least that the log could show": by_size(records),
+        **details([r for r in records if "fell" not in r]),
     }
     picture = Picture(
         confusion(records),
@@ -46,9 +59,47 @@ def write_report_of(out: Path, records: Sequence[Record]) -> str:
     return text
 
 
+def details(records: Sequence[Record]) -> dict[str, list[dict[str, Any]]]:
+    """A table of each kind of case, a row a log: of single effects those that were missed."""
+    of = {kind: [r for r in records if r["kind"] == kind]
+          for kind in ("single", "clean", "outside", "together", "twins")}  # fmt: skip
+    rows = {
+        "Every miss": [
+            _short(r) | {"size over floor": r["over_floor"][0]}
+            for r in of["single"]
+            if points(r) < 1
+        ],
+        "False names on clean logs": [_short(r) for r in of["clean"] if named(r)],
+        "Effects in no catalogue": [
+            _short(r) | {"channel": channel_said(r), "right": _yes(right_channel(r))}
+            for r in of["outside"]
+        ],
+        "Two effects at once": [
+            _short(r) | {"both": _yes(set(truth(r)) <= set(named(r)))} for r in of["together"]
+        ],
+        "Twins of a robot that stands": [
+            _short(r) | {"its twin": r["twin"], "right": _yes(tells_twins(r))} for r in of["twins"]
+        ],
+    }
+    return {heading: table for heading, table in rows.items() if table}
+
+
+def _short(record: Record) -> dict[str, Any]:
+    row = _row(record)
+    name = row["named"] if row["rivals"] == "-" else f"{row['named']} (rivals: {row['rivals']})"
+    return {key: row[key] for key in ("put in", "robot", "verdict")} | {"named": name}
+
+
+def _yes(right: bool) -> str:
+    return "yes" if right else "no"
+
+
 def _row(record: Record) -> dict[str, object]:
     def words(effects) -> str:
-        return ", ".join(f"{e['name']} {e['target']} {e['value']:.4g}" for e in effects) or "-"
+        return (
+            ", ".join(f"{e['name']} {e['target']} {e['value']:.3g} {e['unit']}" for e in effects)
+            or "-"
+        )
 
     rivals = ", ".join(f"{r['name']} {r['target']}" for r in record.get("rivals") or ())
     over = [x for x in record.get("over_floor", ()) if x is not None]

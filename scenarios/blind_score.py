@@ -46,15 +46,19 @@ def right_channel(record: Record) -> bool:
     the channel that stands furthest above its floor, is in a channel that the effect shows in."""
     if record["verdict"] != "none_of_these":
         return False
-    channels = OUTSIDE[record["effects"][0]["name"]].channels
+    return channel_said(record) in OUTSIDE[record["effects"][0]["name"]].channels
+
+
+def channel_said(record: Record) -> str:
+    """The channel of the form of what is left, or else the one furthest above its floor."""
     if record.get("remainder"):
-        return record["remainder"][0]["channel"] in channels
+        return record["remainder"][0]["channel"]
     above = {
         name: c["before"] / c["noise_floor"]
         for name, c in record["channels"].items()
         if c["noise_floor"]
     }
-    return bool(above) and max(above, key=lambda name: above[name]) in channels
+    return max(above, key=lambda name: above[name], default="-")
 
 
 def tells_twins(record: Record) -> bool:

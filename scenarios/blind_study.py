@@ -7,7 +7,7 @@ stopped goes on where it was; `python -m scenarios.blind_study -o DIR` runs it a
 import json
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
+from scenarios.command_parts import Out
 from scenarios.outside_effects import OUTSIDE
 from scenarios.trace import Trace, diagnose
 from sim.effects import CATALOGUE, Effect, effect
@@ -188,7 +189,7 @@ def read_cases(out: Path) -> Iterator[dict[str, Any]]:
 class Study:
     """Run the blind study of trace, or go on with it, and write its report."""
 
-    out: Path = field(default=Path("out/blind_study"))
+    out: Out = Path("out/blind_study")
     """Folder of the cases and of the report."""
     workers: int = 2
     at_most: int | None = None
