@@ -23,7 +23,8 @@ TRUE = {"name": "encoder_offset", "target": "FL_hip", "value": 0.02, "unit": "ra
 
 def record(verdict="attributed", found=(), rivals=(), kind="single", effects=(TRUE,), **more):
     said = [
-        {"name": n, "target": t, "value": v, "interval": [v - 1e-3, v + 1e-3]} for n, t, v in found
+        {"name": n, "target": t, "value": v, "unit": "rad", "interval": [v - 1e-3, v + 1e-3]}
+        for n, t, v in found
     ]
     names = [{"name": n, "target": t, "overlap": 0.99} for n, t in rivals]
     return {
@@ -91,9 +92,12 @@ def test_the_report_is_written_from_what_was_run(tmp_path):
         record(found=right),
         record("no_residual", kind="clean", effects=(), over_floor=[]),
         record(found=right, kind="together", effects=(TRUE,)),
+        record("no_residual"),
     ]
     text = write_report_of(tmp_path, records)
     assert "| right effect and target first" in text
+    headings = [line for line in text.splitlines() if line and line[0] != "|"]
+    assert headings[3:] == ["Every miss", "Two effects at once"]
     assert (tmp_path / "report.html").stat().st_size > 10_000
     measured = {row["rule"]: row["measured"] for row in rules(records)}
     assert measured["a false name on a clean log"].startswith("0 %")
