@@ -72,7 +72,7 @@ def stance_profile(log: Log, robot: Robot, effects: Sequence[Effect]) -> np.ndar
     return out
 
 
-def shares_table(log: Log, robot: Robot, effects: Sequence[Effect], seed: int = 0) -> pd.DataFrame:
+def shares_table(log: Log, robot: Robot, found: Trace, seed: int = 0) -> pd.DataFrame:
     """What each effect explains of the legs' velocity residual on the part that only reports."""
     rng = np.random.default_rng(seed)
     case = case_of(log, robot)
@@ -92,7 +92,7 @@ def shares_table(log: Log, robot: Robot, effects: Sequence[Effect], seed: int = 
     before, count = squares(())
     draws = rng.multinomial(len(before), np.full(len(before), 1 / len(before)), size=1000)
     rows = []
-    for words, chosen in ladder(effects, robot):
+    for words, chosen in ladder(found.effects, robot, late_ends(found)):
         after, _ = squares(chosen)
         share = 100 * (1 - after.sum() / before.sum())
         spread = 100 * (1 - (draws @ after) / (draws @ before))
@@ -140,12 +140,25 @@ def rolling_table(log: Log, robot: Robot, seed: int = 0) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def ladder(effects: Sequence[Effect], robot: Robot) -> list[tuple[str, list[Effect]]]:
-    """The declared model, each effect alone, all of them, and feet as large as they are drawn."""
+def ladder(
+    effects: Sequence[Effect], robot: Robot, doubted: Sequence[Effect] = ()
+) -> list[tuple[str, list[Effect]]]:
+    """The declared model, each effect alone, all of them, and what was not found: feet as large as
+    they are drawn, and effects that were sized but `doubted`."""
     steps: list[tuple[str, list[Effect]]] = [("as declared", [])]
     steps += [(f"{_named(e)} alone", [e]) for e in effects]
     steps += [("all of them", list(effects))] if len(effects) > 1 else []
-    return steps + [(f"not found: {_named(e)}, as drawn", [e]) for e in drawn_feet(effects, robot)]
+    drawn = drawn_feet(effects, robot)
+    steps += [(f"not found: {_named(e)}, as drawn", [e]) for e in drawn]
+    steps += [(f"not found: {_named(e)}, as sized", [e]) for e in doubted]
+    return steps + ([("not found: both", [*drawn, *doubted])] if drawn and doubted else [])
+
+
+def late_ends(found: Trace) -> list[Effect]:
+    """Contacts that end late, as the last round sized them, unless they are among the effects."""
+    last = found.attribution.rounds[-1] if found.attribution else ()
+    sized = [c.size for c in last if c.key == ("contact_delay", "liftoff")]
+    return [effect("contact_delay", "liftoff", size) for size in sized if size > 0]
 
 
 def drawn_feet(effects: Sequence[Effect], robot: Robot) -> list[Effect]:
@@ -166,7 +179,8 @@ def leg_filter_table(
     """The leg filter over the whole log: as declared, with each effect, with all, with sizes drawn
     from their intervals, and against a reference moved by `shifts` [s]."""
     rng = np.random.default_rng(seed)
-    rows = [_judged(words, log, robot, chosen) for words, chosen in ladder(found.effects, robot)]
+    steps = ladder(found.effects, robot, late_ends(found))
+    rows = [_judged(words, log, robot, chosen) for words, chosen in steps]
     if found.attribution is not None and found.effects:
         drawn = [
             _judged(

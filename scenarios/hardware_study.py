@@ -104,7 +104,7 @@ def go1_square(folder: Path, options: Options) -> Chapter:
         "How large the feet are, by the part of the stance that is asked":
             go1.rolling_table(log, robot),
         "Velocity by standing legs, on the third that only reports":
-            go1.shares_table(log, robot, found.effects),
+            go1.shares_table(log, robot, found),
         "Leg filter over the whole walk": go1.leg_filter_table(log, robot, found, SHIFTS),
     }  # fmt: skip
     drawn = go1.figure(log, robot, found, late)
