@@ -28,8 +28,8 @@ from sim.log import Log, joint_velocity
 from sim.robot import Robot
 
 TENTHS = 10
-DRAWN = "#AA4499"
-"""Colour of the model whose feet are as large as its file says."""
+MISSED = "#AA4499"
+"""Colour of the model with feet as large as its file says, and contacts that end early enough."""
 STANCES = {"all of it": (0.0, 1.0), "10 to 90 %": (0.1, 0.9), "25 to 60 %": (0.25, 0.6)}
 """Parts of the stance that are asked how large the feet are."""
 METRICS = {
@@ -223,8 +223,8 @@ def figure(log: Log, robot: Robot, found: Trace, late: Sequence[Lag]) -> Figure:
     models: list[tuple[str, Sequence[Effect], str, str]] = [
         ("as declared", (), BEFORE, "--"), ("with what was found", found.effects, AFTER, "-"),
     ]  # fmt: skip
-    if rolling := drawn_feet(found.effects, robot):
-        models.append(("with feet as drawn", rolling, DRAWN, "-"))
+    if missed := [*drawn_feet(found.effects, robot), *late_ends(found)]:
+        models.append(("with what was not", missed, MISSED, "-"))
     for words, chosen, color, line in models:
         path = align_first(truth, filtered("leg", *explain_all(chosen, log, robot), Learnt()))
         above.plot(*_plan(path), line, color=color, label=f"leg filter, {words}")
