@@ -69,9 +69,8 @@ def tells_twins(record: Record) -> bool:
 
 
 def below_floor(record: Record) -> bool:
-    """Whether the effect is smaller than this log could show."""
-    over = record["over_floor"][0]
-    return over is not None and over < 1.0
+    """Whether an effect is smaller than this log could show."""
+    return any(over is not None and over < 1.0 for over in record["over_floor"])
 
 
 def share(hits: Sequence[float | bool]) -> str:
@@ -95,6 +94,7 @@ def rules(records: Sequence[Record]) -> list[dict[str, str]]:
     above = [r for r in of["single"] if not below_floor(r)]
     fits = [x for x in map(sized, of["single"]) if x is not None]
     both = [set(truth(r)) <= set(named(r)) for r in of["together"]]
+    clear = [set(truth(r)) <= set(named(r)) for r in of["together"] if not below_floor(r)]
     rows = [
         ("right effect and target first", ">= 90 %", share([points(r) for r in of["single"]])),
         ("... of effects above the log's floor", "", share([points(r) for r in above])),
@@ -105,6 +105,7 @@ def rules(records: Sequence[Record]) -> list[dict[str, str]]:
             share([right_channel(r) for r in of["outside"]]),
         ),
         ("two effects at once, both found", ">= 70 %", share(both)),
+        ("... both above the log's floor", "", share(clear)),
         ("twins of a standing robot: confounded, both named", "",
          share([tells_twins(r) for r in of["twins"]])),
         ("the robot fell, no log", "", f"{len(records) - len(walked)} of {len(records)}"),
