@@ -157,7 +157,7 @@ def floor_with(floor: Floor, effects: Sequence[Effect]) -> Floor:
         return replace(floor, sigma=reading_noise(floor.readings, effects))
     # Two digits: sizes that differ by less walk alike, and are walked once.
     bodily = tuple(
-        replace(e, value=float(f"{e.value:.1e}"))
+        replace(e, value=float(np.clip(float(f"{e.value:.1e}"), *type(e).inside(e.target))))
         for e in effects
         if type(e).edit_spec is not Effect.edit_spec
         or type(e).alter_ground is not Effect.alter_ground

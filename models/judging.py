@@ -8,7 +8,6 @@ import numpy as np
 from models.candidates import Key
 from models.fitting import Grams, draws, fit, loss
 from models.floor import Floor
-from models.refinement import inside
 from sim.effects import CATALOGUE
 
 ABOVE_FLOOR = 5.0
@@ -77,7 +76,7 @@ def judge(
         at_seen = float(np.sum(before_seen - loss(seen, fitted.vector)))
         # The floor's own offset is only as sure as its contact model.
         spread = float(np.hypot(spread, DOUBT * offset))
-        low_end, high_end = inside(CATALOGUE[key[0]], key[1])
+        low_end, high_end = CATALOGUE[key[0]].inside(key[1])
         # A fit beyond them is no size either, however much of it the floor's walks have.
         fitted_beyond = abs(fitted.sizes[-1]) > max(-low_end, high_end)
         at_bound = fitted_beyond or not low_end < size < high_end

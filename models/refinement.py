@@ -71,10 +71,4 @@ def _offsets(floor: Floor, keys: Sequence[Key]) -> np.ndarray:
 
 def clipped(one: Effect, value: float) -> Effect:
     """The effect of this size, or of the nearest inside its bounds."""
-    return replace(one, value=float(np.clip(value, *inside(type(one), one.target))))
-
-
-def inside(kind: type[Effect], target: str) -> tuple[float, float]:
-    """Bounds between which a size can still be varied by its step to either side."""
-    (low, high), step = kind.bounds, kind.step_of(target)
-    return low + 1.1 * step, high - 1.1 * step
+    return replace(one, value=float(np.clip(value, *type(one).inside(one.target))))

@@ -98,6 +98,12 @@ class Effect:
         return cls.step
 
     @classmethod
+    def inside(cls, target: str) -> tuple[float, float]:
+        """Bounds between which a size can still be varied by its step to either side."""
+        (low, high), step = cls.bounds, cls.step_of(target)
+        return low + 1.1 * step, high - 1.1 * step
+
+    @classmethod
     def is_explained(cls) -> bool:
         """Whether a model can know of the effect, so that `trace` has it as a candidate."""
         return cls.explain is not Effect.explain

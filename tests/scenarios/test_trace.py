@@ -7,7 +7,8 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from models.floor import ground_of
+from models.candidates import case_of
+from models.floor import floor_of, floor_with, ground_of
 from scenarios.trace import OUTPUTS, Trace, diagnose, trace
 from scenarios.trace_data import dead_contacts, readings
 from scenarios.trace_words import caution, summary
@@ -200,3 +201,8 @@ def test_what_was_found_beside_a_rest_is_put_to_use_with_caution():
     assert "level" not in caution(found)
     assert caution({**found, "effects": []}) == ""
     assert caution({**found, "verdict": "attributed"}) == ""
+
+
+def test_a_size_that_rounding_takes_to_its_bound_is_walked_within_it():
+    floor = floor_of([case_of(log_with(), ROBOT)])
+    assert floor_with(floor, [effect("link_length", "RL_thigh", 0.02996)]).repeats
