@@ -42,9 +42,12 @@ class Channel:
 
     @property
     def worse(self) -> bool:
-        """Whether what was added to the model does harm on data that no fit has seen: more than the
-        floor's own walks leave."""
-        return self.after > max(WORSE * self.before, self.noise_floor or 0.0)
+        """Whether what was added to the model does harm on data that no fit has seen: it leaves
+        more than before and than the floor's own walks do, by more than those differ."""
+        if self.noise_floor is None:
+            return self.after > WORSE * self.before
+        more = self.after > max(WORSE * self.before, self.noise_floor)
+        return more and self.after - self.before > self.highest - self.noise_floor
 
 
 def channel_levels(cases: Sequence[Case], result: Attribution, split: Split) -> dict[str, Channel]:

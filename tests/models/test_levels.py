@@ -1,0 +1,31 @@
+"""When a channel is at its floor, and when what was added to the model does harm to it."""
+
+import pytest
+
+from models.levels import Channel
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "worse"),
+    [
+        (1.0, 0.9, False),
+        (1.0, 1.01, False),  # hardly more
+        (1.0, 1.15, False),  # less than the floor's walks differ by
+        (1.0, 1.3, True),
+        (0.5, 0.95, False),  # below what the declared model leaves
+        (0.5, 1.3, True),
+    ],
+)
+def test_harm_is_more_than_the_floors_walks_differ_by(before, after, worse):
+    assert Channel(before, after, 1.0, "m", 1.2).worse == worse
+
+
+def test_without_a_floor_any_more_is_harm():
+    assert Channel(1.0, 1.1, None, "m").worse
+    assert not Channel(1.0, 1.0, None, "m").worse
+    assert Channel(1.0, 1.1, None, "m").at_floor  # nothing says that it is not
+
+
+def test_a_channel_is_at_its_floor_up_to_what_walks_reach():
+    assert Channel(3.0, 1.25, 1.0, "m", 1.2).at_floor
+    assert not Channel(3.0, 1.3, 1.0, "m", 1.2).at_floor
