@@ -21,6 +21,7 @@ from numba import njit
 
 from models.bins import Bins, Frame, frame_mean
 from models.leg_velocity import leg_velocity
+from sim.contacts import SWING
 from sim.inverse import dynamics_of
 from sim.log import Log, joint_velocity
 from sim.robot import Robot
@@ -29,8 +30,6 @@ from sim.world import TIMESTEP
 
 AROUND = 0.004
 """s to either side of a landing, over which a foot's velocity is taken."""
-SWING = 0.05
-"""s in the air from which a foot has swung; after less it has only bounced."""
 SETTLED = 0.5
 """Share of a stance after which a foot is where its load keeps it."""
 AHEAD = 1e-4

@@ -1,6 +1,9 @@
-"""Contact of a foot from its raw force: an offset, two thresholds and a debounce, all causal."""
+"""Contact of a foot from its raw force, and the swings that it tells of."""
 
 import numpy as np
+
+SWING = 0.05
+"""s in the air from which a foot has swung; after less it has only bounced."""
 
 
 def contact_from_force(
@@ -22,3 +25,14 @@ def contact_from_force(
     # The last event decides; before any, the foot is in the air.
     event = np.maximum.accumulate(np.where(landed | lifted, np.arange(len(t)), -1))
     return landed[event] & (event >= 0)
+
+
+def swings(t: np.ndarray, stands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First rows of a foot's swings and of the stances after them (K,); a foot that is up for no
+    longer than SWING has bounced. t (N,) [s]; stands (N,) bool."""
+    lifts = 1 + np.flatnonzero(stands[:-1] & ~stands[1:])
+    lands = 1 + np.flatnonzero(~stands[:-1] & stands[1:])
+    lands = lands[lands > lifts[0]] if len(lifts) else lands[:0]
+    lifts = lifts[: len(lands)]
+    swung = t[lands] - t[lifts] > SWING
+    return lifts[swung], lands[swung]

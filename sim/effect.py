@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from sim.errors import SurefootError
 from sim.legs import JOINTS, LEGS
@@ -110,6 +111,11 @@ class Effect:
 
     def as_dict(self) -> dict[str, Any]:
         return {"name": self.name, "target": self.target, "value": self.value, "unit": self.unit}
+
+
+def turn_about(axis: str, angle: float) -> np.ndarray:
+    """Rotation matrix (3, 3) by an angle [rad] about an axis, one of AXES."""
+    return Rotation.from_rotvec(angle * np.eye(3)[AXES.index(axis)]).as_matrix()
 
 
 def with_columns(log: Log, columns: Mapping[str, np.ndarray]) -> Log:

@@ -7,9 +7,8 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from sim.effect import AXES, Effect
+from sim.effect import AXES, Effect, turn_about
 from sim.errors import SurefootError
 from sim.legs import LEGS
 from sim.log import Log
@@ -221,13 +220,10 @@ class MountingRotation(Effect):
     step = 1e-3
 
     def alter_mounting(self, robot: Robot) -> Robot:
-        return replace(robot, R_BI=robot.R_BI @ self._turn())
+        return replace(robot, R_BI=robot.R_BI @ turn_about(self.target, self.value))
 
     def alter_reference(self, reference: Reference) -> Reference:
-        return replace(reference, R_GI=reference.R_GI @ self._turn())
+        return replace(reference, R_GI=reference.R_GI @ turn_about(self.target, self.value))
 
     def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        return log, replace(robot, R_BI=robot.R_BI @ self._turn())
-
-    def _turn(self) -> np.ndarray:
-        return Rotation.from_rotvec(self.value * np.eye(3)[AXES.index(self.target)]).as_matrix()
+        return log, replace(robot, R_BI=robot.R_BI @ turn_about(self.target, self.value))

@@ -7,9 +7,8 @@ calibrated.
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from sim.effect import AXES, Effect, with_columns
+from sim.effect import AXES, Effect, turn_about, with_columns
 from sim.log import Log
 from sim.robot import Robot
 from sim.sensors import Streams, low_pass
@@ -30,19 +29,16 @@ class ImuRotation(Effect):
     step = 1e-3
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        turn = self._turn()
+        turn = turn_about(self.target, self.value)
         # Row vectors: x @ R is R^T x, the reading in the turned sensor's own axes.
         return replace(streams, gyro=streams.gyro @ turn, accel=streams.accel @ turn)
 
     def explain(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        back = self._turn().T
+        back = turn_about(self.target, self.value).T
         gyro, accel = log.gyro @ back, log.accel @ back
         columns = {f"gyro_{a}": gyro[:, i] for i, a in enumerate(AXES)}
         columns |= {f"accel_{a}": accel[:, i] for i, a in enumerate(AXES)}
         return with_columns(log, columns), robot
-
-    def _turn(self) -> np.ndarray:
-        return Rotation.from_rotvec(self.value * np.eye(3)[AXES.index(self.target)]).as_matrix()
 
 
 class GyroScale(Effect):

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
+from sim.contacts import swings
 from sim.effect import Effect, with_columns
 from sim.legs import LEGS
 from sim.log import Log
@@ -20,8 +21,6 @@ from sim.robot import Robot
 from sim.sensors import Reference, Streams
 
 STREAMS = {"imu": ("gyro", "accel"), "joints": ("q", "dq", "tau"), "feet": ("force",)}
-SWING = 0.05
-"""s in the air from which a foot has swung; after less it has only bounced."""
 COLUMNS = {**STREAMS, "feet": ("force", "contact"), "reference": ("ref",)}
 """What a log has of each stream: contacts are told from the feet's forces."""
 
@@ -102,13 +101,13 @@ class ContactDelay(Effect):
         force = streams.force.copy()
         for leg in range(len(LEGS)):
             lifts, lands = swings(streams.t, stands[:, leg])
-            middles = (lifts + lands) // 2
+            swung = (lifts + lands) // 2
+            stood = np.concatenate([[0], (lands[:-1] + lifts[1:]) // 2, [len(force)]])
+            # Of a foot that never swings there is no span, and `stood` is one longer.
             if self.target == "touchdown":
-                spans = zip(
-                    middles, np.append((lands[:-1] + lifts[1:]) // 2, len(force)), strict=True
-                )
+                spans = zip(swung, stood[1:], strict=False)
             else:
-                spans = zip(np.append(0, (lands[:-1] + lifts[1:]) // 2), middles, strict=True)
+                spans = zip(stood[:-1], swung, strict=False)
             for begin, end in spans:
                 force[begin:end, leg] = late.force[begin:end, leg]
         return replace(streams, force=force)
@@ -178,17 +177,6 @@ class ClockScale(Effect):
 
     def _then(self, t: np.ndarray) -> np.ndarray:
         return t[0] + (1.0 + self.value) * (t - t[0])
-
-
-def swings(t: np.ndarray, stands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First rows of a foot's swings and of the stances after them (K,); a foot that is up for no
-    longer than SWING has bounced. t (N,) [s]; stands (N,) bool."""
-    lifts = 1 + np.flatnonzero(stands[:-1] & ~stands[1:])
-    lands = 1 + np.flatnonzero(~stands[:-1] & stands[1:])
-    lands = lands[lands > lifts[0]] if len(lifts) else lands[:0]
-    lifts = lifts[: len(lands)]
-    swung = t[lands] - t[lifts] > SWING
-    return lifts[swung], lands[swung]
 
 
 def _late(streams: Streams, names: tuple[str, ...], delay: float) -> Streams:

@@ -7,9 +7,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
+from sim.contacts import swings
 from sim.effects import CATALOGUE, effect
 from sim.effects_file import load_effects, save_effects
-from sim.effects_time import swings
 from sim.legs import JOINTS, LEGS
 from sim.log import Log
 from sim.quaternion import quaternion_from_matrix

@@ -211,3 +211,9 @@ def test_text_of_a_file():
         to_toml([one])
         == '[[effect]]\nname = "gyro_scale"\ntarget = "x"\nvalue = 0.01\nunit = "ratio"\n'
     )
+
+
+@pytest.mark.parametrize("target", ["touchdown", "liftoff"])
+def test_contact_delay_leaves_a_foot_that_never_swings(robot, streams, target):
+    late = effect("contact_delay", target, 0.03).alter_streams(streams, robot)
+    assert_array_equal(late.force, streams.force)
