@@ -18,7 +18,7 @@ demo: setup
 
 # Two workers; a file's tests stay together, for they share their walks.
 test: setup
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/pytest -n 2 --dist loadfile
 
 check: setup
 	$(BIN)/ruff check .
@@ -26,19 +26,19 @@ check: setup
 	$(BIN)/pyright
 
 study: setup
-	$(BIN)/python -m pytest -m slow -s
+	$(BIN)/pytest -m slow -s
 
 # The architectures compared over seeds, on both suites; killed, it goes on where it was.
 study-observer: setup
-	$(BIN)/python -m scenarios.observer_study -o out/observer_study
+	$(BIN)/python -m surefoot.scenarios.studies.observers -o out/observer_study
 
 # What trace takes undeclared effects for, whole catalogue; killed, it goes on where it was.
 study-trace: setup
-	$(BIN)/python -m scenarios.blind_study --out out/blind_study
+	$(BIN)/python -m surefoot.scenarios.studies.blind.study --out out/blind_study
 
 # What models lack of three real machines; a study whose recording is not there is skipped.
 study-hardware: setup
-	$(BIN)/python -m scenarios.hardware_study -o out/hardware --force
+	$(BIN)/python -m surefoot.scenarios.studies.hardware.study -o out/hardware --force
 
 # The paper's two tables on three seeds, about half an hour on two idle cores; killed, it goes on.
 suites: setup
@@ -47,7 +47,7 @@ suites: setup
 
 # One search for all filters' parameters, on training and calibration courses; killed, it goes on.
 tune: setup
-	$(BIN)/python -m scenarios.tune_filters -o out/tuned --workers 2 --force
+	$(BIN)/python -m surefoot.scenarios.tune -o out/tuned --workers 2 --force
 
 lock: setup
 	$(BIN)/pip freeze --exclude-editable | sed 's/+cpu$$//' > requirements.lock

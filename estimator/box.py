@@ -12,14 +12,14 @@ conditional mean of one axis, given the others, crosses a bound. Rules are cut t
 import math
 
 import numpy as np
-from numba import njit
 
-from estimator.box_faces import nearest_given_first, nearest_in_box, remaining
-from estimator.box_grid import grid_moments
-from estimator.box_line import DEPTH, line_moments, plane_moments
-from estimator.box_parts import outer_parts
-from estimator.box_prior import below_prior, clip_to_prior
-from estimator.quadrature import NODES, WEIGHTS, drop_between, rule
+from surefoot.estimator.moments.faces import nearest_given_first, nearest_in_box, remaining
+from surefoot.estimator.moments.grid import grid_moments
+from surefoot.estimator.moments.line import DEPTH, line_moments, plane_moments
+from surefoot.estimator.moments.parts import outer_parts
+from surefoot.estimator.moments.prior import below_prior, clip_to_prior
+from surefoot.estimator.moments.quadrature import NODES, WEIGHTS, drop_between, rule
+from surefoot.sim.common.kernels import kernel
 
 _LOG_2PI = math.log(2.0 * math.pi)
 _FAR = 1e6
@@ -61,7 +61,7 @@ def box_moments(
     return float(log_prob), out_mean, out_cov
 
 
-@njit(cache=True)
+@kernel
 def box_moments_kernel(mean, cov, lower, upper, out_mean, out_cov) -> float:
     """`box_moments` without its checks, compiled; fills out_mean and out_cov, returns log_prob."""
     order, spread = np.empty(3, dtype=np.int64), np.empty(3)
@@ -100,7 +100,7 @@ def box_moments_kernel(mean, cov, lower, upper, out_mean, out_cov) -> float:
     return min(log_prob, 0.0)
 
 
-@njit(cache=True)
+@kernel
 def _centre(sums, mode, mean, cov):
     """Mean (3,) and covariance (3, 3) from the moments 0, 1 and 2 about the mode."""
     total = sums[0]
@@ -111,7 +111,7 @@ def _centre(sums, mode, mean, cov):
             cov[i, j] = cov[j, i] = second - sums[1 + i] * sums[1 + j] / (total * total)
 
 
-@njit(cache=True)
+@kernel
 def _sound(sums) -> bool:
     """Whether mass and variances are positive and finite, the mass beyond the mode's rounding."""
     if not 1e-60 < sums[0] < np.inf:
@@ -123,7 +123,7 @@ def _sound(sums) -> bool:
     return True
 
 
-@njit(cache=True)
+@kernel
 def _corner(C, low, high, mode, distance, sums) -> float:
     """What is left where distances are so large that their differences have no digits.
 
@@ -155,7 +155,7 @@ def _corner(C, low, high, mode, distance, sums) -> float:
     return log_density - 0.5 * math.log(v1 * v2)
 
 
-@njit(cache=True)
+@kernel
 def _axis_order(mean, cov, lower, upper, spread, order):
     """Axes by the length of their interval over the deviation that the other two leave them."""
     length = np.empty(3)
@@ -177,7 +177,7 @@ def _axis_order(mean, cov, lower, upper, spread, order):
                 order[j], order[j + 1] = order[j + 1], order[j]
 
 
-@njit(cache=True)
+@kernel
 def _integrate(C, low, high, mode, distance, sums) -> float:
     """Moments 0, 1 and 2 about the mode into sums (10,); returns the log of their common factor."""
     # Axis 1 given axis 0, and axis 2 given both.
@@ -227,7 +227,7 @@ def _integrate(C, low, high, mode, distance, sums) -> float:
     return -0.5 * distance - 1.5 * _LOG_2PI - math.log(s1 * s2)
 
 
-@njit(cache=True)
+@kernel
 def _outer_end(C, low, high, mode, distance, side: float) -> float:
     """End of the window of axis 0 on one side: where its best point lies DEPTH below the mode."""
     bound = high[0] if side > 0.0 else low[0]

@@ -1,25 +1,25 @@
 """The invariant filter with velocity and coverage updates: one call a sample, or a whole log."""
 
 import numpy as np
-from numba import njit
 
-from estimator.coverage import update_coverage_within
-from estimator.log_arrays import imu_arrays, outputs, row_indices, trajectory
-from estimator.outliers import ANY
-from estimator.persistent import (
+from surefoot.estimator.core.arrays import imu_arrays, outputs, row_indices, trajectory
+from surefoot.estimator.core.propagation import propagate
+from surefoot.estimator.core.quick import quick_predict, quick_velocity
+from surefoot.estimator.core.state import EXTRA, FilterNoise, NavState, numbers, spd, spd_3, vector
+from surefoot.estimator.evaluation.trajectory import Trajectory, UpdateRecord
+from surefoot.estimator.updates.bias_states import (
     EXTRAS,
     NONE,
     PersistentError,
+    propagate_bias,
     update_coverage_persistent,
     update_velocity_persistent,
-    wander,
 )
-from estimator.propagation import propagate
-from estimator.quick import quick_predict, quick_velocity
-from estimator.state import EXTRA, FilterNoise, NavState, numbers, spd, spd_3, vector
-from estimator.trajectory import Trajectory, UpdateRecord
-from estimator.velocity import update_velocity
-from sim.errors import SurefootError
+from surefoot.estimator.updates.coverage import update_coverage_within
+from surefoot.estimator.updates.outliers import ANY
+from surefoot.estimator.updates.velocity import update_velocity
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.kernels import kernel
 
 
 class InvariantFilter:
@@ -29,7 +29,8 @@ class InvariantFilter:
     b_g); noise: FilterNoise. `persistent`, where given, describes a part of the
     observer's error that lasts: it becomes three more states, so that a stream of measurements is
     not taken for independent news, and coverage statements are about means (the derivation is in
-    `estimator.persistent`). Raises SurefootError on wrong shapes, values that are not finite and
+    `estimator.updates.bias_states`). Raises SurefootError on wrong shapes, values that are not
+    finite and
     covariances that are not positive definite.
     """
 
@@ -66,7 +67,7 @@ class InvariantFilter:
                 self._rotation_columns,
             )  # fmt: skip
         if self._persistent:
-            wander(self._mean, self._covariance, *self._persistent[:2], float(dt))
+            propagate_bias(self._mean, self._covariance, *self._persistent[:2], float(dt))
 
     def update_coverage(
         self, v_I: np.ndarray, epsilon: np.ndarray, gamma: float, iterations: int = 1, reach=None
@@ -78,7 +79,7 @@ class InvariantFilter:
         repeats the projection, so that the posterior holds closer to gamma. With a persistent part
         epsilon bounds the mean mixing error of a window: pi is nan, and the state unchanged, but
         for the measurement that ends one. Errors beyond reach (3,) [m/s] are outliers and left out,
-        where it is given (`estimator.outliers`); a persistent part has its own.
+        where it is given (`estimator.updates.outliers`); a persistent part has its own.
         """
         v_I, epsilon = vector("v_I", v_I), vector("epsilon", epsilon)
         if not min(epsilon.tolist()) > 0:
@@ -206,7 +207,7 @@ def _run(
     return trajectory(t[::stride], out_mean, out_cov, updates)
 
 
-@njit(cache=True)
+@kernel
 def _loop(
     t, gyro, accel, rows, v_I, epsilon, cov, gamma, iterations, mean, P, noise, columns,
     rotation_columns, stride, out_mean, out_cov, pi, lasting, prior, time_constant, window, reach,
@@ -218,7 +219,7 @@ def _loop(
             dt = t[k] - t[k - 1]
             propagate(mean, P, gyro[k], accel[k], dt, noise, columns, rotation_columns)
             if lasting:
-                wander(mean, P, prior, time_constant, dt)
+                propagate_bias(mean, P, prior, time_constant, dt)
         if m < rows.shape[0] and rows[m] == k:
             if epsilon.shape[0] > 0 and lasting:
                 pi[m] = update_coverage_persistent(

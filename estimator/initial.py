@@ -4,10 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimator.lie import hat
-from estimator.state import GRAVITY, NavState
-from sim.errors import SurefootError
-from sim.log import Log, reference_velocity
+from surefoot.estimator.core.lie import hat
+from surefoot.estimator.core.state import GRAVITY, NavState
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.log import Log, reference_velocity
 
 STILL_WINDOW = 0.5
 """s. How much of a log's start is averaged to find the gyro's bias, and gravity where no reference

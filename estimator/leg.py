@@ -3,14 +3,14 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 
-from estimator.contacts import propagate_contacts, update_contacts
-from estimator.log_arrays import imu_arrays, outputs, row_indices, trajectory
-from estimator.state import EXTRA, FilterNoise, NavState, numbers, spd, spd_3, vector
-from estimator.trajectory import Trajectory
-from estimator.velocity import update_velocity
-from sim.errors import SurefootError
+from surefoot.estimator.core.arrays import imu_arrays, outputs, row_indices, trajectory
+from surefoot.estimator.core.state import EXTRA, FilterNoise, NavState, numbers, spd, spd_3, vector
+from surefoot.estimator.evaluation.trajectory import Trajectory
+from surefoot.estimator.updates.contact import propagate_contacts, update_contacts
+from surefoot.estimator.updates.velocity import update_velocity
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.kernels import kernel
 
 
 @dataclass(frozen=True)
@@ -173,7 +173,7 @@ def run_leg(
     return trajectory(t[::stride], out_mean, out_cov, None)
 
 
-@njit(cache=True)
+@kernel
 def _loop(
     t, gyro, accel, feet_I, contact, cov, rates, radius, rows, v_I, v_cov, mean, P,
     noise, contact_noise, rolling_noise, gate, stride, out_mean, out_cov,

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from estimator.trajectory import Trajectory, TrajectoryError
-from sim.stamps import rows_every
+from surefoot.estimator.evaluation.trajectory import Trajectory, TrajectoryError
+from surefoot.sim.common.stamps import rows_every
 
 RATE = 100.0
 """Hz. The rate at which metrics are taken."""

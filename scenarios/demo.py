@@ -7,30 +7,31 @@ from time import perf_counter
 import numpy as np
 import pandas as pd
 
-from models.bounds import Bounds
-from models.coverage import coverage
-from models.observer import Observer
-from models.predict import prediction_errors
-from scenarios.compare import compare_log, prepare_folder, write_comparison
-from scenarios.figures_observer import mixing_curve
-from scenarios.filters import Learnt
-from scenarios.learning import learn
-from scenarios.observer_errors import error_section
-from scenarios.progress import percent_bar
-from scenarios.report import Picture, Section, save_picture
-from scenarios.tables import to_markdown
-from scenarios.trace import Trace, trace
-from scenarios.trace_report import sections as trace_sections
-from scenarios.trace_words import summary
-from sim.effects import Effect, effect
-from sim.effects_file import save_effects
-from sim.errors import SurefootError, check_seed
-from sim.log import Log
-from sim.robot import Robot
-from sim.scenario import Scenario
-from sim.walk import plan, walk
+from surefoot.models.calibration.bounds import Bounds
+from surefoot.models.calibration.empirical_coverage import coverage
+from surefoot.models.observer.observer import Observer
+from surefoot.models.observer.predict import prediction_errors
+from surefoot.scenarios.estimate.compare import compare_log, prepare_folder, write_comparison
+from surefoot.scenarios.estimate.learning import learn
+from surefoot.scenarios.estimate.registry import Learnt
+from surefoot.scenarios.reporting.html import Picture, Section, save_picture
+from surefoot.scenarios.reporting.observer_errors import error_section
+from surefoot.scenarios.reporting.observer_figures import mixing_curve
+from surefoot.scenarios.reporting.progress import percent_bar
+from surefoot.scenarios.reporting.tables import to_markdown
+from surefoot.scenarios.trace.report import sections as trace_sections
+from surefoot.scenarios.trace.run import Trace, trace
+from surefoot.scenarios.trace.words import summary
+from surefoot.sim.common.errors import SurefootError, check_seed
+from surefoot.sim.common.files import bundled
+from surefoot.sim.effects import Effect, effect
+from surefoot.sim.effects.file import save_effects
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario
+from surefoot.sim.walk import plan, walk
 
-COURSES = Path(__file__).parent / "demo"
+COURSES = bundled("surefoot.scenarios", "courses") / "demo"
 ROLES = ("train", "calibrate", "walk")
 
 UNDECLARED: tuple[tuple[str, tuple[str, ...], tuple[float, float]], ...] = (

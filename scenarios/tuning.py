@@ -16,14 +16,14 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from estimator.metrics import Metrics, evaluate
-from estimator.mounting import with_mounting
-from estimator.trajectory import Trajectory, reference
-from scenarios.filters import FILTERS, Learnt
-from scenarios.tuned import Parameters
-from sim.errors import SurefootError
-from sim.log import Log
-from sim.robot import Robot
+from surefoot.estimator.evaluation.mounting_tolerance import with_mounting
+from surefoot.estimator.evaluation.trajectory import Trajectory, reference
+from surefoot.estimator.metrics import Metrics, evaluate
+from surefoot.scenarios.estimate.registry import FILTERS, Learnt
+from surefoot.scenarios.estimate.tuned import Parameters
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
 
 PRICE = 0.3
 SHARES, NEES = (1e-5, 1.0), (0.01, 1000.0)

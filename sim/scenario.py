@@ -7,10 +7,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from sim.errors import SurefootError
-from sim.files import read_toml
-from sim.sensors import Sensors
-from sim.terrain import Ground, Patch, Strip
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import read_toml
+from surefoot.sim.ground.terrain import Ground, Patch, Strip
+from surefoot.sim.sensors.streams import Sensors
 
 T = TypeVar("T")
 ROLES = ("train", "calibrate", "test")

@@ -8,16 +8,19 @@ from importlib.metadata import version
 import numpy as np
 import pandas as pd
 
-from sim.course import Course, lay_course
-from sim.effects import Effect
-from sim.errors import SurefootError
-from sim.gait import Gait, gait_for
-from sim.legs import JOINTS, LEGS, find_legs
-from sim.log import Log, Meta
-from sim.quaternion import quaternion_from_matrix
-from sim.robot import Robot
-from sim.scenario import Drawn, Scenario, drawn
-from sim.sensors import (
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.quaternion import quaternion_from_matrix
+from surefoot.sim.effects import Effect
+from surefoot.sim.gait.controller import Gait, gait_for
+from surefoot.sim.gait.course import Course, lay_course
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.log import Log, Meta
+from surefoot.sim.physics.scene import TIMESTEP, World, add_payload, build_world, robot_spec
+from surefoot.sim.physics.stepper import STEPS_PER_TICK, Fallen, simulate
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.legs import JOINTS, LEGS, find_legs
+from surefoot.sim.scenario import Drawn, Scenario, drawn
+from surefoot.sim.sensors.streams import (
     Motion,
     Reference,
     Streams,
@@ -26,10 +29,7 @@ from sim.sensors import (
     reference_of,
     sensed_contact,
 )
-from sim.stride import STEPS_PER_TICK, Fallen, simulate
-from sim.terrain import Ground
-from sim.truth import foot_truth
-from sim.world import TIMESTEP, World, add_payload, build_world, robot_spec
+from surefoot.sim.walking.truth import foot_truth
 
 __all__ = ["STEPS_PER_TICK", "Fallen", "Plan", "plan", "record", "simulate", "walk"]
 

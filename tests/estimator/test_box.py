@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from estimator.box import box_moments
-from estimator.box_faces import nearest_in_box
+from surefoot.estimator.box import box_moments
+from surefoot.estimator.moments.faces import nearest_in_box
 
 # name: smallest eigen-deviation, distance of the box in sigma, half widths in sigma, panels
 KINDS = {

@@ -10,7 +10,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from estimator.box import box_moments
+from surefoot.estimator.box import box_moments
 
 mp.mp.dps = 40
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from numba import njit
 
-from estimator.box import box_moments_kernel
+from surefoot.estimator.box import box_moments_kernel
+from surefoot.sim.common.kernels import kernel
 
 ROUNDING = 1e-9
 """By how much a variance may exceed the prior's, in units of the prior's variances."""
@@ -61,7 +61,7 @@ def boxes(rng, count: int):
     )
 
 
-@njit(cache=True)
+@kernel
 def definite(A) -> bool:
     """Whether a Cholesky factor of A (3, 3) exists."""
     a = A[0, 0]
@@ -75,7 +75,7 @@ def definite(A) -> bool:
     return A[2, 2] - c * A[2, 0] - e * e / d > 0.0
 
 
-@njit(cache=True)
+@kernel
 def check(means, covs, lowers, uppers, verdicts):
     """The first of WORDS that holds for each box."""
     mean, cov, scaled, left = np.empty(3), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))

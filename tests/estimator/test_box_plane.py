@@ -5,7 +5,7 @@ import pytest
 from box_reference import composite, worst_error
 from scipy.special import ndtr
 
-from estimator.box import box_moments
+from surefoot.estimator.box import box_moments
 
 
 def line_reference(C, low, high, panels: int):

@@ -5,11 +5,11 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
 
-from estimator import lie
-from estimator.coverage import posterior_moments, update_coverage
-from estimator.filter import InvariantFilter
-from estimator.lift import output
-from estimator.state import NavState, retract
+from surefoot.estimator.core import lie
+from surefoot.estimator.core.state import NavState, retract
+from surefoot.estimator.filter import InvariantFilter
+from surefoot.estimator.updates.coverage import posterior_moments, update_coverage
+from surefoot.estimator.updates.velocity_output import velocity_output
 
 WIDE = 60.0
 
@@ -117,7 +117,9 @@ def test_output_jacobian_by_differences():
 
     H = np.column_stack([(measured(h * e) - measured(-h * e)) / (2 * h) for e in np.eye(18)])
     PHt, S, residual = np.empty((18, 3)), np.empty((3, 3)), np.empty(3)
-    output(mean, P, 0, measured(np.zeros(18)) + np.array([0.1, 0.2, 0.3]), PHt, S, residual)
+    velocity_output(
+        mean, P, 0, measured(np.zeros(18)) + np.array([0.1, 0.2, 0.3]), PHt, S, residual
+    )
     assert_allclose(H[:, :3], 0, atol=1e-9)
     assert_allclose(H[:, 3:6], -mean[:3].T, atol=1e-9)
     assert_allclose(PHt, P @ H.T, atol=1e-7)

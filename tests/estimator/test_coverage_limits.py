@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from estimator.coverage import FLOOR, posterior_moments, update_coverage
-from estimator.lift import inverse_3, output
-from estimator.state import NavState
+from surefoot.estimator.core.state import NavState
+from surefoot.estimator.updates.coverage import FLOOR, posterior_moments, update_coverage
+from surefoot.estimator.updates.velocity_output import inverse_3, velocity_output
 
 INF = np.inf
 
@@ -186,7 +186,7 @@ def test_the_floor_is_below_what_matters():
     """A micrometre a second and 1e-10 of S: moments move by less than a hundred millionth."""
     P = np.diag(np.r_[np.full(3, 1e-4), 0.02, 0.03, 0.01, np.full(9, 1e-3)])
     S, PHt, residual = np.empty((3, 3)), np.empty((15, 3)), np.empty(3)
-    output(NavState().pack(), P, 0, np.zeros(3), PHt, S, residual)
+    velocity_output(NavState().pack(), P, 0, np.zeros(3), PHt, S, residual)
     box = np.array([-0.05, 0.02, -0.1]), np.array([0.1, 0.3, 0.2])
     plain = posterior(np.zeros(3), S, *box, 0.8)
     floor = (FLOOR**2 + 1e-10 * np.trace(S)) * np.eye(3)

@@ -5,8 +5,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import chi2
 
-from estimator.radar import ego_velocities, ego_velocity
-from sim.errors import SurefootError
+from surefoot.estimator.ego_velocity import ego_velocities, ego_velocity
+from surefoot.sim.common.errors import SurefootError
 
 
 def directions(azimuth, elevation):

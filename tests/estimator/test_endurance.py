@@ -2,20 +2,20 @@
 
 import numpy as np
 import pytest
-from numba import njit
 
-from estimator.contacts import propagate_contacts, update_contacts
-from estimator.coverage import update_coverage, update_coverage_within
-from estimator.persistent import (
+from surefoot.estimator.core.propagation import propagate
+from surefoot.estimator.core.state import FilterNoise, NavState
+from surefoot.estimator.updates.bias_states import (
     EXTRAS,
     PersistentError,
+    propagate_bias,
     update_coverage_persistent,
     update_velocity_persistent,
-    wander,
 )
-from estimator.propagation import propagate
-from estimator.state import FilterNoise, NavState
-from estimator.velocity import update_velocity
+from surefoot.estimator.updates.contact import propagate_contacts, update_contacts
+from surefoot.estimator.updates.coverage import update_coverage, update_coverage_within
+from surefoot.estimator.updates.velocity import update_velocity
+from surefoot.sim.common.kernels import kernel
 
 KINDS = (
     "coverage", "velocity", "coverage_persistent", "velocity_persistent", "leg", "leg_slip",
@@ -25,7 +25,7 @@ NOISE = FilterNoise(3e-4, 1e-2, 1e-5, 1e-4).packed()
 FEET = np.array([[0.3, 0.2, -0.5], [0.3, -0.2, -0.5], [-0.3, 0.2, -0.5], [-0.3, -0.2, -0.5]])
 
 
-@njit(cache=True)
+@kernel
 def march(kind, steps, seed, mean, P, prior, tau, window, reach, noise, feet_I, check):
     """Walk in circles at 500 Hz; `check` (M, n, n) receives P at even intervals."""
     np.random.seed(seed)
@@ -50,7 +50,7 @@ def march(kind, steps, seed, mean, P, prior, tau, window, reach, noise, feet_I, 
                 np.full(4, 0.02), rates, columns, rotation,
             )  # fmt: skip
         if kind == 2 or kind == 3:
-            wander(mean, P, prior, tau, 0.002)
+            propagate_bias(mean, P, prior, tau, 0.002)
         if k % every == every - 1:
             check[k // every] = P
         if k % 5000 >= 4500:

@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 from motions import motion
 from numpy.testing import assert_array_equal
 
-from estimator.filter import InvariantFilter, run_coverage, run_imu, run_velocity
-from estimator.metrics import evaluate, nees
-from estimator.persistent import PersistentError
-from estimator.state import FilterNoise, NavState, retract
-from sim.errors import SurefootError
+from surefoot.estimator.core.state import FilterNoise, NavState, retract
+from surefoot.estimator.filter import InvariantFilter, run_coverage, run_imu, run_velocity
+from surefoot.estimator.metrics import evaluate, nees
+from surefoot.estimator.updates.bias_states import PersistentError
+from surefoot.sim.common.errors import SurefootError
 
 EPSILON = np.array([0.06, 0.06, 0.04])
 LASTS = np.diag([1e-3, 2e-3, 1e-3]), 20.0, 7, np.full(3, 0.5)

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from synthetic import synthetic_walk
 
-from estimator.filter import InvariantFilter, run_coverage, run_imu
-from estimator.initial import initial_state
-from estimator.innovation import innovations
-from estimator.trajectory import TrajectoryError
-from tests.models.synthetic import synthetic_walk
+from surefoot.estimator.evaluation.innovation import innovations
+from surefoot.estimator.evaluation.trajectory import TrajectoryError
+from surefoot.estimator.filter import InvariantFilter, run_coverage, run_imu
+from surefoot.estimator.initial import initial_state
 
 
 @pytest.mark.parametrize("stride", [1, 5])

@@ -5,12 +5,12 @@ import pytest
 from motions import feet, motion
 from numpy.testing import assert_allclose, assert_array_equal
 
-from estimator import lie
-from estimator.contacts import contact_output, propagate_contacts
-from estimator.leg import LegFilter, LegNoise, encoder_covariance, run_leg
-from estimator.metrics import evaluate, nees
-from estimator.state import FilterNoise, NavState, retract
-from sim.errors import SurefootError
+from surefoot.estimator.core import lie
+from surefoot.estimator.core.state import FilterNoise, NavState, retract
+from surefoot.estimator.leg import LegFilter, LegNoise, encoder_covariance, run_leg
+from surefoot.estimator.metrics import evaluate, nees
+from surefoot.estimator.updates.contact import contact_output, propagate_contacts
+from surefoot.sim.common.errors import SurefootError
 
 RADIUS = 0.03
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from estimator import lie
+from surefoot.estimator.core import lie
 
 ANGLES = [0.0, 1e-12, 1e-9, 1e-7, 1e-5, 1e-3, 0.03, 0.3, 1.99, 2.01, 3.0, np.pi - 1e-9]
 COLUMNS = [0, 2, 6]

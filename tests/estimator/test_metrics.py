@@ -8,8 +8,10 @@ from motions import motion
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from estimator import lie
-from estimator.metrics import (
+from surefoot.estimator.core import lie
+from surefoot.estimator.core.state import NavState, retract
+from surefoot.estimator.evaluation.trajectory import Trajectory, TrajectoryError, UpdateRecord
+from surefoot.estimator.metrics import (
     align_first,
     evaluate,
     matched,
@@ -18,8 +20,6 @@ from estimator.metrics import (
     segments,
     velocity_jacobian,
 )
-from estimator.state import NavState, retract
-from estimator.trajectory import Trajectory, TrajectoryError, UpdateRecord
 
 
 def drifted(truth: Trajectory, rng: np.random.Generator) -> Trajectory:

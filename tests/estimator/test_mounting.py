@@ -4,12 +4,12 @@ import numpy as np
 from motions import feet, motion
 from numpy.testing import assert_allclose
 
-from estimator import lie
-from estimator.leg import LegNoise, run_leg
-from estimator.metrics import evaluate, nees
-from estimator.mounting import with_mounting
-from estimator.state import FilterNoise
-from estimator.trajectory import Trajectory
+from surefoot.estimator.core import lie
+from surefoot.estimator.core.state import FilterNoise
+from surefoot.estimator.evaluation.mounting_tolerance import with_mounting
+from surefoot.estimator.evaluation.trajectory import Trajectory
+from surefoot.estimator.leg import LegNoise, run_leg
+from surefoot.estimator.metrics import evaluate, nees
 
 STD = 3e-3
 

@@ -5,19 +5,19 @@ import pytest
 from motions import motion
 from numpy.testing import assert_allclose, assert_array_equal
 
-from estimator import lie
-from estimator.filter import InvariantFilter, run_coverage, run_velocity
-from estimator.metrics import nees
-from estimator.persistent import (
+from surefoot.estimator.core import lie
+from surefoot.estimator.core.propagation import propagate
+from surefoot.estimator.core.state import FilterNoise, NavState, retract
+from surefoot.estimator.filter import InvariantFilter, run_coverage, run_velocity
+from surefoot.estimator.metrics import nees
+from surefoot.estimator.updates.bias_states import (
     EXTRAS,
     PersistentError,
+    propagate_bias,
     update_coverage_persistent,
     update_velocity_persistent,
-    wander,
 )
-from estimator.propagation import propagate
-from estimator.state import FilterNoise, NavState, retract
-from sim.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError
 
 INF = np.full(3, np.inf)
 GRAVITY = np.array([0.0, 0.0, 9.8])
@@ -74,7 +74,7 @@ def test_it_wanders_as_gauss_and_markov_say():
     mean, P = prior(rng)
     C, tau, dt = np.diag([1e-3, 2e-3, 3e-3]), 5.0, 0.7
     before, spread = mean.copy(), P.copy()
-    wander(mean, P, C, tau, dt)
+    propagate_bias(mean, P, C, tau, dt)
     F = np.eye(24)
     F[15:18, 15:18] *= np.exp(-dt / tau)
     F[15:18, 21:] = (1 - np.exp(-dt / tau)) * np.eye(3)
@@ -83,16 +83,16 @@ def test_it_wanders_as_gauss_and_markov_say():
     assert_allclose(P, F @ spread @ F.T + Q, rtol=1e-12, atol=1e-18)
     assert_allclose(mean[7], before[9] + (before[7] - before[9]) * np.exp(-dt / tau))
     for _ in range(200):
-        wander(mean, P, C, tau, dt)
+        propagate_bias(mean, P, C, tau, dt)
     assert_allclose(P[15:18, 15:18], C + spread[21:, 21:], rtol=1e-10, atol=1e-15)
     assert_allclose(mean[7], mean[9])
     lasting = PersistentError(C, tau, course=np.eye(3) * 4e-3)
     start = lasting.enter(np.eye(15))
     before = start.copy()
-    wander(mean, start, C, tau, dt)
+    propagate_bias(mean, start, C, tau, dt)
     assert_allclose(start, before, rtol=1e-12, atol=1e-18, err_msg="the prior is stationary")
     spread = P.copy()
-    wander(mean, P, C, np.inf, dt)
+    propagate_bias(mean, P, C, np.inf, dt)
     assert_array_equal(P, spread)
 
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from estimator import lie
-from estimator.propagation import gamma_derivatives, propagate
-from estimator.state import GRAVITY, FilterNoise, NavState, retract
+from surefoot.estimator.core import lie
+from surefoot.estimator.core.propagation import gamma_derivatives, propagate
+from surefoot.estimator.core.state import GRAVITY, FilterNoise, NavState, retract
 
 SILENT = np.zeros((4, 3))
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from estimator.filter import InvariantFilter
-from estimator.state import NavState
-from sim.errors import SurefootError
+from surefoot.estimator.core.state import NavState
+from surefoot.estimator.filter import InvariantFilter
+from surefoot.sim.common.errors import SurefootError
 
 GYRO, ACCEL, V_I = np.array([0.1, -0.2, 0.3]), np.array([0.2, 0.1, 9.7]), np.array([0.5, 0.1, 0.0])
 COV = np.diag([0.01, 0.02, 0.03])

@@ -11,9 +11,9 @@ import pytest
 from motions import feet, motion
 from numpy.testing import assert_array_equal
 
-from estimator.filter import InvariantFilter, run_coverage, run_imu, run_velocity
-from estimator.leg import LegFilter, run_leg
-from estimator.persistent import PersistentError
+from surefoot.estimator.filter import InvariantFilter, run_coverage, run_imu, run_velocity
+from surefoot.estimator.leg import LegFilter, run_leg
+from surefoot.estimator.updates.bias_states import PersistentError
 
 RADIUS, STRIDE = 0.03, 7
 LASTING = PersistentError(1e-3 * np.eye(3), 60.0, 4, np.full(3, 0.4))

@@ -5,11 +5,11 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import minimize
 
-from estimator.box import box_moments
-from estimator.coverage import posterior_moments, update_coverage
-from estimator.filter import InvariantFilter, run_coverage
-from estimator.state import NavState
-from sim.errors import SurefootError
+from surefoot.estimator.box import box_moments
+from surefoot.estimator.core.state import NavState
+from surefoot.estimator.filter import InvariantFilter, run_coverage
+from surefoot.estimator.updates.coverage import posterior_moments, update_coverage
+from surefoot.sim.common.errors import SurefootError
 
 
 def posterior(mean, cov, lower, upper, gamma):
@@ -172,7 +172,8 @@ def boxes(rng, count):
 
 
 def test_the_papers_remark_holds_everywhere():
-    """pi < pi+ <= gamma, as the docstring of `estimator.coverage` proves, at every gamma."""
+    """pi < pi+ <= gamma, as the docstring of `estimator.updates.coverage` proves, at every
+    gamma."""
     rng = np.random.default_rng(9)
     active = 0
     for cov, lower, upper in boxes(rng, 2000):

@@ -9,14 +9,14 @@ from motions import motion
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from estimator.filter import run_coverage
-from estimator.initial import GRAVITY_STD, initial_state, level
-from estimator.lie import hat
-from estimator.state import NavState
-from estimator.trajectory import Trajectory, TrajectoryError, reference
-from sim.errors import SurefootError
-from sim.log import Log, Meta
-from sim.quaternion import quaternion_from_matrix
+from surefoot.estimator.core.lie import hat
+from surefoot.estimator.core.state import NavState
+from surefoot.estimator.evaluation.trajectory import Trajectory, TrajectoryError, reference
+from surefoot.estimator.filter import run_coverage
+from surefoot.estimator.initial import GRAVITY_STD, initial_state, level
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.quaternion import quaternion_from_matrix
+from surefoot.sim.log import Log, Meta
 
 
 @pytest.fixture(scope="module")

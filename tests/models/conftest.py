@@ -2,9 +2,9 @@
 
 import pytest
 import torch
+from synthetic import Body, synthetic_walk
 
-from models.training import Schedule, train
-from tests.models.synthetic import Body, synthetic_walk
+from surefoot.models.observer.training import Schedule, train
 
 QUICK = Schedule(steps=120, batch=4, rate=1e-2, every=40)
 

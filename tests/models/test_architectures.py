@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from synthetic import Body
 
-from models.architectures import ARCHITECTURES, BothWays
-from models.network import LOSSES, OUTPUTS, Network
-from models.observer import Observer, ObserverError
-from models.predict import Loop, predict, prediction_errors
-from models.samples import samples
-from models.training import Schedule, train
-from tests.models.synthetic import Body
+from surefoot.models.observer.architectures import ARCHITECTURES, BothWays
+from surefoot.models.observer.network import LOSSES, OUTPUTS, Network
+from surefoot.models.observer.observer import Observer, ObserverError
+from surefoot.models.observer.predict import Loop, predict, prediction_errors
+from surefoot.models.observer.samples import samples
+from surefoot.models.observer.training import Schedule, train
 
 MODELS = list(ARCHITECTURES)
 CAUSAL = [name for name in MODELS if ARCHITECTURES[name].causal]

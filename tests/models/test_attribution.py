@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from models.candidates import Evidence
-from models.contenders import CLOSE_BEHIND, TRIED, contenders
-from models.fitting import design, draws, fit, grams, loss, overlap
-from models.floor import Floor, Repeat
-from models.judging import judge
-from models.layout import QUADRUPED
-from models.masking import slips, trust
-from models.signature import sparse
+from surefoot.models.attribution.evidence import Evidence
+from surefoot.models.attribution.fit import design, draws, fit, loss, normal_equations, overlap
+from surefoot.models.attribution.noise_floor import NoiseFloor, Repeat
+from surefoot.models.attribution.rerank import CLOSE_BEHIND, TRIED, contenders
+from surefoot.models.attribution.robust_weights import robust_weights, slips
+from surefoot.models.attribution.selection import judge
+from surefoot.models.residuals.jacobians import sparse
+from surefoot.models.residuals.layout import QUADRUPED
 
 KEYS = (
     ("encoder_offset", "FL_hip"),
@@ -24,7 +24,7 @@ KEYS = (
 BINS = 1500
 WIDTH = QUADRUPED.width
 NOISE = np.repeat([5e-4, 1e-2, 2e-3, 1.0], [3, 3, 12, WIDTH - 18])
-NO_WALKS = Floor(NOISE, (), "none")
+NO_WALKS = NoiseFloor(NOISE, (), "none")
 
 
 def evidence(sizes=(0, 0, 0, 0), bias=(0, 0, 0, 0, 0, 0), seed=0, noise=NOISE):
@@ -71,9 +71,9 @@ def with_X(one, X):
 
 def whitened(one, floor=NOISE):
     data = design(one)
-    believed = trust(data, floor)
+    believed = robust_weights(data, floor)
     split = np.floor(one.t / 4).astype(int) % 2
-    return grams(data, believed.sigma, believed.weight, split)
+    return normal_equations(data, believed.sigma, believed.weight, split)
 
 
 def judged(one, chosen=(), floor=NO_WALKS, explained=0.0):
@@ -179,10 +179,10 @@ def test_what_the_declared_model_fakes_is_taken_off():
     walks = []
     for k in (1, 2, 3):
         data = design(evidence((0.002, 0, 0, 0), seed=k))
-        believed = trust(data, NOISE)
-        sums = grams(data, NOISE, believed.weight).total()
+        believed = robust_weights(data, NOISE)
+        sums = normal_equations(data, NOISE, believed.weight).total()
         walks.append(Repeat(data.evidence, believed, sums))
-    floor = Floor(NOISE, tuple(walks), "three walks")
+    floor = NoiseFloor(NOISE, tuple(walks), "three walks")
     assert not any(c.earned for c in judged(evidence((0.002, 0, 0, 0), seed=7), floor=floor))
     best = judged(evidence((0.010, 0, 0, 0), seed=7), floor=floor)[0]
     assert best.key == KEYS[0]
@@ -202,16 +202,16 @@ def test_a_slipping_stance_is_masked_and_a_systematic_error_is_not():
     standing = np.isfinite(table[:, 9])
     first = np.flatnonzero(standing)[60:72]
     table[first, 9] += 0.2
-    masked = trust(design(replace(one, table=table)), NOISE).masked
+    masked = robust_weights(design(replace(one, table=table)), NOISE).masked
     assert masked[first, 1].all()
     assert masked.sum() == len(first)
     brief = one.table.copy()
     brief[first[5:7], 9] += 0.05
     slid = design(replace(one, table=brief))
-    assert trust(slid, NOISE).masked[first, 1].all(), "a slide of 40 ms in a longer stance"
+    assert robust_weights(slid, NOISE).masked[first, 1].all(), "a slide of 40 ms in a longer stance"
     biased = one.table.copy()
     biased[:, 9] += 0.2
-    assert not trust(design(replace(one, table=biased)), NOISE).masked.any()
+    assert not robust_weights(design(replace(one, table=biased)), NOISE).masked.any()
 
 
 def test_a_stance_on_something_else_than_the_others_is_masked_by_its_height():
@@ -221,12 +221,12 @@ def test_a_stance_on_something_else_than_the_others_is_masked_by_its_height():
     table[:, 18:22] = np.where(standing, rng.normal(0.0, 1e-4, standing.shape), np.nan)
     first = np.flatnonzero(standing[:, 1])[:12]
     table[first, 19] += 0.003
-    assert not trust(design(replace(one, table=one.table)), NOISE).masked.any()
-    masked = trust(design(replace(one, table=table)), NOISE).masked
+    assert not robust_weights(design(replace(one, table=one.table)), NOISE).masked.any()
+    masked = robust_weights(design(replace(one, table=table)), NOISE).masked
     assert masked[first, 1].all()
     assert masked.sum() == len(first)
     uneven = table + 0.003 * np.sin(np.arange(BINS) // 12)[:, None] * (np.arange(WIDTH) >= 18)
-    assert not trust(design(replace(one, table=uneven)), NOISE).masked.any()
+    assert not robust_weights(design(replace(one, table=uneven)), NOISE).masked.any()
 
 
 def test_few_stances_are_no_bulk_to_stand_out_from():
@@ -250,8 +250,8 @@ def test_losses_from_block_sums_are_those_of_the_bins():
     """The sums of products give what taking the sizes off bin by bin gives."""
     one = evidence((0.01, 0, 0.02, 0), (1e-3, 0, 0, 0, 0.1, 0))
     data = design(one)
-    believed = trust(data, NOISE)
-    sums = grams(data, believed.sigma, believed.weight)
+    believed = robust_weights(data, NOISE)
+    sums = normal_equations(data, believed.sigma, believed.weight)
     vector = fit(sums, KEYS[:1]).vector
     left = (data.y - data.explained(-vector[1:])) / believed.sigma
     by_bin = np.sum(believed.weight * np.where(data.there, left, 0.0) ** 2, axis=1)

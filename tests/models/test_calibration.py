@@ -9,15 +9,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom, binomtest
+from synthetic import Body, synthetic_walk
 
-from models.bounds import Bounds, BoundsError
-from models.calibration import calibrate, require_samples, subsample
-from models.cases import stride_phase
-from models.coverage import binomial_interval, coverage, coverage_by, worst_case
-from models.predict import prediction_errors
-from models.regions import conformal_bounds, level_per_axis, rank
-from sim.log import LEGS, Log
-from tests.models.synthetic import Body, synthetic_walk
+from surefoot.models.calibration.bounds import Bounds, BoundsError
+from surefoot.models.calibration.calibrate import calibrate, require_samples, subsample
+from surefoot.models.calibration.empirical_coverage import (
+    binomial_interval,
+    coverage,
+    coverage_by,
+    worst_case,
+)
+from surefoot.models.calibration.regions import conformal_bounds, level_per_axis, rank
+from surefoot.models.calibration.walking_conditions import stride_phase
+from surefoot.models.observer.predict import prediction_errors
+from surefoot.sim.log import LEGS, Log
 
 
 def test_the_counts_of_the_paper():

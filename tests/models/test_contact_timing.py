@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from models.candidates import case_of, linearise, table_of
-from models.contact_timing import MOVES, moments
-from models.layout import QUADRUPED
-from sim.effects import effect
-from sim.robot import Robot
-from sim.scenario import Scenario, Segment
-from sim.terrain import Ground
-from sim.walk import walk
+from surefoot.models.attribution.evidence import linearise, log_under_model, table_of
+from surefoot.models.residuals.contact_timing import MOVES, moments
+from surefoot.models.residuals.layout import QUADRUPED
+from surefoot.sim.effects import effect
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
 
 ROBOT = Robot.load("spot_class")
 COURSE = (Segment(4.0, 0.5), Segment(4.0, 0.4, turn=0.4))
@@ -20,7 +20,7 @@ TOUCHDOWN, LIFTOFF = slice(52, 56), slice(56, 60)
 
 def case_with(*effects):
     scenario = Scenario("timing", COURSE, Ground(0.8))
-    return case_of(walk(scenario, ROBOT, 4, effects, declared=False), ROBOT)
+    return log_under_model(walk(scenario, ROBOT, 4, effects, declared=False), ROBOT)
 
 
 @pytest.fixture(scope="module")

@@ -5,37 +5,37 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.candidates import all_keys, case_of, linearise
-from models.contenders import told_between_rows, tried_best
-from models.fitting import design
-from models.floor import floor_of
-from models.judging import FIT, SELECT, Candidate
-from models.masking import trust
-from models.refinement import Data
-from sim.effects import effect
-from sim.robot import Robot
-from sim.scenario import Scenario, Segment
-from sim.terrain import Ground
-from sim.walk import walk
+from surefoot.models.attribution.evidence import all_keys, linearise, log_under_model
+from surefoot.models.attribution.fit import design
+from surefoot.models.attribution.noise_floor import noise_floor
+from surefoot.models.attribution.refinement import Data
+from surefoot.models.attribution.rerank import rerank, told_between_rows
+from surefoot.models.attribution.robust_weights import robust_weights
+from surefoot.models.attribution.selection import FIT, SELECT, Candidate
+from surefoot.sim.effects import effect
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
 
 SPOT = Robot.load("spot_class")
 SCENARIO = Scenario("short", (Segment(12.0, 0.6, 0.1, 0.3),), Ground(0.8))
 
 
 def case_with(*effects):
-    return case_of(walk(SCENARIO, SPOT, 3, effects, declared=False), SPOT)
+    return log_under_model(walk(SCENARIO, SPOT, 3, effects, declared=False), SPOT)
 
 
 @pytest.fixture(scope="module")
 def floor():
-    return floor_of([case_with()])
+    return noise_floor([case_with()])
 
 
 def data_of(case, floor):
     whole = design(linearise([case], (), all_keys(case)))
     evidence = whole.evidence
     part = np.where(np.floor(evidence.t / 4).astype(int) % 2 == 0, FIT, SELECT)
-    return Data([case], floor, evidence, (), trust(whole, floor.sigma), part)
+    return Data([case], floor, evidence, (), robust_weights(whole, floor.sigma), part)
 
 
 def candidate(name, target, size):
@@ -49,7 +49,7 @@ def candidate(name, target, size):
 def test_of_two_streams_the_late_one_is_named(floor, late, other):
     data = data_of(case_with(effect(late, "all", 0.001)), floor)
     right, wrong = candidate(late, "all", 0.001), candidate(other, "all", -0.001)
-    best, effects = tried_best(data, [wrong, right])
+    best, effects = rerank(data, [wrong, right])
     assert best is right
     assert effects[0].value == pytest.approx(0.001, rel=0.15)
 

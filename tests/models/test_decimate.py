@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models.decimate import SPAN, DecimationError, decimate, delay, observer_rows
-from sim.log import Log, Meta
+from surefoot.models.observer.decimate import SPAN, DecimationError, decimate, delay, observer_rows
+from surefoot.sim.log import Log, Meta
 
 RATES = (500.0, 400.0, 333.0, 250.0, 1000.0, 120.0, 100.0)
 

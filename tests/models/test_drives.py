@@ -7,9 +7,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from models.drives import EFFECTS, balance, fit, left, level, ranges, select
-from sim.fixed_base import load_machine
-from sim.log import Log, Meta
+from surefoot.scenarios.studies.hardware.drives import (
+    EFFECTS,
+    balance,
+    fit,
+    left,
+    level,
+    ranges,
+    select,
+)
+from surefoot.sim.log import Log, Meta
+from surefoot.sim.robot.fixed_base import load_machine
 
 DT = 0.002  # s
 

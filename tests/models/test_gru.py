@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from models.gru import GRU, tanh
-from models.network import cholesky_factor, loss_of
+from surefoot.models.observer.gru import GRU, tanh
+from surefoot.models.observer.network import cholesky_factor, loss_of
 
 torch.set_num_threads(1)
 

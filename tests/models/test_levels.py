@@ -2,7 +2,7 @@
 
 import pytest
 
-from models.levels import Channel
+from surefoot.models.attribution.levels import Channel
 
 
 @pytest.mark.parametrize(

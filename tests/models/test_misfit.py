@@ -5,27 +5,27 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.attribution import attribute
-from models.candidates import case_of
-from models.floor import floor_of
-from models.misfit import bends, misfits
-from scenarios.outside_effects import OUTSIDE
-from scenarios.trace import split_of
-from sim.effects import effect
-from sim.robot import Robot
-from sim.scenario import Scenario, Segment
-from sim.terrain import Ground
-from sim.walk import walk
+from surefoot.models.attribution.angle_error import angle_error_basis, angle_errors
+from surefoot.models.attribution.evidence import log_under_model
+from surefoot.models.attribution.noise_floor import noise_floor
+from surefoot.models.attribution.search import attribute
+from surefoot.scenarios.studies.blind.outside_effects import OUTSIDE
+from surefoot.scenarios.trace.run import split_of
+from surefoot.sim.effects import effect
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
 
 ROBOT = Robot.load("spot_class")
 COURSE = Scenario("there", (Segment(10.0, 0.5, turn=0.3), Segment(10.0, 0.6)), Ground(0.8))
 
 
 def found(one):
-    case = case_of(walk(COURSE, ROBOT, 3, [one], declared=False), ROBOT)
+    case = log_under_model(walk(COURSE, ROBOT, 3, [one], declared=False), ROBOT)
     split, rng = split_of([case]), np.random.default_rng(0)
-    result = attribute([case], floor_of([case]), split, rng)
-    return result, misfits([case], result, split, rng)
+    result = attribute([case], noise_floor([case]), split, rng)
+    return result, angle_errors([case], result, split, rng)
 
 
 def test_a_curve_is_told_from_the_line_that_comes_nearest():
@@ -46,7 +46,7 @@ def test_bends_leave_out_what_an_offset_and_a_scale_can_do():
     log = walk(replace(COURSE, segments=(Segment(1.0, 0.5),)), ROBOT, 3)
     q = log.frame["q_FL_thigh"].to_numpy()
     even = np.linspace(q.min(), q.max(), 2001)
-    for change in bends(log, "FL_thigh")[:5]:
+    for change in angle_error_basis(log, "FL_thigh")[:5]:
         curve = np.interp(even, np.sort(q), change["q_FL_thigh"][np.argsort(q)])
         line = np.polynomial.Legendre.fit(even, curve, 1)
         assert np.abs(line.coef).max() < 0.05

@@ -5,7 +5,12 @@ import pytest
 from scipy.optimize import root_scalar
 from scipy.stats import norm
 
-from models.mixing import beta_coefficient, discretise, independence_floor, mixing
+from surefoot.models.calibration.mixing import (
+    beta_coefficient,
+    discretise,
+    independence_floor,
+    mixing,
+)
 
 
 def markov_chain(P, n, rng):

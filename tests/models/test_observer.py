@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from synthetic import Body, synthetic_walk, without
 
-from models.observer import Observer, ObserverError, check_inputs
-from models.predict import predict
-from sim.errors import SurefootError
-from tests.models.synthetic import Body, synthetic_walk, without
+from surefoot.models.observer.observer import Observer, ObserverError, check_inputs
+from surefoot.models.observer.predict import predict
+from surefoot.sim.common.errors import SurefootError
 
 
 def test_a_checkpoint_comes_back_whole(gml_observer, walks, tmp_path):

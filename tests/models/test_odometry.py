@@ -6,20 +6,20 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from synthetic import Body, synthetic_walk
 
-from models.network import Network
-from models.observer import Observer, ObserverError, observer_inputs
-from models.odometry import Kinematics, drawing_of, soles
-from models.predict import Loop, predict, prediction_errors
-from models.samples import samples
-from models.training import Schedule, train
-from models.training_data import prepare
-from sim.errors import SurefootError
-from sim.legs import JOINTS
-from sim.log import Log
-from sim.quaternion import matrix_from_quaternion
-from sim.robot import Robot
-from tests.models.synthetic import Body, synthetic_walk
+from surefoot.models.observer.data import prepare
+from surefoot.models.observer.network import Network
+from surefoot.models.observer.observer import Observer, ObserverError, observer_inputs
+from surefoot.models.observer.odometry import Kinematics, contact_points, leg_geometry
+from surefoot.models.observer.predict import Loop, predict, prediction_errors
+from surefoot.models.observer.samples import samples
+from surefoot.models.observer.training import Schedule, train
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.quaternion import matrix_from_quaternion
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.legs import JOINTS
 
 ROBOT = Robot.load("spot_class")
 PLAN = Schedule(steps=80, batch=2, every=40)
@@ -27,7 +27,7 @@ PLAN = Schedule(steps=80, batch=2, every=40)
 
 @pytest.fixture(scope="module")
 def drawing():
-    return drawing_of(ROBOT, JOINTS)
+    return leg_geometry(ROBOT, JOINTS)
 
 
 def turned() -> Robot:
@@ -45,7 +45,7 @@ def test_soles_are_mujocos(robot, drawing):
     rng = np.random.default_rng(0)
     q = robot.q_home + 0.3 * rng.standard_normal((20, 12))
     dq = rng.standard_normal((20, 12))
-    found = soles(Kinematics.of(drawing, robot), q, dq)
+    found = contact_points(Kinematics.of(drawing, robot), q, dq)
     joints = [model.joint(name) for name in robot.joint_names]
     for k in range(len(q)):
         data.qpos[:7] = [0, 0, 0, 1, 0, 0, 0]
@@ -71,7 +71,7 @@ def test_soles_of_a_point_foot_are_the_leg_filters_feet(drawing):
     points = drawing | {"radius": torch.zeros(4, dtype=torch.float64)}
     rng = np.random.default_rng(1)
     q, dq = ROBOT.q_home + 0.2 * rng.standard_normal((9, 12)), rng.standard_normal((9, 12))
-    found, h = soles(Kinematics.of(points, robot), q, dq), 1e-6
+    found, h = contact_points(Kinematics.of(points, robot), q, dq), 1e-6
     assert found[:, :12].reshape(9, 4, 3) == pytest.approx(robot.feet_I(q), abs=1e-12)
     slope = (robot.feet_I(q + h * dq) - robot.feet_I(q - h * dq)) / (2 * h)
     assert found[:, 12:].reshape(9, 4, 3) == pytest.approx(slope, abs=1e-7)
@@ -163,7 +163,9 @@ def walk(seed: int, duration: float, pace: float = 1.0) -> Log:
     for i, joint in enumerate(JOINTS):
         frame[f"q_{joint}"], frame[f"dq_{joint}"] = q[:, i], dq[:, i]
         frame[f"tau_{joint}"] = np.where(stance[:, i], 20.0, 0.0)
-    u = soles(Kinematics.of(drawing_of(ROBOT, JOINTS), ROBOT), q, dq)[:, 12:].reshape(-1, 4, 3)
+    u = contact_points(Kinematics.of(leg_geometry(ROBOT, JOINTS), ROBOT), q, dq)[:, 12:].reshape(
+        -1, 4, 3
+    )
     v_I = -(carry[..., None] * u).sum(axis=1) / carry.sum(axis=1, keepdims=True).clip(1)
     v_G = np.einsum("nij,nj->ni", log.ref_R_GI, v_I)
     for i, axis in enumerate("xyz"):

@@ -7,12 +7,17 @@ import numpy as np
 import pytest
 from scipy.linalg import cho_factor, cho_solve, toeplitz
 from scipy.signal import lfilter
+from synthetic import Body
 
-from models.bounds import Bounds, BoundsError
-from models.calibration import calibrate
-from models.persistent import Persistent, _innovations, _smoothed, estimate
-from sim.errors import SurefootError
-from tests.models.synthetic import Body
+from surefoot.models.calibration.bias_model import (
+    BiasModel,
+    _innovations,
+    _smoothed,
+    estimate_bias_model,
+)
+from surefoot.models.calibration.bounds import Bounds, BoundsError
+from surefoot.models.calibration.calibrate import calibrate
+from surefoot.sim.common.errors import SurefootError
 
 DT = 0.02
 STD = np.array([0.05, 0.03, 0.02])
@@ -34,7 +39,7 @@ def errors(rng, duration, tau, std=STD, forgets=0.05):
 
 def test_sequences_that_each_keep_their_own():
     rng = np.random.default_rng(0)
-    found = estimate([errors(rng, 40.0, np.inf) for _ in range(30)], DT, 0.8)
+    found = estimate_bias_model([errors(rng, 40.0, np.inf) for _ in range(30)], DT, 0.8)
     assert found.time_constant == np.inf
     assert (found.sequences, found.nu) == (30, 30.0)
     for i in range(3):
@@ -49,7 +54,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     rng = np.random.default_rng(1)
     held, tau_held = 0, 0
     for _ in range(24):
-        found = estimate(errors(rng, 300.0, 15.0), DT, 0.8)
+        found = estimate_bias_model(errors(rng, 300.0, 15.0), DT, 0.8)
         held += np.sum((found.interval[:, 0] <= STD**2) & (found.interval[:, 1] >= STD**2))
         low, high = found.time_constant_interval
         # The grid's neighbours bound the interval from outside.
@@ -60,7 +65,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
 
 def test_nothing_that_lasts_is_about_nothing():
     rng = np.random.default_rng(2)
-    found = [estimate(errors(rng, 200.0, np.inf, 0 * STD), DT, 0.8) for _ in range(8)]
+    found = [estimate_bias_model(errors(rng, 200.0, np.inf, 0 * STD), DT, 0.8) for _ in range(8)]
     assert np.median([np.sqrt(f.variance) for f in found]) < 0.05 * MIXING.max()
     assert sum((f.interval[:, 0] <= 1e-7).sum() for f in found) >= 18
     for f in found:
@@ -69,7 +74,7 @@ def test_nothing_that_lasts_is_about_nothing():
 
 def test_bounds_hold_the_mean_of_a_window_of_the_mixing_part():
     rng = np.random.default_rng(3)
-    found = estimate([errors(rng, 60.0, np.inf) for _ in range(20)], DT, 0.8)
+    found = estimate_bias_model([errors(rng, 60.0, np.inf) for _ in range(20)], DT, 0.8)
     rest = errors(rng, 2000.0, np.inf, 0 * STD)
     count = len(rest) // found.window
     means = rest[: count * found.window].reshape(count, found.window, 3).mean(axis=1)
@@ -95,7 +100,7 @@ def test_correlated_axes_are_seen():
     rng = np.random.default_rng(5)
     A = np.array([[1.0, 0.0, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
     parts = [errors(rng, 20.0, np.inf, 0 * STD) + 0.1 * A @ rng.normal(size=3) for _ in range(60)]
-    found = estimate(parts, DT, 0.8).covariance
+    found = estimate_bias_model(parts, DT, 0.8).covariance
     std = np.sqrt(np.diag(found))
     correlation = found / np.outer(std, std)
     assert correlation[0, 1] == pytest.approx(0.8, abs=0.15)
@@ -103,7 +108,7 @@ def test_correlated_axes_are_seen():
 
 
 def test_one_sequence_says_little_of_a_part_that_never_changes():
-    found = estimate(errors(np.random.default_rng(6), 60.0, np.inf), DT, 0.8)
+    found = estimate_bias_model(errors(np.random.default_rng(6), 60.0, np.inf), DT, 0.8)
     assert found.nu < 20
     assert np.all(found.interval[:, 1] > 3 * found.variance)
 
@@ -111,7 +116,7 @@ def test_one_sequence_says_little_of_a_part_that_never_changes():
 @pytest.mark.parametrize("count", [0, 10, 499])
 def test_too_little_is_one_line(count):
     with pytest.raises(SurefootError, match=r"blocks of 0.5 s; the persistent part needs 20"):
-        estimate(np.zeros((count, 3)), DT, 0.8)
+        estimate_bias_model(np.zeros((count, 3)), DT, 0.8)
 
 
 def test_calibration_fills_it_and_it_comes_back_whole(mse_observer, walks, tmp_path):
@@ -159,7 +164,7 @@ def test_another_mounting_turns_it(mse_observer, walks):
     bounds = calibrate(mse_observer, walks["calibrate"], robot=Body())
     quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     part = bounds.persistent
-    assert isinstance(part, Persistent)
+    assert isinstance(part, BiasModel)
     found = bounds.persistent_at(quarter)
     assert found.epsilon == pytest.approx(part.epsilon[[1, 0, 2]])
     assert np.diag(found.covariance) == pytest.approx(np.diag(part.covariance)[[1, 0, 2]])
@@ -172,7 +177,7 @@ def test_courses_that_each_have_a_mean_of_their_own():
         errors(rng, 120.0, 4.0) + np.array([0.04, 0.02, 0.0]) * rng.normal(size=3)
         for _ in range(30)
     ]
-    found = estimate(parts, DT, 0.8)
+    found = estimate_bias_model(parts, DT, 0.8)
     of_course = np.sqrt(np.diag(found.course))
     assert of_course[:2] == pytest.approx([0.04, 0.02], rel=0.5)
     assert of_course[2] < 0.015
@@ -180,12 +185,12 @@ def test_courses_that_each_have_a_mean_of_their_own():
 
 def test_one_course_alone_grants_others_a_mean_as_large_as_its_own_wandering():
     rng = np.random.default_rng(9)
-    found = estimate(errors(rng, 300.0, 4.0), DT, 0.8)
+    found = estimate_bias_model(errors(rng, 300.0, 4.0), DT, 0.8)
     ratio = np.sqrt(np.diag(found.course) / found.variance)
     assert np.all((ratio > 0.8) & (ratio < 1.5))
 
 
 def test_a_constant_part_leaves_nothing_to_the_courses():
     rng = np.random.default_rng(10)
-    found = estimate([errors(rng, 40.0, np.inf) for _ in range(30)], DT, 0.8)
+    found = estimate_bias_model([errors(rng, 40.0, np.inf) for _ in range(30)], DT, 0.8)
     assert np.all(np.diag(found.course) < 0.5 * np.diag(found.covariance))

@@ -9,9 +9,9 @@ from scipy.optimize import linprog
 from scipy.signal import lfilter
 from scipy.stats import binom
 
-from models.bounds import BoundsError
-from models.mixing import mixing
-from models.regions import (
+from surefoot.models.calibration.bounds import BoundsError
+from surefoot.models.calibration.mixing import mixing
+from surefoot.models.calibration.regions import (
     METHODS,
     SHAPED,
     Region,
@@ -22,7 +22,7 @@ from models.regions import (
     rank,
     samples_needed,
 )
-from models.scenario_box import discards, log_failure, scenario_box
+from surefoot.models.calibration.scenario_box import discards, log_failure, scenario_box
 
 TRIALS = 1000
 SPLIT = [m for m in METHODS if m != "scenario"]

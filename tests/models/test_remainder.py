@@ -5,13 +5,13 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from models.candidates import case_of
-from models.masking import Trust
-from models.remainder import form, library
-from sim.robot import Robot
-from sim.scenario import Scenario, Segment
-from sim.terrain import Ground
-from sim.walk import walk
+from surefoot.models.attribution.evidence import log_under_model
+from surefoot.models.attribution.robust_weights import RobustWeights
+from surefoot.models.attribution.unexplained import library, sparse_regression
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
 
 ROBOT = Robot.load("spot_class")
 
@@ -20,7 +20,7 @@ ROBOT = Robot.load("spot_class")
 def case():
     segments = (Segment(6.0, 0.6, turn=0.3), Segment(6.0, 0.5, turn=-0.3))
     log = walk(Scenario("turns", segments, Ground(0.8)), ROBOT, 2)
-    return case_of(log, ROBOT)
+    return log_under_model(log, ROBOT)
 
 
 def formed(signal=None, column=1):
@@ -30,9 +30,9 @@ def formed(signal=None, column=1):
     if signal:
         names, values = library([case()])
         left[:, column] += 2e-3 * values[:, names.index(signal)]
-    trusted = Trust(np.ones(52), np.ones((bins, 52)), np.zeros((bins, 4), bool), 0.0)
+    trusted = RobustWeights(np.ones(52), np.ones((bins, 52)), np.zeros((bins, 4), bool), 0.0)
     seen = (case().frame.t // 2).astype(int) % 2 == 0
-    return form([case()], left, trusted, ["imu_gyro"], seen, ~seen)
+    return sparse_regression([case()], left, trusted, ["imu_gyro"], seen, ~seen)
 
 
 @pytest.mark.parametrize("signal", ["time", "force_z", "rate_x", "torque_FL_calf"])

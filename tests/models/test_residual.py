@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from models.bins import inside_stance, measured_against
-from models.layout import QUADRUPED
-from models.leg_velocity import leg_velocity
-from models.residual import Parts, residual
-from sim.effects import effect
-from sim.log import LogError
-from sim.robot import Robot
-from sim.scenario import Scenario, Segment
-from sim.sensors import Sensors
-from sim.terrain import Ground
-from sim.walk import walk
+from surefoot.models.residuals.binning import inside_stance, reference_motion
+from surefoot.models.residuals.channels import Parts, residual
+from surefoot.models.residuals.layout import QUADRUPED
+from surefoot.models.residuals.leg_velocity import leg_velocity
+from surefoot.sim.effects import effect
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.log import LogError
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.sensors.streams import Sensors
+from surefoot.sim.walk import walk
 
 ROBOT = Robot.load("spot_class")
 COURSE = (Segment(4.0, 0.6), Segment(4.0, 0.4, turn=0.6), Segment(2.0, 0.5, turn=-0.6))
@@ -59,9 +59,9 @@ class Left:
 
 
 def residual_of(log, robot=ROBOT, explained=()):
-    frame = measured_against(log)
+    frame = reference_motion(log)
     for one in explained:
-        log, robot = one.explain(log, robot)
+        log, robot = one.compensate(log, robot)
     return Left(residual(log, robot, frame))
 
 
@@ -161,7 +161,7 @@ def test_without_a_reference_there_is_no_residual():
     log = log_with()
     names = [n for n in log.frame if not str(n).startswith("ref_")]
     with pytest.raises(LogError, match="reference"):
-        measured_against(replace(log, frame=log.frame[names]))
+        reference_motion(replace(log, frame=log.frame[names]))
 
 
 def test_without_noise_the_torques_are_those_of_the_motion():
@@ -170,6 +170,6 @@ def test_without_noise_the_torques_are_those_of_the_motion():
     quiet = Sensors(**{part.name: 0.0 for part in fields(Sensors) if part.name.endswith(ends)})
     scenario = Scenario("turns", COURSE[:2], Ground(0.8), sensors=quiet, stand=0.5)
     log = walk(scenario, ROBOT, seed=5)
-    left = residual(log, ROBOT, measured_against(log)).table
+    left = residual(log, ROBOT, reference_motion(log)).table
     assert np.sqrt(np.nanmean(left[:, QUADRUPED.channels["joint_torque"]] ** 2)) < 0.15
     assert np.sqrt(np.nanmean(left[:, QUADRUPED.channels["base_wrench"]][:, :3] ** 2)) < 0.4

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from models.row_times import row_times, two_heaps
+from surefoot.scenarios.studies.hardware.row_times import row_times, two_heaps
 
 
 def joints(seconds: float = 40.0, logger: float = 0.005, rate_scale: float = 1.0, seed: int = 0):

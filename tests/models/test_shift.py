@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import binom, norm
 
-from models.shift_alarm import (
+from surefoot.models.calibration.shift import (
     BLOCK,
     SETTLING,
     Alarm,
@@ -14,7 +14,11 @@ from models.shift_alarm import (
     inflation,
     shift_alarm,
 )
-from models.weighted import likelihood_ratios, weighted_bounds, weighted_quantile
+from surefoot.models.calibration.weighted import (
+    likelihood_ratios,
+    weighted_bounds,
+    weighted_quantile,
+)
 
 TRIALS = 1000
 
@@ -93,7 +97,7 @@ def test_true_weights_keep_the_level_that_is_lost_without_them():
 
 
 def test_equal_weights_are_split_conformal():
-    from models.regions import conformal_bounds
+    from surefoot.models.calibration.regions import conformal_bounds
 
     scores = np.random.default_rng(5).standard_normal(77)
     for level in (0.5, 0.83, 0.97):

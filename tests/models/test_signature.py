@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from models.candidates import _Linear, all_keys, case_of, table_of
-from models.layout import QUADRUPED
-from sim.effects import CATALOGUE, effect
-from sim.robot import Robot
-from sim.scenario import Scenario, Segment
-from sim.terrain import Ground
-from sim.walk import walk
+from surefoot.models.attribution.evidence import _Linear, all_keys, log_under_model, table_of
+from surefoot.models.residuals.layout import QUADRUPED
+from surefoot.sim.effects import CATALOGUE, effect
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
 
 SPOT = Robot.load("spot_class")
 SCENARIO = Scenario("short", (Segment(4.0, 0.5, 0.1, 0.3),), Ground(0.8))
@@ -24,7 +24,7 @@ KEYS = (
 
 @pytest.fixture(scope="module")
 def case():
-    return case_of(walk(SCENARIO, SPOT, 7), SPOT)
+    return log_under_model(walk(SCENARIO, SPOT, 7), SPOT)
 
 
 @pytest.mark.parametrize("key", KEYS, ids=" ".join)

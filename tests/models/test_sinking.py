@@ -7,22 +7,22 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from models.bins import binned
-from models.candidates import case_of, linearise
-from models.loads import loads
-from models.residual import residual
-from models.signature import Regressor, likeness
-from models.sinking import _follow, between_swings, swept
-from models.torques import steps_of
-from sim.effects import effect
-from sim.log import Log
-from sim.quaternion import quaternion_from_matrix
-from sim.robot import Robot
-from sim.scenario import Scenario, Segment
-from sim.terrain import Ground
-from sim.tiles import SOLIMP
-from sim.walk import walk
-from sim.world import build_world
+from surefoot.models.attribution.evidence import linearise, log_under_model
+from surefoot.models.residuals.binning import binned
+from surefoot.models.residuals.channels import residual
+from surefoot.models.residuals.foot_loads import foot_loads
+from surefoot.models.residuals.jacobians import Regressor, explained_share
+from surefoot.models.residuals.soft_ground import _follow, between_swings, swept
+from surefoot.models.residuals.torques import steps_of
+from surefoot.sim.common.quaternion import quaternion_from_matrix
+from surefoot.sim.effects import effect
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.ground.tiles import SOLIMP
+from surefoot.sim.log import Log
+from surefoot.sim.physics.scene import build_world
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
 
 COURSE = (Segment(4.0, 0.5), Segment(4.0, 0.4, turn=0.4))
 SOFT = 0.03
@@ -39,7 +39,7 @@ def on_soft_ground(request):
 
 
 def knowing(robot: Robot, softness: float) -> Robot:
-    return replace(robot, beyond=replace(robot.beyond, softness=softness))
+    return replace(robot, extras=replace(robot.extras, softness=softness))
 
 
 def test_a_stance_begins_with_a_landing_and_the_first_with_the_log():
@@ -73,7 +73,7 @@ def test_a_foot_sinks_as_a_critically_damped_spring_does():
 
 def test_what_the_rates_alone_do_is_what_mujoco_says(on_soft_ground):
     robot, log = on_soft_ground
-    frame = case_of(log, robot).frame
+    frame = log_under_model(log, robot).frame
     bins, world = binned(log, robot, frame), build_world(robot, Ground(0.8))
     ours, model = swept(robot, bins), world.model
     data = mujoco.MjData(model)
@@ -95,11 +95,11 @@ def test_what_the_rates_alone_do_is_what_mujoco_says(on_soft_ground):
 
 def test_a_foots_load_is_read_from_its_legs_torques(on_soft_ground):
     robot, log = on_soft_ground
-    frame = case_of(log, robot).frame
+    frame = log_under_model(log, robot).frame
     bins = binned(log, robot, frame)
     steps = steps_of(bins, robot)
-    of_torques = loads(log, robot, frame, bins, steps)
-    shared = loads(log, robot, frame, replace(bins, tau=np.full_like(bins.tau, np.nan)), steps)
+    of_torques = foot_loads(log, robot, frame, bins, steps)
+    shared = foot_loads(log, robot, frame, replace(bins, tau=np.full_like(bins.tau, np.nan)), steps)
     inside, true = frame.standing, log.force
     weight = 9.81 * robot.mass
     assert np.std((of_torques - true)[inside]) < 0.03 * weight
@@ -115,7 +115,7 @@ def test_a_model_that_knows_of_soft_ground_finds_the_feet_where_they_are(on_soft
     if not torques:
         kept = [c for c in log.frame if not str(c).startswith("tau_")]
         log = Log(log.frame[kept], log.meta, log.name)
-    frame = replace(case_of(log, robot).frame, level=True)
+    frame = replace(log_under_model(log, robot).frame, level=True)
     left = {
         size: residual(log, knowing(robot, size), frame).table
         for size in (0.0, 0.9 * SOFT, SOFT, 1.1 * SOFT)
@@ -138,7 +138,7 @@ def typical(values: np.ndarray) -> float:
 def test_a_model_of_hard_ground_says_what_it_said(on_soft_ground):
     """The form vanishes with the softness: no step where a candidate is first varied."""
     robot, log = on_soft_ground
-    frame = replace(case_of(log, robot).frame, level=True)
+    frame = replace(log_under_model(log, robot).frame, level=True)
     hard, nearly = (residual(log, knowing(robot, size), frame).table for size in (0.0, 1e-6))
     assert_allclose(nearly[:, :22], hard[:, :22], atol=1e-5)
 
@@ -147,7 +147,7 @@ def test_derivatives_by_readings_know_of_the_depth(on_soft_ground):
     """On ground known to be soft, an encoder's offset changes the height of its own foot by the
     lever of its leg, and the other feet's by nothing."""
     robot, log = on_soft_ground
-    case = case_of(log, knowing(robot, SOFT))
+    case = log_under_model(log, knowing(robot, SOFT))
     case = replace(case, frame=replace(case.frame, level=True))
     (one,) = linearise([case], (), [("encoder_offset", "FL_calf")]).X
     heights = one.values[:, np.searchsorted(one.columns, 18)]
@@ -160,7 +160,7 @@ def test_derivatives_by_readings_know_of_the_depth(on_soft_ground):
 def test_a_small_and_a_large_softness_both_look_like_the_candidate(size):
     """How a foot sinks is far from linear in the size: the candidate begins where it is like."""
     robot = Robot.load("spot_class")
-    case = case_of(walked(robot, effect("soft_ground", "all", size)), robot)
+    case = log_under_model(walked(robot, effect("soft_ground", "all", size)), robot)
     (one,) = (evidence := linearise([case], (), [("soft_ground", "all")])).X
-    assert likeness(one, evidence.table) > 0.25
-    assert likeness(Regressor(one.columns, -one.values), evidence.table) < -0.25
+    assert explained_share(one, evidence.table) > 0.25
+    assert explained_share(Regressor(one.columns, -one.values), evidence.table) < -0.25

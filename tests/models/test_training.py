@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
+from synthetic import Body, synthetic_walk, without
 
-from models.decimate import decimate
-from models.mounting import move_covariance, move_velocity
-from models.observer import ObserverError
-from models.predict import Loop, predict, prediction_errors
-from models.samples import samples
-from models.training import Schedule, train
-from models.training_data import WINDOW, held_out
-from sim.log import LogError
-from tests.models.synthetic import Body, synthetic_walk, without
+from surefoot.models.observer.data import WINDOW, held_out
+from surefoot.models.observer.decimate import decimate
+from surefoot.models.observer.imu_mounting import move_covariance, move_velocity
+from surefoot.models.observer.observer import ObserverError
+from surefoot.models.observer.predict import Loop, predict, prediction_errors
+from surefoot.models.observer.samples import samples
+from surefoot.models.observer.training import Schedule, train
+from surefoot.sim.log import LogError
 
 TINY = Schedule(steps=6, batch=2, every=3)
 

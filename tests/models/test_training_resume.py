@@ -9,11 +9,11 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
+from synthetic import Body, synthetic_walk
 
-from models.observer import Observer, ObserverError
-from models.training import Schedule, train
-from models.training_state import State, partial_path
-from tests.models.synthetic import Body, synthetic_walk
+from surefoot.models.observer.observer import Observer, ObserverError
+from surefoot.models.observer.training import Schedule, train
+from surefoot.models.observer.training_state import State, partial_path
 
 PLAN = Schedule(steps=24, batch=1, every=2)
 SCRIPT = """

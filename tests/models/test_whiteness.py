@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from models.fitting import design
-from models.masking import trust
-from models.whiteness import excess
+from surefoot.models.attribution.fit import design
+from surefoot.models.attribution.robust_weights import robust_weights
+from surefoot.models.attribution.whiteness import variance_inflation
 from tests.models.test_attribution import BINS, NOISE, WIDTH, evidence, made_of
 
 
@@ -17,7 +17,7 @@ def _excess(noise, seed):
     X[:, 6:18] = np.repeat(rng.normal(size=(BINS // 25, 12, 4)), 25, axis=0)
     table = np.where(np.isfinite(one.table), noise, np.nan)
     data = design(made_of(one.t, table, X, np.zeros((BINS, WIDTH, 6))))
-    return excess(data, trust(data, np.full(WIDTH, 1e-12)))[6:18].mean()
+    return variance_inflation(data, robust_weights(data, np.full(WIDTH, 1e-12)))[6:18].mean()
 
 
 @pytest.mark.parametrize("rows", [1, 25])

@@ -8,14 +8,14 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from estimator.trajectory import Trajectory, UpdateRecord
-from models.bounds import Bounds
-from models.predict import Prediction
-from sim.legs import JOINTS, LEGS
-from sim.log import Log, Meta
-from sim.quaternion import quaternion_from_matrix
-from sim.robot import Robot
-from sim.terrain import Patch
+from surefoot.estimator.evaluation.trajectory import Trajectory, UpdateRecord
+from surefoot.models.calibration.bounds import Bounds
+from surefoot.models.observer.predict import Prediction
+from surefoot.sim.common.quaternion import quaternion_from_matrix
+from surefoot.sim.ground.terrain import Patch
+from surefoot.sim.log import Log, Meta
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.legs import JOINTS, LEGS
 
 RATE = 500.0
 DRIFT = np.array([0.10, -0.05, 0.02])  # m/s, of the estimate "leg"

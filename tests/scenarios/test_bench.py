@@ -6,33 +6,37 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimator.filter import run_coverage
-from estimator.state import FilterNoise, NavState
-from scenarios import bench_walking
-from scenarios.bench import ITEMS
-from scenarios.bench_box import box_kinds, less_error, outputs, run_ours, run_qmc
-from scenarios.bench_filter import GAMMA, gtsam_filter, trial, velocity_filter, walk
-from scenarios.bench_ratio import Ratio, in_turn
-from scenarios.cli import main
-from sim.scenario import Scenario, Segment
-from sim.terrain import Ground
+from surefoot.estimator.core.state import FilterNoise, NavState
+from surefoot.estimator.filter import run_coverage
+from surefoot.scenarios.cli.main import main
+from surefoot.scenarios.studies.bench import walking
+from surefoot.scenarios.studies.bench.box import box_kinds, less_error, outputs, run_ours, run_qmc
+from surefoot.scenarios.studies.bench.filter import (
+    GAMMA,
+    gtsam_filter,
+    trial,
+    velocity_filter,
+    walk,
+)
+from surefoot.scenarios.studies.bench.ratio import Ratio, in_turn
+from surefoot.scenarios.studies.bench.run import ITEMS
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.scenario import Scenario, Segment
 
 
 @pytest.fixture(autouse=True)
 def short_course(monkeypatch):
-    monkeypatch.setattr(
-        bench_walking, "COURSE", Scenario("bench", (Segment(0.5, 0.5),), Ground(0.8))
-    )
+    monkeypatch.setattr(walking, "COURSE", Scenario("bench", (Segment(0.5, 0.5),), Ground(0.8)))
 
 
 def test_walk_and_replay_take_as_many_steps_to_the_same_bits():
     """`race` itself raises where a replay ends elsewhere."""
-    pair = bench_walking.race(robots=3, threads=2)
+    pair = walking.race(robots=3, threads=2)
     assert pair.steps == 3 * round(6.5 / 0.002)  # 3 s and twice 1 s of standing, 1 s at the end
 
 
 def test_a_replay_that_ends_elsewhere_is_no_measure():
-    bare = bench_walking.race(robots=1, threads=1).bare
+    bare = walking.race(robots=1, threads=1).bare
     with pytest.raises(RuntimeError, match="differs"):
         replace(bare, last=bare.last + 1e-15).run()
 

@@ -2,9 +2,10 @@
 
 import pytest
 
-from scenarios.blind_report import write_report_of
-from scenarios.blind_score import points, right_channel, rules, sized, tells_twins
-from scenarios.blind_study import (
+from surefoot.scenarios.studies.blind.outside_effects import OUTSIDE
+from surefoot.scenarios.studies.blind.report import write_report_of
+from surefoot.scenarios.studies.blind.score import points, right_channel, rules, sized, tells_twins
+from surefoot.scenarios.studies.blind.study import (
     PLAN,
     cases,
     ground_and_course,
@@ -12,11 +13,10 @@ from scenarios.blind_study import (
     run_study,
     standing_part,
 )
-from scenarios.outside_effects import OUTSIDE
-from sim.effects import CATALOGUE
-from sim.files import read_toml
-from sim.robot import Robot
-from sim.walk import walk
+from surefoot.sim.common.files import read_toml
+from surefoot.sim.effects import CATALOGUE
+from surefoot.sim.robot import Robot
+from surefoot.sim.walk import walk
 
 TRUE = {"name": "encoder_offset", "target": "FL_hip", "value": 0.02, "unit": "rad"}
 

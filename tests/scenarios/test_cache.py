@@ -2,8 +2,8 @@
 
 import pytest
 
-from scenarios import cache
-from scenarios.cache import code_digest, imported_modules, product
+from surefoot.scenarios.experiments import cache
+from surefoot.scenarios.experiments.cache import code_digest, imported_modules, product
 
 
 @pytest.fixture
@@ -68,6 +68,11 @@ def test_equal_contents_have_equal_digests_whatever_made_them(tmp_path, rooms):
 
 
 def test_a_walk_depends_on_the_world_and_not_on_what_is_learnt_from_it():
-    modules = set(imported_modules("sim.batch"))
-    assert {"sim.walk", "sim.tiles", "sim.gait", "sim.sensors"} <= modules
+    modules = set(imported_modules("surefoot.sim.walking.batch"))
+    assert {
+        "surefoot.sim.walk",
+        "surefoot.sim.ground.tiles",
+        "surefoot.sim.gait.controller",
+        "surefoot.sim.sensors.streams",
+    } <= modules
     assert not any(name.startswith(("models", "estimator", "scenarios")) for name in modules)

@@ -6,15 +6,15 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from models.training import Schedule, train
-from scenarios.commands_estimate import Calibrate
-from sim.effects import effect
-from sim.errors import SurefootError
-from sim.log import Log
-from sim.robot import Robot
-from sim.scenario import Ranges, Scenario, Segment
-from sim.terrain import Ground
-from sim.walk import walk
+from surefoot.models.observer.training import Schedule, train
+from surefoot.scenarios.cli.estimate import Calibrate
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.effects import effect
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Ranges, Scenario, Segment
+from surefoot.sim.walk import walk
 
 SEGMENTS = (Segment(8.0, 0.5), Segment(6.0, 0.4, turn=0.5))
 COURSE = Scenario("short", SEGMENTS, Ground(0.8), ranges=Ranges(speed=(0.95, 1.05)))

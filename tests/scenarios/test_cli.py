@@ -8,11 +8,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from scenarios.cli import main
-from sim.log import Log
-from sim.robot import Robot
-from sim.scenario import Scenario
-from sim.walk import walk
+from surefoot.scenarios.cli.main import main
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario
+from surefoot.sim.walk import walk
 
 COURSE = """
 name = "short"

@@ -14,9 +14,9 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from scenarios.dataset import read_index
-from scenarios.simulate import simulate_all
-from sim.errors import SurefootError
+from surefoot.scenarios.datasets.index import read_index
+from surefoot.scenarios.datasets.simulate import simulate_all
+from surefoot.sim.common.errors import SurefootError
 
 distributed = pytest.importorskip("distributed")
 
@@ -105,7 +105,7 @@ def test_a_worker_dies_half_way_and_no_bit_differs(cluster):
 
 def test_a_cluster_that_is_not_there_is_one_line(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("scenarios.cluster.PATIENCE", 0.5)
+    monkeypatch.setattr("surefoot.scenarios.datasets.cluster.PATIENCE", 0.5)
     (tmp_path / "short.toml").write_text(COURSE)
     with pytest.raises(SurefootError, match=r"--cluster tcp://127\.0\.0\.1:9: ") as error:
         simulate_all([Path("short.toml")], Path("far"), cluster="tcp://127.0.0.1:9")

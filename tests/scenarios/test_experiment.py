@@ -11,15 +11,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import scenarios
-from scenarios.experiment import Experiment
-from scenarios.experiment_report import experiment
-from scenarios.experiment_tables import averages, published, sweep, with_spread
-from sim.errors import SurefootError
+from surefoot.scenarios.experiments.file import Experiment
+from surefoot.scenarios.experiments.report import experiment
+from surefoot.scenarios.experiments.tables import averages, published, sweep, with_spread
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import bundled
 
 # pyright: reportArgumentType=false, reportGeneralTypeIssues=false
 
-SUITES = Path(scenarios.__file__).parent / "suites"
+SUITES = bundled("surefoot.scenarios.experiments", "suites")
 
 WALK = """
 name = "{name}"
@@ -79,7 +79,7 @@ def made(grid: Path) -> dict[str, dict[str, int]]:
 @pytest.fixture(scope="module")
 def killed(grid) -> dict[str, dict[str, int]]:
     """What a run leaves that is killed as soon as it has made one walk."""
-    command = [sys.executable, "-m", "scenarios", "experiment", str(grid / "grid.toml")]
+    command = [sys.executable, "-m", "surefoot", "experiment", str(grid / "grid.toml")]
     process = subprocess.Popen(
         [*command, "-o", str(grid / "out")], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         start_new_session=True,

@@ -5,13 +5,14 @@ import pytest
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
-from estimator.trajectory import reference
-from models.mixing import mixing
-from scenarios import figures, figures_observer, figures_trace
-from scenarios.errors import error_series
-from scenarios.palette import estimator_color, estimator_label, estimator_line
-from scenarios.plotting import png, save_png
-from sim.errors import SurefootError
+from surefoot.estimator.evaluation.trajectory import reference
+from surefoot.models.calibration.mixing import mixing
+from surefoot.scenarios.estimate.error_series import error_series
+from surefoot.scenarios.reporting import figures, observer_figures
+from surefoot.scenarios.reporting.palette import estimator_color, estimator_label, estimator_line
+from surefoot.scenarios.reporting.plotting import png, save_png
+from surefoot.scenarios.trace import figures as trace_figures
+from surefoot.sim.common.errors import SurefootError
 
 
 def words(figure: Figure) -> str:
@@ -40,12 +41,12 @@ def drawn(walk, errors) -> dict[str, Figure]:
         "height": figures.height(walk.log, errors),
         "velocity": figures.body_velocity(walk.log, walk.prediction, walk.bounds.epsilon),
         "error": figures.position_error(errors),
-        "distributions": figures_observer.error_distributions(
+        "distributions": observer_figures.error_distributions(
             train, test, walk.bounds.epsilon, walk.bounds.gamma
         ),
-        "mixing": figures_observer.mixing_curve(mixing(train)),
-        "residuals": figures_trace.residuals({"leg_velocity": channel}),
-        "gains": figures_trace.candidate_gains({"a": 0.5, "b": (0.1, 0.0, 0.2)}, ["a"]),
+        "mixing": observer_figures.mixing_curve(mixing(train)),
+        "residuals": trace_figures.residuals({"leg_velocity": channel}),
+        "gains": trace_figures.candidate_gains({"a": 0.5, "b": (0.1, 0.0, 0.2)}, ["a"]),
     }
 
 
@@ -94,9 +95,9 @@ def test_a_figure_is_a_png_and_the_same_twice(drawn, tmp_path):
 
 def test_a_channel_without_a_floor_and_a_walk_without_estimates_still_draw(walk):
     channel = {"before": 0.3, "after": None, "noise_floor": None, "unit": "rad"}
-    assert png(figures_trace.residuals({f"channel_{k}": channel for k in range(6)}))
-    assert png(figures_trace.residuals({}))
-    assert png(figures_trace.candidate_gains({}))
+    assert png(trace_figures.residuals({f"channel_{k}": channel for k in range(6)}))
+    assert png(trace_figures.residuals({}))
+    assert png(trace_figures.candidate_gains({}))
     assert png(figures.trajectories(walk.log, {}))
     assert png(figures.position_error({}))
 

@@ -1,13 +1,12 @@
 """A real robot's log through the same door: a Unitree Go1 with motion capture."""
 
-from pathlib import Path
-
 import pytest
 
-from scenarios.cli import main
-from sim.robot_files import known_robots
+from surefoot.scenarios.cli.main import main
+from surefoot.sim.common.files import measured_folder
+from surefoot.sim.robot.catalog import known_robots
 
-RECORDING = Path(__file__).parents[2].parent / "shared" / "measured" / "go1_square"
+RECORDING = measured_folder() / "go1_square"
 
 pytestmark = [
     pytest.mark.skipif(

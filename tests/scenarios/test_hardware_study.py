@@ -1,22 +1,22 @@
 """The studies of real hardware: without the recordings they skip; with them, what they find."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from scenarios import hardware_go2, hardware_pendulum
-from scenarios.hardware_go1 import ladder, rolling_table
-from scenarios.hardware_study import MEASURED, RUNS, Options, as_markdown, study
-from sim.errors import SurefootError
-from sim.fixed_base import load_machine
-from sim.importer import import_csv
-from sim.robot import Robot
-from sim.robot_files import known_robots
-from sim.scenario import Scenario, Segment
-from sim.terrain import Ground
-from sim.walk import walk
+from surefoot.scenarios.studies.hardware import go2, pendulum
+from surefoot.scenarios.studies.hardware.go1 import ladder, rolling_table
+from surefoot.scenarios.studies.hardware.study import MEASURED, RUNS, Options, as_markdown, study
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import measured_folder
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.importing.importer import import_csv
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.catalog import known_robots
+from surefoot.sim.robot.fixed_base import load_machine
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
 from tests.models.test_drives import swung
 
 needs_measured = pytest.mark.skipif(
@@ -46,14 +46,14 @@ def test_the_pendulum_study_tells_what_simulated_drives_hide():
     """Each run held out once: the others name what it lacks, and its residual falls to jitter."""
     hidden = {"scale": 1.2, "friction": 0.17, "armature": 0.01}
     logs = {f"run {s}": swung(**hidden, seed=s, seconds=8.0) for s in range(3)}
-    done = hardware_pendulum.study(logs, load_machine("ak80_pendulum"))
+    done = pendulum.study(logs, load_machine("ak80_pendulum"))
     for one in done:
         assert set(one.sizes.names) == {"torque_scale", "coulomb_friction", "armature"}
         rest = one.after[np.isfinite(one.after)]
         assert np.sqrt(np.mean(rest**2)) < 2.0 * one.run.floor[0]
-    explained = hardware_pendulum.held_out_table(done)["explained [%]"].astype(float)
+    explained = pendulum.held_out_table(done)["explained [%]"].astype(float)
     assert min(explained) > 80
-    assert len(hardware_pendulum.rivals_table(done)) == len(hardware_pendulum.MODELS)
+    assert len(pendulum.rivals_table(done)) == len(pendulum.MODELS)
 
 
 @pytest.mark.slow
@@ -74,14 +74,14 @@ def test_the_go2_has_rows_of_two_lengths_and_torques_by_its_motor_law():
     log = import_csv(MEASURED / "go2_in_air", "go2_in_air")
     np.testing.assert_allclose(log.tau, 20.0 * (log.q_des - log.q) - 0.5 * log.dq, atol=1e-12)
     assert log.meta.derived == ("tau (motor law)",)
-    times = hardware_go2.clock(log)
+    times = go2.clock(log)
     assert (times.period < 0.0046).all()
     assert times.ratio == pytest.approx(1.5, abs=0.04)
     assert times.share == pytest.approx(0.5, abs=0.03)
 
 
 def test_measured_logs_are_looked_for_beside_the_project():
-    assert Path(__file__).parents[2].parent / "shared" / "measured" == MEASURED
+    assert measured_folder() == MEASURED
 
 
 def test_simulated_feet_tell_their_radius_by_any_part_of_the_stance():

@@ -1,17 +1,15 @@
 """A robot as built is one robot: the same wherever it walks, and not its neighbour."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-import scenarios
-from scenarios.experiment import Experiment, walk_to_make
-from scenarios.imperfections import Imperfection, load_imperfections
-from sim.errors import SurefootError
-from sim.legs import JOINTS
+from surefoot.scenarios.experiments.file import Experiment, walk_to_make
+from surefoot.scenarios.experiments.imperfections import Imperfection, load_imperfections
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import bundled
+from surefoot.sim.robot.legs import JOINTS
 
-SUITES = Path(scenarios.__file__).parent / "suites"
+SUITES = bundled("surefoot.scenarios.experiments", "suites")
 
 
 def test_an_instance_draws_the_same_wherever_it_walks_and_others_draw_otherwise():

@@ -2,22 +2,30 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from models.predict import prediction_errors
-from models.training import train
-from scenarios.filters import declared_model
-from scenarios.loop import RECIPE, Lesson, bodily, inputs_of, loop, teach, world_of
-from sim.effects import effect
-from sim.errors import SurefootError
-from sim.imitation import manner
-from sim.robot import Robot
-from sim.scenario import Scenario, Segment
-from sim.terrain import Ground
-from sim.walk import walk
+from surefoot.models.observer.predict import prediction_errors
+from surefoot.models.observer.training import train
+from surefoot.scenarios.estimate.registry import declared_model
+from surefoot.scenarios.trace.loop import (
+    RECIPE,
+    Lesson,
+    bodily,
+    inputs_of,
+    loop,
+    simulate_training,
+    world_of,
+)
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import bundled
+from surefoot.sim.effects import effect
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
+from surefoot.sim.walking.imitation import walking_style
 
 SHORT = Lesson(walks=1, seconds=4.0, calibration=4.0)
 
@@ -46,15 +54,15 @@ def test_the_simulated_robot_has_the_files_feet_and_the_declared_mounting(robot)
 
 
 def test_lessons_are_walked_with_the_effects_and_seen_by_a_model_that_knows_them(robot, log):
-    shown = manner(log, robot)
-    plain = teach(shown, robot, (), 0, SHORT)
+    shown = walking_style(log, robot)
+    plain = simulate_training(shown, robot, (), 0, SHORT)
     offset = effect("encoder_offset", "FR_thigh", 0.05)
-    told = teach(shown, robot, [offset], 0, SHORT)
+    told = simulate_training(shown, robot, [offset], 0, SHORT)
     assert [len(told[0]), len(plain[0])] == [1, 1]
     # An encoder's offset changes readings alone; undone, the walk is the one without it but for the
     # encoder's step.
     np.testing.assert_allclose(told[1].q, plain[1].q, atol=5e-4)
-    longer = teach(shown, robot, [effect("link_length", "FR_thigh", 0.03)], 0, SHORT)
+    longer = simulate_training(shown, robot, [effect("link_length", "FR_thigh", 0.03)], 0, SHORT)
     assert np.abs(longer[1].q - plain[1].q).max() > 0.01
 
 
@@ -83,14 +91,14 @@ def test_another_loops_folder_is_left_alone(robot, log, tmp_path):
 def test_the_loop_recovers_most_of_what_knowing_the_effect_would_gain(
     name, target, value, robot, tmp_path
 ):
-    course = Scenario.load(Path(__file__).parents[2] / "scenarios" / "demo" / "walk.toml")
+    course = Scenario.load(bundled("surefoot.scenarios", "courses") / "demo" / "walk.toml")
     hidden = effect(name, target, value)
     measured = walk(course, robot, 11, [hidden], declared=False)
     out = tmp_path / "loop"
     loop(measured, robot, out)
     sides = json.loads((out / "loop.json").read_text())["sides"]
     rmse = {side: np.linalg.norm(sides[side]["observer_rmse"]["mse"]) for side in sides}
-    training, _ = teach(manner(measured, robot), robot, [hidden], 0)
+    training, _ = simulate_training(walking_style(measured, robot), robot, [hidden], 0)
     told = replace(measured, meta=replace(measured.meta, effects=(hidden.as_dict(),)))
     errors = prediction_errors(train(training), *declared_model(told, robot))[1]
     known = np.linalg.norm(np.sqrt((errors**2).mean(axis=0)))

@@ -6,23 +6,20 @@ import numpy as np
 import pytest
 from scipy.special import ndtri
 
-from estimator.filter import run_coverage, run_imu, run_velocity
-from estimator.metrics import nees
-from estimator.state import FilterNoise, NavState
-from estimator.trajectory import Trajectory
-from scenarios.cli import main
-from scenarios.montecarlo import (
-    READINGS,
-    Found,
-    Row,
-    bounds,
-    paper_settings,
-    run_study,
+from surefoot.estimator.core.state import FilterNoise, NavState
+from surefoot.estimator.evaluation.trajectory import Trajectory
+from surefoot.estimator.filter import run_coverage, run_imu, run_velocity
+from surefoot.estimator.metrics import nees
+from surefoot.scenarios.cli.main import main
+from surefoot.scenarios.studies.montecarlo.batch import Scores, Setting, run_batch
+from surefoot.scenarios.studies.montecarlo.qmc import (
+    _phi_inverse,
+    qmc_moments,
+    runtime_accuracy,
+    tensor_moments,
 )
-from scenarios.montecarlo_batch import Scores, Setting, run_batch
-from scenarios.montecarlo_report import beyond_table, montecarlo, write_study
-from scenarios.montecarlo_spread import on_cluster, on_workers
-from scenarios.montecarlo_study import (
+from surefoot.scenarios.studies.montecarlo.report import beyond_table, montecarlo, write_study
+from surefoot.scenarios.studies.montecarlo.settings import (
     BIASED,
     BUNDLED,
     MIXINGS,
@@ -31,17 +28,34 @@ from scenarios.montecarlo_study import (
     Study,
     load_study,
 )
-from scenarios.montecarlo_trials import make_trials, population, true_motion, velocity_errors
-from scenarios.qmc import _phi_inverse, qmc_moments, runtime_accuracy, tensor_moments
-from scenarios.update_figures import (
+from surefoot.scenarios.studies.montecarlo.spread import on_cluster, on_workers
+from surefoot.scenarios.studies.montecarlo.study import (
+    READINGS,
+    Found,
+    Row,
+    bounds,
+    paper_settings,
+    run_study,
+)
+from surefoot.scenarios.studies.montecarlo.trials import (
+    make_trials,
+    population,
+    true_motion,
+    velocity_errors,
+)
+from surefoot.scenarios.studies.montecarlo.update_figures import (
     gap_on_one_axis,
     gap_on_three_axes,
     remark_figure,
     update_illustration,
 )
-from scenarios.update_report import remark_table, remark_words
-from scenarios.update_study import study_iterations, study_remark, update
-from sim.errors import SurefootError
+from surefoot.scenarios.studies.montecarlo.update_report import remark_table, remark_words
+from surefoot.scenarios.studies.montecarlo.update_study import (
+    study_iterations,
+    study_remark,
+    update,
+)
+from surefoot.sim.common.errors import SurefootError
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +64,7 @@ def study() -> Study:
     whole = load_study()
     return replace(
         whole, trials=2, duration=4.0,  gammas=(0.8,), population=4000, beyond_trials=2,
-        beyond=whole.beyond[2:5],
+        extras=whole.extras[2:5],
     )  # fmt: skip
 
 
@@ -131,7 +145,7 @@ def test_the_batch_gives_the_numbers_of_one_filter_at_a_time(study, regime):
 
 def test_the_study_is_the_same_from_the_same_seed_and_is_written_whole(study, found, tmp_path):
     first, second = found, run_study(study)
-    for a, b in zip((*first.rows, *first.beyond), (*second.rows, *second.beyond), strict=True):
+    for a, b in zip((*first.rows, *first.extras), (*second.rows, *second.extras), strict=True):
         assert np.array_equal(a.scores.nees, b.scores.nees)
         assert np.isfinite(a.scores.distance).all()
     rng = np.random.default_rng(0)
@@ -173,7 +187,7 @@ def test_paired_trials_say_where_coverage_pays():
 
 @pytest.mark.parametrize("where", ["workers", "cluster"])
 def test_other_processes_give_the_same_numbers(study, where):
-    small = replace(study, duration=3.0, beyond=())
+    small = replace(study, duration=3.0, extras=())
     near = run_study(small)
     if where == "workers":
         far = run_study(small, spread=lambda jobs: on_workers(jobs, 2))
@@ -191,7 +205,7 @@ def test_other_processes_give_the_same_numbers(study, where):
 
 
 def test_a_cluster_that_is_not_there_is_one_line(study, monkeypatch):
-    monkeypatch.setattr("scenarios.cluster.PATIENCE", 0.5)
+    monkeypatch.setattr("surefoot.scenarios.datasets.cluster.PATIENCE", 0.5)
     pytest.importorskip("distributed")
     with pytest.raises(SurefootError, match=r"--cluster tcp://127\.0\.0\.1:9: ") as error:
         run_study(study, spread=lambda jobs: on_cluster("tcp://127.0.0.1:9", jobs))

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimator.box import box_moments
-from scenarios.bench_montecarlo import montecarlo_rows
-from scenarios.montecarlo_batch import Setting, run_batch
-from scenarios.montecarlo_numpy import numpy_moments, numpy_trial
-from scenarios.montecarlo_study import BIASED, load_study
-from scenarios.montecarlo_trials import make_trials, true_motion
+from surefoot.estimator.box import box_moments
+from surefoot.scenarios.studies.bench.montecarlo import montecarlo_rows
+from surefoot.scenarios.studies.montecarlo.batch import Setting, run_batch
+from surefoot.scenarios.studies.montecarlo.numpy_reference import numpy_moments, numpy_trial
+from surefoot.scenarios.studies.montecarlo.settings import BIASED, load_study
+from surefoot.scenarios.studies.montecarlo.trials import make_trials, true_motion
 
 
 @pytest.mark.parametrize("kind", ["gaussian", "coverage"])

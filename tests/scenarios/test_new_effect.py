@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scenarios.outside_effects import ThermalGyroDrift
-from scenarios.trace import diagnose
-from sim.effect import AXES, Effect, with_columns
-from sim.effects import CATALOGUE, add
-from sim.errors import SurefootError
-from sim.robot import Robot
-from sim.scenario import Scenario, Segment
-from sim.terrain import Ground
-from sim.walk import walk
+from surefoot.scenarios.studies.blind.outside_effects import ThermalGyroDrift
+from surefoot.scenarios.trace.run import diagnose
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.effects import CATALOGUE, add
+from surefoot.sim.effects.base import AXES, Effect, with_columns
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
 
 ROBOT = Robot.load("spot_class")
 SIZE = 0.015  # rad/s
@@ -37,7 +37,7 @@ class GyroWarming(Effect):
         gyro[:, AXES.index(self.target)] += self.value * settled(streams.t)
         return replace(streams, gyro=gyro)
 
-    def explain(self, log, robot):
+    def compensate(self, log, robot):
         column = f"gyro_{self.target}"
         reading = log.frame[column].to_numpy() - self.value * settled(log.t)
         return with_columns(log, {column: reading}), robot

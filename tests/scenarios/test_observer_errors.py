@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from models.error_statistics import error_statistics
-from scenarios.figures_observer import error_bounds
-from scenarios.observer_errors import bound_words, error_section, error_words
-from scenarios.plotting import png
+from surefoot.models.calibration.error_statistics import error_statistics
+from surefoot.scenarios.reporting.observer_errors import bound_words, error_section, error_words
+from surefoot.scenarios.reporting.observer_figures import error_bounds
+from surefoot.scenarios.reporting.plotting import png
 
 EPSILON = np.array([0.1, 0.1, 0.1])
 

@@ -5,18 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.calibration import calibrate
-from models.training import Schedule, train
-from scenarios.compare import compare_log, table, write_comparison
-from scenarios.demo import demo
-from scenarios.filters import FILTERS, Learnt, run_filter
-from sim.effects import effect
-from sim.errors import SurefootError
-from sim.log import Log
-from sim.robot import Robot
-from sim.scenario import Ranges, Scenario, Segment
-from sim.terrain import Ground, Patch
-from sim.walk import walk
+from surefoot.models.calibration.calibrate import calibrate
+from surefoot.models.observer.training import Schedule, train
+from surefoot.scenarios.demo import demo
+from surefoot.scenarios.estimate.compare import compare_log, table, write_comparison
+from surefoot.scenarios.estimate.registry import FILTERS, Learnt, run_filter
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.effects import effect
+from surefoot.sim.ground.terrain import Ground, Patch
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Ranges, Scenario, Segment
+from surefoot.sim.walk import walk
 
 SEGMENTS = (Segment(4.0, 0.6), Segment(3.0, 0.4, turn=0.5), Segment(3.0, 0.5, turn=-0.5))
 SHORT = Schedule(steps=60, batch=4, every=20)

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scenarios import radar_velocity as module
-from scenarios.filters import FILTERS, Learnt, run_all, run_filter
-from scenarios.radar_velocity import radar_velocity
-from sim.errors import SurefootError
-from sim.log import Log
-from sim.robot import Robot
-from sim.scenario import Scenario
-from sim.walk import walk
+from surefoot.scenarios.estimate import radar_velocity as module
+from surefoot.scenarios.estimate.radar_velocity import radar_velocity
+from surefoot.scenarios.estimate.registry import FILTERS, Learnt, run_all, run_filter
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario
+from surefoot.sim.walk import walk
 
 COURSE = """
 name = "radar_test"

@@ -10,15 +10,15 @@ import rerun as rr
 from conftest import DRIFT, RATE, Walk
 from rerun.chunk import RrdReader
 
-from scenarios.errors import ErrorSeries, error_series
-from scenarios.palette import estimator_color, friction_color
-from scenarios.recording import write_recording
-from scenarios.robot_shapes import geom_shapes
-from scenarios.scene import write_estimates
-from sim.errors import SurefootError
-from sim.log import LEGS, Log
-from sim.quaternion import matrix_from_quaternion
-from sim.terrain import Ground
+from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
+from surefoot.scenarios.reporting.palette import estimator_color, friction_color
+from surefoot.scenarios.viewer.recording import write_recording
+from surefoot.scenarios.viewer.robot_shapes import geom_shapes
+from surefoot.scenarios.viewer.scene import write_estimates
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.quaternion import matrix_from_quaternion
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.log import LEGS, Log
 
 
 class Contents:

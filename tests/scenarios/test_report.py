@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scenarios.plotting import new_figure
-from scenarios.report import Picture, Section, html_report, write_report
-from scenarios.tables import cell, to_csv, to_html, to_markdown
-from sim.errors import SurefootError
+from surefoot.scenarios.reporting.html import Picture, Section, html_report, write_report
+from surefoot.scenarios.reporting.plotting import new_figure
+from surefoot.scenarios.reporting.tables import cell, to_csv, to_html, to_markdown
+from surefoot.sim.common.errors import SurefootError
 
 TABLE = [
     {"filter": "Leg | IEKF", "APE [m]": 1.23456, "ok": True},

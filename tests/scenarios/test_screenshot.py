@@ -16,9 +16,9 @@ from conftest import Walk
 from matplotlib.image import imread
 from rerun.experimental import ViewerClient
 
-from scenarios.palette import OBSERVER, estimator_color, friction_color, rgba
-from scenarios.recording import write_recording
-from sim.terrain import Ground, Strip
+from surefoot.scenarios.reporting.palette import OBSERVER, estimator_color, friction_color, rgba
+from surefoot.scenarios.viewer.recording import write_recording
+from surefoot.sim.ground.terrain import Ground, Strip
 
 pytestmark = pytest.mark.pictures
 

@@ -13,13 +13,13 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from scenarios.cli import main
-from scenarios.dataset import Journal, read_index
-from scenarios.simulate import simulate_all
-from sim.effects_file import load_effects
-from sim.errors import SurefootError
-from sim.log import Log
-from sim.robot import Robot
+from surefoot.scenarios.cli.main import main
+from surefoot.scenarios.datasets.index import Journal, read_index
+from surefoot.scenarios.datasets.simulate import simulate_all
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.effects.file import load_effects
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
 
 COURSE = """
 name = "short"
@@ -160,7 +160,7 @@ def test_declared_effects_stand_in_log_and_index(folder):
 
 def test_killed_and_started_again_it_ends_with_the_same_bits(folder):
     """SIGKILL once two logs are there; whatever then lies there as a log is whole."""
-    command = [sys.executable, "-m", "scenarios", "simulate", "short.toml", "--seeds", "0:6"]
+    command = [sys.executable, "-m", "surefoot", "simulate", "short.toml", "--seeds", "0:6"]
     here = {"PYTHONPATH": str(Path(__file__).parents[2])}
     process = subprocess.Popen(
         [*command, "--workers", "2", "-o", "walks"], env=os.environ | here, start_new_session=True

@@ -7,20 +7,20 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from models.candidates import case_of
-from models.floor import floor_of, floor_with, ground_of
-from scenarios.trace import OUTPUTS, Trace, diagnose, trace
-from scenarios.trace_data import dead_contacts, readings
-from scenarios.trace_words import caution, summary
-from sim.effects import effect
-from sim.effects_file import load_effects
-from sim.errors import SurefootError
-from sim.import_map import EVENNESS
-from sim.log import Log, LogError, Meta
-from sim.robot import Robot
-from sim.scenario import Scenario, Segment
-from sim.terrain import Ground, Patch
-from sim.walk import walk
+from surefoot.models.attribution.evidence import log_under_model
+from surefoot.models.attribution.noise_floor import ground_of, noise_floor, noise_floor_with
+from surefoot.scenarios.trace.data import dead_contacts, readings
+from surefoot.scenarios.trace.run import OUTPUTS, Trace, diagnose, trace
+from surefoot.scenarios.trace.words import caution, summary
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.effects import effect
+from surefoot.sim.effects.file import load_effects
+from surefoot.sim.ground.terrain import Ground, Patch
+from surefoot.sim.importing.map import EVENNESS
+from surefoot.sim.log import Log, LogError, Meta
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
 
 ROBOT = Robot.load("spot_class")
 COURSE = (
@@ -204,5 +204,5 @@ def test_what_was_found_beside_a_rest_is_put_to_use_with_caution():
 
 
 def test_a_size_that_rounding_takes_to_its_bound_is_walked_within_it():
-    floor = floor_of([case_of(log_with(), ROBOT)])
-    assert floor_with(floor, [effect("link_length", "RL_thigh", 0.02996)]).repeats
+    floor = noise_floor([log_under_model(log_with(), ROBOT)])
+    assert noise_floor_with(floor, [effect("link_length", "RL_thigh", 0.02996)]).repeats

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scenarios.filters import Learnt
-from scenarios.trace_filters import before_and_after
-from sim.effect import Effect, with_columns
-from sim.robot import Robot
-from sim.scenario import Scenario, Segment
-from sim.terrain import Ground
-from sim.walk import walk
+from surefoot.scenarios.estimate.registry import Learnt
+from surefoot.scenarios.trace.filters import before_and_after
+from surefoot.sim.effects.base import Effect, with_columns
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
 
 
 class Drift(Effect):
@@ -23,7 +23,7 @@ class Drift(Effect):
     channels = ("imu_gyro",)
     targets = ("all",)
 
-    def explain(self, log, robot):
+    def compensate(self, log, robot):
         reading = log.frame["gyro_x"].to_numpy() - self.value * (log.t - log.t[0])
         return with_columns(log, {"gyro_x": reading}), robot
 

@@ -5,13 +5,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from scenarios.trace import diagnose
-from scenarios.trace_words import summary
-from sim.errors import SurefootError
-from sim.fixed_base import FixedBase, load_machine, machine_for_log
-from sim.inverse import dynamics_of
-from sim.log import Log, Meta
-from sim.robot import Robot
+from surefoot.scenarios.trace.run import diagnose
+from surefoot.scenarios.trace.words import summary
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.log import Log, Meta
+from surefoot.sim.physics.inverse_dynamics import dynamics_of
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.fixed_base import FixedBase, load_machine, machine_for_log
 
 PENDULUM = load_machine("ak80_pendulum")
 RATE = 500.0

@@ -2,11 +2,11 @@
 
 import pytest
 
-from scenarios.filters import FILTERS
-from scenarios.tune_filters import write_tuned
-from scenarios.tuned import BUNDLED, OWN, read_tuned, tuned
-from sim.errors import SurefootError
-from sim.robot import Robot
+from surefoot.scenarios.estimate.registry import FILTERS
+from surefoot.scenarios.estimate.tuned import BUNDLED, OWN, read_tuned, tuned
+from surefoot.scenarios.tune import write_tuned
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.robot import Robot
 
 
 def test_every_filter_has_its_own_parameters_for_every_robot():

@@ -5,10 +5,10 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from estimator.metrics import Metrics
-from scenarios.tune_filters import TuneFilters, tune
-from scenarios.tuning import PRICE, price_of, search
-from sim.errors import SurefootError
+from surefoot.estimator.metrics import Metrics
+from surefoot.scenarios.tune import TuneFilters, tune
+from surefoot.scenarios.tuning import PRICE, price_of, search
+from surefoot.sim.common.errors import SurefootError
 
 
 def bowl(values):

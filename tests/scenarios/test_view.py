@@ -4,8 +4,8 @@ import subprocess
 
 import pytest
 
-from scenarios.view import recording_file, view
-from sim.errors import SurefootError
+from surefoot.scenarios.viewer.view import recording_file, view
+from surefoot.sim.common.errors import SurefootError
 
 
 @pytest.mark.parametrize(

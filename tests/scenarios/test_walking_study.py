@@ -6,13 +6,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from scenarios.cli import main
-from scenarios.walking_grounds import SLOPE, grounds_for
-from scenarios.walking_study import SUITES, velocity_error, walking_study
-from sim.robot import Robot
-from sim.scenario import Scenario, Segment
-from sim.terrain import Ground
-from sim.walk import plan, simulate
+from surefoot.scenarios.cli.main import main
+from surefoot.scenarios.studies.walking.grounds import SLOPE, grounds_for
+from surefoot.scenarios.studies.walking.study import SUITES, velocity_error, walking_study
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import plan, simulate
 
 COURSE = """
 name = "short"
@@ -74,7 +74,7 @@ def test_grounds_fit_the_robot():
 
 
 def _steepest(relief) -> tuple[float, float]:
-    from sim.relief import surface
+    from surefoot.sim.ground.height_map import surface
 
     _, a, b = surface(relief, 3.0, 0.0)
     return a, b

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from mujoco import rollout
 
-from sim.batch import Job, walk_batch, walk_job
-from sim.log import Log
-from sim.robot import Robot
-from sim.scenario import Ranges, Scenario, Segment
-from sim.stride import rotation
-from sim.terrain import Ground, Patch, Strip
-from sim.walk import Fallen, plan, simulate, walk
+from surefoot.sim.ground.terrain import Ground, Patch, Strip
+from surefoot.sim.log import Log
+from surefoot.sim.physics.stepper import rotation
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Ranges, Scenario, Segment
+from surefoot.sim.walk import Fallen, plan, simulate, walk
+from surefoot.sim.walking.batch import Job, walk_batch, walk_job
 
 FLAT = Scenario(
     "flat",

@@ -6,20 +6,20 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
+from turning import mean_rotation
 
-from sim.contacts import swings
-from sim.effects import CATALOGUE, effect
-from sim.effects_file import load_effects, save_effects
-from sim.legs import JOINTS, LEGS
-from sim.log import Log
-from sim.quaternion import quaternion_from_matrix
-from sim.robot import Robot
-from sim.scenario import Scenario, Segment
-from sim.sensors import Sensors
-from sim.terrain import Ground, Patch, Strip
-from sim.walk import plan, simulate, walk
-from sim.world import TIMESTEP, World, robot_spec
-from tests.sim.turning import mean_rotation
+from surefoot.sim.common.quaternion import quaternion_from_matrix
+from surefoot.sim.effects import CATALOGUE, effect
+from surefoot.sim.effects.file import load_effects, save_effects
+from surefoot.sim.ground.terrain import Ground, Patch, Strip
+from surefoot.sim.log import Log
+from surefoot.sim.physics.scene import TIMESTEP, World, robot_spec
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.legs import JOINTS, LEGS
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.sensors.contact import swings
+from surefoot.sim.sensors.streams import Sensors
+from surefoot.sim.walk import plan, simulate, walk
 
 SPOT = Robot.load("spot_class")
 # Nothing but the effect: sensors without noise, and an IMU of steps that are next to none.
@@ -338,5 +338,5 @@ def test_the_whole_catalogue_is_here():
         *("contact_delay", "mounting_rotation"),
     }
     assert elsewhere | {case[0] for case in READINGS} == set(CATALOGUE)
-    explained = {name for name, kind in CATALOGUE.items() if kind.is_explained()}
+    explained = {name for name, kind in CATALOGUE.items() if kind.is_compensated()}
     assert all(hasattr(CATALOGUE[name], "step") for name in explained)

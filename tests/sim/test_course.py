@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from sim.course import ACCELERATION, TURN_ACCELERATION, lay_course
-from sim.scenario import Segment
+from surefoot.sim.gait.course import ACCELERATION, TURN_ACCELERATION, lay_course
+from surefoot.sim.scenario import Segment
 
 DT = 0.004
 

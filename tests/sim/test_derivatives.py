@@ -4,8 +4,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sim.derivatives import derivative
-from sim.log import Log, LogError, Meta, joint_velocity, reference_velocity, with_velocities
+from surefoot.sim.log import (
+    Log,
+    LogError,
+    Meta,
+    joint_velocity,
+    reference_velocity,
+    with_velocities,
+)
+from surefoot.sim.log.derived import derivative
 
 
 def uneven(rng: np.random.Generator, n: int) -> np.ndarray:

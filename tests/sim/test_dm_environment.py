@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from dm_env import test_utils
 
-from sim.dm_environment import SETTLING, WalkingEnvironment
-from sim.effects import effect
-from sim.errors import SurefootError
-from sim.gait import fresh_memory, tick
-from sim.log import Log
-from sim.robot import Robot
-from sim.scenario import Ranges, Scenario, Segment
-from sim.stride import rotation
-from sim.terrain import Ground
-from sim.walk import plan, walk
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.effects import effect
+from surefoot.sim.gait.controller import fresh_memory, tick
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.log import Log
+from surefoot.sim.physics.stepper import rotation
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Ranges, Scenario, Segment
+from surefoot.sim.walk import plan, walk
+from surefoot.sim.walking.dm_environment import SETTLING, WalkingEnvironment
 
 # dm_control looks for a screen on import and warns where there is none.
 pytestmark = pytest.mark.filterwarnings("ignore:.*X11.*")

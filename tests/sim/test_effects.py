@@ -8,17 +8,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from sim.effects import CATALOGUE, effect
-from sim.effects_file import load_effects, save_effects, to_toml
-from sim.errors import SurefootError
-from sim.kinematics import feet
-from sim.legs import JOINTS, LEGS, find_legs
-from sim.robot import Robot
-from sim.scenario import Scenario, Segment
-from sim.sensors import Streams
-from sim.terrain import Ground
-from sim.walk import walk
-from sim.world import robot_spec
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.effects import CATALOGUE, effect
+from surefoot.sim.effects.file import load_effects, save_effects, to_toml
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.physics.scene import robot_spec
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.kinematics import feet
+from surefoot.sim.robot.legs import JOINTS, LEGS, find_legs
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.sensors.streams import Streams
+from surefoot.sim.walk import walk
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def test_link_length_moves_the_foot_of_the_compiled_model_as_explained(robot, lo
     _, tree = edited(robot, one)
     q = np.random.default_rng(1).uniform(-0.5, 0.5, (20, 12)) + robot.q_home
     simulated = feet(tree.constants, q, robot.R_BI, robot.p_BI)[0]
-    _, known = one.explain(log, robot)
+    _, known = one.compensate(log, robot)
     assert_allclose(known.feet_I(q), simulated, atol=1e-12)
     moved = np.linalg.norm(simulated - robot.feet_I(q), axis=2)
     leg = LEGS.index(target[:2])
@@ -75,7 +75,7 @@ def test_foot_rolling_changes_the_radius_and_leaves_the_centres(robot, log):
     _, tree = edited(robot, one)
     assert_allclose(tree.foot_radius, robot.foot_radius + 0.005)
     assert_allclose(tree.constants.foot, robot.legs.foot)
-    assert_allclose(one.explain(log, robot)[1].foot_radius, tree.foot_radius)
+    assert_allclose(one.compensate(log, robot)[1].foot_radius, tree.foot_radius)
 
 
 def test_foot_rolling_leaves_every_foot_a_radius(robot):
@@ -129,7 +129,7 @@ def test_explain_undoes_what_was_done_to_the_streams(robot, log, name, target, v
     frame = log.frame.copy()
     for kind, names in (("gyro", "xyz"), ("accel", "xyz"), ("q", JOINTS), ("dq", JOINTS)):
         frame[[f"{kind}_{n}" for n in names]] = getattr(altered, kind)
-    known, same = one.explain(replace(log, frame=frame), robot)
+    known, same = one.compensate(replace(log, frame=frame), robot)
     inside = slice(10, -10)
     assert same is robot
     assert_allclose(known.gyro, log.gyro, atol=1e-12)

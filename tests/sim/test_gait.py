@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from sim.gait import fresh_memory, gait_for, ground_below, tick
-from sim.relief import height
-from sim.robot import Robot
-from sim.support import stance_forces
-from sim.swing import lift_part, place_foot, rise_over
-from sim.terrain import Ground, Strip
+from surefoot.sim.gait.controller import fresh_memory, gait_for, ground_below, tick
+from surefoot.sim.gait.stance_control import stance_forces
+from surefoot.sim.gait.swing import lift_part, place_foot, rise_over
+from surefoot.sim.ground.height_map import height
+from surefoot.sim.ground.terrain import Ground, Strip
+from surefoot.sim.robot import Robot
 
 SPOT = Robot.load("spot_class")
 GAIT = gait_for(SPOT, 0.0)

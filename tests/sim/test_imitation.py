@@ -5,12 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.errors import SurefootError
-from sim.imitation import POSTURE, Manner, body_twists, imitation, manner, slower
-from sim.robot import Robot
-from sim.scenario import Ranges, Scenario, Segment
-from sim.terrain import Ground
-from sim.walk import walk
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Ranges, Scenario, Segment
+from surefoot.sim.walk import walk
+from surefoot.sim.walking.imitation import (
+    POSTURE,
+    WalkingStyle,
+    body_twists,
+    imitation,
+    slower,
+    walking_style,
+)
 
 FORWARD, TURN = 0.6, 0.4
 
@@ -32,7 +39,7 @@ def shown(robot):
 
 def test_the_manner_of_a_walk_is_read_from_its_log(robot, shown):
     log, crouched = shown
-    read = manner(log, robot)
+    read = walking_style(log, robot)
     assert read.period == pytest.approx(1.25, rel=0.03)
     assert read.clearance == pytest.approx(1.3, rel=0.25)
     knees = slice(2, None, 3)
@@ -43,9 +50,9 @@ def test_the_manner_of_a_walk_is_read_from_its_log(robot, shown):
 
 
 def test_a_walk_in_that_manner_has_it(robot, shown):
-    read = manner(shown[0], robot)
+    read = walking_style(shown[0], robot)
     scenario, poised = imitation(read, robot, "again", 16.0, np.random.default_rng(0))
-    again = manner(walk(scenario, poised, 0), robot)
+    again = walking_style(walk(scenario, poised, 0), robot)
     assert again.period == pytest.approx(read.period, rel=0.13)  # drawn within a tenth
     drawn = np.tile(POSTURE, 4) + 0.1
     assert (np.abs(again.q_stance - read.q_stance) < drawn).all()
@@ -55,7 +62,7 @@ def test_a_walk_in_that_manner_has_it(robot, shown):
 
 def test_stretches_change_order_and_nothing_else(robot):
     twists = np.column_stack([np.arange(12.0), np.zeros(12), np.zeros(12)])
-    read = Manner(twists, 1.0, 1.0, robot.q_home)
+    read = WalkingStyle(twists, 1.0, 1.0, robot.q_home)
     drawn = [
         imitation(read, robot, "x", 12.0, np.random.default_rng(seed))[0].segments
         for seed in (0, 0, 1)
@@ -69,7 +76,7 @@ def test_stretches_change_order_and_nothing_else(robot):
 def test_without_contacts_the_gait_is_the_controllers_own(robot, shown):
     log = shown[0]
     bare = log.frame.drop(columns=[c for c in log.frame if str(c).startswith("contact_")])
-    read = manner(replace(log, frame=bare), robot)
+    read = walking_style(replace(log, frame=bare), robot)
     assert (read.period, read.clearance) == (1.0, 1.0)
     np.testing.assert_array_equal(read.q_stance, robot.q_home)
 
@@ -81,4 +88,4 @@ def test_gaps_in_the_reference_are_not_walked(robot, shown):
     assert len(body_twists(replace(log, frame=hidden))) == len(body_twists(log)) - 4
     hidden["ref_ok"] = (log.t < 1.5).astype(float)
     with pytest.raises(SurefootError, match="covers less than 3 s"):
-        manner(replace(log, frame=hidden), robot)
+        walking_style(replace(log, frame=hidden), robot)

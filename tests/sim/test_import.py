@@ -9,14 +9,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
-from sim.contacts import contact_from_force
-from sim.csv_table import read_csv
-from sim.errors import SurefootError
-from sim.import_map import EVENNESS, ImportMap
-from sim.importer import import_csv, interpolate_reference
-from sim.log import JOINTS, Log
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import bundled, measured_folder
+from surefoot.sim.importing.csv_table import read_csv
+from surefoot.sim.importing.importer import import_csv, interpolate_reference
+from surefoot.sim.importing.map import EVENNESS, ImportMap
+from surefoot.sim.log import JOINTS, Log
+from surefoot.sim.sensors.contact import contact_from_force
 
-MEASURED = Path(__file__).parents[2].parent / "shared" / "measured"
+MEASURED = measured_folder()
 needs_measured = pytest.mark.skipif(
     not MEASURED.is_dir(), reason=f"the measured logs are not here ({MEASURED})"
 )
@@ -356,7 +357,7 @@ def test_the_go1_recording_comes_in_whole():
 @needs_measured
 def test_the_go1_folder_and_its_main_file_are_the_same():
     folder = MEASURED / "go1_square"
-    by_folder = import_csv(folder, Path(__file__).parents[2] / "sim/maps/go1_square.toml")
+    by_folder = import_csv(folder, bundled("surefoot.sim.importing", "maps") / "go1_square.toml")
     by_file = import_csv(folder / "imu_joints.csv", "go1_square")
     pd.testing.assert_frame_equal(by_folder.frame, by_file.frame)
 

@@ -10,9 +10,9 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
-from sim.bag_importer import import_bag
-from sim.errors import SurefootError
-from sim.log import Log
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.importing.bag import import_bag
+from surefoot.sim.log import Log
 
 MAP = """
 [columns]

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from sim.effects import effect
-from sim.inverse import dynamics_of
-from sim.robot import Robot
+from surefoot.sim.effects import effect
+from surefoot.sim.physics.inverse_dynamics import dynamics_of
+from surefoot.sim.robot import Robot
 
 
 @pytest.mark.parametrize(("joint", "name", "target"), [
@@ -19,7 +19,7 @@ def test_a_shifted_leg_takes_its_masses_along(joint, name, target):
     spec = robot.spec()
     one.edit_spec(spec, robot)
     edited = spec.compile()
-    legs = one.explain(None, robot)[1].legs  # type: ignore[arg-type]
+    legs = one.compensate(None, robot)[1].legs  # type: ignore[arg-type]
     shift = (legs.offset - robot.legs.offset).reshape(12, 3)
     assert np.flatnonzero(np.abs(shift).sum(axis=1)).tolist() == [joint]
 

@@ -1,6 +1,6 @@
 """Kernels compiled from sources that have changed since are forgotten, others are kept."""
 
-from sim.kernel_cache import forget_stale_kernels
+from surefoot.sim.common.kernels import forget_stale_kernels
 
 
 def test_kernels_live_as_long_as_their_sources(tmp_path):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from sim.kinematics import axis_rotation
-from sim.robot import Robot
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.kinematics import axis_rotation
 
 
 @pytest.mark.parametrize("name", ["spot_class", "v60_class"])

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation, Slerp
 
-from sim.quaternion import slerp
+from surefoot.sim.common.quaternion import slerp
 
 
 @pytest.mark.parametrize("turn", [0.0, 1e-9, 1e-4, 0.3, 2.5])

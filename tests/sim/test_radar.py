@@ -8,13 +8,13 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from sim.errors import SurefootError
-from sim.log import Log, Meta
-from sim.quaternion import quaternion_from_matrix
-from sim.radar import Radar, RadarSensor, mounting, radar, radar_over
-from sim.robot import Robot
-from sim.scenario import Scenario, Segment
-from sim.terrain import Ground, Strip
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.quaternion import quaternion_from_matrix
+from surefoot.sim.ground.terrain import Ground, Strip
+from surefoot.sim.log import Log, Meta
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walking.radar import Radar, RadarSensor, mounting, radar, radar_over
 
 EXACT = RadarSensor(
     range_step=0.0, doppler_step=0.0, doppler_noise=0.0, azimuth_noise=0.0, elevation_noise=0.0,

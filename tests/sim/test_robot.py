@@ -6,11 +6,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from sim.errors import SurefootError
-from sim.legs import LEGS
-from sim.robot import Robot
-from sim.robot_files import downloadable_robots, known_robots, robot_file
-from sim.stance import stands
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.catalog import downloadable_robots, known_robots, robot_file
+from surefoot.sim.robot.home_pose import stands
+from surefoot.sim.robot.legs import LEGS
 
 ROBOTS = sorted(known_robots())
 

@@ -1,19 +1,19 @@
 """Scenario files: what they mean, what a seed may change, and one clear line for every mistake."""
 
 from contextlib import suppress
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.course import lay_course
-from sim.errors import SurefootError
-from sim.relief import surfaces
-from sim.scenario import Scenario, drawn
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import bundled
+from surefoot.sim.gait.course import lay_course
+from surefoot.sim.ground.height_map import surfaces
+from surefoot.sim.scenario import Scenario, drawn
 
-SCENARIOS = Path(__file__).parents[2] / "scenarios"
+SCENARIOS = bundled("surefoot.scenarios", "courses")
 SUITES = sorted(p for suite in ("demo", "shift", "spot", "vision60")
                 for p in (SCENARIOS / suite).glob("*.toml"))  # fmt: skip
 GOOD = """

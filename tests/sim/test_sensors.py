@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from sim.errors import SurefootError
-from sim.sensors import Sensors, Streams, corrupt, low_pass, sensed_contact
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.sensors.streams import Sensors, Streams, corrupt, low_pass, sensed_contact
 
 WEIGHT = 300.0  # N
 RATE = 500.0  # Hz

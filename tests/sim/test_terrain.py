@@ -4,10 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from sim.errors import SurefootError
-from sim.relief import height, normal, surfaces
-from sim.terrain import Ground, Patch, Strip
-from sim.tiles import add_ground
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.ground.height_map import height, normal, surfaces
+from surefoot.sim.ground.terrain import Ground, Patch, Strip
+from surefoot.sim.ground.tiles import add_ground
 
 STRIPS = (
     Strip((1.0, 0.0), (4.0, 0.0), 2.0, (0.0, 0.6)),

@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from turning import mean_rotation
 
-from sim.course import lay_course
-from sim.effects import effect
-from sim.errors import SurefootError
-from sim.gait import gait_for
-from sim.relief import height
-from sim.robot import Robot
-from sim.scenario import Ranges, Scenario, Segment
-from sim.sensors import GRAVITY_G, Sensors, ideal_streams, imu_motion
-from sim.terrain import Ground, Patch, Strip
-from sim.walk import STEPS_PER_TICK, Fallen, simulate, walk
-from sim.world import TIMESTEP, build_world
-from tests.sim.turning import mean_rotation
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.effects import effect
+from surefoot.sim.gait.controller import gait_for
+from surefoot.sim.gait.course import lay_course
+from surefoot.sim.ground.height_map import height
+from surefoot.sim.ground.terrain import Ground, Patch, Strip
+from surefoot.sim.physics.scene import TIMESTEP, build_world
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Ranges, Scenario, Segment
+from surefoot.sim.sensors.streams import GRAVITY_G, Sensors, ideal_streams, imu_motion
+from surefoot.sim.walk import STEPS_PER_TICK, Fallen, simulate, walk
 
 SPOT = Robot.load("spot_class")
 # Nothing between the simulation and the log but the rounding of the IMU.

@@ -1,0 +1,1 @@
+"""The groups, the navigation state, and IMU propagation."""

@@ -1,0 +1,230 @@
+"""The groups SO(3), SE_2(3), SE_{2+K}(3): hat, exp, log, adjoint, left Jacobian, Gamma functions.
+
+Every coefficient comes from one family of entire functions of the squared angle,
+
+    e_k(x) = sum_j (-x)^j / (2 j + k)!,     e_k = 1/k! - x e_{k+2},
+
+so that nothing is ever divided by a small angle. Gamma_m (Hartley 2020, Appendix B) is then
+
+    Gamma_m(phi) = sum_n [phi]x^n / (n + m)! = I/m! + e_{m+1} [phi]x + e_{m+2} [phi]x^2.
+
+Gamma_0 is the exponential of SO(3) and Gamma_1 its left Jacobian. An element of SE_{2+K}(3) is the
+square matrix [R c_1 ... c_{2+K}; 0 I]; its tangent vectors are ordered (rotation, velocity,
+position, ...), as the paper orders xi.
+"""
+
+import numpy as np
+
+from surefoot.sim.common.kernels import kernel
+
+# Below this squared angle the series, above it the recursion, is the accurate one.
+_SERIES_LIMIT = 4.0
+
+
+@kernel
+def entire(x: float) -> tuple[float, float, float, float, float, float, float]:
+    """e_0 ... e_6 at the squared angle x >= 0 (see the module)."""
+    if x < _SERIES_LIMIT:
+        e5 = 1.0
+        e6 = 1.0
+        for j in range(3 if x < 1e-4 else 12, -1, -1):
+            e5 = 1.0 - x * e5 / ((2 * j + 6) * (2 * j + 7))
+            e6 = 1.0 - x * e6 / ((2 * j + 7) * (2 * j + 8))
+        e5 /= 120.0
+        e6 /= 720.0
+        e4 = 1.0 / 24.0 - x * e6
+        e3 = 1.0 / 6.0 - x * e5
+        e2 = 0.5 - x * e4
+        e1 = 1.0 - x * e3
+        return 1.0 - x * e2, e1, e2, e3, e4, e5, e6
+    angle = np.sqrt(x)
+    e0 = np.cos(angle)
+    e1 = np.sin(angle) / angle
+    e2 = (1.0 - e0) / x
+    e3 = (1.0 - e1) / x
+    e4 = (0.5 - e2) / x
+    e5 = (1.0 / 6.0 - e3) / x
+    e6 = (1.0 / 24.0 - e4) / x
+    return e0, e1, e2, e3, e4, e5, e6
+
+
+@kernel
+def hat(phi):
+    """[phi]x (3, 3) of phi (3,): hat(a) @ b = a x b."""
+    out = np.zeros((3, 3))
+    out[0, 1], out[0, 2], out[1, 2] = -phi[2], phi[1], -phi[0]
+    out[1, 0], out[2, 0], out[2, 1] = phi[2], -phi[1], phi[0]
+    return out
+
+
+@kernel
+def _polynomial(phi, identity: float, linear: float, square: float, out):
+    """out = identity I + linear [phi]x + square [phi]x^2."""
+    x, y, z = phi[0], phi[1], phi[2]
+    out[0, 0] = identity - square * (y * y + z * z)
+    out[1, 1] = identity - square * (x * x + z * z)
+    out[2, 2] = identity - square * (x * x + y * y)
+    out[0, 1] = square * x * y - linear * z
+    out[1, 0] = square * x * y + linear * z
+    out[0, 2] = square * x * z + linear * y
+    out[2, 0] = square * x * z - linear * y
+    out[1, 2] = square * y * z - linear * x
+    out[2, 1] = square * y * z + linear * x
+
+
+@kernel
+def gammas(phi, gamma_0, gamma_1, gamma_2):
+    """Gamma_0, Gamma_1 and Gamma_2 (3, 3) of phi (3,), written into the three arrays."""
+    _, e1, e2, e3, e4, _, _ = entire(phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2)
+    _polynomial(phi, 1.0, e1, e2, gamma_0)
+    _polynomial(phi, 1.0, e2, e3, gamma_1)
+    _polynomial(phi, 0.5, e3, e4, gamma_2)
+
+
+@kernel
+def so3_exp(phi):
+    """Rotation matrix (3, 3) of the rotation vector phi (3,) [rad]: Gamma_0."""
+    _, e1, e2, _, _, _, _ = entire(phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2)
+    out = np.empty((3, 3))
+    _polynomial(phi, 1.0, e1, e2, out)
+    return out
+
+
+@kernel
+def so3_left_jacobian(phi):
+    """Left Jacobian (3, 3) of SO(3) at phi (3,): Gamma_1."""
+    _, _, e2, e3, _, _, _ = entire(phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2)
+    out = np.empty((3, 3))
+    _polynomial(phi, 1.0, e2, e3, out)
+    return out
+
+
+@kernel
+def so3_left_jacobian_inverse(phi):
+    """Inverse (3, 3) of the left Jacobian of SO(3) at phi (3,), |phi| < 2 pi."""
+    x = phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2
+    # (1 - (theta/2) cot(theta/2)) / theta^2 through the half angle: no small quotient remains.
+    _, e1, e2, e3, _, _, _ = entire(0.25 * x)
+    out = np.empty((3, 3))
+    _polynomial(phi, 1.0, -0.5, 0.25 * (e2 - e3) / e1, out)
+    return out
+
+
+@kernel
+def so3_log(R):
+    """Rotation vector (3,) [rad], |phi| <= pi, of the rotation matrix R (3, 3).
+
+    Goes through the largest quaternion component, so it keeps its digits at 0 and at pi.
+    """
+    q = np.empty(4)
+    q[0] = 1.0 + R[0, 0] + R[1, 1] + R[2, 2]
+    q[1] = 1.0 + R[0, 0] - R[1, 1] - R[2, 2]
+    q[2] = 1.0 - R[0, 0] + R[1, 1] - R[2, 2]
+    q[3] = 1.0 - R[0, 0] - R[1, 1] + R[2, 2]
+    largest = np.argmax(q)
+    products = np.empty((4, 4))
+    products[0, 1] = R[2, 1] - R[1, 2]
+    products[0, 2] = R[0, 2] - R[2, 0]
+    products[0, 3] = R[1, 0] - R[0, 1]
+    products[1, 2] = R[0, 1] + R[1, 0]
+    products[1, 3] = R[0, 2] + R[2, 0]
+    products[2, 3] = R[1, 2] + R[2, 1]
+    for i in range(4):
+        products[i, i] = q[i]
+        for j in range(i):
+            products[i, j] = products[j, i]
+    q = products[largest] / np.sqrt(np.sum(products[largest] ** 2))
+    if q[0] < 0.0:
+        q = -q
+    sine = np.sqrt(q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
+    if sine < 1e-8:
+        return 2.0 * q[1:]
+    return 2.0 * np.arctan2(sine, q[0]) / sine * q[1:]
+
+
+@kernel
+def _coupling(phi, rho):
+    """Q(phi, rho) (3, 3): the left Jacobian's block below the diagonal (Barfoot, eq. 8.91b)."""
+    _, _, _, e3, e4, e5, _ = entire(phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2)
+    P, V = hat(phi), hat(rho)
+    PV, VP = P @ V, V @ P
+    PVP = P @ VP
+    return (
+        0.5 * V
+        + e3 * (PV + VP + PVP)
+        + e4 * (P @ PV + VP @ P - 3.0 * PVP)
+        + 0.5 * (e4 - 3.0 * e5) * (PVP @ P + P @ PVP)
+    )
+
+
+@kernel
+def se_hat(xi):
+    """xi^ (3+m, 3+m) of the tangent vector xi (3 (1+m),) of SE_m(3)."""
+    m = xi.shape[0] // 3 - 1
+    out = np.zeros((3 + m, 3 + m))
+    out[:3, :3] = hat(xi[:3])
+    for c in range(m):
+        out[:3, 3 + c] = xi[3 * c + 3 : 3 * c + 6]
+    return out
+
+
+@kernel
+def se_exp(xi):
+    """exp(xi^) (3+m, 3+m) of the tangent vector xi (3 (1+m),) of SE_m(3)."""
+    m = xi.shape[0] // 3 - 1
+    out = np.eye(3 + m)
+    out[:3, :3] = so3_exp(xi[:3])
+    J = so3_left_jacobian(xi[:3])
+    for c in range(m):
+        out[:3, 3 + c] = J @ xi[3 * c + 3 : 3 * c + 6]
+    return out
+
+
+@kernel
+def se_log(X):
+    """Tangent vector xi (3 (1+m),) with exp(xi^) = X, for X (3+m, 3+m) of SE_m(3)."""
+    m = X.shape[0] - 3
+    xi = np.empty(3 * (1 + m))
+    xi[:3] = so3_log(X[:3, :3])
+    J_inverse = so3_left_jacobian_inverse(xi[:3])
+    for c in range(m):
+        xi[3 * c + 3 : 3 * c + 6] = J_inverse @ np.ascontiguousarray(X[:3, 3 + c])
+    return xi
+
+
+@kernel
+def se_inverse(X):
+    """X^-1 (3+m, 3+m) for X of SE_m(3)."""
+    out = np.eye(X.shape[0])
+    Rt = np.ascontiguousarray(X[:3, :3].T)
+    out[:3, :3] = Rt
+    out[:3, 3:] = -Rt @ np.ascontiguousarray(X[:3, 3:])
+    return out
+
+
+@kernel
+def se_adjoint(X):
+    """Ad_X (3 (1+m), 3 (1+m)) for X of SE_m(3): X exp(xi^) X^-1 = exp((Ad_X xi)^)."""
+    m = X.shape[0] - 3
+    R = np.ascontiguousarray(X[:3, :3])
+    out = np.zeros((3 * (1 + m), 3 * (1 + m)))
+    out[:3, :3] = R
+    for c in range(m):
+        rows = slice(3 * c + 3, 3 * c + 6)
+        out[rows, rows] = R
+        out[rows, :3] = hat(X[:3, 3 + c]) @ R
+    return out
+
+
+@kernel
+def se_left_jacobian(xi):
+    """Left Jacobian of SE_m(3) at xi (3 (1+m),): exp((xi + d)^) ~ exp((J d)^) exp(xi^)."""
+    m = xi.shape[0] // 3 - 1
+    J = so3_left_jacobian(xi[:3])
+    out = np.zeros((3 * (1 + m), 3 * (1 + m)))
+    out[:3, :3] = J
+    for c in range(m):
+        rows = slice(3 * c + 3, 3 * c + 6)
+        out[rows, rows] = J
+        out[rows, :3] = _coupling(xi[:3], xi[rows])
+    return out

@@ -1,0 +1,199 @@
+"""The navigation state, its packed form inside the kernels, and the noise of the IMU.
+
+The kernels keep a state as one array `mean` (7+E, 3) with the rows
+
+    0..2 R_GI | 3 v_GI | 4 p_GI | 5 b_a | 6 b_g | 7.. extra vectors
+
+and its covariance (15+3E, 15+3E) in the right-invariant error order of the paper,
+(rotation, velocity, position, b_a, b_g, extras): error 3k..3k+2 of k >= 1 belongs to row 2+k.
+Extras are contact points (columns of the group, as v and p are) or plain vectors (as biases are).
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from surefoot.estimator.core.lie import entire
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.kernels import kernel
+
+GRAVITY = 9.81
+"""Magnitude of gravity [m/s^2]; it points along -z of G."""
+
+_FLOAT = np.dtype(float)
+
+V, P, B_A, B_G, EXTRA = 3, 4, 5, 6, 7
+"""Rows of the packed mean."""
+
+
+@dataclass(frozen=True)
+class NavState:
+    """Navigation state X = (R_GI, v_GI, p_GI) with IMU biases (paper, Sec. II).
+
+    R_GI (3, 3) maps I to G; v_GI (3,) [m/s] and p_GI (3,) [m] are expressed in G; b_a (3,) [m/s^2]
+    and b_g (3,) [rad/s] in I.
+    """
+
+    R_GI: np.ndarray = field(default_factory=lambda: np.eye(3))
+    v_GI: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    p_GI: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    b_a: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    b_g: np.ndarray = field(default_factory=lambda: np.zeros(3))
+
+    def __post_init__(self):
+        R = numbers("R_GI", self.R_GI, (3, 3))
+        if np.abs(R @ R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0:
+            raise SurefootError("state: R_GI is not a rotation matrix")
+        object.__setattr__(self, "R_GI", R)
+        for name in ("v_GI", "p_GI", "b_a", "b_g"):
+            object.__setattr__(self, name, numbers(name, getattr(self, name), (3,)))
+
+    @property
+    def v_I(self) -> np.ndarray:
+        """Velocity (3,) [m/s] of the IMU expressed in I."""
+        return self.R_GI.T @ self.v_GI
+
+    def pack(self, extras: int = 0) -> np.ndarray:
+        """The packed mean (7+extras, 3), extras at zero."""
+        mean = np.zeros((EXTRA + extras, 3))
+        mean[:3] = self.R_GI
+        mean[V], mean[P], mean[B_A], mean[B_G] = self.v_GI, self.p_GI, self.b_a, self.b_g
+        return mean
+
+    @staticmethod
+    def unpack(mean: np.ndarray) -> "NavState":
+        """The navigation state in the packed mean (7+E, 3); copies."""
+        mean = mean.copy()
+        return NavState(mean[:3], mean[V], mean[P], mean[B_A], mean[B_G])
+
+
+@dataclass(frozen=True)
+class FilterNoise:
+    """Continuous-time noise densities of the IMU; a number each, or three (one an axis of I).
+
+    gyro [rad/s/sqrt(Hz)], accel [m/s^2/sqrt(Hz)], gyro_walk [rad/s^2/sqrt(Hz)] and accel_walk
+    [m/s^3/sqrt(Hz)]. The white-noise defaults are twice the data-sheet figures of the Bosch BMI088
+    (0.014 deg/s/sqrt(Hz) and 175 ug/sqrt(Hz)), a MEMS IMU common on quadrupeds: impacts of the feet
+    and misalignment add to what a sheet measures on a bench. The walks let a bias move by about
+    1e-3 rad/s and 1e-2 m/s^2 in 100 s.
+    """
+
+    gyro: float | np.ndarray = 5e-4
+    accel: float | np.ndarray = 3.5e-3
+    gyro_walk: float | np.ndarray = 1e-4
+    accel_walk: float | np.ndarray = 1e-3
+
+    def packed(self) -> np.ndarray:
+        """Squared densities (4, 3) with the rows accel, gyro, accel_walk, gyro_walk."""
+        rows = []
+        for name in ("accel", "gyro", "accel_walk", "gyro_walk"):
+            density = np.asarray(getattr(self, name), dtype=float)
+            if density.shape not in ((), (3,)) or not np.all((density >= 0) & (density < np.inf)):
+                raise SurefootError(f"noise: {name} must be one or three finite numbers >= 0")
+            rows.append(np.broadcast_to(density**2, 3))
+        return np.array(rows)
+
+
+def numbers(name: str, value, shape: tuple) -> np.ndarray:
+    """`value` as a contiguous float array of that shape (-1: any); SurefootError otherwise."""
+    try:
+        out = np.array(value, dtype=float, order="C")
+    except (TypeError, ValueError):
+        raise SurefootError(f"{name}: not numbers") from None
+    if out.ndim != len(shape) or any(
+        s not in (-1, n) for s, n in zip(shape, out.shape, strict=True)
+    ):
+        wanted = "(" + ", ".join("N" if s == -1 else str(s) for s in shape) + ")"
+        raise SurefootError(f"{name}: shape {out.shape} where {wanted} is expected")
+    if not np.all(np.isfinite(out)):
+        raise SurefootError(f"{name}: has values that are not finite")
+    return out
+
+
+def vector(name: str, value) -> np.ndarray:
+    """`numbers(name, value, (3,))`, fast where `value` is a float array already."""
+    if _plain(value, (3,)):
+        x, y, z = value.tolist()
+        # Not a number where one of them is infinite or none itself.
+        if (x - x) + (y - y) + (z - z) == 0.0:
+            return value
+    return numbers(name, value, (3,))
+
+
+def spd_3(name: str, value) -> np.ndarray:
+    """`spd(name, value, 3)`, fast where `value` is a float array already."""
+    if _plain(value, (3, 3)) and definite_3(value):
+        return value
+    return spd(name, value, 3)
+
+
+def _plain(value, shape: tuple) -> bool:
+    return (
+        type(value) is np.ndarray
+        and value.dtype is _FLOAT
+        and value.shape == shape
+        and value.flags.carray
+    )
+
+
+@kernel
+def definite_3(S) -> bool:
+    """Whether S (3, 3) is finite, symmetric and positive definite, by its leading minors."""
+    if S[0, 1] != S[1, 0] or S[0, 2] != S[2, 0] or S[1, 2] != S[2, 1]:
+        return False
+    two = S[0, 0] * S[1, 1] - S[0, 1] ** 2
+    three = (
+        S[2, 2] * two
+        - S[0, 2] * (S[0, 2] * S[1, 1] - S[0, 1] * S[1, 2])
+        + S[1, 2] * (S[0, 2] * S[0, 1] - S[0, 0] * S[1, 2])
+    )
+    return 0.0 < S[0, 0] < np.inf and 0.0 < two < np.inf and 0.0 < three < np.inf
+
+
+def spd(name: str, value, size: int) -> np.ndarray:
+    """`value` as a symmetric positive definite (size, size) array; SurefootError otherwise."""
+    out = numbers(name, value, (size, size))
+    if np.abs(out - out.T).max() > 1e-9 * np.abs(out).max():
+        raise SurefootError(f"{name}: is not symmetric")
+    try:
+        np.linalg.cholesky(out)
+    except np.linalg.LinAlgError:
+        raise SurefootError(f"{name}: is not positive definite") from None
+    return 0.5 * (out + out.T)
+
+
+@kernel
+def retract(mean, delta, contacts: int):
+    """X = exp(-xi^) X_bar, b = b_bar - delta b (eq. composition_operator), in place.
+
+    mean (7+E, 3); delta (15+3E,); the first `contacts` extras are columns of the group.
+    """
+    x, y, z = -delta[0], -delta[1], -delta[2]
+    _, e1, e2, e3, _, _, _ = entire(x * x + y * y + z * z)
+    for c in range(3):
+        _rotate(mean[0, c], mean[1, c], mean[2, c], x, y, z, e1, e2, mean[:3, c])
+    for k in range(1, 3 + contacts):
+        row = k + 2 if k < 3 else k + 4
+        at = 3 * k if k < 3 else 3 * k + 6
+        _rotate(mean[row, 0], mean[row, 1], mean[row, 2], x, y, z, e1, e2, mean[row])
+        dx, dy, dz = -delta[at], -delta[at + 1], -delta[at + 2]
+        ox, oy, oz = mean[row, 0], mean[row, 1], mean[row, 2]
+        _rotate(dx, dy, dz, x, y, z, e2, e3, mean[row])
+        mean[row, 0] += ox
+        mean[row, 1] += oy
+        mean[row, 2] += oz
+    for row in (B_A, B_G):
+        for c in range(3):
+            mean[row, c] -= delta[3 * (row - 2) + c]
+    for row in range(EXTRA + contacts, mean.shape[0]):
+        for c in range(3):
+            mean[row, c] -= delta[3 * (row - 2) + c]
+
+
+@kernel
+def _rotate(a: float, b: float, c: float, x, y, z, linear, square, out):
+    """out = (I + linear [phi]x + square [phi]x^2) (a, b, c) for phi = (x, y, z)."""
+    ux, uy, uz = y * c - z * b, z * a - x * c, x * b - y * a
+    out[0] = a + linear * ux + square * (y * uz - z * uy)
+    out[1] = b + linear * uy + square * (z * ux - x * uz)
+    out[2] = c + linear * uz + square * (x * uy - y * ux)

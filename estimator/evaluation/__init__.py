@@ -1,0 +1,1 @@
+"""Trajectories, and how consistent an estimate is."""

@@ -1,0 +1,194 @@
+"""A trajectory: what a filter estimates or the reference says; as Parquet and as TUM text."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import whole_file
+from surefoot.sim.common.quaternion import matrix_from_quaternion, quaternion_from_matrix
+from surefoot.sim.log import Log, reference_velocity
+
+_KEY = b"surefoot_trajectory"
+_SCHEMA = b"1"
+_UPPER = [(i, j) for i in range(15) for j in range(i, 15)]
+_POSE = {"p_GI": "p", "v_GI": "v", "b_a": "b_a", "b_g": "b_g"}
+
+
+class TrajectoryError(SurefootError):
+    """A trajectory that cannot be read, written or compared."""
+
+
+@dataclass(frozen=True)
+class UpdateRecord:
+    """What each velocity update saw and did.
+
+    t (M,) [s]; v_I (M, 3) [m/s] the measured velocity of the IMU in I. A coverage update adds
+    epsilon (M, 3) [m/s] its bounds and pi (M,) the prior mass inside them (eq.
+    pi_def_error_state); active (M,) says whether the state changed (pi < gamma; a Gaussian update
+    always is active). A Gaussian update has epsilon and pi None.
+    """
+
+    t: np.ndarray
+    v_I: np.ndarray
+    epsilon: np.ndarray | None
+    pi: np.ndarray | None
+    active: np.ndarray
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Poses, velocities and biases at t (N,) [s].
+
+    R_GI (N, 3, 3); v_GI (N, 3) [m/s] and p_GI (N, 3) [m] in G; b_a (N, 3) [m/s^2] and b_g (N, 3)
+    [rad/s] in I; covariance (N, 15, 15) of the right-invariant error (rotation, velocity, position,
+    b_a, b_g), None where nothing is claimed (a reference).
+    """
+
+    t: np.ndarray
+    R_GI: np.ndarray
+    v_GI: np.ndarray
+    p_GI: np.ndarray
+    b_a: np.ndarray
+    b_g: np.ndarray
+    covariance: np.ndarray | None = None
+    updates: UpdateRecord | None = None
+
+    def __post_init__(self):
+        n = len(self.t)
+        wanted = {"R_GI": (n, 3, 3), "covariance": (n, 15, 15), "t": (n,)}
+        for name in ("t", "R_GI", *_POSE, "covariance"):
+            value = getattr(self, name)
+            if value is not None and np.shape(value) != wanted.get(name, (n, 3)):
+                raise TrajectoryError(
+                    f"trajectory: {name} has shape {np.shape(value)}, "
+                    f"not {wanted.get(name, (n, 3))}"
+                )
+
+    @property
+    def v_I(self) -> np.ndarray:
+        """Velocity (N, 3) [m/s] of the IMU expressed in I."""
+        return np.einsum("nij,ni->nj", self.R_GI, self.v_GI)
+
+    def rows(self, which: slice | np.ndarray) -> Trajectory:
+        """The trajectory at some rows: a slice, a mask (N,) or indices. Updates stay whole."""
+        arrays = {name: getattr(self, name)[which] for name in ("t", "R_GI", *_POSE)}
+        covariance = None if self.covariance is None else self.covariance[which]
+        return replace(self, **arrays, covariance=covariance)
+
+    def write(self, path: str | Path, force: bool = False) -> None:
+        """Write one Parquet file, whole or not at all; refuses to overwrite without `force`.
+
+        Columns: t, q_{w,x,y,z}, {p,v,b_a,b_g}_{x,y,z}, the upper triangle cov_<i>_<j>, and for the
+        updates update_{t,v_*,epsilon_*,pi,active}; the shorter of the two is padded with NaN.
+        """
+        columns = {"t": self.t}
+        _spread(columns, "q", quaternion_from_matrix(self.R_GI), "wxyz")
+        for name, short in _POSE.items():
+            _spread(columns, short, getattr(self, name), "xyz")
+        if self.covariance is not None:
+            for i, j in _UPPER:
+                columns[f"cov_{i}_{j}"] = self.covariance[:, i, j]
+        if self.updates is not None:
+            columns["update_t"] = self.updates.t
+            _spread(columns, "update_v", self.updates.v_I, "xyz")
+            if self.updates.epsilon is not None:
+                _spread(columns, "update_epsilon", self.updates.epsilon, "xyz")
+            if self.updates.pi is not None:
+                columns["update_pi"] = self.updates.pi
+            columns["update_active"] = self.updates.active.astype(float)
+        height = max(len(values) for values in columns.values())
+        padded = {
+            name: np.concatenate([values, np.full(height - len(values), np.nan)])
+            for name, values in columns.items()
+        }
+        table = pa.table(padded).replace_schema_metadata({_KEY: _SCHEMA})
+        with whole_file(path, force) as temporary:
+            pq.write_table(table, temporary, compression="zstd")
+
+    @classmethod
+    def read(cls, path: str | Path) -> Trajectory:
+        """The trajectory at `path`. Raises TrajectoryError, one line naming the file and column."""
+        path = Path(path)
+        try:
+            table = pq.read_table(path)
+        except (OSError, pa.ArrowException) as error:
+            raise TrajectoryError(f"{path}: cannot be read as a trajectory ({error})") from None
+        if (table.schema.metadata or {}).get(_KEY) != _SCHEMA:
+            raise TrajectoryError(f"{path}: is not a trajectory of this version of surefoot")
+        frame = table.to_pandas()
+        needed = ["t", *(f"q_{c}" for c in "wxyz")]
+        needed += [f"{short}_{c}" for short in _POSE.values() for c in "xyz"]
+        missing = [name for name in needed if name not in frame]
+        if missing:
+            raise TrajectoryError(f"{path}: column {missing[0]} is missing")
+        states = pd.DataFrame(frame[frame["t"].notna()])
+        q = _gather(states, "q", "wxyz")
+        if not np.all(np.abs(np.linalg.norm(q, axis=1) - 1) < 1e-6):
+            raise TrajectoryError(f"{path}: q_w..q_z are not unit quaternions")
+        covariance = None
+        if "cov_0_0" in frame:
+            covariance = np.empty((len(states), 15, 15))
+            for i, j in _UPPER:
+                covariance[:, i, j] = covariance[:, j, i] = states[f"cov_{i}_{j}"]
+        return cls(
+            t=states["t"].to_numpy(),
+            R_GI=matrix_from_quaternion(q),
+            **{name: _gather(states, short, "xyz") for name, short in _POSE.items()},
+            covariance=covariance,
+            updates=_read_updates(frame),
+        )
+
+    def write_tum(self, path: str | Path, force: bool = False) -> None:
+        """Write t x y z qx qy qz qw a line (TUM format), 17 digits, so nothing is lost."""
+        q = quaternion_from_matrix(self.R_GI)
+        table = np.column_stack([self.t, self.p_GI, q[:, 1:], q[:, :1]])
+        with whole_file(path, force) as temporary:
+            np.savetxt(temporary, table, fmt="%.17g")
+
+
+def reference(log: Log) -> Trajectory:
+    """The log's reference trajectory at the rows it vouches for (ref_ok), biases at zero.
+
+    A velocity that the log lacks is derived from the positions. Raises LogError where the log has
+    no reference.
+    """
+    log.require("reference")
+    rows = np.flatnonzero(log.ref_ok)
+    zeros = np.zeros((len(rows), 3))
+    return Trajectory(
+        log.t[rows],
+        log.ref_R_GI[rows],
+        reference_velocity(log)[rows],
+        log.ref_p[rows],
+        zeros,
+        zeros,
+    )
+
+
+def _read_updates(frame: pd.DataFrame) -> UpdateRecord | None:
+    if "update_t" not in frame:
+        return None
+    frame = pd.DataFrame(frame[frame["update_t"].notna()])
+    return UpdateRecord(
+        frame["update_t"].to_numpy(),
+        _gather(frame, "update_v", "xyz"),
+        _gather(frame, "update_epsilon", "xyz") if "update_epsilon_x" in frame else None,
+        frame["update_pi"].to_numpy() if "update_pi" in frame else None,
+        frame["update_active"].to_numpy() > 0.5,
+    )
+
+
+def _spread(columns: dict, name: str, values: np.ndarray, axes: str) -> None:
+    for c, axis in enumerate(axes):
+        columns[f"{name}_{axis}"] = values[:, c]
+
+
+def _gather(frame: pd.DataFrame, name: str, axes: str) -> np.ndarray:
+    return np.ascontiguousarray(frame[[f"{name}_{axis}" for axis in axes]].to_numpy(dtype=float))

@@ -1,0 +1,1 @@
+"""The quadratures behind a Gaussian's moments on a box."""

@@ -1,0 +1,88 @@
+"""The point of a box nearest to a Gaussian's mean, in the Gaussian's own metric: all 27 faces.
+
+An axis is either free, and then at its conditional mean, or at its lower or upper bound: three
+choices an axis. The distance is strictly convex, so the nearest of the feasible candidates is the
+minimum; faces are visited by conditioning, one axis at a time, and never through an inverse.
+"""
+
+import numpy as np
+
+from surefoot.sim.common.kernels import kernel
+
+
+@kernel
+def remaining(variance: float, c: float, other: float) -> float:
+    """Variance left by conditioning on a variable of variance `other` and covariance c.
+
+    Held above working precision: the subtraction may leave nothing, or less, of a variance that a
+    positive definite matrix does leave.
+    """
+    return max(variance - c * c / other, 1e-14 * variance)
+
+
+@kernel
+def nearest_on_line(mean: float, lower: float, upper: float) -> float:
+    """The point of [lower, upper] nearest to `mean`."""
+    return min(max(mean, lower), upper)
+
+
+@kernel
+def nearest_in_rectangle(
+    m0: float, m1: float, v0: float, c: float, v1: float,
+    l0: float, u0: float, l1: float, u1: float,
+):  # fmt: skip
+    """Squared distance of N([m0, m1], [[v0, c], [c, v1]]) to [l0, u0] x [l1, u1], and the point."""
+    best, x0, x1 = np.inf, m0, m1
+    # Axis 1 free: it follows axis 0 to its conditional mean.
+    a0 = nearest_on_line(m0, l0, u0)
+    a1 = m1 + c / v0 * (a0 - m0)
+    if l1 <= a1 <= u1:
+        best, x0, x1 = (a0 - m0) ** 2 / v0, a0, a1
+    rest = remaining(v0, c, v1)
+    for side in range(2):
+        bound = l1 if side == 0 else u1
+        if not np.isfinite(bound):
+            continue
+        off = bound - m1
+        centre = m0 + c / v1 * off
+        b0 = nearest_on_line(centre, l0, u0)
+        distance = off * off / v1 + (b0 - centre) ** 2 / rest
+        if distance < best:
+            best, x0, x1 = distance, b0, bound
+    return best, x0, x1
+
+
+@kernel
+def nearest_given_first(x0: float, C, lower, upper):
+    """Squared distance of the zero-mean Gaussian C (3, 3) to the box with x[0] held, and x[1:]."""
+    b1, b2 = C[0, 1] / C[0, 0], C[0, 2] / C[0, 0]
+    distance, x1, x2 = nearest_in_rectangle(
+        b1 * x0, b2 * x0,
+        remaining(C[1, 1], C[0, 1], C[0, 0]), C[1, 2] - b1 * C[0, 2],
+        remaining(C[2, 2], C[0, 2], C[0, 0]),
+        lower[1], upper[1], lower[2], upper[2],
+    )  # fmt: skip
+    return distance + x0 * x0 / C[0, 0], x1, x2
+
+
+@kernel
+def nearest_in_box(C, lower, upper, point) -> float:
+    """Squared distance of the zero-mean Gaussian C (3, 3) to the box; the nearest point (3,)."""
+    best, x1, x2 = nearest_in_rectangle(
+        0.0, 0.0, C[1, 1], C[1, 2], C[2, 2], lower[1], upper[1], lower[2], upper[2]
+    )
+    # Axis 0 free: its conditional mean given the other two, one after the other.
+    b = C[1, 2] / C[1, 1]
+    gain = (C[0, 2] - b * C[0, 1]) / remaining(C[2, 2], C[1, 2], C[1, 1])
+    x0 = C[0, 1] / C[1, 1] * x1 + gain * (x2 - b * x1)
+    if not lower[0] <= x0 <= upper[0]:
+        best = np.inf
+    for side in range(2):
+        bound = lower[0] if side == 0 else upper[0]
+        if not np.isfinite(bound):
+            continue
+        distance, b1, b2 = nearest_given_first(bound, C, lower, upper)
+        if distance < best:
+            best, x0, x1, x2 = distance, bound, b1, b2
+    point[0], point[1], point[2] = x0, x1, x2
+    return best

@@ -1,0 +1,395 @@
+"""Box moments on one grid of Gauss-Legendre nodes: three tables of pairs instead of all points.
+
+On a grid the density exp(-y^T Lambda y / 2 - g^T y) about the windows' centre is a product of
+tables, f_i(y_i) f_j(y_j) f_k(y_k) e_ij(y_i, y_j) e_ik(y_i, y_k) e_jk(y_j, y_k). The n^2
+exponentials of each are all that is to be computed; the n^3 points are multiplications, which run
+in vector lanes. Nodes lie symmetrically, so one exponential serves four entries of a table.
+
+An axis whose bounds lie outside its window is integrated exactly: it takes no nodes at all.
+"""
+
+import math
+
+import numpy as np
+
+from surefoot.estimator.moments.faces import remaining
+from surefoot.estimator.moments.quadrature import MOST, NODES, WEIGHTS
+from surefoot.sim.common.kernels import kernel
+
+_DEPTH = 30.0
+"""Where the density is below exp(-30) = 1e-13 of its largest, nothing is counted."""
+_LARGEST = 500.0
+"""Bound on the exponents of all tables together: no overflow, and no digit lost that matters."""
+_MOST_POINTS = 60_000.0
+_BAND = 30.0
+"""A pair whose coupling exceeds this is a ridge: its table is filled along the ridge alone."""
+_LOG_2PI = math.log(2.0 * math.pi)
+
+
+@kernel(error_model="numpy")
+def grid_moments(C, low, high, mode, distance, mean, cov) -> float:
+    """Moments of N(0, C) on a box, C a correlation matrix (3, 3): log probability, or NaN.
+
+    mode (3,) is the point of the box nearest to zero and `distance` its squared distance. mean
+    (3,) and cov (3, 3) are filled. NaN says that the box is not one for a grid: correlations too
+    near to one for its exponents or its number of nodes.
+    """
+    information, centre, half = np.empty((3, 3)), np.empty(3), np.empty(3)
+    free = np.zeros(3, dtype=np.bool_)
+    steep = np.empty(3)
+    determinant = _inverse(C, information)
+    _windows(C, information, low, high, mode, distance, centre, half, steep, free)
+    frees = free[0] + free[1] + free[2]
+    if frees == 3:
+        mean[:] = 0.0
+        cov[:] = C
+        return 0.0
+    if frees > 0:
+        determinant = _marginal_inverse(C, free, information)
+    # The two most strongly coupled axes are the inner ones.
+    i = 0
+    strongest = -1.0
+    for a in range(3):
+        b, c = (a + 1) % 3, (a + 2) % 3
+        coupling = abs(information[b, c]) * half[b] * half[c]
+        if coupling > strongest:
+            strongest, i = coupling, a
+    j, k = (i + 1) % 3, (i + 2) % 3
+    ridge = strongest > _BAND
+    g = np.zeros(3)
+    sizes, pieces = np.ones(3, dtype=np.int64), np.ones(3, dtype=np.int64)
+    largest = 0.0
+    constant = 0.0
+    for a in range(3):
+        if free[a]:
+            continue
+        for b in range(3):
+            if not free[b]:
+                g[a] += information[a, b] * centre[b]
+        constant += g[a] * centre[a]
+        z = half[a] * math.sqrt(information[a, a])
+        count = max(5.0 + 3.3 * z, 4.5 + 2.7 * math.sqrt(2.0 * steep[a] * half[a] + 0.5 * z * z))
+        pieces[a] = 1 + int(count / MOST)
+        pairs = math.ceil(0.5 * count / pieces[a])
+        sizes[a] = 2 * pairs * pieces[a]
+        largest += abs(g[a]) * half[a]
+        if a == i or not ridge:
+            largest += 0.5 * information[a, a] * half[a] ** 2
+    constant = 0.5 * (distance - constant)
+    for a in range(3):
+        b, c = (a + 1) % 3, (a + 2) % 3
+        if not (ridge and a == i):
+            largest += abs(information[b, c]) * half[b] * half[c]
+    if not largest < _LARGEST:
+        return np.nan
+    if sizes[0] * sizes[1] * sizes[2] > _MOST_POINTS:
+        return np.nan
+    ni, nj, nk = sizes[i], sizes[j], sizes[k]
+    blocks = (nj + 3) // 4
+    wide = 4 * blocks
+    buffer = np.zeros(4 * (ni + wide + nk) + 4 * nk + 3 * wide)
+    at = 0
+    yi, fi = buffer[at : at + ni], buffer[at + ni : at + 2 * ni]
+    at += 2 * ni
+    yj, fj = buffer[at : at + wide], buffer[at + wide : at + 2 * wide]
+    at += 2 * wide
+    yk, fk = buffer[at : at + nk], buffer[at + nk : at + 2 * nk]
+    at += 2 * nk
+    b0, b1, b2 = (
+        buffer[at : at + nk],
+        buffer[at + nk : at + 2 * nk],
+        buffer[at + 2 * nk : at + 3 * nk],
+    )
+    _nodes(sizes[i], pieces[i], half[i], free[i], yi, fi)
+    _nodes(sizes[j], pieces[j], half[j], free[j], yj, fj)
+    _nodes(sizes[k], pieces[k], half[k], free[k], yk, fk)
+    dj, dk = information[j, j], information[k, k]
+    _fall(yi, fi, ni, g[i], information[i, i])
+    _fall(yj, fj, nj, g[j], 0.0 if ridge else dj)
+    _fall(yk, fk, nk, g[k], 0.0 if ridge else dk)
+    eij, eik = np.zeros((ni, wide)), np.empty((ni, nk))
+    _pair(yi, ni, yj, nj, information[i, j], eij)
+    _pair(yi, ni, yk, nk, information[i, k], eik)
+    ejk = np.zeros((blocks, nk, 4))
+    first, last = np.zeros(blocks, dtype=np.int64), np.full(blocks, nk)
+    if ridge:
+        shift = (abs(information[i, k]) * half[i] + abs(g[k])) / dk
+        _ridge(yj, nj, dj, yk, nk, dk, information[j, k], shift, ejk, first, last)
+    else:
+        _pair_blocks(yj, nj, yk, nk, information[j, k], ejk)
+    s = np.zeros(10)
+    for p in range(ni):
+        x = yi[p]
+        for q in range(nk):
+            b = fk[q] * eik[p, q]
+            b0[q] = b
+            b1[q] = b * yk[q]
+            b2[q] = b1[q] * yk[q]
+        r0 = r1 = r2 = rk = rjk = rkk = 0.0
+        for block in range(blocks):
+            u0 = u1 = u2 = u3 = v0 = v1 = v2 = v3 = w0 = w1 = w2 = w3 = 0.0
+            for q in range(first[block], last[block]):
+                e0, e1, e2, e3 = (
+                    ejk[block, q, 0],
+                    ejk[block, q, 1],
+                    ejk[block, q, 2],
+                    ejk[block, q, 3],
+                )
+                c0, c1, c2 = b0[q], b1[q], b2[q]
+                u0 += e0 * c0
+                u1 += e1 * c0
+                u2 += e2 * c0
+                u3 += e3 * c0
+                v0 += e0 * c1
+                v1 += e1 * c1
+                v2 += e2 * c1
+                v3 += e3 * c1
+                w0 += e0 * c2
+                w1 += e1 * c2
+                w2 += e2 * c2
+                w3 += e3 * c2
+            at = 4 * block
+            a0, a1 = fj[at] * eij[p, at], fj[at + 1] * eij[p, at + 1]
+            a2, a3 = fj[at + 2] * eij[p, at + 2], fj[at + 3] * eij[p, at + 3]
+            x0, x1, x2, x3 = yj[at], yj[at + 1], yj[at + 2], yj[at + 3]
+            u0 *= a0
+            u1 *= a1
+            u2 *= a2
+            u3 *= a3
+            v0 *= a0
+            v1 *= a1
+            v2 *= a2
+            v3 *= a3
+            r0 += (u0 + u1) + (u2 + u3)
+            rk += (v0 + v1) + (v2 + v3)
+            rkk += (w0 * a0 + w1 * a1) + (w2 * a2 + w3 * a3)
+            rjk += (v0 * x0 + v1 * x1) + (v2 * x2 + v3 * x3)
+            u0 *= x0
+            u1 *= x1
+            u2 *= x2
+            u3 *= x3
+            r1 += (u0 + u1) + (u2 + u3)
+            r2 += (u0 * x0 + u1 * x1) + (u2 * x2 + u3 * x3)
+        f = fi[p]
+        s[0] += f * r0
+        s[1] += f * x * r0
+        s[2] += f * r1
+        s[3] += f * rk
+        s[4] += f * x * x * r0
+        s[5] += f * x * r1
+        s[6] += f * x * rk
+        s[7] += f * r2
+        s[8] += f * rjk
+        s[9] += f * rkk
+    total = s[0]
+    if not 1e-250 < total < np.inf:
+        return np.nan
+    mi, mj, mk = s[1] / total, s[2] / total, s[3] / total
+    mean[i], mean[j], mean[k] = centre[i] + mi, centre[j] + mj, centre[k] + mk
+    cov[i, i], cov[j, j], cov[k, k] = (
+        s[4] / total - mi * mi,
+        s[7] / total - mj * mj,
+        s[9] / total - mk * mk,
+    )
+    cov[i, j] = cov[j, i] = s[5] / total - mi * mj
+    cov[i, k] = cov[k, i] = s[6] / total - mi * mk
+    cov[j, k] = cov[k, j] = s[8] / total - mj * mk
+    if frees > 0:
+        _extend(C, free, mean, cov)
+    log_scale = -0.5 * (3 - frees) * _LOG_2PI - 0.5 * math.log(determinant)
+    return log_scale - 0.5 * distance + constant + math.log(total)
+
+
+@kernel(error_model="numpy")
+def _inverse(C, out) -> float:
+    """Inverse of a correlation matrix (3, 3), by conditioning; returns its determinant."""
+    b1, b2 = C[0, 1], C[0, 2]
+    v1 = remaining(1.0, b1, 1.0)
+    slope = (C[1, 2] - b1 * b2) / v1
+    v2 = remaining(remaining(1.0, b2, 1.0), C[1, 2] - b1 * b2, v1)
+    t = b2 - slope * b1
+    out[2, 2] = 1.0 / v2
+    out[1, 2] = out[2, 1] = -slope / v2
+    out[0, 2] = out[2, 0] = -t / v2
+    out[1, 1] = 1.0 / v1 + slope * slope / v2
+    out[0, 1] = out[1, 0] = -b1 / v1 + slope * t / v2
+    out[0, 0] = 1.0 + b1 * b1 / v1 + t * t / v2
+    return v1 * v2
+
+
+@kernel(error_model="numpy")
+def _marginal_inverse(C, free, out) -> float:
+    """Inverse of C on the axes that are not free, zero elsewhere; returns the determinant."""
+    out[:] = 0.0
+    determinant = 1.0
+    for a in range(3):
+        b, c = (a + 1) % 3, (a + 2) % 3
+        if not free[a]:
+            out[a, a] = 1.0
+        if free[a] and not free[b] and not free[c]:
+            determinant = remaining(1.0, C[b, c], 1.0)
+            out[b, b] = out[c, c] = 1.0 / determinant
+            out[b, c] = out[c, b] = -C[b, c] / determinant
+            return determinant
+    return determinant
+
+
+@kernel(error_model="numpy")
+def _windows(C, information, low, high, mode, distance, centre, half, steep, free):
+    """Where each axis is worth integrating: centre and half length; whether it is free.
+
+    Half the squared distance of the best point with x_a held is convex, and bends at least as the
+    marginal does, so beyond the mode it rises at least by slope t + t^2 / 2. Where the density
+    counts at all, x_a also lies near its regression on any other axis.
+    """
+    left, right = np.empty(3), np.empty(3)
+    for a in range(3):
+        slope = (
+            information[a, 0] * mode[0] + information[a, 1] * mode[1] + information[a, 2] * mode[2]
+        )
+        up = slope if mode[a] <= low[a] else 0.0
+        down = -slope if mode[a] >= high[a] else 0.0
+        up, down = max(up, 0.0), max(down, 0.0)
+        steep[a] = max(up, down)
+        left[a] = mode[a] - 2.0 * _DEPTH / (down + math.sqrt(down * down + 2.0 * _DEPTH))
+        right[a] = mode[a] + 2.0 * _DEPTH / (up + math.sqrt(up * up + 2.0 * _DEPTH))
+        free[a] = False
+    level = math.sqrt(distance + 2.0 * _DEPTH)
+    for a in range(3):
+        for b in range(3):
+            if a != b:
+                c = C[a, b]
+                reach = level * math.sqrt(remaining(1.0, c, 1.0))
+                from_b, to_b = max(left[b], low[b]), min(right[b], high[b])
+                left[a] = max(left[a], min(c * from_b, c * to_b) - reach)
+                right[a] = min(right[a], max(c * from_b, c * to_b) + reach)
+    for a in range(3):
+        free[a] = low[a] < left[a] and right[a] < high[a]
+        left[a], right[a] = max(left[a], low[a]), min(right[a], high[a])
+        centre[a] = 0.5 * (left[a] + right[a])
+        half[a] = 0.5 * (right[a] - left[a])
+        if free[a]:
+            half[a] = 0.0
+
+
+@kernel(error_model="numpy")
+def _nodes(count, pieces, half, free, y, f):
+    """Nodes about the centre into y, weights into f; a free axis has one node at zero."""
+    if free:
+        y[0], f[0] = 0.0, 1.0
+        return
+    each = count // pieces
+    pairs = each // 2
+    table = pairs * (pairs - 1)
+    step = 2.0 * half / pieces
+    for piece in range(pieces):
+        for n in range(each):
+            y[piece * each + n] = -half + step * (piece + NODES[table + n])
+            f[piece * each + n] = step * WEIGHTS[table + n]
+    # Exactly symmetric, as the tables take for granted.
+    for n in range(count // 2):
+        y[count - 1 - n] = -y[n]
+
+
+@kernel(error_model="numpy")
+def _fall(y, f, count, g, d):
+    for n in range(count):
+        f[n] *= math.exp(-y[n] * (g + 0.5 * d * y[n]))
+
+
+@kernel(error_model="numpy")
+def _pair(x, nx, y, ny, coupling, out):
+    """out[p, q] = exp(-coupling x_p y_q), one exponential for four entries."""
+    if coupling == 0.0:
+        for p in range(nx):
+            for q in range(ny):
+                out[p, q] = 1.0
+        return
+    for p in range(nx // 2):
+        c = -coupling * x[p]
+        for q in range(ny // 2):
+            e = math.exp(c * y[q])
+            r = 1.0 / e
+            out[p, q] = out[nx - 1 - p, ny - 1 - q] = e
+            out[nx - 1 - p, q] = out[p, ny - 1 - q] = r
+
+
+@kernel(error_model="numpy")
+def _pair_blocks(x, nx, y, ny, coupling, out):
+    """`_pair`, laid out in blocks of four along x: out[p // 4, q, p % 4]."""
+    if coupling == 0.0:
+        for p in range(nx):
+            for q in range(ny):
+                out[p // 4, q, p % 4] = 1.0
+        return
+    for p in range(nx // 2):
+        c = -coupling * x[p]
+        o = nx - 1 - p
+        for q in range(ny // 2):
+            e = math.exp(c * y[q])
+            r = 1.0 / e
+            out[p // 4, q, p % 4] = out[o // 4, ny - 1 - q, o % 4] = e
+            out[o // 4, q, o % 4] = out[p // 4, ny - 1 - q, p % 4] = r
+
+
+@kernel(error_model="numpy")
+def _ridge(x, nx, dx, y, ny, dy, coupling, shift, out, first, last):
+    """The whole of a strongly coupled pair's fall, where it has not fallen to nothing."""
+    deviation = 1.0 / math.sqrt(dy)
+    for p in range((nx + 1) // 2):
+        o = nx - 1 - p
+        middle = -coupling * x[p] / dy
+        rest = 0.5 * (dx - coupling * coupling / dy) * x[p] * x[p]
+        reach = deviation * math.sqrt(2.0 * 30.0) + shift
+        for q in range(ny):
+            off = y[q] - middle
+            if abs(off) < reach:
+                e = math.exp(-0.5 * dy * off * off - rest)
+                out[p // 4, q, p % 4] = e
+                out[o // 4, ny - 1 - q, o % 4] = e
+    for block in range(out.shape[0]):
+        q = 0
+        while q < ny and not (
+            out[block, q, 0] + out[block, q, 1] + out[block, q, 2] + out[block, q, 3] > 0.0
+        ):
+            q += 1
+        first[block] = q
+        q = ny
+        while q > first[block] and not (
+            out[block, q - 1, 0]
+            + out[block, q - 1, 1]
+            + out[block, q - 1, 2]
+            + out[block, q - 1, 3]
+            > 0.0
+        ):
+            q -= 1
+        last[block] = q
+
+
+@kernel(error_model="numpy")
+def _extend(C, free, mean, cov):
+    """Moments of the free axes from those of the others, by regression."""
+    for a in range(3):
+        if not free[a]:
+            continue
+        b, c = (a + 1) % 3, (a + 2) % 3
+        if free[b] or free[c]:
+            o = 3 - a - b if free[b] else 3 - a - c
+            slope = C[a, o]
+            mean[a] = slope * mean[o]
+            cov[a, a] = remaining(1.0, slope, 1.0) + slope * slope * cov[o, o]
+            cov[a, o] = cov[o, a] = slope * cov[o, o]
+            other = b if free[b] else c
+            cov[a, other] = cov[other, a] = C[a, other] - slope * C[o, other] * (1.0 - cov[o, o])
+        else:
+            rho = C[b, c]
+            v = remaining(1.0, rho, 1.0)
+            sb, sc = (C[a, b] - rho * C[a, c]) / v, (C[a, c] - rho * C[a, b]) / v
+            mean[a] = sb * mean[b] + sc * mean[c]
+            ab = sb * cov[b, b] + sc * cov[c, b]
+            ac = sb * cov[b, c] + sc * cov[c, c]
+            own = remaining(1.0, C[a, b], 1.0)
+            own = remaining(own, C[a, c] - rho * C[a, b], v)
+            cov[a, b] = cov[b, a] = ab
+            cov[a, c] = cov[c, a] = ac
+            cov[a, a] = own + sb * ab + sc * ac

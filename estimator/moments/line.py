@@ -1,0 +1,210 @@
+"""Moments along the innermost line of a box: a one-dimensional Gaussian on an interval."""
+
+import math
+
+import numpy as np
+
+from surefoot.estimator.moments.mills import mills
+from surefoot.estimator.moments.quadrature import NODES, WEIGHTS, drop_between, rule
+from surefoot.sim.common.kernels import kernel
+
+DEPTH = 28.0
+"""Parts of a box whose density is below exp(-28) = 7e-13 of its largest are left out."""
+_NARROW = 0.1
+_FEW, _FEW_AT = 6, 6
+"""Nodes of a narrow interval, and where their rule begins in the table."""
+_SQRT_2PI = math.sqrt(2.0 * math.pi)
+
+
+@kernel(error_model="numpy")
+def line_moments(a: float, b: float):
+    """log-scaled moments of the standard normal density on [a, b]: (shift, m0, m1, m2, origin).
+
+    The integral of exp(-x^2/2) (x - origin)^n over [a, b] is exp(-shift) m_n. Closed form by Mills'
+    ratio, which keeps its digits in both tails; quadrature on intervals so narrow that its
+    differences cancel.
+    """
+    if a < 0.0 < b:
+        if b - a < _NARROW:
+            return _by_quadrature(a, b - a, 0.0, 1.0)
+        density_a = math.exp(-0.5 * a * a)
+        density_b = math.exp(-0.5 * b * b)
+        m0 = m2 = _SQRT_2PI
+        if density_a > 0.0:
+            cut = density_a * mills(-a)[0]
+            m0 -= cut
+            m2 -= cut - a * density_a
+        if density_b > 0.0:
+            cut = density_b * mills(b)[0]
+            m0 -= cut
+            m2 -= cut + b * density_b
+        return 0.0, m0, density_a - density_b, m2, 0.0
+    near, far, sign = (a, b, 1.0) if a >= 0.0 else (-b, -a, -1.0)
+    # Bounds so far away that they round to the same number still leave an interval.
+    length = max(far - near, 1e-100)
+    if length * (1.0 + near) < _NARROW:
+        return _by_quadrature(near, length, near, sign)
+    m0, m1, m2 = mills(near)
+    fall = length * (near + 0.5 * length)
+    if fall < DEPTH:
+        share = math.exp(-fall)
+        r, d, e = mills(far)
+        m0 -= share * r
+        m1 -= share * (d + length * r)
+        m2 -= share * (e + length * (2.0 * d + length * r))
+    return 0.5 * near * near, m0, sign * m1, m2, sign * near
+
+
+@kernel(error_model="numpy")
+def _by_quadrature(near: float, length: float, origin: float, sign: float):
+    """Moments of exp(-(x^2 - origin^2)/2) about the origin from near on, mirrored by sign."""
+    m0 = m1 = m2 = 0.0
+    for i in range(_FEW_AT, _FEW_AT + _FEW):
+        y = near - origin + length * NODES[i]
+        w = WEIGHTS[i] * math.exp(-y * (origin + 0.5 * y))
+        m0 += w
+        m1 += w * y
+        m2 += w * y * y
+    return 0.5 * origin * origin, m0 * length, sign * m1 * length, m2 * length, sign * origin
+
+
+@kernel(error_model="numpy")
+def plane_moments(
+    m1: float, m2: float, s1: float, slope: float, s2: float,
+    l1: float, u1: float, l2: float, u2: float,
+    c1: float, c2: float, x1: float, log_scale: float, depth: float, out,
+):  # fmt: skip
+    """Moments of a two-dimensional Gaussian on a rectangle, about (c1, c2), scaled; into out (6,).
+
+    Axis 1 is N(m1, s1^2); axis 2 given it N(m2 + slope (x1 - m1), s2^2). x1 is axis 1 of the
+    rectangle's nearest point. The densities are exp(log_scale - distance^2 / 2), without the
+    factor 1/(2 pi s1 s2); out holds the moments 1, 1', 2', 1'1', 1'2', 2'2'. Where one axis is free
+    as far as the density counts, the other's line is all there is to integrate.
+    """
+    out[:] = 0.0
+    left, right = _window(m1, m2, s1, slope, s2, l2, u2, x1, depth)
+    reach = math.sqrt(2.0 * depth) * s2
+    tilt = slope * (max(left, l1) - m1), slope * (min(right, u1) - m1)
+    if l2 < m2 + min(tilt) - reach and m2 + max(tilt) + reach < u2:
+        out[0], out[1], out[2], out[3], out[4], out[5] = _one_axis(
+            m1, s1, l1, u1, c1, m2 - c2, slope, s2, log_scale
+        )
+        return
+    if l1 < left and right < u1:
+        # Axis 1 given axis 2.
+        spread = math.sqrt(s2 * s2 + slope * slope * s1 * s1)
+        share = s1 / spread
+        out[0], out[2], out[1], out[5], out[4], out[3] = _one_axis(
+            m2, spread, l2, u2, c2, m1 - c1, slope * share * share, s2 * share, log_scale
+        )
+        return
+    left, right = max(left, l1), min(right, u1)
+    if not right > left:
+        return
+    # Beyond the crossings the mean of axis 2 leaves its interval, and the integrand bends faster.
+    sharp = 1.0 / math.sqrt(1.0 / (s1 * s1) + (slope / s2) ** 2)
+    first, second = left, left
+    if sharp < 0.5 * s1:
+        reach = math.sqrt(2.0 * depth) * s2 / abs(slope)
+        at_lower = m1 + (l2 - m2) / slope
+        at_upper = m1 + (u2 - m2) / slope
+        first = min(max(min(at_lower, at_upper) + reach, left), right)
+        second = min(max(max(at_lower, at_upper) - reach, left), right)
+        if second <= first:
+            first, second = left, left
+    for part in range(3):
+        start = left if part == 0 else (first if part == 1 else second)
+        end = first if part == 0 else (second if part == 1 else right)
+        if not end > start:
+            continue
+        drop = drop_between(
+            _fall(start, m1, m2, s1, slope, s2, l2, u2),
+            _fall(end, m1, m2, s1, slope, s2, l2, u2),
+            _fall(x1, m1, m2, s1, slope, s2, l2, u2),
+            start < x1 < end,
+        )
+        pieces, count, at = rule(end - start, s1 if part == 1 else sharp, drop)
+        step = (end - start) / pieces
+        for piece in range(pieces):
+            origin = start + piece * step
+            for i in range(at, at + count):
+                x = origin + step * NODES[i]
+                d = (x - m1) / s1
+                mean = m2 + slope * (x - m1)
+                shift, n0, n1, n2, about = line_moments((l2 - mean) / s2, (u2 - mean) / s2)
+                w = step * WEIGHTS[i] * math.exp(log_scale - 0.5 * d * d - shift) * s2
+                y1 = x - c1
+                # Moments about c2: the line's own come about mean + s2 * about.
+                off = mean + s2 * about - c2
+                k1 = off * n0 + s2 * n1
+                out[0] += w * n0
+                out[1] += w * y1 * n0
+                out[2] += w * k1
+                out[3] += w * y1 * y1 * n0
+                out[4] += w * y1 * k1
+                out[5] += w * (off * k1 + s2 * (off * n1 + s2 * n2))
+
+
+@kernel(error_model="numpy")
+def _one_axis(m, s, lower, upper, c, off, slope, rest, log_scale):
+    """Moments on an axis N(m, s^2) cut to [lower, upper], and on a free one that depends on it.
+
+    The free axis is off + slope (x - m) about its origin, with deviation `rest`; c is the origin of
+    the cut one. Returns the moments 1, x, free, x x, x free, free free.
+    """
+    shift, n0, n1, n2, about = line_moments((lower - m) / s, (upper - m) / s)
+    w = math.exp(log_scale - shift) * s * rest * _SQRT_2PI
+    away = m + s * about - c
+    first = w * (away * n0 + s * n1)
+    second = away * first + w * s * (away * n1 + s * n2)
+    n0 *= w
+    start = off + slope * (c - m)
+    free = start * n0 + slope * first
+    both = start * first + slope * second
+    return n0, first, free, second, both, rest * rest * n0 + start * free + slope * both
+
+
+@kernel
+def _window(m1, m2, s1, slope, s2, l2, u2, x1, depth):
+    """Where along axis 1 the log density of the best point lies within `depth` of the largest.
+
+    The profile is a concave parabola in three pieces: axis 2 at its lower bound, inside, at its
+    upper one. Its exact end on either side is the root of the piece that it ends in.
+    """
+    level = 2.0 * (_fall(x1, m1, m2, s1, slope, s2, l2, u2) + depth)
+    left = _end(m1, m2, s1, slope, s2, l2, u2, level, -1.0)
+    right = _end(m1, m2, s1, slope, s2, l2, u2, level, 1.0)
+    return left, right
+
+
+@kernel
+def _fall(x, m1, m2, s1, slope, s2, l2, u2) -> float:
+    """Half the squared distance of the best point at x along axis 1."""
+    mean = m2 + slope * (x - m1)
+    off = (mean - min(max(mean, l2), u2)) / s2
+    along = (x - m1) / s1
+    return 0.5 * (along * along + off * off)
+
+
+@kernel
+def _end(m1, m2, s1, slope, s2, l2, u2, level, side):
+    """The point x1 on one side (+1, -1) at which the squared distance reaches `level`."""
+    reach = s1 * math.sqrt(level)
+    if slope == 0.0:
+        return m1 + side * reach
+    # Going outward, axis 2's mean passes the bound `behind` and then the bound `ahead`.
+    ahead, behind = (u2, l2) if side * slope > 0.0 else (l2, u2)
+    ratio = slope / s2
+    precision = 1.0 / (s1 * s1) + ratio * ratio
+    for bound, outer in ((ahead, True), (behind, False)):
+        if not np.isfinite(bound):
+            continue
+        crossing = m1 + (bound - m2) / slope
+        distance = (m1 - crossing) ** 2 / (s1 * s1 + 1.0 / (ratio * ratio))
+        centre = (m1 / (s1 * s1) + crossing * ratio * ratio) / precision
+        root = centre + side * math.sqrt(max(level - distance, 0.0) / precision)
+        if outer and distance <= level and side * (root - crossing) >= 0.0:
+            return root
+        if not outer and side * (crossing - (m1 + side * reach)) > 0.0:
+            return root
+    return m1 + side * reach

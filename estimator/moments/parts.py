@@ -1,0 +1,103 @@
+"""Where the integrand over the outermost axis of a box begins to bend faster, and how fast.
+
+Over axis 0 the integrand is a unit bell times the probability that axes 1 and 2 lie in their
+intervals. That probability falls where a conditional mean leaves an interval: of axis j alone, or
+of axis j while axis k is held at a bound. Each such event is a half line, a zone, that begins
+`reach` deviations before the crossing; inside, the logarithm bends by up to (slope/deviation)^2
+more. Rules are cut where a zone that matters begins.
+
+With two axes at bounds, a corner, the bend lasts only while both are past them: the zones that
+share the corner must cover together. Once one of them has left, the log bends as slowly as the
+density falls along the edge: far out that is fast as well, so there the half line stands.
+"""
+
+import math
+
+import numpy as np
+
+from surefoot.estimator.moments.faces import remaining
+from surefoot.estimator.moments.line import DEPTH
+from surefoot.sim.common.kernels import kernel
+
+_NEAR = 16.0
+"""Squared distance up to which a density falls slowly along an edge."""
+
+
+@kernel
+def outer_parts(C, low, high, left: float, right: float, distance, cuts, scales) -> int:
+    """Cut [left, right] of axis 0 into parts; returns their number.
+
+    cuts gets the ends of the parts, scales the smallest deviation that the integrand shows inside
+    each; distance is the box's squared one. Zone 6 (j - 1) + 2 c + w is axis j past its lower
+    (w = 0) or upper bound, alone (c = 0) or with the other axis at its lower (c = 1) or upper bound
+    (c = 2).
+    """
+    edges, sides, bends = np.zeros(12), np.zeros(12), np.zeros(12)
+    _zones(C, low, high, edges, sides, bends)
+    cuts[0] = left
+    parts = 1
+    for z in range(12):
+        if bends[z] > 1.0 and left < edges[z] < right:
+            at = parts
+            while at > 1 and cuts[at - 1] > edges[z]:
+                cuts[at] = cuts[at - 1]
+                at -= 1
+            cuts[at] = edges[z]
+            parts += 1
+    cuts[parts] = right
+    v = remaining(1.0, C[1, 2], 1.0)
+    own = remaining(1.0, C[0, 1], 1.0)
+    most = 1.0 / remaining(own, C[0, 2] - C[1, 2] * C[0, 1], v)
+    for part in range(parts):
+        precision = 1.0
+        for z in range(12):
+            if _covers(z, cuts[part], cuts[part + 1], edges, sides):
+                # A corner needs one of its axes past its bound, and both where the fall is slow.
+                condition = (z % 6) // 2
+                other = _corner(z) if distance < _NEAR else (6 if z < 6 else 0) + condition - 1
+                if condition == 0 or _covers(other, cuts[part], cuts[part + 1], edges, sides):
+                    precision += bends[z]
+        scales[part] = 1.0 / math.sqrt(min(precision, most))
+    return parts
+
+
+@kernel
+def _covers(z: int, start: float, end: float, edges, sides) -> bool:
+    """Whether zone z reaches into the part."""
+    if sides[z] == 0.0:
+        return False
+    return end > edges[z] if sides[z] > 0.0 else start < edges[z]
+
+
+@kernel
+def _corner(z: int) -> int:
+    """The zone that shares a corner with z: the other axis past its bound, z's axis at its own."""
+    condition, which = (z % 6) // 2 - 1, z % 2
+    return (6 if z < 6 else 0) + 2 * (which + 1) + condition
+
+
+@kernel
+def _zones(C, low, high, edges, sides, bends):
+    """Begin, direction (+1, -1; 0 for none) and bend of the twelve zones."""
+    reach = math.sqrt(2.0 * DEPTH)
+    for j in range(1, 3):
+        k = 3 - j
+        v = remaining(1.0, C[0, k], 1.0)
+        gain = (C[j, k] - C[0, j] * C[0, k]) / v
+        alone = remaining(1.0, C[0, j], 1.0)
+        rest = remaining(alone, C[j, k] - C[0, j] * C[0, k], v)
+        for condition in range(3):
+            slope, offset, deviation = C[0, j], 0.0, math.sqrt(alone)
+            if condition > 0:
+                bound = low[k] if condition == 1 else high[k]
+                if not np.isfinite(bound):
+                    continue
+                slope, offset, deviation = C[0, j] - gain * C[0, k], gain * bound, math.sqrt(rest)
+            for which in range(2):
+                edge = low[j] if which == 0 else high[j]
+                if np.isfinite(edge) and slope != 0.0:
+                    z = 6 * (j - 1) + 2 * condition + which
+                    side = math.copysign(1.0, slope) * (1.0 if which == 1 else -1.0)
+                    edges[z] = (edge - offset) / slope - side * reach * deviation / abs(slope)
+                    sides[z] = side
+                    bends[z] = (slope / deviation) ** 2

@@ -1,0 +1,115 @@
+"""The coverage update: the KL-minimal posterior under a set-mass constraint, moment matched.
+
+The posterior of Theorem 1 (eq. posterior_piecewise) rescales the prior p inside and outside the
+set C. Written with its truncation p_C it is a mixture of two densities,
+
+    q = (1 - alpha) p + alpha p_C,     alpha = (gamma - pi) / (1 - pi),
+
+since inside C this is p ((1 - alpha) + alpha / pi) = p gamma / pi, and outside it is
+p (1 - gamma) / (1 - pi).
+Its moments therefore need no moments of the complement (eq. complement_moments), whose subtraction
+loses every digit as pi -> 1:
+
+    mu+    = (1 - alpha) mu + alpha mu_C,
+    Sigma+ = (1 - alpha) Sigma + alpha Sigma_C + alpha (1 - alpha) (mu_C - mu)(mu_C - mu)^T,
+
+the values of eq. moment_matching, positive definite by construction for every pi in [0, gamma).
+
+The matched Gaussian p+ holds pi+ of mass in C, and pi < pi+ <= gamma (the paper's remark, observed
+there) holds for every set C and every gamma. q has the least KL to the prior, kl(gamma || pi) in
+terms of two outcomes; matching moments projects q on the Gaussians, of which the prior is one, so
+
+    kl(gamma || pi) = KL(q || p) = KL(q || p+) + KL(p+ || p) >= kl(gamma || pi+) + kl(pi+ || pi),
+
+the last step because telling only C from its complement loses divergence. For two outcomes the
+left side exceeds the right one by (gamma - pi+) (logit pi+ - logit pi), therefore >= 0: pi+ lies
+between pi and gamma. It is pi or gamma only if p+ = p, which no box allows (a truncated variance is
+smaller). So the projection can be repeated, and pi climbs towards gamma: `iterations`.
+"""
+
+import numpy as np
+
+from surefoot.estimator.box import box_moments_kernel
+from surefoot.estimator.updates.outliers import PATIENCE, is_outlier
+from surefoot.estimator.updates.velocity_output import lift, velocity_output
+from surefoot.sim.common.kernels import kernel
+
+FLOOR = 1e-6
+"""Standard deviation [m/s] added to S. The set update brings no noise of its own, and without a
+floor repeated statements about a motionless robot would make S singular to working precision."""
+
+
+@kernel
+def posterior_moments(mean, cov, lower, upper, gamma: float, mean_plus, cov_plus) -> float:
+    """Moment-matched posterior of N(mean, cov) under P(lower <= z <= upper) >= gamma.
+
+    mean (3,), cov (3, 3) and the bounds (3,) describe the prior and the box (eq.
+    output_space_prior); mean_plus (3,) and cov_plus (3, 3) receive eq. moment_matching. Returns pi
+    (eq. pi_def_error_state); where pi >= gamma the prior is returned unchanged.
+    """
+    truncated_mean, truncated_cov = np.empty(3), np.empty((3, 3))
+    pi = np.exp(box_moments_kernel(mean, cov, lower, upper, truncated_mean, truncated_cov))
+    alpha, keep = 0.0, 1.0
+    if pi < gamma:  # keep is 1 - alpha, to the last digit where gamma is next to one
+        alpha, keep = (gamma - pi) / (1.0 - pi), (1.0 - gamma) / (1.0 - pi)
+    for i in range(3):
+        mean_plus[i] = mean[i] + alpha * (truncated_mean[i] - mean[i])
+        for j in range(3):
+            between = (truncated_mean[i] - mean[i]) * (truncated_mean[j] - mean[j])
+            cov_plus[i, j] = keep * cov[i, j] + alpha * (truncated_cov[i, j] + keep * between)
+    return pi
+
+
+@kernel
+def update_coverage(
+    mean, covariance, contacts: int, v_I, epsilon, gamma: float, iterations: int = 1
+) -> float:
+    """Algorithm 1 of the paper on the packed state, in place; returns pi of the prior.
+
+    v_I (3,) [m/s] is the pseudo-measurement of the IMU's velocity in I, epsilon (3,) [m/s] its
+    bounds and gamma their JOINT level: P(|v_I - v_I true| <= epsilon) >= gamma. With z = H delta X
+    (eq. setup_feasible_set_lie_linear_augmented) the box is v_I - v_I_bar -+ epsilon. The posterior
+    of z is projected and matched up to `iterations` times, once in the paper, and lifted once.
+    """
+    n = covariance.shape[0]
+    PHt, S, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
+    velocity_output(mean, covariance, contacts, v_I, PHt, S, residual)
+    return _set_update(mean, covariance, contacts, PHt, S, residual, epsilon, gamma, iterations)
+
+
+@kernel
+def update_coverage_within(
+    mean, covariance, contacts: int, v_I, epsilon, gamma: float, iterations: int, reach, counts
+) -> float:
+    """`update_coverage`, but that an error beyond reach (3,) [m/s] is left out: pi is nan.
+
+    counts (2,) are kept as `estimator.updates.outliers.is_outlier` says.
+    """
+    n = covariance.shape[0]
+    PHt, S, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
+    velocity_output(mean, covariance, contacts, v_I, PHt, S, residual)
+    if is_outlier(S, residual, reach, PATIENCE, counts):
+        return np.nan
+    return _set_update(mean, covariance, contacts, PHt, S, residual, epsilon, gamma, iterations)
+
+
+@kernel
+def _set_update(
+    mean, covariance, contacts: int, PHt, S, residual, epsilon, gamma: float, iterations: int
+) -> float:
+    floor = FLOOR**2 + 1e-10 * (S[0, 0] + S[1, 1] + S[2, 2])
+    for i in range(3):
+        S[i, i] += floor
+    lower, upper = residual - epsilon, residual + epsilon
+    z_mean, z_cov = np.empty(3), np.empty((3, 3))
+    pi = posterior_moments(np.zeros(3), S, lower, upper, gamma, z_mean, z_cov)
+    if pi < gamma:
+        for _ in range(iterations - 1):
+            before = z_mean.copy(), z_cov.copy()
+            if (
+                not posterior_moments(before[0], before[1], lower, upper, gamma, z_mean, z_cov)
+                < gamma
+            ):
+                break
+        lift(mean, covariance, contacts, PHt, S, z_mean, z_cov)
+    return pi

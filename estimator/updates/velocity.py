@@ -1,0 +1,43 @@
+"""The Gaussian velocity update: the invariant EKF correction with a body velocity."""
+
+import numpy as np
+
+from surefoot.estimator.updates.velocity_output import inverse_3, lift, velocity_output
+from surefoot.sim.common.kernels import kernel
+
+
+@kernel
+def update_velocity(mean, covariance, contacts: int, v_I, measurement_cov) -> float:
+    """Right-invariant EKF update of the packed state, in place (Hartley 2020, eq. 20).
+
+    v_I (3,) [m/s] measures the IMU's velocity in I with covariance measurement_cov (3, 3). Returns
+    the squared Mahalanobis distance of the innovation. In output space the posterior of z is
+    N(S (S+R)^-1 r, S (S+R)^-1 R), which the same lift as the coverage update carries to the state.
+    """
+    n = covariance.shape[0]
+    work = np.empty((n + 4, 3))
+    PHt, S, residual = work[:n], work[n : n + 3], work[n + 3]
+    velocity_output(mean, covariance, contacts, v_I, PHt, S, residual)
+    return gaussian_update(mean, covariance, contacts, PHt, S, residual, measurement_cov)
+
+
+@kernel
+def gaussian_update(mean, covariance, contacts: int, PHt, S, residual, measurement_cov) -> float:
+    """Kalman update for z = H delta X with innovation `residual` (3,), in place.
+
+    Returns the squared Mahalanobis distance of the innovation. K (z_cov - S) K^T is
+    -Sigma H^T (S+R)^-1 H Sigma: lifting with W = S + R in the place of S, the posterior's
+    covariance at zero and its mean at the innovation is the textbook update.
+    """
+    work = np.zeros((3, 3, 3))
+    W, information, nothing = work[0], work[1], work[2]
+    for i in range(3):
+        for j in range(3):
+            W[i, j] = S[i, j] + measurement_cov[i, j]
+    inverse_3(W, information)
+    lift(mean, covariance, contacts, PHt, W, residual, nothing)
+    distance = 0.0
+    for i in range(3):
+        for j in range(3):
+            distance += residual[i] * information[i, j] * residual[j]
+    return distance

@@ -1,0 +1,110 @@
+"""From the output space of the body velocity to the error state and back.
+
+The IMU's velocity in I is a right-invariant output (eq. meas_model), y = X^-1 d, with
+
+    H = [0  -R_GI^T  0  0  0],     z = H delta X = v_I - v_I_bar to first order,
+
+and -I more on the error of a plain extra vector c where the measurement is v_I + c: the persistent
+part of an observer's error, kept as three more states.
+"""
+
+import numpy as np
+
+from surefoot.estimator.core.state import EXTRA, V, retract
+from surefoot.sim.common.kernels import kernel
+
+
+@kernel
+def velocity_output(mean, covariance, contacts: int, v_I, PHt, S, residual):
+    """Sigma H^T (n, 3), S = H Sigma H^T (3, 3), v_I - v_I_bar (3,): into the last three arrays."""
+    n = covariance.shape[0]
+    persistent = EXTRA + contacts < mean.shape[0]
+    at = 15 + 3 * contacts
+    for i in range(n):
+        for j in range(3):
+            total = 0.0
+            for m in range(3):
+                total -= covariance[i, 3 + m] * mean[m, j]
+            if persistent:
+                total -= covariance[i, at + j]
+            PHt[i, j] = total
+    for j in range(3):
+        residual[j] = v_I[j]
+        for m in range(3):
+            residual[j] -= mean[m, j] * mean[V, m]
+        if persistent:
+            residual[j] -= mean[EXTRA + contacts, j]
+        for k in range(3):
+            total = 0.0
+            for m in range(3):
+                total -= mean[m, j] * PHt[3 + m, k]
+            if persistent:
+                total -= PHt[at + j, k]
+            S[j, k] = total
+    for j in range(3):
+        for k in range(j):
+            S[j, k] = S[k, j] = 0.5 * (S[j, k] + S[k, j])
+
+
+@kernel
+def inverse_3(S, out):
+    """out = S^-1 for a symmetric positive definite S (3, 3), scaled so that units do not matter.
+
+    By S = L D L^T: two axes next to dependent leave 1e-20 of the determinant, which cofactors lose.
+    """
+    s0, s1, s2 = 1.0 / np.sqrt(S[0, 0]), 1.0 / np.sqrt(S[1, 1]), 1.0 / np.sqrt(S[2, 2])
+    a, b, c = S[0, 1] * s0 * s1, S[0, 2] * s0 * s2, S[1, 2] * s1 * s2
+    d1 = 1.0 - a * a
+    l21 = (c - a * b) / d1
+    d2 = 1.0 - b * b - l21 * l21 * d1
+    m20 = a * l21 - b
+    w1, w2 = 1.0 / d1, 1.0 / d2
+    out[0, 0] = (1.0 + a * a * w1 + m20 * m20 * w2) * s0 * s0
+    out[1, 1] = (w1 + l21 * l21 * w2) * s1 * s1
+    out[2, 2] = w2 * s2 * s2
+    out[0, 1] = out[1, 0] = -(a * w1 + m20 * l21 * w2) * s0 * s1
+    out[0, 2] = out[2, 0] = m20 * w2 * s0 * s2
+    out[1, 2] = out[2, 1] = -l21 * w2 * s1 * s2
+
+
+@kernel
+def lift(mean, covariance, contacts: int, PHt, S, z_mean, z_cov):
+    """Eqs. lift_mean and lift_cov with K = Sigma H^T S^-1, then the on-manifold update, in place.
+
+    z_mean (3,) and z_cov (3, 3) are the posterior of z, whose prior is N(0, S).
+    """
+    n = covariance.shape[0]
+    # One piece of memory for all: asking for many is slower than the arithmetic.
+    work = np.empty(7 * n + 9)
+    K, D = work[: 3 * n].reshape(3, n), work[3 * n : 6 * n].reshape(3, n)
+    delta, information = work[6 * n : 7 * n], work[7 * n :].reshape(3, 3)
+    inverse_3(S, information)
+    for i in range(n):
+        delta[i] = 0.0
+        for j in range(3):
+            K[j, i] = (
+                PHt[i, 0] * information[0, j]
+                + PHt[i, 1] * information[1, j]
+                + PHt[i, 2] * information[2, j]
+            )
+            delta[i] += K[j, i] * z_mean[j]
+    # Sigma + K (z_cov - S) K^T in Joseph's form: with D it is stationary in K, so that an error of
+    # K, which comes of inverting an S near singular, acts by its square alone.
+    for j in range(3):
+        h0, h1, h2 = (
+            0.5 * (S[0, j] + z_cov[0, j]),
+            0.5 * (S[1, j] + z_cov[1, j]),
+            0.5 * (S[2, j] + z_cov[2, j]),
+        )
+        for i in range(n):
+            D[j, i] = PHt[i, j] - K[0, i] * h0 - K[1, i] * h1 - K[2, i] * h2
+    for i in range(n):
+        k0, k1, k2, d0, d1, d2 = K[0, i], K[1, i], K[2, i], D[0, i], D[1, i], D[2, i]
+        for j in range(n):
+            # In pairs, whose sums are the same with i and j exchanged: symmetric to the last bit.
+            covariance[i, j] -= (
+                (k0 * D[0, j] + d0 * K[0, j])
+                + (k1 * D[1, j] + d1 * K[1, j])
+                + (k2 * D[2, j] + d2 * K[2, j])
+            )
+    retract(mean, delta, contacts)

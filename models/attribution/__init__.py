@@ -1,0 +1,1 @@
+"""Which effect does the model lack? Evidence, fit, noise floor, selection, search."""

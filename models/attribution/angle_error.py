@@ -1,0 +1,131 @@
+"""Is what was found at a joint the whole story of its readings, or only the catalogue's nearest?
+
+An encoder that is off, or scaled, or behind a spring reads a joint's angle wrong by a constant, by
+a line of the angle, by a constant times the torque. A curve of the angle, alone or times the
+torque, is in no catalogue: eccentric magnets, ripples and cross-talk have one, and over the little
+that a leg turns most of it looks like a line.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.polynomial import Legendre
+from scipy.ndimage import uniform_filter1d
+
+from surefoot.models.attribution.evidence import Evidence, LogUnderModel, joined, wrt_columns
+from surefoot.models.attribution.fit import design, draws, fit, loss, normal_equations
+from surefoot.models.attribution.search import Attribution, Split
+from surefoot.models.attribution.selection import FIT, SELECT
+from surefoot.sim.log import Log
+from surefoot.sim.robot.legs import JOINTS, LEGS
+
+BENDS: tuple[int, ...] = (2, 3, 4, 5, 6)
+"""Degrees of the curve of an angle that is read wrong, over the range that the joint turns."""
+LOADED: tuple[int, ...] = (1, 2, 3, 4)
+"""Degrees of the same for an error that grows with the torque."""
+WORTH = 0.03
+"""Share of what the effect itself explains that its curve must add."""
+OTHERS = 3.0
+"""How many times more the curve must explain than the same joint's of legs with nothing found."""
+
+
+WINDOW = 0.03
+"""s, over which a torque is averaged before it is differentiated."""
+SHOWS = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
+
+
+@dataclass(frozen=True)
+class AngleError:
+    """A joint whose readings err by a curve of its angle; channel: where that shows most; share:
+    what it explains on unseen blocks, over what the effects found there do."""
+
+    joint: str
+    channel: str
+    share: float
+
+
+def angle_errors(
+    cases: Sequence[LogUnderModel], result: Attribution, split: Split, rng: np.random.Generator
+) -> tuple[AngleError, ...]:
+    """The joints with an effect found whose readings a curve explains better, on unseen blocks."""
+    found = [f.effect for f in result.found]
+    at = [e.target for e in found if e.target in JOINTS and "leg_velocity" in e.channels]
+    if not at or cases[0].fixed:
+        return ()
+    keys = [(e.name, e.target) for e in found]
+    parts = {joint.split("_")[1] for joint in at}
+    joints = [joint for joint in JOINTS if joint.split("_")[1] in parts]
+    evidence = _with_curves(cases, result, joints)
+    whole, sigma = design(evidence), result.floor.counted(result.trust.sigma)
+    data = normal_equations(whole, sigma, result.trust.weight, split.part)
+    seen, unseen = data.rows(data.part == FIT), data.rows(data.part == SELECT)
+    plain = fit(seen, keys, errors=False).vector
+    bent = {j: fit(seen, [*keys, *_curves_of(evidence, j)], errors=False).vector for j in joints}
+    gains = {joint: loss(unseen, plain) - loss(unseen, bent[joint]) for joint in joints}
+    price = len(BENDS + LOADED) * np.log(max(2, len(seen.G)))
+    out = []
+    for joint in dict.fromkeys(at):
+        alike = [f"{leg}_{joint.split('_')[1]}" for leg in LEGS]
+        chance = max([float(gains[one].sum()) for one in alike if one not in at], default=0.0)
+        without = plain.copy()
+        for e in found:
+            if e.target == joint:
+                without[1 + evidence.keys.index((e.name, joint))] += e.value
+        explained = float(np.sum(loss(unseen, without) - loss(unseen, plain)))
+        gain = float(gains[joint].sum())
+        low = np.percentile(draws(len(unseen.G), rng) @ gains[joint], 2.5)
+        if low > 0 and gain > max(price, OTHERS * chance, WORTH * explained):
+            by_channel = {}
+            for channel in SHOWS:
+                weight = np.zeros_like(result.trust.weight)
+                columns = evidence.layout.channels[channel]
+                weight[:, columns] = result.trust.weight[:, columns]
+                own = normal_equations(whole, sigma, weight, split.part)
+                own = own.rows(own.part == SELECT)
+                by_channel[channel] = float(np.sum(loss(own, plain) - loss(own, bent[joint])))
+            channel = max(by_channel, key=lambda name: by_channel[name])
+            out.append(AngleError(joint, channel, gain / max(explained, 1e-300)))
+    return tuple(sorted(out, key=lambda one: -one.share))
+
+
+def _curves_of(evidence: Evidence, joint: str) -> list[tuple[str, str]]:
+    return [key for key in evidence.keys if key[0] == f"curve {joint}"]
+
+
+def _with_curves(
+    cases: Sequence[LogUnderModel], result: Attribution, joints: Sequence[str]
+) -> Evidence:
+    """The evidence of the effects found, and of curves of these joints' angles."""
+    effects = [f.effect for f in result.found]
+    known = result.evidence.only([(e.name, e.target) for e in effects])
+    per_log = [
+        wrt_columns(
+            case, effects, lambda log: [c for j in joints for c in angle_error_basis(log, j)]
+        )
+        for case in cases
+    ]
+    starts = np.searchsorted(known.log, np.arange(len(cases) + 1))
+    curves = tuple(joined(list(parts), starts) for parts in zip(*per_log, strict=True))
+    each = len(curves) // len(joints)
+    names = tuple((f"curve {j}", str(i)) for j in joints for i in range(each))
+    return replace(known, keys=(*known.keys, *names), X=(*known.X, *curves))
+
+
+def angle_error_basis(log: Log, joint: str) -> list[dict[str, np.ndarray]]:
+    """Changes of a joint's angle [rad] and rate [rad/s], each (N,): curves of its angle, alone and
+    times its torque where the log has one."""
+    q = log.frame[f"q_{joint}"].to_numpy()
+    weights = [(np.ones_like(q), BENDS)]
+    if f"tau_{joint}" in log.frame:
+        rows = max(1, round(WINDOW * log.rate))
+        weights.append((uniform_filter1d(log.frame[f"tau_{joint}"].to_numpy(), rows), LOADED))
+    changes = []
+    for weight, degrees in weights:
+        for degree in degrees:
+            added = weight * Legendre.basis(degree, domain=[q.min(), q.max()])(q)
+            change = {f"q_{joint}": added}
+            if f"dq_{joint}" in log.frame:
+                change[f"dq_{joint}"] = np.gradient(uniform_filter1d(added, 3), log.t)
+            changes.append(change)
+    return changes

@@ -1,0 +1,307 @@
+"""How the residual of a log answers to each candidate effect: linear regressors by its size."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from surefoot.models.residuals.binning import (
+    ReferenceMotion,
+    bin_mean,
+    mean_rate_of_change,
+    reference_motion,
+)
+from surefoot.models.residuals.channels import Parts, residual, with_ground
+from surefoot.models.residuals.jacobians import (
+    Regressor,
+    ResidualJacobians,
+    explained_share,
+    residual_jacobians,
+    sparse,
+    wrt_readings,
+    wrt_robot,
+)
+from surefoot.models.residuals.layout import Layout
+from surefoot.sim.effects import CATALOGUE, Effect, compensate_all, effect
+from surefoot.sim.effects.base import with_columns
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.legs import JOINTS
+from surefoot.sim.sensors.streams import Sensors
+
+Key = tuple[str, str]
+"""A candidate: effect name and target."""
+TURN_ON = 4.5
+"""Standard deviations of a declared turn-on bias beyond which a bias is an effect."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Residuals of M bins and what would explain them: table = X sizes + Z biases + noise.
+
+    t (M,) s; log (M,) which log a bin is from; table (M, W), its columns as `layout` says, NaN
+    where a bin has none; X: by the size of each of `keys`; Z: by what may be free in each log, the
+    turn-on biases of its IMU, up to +-limits (B,), and the plane that it stands on. `stands_for`:
+    of each of Z, the candidate that takes its place without a limit.
+    """
+
+    layout: Layout
+    t: np.ndarray
+    log: np.ndarray
+    table: np.ndarray
+    keys: tuple[Key, ...]
+    X: tuple[Regressor, ...]
+    Z: tuple[Regressor, ...]
+    limits: np.ndarray
+    stands_for: tuple[Key | None, ...]
+
+    def only(self, keys: Sequence[Key]) -> "Evidence":
+        """The evidence with no other candidates than these."""
+        X = tuple(self.X[self.keys.index(key)] for key in keys)
+        return replace(self, keys=tuple(keys), X=X)
+
+
+@dataclass(frozen=True)
+class LogUnderModel:
+    """A log, the declared model it is held against, and its reference."""
+
+    log: Log
+    robot: Machine
+    frame: ReferenceMotion
+    fixed: bool = False
+
+
+def log_under_model(log: Log, robot: Machine) -> LogUnderModel:
+    """The log held against the robot. Without a reference only a fixed base can be traced: a
+    machine that has one, or a robot whose log shows no foot on the ground."""
+    stands = log.has("contact") and log.contact.any()
+    hung = not log.has("reference") and not stands and log.has("q")
+    fixed = not isinstance(robot, Robot) or hung
+    frame = reference_motion(log, fixed)
+    return LogUnderModel(log, robot, with_ground(frame, log, robot), fixed)
+
+
+def channels_of(case: LogUnderModel) -> tuple[str, ...]:
+    """The channels that a log can fill at all."""
+    log, legged = case.log, not case.fixed
+    there = {
+        "imu_gyro": legged and log.has("imu"),
+        "imu_accel": legged and log.has("imu"),
+        "leg_velocity": legged and log.has("q") and log.has("contact"),
+        "foot_height": legged and log.has("q") and log.has("contact") and case.frame.level,
+        "joint_torque": log.has("q") and log.has("tau") and (case.fixed or log.has("contact")),
+        "base_wrench": legged and log.has("q") and log.has("tau") and log.has("contact"),
+        "joint_rate": log.has("q") and log.has("dq"),
+        "contact_timing": legged and log.has("q") and log.has("contact"),
+    }
+    return tuple(name for name, has in there.items() if has)
+
+
+def all_keys(case: LogUnderModel) -> tuple[Key, ...]:
+    """Every candidate that a model can know of and whose channels the log has."""
+    there = channels_of(case)
+    keys = []
+    for kind in CATALOGUE.values():
+        lacks = not any(c in there for c in kind.channels)
+        lacks |= case.fixed and "reference" in kind.needs
+        if not kind.is_compensated() or lacks or not all(case.log.has(g) for g in kind.needs):
+            continue
+        targets = case.log.joints if kind.targets == JOINTS else kind.targets
+        keys += [(kind.name, target) for target in targets]
+    return tuple(keys)
+
+
+def linearise(
+    cases: Sequence[LogUnderModel],
+    chosen: Sequence[Effect],
+    keys: Sequence[Key],
+    before: Evidence | None = None,
+) -> Evidence:
+    """Residuals once `chosen` are explained, and their derivatives by the sizes of `keys`.
+
+    A key among the chosen is varied about its value, by central differences of the true residual;
+    any other about zero, by the chain rule. Derivatives by the latter change by no more than a
+    chosen effect's own share of what is read: those of an evidence `before` may serve again.
+    """
+    parts = [_Linear(case, chosen) for case in cases]
+    tables = [p.parts.table for p in parts]
+    starts = np.cumsum([0] + [len(table) for table in tables])
+    if before is not None and len(before.t) == starts[-1]:
+        own = {(e.name, e.target) for e in chosen}
+        X = tuple(
+            joined([p.regressor(key) for p in parts], starts) if key in own else one
+            for key, one in zip(before.keys, before.X, strict=True)
+        )
+        return replace(before, table=np.concatenate(tables), X=X)
+    X = tuple(joined([p.regressor(key) for p in parts], starts) for key in keys)
+    Z, limits, stands_for = [], [], []
+    for i, part in enumerate(parts):
+        for one, limit, key in part.free():
+            whole = np.zeros((starts[-1], len(one.columns)))
+            whole[starts[i] : starts[i + 1]] = one.values
+            Z.append(Regressor(one.columns, whole))
+            limits.append(limit)
+            stands_for.append(key)
+    return Evidence(
+        layout=parts[0].parts.layout,
+        t=np.concatenate([p.parts.t for p in parts]),
+        log=np.repeat(np.arange(len(parts)), np.diff(starts)),
+        table=np.concatenate(tables),
+        keys=tuple(keys),
+        X=X,
+        Z=tuple(Z),
+        limits=np.array(limits),
+        stands_for=tuple(stands_for),
+    )
+
+
+def wrt_columns(
+    case: LogUnderModel,
+    chosen: Sequence[Effect],
+    altered: Callable[[Log], Sequence[Mapping[str, np.ndarray]]],
+) -> list[Regressor]:
+    """What changes of a log's columns, each (N,), add to its table once `chosen` are explained."""
+    linear = _Linear(case, chosen)
+    return [linear.by_columns(columns) for columns in altered(linear.log)]
+
+
+def table_of(case: LogUnderModel, chosen: Sequence[Effect]) -> np.ndarray:
+    """Residual table (M, W) of a case once `chosen` are explained."""
+    return _parts(case, chosen)[2].table
+
+
+def _parts(
+    case: LogUnderModel, chosen: Sequence[Effect]
+) -> tuple[Log, Machine, Parts, ReferenceMotion]:
+    log, robot = compensate_all(chosen, case.log, case.robot)
+    frame = case.frame
+    if log is not case.log and _moves_frame(log.frame.attrs["changed"]):
+        frame = replace(reference_motion(log, case.fixed), level=case.frame.level)
+    return log, robot, residual(log, robot, frame), frame
+
+
+class _Linear:
+    """One log's residual with the chosen effects explained, and its derivatives."""
+
+    def __init__(self, case: LogUnderModel, chosen: Sequence[Effect]):
+        self.case, self.chosen = case, list(chosen)
+        self.log, self.robot, self.parts, self.frame = _parts(case, chosen)
+        self.joints = self.log.joints
+
+    @cached_property
+    def answers(self) -> ResidualJacobians:
+        return residual_jacobians(self.parts, self.robot)
+
+    def regressor(self, key: Key) -> Regressor:
+        """What one unit of the effect `key` adds to the table."""
+        if any((e.name, e.target) == key for e in self.chosen):
+            return self._about_its_value(key)
+        kind = CATALOGUE[key[0]]
+        tried = [self._from_zero(key, size) for size in kind.starts or (kind.step_of(key[1]),)]
+        if len(tried) == 1:
+            return tried[0]
+        return max(tried, key=lambda one: explained_share(one, self.parts.table))
+
+    def _from_zero(self, key: Key, step: float) -> Regressor:
+        log, robot = compensate_all([effect(*key, step)], self.log, self.robot)
+        if robot is not self.robot:
+            old, new = self.robot.extras, robot.extras
+            assert isinstance(robot, Robot)
+            assert isinstance(self.robot, Robot)
+            timed = log is not self.log and _moves_frame(log.frame.attrs["last"])
+            turned = robot.R_BI is not self.robot.R_BI
+            slower = (old.imu_lowpass, old.softness) != (new.imu_lowpass, new.softness)
+            if timed or turned or slower:
+                return self._by_difference(log, robot, step)
+            return _minus(wrt_robot(self.parts, self.robot, robot, step))
+        moved = log.frame.attrs["last"]
+        # Of joints that all move in time, the parts of the chain rule cancel but for their errors.
+        if _moves_frame(moved) or {"q", "tau"} <= {name.split("_")[0] for name in moved}:
+            return self._by_difference(log, robot, step)
+        change = _change(self.log, log, self.joints, self.frame, step)
+        return _minus(wrt_readings(self.parts, self.answers, change))
+
+    def by_columns(self, added: Mapping[str, np.ndarray]) -> Regressor:
+        """What these additions (N,) to the readings add to the table."""
+        columns = {name: self.log.frame[name].to_numpy() + x for name, x in added.items()}
+        change = _change(self.log, with_columns(self.log, columns), self.joints, self.frame, 1.0)
+        return wrt_readings(self.parts, self.answers, change)
+
+    def _about_its_value(self, key: Key) -> Regressor:
+        step = CATALOGUE[key[0]].step_of(key[1])
+        ahead, behind = (table_of(self.case, _moved(self.chosen, key, s)) for s in (step, -step))
+        return sparse((behind - ahead) / (2 * step), self.parts.table)
+
+    def _by_difference(self, log: Log, robot: Machine, step: float) -> Regressor:
+        frame = self.frame
+        if log is not self.log:
+            frame = replace(reference_motion(log, self.case.fixed), level=frame.level)
+        moved = residual(log, robot, frame).table
+        return sparse((self.parts.table - moved) / step, self.parts.table)
+
+    def free(self) -> list[tuple[Regressor, float, Key | None]]:
+        """What may be free in a log, its limit, and the candidate that stands for it."""
+        out: list[tuple[Regressor, float, Key | None]] = []
+        parts, sensors = self.parts, Sensors()
+        if not self.case.fixed and self.case.log.has("imu"):
+            for axis, name in enumerate("xyz"):
+                for kind, turn_on in (
+                    ("gyro", sensors.gyro_turn_on), ("accel", sensors.accel_turn_on),
+                ):  # fmt: skip
+                    unit = {kind: {axis: np.ones(len(parts.t))}}
+                    one = wrt_readings(parts, self.answers, unit)
+                    out.append((one, TURN_ON * turn_on, (f"{kind}_bias", name)))
+        if not self.case.fixed and self.frame.level:
+            columns = np.arange(18, 22)
+            there = np.isfinite(parts.table[:, columns])
+            for values in (np.ones(len(parts.t)), *parts.bins.p_GI[:, :2].T):
+                out.append((Regressor(columns, there * values[:, None]), np.inf, None))
+        return out
+
+
+def _moves_frame(columns: Sequence[str]) -> bool:
+    return any(name.startswith(("ref_", "contact_")) for name in columns)
+
+
+def _moved(chosen: Sequence[Effect], key: Key, step: float) -> list[Effect]:
+    return [effect(*key, e.value + step) if (e.name, e.target) == key else e for e in chosen]
+
+
+def _change(
+    old: Log, new: Log, joints: Sequence[str], frame: ReferenceMotion, step: float
+) -> dict[str, dict[int, np.ndarray]]:
+    """Change of each stream for one unit of an effect: stream -> place -> means over bins (M,)."""
+    change: dict[str, dict[int, np.ndarray]] = {}
+    mean = bin_mean(frame)
+    for name in new.frame.attrs["last"]:
+        stream, _, what = name.partition("_")
+        if stream in ("gyro", "accel"):
+            place = "xyz".index(what)
+        elif what in joints:
+            place = joints.index(what)
+        else:
+            continue
+        difference = new.frame[name].to_numpy() - old.frame[name].to_numpy()
+        change.setdefault(stream, {})[place] = mean(difference) / step
+        if stream == "dq":
+            change.setdefault("ddq", {})[place] = (
+                mean_rate_of_change(difference, old.t, frame) / step
+            )
+    return change
+
+
+def _minus(one: Regressor) -> Regressor:
+    return Regressor(one.columns, -one.values)
+
+
+def joined(parts: Sequence[Regressor], starts: np.ndarray) -> Regressor:
+    """One regressor over several logs."""
+    if len(parts) == 1:
+        return parts[0]
+    columns = np.unique(np.concatenate([p.columns for p in parts]))
+    values = np.zeros((starts[-1], len(columns)))
+    for i, part in enumerate(parts):
+        values[starts[i] : starts[i + 1], np.searchsorted(columns, part.columns)] = part.values
+    return Regressor(columns, values)

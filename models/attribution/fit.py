@@ -1,0 +1,216 @@
+"""Weighted least squares on an evidence: sizes of effects, their errors, and what they gain.
+
+Everything is computed from sums of products over blocks of two seconds, so that trying hundreds of
+combinations of candidates costs no more passes over the data.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from surefoot.models.attribution.evidence import TURN_ON, Evidence, Key
+
+BLOCK = 2.0
+"""s; residuals of one step resemble the next step's, blocks of this length hardly each other."""
+
+
+@dataclass(frozen=True)
+class Design:
+    """An evidence by the table's columns: for each, its numbers y (M,), which of the candidates and
+    the free parts touch it (k,), its bins with a number (n,) and the regressors there (n, k)."""
+
+    evidence: Evidence
+    y: np.ndarray  # (M, W), zero where missing
+    there: np.ndarray  # (M, W)
+    which: tuple[np.ndarray, ...]
+    rows: tuple[np.ndarray, ...]
+    X: tuple[np.ndarray, ...]
+
+    @property
+    def size(self) -> int:
+        """Candidates and free parts."""
+        return len(self.evidence.X) + len(self.evidence.Z)
+
+    def explained(self, sizes: np.ndarray) -> np.ndarray:
+        """X sizes (M, W), sizes (C + B,) of candidates and free parts."""
+        out = np.zeros_like(self.y)
+        for column, (rows, X, which) in enumerate(zip(self.rows, self.X, self.which, strict=True)):
+            out[rows, column] = X @ sizes[which]
+        return out
+
+
+def design(evidence: Evidence) -> Design:
+    """The evidence by columns."""
+    there = np.isfinite(evidence.table)
+    which: list[list[int]] = [[] for _ in range(evidence.layout.width)]
+    X: list[list[np.ndarray]] = [[] for _ in range(evidence.layout.width)]
+    for i, one in enumerate((*evidence.X, *evidence.Z)):
+        for n, column in enumerate(one.columns):
+            which[column].append(i)
+            X[column].append(one.values[:, n])
+    rows = [np.flatnonzero(column) for column in there.T]
+    stacked = [
+        np.column_stack([one[here] for one in x]) if x else np.zeros((len(here), 0))
+        for x, here in zip(X, rows, strict=True)
+    ]
+    return Design(
+        evidence,
+        np.where(there, evidence.table, 0.0),
+        there,
+        tuple(np.array(w, dtype=int) for w in which),
+        tuple(rows),
+        tuple(stacked),
+    )
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """Sums of products over K blocks. G (K, P, P), P = 1 + C + B, of the whitened numbers, the
+    candidates `keys` and the free parts with their `limits` (B,); entries (K,) of each block;
+    part (K,): which part of the split a block belongs to."""
+
+    G: np.ndarray
+    keys: tuple[Key, ...]
+    limits: np.ndarray
+    stands_for: tuple[Key | None, ...]
+    entries: np.ndarray
+    part: np.ndarray
+
+    @cached_property
+    def whole(self) -> np.ndarray:
+        """Sums of products over all blocks (P, P)."""
+        return self.G.sum(axis=0)
+
+    def rows(self, which: np.ndarray) -> "NormalEquations":
+        """Some of the blocks: mask (K,) or indices."""
+        return replace(self, G=self.G[which], entries=self.entries[which], part=self.part[which])
+
+    def total(self) -> "NormalEquations":
+        """All blocks as one: enough for sizes, not for their errors."""
+        return replace(
+            self, G=self.G.sum(0, keepdims=True), entries=self.entries.sum(keepdims=True),
+            part=self.part[:1],
+        )  # fmt: skip
+
+
+def normal_equations(
+    data: Design, sigma: np.ndarray, weight: np.ndarray, part: np.ndarray | None = None
+) -> NormalEquations:
+    """The sums of products of a design whose columns have noise sigma (W,) and weight (M, W).
+
+    part (M,): which part of a split each bin belongs to, negative for none.
+    """
+    evidence = data.evidence
+    part = np.zeros(len(evidence.t), dtype=int) if part is None else part
+    stretch = np.floor((evidence.t - evidence.t.min()) / BLOCK).astype(int)
+    number = (evidence.log * (stretch.max() + 1) + stretch) * (part.max() + 1) + part
+    # Parts of a short log take turns more often than that: each turn is a block of its own.
+    turns = np.cumsum(np.diff(np.where(part < 0, -1, number), prepend=-1) != 0)
+    label = np.where(part < 0, -1, turns)
+    # Rows of a block follow each other: from its first on, `many` of them.
+    blocks, first, many = np.unique(label, return_index=True, return_counts=True)
+    blocks, first, many = (x[blocks >= 0] for x in (blocks, first, many))
+    size = 1 + data.size
+    G = np.zeros((len(blocks), size, size))
+    for column, (rows, X, which) in enumerate(zip(data.rows, data.X, data.which, strict=True)):
+        begin, end = np.searchsorted(rows, first), np.searchsorted(rows, first + many)
+        place = np.concatenate([[0], 1 + which])
+        A = np.column_stack([data.y[rows, column], X]) / sigma[column]
+        A = A * np.sqrt(weight[rows, column])[:, None]
+        own = [A[i:j].T @ A[i:j] for i, j in zip(begin, end, strict=True)]
+        G[:, place[:, None], place] += own
+    known = np.count_nonzero(weight, axis=1)
+    entries = np.array([known[i : i + n].sum() for i, n in zip(first, many, strict=True)], float)
+    parts = part[first].astype(int)
+    return NormalEquations(G, evidence.keys, evidence.limits, evidence.stands_for, entries, parts)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Sizes of the keys fitted, (C,), with their covariance from blocks, and `vector` (P,): one for
+    the numbers, minus each size; G vector is what is left."""
+
+    sizes: np.ndarray
+    covariance: np.ndarray
+    vector: np.ndarray
+
+
+def fit(data: NormalEquations, keys: Sequence[Key], errors: bool = True) -> Fit:
+    """Least squares of these keys and the free parts within their limits.
+
+    A free part whose candidate is among the keys gives way to it. A column that the data do not
+    excite at all gets size zero and infinite variance. Errors are the sandwich's over blocks.
+    """
+    G = data.whole
+    first = 1 + len(data.keys)
+    own = [1 + data.keys.index(key) for key in keys]
+    free = [first + i for i, k in enumerate(data.stands_for) if k is None or k not in keys]
+    vector = np.zeros(len(G))
+    vector[0] = 1.0
+    held: list[int] = []
+    while True:
+        use = own + [f for f in free if f not in held]
+        sizes, inverse, dead = _solve(G, vector, use, held)
+        beyond = [
+            (f, s) for f, s in zip(use, sizes, strict=True)
+            if f >= first and abs(s) > data.limits[f - first]
+        ]  # fmt: skip
+        if not beyond:
+            break
+        for f, s in beyond:
+            held.append(f)
+            vector[f] = -np.sign(s) * data.limits[f - first]
+    vector[use] = -sizes
+    covariance = np.full((len(keys), len(keys)), np.nan)
+    if errors:
+        there = np.flatnonzero(vector)
+        scores = data.G[:, np.array(use, dtype=int)[:, None], there] @ vector[there]
+        covariance = (inverse @ (scores.T @ scores) @ inverse)[: len(keys), : len(keys)]
+        covariance[dead[: len(keys)], dead[: len(keys)]] = np.inf
+        # A bias that an effect stands for is not known better than it is declared.
+        for i, key in enumerate(keys):
+            if key in data.stands_for:
+                covariance[i, i] += (data.limits[data.stands_for.index(key)] / TURN_ON) ** 2
+    return Fit(sizes[: len(keys)], covariance, vector)
+
+
+def _solve(G: np.ndarray, vector: np.ndarray, use: list[int], held: list[int]):
+    known = [0, *held]
+    right = G[np.ix_(use, known)] @ vector[known]
+    normal = G[np.ix_(use, use)]
+    scale = np.sqrt(np.maximum(np.diag(normal), 0.0))
+    dead = scale < 1e-9
+    scale = np.where(dead, 1.0, scale)
+    inverse = np.linalg.pinv(normal / scale / scale[:, None], rcond=1e-9, hermitian=True)
+    inverse = inverse / scale / scale[:, None]
+    return inverse @ right, inverse, dead
+
+
+def loss(data: NormalEquations, vector: np.ndarray) -> np.ndarray:
+    """Weighted squared error (K,) of each block with the sizes of `vector` taken off."""
+    there = np.flatnonzero(vector)
+    return (data.G[:, there[:, None], there] @ vector[there]) @ vector[there]
+
+
+def draws(blocks: int, rng: np.random.Generator, count: int = 1000) -> np.ndarray:
+    """How often each of K blocks is in each of `count` samples of the block bootstrap."""
+    return rng.multinomial(blocks, np.full(blocks, 1.0 / blocks), size=count).astype(float)
+
+
+def overlap(data: NormalEquations, one: Key, other: Key, given: Sequence[Key]) -> float:
+    """Cosine (0..1) between two regressors once `given` and the free parts are projected out.
+
+    At one, no size of the other could be told from some size of the first with these data.
+    """
+    G = data.whole
+    first = 1 + len(data.keys)
+    pair = [1 + data.keys.index(one), 1 + data.keys.index(other)]
+    base = [1 + data.keys.index(key) for key in given]
+    base += [first + i for i, k in enumerate(data.stands_for) if k not in (one, other)]
+    A, B = G[np.ix_(base, base)], G[np.ix_(base, pair)]
+    scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    inverse = np.linalg.pinv(A / scale / scale[:, None], rcond=1e-9, hermitian=True)
+    P = G[np.ix_(pair, pair)] - B.T @ (inverse / scale / scale[:, None]) @ B
+    return float(abs(P[0, 1]) / max(np.sqrt(max(P[0, 0] * P[1, 1], 0.0)), 1e-300))

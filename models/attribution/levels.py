@@ -1,0 +1,114 @@
+"""How large the residual is, channel by channel: before, after, and with nothing to explain."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from surefoot.models.attribution.evidence import Evidence, LogUnderModel, linearise
+from surefoot.models.attribution.fit import design, fit, normal_equations
+from surefoot.models.attribution.noise_floor import LEVEL, Repeat
+from surefoot.models.attribution.robust_weights import RobustWeights
+from surefoot.models.attribution.search import Attribution, Split
+from surefoot.models.residuals.layout import UNITS
+
+AT_FLOOR = 1.05
+"""A channel is at its floor up to this ratio to what the floor's walks reach (`highest`)."""
+AHEAD = 0.35
+"""Share of a floor's walk, at its end, on which an uneven ground is judged."""
+WORSE = 1.02
+"""A channel got worse from this ratio of after to before."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """Root mean square residual on the report split, in `unit`; biases of the sensor are taken off.
+
+    None for the floor where no repeat of the declared model has the channel.
+    """
+
+    before: float
+    after: float
+    noise_floor: float | None
+    unit: str
+    highest: float = np.inf
+    """The most that walks of the floor have: of those walked, and as far again as they differ. Of
+    noise alone, the most that so few bins reach by chance."""
+
+    @property
+    def at_floor(self) -> bool:
+        """Whether what is left is what the declared model leaves by itself."""
+        return self.after <= AT_FLOOR * self.highest
+
+    @property
+    def worse(self) -> bool:
+        """Whether what was added to the model does harm on data that no fit has seen: it leaves
+        more than before and than the floor's own walks do, by more than those differ."""
+        if self.noise_floor is None:
+            return self.after > WORSE * self.before
+        more = self.after > max(WORSE * self.before, self.noise_floor)
+        return more and self.after - self.before > self.highest - self.noise_floor
+
+
+def channel_levels(
+    cases: Sequence[LogUnderModel], result: Attribution, split: Split
+) -> dict[str, Channel]:
+    """Level of each channel on the report split, with and without the effects found."""
+    evidence, trusted, floor = result.evidence, result.trust, result.floor
+    plain = linearise(cases, (), (), None)
+    use = split.fit | split.select
+    before = without_bias(plain, trusted, use)
+    after = without_bias(evidence, trusted, use)
+    every = [np.ones(len(one.evidence.t), dtype=bool) for one in floor.repeats]
+    floors = [
+        without_bias(one.evidence, one.trust, rows)
+        for one, rows in zip(floor.repeats, every, strict=True)
+    ]
+    ahead = [_ahead(one) for one in floor.repeats] if floor.evenness else floors
+    channels = {}
+    for name, columns in evidence.layout.channels.items():
+        if not np.isfinite(before[split.report][:, columns]).any():
+            continue
+        least = LEVEL if name == "foot_height" else 0.0
+        level = [
+            max(_rms(part[:, columns]), least)
+            for part in (ahead if name == "foot_height" else floors)
+            if np.isfinite(part[:, columns]).any()
+        ]
+        known = float(np.sqrt(np.mean(np.square(level)))) if level else None
+        most = 2.0 * max(level) - min(level) if level else np.inf
+        if known is None and not floor.repeats:
+            known = float(np.sqrt(np.mean(floor.sigma[columns] ** 2)))
+            # Neighbours share noise, so that a level of n bins is known to one part in sqrt(n).
+            count = np.isfinite(after[split.report][:, columns]).sum()
+            most = known * (1.0 + 2.0 / float(np.sqrt(max(count, 1))))
+        channels[name] = Channel(
+            before=_rms(before[split.report][:, columns]),
+            after=_rms(after[split.report][:, columns]),
+            noise_floor=known,
+            unit=UNITS[name],
+            highest=most,
+        )
+    return channels
+
+
+def without_bias(evidence: Evidence, trusted: RobustWeights, use: np.ndarray) -> np.ndarray:
+    """The residual table (M, W) less the free parts as fitted on `use`; NaN where masked."""
+    data = design(evidence.only(()))
+    sums = normal_equations(data, trusted.sigma, trusted.weight, np.where(use, 0, -1)).total()
+    vector = fit(sums, (), errors=False).vector
+    left = np.where(data.there, data.y - data.explained(-vector[1:]), np.nan)
+    return np.where(trusted.weight > 0, left, np.nan)
+
+
+def _ahead(one: Repeat) -> np.ndarray:
+    """The end of a walk, over ground that the plane fitted to its beginning has not seen."""
+    t = one.evidence.t
+    use = t < t[0] + (1.0 - AHEAD) * (t[-1] - t[0])
+    return without_bias(one.evidence, one.trust, use)[~use]
+
+
+def _rms(values: np.ndarray) -> float:
+    # A few bins in which a foot lands between two looks would say all of a torque's level.
+    square = np.sort(values[np.isfinite(values)] ** 2)
+    return float(np.sqrt(square[: max(1, round(0.99 * len(square)))].mean()))

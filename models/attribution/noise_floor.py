@@ -1,0 +1,284 @@
+"""What residual the declared model leaves by itself: the log's own motion, simulated again."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from surefoot.models.attribution.coarse_reference import Coarse, as_coarse, coarseness
+from surefoot.models.attribution.evidence import (
+    Evidence,
+    Key,
+    LogUnderModel,
+    all_keys,
+    linearise,
+    log_under_model,
+)
+from surefoot.models.attribution.fit import NormalEquations, design, fit, normal_equations
+from surefoot.models.attribution.robust_weights import RobustWeights, robust_weights
+from surefoot.models.attribution.sensor_noise import reading_noise, sheet_noise
+from surefoot.models.attribution.whiteness import variance_inflation
+from surefoot.models.residuals.layout import Layout, layout_of
+from surefoot.models.residuals.torques import declared
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.effects import CATALOGUE, Effect
+from surefoot.sim.ground.terrain import Ground, Strip
+from surefoot.sim.log import Log
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
+from surefoot.sim.walking.imitation import PIECE, body_twists
+
+REPEATS = 4
+SECONDS = 12.0
+"""s of walking in each repeat."""
+FRICTION = 0.8
+SEED = 20_011
+STAND = 0.5  # s
+STANDS = 0.999
+"""Share of rows with a foot on the ground from which a log is one of standing."""
+LEVEL = 2e-4
+"""m. Simulated ground is level to a hundredth of a millimetre, which no reference measures."""
+ROW = 1e-3
+"""s. A contact is told by the row, so that its time is known to half of one."""
+
+
+Course = tuple[tuple[float, float, float], ...]
+Groups = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Repeat:
+    """One walk of the declared model: its evidence, what of it to believe, its sums of products,
+    and how far each column (W,) is from white (`models.attribution.whiteness`)."""
+
+    evidence: Evidence
+    robust_weights: RobustWeights
+    normal_equations: NormalEquations
+    variance_inflation: np.ndarray = field(default_factory=lambda: np.ones(1))
+
+
+@dataclass(frozen=True)
+class NoiseFloor:
+    """The residual of a robot that is as its model says.
+
+    sigma (W,): noise of each column of the residual table, in its unit; repeats: the walks it is
+    from; source: in words; file, courses and groups: the robot, the motion that was walked, and
+    the groups of columns that the log has; evenness: how far the ground is from a plane [m];
+    coarse: how coarse the reference is;
+    readings: the logs, where their own noise is the floor.
+    """
+
+    sigma: np.ndarray
+    repeats: tuple[Repeat, ...]
+    source: str
+    file: Path | None = None
+    courses: tuple[Course, ...] = ()
+    groups: Groups = ()
+    evenness: float = 0.0
+    coarse: Coarse | None = None
+    readings: tuple[LogUnderModel, ...] = ()
+    _known: dict = field(default_factory=dict, compare=False, repr=False)
+
+    def counted(self, sigma: np.ndarray) -> np.ndarray:
+        """The noise sigma (W,) as it counts in a fit: what is not white tells less."""
+        if not self.repeats:
+            return sigma
+        return sigma * np.sqrt(np.mean([one.excess for one in self.repeats], axis=0))
+
+    def sizes(self, chosen: Sequence[Key], key: Key) -> tuple[float, float]:
+        """Mean and spread of the size that `key`, fitted along with `chosen`, has where it is not.
+
+        Contacts that give and creep look a little like effects, the same way on every walk.
+        """
+        alike = [k for k in self._keys if k[0] == key[0] and _part(k) == _part(key)]
+        if key not in alike:
+            return 0.0, 0.0
+        free = self.repeats[0].grams
+        if key in free.stands_for:
+            # A bias is drawn anew whenever the sensor is switched on: `fit` puts that in its error.
+            return 0.0, 0.0
+        own = self._sizes(chosen, key)
+        mean, count = float(np.mean(own)), len(own)
+        if count < 2:
+            return mean, 0.0
+        # A few walks tell little of how far a size varies: its like on other legs tell as much.
+        spreads = [np.var(self._sizes(chosen, k), ddof=1) for k in alike if k not in chosen]
+        spread = float(np.sqrt(max(np.var(own, ddof=1), np.mean(spreads)) * (1 + 1 / count)))
+        # Only what the walks agree on is the contacts' doing; the rest is chance.
+        return (mean if abs(mean) > 2.0 * spread / np.sqrt(count) else 0.0), spread
+
+    @property
+    def _keys(self) -> tuple[Key, ...]:
+        return self.repeats[0].grams.keys if self.repeats else ()
+
+    def _sizes(self, chosen: Sequence[Key], key: Key) -> np.ndarray:
+        """Size of `key` (R,), fitted along with `chosen`, on each walk that knows of all."""
+        asked = (tuple(chosen), key)
+        if asked not in self._known:
+            keys = [*chosen, key]
+            knowing = [one for one in self.repeats if set(keys) <= set(one.grams.keys)]
+            sizes = [fit(one.grams, keys, errors=False).sizes[-1] for one in knowing]
+            self._known[asked] = np.array(sizes or [0.0])
+        return self._known[asked]
+
+
+def _part(key: Key) -> str:
+    """What of a leg or of the body a target is: 'calf' of 'FL_calf'."""
+    return key[1].rsplit("_", 1)[-1] if key[0] != "clock_scale" else key[1]
+
+
+def noise_floor(cases: Sequence[LogUnderModel]) -> NoiseFloor:
+    """Repeats of the logs' own motion by the declared robot, in simulation.
+
+    Each of a few short walks follows a stretch of the reference's body velocities. Seeds are fixed,
+    so the floor is a function of the logs. A stretch on which the robot falls is tried again
+    slower; where it cannot walk at all, and for a machine on a fixed base, the noise of the
+    readings alone is the floor.
+    """
+    first = cases[0]
+    if first.fixed:
+        source = "how the readings differ from one row to the next"
+        return NoiseFloor(reading_noise(cases), (), source, readings=tuple(cases))
+    known = ("imu", "q", "dq", "tau", "contact", "ref_v")
+    groups = tuple(g for g in known if all(case.log.has(g) for case in cases))
+    along = tuple(courses([case.log for case in cases]))
+    evenness = max(float(case.log.meta.model.get("ground_evenness", 0.0)) for case in cases)
+    coarse = coarseness(first.log)
+    floor = _floor(first.robot.file, along, groups, evenness, coarse, ())
+    if floor.repeats:
+        return floor
+    sigma = sheet_noise(first.log.rate, layout_of(first.log.joints), evenness)
+    return NoiseFloor(sigma, (), "data sheets of the declared sensors")
+
+
+def noise_floor_with(floor: NoiseFloor, effects: Sequence[Effect]) -> NoiseFloor:
+    """The floor of a robot that has these effects and a model that knows of them.
+
+    An effect on the body changes how feet land, so the model with it leaves another residual than
+    the model without. The same floor where nothing but readings changed, or the robot falls. Of a
+    fixed base noise alone is the floor, and an effect may carry more of it into the residual.
+    """
+    if floor.readings:
+        return replace(floor, sigma=reading_noise(floor.readings, effects))
+    # Two digits: sizes that differ by less walk alike, and are walked once.
+    bodily = tuple(
+        replace(e, value=float(np.clip(float(f"{e.value:.1e}"), *type(e).inside(e.target))))
+        for e in effects
+        if type(e).edit_spec is not Effect.edit_spec
+        or type(e).alter_ground is not Effect.alter_ground
+    )
+    if not bodily or floor.file is None or not floor.repeats:
+        return floor
+    other = _floor(floor.file, floor.courses, floor.groups, floor.evenness, floor.coarse, bodily)
+    return other if other.repeats else floor
+
+
+def _floor(
+    file: Path,
+    along: tuple[Course, ...],
+    groups: Groups,
+    evenness: float,
+    coarse: Coarse | None,
+    effects: tuple[Effect, ...],
+) -> NoiseFloor:
+    known = tuple(CATALOGUE)
+    walks = [
+        _repeat(file, one, SEED + i, groups, evenness, coarse, effects, known)
+        for i, one in enumerate(along)
+    ]
+    repeats = tuple(one for one in walks if one is not None)
+    if not repeats:
+        return NoiseFloor(np.zeros(0), (), "")
+    sigma = np.sqrt(np.mean([one.trust.sigma**2 for one in repeats], axis=0))
+    layout = repeats[0].evidence.layout
+    sigma = np.maximum(sigma, _least(layout))
+    source = f"{len(repeats)} simulated walks of the declared model along the log's own course"
+    if coarse:
+        source += ", seen by a reference as coarse as the log's"
+    return NoiseFloor(sigma, repeats, source, file, along, groups, evenness, coarse)
+
+
+def _least(layout: Layout) -> np.ndarray:
+    """The least noise (W,) that a quadruped's columns count with."""
+    least = np.full(layout.width, 1e-12)
+    least[layout.channels["foot_height"]] = LEVEL
+    least[layout.channels["contact_timing"]] = ROW
+    return least
+
+
+def courses(logs: Sequence[Log]) -> list[Course]:
+    """Commanded forward, lateral velocity [m/s] and turn [rad/s] a second, for each repeat; none
+    where the robot stands on all its feet throughout."""
+    if all(log.has("contact") and np.mean(log.contact) > STANDS for log in logs):
+        return [()] * REPEATS
+    # Two decimals: rounding makes equal courses equal, so that they are walked once.
+    motion = [
+        (round(float(forward), 2), round(float(lateral), 2), round(float(turn), 2))
+        for log in logs
+        for forward, lateral, turn in body_twists(log)
+    ]
+    length = max(1, min(round(SECONDS / PIECE), len(motion)))
+    starts = np.linspace(0, len(motion) - length, REPEATS).round().astype(int)
+    return [tuple(motion[start : start + length]) for start in starts] if motion else []
+
+
+@lru_cache(maxsize=16)
+def _repeat(
+    file: Path,
+    course: Course,
+    seed: int,
+    groups: Groups,
+    evenness: float,
+    coarse: Coarse | None,
+    effects: tuple[Effect, ...],
+    known: tuple[str, ...],
+) -> Repeat | None:
+    """One walk, fitted with what the catalogue has: the effects `known` to it."""
+    robot = declared(file)
+    for slower in (1.0, 0.6, 0.3) if course else (1.0,):
+        segments = tuple(
+            Segment(PIECE, forward * slower, lateral * slower, turn * slower)
+            for forward, lateral, turn in course or ((0.0, 0.0, 0.0),)
+        )
+        stand = STAND if course else SECONDS
+        scenario = Scenario("floor", segments, ground_of(segments, evenness), stand=stand)
+        try:
+            log = walk(scenario, robot, seed, effects, declared=False)
+        except SurefootError:  # fallen, or a size that leaves it no foot
+            continue
+        if not course:
+            log = replace(log, frame=log.frame[log.t - log.t[0] < SECONDS - STAND])
+        log = _with_groups(log, groups)
+        if coarse:
+            log = as_coarse(log, coarse, np.random.default_rng(seed))
+        case = log_under_model(log, robot)
+        data = design(linearise([case], effects, all_keys(case)))
+        # The same least noise as of the log: each channel then weighs alike in both.
+        believed = robust_weights(data, _least(data.evidence.layout))
+        beyond = variance_inflation(data, believed)
+        sums = normal_equations(data, believed.sigma * np.sqrt(beyond), believed.weight).total()
+        # Of the walk itself only what is left of it matters from here on.
+        return Repeat(data.evidence.only(()), believed, sums, beyond)
+    return None
+
+
+def ground_of(segments: Sequence[Segment], evenness: float) -> Ground:
+    """Ground for a walk, whose heights differ from a plane by `evenness` [m, standard deviation].
+
+    The bumps of a rough strip deviate by a quarter of the highest.
+    """
+    if not evenness:
+        return Ground(FRICTION)
+    far = float(np.ceil(2 + sum(s.duration * np.hypot(s.forward, s.lateral) for s in segments)))
+    return Ground(FRICTION, strips=(Strip((-far, 0.0), (far, 0.0), 2 * far, rough=4 * evenness),))
+
+
+def _with_groups(log: Log, groups: Groups) -> Log:
+    """The walk with no more columns than the measured log has."""
+    drop = [g for g in ("imu", "q", "dq", "tau", "contact", "ref_v") if g not in groups]
+    prefixes = {"imu": ("gyro_", "accel_"), "ref_v": ("ref_v_",)}
+    gone = tuple(p for g in drop for p in prefixes.get(g, (f"{g}_",)))
+    names = [n for n in log.frame if gone and str(n).startswith(gone)]
+    return Log(log.frame.drop(columns=names), log.meta, log.name)

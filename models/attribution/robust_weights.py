@@ -1,0 +1,143 @@
+"""Which parts of a residual to believe: robust weights, and stances on which a foot slid or stood
+on something else than at its other steps.
+
+Both are judged by what the whole catalogue together cannot explain, so that neither can hide an
+effect of the catalogue: a mask takes a stance that stands out from its own foot's bulk, not a foot
+that is wrong at every step.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from surefoot.models.attribution.fit import Design
+from surefoot.models.residuals.binning import BIN
+from surefoot.models.residuals.layout import QUADRUPED, Layout
+
+SOFT = 2.5
+"""Standard deviations beyond which an entry loses weight."""
+OUTLYING = 6.0
+"""Robust deviations above the foot's median at which a stance is taken for a slip."""
+RAISED = 0.001
+"""m off its own foot's height from which a stance that stands out is on something else: an edge."""
+SLOWEST_SLIP = 0.02
+"""m/s. Below this a standing foot creeps, as compliant contacts do."""
+ROUNDS = 3
+
+
+@dataclass(frozen=True)
+class RobustWeights:
+    """sigma (W,): noise of each column in the residual's unit; weight (M, W) in 0..1, zero where
+    missing or masked; masked (M, 4): foot bins so taken, of which share is the share."""
+
+    sigma: np.ndarray
+    weight: np.ndarray
+    masked: np.ndarray
+    share: float
+
+
+def robust_weights(data: Design, floor: np.ndarray) -> RobustWeights:
+    """Weights of an evidence whose columns the declared model leaves at `floor` (W,)."""
+    layout, there = data.evidence.layout, data.there
+    legged = layout is QUADRUPED
+    masked, spoiled = np.zeros((len(there), 4), dtype=bool), np.zeros(there.shape, dtype=bool)
+    sigma, weight = np.where(floor > 0, floor, 1e-12), there.astype(float)
+    for last in (False, True) if legged else (True,):
+        left = data.y
+        for _ in range(ROUNDS):
+            left = np.where(there, data.y - _explained(data, sigma, weight), np.nan)
+            sigma = np.maximum(floor, _pooled(layout, np.where(spoiled, np.nan, left)))
+            weight = (there & ~spoiled) * _soft(layout, left / sigma)
+        if not last:
+            slid, raised = slips(data, left)
+            masked, spoiled = slid | raised, _spoiled(layout, slid, raised)
+    standing = there[:, 6:18:3].sum() if legged else 0
+    return RobustWeights(sigma, weight, masked, float(masked.sum() / max(standing, 1)))
+
+
+def _spoiled(layout: Layout, slid: np.ndarray, raised: np.ndarray) -> np.ndarray:
+    """Entries (M, W) not to believe, of feet (M, 4) that slid or stood elsewhere: their velocity
+    and height; of the latter, which touch at another point, what they give the base as well."""
+    spoiled = np.zeros((len(slid), layout.width), dtype=bool)
+    either = slid | raised
+    spoiled[:, layout.channels["leg_velocity"]] = np.repeat(either, 3, axis=1)
+    spoiled[:, layout.channels["foot_height"]] = either
+    spoiled[:, layout.channels["base_wrench"]] = raised.any(axis=1, keepdims=True)
+    return spoiled
+
+
+def slips(data: Design, left: np.ndarray) -> np.ndarray:
+    """Foot bins (2, M, 4) of the stances that stand out from their foot's own bulk, by their speed
+    and by their height.
+
+    left (M, W): what the catalogue does not explain. A stance is judged by the speed of its
+    fastest bin: a foot that slides sticks again before the stance is over, and a mean over the
+    stance would leave every second slip in. And by its height, since one that stands on an edge
+    does not slide.
+    """
+    masked = np.zeros((2, len(left), 4), dtype=bool)
+    for leg in range(4):
+        speed = np.sqrt(np.sum(left[:, 6 + 3 * leg : 9 + 3 * leg] ** 2, axis=1))
+        stances = stance_bins(data.evidence.t, data.evidence.log, np.isfinite(speed))
+        if len(stances) < 5:
+            continue
+        fastest = np.array([speed[bins].max() for bins in stances])
+        height = np.nan_to_num(np.array([left[bins, 18 + leg].mean() for bins in stances]))
+        off = np.abs(height - np.median(height))
+        for kind, out in enumerate((_stands_out(fastest, SLOWEST_SLIP), _stands_out(off, RAISED))):
+            for stance in np.flatnonzero(out):
+                masked[kind, stances[stance], leg] = True
+    return masked
+
+
+def _stands_out(score: np.ndarray, least: float) -> np.ndarray:
+    """Which stances (K,) score above their foot's bulk, and above `least`."""
+    middle = np.median(score)
+    # From below: slips only add to it, and many of them would widen a spread from both sides.
+    spread = 1.4826 * (middle - np.quantile(score, 0.25))
+    return score > max(middle + OUTLYING * spread, least)
+
+
+def stance_bins(t: np.ndarray, log: np.ndarray, there: np.ndarray) -> list[np.ndarray]:
+    """Bins of each stance: neighbours in time and log where a foot has a value."""
+    rows = np.flatnonzero(there)
+    if not len(rows):
+        return []
+    apart = (np.diff(t[rows]) > 1.5 * BIN) | (np.diff(log[rows]) != 0)
+    return np.split(rows, np.flatnonzero(apart) + 1)
+
+
+def _explained(data: Design, sigma: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Best joint fit (M, W) of every candidate and free part, in the table's unit."""
+    size = data.size
+    normal, right = np.zeros((size, size)), np.zeros(size)
+    for column, (rows, X, which) in enumerate(zip(data.rows, data.X, data.which, strict=True)):
+        if not len(which) or not len(rows):
+            continue
+        A = X * (weight[rows, column, None] / sigma[column] ** 2)
+        normal[np.ix_(which, which)] += A.T @ X
+        right[which] += A.T @ data.y[rows, column]
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    # A ridge far below what data say keeps twins apart without moving anything that they tell.
+    normal = normal / scale / scale[:, None] + 1e-9 * np.eye(size)
+    return data.explained(np.linalg.solve(normal, right / scale) / scale)
+
+
+def _pooled(layout: Layout, left: np.ndarray) -> np.ndarray:
+    """Robust standard deviation of each column, pooled over those that are alike."""
+    sigma = np.zeros(layout.width)
+    for columns in layout.alike:
+        values = np.abs(left[:, list(columns)])
+        values = values[np.isfinite(values)]
+        sigma[list(columns)] = 1.4826 * np.median(values) if len(values) else 0.0
+    return np.maximum(sigma, 1e-12)
+
+
+def _soft(layout: Layout, z: np.ndarray) -> np.ndarray:
+    """Weights (M, W): one for the bulk, falling as the inverse square beyond SOFT deviations."""
+    weight = np.ones_like(z)
+    for group in layout.groups:
+        count = group.stop - group.start
+        size = np.sqrt(np.nansum(z[:, group] ** 2, axis=1) / count)
+        weight[:, group] = np.minimum(1.0, (SOFT / np.maximum(size, SOFT)) ** 2)[:, None]
+    return weight

@@ -1,0 +1,198 @@
+"""Which effect does the model lack? Every candidate is fitted; one that earns its place stays."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import t
+
+from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel, all_keys, linearise
+from surefoot.models.attribution.fit import (
+    Design,
+    NormalEquations,
+    design,
+    draws,
+    fit,
+    loss,
+    normal_equations,
+    overlap,
+)
+from surefoot.models.attribution.noise_floor import NoiseFloor, noise_floor_with
+from surefoot.models.attribution.refinement import Data, refined
+from surefoot.models.attribution.rerank import contenders, rerank
+from surefoot.models.attribution.robust_weights import RobustWeights, robust_weights
+from surefoot.models.attribution.selection import DOUBT, FIT, REPORT, SELECT, Candidate, judge
+from surefoot.sim.effects import Effect
+
+AT_MOST = 4
+"""Effects that one trace may name."""
+TWINS = 0.95
+"""Overlap from which two regressors are hard to tell apart."""
+SETTLING, MOVED = 3, 0.01
+"""Times at most that sizes and weights are found anew, and the share of a size that is a move."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """An effect with the 95 % interval of its size."""
+
+    effect: Effect
+    interval: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Attribution:
+    """What was found: effects, strongest first; candidates by round; rivals of any effect;
+    trust of the final evidence; floor: that of the model with the effects."""
+
+    found: tuple[Found, ...]
+    rounds: tuple[tuple[Candidate, ...], ...]
+    rivals: tuple[tuple[Key, float], ...]
+    robust_weights: RobustWeights
+    evidence: Evidence
+    floor: NoiseFloor
+
+
+@dataclass(frozen=True)
+class Split:
+    """Masks (M,) of the bins that sizes are fitted on, that choose, and that only report."""
+
+    fit: np.ndarray
+    select: np.ndarray
+    report: np.ndarray
+
+    @property
+    def part(self) -> np.ndarray:
+        """FIT, SELECT or REPORT of each bin (M,), -1 for none."""
+        part = np.full(len(self.fit), -1)
+        for number, mask in enumerate((self.fit, self.select, self.report)):
+            part[mask] = number
+        return part
+
+
+def attribute(
+    cases: Sequence[LogUnderModel],
+    floor: NoiseFloor,
+    split: Split,
+    rng: np.random.Generator,
+    progress: Callable[[float], None] | None = None,
+) -> Attribution:
+    """Greedy search: add the candidate that gains most on unseen blocks while one earns its place.
+
+    A candidate earns it if its gain's interval lies above zero, its size stands ABOVE_FLOOR times
+    above the one it has on walks of the declared model, it is not at its bound, it adds a share
+    WORTH of what the others explain or is CLEAR by itself, and it pays for its parameter and for
+    having been one of many (extended BIC, blocks as samples).
+    """
+    keys = tuple(dict.fromkeys(key for case in cases for key in all_keys(case)))
+    chosen: list[Effect] = []
+    rounds: list[tuple[Candidate, ...]] = []
+    rivals: tuple[tuple[Key, float], ...] = ()
+    explained = 0.0
+    evidence = None
+    while True:
+        if progress:
+            progress(len(rounds) / (AT_MOST + 1))
+        evidence, whole, trusted, chosen = _settled(cases, chosen, keys, evidence, floor, split)
+        data = normal_equations(whole, floor.counted(trusted.sigma), trusted.weight, split.part)
+        candidates = judge(data, floor, [_key(e) for e in chosen], explained, rng)
+        rounds.append(candidates)
+        best = candidates[0] if candidates and candidates[0].earned else None
+        if best is None or len(chosen) == AT_MOST:
+            break
+        known = Data(cases, floor, evidence, chosen, trusted, split.part)
+        best, chosen_with = rerank(known, contenders(data, candidates, [*map(_key, chosen)]))
+        rivals += _rivals(data, best, candidates, [_key(e) for e in chosen], rng)
+        explained += best.gain
+        chosen = chosen_with
+        floor = noise_floor_with(floor, chosen)
+    found = _with_intervals(data, chosen, floor)
+    # What was found beside an effect is no other explanation of it.
+    rivals = tuple(rival for rival in rivals if rival[0] not in [_key(e) for e in chosen])
+    return Attribution(found, tuple(rounds), rivals, trusted, evidence, floor)
+
+
+def _settled(
+    cases: Sequence[LogUnderModel],
+    chosen: list[Effect],
+    keys: Sequence[Key],
+    evidence: Evidence | None,
+    floor: NoiseFloor,
+    split: Split,
+) -> tuple[Evidence, Design, RobustWeights, list[Effect]]:
+    """The evidence about the chosen effects, which of it to believe, and their sizes on that.
+
+    A large effect that is not linear spoils much of the evidence before it is explained.
+    """
+    times = 0
+    while True:
+        evidence = linearise(cases, chosen, keys, evidence)
+        whole = design(evidence)
+        trusted = robust_weights(whole, floor.sigma)
+        times += 1
+        if not chosen or times == SETTLING:
+            return evidence, whole, trusted, chosen
+        data = Data(cases, floor, evidence, chosen, trusted, split.part)
+        moved = refined(data, chosen, REPORT)
+        pairs = list(zip(moved, chosen, strict=True))
+        if all(abs(a.value - b.value) < MOVED * abs(b.value) for a, b in pairs):
+            return evidence, whole, trusted, chosen
+        chosen = moved
+
+
+def _key(one: Effect) -> Key:
+    return one.name, one.target
+
+
+def _rivals(
+    data: NormalEquations,
+    best: Candidate,
+    candidates: Sequence[Candidate],
+    chosen: Sequence[Key],
+    rng: np.random.Generator,
+) -> tuple[tuple[Key, float], ...]:
+    """Candidates inside their bounds that explain the unseen blocks as well as the best, with their
+    overlap.
+    """
+    seen, unseen = data.rows(data.part == FIT), data.rows(data.part == SELECT)
+    counts = draws(len(unseen.G), rng)
+
+    def left(*keys: Key) -> np.ndarray:
+        return loss(unseen, fit(seen, [*chosen, *keys], errors=False).vector)
+
+    of_best, of_none = left(best.key), left()
+    # What is no better by the price of one parameter is as good.
+    price = np.log(max(2, len(seen.G)))
+    rivals = []
+    for other in candidates:
+        if other.key == best.key or other.at_bound:
+            continue
+        shared = overlap(data, best.key, other.key, chosen)
+        if shared <= TWINS:
+            continue
+        behind = left(other.key) - of_best
+        as_good = np.percentile(counts @ behind, 2.5) <= price
+        if as_good and np.sum(of_none - of_best - behind) > 0.5 * np.sum(of_none - of_best):
+            rivals.append((other.key, shared))
+    return tuple(rivals)
+
+
+def _with_intervals(
+    data: NormalEquations, chosen: Sequence[Effect], floor: NoiseFloor
+) -> tuple[Found, ...]:
+    """Effects by what they explain, with intervals from blocks and from the floor's own sizes."""
+    keys = [_key(e) for e in chosen]
+    used = data.rows(data.part != REPORT)
+    covariance = fit(used, keys).covariance
+    total = used.G.sum(axis=0)
+    found = []
+    for i, one in enumerate(chosen):
+        offset, spread = floor.sizes([k for k in keys if k != keys[i]], keys[i])
+        repeats = len(floor.repeats)
+        half = float(np.hypot(1.96 * np.sqrt(covariance[i, i]), 1.96 * DOUBT * offset))
+        if repeats > 1:
+            half = float(np.hypot(half, t.ppf(0.975, repeats - 1) * spread))
+        at = 1 + data.keys.index(keys[i])
+        strength = float(total[at, at] * one.value**2)
+        found.append((strength, Found(one, (one.value - half, one.value + half))))
+    return tuple(f for _, f in sorted(found, key=lambda pair: -pair[0]))

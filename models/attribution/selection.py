@@ -1,0 +1,112 @@
+"""What each candidate is worth beside those chosen before it, and whether it earns its place."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from surefoot.models.attribution.evidence import Key
+from surefoot.models.attribution.fit import NormalEquations, draws, fit, loss
+from surefoot.models.attribution.noise_floor import NoiseFloor
+from surefoot.sim.effects import CATALOGUE
+
+ABOVE_FLOOR = 5.0
+"""How many times its size on walks that lack it an effect must have."""
+DOUBT = 0.7
+"""Share of the size that contacts fake on such walks which is taken for uncertain: on slippery
+ground they faked a delay of joints four times as long as on the floor's."""
+WORTH = 0.02
+"""Share of what is explained so far that a further effect must add."""
+CLEAR, LARGE = 20.0, 0.2
+"""One that stands so many times above its floor and takes such a share of all that is left may add
+less: beside a very large effect even a large one is little."""
+FIT, SELECT, REPORT = 0, 1, 2
+"""Parts of a split."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One candidate, fitted with what was chosen before it.
+
+    size and error [its unit], less the size it has on walks that lack it; floor: how far that
+    varies [its unit]; gain: squared error it takes off the unseen blocks, in units of noise, with
+    its 95 % interval; share: the same as a share of what there is to explain.
+    """
+
+    key: Key
+    size: float
+    error: float
+    floor: float
+    gain: float
+    interval: tuple[float, float]
+    share: float
+    at_bound: bool
+    earned: bool
+
+
+def judge(
+    data: NormalEquations,
+    floor: NoiseFloor,
+    chosen: Sequence[Key],
+    explained: float,
+    rng: np.random.Generator,
+) -> tuple[Candidate, ...]:
+    """Every candidate that is not chosen yet, those that earn a place first, by gain."""
+    seen, unseen = data.rows(data.part == FIT), data.rows(data.part == SELECT)
+    counts = draws(len(unseen.G), rng)
+    plain = fit(seen, chosen, errors=False).vector
+    plainly = loss(unseen, plain), loss(seen, plain)
+    # Chen and Chen 2008, extended BIC: one of many costs more than one alone.
+    price = np.log(max(2, len(seen.G))) + 2.0 * np.log(len(data.keys))
+    judged = []
+    for at, key in enumerate(data.keys):
+        if key in chosen:
+            continue
+        fitted = fit(seen, [*chosen, key])
+        size, error = float(fitted.sizes[-1]), float(np.sqrt(fitted.covariance[-1, -1]))
+        offset, spread = floor.sizes(chosen, key)
+        size -= offset
+        before, before_seen = plainly
+        if offset:
+            faked = _without(seen, at, offset, chosen)
+            before, before_seen = loss(unseen, faked), loss(seen, faked)
+        blocks = before - loss(unseen, fitted.vector)
+        gain = float(blocks.sum())
+        low, high = np.percentile(counts @ blocks, [2.5, 97.5])
+        at_seen = float(np.sum(before_seen - loss(seen, fitted.vector)))
+        # The floor's own offset is only as sure as its contact model.
+        spread = float(np.hypot(spread, DOUBT * offset))
+        low_end, high_end = CATALOGUE[key[0]].inside(key[1])
+        # A fit beyond them is no size either, however much of it the floor's walks have.
+        fitted_beyond = abs(fitted.sizes[-1]) > max(-low_end, high_end)
+        at_bound = fitted_beyond or not low_end < size < high_end
+        share = gain / max(float(before.sum()), 1e-300)
+        clear = abs(size) / max(float(np.hypot(spread, error)), 1e-300)
+        plain_to_see = clear > CLEAR and share > LARGE
+        earned = (
+            low > 0
+            and np.isfinite(error)
+            and clear > ABOVE_FLOOR
+            and not at_bound
+            and (gain > WORTH * explained or plain_to_see)
+            and min(at_seen, gain) > price
+        )
+        judged.append(
+            Candidate(
+                key, size, error, spread, gain, (float(low), float(high)),
+                share, bool(at_bound), bool(earned),
+            )
+        )  # fmt: skip
+    return tuple(sorted(judged, key=lambda c: (not c.earned, -c.gain)))
+
+
+def _without(seen: NormalEquations, at: int, offset: float, chosen: Sequence[Key]) -> np.ndarray:
+    """The vector (P,) of a fit with the candidate `at` held at the floor's own size."""
+    held = seen.total()
+    G = held.G.copy()
+    G[0, 0] -= offset * G[0, 1 + at]
+    G[0, :, 0] -= offset * G[0, :, 1 + at]
+    G[0, 0, 1:] = G[0, 1:, 0]
+    vector = fit(replace(held, G=G), chosen, errors=False).vector.copy()
+    vector[1 + at] = -offset
+    return vector

@@ -1,0 +1,74 @@
+"""What the noise of readings alone leaves in a residual: by data sheets, and by the readings."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from surefoot.models.attribution.evidence import LogUnderModel, table_of
+from surefoot.models.residuals.binning import BIN
+from surefoot.models.residuals.layout import Layout
+from surefoot.sim.effects.base import Effect, with_columns
+from surefoot.sim.log import Log
+from surefoot.sim.sensors.streams import Sensors
+
+SEED = 20_012
+
+
+def sheet_noise(rate: float, layout: Layout, evenness: float = 0.0) -> np.ndarray:
+    """Standard deviation (W,) of a bin's residual from the sensors' noise and the ground alone."""
+    s, rows = Sensors(), max(1.0, BIN * rate)
+    reach = 0.5  # m, from a joint to the foot
+    torque = s.torque_noise / np.sqrt(rows)
+    noise = {
+        "imu_gyro": s.gyro_noise / np.sqrt(BIN),
+        "imu_accel": s.accel_noise / np.sqrt(BIN),
+        "leg_velocity": s.velocity_noise * reach * np.sqrt(3 / rows),
+        "foot_height": float(np.hypot(s.encoder_step * reach, evenness)),
+        "joint_torque": torque,
+        "base_wrench": torque / reach * np.sqrt(12),
+        "contact_timing": 1.0 / rate,
+        "joint_rate": s.velocity_noise / np.sqrt(rows) + s.encoder_step / BIN / np.sqrt(rows),
+    }
+    sigma = np.zeros(layout.width)
+    for name, columns in layout.channels.items():
+        sigma[columns] = noise[name]
+    return sigma
+
+
+def reading_noise(cases: Sequence[LogUnderModel], effects: Sequence[Effect] = ()) -> np.ndarray:
+    """Standard deviation (W,) of a bin's residual from what readings do between rows, under a
+    model that knows of the effects.
+
+    As much noise again is put on the readings, to see what it does to the residual.
+    """
+    rng = np.random.default_rng(SEED)
+    change = [
+        table_of(replace(case, log=_noisier(case, rng)), effects) - table_of(case, effects)
+        for case in cases
+    ]
+    square = np.concatenate(change) ** 2
+    count = np.maximum(np.isfinite(square).sum(axis=0), 1)
+    return np.maximum(np.sqrt(np.nansum(square, axis=0) / count), 1e-9)
+
+
+def _noisier(case: LogUnderModel, rng: np.random.Generator) -> Log:
+    """The log with noise as its own on top.
+
+    The second difference of a reading has six times its noise's variance, and little of a motion;
+    the rounding of a slow one may stay for a whole bin.
+    """
+    log, noisy, count = case.log, {}, case.frame.count
+    for group in ("q", "dq", "tau"):
+        for joint in log.joints if log.has(group) else ():
+            values = log.frame[f"{group}_{joint}"].to_numpy()
+            jitter = np.std(np.diff(values, n=2)) / np.sqrt(6.0)
+            rounding = np.repeat(rng.uniform(-0.5, 0.5, len(count)), count) * _resolution(values)
+            noisy[f"{group}_{joint}"] = values + rng.normal(0.0, jitter, len(values)) + rounding
+    return with_columns(log, noisy)
+
+
+def _resolution(values: np.ndarray) -> float:
+    """The least that a reading (N,) changes by from one row to the next."""
+    steps = np.abs(np.diff(values))
+    return float(np.min(steps, where=steps > 0, initial=np.inf)) if steps.any() else 0.0

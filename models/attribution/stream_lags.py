@@ -1,0 +1,139 @@
+"""How late is each stream of a log against its reference, where nobody stamped them together?"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import cumulative_trapezoid
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+from surefoot.models.attribution.evidence import log_under_model
+from surefoot.models.residuals.binning import ReferenceMotion
+from surefoot.models.residuals.leg_velocity import leg_velocity
+from surefoot.sim.log import Log, joint_velocity, reference_velocity
+from surefoot.sim.robot import Robot
+from surefoot.sim.sensors.streams import GRAVITY_G
+
+SHIFTS = np.arange(-0.030, 0.0301, 0.001)
+"""s, tried by which a stream is late against the reference."""
+WALKING = 0.15
+"""m/s of the base from which a row counts as walking."""
+BLOCK = 2.0  # s
+MID_STANCE = (0.25, 0.6)
+"""Shares of a stance between which a foot stands if it ever does."""
+SPAN = 0.1  # s, over which turns and changes of velocity are compared
+
+
+@dataclass(frozen=True)
+class Lag:
+    """By how much a stream is late against the reference [s], with its 95 % interval."""
+
+    stream: str
+    late: float
+    interval: tuple[float, float]
+
+
+def lags(log: Log, robot: Robot, seed: int = 0) -> tuple[Lag, ...]:
+    """The streams against the motion capture, each by another part of its motion."""
+    frame, rng = log_under_model(log, robot).frame, np.random.default_rng(seed)
+    walks = np.linalg.norm(frame.v_I, axis=1) > WALKING
+    block = np.floor((log.t - log.t[0]) / BLOCK).astype(int)
+    costs = {
+        "gyro, against the turns of the reference": _turn_costs(log, frame),
+        "accelerometer, against its changes of velocity": _velocity_costs(log),
+        "joints at mid-stance, against its velocity": _leg_costs(log, robot, frame, MID_STANCE),
+        "joints over whole stances, against its velocity": _leg_costs(
+            log, robot, frame, (0.0, 1.0)
+        ),
+    }
+    return tuple(
+        Lag(name, *_least(cost, walks & np.isfinite(cost).all(axis=0), block, rng))
+        for name, cost in costs.items()
+    )
+
+
+def _least(
+    cost: np.ndarray, rows: np.ndarray, block: np.ndarray, rng: np.random.Generator
+) -> tuple[float, tuple[float, float]]:
+    """Where the cost (S, N), summed over these rows, is least, with the bootstrap's interval."""
+    numbers = np.unique(block[rows])
+    sums = np.array([cost[:, rows & (block == b)].sum(axis=1) for b in numbers])
+    counts = rng.multinomial(len(sums), np.full(len(sums), 1 / len(sums)), size=1000)
+    found = [_valley(c) for c in counts @ sums]
+    low, high = np.percentile(found, [2.5, 97.5])
+    return _valley(sums.sum(axis=0)), (float(low), float(high))
+
+
+def _valley(cost: np.ndarray) -> float:
+    k = int(np.clip(np.argmin(cost), 1, len(cost) - 2))
+    a, b, c = cost[k - 1 : k + 2]
+    return float(SHIFTS[k] + 0.5 * (a - c) / max(a - 2 * b + c, 1e-300) * (SHIFTS[1] - SHIFTS[0]))
+
+
+def _turn_costs(log: Log, frame: ReferenceMotion) -> np.ndarray:
+    step = max(1, round(SPAN * log.rate))
+    R = log.ref_R_GI
+    there = Rotation.from_matrix(np.swapaxes(R[:-step], 1, 2) @ R[step:]).as_rotvec()
+    angle = CubicSpline(log.t, cumulative_trapezoid(log.gyro, log.t, axis=0, initial=0.0))
+    known = _measured_throughout(log, step)
+    return _costs(log, step, known, lambda d: angle(log.t + d), there)
+
+
+def _velocity_costs(log: Log) -> np.ndarray:
+    step = max(1, round(SPAN * log.rate))
+    v = reference_velocity(log)
+    attitude = log.ref_R_GI
+    there = v[step:] - v[:-step]
+    known = _measured_throughout(log, step)
+    felt = CubicSpline(log.t, log.accel)
+
+    def gained(d: float) -> np.ndarray:
+        a = np.einsum("nij,nj->ni", attitude, felt(log.t + d)) + GRAVITY_G
+        return cumulative_trapezoid(a, log.t, axis=0, initial=0.0)
+
+    return _costs(log, step, known, gained, there)
+
+
+def _leg_costs(
+    log: Log, robot: Robot, frame: ReferenceMotion, part: tuple[float, float]
+) -> np.ndarray:
+    q, dq = CubicSpline(log.t, log.q), CubicSpline(log.t, joint_velocity(log))
+    phase = np.column_stack([phase_of(contact) for contact in log.contact.T])
+    standing = frame.standing & (phase >= part[0]) & (phase <= part[1])
+    costs = []
+    for d in SHIFTS:
+        then = np.clip(log.t + d, log.t[0], log.t[-1])
+        v = leg_velocity(
+            robot.legs, np.maximum(robot.foot_radius, 0.0), robot.R_BI, robot.p_BI, q(then),
+            dq(then), log.gyro, frame.up_I, standing,
+        )  # fmt: skip
+        # Wrong lengths and radii leave each foot a mean of its own, which says nothing of time.
+        off = v - frame.v_I[:, None]
+        off = off - np.nanmedian(off, axis=0)
+        costs.append(np.where(standing, np.sum(off**2, axis=2), 0.0).sum(axis=1))
+    return np.array(costs)
+
+
+def _costs(log: Log, step: int, known: np.ndarray, integral, there: np.ndarray) -> np.ndarray:
+    costs = np.full((len(SHIFTS), len(log.t)), np.nan)
+    for i, d in enumerate(SHIFTS):
+        whole = integral(float(d))
+        off = whole[step:] - whole[:-step] - there
+        off = off - np.median(off[known], axis=0)
+        costs[i, :-step] = np.where(known, np.sum(off**2, axis=1), 0.0)
+    costs[:, -step:] = 0.0
+    return costs
+
+
+def _measured_throughout(log: Log, step: int) -> np.ndarray:
+    bad = np.cumsum(~log.ref_ok)
+    return bad[step:] == bad[:-step]
+
+
+def phase_of(stands: np.ndarray) -> np.ndarray:
+    """Share (N,) of its stance that has passed at each row; NaN in the air."""
+    edges = np.flatnonzero(np.diff(stands.astype(int), prepend=0, append=0))
+    phase = np.full(len(stands), np.nan)
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        phase[begin:end] = (np.arange(end - begin) + 0.5) / (end - begin)
+    return phase

@@ -1,0 +1,147 @@
+"""The form of what no effect explains: which simple regressors go with the rest of a residual."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from surefoot.models.attribution.evidence import LogUnderModel
+from surefoot.models.attribution.robust_weights import RobustWeights
+from surefoot.models.residuals.layout import layout_of
+from surefoot.sim.effects.contact import STICKING
+from surefoot.sim.log import joint_velocity
+from surefoot.sim.robot.legs import LEGS
+
+AT_MOST = 3
+"""Regressors named for one column."""
+LEAST = 0.05
+"""Share of a column's rest that a regressor must explain on unseen blocks to be named."""
+
+HARMONICS = (2, 3, 4, 6, 8, 10, 12)
+"""Of a joint's turn: what repeats with the turns of a gear or of its motor."""
+
+SETTLING = (4, 8, 16, 32, 64)
+"""s, time constants of what warms up or comes to rest after the log's first row."""
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """One column of a channel, regressors that go with its rest, and the share they explain.
+
+    Without a regressor none of the library goes with it, though the channel is above its floor.
+    """
+
+    channel: str
+    column: str
+    regressors: tuple[str, ...]
+    share: float
+
+
+def sparse_regression(
+    cases: Sequence[LogUnderModel],
+    left: np.ndarray,
+    trusted: RobustWeights,
+    channels: Sequence[str],
+    seen: np.ndarray,
+    unseen: np.ndarray,
+) -> tuple[Unexplained, ...]:
+    """What goes with the rest `left` (M, W) in these channels, one channel after the other, and in
+    each first what explains most in units of noise. A channel that nothing goes with is named by
+    its loudest column.
+
+    Forward selection of regressors on the bins `seen` (M,), shares on the bins `unseen` (M,).
+    """
+    names, values = library(cases)
+    layout = layout_of(cases[0].log.joints)
+    found = []
+    for place, channel in enumerate(channels):
+        columns = range(*layout.channels[channel].indices(layout.width))
+        known = [c for c in columns if np.isfinite(left[seen, c]).any()]
+        noise = {c: np.nanmean(left[seen, c] ** 2) / trusted.sigma[c] ** 2 for c in known}
+        before = len(found)
+        for column in known:
+            one = _column(values, left[:, column], trusted.weight[:, column], seen, unseen)
+            if one is not None:
+                chosen, share = one
+                regressors = tuple(names[i] for i in chosen)
+                one = Unexplained(channel, layout.names[column], regressors, share)
+                found.append(((place, -share * noise[column]), one))
+        if noise and len(found) == before:
+            loudest = max(noise, key=lambda c: noise[c])
+            found.append(((place, 0.0), Unexplained(channel, layout.names[loudest], (), 0.0)))
+    return tuple(one for _, one in sorted(found, key=lambda pair: pair[0]))
+
+
+def library(cases: Sequence[LogUnderModel]) -> tuple[tuple[str, ...], np.ndarray]:
+    """Names and values (M, R) of the regressors: bin means, each of unit spread."""
+    tables = []
+    names: list[str] = []
+    for case in cases:
+        log, first = case.log, case.frame.first
+        count = np.diff(np.append(first, len(log.t)))[:, None]
+        columns = {"time": log.t}
+        for k in SETTLING:
+            columns[f"settling_{k}_s"] = np.exp(-(log.t - log.t[0]) / k)
+        if log.has("imu") and not case.fixed:
+            columns |= _named("rate", log.gyro, "xyz") | _named("force", log.accel, "xyz")
+        if not case.fixed:
+            columns |= _named("velocity", case.frame.v_I, "xyz")
+            columns |= _named("upward", case.frame.up_I, "xyz")
+        if log.has("q"):
+            dq = joint_velocity(log)
+            columns |= _named("angle", log.q, log.joints) | _named("speed", dq, log.joints)
+            columns |= _named("sense", np.tanh(dq / STICKING), log.joints)
+            for k in HARMONICS:
+                columns |= _named(f"sin_{k}_angle", np.sin(k * log.q), log.joints)
+                columns |= _named(f"cos_{k}_angle", np.cos(k * log.q), log.joints)
+        if log.has("tau"):
+            columns |= _named("torque", log.tau, log.joints)
+        if log.has("contact"):
+            columns |= _named("stance", log.contact.astype(float), LEGS)
+        names = list(columns)
+        rows = np.column_stack(list(columns.values()))
+        tables.append(np.add.reduceat(rows, first, axis=0) / count)
+    values = np.concatenate(tables)
+    spread = values.std(axis=0)
+    return tuple(names), (values - values.mean(axis=0)) / np.where(spread > 1e-12, spread, 1.0)
+
+
+def _named(kind: str, values: np.ndarray, names: Sequence[str]) -> dict[str, np.ndarray]:
+    return {f"{kind}_{name}": values[:, i] for i, name in enumerate(names)}
+
+
+def _column(
+    values: np.ndarray, y: np.ndarray, weight: np.ndarray, seen: np.ndarray, unseen: np.ndarray
+) -> tuple[list[int], float] | None:
+    there = np.isfinite(y) & (weight > 0)
+    fit, check = there & seen, there & unseen
+    if fit.sum() < 50 or check.sum() < 50:
+        return None
+    root = np.sqrt(weight)[:, None]
+    ones = np.ones((len(y), 1))
+    chosen: list[int] = []
+    share = 0.0
+    while len(chosen) < AT_MOST:
+        A = np.hstack([ones, values[:, chosen]]) * root
+        base = _solve(A, y * root[:, 0], fit)
+        rest = np.where(there, np.nan_to_num(y) * root[:, 0] - A @ base, 0.0)
+        # What each regressor has that those chosen, and a constant, have not.
+        Q = np.linalg.qr(A[fit])[0]
+        X = (values * root)[fit]
+        own = X - Q @ (Q.T @ X)
+        size = np.linalg.norm(own, axis=0)
+        known = size < 1e-6 * np.maximum(np.linalg.norm(X, axis=0), 1e-12)
+        pull = np.where(known, 0.0, np.abs(own.T @ rest[fit]) / np.maximum(size, 1e-12))
+        best = int(np.argmax(pull))
+        A = np.hstack([ones, values[:, [*chosen, best]]]) * root
+        after = y[check] * root[check, 0] - A[check] @ _solve(A, y * root[:, 0], fit)
+        plain = (y[check] - np.average(y[check], weights=weight[check])) * root[check, 0]
+        gained = 1.0 - float(after @ after) / max(float(plain @ plain), 1e-300)
+        if gained < share + LEAST:
+            break
+        chosen, share = [*chosen, best], gained
+    return (chosen, share) if chosen else None
+
+
+def _solve(A: np.ndarray, y: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    return np.linalg.lstsq(A[rows], y[rows], rcond=1e-10)[0]

@@ -1,0 +1,316 @@
+"""What lasts of an observer's error and what passes: variance components and a time constant.
+
+Of the errors of axis i the model is
+
+    e_i(t) = b_i(t) + m_i(t),     cov(b_i(t), b_i(t + s)) = c_i exp(-s / tau),
+
+b the persistent part, a first-order Gauss-Markov process of zero mean with one tau for all axes,
+and m the mixing part, which forgets within a block of BLOCK seconds. The means of blocks are then
+y_k = b_k + n_k with n white of variance s_i, and c_i, s_i and tau have a likelihood, that of a
+scalar Kalman filter (Harvey, Forecasting, Structural Time Series Models and the Kalman Filter,
+1989, ch. 3.4). It is maximised over a grid of tau, tau = inf being a part that stays the same
+throughout. Several sequences add to it, each drawing its b anew; so do long blocks of one.
+
+What a fitted b cannot show is how one course differs from the next: its tau is that of what changes
+on the way, and a tau of seconds averages out over minutes, which the mean error of a course need
+not. So b varies about a constant c, another for each course. Its variance is that of the course
+means seen, together with one more course that is all of one kind, as far off as b is within a
+course: few courses say little of others, and the ground that a stretch of this one had may be the
+whole of the next. What b already explains of a course's mean is taken off, all of it where tau is
+infinite.
+
+The mean is zero, not estimated: what all sequences share is persistent as well. Intervals are those
+of the likelihood ratio (Wilks): all values at which the likelihood, at its best over the others,
+lies within half a chi-square quantile of 1 degree of freedom of the maximum.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.kernels import kernel
+
+BLOCK = 0.5
+"""s: over this the mixing part is averaged; a trot's stride, whose errors come again each time."""
+WINDOW = 0.25
+"""s: the mean over this is what `epsilon` bounds; half a stride, at which a trot's legs swap."""
+LEAST = 20
+"""Blocks in all: fewer tell nothing of what lasts."""
+TAUS = np.append(np.geomspace(2.0, 500.0, 21), np.inf)
+"""s: the time constants that are tried. Shorter ones cannot be told from the mixing part."""
+RATIOS = np.append(0.0, np.geomspace(1e-5, 1e4, 91))
+"""c / s that are tried."""
+LEAST_STD = 1e-4
+"""m/s: least deviation of the prior, so that it stays definite where nothing lasts."""
+
+
+@dataclass(frozen=True, eq=False)
+class BiasModel:
+    """The persistent part of an observer's error, and what holds for the rest; in I.
+
+    covariance (3, 3) [m^2/s^2]: prior of b in a sequence not yet seen. Its variances are
+    c nu / (nu - 2), what Student's law says of a next draw after nu (at most doubled), its
+    correlations those found with three uncorrelated draws added. course (3, 3) [m^2/s^2]: prior of
+    the constant that b varies about, by the same laws; it may be zero. time_constant [s], may be
+    inf.
+    epsilon (3,) [m/s] bounds the mean of `window` successive mixing errors at the joint level of
+    the bounds; within (3, 3) [m^2/s^2] is that mean's covariance times `window`; reach (3,) [m/s]
+    the largest single mixing error seen. variance (3,) is c itself, interval (3, 2) and
+    time_constant_interval (2,) are 95 % of c and tau. sequences, blocks and nu count what was seen.
+    """
+
+    covariance: np.ndarray
+    course: np.ndarray
+    time_constant: float
+    epsilon: np.ndarray
+    within: np.ndarray
+    reach: np.ndarray
+    window: int
+    variance: np.ndarray
+    interval: np.ndarray
+    time_constant_interval: np.ndarray
+    sequences: int
+    blocks: int
+    nu: float
+
+    def turned(self, R: np.ndarray) -> BiasModel:
+        """The same in the frame that R (3, 3) maps ours to; bounds become those of the box around.
+
+        The intervals stay those of the axes that were calibrated.
+        """
+        return replace(
+            self,
+            covariance=R @ self.covariance @ R.T,
+            course=R @ self.course @ R.T,
+            within=R @ self.within @ R.T,
+            epsilon=np.abs(R) @ self.epsilon,
+            reach=np.abs(R) @ self.reach,
+        )
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON takes it: lists, and null for an infinite time constant."""
+        values: dict[str, Any] = {k: np.asarray(v).tolist() for k, v in self.__dict__.items()}
+        ends = values["time_constant_interval"]
+        values["time_constant_interval"] = [None if math.isinf(end) else end for end in ends]
+        if math.isinf(self.time_constant):
+            values["time_constant"] = None
+        return values
+
+    @classmethod
+    def from_plain(cls, values: dict[str, Any]) -> BiasModel:
+        """Back from `plain`. Raises TypeError, KeyError or ValueError where it is not whole."""
+        ends = [math.inf if end is None else end for end in values["time_constant_interval"]]
+        tau = values["time_constant"]
+        values = values | {
+            "time_constant": math.inf if tau is None else float(tau),
+            "time_constant_interval": np.array(ends, dtype=float),
+        }
+        for name, shape in _SHAPES.items():
+            values[name] = np.array(values[name], dtype=float)
+            if values[name].shape != shape or not np.isfinite(values[name]).all():
+                raise ValueError(f"persistent.{name} is not {shape} finite numbers")
+        found = cls(**values)
+        for name in ("covariance", "within"):
+            np.linalg.cholesky(values[name])
+        if np.linalg.eigvalsh(found.course)[0] < -1e-12:
+            raise ValueError("persistent.course is no covariance")
+        if not (found.time_constant > 0 and np.all(found.epsilon > 0) and np.all(found.reach > 0)):
+            raise ValueError("persistent.time_constant, epsilon and reach must be > 0")
+        if not (isinstance(found.window, int) and found.window > 0):
+            raise ValueError("persistent.window must be whole and positive")
+        return found
+
+
+_SHAPES = {
+    "covariance": (3, 3), "course": (3, 3), "within": (3, 3), "epsilon": (3,), "reach": (3,),
+    "variance": (3,), "interval": (3, 2),
+}  # fmt: skip
+
+
+def long_enough(errors: np.ndarray, dt: float) -> bool:
+    """Whether one sequence of errors (N, 3) every dt [s] tells of what lasts."""
+    return len(errors) // round(BLOCK / dt) >= LEAST
+
+
+def estimate_bias_model(
+    errors: np.ndarray | Sequence[np.ndarray], dt: float, gamma: float, window: float = WINDOW
+) -> BiasModel:
+    """The persistent part of errors (N, 3) [m/s] sampled every dt [s], one sequence or several.
+
+    gamma is the joint level of `epsilon`, window [s] what it is a mean over. Raises SurefootError
+    where there are fewer than LEAST blocks, or too few windows for a bound.
+    """
+    sequences = [errors] if isinstance(errors, np.ndarray) else list(errors)
+    size = max(1, round(BLOCK / dt))
+    means = [block_means(part, size) for part in sequences]
+    blocks = sum(map(len, means))
+    if blocks < LEAST:
+        raise SurefootError(f"{blocks} blocks of {BLOCK:g} s; the persistent part needs {LEAST}")
+    y, fresh = np.concatenate(means), np.concatenate([np.arange(len(m)) == 0 for m in means])
+    ratio, variance, tau, interval, tau_interval = _fit(y, fresh, size * dt)
+    nu = sum(1.0 + (0.0 if math.isinf(tau) else len(m) * size * dt / tau) for m in means)
+    correlation = _correlation(y, fresh, math.exp(-size * dt / tau), nu)
+    std = np.maximum(np.sqrt(_next_draw(variance, nu)), LEAST_STD)
+    of_course = np.sqrt(_course_variance(sequences, dt, variance, tau))
+    mixing = [
+        _mixing(part, mean, size, ratio, math.exp(-size * dt / tau))
+        for part, mean in zip(sequences, means, strict=True)
+    ]
+    # The smoothed part takes some of the mixing part's variance with it; the fit says how much.
+    left = np.concatenate([block_means(part, size) for part in mixing])
+    scale = np.sqrt(variance_of_mixing(y, fresh, ratio, size * dt, tau) / np.mean(left**2, axis=0))
+    mixing = [part * scale for part in mixing]
+    length = max(1, round(window / dt))
+    windows = np.concatenate([block_means(part, length) for part in mixing])
+    return BiasModel(
+        covariance=correlation * np.outer(std, std),
+        course=correlation * np.outer(of_course, of_course),
+        time_constant=tau,
+        epsilon=_quantile(np.abs(windows), gamma ** (1 / 3)),
+        within=windows.T @ windows / len(windows) * length,
+        reach=np.abs(np.concatenate(mixing)).max(axis=0),
+        window=length,
+        variance=variance,
+        interval=interval,
+        time_constant_interval=tau_interval,
+        sequences=len(sequences),
+        blocks=blocks,
+        nu=float(nu),
+    )
+
+
+def block_means(x: np.ndarray, size: int) -> np.ndarray:
+    """Means (N // size, D) of x (N, D) over whole blocks of `size`."""
+    count = len(x) // size
+    return x[: count * size].reshape(count, size, x.shape[1]).mean(axis=1)
+
+
+def variance_of_mixing(y, fresh, ratio, step: float, tau: float) -> np.ndarray:
+    """s (3,), the most likely variance of n at these ratios c / s (3,)."""
+    phi = math.exp(-step / tau)
+    return np.array([_innovations(y[:, i], fresh, ratio[i], phi)[0] for i in range(3)])
+
+
+def _fit(y, fresh, step: float):
+    """Ratios c / s (3,), c (3,) and tau of the greatest likelihood, and the intervals of c, tau."""
+    likelihood = np.empty((len(TAUS), 3, len(RATIOS)))
+    c = np.empty_like(likelihood)
+    _survey(y, fresh, np.exp(-step / TAUS), RATIOS, likelihood, c)
+    allowed = 0.5 * chi2.ppf(0.95, 1)
+    by_tau = likelihood.max(axis=2).sum(axis=1)
+    # Where nothing lasts all tau are alike: the longest is then the plainest.
+    best = len(TAUS) - 1 - int(np.argmax(by_tau[::-1]))
+    kept = TAUS[by_tau >= by_tau.max() - allowed]
+    ratio, variance, interval = np.empty(3), np.empty(3), np.empty((3, 2))
+    for i in range(3):
+        at = int(np.argmax(likelihood[best, i]))
+        ratio[i], variance[i] = RATIOS[at], c[best, i, at]
+        # The other axes at their best for each tau.
+        joint = likelihood[:, i] + (by_tau - likelihood[:, i].max(axis=1))[:, None]
+        inside = c[:, i][joint >= by_tau.max() - allowed]
+        interval[i] = inside.min(), inside.max()
+    return ratio, variance, float(TAUS[best]), interval, np.array([kept.min(), kept.max()])
+
+
+@kernel
+def _survey(y, fresh, phis, ratios, likelihood, c):
+    for a in range(phis.shape[0]):
+        for i in range(y.shape[1]):
+            for r in range(ratios.shape[0]):
+                s, value = _innovations(y[:, i], fresh, ratios[r], phis[a])
+                likelihood[a, i, r], c[a, i, r] = value, ratios[r] * s
+
+
+@kernel
+def _innovations(y, fresh, ratio: float, phi: float) -> tuple[float, float]:
+    """The most likely s given c / s = ratio, and the log-likelihood there, of block means (n,)."""
+    b, p, squares, logs = 0.0, ratio, 0.0, 0.0
+    for k in range(y.shape[0]):
+        if fresh[k]:
+            b, p = 0.0, ratio
+        else:
+            b, p = phi * b, phi * phi * p + (1.0 - phi * phi) * ratio
+        f, v = p + 1.0, y[k] - b
+        squares += v * v / f
+        logs += math.log(f)
+        b, p = b + p / f * v, p / f
+    s = squares / y.shape[0] + 1e-300
+    return s, -0.5 * (y.shape[0] * math.log(s) + logs)
+
+
+def _next_draw(variance, nu: float):
+    """Variance of a next draw after nu (Student), at most doubled."""
+    return np.maximum(variance * nu / (nu - 2.0) if nu > 4.0 else 2.0 * variance, 0.0)
+
+
+def _course_variance(sequences, dt: float, variance, tau: float) -> np.ndarray:
+    """Variance (3,) of the constant that b varies about: see the module's text."""
+    explained, squares = 0.0, variance.copy()
+    for part in sequences:
+        x = len(part) * dt / tau
+        # Variance of a Gauss-Markov process's mean over x time constants, in shares of its own.
+        explained += 1.0 if x < 1e-6 else 2.0 * (x + math.expm1(-x)) / x**2
+        squares = squares + np.mean(part, axis=0) ** 2
+    nu = len(sequences) + 1.0
+    explained /= len(sequences)
+    return np.maximum(_next_draw(squares / nu, nu) - _next_draw(variance, nu) * explained, 0.0)
+
+
+def _correlation(y, fresh, phi: float, nu: float) -> np.ndarray:
+    """Correlations (3, 3) of what lasts, from lagged pairs of block means."""
+    lagged = np.zeros((3, 3))
+    for part in np.split(y, np.flatnonzero(fresh)[1:]):
+        # Weighted sums over all pairs of different blocks, by one pass of a decaying sum.
+        before = np.zeros(3)
+        for row in part:
+            lagged += np.outer(before, row)
+            before = phi * (before + row)
+    weight = np.sqrt(np.maximum(np.diag(lagged), 1e-300))
+    correlation = 0.5 * (lagged + lagged.T) / np.outer(weight, weight)
+    correlation = np.clip(correlation, -1.0, 1.0) * nu / (nu + 3.0)
+    np.fill_diagonal(correlation, 1.0)
+    values, vectors = np.linalg.eigh(correlation)
+    correlation = vectors * np.maximum(values, 0.05) @ vectors.T
+    return correlation / np.sqrt(np.outer(np.diag(correlation), np.diag(correlation)))
+
+
+def _mixing(errors, means, size: int, ratio, phi: float) -> np.ndarray:
+    """What is left of one sequence's errors (N, 3) without the smoothed persistent part."""
+    if len(means) == 0:
+        return errors - errors.mean(axis=0)
+    smooth = np.column_stack([_smoothed(means[:, i], ratio[i], phi) for i in range(3)])
+    at = (np.arange(len(means)) + 0.5) * size - 0.5
+    rows = np.arange(len(errors))
+    return errors - np.column_stack([np.interp(rows, at, smooth[:, i]) for i in range(3)])
+
+
+@kernel
+def _smoothed(y, ratio: float, phi: float):
+    """Mean (n,) of b given all block means of a sequence: Rauch, Tung and Striebel's smoother."""
+    n = y.shape[0]
+    b, p = np.zeros(n), np.zeros(n)
+    ahead, p_ahead = np.zeros(n), np.zeros(n)
+    for k in range(n):
+        ahead[k] = phi * b[k - 1] if k > 0 else 0.0
+        p_ahead[k] = phi * phi * p[k - 1] + (1.0 - phi * phi) * ratio if k > 0 else ratio
+        gain = p_ahead[k] / (p_ahead[k] + 1.0)
+        b[k], p[k] = ahead[k] + gain * (y[k] - ahead[k]), p_ahead[k] * (1.0 - gain)
+    for k in range(n - 2, -1, -1):
+        if p_ahead[k + 1] > 0.0:
+            b[k] += phi * p[k] / p_ahead[k + 1] * (b[k + 1] - ahead[k + 1])
+    return b
+
+
+def _quantile(scores: np.ndarray, level: float) -> np.ndarray:
+    """The conformal quantile (D,) of scores (N, D)."""
+    k = math.ceil((len(scores) + 1) * level - 1e-9)
+    if k > len(scores):
+        raise SurefootError(f"{len(scores)} windows are too few to bound at {level:.4f} an axis")
+    return np.sort(scores, axis=0)[k - 1]

@@ -1,0 +1,131 @@
+"""Bounds: what a calibration says of an observer's errors, P(|e| <= epsilon) >= gamma."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from surefoot.models.calibration.bias_model import BiasModel
+from surefoot.models.calibration.mixing import Mixing
+from surefoot.models.observer.observer import Observer
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import whole_file
+
+FORMAT = "surefoot bounds"
+SCHEMA = 1
+
+
+class BoundsError(SurefootError):
+    """Bounds that cannot be read or made, or that belong to another observer."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bounds:
+    """A calibrated coverage statement (paper, Eq. coverage_statement).
+
+    epsilon (3,), m/s: of |v_I predicted - v_I| by axis, in the frame of an IMU mounted as R_BI
+    (3, 3) says. gamma is the joint level, level_per_axis the one that each axis alone was ranked
+    at: its cube root for the `conformal` method, gamma itself for one that bounds the axes jointly.
+    n samples, K steps of 10 ms apart, came from `log`; `observer` is the hash of the observer they
+    hold for. `mixing` is the curve behind K, None where K was given; `confidence` is that of
+    `scenario` bounds over calibrations, None where the statement is about the mean of them.
+    `persistent` is what lasts of the errors, None of a log too short to tell and in files from
+    before it was estimated.
+    """
+
+    epsilon: np.ndarray
+    gamma: float
+    level_per_axis: float
+    method: str
+    K: int
+    n: int
+    observer: str
+    R_BI: np.ndarray
+    log: str
+    mixing: Mixing | None = None
+    confidence: float | None = None
+    persistent: BiasModel | None = None
+
+    def check_observer(self, observer: Observer) -> None:
+        """Raise BoundsError where these bounds were calibrated for another observer."""
+        if observer.hash != self.observer:
+            raise BoundsError(
+                f"the bounds belong to observer {self.observer[:12]}, not to {observer.hash[:12]}; "
+                "calibrate this one"
+            )
+
+    def epsilon_at(self, R_BI: np.ndarray) -> np.ndarray:
+        """Bounds (3,) for an IMU turned otherwise: the smallest box, along its axes, around ours.
+
+        |R| epsilon with R from our frame to the new one. It keeps at least the joint level gamma,
+        and is the same box where the axes are only exchanged or reversed.
+        """
+        return np.abs(np.asarray(R_BI).T @ self.R_BI) @ self.epsilon
+
+    def persistent_at(self, R_BI: np.ndarray) -> BiasModel:
+        """What lasts, for an IMU turned otherwise. Raises BoundsError where that is missing."""
+        if self.persistent is None:
+            raise BoundsError("--bounds have no persistent part; calibrate again, on a longer log")
+        return self.persistent.turned(np.asarray(R_BI).T @ self.R_BI)
+
+    def save(self, path: str | Path, force: bool = False) -> None:
+        """Write them as JSON, whole or not at all. Raises SurefootError where `path` exists."""
+        values = {"format": FORMAT, "schema": SCHEMA} | asdict(self)
+        if self.persistent is not None:
+            values["persistent"] = self.persistent.plain()
+        text = json.dumps(values, indent=1, default=lambda array: array.tolist(), allow_nan=False)
+        with whole_file(path, force) as temporary:
+            temporary.write_text(text + "\n")
+
+    @classmethod
+    def load(cls, path: str | Path) -> Bounds:
+        """The bounds at `path`. Raises BoundsError, one line, where it holds no valid ones."""
+        path = Path(path)
+        try:
+            values = json.loads(path.read_text())
+        except OSError as error:
+            raise BoundsError(f"{path}: cannot be read ({error.strerror})") from error
+        except ValueError as error:
+            raise BoundsError(f"{path}: not JSON, truncated? ({error})") from error
+        if not isinstance(values, dict) or values.pop("format", None) != FORMAT:
+            raise BoundsError(f"{path}: not surefoot bounds")
+        schema = values.pop("schema", None)
+        if schema != SCHEMA:
+            raise BoundsError(f"{path}: schema {schema}, this surefoot reads {SCHEMA}")
+        try:
+            return _checked(values)
+        except (KeyError, TypeError, ValueError) as error:
+            raise BoundsError(f"{path}: not whole surefoot bounds ({error})") from error
+
+
+def _checked(values: dict[str, Any]) -> Bounds:
+    curve: Any = values["mixing"]
+    if curve is not None:
+        arrays = {name: np.array(curve[name]) for name in ("lags", "beta", "floor")}
+        curve = Mixing(**(curve | arrays))
+    arrays: dict[str, Any] = {k: np.array(values[k], dtype=float) for k in ("epsilon", "R_BI")}
+    part: Any = values.get("persistent")
+    part = None if part is None else BiasModel.from_plain(part)
+    values = values | arrays | {"mixing": curve, "persistent": part}
+    bounds = Bounds(**values)
+    if bounds.epsilon.shape != (3,) or not np.all(bounds.epsilon > 0):
+        raise ValueError("epsilon is not three positive numbers")
+    if not np.all(np.isfinite(bounds.epsilon)):
+        raise ValueError("epsilon is not finite")
+    if bounds.R_BI.shape != (3, 3) or not np.allclose(
+        bounds.R_BI @ bounds.R_BI.T, np.eye(3), atol=1e-6
+    ):
+        raise ValueError("R_BI is not a rotation")
+    if not (0 < bounds.gamma < 1 and 0 < bounds.level_per_axis < 1):
+        raise ValueError("gamma and level_per_axis must lie between 0 and 1")
+    if not all(isinstance(count, int) and count > 0 for count in (bounds.K, bounds.n)):
+        raise ValueError("K and n must be whole and positive")
+    if bounds.confidence is not None and not 0 < bounds.confidence < 1:
+        raise ValueError("confidence must lie between 0 and 1")
+    if not isinstance(bounds.observer, str):
+        raise ValueError("observer is not a hash")
+    return bounds

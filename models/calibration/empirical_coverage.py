@@ -1,0 +1,100 @@
+"""Do the bounds hold, and where do they not? Empirical coverage of an observer's errors."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import beta
+
+from surefoot.models.calibration.bounds import Bounds, BoundsError
+from surefoot.models.calibration.walking_conditions import walking_conditions
+from surefoot.sim.log import Log
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Share of errors within their bounds, and the interval of the true share.
+
+    per_axis (3,) and joint, over all errors; per_axis_interval (3, 2) and joint_interval (2,) at
+    `confidence`, Clopper-Pearson's, counting `n` independent errors.
+    """
+
+    per_axis: np.ndarray
+    joint: float
+    per_axis_interval: np.ndarray
+    joint_interval: np.ndarray
+    n: int
+    confidence: float
+
+
+def coverage(errors: np.ndarray, bounds: Bounds, confidence: float = 0.95) -> Coverage:
+    """How often errors (M, 3), at 100 Hz, kept within their bounds.
+
+    Neighbouring errors are no independent trials: the interval counts M / K of them, with the K
+    that the bounds were calibrated at. Raises BoundsError where there is not one.
+    """
+    n = len(errors) // bounds.K
+    if n < 1:
+        raise BoundsError(f"{len(errors)} errors are not one independent trial at K = {bounds.K}")
+    inside = np.abs(errors) <= bounds.epsilon
+    per_axis, joint = inside.mean(axis=0), float(inside.all(axis=1).mean())
+    return Coverage(
+        per_axis=per_axis,
+        joint=joint,
+        per_axis_interval=np.array([binomial_interval(p, n, confidence) for p in per_axis]),
+        joint_interval=binomial_interval(joint, n, confidence),
+        n=n,
+        confidence=confidence,
+    )
+
+
+@dataclass(frozen=True)
+class CaseCoverage:
+    """Joint coverage of the errors that fall into one case of one split.
+
+    time: share of all errors; interval (2,) counts `n` independent ones: the blocks of K samples
+    that hold an error of the case.
+    """
+
+    split: str
+    case: str
+    time: float
+    joint: float
+    interval: np.ndarray
+    n: int
+
+
+def coverage_by(
+    log: Log, rows: np.ndarray, errors: np.ndarray, bounds: Bounds
+) -> list[CaseCoverage]:
+    """Coverage by terrain, slip, motion and gait phase, as far as the log has the columns.
+
+    errors (M, 3) at `rows` (M,) of the log, as `models.observer.predict.prediction_errors` gives
+    them.
+    Returns a CaseCoverage for each case that occurs.
+    """
+    inside = np.all(np.abs(errors) <= bounds.epsilon, axis=1)
+    block = np.arange(len(errors)) // bounds.K
+    found = []
+    for split, case, where in walking_conditions(log, rows):
+        if where.any():
+            n, joint = len(np.unique(block[where])), float(inside[where].mean())
+            interval = binomial_interval(joint, n)
+            found.append(CaseCoverage(split, case, float(where.mean()), joint, interval, n))
+    return found
+
+
+def worst_case(cases: list[CaseCoverage], least: int = 5) -> CaseCoverage | None:
+    """The case covered least, of those with `least` independent errors; None where none has."""
+    counted = [case for case in cases if case.n >= least]
+    return min(counted, key=lambda case: case.joint, default=None)
+
+
+def binomial_interval(share: float, n: int, confidence: float = 0.95) -> np.ndarray:
+    """Clopper and Pearson's interval (2,) of a probability, from a share of n trials.
+
+    (Biometrika 26, 1934); share * n need not be whole, the bounds are quantiles of beta laws.
+    """
+    tail, hits = 0.5 * (1 - confidence), share * n
+    lower = beta.ppf(tail, hits, n - hits + 1) if hits > 0 else 0.0
+    upper = beta.ppf(1 - tail, hits + 1, n - hits) if hits < n else 1.0
+    return np.array([lower, upper])

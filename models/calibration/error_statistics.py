@@ -1,0 +1,122 @@
+"""What an observer's errors are like: bias, spread, skewness, tails, and whether they are Gaussian.
+
+Errors 10 ms apart repeat each other, and a test that takes them for independent finds everything
+significant. So the tests of shape take every K-th error, K from the mixing curve, and the interval
+of the mean counts as many independent errors as its autocorrelation leaves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import kurtosis, kurtosistest, norm, skew, skewtest
+
+from surefoot.models.calibration.mixing import mixing
+from surefoot.sim.common.errors import SurefootError
+
+FEWEST = 20
+"""Independent errors that the tests take: D'Agostino's approximations are good from there on."""
+
+
+@dataclass(frozen=True)
+class AxisErrors:
+    """One axis of errors; p-values are those of a Gaussian, from `thinned` errors K apart.
+
+    mean and its 95 % interval, and std, in m/s, of all n; `independent`: how many errors the
+    interval counts. skewness and kurtosis (in excess of a Gaussian's 0) with D'Agostino's and
+    Anscombe and Glynn's tests; both together are D'Agostino and Pearson's, `normal_p`;
+    `anderson_p` is Anderson and Darling's, mean and variance estimated. beyond: share of all n
+    farther from the mean than three std (a Gaussian has 0.0027).
+    """
+
+    n: int
+    K: int
+    thinned: int
+    independent: float
+    mean: float
+    interval: tuple[float, float]
+    std: float
+    skewness: float
+    skewness_p: float
+    kurtosis: float
+    kurtosis_p: float
+    normal_p: float
+    anderson_p: float
+    extras: float
+
+
+def error_statistics(errors: np.ndarray, K: int | None = None) -> tuple[AxisErrors, ...]:
+    """Of errors (n, D), m/s, each axis by itself; K from their mixing curve unless it is given.
+
+    Raises SurefootError where fewer than FEWEST independent errors are left.
+    """
+    K = mixing(errors).K if K is None else K
+    if len(errors) // K < FEWEST:
+        raise SurefootError(
+            f"{len(errors)} errors, {K} apart, are {len(errors) // K} independent ones; statistics "
+            f"take {FEWEST}"
+        )
+    return tuple(_axis(e, K) for e in errors.T)
+
+
+def _axis(e: np.ndarray, K: int) -> AxisErrors:
+    thin = e[K - 1 :: K]
+    mean, std, independent = float(e.mean()), float(e.std()), effective_samples(e)
+    half = float(norm.ppf(0.975)) * std / np.sqrt(independent)
+    skewed, tailed = skewtest(thin), kurtosistest(thin)
+    return AxisErrors(
+        n=len(e),
+        K=K,
+        thinned=len(thin),
+        independent=independent,
+        mean=mean,
+        interval=(mean - half, mean + half),
+        std=std,
+        skewness=float(skew(thin)),
+        skewness_p=float(skewed.pvalue),
+        kurtosis=float(kurtosis(thin)),
+        kurtosis_p=float(tailed.pvalue),
+        # The sum of two squared normal scores is chi-squared with two degrees of freedom.
+        normal_p=float(np.exp(-0.5 * (skewed.statistic**2 + tailed.statistic**2))),
+        anderson_p=anderson_darling(thin)[1],
+        extras=float((np.abs(e - mean) > 3 * std).mean()),
+    )
+
+
+def effective_samples(x: np.ndarray) -> float:
+    """How many independent samples' mean varies as that of x (n,) does.
+
+    n / (1 + 2 sum rho_k), the sum by Geyer's initial positive sequence (Practical Markov Chain
+    Monte Carlo, Statistical Science 7, 1992): pairs of autocorrelations until one is negative.
+    """
+    n = len(x)
+    spectrum = np.abs(np.fft.rfft(x - x.mean(), 2 * n)) ** 2
+    rho = np.fft.irfft(spectrum)[:n]
+    rho = rho / rho[0]
+    pairs = rho[: n - n % 2].reshape(-1, 2).sum(axis=1)
+    negative = np.flatnonzero(pairs <= 0)
+    tau = 2 * pairs[: negative[0] if len(negative) else len(pairs)].sum() - 1
+    return float(min(n, n / max(tau, 1.0 / n)))
+
+
+def anderson_darling(x: np.ndarray) -> tuple[float, float]:
+    """A^2 of x (n,) against a Gaussian with its mean and variance, and its p-value.
+
+    The p-value is D'Agostino and Stephens' (Goodness-of-Fit Techniques, 1986, table 4.9).
+    """
+    n = len(x)
+    z = np.sort((x - x.mean()) / x.std(ddof=1))
+    weight = (2 * np.arange(1, n + 1) - 1) / n
+    statistic = float(-n - (weight * (norm.logcdf(z) + norm.logsf(z[::-1]))).sum())
+    a = statistic * (1 + 0.75 / n + 2.25 / n**2)
+    if a < 0.2:
+        p = 1 - np.exp(-13.436 + 101.14 * a - 223.73 * a**2)
+    elif a < 0.34:
+        p = 1 - np.exp(-8.318 + 42.796 * a - 59.938 * a**2)
+    elif a < 0.6:
+        p = np.exp(0.9177 - 4.279 * a - 1.38 * a**2)
+    else:
+        # Beyond 10 the fitted parabola would turn upwards.
+        p = np.exp(1.2937 - 5.709 * min(a, 10.0) + 0.0186 * min(a, 10.0) ** 2)
+    return statistic, float(p)

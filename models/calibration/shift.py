@@ -1,0 +1,89 @@
+"""An alarm for walks unlike the calibration's, from the filter's own innovations: no truth needed.
+
+The innovations of each second have a size. If the walk is like the calibration's, the rank of a new
+size among all before it is uniform, and a gambler who bets on large ones cannot get rich: the odds
+that his wealth ever reaches 1 / alpha are at most alpha (Ville). His bets are those of the "simple
+jumper" (Vovk, Gammerman and Shafer, Algorithmic Learning in a Random World, 2nd edition, 2022,
+section 8.2), on large sizes alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from surefoot.sim.common.kernels import kernel
+
+BLOCK = 100
+"""Updates in a block: 1 s, two strides or so, for errors repeat with the stride."""
+SETTLING = 1
+"""Blocks at a walk's beginning that are not looked at: the filter is finding itself."""
+FALSE_ALARM = 0.01
+"""Chance that a walk like the calibration's ever raises the alarm."""
+STAKES = np.array([0.0, 1.0, 2.0])
+JUMP = 0.01
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """wealth (m,) after each block; at: seconds into the walk where it was raised, None if never.
+
+    A block counts from when it is complete. `chance` is that of a false alarm in a whole walk.
+    """
+
+    wealth: np.ndarray
+    at: float | None
+    chance: float
+
+
+def block_sizes(squared: np.ndarray) -> np.ndarray:
+    """Root mean square (m,) of normalised innovations over whole blocks of `squared` (M,)."""
+    m = len(squared) // BLOCK
+    return np.sqrt(squared[: m * BLOCK].reshape(m, BLOCK).mean(axis=1))[SETTLING:]
+
+
+def shift_alarm(
+    calibration: np.ndarray, seen: np.ndarray, chance: float = FALSE_ALARM, period: float = 1.0
+) -> Alarm:
+    """Watch block sizes `seen` (m,) as they come, against those of the calibration (n,).
+
+    `period` in seconds is that of a block. The chance is exact where blocks are exchangeable; it
+    is a test of likeness, so a walk may raise it on which the bounds still hold.
+    """
+    wealth = fortune(calibration, seen)
+    raised = np.flatnonzero(wealth >= 1 / chance)
+    at = float((raised[0] + SETTLING + 1) * period) if len(raised) else None
+    return Alarm(wealth, at, chance)
+
+
+@kernel
+def fortune(calibration: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """The gambler's wealth (m,): a third each holds, bets a little and bets all, with exchange."""
+    n = len(calibration)
+    everything = np.concatenate((calibration, seen))
+    purse = np.full(STAKES.size, 1 / STAKES.size)
+    wealth = np.empty(len(seen))
+    for k in range(len(seen)):
+        size = everything[n + k]
+        p = (np.sum(everything[: n + k] >= size) + 1) / (n + k + 1)
+        purse = (1 - JUMP) * purse + JUMP * purse.mean()
+        purse = purse * (1 + STAKES * (0.5 - p))
+        wealth[k] = purse.sum()
+    return wealth
+
+
+def inflation(calibration: np.ndarray, squared: np.ndarray, alarm: Alarm) -> np.ndarray:
+    """Factor (M,) on epsilon at each update: 1 until the alarm, then as innovations have grown.
+
+    The last second's size over the calibration's median, never below 1. It widens the bounds where
+    errors scatter; an error that stays the same the filter takes for its own velocity.
+    """
+    if alarm.at is None:
+        return np.ones(len(squared))
+    total = np.concatenate(([0.0], np.cumsum(squared)))
+    last = np.arange(1, len(squared) + 1)
+    first = np.maximum(last - BLOCK, 0)
+    size = np.sqrt((total[last] - total[first]) / (last - first))
+    grown = np.maximum(size / np.median(calibration), 1.0)
+    return np.where(last > alarm.at * BLOCK, grown, 1.0)

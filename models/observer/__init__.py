@@ -1,0 +1,1 @@
+"""The learned velocity observer: network, data, training and prediction."""

@@ -1,0 +1,177 @@
+"""The networks an observer may be: those the paper weighed, each of about 20 000 parameters.
+
+| model | sees, before each answer                                   | causal |
+|-------|------------------------------------------------------------|--------|
+| gru   | everything since the log began, in a state from zero       | yes    |
+| rnn   | the same                                                   | yes    |
+| lstm  | the same                                                   | yes    |
+| bigru | the whole log: a GRU from each end, the states side by side| no     |
+| mlp   | 8 samples 40 ms apart: 0.28 s back                         | yes    |
+| tcn   | convolutions dilated by 1, 2, 4, 8, 16: 0.62 s back        | yes    |
+
+All take scaled inputs x (T, B, inputs), 10 ms apart, to features (T, B, features), float32, on the
+CPU. `stepper()` gives the same sample by sample: a function from x (inputs,) to features
+(features,) that begins anew and keeps its own past. Before a log begins a window sees its first
+sample: the robot stood there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from surefoot.models.observer.gru import GRU
+
+Stepper = Callable[[np.ndarray], np.ndarray]
+
+
+class Recurrent(torch.nn.Module):
+    """One layer of torch's tanh RNN or LSTM."""
+
+    def __init__(self, kind: type[torch.nn.RNN] | type[torch.nn.LSTM], inputs: int, width: int):
+        super().__init__()
+        self.layer = kind(inputs, width)
+        self.features = width
+
+    def initialise(self, generator: torch.Generator) -> None:
+        """Uniform within 1/sqrt(width), as torch does, drawn from `generator`."""
+        k = 1 / math.sqrt(self.features)
+        for p in self.parameters():
+            torch.nn.init.uniform_(p, -k, k, generator=generator)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return self.layer(x)[0]
+
+    def stepper(self) -> Stepper:
+        state = None
+
+        @torch.no_grad()
+        def step(x: np.ndarray) -> np.ndarray:
+            nonlocal state
+            features, state = self.layer(torch.from_numpy(x)[None, None], state)
+            return features[0, 0].numpy()
+
+        return step
+
+
+class BothWays(torch.nn.Module):
+    """A GRU from the log's beginning and one from its end: it knows the future, and cannot step."""
+
+    def __init__(self, inputs: int, width: int):
+        super().__init__()
+        self.forwards = GRU(inputs, width)
+        self.backwards = GRU(inputs, width)
+        self.features = 2 * width
+
+    def initialise(self, generator: torch.Generator) -> None:
+        """Both as a GRU's own."""
+        self.forwards.initialise(generator)
+        self.backwards.initialise(generator)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return torch.cat((self.forwards(x), self.backwards(x.flip(0)).flip(0)), -1)
+
+
+class Windowed(torch.nn.Module):
+    """What a window of `field` samples decides: the answers of `valid` (T + field - 1 -> T)."""
+
+    field: int
+
+    def valid(self, x: torch.Tensor) -> torch.Tensor:
+        """Features (T, B, F) from x (T + field - 1, B, inputs), the past it needs in front."""
+        raise NotImplementedError
+
+    def initialise(self, generator: torch.Generator) -> None:
+        """He's uniform weights for rectified units, drawn from `generator`; no bias."""
+        for p in self.parameters():
+            if p.dim() > 1:
+                torch.nn.init.kaiming_uniform_(p, nonlinearity="relu", generator=generator)
+            else:
+                torch.nn.init.zeros_(p)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return self.valid(torch.cat((x[:1].expand(self.field - 1, -1, -1), x)))
+
+    def stepper(self) -> Stepper:
+        window = None
+
+        @torch.no_grad()
+        def step(x: np.ndarray) -> np.ndarray:
+            nonlocal window
+            new = torch.from_numpy(x)[None, None]
+            window = new.expand(self.field, -1, -1) if window is None else window
+            window = torch.cat((window[1:], new))
+            return self.valid(window)[0, 0].numpy()
+
+        return step
+
+
+class MLP(Windowed):
+    """Two rectified layers on 8 samples, 40 ms apart."""
+
+    taps, apart = 8, 4
+    field = (taps - 1) * apart + 1
+
+    def __init__(self, inputs: int, width: int):
+        super().__init__()
+        self.first = torch.nn.Linear(self.taps * inputs, width)
+        self.second = torch.nn.Linear(width, width)
+        self.features = width
+
+    def valid(self, x: torch.Tensor) -> torch.Tensor:
+        T = len(x) - self.field + 1
+        seen = torch.cat([x[k * self.apart :][:T] for k in range(self.taps)], -1)
+        return torch.relu(self.second(torch.relu(self.first(seen))))
+
+
+class TCN(Windowed):
+    """Residual blocks of one dilated, rectified convolution over three samples each."""
+
+    dilations = (1, 2, 4, 8, 16)
+    field = 1 + 2 * sum(dilations)
+
+    def __init__(self, inputs: int, width: int):
+        super().__init__()
+        self.first = torch.nn.Conv1d(inputs, width, 1)
+        self.blocks = torch.nn.ModuleList(
+            torch.nn.Conv1d(width, width, 3, dilation=d) for d in self.dilations
+        )
+        self.features = width
+
+    def valid(self, x: torch.Tensor) -> torch.Tensor:
+        h = self.first(x.permute(1, 2, 0))
+        for dilation, block in zip(self.dilations, self.blocks, strict=True):
+            h = h[..., 2 * dilation :] + torch.relu(block(h))
+        return h.permute(2, 0, 1)
+
+
+Body = GRU | Recurrent | BothWays | MLP | TCN
+
+
+@dataclass(frozen=True)
+class Architecture:
+    """How to make one, `make(inputs, width)`, and how it was found to learn.
+
+    width: that gives it about 20 000 parameters on 36 inputs; rate: Adam's highest; field: samples
+    that an answer depends on, None where all since the log began (or, not causal, to its end) do.
+    """
+
+    make: Callable[[int, int], Body]
+    width: int
+    rate: float
+    field: int | None = None
+    causal: bool = True
+
+
+ARCHITECTURES = {
+    "gru": Architecture(GRU, 64, 1e-2),
+    "mlp": Architecture(MLP, 64, 1e-2, MLP.field),
+    "rnn": Architecture(lambda c, w: Recurrent(torch.nn.RNN, c, w), 120, 3e-3),
+    "lstm": Architecture(lambda c, w: Recurrent(torch.nn.LSTM, c, w), 54, 1e-2),
+    "bigru": Architecture(BothWays, 40, 1e-2, causal=False),
+    "tcn": Architecture(TCN, 36, 1e-2, TCN.field),
+}

@@ -1,0 +1,76 @@
+"""From the log's rate to the observer's 100 Hz, causally: anti-alias filter and row selection.
+
+The filter is a Hann window over the last 20 ms. Its first zero lies at 100 Hz, so what would fold
+onto standstill is removed, its gain is one half at 50 Hz, and its delay is 10 ms, one step of the
+observer, at any rate of the log. The target is the velocity at the update row itself, undelayed:
+the observer learns to make up for the delay.
+"""
+
+import numpy as np
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.log import Log
+
+RATE = 100.0
+"""Hz, of the observer and of the filters' velocity updates."""
+SPAN = 0.020
+"""s, the length of the anti-alias window."""
+
+
+class DecimationError(SurefootError):
+    """A log too slow, or too short, for the observer's rate."""
+
+
+def anti_alias(age: np.ndarray) -> np.ndarray:
+    """Weight, not normalised, of a sample that is `age` seconds old when the output is formed."""
+    inside = (age > -1e-9) & (age < SPAN)
+    return np.where(inside, np.sin(np.pi * age / SPAN) ** 2, 0.0)
+
+
+def delay(rate: float) -> float:
+    """Delay in seconds, at low frequency, of the filtered inputs of a log sampled at `rate` Hz."""
+    age = np.arange(0.0, SPAN, 1.0 / rate)
+    weight = anti_alias(age)
+    return float(weight @ age / weight.sum())
+
+
+def observer_rows(log: Log) -> np.ndarray:
+    """Row indices (M,) of the 100 Hz updates, strictly increasing.
+
+    The grid starts at the first row and each update takes the row nearest to its grid point; grid
+    points inside a gap of the log have no row and no update. Raises DecimationError where the log
+    is slower than 100 Hz.
+    """
+    t = log.t
+    if log.rate < RATE * (1 - 1e-3):
+        raise DecimationError(
+            f"{log.name}: sampled at {log.rate:g} Hz, the observer needs {RATE:g} Hz at least"
+        )
+    step = 1.0 / RATE
+    grid = t[0] + step * np.arange(int((t[-1] - t[0]) / step + 1e-3) + 1)
+    after = np.clip(np.searchsorted(t, grid), 1, max(len(t) - 1, 1))
+    before = after - 1
+    after = np.minimum(after, len(t) - 1)
+    # Ties, and stamps good to nanoseconds, go to the later row: never to one in the future's place.
+    rows = np.where(grid - t[before] < t[after] - grid - 1e-7, before, after)
+    nearest = np.minimum(1.0 / log.rate, 0.5 * step)
+    return np.unique(rows[np.abs(t[rows] - grid) <= nearest + 1e-7])
+
+
+def decimate(t: np.ndarray, x: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Filtered samples (M, C) of x (N, C), in its unit, at `rows` (M,); t (N,) is in seconds.
+
+    Row m is the weighted mean of the samples within SPAN before t[rows[m]], that row included, on
+    the actual time stamps; at the start of the log, of those that are there.
+    """
+    first = np.searchsorted(t, t[rows] - SPAN, side="right")
+    total = np.zeros((len(rows), x.shape[1]))
+    norm = np.zeros(len(rows))
+    for back in range(int((rows - first).max()) + 1 if len(rows) else 0):
+        row = np.maximum(rows - back, 0)
+        weight = np.where(rows - back >= first, anti_alias(t[rows] - t[row]), 0.0)
+        total += weight[:, None] * x[row]
+        norm += weight
+    alone = norm <= 1e-6
+    filtered = total / np.where(alone, 1.0, norm)[:, None]
+    return np.where(alone[:, None], x[rows], filtered)

@@ -1,0 +1,266 @@
+"""The learned velocity observer: what it is, and its checkpoint on disk.
+
+An Observer is data: weights, what it reads, how that is scaled, for which robot and IMU mounting,
+and which logs it has seen. `models.observer.predict` runs it and `models.observer.training` makes
+it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, field, fields
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from surefoot.models.observer.architectures import ARCHITECTURES
+from surefoot.models.observer.network import LOSSES, OUTPUTS, Network
+from surefoot.models.observer.odometry import (
+    Kinematics,
+    LegGeometry,
+    check_leg_geometry,
+    contact_points,
+)
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import whole_file
+from surefoot.sim.log import Log
+from surefoot.sim.robot.legs import JOINTS
+
+FORMAT = "surefoot observer"
+SCHEMA = 2
+WIDEST = 4096
+"""Units of a layer that a checkpoint may ask memory for."""
+INPUTS = (
+    ("q",), ("q", "dq"), ("q", "dq", "tau"), ("feet",), ("tau", "feet"), ("q", "dq", "tau", "feet"),
+)  # fmt: skip
+"""Groups of columns of a log; `feet` is computed of q and dq, and comes last."""
+
+
+class ObserverError(SurefootError):
+    """An observer that cannot be read, or that does not fit the log or robot at hand."""
+
+
+@dataclass(frozen=True)
+class TrainingLog:
+    """A log an observer has seen: its name and the digest of its samples."""
+
+    name: str
+    sha256: str
+
+
+@dataclass(frozen=True, eq=False)
+class Observer:
+    """A trained network from joint signals at 100 Hz to v_I, the IMU's velocity in its own frame.
+
+    `model` names its architecture, `width` is its layers', `weights` its state dict. `inputs`
+    names the joint groups, side by side in the order of `joints`; a sample is scaled as
+    (x - input_mean) / input_scale, an output as output_mean + output_scale * y, in m/s. `p_BI` (3,)
+    and `R_BI` (3, 3) are the IMU's mounting whose velocity was learnt. `causal_dq` says that the
+    joint velocities were derived from q. `rmse` (3,) in m/s is that of the held-out part of the
+    training logs; `errors` (M, 3) in m/s are those at all their measured rows, log after log: what
+    errors elsewhere are held against. `legs` is the drawing of the robot that `feet` is computed
+    of, wherever the observer is used; empty without `feet`.
+    """
+
+    model: str
+    width: int
+    weights: dict[str, torch.Tensor]
+    inputs: tuple[str, ...]
+    joints: tuple[str, ...]
+    input_mean: np.ndarray
+    input_scale: np.ndarray
+    output_mean: np.ndarray
+    output_scale: np.ndarray
+    robot: str
+    p_BI: np.ndarray
+    R_BI: np.ndarray
+    loss: str
+    logs: tuple[TrainingLog, ...]
+    seed: int
+    rate: float
+    rmse: np.ndarray
+    errors: np.ndarray
+    causal_dq: bool = False
+    legs: LegGeometry = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """The robot's name: an Observer has a mounting like a robot."""
+        return self.robot
+
+    @cached_property
+    def hash(self) -> str:
+        """SHA-256 of everything above: bounds name the observer they belong to by it."""
+        digest = hashlib.sha256()
+        for name, value in sorted(_plain(self).items()):
+            tensors = value if isinstance(value, dict) else {name: value}
+            for key, item in sorted(tensors.items()):
+                if isinstance(item, torch.Tensor):
+                    item = {"shape": list(item.shape), "dtype": str(item.dtype)}, item
+                    digest.update(json.dumps([name, key, item[0]]).encode())
+                    digest.update(item[1].detach().contiguous().numpy().tobytes())
+                else:
+                    digest.update(json.dumps([name, key, item]).encode())
+        return digest.hexdigest()
+
+    @cached_property
+    def network(self) -> Network:
+        """The network with these weights, ready to run."""
+        inputs, outputs = len(self.input_mean), OUTPUTS[self.loss]
+        network = Network(self.model, inputs, outputs, self.width, "feet" in self.inputs)
+        network.load_state_dict(self.weights)
+        return network.eval()
+
+    @cached_property
+    def _kinematics(self) -> Kinematics | None:
+        return Kinematics.of(self.legs, self) if self.legs else None
+
+    def scaled(self, x: np.ndarray) -> np.ndarray:
+        """Inputs (M, C) as the network takes them, float32, of `signals` (M, S), unscaled."""
+        x = observer_inputs(self.inputs, self._kinematics, x)
+        return ((x - self.input_mean) / self.input_scale).astype(np.float32)
+
+    def save(self, path: str | Path, force: bool = False) -> None:
+        """Write the checkpoint, whole or not at all. Raises SurefootError where `path` exists."""
+        with whole_file(path, force) as temporary:
+            torch.save(
+                {"format": FORMAT, "schema": SCHEMA, "hash": self.hash} | _plain(self), temporary
+            )
+
+    @classmethod
+    def load(cls, path: str | Path) -> Observer:
+        """The observer at `path`. Raises ObserverError, one line, where it is none or damaged."""
+        path = Path(path)
+        if not path.is_file():
+            raise ObserverError(f"{path}: {'is a folder' if path.is_dir() else 'no such file'}")
+        try:
+            values: Any = torch.load(path, map_location="cpu", weights_only=True)
+        except Exception as error:
+            # torch raises many kinds here, depending on what the file turns out to be.
+            raise ObserverError(f"{path}: not a surefoot observer, or a damaged one") from error
+        if not isinstance(values, dict) or values.get("format") != FORMAT:
+            raise ObserverError(f"{path}: a torch file, but not a surefoot observer")
+        if values.get("schema") != SCHEMA:
+            raise ObserverError(
+                f"{path}: of schema {values.get('schema')}, this surefoot reads {SCHEMA}; train it "
+                "again"
+            )
+        try:
+            observer = _from_plain(values)
+            _ = observer.network
+        except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
+            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise ObserverError(f"{path}: not a whole surefoot observer ({reason})") from error
+        if observer.hash != values.get("hash"):
+            raise ObserverError(f"{path}: damaged, its contents do not match their digest")
+        return observer
+
+
+def check_inputs(inputs: tuple[str, ...] | str) -> tuple[str, ...]:
+    """Input groups as a tuple, from "q,dq,tau" too. Raises ObserverError for other subsets."""
+    names = tuple(inputs.replace(" ", "").split(",")) if isinstance(inputs, str) else tuple(inputs)
+    if names not in INPUTS:
+        choices = " | ".join(",".join(choice) for choice in INPUTS)
+        raise ObserverError(f"--inputs {','.join(names)}: choose {choices}")
+    return names
+
+
+def signals(inputs: tuple[str, ...]) -> tuple[str, ...]:
+    """The groups of a log's columns that these inputs are made of."""
+    wanted = {"q", "dq", *inputs} if "feet" in inputs else set(inputs)
+    return tuple(name for name in ("q", "dq", "tau") if name in wanted)
+
+
+def observer_inputs(inputs: tuple[str, ...], known: Kinematics | None, x: np.ndarray) -> np.ndarray:
+    """Unscaled inputs (M, C) of a network from `signals(inputs)` (M, S) at the same rows.
+
+    `known` is needed for `feet` alone.
+    """
+    if known is None:
+        return x
+    joints = len(JOINTS)
+    q, dq = x[:, :joints], x[:, joints : 2 * joints]
+    own = x if "q" in inputs else x[:, 2 * joints :]
+    return np.concatenate((own, contact_points(known, q, dq)), axis=1)
+
+
+def check_loss(loss: str) -> str:
+    """The loss if there is one of that name. Raises ObserverError."""
+    if loss not in LOSSES:
+        raise ObserverError(f"--loss {loss}: choose {' | '.join(LOSSES)}")
+    return loss
+
+
+def check_model(model: str) -> str:
+    """The architecture's name if there is one of that name. Raises ObserverError."""
+    if model not in ARCHITECTURES:
+        raise ObserverError(f"--model {model}: choose {' | '.join(ARCHITECTURES)}")
+    return model
+
+
+def log_digest(log: Log) -> str:
+    """SHA-256 of a log's time and joint positions: the same walk under any name has the same."""
+    digest = hashlib.sha256(",".join(log.joints).encode())
+    for values in (log.t, log.q):
+        digest.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
+    return digest.hexdigest()
+
+
+def _plain(observer: Observer) -> dict[str, Any]:
+    """Tensors and plain Python values alone: all that a checkpoint without pickles may hold."""
+    values: dict[str, Any] = {}
+    for name in (f.name for f in fields(observer)):
+        value = getattr(observer, name)
+        if isinstance(value, np.ndarray):
+            value = torch.from_numpy(np.array(value, dtype=float))
+        elif name == "logs":
+            value = [asdict(log) for log in value]
+        elif isinstance(value, tuple):
+            value = list(value)
+        values[name] = value
+    return values
+
+
+def _from_plain(values: dict[str, Any]) -> Observer:
+    # Checkpoints made before there was leg odometry have no legs.
+    values = {"legs": {}} | values
+    known: dict[str, Any] = {f.name: values[f.name] for f in fields(Observer)}
+    for name, value in known.items():
+        if isinstance(value, torch.Tensor):
+            known[name] = value.numpy()
+    known["logs"] = tuple(TrainingLog(**log) for log in known["logs"])
+    known["inputs"] = check_inputs(tuple(known["inputs"]))
+    known["joints"] = tuple(known["joints"])
+    known["loss"] = check_loss(known["loss"])
+    known["model"] = check_model(known["model"])
+    kinds = {"robot": str, "seed": int, "rate": float, "width": int, "causal_dq": bool}
+    for name, kind in kinds.items():
+        if type(known[name]) is not kind:
+            raise ValueError(f"{name} is not a {kind.__name__}")
+    if not 0 < known["width"] <= WIDEST:
+        raise ValueError(f"width is not within 1 and {WIDEST}")
+    channels = sum(24 if name == "feet" else len(known["joints"]) for name in known["inputs"])
+    if "feet" in known["inputs"]:
+        check_leg_geometry(known["legs"])
+        if known["joints"] != JOINTS:
+            raise ValueError("feet of joints that are not a quadruped's twelve")
+    elif known["legs"]:
+        raise ValueError("legs without feet among the inputs")
+    shapes = {"input_mean": (channels,), "input_scale": (channels,), "R_BI": (3, 3)}
+    shapes |= dict.fromkeys(("output_mean", "output_scale", "p_BI", "rmse"), (3,))
+    shapes["errors"] = (len(known["errors"]), 3)
+    for name, shape in shapes.items():
+        if np.shape(known[name]) != shape:
+            raise ValueError(f"{name} is not of shape {shape}")
+        if not np.all(np.isfinite(known[name])):
+            raise ValueError(f"{name} is not finite")
+    if min(known["input_scale"].min(), known["output_scale"].min()) <= 0:
+        raise ValueError("a scale is not positive")
+    for name, weight in known["weights"].items():
+        if weight.dtype != torch.float32 or not bool(torch.isfinite(weight).all()):
+            raise ValueError(f"weights: {name} is not finite and float32")
+    return Observer(**known)

@@ -1,0 +1,133 @@
+"""Running an observer: over a whole log, or sample by sample in a robot's own loop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from surefoot.models.observer.architectures import BothWays
+from surefoot.models.observer.imu_mounting import (
+    Mounted,
+    move_covariance,
+    move_velocity,
+    same_mounting,
+)
+from surefoot.models.observer.network import cholesky_factor
+from surefoot.models.observer.observer import Observer, ObserverError
+from surefoot.models.observer.samples import body_velocity, samples
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Body velocities at the 100 Hz rows of a log.
+
+    rows (M,) into the log; t (M,), s; v_I (M, 3), m/s: of the log's IMU in its own frame;
+    covariance (M, 3, 3), (m/s)^2, of a `gml` observer, None of an `mse` one.
+    """
+
+    rows: np.ndarray
+    t: np.ndarray
+    v_I: np.ndarray
+    covariance: np.ndarray | None
+
+
+def predict(observer: Observer, log: Log, robot: Mounted | None = None) -> Prediction:
+    """Velocities along a whole log; a hidden state starts at zero and runs through all of it.
+
+    `robot` is the log's (Robot.for_log where left out); its mounting may differ from the one the
+    observer learnt, which then takes the log's gyro to convert. Raises ObserverError where the
+    log lacks an input or is of another robot.
+    """
+    robot = _fitting(observer, log, robot)
+    seen = samples(log, observer.inputs)
+    x = torch.from_numpy(observer.scaled(seen.x))
+    with torch.no_grad():
+        outputs = observer.network(x[:, None, :])
+    v_I, covariance = _physical(observer, outputs[:, 0].numpy())
+    if not same_mounting(observer, robot):
+        if not log.has("imu"):
+            raise ObserverError(
+                f"{log.name}: its IMU is mounted elsewhere than the observer's, to convert takes "
+                "the gyro that the log lacks"
+            )
+        v_I = move_velocity(v_I, log.gyro[seen.rows], observer, robot)
+        if covariance is not None:
+            covariance = move_covariance(covariance, observer, robot)
+    return Prediction(seen.rows, seen.t, v_I, covariance)
+
+
+def prediction_errors(
+    observer: Observer, log: Log, robot: Mounted | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rows (M,) of measured reference, and there e = v_I predicted - v_I (M, 3), m/s."""
+    prediction = predict(observer, log, robot)
+    v_I, measured = body_velocity(log, prediction.rows)
+    return prediction.rows[measured], (prediction.v_I - v_I)[measured]
+
+
+class Loop:
+    """An observer in a robot's own loop: one call each 10 ms, its past kept between calls.
+
+    A `gru` steps compiled. Raises ObserverError for a model that reads a log from both ends.
+    """
+
+    def __init__(self, observer: Observer):
+        """Begin as at the start of a log."""
+        body = observer.network.body
+        if isinstance(body, BothWays):
+            raise ObserverError(
+                f"the observer is a {observer.model}, which reads a log from both ends: it serves "
+                "whole logs, not a loop; train one with --model gru"
+            )
+        self.observer = observer
+        self._features = body.stepper()
+        head, odometry = observer.network.head, observer.network.odometry
+        self._odometry = odometry.stepper() if odometry is not None else None
+        self._head = (
+            np.ascontiguousarray(head.weight.detach().numpy().T),
+            head.bias.detach().numpy(),
+        )
+
+    def step(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        """v_I (3,), m/s, and covariance (3, 3) or None, from signals x (S,), filtered, unscaled.
+
+        The signals are those of surefoot.models.observer.observer.signals, side by side: q, dq,
+        tau as far as the
+        inputs are made of them. The filter is `models.observer.decimate.decimate` over the samples
+        of the
+        last 20 ms.
+        """
+        scaled = self.observer.scaled(x[None])[0]
+        features = self._features(scaled)
+        outputs = (features @ self._head[0] + self._head[1])[None]
+        if self._odometry is not None:
+            outputs[0, :3] += self._odometry(scaled, features)
+        v_I, covariance = _physical(self.observer, outputs)
+        return v_I[0], None if covariance is None else covariance[0]
+
+
+def _physical(observer: Observer, outputs: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    scale = observer.output_scale
+    v_I = observer.output_mean + scale * outputs[:, :3].astype(float)
+    if observer.loss != "gml":
+        return v_I, None
+    L = scale[:, None] * cholesky_factor(torch.from_numpy(outputs)).double().numpy()
+    return v_I, L @ L.swapaxes(-1, -2)
+
+
+def _fitting(observer: Observer, log: Log, robot: Mounted | None) -> Mounted:
+    robot = Robot.for_log(log) if robot is None else robot
+    if robot.name != observer.robot:
+        raise ObserverError(
+            f"{log.name}: the observer was trained on {observer.robot}, the log is of {robot.name}"
+        )
+    if log.joints != observer.joints:
+        raise ObserverError(
+            f"{log.name}: the observer reads the joints {', '.join(observer.joints)}, the log has "
+            f"{', '.join(log.joints)}"
+        )
+    return robot

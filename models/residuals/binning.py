@@ -1,0 +1,232 @@
+"""A log's readings and its reference as means over bins of 20 ms: short against a step of a walk,
+long against a sample."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import cumulative_trapezoid
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import lfilter
+
+from surefoot.sim.log import Log, joint_velocity, reference_velocity
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.sensors.streams import between_states
+
+BIN = 0.02
+"""s, the length of a bin."""
+EDGE = 0.03
+"""s at either end of a stance that are left out: there the foot lands, rocks or already lifts."""
+ENDS = 0.006
+"""s, over which a rate is averaged at either end of a bin before it says how it changed."""
+
+
+@dataclass(frozen=True)
+class ReferenceMotion:
+    """What the residual of a log is measured against; it stays as it is while effects are tried.
+
+    gyro, accel (N, 3): what the reference implies, by the exact inverse of `sim.sensors.streams`;
+    v_I,
+    p_GI (N, 3), R_GI (N, 3, 3): the reference's motion; ok (N,): rows that have a reference; moved
+    (N,): rows whose step has one; standing, lifted (N, 4): feet well inside a stance, or a swing;
+    first (M,): first row of each bin, count (M,) its rows, t (M,) its mean time, s.
+    A log without a reference, of a machine on a fixed base, has `ok` everywhere and zero motion.
+    """
+
+    gyro: np.ndarray
+    accel: np.ndarray
+    v_I: np.ndarray
+    p_GI: np.ndarray
+    R_GI: np.ndarray
+    ok: np.ndarray
+    moved: np.ndarray
+    standing: np.ndarray
+    lifted: np.ndarray
+    first: np.ndarray
+    count: np.ndarray
+    t: np.ndarray
+    level: bool = False
+    """Whether the ground is level, so that heights of feet tell of the robot."""
+
+    @property
+    def up_I(self) -> np.ndarray:
+        """The world's vertical (N, 3) in I."""
+        return self.R_GI[:, 2]
+
+
+@dataclass(frozen=True)
+class Bins:
+    """Means over the M bins. t (M,) s; q, dq, tau (M, J), NaN where the log has none; gyro and
+    accel (M, 3) less what the reference implies, NaN where it implies nothing; omega (M, 3): rate
+    of the IMU at the rows' own times, in I; base (M, 9): rate, its derivative and specific force of
+    the base's origin, in B; v_I, p_GI (M, 3), R_GI (M, 3, 3): the reference's motion; standing,
+    lifted (M, 4); lag (M, J) rad: angles less the integral of the rates; q_step, dq_step, ddq
+    (M, J): means over the times of its torques; depth (M, 4) [m] and v_sole (M, 4, 3) [m/s], in I:
+    how deep feet are in soft ground and how they move in it, where the model knows it to be."""
+
+    t: np.ndarray
+    q: np.ndarray
+    dq: np.ndarray
+    tau: np.ndarray
+    gyro: np.ndarray
+    accel: np.ndarray
+    omega: np.ndarray
+    base: np.ndarray
+    v_I: np.ndarray
+    p_GI: np.ndarray
+    R_GI: np.ndarray
+    standing: np.ndarray
+    lifted: np.ndarray
+    lag: np.ndarray
+    q_step: np.ndarray
+    dq_step: np.ndarray
+    ddq: np.ndarray
+    depth: np.ndarray | None = None
+    v_sole: np.ndarray | None = None
+
+
+def reference_motion(log: Log, fixed: bool = False) -> ReferenceMotion:
+    """The reference, stances and bins of a log. Raises LogError where it has no reference, unless
+    its base is `fixed`."""
+    t = log.t
+    number = np.floor((t - t[0]) / BIN + 1e-6).astype(int)
+    first = np.flatnonzero(np.diff(number, prepend=-1))
+    count = np.diff(np.append(first, len(t)))
+    bins = {"first": first, "count": count, "t": np.add.reduceat(t, first) / count}
+    none = np.zeros((len(t), 3))
+    if fixed:
+        every, feet = np.ones(len(t), dtype=bool), np.zeros((len(t), 4), dtype=bool)
+        still = np.broadcast_to(np.eye(3), (len(t), 3, 3))
+        return ReferenceMotion(none, none, none, none, still, every, ~every, feet, ~feet, **bins)
+    log.require("reference")
+    R_GI, v_GI, ok = log.ref_R_GI, reference_velocity(log), log.ref_ok
+    dt = np.diff(t)
+    gyro, accel = np.zeros_like(v_GI), np.zeros_like(v_GI)
+    gyro[1:], accel[1:] = between_states(t, R_GI, v_GI)
+    gyro[0], accel[0] = gyro[1], accel[1]
+    whole = np.concatenate([[False], dt < 1.5 * np.median(dt)])
+    feet = np.zeros((2, len(t), 4), dtype=bool)
+    if log.has("contact"):
+        feet = np.stack([inside_stance(t, log.contact), inside_stance(t, ~log.contact)])
+    return ReferenceMotion(
+        gyro=gyro,
+        accel=accel,
+        v_I=np.einsum("nji,nj->ni", R_GI, v_GI),
+        p_GI=log.ref_p,
+        R_GI=R_GI,
+        ok=ok,
+        moved=ok & np.concatenate([[False], ok[:-1]]) & whole,
+        standing=feet[0] & ok[:, None],
+        lifted=feet[1] & ok[:, None],
+        **bins,
+    )
+
+
+def inside_stance(t: np.ndarray, contact: np.ndarray) -> np.ndarray:
+    """Rows and feet (N, 4) that stand, farther than EDGE from either end of their stance."""
+    inside = contact.copy()
+    for leg in range(contact.shape[1]):
+        change = np.flatnonzero(np.diff(contact[:, leg].astype(int)))
+        middle = 0.5 * (t[change] + t[change + 1])
+        edges = np.zeros(len(t) + 1, dtype=int)
+        np.add.at(edges, np.searchsorted(t, middle - EDGE), 1)
+        np.add.at(edges, np.searchsorted(t, middle + EDGE, side="right"), -1)
+        inside[np.cumsum(edges[:-1]) > 0, leg] = False
+    return inside
+
+
+def binned(log: Log, robot: Machine, frame: ReferenceMotion) -> Bins:
+    """The means of a log's readings, under what the model knows of its IMU and its mounting."""
+    n, joints = len(frame.ok), len(log.joints)
+    none = np.full((n, max(joints, 1)), np.nan)
+    q = log.q if log.has("q") else none
+    dq = joint_velocity(log) if log.has("q") else none
+    tau = log.tau if log.has("tau") else none
+    gyro = accel = np.full((n, 3), np.nan)
+    omega = frame.gyro
+    if log.has("imu") and isinstance(robot, Robot):
+        omega = log.gyro
+        slow = robot.extras.imu_lowpass
+        gyro = np.where(frame.moved[:, None], log.gyro - _behind(frame.gyro, slow, log.rate), gyro)
+        accel = np.where(
+            frame.moved[:, None], log.accel - _behind(frame.accel, slow, log.rate), accel
+        )
+    base = np.zeros((n, 9))
+    if isinstance(robot, Robot):
+        # A reference without velocities is too coarse to say how the base accelerates.
+        known = log.has("ref_v") or not log.has("imu")
+        base = _base_motion(
+            log.t, *((frame.gyro, frame.accel) if known else (omega, log.accel)), robot
+        )
+    # Rows hold the mean rate of the step before; the rate at the row itself is between two.
+    omega = 0.5 * (omega + np.concatenate([omega[1:], omega[-1:]]))
+    mean = bin_mean(frame)
+    return Bins(
+        frame.t, mean(q), mean(dq), mean(tau), _where_most(gyro, frame), _where_most(accel, frame),
+        mean(omega), mean(base), mean(frame.v_I), mean(frame.p_GI), mean(frame.R_GI),
+        mean(frame.standing.astype(float)) >= 0.5, mean(frame.lifted.astype(float)) >= 0.999,
+        mean(q - cumulative_trapezoid(dq, log.t, axis=0, initial=0.0)),
+        mean(at_torques(q, frame)), mean(at_torques(dq, frame)), mean_rate_of_change(dq, log.t,
+    frame),
+    )  # fmt: skip
+
+
+def bin_mean(frame: ReferenceMotion):
+    """The mean over each bin, as a function of rows (N, ...)."""
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        count = frame.count.reshape(-1, *[1] * (values.ndim - 1))
+        return np.add.reduceat(values, frame.first, axis=0) / count
+
+    return mean
+
+
+def at_torques(x: np.ndarray, frame: ReferenceMotion) -> np.ndarray:
+    """x (N, ...) at the time of each row's torque.
+
+    Of a walk that is the middle of the step before the row, as it is of the IMU's readings that
+    the torque is held against; of a fixed base, where there are none, the row's own.
+    """
+    if not frame.moved.any():
+        return x
+    return np.concatenate([x[:1], 0.5 * (x[1:] + x[:-1])])
+
+
+def mean_rate_of_change(x: np.ndarray, t: np.ndarray, frame: ReferenceMotion) -> np.ndarray:
+    """Mean slope of x (N, ...) over the times of each bin's torques, per second.
+
+    Of the first bin, which has no row before it, from its first row.
+    """
+    rows = max(1, round(ENDS / np.median(np.diff(t))))
+    x = uniform_filter1d(x, rows - 1 + rows % 2, axis=0)
+    if not frame.moved.any():
+        x = np.concatenate([0.5 * (x[1:] + x[:-1]), x[-1:]])
+    last = frame.first + frame.count - 1
+    before = np.maximum(frame.first - 1, 0)
+    time = np.maximum(t[last] - t[before], 1e-9).reshape(-1, *[1] * (x.ndim - 1))
+    return (x[last] - x[before]) / time
+
+
+def _behind(x: np.ndarray, time: float, rate: float) -> np.ndarray:
+    """x (N, 3) behind a first-order low-pass of time constant `time` [s]."""
+    if time <= 0.0:
+        return x
+    keep = np.exp(-1.0 / (time * rate))
+    return lfilter([1.0 - keep], [1.0, -keep], x, axis=0, zi=keep * x[:1])[0]
+
+
+def _base_motion(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, robot: Robot) -> np.ndarray:
+    """Rate, its derivative and specific force of the base's origin (N, 9), in B."""
+    omega, force = gyro @ robot.R_BI.T, accel @ robot.R_BI.T
+    spin, p = np.gradient(omega, t, axis=0), robot.p_BI
+    origin = force - np.cross(spin, p) - np.cross(omega, np.cross(omega, p))
+    return np.hstack([omega, spin, origin])
+
+
+def _where_most(values: np.ndarray, frame: ReferenceMotion) -> np.ndarray:
+    """Mean of the rows (N, 3) of each bin that have a value; NaN where fewer than half do."""
+    there = np.isfinite(values)
+    total = np.add.reduceat(np.where(there, values, 0.0), frame.first, axis=0)
+    count = np.add.reduceat(there.astype(float), frame.first, axis=0)
+    enough = (count >= 0.5 * frame.count[:, None]) & (count > 0)
+    return np.where(enough, total / np.maximum(count, 1), np.nan)

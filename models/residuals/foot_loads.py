@@ -1,0 +1,58 @@
+"""What each foot carries, row by row."""
+
+import numpy as np
+
+from surefoot.models.residuals.binning import Bins, ReferenceMotion, at_torques
+from surefoot.models.residuals.torques import Steps, inverse_dynamics
+from surefoot.sim.common.kernels import kernel
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.kinematics import leg_forward
+from surefoot.sim.sensors.streams import GRAVITY_G
+
+
+def foot_loads(
+    log: Log, robot: Robot, frame: ReferenceMotion, bins: Bins, steps: Steps
+) -> np.ndarray:
+    """Force (N, 4) [N] along the ground's normal on each foot that stands, zero on the others.
+
+    J^T f = inverse dynamics - measured torque, the former as means over bins. A log without torques
+    has the weight shared evenly by the feet that stand.
+    """
+    stands = log.contact
+    if not np.isfinite(bins.tau).any():
+        weight = -GRAVITY_G[2] * (robot.mass + robot.extras.payload)
+        return weight * stands / np.maximum(stands.sum(axis=1, keepdims=True), 1)
+    motion = normal_forces(
+        robot.legs, steps.q, steps.up_B, np.ones_like(bins.standing),
+        inverse_dynamics(steps, robot, every=True).torque,
+    )  # fmt: skip
+    up_B = frame.R_GI[:, 2] @ robot.R_BI.T
+    motor = normal_forces(robot.legs, at_torques(log.q, frame), up_B, stands, log.tau)
+    rows = np.column_stack([np.interp(log.t, bins.t, one) for one in motion.T])
+    return np.where(stands, np.maximum(rows - motor, 0.0), 0.0)
+
+
+@kernel
+def normal_forces(legs, q, up, stands, torque):
+    """n . f (N, 4) [N] with J^T f = torque: q, torque (N, 12), up (N, 3) in B, stands (N, 4)."""
+    out = np.zeros((len(q), 4))
+    foot, J, axes = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    for k in range(len(q)):
+        for leg in range(4):
+            if not stands[k, leg]:
+                continue
+            leg_forward(legs, leg, q[k, 3 * leg : 3 * leg + 3], foot, J, axes)
+            # n . f = torque . J^-1 n, by Cramer's rule.
+            volume, along = 0.0, 0.0
+            for j in range(3):
+                one, two = (j + 1) % 3, (j + 2) % 3
+                for a in range(3):
+                    b, c = (a + 1) % 3, (a + 2) % 3
+                    normal = J[b, one] * J[c, two] - J[c, one] * J[b, two]
+                    along += torque[k, 3 * leg + j] * normal * up[k, a]
+                    if j == 0:
+                        volume += J[a, 0] * normal
+            if volume != 0.0:  # a leg so straight that its torques say nothing of its load
+                out[k, leg] = along / volume
+    return out

@@ -1,0 +1,42 @@
+"""Velocity of the body by each standing foot's kinematics."""
+
+import numpy as np
+
+from surefoot.sim.common.kernels import kernel
+from surefoot.sim.robot.kinematics import leg_forward
+
+
+@kernel
+def leg_velocity(legs, radius, R_BI, p_BI, q, dq, omega, up, standing):
+    """Velocity of the IMU in I (N, 4, 3) [m/s] by each standing foot; NaN for the others.
+
+    legs, radius (4,), R_BI, p_BI: the robot's; q, dq (N, 12) [rad, rad/s]; omega (N, 3) [rad/s] and
+    up (N, 3), the ground's unit normal, in I; standing (N, 4).
+    """
+    out = np.full((len(q), 4, 3), np.nan)
+    foot, J, axes = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    sole, spin, step = np.empty(3), np.empty(3), np.empty(3)
+    for k in range(len(q)):
+        # In B from here on, where the legs are; the result is turned back into I.
+        for a in range(3):
+            sole[a] = R_BI[a, 0] * up[k, 0] + R_BI[a, 1] * up[k, 1] + R_BI[a, 2] * up[k, 2]
+            spin[a] = R_BI[a, 0] * omega[k, 0] + R_BI[a, 1] * omega[k, 1] + R_BI[a, 2] * omega[k, 2]
+        for leg in range(4):
+            if not standing[k, leg]:
+                continue
+            leg_forward(legs, leg, q[k, 3 * leg : 3 * leg + 3], foot, J, axes)
+            rate = dq[k, 3 * leg : 3 * leg + 3]
+            r = radius[leg]
+            for a in range(3):
+                b, c = (a + 1) % 3, (a + 2) % 3
+                v = 0.0
+                # omega x (r n - (foot - p_BI)), then omega_foot x r n and J dq, joint by joint
+                v += spin[b] * (r * sole[c] - foot[c] + p_BI[c])
+                v -= spin[c] * (r * sole[b] - foot[b] + p_BI[b])
+                for j in range(3):
+                    roll = r * (axes[b, j] * sole[c] - axes[c, j] * sole[b])
+                    v += rate[j] * (roll - J[a, j])
+                step[a] = v
+            for a in range(3):
+                out[k, leg, a] = R_BI[0, a] * step[0] + R_BI[1, a] * step[1] + R_BI[2, a] * step[2]
+    return out

@@ -1,0 +1,182 @@
+"""How a foot moves in ground that gives: how deep it stands, and its velocity meanwhile.
+
+A contact of MuJoCo is a critically damped spring of time constant T, pushed in by what the foot
+carries. Of a foot at the depth z, with the impedance i of at most d,
+
+    z'' = -b z' - k z + R F - c_z,    b = 2 / (d T),    k = i / (d T)^2,    R = (1 - i) / (i m)
+
+and along the ground v' = -b v + c. F is the load, 1 / m what a unit of force accelerates the foot
+by, and c what the robot's rates alone do, which a contact does not feel (MuJoCo's documentation,
+"Computation", on its constraints). So a foot sinks by the speed at which it lands, and is kept
+where its load is borne: at 5 mm for spot at T = 0.024 s, and four times as deep at twice that.
+
+Only feet are known to touch. Where they sink so deep that a shank touches as well (spot's, from
+T = 0.05 s), it takes a part of the load, and `trace` finds too small a size or another effect.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from surefoot.models.residuals.binning import Bins, ReferenceMotion, bin_mean
+from surefoot.models.residuals.leg_velocity import leg_velocity
+from surefoot.sim.common.kernels import kernel
+from surefoot.sim.ground.tiles import SOLIMP, SOLREF
+from surefoot.sim.log import Log, joint_velocity
+from surefoot.sim.physics.inverse_dynamics import dynamics_of
+from surefoot.sim.physics.scene import TIMESTEP
+from surefoot.sim.robot import Robot
+from surefoot.sim.sensors.contact import SWING
+
+AROUND = 0.004
+"""s to either side of a landing, over which a foot's velocity is taken."""
+SETTLED = 0.5
+"""Share of a stance after which a foot is where its load keeps it."""
+AHEAD = 1e-4
+"""s, over which rates alone are followed to see what they accelerate."""
+ROUNDS = 3
+"""Times that a stance is followed, until its end and its beginning agree on where the ground is."""
+
+
+@dataclass(frozen=True)
+class Stances:
+    """The K stances of a foot: first and last (K,), its first row and the one after its last;
+    landed (K,): whether it was seen to land; v_G (K, 3) [m/s]: its velocity on landing."""
+
+    first: np.ndarray
+    last: np.ndarray
+    landed: np.ndarray
+    v_G: np.ndarray
+
+
+def foot_sinking(
+    log: Log, robot: Robot, frame: ReferenceMotion, bins: Bins, load: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Depth (M, 4) [m] and velocity (M, 4, 3) [m/s], in I, of each standing foot's sole beyond
+    those on hard ground, means over bins; load (N, 4) [N] on each foot."""
+    swept_G = np.einsum("nij,nlj->nli", bins.R_GI, swept(robot, bins))
+    rows = np.empty((len(log.t), 4, 4))
+    for leg in range(4):
+        for axis in range(3):
+            rows[:, leg, axis] = np.interp(log.t, bins.t, swept_G[:, leg, axis])
+        rows[:, leg, 3] = load[:, leg]
+    rows = np.nan_to_num(rows)
+    feet_I = robot.feet_I(log.q)
+    height = frame.p_GI[:, 2, None] + np.einsum("nj,nlj->nl", frame.R_GI[:, 2], feet_I)
+    give, dq = gives(robot), joint_velocity(log)
+    depth, v_G = np.zeros(height.shape), np.zeros((*height.shape, 3))
+    for leg in range(4):
+        s = stances(log, robot, frame, leg, dq)
+        for T, sign in ((SOLREF[0] + robot.extras.softness, 1.0), (SOLREF[0], -1.0)):
+            _follow_all(
+                log.t, height[:, leg], rows[:, leg], s.first, s.last, s.landed, s.v_G, give[leg],
+                T, sign, depth[:, leg], v_G[:, leg],
+            )  # fmt: skip
+    mean = bin_mean(frame)
+    return mean(depth), np.einsum("nji,nlj->nli", bins.R_GI, mean(v_G))
+
+
+def gives(robot: Robot) -> np.ndarray:
+    """What a unit of force accelerates each foot by, (4,) [1/kg], by the declared masses."""
+    model = dynamics_of(robot.file, robot.joint_names).model
+    return np.array([model.body_invweight0[model.body(name).id, 0] for name in robot.foot_bodies])
+
+
+def swept(robot: Robot, bins: Bins) -> np.ndarray:
+    """Acceleration (M, 4, 3) [m/s^2], in I, of each sole while the rates of the joints and of the
+    base stay as they are, and so does its origin's velocity in the world."""
+    up, every = bins.R_GI[:, 2], np.ones((len(bins.t), 4), dtype=bool)
+
+    def soles(time: float) -> np.ndarray:
+        turned = up - time * np.cross(bins.omega, up)
+        return -leg_velocity(
+            robot.legs, robot.foot_radius, robot.R_BI, np.zeros(3), bins.q + time * bins.dq,
+            bins.dq, bins.omega, turned, every,
+        )  # fmt: skip
+
+    now = soles(0.0)
+    return np.cross(bins.omega[:, None], now) + (soles(AHEAD) - now) / AHEAD
+
+
+def stances(log: Log, robot: Robot, frame: ReferenceMotion, leg: int, dq: np.ndarray) -> Stances:
+    """The stances of a foot by its contacts; dq (N, 12) [rad/s]."""
+    first, last = between_swings(log.t, log.contact[:, leg])
+    around = max(1, round(AROUND * log.rate))
+    rows = np.clip(first[:, None] + np.arange(-around, around + 1), 0, len(log.t) - 1)
+    at, only = rows.ravel(), np.zeros((rows.size, 4), dtype=bool)
+    only[:, leg] = True
+    v_I = leg_velocity(
+        robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI, log.q[at], dq[at], frame.gyro[at],
+        frame.R_GI[at, 2], only,
+    )[:, leg]  # fmt: skip
+    v_G = np.einsum("nij,nj->ni", frame.R_GI[at], frame.v_I[at] - v_I).reshape(*rows.shape, 3)
+    return Stances(first, last, first > 0, np.nan_to_num(v_G.mean(axis=1)))
+
+
+def between_swings(t: np.ndarray, contact: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First row of each stance and the one after its last: t (N,) [s], contact (N,)."""
+    edge = np.diff(np.concatenate([[0], contact.astype(int), [0]]))
+    first, last = np.flatnonzero(edge > 0), np.flatnonzero(edge < 0)
+    swung = t[first[1:]] - t[last[:-1] - 1] > SWING
+    return first[np.insert(swung, 0, True)[: len(first)]], last[np.append(swung, True)[: len(last)]]
+
+
+@kernel
+def _follow_all(t, height, rows, first, last, landed, v_landing, give, T, sign, depth, v_G):
+    """Add what a foot does in all its stances, `sign` times, to depth (N,) and v_G (N, 3)."""
+    z, v = np.zeros(len(t)), np.zeros((len(t), 3))
+    for s in range(len(first)):
+        a, b = first[s], last[s]
+        if not landed[s]:
+            _follow(t, rows, a, b, _at_rest(rows[a, 3], give, T), np.zeros(3), give, T, z, v)
+        start = 0.0
+        for _ in range(ROUNDS * landed[s]):
+            _follow(t, rows, a, b, start, v_landing[s], give, T, z, v)
+            # The ground is where the settled foot is, and as much higher as that is deep.
+            half = a + int(SETTLED * (b - a))
+            start = np.mean(height[half:b] + z[half:b]) - height[a]
+            if not start > 0.0:  # nor where there is no reference
+                start = 0.0
+        depth[a:b] += sign * z[a:b]
+        v_G[a:b] += sign * v[a:b]
+
+
+@kernel
+def _follow(t, rows, a, b, z, v_start, give, T, depth, v_G):
+    """One stance, rows a to b, from the depth z, as the simulation steps through it.
+
+    rows (N, 4): the acceleration by the rates alone, and the load.
+    """
+    v = v_start.copy()
+    damping, spring = 2.0 / (SOLIMP[1] * T), 1.0 / (SOLIMP[1] * T) ** 2
+    depth[a], v_G[a] = z, v
+    for k in range(a + 1, b):
+        steps = max(1, int(np.ceil((t[k] - t[k - 1]) / TIMESTEP - 0.01)))
+        h = (t[k] - t[k - 1]) / steps
+        for j in range(steps):
+            share = (j + 1.0) / steps
+            for axis in range(3):
+                c = rows[k - 1, axis] + share * (rows[k, axis] - rows[k - 1, axis])
+                v[axis] += h * (c - damping * v[axis])
+            i = _impedance(z)
+            load = rows[k - 1, 3] + share * (rows[k, 3] - rows[k - 1, 3])
+            v[2] += h * (i * spring * z - (1.0 - i) / i * give * load)
+            z -= h * v[2]
+        depth[k], v_G[k] = z, v
+
+
+@kernel
+def _at_rest(load, give, T):
+    """Depth at which a foot that carries `load` stays."""
+    z = 0.0
+    for _ in range(20):
+        i = _impedance(z)
+        z = (1.0 - i) / i * give * load * (SOLIMP[1] * T) ** 2 / i
+    return z
+
+
+@kernel
+def _impedance(z):
+    x = min(abs(z) / SOLIMP[2], 1.0)
+    y = 2.0 * x * x if x < 0.5 else 1.0 - 2.0 * (1.0 - x) ** 2
+    return SOLIMP[0] + (SOLIMP[1] - SOLIMP[0]) * y

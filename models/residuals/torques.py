@@ -1,0 +1,210 @@
+"""Residuals of the joints' torques: against inverse dynamics in swing, and of the whole base.
+
+Everything in the equation of motion is a mean over the same steps of a bin, an acceleration what a
+rate gained over them. Rates of joints are too noisy for less than three bins: what is left of the
+equation is averaged over three, by quarters, half and quarters.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from surefoot.models.residuals.binning import BIN, Bins
+from surefoot.sim.common.kernels import kernel
+from surefoot.sim.physics.inverse_dynamics import dynamics_of
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.kinematics import leg_forward
+
+
+@dataclass(frozen=True)
+class Steps:
+    """What inverse dynamics takes, bin by bin: q, dq, ddq, tau (M, J), base (M, 9), up_B (M, 3),
+    standing (M, 4); swings (M, J): joints of feet that are in the air for three bins; steady (M,):
+    bins that no foot lands or lifts in, nor in their neighbours; sunk (M, 4) [m]: how much nearer
+    to a foot's centre than its radius it touches."""
+
+    q: np.ndarray
+    dq: np.ndarray
+    ddq: np.ndarray
+    tau: np.ndarray
+    base: np.ndarray
+    up_B: np.ndarray
+    standing: np.ndarray
+    swings: np.ndarray
+    steady: np.ndarray
+    sunk: np.ndarray
+
+
+def steps_of(bins: Bins, robot: Machine) -> Steps:
+    """The streams of a log's bins, ready for inverse dynamics."""
+    whole = np.zeros(len(bins.t), dtype=bool)
+    gaps = np.abs(np.diff(bins.t) - BIN) < 0.25 * BIN
+    whole[1:-1] = gaps[1:] & gaps[:-1]
+    stays, lifted = _always(bins.standing), _always(bins.lifted)
+    up_B = np.zeros((len(bins.t), 3))
+    if isinstance(robot, Robot):
+        up_B = bins.R_GI[:, 2] @ robot.R_BI.T
+        swings = np.repeat(lifted, 3, axis=1)
+        steady = (stays | lifted).all(axis=1) & stays.any(axis=1)
+    else:
+        swings, steady = np.ones_like(bins.q, dtype=bool), np.zeros(len(bins.t), dtype=bool)
+    return Steps(
+        bins.q_step, bins.dq_step, bins.ddq, bins.tau, bins.base, up_B,
+        bins.standing, swings & whole[:, None], steady & whole,
+        np.zeros(bins.standing.shape),
+    )  # fmt: skip
+
+
+def smooth_121(x: np.ndarray) -> np.ndarray:
+    """Mean of x (M, ...) with its neighbours, by quarters; the ends stay as they are."""
+    out = x.copy()
+    out[1:-1] = 0.25 * x[:-2] + 0.5 * x[1:-1] + 0.25 * x[2:]
+    return out
+
+
+def slope(x: np.ndarray) -> np.ndarray:
+    """Slope of x (M, ...) per second from the bin before to the bin after."""
+    out = np.zeros_like(x)
+    out[1:-1] = (x[2:] - x[:-2]) / (2 * BIN)
+    return out
+
+
+@dataclass(frozen=True)
+class InverseDynamics:
+    """What the motion takes: wrench (M, 6) on the base, in B about its origin; torque (M, J)."""
+
+    wrench: np.ndarray
+    torque: np.ndarray
+
+
+def inverse_dynamics(s: Steps, robot: Machine, every: bool = False) -> InverseDynamics:
+    """Inverse dynamics of the declared model and of what it knows of its masses; of bins that no
+    residual is asked for, zero, unless it is wanted of `every` one."""
+    use = np.flatnonzero(dilate(s.swings.any(axis=1) | s.steady) | every)
+    dynamics, shift = dynamics_of(robot.file, robot.joint_names), _shift(robot)
+    wrench, torque = np.zeros((len(s.q), 6)), np.zeros_like(s.q)
+    wrench[use], torque[use] = dynamics.inverse(s.q[use], s.dq[use], s.ddq[use], s.base[use], shift)
+    return InverseDynamics(wrench + carried(s, robot), torque)
+
+
+def inverse_dynamics_jacobians(
+    s: Steps, robot: Machine, step: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives of an effort's wrench (3, J, M, 6) and torque (3, J, M, J), by each joint's
+    angle, rate and acceleration: forward differences."""
+    dynamics = dynamics_of(robot.file, robot.joint_names)
+    return dynamics.derivatives(s.q, s.dq, s.ddq, s.base, _shift(robot), step)
+
+
+def _shift(robot: Machine) -> np.ndarray | None:
+    """How far each joint (J, 3) [m] is from where the robot's file has it."""
+    if not isinstance(robot, Robot):
+        return None
+    return (robot.legs.offset - declared(robot.file).legs.offset).reshape(-1, 3)
+
+
+def carried(s: Steps, robot: Machine) -> np.ndarray:
+    """Wrench (M, 6) that the known payload and the shift of the base's centre of mass take."""
+    wrench = np.zeros((len(s.q), 6))
+    if not isinstance(robot, Robot) or not (robot.extras.payload or robot.extras.com_shift.any()):
+        return wrench
+    omega, spin, force = s.base[:, :3], s.base[:, 3:6], s.base[:, 6:]
+    body = dynamics_of(robot.file, robot.joint_names).model.body(robot.base_name)
+    shift, mass, place = robot.extras.com_shift, float(body.mass[0]), body.ipos
+    felt = [
+        force + np.cross(spin, c) + np.cross(omega, np.cross(omega, c))
+        for c in (place, place + shift)
+    ]
+    wrench[:, :3] = mass * (felt[1] - felt[0]) + robot.extras.payload * force
+    wrench[:, 3:] = mass * (np.cross(place + shift, felt[1]) - np.cross(place, felt[0]))
+    return wrench
+
+
+@lru_cache(maxsize=16)
+def declared(file: Path) -> Robot:
+    """The robot as its file has it."""
+    return Robot.load(file)
+
+
+def torque_residual(s: Steps, needed: InverseDynamics) -> np.ndarray:
+    """Measured torque less what the motion takes (M, J) [N m], NaN where a foot is loaded."""
+    return np.where(s.swings, smooth_121(s.tau - needed.torque), np.nan)
+
+
+def wrench_residual(s: Steps, needed: InverseDynamics, robot: Robot) -> np.ndarray:
+    """What the feet give the base less what its motion takes (M, 6), in B; NaN where unsteady."""
+    return np.where(s.steady[:, None], smooth_121(unbalanced(s, needed, robot)), np.nan)
+
+
+def unbalanced(s: Steps, needed: InverseDynamics, robot: Robot) -> np.ndarray:
+    """The wrench (M, 6), in B, that the standing feet give the base less what its motion takes.
+
+    The leg rows of the equation of motion give each standing foot's force:
+    J^T f = inverse dynamics - measured torque.
+    """
+    return given_by_feet(s, s.q, needed.torque - s.tau, robot).sum(axis=1) - needed.wrench
+
+
+def given_by_feet(s: Steps, q: np.ndarray, taken: np.ndarray, robot: Robot) -> np.ndarray:
+    """What each standing foot gives the base (M, 4, 6), at angles q (M, 12), its leg taking the
+    torques `taken` (M, 12) more than were measured."""
+    radius = np.maximum(robot.foot_radius - s.sunk, 0.0)
+    return feet_wrenches(robot.legs, radius, q, s.up_B, s.standing, np.ascontiguousarray(taken))
+
+
+@kernel
+def feet_wrenches(legs, radius, q, up, standing, taken):
+    """Force and moment (M, 4, 6) [N, N m] of each standing foot on the base, in B about its origin.
+
+    radius (M, 4) [m]; q (M, 12) [rad]; up (M, 3): the ground's normal in B; standing (M, 4); taken
+    (M, 12): J^T f.
+    """
+    out = np.zeros((len(q), 4, 6))
+    foot, f, J, axes = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    for k in range(len(q)):
+        for leg in range(4):
+            if not standing[k, leg]:
+                continue
+            leg_forward(legs, leg, q[k, 3 * leg : 3 * leg + 3], foot, J, axes)
+            # At the point that touches, below the sphere's centre.
+            for a in range(3):
+                foot[a] -= radius[k, leg] * up[k, a]
+            for j in range(3):
+                for a in range(3):
+                    b, c = (a + 1) % 3, (a + 2) % 3
+                    J[a, j] -= radius[k, leg] * (axes[b, j] * up[k, c] - axes[c, j] * up[k, b])
+            # J^T f = taken, by the columns' cross products.
+            f[:], volume = 0.0, 0.0
+            for j in range(3):
+                m, n = (j + 1) % 3, (j + 2) % 3
+                for a in range(3):
+                    b, c = (a + 1) % 3, (a + 2) % 3
+                    normal = J[b, m] * J[c, n] - J[c, m] * J[b, n]
+                    f[a] += taken[k, 3 * leg + j] * normal
+                    if j == 0:
+                        volume += J[a, 0] * normal
+            for a in range(3):
+                f[a] = f[a] / volume if volume else np.nan
+            for a in range(3):
+                b, c = (a + 1) % 3, (a + 2) % 3
+                out[k, leg, a] = f[a]
+                out[k, leg, 3 + a] = foot[b] * f[c] - foot[c] * f[b]
+    return out
+
+
+def dilate(flag: np.ndarray) -> np.ndarray:
+    """Bins (M,) that have the flag, or a neighbour of which has it."""
+    out = flag.copy()
+    out[1:] |= flag[:-1]
+    out[:-1] |= flag[1:]
+    return out
+
+
+def _always(flag: np.ndarray) -> np.ndarray:
+    """Bins (M, 4) whose neighbours have the flag too."""
+    out = np.zeros_like(flag)
+    out[1:-1] = flag[:-2] & flag[1:-1] & flag[2:]
+    return out

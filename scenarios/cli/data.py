@@ -1,0 +1,116 @@
+"""Commands that make, fetch and show data."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from tyro.conf import Positional
+
+from surefoot.scenarios.cli.options import Out
+
+
+@dataclass(frozen=True)
+class Simulate:
+    """Walk scenarios, a log for each seed, and an index of them; goes on where it was killed."""
+
+    scenarios: Positional[tuple[Path, ...]]
+    """Scenario files (TOML)."""
+    out: Out
+    """Folder for the logs."""
+    robot: str | None = None
+    """Robot to walk; the scenario's own where left out."""
+    seeds: str = "0"
+    """One seed, or a range such as 0:8."""
+    effects: Path | None = None
+    """File of effects (TOML) to put into the walk."""
+    undeclared: bool = False
+    """Say nothing of the effects in the logs; truth.toml beside them keeps the answer."""
+    workers: int = 1
+    """Walks at once on this machine, each on a thread."""
+    cluster: str | None = None
+    """Address of a Dask scheduler to walk on instead, such as tcp://127.0.0.1:8786."""
+    force: bool = False
+
+    def run(self) -> None:
+        from surefoot.scenarios.datasets.simulate import simulate_all
+
+        simulate_all(
+            self.scenarios,
+            self.out,
+            self.robot,
+            self.seeds,
+            self.effects,
+            self.undeclared,
+            self.force,
+            self.workers,
+            self.cluster,
+        )
+
+
+@dataclass(frozen=True)
+class Import:
+    """A measured log, by a map that says which column is what."""
+
+    kind: Positional[Literal["csv", "bag"]]
+    file: Positional[Path]
+    """The CSV file, or the folder that holds it; a ROS 1, ROS 2 or MCAP bag."""
+    map: str
+    """Map file (TOML), or the name of one that surefoot ships."""
+    out: Out
+    """File for the log (.parquet)."""
+    force: bool = False
+
+    def run(self) -> None:
+        from surefoot.sim.importing.bag import import_bag
+        from surefoot.sim.importing.importer import import_csv
+
+        read = import_bag if self.kind == "bag" else import_csv
+        log = read(self.file, self.map)
+        log.write(self.out, self.force)
+        groups = [g for g in ("imu", "q", "dq", "tau", "contact", "reference") if log.has(g)]
+        print(
+            f"{self.out}: {len(log.t)} samples, {log.t[-1] - log.t[0]:.1f} s at {log.rate:.0f} Hz; "
+            f"{', '.join(groups)}"
+        )
+
+
+@dataclass(frozen=True)
+class View:
+    """Open a recording in the rerun viewer."""
+
+    file: Positional[Path]
+    web: bool = False
+    """Serve it to a browser of this machine, on 127.0.0.1."""
+
+    def run(self) -> None:
+        from surefoot.scenarios.viewer.view import view
+
+        view(self.file, self.web)
+
+
+@dataclass(frozen=True)
+class Robots:
+    """List the robots that are known by name."""
+
+    def run(self) -> None:
+        from surefoot.scenarios.reporting.tables import to_markdown
+        from surefoot.sim.robot import Robot
+        from surefoot.sim.robot.catalog import downloadable_robots, known_robots
+
+        rows = []
+        for name in known_robots():
+            robot = Robot.load(name)
+            rows.append(
+                {
+                    "robot": name,
+                    "mass [kg]": robot.mass,
+                    "leg [m]": robot.leg_length,
+                    "foot radius [m]": robot.foot_radius.mean(),
+                    "largest torque [N m]": robot.torque_limit.max(),
+                    "IMU": f"site {robot.imu}" if robot.imu else "none: the base frame",
+                }
+            )
+        print(to_markdown(rows))
+        if further := downloadable_robots():
+            print(f"fetched by robot_descriptions at first use: {', '.join(further)}")
+        print("any other 12-joint quadruped: the path of its MJCF file")

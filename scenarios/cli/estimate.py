@@ -1,0 +1,200 @@
+"""Commands that learn from logs and estimate them."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, UseAppendAction, arg
+
+from surefoot.scenarios.cli.options import Out, learnt_from, read_as_declared, read_logs
+from surefoot.sim.common.errors import SurefootError
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train a velocity observer on one or more logs; killed, it goes on where it was."""
+
+    logs: Positional[tuple[Path, ...]]
+    out: Out
+    """File for the observer."""
+    loss: Literal["mse", "gml"] = "mse"
+    """Mean squared error, or Gaussian likelihood, which predicts a covariance too."""
+    inputs: Literal["q", "q,dq", "q,dq,tau", "feet", "tau,feet", "q,dq,tau,feet"] = "q,dq,tau"
+    """What it reads of a log, which must have it: joint angles, velocities, torques. feet is
+    computed of q and dq: leg odometry of the drawn robot, which the network then mends."""
+    model: Literal["gru", "mlp", "rnn", "lstm", "bigru", "tcn"] = "gru"
+    """The network; a bigru reads a log from both ends, so it serves whole logs alone."""
+    seed: int = 0
+    force: bool = False
+
+    def run(self) -> None:
+        from surefoot.models.observer.training import train
+        from surefoot.models.observer.training_state import partial_path
+        from surefoot.sim.common.files import refuse_overwrite
+
+        refuse_overwrite(self.out, self.force)
+        logs = read_as_declared(self.logs)
+        partial = partial_path(self.out)
+        observer = train(
+            logs, None, self.inputs, self.loss, self.seed, True, model=self.model, partial=partial
+        )
+        observer.save(self.out, self.force)
+        partial.unlink(missing_ok=True)
+        x, y, z = observer.rmse
+        print(
+            f"{self.out}: held-out RMSE {x:.4f}, {y:.4f}, {z:.4f} m/s (forward, lateral, vertical)"
+        )
+
+
+@dataclass(frozen=True)
+class Calibrate:
+    """Bounds on an observer's velocity errors, from a log it has not seen."""
+
+    observer: Positional[Path]
+    log: Positional[Path]
+    out: Out
+    """File for the bounds (JSON)."""
+    gamma: float = 0.8
+    """Joint level."""
+    method: Literal["conformal", "bonferroni", "maxnorm", "ellipsoid", "scenario"] = "conformal"
+    """conformal and bonferroni bound an axis at a time; maxnorm and ellipsoid all by one score;
+    scenario is the smallest box after discarding."""
+    confidence: float = 0.95
+    """Of scenario bounds, over the calibrations that might have been."""
+    K: int | None = None
+    """Steps of 10 ms between errors taken as independent; from the mixing curve if left out."""
+    report: Path | None = None
+    """Folder for a report: mixing curve, methods, and coverage on the walks of --on."""
+    on: tuple[Path, ...] = ()
+    """Logs to judge the bounds by, in the report."""
+    force: bool = False
+
+    def run(self) -> None:
+        from surefoot.models.calibration.calibrate import calibrate
+        from surefoot.models.observer.observer import Observer
+        from surefoot.scenarios.estimate.compare import prepare_folder
+        from surefoot.scenarios.reporting.calibration_report import write_calibration_report
+        from surefoot.sim.common.files import refuse_overwrite
+
+        refuse_overwrite(self.out, self.force)
+        if self.on and not self.report:
+            raise SurefootError("--on: these logs are for the report; give --report DIR too")
+        recorded = read_logs((self.log, *self.on)) if self.report else []
+        if self.report:
+            prepare_folder(self.report, self.force)
+        observer = Observer.load(self.observer)
+        (log,) = read_as_declared((self.log,))
+        bounds = calibrate(
+            observer, log, self.gamma, self.method, K=self.K, confidence=self.confidence
+        )
+        bounds.save(self.out, self.force)
+        x, y, z = bounds.epsilon
+        print(
+            f"{self.out}: |error| <= {x:.4f}, {y:.4f}, {z:.4f} m/s jointly at gamma "
+            f"{bounds.gamma:g} ({bounds.method}, ranked at {bounds.level_per_axis:.4f}), from "
+            f"{bounds.n} errors {bounds.K} steps apart"
+        )
+        if bounds.mixing is not None and not bounds.mixing.mixed:
+            print(
+                "note: the errors never forget within the longest lag looked at; the bounds rest "
+                "on fewer independent samples than they count"
+            )
+        if self.report:
+            write_calibration_report(
+                self.report, observer, bounds, recorded[0], recorded[1:], self.force
+            )
+            print(f"report: {self.report / 'report.html'}")
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Run one filter over a log; metrics are printed where the log has a reference."""
+
+    log: Positional[Path]
+    filter: str
+    """coverage, coverage_gml, coverage_persistent, velocity, velocity_inflated,
+    velocity_persistent, leg, leg_slip, radar_leg or imu."""
+    robot: str | None = None
+    """Name or MJCF file; the log's own where left out."""
+    observer: UseAppendAction[tuple[Path, ...]] = ()
+    """An observer; may be given twice, once trained with mse and once with gml."""
+    bounds: UseAppendAction[tuple[Path, ...]] = ()
+    """Bounds; each belongs to one observer."""
+    out: Annotated[Path | None, arg(aliases=["-o"])] = None
+    """Trajectory with covariances (.parquet); a .tum file is written beside it."""
+    force: bool = False
+
+    def run(self) -> None:
+        from surefoot.scenarios.estimate.registry import run_filter
+        from surefoot.scenarios.reporting.tables import to_markdown
+        from surefoot.sim.common.files import refuse_overwrite
+        from surefoot.sim.log import Log
+        from surefoot.sim.robot import Robot
+
+        log = Log.read(self.log)
+        if self.out:
+            if self.out.suffix == ".tum":
+                raise SurefootError(f"-o {self.out}: name the .parquet; the .tum goes beside it")
+            refuse_overwrite(self.out, self.force)
+            refuse_overwrite(self.out.with_suffix(".tum"), self.force)
+        robot = Robot.for_log(log, self.robot)
+        result = run_filter(self.filter, log, robot, learnt_from(self.observer, self.bounds))
+        if self.out:
+            result.trajectory.write(self.out, self.force)
+            result.trajectory.write_tum(self.out.with_suffix(".tum"), self.force)
+        if result.metrics is None:
+            print(f"{log.name}: {len(log.t)} samples estimated; no reference to judge them by")
+        else:
+            print(to_markdown([metrics_row(result.metrics)]))
+
+
+@dataclass(frozen=True)
+class Compare:
+    """Every filter that the inputs allow on every log: table, figures, report, recordings."""
+
+    logs: Positional[tuple[Path, ...]]
+    out: Out
+    observer: UseAppendAction[tuple[Path, ...]] = ()
+    """An observer; may be given twice, once trained with mse and once with gml."""
+    bounds: UseAppendAction[tuple[Path, ...]] = ()
+    """Bounds; each belongs to one observer."""
+    robot: str | None = None
+    force: bool = False
+
+    def run(self) -> None:
+        from surefoot.scenarios.estimate.compare import (
+            compare_log,
+            prepare_folder,
+            write_comparison,
+        )
+        from surefoot.scenarios.reporting.tables import to_markdown
+        from surefoot.sim.robot import Robot
+
+        learnt = learnt_from(self.observer, self.bounds)
+        logs = read_logs(self.logs)
+        names = [log.name for log in logs]
+        for path, name in zip(self.logs, names, strict=True):
+            if names.count(name) > 1:
+                raise SurefootError(f"{path}: another log has its name; give each its own")
+        prepare_folder(self.out, self.force)
+        found = [compare_log(log, Robot.for_log(log, self.robot), learnt) for log in logs]
+        results = write_comparison(found, self.out, "Filters compared", force=self.force)
+        print("\n" + to_markdown(results))
+        for comparison in found:
+            for name, why in comparison.left_out.items():
+                print(f"left out on {comparison.log.name}: {name} ({why})")
+        print(f"\nreport: {self.out / 'report.html'}")
+
+
+def metrics_row(m) -> dict[str, float]:
+    """The columns of a table row for one trajectory's Metrics."""
+    return {
+        "APE_trans [m]": m.ape_trans,
+        "APE_rot [deg]": m.ape_rot,
+        "RPE_trans [m]": m.rpe_trans,
+        "RPE_rot [deg/m]": m.rpe_rot,
+        "pi<gamma [%]": m.pi_below_gamma,
+        "NEES_pos": m.nees_position,
+        "NEES_vel": m.nees_velocity,
+        "NEES_att": m.nees_attitude,
+    }

@@ -1,0 +1,50 @@
+"""The command line: `surefoot COMMAND`. Each command is a dataclass; its fields are its options."""
+
+import sys
+from collections.abc import Sequence
+from typing import Annotated, Union
+
+import tyro
+from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
+
+from surefoot.scenarios.cli.data import Import, Robots, Simulate, View
+from surefoot.scenarios.cli.estimate import Calibrate, Compare, Estimate, Train
+from surefoot.scenarios.cli.experiment import ExperimentCommand, Suite
+from surefoot.scenarios.cli.study import Bench, Demo, LoopCommand, Montecarlo, TraceCommand, Walking
+from surefoot.sim.common.errors import SurefootError
+
+COMMANDS: dict[str, type] = {
+    "demo": Demo,
+    "simulate": Simulate,
+    "train": Train,
+    "calibrate": Calibrate,
+    "estimate": Estimate,
+    "compare": Compare,
+    "experiment": ExperimentCommand,
+    "suite": Suite,
+    "trace": TraceCommand,
+    "loop": LoopCommand,
+    "montecarlo": Montecarlo,
+    "import": Import,
+    "view": View,
+    "robots": Robots,
+    "walking": Walking,
+    "bench": Bench,
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run one command; bad input is one line on stderr and exit code 1, bad options exit code 2."""
+    try:
+        choices = tuple(Annotated[c, subcommand(n, prefix_name=False)] for n, c in COMMANDS.items())
+        command = tyro.cli(
+            Union[choices],  # noqa: UP007  a union made at run time  # pyright: ignore
+            prog="surefoot",
+            args=arguments,
+            config=(FlagCreatePairsOff, OmitArgPrefixes),
+        )
+        command.run()
+    except SurefootError as error:
+        sys.exit(f"surefoot: {error}")
+    except KeyboardInterrupt:
+        sys.exit("surefoot: interrupted")

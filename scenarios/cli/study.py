@@ -1,0 +1,165 @@
+"""Commands that run a whole job: the demo, traces and studies."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from tyro.conf import Positional, UseAppendAction
+
+from surefoot.scenarios.cli.options import Out, read_logs
+from surefoot.sim.common.errors import SurefootError
+
+
+@dataclass(frozen=True)
+class Demo:
+    """The main job end to end: walk, learn, calibrate, three filters, report, .rrd, trace."""
+
+    out: Out = Path("out/demo")
+    """Folder for everything it makes."""
+    seed: int = 0
+    force: bool = False
+    """Overwrite what is in the folder."""
+
+    def run(self) -> None:
+        from surefoot.scenarios.demo import demo
+
+        demo(self.out, self.seed, self.force)
+
+
+@dataclass(frozen=True)
+class TraceCommand:
+    """Find the effect that the model lacks, and report before and after it is added."""
+
+    logs: Positional[tuple[Path, ...]]
+    """Logs of one robot, traced together."""
+    out: Out
+    """Folder for trace.json, effects.toml, report.html and trace.rrd."""
+    robot: str | None = None
+    """Name or MJCF file; the log's own where left out."""
+    seed: int = 0
+    """Of the bootstrap that intervals come from."""
+    force: bool = False
+    """Overwrite what is in the folder."""
+
+    def run(self) -> None:
+        from surefoot.scenarios.reporting.progress import percent_bar
+        from surefoot.scenarios.trace.run import trace
+        from surefoot.scenarios.trace.words import summary
+        from surefoot.sim.robot.fixed_base import machine_for_log
+
+        logs = read_logs(self.logs)
+        others = sorted({log.meta.robot for log in logs if log.meta.robot})
+        if not self.robot and len(others) > 1:
+            raise SurefootError(
+                f"the logs are of {' and '.join(others)}: trace one robot at a time"
+            )
+        robot = machine_for_log(logs[0], self.robot)
+        with percent_bar("trace") as tell:
+            found = trace(logs, robot, self.out, self.seed, tell, self.force)
+        print(summary(found))
+        print(f"\nreport: {self.out / 'report.html'}")
+
+
+@dataclass(frozen=True)
+class LoopCommand:
+    """Trace a log, put what was found into the simulation, learn anew, estimate the log again."""
+
+    log: Positional[Path]
+    """A log with IMU, joint angles and reference."""
+    out: Out
+    """Folder for everything it makes; a run that was killed goes on there."""
+    robot: str | None = None
+    """Name or MJCF file; the log's own where left out."""
+    seed: int = 0
+    """Of walks, training and intervals."""
+    force: bool = False
+    """Start anew and overwrite what is in the folder."""
+
+    def run(self) -> None:
+        from surefoot.scenarios.reporting.tables import to_markdown
+        from surefoot.scenarios.trace.loop import loop
+        from surefoot.sim.log import Log
+        from surefoot.sim.robot import Robot
+
+        log = Log.read(self.log)
+        robot = Robot.for_log(log, self.robot)
+        table, _ = loop(log, robot, self.out, self.seed, self.force)
+        print("\n" + to_markdown(table))
+        print(f"\nreport: {self.out / 'report.html'}")
+
+
+@dataclass(frozen=True)
+class Montecarlo:
+    """The paper's runtime-accuracy and consistency tables, and regimes beyond them."""
+
+    out: Out
+    trials: int | None = None
+    """Trials in each regime; those of montecarlo.toml where left out."""
+    seed: int | None = None
+    workers: int | None = None
+    """Processes of this machine that share the trials; threads do where left out."""
+    cluster: str | None = None
+    """Address of a Dask scheduler whose workers share them."""
+    force: bool = False
+
+    def run(self) -> None:
+        from surefoot.scenarios.studies.montecarlo.report import montecarlo
+
+        montecarlo(self.out, self.trials, self.seed, self.force, self.workers, self.cluster)
+        print((self.out / "table.md").read_text(encoding="utf-8"))
+        print(f"report: {self.out / 'report.html'}")
+
+
+@dataclass(frozen=True)
+class Walking:
+    """How robots walk: falls, tracking, slip, creep and pace on four grounds and the courses.
+
+    Without robots and courses: every known robot, and the seventeen courses.
+    """
+
+    out: Out
+    robot: UseAppendAction[tuple[str, ...]] = ()
+    """Name or MJCF file, walked over flat ground, a slope, a slippery patch and stairs."""
+    course: UseAppendAction[tuple[Path, ...]] = ()
+    """Scenario file, walked on its own robot with every seed."""
+    seeds: int = 5
+    """Seeds of each course, from 0."""
+    workers: int = 1
+    """Walks at once, each on a thread."""
+    force: bool = False
+
+    def run(self) -> None:
+        from surefoot.scenarios.reporting.progress import percent_bar
+        from surefoot.scenarios.studies.walking.study import report, walking_study
+
+        with percent_bar("walking") as tell:
+            walks = walking_study(
+                self.out, self.robot, self.course, self.seeds, self.workers, tell, self.force
+            )
+        print(report(walks))
+        print(f"table: {self.out / 'walking.md'}")
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What things cost against what they are measured by, as ratios of one run."""
+
+    rounds: int = 12
+    """Times that each pair runs in turn; the smallest counts."""
+    only: UseAppendAction[tuple[str, ...]] = ()
+    """Items to run; all where left out."""
+
+    def run(self) -> None:
+        from surefoot.scenarios.reporting.progress import percent_bar
+        from surefoot.scenarios.reporting.tables import to_markdown
+        from surefoot.scenarios.studies.bench.run import ITEMS
+
+        for name in self.only:
+            if name not in ITEMS:
+                raise SurefootError(f"--only {name}: known are {', '.join(ITEMS)}")
+        if self.rounds < 1:
+            raise SurefootError(f"--rounds {self.rounds}: at least 1")
+        rows = []
+        for name in self.only or ITEMS:
+            with percent_bar(name) as tell:
+                rows += [ratio.as_row() for ratio in ITEMS[name](self.rounds, tell)]
+        print(to_markdown(rows))

@@ -1,0 +1,109 @@
+"""Walks on a Dask cluster: same jobs, same bits; workers need surefoot, but no shared disk."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TypeVar
+
+from surefoot.scenarios.datasets.index import Row, recipe, row_of, with_hash
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import whole_file
+from surefoot.sim.log import Log
+from surefoot.sim.walking.batch import Job, known_robot, walk_job
+
+T = TypeVar("T")
+R = TypeVar("R")
+PATIENCE = 20.0  # s to wait for the scheduler and a first worker
+
+
+def walk_on_cluster(
+    address: str,
+    jobs: Sequence[Job],
+    folder: Path,
+    force: bool = False,
+    progress: Callable[[float], None] | None = None,
+) -> Iterator[Row]:
+    """Walk the jobs on the scheduler at `address`; yields rows as their files are written here.
+
+    The walks of a worker that dies are walked again on the others. Workers send whole files; this
+    process alone writes them into `folder`. Raises SurefootError in one line where the cluster
+    cannot be reached, or a worker would not give the same bits.
+    """
+    if not jobs:
+        return
+    try:
+        from distributed import Client, as_completed
+    except ImportError:
+        raise SurefootError("--cluster: needs the extra, pip install 'surefoot[cluster]'") from None
+    with _plainly(address), Client(address, timeout=PATIENCE, set_as_default=False) as client:
+        client.wait_for_workers(1, timeout=PATIENCE)
+        futures = {client.submit(_walk_remotely, job, recipe(job), pure=False) for job in jobs}
+        for done, future in enumerate(as_completed(futures, loop=client.loop), 1):
+            values, content = future.result()
+            row = Row(**values)
+            if row.file:
+                with whole_file(folder / row.file, force) as temporary:
+                    temporary.write_bytes(content)
+            yield row
+            if progress:
+                progress(done / len(jobs))
+            # The file is here: a worker that dies now has nothing left to lose.
+            futures.discard(future)
+            future.release()
+
+
+def run_on_cluster(
+    address: str, function: Callable[[T], R], arguments: Sequence[T]
+) -> Iterator[tuple[int, R]]:
+    """function(argument) on the scheduler at `address`: places in `arguments` and results, as done.
+
+    Raises SurefootError in one line where the cluster cannot be reached or lacks the function.
+    """
+    try:
+        from distributed import Client, as_completed
+    except ImportError:
+        raise SurefootError("--cluster: needs the extra, pip install 'surefoot[cluster]'") from None
+    with _plainly(address), Client(address, timeout=PATIENCE, set_as_default=False) as client:
+        client.wait_for_workers(1, timeout=PATIENCE)
+        futures = {client.submit(function, x, pure=False): i for i, x in enumerate(arguments)}
+        for future in as_completed(list(futures), loop=client.loop):
+            yield futures.pop(future), future.result()
+            future.release()
+
+
+def _walk_remotely(job: Job, expected: str) -> tuple[dict, bytes]:
+    """On a worker: the row and the log's file, empty for a fall."""
+    if recipe(job) != expected:
+        raise SurefootError(
+            f"robot {known_robot(job.robot).name}: a worker has another model of it, or another "
+            "version of surefoot, mujoco, numpy or numba: its walks would differ"
+        )
+    walked = walk_job(job)
+    row = row_of(walked)
+    if not isinstance(walked.log, Log):
+        return asdict(row), b""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / row.file
+        walked.log.write(path)
+        return asdict(with_hash(row, path)), path.read_bytes()
+
+
+@contextmanager
+def _plainly(address: str) -> Iterator[None]:
+    """What goes wrong with a cluster, in one line."""
+    from distributed import KilledWorker
+    from distributed.client import FutureCancelledError
+
+    try:
+        yield
+    except (OSError, TimeoutError, ValueError) as error:
+        if isinstance(error, SurefootError):
+            raise
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise SurefootError(f"--cluster {address}: {reason}") from None
+    except KilledWorker as error:
+        raise SurefootError(f"--cluster {address}: several workers died on one walk") from error
+    except FutureCancelledError as error:
+        raise SurefootError(f"--cluster {address}: the scheduler is gone") from error

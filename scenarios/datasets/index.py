@@ -1,0 +1,235 @@
+"""A folder of simulated logs: one row an attempted walk, an index (Parquet) and a card (markdown).
+
+Everything but the logs lies in `dataset/`, so that `*.parquet` in the folder means the logs. The
+journal gains a line as each walk ends; it is what a killed run goes on from.
+"""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from surefoot.scenarios.reporting.tables import to_markdown
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import whole_file
+from surefoot.sim.log import Log
+from surefoot.sim.walk import Plan
+from surefoot.sim.walking.batch import Job, Walked, known_robot
+
+SLIPPING = 0.05  # m/s, of a loaded foot over the ground
+DRY = 0.5  # friction coefficient from which ground counts as dry
+
+
+@dataclass(frozen=True)
+class Row:
+    """One walk of the index. Numbers of a walk that ended in a fall are NaN; it has no file."""
+
+    file: str
+    scenario: str
+    robot: str
+    seed: int
+    effects: str  # declared ones, JSON
+    mu: float  # drawn: of the floor
+    speed: float  # drawn: mean factor on the commanded speed
+    period: float  # drawn: factor on the gait's period
+    clearance: float  # drawn: factor on the swing foot's height
+    gain: float  # drawn: factor on the controller's gains
+    payload: float  # drawn: kg
+    rough: float  # drawn: m, the highest bump
+    falls: int
+    fell_at: float  # s into the simulation, which begins with 3 s of standing
+    duration: float  # s
+    length: float  # m, of the reference's path sampled every 0.5 s
+    slip_share: float  # of the loaded feet's samples, faster than SLIPPING over the ground
+    creep: float  # m/s, median speed over the ground of loaded feet on dry ground
+    sha256: str  # of the file
+    recipe: str  # hash of all that decides the file's bytes
+
+
+def log_name(job: Job) -> str:
+    """`<scenario>_<seed>`, with the robot between where it is not the scenario's own."""
+    robot = known_robot(job.robot).name
+    middle = "" if job.robot == job.scenario.robot else f"_{robot}"
+    return f"{job.scenario.name}{middle}_{job.seed}"
+
+
+def recipe(job: Job) -> str:
+    """Hash of scenario, robot file, seed, declared effects and versions: same recipe, same bits."""
+    effects = [e.as_dict() for e in job.effects] if job.declared else []
+    robot = hashlib.sha256(known_robot(job.robot).file.read_bytes()).hexdigest()
+    parts = [repr(job.scenario), robot, job.seed, effects, _versions()]
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+
+
+@cache
+def _versions() -> dict[str, str]:
+    return {name: version(name) for name in ("surefoot", "mujoco", "numpy", "numba")}
+
+
+def row_of(walked: Walked) -> Row:
+    """The index's row of a walk, its file's hash still empty."""
+    job, made, log = walked.job, walked.plan, walked.log
+    fell = not isinstance(log, Log)
+    numbers = dict.fromkeys(("duration", "length", "slip_share", "creep"), np.nan)
+    return Row(
+        file="" if fell else f"{log_name(job)}.parquet",
+        scenario=job.scenario.name,
+        robot=made.robot.name,
+        seed=job.seed,
+        effects=json.dumps([e.as_dict() for e in job.effects] if job.declared else []),
+        **_drawn(made),
+        falls=int(fell),
+        fell_at=log.time if fell else np.nan,
+        **(numbers if fell else measured(log)),
+        sha256="",
+        recipe=recipe(job),
+    )
+
+
+def _drawn(made: Plan) -> dict[str, float]:
+    draw = made.draw
+    written, walked = (sum(s.duration for s in x.segments) for x in (made.scenario, draw.scenario))
+    return {
+        "mu": draw.scenario.ground.mu,
+        "speed": written / walked,
+        "period": draw.period,
+        "clearance": draw.clearance,
+        "gain": draw.gain,
+        "payload": draw.payload,
+        "rough": max((strip.rough for strip in draw.scenario.ground.strips), default=0.0),
+    }
+
+
+def measured(log: Log) -> dict[str, float]:
+    """Duration [s], length [m], share of slipping stance and creep [m/s], as in `Row`."""
+    path = log.ref_p[:: max(round(0.5 * log.rate), 1)]
+    slip = log.slip
+    loaded = slip > 0.0
+    dry = slip[loaded & (log.mu >= DRY)]
+    return {
+        "duration": float(log.t[-1]),
+        "length": float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()),
+        "slip_share": float((slip[loaded] > SLIPPING).mean()) if loaded.any() else np.nan,
+        "creep": float(np.median(dry)) if dry.size else np.nan,
+    }
+
+
+def file_hash(path: Path) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+class Journal:
+    """The rows of a folder, one JSON line each, appended as walks end; the last of a walk counts.
+
+    A line that a kill cut short is passed over: its walk is looked at again.
+    """
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+        self.path = folder / "dataset" / "journal.jsonl"
+        self.rows: dict[tuple[str, str, int], Row] = {}
+        text = self.path.read_text(encoding="utf-8") if self.path.exists() else ""
+        for line in text.splitlines():
+            row = _parsed(line)
+            if row:
+                self._keep(row)
+        self._torn = bool(text) and not text.endswith("\n")
+
+    def _keep(self, row: Row) -> None:
+        self.rows[row.scenario, row.robot, row.seed] = row
+
+    def add(self, row: Row) -> None:
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        with self.path.open("a", encoding="utf-8") as stream:
+            stream.write("\n" * self._torn + json.dumps(asdict(row)) + "\n")
+        self._torn = False
+        self._keep(row)
+
+    def find(self, job: Job) -> Row | None:
+        """The row of a walk that is done: its file is there, or it fell."""
+        row = self.rows.get((job.scenario.name, known_robot(job.robot).name, job.seed))
+        if row is None or not (row.falls or (self.folder / row.file).exists()):
+            return None
+        return row
+
+    def present(self) -> list[Row]:
+        """Rows of walks that fell or whose files are there, sorted."""
+        rows = [r for r in self.rows.values() if r.falls or (self.folder / r.file).exists()]
+        return sorted(rows, key=lambda r: (r.scenario, r.robot, r.seed))
+
+
+def _parsed(line: str) -> Row | None:
+    try:
+        return Row(**json.loads(line))
+    except (ValueError, TypeError):
+        return None
+
+
+def write_index(folder: Path, rows: Sequence[Row]) -> Path:
+    """Write `dataset/index.parquet` and `dataset/README.md`, each whole; returns the index."""
+    frame = pd.DataFrame([asdict(row) for row in rows], columns=[f.name for f in fields(Row)])
+    path = folder / "dataset" / "index.parquet"
+    with whole_file(path, force=True) as temporary:
+        frame.to_parquet(temporary, index=False)
+    with whole_file(path.with_name("README.md"), force=True) as temporary:
+        temporary.write_text(card(rows), encoding="utf-8")
+    return path
+
+
+def read_index(folder: Path) -> pd.DataFrame:
+    """The index of a folder of logs. Raises SurefootError where there is none."""
+    path = folder / "dataset" / "index.parquet"
+    if not path.exists():
+        raise SurefootError(f"{path}: no such file; `surefoot simulate -o {folder}` writes it")
+    return pd.read_parquet(path)
+
+
+def with_hash(row: Row, path: Path) -> Row:
+    return replace(row, sha256=file_hash(path))
+
+
+def card(rows: Sequence[Row]) -> str:
+    """What the folder holds, in a few lines and one table."""
+    groups: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((row.scenario, row.robot), []).append(row)
+    table = [_summary(*key, group) for key, group in groups.items()]
+    whole = [r for r in rows if not r.falls]
+    versions = ", ".join(f"{name} {v}" for name, v in _versions().items())
+    return (
+        "# Simulated quadruped walks\n\n"
+        f"{len(whole)} logs, {sum(r.duration for r in whole) / 60:.1f} min, "
+        f"{sum(r.length for r in whole):.0f} m; {len(rows) - len(whole)} walks ended in a fall and "
+        f"have no log. Made with {versions}.\n\n"
+        f"{to_markdown(table)}\n\n"
+        "One Parquet file a walk, sensors at 500 Hz, with the true motion; SI units, quaternions "
+        "w, x, y, z. `index.parquet` says of each walk what its seed drew, how it went and its "
+        "file's sha256.\n"
+        f"Slip: share of the loaded feet's samples faster than {SLIPPING} m/s over the ground. "
+        f"Creep: median speed of loaded feet where mu >= {DRY}.\n"
+    )
+
+
+def _summary(scenario: str, robot: str, rows: Sequence[Row]) -> dict[str, Any]:
+    def mean(name: str) -> float:
+        values = np.array([getattr(r, name) for r in rows if not r.falls])
+        return float(values.mean()) if len(values) else np.nan
+
+    return {
+        "scenario": scenario,
+        "robot": robot,
+        "walks": len(rows),
+        "falls": sum(r.falls for r in rows),
+        "length [m]": mean("length"),
+        "duration [s]": mean("duration"),
+        "slip [%]": 100.0 * mean("slip_share"),
+        "creep [mm/s]": 1e3 * mean("creep"),
+    }

@@ -1,0 +1,166 @@
+"""Many walks: scenarios times seeds, one log each, and an index; goes on where it was killed."""
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from surefoot.scenarios.datasets.cluster import walk_on_cluster
+from surefoot.scenarios.datasets.index import (
+    Journal,
+    Row,
+    log_name,
+    recipe,
+    row_of,
+    with_hash,
+    write_index,
+)
+from surefoot.scenarios.reporting.progress import percent_bar
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import clear_debris, refuse_overwrite
+from surefoot.sim.effects import Effect
+from surefoot.sim.effects.file import load_effects, save_effects
+from surefoot.sim.log import Log
+from surefoot.sim.scenario import Scenario
+from surefoot.sim.walk import plan
+from surefoot.sim.walking.batch import Job, Walked, known_robot, walk_batch
+
+
+def simulate_all(
+    scenarios: Sequence[Path],
+    out: Path,
+    robot: str | None = None,
+    seeds: str = "0",
+    effects: Path | None = None,
+    undeclared: bool = False,
+    force: bool = False,
+    workers: int = 1,
+    cluster: str | None = None,
+) -> list[Row]:
+    """Walk every scenario with every seed into `out`/<scenario>_<seed>.parquet; returns the rows.
+
+    A robot other than the scenario's own stands in the name too. Walks that are done are left
+    alone (so a killed run goes on where it stopped) unless `force`; `dataset/` holds the index. A
+    fall is a row without a file. With `undeclared` nothing but truth.toml tells of the effects.
+    workers: threads of this machine; cluster: address of a Dask scheduler, instead of them.
+    Raises SurefootError for bad input, or logs in `out` that were made of something else.
+    """
+    if workers < 1:
+        raise SurefootError(f"--workers {workers}: at least 1")
+    chosen = load_effects(effects) if effects else ()
+    if undeclared and not chosen:
+        raise SurefootError("--undeclared: needs --effects")
+    jobs = _jobs(scenarios, robot, seed_range(seeds), chosen, not undeclared)
+    for name in dict.fromkeys(job.robot for job in jobs):
+        if known_robot(name).imu is None:
+            print(
+                f"note: {name}: its model has no IMU, so the base frame stands for it; give the "
+                "base body a site named imu to place one"
+            )
+    journal = Journal(out)
+    _guard_truth(out, chosen if undeclared else (), journal, force)
+    todo = jobs if force else [job for job in jobs if not _done(journal, job)]
+    names = {f".{log_name(job)}.parquet" for job in todo}
+    clear_debris(p for p in out.glob(".*.tmp") if p.stem.rpartition(".")[0] in names)
+    with percent_bar("simulate") as tell:
+        if cluster:
+            rows = walk_on_cluster(cluster, todo, out, force, tell)
+        else:
+            rows = walk_batch(todo, lambda walked: save_walk(walked, out, force), workers, tell)
+        for row in rows:
+            journal.add(row)
+        tell(1.0)
+    index = write_index(out, journal.present())
+    made = [row for job in jobs if (row := journal.find(job))]
+    fallen = [row for row in made if row.falls]
+    print(
+        f"{len(made) - len(fallen)} logs in {out} ({len(jobs) - len(todo)} walks were there "
+        f"already), {len(fallen)} falls; index: {index}"
+    )
+    for row in fallen:
+        print(f"fell: {row.scenario}, {row.robot}, seed {row.seed}, at {row.fell_at:.1f} s")
+    return made
+
+
+def save_walk(walked: Walked, folder: Path, force: bool = False) -> Row:
+    """Write the log of a walk that did not fall, named as in its row; returns the row."""
+    row = row_of(walked)
+    if not isinstance(walked.log, Log):
+        return row
+    path = folder / row.file
+    walked.log.write(path, force)
+    return with_hash(row, path)
+
+
+def _jobs(
+    scenarios: Sequence[Path],
+    robot: str | None,
+    seeds: range,
+    effects: tuple[Effect, ...],
+    declared: bool,
+) -> list[Job]:
+    if not scenarios:
+        raise SurefootError("give at least one scenario file")
+    jobs = []
+    for path in scenarios:
+        scenario = Scenario.load(path)
+        name = robot or scenario.robot
+        if not name:
+            raise SurefootError(f"scenario {path}: names no robot: say which with --robot")
+        known_robot(name)
+        jobs += [Job(scenario, name, seed, effects, declared) for seed in seeds]
+    for name, count in Counter(map(log_name, jobs)).items():
+        if count > 1:
+            raise SurefootError(f"two scenarios would write {name}.parquet: name them differently")
+    return jobs
+
+
+def _guard_truth(out: Path, hidden: tuple[Effect, ...], journal: Journal, force: bool) -> None:
+    """Keep undeclared effects in truth.toml, and logs made with other effects out of the folder."""
+    truth = out / "truth.toml"
+    if truth.exists() and not hidden:
+        raise SurefootError(f"{out}: holds logs with undeclared effects; give another folder")
+    if hidden and not truth.exists() and journal.rows:
+        raise SurefootError(f"{out}: holds logs without undeclared effects; give another folder")
+    if hidden and truth.exists() and not force and load_effects(truth) != hidden:
+        raise SurefootError(f"{truth}: holds other effects; give another folder, or --force")
+    if hidden and (force or not truth.exists()):
+        save_effects(truth, hidden, force)
+
+
+def _done(journal: Journal, job: Job) -> bool:
+    """Whether the walk is there; a log that a kill parted from its row is given a new one.
+
+    Raises SurefootError for a file of that name that is another walk's.
+    """
+    path = journal.folder / f"{log_name(job)}.parquet"
+    row = journal.find(job)
+    if row and row.falls and row.recipe != recipe(job):
+        row = None
+    if row and row.recipe != recipe(job):
+        raise SurefootError(
+            f"{path}: was made from another scenario, robot, effects or version; give another "
+            "folder, or --force to make it again"
+        )
+    if row or not path.exists():
+        return row is not None
+    log = Log.read(path)
+    made = plan(job.scenario, known_robot(job.robot), job.seed, job.effects, job.declared)
+    declared = tuple(e.as_dict() for e in job.effects) if job.declared else ()
+    said = (log.meta.scenario, log.meta.robot, log.meta.seed, log.meta.effects)
+    if said != (job.scenario.name, made.robot.name, job.seed, declared):
+        refuse_overwrite(path, False)
+    journal.add(with_hash(row_of(Walked(job, made, log)), path))
+    return True
+
+
+def seed_range(text: str) -> range:
+    """`5` or `0:8` as a range. Raises SurefootError for anything else."""
+    first, _, last = text.partition(":")
+    try:
+        start = int(first)
+        end = int(last) if last else start + 1
+    except ValueError:
+        raise SurefootError(f"--seeds {text}: give a number, or a range such as 0:8") from None
+    if start < 0 or end <= start:
+        raise SurefootError(f"--seeds {text}: the range is empty or negative")
+    return range(start, end)

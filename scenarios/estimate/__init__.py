@@ -1,0 +1,1 @@
+"""Filters on logs: the registry, their parameters, and comparisons."""

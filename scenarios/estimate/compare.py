@@ -1,0 +1,230 @@
+"""Every filter on every log: one table, figures, a report and a recording."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from tqdm import tqdm
+
+from surefoot.estimator.evaluation.trajectory import reference
+from surefoot.models.calibration.bounds import Bounds
+from surefoot.models.calibration.empirical_coverage import Coverage, coverage
+from surefoot.models.observer.predict import Prediction, predict, prediction_errors
+from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
+from surefoot.scenarios.estimate.registry import FILTERS, Learnt, Result, declared_model, run_all
+from surefoot.scenarios.reporting.figures import body_velocity, height, position_error, trajectories
+from surefoot.scenarios.reporting.html import Picture, Section, save_picture, write_report
+from surefoot.scenarios.reporting.tables import to_csv, to_markdown
+from surefoot.scenarios.viewer.recording import write_recording
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import whole_file
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
+
+MEANINGS = {
+    "APE_trans [m]": "position RMSE after aligning position and yaw at the first sample",
+    "APE_rot [deg]": "attitude RMSE after the same alignment",
+    "RPE_trans [m]": "position RMSE over all 1 m segments of the reference path",
+    "RPE_rot [deg/m]": "attitude RMSE over the same segments",
+    "pi<gamma [%]": "share of updates on which the coverage update was active",
+    "coverage [%]": "share of velocity errors jointly inside the bounds, with a 95 % interval",
+    "NEES_pos": "mean normalised squared position error; 3 is consistent, more is overconfident",
+    "NEES_vel": "the same of velocity",
+    "NEES_att": "the same of attitude",
+    "step [us]": "time of one IMU sample with its updates in the compiled loop (varies by machine)",
+}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All filters on one log."""
+
+    log: Log
+    robot: Robot
+    results: tuple[Result, ...]
+    left_out: dict[str, str]  # filter -> why
+    prediction: Prediction | None
+    bounds: Bounds | None
+    held: dict[str, Coverage]  # filter -> empirical coverage of its bounds
+
+
+def compare_log(
+    log: Log, robot: Robot, learnt: Learnt, names: Sequence[str] | None = None
+) -> Comparison:
+    """Run every filter that can run on `log`; a bar tells which."""
+    with tqdm(total=None, desc=f"filters on {log.name}", unit=" filter") as bar:
+
+        def tell(name: str) -> None:
+            bar.set_postfix_str(name)
+            bar.update()
+
+        results, left_out = run_all(log, robot, learnt, names, tell)
+    known, model = declared_model(log, robot)  # as the filters see it
+    prediction, bounds = None, None
+    held: dict[str, Coverage] = {}
+    for name, loss in (("coverage_gml", "gml"), ("coverage", None)):
+        if name not in {r.filter for r in results}:
+            continue
+        observer, bounds = learnt.bounded(loss)
+        prediction = predict(observer, known, model)
+        if log.has("reference"):
+            held[name] = coverage(prediction_errors(observer, known, model)[1], bounds)
+    return Comparison(log, robot, tuple(results), left_out, prediction, bounds, held)
+
+
+def table(comparisons: Sequence[Comparison]) -> pd.DataFrame:
+    """One row a log and filter; MEANINGS says what each column is."""
+    rows = []
+    for comparison in comparisons:
+        for result in comparison.results:
+            m = result.metrics
+            row: dict[str, object] = {"log": result.log, "filter": result.filter}
+            if m is not None:
+                held = comparison.held.get(result.filter)
+                row |= {
+                    "APE_trans [m]": m.ape_trans,
+                    "APE_rot [deg]": m.ape_rot,
+                    "RPE_trans [m]": m.rpe_trans,
+                    "RPE_rot [deg/m]": m.rpe_rot,
+                    "pi<gamma [%]": m.pi_below_gamma,
+                    "coverage [%]": _with_interval(held) if held else None,
+                    "NEES_pos": m.nees_position,
+                    "NEES_vel": m.nees_velocity,
+                    "NEES_att": m.nees_attitude,
+                }
+            row["step [us]"] = 1e6 * result.step_time
+            rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def write_comparison(
+    comparisons: Sequence[Comparison],
+    out: Path,
+    title: str,
+    ground: Ground | None = None,
+    extra: Sequence[Section] = (),
+    force: bool = False,
+) -> pd.DataFrame:
+    """Write table.md, table.csv, figures/, report.html and a recording a log into `out`."""
+    found = table(comparisons)
+    with whole_file(out / "table.md", force) as path:
+        path.write_text(to_markdown(found) + "\n")
+    with whole_file(out / "table.csv", force) as path:
+        path.write_text(to_csv(found))
+    sections = _summary_sections(comparisons, found)
+    for comparison in comparisons:
+        pictures = _pictures(comparison, ground.patches if ground else ())
+        for name, picture in pictures.items():
+            save_picture(picture, out / "figures" / f"{comparison.log.name}_{name}.png", force)
+        sections.append(
+            Section(
+                f"The log '{comparison.log.name}'",
+                _walk_prose(comparison),
+                None,
+                tuple(pictures.values()),
+            )
+        )
+        if comparison.log.has("reference"):
+            write_recording(
+                out / f"{comparison.log.name}.rrd",
+                comparison.log,
+                comparison.robot,
+                {r.filter: r.trajectory for r in comparison.results if r.filter != "imu"},
+                comparison.prediction,
+                comparison.bounds,
+                ground,
+                force=force,
+            )
+    write_report(out / "report.html", title, [*sections, *extra], force)
+    return found
+
+
+def prepare_folder(out: Path, force: bool) -> None:
+    """Make `out`; raises SurefootError where it holds something and `force` is not given."""
+    if out.exists() and not out.is_dir():
+        raise SurefootError(f"-o {out}: is a file, not a folder")
+    if out.is_dir() and any(out.iterdir()) and not force:
+        raise SurefootError(f"-o {out}: is not empty; give --force to overwrite what is in it")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SurefootError(f"-o {out}: {error.strerror}") from None
+
+
+def _with_interval(held: Coverage) -> str:
+    low, high = 100 * held.joint_interval
+    return f"{100 * held.joint:.1f} ({low:.0f}–{high:.0f})"
+
+
+def _summary_sections(comparisons: Sequence[Comparison], found: pd.DataFrame) -> list[Section]:
+    """The table, and how to read it."""
+    left_out = [
+        f"Left out on {comparison.log.name}: {name} ({why})."
+        for comparison in comparisons
+        for name, why in comparison.left_out.items()
+    ]
+    ran = dict.fromkeys(result.filter for c in comparisons for result in c.results)
+    glossary = [{"": name, "means": FILTERS[name].__doc__} for name in ran]
+    glossary += [{"": n, "means": text} for n, text in MEANINGS.items() if n in found.columns]
+    return [
+        Section("Filters compared", "\n\n".join(left_out), found),
+        Section("How to read the table", "", glossary),
+    ]
+
+
+def _walk_prose(comparison: Comparison) -> str:
+    log = comparison.log
+    text = f"{comparison.robot.name}, {log.t[-1] - log.t[0]:.1f} s"
+    if log.has("reference"):
+        # Sampled every half second, or the gait's bob counts as path.
+        step = max(1, round(0.5 * log.rate))
+        length = np.linalg.norm(np.diff(log.ref_p[::step], axis=0), axis=1).sum()
+        text += f", {length:.1f} m"
+    if log.has("truth"):
+        loaded = log.slip > 0
+        dry = loaded & (log.mu > 0.4)
+        text += (
+            f". Feet slide faster than 5 cm/s in {100 * (log.slip[loaded] > 0.05).mean():.1f} % of "
+            f"the samples that load them; on dry ground they creep at "
+            f"{1e3 * np.median(log.slip[dry]):.2f} mm/s (median)"
+        )
+    if comparison.bounds is not None:
+        x, y, z = comparison.bounds.epsilon
+        text += f". Bounds on the observer's velocity: {x:.3f}, {y:.3f}, {z:.3f} m/s"
+    return text + "."
+
+
+def _pictures(comparison: Comparison, patches: Sequence) -> dict[str, Picture]:
+    if not comparison.log.has("reference"):
+        return {}
+    truth = reference(comparison.log)
+    # The IMU alone leaves the picture within seconds and would hide the others.
+    errors: dict[str, ErrorSeries] = {
+        r.filter: error_series(truth, r.trajectory, 20.0)
+        for r in comparison.results
+        if r.filter != "imu"
+    }
+    pictures = {
+        "trajectories": Picture(
+            trajectories(comparison.log, errors, patches),
+            "The walk from above: truth and every estimate, aligned at the start.",
+        ),
+        "height": Picture(
+            height(comparison.log, errors),
+            "Height over time: nothing on board sees it, so every filter drifts.",
+        ),
+        "position_error": Picture(
+            position_error(errors),
+            "Distance from the truth, and the three sigma each filter claims for itself.",
+        ),
+    }
+    if comparison.prediction is not None and comparison.bounds is not None:
+        epsilon = comparison.bounds.epsilon_at(comparison.robot.R_BI)
+        pictures["velocity"] = Picture(
+            body_velocity(comparison.log, comparison.prediction, epsilon),
+            "Body velocity: the observer's prediction, its calibrated bounds, and the truth.",
+        )
+    return pictures

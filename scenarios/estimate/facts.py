@@ -1,0 +1,62 @@
+"""What is kept of an estimate: its metrics, whether its bounds held, and its errors over time."""
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from surefoot.estimator.evaluation.trajectory import Trajectory, reference
+from surefoot.estimator.metrics import align_first, matched, nees
+from surefoot.models.calibration.empirical_coverage import binomial_interval
+from surefoot.models.observer.samples import body_velocity
+from surefoot.scenarios.estimate.error_series import error_series
+from surefoot.scenarios.estimate.registry import Learnt, Result
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
+
+SERIES_RATE = 5.0
+"""Hz, of the errors that are kept for figures."""
+
+
+def estimate_facts(log: Log, robot: Robot, result: Result, learnt: Learnt) -> dict[str, Any]:
+    """Metrics of an estimate, its time a step, and of the velocities it was fed their mean error
+    (3,), its spread (3,), and how often the bounds held.
+
+    Bounds on anything but a velocity itself, such as the mean of a window beside a persistent part
+    that the filter estimates, are not judged here.
+    """
+    facts: dict[str, Any] = {"step_us": 1e6 * result.step_time}
+    if result.metrics is not None:
+        facts |= asdict(result.metrics)
+    updates = result.trajectory.updates
+    if updates is None or not log.has("reference"):
+        return facts
+    v_I, measured = body_velocity(log, np.searchsorted(log.t, updates.t - 1e-6))
+    errors = (updates.v_I - v_I)[measured]
+    facts |= {"fed_mean": errors.mean(axis=0).tolist(), "fed_spread": errors.std(axis=0).tolist()}
+    own = [bounds.epsilon_at(robot.R_BI) for bounds in learnt.bounds]
+    if updates.epsilon is not None and any(np.allclose(updates.epsilon, e) for e in own):
+        share = float(np.all(np.abs(errors) <= updates.epsilon[measured], axis=1).mean())
+        # Neighbouring errors are no independent trials: those K steps apart are.
+        n = max(len(errors) // max(bounds.K for bounds in learnt.bounds), 1)
+        low, high = binomial_interval(share, n)
+        facts |= {"coverage": share, "coverage_low": low, "coverage_high": high, "coverage_n": n}
+    return facts
+
+
+def error_table(log: Log, estimate: Trajectory) -> pd.DataFrame:
+    """Aligned path, truth, own sigma and NEES over time, a few rows a second."""
+    truth = reference(log)
+    errors = error_series(truth, estimate, SERIES_RATE)
+    ref, est = matched(truth, estimate)
+    consistency = nees(ref, align_first(ref, est))
+    rows = np.searchsorted(ref.t, errors.t - 1e-6)
+    columns = {"t": errors.t, "distance": errors.distance}
+    for k, axis in enumerate("xyz"):
+        columns |= {f"p_{axis}": errors.p_GI[:, k]}
+        columns |= {f"ref_{axis}": errors.p_GI[:, k] - errors.position[:, k]}
+    if errors.distance_sigma is not None:
+        columns["sigma"] = errors.distance_sigma
+        columns |= {"nees_pos": consistency.position[rows], "nees_vel": consistency.velocity[rows]}
+    return pd.DataFrame({name: values.astype(np.float32) for name, values in columns.items()})

@@ -1,0 +1,51 @@
+"""Both observers of some walks, and bounds for both: what the learnt filters need."""
+
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+from surefoot.models.calibration.bounds import Bounds
+from surefoot.models.calibration.calibrate import calibrate
+from surefoot.models.observer.observer import Observer
+from surefoot.models.observer.training import DEFAULT, Schedule, train
+from surefoot.scenarios.estimate.registry import Learnt
+from surefoot.sim.log import Log
+
+LOSSES = ("mse", "gml")
+
+
+def learn(
+    training: Sequence[Log],
+    calibration: Log,
+    out: Path,
+    seed: int,
+    inputs: str = "q,dq,tau",
+    gamma: float = 0.8,
+    force: bool = False,
+    schedule: Schedule = DEFAULT,
+) -> Learnt:
+    """Train with each loss at once, one process each, calibrate, and keep all four in `out`."""
+    with ProcessPoolExecutor(len(LOSSES), mp_context=get_context("spawn")) as pool:
+        jobs = [
+            pool.submit(_train, list(training), loss, seed, inputs, schedule) for loss in LOSSES
+        ]
+        observers = tuple(job.result() for job in jobs)
+    bounds = []
+    for observer in observers:
+        observer.save(out / f"observer_{observer.loss}.pt", force)
+        bounds.append(calibrate(observer, calibration, gamma))
+        bounds[-1].save(out / f"bounds_{observer.loss}.json", force)
+    return Learnt(observers, tuple(bounds))
+
+
+def learnt_in(out: Path) -> Learnt:
+    """What `learn` left in a folder."""
+    return Learnt(
+        tuple(Observer.load(out / f"observer_{loss}.pt") for loss in LOSSES),
+        tuple(Bounds.load(out / f"bounds_{loss}.json") for loss in LOSSES),
+    )
+
+
+def _train(logs: list[Log], loss: str, seed: int, inputs: str, schedule: Schedule) -> Observer:
+    return train(logs, inputs=inputs, loss=loss, seed=seed, progress=True, schedule=schedule)

@@ -1,0 +1,1 @@
+"""Grids over scenarios, robots, conditions and filters: from a file to one tidy table."""

@@ -1,0 +1,80 @@
+"""Products on disk, each under a key made of all that decides it: made once, found again.
+
+A key hashes what the product is made from and the source of the code that makes it. An input that
+is itself a product enters by its contents, not by its key: code that changed and made the same
+bits again invalidates nothing further down.
+"""
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from surefoot.sim.common.files import whole_file
+from surefoot.sim.common.sources import sources_digest
+
+
+@dataclass(frozen=True)
+class Product:
+    """A file in the cache, the SHA-256 of its contents, and a few facts of it (plain JSON)."""
+
+    path: Path
+    digest: str
+    facts: dict[str, Any]
+
+
+def product(
+    folder: Path,
+    kind: str,
+    inputs: Mapping[str, Any],
+    code: str,
+    suffix: str,
+    make: Callable[[Path], dict[str, Any]],
+) -> Product:
+    """The product of these inputs: read from `folder` where it is there, made where not.
+
+    Args:
+        folder: the cache's.
+        kind: of product; files of a kind share a folder.
+        inputs: all that decides it, as JSON; of another product, its digest.
+        code: the module that makes it, such as "surefoot.sim.walking.batch"; it and all that it
+        imports count.
+        suffix: of the file.
+        make: writes the file at the path it is given and returns the facts.
+    """
+    key = product_key(kind, inputs, code)
+    path = folder / kind / f"{key}{suffix}"
+    card = path.with_name(f"{key}.json") if suffix != ".json" else path.with_suffix(".card")
+    found = _read(card, path)
+    if found:
+        return found
+    with whole_file(path, force=True) as temporary:
+        facts = make(temporary)
+        digest = file_digest(temporary)
+    # The card comes last: a file without one is one that a kill left, and is made again.
+    with whole_file(card, force=True) as temporary:
+        values = {"inputs": dict(inputs), "digest": digest, "facts": facts}
+        temporary.write_text(json.dumps(values, indent=1), encoding="utf-8")
+    return Product(path, digest, facts)
+
+
+def product_key(kind: str, inputs: Mapping[str, Any], code: str) -> str:
+    """The name under which a product is kept."""
+    text = json.dumps([kind, inputs, sources_digest(code)], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def file_digest(path: Path) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _read(card: Path, path: Path) -> Product | None:
+    try:
+        values = json.loads(card.read_text(encoding="utf-8"))
+        found = Product(path, values["digest"], values["facts"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return found if path.exists() else None

@@ -1,0 +1,162 @@
+"""Figures of an experiment: errors and consistency by sequence, the gamma sweep, and the paths."""
+
+# pyright: reportArgumentType=false, reportGeneralTypeIssues=false, reportCallIssue=false
+# pyright: reportIndexIssue=false, reportReturnType=false, reportAttributeAccessIssue=false
+# (pandas' stubs take a selection for any of several types)
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from surefoot.scenarios.reporting.palette import (
+    INK,
+    TRUTH,
+    estimator_color,
+    estimator_label,
+    estimator_line,
+)
+from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
+
+NOMINAL = 3.0  # NEES of a three-dimensional error
+FACTOR = 2.0  # from the nominal value that still counts as consistent
+
+
+def by_sequence(
+    rows: pd.DataFrame,
+    column: str,
+    title: str,
+    band: tuple[float, float] | None = None,
+    log: bool = True,
+) -> Figure:
+    """One figure of dots: a row a sequence, a panel a condition, a colour a filter, a dot a seed.
+
+    The wide mark is the mean over seeds; `band` shades where values should lie.
+    """
+    rows = pd.DataFrame(rows[rows[column].notna()])
+    conditions, names = list(rows["condition"].unique()), list(rows["sequence"].unique())
+    filters = list(rows["filter"].unique())
+    size = (5.2 * len(conditions) + 1.0, 0.42 * len(names) + 1.9)
+    figure, axes = new_figure(1, len(conditions), size=size)
+    offsets = dict(zip(filters, np.linspace(-0.32, 0.32, max(len(filters), 2)), strict=False))
+    for ax, condition in zip(axes[0], conditions, strict=True):
+        part = rows[rows["condition"] == condition]
+        if band:
+            ax.axvspan(*band, color="#E6E6E6", zorder=0)
+        for name in filters:
+            color = estimator_color(name)
+            mine = part[part["filter"] == name]
+            y = mine["sequence"].map(names.index) + offsets[name]
+            ax.plot(mine[column], y, ".", color=color, markersize=3.0, alpha=0.7)
+            means = mine.groupby("sequence")[column].mean()
+            at = [names.index(sequence) + offsets[name] for sequence in means.index]
+            ax.plot(
+                means, at, "|", color=color, markersize=8, markeredgewidth=2.2,
+                label=estimator_label(name),
+            )  # fmt: skip
+        if log:
+            ax.set_xscale("log")
+        ax.set_yticks(range(len(names)), labels=names)
+        ax.set_ylim(len(names) - 0.5, -0.5)
+        for k in range(len(names) - 1):
+            ax.axhline(k + 0.5, color="#EEEEEE", linewidth=0.8)
+        ax.grid(axis="y", visible=False)
+        ax.set_xlabel(column)
+        set_title(ax, f"{condition}", 9.5)
+        label_roles(ax, rows, names)
+    figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+    legend_below(figure, axes[0, 0], columns=3 * len(conditions))
+    return figure
+
+
+def label_roles(ax, rows: pd.DataFrame, names: Sequence[str]) -> None:
+    """Test sequences in bold, as in the tables."""
+    roles = rows.drop_duplicates("sequence").set_index("sequence")["role"]
+    for label, name in zip(ax.get_yticklabels(), names, strict=True):
+        if roles[name] == "test":
+            label.set_fontweight("bold")
+        else:
+            label.set_text(f"{name} ({roles[name]})")
+    ax.set_yticklabels([label.get_text() for label in ax.get_yticklabels()])
+
+
+def gamma_sweep(table: pd.DataFrame, title: str) -> Figure:
+    """Errors, consistency and active share over gamma, averaged over the test sequences."""
+    columns = ("APE_trans [m]", "NEES_pos", "pi<gamma [%]")
+    figure, axes = new_figure(1, len(columns), size=(10.0, 3.6))
+    for ax, column in zip(axes[0], columns, strict=True):
+        for (condition, name), part in table.groupby(["condition", "filter"], sort=False):
+            conditions = list(table["condition"].unique())
+            style = ("-", "--", ":", "-.")[conditions.index(condition) % 4]
+            ax.plot(
+                part["gamma"], part[column], style, marker="o", markersize=4,
+                color=estimator_color(str(name)),
+                label=f"{estimator_label(str(name))}, {condition}",
+            )  # fmt: skip
+        ax.set(xlabel="γ", ylabel=column)
+        ax.set_ylim(0.0, None)
+    figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+    legend_below(figure, axes[0, 0], columns=3)
+    return figure
+
+
+def paths(series: Mapping[str, pd.DataFrame], title: str) -> Figure:
+    """Top view and height of one walk: truth and every estimate, aligned at the start."""
+    truth = next(iter(series.values()))
+    figure, axes = new_figure(1, 2, size=(10.0, 4.4))
+    above, height = axes[0]
+    above.plot(truth["ref_x"], truth["ref_y"], color=TRUTH, linewidth=3.5, label="Truth")
+    height.plot(truth["t"], truth["ref_z"], color=TRUTH, linewidth=3.0)
+    for name, part in series.items():
+        look = {"color": estimator_color(name), "linestyle": estimator_line(name), "linewidth": 1.3}
+        above.plot(part["p_x"], part["p_y"], **look, label=estimator_label(name))
+        height.plot(part["t"], part["p_z"], **look)
+    above.plot(truth["ref_x"][0], truth["ref_y"][0], "o", color=INK, markersize=6)
+    above.set(xlabel="x [m]", ylabel="y [m]")
+    # Estimates that left the picture must not shrink the others to a dot.
+    for ax, x, y, keep in ((above, "ref_x", "ref_y", 0.35), (height, "t", "ref_z", None)):
+        low = np.array([truth[x].min(), truth[y].min()])
+        high = np.array([truth[x].max(), truth[y].max()])
+        margin = 0.35 * max(np.max(high - low), 2.0) if keep else max(high[1] - low[1], 2.0)
+        ax.set_ylim(low[1] - margin, high[1] + margin)
+        if keep:
+            ax.set_xlim(low[0] - margin, high[0] + margin)
+    above.set_aspect("equal")
+    height.set(xlabel="time [s]", ylabel="height z [m]")
+    set_title(above, "From above")
+    set_title(height, "Height of the IMU")
+    figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+    legend_below(figure, above, columns=5)
+    return figure
+
+
+def errors_over_time(
+    series: Mapping[str, Mapping[str, pd.DataFrame]], title: str, columns: int = 3
+) -> Figure:
+    """A panel a sequence: distance from the truth, and dashed the three sigma a filter claims."""
+    lines = -(-len(series) // columns)
+    figure, axes = new_figure(lines, columns, size=(10.0, 2.2 * lines + 0.8))
+    for ax in axes.flat[len(series) :]:
+        ax.set_visible(False)
+    for ax, (name, by_filter) in zip(axes.flat, series.items(), strict=False):
+        top = 0.0
+        for filter_name, part in by_filter.items():
+            color = estimator_color(filter_name)
+            ax.plot(
+                part["t"], part["distance"], color=color, linewidth=1.3,
+                linestyle=estimator_line(filter_name), label=estimator_label(filter_name),
+            )  # fmt: skip
+            top = max(top, float(part["distance"].max()))
+            if "sigma" in part:
+                ax.plot(
+                    part["t"], 3.0 * part["sigma"], color=color, linewidth=0.8,
+                    linestyle=(0, (4, 2)), alpha=0.8,
+                )  # fmt: skip
+        ax.set_ylim(0.0, 1.15 * top if top else 1.0)
+        set_title(ax, name, 9.0)
+    for ax in axes[:, 0]:
+        ax.set_ylabel("error [m]")
+    figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+    legend_below(figure, axes[0, 0], columns=5)
+    return figure

@@ -1,0 +1,200 @@
+"""What an experiment is made of: walks, observers, bounds and estimates, each found or made."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from surefoot.models.calibration.bounds import Bounds
+from surefoot.models.calibration.calibrate import calibrate
+from surefoot.models.observer.observer import Observer
+from surefoot.models.observer.training import Schedule, train
+from surefoot.scenarios.datasets.index import recipe, row_of
+from surefoot.scenarios.estimate.facts import error_table, estimate_facts
+from surefoot.scenarios.estimate.registry import NEEDS, Learnt, declared_model, run_filter
+from surefoot.scenarios.estimate.tuned import tuned
+from surefoot.scenarios.experiments.cache import Product, product, product_key
+from surefoot.scenarios.experiments.file import Learning
+from surefoot.scenarios.viewer.walk_recording import record_walk
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.log import Log
+from surefoot.sim.walking.batch import Job, known_robot, walk_job
+
+
+@dataclass(frozen=True)
+class LearntFiles:
+    """Observers by loss, and their bounds by gamma and loss."""
+
+    observers: dict[str, Product]
+    bounds: dict[float, dict[str, Product]]
+
+    def load(self, gamma: float) -> Learnt:
+        """Observers, and the bounds of one gamma."""
+        return Learnt(
+            tuple(Observer.load(one.path) for one in self.observers.values()),
+            tuple(Bounds.load(one.path) for one in self.bounds.get(gamma, {}).values()),
+        )
+
+
+def make_walk(folder: Path, job: Job) -> Product:
+    """The log of a walk; of one that fell, a file that says so."""
+    inputs = {
+        "recipe": recipe(job),
+        "effects": [e.as_dict() for e in job.effects],
+        "declared": job.declared,
+    }
+
+    def make(path: Path) -> dict[str, Any]:
+        walked = walk_job(job)
+        row = row_of(walked)
+        if isinstance(walked.log, Log):
+            walked.log.write(path, force=True)
+        else:
+            path.write_text(f"fell at {row.fell_at:.1f} s\n")
+        names = ("falls", "fell_at", "duration", "length", "slip_share", "creep", "payload")
+        return {name: getattr(row, name) for name in names}
+
+    return product(folder, "walk", inputs, "surefoot.sim.walking.batch", ".parquet", make)
+
+
+def make_observer(
+    folder: Path, logs: Sequence[tuple[str, Product]], learning: Learning, loss: str, seed: int
+) -> Product:
+    """An observer of that loss, trained on these walks as their logs declare them."""
+    inputs = {
+        "logs": [(name, walk.digest) for name, walk in logs],
+        "inputs": learning.inputs,
+        "steps": learning.steps,
+        "model": learning.model,
+        "loss": loss,
+        "seed": seed,
+    }
+
+    def make(path: Path) -> dict[str, Any]:
+        walks = [read_walk(walk, name) for name, walk in logs]
+        observer = train(
+            walks,
+            inputs=learning.inputs,
+            loss=loss,
+            seed=seed,
+            schedule=Schedule(steps=learning.steps),
+            model=learning.model,
+            partial=partial,
+        )
+        observer.save(path, force=True)
+        partial.unlink(missing_ok=True)
+        return {"rmse": observer.rmse.tolist()}
+
+    code = "surefoot.models.observer.training"
+    # A killed training goes on from what it had learnt.
+    partial = folder / "observer" / f"{product_key('observer', inputs, code)}.partial"
+    return product(folder, "observer", inputs, code, ".pt", make)
+
+
+def make_bounds(
+    folder: Path, observer: Product, log: tuple[str, Product], gamma: float, method: str
+) -> Product:
+    """The observer's bounds at joint level gamma, from this walk."""
+    name, walk = log
+    inputs = {"observer": observer.digest, "log": (name, walk.digest)}
+    inputs |= {"gamma": gamma, "method": method}
+
+    def make(path: Path) -> dict[str, Any]:
+        bounds = calibrate(Observer.load(observer.path), read_walk(walk, name), gamma, method)
+        bounds.save(path, force=True)
+        return {"epsilon": bounds.epsilon.tolist(), "K": bounds.K, "n": bounds.n}
+
+    return product(
+        folder, "bounds", inputs, "surefoot.models.calibration.calibrate", ".bounds", make
+    )
+
+
+def read_walk(walk: Product, name: str) -> Log:
+    """A walk's log under its scenario's name, with the effects that it declares undone."""
+    log = replace(Log.read(walk.path), name=name)
+    return declared_model(log, known_robot(log.meta.robot or ""))[0]
+
+
+def make_estimates(
+    folder: Path,
+    walk: Product,
+    name: str,
+    robot_name: str,
+    learnt: LearntFiles,
+    filters: Sequence[str],
+    gammas: Sequence[float],
+) -> tuple[dict[tuple[str, float | None], Product], dict[str, str]]:
+    """Every filter on a walk, those that use bounds at every gamma; and why any was left out.
+
+    A filter without bounds has the gamma None and is run once. The file of an estimate holds its
+    errors over time, the facts its metrics.
+    """
+    parameters = tuned(known_robot(robot_name))
+    log = cache(lambda: replace(Log.read(walk.path), name=name))
+    loaded = cache(learnt.load)
+    found: dict[tuple[str, float | None], Product] = {}
+    left_out: dict[str, str] = {}
+    for filter_name in filters:
+        needs = NEEDS.get(filter_name, ("observers", "bounds"))
+        for gamma in gammas if "bounds" in needs else gammas[:1]:
+            inputs: dict[str, Any] = {"walk": walk.digest, "filter": filter_name}
+            inputs["parameters"] = parameters.filters[filter_name]
+            inputs["mounting"] = parameters.mounting
+            if "observers" in needs:
+                inputs["observers"] = sorted(one.digest for one in learnt.observers.values())
+            if {"bounds", "persistent"} & set(needs):
+                bounds = learnt.bounds.get(gamma, {})
+                inputs["bounds"] = sorted(one.digest for one in bounds.values())
+
+            def make(path: Path, filter_name: str = filter_name, gamma: float = gamma) -> dict:
+                robot = known_robot(robot_name)
+                result = run_filter(filter_name, log(), robot, loaded(gamma))
+                error_table(log(), result.trajectory).to_parquet(path, index=False)
+                return estimate_facts(log(), robot, result, loaded(gamma))
+
+            try:
+                one = product(
+                    folder,
+                    "estimate",
+                    inputs,
+                    "surefoot.scenarios.estimate.facts",
+                    ".parquet",
+                    make,
+                )
+            except SurefootError as error:
+                left_out[filter_name] = str(error).removeprefix(f"filter {filter_name}: ")
+                break
+            found[filter_name, gamma if "bounds" in needs else None] = one
+    return found, left_out
+
+
+def make_recording(
+    folder: Path,
+    walk: Product,
+    job: Job,
+    learnt: LearntFiles,
+    filters: Sequence[str],
+    gamma: float,
+) -> Product:
+    """A rerun recording of a walk and of every filter on it but the floor."""
+    name = job.scenario.name
+    bounds = learnt.bounds.get(gamma, {})
+    parts = [*learnt.observers.values(), *bounds.values()]
+    inputs = {
+        "walk": walk.digest,
+        "ground": repr(job.scenario.ground),
+        "learnt": sorted(one.digest for one in parts),
+        "filters": list(filters),
+    }
+
+    def make(path: Path) -> dict[str, Any]:
+        log = replace(Log.read(walk.path), name=name)
+        named = path.with_name(f"{path.name}.rrd")
+        record_walk(named, log, job, learnt.load(gamma), filters)
+        named.replace(path)
+        return {}
+
+    return product(
+        folder, "recording", inputs, "surefoot.scenarios.viewer.walk_recording", ".rrd", make
+    )

@@ -1,0 +1,234 @@
+"""An experiment from its file to its folder: tables, figures, one page, and recordings."""
+
+# pyright: reportArgumentType=false, reportGeneralTypeIssues=false, reportCallIssue=false
+# pyright: reportIndexIssue=false, reportReturnType=false, reportAttributeAccessIssue=false
+# (pandas' stubs take a selection for any of several types)
+
+from collections.abc import Mapping
+from pathlib import Path
+from shutil import copyfile
+
+import pandas as pd
+
+from surefoot.scenarios.datasets.simulate import seed_range
+from surefoot.scenarios.estimate.registry import FILTERS
+from surefoot.scenarios.experiments.figures import (
+    FACTOR,
+    NOMINAL,
+    by_sequence,
+    errors_over_time,
+    gamma_sweep,
+    paths,
+)
+from surefoot.scenarios.experiments.file import Experiment
+from surefoot.scenarios.experiments.run import Outcome, run
+from surefoot.scenarios.experiments.tables import (
+    MEANINGS,
+    at_gamma,
+    averages,
+    per_sequence,
+    published,
+    sweep,
+    tidy,
+)
+from surefoot.scenarios.experiments.words import FLOOR, findings
+from surefoot.scenarios.reporting.html import (
+    Picture,
+    Section,
+    markdown_report,
+    save_picture,
+    write_report,
+)
+from surefoot.scenarios.reporting.tables import to_csv, to_markdown
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import clear_debris, whole_file
+
+
+def experiment(
+    file: Path,
+    out: Path,
+    workers: int = 1,
+    seeds: str | None = None,
+    cache: Path | None = None,
+    recordings: bool = True,
+    force: bool = False,
+) -> pd.DataFrame:
+    """Run the file's grid into `out` and print the averages; returns every row.
+
+    A run that was killed goes on where it stopped. Raises SurefootError for bad input, and where
+    `out` holds a finished run and `force` is not given.
+    """
+    found = Experiment.load(file)
+    if workers < 1:
+        raise SurefootError(f"--workers {workers}: at least 1")
+    if seeds is not None:
+        found = found.with_seeds(tuple(seed_range(seeds)))
+    if (out / "report.html").exists() and not force:
+        raise SurefootError(f"-o {out}: holds a finished run; give --force to write it again")
+    folder = cache or out / "cache"
+    clear_debris(folder.glob("*/.*.tmp"))
+    outcome = run(found, folder, workers, recordings)
+    rows = tidy(outcome)
+    write_tables(rows, found, out)
+    for name, recording in outcome.recordings.items():
+        with whole_file(out / "recordings" / f"{name}.rrd", force=True) as temporary:
+            copyfile(recording.path, temporary)
+    pages = sections(rows, outcome, found, out)
+    with whole_file(out / "report.md", force=True) as temporary:
+        temporary.write_text(markdown_report(found.title, pages), encoding="utf-8")
+    # The page comes last: where it is, everything else is whole.
+    write_report(out / "report.html", found.title, pages, force=True)
+    print("\n" + to_markdown(averages(at_gamma(rows, found.gammas[0]))))
+    for name, why in outcome.left_out.items():
+        print(f"left out: {name} ({why})")
+    for cell, walk in outcome.walks.items():
+        if walk.facts["falls"]:
+            print(f"fell: {cell.scenario.name}, {cell.condition.name}, seed {cell.seed}")
+    print(f"\nreport: {out / 'report.html'}")
+    return rows
+
+
+def write_tables(rows: pd.DataFrame, found: Experiment, out: Path) -> None:
+    """results.csv and .parquet hold every row, the others what the report shows."""
+    with whole_file(out / "results.parquet", force=True) as temporary:
+        rows.to_parquet(temporary, index=False)
+    main = at_gamma(rows, found.gammas[0])
+    tables = {"results": rows, "averages": averages(main), "sweep": sweep(rows, found)}
+    for condition in found.conditions:
+        part = main[main["condition"] == condition.name]
+        tables[f"sequences_{_slug(condition.name)}"] = per_sequence(part)
+    for name, table in tables.items():
+        with whole_file(out / f"{name}.csv", force=True) as temporary:
+            temporary.write_text(to_csv(table), encoding="utf-8")
+        if name != "results" and len(table):
+            with whole_file(out / f"{name}.md", force=True) as temporary:
+                temporary.write_text(to_markdown(table) + "\n", encoding="utf-8")
+
+
+def sections(rows: pd.DataFrame, outcome: Outcome, found: Experiment, out: Path) -> list[Section]:
+    """The report: averages, what they say, errors by sequence, consistency, sweep, paths, rows."""
+    main = at_gamma(rows, found.gammas[0])
+    shown = _narrow(averages(main))
+    pages = [Section("Averages over the test sequences", _setting(found, rows), shown)]
+    pages += [Section(f"What the rows say: {name}", text) for name, text in findings(main, found)]
+    if found.published:
+        pages += _published(found.published)
+    pictures = _pictures(main, found.gammas[0])
+    for name, picture in pictures.items():
+        save_picture(picture, out / "figures" / f"{name}.png", force=True)
+    pages.append(Section("Errors and consistency by sequence", "", None, tuple(pictures.values())))
+    swept = sweep(rows, found)
+    if len(found.gammas) + len(found.sweep.gammas) > 1 and len(swept):
+        picture = Picture(
+            gamma_sweep(swept, "How much γ matters, on average over the test sequences"),
+            "Each gamma has bounds calibrated for it; filters that use no bounds do not change.",
+        )
+        save_picture(picture, out / "figures" / "gamma.png", force=True)
+        pages.append(Section("The level γ", "", swept, (picture,)))
+    pages += _walks(outcome, found, out)
+    for condition in found.conditions:
+        part = main[main["condition"] == condition.name]
+        text = "Test sequences in bold. Mean ± standard deviation over seeds."
+        pages.append(Section(f"Every sequence: {condition.name}", text, per_sequence(part)))
+    pages.append(Section("How to read the tables", "", _glossary(main, outcome)))
+    return pages
+
+
+def _narrow(table: pd.DataFrame) -> pd.DataFrame:
+    """The table without the columns that say the same in every row."""
+    same = [c for c in ("condition", "robot") if table[c].nunique() == 1]
+    return table.drop(columns=same)
+
+
+def _setting(found: Experiment, rows: pd.DataFrame) -> str:
+    roles = rows.drop_duplicates("sequence").groupby("role", sort=False)["sequence"].agg(list)
+    learnt = ", ".join(f"{role}: {', '.join(names)}" for role, names in roles.items())
+    sources = sorted({i.source for c in found.conditions for i in c.imperfections})
+    seeds = ", ".join(map(str, found.seeds))
+    text = f"{learnt}. Joint level γ = {found.gammas[0]:g}; seeds {seeds}."
+    words = "\n\n".join(f"{c.name}: {c.words}." for c in found.conditions if c.words)
+    from_where = f"Sizes of the imperfections are from: {'; '.join(sources)}." if sources else ""
+    return "\n\n".join([text, words, from_where])
+
+
+def _published(name: str) -> list[Section]:
+    rows, both, note = published(name)
+    text = (
+        f"{note}\n\nThe averages are given as printed and once more from the rows, since the two "
+        "need not agree. Simulated and real figures are not to be ranked with each other."
+    )
+    return [
+        Section("The paper's own figures, of real robots", text, both),
+        Section("The paper's rows", "", rows),
+    ]
+
+
+def _pictures(main: pd.DataFrame, gamma: float) -> dict[str, Picture]:
+    shown = pd.DataFrame(main[~main["filter"].isin(FLOOR)])
+    band = (NOMINAL / FACTOR, NOMINAL * FACTOR)
+    pictures = {
+        "ape": Picture(
+            by_sequence(shown, "APE_trans [m]", "Position error by sequence"),
+            "A dot a seed, the bar their mean; sequences in bold are those tested on.",
+        ),
+        "ape_rot": Picture(
+            by_sequence(shown, "APE_rot [deg]", "Attitude error by sequence"),
+            "The same of attitude.",
+        ),
+        "nees": Picture(
+            by_sequence(shown, "NEES_pos", "Consistency: NEES of position", band),
+            "The grey band is within a factor of two of 3; to its right a filter claims too much.",
+        ),
+    }
+    if shown["coverage [%]"].notna().any():
+        title = "Share of velocity errors within the bounds"
+        pictures["coverage"] = Picture(
+            by_sequence(shown, "coverage [%]", title, (100.0 * gamma, 100.0), log=False),
+            "Bounds are calibrated on one sequence, to hold at γ or more: the grey band.",
+        )
+    return pictures
+
+
+def _walks(outcome: Outcome, found: Experiment, out: Path) -> list[Section]:
+    """Paths of every sequence and errors over time, of the first seed, by condition."""
+    pages = []
+    for condition in found.conditions:
+        series = _series(outcome, condition.name, found)
+        pictures = []
+        for name, by_filter in series.items():
+            picture = Picture(
+                paths(by_filter, f"{name}, {condition.name}"),
+                f"{name}, seed {found.seeds[0]}: truth and estimates, aligned at the start.",
+            )
+            save_picture(picture, out / "figures" / f"{name}_{_slug(condition.name)}.png", True)
+            pictures.append(picture)
+        if series:
+            title = f"Distance from the truth, dashed: the three sigma claimed; {condition.name}"
+            picture = Picture(errors_over_time(series, title), "Errors over time.")
+            save_picture(picture, out / "figures" / f"errors_{_slug(condition.name)}.png", True)
+            pages.append(Section(f"Paths: {condition.name}", "", None, (picture, *pictures)))
+    return pages
+
+
+def _series(
+    outcome: Outcome, condition: str, found: Experiment
+) -> Mapping[str, Mapping[str, pd.DataFrame]]:
+    series: dict[str, dict[str, pd.DataFrame]] = {}
+    for one in outcome.estimates:
+        mine = one.cell.condition.name == condition and one.cell.seed == found.seeds[0]
+        if mine and one.gamma in (None, found.gammas[0]) and one.filter not in FLOOR:
+            robots = found.robots_of(one.cell.scenario)
+            name = one.cell.scenario.name + (f", {one.cell.robot}" if len(robots) > 1 else "")
+            series.setdefault(name, {})[one.filter] = pd.read_parquet(one.product.path)
+    return series
+
+
+def _glossary(main: pd.DataFrame, outcome: Outcome) -> list[dict[str, str]]:
+    rows = [{"": name, "means": FILTERS[name].__doc__ or ""} for name in main["filter"].unique()]
+    rows += [{"": name, "means": text} for name, text in MEANINGS.items()]
+    rows += [{"": f"{name}, left out", "means": why} for name, why in outcome.left_out.items()]
+    return rows
+
+
+def _slug(name: str) -> str:
+    return name.replace(" ", "_").replace("/", "_")

@@ -1,0 +1,179 @@
+"""The tables of an experiment: every row, averages over the test sequences, the paper's beside."""
+
+# pyright: reportArgumentType=false, reportGeneralTypeIssues=false, reportCallIssue=false
+# pyright: reportIndexIssue=false, reportReturnType=false, reportAttributeAccessIssue=false
+# (pandas' stubs take a selection for any of several types)
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+
+from surefoot.models.calibration.empirical_coverage import binomial_interval
+from surefoot.scenarios.estimate.compare import MEANINGS
+from surefoot.scenarios.experiments.file import Experiment
+from surefoot.scenarios.experiments.run import Outcome
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import bundled, read_toml
+
+PUBLISHED = bundled("surefoot.scenarios.experiments", "suites") / "published.toml"
+METRICS = {
+    "APE_trans [m]": "ape_trans",
+    "APE_rot [deg]": "ape_rot",
+    "RPE_trans [m]": "rpe_trans",
+    "RPE_rot [deg/m]": "rpe_rot",
+    "pi<gamma [%]": "pi_below_gamma",
+    "NEES_pos": "nees_position",
+    "NEES_vel": "nees_velocity",
+    "NEES_att": "nees_attitude",
+    "step [us]": "step_us",
+}
+"""Columns of the tables and the facts of an estimate that they show."""
+SHARE = "APE [% of path]"
+HELD = "coverage [%]"
+MEANINGS = {
+    **MEANINGS,
+    HELD: "share of velocity errors jointly inside the bounds, with a 95 % interval; not told of "
+    "filters whose bounds are on something else",
+    SHARE: "APE_trans over the length of the walk",
+    "±": "standard deviation over seeds; each seed is a robot, its walks and its observers",
+}
+
+
+def tidy(outcome: Outcome) -> pd.DataFrame:
+    """One row an estimate, plain numbers; a walk that fell is one row without a filter."""
+    rows = []
+    for cell, walk in outcome.walks.items():
+        row = {
+            "sequence": cell.scenario.name,
+            "role": cell.scenario.role or "test",
+            "robot": cell.robot,
+            "condition": cell.condition.name,
+            "seed": cell.seed,
+            "length [m]": walk.facts["length"],
+            "duration [s]": walk.facts["duration"],
+            "slip [%]": 100.0 * walk.facts["slip_share"],
+            "creep [mm/s]": 1e3 * walk.facts["creep"],
+            "fell at [s]": walk.facts["fell_at"],
+        }
+        ran = [one for one in outcome.estimates if one.cell is cell]
+        for one in ran:
+            facts = one.product.facts
+            values = {name: facts.get(key, np.nan) for name, key in METRICS.items()}
+            values[SHARE] = 100.0 * facts.get("ape_trans", np.nan) / walk.facts["length"]
+            for name in ("coverage", "coverage_low", "coverage_high"):
+                values[f"{name} [%]"] = 100.0 * facts.get(name, np.nan)
+            values["coverage_n"] = facts.get("coverage_n", 0)
+            for k, axis in enumerate("xyz"):
+                values[f"fed_mean_{axis} [m/s]"] = facts.get("fed_mean", [np.nan] * 3)[k]
+            rows.append(row | {"filter": one.filter, "gamma": one.gamma} | values)
+        if not ran:
+            rows.append(row | {"filter": None, "gamma": None})
+    return pd.DataFrame(rows)
+
+
+def at_gamma(rows: pd.DataFrame, gamma: float) -> pd.DataFrame:
+    """The rows of one gamma, those of filters that use none among them."""
+    mine = rows["gamma"].isna() | (rows["gamma"] == gamma)
+    return pd.DataFrame(rows[mine & rows["filter"].notna()])
+
+
+def averages(rows: pd.DataFrame) -> pd.DataFrame:
+    """By condition, robot and filter: means over test sequences, and their spread over seeds."""
+    test = rows[rows["role"] == "test"]
+    found = []
+    for (condition, robot, name), part in test.groupby(
+        ["condition", "robot", "filter"], sort=False
+    ):
+        by_seed = part.groupby("seed")[[*METRICS, SHARE]].mean()
+        row: dict[str, object] = {"condition": condition, "robot": robot, "filter": name}
+        row |= {column: with_spread(by_seed[column]) for column in [*METRICS, SHARE]}
+        row[HELD] = _held(part)
+        found.append(row)
+    order = ["condition", "robot", "filter", *_columns(rows)]
+    return pd.DataFrame(found, columns=order) if found else pd.DataFrame(columns=order)
+
+
+def per_sequence(rows: pd.DataFrame) -> pd.DataFrame:
+    """By sequence and filter, the mean and spread over seeds; test sequences in bold."""
+    found = []
+    for (name, role, filter_name), part in rows.groupby(["sequence", "role", "filter"], sort=False):
+        row: dict[str, object] = {
+            "sequence": f"**{name}**" if role == "test" else f"{name} ({role})",
+            "path": f"{part['length [m]'].mean():.0f} m, {part['duration [s]'].mean():.0f} s",
+            "filter": filter_name,
+        }
+        row |= {column: with_spread(part[column]) for column in [*METRICS, SHARE]}
+        row[HELD] = _held(part)
+        found.append(row)
+    return pd.DataFrame(found, columns=["sequence", "path", "filter", *_columns(rows)])
+
+
+def sweep(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
+    """Averages over test sequences by gamma, on the seeds that were run at every gamma."""
+    gammas = sorted({*experiment.gammas, *experiment.sweep.gammas})
+    seeds = experiment.sweep.seeds or experiment.seeds
+    mine = rows[rows["gamma"].notna() & (rows["role"] == "test") & rows["seed"].isin(seeds)]
+    found = []
+    for (condition, name), part in mine.groupby(["condition", "filter"], sort=False):
+        for gamma in gammas:
+            at = part[part["gamma"] == gamma]
+            if len(at):
+                row: dict[str, object] = {"condition": condition, "filter": name, "gamma": gamma}
+                row |= {c: at[c].mean() for c in ("APE_trans [m]", SHARE, "APE_rot [deg]")}
+                row |= {c: at[c].mean() for c in ("RPE_trans [m]", "pi<gamma [%]")}
+                row |= {HELD: _held(at), "NEES_pos": at["NEES_pos"].mean()}
+                row |= {"NEES_vel": at["NEES_vel"].mean()}
+                found.append(row)
+    return pd.DataFrame(found)
+
+
+def published(name: str) -> tuple[pd.DataFrame, pd.DataFrame, str]:
+    """A suite's figures as the paper prints them: rows, averages, and the note on both.
+
+    The averages are the printed ones and those recomputed from the rows, by method.
+    """
+    table = read_toml(PUBLISHED, "published")
+    if name not in table:
+        raise SurefootError(
+            f"published: unknown '{name}'; known: {', '.join(set(table) - {'columns'})}"
+        )
+    part, columns = table[name], table["columns"]
+    rows = pd.DataFrame(part["rows"], columns=["sequence", "method", *columns])
+    printed = pd.DataFrame(part["printed_averages"], columns=["method", *columns])
+    again = rows.groupby("method", sort=False)[columns].mean().reset_index()
+    both = pd.concat(
+        [printed.assign(average="as printed"), again.assign(average="from its rows")]
+    ).sort_values("method", kind="stable")
+    text = f"{part['source']}. Real robots. {part['note']}".strip()
+    return rows, both[["method", "average", *columns]], text
+
+
+def with_spread(values: pd.Series) -> str | None:
+    """Mean and, of more than one value, the standard deviation, as text."""
+    values = values.dropna()
+    if values.empty:
+        return None
+    mean = float(values.mean())
+    spread = f" ± {_rounded(float(values.std(ddof=1)), mean)}" if len(values) > 1 else ""
+    return _rounded(mean, mean) + spread
+
+
+def _rounded(value: float, scale: float) -> str:
+    digits = 3 if abs(scale) < 10 else 2 if abs(scale) < 100 else 1 if abs(scale) < 1000 else 0
+    return f"{value:.{digits}f}"
+
+
+def _held(part: pd.DataFrame) -> str | None:
+    """Share of errors within their bounds over all these walks, with its 95 % interval."""
+    n = part["coverage_n"].sum()
+    if not n:
+        return None
+    share = float((part["coverage [%]"] * part["coverage_n"]).sum() / n)
+    low, high = 100.0 * binomial_interval(share / 100.0, int(n))
+    return f"{share:.1f} ({low:.0f}–{high:.0f})"
+
+
+def _columns(rows: pd.DataFrame) -> Sequence[str]:
+    return ["APE_trans [m]", SHARE, "APE_rot [deg]", "RPE_trans [m]", "RPE_rot [deg/m]",
+            "pi<gamma [%]", HELD, "NEES_pos", "NEES_vel", "NEES_att", "step [us]"]  # fmt: skip

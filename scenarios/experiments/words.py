@@ -1,0 +1,135 @@
+"""What an experiment's rows say, in words: who leads, who loses where, and what the reason is."""
+
+# pyright: reportArgumentType=false, reportGeneralTypeIssues=false, reportCallIssue=false
+# pyright: reportIndexIssue=false, reportReturnType=false, reportAttributeAccessIssue=false
+# (pandas' stubs take a selection for any of several types)
+
+import pandas as pd
+
+from surefoot.scenarios.experiments.figures import FACTOR, NOMINAL
+from surefoot.scenarios.experiments.file import Condition, Experiment
+from surefoot.scenarios.experiments.tables import SHARE
+from surefoot.scenarios.reporting.palette import estimator_label
+
+OURS = ("coverage_persistent", "coverage")
+"""The method whose losses are told; the first that was run."""
+PERCEPTIVE = ("radar_leg",)
+"""Filters that see the world; they are not ranked with those that feel it."""
+FLOOR = ("imu",)
+DIVERGED = 5.0  # % of the path
+HIGHEST = "APE_trans [m]"
+
+
+def findings(rows: pd.DataFrame, experiment: Experiment) -> list[tuple[str, str]]:
+    """A heading and paragraphs for each condition, from the rows of one gamma."""
+    return [
+        (
+            condition.name,
+            "\n\n".join(_condition(rows[rows["condition"] == condition.name], condition)),
+        )
+        for condition in experiment.conditions
+        if (rows["condition"] == condition.name).any()
+    ]
+
+
+def _condition(rows: pd.DataFrame, condition: Condition) -> list[str]:
+    said = (
+        [f"{condition.name[:1].upper()}{condition.name[1:]}: {condition.words}."]
+        if condition.words
+        else []
+    )
+    ranked = rows[~rows["filter"].isin([*PERCEPTIVE, *FLOOR])]
+    test = ranked[ranked["role"] == "test"]
+    if test.empty:
+        return said
+    means = test.groupby("filter")[HIGHEST].mean().sort_values()
+    order = ", ".join(f"{estimator_label(str(n))} {v:.3f} m" for n, v in means.items())
+    said.append(f"Position error averaged over the test sequences, lowest first: {order}.")
+    said += [_divergence(ranked), _consistency(test)]
+    ours = next((name for name in OURS if name in set(ranked["filter"])), None)
+    if ours:
+        said += _losses(ranked, ours, condition)
+    return [line for line in said if line]
+
+
+def _divergence(rows: pd.DataFrame) -> str:
+    worst = rows.groupby("filter", sort=False)[SHARE].max()
+    kept = [f"{estimator_label(str(n))} ({v:.1f} %)" for n, v in worst.items() if v < DIVERGED]
+    lost = [
+        f"{estimator_label(str(n))} (on {_sequences(rows, str(n))})"
+        for n, v in worst.items()
+        if not v < DIVERGED
+    ]
+    text = f"On every sequence below {DIVERGED:g} % of the path: {', '.join(kept) or 'none'}."
+    return text + (f" Above it: {'; '.join(lost)}." if lost else "")
+
+
+def _sequences(rows: pd.DataFrame, name: str) -> str:
+    mine = rows[rows["filter"] == name].groupby("sequence", sort=False)[SHARE].max()
+    return ", ".join(f"{s} {v:.0f} %" for s, v in mine.items() if not v < DIVERGED)
+
+
+def _consistency(test: pd.DataFrame) -> str:
+    parts = []
+    for name, mine in test.groupby("filter", sort=False):
+        nees = mine["NEES_pos"].dropna()
+        if len(nees):
+            inside = ((nees > NOMINAL / FACTOR) & (nees < NOMINAL * FACTOR)).mean()
+            parts.append(f"{estimator_label(str(name))} {nees.mean():.2f} ({100 * inside:.0f} %)")
+    return (
+        f"Mean NEES of position, {NOMINAL:g} if a filter knows its own error, and the share of "
+        f"test walks within a factor of {FACTOR:g} of it: {', '.join(parts)}."
+    )
+
+
+def _losses(rows: pd.DataFrame, ours: str, condition: Condition) -> list[str]:
+    """On which sequences another proprioceptive filter comes out ahead, by how much, and why."""
+    means = rows.groupby(["sequence", "filter"], sort=False)[HIGHEST].mean().unstack()
+    ahead = {}
+    for sequence, values in means.iterrows():
+        best = values.idxmin()
+        if best != ours:
+            ahead.setdefault(str(best), []).append((sequence, values[ours], values[best]))
+    label = estimator_label(ours)
+    if not ahead:
+        return [f"{label} has the lowest position error of all on every sequence."]
+    said = []
+    for best, found in ahead.items():
+        where = ", ".join(f"{s} ({a:.2f} against {b:.2f} m)" for s, a, b in found)
+        winner, n = estimator_label(best), len(means)
+        said.append(f"{label} loses to {winner} on {len(found)} of {n} sequences: {where}.")
+    if any(name.startswith("leg") for name in ahead):
+        said.append(_why_legs(rows, condition))
+    said.append(_why_learnt(rows, ours))
+    return said
+
+
+def _why_legs(rows: pd.DataFrame, condition: Condition) -> str:
+    walks = rows.drop_duplicates(["sequence", "seed"])
+    if condition.effects or condition.imperfections:
+        model = (
+            "The leg filter's model of the legs is off by no more than the robot's imperfections"
+        )
+        so = "what legs measure stays more exact than what was learnt from so little walking"
+    else:
+        model = (
+            "The leg filter has a perfect model of the legs, down to the radius its feet roll on"
+        )
+        so = "what legs measure is nearly exact"
+    return (
+        f"{model}; a foot that stands creeps by {walks['creep [mm/s]'].median():.1f} mm/s on dry "
+        f"ground (median) and slides on {walks['slip [%]'].mean():.1f} % of its samples: {so}."
+    )
+
+
+def _why_learnt(rows: pd.DataFrame, ours: str) -> str:
+    mine = rows[(rows["filter"] == ours) & rows["fed_mean_x [m/s]"].notna()]
+    if mine.empty:
+        return ""
+    bias = (mine[[f"fed_mean_{a} [m/s]" for a in "xyz"]] ** 2).sum(axis=1) ** 0.5
+    drift = bias * mine["duration [s]"]
+    return (
+        f"The observer's velocity errors do not average out over a walk: their mean is "
+        f"{1e3 * bias.mean():.1f} mm/s on average, {1e3 * bias.max():.1f} mm/s at worst; alone "
+        f"it would carry an estimate {drift.mean():.2f} m away on average."
+    )

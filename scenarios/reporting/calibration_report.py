@@ -1,0 +1,170 @@
+"""What a calibration rests on and where it holds: the report of `surefoot calibrate --report`."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from tqdm import tqdm
+
+from surefoot.models.calibration.bounds import Bounds
+from surefoot.models.calibration.shift import FALSE_ALARM
+from surefoot.models.observer.observer import Observer
+from surefoot.scenarios.reporting.calibration_tables import (
+    Walk,
+    case_table,
+    evaluate_walk,
+    methods_table,
+    sequence_table,
+)
+from surefoot.scenarios.reporting.html import Picture, Section, save_picture, write_report
+from surefoot.scenarios.reporting.observer_errors import error_section
+from surefoot.scenarios.reporting.observer_figures import mixing_curve
+from surefoot.scenarios.reporting.tables import to_csv, to_markdown
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import whole_file
+from surefoot.sim.log import Log
+
+
+def write_calibration_report(
+    out: Path,
+    observer: Observer,
+    bounds: Bounds,
+    calibration: Log,
+    logs: Sequence[Log],
+    force=False,
+) -> list[Section]:
+    """Write report.html, its tables (.md, .csv) and the mixing curve into the folder `out`.
+
+    `logs`, as recorded, are walks to judge the bounds by; one without a reference is watched by the
+    alarm alone. Raises SurefootError where a log does not suit the observer.
+    """
+    with tqdm([calibration, *logs], desc="walks", unit=" log") as bar:
+        first, *others = [evaluate_walk(observer, bounds, log, log is calibration) for log in bar]
+    tables = {
+        "methods": methods_table(first, [w for w in others if w.role == "test"]),
+        "coverage": sequence_table(first, others),
+        "cases": case_table(others),
+    }
+    pictures = _pictures(bounds)
+    for name, table in tables.items():
+        if len(table):
+            _write(out / f"{name}.md", to_markdown(table) + "\n", force)
+            _write(out / f"{name}.csv", to_csv(table), force)
+    for name, picture in pictures.items():
+        save_picture(picture, out / f"{name}.png", force)
+    sections = _sections(observer, first, others, tables, pictures)
+    title = f"Bounds calibrated on {calibration.name}, and where they hold"
+    write_report(out / "report.html", title, sections, force)
+    return sections
+
+
+def _pictures(bounds: Bounds) -> dict[str, Picture]:
+    pictures = {}
+    if bounds.mixing is not None:
+        pictures["mixing"] = Picture(
+            mixing_curve(bounds.mixing),
+            "How long errors remember. Peaks that do not decay are the stride: a gait by the clock "
+            "errs alike at each of its steps, however far apart.",
+        )
+    return pictures
+
+
+def _sections(
+    observer: Observer,
+    calibration: Walk,
+    others: Sequence[Walk],
+    tables: dict[str, pd.DataFrame],
+    pictures: dict[str, Picture],
+) -> list[Section]:
+    bounds = calibration.bounds
+    sections = [
+        Section("The bounds", _bounds_prose(bounds)),
+        Section(
+            "How far apart errors are taken", _mixing_prose(bounds), None, _only(pictures, "mixing")
+        ),
+        Section("Methods", METHODS_PROSE, tables["methods"]),
+    ]
+    tests = [walk.errors for walk in others if walk.role == "test" and len(walk.errors)]
+    if tests:
+        together = np.vstack(tests)
+        try:
+            found = error_section(
+                observer.errors, together, bounds.epsilon, bounds.gamma, "test walks"
+            )
+        except SurefootError as error:  # too few to test, not too few to cover
+            found = Section("The observer's errors", str(error))
+        sections.append(found)
+    if others:
+        sections.append(Section("Where the bounds hold", _shift_prose(tables), tables["coverage"]))
+    if len(tables["cases"]):
+        sections.append(
+            Section("By terrain, slip, motion and stride", CASES_PROSE, tables["cases"])
+        )
+    return sections
+
+
+METHODS_PROSE = (
+    "Each from the same errors, at the same joint level; the shape of a joint score "
+    "is fixed on the first quarter of the log and ranked on the rest. The filters' update takes a "
+    "box: of an ellipsoid the box around it, which holds at least as much and is wider than need "
+    "be. The mean over the test walks counts each walk once."
+)
+CASES_PROSE = (
+    "All test walks together. Intervals count one error for each block of K samples in which the "
+    "case occurs; the worst walk is the one on which the case, occurring in five blocks at least, "
+    "is covered least."
+)
+
+
+def _bounds_prose(bounds: Bounds) -> str:
+    x, y, z = bounds.epsilon
+    sure = "" if bounds.confidence is None else f", with confidence {bounds.confidence:g}"
+    return (
+        f"|error| <= {x:.4f}, {y:.4f}, {z:.4f} m/s (forward, lateral, vertical), all three with "
+        f"probability {bounds.gamma:g}{sure}: method {bounds.method}, {bounds.n} errors, "
+        f"{bounds.K} steps of 10 ms apart. The statement is about walks like {bounds.log}; the "
+        "tables below say what became of it elsewhere."
+    )
+
+
+def _mixing_prose(bounds: Bounds) -> str:
+    if bounds.mixing is None:
+        return f"K = {bounds.K} was given."
+    text = (
+        f"K = {bounds.K}: the first lag at which the beta-mixing coefficient of no axis is above "
+        f"{bounds.mixing.threshold:g}, the estimate's own floor taken off."
+    )
+    if not bounds.mixing.mixed:
+        text += (
+            " No lag looked at comes down that far: the errors never forget within it, K is where "
+            "they remember least, and there are fewer independent errors than are counted."
+        )
+    return text
+
+
+def _shift_prose(tables: dict[str, pd.DataFrame]) -> str:
+    found = tables["coverage"]
+    lost = [] if "bounds" not in found else list(found.walk[found.bounds == "lost"])
+    told = f"Coverage is lost on {', '.join(lost)}." if lost else "Coverage is lost nowhere."
+    return (
+        f"{told} Lost: the whole 95 % interval lies below the level. The interval counts one error "
+        "for each K samples.\n\n"
+        "The alarm needs no truth: it watches the size of the filter's innovations, a second at a "
+        f"time, against those of the calibration. On a walk like that one it is raised with "
+        f"probability {FALSE_ALARM:g} at most. It tests likeness, not coverage.\n\n"
+        "Two ways to go on without truth. Widened: once the alarm is raised, bounds grow as "
+        "innovations have (by, the mean factor). Weighted: calibration errors count by how alike "
+        "the inputs are, with the volume relative to these bounds; no bound where the calibration "
+        "has too few seconds like this walk. Neither sees an error that stays the same and leaves "
+        "no mark on the inputs."
+    )
+
+
+def _only(pictures: dict[str, Picture], name: str) -> tuple[Picture, ...]:
+    return (pictures[name],) if name in pictures else ()
+
+
+def _write(path: Path, text: str, force: bool) -> None:
+    with whole_file(path, force) as temporary:
+        temporary.write_text(text, encoding="utf-8")

@@ -1,0 +1,212 @@
+"""Figures of one walk: where it went, how high, how fast, and how wrong each estimator was."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from surefoot.models.observer.predict import Prediction
+from surefoot.scenarios.estimate.error_series import ErrorSeries
+from surefoot.scenarios.reporting.palette import (
+    BOUNDS,
+    INK,
+    OBSERVER,
+    OUTSIDE,
+    TRUTH,
+    estimator_color,
+    estimator_label,
+    estimator_line,
+    friction_color,
+)
+from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
+from surefoot.sim.log import Log, reference_velocity
+
+AXES = (("x", "forward"), ("y", "left"), ("z", "up"))
+
+
+def trajectories(
+    log: Log,
+    errors: Mapping[str, ErrorSeries],
+    patches: Sequence = (),
+    title: str = "Path seen from above",
+) -> Figure:
+    """Truth and estimates in the ground plane, with slippery patches and start and end marks.
+
+    Args:
+        log: the walk, with a reference.
+        errors: estimator name -> its aligned path
+        (surefoot.scenarios.estimate.error_series.error_series).
+        patches: things with center_x, center_y, size_x, size_y (m), mu, and perhaps yaw (rad).
+        title: said above the figure.
+    """
+    everywhere = np.concatenate([log.ref_p[:, :2], *[e.p_GI[:, :2] for e in errors.values()]])
+    span = np.maximum(np.ptp(everywhere, axis=0), 1.0)
+    width = 7.5
+    height = float(np.clip(width * (span[1] + 0.1) / (span[0] + 0.1), 3.0, 7.5)) + 1.0
+    figure, axes = new_figure(size=(width, height))
+    ax = axes[0, 0]
+    low, high = (
+        everywhere.min(axis=0) - 0.06 * span.max(),
+        everywhere.max(axis=0) + 0.06 * span.max(),
+    )
+    for patch in patches:
+        _draw_patch(ax, patch, low, high)
+    ax.plot(*log.ref_p[:, :2].T, color=TRUTH, linewidth=3.5, label="Truth", solid_capstyle="round")
+    for name, error in errors.items():
+        color = estimator_color(name)
+        ax.plot(
+            *error.p_GI[:, :2].T,
+            color=color,
+            linestyle=estimator_line(name),
+            linewidth=1.4,
+            label=f"{estimator_label(name)} ({error.distance[-1]:.2f} m off at the end)",
+        )
+        ax.plot(*error.p_GI[-1, :2], "X", color=color, markersize=8, markeredgecolor="white")
+    ax.plot(*log.ref_p[0, :2], "o", color=INK, markersize=8, label="Start", linestyle="none")
+    ax.plot(*log.ref_p[-1, :2], "s", color=INK, markersize=7, label="True end", linestyle="none")
+    ax.plot([], [], "X", color=INK, markersize=7, label="Estimated end", linestyle="none")
+    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]")
+    ax.set_aspect("equal")
+    set_title(ax, title)
+    legend_below(figure, ax, columns=2)
+    return figure
+
+
+def height(
+    log: Log, errors: Mapping[str, ErrorSeries], title: str = "Height of the IMU over time"
+) -> Figure:
+    """Height of truth and estimates over time: vertical drift, which nothing on board can see."""
+    figure, axes = new_figure(size=(7.5, 3.6))
+    ax = axes[0, 0]
+    t, z = log.t, log.ref_p[:, 2]
+    ax.plot(t, z, color=TRUTH, linewidth=3.0, label="Truth")
+    for name, error in errors.items():
+        ax.plot(
+            error.t,
+            error.p_GI[:, 2],
+            color=estimator_color(name),
+            linestyle=estimator_line(name),
+            label=f"{estimator_label(name)} ({error.position[-1, 2]:+.2f} m at the end)",
+        )
+    ax.set(xlabel="time [s]", ylabel="height z [m]", xlim=(t[0], t[-1]))
+    set_title(ax, title)
+    legend_below(figure, ax, columns=2)
+    return figure
+
+
+def body_velocity(
+    log: Log,
+    prediction: Prediction,
+    epsilon: np.ndarray | None = None,
+    window: tuple[float, float] | None = None,
+    title: str = "Body velocity: truth, observer and its bounds",
+) -> Figure:
+    """True and predicted velocity of the IMU in its own axes, one panel an axis.
+
+    Args:
+        log: the walk, with a reference.
+        prediction: an observer's rows (M,) of the log and v_I (M, 3) m/s there.
+        epsilon: half widths of the bounds, (3,) or (M, 3) m/s.
+        window: first and last second shown; the middle ten of a long walk where not given. The
+            shares in the panel titles are of the whole walk all the same.
+        title: said above the figure.
+    """
+    rows = np.asarray(prediction.rows)
+    t, ok = log.t[rows], log.ref_ok[rows]
+    truth = np.einsum("nji,nj->ni", log.ref_R_GI[rows], reference_velocity(log)[rows])
+    guess = np.asarray(prediction.v_I)
+    half = None if epsilon is None else np.broadcast_to(epsilon, guess.shape)
+    first, last = window or _middle(t)
+    shown = (t >= first) & (t <= last)
+    figure, axes = new_figure(3, 1, size=(7.5, 6.2), share_x=True)
+    for k, (axis, word) in enumerate(AXES):
+        ax = axes[k, 0]
+        panel = f"{axis} of the IMU ({word})"
+        if half is not None:
+            lower, upper = guess[:, k] - half[:, k], guess[:, k] + half[:, k]
+            ax.fill_between(
+                t[shown], lower[shown], upper[shown],
+                color=BOUNDS, alpha=0.25, linewidth=0, label="Observer ± ε (the bounds)",
+            )  # fmt: skip
+        ax.plot(t[shown], guess[shown, k], color=OBSERVER, linewidth=1.2, label="Observer")
+        measured = np.where(ok, truth[:, k], np.nan)
+        ax.plot(t[shown], measured[shown], color=TRUTH, linewidth=2.0, label="Truth")
+        if half is not None:
+            outside = ok & (np.abs(truth[:, k] - guess[:, k]) > half[:, k])
+            missed = shown & outside
+            ax.plot(
+                t[missed], truth[missed, k], ".", color=OUTSIDE, markersize=4, label="Truth outside"
+            )
+            inside = 100.0 * (1.0 - outside[ok].mean())
+            panel += f": {inside:.1f} % of the walk inside ± {half[0, k]:.3g} m/s"
+        set_title(ax, panel, 9.5)
+        ax.set_ylabel("m/s")
+        ax.set_xlim(first, last)
+    axes[-1, 0].set_xlabel("time [s]")
+    figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+    legend_below(figure, axes[0, 0])
+    return figure
+
+
+def position_error(
+    errors: Mapping[str, ErrorSeries],
+    title: str = "Distance between estimate and truth, and what each filter expects of itself",
+) -> Figure:
+    """Position error norm and the filter's own 3 sigma (of the covariance's trace) over time."""
+    figure, axes = new_figure(size=(7.5, 4.0))
+    ax = axes[0, 0]
+    top = 0.0
+    for name, error in errors.items():
+        color, label = estimator_color(name), estimator_label(name)
+        ax.plot(error.t, error.distance, color=color, linewidth=1.6, label=label)
+        top = max(top, float(error.distance.max()))
+        sigma = error.distance_sigma
+        if sigma is not None:
+            inside = 100.0 * (error.distance <= 3.0 * sigma).mean()
+            ax.plot(
+                error.t, 3.0 * sigma, color=color, linewidth=1.0, linestyle=(0, (4, 2)),
+                label=f"{label}: own 3σ, holds {inside:.0f} % of the time",
+            )  # fmt: skip
+    if errors:
+        ax.set_xlim(min(e.t[0] for e in errors.values()), max(e.t[-1] for e in errors.values()))
+    ax.set(xlabel="time [s]", ylabel="position error [m]")
+    # An honest but wide 3 sigma may not squeeze the errors themselves into the floor.
+    ax.set_ylim(0.0, min(ax.get_ylim()[1], 4.0 * top) if top else None)
+    set_title(ax, title)
+    legend_below(figure, ax, columns=2)
+    return figure
+
+
+def _middle(t: np.ndarray) -> tuple[float, float]:
+    if t[-1] - t[0] <= 15.0:
+        return float(t[0]), float(t[-1])
+    centre = 0.5 * (t[0] + t[-1])
+    return float(centre - 5.0), float(centre + 5.0)
+
+
+def _draw_patch(ax, patch, low: np.ndarray, high: np.ndarray) -> None:
+    """A patch as a coloured, hatched rectangle that names its friction where there is room."""
+    ax.add_patch(
+        Rectangle(
+            (patch.center_x - 0.5 * patch.size_x, patch.center_y - 0.5 * patch.size_y),
+            patch.size_x,
+            patch.size_y,
+            angle=np.degrees(getattr(patch, "yaw", 0.0)),
+            rotation_point="center",
+            facecolor=friction_color(patch.mu),
+            edgecolor="#7FB5CC",
+            hatch="///",
+            linewidth=0.8,
+            alpha=0.7,
+            zorder=0.5,
+        )
+    )
+    centre = np.array([patch.center_x, patch.center_y])
+    if (centre > low).all() and (centre < high).all():
+        top = patch.center_y + 0.5 * patch.size_y
+        ax.annotate(
+            f"friction {patch.mu:.2f}", (patch.center_x, min(top, high[1])), fontsize=8,
+            ha="center", va="top", color="#33677D",
+            bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0},
+        )  # fmt: skip

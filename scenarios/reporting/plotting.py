@@ -1,0 +1,79 @@
+"""The look that all figures share, and the way a figure becomes a PNG."""
+
+from collections.abc import Sequence
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from surefoot.scenarios.reporting.palette import INK
+from surefoot.sim.common.files import whole_file
+
+_DPI = 150
+_STYLE: Any = {
+    "font.size": 9.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "axes.grid": True,
+    "grid.color": "#E3E3E3",
+    "grid.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "legend.frameon": False,
+    "lines.linewidth": 1.4,
+}
+
+
+def new_figure(
+    rows: int = 1,
+    columns: int = 1,
+    size: tuple[float, float] = (7.5, 4.0),
+    share_x: bool = False,
+    ratios: Sequence[float] | None = None,
+) -> tuple[Figure, np.ndarray]:
+    """A figure of `size` inches and its axes (rows, columns); no window, no global state."""
+    with rc_context(_STYLE):
+        figure = Figure(figsize=size, dpi=_DPI, layout="constrained")
+        axes = figure.subplots(rows, columns, squeeze=False, sharex=share_x, height_ratios=ratios)
+    for ax in axes.flat:
+        ax.tick_params(colors=INK, labelsize=8.0)
+    return figure, axes
+
+
+def set_title(ax: Axes, text: str, size: float = 10.5) -> None:
+    """A title that starts where the axes start."""
+    ax.set_title(text, loc="left", fontsize=size, color=INK)
+
+
+def legend_below(figure: Figure, ax: Axes, columns: int = 4) -> None:
+    """One legend under the whole figure, so that it hides no data."""
+    handles, labels = ax.get_legend_handles_labels()
+    if labels:
+        figure.legend(
+            handles,
+            labels,
+            loc="outside lower center",
+            ncols=min(columns, len(labels)),
+            fontsize=8.5,
+            frameon=False,
+        )
+
+
+def png(figure: Figure) -> bytes:
+    """The figure as PNG bytes; equal figures give equal bytes."""
+    stream = BytesIO()
+    with rc_context(_STYLE):
+        figure.savefig(stream, format="png", dpi=_DPI, metadata={"Software": None})
+    return stream.getvalue()
+
+
+def save_png(figure: Figure, path: str | Path, force: bool = False) -> None:
+    """Write the figure as a PNG. Raises SurefootError where the file exists (no `force`)."""
+    with whole_file(path, force) as temporary:
+        temporary.write_bytes(png(figure))

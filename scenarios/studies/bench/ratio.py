@@ -1,0 +1,61 @@
+"""One line of the bench's table, and how two things are timed against each other."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from time import perf_counter
+
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """One line of the table: how many times the peer's speed, and how many are wanted.
+
+    value is None where the peer is not here; the note then says why. target is None where the line
+    is there for information.
+    """
+
+    what: str
+    against: str
+    value: float | None
+    target: float | None
+    note: str
+
+    def as_row(self) -> dict[str, str]:
+        verdict = "-"
+        if self.value is not None and self.target is not None:
+            verdict = "met" if self.value >= self.target else "missed"
+        return {
+            "what": self.what,
+            "against": self.against,
+            "times as fast": "-" if self.value is None else f"{self.value:.3g}",
+            "target": "-" if self.target is None else f">= {self.target:g}",
+            "": verdict,
+            "note": self.note,
+        }
+
+
+def in_turn(
+    ours: Callable[[], object],
+    theirs: Callable[[], object],
+    rounds: int,
+    tell: Progress | None = None,
+) -> tuple[float, float]:
+    """Smallest times [s] of the two, run in turn `rounds` times after once to warm up."""
+    times: list[tuple[float, float]] = []
+    for i in range(rounds + 1):
+        now = perf_counter()
+        ours()
+        between = perf_counter()
+        theirs()
+        times.append((between - now, perf_counter() - between))
+        if tell:
+            tell((i + 1) / (rounds + 1))
+    return min(a for a, _ in times[1:]), min(b for _, b in times[1:])
+
+
+def part_of(tell: Progress | None, part: int, parts: int) -> Progress | None:
+    """`tell` for one part of several."""
+    if tell is None:
+        return None
+    return lambda share: tell((part + share) / parts)

@@ -1,0 +1,1 @@
+"""The blind study of `trace`."""

@@ -1,0 +1,207 @@
+"""The blind study of `trace`: logs with one undeclared effect each, and what trace says of them.
+
+`blind_study.toml` says what is drawn. Each case leaves one JSON file, so that a study that was
+stopped goes on where it was; `python -m surefoot.scenarios.studies.blind.study -o DIR` runs it and
+reports.
+"""
+
+import json
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+from tqdm import tqdm
+
+from surefoot.scenarios.cli.options import Out
+from surefoot.scenarios.studies.blind.outside_effects import OUTSIDE
+from surefoot.scenarios.trace.run import Trace, diagnose
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import bundled, read_toml, whole_file
+from surefoot.sim.effects import CATALOGUE, Effect, effect
+from surefoot.sim.ground.terrain import Ground, Patch
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
+
+PLAN = bundled("surefoot.scenarios.studies.blind", "study.toml")
+STAND = 20.0
+"""s that a robot stands which is to tell its twins apart."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One log: what kind of case, on which walk, with which undeclared effects."""
+
+    number: int
+    kind: str  # single, clean, outside, together, twins
+    robot: str
+    seed: int
+    effects: tuple[Effect, ...] = ()
+    twin: str = ""
+    standing: bool = False
+
+
+def cases(plan: dict[str, Any]) -> list[Case]:
+    """Every case of a plan, drawn from its seed."""
+    rng = np.random.default_rng(plan["seed"])
+    walks = [(r, s) for s in plan["walk"]["seeds"] for r in plan["walk"]["robots"]]
+    found: list[Case] = []
+
+    def add(kind: str, effects: Sequence[Effect] = (), **more) -> None:
+        robot, seed = walks[len(found) % len(walks)]
+        found.append(Case(len(found), kind, robot, seed, tuple(effects), **more))
+
+    # Turn by turn, so that a study that is stopped early has seen as much of each.
+    for turn in range(plan["each"]):
+        for name in CATALOGUE:
+            add("single", [_drawn(name, plan["sizes"][name], rng)])
+        for _ in range(_share(plan["clean"], turn, plan["each"])):
+            add("clean")
+        for k in range(_share(plan["outside"] * len(OUTSIDE), turn, plan["each"])):
+            name = list(OUTSIDE)[(turn + k) % len(OUTSIDE)]
+            add("outside", [_drawn(name, plan["outside_sizes"][name], rng)])
+        for _ in range(_share(plan["together"], turn, plan["each"])):
+            first, second = rng.choice(list(CATALOGUE), 2, replace=False)
+            add("together", [_drawn(n, plan["sizes"][n], rng) for n in (first, second)])
+        for k in range(_share(plan["confounded"], turn, plan["each"])):
+            pair = plan["twins"][(turn + k) % len(plan["twins"])]
+            name, target = pair["of"][0].split()
+            one = effect(name, target, np.exp(rng.uniform(*np.log(pair["size"]))))
+            add("twins", [one], twin=pair["of"][1], standing=True)
+    return found
+
+
+def _share(count: int, turn: int, turns: int) -> int:
+    """How many of `count` fall to this turn."""
+    return count * (turn + 1) // turns - count * turn // turns
+
+
+def _drawn(name: str, size: Sequence[float], rng: np.random.Generator) -> Effect:
+    kind = CATALOGUE[name] if name in CATALOGUE else OUTSIDE[name]
+    value = float(np.exp(rng.uniform(*np.log(size))))
+    sign = rng.choice([-1.0, 1.0])
+    target = str(rng.choice(kind.targets))
+    # A delay that is negative would be a prophecy.
+    both = kind.bounds[0] < 0 and not name.endswith("_delay")
+    return kind(target, sign * value if both else value)
+
+
+@lru_cache(maxsize=8)
+def ground_and_course(seed: int, standing: bool) -> Scenario:
+    """The walk of a seed: some stretches, and patches of little friction on the way."""
+    w = read_toml(PLAN, "study")["walk"]
+    if standing:
+        # A last step or two, since a walk without any is none; `standing_part` cuts them off.
+        return Scenario("stand", (Segment(0.5),), Ground(0.8), stand=STAND)
+    rng = np.random.default_rng([seed, 7])
+    segments = tuple(
+        Segment(
+            rng.uniform(*w["duration"]), rng.uniform(*w["forward"]), rng.choice([0.0, 0.08, -0.08]),
+            rng.choice([0.0, -1.0, 1.0]) * rng.uniform(*w["turn"]),
+        )
+        for _ in range(w["stretches"])
+    )  # fmt: skip
+    places = rng.uniform(-3.0, 6.0, (w["patches"], 2))
+    patches = tuple(Patch(x, y, 1.0, 1.0, rng.uniform(0.15, 0.3)) for x, y in places)
+    return Scenario("study", segments, Ground(rng.uniform(*w["mu"]), patches))
+
+
+def run_case(case: Case) -> dict[str, Any]:
+    """Walk, trace and score one case."""
+    record: dict[str, Any] = {
+        "number": case.number, "kind": case.kind, "robot": case.robot, "seed": case.seed,
+        "effects": [e.as_dict() for e in case.effects], "twin": case.twin,
+    }  # fmt: skip
+    robot = Robot.load(case.robot)
+    scenario = ground_and_course(case.seed, case.standing)
+    try:
+        log = walk(scenario, robot, case.seed, case.effects, declared=False)
+    except SurefootError as fell:
+        return record | {"fell": str(fell)}
+    if case.standing:
+        log = standing_part(log)
+    found = diagnose([log], robot)
+    said = found.as_dict()
+    record |= {key: said.get(key) for key in ("verdict", "rivals", "remainder")}
+    record["effects_found"] = said["effects"]
+    record["channels"] = said["channels"]
+    record["over_floor"] = [over_floor(found, one) for one in case.effects]
+    return record
+
+
+def standing_part(log: Log) -> Log:
+    """The log up to its first step: a few samples of stepping would tell the twins apart."""
+    still = log.t - log.t[0] < STAND - 0.5
+    return replace(log, frame=log.frame[still])
+
+
+def over_floor(found: Trace, one: Effect) -> float | None:
+    """An effect's size over the least that this log could show of it; None where unknown.
+
+    Zero for what is no candidate and leaves no channel above its floor: it never showed.
+    """
+    rounds = found.attribution.rounds if found.attribution else ()
+    for c in rounds[0] if rounds else ():
+        if c.key == (one.name, one.target):
+            least = 4.0 * float(np.hypot(c.floor, c.error))
+            return abs(one.value) / least if np.isfinite(least) and least > 0 else 0.0
+    shown = any(not replace(c, after=c.before).at_floor for c in found.channels.values())
+    return None if shown else 0.0
+
+
+def run_study(out: Path, workers: int, at_most: int | None = None) -> list[dict[str, Any]]:
+    """Run what is missing, each walk's cases by one worker: they share its noise floor."""
+    folder = out / "cases"
+    folder.mkdir(parents=True, exist_ok=True)
+    planned = cases(read_toml(PLAN, "study"))[:at_most]
+    todo = [case for case in planned if not (folder / f"{case.number:03d}.json").exists()]
+    groups: dict[tuple, list[Case]] = {}
+    for case in todo:
+        # Pieces of a few turns keep a study that is stopped early even over the effects.
+        groups.setdefault((case.number // 80, case.robot, case.seed), []).append(case)
+    with ProcessPoolExecutor(workers) as pool, tqdm(total=len(todo), desc="study") as bar:
+        futures = [pool.submit(_run_group, group, folder) for group in groups.values()]
+        for future in as_completed(futures):
+            bar.update(future.result())
+    return list(read_cases(out))
+
+
+def _run_group(group: Sequence[Case], folder: Path) -> int:
+    for case in group:
+        with whole_file(folder / f"{case.number:03d}.json", force=True) as temporary:
+            text = json.dumps(run_case(case), default=float)
+            temporary.write_text(text, encoding="utf-8")
+    return len(group)
+
+
+def read_cases(out: Path) -> Iterator[dict[str, Any]]:
+    """The cases that have been run."""
+    for path in sorted((out / "cases").glob("*.json")):
+        yield json.loads(path.read_text(encoding="utf-8"))
+
+
+@dataclass(frozen=True)
+class Study:
+    """Run the blind study of trace, or go on with it, and write its report."""
+
+    out: Out = Path("out/blind_study")
+    """Folder of the cases and of the report."""
+    workers: int = 2
+    at_most: int | None = None
+    """Of the plan's cases, the first so many."""
+
+    def run(self) -> None:
+        from surefoot.scenarios.studies.blind.report import write_report_of
+
+        run_study(self.out, self.workers, self.at_most)
+        print(write_report_of(self.out, list(read_cases(self.out))))
+
+
+if __name__ == "__main__":
+    tyro.cli(Study).run()

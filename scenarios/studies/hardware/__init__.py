@@ -1,0 +1,1 @@
+"""Three studies of real hardware."""

@@ -1,0 +1,310 @@
+"""What the torque of a drive has beyond the rigid model: a linear balance of smoothed terms.
+
+Positions are differentiated and everything is averaged by one kernel, the measured torque too, so
+that the balance stays exact while the noise of the second derivative goes down:
+
+    tau = rigid(q, dq, ddq) + sum of sizes times terms
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import gaussian_filter1d, maximum_filter1d
+
+from surefoot.sim.effects.contact import STICKING
+from surefoot.sim.log import Log
+from surefoot.sim.physics.inverse_dynamics import dynamics_of
+from surefoot.sim.robot.fixed_base import Machine
+
+GRID = 0.005
+"""s, at most, between rows of the balance."""
+FIRST = 0.010
+"""s: the kernel that positions go through before they are differentiated."""
+BLOCK = 2.0
+"""s; errors of one block hardly resemble those of the next."""
+OUTLYING = 6.0
+"""Robust deviations beyond which no drive did it: something touched the machine."""
+WORTH = 0.05
+"""Share of the squares left that a further term must take off blocks that no fit has seen."""
+AT_FLOOR = 1.2
+"""A residual is the readings' jitter up to this ratio to it."""
+EFFECTS = {
+    "torque_scale": "ratio",
+    "torque_bias": "N m",
+    "torque_delay": "s",
+    "viscous_friction": "N m s/rad",
+    "coulomb_friction": "N m",
+    "armature": "kg m^2",
+}
+"""Terms that an effect of the catalogue stands for, with their units."""
+RIVALS = {
+    "gravity": "ratio",
+    "inertia": "ratio",
+    "load_friction": "ratio",
+    "drag": "N m s^2/rad^2",
+}
+"""Terms that no effect of the catalogue stands for: heavier or longer by a share, more inertia by a
+share, dry friction that grows with the load, drag that grows with the rate's square."""
+
+
+@dataclass(frozen=True)
+class Balance:
+    """The torques of a log and what may make them up, smoothed by one kernel.
+
+    t (N,) s; tau, rigid (N, J) N m: measured, and by the declared model; terms: name -> (N, J), the
+    torque per unit of its size; good (N, J): rows to believe; floor (J,) N m: standard deviation
+    that the readings' own jitter from row to row leaves of tau - rigid. Sums over several balances
+    weigh each by its `noise`.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    t: np.ndarray
+    tau: np.ndarray
+    rigid: np.ndarray
+    terms: dict[str, np.ndarray]
+    good: np.ndarray
+    floor: np.ndarray
+    noise: np.ndarray
+    """(J,) N m: robust standard deviation of what not even all terms together explain."""
+
+    @property
+    def block(self) -> np.ndarray:
+        """Number of the block (N,) that each row is in."""
+        return np.floor((self.t - self.t[0]) / BLOCK).astype(int)
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Sizes (C,) of some terms of one joint, fitted together, with their 95 % interval (C, 2)."""
+
+    names: tuple[str, ...]
+    values: np.ndarray
+    interval: np.ndarray
+
+
+def balance(log: Log, machine: Machine, width: float, stops: float = 0.0) -> Balance:
+    """The balance of a log of a machine on a fixed base, level and still.
+
+    width [s]: standard deviation of the Gaussian kernel. Rows of a joint within `stops` [rad] of
+    the end of its range are not believed, nor their neighbours: there the stop takes a part of
+    the torque. Raises LogError where the log lacks q or tau.
+    """
+    log.require("q", "tau")
+    step = min(GRID, float(np.median(np.diff(log.t))))
+    t = np.arange(log.t[0], log.t[-1], step)
+    q_read = CubicSpline(log.t, log.q)(t)
+    tau_read = np.column_stack([np.interp(t, log.t, column) for column in log.tau.T])
+
+    def first(x: np.ndarray) -> np.ndarray:
+        return gaussian_filter1d(x, FIRST / step, axis=0, mode="nearest")
+
+    def smooth(x: np.ndarray) -> np.ndarray:
+        return gaussian_filter1d(x, width / step, axis=0, mode="nearest")
+
+    q = first(q_read)
+    dq = np.gradient(q, step, axis=0)
+    ddq = np.gradient(dq, step, axis=0)
+    dynamics = dynamics_of(machine.file, machine.joint_names)
+    none = np.zeros_like(q)
+    gravity = dynamics.inverse(q, none, none)[1]
+    rigid = dynamics.inverse(q, dq, ddq)[1]
+    inertia = dynamics.inverse(q, none, ddq)[1] - gravity
+    sense = np.tanh(dq / STICKING)
+    terms = {
+        "torque_scale": rigid,
+        "torque_bias": np.ones_like(q),
+        "torque_delay": -np.gradient(rigid, step, axis=0),
+        "viscous_friction": dq,
+        "coulomb_friction": sense,
+        "armature": ddq,
+        "gravity": gravity,
+        "inertia": inertia,
+        "load_friction": sense * np.abs(rigid),
+        "drag": dq * np.abs(dq),
+    }
+    edge = int(np.ceil(3 * (FIRST + width) / step))
+    good = np.zeros(q.shape, dtype=bool)
+    good[edge:-edge] = True
+    if stops:
+        low, high = ranges(dynamics.model, dynamics.dof_adr)
+        at_stop = (q < low + stops) | (q > high - stops)
+        near = maximum_filter1d(at_stop.astype(float), 2 * int(np.ceil(2 * width / step)) + 1, 0)
+        good &= near == 0.0
+    tau = smooth(first(tau_read))
+    smoothed = {name: smooth(x) for name, x in terms.items()}
+    floor = _floor(log, dynamics, q, width)
+    noise = np.ones(len(log.joints))
+    one = Balance(log.name, log.joints, t, tau, smooth(rigid), smoothed, good, floor, noise)
+    return _without_touches(one, edge)
+
+
+def ranges(model: mujoco.MjModel, dof_adr: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least and greatest angle (J,) [rad] of the joints of these degrees of freedom; infinite where
+    the model has no stop."""
+    joints = model.dof_jntid[dof_adr]
+    free = model.jnt_limited[joints] == 0
+    low, high = model.jnt_range[joints].T
+    return np.where(free, -np.inf, low), np.where(free, np.inf, high)
+
+
+def fit(
+    balances: Sequence[Balance],
+    joint: int,
+    names: Sequence[str],
+    rng: np.random.Generator,
+    samples: int = 1000,
+) -> Sizes:
+    """Least squares of these terms on the good rows of one joint.
+
+    Intervals are percentiles of bootstrap samples of blocks of all balances together; NaN where
+    there are no samples.
+    """
+    G = np.concatenate([_products(one, joint, names, one.good[:, joint]) for one in balances])
+    values = _solved(G.sum(axis=0))
+    if not samples:
+        return Sizes(tuple(names), values, np.full((len(names), 2), np.nan))
+    counts = rng.multinomial(len(G), np.full(len(G), 1.0 / len(G)), size=samples)
+    drawn = np.array([_solved(np.tensordot(one, G, 1)) for one in counts])
+    interval = np.percentile(drawn, [2.5, 97.5], axis=0).T.reshape(-1, 2)
+    return Sizes(tuple(names), values, interval)
+
+
+def left(one: Balance, joint: int, sizes: Sizes | None = None) -> np.ndarray:
+    """Residual torque (N,) [N m] of a joint with what was fitted taken off; NaN where not good."""
+    rest = one.tau[:, joint] - one.rigid[:, joint]
+    if sizes is not None:
+        for name, value in zip(sizes.names, sizes.values, strict=True):
+            rest = rest - value * one.terms[name][:, joint]
+    return np.where(one.good[:, joint], rest, np.nan)
+
+
+def level(rest: np.ndarray) -> float:
+    """Root mean square of a residual [its unit], NaN left out."""
+    return float(np.sqrt(np.nanmean(rest**2)))
+
+
+def level_interval(
+    parts: Sequence[tuple[Balance, np.ndarray]], rng: np.random.Generator
+) -> tuple[float, float]:
+    """95 % interval of the root mean square of residuals, by bootstrap over blocks."""
+    squares, counts = [], []
+    for one, rest in parts:
+        for number in np.unique(one.block):
+            here = rest[(one.block == number) & np.isfinite(rest)]
+            if len(here):
+                squares.append(float(np.sum(here**2)))
+                counts.append(len(here))
+    draws = rng.multinomial(len(squares), np.full(len(squares), 1.0 / len(squares)), size=1000)
+    spread = np.sqrt((draws @ np.array(squares)) / (draws @ np.array(counts)))
+    low, high = np.percentile(spread, [2.5, 97.5])
+    return float(low), float(high)
+
+
+def select(
+    balances: Sequence[Balance], joint: int, names: Sequence[str], worth: float = WORTH
+) -> tuple[str, ...]:
+    """Terms chosen one by one: each the one that most lowers the residual of blocks not fitted.
+
+    Blocks take turns: fitted on the even ones and judged on the odd, and the other way round. One
+    that takes off less than the share `worth` of the squares that are left is not worth its name,
+    and where they are down to the readings' own jitter nothing is.
+    """
+    chosen: list[str] = []
+    now = _judged(balances, joint, chosen)
+    jitter = sum(
+        one.good[:, joint].sum() * (one.floor[joint] / one.noise[joint]) ** 2 for one in balances
+    )
+    while len(chosen) < len(names) and now > AT_FLOOR**2 * jitter:
+        levels = {n: _judged(balances, joint, [*chosen, n]) for n in names if n not in chosen}
+        best = min(levels, key=lambda n: levels[n])
+        if levels[best] > (1.0 - worth) * now:
+            break
+        chosen, now = [*chosen, best], levels[best]
+    return tuple(chosen)
+
+
+def _judged(balances: Sequence[Balance], joint: int, names: Sequence[str]) -> float:
+    """Sum of squares left of the blocks that were not fitted, each half in turn."""
+    total = 0.0
+    for side in (0, 1):
+        G = np.concatenate([
+            _products(one, joint, names, one.good[:, joint] & (one.block % 2 == side))
+            for one in balances
+        ])  # fmt: skip
+        sizes = _solved(G.sum(axis=0))
+        for one in balances:
+            unseen = one.good[:, joint] & (one.block % 2 != side)
+            vector = np.concatenate([[1.0], -sizes])
+            total += float(vector @ _products(one, joint, names, unseen).sum(axis=0) @ vector)
+    return total
+
+
+def _products(one: Balance, joint: int, names: Sequence[str], rows: np.ndarray) -> np.ndarray:
+    """Sums of products (K, 1 + C, 1 + C) of residual and terms over each block."""
+    A = np.column_stack(
+        [one.tau[:, joint] - one.rigid[:, joint], *(one.terms[n][:, joint] for n in names)]
+    )
+    numbers = np.unique(one.block)
+    inside = [A[rows & (one.block == number)] for number in numbers]
+    return np.array([a.T @ a for a in inside]) / one.noise[joint] ** 2
+
+
+def _solved(G: np.ndarray) -> np.ndarray:
+    normal, right = G[1:, 1:], G[1:, 0]
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    inverse = np.linalg.pinv(normal / scale / scale[:, None], rcond=1e-10, hermitian=True)
+    return inverse @ (right / scale) / scale
+
+
+def _without_touches(one: Balance, edge: int) -> Balance:
+    """The balance without stretches that not even all terms together explain."""
+    good, noise = one.good.copy(), one.noise.copy()
+    for joint in range(len(one.joints)):
+        names = (*EFFECTS, *RIVALS)
+        spread = 1.0
+        for _ in range(3):
+            G = _products(one, joint, names, good[:, joint]).sum(axis=0)
+            sizes = Sizes(names, _solved(G), np.empty((0, 2)))
+            rest = left(one, joint, sizes)
+            spread = 1.4826 * np.nanmedian(np.abs(rest[good[:, joint]]))
+            touched = np.abs(np.nan_to_num(rest)) > OUTLYING * spread
+            good[:, joint] &= maximum_filter1d(touched.astype(float), 2 * edge + 1) == 0.0
+        noise[joint] = spread
+    return replace(one, good=good, noise=noise)
+
+
+def _floor(log: Log, dynamics, q: np.ndarray, width: float) -> np.ndarray:
+    """Standard deviation (J,) that white jitter of the readings leaves behind the kernel.
+
+    The second difference of a reading has six times its jitter's variance, and little of a motion.
+    A Gaussian kernel of width s over rows dt apart leaves the share dt / (2 s sqrt(pi)) of a
+    variance, and 3 dt / (8 s^5 sqrt(pi)) of a second derivative's.
+    """
+    dt = float(np.median(np.diff(log.t)))
+    s = float(np.hypot(width, FIRST))
+
+    def jitter(x: np.ndarray) -> np.ndarray:
+        return np.std(np.diff(x, n=2, axis=0), axis=0) / np.sqrt(6.0)
+
+    heavy = np.empty(q.shape[1])
+    for j in range(q.shape[1]):
+        unit = np.zeros_like(q[:1])
+        unit[0, j] = 1.0
+        still = np.zeros_like(unit)
+        heavy[j] = (
+            dynamics.inverse(q[:1], still, unit)[1] - dynamics.inverse(q[:1], still, still)[1]
+        )[0, j]
+    torque = jitter(_read_torque(log)) * np.sqrt(dt / (2 * s * np.sqrt(np.pi)))
+    inertial = heavy * jitter(log.q) * np.sqrt(3 * dt / (8 * s**5 * np.sqrt(np.pi)))
+    return np.hypot(torque, inertial)
+
+
+def _read_torque(log: Log) -> np.ndarray:
+    """The torque (N, J) without what is known exactly: the jumps of a motor law's targets."""
+    if "tau (motor law)" not in log.meta.derived or log.meta.motor_law is None:
+        return log.tau
+    return log.tau - np.array(log.meta.motor_law["kp"]) * log.q_des

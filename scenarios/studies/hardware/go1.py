@@ -1,0 +1,259 @@
+"""Study of a walking Go1 with motion capture: what does the model of its legs lack?
+
+The reference has no time stamps of its own, so that how it lies against each stream is estimated
+first; then `trace` says what is missing, and the leg filter what it is worth.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from surefoot.estimator.evaluation.trajectory import Trajectory, reference
+from surefoot.estimator.metrics import align_first, evaluate
+from surefoot.models.attribution.evidence import log_under_model, table_of
+from surefoot.models.attribution.stream_lags import BLOCK, WALKING, Lag, phase_of
+from surefoot.models.residuals.leg_velocity import leg_velocity
+from surefoot.scenarios.estimate.registry import Learnt
+from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
+from surefoot.scenarios.reporting.plotting import new_figure, set_title
+from surefoot.scenarios.studies.hardware.words import between
+from surefoot.scenarios.trace.data import split_of
+from surefoot.scenarios.trace.filters import filtered
+from surefoot.scenarios.trace.run import Trace
+from surefoot.sim.effects import Effect, compensate_all, effect
+from surefoot.sim.log import Log, joint_velocity
+from surefoot.sim.robot import Robot
+
+TENTHS = 10
+MISSED = "#AA4499"
+"""Colour of the model with feet as large as its file says, and contacts that end early enough."""
+STANCES = {"all of it": (0.0, 1.0), "10 to 90 %": (0.1, 0.9), "25 to 60 %": (0.25, 0.6)}
+"""Parts of the stance that are asked how large the feet are."""
+METRICS = {
+    "APE_trans [m]": "ape_trans",
+    "APE_rot [deg]": "ape_rot",
+    "RPE_trans [m]": "rpe_trans",
+    "RPE_rot [deg/m]": "rpe_rot",
+    "NEES_pos": "nees_position",
+    "NEES_vel": "nees_velocity",
+}
+
+
+def lags_table(found: Sequence[Lag]) -> pd.DataFrame:
+    """A row a stream."""
+    return pd.DataFrame([
+        {"stream": one.stream,
+         "late by [ms]": between(1e3 * one.late, [1e3 * x for x in one.interval], 1)}
+        for one in found
+    ])  # fmt: skip
+
+
+def stance_profile(log: Log, robot: Robot, effects: Sequence[Effect]) -> np.ndarray:
+    """Speed (TENTHS, 4) [m/s] that a foot which the log calls standing has, by the legs and the
+    reference: root mean square over walking, by tenths of the stance and leg."""
+    log, robot = compensate_all(effects, log, robot)
+    frame = log_under_model(log, robot).frame
+    v = leg_velocity(
+        robot.legs, np.maximum(robot.foot_radius, 0.0), robot.R_BI, robot.p_BI, log.q,
+        joint_velocity(log), log.gyro, frame.up_I, log.contact & log.ref_ok[:, None],
+    )  # fmt: skip
+    square = np.sum((v - frame.v_I[:, None]) ** 2, axis=2)
+    walks = np.linalg.norm(frame.v_I, axis=1) > WALKING
+    out = np.full((TENTHS, 4), np.nan)
+    for leg in range(4):
+        phase = phase_of(log.contact[:, leg])
+        for k in range(TENTHS):
+            here = walks & (phase >= k / TENTHS) & (phase < (k + 1) / TENTHS)
+            here &= np.isfinite(square[:, leg])
+            out[k, leg] = np.sqrt(square[here, leg].mean()) if here.any() else np.nan
+    return out
+
+
+def shares_table(log: Log, robot: Robot, found: Trace, seed: int = 0) -> pd.DataFrame:
+    """What each effect explains of the legs' velocity residual on the part that only reports."""
+    rng = np.random.default_rng(seed)
+    case = log_under_model(log, robot)
+    late = split_of([case]).report
+    block = np.floor(case.frame.t / BLOCK).astype(int)[late]
+
+    def squares(chosen: Sequence[Effect]) -> tuple[np.ndarray, np.ndarray]:
+        left = table_of(case, chosen)[late, 6:18] ** 2
+        count = np.isfinite(left).sum(axis=1)
+        total = np.nansum(left, axis=1)
+        numbers = np.unique(block)
+        return (
+            np.array([total[block == b].sum() for b in numbers]),
+            np.array([count[block == b].sum() for b in numbers]),
+        )
+
+    before, count = squares(())
+    draws = rng.multinomial(len(before), np.full(len(before), 1 / len(before)), size=1000)
+    rows = []
+    for words, chosen in ladder(found.effects, robot, late_ends(found)):
+        after, _ = squares(chosen)
+        share = 100 * (1 - after.sum() / before.sum())
+        spread = 100 * (1 - (draws @ after) / (draws @ before))
+        level = np.sqrt(after.sum() / count.sum())
+        rows.append({
+            "model": words,
+            "leg velocity left [m/s]": f"{level:.4f}",
+            "explained [% of squares]": between(share, np.percentile(spread, [2.5, 97.5]), 1),
+        })  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def rolling_table(log: Log, robot: Robot, seed: int = 0) -> pd.DataFrame:
+    """Radius of the feet by parts of the stance: what the body's forward and lateral velocity say,
+    each by least squares over walking, with intervals by blocks."""
+    rng = np.random.default_rng(seed)
+    frame = log_under_model(log, robot).frame
+    phase = np.column_stack([phase_of(contact) for contact in log.contact.T])
+    walks = (np.linalg.norm(frame.v_I, axis=1) > WALKING) & log.ref_ok
+    dq, up = joint_velocity(log), frame.up_I
+
+    def off(radius: float) -> np.ndarray:
+        v = leg_velocity(
+            robot.legs, np.full(4, radius), robot.R_BI, robot.p_BI, log.q, dq, log.gyro, up,
+            log.contact & walks[:, None],
+        )  # fmt: skip
+        return v - frame.v_I[:, None]
+
+    point, slope = off(0.0), off(1.0) - off(0.0)
+    block = np.floor((log.t - log.t[0]) / BLOCK).astype(int)
+    rows = []
+    for words, (begin, end) in STANCES.items():
+        row = {"part of the stance": words}
+        use = (phase >= begin) & (phase <= end) & np.isfinite(point).all(axis=2)
+        for axis, name in enumerate(("forward", "lateral")):
+            y, x = np.where(use, point[..., axis], 0.0), np.where(use, slope[..., axis], 0.0)
+            sums = [np.bincount(block, values.sum(axis=1)) for values in (-x * y, x * x)]
+            counts = rng.multinomial(len(sums[0]), np.full(len(sums[0]), 1 / len(sums[0])), 1000)
+            drawn = 1e3 * (counts @ sums[0]) / (counts @ sums[1])
+            size = 1e3 * sums[0].sum() / sums[1].sum()
+            row[f"radius by {name} velocity [mm]"] = between(
+                size, np.percentile(drawn, [2.5, 97.5]), 1
+            )
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def ladder(
+    effects: Sequence[Effect], robot: Robot, doubted: Sequence[Effect] = ()
+) -> list[tuple[str, list[Effect]]]:
+    """The declared model, each effect alone, all of them, and what was not found: feet as large as
+    they are drawn, and effects that were sized but `doubted`."""
+    steps: list[tuple[str, list[Effect]]] = [("as declared", [])]
+    steps += [(f"{_named(e)} alone", [e]) for e in effects]
+    steps += [("all of them", list(effects))] if len(effects) > 1 else []
+    drawn = drawn_feet(effects, robot)
+    steps += [(f"not found: {_named(e)}, as drawn", [e]) for e in drawn]
+    steps += [(f"not found: {_named(e)}, as sized", [e]) for e in doubted]
+    return steps + ([("not found: both", [*drawn, *doubted])] if drawn and doubted else [])
+
+
+def late_ends(found: Trace) -> list[Effect]:
+    """Contacts that end late, as the last round sized them, unless they are among the effects."""
+    last = found.attribution.rounds[-1] if found.attribution else ()
+    sized = [c.size for c in last if c.key == ("contact_delay", "liftoff")]
+    return [effect("contact_delay", "liftoff", size) for size in sized if size > 0]
+
+
+def drawn_feet(effects: Sequence[Effect], robot: Robot) -> list[Effect]:
+    """What the declared model's feet lack of the file's radius, unless it is among the effects."""
+    missing = float(np.mean(Robot.load(robot.file).foot_radius - robot.foot_radius))
+    if missing <= 0 or any(e.name == "foot_rolling" for e in effects):
+        return []
+    return [effect("foot_rolling", "all", missing)]
+
+
+def _named(one: Effect) -> str:
+    return f"{one.name.replace('_', ' ')} {one.target}, {one.value:+.4g} {one.unit}"
+
+
+def leg_filter_table(
+    log: Log, robot: Robot, found: Trace, shifts: Sequence[float], seed: int = 0
+) -> pd.DataFrame:
+    """The leg filter over the whole log: as declared, with each effect, with all, with sizes drawn
+    from their intervals, and against a reference moved by `shifts` [s]."""
+    rng = np.random.default_rng(seed)
+    steps = ladder(found.effects, robot, late_ends(found))
+    rows = [_judged(words, log, robot, chosen) for words, chosen in steps]
+    if found.attribution is not None and found.effects:
+        drawn = [
+            _judged(
+                "", log, robot, [_drawn(f.effect, f.interval, rng) for f in found.attribution.found]
+            )
+            for _ in range(30)
+        ]
+        for end, percent in (("lower", 2.5), ("upper", 97.5)):
+            row: dict[str, str | float] = {
+                "model": f"all, sizes drawn from their intervals, {end} end"
+            }
+            for key in METRICS:
+                row[key] = float(np.percentile([float(one[key]) for one in drawn], percent))
+            rows.append(row)
+    for shift in shifts:
+        moved = compensate_all([effect("reference_delay", "all", shift)], log, robot)[0]
+        words = f"reference moved by {1e3 * shift:+.0f} ms"
+        rows.append(_judged(f"as declared, {words}", moved, robot, []))
+        rows.append(_judged(f"all of them, {words}", moved, robot, list(found.effects)))
+    return pd.DataFrame(rows)
+
+
+def _drawn(one: Effect, interval: tuple[float, float], rng: np.random.Generator) -> Effect:
+    spread = (interval[1] - interval[0]) / (2 * 1.96)
+    low, high = one.bounds
+    return replace(one, value=float(np.clip(rng.normal(one.value, spread), low, high)))
+
+
+def _judged(words: str, log: Log, robot: Robot, chosen: Sequence[Effect]) -> dict[str, str | float]:
+    told, model = compensate_all(chosen, log, robot)
+    m = evaluate(reference(log), filtered("leg", told, model, Learnt()))
+    return {"model": words} | {name: getattr(m, metric) for name, metric in METRICS.items()}
+
+
+def figure(log: Log, robot: Robot, found: Trace, late: Sequence[Lag]) -> Figure:
+    """The square from above, feet that slide by tenths of their stance, and the streams' lags."""
+    drawn, axes = new_figure(1, 3, (12.0, 4.2))
+    above, stance, times = axes[0]
+    truth = reference(log)
+    models: list[tuple[str, Sequence[Effect], str, str]] = [
+        ("as declared", (), BEFORE, "--"), ("with what was found", found.effects, AFTER, "-"),
+    ]  # fmt: skip
+    if missed := [*drawn_feet(found.effects, robot), *late_ends(found)]:
+        models.append(("with what was not", missed, MISSED, "-"))
+    for words, chosen, color, line in models:
+        path = align_first(truth, filtered("leg", *compensate_all(chosen, log, robot), Learnt()))
+        above.plot(*_plan(path), line, color=color, label=f"leg filter, {words}")
+    above.plot(*_plan(truth), color=INK, linewidth=2.0, label="motion capture")
+    above.set_aspect("equal", adjustable="datalim")
+    above.set_xlabel("x [m]")
+    above.set_ylabel("y [m]")
+    above.legend(fontsize=7.5, frameon=False, loc="center")
+    set_title(above, "the walk from above")
+    where = (np.arange(TENTHS) + 0.5) * 100 / TENTHS
+    for words, chosen, color, line in models:
+        speed = np.sqrt(np.nanmean(stance_profile(log, robot, chosen) ** 2, axis=1))
+        stance.plot(where, speed, line, marker="o", markersize=3, color=color, label=words)
+    stance.set_ylim(0.0, None)
+    stance.set_xlabel("share of the stance that has passed [%]")
+    stance.set_ylabel("speed of the foot [m/s]")
+    stance.legend(fontsize=8.0, frameon=False)
+    set_title(stance, "how fast 'standing' feet move")
+    rows = np.arange(len(late))
+    middle = 1e3 * np.array([one.late for one in late])
+    half = np.abs(1e3 * np.array([one.interval for one in late]).T - middle)
+    times.errorbar(middle, rows, xerr=half, fmt="o", color=AFTER)
+    times.axvline(0.0, color=INK, linestyle=":", linewidth=1.2)
+    times.set_yticks(rows, [one.stream.split(",")[0].replace(" ", "\n", 1) for one in late])
+    times.set_ylim(len(late) - 0.5, -0.5)
+    times.set_xlabel("late against motion capture [ms]")
+    set_title(times, "do the clocks agree? (95 %)")
+    return drawn
+
+
+def _plan(path: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    return path.p_GI[:, 0], path.p_GI[:, 1]

@@ -1,0 +1,194 @@
+"""Study of a Go2 hung in the air: how long is a row of its log, and what do its drives lack?"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
+from surefoot.scenarios.reporting.plotting import new_figure, set_title
+from surefoot.scenarios.studies.hardware.drives import (
+    EFFECTS,
+    RIVALS,
+    Balance,
+    balance,
+    fit,
+    left,
+    level,
+    level_interval,
+    select,
+)
+from surefoot.scenarios.studies.hardware.row_times import RowTimes, row_times
+from surefoot.scenarios.studies.hardware.words import between
+from surefoot.sim.log import Log
+from surefoot.sim.robot.fixed_base import Machine
+
+WIDTH = 0.03
+"""s, of the kernel."""
+STOPS = 0.1
+"""rad from the end of a joint's range: calves lean on their stops, which give."""
+REPORT = 0.35
+"""Of the log, at its end, that only reports."""
+SOURCE = 0.002
+"""s between the states that the robot's low level publishes (unitree_sdk2's examples: 500 Hz)."""
+PERIODS = (0.005, 0.0044)
+"""s: the nominal period of a row, and the one that rates and positions give."""
+KINDS = ("hips", "thighs", "calves")
+_SMALL = ("torque_bias", "torque_delay", "viscous_friction")
+MODELS: dict[str, tuple[str, ...]] = {
+    "as declared": (),
+    "bias, delay and viscous friction": _SMALL,
+    "and a torque scale": (*_SMALL, "torque_scale"),
+    "and another armature": (*_SMALL, "armature"),
+    "and other armature and dry friction": (*_SMALL, "armature", "coulomb_friction"),
+    "and torque scale, armature, dry friction": tuple(EFFECTS),
+    "and heavier links instead of a torque scale": (
+        *_SMALL, "gravity", "inertia", "armature", "coulomb_friction",
+    ),
+}  # fmt: skip
+"""Explanations set side by side on the part that none was fitted on."""
+
+
+@dataclass(frozen=True)
+class Drives:
+    """The drives under one period of a row: what fits and chooses, and what only reports."""
+
+    period: float
+    seen: Balance
+    unseen: Balance
+
+
+def drives(log: Log, machine: Machine, period: float) -> Drives:
+    """The balance of the log if a row takes `period` [s]."""
+    retimed = replace(log, frame=log.frame.assign(t=period * np.arange(len(log.t))))
+    one = balance(retimed, machine, WIDTH, STOPS)
+    late = one.t > (1 - REPORT) * one.t[-1]
+    return Drives(
+        period,
+        replace(one, good=one.good & ~late[:, None]),
+        replace(one, good=one.good & late[:, None]),
+    )
+
+
+def clock(log: Log, seed: int = 0) -> RowTimes:
+    """The rows' times by what the joints say."""
+    return row_times(log.q, log.dq, np.random.default_rng(seed))
+
+
+def clock_table(times: RowTimes, joints: Sequence[str]) -> pd.DataFrame:
+    """A row a joint: mean time of a row by its angle and its rate, and what that says of rates if
+    a row is 5 ms."""
+    rows = []
+    for joint, period, interval in zip(joints, times.period, times.periods, strict=True):
+        scale = [PERIODS[0] / x for x in (period, *interval[::-1])]
+        rows.append({
+            "joint": joint,
+            "ms a row, if its rate is right": between(1e3 * period, 1e3 * interval, 2),
+            "its rate reads, if a row is 5 ms": between(scale[0], scale[1:], 3),
+        })  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def ticks_table(times: RowTimes) -> pd.DataFrame:
+    """What the two heaps of rows say."""
+    low, high = (3.0 - share for share in times.share_interval[::-1])
+    ticks = 3.0 - times.share
+    return pd.DataFrame([
+        {"what": "short rows, by the rates [ms]", "value": f"{1e3 * times.short:.2f}"},
+        {"what": "long rows, by the rates [ms]", "value": f"{1e3 * times.long:.2f}"},
+        {"what": "long / short (3 / 2 if rows are 2 and 3 ticks of a source)",
+         "value": between(times.ratio, times.ratio_interval)},
+        {"what": "share of short rows", "value": between(times.share, times.share_interval)},
+        {"what": "ticks a row", "value": between(ticks, (low, high))},
+        {"what": "a row, if the source ticks at 500 Hz [ms]",
+         "value": between(1e3 * SOURCE * ticks, (1e3 * SOURCE * low, 1e3 * SOURCE * high))},
+    ])  # fmt: skip
+
+
+def drives_table(found: Drives, seed: int = 0) -> pd.DataFrame:
+    """A row a joint: effects with intervals, and the residual torque of the part not fitted."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for j, joint in enumerate(found.seen.joints):
+        names = select([found.seen], j, tuple(EFFECTS))
+        sizes = fit([found.seen], j, names, rng)
+        every = fit([found.seen], j, (*EFFECTS, *RIVALS), rng, samples=0)
+        before, after = left(found.unseen, j), left(found.unseen, j, sizes)
+        of_before = level_interval([(found.unseen, before)], rng)
+        of_after = level_interval([(found.unseen, after)], rng)
+        rows.append({
+            "joint": joint,
+            "before [N m]": between(level(before), of_before, 2),
+            "after [N m]": between(level(after), of_after, 2),
+            "every term [N m]": f"{level(left(found.unseen, j, every)):.2f}",
+            "jitter [N m]": f"{found.seen.floor[j]:.3f}",
+            "masked [%]": f"{100 * (1 - (found.seen.good | found.unseen.good)[:, j].mean()):.0f}",
+            "effects (95 % interval)": "; ".join(
+                f"{n.replace('_', ' ')} {between(v, i)} {EFFECTS[n].replace('ratio', '')}".strip()
+                for n, v, i in zip(sizes.names, sizes.values, sizes.interval, strict=True)
+            ),
+        })  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def rivals_table(found: Drives, seed: int = 0) -> pd.DataFrame:
+    """A row an explanation: residual torque of the part not fitted, over joints of a kind."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for words, names in MODELS.items():
+        squares = []
+        for j in range(len(found.seen.joints)):
+            sizes = fit([found.seen], j, names, rng, samples=0) if names else None
+            squares.append(level(left(found.unseen, j, sizes)) ** 2)
+        of_kind = np.sqrt(np.reshape(squares, (-1, 3)).mean(axis=0))
+        row: dict[str, object] = {"explanation": words}
+        rows.append(
+            row | {f"{kind} [N m]": f"{x:.2f}" for kind, x in zip(KINDS, of_kind, strict=True)}
+        )
+    return pd.DataFrame(rows)
+
+
+def figure(times: RowTimes, joints: Sequence[str], found: Drives, seed: int = 0) -> Figure:
+    """Rows' own times, each joint's mean, and the residual torque before and after."""
+    drawn, axes = new_figure(1, 3, (12.0, 4.2))
+    heaps, means, torque = axes[0]
+    heaps.hist(
+        1e3 * times.each[np.isfinite(times.each)], bins=np.arange(2.0, 7.01, 0.08), color=AFTER
+    )
+    tick = 1e3 * (times.short + times.long) / 5.0
+    for count in (2, 3):
+        heaps.axvline(count * tick, color=INK, linestyle=":", linewidth=1.2)
+        heaps.annotate(
+            f"{count} ticks", (count * tick, 1.0), xycoords=("data", "axes fraction"),
+            ha="center", va="bottom", fontsize=8.0,
+        )  # fmt: skip
+    heaps.set_xlabel("time of a row by turn / rate [ms]")
+    heaps.set_ylabel("rows")
+    set_title(heaps, "rows come short and long, 2 : 3\n")
+    where = np.arange(len(joints))
+    half = 1e3 * np.abs(times.periods.T - times.period)
+    means.errorbar(1e3 * times.period, where, xerr=half, fmt="o", color=AFTER, markersize=3.5)
+    means.axvline(5.0, color=INK, linestyle="--", linewidth=1.2)
+    means.annotate("nominal", (5.0, 1.0), xycoords=("data", "axes fraction"), ha="center",
+                   va="bottom", fontsize=8.0)  # fmt: skip
+    means.set_yticks(where, joints)
+    means.invert_yaxis()
+    means.set_xlabel("mean time of a row by turn / rate [ms]")
+    set_title(means, "hips, thighs and calves disagree\n")
+    rng = np.random.default_rng(seed)
+    levels = []
+    for j in range(len(joints)):
+        chosen = select([found.seen], j, tuple(EFFECTS))
+        sizes = fit([found.seen], j, chosen, rng, samples=0)
+        levels.append((level(left(found.unseen, j)), level(left(found.unseen, j, sizes))))
+    before, after = np.array(levels).T
+    torque.barh(where - 0.2, before, 0.38, color=BEFORE, label="declared model")
+    torque.barh(where + 0.2, after, 0.38, color=AFTER, label="with the effects found")
+    torque.set_yticks(where, joints)
+    torque.invert_yaxis()
+    torque.set_xlabel("residual torque, last third [N m]")
+    torque.legend(fontsize=8.0, frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.14))
+    set_title(torque, "torque by the motor law less the model's\n")
+    return drawn

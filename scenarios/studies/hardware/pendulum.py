@@ -1,0 +1,138 @@
+"""Study of one AK80-6 drive that swings a point mass: what does its rigid model lack?
+
+Every run is held out once: terms are chosen and fitted on the others, and judged on it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
+from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
+from surefoot.scenarios.studies.hardware.drives import (
+    EFFECTS,
+    RIVALS,
+    Balance,
+    Sizes,
+    balance,
+    fit,
+    left,
+    level,
+    level_interval,
+    select,
+)
+from surefoot.scenarios.studies.hardware.words import between, size_rows
+from surefoot.sim.log import Log
+from surefoot.sim.robot.fixed_base import Machine
+
+WIDTH = 0.04
+"""s, of the kernel: short against the swing's quarter second, long against a row."""
+MODELS = {
+    "torque scale, dry friction, armature": ("torque_scale", "coulomb_friction", "armature"),
+    "without the torque scale": ("coulomb_friction", "armature"),
+    "without dry friction": ("torque_scale", "armature"),
+    "without armature": ("torque_scale", "coulomb_friction"),
+    "heavier rod instead of torque scale": ("gravity", "inertia", "coulomb_friction"),
+    "viscous instead of dry friction": ("torque_scale", "viscous_friction", "armature"),
+    "friction by load instead of dry": ("torque_scale", "load_friction", "armature"),
+    "and viscous friction": ("torque_scale", "coulomb_friction", "armature", "viscous_friction"),
+    "and a torque bias": ("torque_scale", "coulomb_friction", "armature", "torque_bias"),
+    "and a torque delay": ("torque_scale", "coulomb_friction", "armature", "torque_delay"),
+    "every term": (*EFFECTS, *RIVALS),
+}
+"""Explanations set side by side on runs that none was fitted on."""
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """One run, judged with what the other runs say."""
+
+    run: Balance
+    sizes: Sizes
+    before: np.ndarray  # (N,) N m
+    after: np.ndarray
+
+
+def study(logs: Mapping[str, Log], machine: Machine, seed: int = 0) -> tuple[HeldOut, ...]:
+    """Each run with the terms that the others chose and sized."""
+    rng = np.random.default_rng(seed)
+    runs = {name: balance(log, machine, WIDTH) for name, log in logs.items()}
+    done = []
+    for name, run in runs.items():
+        others = [other for key, other in runs.items() if key != name]
+        sizes = fit(others, 0, select(others, 0, tuple(EFFECTS)), rng)
+        done.append(HeldOut(run, sizes, left(run, 0), left(run, 0, sizes)))
+    return tuple(done)
+
+
+def held_out_table(done: tuple[HeldOut, ...], seed: int = 0) -> pd.DataFrame:
+    """A row a run: root mean square of the residual torque, before and after."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for one in done:
+        own = fit([one.run], 0, (*EFFECTS, *RIVALS), rng, samples=0)
+        before, after = level(one.before), level(one.after)
+        rows.append({
+            "run held out": one.run.name,
+            "terms chosen by the other three": ", ".join(one.sizes.names),
+            "before [N m]": between(before, level_interval([(one.run, one.before)], rng)),
+            "after [N m]": between(after, level_interval([(one.run, one.after)], rng)),
+            "explained [%]": f"{100 * (1 - (after / before) ** 2):.0f}",
+            "every term, own fit [N m]": f"{level(left(one.run, 0, own)):.3f}",
+            "jitter of the readings [N m]": f"{one.run.floor[0]:.3f}",
+            "left out [%]": f"{100 * (1 - one.run.good.mean()):.0f}",
+        })  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def sizes_table(done: tuple[HeldOut, ...], seed: int = 0) -> pd.DataFrame:
+    """Sizes from all runs together, with intervals from blocks, and from each run by itself."""
+    rng = np.random.default_rng(seed)
+    runs = [one.run for one in done]
+    names = MODELS["torque scale, dry friction, armature"]
+    whole = fit(runs, 0, names, rng)
+    alone = {run.name: fit([run], 0, names, rng, samples=0).values for run in runs}
+    return size_rows(whole, EFFECTS, alone)
+
+
+def rivals_table(done: tuple[HeldOut, ...], seed: int = 0) -> pd.DataFrame:
+    """A row an explanation, fitted on three runs and judged on the fourth, each in turn."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for words, names in MODELS.items():
+        row: dict[str, object] = {"explanation": words}
+        for one in done:
+            others = [other.run for other in done if other is not one]
+            sizes = fit(others, 0, names, rng, samples=0)
+            row[one.run.name] = f"{level(left(one.run, 0, sizes)):.3f}"
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def figure(done: tuple[HeldOut, ...]) -> Figure:
+    """For each run held out, its torque and what is left of it."""
+    drawn, axes = new_figure(len(done), 2, (9.5, 8.0))
+    for (torque, rest), one in zip(axes, done, strict=True):
+        t, run = one.run.t - one.run.t[0], one.run
+        shown = np.where(run.good[:, 0], run.tau[:, 0], np.nan)
+        torque.plot(t, shown, color=INK, label="torque as the drive reports it", linewidth=1.8)
+        torque.plot(t, run.rigid[:, 0], "--", color=BEFORE, label="needed by the rigid model")
+        told = run.tau[:, 0] - one.after
+        torque.plot(t, told, color=AFTER, label="with what the three other runs say it lacks")
+        bulk = 1.3 * np.nanmax(np.abs(shown))
+        torque.set_ylim(-bulk, bulk)
+        torque.set_ylabel("torque [N m]")
+        set_title(torque, f"{run.name}: torque")
+        rest.plot(t, one.before, "--", color=BEFORE)
+        rest.plot(t, one.after, color=AFTER)
+        rest.set_ylabel("left [N m]")
+        set_title(
+            rest, f"what is left: {level(one.before):.2f} N m before, {level(one.after):.2f} after"
+        )
+    for ax in axes[-1]:
+        ax.set_xlabel("time [s]")
+    legend_below(drawn, axes[0, 0], 3)
+    return drawn

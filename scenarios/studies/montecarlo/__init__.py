@@ -1,0 +1,1 @@
+"""The paper's Monte-Carlo study, and the coverage update by itself."""

@@ -1,0 +1,111 @@
+"""Figures of the Monte-Carlo study, and the paper's own numbers that they show beside ours."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
+
+from surefoot.scenarios.reporting.palette import (
+    INK,
+    TRUTH,
+    estimator_color,
+    estimator_label,
+    estimator_line,
+)
+from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
+from surefoot.scenarios.studies.montecarlo.qmc import Accuracy
+from surefoot.scenarios.studies.montecarlo.study import READINGS, Row
+
+PAPER_ROWS = {
+    None: ("0.61 ± 0.25", "2.33 ± 1.40", "3.11 ± 2.50", "99.9 ± 121"),
+    0.70: ("0.91 ± 0.31", "2.95 ± 1.01", "2.52 ± 1.15", "1.86 ± 1.38"),
+    0.75: ("0.85 ± 0.26", "2.84 ± 1.21", "3.59 ± 2.46", "3.09 ± 3.67"),
+    0.80: ("0.94 ± 0.27", "2.60 ± 1.36", "4.86 ± 2.45", "1.98 ± 2.64"),
+    0.85: ("0.86 ± 0.33", "3.05 ± 1.34", "4.43 ± 4.33", "3.74 ± 5.52"),
+    0.90: ("0.95 ± 0.29", "2.67 ± 1.19", "4.70 ± 2.86", "4.02 ± 5.27"),
+    0.95: ("1.05 ± 0.36", "3.36 ± 1.47", "3.85 ± 2.43", "3.77 ± 4.65"),
+}
+"""The paper's table of the two regimes, rounded: RMSE unbiased and biased, NEES likewise, by gamma
+(None: the EKF). Its durations, densities and mixture are not given, so only trends compare."""
+
+
+def runtime_figure(rows: Sequence[Accuracy]) -> Figure:
+    """Covariance error against time, log-log."""
+    figure, axes = new_figure(size=(6.5, 3.8))
+    ax = axes[0, 0]
+    sampled = [r for r in rows if r.samples is not None]
+    for name, style in (("probability", "o-"), ("mean", "s-"), ("covariance", "^-")):
+        line = ax.plot(
+            [r.milliseconds for r in sampled], [getattr(r, name) for r in sampled], style,
+            label=f"QMC, {name}",
+        )  # fmt: skip
+        color = line[0].get_color()
+        for r in (r for r in rows if r.samples is None):
+            ax.plot(
+                r.milliseconds, max(getattr(r, name), 1e-16), style[0], color=color, markersize=9,
+                markeredgecolor=INK, label=f"Ours, {name}",
+            )  # fmt: skip
+    ax.set(xscale="log", yscale="log", xlabel="time [ms]", ylabel="error")
+    legend_below(figure, ax, columns=3)
+    return figure
+
+
+def nees_figure(rows: Sequence[Row]) -> Figure:
+    """NEES against gamma for both readings, a panel for each regime."""
+    figure, axes = new_figure(1, 2, size=(9.0, 4.2))
+    for k, regime in enumerate(("unbiased", "biased")):
+        ax = axes[0, k]
+        for reading, style in zip(READINGS, ("o-", "s--"), strict=True):
+            for name in ("coverage", "coverage_persistent"):
+                shown = [
+                    r for r in rows
+                    if (r.regime, r.filter, r.reading) == (regime, name, reading)
+                ]  # fmt: skip
+                label = f"{estimator_label(name)}, quantile at {reading}"
+                means = [r.scores.mean_nees.mean() for r in shown]
+                gammas = [r.gamma for r in shown]
+                ax.plot(gammas, means, style, color=estimator_color(name), label=label)  # pyright: ignore
+        for row in rows:
+            if row.regime == regime and row.gamma is None:
+                color, line = estimator_color(row.filter), estimator_line(row.filter)
+                level = float(row.scores.mean_nees.mean())
+                ax.axhline(level, color=color, ls=line, label=estimator_label(row.filter))
+        gammas = [g for g in PAPER_ROWS if g is not None]
+        paper = [float(PAPER_ROWS[g][2 + k].split()[0]) for g in gammas]
+        ax.plot(gammas, paper, "x", color=TRUTH, label="Coverage (paper)")
+        ax.axhline(3.0, color=INK, linewidth=0.8)
+        ax.set(yscale="log", xlabel="gamma", ylabel="position NEES")
+        _plain_ticks(ax)
+        set_title(ax, regime)
+    legend_below(figure, axes[0, 0], columns=2)
+    return figure
+
+
+def time_figure(rows: Sequence[Row], gamma: float, rate: float) -> Figure:
+    """Error and NEES in time for the four filters at one gamma, bounds at gamma^(1/3)."""
+    figure, axes = new_figure(2, 2, size=(9.0, 6.0), share_x=True)
+    for k, regime in enumerate(("unbiased", "biased")):
+        for row in rows:
+            if row.regime != regime or row.gamma not in (None, gamma) or row.reading == READINGS[0]:
+                continue
+            t = np.arange(1, row.scores.nees.shape[1] + 1) / rate
+            error = np.sqrt(np.mean(row.scores.distance**2, axis=0))
+            for ax, value in zip(axes[:, k], (error, row.scores.nees.mean(axis=0)), strict=True):
+                ax.plot(
+                    t, value, color=estimator_color(row.filter), ls=estimator_line(row.filter),
+                    label=estimator_label(row.filter),
+                )  # fmt: skip
+        axes[1, k].axhline(3.0, color=INK, linewidth=0.8)
+        axes[1, k].set(yscale="log", xlabel="time [s]", ylabel="position NEES")
+        _plain_ticks(axes[1, k])
+        axes[0, k].set_ylabel("position error [m]")
+        set_title(axes[0, k], regime)
+    legend_below(figure, axes[0, 0])
+    return figure
+
+
+def _plain_ticks(ax) -> None:
+    """Numbers, not powers, on a logarithmic axis."""
+    ax.yaxis.set_major_formatter(LogFormatter())
+    ax.yaxis.set_minor_formatter(LogFormatter())

@@ -1,0 +1,183 @@
+"""How robots walk: every robot over four grounds, every course on several seeds, in two tables.
+
+After each walk the bare engine steps the same model through the same torques, on the same thread.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from time import thread_time
+from typing import Any
+
+import numpy as np
+
+from surefoot.scenarios.datasets.index import DRY, SLIPPING, measured
+from surefoot.scenarios.reporting.tables import to_csv, to_markdown
+from surefoot.scenarios.studies.bench.walking import COURSE, Replay
+from surefoot.scenarios.studies.walking.grounds import grounds_for
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import bundled, refuse_overwrite, whole_file
+from surefoot.sim.physics.scene import TIMESTEP
+from surefoot.sim.physics.stepper import STEPS_PER_TICK
+from surefoot.sim.robot.catalog import known_robots
+from surefoot.sim.scenario import Scenario
+from surefoot.sim.sensors.streams import Motion
+from surefoot.sim.walk import SETTLE, Fallen, Plan, plan, record, simulate
+from surefoot.sim.walking.batch import Job, known_robot, on_threads
+
+SUITES = tuple(bundled("surefoot.scenarios", "courses") / suite for suite in ("vision60", "spot"))
+MEAN_OVER = 1.0  # s, two gait cycles or more: the velocity's bob within them does not count
+
+
+@dataclass(frozen=True)
+class Walk:
+    """One walk of the study; what a fall leaves unmeasured is NaN."""
+
+    robot: str
+    walk: str  # the ground, or the course
+    seed: int
+    falls: int
+    distance: float = np.nan  # m, of the reference's path sampled every 0.5 s
+    duration: float = np.nan  # s
+    velocity_error: float = np.nan  # m/s, root mean square
+    slip_share: float = np.nan  # of the loaded feet's samples
+    creep: float = np.nan  # m/s, median speed of loaded feet on dry ground
+    pace: float = np.nan  # simulated s per s of its thread
+    bare_pace: float = np.nan  # the same, of the bare engine; measured with seed 0
+
+
+def walking_study(
+    out: Path,
+    robots: Sequence[str] = (),
+    courses: Sequence[Path] = (),
+    seeds: int = 5,
+    workers: int = 1,
+    progress: Callable[[float], None] | None = None,
+    force: bool = False,
+) -> list[Walk]:
+    """Write `walking.md` and `walking.csv` (one row a walk) into `out`; returns the walks.
+
+    robots: names or MJCF files, each over its four grounds with seed 0; courses: scenario files,
+    each on its own robot. Where neither is given: every known robot, and the seventeen courses.
+    """
+    if not robots and not courses:
+        robots = list(known_robots())
+        courses = [path for suite in SUITES for path in sorted(suite.glob("*.toml"))]
+    table, rows = out / "walking.md", out / "walking.csv"
+    for path in (table, rows):
+        refuse_overwrite(path, force)
+    if seeds < 1 or workers < 1:
+        raise SurefootError("--seeds and --workers: at least 1")
+    on_grounds = [Job(g, name, 0) for name in robots for g in grounds_for(known_robot(name))]
+    on_courses = [_course_job(path, seed) for path in courses for seed in range(seeds)]
+    jobs = [*on_grounds, *on_courses]
+    order = {(known_robot(j.robot).name, j.scenario.name, j.seed): i for i, j in enumerate(jobs)}
+    jobs.sort(key=lambda job: job.seed)  # every course once before any twice
+    walked(Job(COURSE, "spot_class", 0))  # compiles what is compiled at first use
+    walks: list[Walk] = []
+    for walk in on_threads(jobs, walked, workers, progress):
+        walks.append(walk)
+        walks.sort(key=lambda w: order[w.robot, w.walk, w.seed])
+        # After every walk: a study that is stopped has its tables up to there.
+        with whole_file(rows, force=True) as temporary:
+            temporary.write_text(to_csv([asdict(w) for w in walks]), encoding="utf-8")
+        with whole_file(table, force=True) as temporary:
+            temporary.write_text(report(walks), encoding="utf-8")
+    return walks
+
+
+def walked(job: Job, tell: Callable[[float], None] | None = None) -> Walk:
+    """Make one walk, measure it, and with seed 0 time the bare engine on the same work.
+
+    Time is the thread's own: that of a core with nothing else to do.
+    """
+    robot = known_robot(job.robot)
+    began = thread_time()
+    made = plan(job.scenario, robot, job.seed, job.effects)
+    try:
+        motion = simulate(made.world, robot, made.gait, made.course, tell)
+    except Fallen as fall:
+        return Walk(robot.name, job.scenario.name, job.seed, 1, duration=fall.time - SETTLE)
+    log = record(made, motion)
+    between = thread_time()
+    if job.seed == 0:
+        Replay.of([(made, motion)]).run()
+    ended = thread_time()
+    found = measured(log)
+    simulated = len(motion.tau) * TIMESTEP
+    return Walk(
+        robot=robot.name,
+        walk=job.scenario.name,
+        seed=job.seed,
+        falls=0,
+        distance=found["length"],
+        duration=found["duration"],
+        velocity_error=velocity_error(made, motion),
+        slip_share=found["slip_share"],
+        creep=found["creep"],
+        pace=simulated / (between - began),
+        bare_pace=simulated / (ended - between) if job.seed == 0 else np.nan,
+    )
+
+
+def velocity_error(made: Plan, motion: Motion) -> float:
+    """RMS [m/s] of the base's velocity along and across its heading less the commanded one.
+
+    Both as means over MEAN_OVER, from the end of settling on.
+    """
+    ticks = slice(round(SETTLE / TIMESTEP), None, STEPS_PER_TICK)
+    ahead = motion.R_GB[ticks, :2, 0]
+    ahead = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
+    aside = np.column_stack([-ahead[:, 1], ahead[:, 0]])
+    v = motion.v_GB[ticks, :2]
+    moved = np.column_stack([(v * ahead).sum(axis=1), (v * aside).sum(axis=1)])
+    wanted = made.course.velocity[round(SETTLE / TIMESTEP / STEPS_PER_TICK) :, :2]
+    n = min(len(moved), len(wanted))
+    window = round(MEAN_OVER / (TIMESTEP * STEPS_PER_TICK))
+    total = np.cumsum(np.vstack([np.zeros(2), moved[:n] - wanted[:n]]), axis=0)
+    off = (total[window:] - total[:-window]) / window
+    return float(np.sqrt((off**2).sum(axis=1).mean()))
+
+
+def report(walks: Sequence[Walk]) -> str:
+    """The two tables in Markdown, and what their columns mean."""
+    alike: dict[tuple[str, str], list[Walk]] = {}
+    for walk in walks:
+        alike.setdefault((walk.robot, walk.walk), []).append(walk)
+    return (
+        "# How the robots walk\n\n"
+        f"{to_markdown([_line(group) for group in alike.values()])}\n\n"
+        "Means over the seeds that did not fall. Velocity error: root mean square of the base's "
+        f"velocity, averaged over {MEAN_OVER:g} s, less the commanded one. Slipping: share of the "
+        f"loaded feet's samples faster than {SLIPPING} m/s over the ground. Creep: median speed of "
+        f"loaded feet where mu >= {DRY}. Pace: simulated seconds per second of one thread, "
+        "controller and sensors included; bare: `mujoco.rollout` of the same model, state and "
+        "torques on that thread, with seed 0.\n"
+    )
+
+
+def _line(walks: Sequence[Walk]) -> dict[str, Any]:
+    def mean(name: str, digits: int, factor: float = 1.0) -> str:
+        values = np.array([getattr(walk, name) for walk in walks if not walk.falls])
+        values = values[np.isfinite(values)]
+        return f"{factor * values.mean():.{digits}f}" if values.size else "–"
+
+    return {
+        "robot": walks[0].robot,
+        "walk": walks[0].walk,
+        "falls": f"{sum(w.falls for w in walks)} of {len(walks)}",
+        "distance [m]": mean("distance", 1),
+        "duration [s]": mean("duration", 1),
+        "velocity error [m/s]": mean("velocity_error", 3),
+        "slipping [%]": mean("slip_share", 2, 100.0),
+        "creep [mm/s]": mean("creep", 2, 1e3),
+        "pace": mean("pace", 0),
+        "bare": mean("bare_pace", 0),
+    }
+
+
+def _course_job(path: Path, seed: int) -> Job:
+    scenario = Scenario.load(path)
+    if not scenario.robot:
+        raise SurefootError(f"scenario {path}: names no robot")
+    return Job(scenario, scenario.robot, seed)

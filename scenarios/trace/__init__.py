@@ -1,0 +1,1 @@
+"""The loop closed: a trace, its report, and what the effect found does to simulation."""

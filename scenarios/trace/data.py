@@ -1,0 +1,129 @@
+"""What a trace may know of its logs, how it splits them, and what they can and cannot tell."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from surefoot.models.attribution.evidence import LogUnderModel, all_keys, channels_of
+from surefoot.models.attribution.noise_floor import NoiseFloor
+from surefoot.models.attribution.search import Split
+from surefoot.models.residuals.binning import BIN, bin_mean
+from surefoot.sim.log import LEGS, Log
+from surefoot.sim.robot import Robot
+
+REPORT_SHARE = 0.35
+"""Of each log, at its end, that no fit and no choice sees."""
+BLOCK, GAP = 4.0, 0.2
+"""s: blocks that fit and blocks that select take turns, with gaps between them."""
+TURNS = 6
+"""Blocks that a log has at least: of a short one they are shorter, and the gaps with them."""
+THIN = 0.5
+"""s of residuals below which a part of the split is taken to have none."""
+SHORTEST = 12.0
+"""s of a log below which there is too little to split."""
+SHORTEST_FIXED = 3.0
+"""s, of a machine on a fixed base, every row of which tells something."""
+CARRIED = 0.5
+"""m that no robot moves whose feet do not step."""
+NEEDS = {
+    "imu_gyro": ("imu", "reference"),
+    "imu_accel": ("imu", "reference"),
+    "leg_velocity": ("q", "contact", "reference"),
+    "foot_height": ("q", "contact", "reference"),
+    "joint_torque": ("q", "tau", "contact"),
+    "base_wrench": ("q", "tau", "contact", "reference"),
+    "joint_rate": ("q", "dq"),
+    "contact_timing": ("q", "contact", "reference"),
+}
+"""Groups of columns that each channel takes."""
+
+
+def split_of(cases: Sequence[LogUnderModel]) -> Split:
+    """Each log's end reports; before it, blocks that fit and blocks that select take turns."""
+    parts = []
+    for case in cases:
+        t = case.frame.t - case.frame.t[0]
+        begin = (1 - REPORT_SHARE) * t[-1]
+        length = min(BLOCK, begin / TURNS)
+        gap = GAP * length / BLOCK
+        block = np.floor(t / length).astype(int)
+        used = (t < begin - gap) & (t - length * block >= gap)
+        parts.append((used & (block % 2 == 0), used & (block % 2 == 1), t >= begin))
+    return Split(*(np.concatenate(masks) for masks in zip(*parts, strict=True)))
+
+
+def readings(log: Log) -> Log:
+    """The log without anything that a measured one could not have, nor contacts that cannot be."""
+    known = ("gyro_", "accel_", "q_", "dq_", "tau_", "contact_", "force_", "ref_")
+    if dead_contacts(log):
+        known = tuple(name for name in known if name != "contact_")
+    names = [n for n in log.frame if str(n) == "t" or str(n).startswith(known)]
+    meta = replace(log.meta, scenario=None, seed=None, effects=(), versions={})
+    return Log(log.frame.filter(items=names), meta, log.name)
+
+
+def dead_contacts(log: Log) -> str:
+    """What is wrong with contacts that never change although the robot walks; "" if nothing is."""
+    if not log.has("contact") or not log.has("reference"):
+        return ""
+    dead = [leg for leg, one in zip(LEGS, log.contact.T, strict=True) if one.all() or not one.any()]
+    far = float(np.ptp(log.ref_p[:, :2], axis=0).max())
+    walks = len(LEGS) - len(dead) >= 2 or (len(dead) == len(LEGS) and far > CARRIED)
+    if not dead or not walks:
+        return ""
+    names = ", ".join(f"contact_{leg}" for leg in dead)
+    return f"contacts: not used, no change in {names} although the robot walks"
+
+
+def cannot_tell(cases: Sequence[LogUnderModel], split: Split) -> str:
+    """Why these logs cannot be traced, in a line; "" where they can."""
+    if not any(all_keys(case) for case in cases):
+        return (
+            "no channel: needs gyro and accel, or q and contact, beside the reference; or q and "
+            "tau of a fixed base"
+        )
+    longest = max(case.frame.t[-1] - case.frame.t[0] for case in cases)
+    shortest = SHORTEST_FIXED if cases[0].fixed else SHORTEST
+    if longest < shortest:
+        return f"too short: {longest:.1f} s where {shortest:g} s are needed to fit and to check"
+    known = np.concatenate([bin_mean(case.frame)(case.frame.ok.astype(float)) for case in cases])
+    parts = (split.fit, split.select, split.report)
+    seconds = [BIN * float(known[part].sum()) for part in parts]
+    if min(seconds) < THIN:
+        fit, select, report = (f"{x:.1f} s" for x in seconds)
+        return (
+            f"too little reference: {fit} to fit on, {select} to choose on, {report} to report on"
+        )
+    return ""
+
+
+def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, ...]:
+    """What the reader should know of the data before the result."""
+    notes = []
+    there = set.intersection(*(set(channels_of(case)) for case in cases))
+    for channel, needed in NEEDS.items():
+        lacking = [g for g in needed if not all(case.log.has(g) for case in cases)]
+        if channel in there:
+            continue
+        if lacking:
+            notes.append(f"{channel}: not used, the log lacks {' and '.join(lacking)}")
+        elif channel == "foot_height":
+            notes.append("foot_height: not used, the ground is not level")
+    if "joint_torque" not in there and all(case.log.has("q_des") for case in cases):
+        notes.append(
+            "tracking: commanded angles tell of drives by torques alone; give the map a motor law"
+        )
+    if cases[0].fixed:
+        notes.append("without a reference the base is taken to be held still and level")
+    elif not all(case.log.has("ref_v") for case in cases):
+        notes.append("the reference's velocity is derived from its positions, which smooths it")
+    if not floor.repeats and not cases[0].fixed:
+        notes.append("the model does not walk in simulation: the floor is sensor noise alone")
+    if floor.evenness and "foot_height" in there:
+        notes.append(
+            f"the ground is taken for even to {1e3 * floor.evenness:.2g} mm (standard deviation)"
+        )
+    if any(isinstance(c.robot, Robot) and np.any(c.robot.foot_radius == 0) for c in cases):
+        notes.append("the model's feet are points; the floor is from walks with the file's feet")
+    return tuple(notes)

@@ -1,0 +1,98 @@
+"""Figures of a trace: what is left over before and after, and which effect would explain it."""
+
+from collections.abc import Collection, Mapping
+from math import ceil
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK, OUTSIDE
+from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
+
+_COLUMNS = 4
+
+
+def residuals(
+    channels: Mapping[str, Mapping],
+    title: str = "What the model leaves unexplained, on data that no fit has seen",
+) -> Figure:
+    """RMS residual of each channel before and after, with its noise floor, each in its own unit.
+
+    Args:
+        channels: name -> {"before", "after", "noise_floor", "unit"}, as in trace.json; a value may
+            be None where it is not known.
+        title: said above the figure.
+    """
+    rows = max(1, ceil(len(channels) / _COLUMNS))
+    columns = min(_COLUMNS, max(1, len(channels)))
+    figure, axes = new_figure(rows, columns, size=(max(2.3 * columns, 5.0), 2.9 * rows + 0.8))
+    for ax, (name, channel) in zip(axes.flat, channels.items(), strict=False):
+        for k, (key, color) in enumerate((("before", BEFORE), ("after", AFTER))):
+            value = channel.get(key)
+            if value is not None:
+                ax.bar(k, value, 0.65, color=color, label=f"RMS {key}")
+                ax.annotate(
+                    f"{value:.3g}", (k, value), ha="center", va="bottom", fontsize=8,
+                    xytext=(0, 1), textcoords="offset points",
+                )  # fmt: skip
+        floor = channel.get("noise_floor")
+        if floor is not None:
+            ax.axhline(
+                floor, color=OUTSIDE, linewidth=1.4, linestyle=(0, (4, 2)), label="noise floor"
+            )
+        set_title(ax, name.replace("_", " "), 9.5)
+        ax.set_ylabel(f"RMS [{channel.get('unit', '')}]")
+        ax.set_xticks([0, 1], ["before", "after"])
+        ax.set_xlim(-0.6, 1.6)
+        ax.set_ylim(0, 1.15 * ax.get_ylim()[1])
+        ax.grid(False, axis="x")
+    for ax in axes.flat[len(channels) :]:
+        ax.set_visible(False)
+    figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+    legend_below(figure, axes[0, 0])
+    return figure
+
+
+def candidate_gains(
+    gains: Mapping[str, float | tuple[float, float, float]],
+    chosen: Collection[str] = (),
+    title: str = "What each candidate effect, alone, would explain of the residual",
+    at_most: int = 15,
+) -> Figure:
+    """Bars of held-out gain by candidate, the best first, the chosen ones in colour.
+
+    Args:
+        gains: effect -> gain (1 explains all, below 0 makes it worse), or (gain, low, high)
+            with the ends of its interval.
+        chosen: the effects that entered the model.
+        title: said above the figure.
+        at_most: bars drawn; the axis says how many candidates there are.
+    """
+    values = {name: np.atleast_1d(np.asarray(g, dtype=float)) for name, g in gains.items()}
+    order = sorted(values, key=lambda name: -values[name][0])
+    shown = order[:at_most]
+    figure, axes = new_figure(size=(7.5, 0.32 * len(shown) + 1.6))
+    ax = axes[0, 0]
+    places = np.arange(len(shown))[::-1]
+    for place, name in zip(places, shown, strict=True):
+        gain = values[name]
+        ax.barh(place, 100 * gain[0], 0.65, color=AFTER if name in chosen else BEFORE)
+        right = gain[0]
+        if len(gain) == 3:
+            ax.plot(100 * gain[1:], [place, place], color=INK, linewidth=1.2, marker="|")
+            right = max(right, gain[2])
+        ax.annotate(
+            f"{100 * gain[0]:.1f} %", (100 * max(right, 0.0), place), va="center", fontsize=8,
+            xytext=(5, 0), textcoords="offset points",
+        )  # fmt: skip
+    ax.set_yticks(places, [name.replace("_", " ") for name in shown])
+    ax.axvline(0, color=INK, linewidth=0.8)
+    more = f" (best {at_most} of {len(order)} candidates)" if len(order) > at_most else ""
+    ax.set_xlabel(f"share of the residual explained on held-out data [%]{more}")
+    ax.margins(x=0.12)
+    ax.grid(False, axis="y")
+    set_title(ax, title)
+    ax.bar([0], [0], color=AFTER, label="put into the model")
+    ax.bar([0], [0], color=BEFORE, label="not taken")
+    legend_below(figure, ax)
+    return figure

@@ -1,0 +1,116 @@
+"""A trace in words: what was found, how sure, and what it changes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import isfinite
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from surefoot.models.attribution.search import Found
+    from surefoot.scenarios.trace.run import Trace
+
+VERDICTS = {
+    "attributed": "traced to what the model lacks; what is left is at the noise floor",
+    "confounded": "the residual has more than one explanation that these data cannot tell apart",
+    "none_of_these": "a residual is left that no effect of the catalogue explains",
+    "not_identifiable": "the data cannot tell",
+    "no_residual": "the model explains the log down to its noise floor",
+}
+_EXPLAIN = {
+    "encoder_offset": "walk crouched and tall, and turn on the spot",
+    "link_length": "stand tall and crouched, and step over a known distance",
+    "foot_rolling": "change the slope of the legs: long against short steps at one speed",
+    "imu_rotation": "tilt the body in stance about each axis in turn",
+    "gyro_scale": "turn the body about that axis, both ways and at several rates",
+    "joint_delay": "change the gait's frequency: a delay's error grows with it",
+    "imu_delay": "shake the body at several frequencies: a delay's error grows with them",
+    "reference_delay": "change speed often: a late reference errs where the motion changes",
+    "clock_scale": "log for longer: clocks drift apart without end",
+    "encoder_scale": "bend the joint over its whole range: a scale's error grows with the angle",
+    "hip_offset": "turn on the spot and walk sideways, crouched and tall",
+    "gyro_bias": "tilt the body and hold it: a bias stays, what goes with gravity turns along",
+    "gyro_g_sensitivity": "tilt the body and hold it: gravity along the axis then changes",
+    "accel_bias": "tilt the body and hold it: a bias stays, gravity along the axis changes",
+    "accel_scale": "tilt the body and hold it, best upside down: gravity along the axis changes",
+    "imu_position": "turn fast about each axis: a lever arm's error grows with the rate squared",
+    "joint_compliance": "stand on the leg and lift it: a spring gives with the load",
+    "backlash": "load the joint one way and the other at one angle",
+    "mounting_rotation": "walk in every direction, crouched and tall",
+    "contact_delay": "change the gait's frequency and speed",
+    "soft_ground": "walk on hard ground",
+}
+_SCALE = {"rad": (1e3, "mrad"), "m": (1e3, "mm"), "s": (1e3, "ms"), "ratio": (1e2, "%")}
+
+
+def motion_to_tell_apart(names: Sequence[str]) -> str:
+    """The motion that would separate effects of these names."""
+    return "; ".join(dict.fromkeys(_EXPLAIN.get(name, "more varied motion") for name in names))
+
+
+def size_in_words(found: Found) -> str:
+    """An effect with its size and interval, in the unit people say: 'encoder_offset FL_thigh +19.8
+    mrad (95 % interval +19.1 .. +20.4)'."""
+    one = found.effect
+    factor, unit = _SCALE.get(one.unit, (1.0, one.unit))
+    low, high = (factor * x for x in found.interval)
+    return (
+        f"{one.name} {one.target} {factor * one.value:+.3g} {unit} "
+        f"(95 % interval {low:+.3g} .. {high:+.3g})"
+    )
+
+
+def remainder_in_words(found: Trace) -> list[str]:
+    """The three strongest forms of what is left, a line each."""
+    return [
+        f"  {100 * r.share:.0f} % of what is left in {r.channel} {r.column} goes with "
+        f"{', '.join(r.regressors)}"
+        if r.regressors
+        else f"  nothing simple goes with what is left in {r.channel} {r.column}"
+        for r in found.remainder[:3]
+    ]
+
+
+def summary(found: Trace) -> str:
+    """What a reader wants on the screen, in a dozen lines."""
+    lines = [f"verdict: {found.verdict}: {VERDICTS[found.verdict]}"]
+    if found.attribution:
+        lines += [f"  lacks {size_in_words(f)}" for f in found.attribution.found]
+    lines += [f"  or {r['name']} {r['target']} (overlap {r['overlap']:.2f})" for r in found.rivals]
+    if found.rivals:
+        lines.append(f"  to tell them apart: {found.motion}")
+    lines += remainder_in_words(found)
+    if found.channels:
+        lines.append("residual on the part that no fit has seen (root mean square of 20 ms means):")
+    for name, c in found.channels.items():
+        floor = "unknown" if c.noise_floor is None else f"{c.noise_floor:.3g}"
+        lines.append(f"  {name:13s} {c.before:.3g} -> {c.after:.3g} {c.unit}, noise floor {floor}")
+    for name, metrics in found.filters.items():
+        b, a = metrics["before"], metrics["after"]
+        lines.append(
+            f"{name} filter there: APE {_change(b, a, 'ape_trans', 3)} m, "
+            f"{_change(b, a, 'ape_rot', 2)} deg; RPE {_change(b, a, 'rpe_trans', 4)} m, "
+            f"{_change(b, a, 'rpe_rot', 3)} deg/m"
+        )
+    if "leg_velocity" in found.channels:
+        lines.append(f"masked as slipping: {100 * found.masked_share:.1f} % of stance time")
+    if found.channels:
+        lines.append(f"noise floor: {found.floor}")
+    lines += [f"note: {note}" for note in found.notes]
+    return "\n".join(lines)
+
+
+def caution(found: Mapping[str, Any]) -> str:
+    """What one should know, by a trace.json, before its effects are put to use; "" if nothing."""
+    if found["verdict"] != "none_of_these" or not found["effects"]:
+        return ""
+    harm = [note for note in found["notes"] if note.endswith("with what was found")]
+    return "; ".join([
+        "caution: more is left than was found, and what was found may stand for it", *harm
+    ])  # fmt: skip
+
+
+def _change(before: dict[str, float], after: dict[str, float], metric: str, digits: int) -> str:
+    """A metric before and after; a dash where the walk is too short for it."""
+    said = [f"{m[metric]:.{digits}f}" if isfinite(m[metric]) else "–" for m in (before, after)]
+    return " -> ".join(said)

@@ -1,0 +1,1 @@
+"""rerun recordings and how they are laid out."""

@@ -1,0 +1,143 @@
+"""One walk and every estimator of it as one rerun recording that opens with a layout of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import rerun as rr
+
+from surefoot.estimator.evaluation.trajectory import Trajectory, reference
+from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
+from surefoot.scenarios.reporting.palette import estimator_label
+from surefoot.scenarios.viewer.blueprint import layout
+from surefoot.scenarios.viewer.ground_shapes import write_ground
+from surefoot.scenarios.viewer.scene import (
+    SLIPPING,
+    trunk_size,
+    write_estimates,
+    write_footprints,
+    write_robot,
+    write_truth_path,
+)
+from surefoot.scenarios.viewer.series import write_errors, write_feet, write_update, write_velocity
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import whole_file
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
+
+if TYPE_CHECKING:
+    from surefoot.models.calibration.bounds import Bounds
+    from surefoot.models.observer.predict import Prediction
+
+_ERROR_RATE = 20.0  # Hz; errors and paths change over seconds, not over milliseconds
+
+
+def write_recording(
+    path: str | Path,
+    log: Log,
+    robot: Robot,
+    trajectories: Mapping[str, Trajectory],
+    prediction: Prediction | None = None,
+    bounds: Bounds | None = None,
+    ground: Ground | None = None,
+    force: bool = False,
+) -> None:
+    """Write the .rrd. Raises SurefootError where it exists (no `force`) or the log lacks a group.
+
+    Entities: /world/{ground, robot, truth, footprints, estimates/<name>}, /velocity/{x,y,z},
+    /distance, /position_error/{x,y,z}, /attitude_error/{roll,pitch,yaw} each by estimator,
+    /feet/{contact, slip}/<leg>, /update/<estimator>, /about. One timeline, "time": the log's t.
+
+    Args:
+        path: file to write, by custom ending in .rrd.
+        log: the walk; needs its joints and a reference. Contacts, truth and IMU are optional.
+        robot: whose geoms are drawn, and which says where its IMU is.
+        trajectories: estimator name -> its estimate.
+        prediction: the observer's rows (M,) of the log and v_I (M, 3) m/s there.
+        bounds: of that observer; they are turned to the robot's IMU where it is mounted otherwise.
+        ground: what the robot walked on, as its seed drew it; None draws none.
+        force: overwrite.
+    """
+    log.require("q", "reference")
+    _check_name(path)
+    truth = reference(log)
+    errors = {n: error_series(truth, e, rate=_ERROR_RATE) for n, e in trajectories.items()}
+    stream = rr.RecordingStream("surefoot")
+    records = {name: estimate.updates for name, estimate in trajectories.items()}
+    records = {n: r for n, r in records.items() if r is not None and r.pi is not None}
+    with whole_file(path, force) as temporary:
+        stream.save(temporary, default_blueprint=_layout(log, robot, trajectories, bool(records)))
+        stream.send_recording_name(str(log.meta.scenario or Path(path).stem))
+        about = rr.TextDocument(_about(log, robot, errors), media_type="text/markdown")
+        stream.log("/about", about, static=True)
+        stream.log("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        corners = log.ref_p.min(axis=0), log.ref_p.max(axis=0)
+        if ground is not None:
+            write_ground(stream, corners, ground)
+        write_robot(stream, log, robot)
+        write_truth_path(stream, log)
+        write_estimates(stream, errors, robot, trunk_size(robot))
+        epsilon = None if bounds is None else bounds.epsilon_at(robot.R_BI)
+        write_velocity(stream, log, prediction, epsilon)
+        write_errors(stream, errors)
+        if log.has("contact"):
+            write_footprints(stream, log, robot)
+            write_feet(stream, log)
+        for name, record in records.items():
+            write_update(stream, name, record, None if bounds is None else bounds.gamma)
+        stream.disconnect()
+
+
+def _check_name(path: str | Path) -> None:
+    if Path(path).suffix != ".rrd":
+        raise SurefootError(f"{path}: a recording's name ends in .rrd")
+
+
+def _layout(log: Log, robot: Robot, trajectories: Mapping, has_update: bool):
+    lower, upper = log.ref_p.min(axis=0), log.ref_p.max(axis=0)
+    reach = 4.0 * float(trunk_size(robot)[0])
+    return layout(
+        estimators=tuple(trajectories),
+        eye=tuple(reach * np.array([-0.9, -1.2, 0.8])),
+        centre=tuple(0.5 * (lower + upper)),
+        span=float((upper - lower)[:2].max()) + 1.0,
+        has_feet=log.has("contact"),
+        has_slip=log.has("contact") and log.has("truth"),
+        has_update=has_update,
+    )
+
+
+def _about(log: Log, robot: Robot, errors: Mapping[str, ErrorSeries]) -> str:
+    """What the reader sees, in Markdown, with each estimator's error at the end of the walk."""
+    ends = [f"| {estimator_label(n)} | {e.distance[-1]:.2f} m |" for n, e in errors.items()]
+    table = ["| estimator | distance from the truth at the end |", "|---|---|", *ends, ""]
+    return "\n".join(
+        [
+            f"# {log.meta.scenario or 'A walk'} by {robot.name}, {log.t[-1] - log.t[0]:.1f} s",
+            "",
+            "The robot and the grey line are the truth (of a measured log: the reference). Each "
+            "box is the trunk where one estimator believes it to be; its arrow points forward.",
+            "",
+            "Estimates are laid on the true position and heading at their first sample, because an "
+            "estimator that only feels its own body can observe neither. The wire ellipsoid is "
+            "where one is nearly sure to be: three of its own standard deviations.",
+            "",
+            *(table if errors else []),
+            "- **Ground**: the paler and bluer, the more slippery; labels give the friction "
+            "coefficient.",
+            "- **Dots on the ground**: where feet stood; magenta where one slipped.",
+            "- **Velocity and bounds**: velocity of the IMU along its own axes. The observer's "
+            "guess lies midway between its calibrated bounds; magenta marks true velocities that "
+            "they missed.",
+            "- **Errors**: estimate minus truth. Thin lines are three of the filter's own standard "
+            "deviations: an honest filter stays inside them nearly always.",
+            f"- **Feet**: stance of each foot, magenta while a loaded foot slides faster than "
+            f"{SLIPPING} m/s.",
+            "",
+            "Space plays and pauses; drag and scroll turn and zoom; a double click resets a view.",
+        ]
+    )

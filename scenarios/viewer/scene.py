@@ -1,0 +1,214 @@
+"""The 3-D half of a recording: robot, footprints, and where each estimator thinks it is."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import mujoco
+import numpy as np
+import rerun as rr
+
+from surefoot.scenarios.estimate.error_series import ErrorSeries
+from surefoot.scenarios.reporting.palette import (
+    OUTSIDE,
+    TRUTH,
+    estimator_color,
+    estimator_label,
+    rgba,
+)
+from surefoot.scenarios.viewer.robot_shapes import link_poses, link_shapes, rerun_quaternion
+from surefoot.sim.common.stamps import rows_every
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
+
+POSE_RATE = 50.0  # Hz
+SLIPPING = 0.1  # m/s, foot speed over the ground above which a loaded foot is called slipping
+_ELLIPSOID_RATE = 5.0  # Hz
+_PIECE = 5  # samples of a trail that appear at once
+_FOOTPRINT = (0x2B, 0x2B, 0x2B, 255)
+
+
+def time_column(t: np.ndarray) -> rr.TimeColumn:
+    """The recording's one timeline, "time": the log's own t, in s since the epoch if it is that."""
+    if len(t) and t[0] > 1e8:
+        return rr.TimeColumn("time", timestamp=t)
+    return rr.TimeColumn("time", duration=t)
+
+
+def estimate_path(name: str) -> str:
+    """The entity of an estimator in the scene; any name will do."""
+    return f"world/estimates/{rr.escape_entity_path_part(name)}"
+
+
+def write_robot(stream: rr.RecordingStream, log: Log, robot: Robot) -> None:
+    """The robot at its reference pose: one transform column a link, its shapes once."""
+    model = robot.spec().compile()
+    base = model.body(robot.base_name).id
+    joints = np.array([model.joint(name).id for name in robot.joint_names])
+    rows = np.arange(0, len(log.t), max(1, round(log.rate / POSE_RATE)))
+    times = [time_column(log.t[rows])]
+    R_GB = log.ref_R_GI[rows] @ robot.R_BI.T
+    p_GB = log.ref_p[rows] - R_GB @ robot.p_BI
+    _send_poses(stream, "world/robot", times, p_GB, R_GB)
+    followed = rr.Transform3D.columns(translation=(p_GB * [1.0, 1.0, 0.0]).astype(np.float32))
+    stream.send_columns("world/follow", indexes=times, columns=followed)
+    dot = rr.Points3D([[0.0, 0.0, 0.0]], colors=[rgba(TRUTH)], radii=[_pixels(7.0)])
+    stream.log("world/robot/dot", dot, static=True)
+    _send_shapes(stream, "world/robot", model, base)
+    for link in link_poses(model, base, joints, log.q[rows]):
+        path = f"world/robot/{link.path}"
+        if np.ptp(link.p, axis=0).max() + np.ptp(link.R, axis=0).max() < 1e-9:
+            pose = rr.Transform3D(
+                translation=link.p[0], quaternion=rerun_quaternion(link.R[0]).tolist()
+            )
+            stream.log(path, pose, static=True)
+        else:
+            _send_poses(stream, path, times, link.p, link.R)
+        _send_shapes(stream, path, model, link.body)
+
+
+def write_footprints(stream: rr.RecordingStream, log: Log, robot: Robot) -> None:
+    """A dot wherever a foot stood, magenta where it slipped; needs contacts and a reference."""
+    contact, t = log.contact, log.t
+    feet_G = log.ref_p[:, None] + np.einsum("nij,nlj->nli", log.ref_R_GI, robot.feet_I(log.q))
+    slip = log.slip if log.has("truth") else np.zeros(contact.shape)
+    points, slipped = [], []
+    for leg in range(4):
+        starts, ends = stances(contact[:, leg])
+        for start, end in zip(starts, ends, strict=True):
+            if t[end - 1] - t[start] > 0.05:
+                middle = (start + end) // 2
+                points.append(feet_G[middle, leg] - [0.0, 0.0, robot.foot_radius[leg]])
+                slipped.append(slip[start:end, leg].mean() > SLIPPING)
+    if points:
+        colors = [rgba(OUTSIDE) if s else _FOOTPRINT for s in slipped]
+        radii = 0.35 * max(float(robot.foot_radius.max()), 0.02)
+        stream.log("world/footprints", rr.Points3D(points, colors=colors, radii=radii), static=True)
+
+
+def stances(contact: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First row and one past the last of every unbroken contact in contact (N,), bool."""
+    edges = np.diff(np.concatenate([[0], contact.astype(int), [0]]))
+    return np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
+
+
+def write_truth_path(stream: rr.RecordingStream, log: Log) -> None:
+    """The reference's path as one line."""
+    rows = np.arange(0, len(log.t), max(1, round(log.rate / 20.0)))
+    path = rr.LineStrips3D([log.ref_p[rows]], colors=[rgba(TRUTH)], radii=[_pixels(2.0)])
+    stream.log("world/truth/path", path, static=True)
+    _send_trail(stream, "world/truth/trail", log.t[rows], log.ref_p[rows], TRUTH)
+
+
+def write_estimates(
+    stream: rr.RecordingStream, errors: Mapping[str, ErrorSeries], robot: Robot, size: np.ndarray
+) -> None:
+    """Each estimator's path, a box the size of the trunk that moves where it thinks it is, and the
+    ellipsoid of three standard deviations of its position.
+
+    Args:
+        stream: the recording.
+        errors: estimator name -> its aligned path.
+        robot: gives the IMU's place in the trunk.
+        size: (3,) m, half sizes of the trunk.
+    """
+    for k, (name, error) in enumerate(errors.items()):
+        color, root = estimator_color(name), estimate_path(name)
+        path = rr.LineStrips3D([error.p_GI], colors=[rgba(color)], radii=[_pixels(1.2)])
+        stream.log(f"{root}/path", path, static=True)
+        _send_trail(stream, f"{root}/trail", error.t, error.p_GI, color)
+        R_GB = error.R_GI @ robot.R_BI.T
+        _send_poses(
+            stream, f"{root}/body", [time_column(error.t)], error.p_GI - R_GB @ robot.p_BI, R_GB
+        )
+        _write_marker(stream, f"{root}/body", name, size, height=2.0 + 0.7 * k)
+        if error.position_covariance is not None:
+            ellipsoid = f"{root}/ellipsoid"
+            _write_ellipsoid(stream, ellipsoid, error, error.position_covariance, color)
+
+
+def _write_ellipsoid(
+    stream: rr.RecordingStream, path: str, error: ErrorSeries, covariance: np.ndarray, color: str
+) -> None:
+    """Where the estimator is nearly sure to be, by its own account: semi-axes of three sigma."""
+    rows = rows_every(error.t, 1.0 / _ELLIPSOID_RATE)
+    variance, axes = np.linalg.eigh(covariance[rows])
+    axes[np.linalg.det(axes) < 0.0, :, 0] *= -1.0
+    style = rr.Ellipsoids3D.from_fields(
+        colors=[rgba(color, 0.25)], line_radii=[_pixels(0.7)], fill_mode="majorwireframe"
+    )
+    stream.log(path, style, static=True)
+    columns = rr.Ellipsoids3D.columns(
+        centers=error.p_GI[rows].astype(np.float32),
+        half_sizes=(3.0 * np.sqrt(variance.clip(0.0))).astype(np.float32),
+        quaternions=rerun_quaternion(axes).astype(np.float32),
+    )
+    stream.send_columns(path, indexes=[time_column(error.t[rows])], columns=columns)
+
+
+def _write_marker(stream, path: str, name: str, size: np.ndarray, height: float) -> None:
+    """A box about the trunk with an arrow forward, and the estimator's name on a flag above it.
+
+    Flags differ in height (in trunk widths), or estimators that agree would hide each other's name.
+    """
+    color = [rgba(estimator_color(name))]
+    thin = [_pixels(1.0)]
+    box = rr.Boxes3D(half_sizes=[1.08 * size], colors=color, radii=thin, fill_mode="majorwireframe")
+    stream.log(f"{path}/outline", box, static=True)
+    nose = rr.Arrows3D(
+        origins=[[size[0], 0.0, 0.0]],
+        vectors=[[0.5 * size[0], 0.0, 0.0]],
+        colors=color,
+        radii=[0.03 * size[0]],
+    )
+    stream.log(f"{path}/forward", nose, static=True)
+    top = [0.0, 0.0, height * 2.0 * size[1]]
+    pole = rr.LineStrips3D([[[0.0, 0.0, size[2]], top]], colors=color, radii=thin)
+    stream.log(f"{path}/pole", pole, static=True)
+    flag = rr.Points3D(
+        [top],
+        colors=color,
+        radii=[_pixels(4.0)],
+        labels=[estimator_label(name)],
+        show_labels=True,
+    )
+    stream.log(f"{path}/flag", flag, static=True)
+    # Above the trunk, which would hide it from above.
+    dot = rr.Points3D([[0.0, 0.0, 3.0 * size[2]]], colors=color, radii=[_pixels(7.0)])
+    stream.log(f"{path}/dot", dot, static=True)
+
+
+def trunk_size(robot: Robot) -> np.ndarray:
+    """Half sizes (3,) m of a box about the trunk: as long and wide as the hips stand apart."""
+    hips = robot.legs.offset[:, 0]
+    half = np.abs(hips - hips.mean(axis=0)).mean(axis=0)
+    return np.array([1.25 * half[0], max(1.25 * half[1], 0.3 * half[0]), 0.3 * half[0]])
+
+
+def _send_trail(
+    stream: rr.RecordingStream, path: str, t: np.ndarray, p: np.ndarray, color: str
+) -> None:
+    """The path once more in short pieces, each at its own time, for a view of the last seconds."""
+    starts = np.arange(0, len(t) - 1, _PIECE)
+    pieces = [p[k : k + _PIECE + 1].astype(np.float32) for k in starts]
+    style = rr.LineStrips3D.from_fields(colors=[rgba(color)], radii=[_pixels(1.5)])
+    stream.log(path, style, static=True)
+    stream.send_columns(
+        path, indexes=[time_column(t[starts])], columns=rr.LineStrips3D.columns(strips=pieces)
+    )
+
+
+def _pixels(size: float) -> Any:
+    """A radius in points of the screen, whatever the distance."""
+    return rr.Radius.ui_points(size)
+
+
+def _send_poses(stream, path: str, times: list, p: np.ndarray, R: np.ndarray) -> None:
+    columns = rr.Transform3D.columns(
+        translation=p.astype(np.float32), quaternion=rerun_quaternion(R).astype(np.float32)
+    )
+    stream.send_columns(path, indexes=times, columns=columns)
+
+
+def _send_shapes(stream, path: str, model: mujoco.MjModel, body: int) -> None:
+    for name, shape in link_shapes(model, body):
+        stream.log(f"{path}/{name}", shape, static=True)

@@ -1,0 +1,167 @@
+"""The time-series half of a recording: velocity and its bounds, errors with 3 sigma, feet."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+import rerun as rr
+
+from surefoot.estimator.evaluation.trajectory import UpdateRecord
+from surefoot.scenarios.estimate.error_series import ErrorSeries
+from surefoot.scenarios.reporting.palette import (
+    BOUNDS,
+    LEG_COLORS,
+    OBSERVER,
+    OUTSIDE,
+    TRUTH,
+    estimator_color,
+    estimator_label,
+    rgba,
+)
+from surefoot.scenarios.viewer.scene import SLIPPING, time_column
+from surefoot.sim.log import LEGS, Log, reference_velocity
+
+if TYPE_CHECKING:
+    from surefoot.models.observer.predict import Prediction
+
+SERIES_RATE = 100.0  # Hz
+AXES = ("x", "y", "z")
+ANGLES = ("roll", "pitch", "yaw")
+
+
+def write_velocity(
+    stream: rr.RecordingStream,
+    log: Log,
+    prediction: Prediction | None,
+    epsilon: np.ndarray | None,
+) -> None:
+    """Body velocity v_I by axis: truth, observer, observer +- epsilon, and truths outside that.
+
+    Args:
+        stream: the recording.
+        log: the walk, with a reference.
+        prediction: an observer's rows (M,) and v_I (M, 3), or None.
+        epsilon: (3,) or (M, 3) m/s, or None.
+    """
+    rows = (
+        np.arange(0, len(log.t), max(1, round(log.rate / SERIES_RATE)))
+        if prediction is None
+        else np.asarray(prediction.rows)
+    )
+    truth = np.einsum("nji,nj->ni", log.ref_R_GI[rows], reference_velocity(log)[rows])
+    t, ok = log.t[rows], log.ref_ok[rows]
+    for k, axis in enumerate(AXES):
+        root = f"velocity/{axis}"
+        _line(stream, f"{root}/truth", t[ok], truth[ok, k], "Truth", TRUTH, 3.0)
+        if prediction is None:
+            continue
+        v = np.asarray(prediction.v_I)[:, k]
+        if epsilon is not None:
+            half = np.broadcast_to(epsilon, prediction.v_I.shape)[:, k]
+            _line(stream, f"{root}/upper", t, v + half, "Upper bound", BOUNDS, 1.0)
+            _line(stream, f"{root}/lower", t, v - half, "Lower bound", BOUNDS, 1.0)
+            outside = ok & (np.abs(truth[:, k] - v) > half)
+            _points(stream, f"{root}/outside", t[outside], truth[outside, k])
+        _line(stream, f"{root}/observer", t, v, "Observer", OBSERVER, 1.5)
+
+
+def write_errors(stream: rr.RecordingStream, errors: Mapping[str, ErrorSeries]) -> None:
+    """Each estimator's position error [m] and attitude error [deg] by axis, and their 3 sigma."""
+    for name, error in errors.items():
+        part = rr.escape_entity_path_part(name)
+        label, color = estimator_label(name), estimator_color(name)
+        _line(stream, f"distance/{part}/error", error.t, error.distance, label, color, 2.0)
+        if error.distance_sigma is not None:
+            bound = 3.0 * error.distance_sigma
+            _line(
+                stream,
+                f"distance/{part}/three_sigma",
+                error.t,
+                bound,
+                f"{label} 3σ",
+                color,
+                1.0,
+                0.5,
+            )
+        degrees = np.degrees(error.attitude)
+        sigma = None if error.attitude_sigma is None else np.degrees(error.attitude_sigma)
+        for k in range(3):
+            _error_with_sigma(
+                stream, f"position_error/{AXES[k]}/{part}", error.t, error.position[:, k],
+                None if error.position_sigma is None else error.position_sigma[:, k], label, color,
+            )  # fmt: skip
+            _error_with_sigma(
+                stream, f"attitude_error/{ANGLES[k]}/{part}", error.t, degrees[:, k],
+                None if sigma is None else sigma[:, k], label, color,
+            )  # fmt: skip
+
+
+def write_update(
+    stream: rr.RecordingStream, name: str, record: UpdateRecord, gamma: float | None
+) -> None:
+    """How much prior mass the coverage update found inside the bounds; it acts below gamma."""
+    label, color = estimator_label(name), estimator_color(name)
+    root = f"update/{rr.escape_entity_path_part(name)}"
+    _line(stream, f"{root}/mass", record.t, record.pi, f"{label}: mass π", color, 1.5)
+    if gamma is not None:
+        level = np.full(2, gamma)
+        ends = record.t[[0, -1]]
+        _line(stream, f"{root}/gamma", ends, level, f"{label}: γ = {gamma:g}", TRUTH, 1.5)
+
+
+def write_feet(stream: rr.RecordingStream, log: Log) -> None:
+    """Contact lanes by foot, and, where the log knows the truth, slip speed by foot."""
+    t, contact = log.t, log.contact
+    slip = log.slip if log.has("truth") else None
+    for k, leg in enumerate(LEGS):
+        state = contact[:, k].astype(int)
+        if slip is not None:
+            state = np.where(contact[:, k] & (slip[:, k] > SLIPPING), 2, state)
+        changes = np.flatnonzero(np.diff(state, prepend=-1))
+        path = f"feet/contact/{leg}"
+        style = rr.StateConfiguration(
+            values=["swing", "stance", "slipping"],
+            colors=[rgba(TRUTH), rgba(LEG_COLORS[leg]), rgba(OUTSIDE)],
+            visible=[False, True, True],
+        )
+        stream.log(path, style, static=True)
+        words = np.array(["swing", "stance", "slipping"])[state[changes]]
+        stream.send_columns(
+            path,
+            indexes=[time_column(t[changes])],
+            columns=rr.StateChange.columns(state=words.tolist()),
+        )
+        if slip is not None:
+            step = max(1, round(log.rate / SERIES_RATE))
+            starts = np.arange(0, len(t), step)
+            peak = np.maximum.reduceat(slip[:, k], starts)
+            _line(stream, f"feet/slip/{leg}", t[starts], peak, leg, LEG_COLORS[leg], 1.5)
+
+
+def _error_with_sigma(stream, root, t, error, sigma, label, color) -> None:
+    _line(stream, f"{root}/error", t, error, label, color, 2.0)
+    if sigma is None:
+        return
+    style = rr.SeriesLines(
+        colors=[rgba(color, 0.5)] * 2, widths=[1.0] * 2, names=[f"{label} ±3σ"] * 2
+    )
+    stream.log(f"{root}/three_sigma", style, static=True)
+    both = np.stack([3.0 * sigma, -3.0 * sigma], axis=1)
+    columns = rr.Scalars.columns(scalars=both.ravel()).partition(np.full(len(t), 2))
+    stream.send_columns(f"{root}/three_sigma", indexes=[time_column(t)], columns=columns)
+
+
+def _line(stream, path, t, values, name, color, width, alpha=1.0) -> None:
+    style = rr.SeriesLines(colors=[rgba(color, alpha)], widths=[width], names=[name])
+    stream.log(path, style, static=True)
+    stream.send_columns(path, indexes=[time_column(t)], columns=rr.Scalars.columns(scalars=values))
+
+
+def _points(stream, path, t, values) -> None:
+    style = rr.SeriesPoints(
+        colors=[rgba(OUTSIDE)], markers=["cross"], names=["Truth outside"], marker_sizes=[4.0]
+    )
+    stream.log(path, style, static=True)
+    stream.send_columns(path, indexes=[time_column(t)], columns=rr.Scalars.columns(scalars=values))

@@ -1,0 +1,79 @@
+"""`kernel` compiles a function with numba and keeps the machine code in the user's cache folder.
+
+numba's own cache looks at a kernel's own file alone: a kernel that calls one of another file keeps
+the old code of that one after an edit or an upgrade, in silence. Here the folder's name is a digest
+of the kernel's module and of all that it imports.
+"""
+
+import shutil
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from threading import Lock
+from typing import Any
+
+import numba
+
+from surefoot.sim.common.files import cache_folder
+from surefoot.sim.common.sources import sources_digest
+
+UNUSED = 30 * 86400.0
+"""s after which machine code that nobody has loaded is deleted."""
+
+_lock = Lock()
+_swept: set[Path] = set()
+
+
+def kernel(function: Any = None, *, signature: str | None = None, **options: Any) -> Any:
+    """Compile a function: `numba.njit` with a cache that forgets what has changed.
+
+    Args:
+        function: what is decorated, where the decorator is used without parentheses.
+        signature: of the arguments, to compile at once instead of at the first call.
+        options: of `numba.njit`, such as nogil and error_model.
+    """
+    if function is None:
+        return lambda f: kernel(f, signature=signature, **options)
+    arguments = (signature,) if signature else ()
+    with _lock:
+        kept = numba.config.CACHE_DIR
+        # numba decides where a kernel's code lies when it is decorated.
+        numba.config.CACHE_DIR = str(_folder(function))
+        try:
+            return numba.njit(*arguments, cache=True, **options)(function)
+        finally:
+            numba.config.CACHE_DIR = kept
+
+
+def _folder(function: Callable) -> Path:
+    """Where the machine code of a function's module lies."""
+    module = sys.modules.get(function.__module__)
+    file = getattr(module, "__file__", None) or function.__code__.co_filename
+    root = cache_folder() / "kernels"
+    folder = root / sources_digest(function.__module__, file)[:16]
+    if folder not in _swept:
+        _swept.add(folder)
+        _touch(folder)
+        _sweep(root)
+    return folder
+
+
+def _touch(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "used").touch()
+    except OSError:
+        return  # nothing can be kept there: numba falls back to another place, or says so
+
+
+def _sweep(root: Path) -> None:
+    if root in _swept:
+        return
+    _swept.add(root)
+    for stamp in root.glob("*/used"):
+        try:
+            if time.time() - stamp.stat().st_mtime > UNUSED:
+                shutil.rmtree(stamp.parent, ignore_errors=True)
+        except OSError:
+            continue

@@ -1,0 +1,5 @@
+"""Effects that a real robot has and a model may lack: one small class each, and their catalogue."""
+
+from surefoot.sim.effects.catalogue import AXES, CATALOGUE, Effect, add, compensate_all, effect
+
+__all__ = ["AXES", "CATALOGUE", "Effect", "add", "compensate_all", "effect"]

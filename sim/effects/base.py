@@ -1,0 +1,129 @@
+"""What an effect is: something that a real robot has and a model may lack.
+
+An effect knows two things that share no code: how to put itself into the simulation (the MjSpec,
+the ground, the sensors or their streams), and how a model that knows of it undoes it on a log
+(`explain`).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.legs import JOINTS, LEGS
+from surefoot.sim.sensors.streams import Reference, Streams
+
+AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One effect on one target (a joint, leg, axis or "all"), of one scalar size.
+
+    A subclass says its name, unit, bounds and valid targets, which residual channels it can touch,
+    how it is put into the simulation (one of the `alter_` methods or `edit_spec`), and, where a
+    model can know of it, how it is explained away. Raises SurefootError for a target it does not
+    have or a size out of bounds.
+    """
+
+    target: str
+    value: float
+
+    name: ClassVar[str]
+    unit: ClassVar[str]
+    bounds: ClassVar[tuple[float, float]]
+    channels: ClassVar[tuple[str, ...]]
+    targets: ClassVar[tuple[str, ...]]
+    step: ClassVar[float]
+    """A small size, for numerical derivatives by it; an effect that is explained needs one."""
+    starts: ClassVar[tuple[float, ...]] = ()
+    """Sizes to begin a search from, where what it explains is far from linear in the size."""
+    needs: ClassVar[tuple[str, ...]] = ()
+    """Groups of columns of a log without which nothing can be explained, beyond a channel's own."""
+
+    def __post_init__(self):
+        if self.target not in self.targets and not self._is_other_joint():
+            raise SurefootError(
+                f"effect {self.name}: unknown target '{self.target}'; known: "
+                f"{', '.join(self.targets)}"
+            )
+        low, high = self.bounds
+        if not low <= self.value <= high:
+            raise SurefootError(
+                f"effect {self.name}: value must lie between {low:g} and {high:g} {self.unit}, "
+                f"is {self.value:g}"
+            )
+
+    def _is_other_joint(self) -> bool:
+        """Whether the target may be a joint of a machine that is no quadruped."""
+        legged = self.target.split("_")[0] in LEGS
+        return self.targets == JOINTS and self.target.isidentifier() and not legged
+
+    def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
+        """Change the simulated world; most effects of sensors do not."""
+
+    def alter_ground(self, ground: Ground) -> Ground:
+        """Change what the feet stand on, but not its shape, which the controller knows."""
+        return ground
+
+    def alter_mounting(self, robot: Robot) -> Robot:
+        """Change where the IMU really is; the reference stays with the nominal mounting."""
+        return robot
+
+    def alter_reference(self, reference: Reference) -> Reference:
+        """Change how the motion is measured from outside; effects of the robot never do."""
+        return reference
+
+    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
+        """Change what the sensors see; most effects of the world do not."""
+        return streams
+
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        """The log and the robot as a model sees them that knows of the effect.
+
+        What it changed in the readings is undone in the log; what it changed in the robot is added
+        to the robot's declared model.
+        """
+        raise NotImplementedError(f"effect {self.name} is only for simulation")
+
+    @classmethod
+    def step_of(cls, target: str) -> float:
+        """A small size on this target, for numerical derivatives by it."""
+        return cls.step
+
+    @classmethod
+    def inside(cls, target: str) -> tuple[float, float]:
+        """Bounds between which a size can still be varied by its step to either side."""
+        (low, high), step = cls.bounds, cls.step_of(target)
+        return low + 1.1 * step, high - 1.1 * step
+
+    @classmethod
+    def is_compensated(cls) -> bool:
+        """Whether a model can know of the effect, so that `trace` has it as a candidate."""
+        return cls.compensate is not Effect.compensate
+
+    def as_dict(self) -> dict[str, Any]:
+        return {"name": self.name, "target": self.target, "value": self.value, "unit": self.unit}
+
+
+def turn_about(axis: str, angle: float) -> np.ndarray:
+    """Rotation matrix (3, 3) by an angle [rad] about an axis, one of AXES."""
+    return Rotation.from_rotvec(angle * np.eye(3)[AXES.index(axis)]).as_matrix()
+
+
+def with_columns(log: Log, columns: Mapping[str, np.ndarray]) -> Log:
+    """The log with some columns replaced; its frame's `attrs` say which, `changed` in all and
+    `last` just now, so that nobody needs to compare numbers."""
+    frame = log.frame.copy(deep=False)
+    changed = {*log.frame.attrs.get("changed", ()), *columns}
+    frame.attrs = {"changed": tuple(sorted(changed)), "last": tuple(columns)}
+    for name, values in columns.items():
+        frame[name] = values
+    return replace(log, frame=frame)

@@ -1,0 +1,103 @@
+"""The catalogue of effects that a real robot has and a model may lack: one small class each."""
+
+from collections.abc import Iterable
+from typing import Any, TypeVar
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.effects.base import AXES, Effect
+from surefoot.sim.effects.body import (
+    ComOffset,
+    FootRolling,
+    HipOffset,
+    LinkLength,
+    MountingRotation,
+    Payload,
+)
+from surefoot.sim.effects.contact import (
+    Armature,
+    CoulombFriction,
+    FootSlip,
+    SoftGround,
+    ViscousFriction,
+)
+from surefoot.sim.effects.imu import (
+    AccelBias,
+    AccelScale,
+    GyroBias,
+    GyroGSensitivity,
+    GyroScale,
+    ImuLowpass,
+    ImuPosition,
+    ImuRotation,
+)
+from surefoot.sim.effects.joint import (
+    Backlash,
+    EncoderOffset,
+    EncoderScale,
+    JointCompliance,
+    TorqueBias,
+    TorqueScale,
+)
+from surefoot.sim.effects.timing import (
+    ClockScale,
+    ContactDelay,
+    ImuDelay,
+    JointDelay,
+    ReferenceDelay,
+    TorqueDelay,
+)
+from surefoot.sim.log import Log
+
+M = TypeVar("M")
+
+K = TypeVar("K", bound=type[Effect])
+
+__all__ = ["AXES", "CATALOGUE", "Effect", "add", "compensate_all", "effect"]
+
+CATALOGUE: dict[str, type[Effect]] = {
+    kind.name: kind
+    for kind in (
+        *(EncoderOffset, LinkLength, FootRolling, ImuRotation, GyroScale, JointDelay),
+        *(GyroBias, AccelBias, AccelScale, ImuPosition, GyroGSensitivity, ImuDelay, ImuLowpass),
+        *(EncoderScale, JointCompliance, Backlash, HipOffset, MountingRotation),
+        *(ViscousFriction, CoulombFriction, Armature, TorqueScale, TorqueBias, TorqueDelay),
+        *(Payload, ComOffset, FootSlip, SoftGround, ContactDelay, ReferenceDelay, ClockScale),
+    )
+}
+
+
+def add(kind: K) -> K:
+    """Put a class of one's own into the catalogue, above it as `@add`; docs/new_effect.md does.
+
+    Raises SurefootError where it lacks something that every effect says, or where its name is
+    taken by another.
+    """
+    says = ("name", "unit", "bounds", "channels", "targets") + ("step",) * kind.is_compensated()
+    lacking = [one for one in says if not hasattr(kind, one)]
+    if lacking:
+        raise SurefootError(f"effect {kind.__name__}: does not say its {', '.join(lacking)}")
+    known = CATALOGUE.setdefault(kind.name, kind)
+    if (known.__module__, known.__qualname__) != (kind.__module__, kind.__qualname__):
+        raise SurefootError(f"effect {kind.name}: the catalogue has one of that name")
+    CATALOGUE[kind.name] = kind
+    return kind
+
+
+def effect(name: str, target: str, value: float) -> Effect:
+    """The effect of that name. Raises SurefootError for an unknown name or target, or bad size."""
+    if name not in CATALOGUE:
+        raise SurefootError(f"unknown effect '{name}'; known: {', '.join(CATALOGUE)}")
+    return CATALOGUE[name](target, float(value))
+
+
+def compensate_all(effects: Iterable[Effect], log: Log, robot: M) -> tuple[Log, M]:
+    """The log and robot as a model sees them that knows of all `effects`.
+
+    Those that no model knows of yet (`Effect.is_explained`) stay in the log as they are. A machine
+    on a fixed base may stand for the robot where no effect changes its body.
+    """
+    known: Any = robot
+    for one in effects:
+        if one.is_compensated():
+            log, known = one.compensate(log, known)
+    return log, known

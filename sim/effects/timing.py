@@ -1,0 +1,247 @@
+"""Effects of time: what arrives late, and clocks that disagree.
+
+Tan et al., "Sim-to-Real: Learning Agile Locomotion for Quadruped Robots", RSS 2018, draw latencies
+of 0 to 40 ms for their robot; Haarnoja et al., "Learning Agile Soccer Skills for a Bipedal Robot",
+Science Robotics 2024, 10 to 50 ms. The bounds follow them; where a
+bound is wider, it was chosen.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation, Slerp
+
+from surefoot.sim.common.quaternion import slerp
+from surefoot.sim.effects.base import Effect, with_columns
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.legs import LEGS
+from surefoot.sim.sensors.contact import swings
+from surefoot.sim.sensors.streams import Reference, Streams
+
+STREAMS = {"imu": ("gyro", "accel"), "joints": ("q", "dq", "tau"), "feet": ("force",)}
+COLUMNS = {**STREAMS, "feet": ("force", "contact"), "reference": ("ref",)}
+"""What a log has of each stream: contacts are told from the feet's forces."""
+
+
+class JointDelay(Effect):
+    """Joint positions, velocities and torques arrive late by a constant time."""
+
+    name = "joint_delay"
+    unit = "s"
+    bounds = (-0.05, 0.05)
+    channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
+    targets = ("all",)
+    needs = ("reference",)
+    # Longer than a row: noise must not pass for the slope of torques and rates.
+    step = 4e-3
+
+    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
+        return _late(streams, ("q", "dq", "tau"), self.value)
+
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        return _moved(log, ("q", "dq", "tau"), log.t + self.value), robot
+
+
+class ImuDelay(Effect):
+    """Angular rates and specific forces arrive late by a constant time."""
+
+    name = "imu_delay"
+    unit = "s"
+    bounds = (-0.05, 0.05)
+    channels = ("imu_gyro", "imu_accel", "leg_velocity")
+    targets = ("all",)
+    needs = ("imu",)
+    step = 1e-3
+
+    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
+        return _late(streams, STREAMS["imu"], self.value)
+
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        return _moved(log, ("gyro", "accel"), log.t + self.value), robot
+
+
+class TorqueDelay(Effect):
+    """Joint torques alone arrive late by a constant time."""
+
+    name = "torque_delay"
+    unit = "s"
+    bounds = (-0.05, 0.05)
+    channels = ("joint_torque", "base_wrench")
+    targets = ("all",)
+    step = 1e-3
+
+    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
+        return _late(streams, ("tau",), self.value)
+
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        return _moved(log, ("tau",), log.t + self.value), robot
+
+
+class ContactDelay(Effect):
+    """The feet's contacts begin late, or end late, by a constant time.
+
+    Thresholds, debouncing and filters of a foot's force make them; foam that springs back makes
+    them end late alone. An end that is told early enough does no harm: an unloaded foot still
+    stands for a while.
+    """
+
+    name = "contact_delay"
+    unit = "s"
+    bounds = (0.0, 0.15)
+    channels = ("contact_timing",)
+    targets = ("touchdown", "liftoff")
+    needs = ("contact", "q", "reference")
+    # Less than a row: of contacts that bounce, some appear and some vanish with every row.
+    step = 1e-3
+
+    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
+        late, stands = _late(streams, STREAMS["feet"], self.value), streams.force > 0
+        force = streams.force.copy()
+        for leg in range(len(LEGS)):
+            lifts, lands = swings(streams.t, stands[:, leg])
+            swung = (lifts + lands) // 2
+            stood = np.concatenate([[0], (lands[:-1] + lifts[1:]) // 2, [len(force)]])
+            # Of a foot that never swings there is no span, and `stood` is one longer.
+            if self.target == "touchdown":
+                spans = zip(swung, stood[1:], strict=False)
+            else:
+                spans = zip(stood[:-1], swung, strict=False)
+            for begin, end in spans:
+                force[begin:end, leg] = late.force[begin:end, leg]
+        return replace(streams, force=force)
+
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        rows, told = int(self.value * log.rate), log.contact
+        for leg in range(len(LEGS)):
+            lifts, lands = swings(log.t, log.contact[:, leg])
+            for edge in lands if self.target == "touchdown" else lifts:
+                told[max(edge - rows, 0) : edge, leg] = self.target == "touchdown"
+        columns = {f"contact_{leg}": told[:, i].astype(float) for i, leg in enumerate(LEGS)}
+        # What is less than a row is for the model to know.
+        name, rest = f"{self.target}_late", self.value - rows / log.rate
+        known = replace(robot.extras, **{name: getattr(robot.extras, name) + rest})
+        return with_columns(log, columns), replace(robot, extras=known)
+
+
+class ReferenceDelay(Effect):
+    """The reference arrives late by a constant time: its rows show where the robot was."""
+
+    name = "reference_delay"
+    unit = "s"
+    bounds = (-0.2, 0.2)
+    channels = ("imu_gyro", "imu_accel", "leg_velocity", "foot_height")
+    targets = ("all",)
+    needs = ("reference",)
+    step = 1e-3
+
+    def alter_reference(self, reference: Reference) -> Reference:
+        return _reference_at(reference, reference.t - self.value)
+
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        return _moved(log, ("ref",), log.t + self.value), robot
+
+
+class ClockScale(Effect):
+    """One stream's clock runs slow against the others': its sample period is longer by this share.
+
+    A row that should show the time t since the log began shows (1 + value) t. Past the end of the
+    walk the last sample holds. Quartz oscillators are out by tens of parts in a million (1e-5).
+    """
+
+    name = "clock_scale"
+    unit = "ratio"
+    bounds = (-0.02, 0.02)
+    channels = ("imu_gyro", "imu_accel", "leg_velocity", "contact_timing")
+    targets = (*STREAMS, "reference")
+    needs = ("reference",)
+    step = 1e-4
+
+    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
+        return _at(streams, STREAMS.get(self.target, ()), self._then(streams.t))
+
+    def alter_reference(self, reference: Reference) -> Reference:
+        if self.target != "reference":
+            return reference
+        return _reference_at(reference, self._then(reference.t))
+
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        t = log.t
+        return _moved(log, COLUMNS[self.target], t[0] + (t - t[0]) / (1.0 + self.value)), robot
+
+    @classmethod
+    def step_of(cls, target: str) -> float:
+        # Contacts move by whole rows, which a small step leaves where they are.
+        return 10 * cls.step if target == "feet" else cls.step
+
+    def _then(self, t: np.ndarray) -> np.ndarray:
+        return t[0] + (1.0 + self.value) * (t - t[0])
+
+
+def _late(streams: Streams, names: tuple[str, ...], delay: float) -> Streams:
+    return _at(streams, names, streams.t - delay)
+
+
+def _at(streams: Streams, names: tuple[str, ...], then: np.ndarray) -> Streams:
+    """The streams with those of `names` as they were at the times `then` (N,) [s].
+
+    Lines between the rows of an IMU would also be a low-pass, which no delay is; between those of a
+    force they would begin each contact early.
+    """
+    t = streams.t
+    then = np.clip(then, t[0], t[-1])
+    moved = {}
+    for name in names:
+        x = getattr(streams, name)
+        if name in STREAMS["imu"]:
+            moved[name] = CubicSpline(t, x)(then)
+        elif name in STREAMS["feet"]:
+            moved[name] = x[_nearest(t, then)]
+        else:
+            moved[name] = np.column_stack([np.interp(then, t, column) for column in x.T])
+    return replace(streams, **moved)
+
+
+def _reference_at(reference: Reference, then: np.ndarray) -> Reference:
+    t = reference.t
+    then = np.clip(then, t[0], t[-1])
+    turned = Slerp(t, Rotation.from_matrix(reference.R_GI))(then)
+    p_GI, v_GI = (
+        np.column_stack([np.interp(then, t, x) for x in part.T])
+        for part in (reference.p_GI, reference.v_GI)
+    )
+    return Reference(t, turned.as_matrix(), p_GI, v_GI)
+
+
+def _moved(log: Log, kinds: tuple[str, ...], then: np.ndarray) -> Log:
+    """The log with the columns of these kinds as their rows at the times `then` (N,) [s] show them.
+
+    A spline passes noise at every fraction of a sample; lines would smooth it at the half. Flags
+    and attitudes are not for splines.
+    """
+    t = log.t
+    then = np.clip(then, t[0], t[-1])
+    names = [str(n) for n in log.frame if str(n).split("_")[0] in kinds and not _commanded(str(n))]
+    flags = [n for n in names if n.startswith(("contact_", "ref_ok"))]
+    turns = [n for n in names if n.startswith("ref_q_")]
+    smooth = [n for n in names if n not in flags and n not in turns]
+    columns = {}
+    if smooth:
+        rows = np.column_stack([log.frame[name].to_numpy() for name in smooth])
+        values = CubicSpline(t, rows)(then)
+        columns |= {name: values[:, i] for i, name in enumerate(smooth)}
+    columns |= {name: log.frame[name].to_numpy()[_nearest(t, then)] for name in flags}
+    if turns:
+        values = slerp(t, log.ref_q, then)
+        columns |= {f"ref_q_{axis}": values[:, i] for i, axis in enumerate("wxyz")}
+    return with_columns(log, columns)
+
+
+def _nearest(t: np.ndarray, then: np.ndarray) -> np.ndarray:
+    """The row nearest to each time of `then` (N,) [s]."""
+    return np.searchsorted(0.5 * (t[1:] + t[:-1]), then)
+
+
+def _commanded(name: str) -> bool:
+    return name.startswith(("q_des_", "dq_des_", "tau_ff_"))

@@ -1,0 +1,1 @@
+"""The controller of a walk: the course, legs in swing and in stance."""

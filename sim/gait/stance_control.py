@@ -1,0 +1,88 @@
+"""Legs on the ground: the wrench that carries the body, and the foot forces that make it."""
+
+import numpy as np
+
+from surefoot.sim.common.kernels import kernel
+
+GRAVITY = 9.81
+STANCE = 1
+
+
+@kernel
+def stance_forces(r, wrench, weight, effort):
+    """Foot forces (n, 3) that best make `wrench` (6,) at lever arms r (n, 3).
+
+    Least squares with weights on the six rows and `effort` (n,) against large forces.
+    """
+    n = r.shape[0]
+    A = np.zeros((6, 3 * n))
+    for i in range(n):
+        for a in range(3):
+            A[a, 3 * i + a] = 1.0
+        A[3, 3 * i + 1], A[3, 3 * i + 2] = -r[i, 2], r[i, 1]
+        A[4, 3 * i], A[4, 3 * i + 2] = r[i, 2], -r[i, 0]
+        A[5, 3 * i], A[5, 3 * i + 1] = -r[i, 1], r[i, 0]
+    WA = A * weight.reshape(6, 1)
+    H = A.T @ WA
+    for i in range(n):
+        for a in range(3):
+            H[3 * i + a, 3 * i + a] += effort[i]
+    return np.linalg.solve(H, WA.T @ wrench).reshape(n, 3)
+
+
+@kernel
+def support(
+    gait, ground, p, R, v, w, v_want, turn, feet, sole_v, normals, J, mode, progress, torque
+):
+    """The wrench that holds height, attitude and course, shared over the feet that stand.
+
+    ground: height at the base and slopes along x and y of the plane that the body follows.
+    """
+    standing = np.flatnonzero(mode == STANCE)
+    n = len(standing)
+    if n == 0:
+        return
+    level, slope_x, slope_y = ground
+    com = p + R @ gait.com_B
+    wrench = np.empty(6)
+    for a in range(2):
+        wrench[a] = gait.mass * gait.course_gain * (v_want[a] - v[a])
+    climb = slope_x * v[0] + slope_y * v[1]
+    wrench[2] = gait.mass * (GRAVITY + 120.0 * (gait.height + level - p[2]) + 16.0 * (climb - v[2]))
+    # Attitude error as the rotation vector that would set the base along the plane, small-angle.
+    steep = np.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
+    up_B = R.T @ np.array([-slope_x / steep, -slope_y / steep, 1.0 / steep])
+    error_B = np.array([-up_B[1], up_B[0], 0.0])
+    spin = turn * R[2] - w
+    moment_B = np.empty(3)
+    for a in range(3):
+        moment_B[a] = gait.inertia[a] * (
+            gait.level_gain * error_B[a] + gait.level_damping * spin[a]
+        )
+    wrench[3:] = R @ moment_B
+    size = gait.height
+    weight = np.array([1.0, 1.0, 2.0, 2.0 / size**2, 2.0 / size**2, 1.0 / size**2])
+    r = np.empty((n, 3))
+    effort = np.empty(n)
+    for i in range(n):
+        leg = standing[i]
+        r[i] = feet[leg] - com - gait.foot_radius[leg] * normals[leg]
+        u = progress[leg]
+        ease = min(1.0, min(u / 0.15, (1.0 - u) / 0.15))
+        effort[i] = 1e-3 / max(ease, 0.05) ** 2
+    forces = stance_forces(r, wrench, weight, effort)
+    floor, ceiling = 0.03 * gait.mass * GRAVITY, 1.5 * gait.mass * GRAVITY
+    for i in range(n):
+        leg = standing[i]
+        up = normals[leg]
+        push = forces[i] @ up
+        across = forces[i] - push * up
+        push = min(max(push, floor), ceiling)
+        side = np.sqrt(across @ across)
+        if side > gait.friction_clamp * push:
+            across *= gait.friction_clamp * push / side
+        # On a foot that slides the ground has no more to give: the leg itself must stop it.
+        slide = sole_v[leg] - (sole_v[leg] @ up) * up
+        torque[3 * leg : 3 * leg + 3] = -(
+            J[leg].T @ (push * up + across + gait.slide_damping * slide)
+        )

@@ -1,0 +1,162 @@
+"""Legs in the air: where a foot goes down, what it must clear, the force that takes it there."""
+
+import numpy as np
+
+from surefoot.sim.common.kernels import kernel
+from surefoot.sim.ground.height_map import height, normal, surface
+
+GRAVITY = 9.81
+SWING, STANCE = 0, 1
+# Room between a foothold and an edge, as shares of the leg's length: a falling edge, a riser before
+# the foot, and one behind it, which the shin leans over where it descends.
+BRINK, RISER, SHIN = 0.07, 0.14, 0.17
+JUMP = 0.04  # of the leg's length: ground that jumps by more is an edge
+SETTLED = 0.4  # share of the swing after which a foothold stays on its step
+LIFT = 0.6  # share of the swing in which the foot climbs to, or falls from, another height
+ROOM = 0.04  # of the leg's length, between the sole and what it passes over
+
+
+@kernel
+def swing(gait, relief, memory, p, v, yaw, v_want, turn, feet, feet_v, J, mode, progress, torque):
+    """Operational-space PD of feet in the air towards their footholds."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    swing_time = (1.0 - gait.duty) * gait.period
+    stance_time = gait.duty * gait.period
+    rate = 7.0 / swing_time  # natural frequency of the foot's tracking [rad/s]
+    want = np.empty(2)
+    goal, goal_v, goal_a = np.empty(3), np.empty(3), np.empty(3)
+    for leg in range(4):
+        if mode[leg] == STANCE:
+            continue
+        u = progress[leg]
+        goal_v[:] = 0.0
+        goal_a[:] = 0.0
+        if mode[leg] == SWING:
+            x, y = gait.nominal_B[leg]
+            arm_x, arm_y = c * x - s * y, s * x + c * y
+            ahead = stance_time / 2.0 + (1.0 - u) * swing_time
+            for a in range(2):
+                spin = turn * (-arm_y if a == 0 else arm_x)
+                drift, wanted = v[a] + spin, v_want[a] + spin
+                want[a] = p[a] + (arm_x if a == 0 else arm_y)
+                want[a] += ahead * drift + gait.capture * (drift - wanted)
+            place_foot(gait, relief, memory[leg], leg, want, c, s, u)
+            rise_over(gait, relief, memory[leg], leg)
+            # Minimum-jerk across; up and down again along a smooth bump that lands softly.
+            for a in range(3):
+                span = memory[leg, 4 + a] - memory[leg, a]
+                part, pace = (u, 1.0) if a < 2 else lift_part(span, u)
+                blend = part * part * part * (10.0 - 15.0 * part + 6.0 * part * part)
+                slope = 30.0 * (part * (1.0 - part)) ** 2
+                bend = 60.0 * part * (1.0 - part) * (1.0 - 2.0 * part)
+                goal[a] = memory[leg, a] + blend * span
+                goal_v[a] = slope * span * pace / swing_time
+                goal_a[a] = bend * span * (pace / swing_time) ** 2
+            goal[2] += 64.0 * (u * (1.0 - u)) ** 3 * memory[leg, 8]
+            goal_v[2] += (
+                192.0 * (u * (1.0 - u)) ** 2 * (1.0 - 2.0 * u) * memory[leg, 8] / swing_time
+            )
+        else:
+            # Late touchdown: hold the foothold and go on down, or the foot is thrown off its step.
+            goal[0], goal[1] = memory[leg, 4], memory[leg, 5]
+            goal[2] = feet[leg, 2] - 0.02
+            goal_v[2] = -0.15
+        force = gait.foot_mass * (
+            goal_a + rate * rate * (goal - feet[leg]) + 1.4 * rate * (goal_v - feet_v[leg])
+        )
+        force[2] += gait.foot_mass * GRAVITY
+        torque[3 * leg : 3 * leg + 3] = J[leg].T @ force
+
+
+@kernel
+def lift_part(span, u):
+    """Share done of a change of height, and its pace: up before across, across before down."""
+    if span > 0.0:
+        return min(u / LIFT, 1.0), 1.0 / LIFT
+    return max((u - 1.0 + LIFT) / LIFT, 0.0), 1.0 / LIFT
+
+
+@kernel
+def place_foot(gait, relief, memory, leg, want, c, s, u):
+    """Sets the foothold of a leg near `want` (2,) [m]: on the ground, and kept off edges.
+
+    Late in the swing it stays on the step that it has.
+    """
+    length = gait.leg_length
+    x, y = want
+    x += _off_edges(relief, x, y, 0, c, length)
+    y += _off_edges(relief, x, y, 1, s, length)
+    z = height(relief, x, y) + gait.foot_radius[leg] / normal(relief, x, y)[2]
+    if u < SETTLED or abs(z - memory[6]) < JUMP * length:
+        memory[4], memory[5], memory[6] = x, y, z
+
+
+@kernel
+def _off_edges(relief, x, y, axis, heading, length):
+    """How far to move along `axis` (0: x, 1: y) to leave room to the edges on both sides [m]."""
+    low, high = -1.0, 1.0
+    for side in (-1.0, 1.0):
+        riser = RISER if side * heading > -0.5 else SHIN
+        distance, rises = _edge(relief, x, y, axis, side, SHIN * length, JUMP * length)
+        lacking = (riser if rises else BRINK) * length - distance
+        if side < 0.0:
+            low = max(low, lacking)
+        else:
+            high = min(high, -lacking)
+    if low > high:
+        return 0.5 * (low + high)
+    return min(max(0.0, low), high)
+
+
+@kernel
+def _edge(relief, x, y, axis, side, reach, jump):
+    """Distance [m] to the next edge from (x, y) towards `side` of `axis`, and whether it rises.
+
+    Twice the reach where there is none within it.
+    """
+    z, slope_x, slope_y = surface(relief, x, y)
+    slope = (slope_x if axis == 0 else slope_y) * side
+    near = 0.0
+    for k in range(1, 4):
+        far = reach * k / 3.0
+        off = _along(relief, x, y, axis, side * far) - z - slope * far
+        if abs(off) > jump:
+            for _ in range(4):
+                middle = 0.5 * (near + far)
+                if abs(_along(relief, x, y, axis, side * middle) - z - slope * middle) > jump:
+                    far = middle
+                else:
+                    near = middle
+            return near, off > 0.0
+        near = far
+    return 2.0 * reach, False
+
+
+@kernel
+def _along(relief, x, y, axis, distance):
+    return height(relief, x + distance, y) if axis == 0 else height(relief, x, y + distance)
+
+
+@kernel
+def rise_over(gait, relief, memory, leg):
+    """Sets the height of the swing's bump so that the sole clears the ground between its ends.
+
+    Over ground that rises evenly from one end to the other the plain swing does.
+    """
+    radius, room = gait.foot_radius[leg], ROOM * gait.leg_length
+    apex, uneven = 0.0, False
+    for k in range(4, 17):
+        u = 0.05 * k
+        blend = u * u * u * (10.0 - 15.0 * u + 6.0 * u * u)
+        x = memory[0] + blend * (memory[4] - memory[0])
+        y = memory[1] + blend * (memory[5] - memory[1])
+        sole = height(relief, x, y) + radius
+        climb = memory[6] - memory[2]
+        uneven |= abs(sole - memory[2] - blend * climb) > 0.015 * gait.leg_length
+        part, _ = lift_part(climb, u)
+        lifted = part * part * part * (10.0 - 15.0 * part + 6.0 * part * part)
+        lack = sole + room - memory[2] - lifted * climb
+        apex = max(apex, lack / (64.0 * (u * (1.0 - u)) ** 3))
+    if uneven:
+        memory[8] = max(memory[8], min(apex, 0.4 * gait.leg_length))
+    memory[8] = max(memory[8], gait.clearance)

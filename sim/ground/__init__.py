@@ -1,0 +1,1 @@
+"""What the robot walks on: terrain, its height map, and its geoms."""

@@ -1,0 +1,174 @@
+"""The ground as a list of strips along the world's axes: level, sloping, stepped or rough.
+
+Where strips overlap the last one counts, and the floor lies below them all. Friction patches
+change the coefficient of whatever is on top. One description serves everyone:
+`sim.ground.height_map`
+answers height and normal from it, `sim.ground.tiles` turns it into MuJoCo geoms.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.ground.height_map import LATTICE, HeightMap
+
+Rectangle = tuple[float, float, float, float]  # x0, x1, y0, y1 [m]
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A rectangle along the world's axes with its own friction."""
+
+    center_x: float  # m
+    center_y: float  # m
+    size_x: float  # m, full length
+    size_y: float  # m, full width
+    mu: float
+
+    @property
+    def rectangle(self) -> Rectangle:
+        x, y, w, h = self.center_x, self.center_y, 0.5 * self.size_x, 0.5 * self.size_y
+        return x - w, x + w, y - h, y + h
+
+    def snapped(self) -> "Patch":
+        """The patch with its edges on the lattice of height fields."""
+        x0, x1, y0, y1 = (round(edge / LATTICE) * LATTICE for edge in self.rectangle)
+        return Patch(0.5 * (x0 + x1), 0.5 * (y0 + y1), x1 - x0, y1 - y0, self.mu)
+
+
+@dataclass(frozen=True)
+class Strip:
+    """Ground from the middle of one edge to the middle of the opposite one, along x or y.
+
+    Its surface goes from the first height to the second in a plane, or by `steps` equal risers;
+    the upper end's tread has the upper height. `rough` > 0 lays bumps of up to that height on the
+    plane, which a seed draws (`roughened`). `mu` None takes the floor's.
+    Raises SurefootError for a strip that cannot be built.
+    """
+
+    start: tuple[float, float]  # m
+    end: tuple[float, float]  # m
+    width: float  # m
+    heights: tuple[float, float] = (0.0, 0.0)  # m, at start and end
+    steps: int = 0
+    rough: float = 0.0  # m, height of the highest bump
+    grain: float = 0.4  # m, distance between bumps
+    mu: float | None = None
+    bumps: np.ndarray | None = field(default=None, compare=False, repr=False)  # (nx, ny) m
+
+    def __post_init__(self):
+        (x0, y0), (x1, y1) = self.start, self.end
+        if (x0 == x1) == (y0 == y1):
+            raise SurefootError("start and end must differ along x or along y, not both")
+        if self.width <= 0:
+            raise SurefootError(f"width must be positive, is {self.width}")
+        if self.steps < 0 or self.steps != round(self.steps):
+            raise SurefootError(f"steps must be a whole number, is {self.steps}")
+        if self.steps and self.rough:
+            raise SurefootError("a strip cannot have both steps and rough")
+        if self.rough < 0 or self.grain < 2 * LATTICE:
+            raise SurefootError(f"rough must not be negative, nor grain below {2 * LATTICE} m")
+        if self.rough and any(abs(e / LATTICE - round(e / LATTICE)) > 1e-6 for e in self.rectangle):
+            raise SurefootError(f"a rough strip's edges must lie on multiples of {LATTICE} m")
+
+    @property
+    def axis(self) -> int:
+        """0 where the strip runs along x, 1 along y."""
+        return int(self.start[0] == self.end[0])
+
+    @property
+    def rectangle(self) -> Rectangle:
+        lower = np.minimum(self.start, self.end)
+        upper = np.maximum(self.start, self.end)
+        lower[1 - self.axis] -= 0.5 * self.width
+        upper[1 - self.axis] += 0.5 * self.width
+        return float(lower[0]), float(upper[0]), float(lower[1]), float(upper[1])
+
+    def facets(self) -> Iterator[tuple[Rectangle, float, float]]:
+        """Rectangles with the heights of their lower and upper ends along the axis."""
+        x0, x1, y0, y1 = self.rectangle
+        low, high = (x0, x1) if self.axis == 0 else (y0, y1)
+        z_low, z_high = self.ends
+        cuts = np.linspace(low, high, max(self.steps, 1) + 1)
+        for k in range(len(cuts) - 1):
+            a, b = float(cuts[k]), float(cuts[k + 1])
+            if self.steps:
+                # Counted from the lower end: the first tread is one riser up.
+                risen = k + 1 if z_high > z_low else k
+                z_a = z_b = z_low + (z_high - z_low) * risen / self.steps
+            else:
+                z_a, z_b = z_low, z_high
+            yield ((a, b, y0, y1) if self.axis == 0 else (x0, x1, a, b)), z_a, z_b
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Heights [m] at the ends of lower and of higher coordinate."""
+        first, last = self.heights
+        forward = self.start[self.axis] < self.end[self.axis]
+        return (first, last) if forward else (last, first)
+
+    def roughened(self, rng: np.random.Generator) -> "Strip":
+        """The strip with its bumps drawn from `rng`, level with its plane at the edges."""
+        if not self.rough:
+            return self
+        x0, x1, y0, y1 = self.rectangle
+        nx, ny = round((x1 - x0) / LATTICE) + 1, round((y1 - y0) / LATTICE) + 1
+        noise = gaussian_filter(rng.normal(size=(nx, ny)), 0.5 * self.grain / LATTICE)
+        bumps = np.clip(0.5 + noise / (4.0 * noise.std()), 0.0, 1.0)
+        fade = max(2, round(self.grain / LATTICE))
+        for axis, n in enumerate((nx, ny)):
+            edge = np.minimum(np.arange(n), np.arange(n)[::-1]) / fade
+            bumps *= np.clip(edge, 0.0, 1.0).reshape((-1, 1) if axis == 0 else (1, -1))
+        return replace(self, bumps=self.rough * bumps)
+
+    def nodes(self) -> np.ndarray:
+        """Heights (nx, ny) [m] of a rough strip's lattice, plane and bumps together."""
+        if self.bumps is None:
+            raise SurefootError("a rough strip has no bumps yet: draw them with roughened(rng)")
+        u = np.linspace(0.0, 1.0, self.bumps.shape[self.axis])
+        plane = self.ends[0] + (self.ends[1] - self.ends[0]) * u
+        return self.bumps + (plane[:, None] if self.axis == 0 else plane[None, :])
+
+
+@dataclass(frozen=True)
+class Ground:
+    """A floor of friction `mu` at height zero, strips on it, and patches of other friction."""
+
+    mu: float
+    patches: tuple[Patch, ...] = ()
+    half_size: float = 100.0  # m, of the floor
+    strips: tuple[Strip, ...] = ()
+    softness: float = 0.0  # s, what contacts take longer to push back than on hard ground
+
+    def friction(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Coefficient of sliding friction at the points x, y [m]."""
+        mu = np.full(np.shape(x), self.mu)
+        for part in (*self.strips, *self.patches):
+            x0, x1, y0, y1 = part.rectangle
+            inside = (x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)
+            mu[inside] = self.mu if part.mu is None else part.mu
+        return mu
+
+    @property
+    def layers(self) -> tuple[Strip, ...]:
+        """The floor and the strips, from the bottom up."""
+        h = self.half_size
+        return (Strip((-h, 0.0), (h, 0.0), 2 * h), *self.strips)
+
+    @cached_property
+    def relief(self) -> HeightMap:
+        """Height and normal of this ground, for compiled code."""
+        rows, nodes, used = [], [], 0
+        for strip in self.layers:
+            shape, offset = (0, 0), -1
+            if strip.rough:
+                heights = strip.nodes()
+                shape, offset = heights.shape, used
+                nodes.append(heights.ravel())
+                used += heights.size
+            rows.append([*strip.rectangle, strip.axis, *strip.ends, strip.steps, offset, *shape])
+        return HeightMap(np.array(rows, dtype=float), np.concatenate([*nodes, np.zeros(1)]))

@@ -1,0 +1,159 @@
+"""The ground as MuJoCo geoms: tiles that abut and never overlap, each of one friction.
+
+A patch laid over a floor would be two contacts, so every strip is cut where a later strip hides it
+and where a patch changes its friction.
+"""
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import mujoco
+import numpy as np
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.ground.height_map import LATTICE
+from surefoot.sim.ground.terrain import Ground, Rectangle, Strip
+
+THICKNESS = 0.5  # m, of a tile below the walking surface
+# The ground decides how a foot touches it: MuJoCo takes these from the geom of higher priority.
+PRIORITY = 3
+SOLREF = (0.004, 1.0)
+SOLIMP = (0.98, 0.995, 0.0005, 0.5, 2.0)
+TORSION, ROLLING = 0.005, 0.0001  # m
+ANYTHING = 2**31 - 1  # contact bits: whatever can touch at all touches the ground
+GREY, ICY = (0.5, 0.5, 0.48, 1), (0.55, 0.75, 0.9, 1)
+
+
+def add_ground(spec: mujoco.MjSpec, ground: Ground) -> None:
+    """Lay the ground into `spec`. Raises SurefootError where a strip covers part of a rough one."""
+    layers = ground.layers
+    for k, strip in enumerate(layers):
+        hidden = [later.rectangle for later in layers[k + 1 :]]
+        if strip.rough and any(_overlap(strip.rectangle, other) for other in hidden):
+            raise SurefootError("a strip must not overlap a rough one listed before it")
+        mu = ground.mu if strip.mu is None else strip.mu
+        patches = [(patch.rectangle, patch.mu) for patch in ground.patches]
+        for rectangle, z_low, z_high in strip.facets():
+            for tile, tile_mu in _cut(rectangle, mu, hidden, patches, bool(strip.rough)):
+                # All that the robot's own default for geoms could spoil is said here.
+                geom = {
+                    "contype": ANYTHING,
+                    "conaffinity": ANYTHING,
+                    "margin": 0.0,
+                    "gap": 0.0,
+                    "friction": [tile_mu, TORSION, ROLLING],
+                    "condim": 3,
+                    "priority": PRIORITY,
+                    "solref": [SOLREF[0] + ground.softness, SOLREF[1]],
+                    "solimp": list(SOLIMP),
+                    "rgba": list(ICY if tile_mu < ground.mu else GREY),
+                }
+                if strip.rough:
+                    _add_field(spec, strip, tile, geom)
+                else:
+                    _add_box(spec, rectangle, tile, strip.axis, z_low, z_high, geom)
+
+
+def _add_box(
+    spec: mujoco.MjSpec,
+    facet: Rectangle,
+    tile: Rectangle,
+    axis: int,
+    z_low: float,
+    z_high: float,
+    geom: dict,
+) -> None:
+    """A box whose upper face is the part `tile` of a facet that rises along `axis`.
+
+    The box of a slope leans, so its high end wants a strip of the same height to lean into.
+    """
+    x0, x1, y0, y1 = tile
+    low, high = (facet[0], facet[1]) if axis == 0 else (facet[2], facet[3])
+    slope = (z_high - z_low) / (high - low)
+    middle = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1)])
+    top = np.array([*middle, z_low + slope * (middle[axis] - low)])
+    angle = np.arctan(slope)
+    half = np.array([0.5 * (x1 - x0), 0.5 * (y1 - y0), 0.5 * THICKNESS])
+    half[axis] /= np.cos(angle)
+    if slope == 0.0:
+        half[2] = 0.5 * (THICKNESS + max(z_low, 0.0))  # steps and platforms stand on the floor
+    up = np.array([0.0, 0.0, np.cos(angle)])
+    up[axis] = -np.sin(angle)
+    turn = np.zeros(4)
+    about = np.array([0.0, -1.0, 0.0]) if axis == 0 else np.array([1.0, 0.0, 0.0])
+    mujoco.mju_axisAngle2Quat(turn, about, angle)
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_BOX, pos=top - half[2] * up, size=half, quat=turn, **geom
+    )
+
+
+def _add_field(spec: mujoco.MjSpec, strip: Strip, tile: Rectangle, geom: dict) -> None:
+    """The part `tile` of a rough strip as a height field on the strip's own lattice."""
+    x0, x1, y0, y1 = tile
+    left, _, front, _ = strip.rectangle
+    i0, i1 = round((x0 - left) / LATTICE), round((x1 - left) / LATTICE)
+    j0, j1 = round((y0 - front) / LATTICE), round((y1 - front) / LATTICE)
+    nodes = strip.nodes()[i0 : i1 + 1, j0 : j1 + 1]
+    low, high = nodes.min(), nodes.max()
+    name = f"field_{len(spec.hfields)}"
+    spec.add_hfield(
+        name=name,
+        nrow=nodes.shape[1],
+        ncol=nodes.shape[0],
+        size=[0.5 * (x1 - x0), 0.5 * (y1 - y0), max(high - low, 1e-3), THICKNESS],
+        userdata=((nodes.T - low) / max(high - low, 1e-3)).ravel(),
+    )
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_HFIELD,
+        hfieldname=name,
+        pos=[0.5 * (x0 + x1), 0.5 * (y0 + y1), low],
+        **geom,
+    )
+
+
+def _cut(
+    rectangle: Rectangle,
+    mu: float,
+    hidden: Sequence[Rectangle],
+    patches: Sequence[tuple[Rectangle, float]],
+    on_lattice: bool,
+) -> list[tuple[Rectangle, float]]:
+    """What is to be seen of `rectangle`, in abutting tiles with their friction."""
+    hidden = [r for r in hidden if _overlap(rectangle, r)]
+    patches = [(r, m) for r, m in patches if _overlap(rectangle, r)]
+    edges_x, edges_y = (
+        _edges([*hidden, *(r for r, _ in patches)], rectangle, axis, on_lattice) for axis in (0, 1)
+    )
+    tiles: list[tuple[Rectangle, float]] = []
+    for x0, x1 in pairwise(edges_x):
+        column: list[list[float]] = []  # y0, y1, mu, merged where alike
+        for y0, y1 in pairwise(edges_y):
+            x, y = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
+            if any(_inside(x, y, r) for r in hidden):
+                continue
+            mu_here = next((m for r, m in reversed(patches) if _inside(x, y, r)), mu)
+            if column and column[-1][1:] == [y0, mu_here]:
+                column[-1][1] = y1
+            else:
+                column.append([y0, y1, mu_here])
+        tiles += [((x0, x1, y0, y1), m) for y0, y1, m in column]
+    return tiles
+
+
+def _edges(
+    rectangles: Sequence[Rectangle], within: Rectangle, axis: int, on_lattice: bool
+) -> list[float]:
+    low, high = within[2 * axis], within[2 * axis + 1]
+    edges = {e for r in rectangles for e in r[2 * axis : 2 * axis + 2] if low < e < high}
+    if on_lattice:
+        edges = {round(e / LATTICE) * LATTICE for e in edges}
+    inner = [e for e in sorted(edges) if low + 1e-9 < e < high - 1e-9]
+    return [low, *inner, high]
+
+
+def _overlap(a: Rectangle, b: Rectangle) -> bool:
+    return a[0] < b[1] and b[0] < a[1] and a[2] < b[3] and b[2] < a[3]
+
+
+def _inside(x: float, y: float, r: Rectangle) -> bool:
+    return r[0] <= x <= r[1] and r[2] <= y <= r[3]

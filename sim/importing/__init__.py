@@ -1,0 +1,1 @@
+"""Somebody's recording becomes a Log, as a map says."""

@@ -1,0 +1,16 @@
+"""The Log, the only thing that is passed between the rooms: its file, its schema, its checks."""
+
+from surefoot.sim.log.derived import joint_velocity, reference_velocity, with_velocities
+from surefoot.sim.log.log import JOINTS, LEGS, SCHEMA, Log, LogError, Meta
+
+__all__ = [
+    "JOINTS",
+    "LEGS",
+    "SCHEMA",
+    "Log",
+    "LogError",
+    "Meta",
+    "joint_velocity",
+    "reference_velocity",
+    "with_velocities",
+]

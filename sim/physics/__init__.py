@@ -1,0 +1,1 @@
+"""MuJoCo: the scene, the compiled stepper, and inverse dynamics."""

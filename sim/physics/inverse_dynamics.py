@@ -1,0 +1,178 @@
+"""Inverse dynamics of a robot over many rows: the joint torques and base wrench of a motion.
+
+MuJoCo's `mj_inverse` without contacts and joint stops, as one compiled loop. A floating base is
+held at the origin with its axes along the world's, so that its force and moment come out in B.
+"""
+
+import ctypes
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from llvmlite import binding
+from numba import types
+
+from surefoot.sim.common.kernels import kernel
+from surefoot.sim.physics.stepper import library
+
+_address = ctypes.cast(library().mj_inverseSkip, ctypes.c_void_p).value
+binding.add_symbol("mj_inverseSkip", _address)
+_mj_inverse = types.ExternalFunction(
+    "mj_inverseSkip", types.void(types.uintp, types.uintp, types.intc, types.intc)
+)
+# What MuJoCo need not compute again: nothing, what places decide, or what places and rates do.
+_ALL, _SAME_PLACES, _SAME_RATES = (int(stage) for stage in (
+    mujoco.mjtStage.mjSTAGE_NONE, mujoco.mjtStage.mjSTAGE_POS, mujoco.mjtStage.mjSTAGE_VEL,
+))  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Dynamics:
+    """A compiled model, scratch memory for it, and where its joints are in canonical order.
+
+    hung (J,): the body that hangs on the one before the joint's, or on the base, and carries it.
+    """
+
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    qpos_adr: np.ndarray  # (J,)
+    dof_adr: np.ndarray  # (J,)
+    hung: np.ndarray  # (J,)
+    floating: bool
+
+    def inverse(
+        self,
+        q: np.ndarray,
+        dq: np.ndarray,
+        ddq: np.ndarray,
+        base: np.ndarray | None = None,
+        shift: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Wrench on the base (N, 6) [N, N m] in B about its origin, and joint torques (N, J) [N m].
+
+        q, dq, ddq (N, J) in rad, rad/s, rad/s^2; base (N, 9), in B: angular velocity [rad/s],
+        angular acceleration [rad/s^2] and specific force at the base's origin [m/s^2]; None where
+        it stands still and level, or where there is none (then the wrench is zero). shift (J, 3)
+        [m]: how far each joint, with all that hangs on it, is from where the file has it, in the
+        frame of the joint before.
+        """
+        motion = self._motion(q, dq, ddq, base)
+        out = np.empty((len(q), self.model.nv))
+        with self._shifted(shift):
+            _sweep(self._memory, *motion, out)
+        return self._wrench(out), out[:, self.dof_adr]
+
+    def derivatives(
+        self,
+        q: np.ndarray,
+        dq: np.ndarray,
+        ddq: np.ndarray,
+        base: np.ndarray | None = None,
+        shift: np.ndarray | None = None,
+        step: float = 1e-5,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Forward differences of `inverse`: wrenches (3, J, N, 6) and torques (3, J, N, J), by each
+        joint's angle, rate and acceleration."""
+        motion = self._motion(q, dq, ddq, base)
+        out = np.empty((3, len(self.dof_adr), len(q), self.model.nv))
+        with self._shifted(shift):
+            _sweep_about(self._memory, *motion, self.qpos_adr, self.dof_adr, step, out)
+        return self._wrench(out), out[..., self.dof_adr]
+
+    def _motion(self, q, dq, ddq, base) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The motion as MuJoCo has it: positions (N, nq), rates and accelerations (N, nv)."""
+        n, model = len(q), self.model
+        Q = np.tile(model.qpos0, (n, 1))
+        V, A = np.zeros((n, model.nv)), np.zeros((n, model.nv))
+        Q[:, self.qpos_adr], V[:, self.dof_adr], A[:, self.dof_adr] = q, dq, ddq
+        if self.floating:
+            Q[:, :7] = [0, 0, 0, 1, 0, 0, 0]
+            if base is not None:
+                V[:, 3:6], A[:, 3:6] = base[:, :3], base[:, 3:6]
+                A[:, :3] = base[:, 6:] + model.opt.gravity
+        return Q, V, A
+
+    def _wrench(self, forces: np.ndarray) -> np.ndarray:
+        return forces[..., :6] if self.floating else np.zeros((*forces.shape[:-1], 6))
+
+    @contextmanager
+    def _shifted(self, shift: np.ndarray | None) -> Iterator[None]:
+        """The model with its joints moved, for a while."""
+        as_drawn = self.model.body_pos.copy()
+        if shift is not None:
+            self.model.body_pos[self.hung] += shift
+        try:
+            yield
+        finally:
+            self.model.body_pos[:] = as_drawn
+
+    @property
+    def _memory(self) -> tuple:
+        """Addresses of model and data, and the arrays of `data` that go in and come out."""
+        model, data = self.model, self.data
+        return (
+            model._address, data._address, data.qpos, data.qvel, data.qacc, data.qfrc_inverse
+        )  # fmt: skip
+
+
+@lru_cache(maxsize=16)
+def dynamics_of(file: Path, joint_names: tuple[str, ...]) -> Dynamics:
+    """The dynamics of an MJCF file as it is, seen at these joints."""
+    model = mujoco.MjModel.from_xml_path(str(file))
+    flags = mujoco.mjtDisableBit
+    model.opt.disableflags |= flags.mjDSBL_CONTACT | flags.mjDSBL_LIMIT
+    joints = [model.joint(name) for name in joint_names]
+    return Dynamics(
+        model,
+        mujoco.MjData(model),
+        np.array([joint.qposadr[0] for joint in joints]),
+        np.array([joint.dofadr[0] for joint in joints]),
+        np.array([_hung(model, int(joint.bodyid[0])) for joint in joints]),
+        bool(model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE),
+    )
+
+
+def _hung(model: mujoco.MjModel, body: int) -> int:
+    """The first body above this one, or it, whose parent moves: has a joint, or is the world."""
+    while (parent := int(model.body_parentid[body])) and not model.body_jntnum[parent]:
+        body = parent
+    return body
+
+
+@kernel(nogil=True)
+def _sweep(memory, Q, V, A, out):
+    model, data, qpos, qvel, qacc, force = memory
+    for k in range(len(Q)):
+        qpos[:], qvel[:], qacc[:] = Q[k], V[k], A[k]
+        _mj_inverse(model, data, _ALL, 1)
+        out[k] = force
+
+
+@kernel(nogil=True)
+def _sweep_about(memory, Q, V, A, qpos_adr, dof_adr, step, out):
+    model, data, qpos, qvel, qacc, force = memory
+    here = np.empty(len(force))
+    for k in range(len(Q)):
+        qpos[:], qvel[:], qacc[:] = Q[k], V[k], A[k]
+        _mj_inverse(model, data, _ALL, 1)
+        here[:] = force
+        # From what asks for the least work to what asks for the most.
+        for j in range(len(dof_adr)):
+            qacc[dof_adr[j]] += step
+            _mj_inverse(model, data, _SAME_RATES, 1)
+            out[2, j, k] = (force - here) / step
+            qacc[:] = A[k]
+        for j in range(len(dof_adr)):
+            qvel[dof_adr[j]] += step
+            _mj_inverse(model, data, _SAME_PLACES, 1)
+            out[1, j, k] = (force - here) / step
+            qvel[:] = V[k]
+        for j in range(len(dof_adr)):
+            qpos[qpos_adr[j]] += step
+            _mj_inverse(model, data, _ALL, 1)
+            out[0, j, k] = (force - here) / step
+            qpos[:] = Q[k]

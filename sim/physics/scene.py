@@ -1,0 +1,127 @@
+"""Composes a robot and its ground into one MuJoCo model driven by joint torques."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.ground.height_map import HeightMap, surface
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.ground.tiles import add_ground
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.legs import JOINTS, LEGS
+
+TIMESTEP = 0.002  # s
+
+
+@dataclass(frozen=True)
+class World:
+    """A compiled scene and where in its arrays the robot's parts are, in canonical order."""
+
+    model: mujoco.MjModel
+    qpos_adr: np.ndarray  # (12,)
+    dof_adr: np.ndarray  # (12,)
+    touch_adr: np.ndarray  # (4,) into sensordata
+    start: np.ndarray  # (nq,) standing at the origin
+    relief: HeightMap  # of the ground
+
+
+def robot_spec(robot: Robot) -> mujoco.MjSpec:
+    """The robot with a torque motor a joint and a touch sensor a foot, whatever its file had."""
+    spec = robot.spec()
+    for part in (*spec.sensors, *spec.actuators, *spec.keys):
+        spec.delete(part)
+    for floor in spec.worldbody.geoms:  # of a file that brings a whole scene
+        spec.delete(floor)
+    # With a margin a sole hovers over the ground: it rolls on a larger radius than it has.
+    for geom in spec.geoms:
+        geom.margin = geom.gap = 0.0
+    for name, joint, limit in zip(JOINTS, robot.joint_names, robot.torque_limit, strict=True):
+        motor = spec.add_actuator(
+            name=f"torque_{name}",
+            target=joint,
+            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            ctrllimited=True,
+            ctrlrange=[-limit, limit],
+        )
+        motor.set_to_motor()
+    for leg, body, place, radius in zip(
+        LEGS, robot.foot_bodies, robot.foot_places, robot.foot_radius, strict=True
+    ):
+        site = spec.body(body).add_site(
+            name=f"sole_{leg}",
+            pos=place,
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=[1.3 * radius, 0, 0],
+            group=5,
+        )
+        spec.add_sensor(
+            name=f"touch_{leg}",
+            type=mujoco.mjtSensor.mjSENS_TOUCH,
+            objtype=mujoco.mjtObj.mjOBJ_SITE,
+            objname=site.name,
+        )
+    return spec
+
+
+def add_payload(spec: mujoco.MjSpec, robot: Robot, mass: float) -> None:
+    """Put `mass` [kg] on the base, a small ball at its origin that touches nothing."""
+    # A body of its own: where the base's inertia is given, its geoms' masses do not count.
+    # It has no name, so that there may be two.
+    spec.body(robot.base_name).add_body().add_geom(
+        type=mujoco.mjtGeom.mjGEOM_SPHERE,
+        size=[0.05, 0, 0],
+        mass=mass,
+        contype=0,
+        conaffinity=0,
+        group=2,
+    )
+
+
+def build_world(robot: Robot, ground: Ground, spec: mujoco.MjSpec | None = None) -> World:
+    """Compile the robot (or an edited spec of it) standing on `ground`."""
+    scene: mujoco.MjSpec = robot_spec(robot) if spec is None else spec
+    # Feet creep on dry ground unless friction is stiff and exact: elliptic cone, high impratio.
+    scene.option.gravity = [0.0, 0.0, -9.81]
+    scene.option.disableflags = scene.option.enableflags = 0
+    scene.memory = -1  # what MuJoCo thinks fit: running out of it ends the whole process
+    scene.option.timestep = TIMESTEP
+    scene.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    scene.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    scene.option.impratio = 100.0
+    scene.option.noslip_iterations = 0
+    add_ground(scene, ground)
+    try:
+        model = scene.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        reason = str(error).strip().splitlines()[0]
+        raise SurefootError(
+            f"robot {robot.name}: MuJoCo cannot build its world: {reason}"
+        ) from None
+    joints = [model.joint(name) for name in robot.joint_names]
+    qpos_adr = np.array([joint.qposadr[0] for joint in joints])
+    home_B = robot.feet_I(robot.q_home[None])[0] @ robot.R_BI.T + robot.p_BI
+    start = model.qpos0.copy()
+    relief = ground.relief
+    start[:7] = _standing_pose(relief, float(np.max(robot.foot_radius - home_B[:, 2])))
+    start[qpos_adr] = robot.q_home
+    return World(
+        model=model,
+        qpos_adr=qpos_adr,
+        dof_adr=np.array([joint.dofadr[0] for joint in joints]),
+        touch_adr=np.array([model.sensor(f"touch_{leg}").adr[0] for leg in LEGS]),
+        start=start,
+        relief=relief,
+    )
+
+
+def _standing_pose(relief: HeightMap, stand: float) -> np.ndarray:
+    """Place and attitude (7,) of the base that stands `stand` [m] above the origin's slope."""
+    z, slope_x, slope_y = surface(relief, 0.0, 0.0)
+    turn = np.array([-slope_y, slope_x, 0.0])
+    steep = np.hypot(slope_x, slope_y)
+    half = 0.5 * np.arctan(steep)
+    axis = turn / steep if steep else turn
+    lifted = z + stand * np.hypot(1.0, steep)
+    return np.array([0.0, 0.0, lifted, np.cos(half), *(-np.sin(half) * axis)])

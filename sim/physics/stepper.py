@@ -1,0 +1,210 @@
+"""A whole walk as one compiled loop: MuJoCo's step and the controller in turn, without a lock.
+
+Python is left out of the loop, so that walks on threads do not wait for each other; alone or
+beside others a walk computes the same bits. `mj_step` is called by its address in the library
+that the mujoco package has loaded, on the memory of its own MjModel and MjData.
+"""
+
+import ctypes
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from llvmlite import binding
+from numba import types
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.kernels import kernel
+from surefoot.sim.common.quaternion import matrix_from_quaternion
+from surefoot.sim.gait.controller import Gait, fresh_memory, tick
+from surefoot.sim.gait.course import Course
+from surefoot.sim.ground.height_map import height
+from surefoot.sim.physics.scene import TIMESTEP, World
+from surefoot.sim.robot import Robot
+from surefoot.sim.sensors.streams import Motion
+
+STEPS_PER_TICK = 2  # the controller runs at 250 Hz
+TICKS_AT_ONCE = 250  # between looks at the clock, the progress bar and Ctrl-C
+
+
+class Fallen(SurefootError):
+    """The robot fell at `time` [s] of the simulation; the walk is not a dataset."""
+
+    def __init__(self, message: str, time: float = 0.0):
+        super().__init__(message)
+        self.time = time
+
+    def __reduce__(self):
+        return type(self), (str(self), self.time)
+
+
+def library() -> ctypes.CDLL:
+    """The shared library of the mujoco package, which it has loaded already."""
+    folder = Path(mujoco.__file__).parent
+    return ctypes.CDLL(str(next(f for g in ("libmujoco*", "mujoco.dll") for f in folder.glob(g))))
+
+
+binding.add_symbol("mj_step", ctypes.cast(library().mj_step, ctypes.c_void_p).value)
+# Compiled code knows the function by its name alone, so that it can be cached.
+_mj_step = types.ExternalFunction("mj_step", types.void(types.uintp, types.uintp))
+
+
+class MjViews(NamedTuple):
+    """A robot in MuJoCo's memory: addresses of MjModel and MjData, and views of its arrays."""
+
+    model: int
+    data: int
+    qpos: np.ndarray  # (nq,)
+    qvel: np.ndarray  # (nv,)
+    ctrl: np.ndarray  # (12,) N m
+    sensordata: np.ndarray
+    actuator_force: np.ndarray  # (12,) N m
+    qpos_adr: np.ndarray  # (12,)
+    dof_adr: np.ndarray  # (12,)
+    touch_adr: np.ndarray  # (4,)
+    unstable: np.ndarray  # counts of MuJoCo's warnings
+
+
+class Recording(NamedTuple):
+    """What a walk leaves: states a timestep apart, and what acted between them."""
+
+    qpos: np.ndarray  # (N + 1, nq)
+    qvel: np.ndarray  # (N + 1, nv)
+    tau: np.ndarray  # (N, 12) N m
+    force: np.ndarray  # (N, 4) N, as the touch sensors feel it
+
+
+def mj_views(world: World, data: mujoco.MjData) -> MjViews:
+    """Views of `data`, which must outlive them."""
+    return MjViews(
+        world.model._address, data._address, data.qpos, data.qvel, data.ctrl, data.sensordata,
+        data.actuator_force, world.qpos_adr, world.dof_adr, world.touch_adr, data.warning.number,
+    )  # fmt: skip
+
+
+def recording_of(world: World, steps: int) -> Recording:
+    """Room for `steps` steps."""
+    nq, nv = world.model.nq, world.model.nv
+    return Recording(
+        np.empty((steps + 1, nq)), np.empty((steps + 1, nv)),
+        np.empty((steps, 12)), np.empty((steps, 4)),
+    )  # fmt: skip
+
+
+def start(world: World) -> mujoco.MjData:
+    """The world at rest, the robot standing at the origin."""
+    data = mujoco.MjData(world.model)
+    data.qpos[:] = world.start
+    return data
+
+
+def simulate(
+    world: World,
+    robot: Robot,
+    gait: Gait,
+    course: Course,
+    progress: Callable[[float], None] | None = None,
+) -> Motion:
+    """Step the world under the trot controller through the whole course.
+
+    `progress` is told the share done. Raises Fallen, saying when, if the robot falls.
+    """
+    data, ticks = start(world), len(course.t)
+    trace = recording_of(world, ticks * STEPS_PER_TICK)
+    trot(world, data, robot, gait, course, trace, ticks, progress)
+    return motion_of(world, trace)
+
+
+def trot(
+    world: World,
+    data: mujoco.MjData,
+    robot: Robot,
+    gait: Gait,
+    course: Course,
+    trace: Recording,
+    ticks: int,
+    progress: Callable[[float], None] | None = None,
+) -> None:
+    """Walk the first `ticks` control periods of the course, from `data` as it is; fills `trace`."""
+    target = np.column_stack([course.pose, course.velocity])
+    memory, load = fresh_memory(), np.full(4, gait.mass * 9.81 / 4)
+    body = mj_views(world, data)
+    for first in range(0, ticks, TICKS_AT_ONCE):
+        last = min(first + TICKS_AT_ONCE, ticks)
+        fell = _stepper(
+            body, robot.legs, gait, world.relief, memory, load, course.t, target, trace, first, last
+        )
+        if fell >= 0:
+            t = float(course.t[fell])
+            raise Fallen(f"robot {robot.name} fell at {t:.2f} s of {course.t[-1]:.0f} s", t)
+        if progress:
+            progress(last / ticks)
+
+
+@kernel(nogil=True)
+def _stepper(body, legs, gait, relief, memory, load, t, target, trace, first, last):
+    """Control ticks `first` to `last`; returns the one at which the robot fell, or -1."""
+    qpos, qvel = body.qpos, body.qvel
+    q, dq, torque = np.empty(12), np.empty(12), np.zeros(12)
+    k = first * STEPS_PER_TICK
+    for i in range(first, last):
+        R = rotation(qpos[3], qpos[4], qpos[5], qpos[6])
+        for j in range(12):
+            q[j], dq[j] = qpos[body.qpos_adr[j]], qvel[body.dof_adr[j]]
+        if has_fallen(gait, relief, qpos, R) or body.unstable.any():
+            return i
+        tick(
+            legs, gait, relief, memory, t[i], qpos[:3].copy(), R,
+            qvel[:3].copy(), qvel[3:6].copy(), q, dq, load, target[i], torque,
+        )  # fmt: skip
+        body.ctrl[:] = torque
+        for _ in range(STEPS_PER_TICK):
+            step(body, trace, k)
+            k += 1
+        load[:] = trace.force[k - 1]
+    return -1
+
+
+@kernel(nogil=True)
+def step(body, trace, k):
+    """One timestep of MuJoCo, recorded as the k-th."""
+    trace.qpos[k], trace.qvel[k] = body.qpos, body.qvel
+    _mj_step(body.model, body.data)
+    trace.tau[k] = body.actuator_force
+    for leg in range(4):
+        trace.force[k, leg] = body.sensordata[body.touch_adr[leg]]
+    trace.qpos[k + 1], trace.qvel[k + 1] = body.qpos, body.qvel
+
+
+@kernel(nogil=True)
+def rotation(w, x, y, z):
+    """Rotation matrix (3, 3) of a unit quaternion."""
+    R = np.empty((3, 3))
+    R[0, 0], R[0, 1], R[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+    R[1, 0], R[1, 1], R[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+    R[2, 0], R[2, 1], R[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+    return R
+
+
+@kernel(nogil=True)
+def has_fallen(gait, relief, p, R):
+    """Tilted by more than 60 degrees, or low: base at p (3,) [m] with attitude R (3, 3)."""
+    return R[2, 2] < 0.5 or p[2] - height(relief, p[0], p[1]) < 0.4 * gait.height
+
+
+def motion_of(world: World, trace: Recording) -> Motion:
+    """The recorded states as a motion of the base and the joints in canonical order."""
+    qpos, qvel = trace.qpos, trace.qvel
+    return Motion(
+        t=np.arange(len(qpos)) * TIMESTEP,
+        p_GB=qpos[:, :3],
+        R_GB=matrix_from_quaternion(qpos[:, 3:7]),
+        v_GB=qvel[:, :3],
+        w_B=qvel[:, 3:6],
+        q=qpos[:, world.qpos_adr],
+        dq=qvel[:, world.dof_adr],
+        tau=trace.tau,
+        force=trace.force,
+    )

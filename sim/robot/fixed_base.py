@@ -1,0 +1,67 @@
+"""A machine whose base does not move: a pendulum, an arm, any MJCF without a free joint."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import mujoco
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import bundled
+from surefoot.sim.log import Log
+from surefoot.sim.robot.catalog import robot_file
+from surefoot.sim.robot.robot import DeclaredExtras, Robot
+
+BUNDLED = bundled("surefoot.sim.robot", "machines")
+
+
+@dataclass(frozen=True)
+class FixedBase:
+    """The declared model of a machine on a fixed base: its file and its joints, in its order."""
+
+    name: str
+    file: Path
+    joint_names: tuple[str, ...]
+    extras: DeclaredExtras = field(default_factory=DeclaredExtras)
+
+
+Machine = Robot | FixedBase
+
+
+def load_machine(name_or_path: str | Path) -> Machine:
+    """A quadruped, or a fixed base where the model has no free joint. Raises SurefootError."""
+    bundled = BUNDLED / f"{name_or_path}.xml"
+    file = bundled if bundled.is_file() else robot_file(name_or_path)
+    try:
+        model = mujoco.MjModel.from_xml_path(str(file))
+    except ValueError as error:
+        reason = str(error).strip().splitlines()[0]
+        raise SurefootError(f"robot {file}: MuJoCo cannot read it: {reason}") from None
+    if (model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any():
+        return Robot.load(name_or_path)
+    moves = {int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)}
+    single = [model.joint(j).name for j in range(model.njnt) if int(model.jnt_type[j]) in moves]
+    if not single:
+        raise SurefootError(f"robot {file}: has no hinge or slide")
+    return FixedBase(file.stem, file, tuple(single))
+
+
+def machine_for_log(log: Log, name: str | Path | None = None) -> Machine:
+    """The machine `name`, or else the one the log names, with what the log's map says of it.
+
+    Raises SurefootError where a fixed base lacks a joint that the log has.
+    """
+    chosen = name or log.meta.robot
+    if not chosen:
+        raise SurefootError("the log names no robot: say which with --robot")
+    machine = load_machine(chosen)
+    if isinstance(machine, Robot):
+        return Robot.for_log(log, chosen)
+    if not log.has("q"):
+        raise SurefootError(f"{log.name}: the log has no joints")
+    for joint in log.joints:
+        if joint not in machine.joint_names:
+            raise SurefootError(
+                f"{log.name}: joint {joint} is not one of {machine.name}'s: "
+                f"{', '.join(machine.joint_names)}"
+            )
+    return FixedBase(machine.name, machine.file, log.joints)

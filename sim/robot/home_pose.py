@@ -1,0 +1,74 @@
+"""A standing posture for a robot whose model has no home keyframe."""
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from surefoot.sim.robot.kinematics import Legs, leg_forward
+
+CROUCH = 0.76  # height of the thigh joint over the foot, as a share of the straight leg
+# What counts as standing, as shares of the straight leg.
+LOWEST, UNEVEN, ASKEW = 0.7, 0.1, 0.3
+
+
+def stands(legs: Legs, q: np.ndarray) -> bool:
+    """Whether joint angles q (12,) [rad] hold the body up: feet level, far below and near the hips.
+
+    Some published models carry a keyframe "home" that only folds the legs.
+    """
+    foot, J, axes = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    drops = np.empty(4)
+    for leg in range(4):
+        leg_forward(legs, leg, q[3 * leg : 3 * leg + 3], foot, J, axes)
+        hip, straight = _thigh_joint(legs, leg), _straight(legs, leg)
+        drops[leg] = (hip[2] - foot[2]) / straight
+        if drops[leg] < LOWEST or abs(foot[0] - hip[0]) > ASKEW * straight:
+            return False
+    return bool(np.ptp(drops) < UNEVEN)
+
+
+def standing_joints(legs: Legs, joint_range: np.ndarray) -> np.ndarray:
+    """Joint angles (12,) [rad] that put every foot straight below its thigh joint.
+
+    Of the two ways a knee can bend, the one nearer to the middle of the joints' ranges wins; where
+    the ranges do not say, the knee points backwards, as on nearly every quadruped.
+    """
+    q_home = np.empty(12)
+    foot, J, axes = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    for leg in range(4):
+        lower, upper = joint_range[3 * leg : 3 * leg + 3].T
+        lower, upper = np.maximum(lower, -np.pi), np.minimum(upper, np.pi)
+        middle = 0.5 * (lower + upper)
+        thigh = _thigh_joint(legs, leg)
+        target = thigh - np.array([0.0, 0.0, CROUCH * _straight(legs, leg)])
+
+        def miss(q: np.ndarray, leg: int = leg, target: np.ndarray = target) -> np.ndarray:
+            leg_forward(legs, leg, q, foot, J, axes)
+            return foot - target
+
+        best, best_cost = middle, np.inf
+        for thigh_start in np.linspace(lower[1], upper[1], 5):
+            for knee_start in (
+                0.75 * lower[2] + 0.25 * middle[2],
+                0.75 * upper[2] + 0.25 * middle[2],
+            ):
+                start = np.clip([0.0, thigh_start, knee_start], lower + 1e-6, upper - 1e-6)
+                found = least_squares(miss, start, bounds=(lower, upper))
+                off_middle = np.abs((found.x - middle) / (upper - lower)).max()
+                miss(found.x)
+                knee_x = foot[0] - np.cross(J[:, 2], axes[:, 2])[0]
+                cost = off_middle + 1e3 * found.cost + np.abs(found.x[0])
+                cost += 0.01 * (knee_x > thigh[0])
+                if cost < best_cost:
+                    best, best_cost = found.x, cost
+        q_home[3 * leg : 3 * leg + 3] = best
+    return q_home
+
+
+def _thigh_joint(legs: Legs, leg: int) -> np.ndarray:
+    """Place (3,) [m] of the thigh's hinge in B with the abduction at its zero."""
+    return legs.offset[leg, 0] + legs.rotation[leg, 0] @ legs.offset[leg, 1]
+
+
+def _straight(legs: Legs, leg: int) -> float:
+    """Length [m] of the stretched leg from the thigh's hinge to the foot's centre."""
+    return float(np.linalg.norm(legs.offset[leg, 2]) + np.linalg.norm(legs.foot[leg]))

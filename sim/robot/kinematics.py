@@ -1,0 +1,118 @@
+"""Leg kinematics, compiled: three hinges in series from the base to a foot."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from surefoot.sim.common.kernels import kernel
+
+
+class Legs(NamedTuple):
+    """Constants of four three-joint legs, read from a model; everything in m and rad.
+
+    A leg is walked from the base B outwards: `offset` and `rotation` take the frame of the
+    previous link to that of joint j's link at q = q_zero, `axis` and `anchor` are the
+    hinge in that link's own frame, and `foot` is the foot's centre in the last link's frame.
+    """
+
+    offset: np.ndarray  # (4, 3, 3)
+    rotation: np.ndarray  # (4, 3, 3, 3)
+    axis: np.ndarray  # (4, 3, 3)
+    anchor: np.ndarray  # (4, 3, 3)
+    q_zero: np.ndarray  # (4, 3)
+    foot: np.ndarray  # (4, 3)
+
+
+@kernel
+def leg_forward(legs, leg, q, foot, jacobian, axes):
+    """Foot centre (3,), its Jacobian (3, 3) and the joint axes (3, 3, as columns), all in B."""
+    # Rotations are tuples of nine numbers, row by row: arrays would be allocated at every step.
+    R = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    x, y, z = 0.0, 0.0, 0.0
+    for j in range(3):
+        dx, dy, dz = _apply(R, legs.offset[leg, j])
+        R = _times(R, _numbers(legs.rotation[leg, j]))
+        ax, ay, az = _apply(R, legs.anchor[leg, j])
+        # The hinge's place stays in the Jacobian's column until the foot is known.
+        x, y, z = x + dx + ax, y + dy + ay, z + dz + az
+        jacobian[0, j], jacobian[1, j], jacobian[2, j] = x, y, z
+        axes[0, j], axes[1, j], axes[2, j] = _apply(R, legs.axis[leg, j])
+        R = _times(R, axis_rotation(legs.axis[leg, j], q[j] - legs.q_zero[leg, j]))
+        ax, ay, az = _apply(R, legs.anchor[leg, j])
+        x, y, z = x - ax, y - ay, z - az
+    dx, dy, dz = _apply(R, legs.foot[leg])
+    foot[0], foot[1], foot[2] = x + dx, y + dy, z + dz
+    for j in range(3):
+        ax, ay, az = axes[0, j], axes[1, j], axes[2, j]
+        lx, ly, lz = foot[0] - jacobian[0, j], foot[1] - jacobian[1, j], foot[2] - jacobian[2, j]
+        jacobian[0, j] = ay * lz - az * ly
+        jacobian[1, j] = az * lx - ax * lz
+        jacobian[2, j] = ax * ly - ay * lx
+
+
+@kernel
+def axis_rotation(axis, angle):
+    """Rodrigues' formula: the rotation by `angle` about the unit vector `axis`, as nine numbers."""
+    s, c = np.sin(angle), np.cos(angle)
+    x, y, z = axis[0], axis[1], axis[2]
+    u = 1.0 - c
+    return (
+        c + x * x * u, x * y * u - z * s, x * z * u + y * s,
+        y * x * u + z * s, c + y * y * u, y * z * u - x * s,
+        z * x * u - y * s, z * y * u + x * s, c + z * z * u,
+    )  # fmt: skip
+
+
+@kernel
+def _times(A, B):
+    return (
+        A[0] * B[0] + A[1] * B[3] + A[2] * B[6],
+        A[0] * B[1] + A[1] * B[4] + A[2] * B[7],
+        A[0] * B[2] + A[1] * B[5] + A[2] * B[8],
+        A[3] * B[0] + A[4] * B[3] + A[5] * B[6],
+        A[3] * B[1] + A[4] * B[4] + A[5] * B[7],
+        A[3] * B[2] + A[4] * B[5] + A[5] * B[8],
+        A[6] * B[0] + A[7] * B[3] + A[8] * B[6],
+        A[6] * B[1] + A[7] * B[4] + A[8] * B[7],
+        A[6] * B[2] + A[7] * B[5] + A[8] * B[8],
+    )
+
+
+@kernel
+def _apply(R, v):
+    return (
+        R[0] * v[0] + R[1] * v[1] + R[2] * v[2],
+        R[3] * v[0] + R[4] * v[1] + R[5] * v[2],
+        R[6] * v[0] + R[7] * v[1] + R[8] * v[2],
+    )
+
+
+@kernel
+def _numbers(M):
+    return M[0, 0], M[0, 1], M[0, 2], M[1, 0], M[1, 1], M[1, 2], M[2, 0], M[2, 1], M[2, 2]
+
+
+@kernel
+def feet(legs, q, R_BI, p_BI):
+    """Of q (N, 12), in I: foot centres (N, 4, 3), Jacobians and joint axes (both (N, 4, 3, 3))."""
+    n = q.shape[0]
+    position = np.empty((n, 4, 3))
+    jacobian = np.empty((n, 4, 3, 3))
+    axes = np.empty((n, 4, 3, 3))
+    R_IB = _numbers(R_BI.T)
+    foot, J, Z = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    for k in range(n):
+        for leg in range(4):
+            leg_forward(legs, leg, q[k, 3 * leg : 3 * leg + 3], foot, J, Z)
+            for a in range(3):
+                foot[a] -= p_BI[a]
+            place = _apply(R_IB, foot)
+            for a in range(3):
+                position[k, leg, a] = place[a]
+            for j in range(3):
+                column = _apply(R_IB, J[:, j])
+                axis = _apply(R_IB, Z[:, j])
+                for a in range(3):
+                    jacobian[k, leg, a, j] = column[a]
+                    axes[k, leg, a, j] = axis[a]
+    return position, jacobian, axes

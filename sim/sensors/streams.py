@@ -1,0 +1,255 @@
+"""From the simulated motion to what the robot's sensors would say."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from scipy.signal import lfilter
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.kernels import kernel
+from surefoot.sim.robot import Robot
+
+GRAVITY_G = np.array([0.0, 0.0, -9.81])  # gravity in G [m/s^2]
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """Sensor errors, in SI units.
+
+    IMU: VectorNav VN-100, product brief and https://www.vectornav.com/products/detail/vn-100
+    (accelerometer 0.14 mg/rtHz, < 0.04 mg in-run bias, +-15 g; gyro 0.0035 deg/s/rtHz, 5 deg/h
+    in-run bias, +-2000 deg/s; 16 bits). It gives no turn-on bias: Xsens gives its gyros +-0.5 deg/s
+    from one turn-on to another within a year (https://base.xsens.com/hc/en-us/articles/203307252);
+    a sixth of it, and 3 mg, were chosen as what is left once a robot has stood still. Nor does it
+    give the in-run bias a correlation time: 300 s was chosen.
+    Encoders: ams AS5047P data sheet, 14 bits; their integral nonlinearity is calibrated out.
+    Joint velocity: such an encoder on the motor's side of a gear of 8, differenced over 2 ms, is
+    out by sqrt(1/6) 3.83e-4 rad / 8 / 2 ms = 0.01 rad/s.
+    Torque and foot force: no published figure was found; chosen as some 0.2 % of the largest torque
+    and 0.5 % of the weight of a robot of 40 kg. So was the threshold of contact, of the weight.
+    """
+
+    gyro_noise: float = 6.1e-5  # rad/s/rtHz
+    accel_noise: float = 1.37e-3  # m/s^2/rtHz
+    gyro_instability: float = 2.4e-5  # rad/s
+    accel_instability: float = 3.9e-4  # m/s^2
+    instability_time: float = 300.0  # s, correlation time of the in-run bias
+    gyro_turn_on: float = 1.5e-3  # rad/s, standard deviation
+    accel_turn_on: float = 0.03  # m/s^2, standard deviation
+    gyro_range: float = 34.9  # rad/s
+    accel_range: float = 147.0  # m/s^2
+    encoder_step: float = 3.83e-4  # rad
+    velocity_noise: float = 0.01  # rad/s
+    torque_noise: float = 0.1  # N m
+    force_noise: float = 2.0  # N
+    contact_threshold: float = 0.08  # of the robot's weight, on one foot
+    imu_bandwidth: float = 0.0  # Hz, of the IMU's first-order low-pass; 0: it has none
+    encoder_offset: float = 0.0  # rad, standard deviation, drawn once a joint
+    contact_delay: float = 0.0  # s, until a change of contact is told
+    contact_missed: float = 0.0  # share of samples of a standing foot that say it does not
+    contact_false: float = 0.0  # share of samples of a lifted foot that say it stands
+
+    def __post_init__(self):
+        for name in (part.name for part in fields(self)):
+            if not getattr(self, name) >= 0.0:
+                raise SurefootError(f"{name} must not be negative, is {getattr(self, name):g}")
+        for name in ("contact_missed", "contact_false"):
+            if getattr(self, name) > 1.0:
+                raise SurefootError(f"{name} is a share, from 0 to 1; is {getattr(self, name):g}")
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A recorded motion: N + 1 states a timestep apart and what acted between them."""
+
+    t: np.ndarray  # (N + 1,) s
+    p_GB: np.ndarray  # (N + 1, 3) m
+    R_GB: np.ndarray  # (N + 1, 3, 3)
+    v_GB: np.ndarray  # (N + 1, 3) m/s
+    w_B: np.ndarray  # (N + 1, 3) rad/s
+    q: np.ndarray  # (N + 1, 12) rad
+    dq: np.ndarray  # (N + 1, 12) rad/s
+    tau: np.ndarray  # (N, 12) N m, over each step
+    force: np.ndarray  # (N, 4) N, normal foot force over each step
+
+    def after(self, time: float) -> "Motion":
+        """The motion from `time` [s] on, its clock starting there."""
+        first = int(np.searchsorted(self.t, time))
+        parts = {f.name: getattr(self, f.name)[first:] for f in fields(self)}
+        return Motion(**parts | {"t": self.t[first:] - self.t[first]})
+
+
+@dataclass(frozen=True)
+class Streams:
+    """What perfect sensors would read; row k covers (t[k-1], t[k]] for the IMU, is at t[k] else."""
+
+    t: np.ndarray  # (N,) s
+    gyro: np.ndarray  # (N, 3) rad/s
+    accel: np.ndarray  # (N, 3) m/s^2
+    q: np.ndarray  # (N, 12) rad
+    dq: np.ndarray  # (N, 12) rad/s
+    tau: np.ndarray  # (N, 12) N m
+    force: np.ndarray  # (N, 4) N
+
+    @property
+    def rate(self) -> float:
+        """Samples a second."""
+        return float(1.0 / np.median(np.diff(self.t)))
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The motion of the nominal IMU frame as measured from outside, at the rows of the streams."""
+
+    t: np.ndarray  # (N,) s
+    R_GI: np.ndarray  # (N, 3, 3)
+    p_GI: np.ndarray  # (N, 3) m
+    v_GI: np.ndarray  # (N, 3) m/s
+
+
+def reference_of(motion: Motion, robot: Robot) -> Reference:
+    """The motion itself, as an outside measurement without error sees it."""
+    R_GI, p_GI, v_GI = imu_motion(motion, robot)
+    return Reference(motion.t[1:], R_GI[1:], p_GI[1:], v_GI[1:])
+
+
+def imu_motion(motion: Motion, robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """R_GI (N, 3, 3), p_GI (N, 3) [m], v_GI (N, 3) [m/s] of the nominal IMU mounting."""
+    R_GI = motion.R_GB @ robot.R_BI
+    p_GI = motion.p_GB + motion.R_GB @ robot.p_BI
+    v_GI = motion.v_GB + np.einsum("nij,nj->ni", motion.R_GB, np.cross(motion.w_B, robot.p_BI))
+    return R_GI, p_GI, v_GI
+
+
+def ideal_streams(motion: Motion, robot: Robot) -> Streams:
+    """Perfect readings of every sensor, one row a step.
+
+    An IMU integrates between its samples, so its rows are the constant rate and specific force that
+    carry the attitude and velocity of one state exactly to the next's.
+    """
+    R_GI, _, v_GI = imu_motion(motion, robot)
+    gyro, accel = between_states(motion.t, R_GI, v_GI)
+    return Streams(
+        t=motion.t[1:],
+        gyro=gyro,
+        accel=accel,
+        q=motion.q[1:],
+        dq=motion.dq[1:],
+        tau=motion.tau,
+        force=motion.force,
+    )
+
+
+def between_states(
+    t: np.ndarray, R_GI: np.ndarray, v_GI: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rates [rad/s] and specific forces [m/s^2] (N, 3) in I, constant between one state and the
+    next, that carry attitudes R_GI (N + 1, 3, 3) and velocities v_GI (N + 1, 3) [m/s] through the
+    times t (N + 1,) [s]; it turns by less than pi in between."""
+    dt = np.diff(t)[:, None]
+    turn = _turns(R_GI)
+    felt = np.einsum("nji,nj->ni", R_GI[:-1], np.diff(v_GI, axis=0) / dt - GRAVITY_G)
+    return turn / dt, _before_turning(turn, felt)
+
+
+def corrupt(streams: Streams, sensors: Sensors, rng: np.random.Generator) -> Streams:
+    """The readings with every sensor's errors, drawn from `rng`; noise is a density, per rtHz."""
+    s = sensors
+    rate = streams.rate
+    n = len(streams.t)
+
+    def imu(reading, density, turn_on, instability, full_scale):
+        bias = rng.normal(0.0, turn_on, 3) + _gauss_markov(
+            rng, n, instability, s.instability_time, rate
+        )
+        noisy = reading + bias + rng.normal(0.0, density * np.sqrt(rate), (n, 3))
+        if s.imu_bandwidth:
+            noisy = low_pass(noisy, 1.0 / (2.0 * np.pi * s.imu_bandwidth), rate)
+        step = full_scale / 2**15
+        return np.clip(np.round(noisy / step) * step, -full_scale, full_scale)
+
+    gyro = imu(streams.gyro, s.gyro_noise, s.gyro_turn_on, s.gyro_instability, s.gyro_range)
+    accel = imu(streams.accel, s.accel_noise, s.accel_turn_on, s.accel_instability, s.accel_range)
+    dq = streams.dq + rng.normal(0.0, s.velocity_noise, streams.dq.shape)
+    tau = streams.tau + rng.normal(0.0, s.torque_noise, streams.tau.shape)
+    force = np.maximum(streams.force + rng.normal(0.0, s.force_noise, streams.force.shape), 0.0)
+    q = streams.q + rng.normal(0.0, s.encoder_offset, streams.q.shape[1])
+    if s.encoder_step:
+        q = np.round(q / s.encoder_step) * s.encoder_step
+    return Streams(streams.t, gyro, accel, q, dq, tau, force)
+
+
+def sensed_contact(
+    streams: Streams, weight: float, sensors: Sensors, rng: np.random.Generator
+) -> np.ndarray:
+    """Whether each foot is said to stand (N, 4), on a robot of `weight` [N].
+
+    A threshold on the measured force, told late, and wrong on samples drawn from `rng`.
+    """
+    stands = streams.force > sensors.contact_threshold * weight
+    late = round(sensors.contact_delay * streams.rate)
+    stands = stands[np.maximum(np.arange(len(stands)) - late, 0)]
+    wrong = np.where(stands, sensors.contact_missed, sensors.contact_false)
+    return stands ^ (rng.random(stands.shape) < wrong)
+
+
+def low_pass(x: np.ndarray, time: float, rate: float) -> np.ndarray:
+    """x (N, K), `rate` samples a second, behind a first-order low-pass of time constant `time` [s],
+    at rest on its first sample."""
+    if time == 0.0:
+        return x
+    keep = np.exp(-1.0 / (time * rate))
+    return lfilter([1.0 - keep], [1.0, -keep], x, axis=0, zi=keep * x[:1])[0]
+
+
+def _gauss_markov(rng, n: int, sigma: float, time: float, rate: float) -> np.ndarray:
+    """A stationary first-order Gauss-Markov process (n, 3)."""
+    keep = np.exp(-1.0 / (time * rate))
+    drive = rng.normal(0.0, sigma * np.sqrt(1.0 - keep**2), (n, 3))
+    drive[0] = rng.normal(0.0, sigma, 3)
+    return np.asarray(lfilter([1.0], [1.0, -keep], drive, axis=0))
+
+
+@kernel(nogil=True)
+def _turns(R):
+    """Rotation vectors (N, 3) [rad] from each attitude (N + 1, 3, 3) to the next, below pi."""
+    turn = np.empty((len(R) - 1, 3))
+    for k in range(len(turn)):
+        A, B = R[k], R[k + 1]
+        trace = 0.0
+        turn[k] = 0.0
+        for i in range(3):
+            for c in range(3):
+                trace += A[i, c] * B[i, c]
+                # Half the antisymmetric part of A^T B, as a vector: axis times sine.
+                a, b = (c + 1) % 3, (c + 2) % 3
+                turn[k, c] += 0.5 * (A[i, b] * B[i, a] - A[i, a] * B[i, b])
+        sine = np.sqrt(turn[k, 0] ** 2 + turn[k, 1] ** 2 + turn[k, 2] ** 2)
+        if sine > 0.0:
+            turn[k] *= np.arctan2(sine, 0.5 * (trace - 1.0)) / sine
+    return turn
+
+
+@kernel(nogil=True)
+def _before_turning(turn, felt):
+    """The force (N, 3) whose mean, seen from a frame that turns by `turn` (N, 3) rad, is `felt`.
+
+    Solves Gamma_1(turn) x = felt, Gamma_1 the mean of exp(s turn) over s in (0, 1) (Hartley et al.
+    2020): the inverse is 1 - W / 2 + c W W.
+    """
+    x = np.empty_like(felt)
+    for k in range(len(turn)):
+        a, b = turn[k], felt[k]
+        square = a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
+        # By its series where the closed form would cancel.
+        if square < 0.01:
+            c = 1 / 12 + square * (1 / 720 + square * (1 / 30240 + square * (1 / 1209600)))
+        else:
+            half = 0.5 * np.sqrt(square)
+            c = (1.0 - half / np.tan(half)) / square
+        along = c * (a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+        keep = 1.0 - c * square
+        x[k, 0] = keep * b[0] - 0.5 * (a[1] * b[2] - a[2] * b[1]) + along * a[0]
+        x[k, 1] = keep * b[1] - 0.5 * (a[2] * b[0] - a[0] * b[2]) + along * a[1]
+        x[k, 2] = keep * b[2] - 0.5 * (a[0] * b[1] - a[1] * b[0]) + along * a[2]
+    return x

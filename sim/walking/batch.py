@@ -1,0 +1,114 @@
+"""Many walks at once: each on a thread of its own, in compiled code that holds no lock.
+
+Walks do not share anything, so that robots, grounds and courses may all differ within a batch, and
+each gives the bits that it gives alone.
+"""
+
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TypeVar
+
+from surefoot.sim.effects import Effect
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario
+from surefoot.sim.walk import Fallen, Plan, plan, record, simulate
+
+S = TypeVar("S")
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Job:
+    """A walk to be made: what `sim.walk.walk` asks for, with the robot by its name or file."""
+
+    scenario: Scenario
+    robot: str
+    seed: int
+    effects: tuple[Effect, ...] = ()
+    declared: bool = True
+
+
+@dataclass(frozen=True)
+class Walked:
+    """A walk that was made, with what the seed drew for it."""
+
+    job: Job
+    plan: Plan
+    log: Log | Fallen
+
+
+class _Stopped(Exception):
+    """The batch is over; its walks need not go on."""
+
+
+def walk_job(job: Job, progress: Callable[[float], None] | None = None) -> Walked:
+    """Make one walk; a fall is a result like any other. `progress` is told the share done."""
+    robot = known_robot(job.robot)
+    made = plan(job.scenario, robot, job.seed, job.effects, job.declared)
+    try:
+        motion = simulate(made.world, robot, made.gait, made.course, progress)
+    except Fallen as fall:
+        return Walked(job, made, fall)
+    return Walked(job, made, record(made, motion))
+
+
+@lru_cache(maxsize=16)
+def known_robot(name_or_path: str) -> Robot:
+    """`Robot.load`, remembered."""
+    return Robot.load(name_or_path)
+
+
+def walk_batch(
+    jobs: Sequence[Job],
+    use: Callable[[Walked], T],
+    threads: int = 1,
+    progress: Callable[[float], None] | None = None,
+) -> Iterator[T]:
+    """Walk the jobs on `threads` threads; yields what `use` makes of each, in order of finishing.
+
+    `use` runs on the walk's own thread, so that writing files does not wait in line either.
+    `progress` is told the share of the whole batch. An error, or leaving the iterator early,
+    stops the walks in progress within a second of simulated time.
+    """
+    return on_threads(jobs, lambda job, tell: use(walk_job(job, tell)), threads, progress)
+
+
+def on_threads(
+    items: Sequence[S],
+    work: Callable[[S, Callable[[float], None]], T],
+    threads: int = 1,
+    progress: Callable[[float], None] | None = None,
+) -> Iterator[T]:
+    """`work(item, tell)` of every item on `threads` threads, in order of finishing.
+
+    `work` tells the share of it that is done; there it is stopped too once the batch is over.
+    """
+    shares = [0.0] * len(items)
+    stop, guard = threading.Event(), threading.Lock()
+
+    def one(i: int) -> T:
+        def tell(share: float) -> None:
+            if stop.is_set():
+                raise _Stopped
+            if progress:
+                with guard:
+                    shares[i] = share
+                    progress(sum(shares) / len(items))
+
+        tell(0.0)
+        result = work(items[i], tell)
+        tell(1.0)
+        return result
+
+    with ThreadPoolExecutor(threads, thread_name_prefix="walk") as pool:
+        try:
+            # No list of futures is kept: it would hold every result until the end.
+            for future in as_completed({pool.submit(one, i) for i in range(len(items))}):
+                yield future.result()
+        finally:
+            stop.set()
+            pool.shutdown(wait=False, cancel_futures=True)

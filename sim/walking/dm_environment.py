@@ -1,0 +1,213 @@
+"""The walking robot as a `dm_env` environment: your controller drives it, and the same Log is left.
+
+env = WalkingEnvironment(Scenario.load("course.toml"), Robot.load("spot_class"), seed=0)
+step = env.reset()
+while not step.last():
+    step = env.step(policy(step.observation))  # 12 joint torques [N m], 250 times a second
+env.log().write("mine.parquet")
+"""
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Literal
+
+import dm_env
+import mujoco
+import numpy as np
+from dm_control.mujoco import Physics
+from dm_control.mujoco.wrapper import MjModel
+from dm_env import specs
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.kernels import kernel
+from surefoot.sim.effects import Effect
+from surefoot.sim.log import Log
+from surefoot.sim.physics.scene import TIMESTEP
+from surefoot.sim.physics.stepper import (
+    STEPS_PER_TICK,
+    Recording,
+    has_fallen,
+    mj_views,
+    motion_of,
+    recording_of,
+    rotation,
+    step,
+    trot,
+)
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.legs import JOINTS
+from surefoot.sim.scenario import Scenario
+from surefoot.sim.walk import SETTLE, plan, record
+
+SETTLING = round(SETTLE / TIMESTEP) // STEPS_PER_TICK  # control periods before the log begins
+TOLERANCE = 0.5  # m/s and rad/s, of the reward
+
+
+class WalkingEnvironment(dm_env.Environment):
+    """A robot on a scenario's course, one step a control period of 4 ms.
+
+    actions: "torque", joint torques (12,) [N m]; or "position", joint targets (12,) [rad] that a
+    motor law kp (target - q) - kd dq follows at every timestep of 2 ms, kp [N m/rad] and kd
+    [N m s/rad] a number or (12,) (by default, what suits the robot's size). Both are cut at their
+    limits. Observations are true values in SI units, those that `sim.gait.controller.tick` has: see
+    `observation_spec`. The reward, from 0 to 1, tells how near the base's velocity is to the
+    command's; the episode ends with the course, or with discount 0 in a fall.
+
+    A robot is handed over standing still, as `sim.walk.walk` begins its log. The same scenario,
+    robot, seed, effects and actions give the same Log, bit for bit.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        robot: Robot,
+        seed: int = 0,
+        actions: Literal["torque", "position"] = "torque",
+        kp: float | np.ndarray | None = None,
+        kd: float | np.ndarray | None = None,
+        effects: Sequence[Effect] = (),
+    ):
+        if actions not in ("torque", "position"):
+            raise SurefootError(f"actions must be torque or position, is {actions!r}")
+        self._scenario, self._robot, self._effects = scenario, robot, tuple(effects)
+        self._by_position = actions == "position"
+        stiff = 0.75 * robot.mass * 9.81 * robot.leg_length if kp is None else kp
+        damping = 0.03 * np.asarray(stiff) if kd is None else kd
+        self._kp = np.array(np.broadcast_to(stiff, 12), dtype=float) * self._by_position
+        self._kd = np.array(np.broadcast_to(damping, 12), dtype=float) * self._by_position
+        self._plan_for(seed)
+
+    def _plan_for(self, seed: int) -> None:
+        self._plan = plan(self._scenario, self._robot, seed, self._effects)
+        world = self._plan.world
+        self._physics = Physics.from_model(MjModel(world.model))
+        self._body = mj_views(world, self._physics.data.ptr)
+        steps = len(self._plan.course.t) * STEPS_PER_TICK
+        self._trace = recording_of(world, steps)
+        self._wanted = np.full((steps, 12), np.nan)
+        self._k = 0
+        self._over = True
+
+    @property
+    def physics(self) -> Physics:
+        """MuJoCo's model and data, as dm_control's viewer and renderers expect them."""
+        return self._physics
+
+    def reset(self, seed: int | None = None) -> dm_env.TimeStep:
+        """Set the robot on its feet at the start of the course; another `seed` draws another."""
+        if seed is not None and seed != self._plan.seed:
+            self._plan_for(seed)
+        made, data = self._plan, self._physics.data.ptr
+        mujoco.mj_resetData(made.world.model, data)
+        data.qpos[:] = made.world.start
+        trot(made.world, data, self._robot, made.gait, made.course, self._trace, SETTLING)
+        self._k = SETTLING * STEPS_PER_TICK
+        self._over = False
+        return dm_env.restart(self._observation())
+
+    def step(self, action: np.ndarray) -> dm_env.TimeStep:
+        """Drive the joints for one control period. After an episode's end it begins the next."""
+        if self._over:
+            return self.reset()
+        wanted = np.asarray(action, dtype=float)
+        if wanted.shape != (12,) or not np.isfinite(wanted).all():
+            raise SurefootError(f"an action is 12 finite numbers, is {action!r}")
+        spec = self.action_spec()
+        wanted = np.clip(wanted, spec.minimum, spec.maximum)
+        first, self._k = self._k, self._k + STEPS_PER_TICK
+        self._wanted[first : self._k] = wanted
+        torque = np.zeros(12) if self._by_position else wanted
+        _drive(
+            self._body, self._trace, first, torque, wanted, self._kp, self._kd,
+            self._robot.torque_limit,
+        )  # fmt: skip
+        qpos = self._body.qpos
+        fell = has_fallen(self._plan.gait, self._plan.world.relief, qpos, rotation(*qpos[3:7]))
+        fell |= bool(self._body.unstable.any())
+        self._over = fell or self._k == len(self._wanted)
+        observation = self._observation()
+        reward = _reward(observation)
+        if fell:
+            return dm_env.termination(reward, observation)
+        if self._over:
+            return dm_env.truncation(reward, observation)
+        return dm_env.transition(reward, observation)
+
+    def log(self) -> Log:
+        """The Log of the episode so far. Commanded positions are in it, with their motor law.
+
+        Raises SurefootError before the first step.
+        """
+        k, settled = self._k, SETTLING * STEPS_PER_TICK
+        if k <= settled:
+            raise SurefootError("the episode has no step yet: there is nothing to log")
+        qpos, qvel, tau, force = self._trace
+        trace = Recording(qpos[: k + 1], qvel[: k + 1], tau[:k], force[:k])
+        log = record(self._plan, motion_of(self._plan.world, trace))
+        if not self._by_position:
+            return log
+        frame = log.frame.copy(deep=False)
+        for j, name in enumerate(JOINTS):
+            frame[f"q_des_{name}"] = self._wanted[settled:k, j]
+        for group in ("dq_des", "tau_ff"):  # commanded indeed: a target that stands, no more
+            for name in JOINTS:
+                frame[f"{group}_{name}"] = np.zeros(k - settled)
+        law = {"kp": self._kp.tolist(), "kd": self._kd.tolist()}
+        return replace(log, frame=frame, meta=replace(log.meta, motor_law=law))
+
+    def action_spec(self) -> Any:
+        """A BoundedArray (12,): torques [N m], or joint targets [rad]."""
+        if self._by_position:
+            low, high = self._robot.joint_range.T
+            return specs.BoundedArray((12,), float, low, high, "joint_position_target")
+        limit = self._robot.torque_limit
+        return specs.BoundedArray((12,), float, -limit, limit, "joint_torque")
+
+    def observation_spec(self) -> Any:
+        """An OrderedDict of arrays, in SI units: `_observation` says what each is."""
+        shapes = {
+            "time": (), "position": (3,), "orientation": (4,), "velocity": (3,),
+            "angular_velocity": (3,), "joint_position": (12,), "joint_velocity": (12,),
+            "foot_force": (4,), "target": (3,), "command": (3,),
+        }  # fmt: skip
+        return OrderedDict((n, specs.Array(shape, float, n)) for n, shape in shapes.items())
+
+    def reward_spec(self) -> specs.BoundedArray:
+        return specs.BoundedArray((), float, 0.0, 1.0, "reward")
+
+    def _observation(self) -> OrderedDict:
+        body, course = self._body, self._plan.course
+        i = min(self._k // STEPS_PER_TICK, len(course.t) - 1)
+        return OrderedDict(
+            time=np.array(self._k * TIMESTEP - SETTLE),  # s since the log began
+            position=body.qpos[:3].copy(),  # m, of the base in G
+            orientation=body.qpos[3:7].copy(),  # w, x, y, z of B in G
+            velocity=body.qvel[:3].copy(),  # m/s, in G
+            angular_velocity=body.qvel[3:6].copy(),  # rad/s, in B
+            joint_position=body.qpos[body.qpos_adr],  # rad
+            joint_velocity=body.qvel[body.dof_adr],  # rad/s
+            foot_force=self._trace.force[self._k - 1].copy(),  # N, normal
+            target=course.pose[i].copy(),  # x, y [m] and yaw [rad] of the course now
+            command=course.velocity[i].copy(),  # forward, lateral [m/s], yaw rate [rad/s]
+        )
+
+
+def _reward(observation: OrderedDict) -> float:
+    R = rotation(*observation["orientation"])
+    x, y = R[:2, 0] / max(np.hypot(R[0, 0], R[1, 0]), 1e-9)
+    v = observation["velocity"]
+    moved = np.array([x * v[0] + y * v[1], x * v[1] - y * v[0], observation["angular_velocity"][2]])
+    miss = (moved - observation["command"]) / TOLERANCE
+    return float(np.exp(-miss @ miss))
+
+
+@kernel(nogil=True)
+def _drive(body, trace, k, torque, target, kp, kd, limit):
+    """A control period from the k-th timestep on: torques plus the motor law's, cut at `limit`."""
+    for i in range(STEPS_PER_TICK):
+        for j in range(12):
+            q, dq = body.qpos[body.qpos_adr[j]], body.qvel[body.dof_adr[j]]
+            wanted = torque[j] + kp[j] * (target[j] - q) - kd[j] * dq
+            body.ctrl[j] = min(max(wanted, -limit[j]), limit[j])
+        step(body, trace, k + i)

@@ -1,0 +1,150 @@
+"""Walks like one that was measured: its speeds and turns, its gait and posture, on flat ground.
+
+An observer that is trained in simulation alone should see the motions that it will be asked about:
+not the same walk, but the same manner of walking.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.gait.controller import gait_for
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.log import Log, reference_velocity
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Ranges, Scenario, Segment
+
+PIECE = 1.0
+"""s: the walk's velocities are taken as means over pieces this long, and keep their order."""
+STRETCH = 3
+"""Pieces that stay together where the order is drawn anew."""
+SPREAD = 0.1
+"""Share by which speed, period and clearance are varied about the measured ones."""
+POSTURE = (0.05, 0.15, 0.2)
+"""rad, largest shifts of hip, thigh and calf, all legs alike, about the measured posture: an
+observer that has seen one posture takes another for a speed."""
+SHORTEST_SWING, LONGEST_STRIDE = 0.08, 2.0
+"""s: a foot off the ground for less has bounced; one that lands later has paused."""
+PERIODS, CLEARANCES = (0.6, 1.6), (0.5, 2.0)
+"""Factors on the controller's own gait beyond which it would not walk."""
+
+
+@dataclass(frozen=True)
+class WalkingStyle:
+    """How a log walks."""
+
+    twists: np.ndarray  # (N, 3) forward, lateral [m/s], turn [rad/s] of each piece
+    period: float  # factor on the controller's gait period
+    clearance: float  # factor on the height of its swing foot
+    q_stance: np.ndarray  # (12,) rad, the middle of stance
+
+
+def walking_style(log: Log, robot: Robot) -> WalkingStyle:
+    """Read from the reference's velocities and, where the log has them, contacts and joints.
+
+    Raises SurefootError where the reference covers too little of the walk.
+    """
+    twists = body_twists(log)
+    if len(twists) < STRETCH:
+        raise SurefootError(f"{log.name}: the reference covers less than {STRETCH} s of walk")
+    if not (log.has("contact") and log.has("q")):
+        return WalkingStyle(twists, 1.0, 1.0, robot.q_home)
+    gait = gait_for(robot, 0.0)
+    period = _period(log)
+    moving = _moving(log)
+    height = np.einsum("jk,nlk->nlj", robot.R_BI, robot.feet_I(log.q))[..., 2]
+    contact = log.contact & moving[:, None]
+    lifts = [
+        np.quantile(height[moving, leg], 0.98) - np.median(height[contact[:, leg], leg])
+        for leg in range(4)
+        if contact[:, leg].any()
+    ]
+    q = log.q.reshape(-1, 4, 3)
+    stance = np.array(
+        [
+            np.median(q[contact[:, leg], leg], axis=0)
+            if contact[:, leg].any()
+            else robot.q_home[3 * leg : 3 * leg + 3]
+            for leg in range(4)
+        ]
+    ).ravel()
+    return WalkingStyle(
+        twists,
+        float(np.clip(period / gait.period, *PERIODS)) if period else 1.0,
+        float(np.clip(np.median(lifts) / gait.clearance, *CLEARANCES)) if lifts else 1.0,
+        np.clip(stance, robot.joint_range[:, 0], robot.joint_range[:, 1]),
+    )
+
+
+def imitation(
+    shown: WalkingStyle, robot: Robot, name: str, duration: float, rng: np.random.Generator
+) -> tuple[Scenario, Robot]:
+    """A walk of about `duration` seconds in the manner shown, its stretches in an order drawn.
+
+    Returns the scenario and the robot that stands in about the measured posture.
+    """
+    groups = [shown.twists[i : i + STRETCH] for i in range(0, len(shown.twists), STRETCH)]
+    needed = int(np.ceil(duration / PIECE))
+    pieces: list[np.ndarray] = []
+    while len(pieces) < needed:
+        pieces += [twist for i in rng.permutation(len(groups)) for twist in groups[i]]
+    segments = tuple(Segment(PIECE, *map(float, twist)) for twist in pieces[:needed])
+    near = (1.0 - SPREAD, 1.0 + SPREAD)
+    ranges = Ranges(
+        mu=(0.6, 1.2),
+        speed=near,
+        period=(near[0] * shown.period, near[1] * shown.period),
+        clearance=(near[0] * shown.clearance, near[1] * shown.clearance),
+        gain=(0.8, 1.2),
+    )
+    scenario = Scenario(name, segments, Ground(0.8), robot.name, ranges=ranges)
+    shift = rng.uniform(-1.0, 1.0, 3) * POSTURE
+    outward = np.ones((4, 3))
+    outward[1::2, 0] = -1.0  # hips turn about one axis, so right legs spread the other way
+    return scenario, replace(robot, q_home=shown.q_stance + (shift * outward).ravel())
+
+
+def slower(scenario: Scenario, factor: float) -> Scenario:
+    """The same course at a share of its velocities, for a robot that falls at the measured ones."""
+    segments = tuple(
+        Segment(s.duration, s.forward * factor, s.lateral * factor, s.turn * factor)
+        for s in scenario.segments
+    )
+    return replace(scenario, segments=segments)
+
+
+def body_twists(log: Log) -> np.ndarray:
+    """Mean forward, lateral velocity [m/s] and turn [rad/s] of each PIECE with a reference."""
+    t, ok, R, v = log.t, log.ref_ok, log.ref_R_GI, reference_velocity(log)
+    yaw = np.unwrap(np.arctan2(R[:, 1, 0], R[:, 0, 0]))
+    c, s = np.cos(yaw), np.sin(yaw)
+    forward, lateral = c * v[:, 0] + s * v[:, 1], c * v[:, 1] - s * v[:, 0]
+    twists = []
+    for begin in np.arange(t[0], t[-1] - PIECE, PIECE):
+        rows = np.flatnonzero((t >= begin) & (t < begin + PIECE) & ok)
+        if len(rows) < 2 or t[rows[-1]] - t[rows[0]] < 0.5 * PIECE:
+            continue
+        turn = (yaw[rows[-1]] - yaw[rows[0]]) / (t[rows[-1]] - t[rows[0]])
+        twists.append((forward[rows].mean(), lateral[rows].mean(), turn))
+    return np.array(twists).reshape(-1, 3)
+
+
+def _moving(log: Log) -> np.ndarray:
+    """Rows (N,) at which the base moves, the reference smoothed over half a second."""
+    v = reference_velocity(log)
+    n = max(1, round(0.5 * log.rate))
+    smooth = np.stack([np.convolve(v[:, a], np.full(n, 1 / n), "same") for a in range(2)])
+    return np.hypot(*smooth) > 0.05
+
+
+def _period(log: Log) -> float | None:
+    """Median time [s] between touchdowns of one leg, None where there are none."""
+    strides: list[float] = []
+    for leg in range(4):
+        change = np.diff(log.contact[:, leg].astype(int))
+        landed, left = log.t[1:][change == 1], log.t[1:][change == -1]
+        before = np.searchsorted(left, landed) - 1
+        aloft = np.where(before >= 0, landed - left[np.maximum(before, 0)], 0.0)
+        strides += [float(d) for d in np.diff(landed[aloft > SHORTEST_SWING]) if d < LONGEST_STRIDE]
+    return float(np.median(strides)) if strides else None

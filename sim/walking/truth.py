@@ -1,0 +1,54 @@
+"""What only a simulation knows: the speed of each loaded foot over the ground, and its friction."""
+
+import numpy as np
+
+from surefoot.sim.common.kernels import kernel
+from surefoot.sim.ground.height_map import normal
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.foot_motion import foot_motion, sole_motion
+from surefoot.sim.robot.kinematics import leg_forward
+from surefoot.sim.sensors.streams import Motion
+
+LOADED = 0.02  # of the robot's weight, on one foot
+
+
+def foot_truth(motion: Motion, robot: Robot, ground: Ground) -> tuple[np.ndarray, np.ndarray]:
+    """Per row and leg: speed of the loaded foot's contact point over the ground [m/s], and mu.
+
+    A rolling foot does not slip: the speed is that of its contact point, not of its centre.
+    """
+    slip, touching = _soles(
+        robot.legs, ground.relief, robot.foot_radius, motion.q[1:], motion.dq[1:],
+        motion.p_GB[1:], motion.R_GB[1:], motion.v_GB[1:], motion.w_B[1:],
+    )  # fmt: skip
+    slip[motion.force <= LOADED * robot.mass * 9.81] = 0.0
+    return slip, ground.friction(touching[..., 0], touching[..., 1])
+
+
+@kernel(nogil=True)
+def _soles(legs, relief, radius, q, dq, p, R, v, w):
+    """Speeds (N, 4) along the ground of the feet's contact points, and these points (N, 4, 2)."""
+    n = len(p)
+    speed, touching = np.empty((n, 4)), np.empty((n, 4, 2))
+    foot, J, axes, jacobian = np.empty(3), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    place, velocity, spin, up = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    sole_v = np.empty(3)
+    for k in range(n):
+        for leg in range(4):
+            own = slice(3 * leg, 3 * leg + 3)
+            leg_forward(legs, leg, q[k, own], foot, J, axes)
+            foot_motion(
+                p[k], R[k], v[k], w[k], dq[k, own], foot, J, axes, place, velocity, jacobian, spin
+            )
+            up[0], up[1], up[2] = normal(relief, place[0], place[1])
+            # The contact point lies below the centre along the ground's normal, not along gravity.
+            sole_motion(velocity, spin, radius[leg], up, sole_v)
+            rise = sole_v[0] * up[0] + sole_v[1] * up[1] + sole_v[2] * up[2]
+            square = 0.0
+            for a in range(3):
+                square += (sole_v[a] - rise * up[a]) ** 2
+            speed[k, leg] = np.sqrt(square)
+            touching[k, leg, 0] = place[0] - radius[leg] * up[0]
+            touching[k, leg, 1] = place[1] - radius[leg] * up[1]
+    return speed, touching

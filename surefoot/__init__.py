@@ -1,0 +1,60 @@
+"""A testbed for proprioceptive-only legged state estimation: simulate, estimate, trace.
+
+Everything named here is imported when it is first used, so that `import surefoot` is quick.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.2.0.dev0"
+
+if TYPE_CHECKING:
+    from surefoot.estimator.metrics import evaluate
+    from surefoot.models.calibration.calibrate import calibrate
+    from surefoot.models.observer.training import train
+    from surefoot.scenarios.estimate.compare import compare_log as compare
+    from surefoot.scenarios.estimate.registry import run_filter
+    from surefoot.scenarios.trace.run import trace
+    from surefoot.sim.log import Log
+    from surefoot.sim.robot import Robot
+    from surefoot.sim.scenario import Scenario
+    from surefoot.sim.walk import walk
+
+__all__ = [
+    "Log",
+    "Robot",
+    "Scenario",
+    "__version__",
+    "calibrate",
+    "compare",
+    "evaluate",
+    "run_filter",
+    "trace",
+    "train",
+    "walk",
+]
+
+_HOMES = {
+    "Log": "surefoot.sim.log:Log",
+    "Robot": "surefoot.sim.robot:Robot",
+    "Scenario": "surefoot.sim.scenario:Scenario",
+    "calibrate": "surefoot.models.calibration.calibrate:calibrate",
+    "compare": "surefoot.scenarios.estimate.compare:compare_log",
+    "evaluate": "surefoot.estimator.metrics:evaluate",
+    "run_filter": "surefoot.scenarios.estimate.registry:run_filter",
+    "trace": "surefoot.scenarios.trace.run:trace",
+    "train": "surefoot.models.observer.training:train",
+    "walk": "surefoot.sim.walk:walk",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'surefoot' has no attribute {name!r}")
+    module, _, attribute = _HOMES[name].partition(":")
+    value = globals()[name] = getattr(import_module(module), attribute)
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,0 +1,6 @@
+"""`python -m surefoot` is the command line."""
+
+from surefoot.scenarios.cli.main import main
+
+if __name__ == "__main__":
+    main()
