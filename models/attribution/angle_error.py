@@ -57,8 +57,8 @@ def angle_errors(
     parts = {joint.split("_")[1] for joint in at}
     joints = [joint for joint in JOINTS if joint.split("_")[1] in parts]
     evidence = _with_curves(cases, result, joints)
-    whole, sigma = design(evidence), result.floor.counted(result.trust.sigma)
-    data = normal_equations(whole, sigma, result.trust.weight, split.part)
+    whole, sigma = design(evidence), result.floor.counted(result.robust_weights.sigma)
+    data = normal_equations(whole, sigma, result.robust_weights.weight, split.part)
     seen, unseen = data.rows(data.part == FIT), data.rows(data.part == SELECT)
     plain = fit(seen, keys, errors=False).vector
     bent = {j: fit(seen, [*keys, *_curves_of(evidence, j)], errors=False).vector for j in joints}
@@ -78,9 +78,9 @@ def angle_errors(
         if low > 0 and gain > max(price, OTHERS * chance, WORTH * explained):
             by_channel = {}
             for channel in SHOWS:
-                weight = np.zeros_like(result.trust.weight)
+                weight = np.zeros_like(result.robust_weights.weight)
                 columns = evidence.layout.channels[channel]
-                weight[:, columns] = result.trust.weight[:, columns]
+                weight[:, columns] = result.robust_weights.weight[:, columns]
                 own = normal_equations(whole, sigma, weight, split.part)
                 own = own.rows(own.part == SELECT)
                 by_channel[channel] = float(np.sum(loss(own, plain) - loss(own, bent[joint])))

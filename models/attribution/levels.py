@@ -54,14 +54,14 @@ def channel_levels(
     cases: Sequence[LogUnderModel], result: Attribution, split: Split
 ) -> dict[str, Channel]:
     """Level of each channel on the report split, with and without the effects found."""
-    evidence, trusted, floor = result.evidence, result.trust, result.floor
+    evidence, trusted, floor = result.evidence, result.robust_weights, result.floor
     plain = linearise(cases, (), (), None)
     use = split.fit | split.select
     before = without_bias(plain, trusted, use)
     after = without_bias(evidence, trusted, use)
     every = [np.ones(len(one.evidence.t), dtype=bool) for one in floor.repeats]
     floors = [
-        without_bias(one.evidence, one.trust, rows)
+        without_bias(one.evidence, one.robust_weights, rows)
         for one, rows in zip(floor.repeats, every, strict=True)
     ]
     ahead = [_ahead(one) for one in floor.repeats] if floor.evenness else floors
@@ -105,7 +105,7 @@ def _ahead(one: Repeat) -> np.ndarray:
     """The end of a walk, over ground that the plane fitted to its beginning has not seen."""
     t = one.evidence.t
     use = t < t[0] + (1.0 - AHEAD) * (t[-1] - t[0])
-    return without_bias(one.evidence, one.trust, use)[~use]
+    return without_bias(one.evidence, one.robust_weights, use)[~use]
 
 
 def _rms(values: np.ndarray) -> float:

@@ -85,7 +85,7 @@ class NoiseFloor:
         """The noise sigma (W,) as it counts in a fit: what is not white tells less."""
         if not self.repeats:
             return sigma
-        return sigma * np.sqrt(np.mean([one.excess for one in self.repeats], axis=0))
+        return sigma * np.sqrt(np.mean([one.variance_inflation for one in self.repeats], axis=0))
 
     def sizes(self, chosen: Sequence[Key], key: Key) -> tuple[float, float]:
         """Mean and spread of the size that `key`, fitted along with `chosen`, has where it is not.
@@ -95,7 +95,7 @@ class NoiseFloor:
         alike = [k for k in self._keys if k[0] == key[0] and _part(k) == _part(key)]
         if key not in alike:
             return 0.0, 0.0
-        free = self.repeats[0].grams
+        free = self.repeats[0].normal_equations
         if key in free.stands_for:
             # A bias is drawn anew whenever the sensor is switched on: `fit` puts that in its error.
             return 0.0, 0.0
@@ -111,15 +111,15 @@ class NoiseFloor:
 
     @property
     def _keys(self) -> tuple[Key, ...]:
-        return self.repeats[0].grams.keys if self.repeats else ()
+        return self.repeats[0].normal_equations.keys if self.repeats else ()
 
     def _sizes(self, chosen: Sequence[Key], key: Key) -> np.ndarray:
         """Size of `key` (R,), fitted along with `chosen`, on each walk that knows of all."""
         asked = (tuple(chosen), key)
         if asked not in self._known:
             keys = [*chosen, key]
-            knowing = [one for one in self.repeats if set(keys) <= set(one.grams.keys)]
-            sizes = [fit(one.grams, keys, errors=False).sizes[-1] for one in knowing]
+            knowing = [one for one in self.repeats if set(keys) <= set(one.normal_equations.keys)]
+            sizes = [fit(one.normal_equations, keys, errors=False).sizes[-1] for one in knowing]
             self._known[asked] = np.array(sizes or [0.0])
         return self._known[asked]
 
@@ -191,7 +191,7 @@ def _floor(
     repeats = tuple(one for one in walks if one is not None)
     if not repeats:
         return NoiseFloor(np.zeros(0), (), "")
-    sigma = np.sqrt(np.mean([one.trust.sigma**2 for one in repeats], axis=0))
+    sigma = np.sqrt(np.mean([one.robust_weights.sigma**2 for one in repeats], axis=0))
     layout = repeats[0].evidence.layout
     sigma = np.maximum(sigma, _least(layout))
     source = f"{len(repeats)} simulated walks of the declared model along the log's own course"

@@ -26,7 +26,7 @@ class Data:
     floor: NoiseFloor
     evidence: Evidence
     explained: Sequence[Effect]
-    trust: RobustWeights
+    robust_weights: RobustWeights
     part: np.ndarray
 
     def about(self, chosen: Sequence[Effect]) -> NormalEquations:
@@ -35,8 +35,8 @@ class Data:
         evidence = self.evidence.only(keys)
         if list(chosen) != list(self.explained):
             evidence = linearise(self.cases, chosen, keys, evidence)
-        sigma = self.floor.counted(self.trust.sigma)
-        return normal_equations(design(evidence), sigma, self.trust.weight, self.part)
+        sigma = self.floor.counted(self.robust_weights.sigma)
+        return normal_equations(design(evidence), sigma, self.robust_weights.weight, self.part)
 
 
 def refined(data: Data, chosen: Sequence[Effect], report: int) -> list[Effect]:

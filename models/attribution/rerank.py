@@ -60,8 +60,8 @@ def rerank(data: Data, few: Sequence[Candidate]) -> tuple[Candidate, list[Effect
     tried = [(c, refined(data, [*before, effect(*c.key, c.size)], REPORT)) for c in few]
     if len(tried) == 1:
         return tried[0]
-    weight = data.trust.weight * told_between_rows(data)
-    fair = replace(data, trust=replace(data.trust, weight=weight))
+    weight = data.robust_weights.weight * told_between_rows(data)
+    fair = replace(data, robust_weights=replace(data.robust_weights, weight=weight))
     return min(tried, key=lambda one: best_near(fair, one[1], REPORT)[1])
 
 
@@ -74,7 +74,7 @@ def told_between_rows(data: Data) -> np.ndarray:
     they change: a reference may have been smoothed before it was written down. The loss is no
     noise, which would be as large for each candidate: where it is larger the bin tells nothing.
     """
-    weight, begin = np.ones_like(data.trust.weight), 0
+    weight, begin = np.ones_like(data.robust_weights.weight), 0
     for case in data.cases:
         first, count = case.frame.first, case.frame.count[:, None]
         rows = slice(begin, begin + len(first))
@@ -85,6 +85,6 @@ def told_between_rows(data: Data) -> np.ndarray:
         lost = np.zeros_like(x)
         lost[1:-1] = 2 / 8 * (x[2:] - 2.0 * x[1:-1] + x[:-2])
         square = np.add.reduceat(lost**2, first, axis=0) / count**2
-        noise = data.trust.sigma[:6] ** 2
+        noise = data.robust_weights.sigma[:6] ** 2
         weight[rows, :6] = (noise / (noise + square)) ** 2
     return weight

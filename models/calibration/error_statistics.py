@@ -43,7 +43,7 @@ class AxisErrors:
     kurtosis_p: float
     normal_p: float
     anderson_p: float
-    extras: float
+    beyond: float
 
 
 def error_statistics(errors: np.ndarray, K: int | None = None) -> tuple[AxisErrors, ...]:
@@ -80,7 +80,7 @@ def _axis(e: np.ndarray, K: int) -> AxisErrors:
         # The sum of two squared normal scores is chi-squared with two degrees of freedom.
         normal_p=float(np.exp(-0.5 * (skewed.statistic**2 + tailed.statistic**2))),
         anderson_p=anderson_darling(thin)[1],
-        extras=float((np.abs(e - mean) > 3 * std).mean()),
+        beyond=float((np.abs(e - mean) > 3 * std).mean()),
     )
 
 

@@ -82,8 +82,8 @@ def residual_jacobians(parts: Parts, robot: Machine) -> ResidualJacobians:
                 rise = height_columns(replace(bins, q=bins.q + all_legs), robot)
                 height_q[:, :, axis] = np.nan_to_num(rise - parts.table[:, 18:22]) / STEP
     by_effort = np.zeros((4, joints, m, joints + 6))
-    if parts.effort is not None:
-        by_effort = _by_effort(parts, parts.effort, robot)
+    if parts.inverse_dynamics is not None:
+        by_effort = _by_effort(parts, parts.inverse_dynamics, robot)
     return ResidualJacobians(leg_omega, leg[0], leg[1], height_q, *by_effort)
 
 
@@ -176,8 +176,8 @@ def wrt_robot(parts: Parts, robot: Machine, one: Robot, step: float) -> Regresso
         table[:, 6:18] = leg_columns(parts.bins, one)
         if np.isfinite(table[:, 18:22]).any():
             table[:, 18:22] = height_columns(parts.bins, one)
-    if parts.effort is not None and parts.steps.steady.any():
-        needed = parts.effort
+    if parts.inverse_dynamics is not None and parts.steps.steady.any():
+        needed = parts.inverse_dynamics
         if robot.legs.offset is not one.legs.offset:
             needed = inverse_dynamics(parts.steps, one)
             torques = parts.layout.channels["joint_torque"]

@@ -56,7 +56,7 @@ def error_table(found: Sequence[AxisErrors], where: str) -> list[dict[str, objec
             "std [m/s]": e.std,
             "skewness": e.skewness,
             "excess kurtosis": e.kurtosis,
-            "beyond 3 std [%]": 100 * e.extras,
+            "beyond 3 std [%]": 100 * e.beyond,
             "p D'Agostino": e.normal_p,
             "p Anderson-Darling": e.anderson_p,
             "independent": e.thinned,

@@ -160,15 +160,15 @@ def diagnose(
         above = [name for name, c in channels.items() if not c.at_floor or c.worse]
         above.sort(key=lambda name: -channels[name].after / channels[name].highest)
         used = split.fit | split.select
-        left = without_bias(result.evidence, result.trust, used)
+        left = without_bias(result.evidence, result.robust_weights, used)
         remainder = tuple(
             Unexplained(one.channel, one.joint, (f"curve_of_angle_{one.joint}",), one.share)
             for one in bent
-        ) + sparse_regression(cases, left, result.trust, above, split.fit, split.select)
+        ) + sparse_regression(cases, left, result.robust_weights, above, split.fit, split.select)
     if "leg_velocity" in channels:
         notes += (
             "foot_slip: cannot be told; friction shows where feet slide, and that they did on "
-            f"{100 * result.trust.share:.1f} % of their stance, wherever it was slippery",
+            f"{100 * result.robust_weights.share:.1f} % of their stance, wherever it was slippery",
         )
     notes += tuple(f"{name}: worse with what was found" for name, c in channels.items() if c.worse)
     notes += tuple(
@@ -199,7 +199,7 @@ def diagnose(
         attribution=result,
         channels=channels,
         filters=filters,
-        masked_share=result.trust.share,
+        masked_share=result.robust_weights.share,
         floor=result.floor.source,
         rivals=rivals,
         motion=motion_to_tell_apart([r["name"] for r in rivals]) if rivals else "",

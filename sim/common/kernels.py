@@ -13,7 +13,8 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
-import numba
+from numba import njit
+from numba.core import config
 
 from surefoot.sim.common.files import cache_folder
 from surefoot.sim.common.sources import sources_digest
@@ -35,15 +36,16 @@ def kernel(function: Any = None, *, signature: str | None = None, **options: Any
     """
     if function is None:
         return lambda f: kernel(f, signature=signature, **options)
+    compiler: Any = njit
     arguments = (signature,) if signature else ()
     with _lock:
-        kept = numba.config.CACHE_DIR
+        kept = config.CACHE_DIR
         # numba decides where a kernel's code lies when it is decorated.
-        numba.config.CACHE_DIR = str(_folder(function))
+        config.CACHE_DIR = str(_folder(function))
         try:
-            return numba.njit(*arguments, cache=True, **options)(function)
+            return compiler(*arguments, cache=True, **options)(function)
         finally:
-            numba.config.CACHE_DIR = kept
+            config.CACHE_DIR = kept
 
 
 def _folder(function: Callable) -> Path:

@@ -29,8 +29,8 @@ def imported_sources(module: str, file: str | None = None) -> dict[str, Path]:
         module: its dotted name; a name that no source has yields nothing.
         file: its source, where Python cannot find it by name: a script, a test.
 
-    Counts imports inside functions, relative ones, and every package that a name lies in. Imports
-    that are made of strings are not seen.
+    Counts imports inside functions, relative ones, and every package that a name lies in; not
+    those for type checkers alone. Imports that are made of strings are not seen.
     """
     found: dict[str, Path] = {}
     waiting = [module]
@@ -60,7 +60,13 @@ def imported_sources(module: str, file: str | None = None) -> dict[str, Path]:
 def _imports(path: Path, _changed: int, _size: int) -> tuple[tuple[int, str, tuple[str, ...]], ...]:
     """Level, module and names of each import of a source."""
     out: list[tuple[int, str, tuple[str, ...]]] = []
-    for node in ast.walk(ast.parse(path.read_bytes())):
+    waiting: list[ast.AST] = [ast.parse(path.read_bytes())]
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING"):
+            waiting += node.orelse
+            continue
+        waiting += ast.iter_child_nodes(node)
         if isinstance(node, ast.Import):
             out += [(0, alias.name, ()) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):

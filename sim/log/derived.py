@@ -4,15 +4,11 @@ The fit is Savitzky-Golay's (Anal. Chem. 36, 1964), on the actual time stamps: a
 has no phase, a window of the past has none for motions of constant acceleration.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from surefoot.sim.log.log import Log
+from surefoot.sim.log.log import Log
 
 JOINT_WINDOW = 0.025
 """s. Passes 50 Hz at 400 to 500 Hz, above anything that a leg of this size does."""

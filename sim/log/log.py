@@ -21,7 +21,6 @@ import pyarrow.parquet as pq
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.common.quaternion import matrix_from_quaternion
-from surefoot.sim.log.derived import joint_velocity, reference_velocity, with_velocities
 from surefoot.sim.log.schema import (
     GROUPS,
     JOINTS,
@@ -31,18 +30,6 @@ from surefoot.sim.log.schema import (
     check_table,
     joint_names,
 )
-
-__all__ = [
-    "JOINTS",
-    "LEGS",
-    "SCHEMA",
-    "Log",
-    "LogError",
-    "Meta",
-    "joint_velocity",
-    "reference_velocity",
-    "with_velocities",
-]
 
 SCHEMA = 1
 KEY = b"surefoot"

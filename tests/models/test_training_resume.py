@@ -6,9 +6,11 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
+import synthetic
 from synthetic import Body, synthetic_walk
 
 from surefoot.models.observer.observer import Observer, ObserverError
@@ -17,10 +19,13 @@ from surefoot.models.observer.training_state import State, partial_path
 
 PLAN = Schedule(steps=24, batch=1, every=2)
 SCRIPT = """
+import sys
 from pathlib import Path
-from tests.models.test_training_resume import PLAN, fit
+sys.path[:0] = {paths}
+from test_training_resume import PLAN, fit
 fit(Path("{partial}"), lambda step, *_: print(step, flush=True)).save("{out}")
 """
+PATHS = [str(Path(__file__).parent), str(Path(synthetic.__file__).parent)]
 
 
 def fit(partial=None, progress: Any = False, loss="gml", **options):
@@ -32,7 +37,7 @@ def fit(partial=None, progress: Any = False, loss="gml", **options):
 def test_a_real_kill_costs_no_bit(tmp_path):
     out = tmp_path / "o.pt"
     partial = partial_path(out)
-    script = SCRIPT.format(partial=partial, out=out)
+    script = SCRIPT.format(partial=partial, out=out, paths=PATHS)
     victim = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
     assert victim.stdout is not None
     for line in victim.stdout:

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from known_evidence import BINS, NOISE, WIDTH, evidence, made_of
 
 from surefoot.models.attribution.fit import design
 from surefoot.models.attribution.robust_weights import robust_weights
 from surefoot.models.attribution.whiteness import variance_inflation
-from tests.models.test_attribution import BINS, NOISE, WIDTH, evidence, made_of
 
 
 def _excess(noise, seed):

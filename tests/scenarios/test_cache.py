@@ -2,20 +2,24 @@
 
 import pytest
 
-from surefoot.scenarios.experiments import cache
-from surefoot.scenarios.experiments.cache import code_digest, imported_modules, product
+from surefoot.scenarios.experiments.cache import product
+from surefoot.sim.common import sources
+from surefoot.sim.common.sources import sources_digest
 
 
 @pytest.fixture
-def rooms(tmp_path, monkeypatch):
-    """A tree of modules in which sim.a imports sim.b, and sim.c nobody."""
-    (tmp_path / "sim").mkdir()
-    for name, text in {"a": "from sim import b\nimport numpy\n", "b": "x = 1\n", "c": ""}.items():
-        (tmp_path / "sim" / f"{name}.py").write_text(text)
-    monkeypatch.setattr(cache, "ROOT", tmp_path)
-    code_digest.cache_clear()
-    yield tmp_path / "sim"
-    code_digest.cache_clear()
+def house(tmp_path, monkeypatch):
+    """A package in which `house.a` imports `house.b`, and nobody `house.c`."""
+    (tmp_path / "house").mkdir()
+    texts = {"__init__": "", "a": "from house import b\nimport numpy\n", "b": "x = 1\n", "c": ""}
+    for name, text in texts.items():
+        (tmp_path / "house" / f"{name}.py").write_text(text)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    sources_digest.cache_clear()
+    sources._folder.cache_clear()
+    yield tmp_path / "house"
+    sources_digest.cache_clear()
+    sources._folder.cache_clear()
 
 
 def made(folder, inputs, log):
@@ -24,10 +28,10 @@ def made(folder, inputs, log):
         path.write_text(str(inputs))
         return {"n": len(log)}
 
-    return product(folder, "thing", inputs, "sim.a", ".txt", make)
+    return product(folder, "thing", inputs, "house.a", ".txt", make)
 
 
-def test_a_product_is_made_once_for_its_inputs(tmp_path, rooms):
+def test_a_product_is_made_once_for_its_inputs(tmp_path, house):
     log = []
     first = made(tmp_path, {"x": 1}, log)
     again = made(tmp_path, {"x": 1}, log)
@@ -38,18 +42,18 @@ def test_a_product_is_made_once_for_its_inputs(tmp_path, rooms):
     assert again.facts == {"n": 1}
 
 
-def test_what_a_module_imports_decides_too_and_nothing_else_does(tmp_path, rooms):
+def test_what_a_module_imports_decides_too_and_nothing_else_does(tmp_path, house):
     log = []
     made(tmp_path, {}, log)
     for name, remade in (("c", False), ("b", True), ("a", True)):
-        (rooms / f"{name}.py").write_text((rooms / f"{name}.py").read_text() + "# edited\n")
-        code_digest.cache_clear()
+        (house / f"{name}.py").write_text((house / f"{name}.py").read_text() + "# edited\n")
+        sources_digest.cache_clear()
         before = len(log)
         made(tmp_path, {}, log)
         assert (len(log) > before) == remade, name
 
 
-def test_a_file_that_a_kill_left_without_its_card_is_made_again(tmp_path, rooms):
+def test_a_file_that_a_kill_left_without_its_card_is_made_again(tmp_path, house):
     log = []
     first = made(tmp_path, {}, log)
     first.path.with_suffix(".json").unlink()
@@ -60,19 +64,8 @@ def test_a_file_that_a_kill_left_without_its_card_is_made_again(tmp_path, rooms)
     assert len(log) == 3
 
 
-def test_equal_contents_have_equal_digests_whatever_made_them(tmp_path, rooms):
+def test_equal_contents_have_equal_digests_whatever_made_them(tmp_path, house):
     same = lambda path: path.write_text("the same bits") and {}  # noqa: E731
-    one = product(tmp_path, "thing", {"x": 1}, "sim.a", ".txt", same)
-    two = product(tmp_path, "thing", {"x": 2}, "sim.b", ".txt", same)
+    one = product(tmp_path, "thing", {"x": 1}, "house.a", ".txt", same)
+    two = product(tmp_path, "thing", {"x": 2}, "house.b", ".txt", same)
     assert one.digest == two.digest
-
-
-def test_a_walk_depends_on_the_world_and_not_on_what_is_learnt_from_it():
-    modules = set(imported_modules("surefoot.sim.walking.batch"))
-    assert {
-        "surefoot.sim.walk",
-        "surefoot.sim.ground.tiles",
-        "surefoot.sim.gait.controller",
-        "surefoot.sim.sensors.streams",
-    } <= modules
-    assert not any(name.startswith(("models", "estimator", "scenarios")) for name in modules)

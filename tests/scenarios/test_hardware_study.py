@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pendulum import swung
 
 from surefoot.scenarios.studies.hardware import go2, pendulum
 from surefoot.scenarios.studies.hardware.go1 import ladder, rolling_table
@@ -17,7 +18,6 @@ from surefoot.sim.robot.catalog import known_robots
 from surefoot.sim.robot.fixed_base import load_machine
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
-from tests.models.test_drives import swung
 
 needs_measured = pytest.mark.skipif(
     not MEASURED.is_dir(), reason=f"the measured logs are not here ({MEASURED})"

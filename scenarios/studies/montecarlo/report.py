@@ -91,11 +91,11 @@ def write_study(
     tables = {
         "runtime": runtime_table(runtime),
         "table": consistency_table(found.rows),
-        "beyond": beyond_table(found.extras),
+        "beyond": beyond_table(found.beyond),
         "remark": remark_table(remarks),
         "iterations": iteration_table(iterated),
     }
-    numbers = {"table": numbers_table(found.rows), "beyond": numbers_table(found.extras)}
+    numbers = {"table": numbers_table(found.rows), "beyond": numbers_table(found.beyond)}
     for name, table in tables.items():
         with whole_file(out / f"{name}.csv", force) as path:
             path.write_text(to_csv(numbers.get(name, table)), encoding="utf-8")

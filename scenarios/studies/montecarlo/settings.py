@@ -104,7 +104,7 @@ class Study:
     mixture: Mixture
     beyond_gamma: float
     beyond_trials: int
-    extras: tuple[Regime, ...]
+    beyond: tuple[Regime, ...]
 
     @property
     def samples(self) -> int:
@@ -175,7 +175,7 @@ def _study(table: dict[str, Any]) -> Study:
         ),
         beyond_gamma=float(beyond["gamma"]),
         beyond_trials=int(beyond["trials"]),
-        extras=tuple(_regime(r) for r in beyond["regime"]),
+        beyond=tuple(_regime(r) for r in beyond["regime"]),
     )  # fmt: skip
     _check(study)
     return study

@@ -52,7 +52,7 @@ class Found:
     study: Study
     truth: Truth
     rows: tuple[Row, ...]
-    extras: tuple[Row, ...]
+    beyond: tuple[Row, ...]
     seconds: float
 
 
@@ -106,7 +106,7 @@ def study_jobs(study: Study) -> list[Job]:
     for number, regime in enumerate((UNBIASED, BIASED)):
         settings = tuple(paper_settings(study, regime, study_seed(study, number, 0)))
         jobs += _pieces(study, regime, settings, number, study.trials)
-    for number, regime in enumerate(study.extras, start=2):
+    for number, regime in enumerate(study.beyond, start=2):
         settings = tuple(beyond_settings(study, regime, study_seed(study, number, 0)))
         # The same trial numbers as the paper's regimes, so that rows differ by their errors alone.
         jobs += _pieces(study, regime, settings, 1, study.beyond_trials)

@@ -1,0 +1,125 @@
+"""What a module is made of: every source that it imports in turn, however it imports it."""
+
+import subprocess
+import sys
+
+import pytest
+
+from surefoot.sim.common import sources
+from surefoot.sim.common.sources import imported_sources, sources_digest
+
+FILES = {
+    "__init__": "",
+    "start": "import numpy\nfrom house import plain\nfrom . import beside\nfrom .room import one\n",
+    "plain": "def late():\n    import house.inside\n",
+    "inside": "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import house.alone\n",
+    "beside": "y = 2\n",
+    "alone": "z = 3\n",
+    "room/__init__": "from house.room.front import front\n",
+    "room/front": "front = 1\n",
+    "room/one": "from ..deep import two\n",
+    "deep/__init__": "",
+    "deep/two": "",
+}
+
+
+@pytest.fixture
+def house(tmp_path, monkeypatch):
+    """A package whose module `start` imports all of it but `alone`."""
+    for name, text in FILES.items():
+        path = tmp_path / "house" / f"{name}.py"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    sources_digest.cache_clear()
+    sources._folder.cache_clear()
+    yield tmp_path / "house"
+    sources_digest.cache_clear()
+    sources._folder.cache_clear()
+
+
+def test_every_way_to_import_counts(house):
+    expected = {
+        "house",
+        *(f"house.{m}" for m in ("start", "plain", "inside", "beside")),
+        *(f"house.{m}" for m in ("room", "room.front", "room.one", "deep", "deep.two")),
+    }
+    assert set(imported_sources("house.start")) == expected
+
+
+@pytest.mark.parametrize("name", [name for name in FILES if name != "alone"])
+def test_an_edit_of_any_of_them_changes_the_digest(house, name):
+    before = sources_digest("house.start")
+    path = house / f"{name}.py"
+    path.write_text(path.read_text() + "# edited\n")
+    sources_digest.cache_clear()
+    assert sources_digest("house.start") != before
+
+
+def test_an_edit_of_another_module_does_not(house):
+    before = sources_digest("house.start")
+    (house / "alone.py").write_text("z = 4\n")
+    sources_digest.cache_clear()
+    assert sources_digest("house.start") == before
+
+
+def test_the_library_counts_through_its_packages():
+    found = imported_sources("surefoot.sim.walking.batch")
+    assert {"surefoot", "surefoot.sim.log", "surefoot.sim.log.log"} <= set(found)
+    assert {"surefoot.sim.gait.controller", "surefoot.sim.sensors.streams"} <= set(found)
+    rooms = ("surefoot.models", "surefoot.estimator", "surefoot.scenarios")
+    assert not any(name.startswith(rooms) for name in found)
+
+
+def test_a_file_that_has_no_name_counts_by_itself(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text("from surefoot.sim.common.errors import SurefootError\n")
+    found = imported_sources("__main__", str(script))
+    assert found["__main__"] == script
+    assert "surefoot.sim.common.errors" in found
+
+
+CALLER = """
+from surefoot.sim.common.kernels import kernel
+from yard.called import value
+
+@kernel
+def twice():
+    return 2 * value()
+
+print(twice(), len(twice.stats.cache_hits))
+"""
+CALLED = """
+from surefoot.sim.common.kernels import kernel
+
+@kernel
+def value():
+    return {number}
+"""
+
+
+def test_a_kernel_follows_the_kernels_that_it_calls(tmp_path):
+    """Loaded from the cache when nothing changed; compiled anew when a called one did."""
+    package = tmp_path / "yard"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "caller.py").write_text(CALLER)
+
+    def run():
+        environment = {
+            "PYTHONPATH": str(tmp_path),
+            "SUREFOOT_CACHE": str(tmp_path / "cache"),
+            "PATH": "",
+        }
+        done = subprocess.run(
+            [sys.executable, "-c", "import yard.caller"],
+            env=environment, capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        return done.stdout.split()
+
+    (package / "called.py").write_text(CALLED.format(number=1))
+    assert run() == ["2", "0"]
+    assert run() == ["2", "1"]
+    (package / "called.py").write_text(CALLED.format(number=5))
+    assert run() == ["10", "0"]
+    assert not list(package.glob("__pycache__/*.nb?"))
