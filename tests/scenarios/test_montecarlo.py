@@ -64,7 +64,7 @@ def study() -> Study:
     whole = load_study()
     return replace(
         whole, trials=2, duration=4.0,  gammas=(0.8,), population=4000, beyond_trials=2,
-        extras=whole.extras[2:5],
+        beyond=whole.beyond[2:5],
     )  # fmt: skip
 
 
