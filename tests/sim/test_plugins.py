@@ -1,0 +1,66 @@
+"""Members that users add to a group: found by entry points, refused in one clear line."""
+
+import sys
+
+import pytest
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.plugins import load_plugins, plugin_names, plugins
+
+GROUP = "surefoot.tests"
+
+
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    """A function that puts packages with these entry points and this source on the path."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    plugins.cache_clear()
+
+    def make(points: str, source: str, name: str = "own") -> None:
+        monkeypatch.delitem(sys.modules, f"{name}_thing", raising=False)
+        (tmp_path / f"{name}_thing.py").write_text(source)
+        info = tmp_path / f"{name}-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+        (info / "entry_points.txt").write_text(f"[{GROUP}]\n{points}\n")
+        plugins.cache_clear()
+
+    yield make
+    plugins.cache_clear()
+
+
+def test_own_members_come_after_the_bundled(package):
+    package("mine = own_thing:Mine", "class Mine:\n    label = 'my own'\n")
+    assert plugin_names(GROUP, {"theirs": 1}) == ("theirs", "mine")
+    found = load_plugins(GROUP, {"theirs": 1}, needs=("label",))
+    assert list(found) == ["theirs", "mine"]
+    assert found["mine"].label == "my own"
+
+
+def test_names_are_listed_without_an_import(package):
+    package("mine = own_thing:Mine", "raise RuntimeError('too early')\n")
+    assert plugin_names(GROUP) == ("mine",)
+
+
+@pytest.mark.parametrize(
+    ("points", "source", "words"),
+    [
+        ("mine = own_thing:Mine", "import nowhere_at_all\n", "ModuleNotFoundError"),
+        ("mine = own_thing:Mine", "Other = 1\n", "AttributeError"),
+        ("mine = own_thing:Mine", "class Mine:\n    pass\n", "lacks label, run"),
+        ("theirs = own_thing:Mine", "class Mine:\n    label = run = 1\n", "choose another"),
+    ],
+)
+def test_a_bad_member_is_one_line_that_names_it(package, points, source, words):
+    package(points, source)
+    name = points.partition(" ")[0]
+    with pytest.raises(SurefootError, match=f"plugin {name} = own_thing:Mine.*{words}") as error:
+        load_plugins(GROUP, {"theirs": 1}, needs=("label", "run"))
+    assert "\n" not in str(error.value)
+
+
+def test_one_name_of_two_packages_is_refused(package):
+    package("mine = own_thing:Mine", "Mine = 1\n")
+    package("mine = other_thing:Mine", "Mine = 2\n", name="other")
+    with pytest.raises(SurefootError, match="is both"):
+        plugin_names(GROUP)
