@@ -1,7 +1,7 @@
 """Three studies of real hardware, one command: `make study-hardware`.
 
-Reads the public recordings named in docs/hardware.md from a folder; a study whose recording is not
-there is skipped, with a line that says so.
+Reads the public recordings named in docs/results/hardware.md from a folder; a study whose recording
+is not there is skipped, with a line that says so.
 """
 
 import sys

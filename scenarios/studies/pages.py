@@ -1,0 +1,129 @@
+"""Pages of results, written by the command that measures; each names the code that made it.
+
+`python -m surefoot.scenarios.studies.pages docs/results` lists the pages with the commit that each
+was measured on, and which have gone stale: their code has changed since, or is not known.
+"""
+
+import os
+import platform
+import re
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from datetime import date
+from importlib.metadata import version
+from pathlib import Path
+
+from surefoot.scenarios.reporting.html import Section, save_picture
+from surefoot.scenarios.reporting.tables import to_markdown
+from surefoot.sim.common.files import whole_file
+from surefoot.sim.common.sources import sources_digest
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What a page was made by; empty where it is not known.
+
+    module made it, and digest is that of the module's sources and all that they import.
+    """
+
+    commit: str = ""
+    machine: str = ""
+    date: str = ""
+    command: str = ""
+    module: str = ""
+    digest: str = ""
+
+    @property
+    def stale(self) -> bool:
+        """Whether the code that made the page is unknown, or has changed since."""
+        return not self.digest or self.digest != sources_digest(self.module)
+
+
+def origin_of(module: str, command: str) -> Origin:
+    """The origin of a page that this process makes with `module` (dotted name) by `command`."""
+    machine = f"{_processor()}, {os.cpu_count()} cores"
+    return Origin(
+        _commit(), machine, date.today().isoformat(), command, module, sources_digest(module)
+    )
+
+
+NOTES = "<!-- notes -->"
+"""What follows this line of a page is written by hand, and stays when the page is made again."""
+
+
+def write_page(path: Path, title: str, sections: Sequence[Section], origin: Origin) -> None:
+    """Write a page of results in Markdown, its pictures beside it as PNG; replaces an older one.
+
+    Notes at its end stay.
+    """
+    old = path.read_text(encoding="utf-8") if path.exists() else ""
+    parts = [f"# {title}", "\n".join(["| | |", "| --- | --- |", *_header(origin)])]
+    for number, section in enumerate(sections, 1):
+        parts += [f"## {section.heading}", section.prose.strip()]
+        if section.table is not None:
+            parts.append(to_markdown(section.table))
+        for place, picture in enumerate(section.pictures, 1):
+            name = f"{path.stem}_{number}_{place}.png"
+            save_picture(picture, path.with_name(name), force=True)
+            parts += [f"![{section.heading}]({name})", picture.caption]
+    parts += [NOTES + old.partition(NOTES)[2].rstrip()] if NOTES in old else []
+    with whole_file(path, force=True) as temporary:
+        temporary.write_text("\n\n".join(p for p in parts if p) + "\n", encoding="utf-8")
+
+
+def read_origin(path: Path) -> Origin:
+    """The header of a page of results; all of it is empty where the page has none."""
+    text = path.read_text(encoding="utf-8")
+    found = {
+        name: match.group(1)
+        for name in asdict(Origin())
+        if (match := re.search(rf"^\| {name} \| (.*) \|$", text, re.MULTILINE))
+    }
+    return Origin(**{name: value.strip("`") for name, value in found.items()})
+
+
+def pages_table(folder: Path) -> list[dict[str, str]]:
+    """A row for each page of a folder: what it was measured on, and whether it has gone stale."""
+    rows = []
+    for path in sorted(folder.glob("*.md")):
+        one = read_origin(path)
+        if one.commit:
+            state = "stale" if one.stale else "current"
+            rows.append({"page": path.name, "commit": one.commit, "date": one.date, "state": state})
+    return rows
+
+
+def _header(origin: Origin) -> list[str]:
+    coded = {"commit", "command", "module", "digest"}
+    return [
+        f"| {name} | {f'`{value}`' if name in coded else value} |"
+        for name, value in asdict(origin).items()
+        if value
+    ]
+
+
+def _commit() -> str:
+    """The commit, `-dirty` where files differ from it; the version where there is no checkout."""
+    here = Path(__file__).resolve().parent
+    described = subprocess.run(
+        ["git", "describe", "--always", "--dirty", "--abbrev=7", "--exclude=*"],
+        cwd=here,
+        capture_output=True,
+        text=True,
+    )
+    return described.stdout.strip() or version("surefoot")
+
+
+def _processor() -> str:
+    try:
+        text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
+    except OSError:
+        text = ""
+    match = re.search(r"^model name\s*: (.*)$", text, re.MULTILINE)
+    return match.group(1) if match else platform.processor() or platform.machine()
+
+
+if __name__ == "__main__":
+    print(to_markdown(pages_table(Path(*sys.argv[1:2] or ["docs/results"]))))
