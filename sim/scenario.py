@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import read_toml
+from surefoot.sim.common.toml import read_toml
 from surefoot.sim.ground.terrain import Ground, Patch, Strip
 from surefoot.sim.sensors.streams import Sensors
 

@@ -8,7 +8,8 @@ from pathlib import Path
 from surefoot.estimator.core.state import FilterNoise
 from surefoot.estimator.leg import LegNoise
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import bundled, read_toml
+from surefoot.sim.common.files import bundled
+from surefoot.sim.common.toml import read_toml
 from surefoot.sim.robot import Robot
 
 BUNDLED = bundled("surefoot.scenarios.estimate", "tuned.toml")

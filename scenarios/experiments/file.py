@@ -12,7 +12,7 @@ from surefoot.models.observer.training import DEFAULT
 from surefoot.scenarios.estimate.registry import FILTERS
 from surefoot.scenarios.experiments.imperfections import Imperfection, load_imperfections
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import read_toml
+from surefoot.sim.common.toml import read_toml
 from surefoot.sim.effects import Effect
 from surefoot.sim.effects.file import load_effects
 from surefoot.sim.scenario import ROLES, Scenario

@@ -8,7 +8,7 @@ from zlib import crc32
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import read_toml
+from surefoot.sim.common.toml import read_toml
 from surefoot.sim.effects import CATALOGUE, Effect, effect
 
 KEYS = ("effect", "targets", "normal", "uniform", "fixed", "source")

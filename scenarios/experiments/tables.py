@@ -14,7 +14,8 @@ from surefoot.scenarios.estimate.compare import MEANINGS
 from surefoot.scenarios.experiments.file import Experiment
 from surefoot.scenarios.experiments.run import Outcome
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import bundled, read_toml
+from surefoot.sim.common.files import bundled
+from surefoot.sim.common.toml import read_toml
 
 PUBLISHED = bundled("surefoot.scenarios.experiments", "suites") / "published.toml"
 METRICS = {

@@ -1,12 +1,10 @@
 """Files that are either whole or not there: every writer of the product goes through here."""
 
 import os
-import tomllib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 from platformdirs import user_cache_path
 
@@ -37,17 +35,6 @@ def refuse_overwrite(path: str | Path, force: bool) -> None:
     """Raises SurefootError where `path` exists, unless `force`: called before long work starts."""
     if Path(path).exists() and not force:
         raise SurefootError(f"{path}: exists already; give --force (force=True) to overwrite it")
-
-
-def read_toml(path: Path, what: str = "") -> dict[str, Any]:
-    """The tables of a TOML file. Raises SurefootError, one line that starts with `what`, path."""
-    name = f"{what} {path}".lstrip()
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SurefootError(f"{name}: {error.strerror or error}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SurefootError(f"{name}: not valid TOML: {error}") from None
 
 
 def clear_debris(paths: Iterable[Path]) -> None:

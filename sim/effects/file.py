@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import read_toml, whole_file
+from surefoot.sim.common.files import whole_file
+from surefoot.sim.common.toml import read_toml
 from surefoot.sim.effects.catalogue import CATALOGUE, Effect, effect
 
 KEYS = ("name", "target", "value", "unit")

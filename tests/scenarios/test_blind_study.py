@@ -13,7 +13,7 @@ from surefoot.scenarios.studies.blind.study import (
     run_study,
     standing_part,
 )
-from surefoot.sim.common.files import read_toml
+from surefoot.sim.common.toml import read_toml
 from surefoot.sim.effects import CATALOGUE
 from surefoot.sim.robot import Robot
 from surefoot.sim.walk import walk

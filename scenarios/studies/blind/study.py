@@ -21,7 +21,8 @@ from surefoot.scenarios.cli.options import Out
 from surefoot.scenarios.studies.blind.outside_effects import OUTSIDE
 from surefoot.scenarios.trace.run import Trace, diagnose
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import bundled, read_toml, whole_file
+from surefoot.sim.common.files import bundled, whole_file
+from surefoot.sim.common.toml import read_toml
 from surefoot.sim.effects import CATALOGUE, Effect, effect
 from surefoot.sim.ground.terrain import Ground, Patch
 from surefoot.sim.log import Log

@@ -8,7 +8,8 @@ import numpy as np
 
 from surefoot.estimator.initial import InitialStd
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import bundled, read_toml
+from surefoot.sim.common.files import bundled
+from surefoot.sim.common.toml import read_toml
 
 T = TypeVar("T")
 BUNDLED = bundled("surefoot.scenarios.studies.montecarlo", "montecarlo.toml")

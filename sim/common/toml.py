@@ -1,0 +1,147 @@
+"""TOML files as typed models: frozen dataclasses whose annotations are the schema.
+
+A field without a default is required, a key that no field has is an error. Ranges go into the
+annotation (`Annotated[float, msgspec.Meta(gt=0)]`, or `Positive` and its like below), choices are a
+`Literal`, and what concerns several keys is checked in the dataclass's `__post_init__`, which
+raises SurefootError.
+"""
+
+import re
+import tomllib
+from dataclasses import MISSING, fields, is_dataclass
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import msgspec
+import numpy as np
+
+from surefoot.sim.common.errors import SurefootError
+
+T = TypeVar("T")
+Positive = Annotated[float, msgspec.Meta(gt=0)]
+NonNegative = Annotated[float, msgspec.Meta(ge=0)]
+Count = Annotated[int, msgspec.Meta(ge=1)]
+Name = Annotated[str, msgspec.Meta(min_length=1)]
+
+_Place = tuple[str | int, ...]  # keys, and the indices of tables in their arrays
+_WORDS = {
+    "float": "a number",
+    "int": "a whole number",
+    "str": "a string",
+    "bool": "true or false",
+    "array": "an array",
+    "object": "a table",
+}
+
+
+def read_toml(path: str | Path, what: str = "") -> dict[str, Any]:
+    """The tables of a TOML file. Raises SurefootError, one line that starts with `what`, path."""
+    name = f"{what} {path}".lstrip()
+    try:
+        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SurefootError(f"{name}: {error.strerror or error}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SurefootError(f"{name}: not valid TOML: {' '.join(str(error).split())}") from None
+
+
+def read_typed(path: str | Path, kind: type[T], what: str = "") -> T:
+    """A TOML file as an instance of `kind`: a dataclass, or a dict of them by name.
+
+    Raises SurefootError, one line that starts with `what` and the path and names section and key,
+    for a file that is not there, a key that is unknown or missing, and a value of the wrong type or
+    out of range.
+    """
+    table = read_toml(path, what)
+    try:
+        return typed(table, kind)
+    except SurefootError as error:
+        raise SurefootError(f"{f'{what} {path}'.lstrip()}: {error}") from None
+
+
+def typed(table: dict[str, Any], kind: type[T]) -> T:
+    """The tables of a file as an instance of `kind`. Raises SurefootError as `read_typed` does."""
+    return _typed(table, kind, ())
+
+
+def _typed(value: Any, kind: Any, place: _Place) -> Any:
+    arms = get_args(kind) if get_origin(kind) in (UnionType, Union) else (kind,)
+    for arm in arms:
+        inner = get_args(arm)
+        if isinstance(value, dict) and is_dataclass(arm):
+            return _dataclass(value, arm, place)
+        if isinstance(value, dict) and get_origin(arm) is dict:
+            return {name: _typed(item, inner[1], (*place, name)) for name, item in value.items()}
+        if isinstance(value, list) and get_origin(arm) is tuple and inner[1:] == (...,):
+            return tuple(
+                _typed(item, inner[0], _element(place, index, item))
+                for index, item in enumerate(value)
+            )
+    return _leaf(value, kind, arms, place)
+
+
+def _dataclass(table: dict[str, Any], kind: Any, place: _Place) -> Any:
+    hints = get_type_hints(kind, include_extras=True)
+    # A field of an array is drawn or computed later: no key of the file.
+    known = [field for field in fields(kind) if np.ndarray not in get_args(hints[field.name])]
+    names = [field.name for field in known]
+    for name in table:
+        if name not in names:
+            raise SurefootError(f"{_section(place)}unknown key '{name}'; known: {', '.join(names)}")
+    for field in known:
+        required = field.default is MISSING and field.default_factory is MISSING
+        if required and field.name not in table:
+            raise SurefootError(f"{_section(place)}{field.name} is missing")
+    values = {name: _typed(item, hints[name], (*place, name)) for name, item in table.items()}
+    try:
+        return kind(**values)
+    except SurefootError as error:
+        raise SurefootError(f"{_section(place)}{error}") from None
+
+
+def _leaf(value: Any, kind: Any, arms: tuple[Any, ...], place: _Place) -> Any:
+    """A number, a string, a choice, or an array of a fixed length."""
+    try:
+        found = msgspec.convert(value, kind)
+    except msgspec.ValidationError as error:
+        expected = _expected(str(error), arms)
+        raise SurefootError(f"{_key(place)} must be {expected}, is {value!r}") from None
+    # TOML has NaN and infinity; no file of ours means them.
+    if any(isinstance(v, float) and not np.isfinite(v) for v in np.atleast_1d(found)):
+        raise SurefootError(f"{_key(place)} must be a number, is {value!r}")
+    return found
+
+
+def _expected(error: str, arms: tuple[Any, ...]) -> str:
+    """What msgspec's error says was expected, in the words of TOML; the choices of a literal."""
+    choices = [str(c) for arm in arms if get_origin(arm) is Literal for c in get_args(arm)]
+    if choices:
+        return f"one of {', '.join(choices)}"
+    types, limit = re.findall(r"`([^`]*)`([^,`]*)", error)[0]
+    names = [_WORDS.get(name, name) for name in types.split(" | ") if name != "null"]
+    return " or ".join(names) + limit.removesuffix(" - at ")
+
+
+def _element(place: _Place, index: int, item: Any) -> _Place:
+    if isinstance(item, dict):
+        return (*place, index)
+    return (*place[:-1], f"{place[-1]}[{index}]")
+
+
+def _section(place: _Place) -> str:
+    """A table's name as the file writes it, `[a.b] `; of an array of tables `[[a.b]] 2 `."""
+    text, names = "", []
+    for step in place:
+        if isinstance(step, int):
+            text, names = f"{text}[[{'.'.join(names)}]] {step + 1} ", []
+        else:
+            names.append(step)
+    return text + (f"[{'.'.join(names)}] " if names else "")
+
+
+def _key(place: _Place) -> str:
+    """A key's name behind that of its section."""
+    if not place or isinstance(place[-1], int):
+        return _section(place).rstrip() or "the file"
+    return f"{_section(place[:-1])}{place[-1]}"
