@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.plugins import load_plugins, plugin_names, plugins
+from surefoot.sim.common.plugins import Registry, load_plugins, plugins
 
 GROUP = "surefoot.tests"
 
@@ -31,7 +31,7 @@ def package(tmp_path, monkeypatch):
 
 def test_own_members_come_after_the_bundled(package):
     package("mine = own_thing:Mine", "class Mine:\n    label = 'my own'\n")
-    assert plugin_names(GROUP, {"theirs": 1}) == ("theirs", "mine")
+    assert list(Registry(GROUP, {"theirs": 1})) == ["theirs", "mine"]
     found = load_plugins(GROUP, {"theirs": 1}, needs=("label",))
     assert list(found) == ["theirs", "mine"]
     assert found["mine"].label == "my own"
@@ -39,7 +39,18 @@ def test_own_members_come_after_the_bundled(package):
 
 def test_names_are_listed_without_an_import(package):
     package("mine = own_thing:Mine", "raise RuntimeError('too early')\n")
-    assert plugin_names(GROUP) == ("mine",)
+    registry = Registry(GROUP, {"theirs": "nowhere:Theirs"})
+    assert list(registry) == ["theirs", "mine"]
+    assert "mine" in registry
+    assert "magic" not in registry
+    with pytest.raises(SurefootError, match="too early"):
+        registry["mine"]
+
+
+def test_a_broken_member_stops_only_what_uses_it(package):
+    package("mine = own_thing:Mine", "raise RuntimeError('broken')\n")
+    registry = Registry(GROUP, {"root": "math:sqrt"})
+    assert registry["root"](4.0) == 2.0
 
 
 @pytest.mark.parametrize(
@@ -48,7 +59,11 @@ def test_names_are_listed_without_an_import(package):
         ("mine = own_thing:Mine", "import nowhere_at_all\n", "ModuleNotFoundError"),
         ("mine = own_thing:Mine", "Other = 1\n", "AttributeError"),
         ("mine = own_thing:Mine", "class Mine:\n    pass\n", "lacks label, run"),
-        ("theirs = own_thing:Mine", "class Mine:\n    label = run = 1\n", "choose another"),
+        (
+            "theirs = own_thing:Mine",
+            "class Mine:\n    label = run = 1\n",
+            "surefoot has one of that name",
+        ),
     ],
 )
 def test_a_bad_member_is_one_line_that_names_it(package, points, source, words):
@@ -62,5 +77,5 @@ def test_a_bad_member_is_one_line_that_names_it(package, points, source, words):
 def test_one_name_of_two_packages_is_refused(package):
     package("mine = own_thing:Mine", "Mine = 1\n")
     package("mine = other_thing:Mine", "Mine = 2\n", name="other")
-    with pytest.raises(SurefootError, match="is both"):
-        plugin_names(GROUP)
+    with pytest.raises(SurefootError, match="has that name too"):
+        list(Registry(GROUP, {}))
