@@ -27,8 +27,8 @@ from surefoot.scenarios.experiments.products import (
     make_observer,
     make_walk,
 )
-from surefoot.scenarios.experiments.run import processes, stage
 from surefoot.scenarios.reporting.tables import to_markdown
+from surefoot.scenarios.stages import processes, stage
 from surefoot.scenarios.tuning import facts_on, piece, price_on, search
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled, whole_file

@@ -4,15 +4,9 @@ Every piece is a product in a folder that outlives the run: a run that was kille
 stopped, and one whose file changed makes only what the change decides.
 """
 
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
-
-from tqdm import tqdm
 
 from surefoot.scenarios.experiments.cache import Product
 from surefoot.scenarios.experiments.file import Condition, Experiment, walk_to_make
@@ -24,6 +18,7 @@ from surefoot.scenarios.experiments.products import (
     make_recording,
     make_walk,
 )
+from surefoot.scenarios.stages import processes, stage
 from surefoot.sim.scenario import Scenario
 from surefoot.sim.walking.batch import Job
 
@@ -185,37 +180,3 @@ def _record(
                 make_recording, folder, walk, _job(cell), files, experiment.filters, gamma,
             )  # fmt: skip
     return stage(pool, "recordings", tasks)
-
-
-@contextmanager
-def processes(workers: int) -> Iterator[ProcessPoolExecutor | None]:
-    """A pool of processes; one worker is this process itself."""
-    if workers == 1:
-        yield None
-        return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        yield pool
-
-
-def stage(pool: ProcessPoolExecutor | None, words: str, tasks: dict[Any, tuple]) -> dict[Any, Any]:
-    """What the tasks (a function and its arguments each) return, made in the pool.
-
-    An error ends the stage; what is done stays in the cache.
-    """
-    results: dict[Any, Any] = {}
-    with tqdm(total=len(tasks), desc=words, disable=not tasks) as bar:
-        if pool is None:
-            for key, (work, *arguments) in tasks.items():
-                results[key] = work(*arguments)
-                bar.update()
-            return results
-        futures = {pool.submit(*task): key for key, task in tasks.items()}
-        try:
-            for future in as_completed(futures):
-                results[futures[future]] = future.result()
-                bar.update()
-        finally:
-            for future in futures:
-                future.cancel()
-    # In the grid's order, whatever finished first.
-    return {key: results[key] for key in tasks}
