@@ -23,7 +23,7 @@ from surefoot.models.residuals.jacobians import (
     wrt_robot,
 )
 from surefoot.models.residuals.layout import Layout
-from surefoot.sim.effects import CATALOGUE, Effect, compensate_all, effect
+from surefoot.sim.effects import Effect, compensate_all, effect, known_effects
 from surefoot.sim.effects.base import with_columns
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
@@ -103,7 +103,7 @@ def all_keys(case: LogUnderModel) -> tuple[Key, ...]:
     """Every candidate that a model can know of and whose channels the log has."""
     there = channels_of(case)
     keys = []
-    for kind in CATALOGUE.values():
+    for kind in known_effects().values():
         lacks = not any(c in there for c in kind.channels)
         lacks |= case.fixed and "reference" in kind.needs
         if not kind.is_compensated() or lacks or not all(case.log.has(g) for g in kind.needs):
@@ -198,7 +198,7 @@ class _Linear:
         """What one unit of the effect `key` adds to the table."""
         if any((e.name, e.target) == key for e in self.chosen):
             return self._about_its_value(key)
-        kind = CATALOGUE[key[0]]
+        kind = known_effects()[key[0]]
         tried = [self._from_zero(key, size) for size in kind.starts or (kind.step_of(key[1]),)]
         if len(tried) == 1:
             return tried[0]
@@ -230,7 +230,7 @@ class _Linear:
         return wrt_readings(self.parts, self.answers, change)
 
     def _about_its_value(self, key: Key) -> Regressor:
-        step = CATALOGUE[key[0]].step_of(key[1])
+        step = known_effects()[key[0]].step_of(key[1])
         ahead, behind = (table_of(self.case, _moved(self.chosen, key, s)) for s in (step, -step))
         return sparse((behind - ahead) / (2 * step), self.parts.table)
 

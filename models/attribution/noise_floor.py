@@ -23,7 +23,7 @@ from surefoot.models.attribution.whiteness import variance_inflation
 from surefoot.models.residuals.layout import Layout, layout_of
 from surefoot.models.residuals.torques import declared
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.effects import CATALOGUE, Effect
+from surefoot.sim.effects import Effect, known_effects
 from surefoot.sim.ground.terrain import Ground, Strip
 from surefoot.sim.log import Log
 from surefoot.sim.scenario import Scenario, Segment
@@ -183,7 +183,7 @@ def _floor(
     coarse: Coarse | None,
     effects: tuple[Effect, ...],
 ) -> NoiseFloor:
-    known = tuple(CATALOGUE)
+    known = tuple(known_effects())
     walks = [
         _repeat(file, one, SEED + i, groups, evenness, coarse, effects, known)
         for i, one in enumerate(along)

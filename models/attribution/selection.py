@@ -8,7 +8,7 @@ import numpy as np
 from surefoot.models.attribution.evidence import Key
 from surefoot.models.attribution.fit import NormalEquations, draws, fit, loss
 from surefoot.models.attribution.noise_floor import NoiseFloor
-from surefoot.sim.effects import CATALOGUE
+from surefoot.sim.effects import known_effects
 
 ABOVE_FLOOR = 5.0
 """How many times its size on walks that lack it an effect must have."""
@@ -76,7 +76,7 @@ def judge(
         at_seen = float(np.sum(before_seen - loss(seen, fitted.vector)))
         # The floor's own offset is only as sure as its contact model.
         spread = float(np.hypot(spread, DOUBT * offset))
-        low_end, high_end = CATALOGUE[key[0]].inside(key[1])
+        low_end, high_end = known_effects()[key[0]].inside(key[1])
         # A fit beyond them is no size either, however much of it the floor's walks have.
         fitted_beyond = abs(fitted.sizes[-1]) > max(-low_end, high_end)
         at_bound = fitted_beyond or not low_end < size < high_end

@@ -9,7 +9,7 @@ import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.toml import read_toml
-from surefoot.sim.effects import CATALOGUE, Effect, effect
+from surefoot.sim.effects import Effect, effect, known_effects
 
 KEYS = ("effect", "targets", "normal", "uniform", "fixed", "source")
 LAWS = ("normal", "uniform", "fixed")
@@ -35,7 +35,7 @@ class Imperfection:
         rng = np.random.default_rng([instance, crc32(self.effect.encode())])
         shares = {"normal": rng.standard_normal, "uniform": lambda n: rng.uniform(-1.0, 1.0, n)}
         draw = shares.get(self.law, np.ones)(len(self.targets))
-        low, high = CATALOGUE[self.effect].bounds
+        low, high = known_effects()[self.effect].bounds
         values = np.clip(self.size * draw, low, high)
         return [effect(self.effect, t, v) for t, v in zip(self.targets, values, strict=True)]
 
@@ -68,8 +68,8 @@ def _imperfection(entry: dict[str, Any]) -> Imperfection:
     if unknown:
         raise SurefootError(f"unknown key '{unknown[0]}'; known: {', '.join(KEYS)}")
     name = str(entry.get("effect"))
-    if name not in CATALOGUE:
-        raise SurefootError(f"unknown effect '{name}'; known: {', '.join(CATALOGUE)}")
+    if name not in known_effects():
+        raise SurefootError(f"unknown effect '{name}'; known: {', '.join(known_effects())}")
     laws = [law for law in LAWS if law in entry]
     if len(laws) != 1:
         raise SurefootError(f"needs one of {', '.join(LAWS)}")
@@ -78,7 +78,7 @@ def _imperfection(entry: dict[str, Any]) -> Imperfection:
         raise SurefootError(f"{laws[0]} must be a number, is {size!r}")
     if not isinstance(entry.get("source"), str):
         raise SurefootError("needs source: where the size comes from")
-    targets = entry.get("targets", list(CATALOGUE[name].targets))
+    targets = entry.get("targets", list(known_effects()[name].targets))
     if not isinstance(targets, list) or not targets:
         raise SurefootError("targets must be a list of names")
     for target in targets:

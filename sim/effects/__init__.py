@@ -1,5 +1,13 @@
 """Effects that a real robot has and a model may lack: one small class each, and their catalogue."""
 
-from surefoot.sim.effects.catalogue import AXES, CATALOGUE, Effect, add, compensate_all, effect
+from surefoot.sim.effects.catalogue import (
+    AXES,
+    CATALOGUE,
+    Effect,
+    add,
+    compensate_all,
+    effect,
+    known_effects,
+)
 
-__all__ = ["AXES", "CATALOGUE", "Effect", "add", "compensate_all", "effect"]
+__all__ = ["AXES", "CATALOGUE", "Effect", "add", "compensate_all", "effect", "known_effects"]

@@ -1,13 +1,14 @@
 """What an effect is: something that a real robot has and a model may lack.
 
-An effect knows two things that share no code: how to put itself into the simulation (the MjSpec,
-the ground, the sensors or their streams), and how a model that knows of it undoes it on a log
-(`explain`).
+An effect says two things that share no code: how it is injected into a simulation (the MjSpec,
+the ground, the sensors or their streams), and how a model that knows of it compensates it on a log
+(`compensate`). What a size does to the residual of a log follows from the latter alone, by a
+difference of the residual; `chain_rule` names a shortcut.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import mujoco
 import numpy as np
@@ -27,10 +28,9 @@ AXES = ("x", "y", "z")
 class Effect:
     """One effect on one target (a joint, leg, axis or "all"), of one scalar size.
 
-    A subclass says its name, unit, bounds and valid targets, which residual channels it can touch,
-    how it is put into the simulation (one of the `alter_` methods or `edit_spec`), and, where a
-    model can know of it, how it is explained away. Raises SurefootError for a target it does not
-    have or a size out of bounds.
+    A subclass gives its name, unit, bounds and valid targets, which residual channels it can
+    affect, how it is injected (one of the `alter_` methods or `edit_spec`), and, where a model can
+    compensate it, how. Raises SurefootError for a target it does not have or a size out of bounds.
     """
 
     target: str
@@ -42,11 +42,16 @@ class Effect:
     channels: ClassVar[tuple[str, ...]]
     targets: ClassVar[tuple[str, ...]]
     step: ClassVar[float]
-    """A small size, for numerical derivatives by it; an effect that is explained needs one."""
+    """A small size, for numerical derivatives by it; an effect that is compensated needs one."""
     starts: ClassVar[tuple[float, ...]] = ()
-    """Sizes to begin a search from, where what it explains is far from linear in the size."""
+    """Sizes to begin a search from, where the residual is far from linear in the size."""
     needs: ClassVar[tuple[str, ...]] = ()
-    """Groups of columns of a log without which nothing can be explained, beyond a channel's own."""
+    """Groups of a log's columns that `compensate` needs, beyond those of its channels."""
+    chain_rule: ClassVar[Literal["readings", "legs", "mass"] | None] = None
+    """By what alone `compensate` acts, so that the derivative of the residual by the size may be
+    taken by the chain rule: "readings" (columns of gyro, accel, q, dq, tau), "legs" (the robot's
+    leg geometry and foot radius), "mass" (what its base carries). None: the derivative is a
+    difference of the residual itself, which holds for any effect."""
 
     def __post_init__(self):
         if self.target not in self.targets and not self._is_other_joint():

@@ -33,6 +33,7 @@ class LinkLength(Effect):
     channels = ("leg_velocity", "foot_height", "base_wrench")
     targets = LINKS
     step = 1e-3
+    chain_rule = "legs"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         leg, link = self._place()
@@ -82,6 +83,7 @@ class HipOffset(Effect):
     channels = ("leg_velocity", "foot_height", "base_wrench")
     targets = HIPS
     step = 1e-3
+    chain_rule = "legs"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         leg, axis = self.target.split("_")
@@ -112,6 +114,7 @@ class FootRolling(Effect):
     channels = ("leg_velocity", "foot_height", "base_wrench")
     targets = ("all",)
     step = 1e-3
+    chain_rule = "legs"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         for leg, name in enumerate(LEGS):
@@ -143,6 +146,7 @@ class Payload(Effect):
     channels = ("base_wrench",)
     targets = ("all",)
     step = 0.1
+    chain_rule = "mass"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         if self.value:
@@ -165,6 +169,7 @@ class ComOffset(Effect):
     channels = ("base_wrench",)
     targets = AXES
     step = 1e-3
+    chain_rule = "mass"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         base, model = spec.body(robot.base_name), spec.compile()

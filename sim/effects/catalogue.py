@@ -1,9 +1,13 @@
-"""The catalogue of effects that a real robot has and a model may lack: one small class each."""
+"""The catalogue of effects that a real robot has and a model may lack: one small class each.
+
+A package of a user's own adds to it by the entry points `surefoot.effects`, a script by `@add`.
+"""
 
 from collections.abc import Iterable
 from typing import Any, TypeVar
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.plugins import load_plugins, plugins
 from surefoot.sim.effects.base import AXES, Effect
 from surefoot.sim.effects.body import (
     ComOffset,
@@ -52,8 +56,9 @@ M = TypeVar("M")
 
 K = TypeVar("K", bound=type[Effect])
 
-__all__ = ["AXES", "CATALOGUE", "Effect", "add", "compensate_all", "effect"]
+__all__ = ["AXES", "CATALOGUE", "Effect", "add", "compensate_all", "effect", "known_effects"]
 
+GROUP = "surefoot.effects"
 CATALOGUE: dict[str, type[Effect]] = {
     kind.name: kind
     for kind in (
@@ -66,16 +71,29 @@ CATALOGUE: dict[str, type[Effect]] = {
 }
 
 
-def add(kind: K) -> K:
-    """Put a class of one's own into the catalogue, above it as `@add`; docs/new_effect.md does.
+def known_effects() -> dict[str, type[Effect]]:
+    """Name -> class of every effect: the catalogue's, then those of installed packages.
 
-    Raises SurefootError where it lacks something that every effect says, or where its name is
+    Raises SurefootError, one line that names the plugin, where one cannot be used.
+    """
+    found = load_plugins(GROUP, CATALOGUE)
+    for name in plugins(GROUP):
+        try:
+            _check(found[name])
+        except SurefootError as error:
+            raise SurefootError(f"plugin {name} ({GROUP}): {error}") from None
+        if found[name].name != name:
+            raise SurefootError(f"plugin {name} ({GROUP}): its effect is named {found[name].name}")
+    return found
+
+
+def add(kind: K) -> K:
+    """Put a class of one's own into the catalogue of this process: `@add` above the class.
+
+    Raises SurefootError where it lacks an attribute that every effect has, or where its name is
     taken by another.
     """
-    says = ("name", "unit", "bounds", "channels", "targets") + ("step",) * kind.is_compensated()
-    lacking = [one for one in says if not hasattr(kind, one)]
-    if lacking:
-        raise SurefootError(f"effect {kind.__name__}: does not say its {', '.join(lacking)}")
+    _check(kind)
     known = CATALOGUE.setdefault(kind.name, kind)
     if (known.__module__, known.__qualname__) != (kind.__module__, kind.__qualname__):
         raise SurefootError(f"effect {kind.name}: the catalogue has one of that name")
@@ -83,18 +101,28 @@ def add(kind: K) -> K:
     return kind
 
 
+def _check(kind: Any) -> None:
+    if not (isinstance(kind, type) and issubclass(kind, Effect)):
+        raise SurefootError(f"{kind!r} is no class of Effect")
+    needs = ("name", "unit", "bounds", "channels", "targets") + ("step",) * kind.is_compensated()
+    lacking = [one for one in needs if not hasattr(kind, one)]
+    if lacking:
+        raise SurefootError(f"effect {kind.__name__}: lacks {', '.join(lacking)}")
+
+
 def effect(name: str, target: str, value: float) -> Effect:
     """The effect of that name. Raises SurefootError for an unknown name or target, or bad size."""
-    if name not in CATALOGUE:
-        raise SurefootError(f"unknown effect '{name}'; known: {', '.join(CATALOGUE)}")
-    return CATALOGUE[name](target, float(value))
+    known = known_effects()
+    if name not in known:
+        raise SurefootError(f"unknown effect '{name}'; known: {', '.join(known)}")
+    return known[name](target, float(value))
 
 
 def compensate_all(effects: Iterable[Effect], log: Log, robot: M) -> tuple[Log, M]:
-    """The log and robot as a model sees them that knows of all `effects`.
+    """The log and robot as a model sees them that compensates all `effects`.
 
-    Those that no model knows of yet (`Effect.is_explained`) stay in the log as they are. A machine
-    on a fixed base may stand for the robot where no effect changes its body.
+    Those that no model can compensate (`Effect.is_compensated`) stay in the log. A machine on a
+    fixed base may stand for the robot where no effect changes its body.
     """
     known: Any = robot
     for one in effects:

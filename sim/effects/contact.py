@@ -31,6 +31,7 @@ class ViscousFriction(Effect):
     channels = ("joint_torque",)
     targets = JOINTS
     step = 1e-2
+    chain_rule = "readings"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         # MuJoCo's damping is a polynomial; its first number multiplies the rate itself.
@@ -53,6 +54,7 @@ class CoulombFriction(Effect):
     channels = ("joint_torque",)
     targets = JOINTS
     step = 1e-2
+    chain_rule = "readings"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         _joint(spec, robot, self.target).frictionloss += self.value
@@ -74,6 +76,7 @@ class Armature(Effect):
     channels = ("joint_torque",)
     targets = JOINTS
     step = 1e-3
+    chain_rule = "readings"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         _joint(spec, robot, self.target).armature += self.value

@@ -27,6 +27,7 @@ class ImuRotation(Effect):
     targets = AXES
     needs = ("imu",)
     step = 1e-3
+    chain_rule = "readings"
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         turn = turn_about(self.target, self.value)
@@ -54,6 +55,7 @@ class GyroScale(Effect):
     targets = AXES
     needs = ("imu",)
     step = 1e-3
+    chain_rule = "readings"
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         gyro = streams.gyro.copy()
@@ -78,6 +80,7 @@ class AccelScale(Effect):
     targets = AXES
     needs = ("imu",)
     step = 1e-3
+    chain_rule = "readings"
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         accel = streams.accel.copy()
@@ -102,6 +105,7 @@ class GyroBias(Effect):
     targets = AXES
     needs = ("imu",)
     step = 1e-3
+    chain_rule = "readings"
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         return replace(streams, gyro=streams.gyro + _along(self.target, self.value))
@@ -124,6 +128,7 @@ class AccelBias(Effect):
     targets = AXES
     needs = ("imu",)
     step = 1e-2
+    chain_rule = "readings"
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         return replace(streams, accel=streams.accel + _along(self.target, self.value))
@@ -146,6 +151,7 @@ class GyroGSensitivity(Effect):
     targets = AXES
     needs = ("imu",)
     step = 1e-4
+    chain_rule = "readings"
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         felt = streams.accel * _along(self.target, self.value)
@@ -170,6 +176,7 @@ class ImuPosition(Effect):
     targets = AXES
     needs = ("imu",)
     step = 1e-3
+    chain_rule = "readings"
 
     def alter_mounting(self, robot: Robot) -> Robot:
         return replace(robot, p_BI=robot.p_BI + robot.R_BI @ _along(self.target, self.value))

@@ -32,6 +32,7 @@ class EncoderOffset(Effect):
     channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
     targets = JOINTS
     step = 1e-3
+    chain_rule = "readings"
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         q = streams.q.copy()
@@ -52,6 +53,7 @@ class EncoderScale(Effect):
     channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
     targets = JOINTS
     step = 1e-3
+    chain_rule = "readings"
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         factor = 1.0 + self.value * _only(self.target)
@@ -77,6 +79,7 @@ class JointCompliance(Effect):
     targets = JOINTS
     needs = ("tau",)
     step = 2e-5
+    chain_rule = "readings"
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         wound = streams.tau * (self.value * _only(self.target))
@@ -112,6 +115,7 @@ class Backlash(Effect):
     targets = JOINTS
     needs = ("tau",)
     step = 2e-4
+    chain_rule = "readings"
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         j = JOINTS.index(self.target)
@@ -144,6 +148,7 @@ class TorqueScale(Effect):
     channels = ("joint_torque", "base_wrench")
     targets = JOINTS
     step = 1e-2
+    chain_rule = "readings"
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         return replace(streams, tau=streams.tau * (1.0 + self.value * _only(self.target)))
@@ -162,6 +167,7 @@ class TorqueBias(Effect):
     channels = ("joint_torque", "base_wrench")
     targets = JOINTS
     step = 0.1
+    chain_rule = "readings"
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         return replace(streams, tau=streams.tau + self.value * _only(self.target))

@@ -54,6 +54,7 @@ class ImuDelay(Effect):
     targets = ("all",)
     needs = ("imu",)
     step = 1e-3
+    chain_rule = "readings"
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         return _late(streams, STREAMS["imu"], self.value)
@@ -71,6 +72,7 @@ class TorqueDelay(Effect):
     channels = ("joint_torque", "base_wrench")
     targets = ("all",)
     step = 1e-3
+    chain_rule = "readings"
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         return _late(streams, ("tau",), self.value)

@@ -90,7 +90,7 @@ def test_a_class_that_says_too_little_or_takes_a_name_is_not_added(catalogue):
         channels = ("imu_gyro",)
         targets = AXES
 
-    with pytest.raises(SurefootError, match="Nameless: does not say its name"):
+    with pytest.raises(SurefootError, match="Nameless: lacks name"):
         add(Nameless)
 
     class Taken(GyroWarming):

@@ -174,10 +174,10 @@ GOOD = 'name = "encoder_offset"\ntarget = "FL_hip"\nvalue = 0.02\nunit = "rad"\n
     ("text", "said"),
     [
         ("[[effect]\n", "not valid TOML"),
-        ("[effect]\n" + GOOD, r"written as \[\[effect\]\]"),
+        ("[effect]\n" + GOOD, "effect must be an array of tables"),
         ("colour = 1\n", "unknown key 'colour'"),
-        ("[[effect]]\n" + GOOD + "size = 1\n", r"\[\[effect\]\] 1: unknown key 'size'"),
-        ("[[effect]]\n" + GOOD.replace("unit", "#"), "1: needs unit"),
+        ("[[effect]]\n" + GOOD + "size = 1\n", r"\[\[effect\]\] 1 unknown key 'size'"),
+        ("[[effect]]\n" + GOOD.replace("unit", "#"), "1 unit is missing"),
         ("[[effect]]\n" + GOOD.replace('"rad"', '"deg"'), "unit of encoder_offset must be 'rad'"),
         (
             "[[effect]]\n" + GOOD.replace("FL_hip", "FL_hop"),
@@ -188,7 +188,7 @@ GOOD = 'name = "encoder_offset"\ntarget = "FL_hip"\nvalue = 0.02\nunit = "rad"\n
         ("[[effect]]\n" + GOOD.replace("0.02", "nan"), "value must be a number"),
         ("[[effect]]\n" + GOOD.replace("0.02", '"0.02"'), "value must be a number"),
         ("[[effect]]\n" + GOOD.replace('"FL_hip"', "3"), "target must be a string"),
-        ("[[effect]]\n" + GOOD + "[[effect]]\n" + GOOD, r"\[\[effect\]\] 2: .* twice"),
+        ("[[effect]]\n" + GOOD + "[[effect]]\n" + GOOD, r"\[\[effect\]\] 2 .* twice"),
     ],
 )
 def test_a_bad_file_is_one_clear_line(tmp_path, text, said):

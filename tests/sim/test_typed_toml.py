@@ -96,6 +96,7 @@ def test_a_good_file_is_what_it_says(tmp_path):
         ('name = "tail"', "", ": [parts.tail] name is missing"),
         ("[parts.tail]", "[[parts]]", ": parts must be a table, is [{'name': 'tail'}]"),
         ('"walker"', '"arm"', ": an arm has no leg"),
+        (GOOD, "weight = 1\n[leg]\nname = 'a'", ": leg must be an array of tables, is {'name'"),
         ("weight", "= weight", ": not valid TOML"),
     ],
 )
