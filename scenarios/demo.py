@@ -23,7 +23,6 @@ from surefoot.scenarios.trace.report import sections as trace_sections
 from surefoot.scenarios.trace.run import Trace, trace
 from surefoot.scenarios.trace.words import summary
 from surefoot.sim.common.errors import SurefootError, check_seed
-from surefoot.sim.common.files import bundled
 from surefoot.sim.effects import Effect, effect
 from surefoot.sim.effects.file import save_effects
 from surefoot.sim.log import Log
@@ -31,7 +30,6 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario
 from surefoot.sim.walk import plan, walk
 
-COURSES = bundled("surefoot.scenarios", "courses") / "demo"
 ROLES = ("train", "calibrate", "walk")
 
 UNDECLARED: tuple[tuple[str, tuple[str, ...], tuple[float, float]], ...] = (
@@ -75,7 +73,7 @@ def demo(out: Path, seed: int = 0, force: bool = False) -> pd.DataFrame:
 
 
 def _scenario(role: str) -> Scenario:
-    return Scenario.load(COURSES / f"{role}.toml")
+    return Scenario.load(f"demo/{role}")
 
 
 def _seed(role: str, seed: int) -> int:

@@ -10,6 +10,7 @@ import numpy as np
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.toml import read_toml
 from surefoot.sim.ground.terrain import Ground, Patch, Strip
+from surefoot.sim.scenario_catalog import scenario_file
 from surefoot.sim.sensors.streams import Sensors
 
 T = TypeVar("T")
@@ -59,9 +60,12 @@ class Scenario:
     laps: int = 1
 
     @classmethod
-    def load(cls, path: str | Path) -> "Scenario":
-        """Read a scenario file. Raises SurefootError naming the file and the key at fault."""
-        path = Path(path)
+    def load(cls, name_or_path: str | Path) -> "Scenario":
+        """Read a bundled scenario such as "demo/walk", or a file.
+
+        Raises SurefootError naming the file and the key at fault.
+        """
+        path = scenario_file(name_or_path)
         table = read_toml(path, "scenario")
         try:
             return _scenario(table, path.stem)

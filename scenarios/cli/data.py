@@ -2,19 +2,21 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
-from surefoot.scenarios.cli.options import Out
+from surefoot.scenarios.cli.options import Cluster, Force, Out
+from surefoot.sim.scenario_catalog import bundled_scenarios
+
+SCENARIOS = f"Scenario files (TOML), or names of bundled ones: {', '.join(bundled_scenarios())}."
 
 
 @dataclass(frozen=True)
 class Simulate:
-    """Walk scenarios, a log for each seed, and an index of them; goes on where it was killed."""
+    """Walk scenarios, a log for each seed, and an index of them; a killed run is resumed."""
 
-    scenarios: Positional[tuple[Path, ...]]
-    """Scenario files (TOML)."""
+    scenarios: Annotated[Positional[tuple[str, ...]], arg(help=SCENARIOS)]
     out: Out
     """Folder for the logs."""
     robot: str | None = None
@@ -24,12 +26,11 @@ class Simulate:
     effects: Path | None = None
     """File of effects (TOML) to put into the walk."""
     undeclared: bool = False
-    """Say nothing of the effects in the logs; truth.toml beside them keeps the answer."""
+    """Leave the effects out of the logs' metadata; truth.toml beside the logs keeps them."""
     workers: int = 1
     """Walks at once on this machine, each on a thread."""
-    cluster: str | None = None
-    """Address of a Dask scheduler to walk on instead, such as tcp://127.0.0.1:8786."""
-    force: bool = False
+    cluster: Cluster = None
+    force: Force = False
 
     def run(self) -> None:
         from surefoot.scenarios.datasets.simulate import simulate_all
@@ -49,16 +50,16 @@ class Simulate:
 
 @dataclass(frozen=True)
 class Import:
-    """A measured log, by a map that says which column is what."""
+    """Convert a measured log, by a map from its columns to those of a Log."""
 
     kind: Positional[Literal["csv", "bag"]]
     file: Positional[Path]
     """The CSV file, or the folder that holds it; a ROS 1, ROS 2 or MCAP bag."""
     map: str
-    """Map file (TOML), or the name of one that surefoot ships."""
+    """Map file (TOML), or the name of a bundled one."""
     out: Out
     """File for the log (.parquet)."""
-    force: bool = False
+    force: Force = False
 
     def run(self) -> None:
         from surefoot.sim.importing.bag import import_bag

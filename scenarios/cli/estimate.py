@@ -4,15 +4,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from tyro.conf import Positional, UseAppendAction, arg
+from tyro.conf import Positional, arg
 
-from surefoot.scenarios.cli.options import Out, learnt_from, read_as_declared, read_logs
+from surefoot.scenarios.cli.options import (
+    BoundsFiles,
+    Force,
+    Observers,
+    Out,
+    RobotName,
+    learnt_from,
+    read_as_declared,
+    read_logs,
+)
 from surefoot.sim.common.errors import SurefootError
 
 
 @dataclass(frozen=True)
 class Train:
-    """Train a velocity observer on one or more logs; killed, it goes on where it was."""
+    """Train a velocity observer on one or more logs; a killed training is resumed."""
 
     logs: Positional[tuple[Path, ...]]
     out: Out
@@ -20,12 +29,12 @@ class Train:
     loss: Literal["mse", "gml"] = "mse"
     """Mean squared error, or Gaussian likelihood, which predicts a covariance too."""
     inputs: Literal["q", "q,dq", "q,dq,tau", "feet", "tau,feet", "q,dq,tau,feet"] = "q,dq,tau"
-    """What it reads of a log, which must have it: joint angles, velocities, torques. feet is
-    computed of q and dq: leg odometry of the drawn robot, which the network then mends."""
+    """What it reads of a log, which must have it: joint angles, velocities, torques. feet is leg
+    odometry of the declared robot, computed from q and dq, which the network corrects."""
     model: Literal["gru", "mlp", "rnn", "lstm", "bigru", "tcn"] = "gru"
     """The network; a bigru reads a log from both ends, so it serves whole logs alone."""
     seed: int = 0
-    force: bool = False
+    force: Force = False
 
     def run(self) -> None:
         from surefoot.models.observer.training import train
@@ -66,8 +75,8 @@ class Calibrate:
     report: Path | None = None
     """Folder for a report: mixing curve, methods, and coverage on the walks of --on."""
     on: tuple[Path, ...] = ()
-    """Logs to judge the bounds by, in the report."""
-    force: bool = False
+    """Logs on which the report evaluates the bounds."""
+    force: Force = False
 
     def run(self) -> None:
         from surefoot.models.calibration.calibrate import calibrate
@@ -96,7 +105,7 @@ class Calibrate:
         )
         if bounds.mixing is not None and not bounds.mixing.mixed:
             print(
-                "note: the errors never forget within the longest lag looked at; the bounds rest "
+                "note: the errors stay correlated over the longest lag examined; the bounds rest "
                 "on fewer independent samples than they count"
             )
         if self.report:
@@ -108,21 +117,18 @@ class Calibrate:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Run one filter over a log; metrics are printed where the log has a reference."""
+    """Run one filter over a log; prints metrics where the log has a reference."""
 
     log: Positional[Path]
     filter: str
     """coverage, coverage_gml, coverage_persistent, velocity, velocity_inflated,
     velocity_persistent, leg, leg_slip, radar_leg or imu."""
-    robot: str | None = None
-    """Name or MJCF file; the log's own where left out."""
-    observer: UseAppendAction[tuple[Path, ...]] = ()
-    """An observer; may be given twice, once trained with mse and once with gml."""
-    bounds: UseAppendAction[tuple[Path, ...]] = ()
-    """Bounds; each belongs to one observer."""
+    robot: RobotName = None
+    observer: Observers = ()
+    bounds: BoundsFiles = ()
     out: Annotated[Path | None, arg(aliases=["-o"])] = None
     """Trajectory with covariances (.parquet); a .tum file is written beside it."""
-    force: bool = False
+    force: Force = False
 
     def run(self) -> None:
         from surefoot.scenarios.estimate.registry import run_filter
@@ -143,7 +149,7 @@ class Estimate:
             result.trajectory.write(self.out, self.force)
             result.trajectory.write_tum(self.out.with_suffix(".tum"), self.force)
         if result.metrics is None:
-            print(f"{log.name}: {len(log.t)} samples estimated; no reference to judge them by")
+            print(f"{log.name}: {len(log.t)} samples estimated; no reference to compare with")
         else:
             print(to_markdown([metrics_row(result.metrics)]))
 
@@ -154,12 +160,10 @@ class Compare:
 
     logs: Positional[tuple[Path, ...]]
     out: Out
-    observer: UseAppendAction[tuple[Path, ...]] = ()
-    """An observer; may be given twice, once trained with mse and once with gml."""
-    bounds: UseAppendAction[tuple[Path, ...]] = ()
-    """Bounds; each belongs to one observer."""
-    robot: str | None = None
-    force: bool = False
+    observer: Observers = ()
+    bounds: BoundsFiles = ()
+    robot: RobotName = None
+    force: Force = False
 
     def run(self) -> None:
         from surefoot.scenarios.estimate.compare import (
@@ -175,7 +179,7 @@ class Compare:
         names = [log.name for log in logs]
         for path, name in zip(self.logs, names, strict=True):
             if names.count(name) > 1:
-                raise SurefootError(f"{path}: another log has its name; give each its own")
+                raise SurefootError(f"{path}: another log has the same name; give each its own")
         prepare_folder(self.out, self.force)
         found = [compare_log(log, Robot.for_log(log, self.robot), learnt) for log in logs]
         results = write_comparison(found, self.out, "Filters compared", force=self.force)

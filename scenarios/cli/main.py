@@ -9,8 +9,16 @@ from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
 
 from surefoot.scenarios.cli.data import Import, Robots, Simulate, View
 from surefoot.scenarios.cli.estimate import Calibrate, Compare, Estimate, Train
-from surefoot.scenarios.cli.experiment import ExperimentCommand, Suite
-from surefoot.scenarios.cli.study import Bench, Demo, LoopCommand, Montecarlo, TraceCommand, Walking
+from surefoot.scenarios.cli.study import (
+    Bench,
+    Demo,
+    ExperimentCommand,
+    LoopCommand,
+    Montecarlo,
+    Suite,
+    TraceCommand,
+    Walking,
+)
 from surefoot.sim.common.errors import SurefootError
 
 COMMANDS: dict[str, type] = {

@@ -3,11 +3,26 @@
 from pathlib import Path
 from typing import Annotated
 
-from tyro.conf import arg
+from tyro.conf import UseAppendAction, arg
 
 from surefoot.sim.common.errors import SurefootError
 
 Out = Annotated[Path, arg(aliases=["-o"])]
+Force = Annotated[bool, arg(help="Overwrite what is there.")]
+RobotName = Annotated[
+    str | None, arg(help="Name or MJCF file of the robot; the log's own where left out.")
+]
+Observers = Annotated[
+    UseAppendAction[tuple[Path, ...]],
+    arg(help="An observer; may be given twice, once trained with mse and once with gml."),
+]
+BoundsFiles = Annotated[
+    UseAppendAction[tuple[Path, ...]], arg(help="Bounds; each belongs to one observer.")
+]
+Workers = Annotated[int, arg(help="How much runs at once on this machine.")]
+Cluster = Annotated[
+    str | None, arg(help="Address of a Dask scheduler to run on, such as tcp://127.0.0.1:8786.")
+]
 
 
 def read_logs(paths: tuple[Path, ...]) -> list:

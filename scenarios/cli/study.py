@@ -1,23 +1,23 @@
-"""Commands that run a whole job: the demo, traces and studies."""
+"""Commands that run a whole job: the demo, traces, experiments and studies."""
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from tyro.conf import Positional, UseAppendAction
 
-from surefoot.scenarios.cli.options import Out, read_logs
+from surefoot.scenarios.cli.options import Cluster, Force, Out, RobotName, Workers, read_logs
 from surefoot.sim.common.errors import SurefootError
 
 
 @dataclass(frozen=True)
 class Demo:
-    """The main job end to end: walk, learn, calibrate, three filters, report, .rrd, trace."""
+    """The whole workflow: walk, train, calibrate, compare filters, report, recording, trace."""
 
     out: Out = Path("out/demo")
     """Folder for everything it makes."""
     seed: int = 0
-    force: bool = False
-    """Overwrite what is in the folder."""
+    force: Force = False
 
     def run(self) -> None:
         from surefoot.scenarios.demo import demo
@@ -27,18 +27,16 @@ class Demo:
 
 @dataclass(frozen=True)
 class TraceCommand:
-    """Find the effect that the model lacks, and report before and after it is added."""
+    """Find the effect that a model lacks; errors before and after it is added."""
 
     logs: Positional[tuple[Path, ...]]
     """Logs of one robot, traced together."""
     out: Out
     """Folder for trace.json, effects.toml, report.html and trace.rrd."""
-    robot: str | None = None
-    """Name or MJCF file; the log's own where left out."""
+    robot: RobotName = None
     seed: int = 0
     """Of the bootstrap that intervals come from."""
-    force: bool = False
-    """Overwrite what is in the folder."""
+    force: Force = False
 
     def run(self) -> None:
         from surefoot.scenarios.reporting.progress import percent_bar
@@ -61,18 +59,16 @@ class TraceCommand:
 
 @dataclass(frozen=True)
 class LoopCommand:
-    """Trace a log, put what was found into the simulation, learn anew, estimate the log again."""
+    """Trace a log, add what was found to the simulation, retrain, estimate the log again."""
 
     log: Positional[Path]
     """A log with IMU, joint angles and reference."""
     out: Out
-    """Folder for everything it makes; a run that was killed goes on there."""
-    robot: str | None = None
-    """Name or MJCF file; the log's own where left out."""
+    """Folder for everything it makes; a run that was killed is resumed from it."""
+    robot: RobotName = None
     seed: int = 0
     """Of walks, training and intervals."""
-    force: bool = False
-    """Start anew and overwrite what is in the folder."""
+    force: Force = False
 
     def run(self) -> None:
         from surefoot.scenarios.reporting.tables import to_markdown
@@ -87,6 +83,51 @@ class LoopCommand:
         print(f"\nreport: {self.out / 'report.html'}")
 
 
+@dataclass(frozen=True, kw_only=True)
+class GridOptions:
+    """What `experiment` and `suite` share."""
+
+    out: Out
+    """Folder for tables, report and recordings."""
+    workers: Workers = 1
+    seeds: str | None = None
+    """One seed, or a range such as 0:8; the file's where left out (three in a suite)."""
+    cache: Path | None = None
+    """Folder of intermediate products, reused by later runs; `cache` in the output by default."""
+    recordings: bool = True
+    """Write a rerun recording of each sequence."""
+    force: bool = False
+    """Write tables and report again; what is in the cache is not made again."""
+
+    def experiment(self, file: str) -> None:
+        from surefoot.scenarios.experiments.report import experiment
+
+        experiment(
+            file, self.out, self.workers, self.seeds, self.cache, self.recordings, self.force
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExperimentCommand(GridOptions):
+    """A grid over scenarios, robots, conditions, gamma, filters and seeds: one tidy table."""
+
+    file: Positional[str]
+    """Experiment file (TOML), or the name of a bundled one: spot, vision60."""
+
+    def run(self) -> None:
+        self.experiment(self.file)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Suite(GridOptions):
+    """The paper's two tables on the simulated suites, from simulation to table."""
+
+    name: Positional[Literal["spot", "vision60"]]
+
+    def run(self) -> None:
+        self.experiment(self.name)
+
+
 @dataclass(frozen=True)
 class Montecarlo:
     """The paper's runtime-accuracy and consistency tables, and regimes beyond them."""
@@ -97,9 +138,8 @@ class Montecarlo:
     seed: int | None = None
     workers: int | None = None
     """Processes of this machine that share the trials; threads do where left out."""
-    cluster: str | None = None
-    """Address of a Dask scheduler whose workers share them."""
-    force: bool = False
+    cluster: Cluster = None
+    force: Force = False
 
     def run(self) -> None:
         from surefoot.scenarios.studies.montecarlo.report import montecarlo
@@ -113,19 +153,18 @@ class Montecarlo:
 class Walking:
     """How robots walk: falls, tracking, slip, creep and pace on four grounds and the courses.
 
-    Without robots and courses: every known robot, and the seventeen courses.
+    Without --robot and --course: every known robot, and the courses of both suites.
     """
 
     out: Out
     robot: UseAppendAction[tuple[str, ...]] = ()
     """Name or MJCF file, walked over flat ground, a slope, a slippery patch and stairs."""
-    course: UseAppendAction[tuple[Path, ...]] = ()
-    """Scenario file, walked on its own robot with every seed."""
+    course: UseAppendAction[tuple[str, ...]] = ()
+    """Scenario (file or bundled name), walked by its own robot with every seed."""
     seeds: int = 5
     """Seeds of each course, from 0."""
-    workers: int = 1
-    """Walks at once, each on a thread."""
-    force: bool = False
+    workers: Workers = 1
+    force: Force = False
 
     def run(self) -> None:
         from surefoot.scenarios.reporting.progress import percent_bar
@@ -141,10 +180,10 @@ class Walking:
 
 @dataclass(frozen=True)
 class Bench:
-    """What things cost against what they are measured by, as ratios of one run."""
+    """Run times, each as a ratio to a reference timed in the same run."""
 
     rounds: int = 12
-    """Times that each pair runs in turn; the smallest counts."""
+    """Times that each pair runs in turn; the shortest counts."""
     only: UseAppendAction[tuple[str, ...]] = ()
     """Items to run; all where left out."""
 

@@ -26,7 +26,7 @@ from surefoot.sim.walking.batch import Job, Walked, known_robot, walk_batch
 
 
 def simulate_all(
-    scenarios: Sequence[Path],
+    scenarios: Sequence[str | Path],
     out: Path,
     robot: str | None = None,
     seeds: str = "0",
@@ -92,14 +92,14 @@ def save_walk(walked: Walked, folder: Path, force: bool = False) -> Row:
 
 
 def _jobs(
-    scenarios: Sequence[Path],
+    scenarios: Sequence[str | Path],
     robot: str | None,
     seeds: range,
     effects: tuple[Effect, ...],
     declared: bool,
 ) -> list[Job]:
     if not scenarios:
-        raise SurefootError("give at least one scenario file")
+        raise SurefootError("give at least one scenario: a file, or a bundled name")
     jobs = []
     for path in scenarios:
         scenario = Scenario.load(path)

@@ -12,13 +12,17 @@ from surefoot.models.observer.training import DEFAULT
 from surefoot.scenarios.estimate.registry import FILTERS
 from surefoot.scenarios.experiments.imperfections import Imperfection, load_imperfections
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import bundled
 from surefoot.sim.common.toml import read_toml
 from surefoot.sim.effects import Effect
 from surefoot.sim.effects.file import load_effects
 from surefoot.sim.scenario import ROLES, Scenario
+from surefoot.sim.scenario_catalog import scenario_file
 from surefoot.sim.sensors.streams import Sensors
 from surefoot.sim.walking.batch import Job, known_robot
 
+SUITES_FOLDER = bundled("surefoot.scenarios.experiments", "suites")
+SUITES = ("spot", "vision60")
 KEYS = (
     "title", "scenarios", "robots", "seeds", "gammas", "filters", "published", "roles", "observer",
     "sweep", "condition",
@@ -92,9 +96,14 @@ class Experiment:
     conditions: tuple[Condition, ...] = (PLAIN,)
 
     @classmethod
-    def load(cls, path: str | Path) -> "Experiment":
-        """Read an experiment file. Raises SurefootError naming the file and the key at fault."""
-        path = Path(path)
+    def load(cls, name_or_path: str | Path) -> "Experiment":
+        """Read an experiment file, or the bundled suite "spot" or "vision60".
+
+        Raises SurefootError naming the file and the key at fault.
+        """
+        path = Path(name_or_path)
+        if str(name_or_path) in SUITES:
+            path = SUITES_FOLDER / f"{name_or_path}.toml"
         table = read_toml(path, "experiment")
         try:
             return _experiment(table, path)
@@ -134,7 +143,7 @@ def _experiment(table: Mapping[str, Any], path: Path) -> Experiment:
     _only(table, KEYS, "")
     roles = _table(table, "roles")
     scenarios = tuple(
-        _with_role(Scenario.load(path.parent / name), roles)
+        _with_role(Scenario.load(scenario_file(name, path.parent)), roles)
         for name in _strings(table, "scenarios")
     )
     names = [scenario.name for scenario in scenarios]

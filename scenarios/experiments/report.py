@@ -45,7 +45,7 @@ from surefoot.sim.common.files import clear_debris, whole_file
 
 
 def experiment(
-    file: Path,
+    file: str | Path,
     out: Path,
     workers: int = 1,
     seeds: str | None = None,

@@ -11,13 +11,12 @@ import pandas as pd
 
 from surefoot.models.calibration.empirical_coverage import binomial_interval
 from surefoot.scenarios.estimate.compare import MEANINGS
-from surefoot.scenarios.experiments.file import Experiment
+from surefoot.scenarios.experiments.file import SUITES_FOLDER, Experiment
 from surefoot.scenarios.experiments.run import Outcome
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import bundled
 from surefoot.sim.common.toml import read_toml
 
-PUBLISHED = bundled("surefoot.scenarios.experiments", "suites") / "published.toml"
+PUBLISHED = SUITES_FOLDER / "published.toml"
 METRICS = {
     "APE_trans [m]": "ape_trans",
     "APE_rot [deg]": "ape_rot",

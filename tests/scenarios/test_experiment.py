@@ -15,11 +15,8 @@ from surefoot.scenarios.experiments.file import Experiment
 from surefoot.scenarios.experiments.report import experiment
 from surefoot.scenarios.experiments.tables import averages, published, sweep, with_spread
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import bundled
 
 # pyright: reportArgumentType=false, reportGeneralTypeIssues=false
-
-SUITES = bundled("surefoot.scenarios.experiments", "suites")
 
 WALK = """
 name = "{name}"
@@ -206,7 +203,7 @@ def test_bad_files_are_one_clear_line(grid, tmp_path, old, new, said):
     [("spot", 10, "Upstair", "Quad"), ("vision60", 7, "3CC3CCW", "RoomScan")],
 )
 def test_the_suites_are_two_such_files(name, courses, train, calibrate):
-    suite = Experiment.load(SUITES / f"{name}.toml")
+    suite = Experiment.load(name)
     assert len(suite.scenarios) == courses
     roles = {s.name: s.role for s in suite.scenarios}
     assert [n for n, role in roles.items() if role == "train"] == [train]

@@ -12,6 +12,7 @@ from surefoot.sim.common.files import bundled
 from surefoot.sim.gait.course import lay_course
 from surefoot.sim.ground.height_map import surfaces
 from surefoot.sim.scenario import Scenario, drawn
+from surefoot.sim.scenario_catalog import bundled_scenarios
 
 SCENARIOS = bundled("surefoot.scenarios", "courses")
 SUITES = sorted(p for suite in ("demo", "shift", "spot", "vision60")
@@ -150,8 +151,17 @@ def test_a_mistake_is_one_line_that_names_file_and_key(tmp_path, text, words):
 
 
 def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(SurefootError, match=r"nowhere\.toml"):
+    with pytest.raises(SurefootError, match=r"nowhere\.toml: no such file.*demo/walk"):
         Scenario.load(tmp_path / "nowhere.toml")
+
+
+def test_bundled_scenarios_have_names_and_a_file_of_that_name_goes_first(tmp_path, monkeypatch):
+    assert set(bundled_scenarios().values()) >= set(SUITES)
+    assert Scenario.load("spot/atrium") == Scenario.load(SCENARIOS / "spot" / "atrium.toml")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "demo").mkdir()
+    (tmp_path / "demo" / "walk").write_text('name = "mine"\nsegment = [{duration = 1.0}]\n')
+    assert Scenario.load("demo/walk").name == "mine"
 
 
 VALUES = st.one_of(

@@ -49,7 +49,7 @@ class Walk:
 def walking_study(
     out: Path,
     robots: Sequence[str] = (),
-    courses: Sequence[Path] = (),
+    courses: Sequence[str | Path] = (),
     seeds: int = 5,
     workers: int = 1,
     progress: Callable[[float], None] | None = None,
@@ -176,7 +176,7 @@ def _line(walks: Sequence[Walk]) -> dict[str, Any]:
     }
 
 
-def _course_job(path: Path, seed: int) -> Job:
+def _course_job(path: str | Path, seed: int) -> Job:
     scenario = Scenario.load(path)
     if not scenario.robot:
         raise SurefootError(f"scenario {path}: names no robot")

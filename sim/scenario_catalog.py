@@ -1,0 +1,24 @@
+"""Where a scenario's file lies, by name or path."""
+
+from pathlib import Path
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import bundled
+
+
+def bundled_scenarios() -> dict[str, Path]:
+    """Names of the scenarios that come with surefoot, such as "demo/walk", and their files."""
+    files = bundled("surefoot.scenarios", "courses").glob("*/*.toml")
+    return {f"{file.parent.name}/{file.stem}": file for file in sorted(files)}
+
+
+def scenario_file(name_or_path: str | Path, folder: Path = Path()) -> Path:
+    """The file of a scenario: a path, relative to `folder`, or the name of a bundled one.
+
+    Raises SurefootError, listing the names, where it is neither.
+    """
+    path, known = folder / name_or_path, bundled_scenarios()
+    found = path if path.is_file() else known.get(str(name_or_path))
+    if found is None:
+        raise SurefootError(f"scenario {path}: no such file; bundled are {', '.join(known)}")
+    return found
