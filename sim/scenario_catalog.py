@@ -20,5 +20,5 @@ def scenario_file(name_or_path: str | Path, folder: Path = Path()) -> Path:
     path, known = folder / name_or_path, bundled_scenarios()
     found = path if path.is_file() else known.get(str(name_or_path))
     if found is None:
-        raise SurefootError(f"scenario {path}: no such file; bundled are {', '.join(known)}")
+        raise SurefootError(f"scenario {path}: No such file; bundled are {', '.join(known)}")
     return found

@@ -151,7 +151,7 @@ def test_a_mistake_is_one_line_that_names_file_and_key(tmp_path, text, words):
 
 
 def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(SurefootError, match=r"nowhere\.toml: no such file.*demo/walk"):
+    with pytest.raises(SurefootError, match=r"nowhere\.toml: No such file.*demo/walk"):
         Scenario.load(tmp_path / "nowhere.toml")
 
 
