@@ -137,15 +137,17 @@ class Montecarlo:
     """Trials in each regime; those of montecarlo.toml where left out."""
     seed: int | None = None
     workers: int | None = None
-    """Processes of this machine that share the trials; threads do where left out."""
+    """Processes of this machine that share the trials; one a core where left out."""
     cluster: Cluster = None
+    page: Path | None = None
+    """Page of results to write as well, such as docs/results/montecarlo.md."""
     force: Force = False
 
     def run(self) -> None:
         from surefoot.scenarios.studies.montecarlo.report import montecarlo
 
-        montecarlo(self.out, self.trials, self.seed, self.force, self.workers, self.cluster)
-        print((self.out / "table.md").read_text(encoding="utf-8"))
+        more = self.workers, self.cluster, self.page
+        print(montecarlo(self.out, self.trials, self.seed, self.force, *more))
         print(f"report: {self.out / 'report.html'}")
 
 

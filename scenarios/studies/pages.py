@@ -9,14 +9,19 @@ import platform
 import re
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import date
 from importlib.metadata import version
 from pathlib import Path
 
-from surefoot.scenarios.reporting.html import Section, save_picture
-from surefoot.scenarios.reporting.tables import to_markdown
+from surefoot.scenarios.reporting.html import (
+    Section,
+    markdown_report,
+    save_picture,
+    write_report,
+)
+from surefoot.scenarios.reporting.tables import Table, to_csv, to_markdown
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.common.sources import sources_digest
 
@@ -47,6 +52,26 @@ def origin_of(module: str, command: str) -> Origin:
     return Origin(
         _commit(), machine, date.today().isoformat(), command, module, sources_digest(module)
     )
+
+
+def write_results(
+    out: Path,
+    title: str,
+    sections: Sequence[Section],
+    tables: Mapping[str, Table],
+    force: bool = False,
+) -> str:
+    """Write a study's report.html and table.md, and a CSV of each table by its name, into `out`.
+
+    Returns the text of table.md.
+    """
+    text = markdown_report(title, sections)
+    contents = {"table.md": text} | {f"{name}.csv": to_csv(t) for name, t in tables.items()}
+    for name, content in contents.items():
+        with whole_file(out / name, force) as temporary:
+            temporary.write_text(content, encoding="utf-8")
+    write_report(out / "report.html", title, sections, force)
+    return text
 
 
 NOTES = "<!-- notes -->"

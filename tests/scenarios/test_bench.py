@@ -80,7 +80,7 @@ def test_samples_and_box_moments_do_the_same_work():
 def test_the_filter_with_samples_is_the_same_filter():
     study, truth, trials = trial()
     noise = FilterNoise(study.imu.gyro, study.imu.accel, 0.0, 0.0)
-    epsilon, shifts = 1.8 * study.noise, np.random.default_rng(6).random((200, 3))
+    epsilon, shifts = 1.8 * study.noise_std, np.random.default_rng(6).random((200, 3))
     ends = []
     for samples in (0, 5000):
         mean, covariance = trials.means[0].copy(), trials.covariance.copy()

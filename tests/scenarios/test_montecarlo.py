@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 from scipy.special import ndtri
 
+from surefoot.estimator.core.lie import hat
 from surefoot.estimator.core.state import FilterNoise, NavState
-from surefoot.estimator.evaluation.trajectory import Trajectory
-from surefoot.estimator.filter import run_coverage, run_imu, run_velocity
-from surefoot.estimator.metrics import nees
+from surefoot.estimator.filter import InvariantFilter, run_imu
 from surefoot.scenarios.cli.main import main
-from surefoot.scenarios.studies.montecarlo.batch import Scores, Setting, run_batch
 from surefoot.scenarios.studies.montecarlo.qmc import (
     _phi_inverse,
+    ordinary_boxes,
     qmc_moments,
     runtime_accuracy,
     tensor_moments,
@@ -28,14 +27,17 @@ from surefoot.scenarios.studies.montecarlo.settings import (
     Study,
     load_study,
 )
-from surefoot.scenarios.studies.montecarlo.spread import on_cluster, on_workers
 from surefoot.scenarios.studies.montecarlo.study import (
+    ITERATIONS,
     READINGS,
-    Found,
+    Results,
     Row,
+    Scores,
+    Setting,
     bounds,
     paper_settings,
     run_study,
+    run_trials,
 )
 from surefoot.scenarios.studies.montecarlo.trials import (
     make_trials,
@@ -43,18 +45,8 @@ from surefoot.scenarios.studies.montecarlo.trials import (
     true_motion,
     velocity_errors,
 )
-from surefoot.scenarios.studies.montecarlo.update_figures import (
-    gap_on_one_axis,
-    gap_on_three_axes,
-    remark_figure,
-    update_illustration,
-)
-from surefoot.scenarios.studies.montecarlo.update_report import remark_table, remark_words
-from surefoot.scenarios.studies.montecarlo.update_study import (
-    study_iterations,
-    study_remark,
-    update,
-)
+from surefoot.scenarios.studies.montecarlo.update import update, update_illustration
+from surefoot.scenarios.studies.pages import read_origin
 from surefoot.sim.common.errors import SurefootError
 
 
@@ -62,14 +54,13 @@ from surefoot.sim.common.errors import SurefootError
 def study() -> Study:
     """The bundled study, but a few short trials."""
     whole = load_study()
-    return replace(
-        whole, trials=2, duration=4.0,  gammas=(0.8,), population=4000, beyond_trials=2,
-        beyond=whole.beyond[2:5],
-    )  # fmt: skip
+    beyond = replace(whole.beyond, trials=2, regime=whole.beyond.regime[2:5])
+    short = {"trials": 2, "duration": 4.0, "gammas": (0.8,), "population": 4000}
+    return replace(whole, **short, beyond=beyond)
 
 
 @pytest.fixture(scope="module")
-def found(study) -> Found:
+def found(study) -> Results:
     return run_study(study)
 
 
@@ -114,51 +105,55 @@ def test_starts_are_drawn_from_the_covariance_that_filters_are_given(study):
 
 
 @pytest.mark.parametrize("regime", [UNBIASED, BIASED], ids=lambda r: r.name)
-def test_the_batch_gives_the_numbers_of_one_filter_at_a_time(study, regime):
+def test_scores_are_those_of_the_filters_one_sample_at_a_time(study, regime):
     truth = true_motion(study)
     trials = make_trials(study, truth, regime.test, seeds(2))
     noise = FilterNoise(study.imu.gyro, study.imu.accel, 0.0, 0.0)
-    rows = np.arange(1, study.updates + 1) * study.per_update
-    for name, gamma, _, setting in paper_settings(study, regime, np.random.SeedSequence(1)):
-        scores = run_batch(study, truth, trials, setting)
+    for setting in paper_settings(study, regime, np.random.SeedSequence(1)):
+        scores = run_trials(study, truth, trials, setting)
         for k in range(2):
-            log = truth.t, trials.gyro[k], trials.accel[k], rows, trials.v_I[k]
-            start = NavState.unpack(trials.means[k]), trials.covariance, noise, study.per_score
-            if setting.epsilon is not None:
-                found = run_coverage(
-                    *log, setting.epsilon, gamma, *start, persistent=setting.persistent
-                )
-                assert found.updates is not None
-                assert scores.active[k] == pytest.approx(found.updates.active.mean())
-            else:
-                found = run_velocity(*log, setting.R, *start, setting.persistent)
-            at = slice(None, None, study.per_score)
-            zeros = np.zeros((len(found.t), 3))
-            reference = Trajectory(
-                found.t, truth.R_GI[at], truth.v_GI[at], truth.p_GI[at], zeros, zeros
+            f = InvariantFilter(
+                NavState.unpack(trials.means[k]), trials.covariance, noise, setting.persistent
             )
-            distance = np.linalg.norm(found.p_GI - reference.p_GI, axis=1)[1:]
-            assert np.abs(scores.distance[k] - distance).max() < 1e-9, name
-            position = nees(reference, found).position[1:]
-            assert np.abs(scores.nees[k] / position - 1.0).max() < 1e-9, name
+            distance, nees = [], []
+            for n in range(1, len(truth.t)):
+                f.predict(trials.gyro[k, n], trials.accel[k, n], truth.t[n] - truth.t[n - 1])
+                if n % study.per_update == 0:
+                    v_I = trials.v_I[k, n // study.per_update - 1]
+                    if setting.R is not None:
+                        f.update_velocity(v_I, setting.R)
+                    else:
+                        assert setting.epsilon is not None
+                        assert setting.gamma is not None
+                        f.update_coverage(v_I, setting.epsilon, setting.gamma)
+                if n % study.per_score == 0:
+                    p = f.state.p_GI
+                    error = p - truth.p_GI[n]
+                    J = np.hstack([-hat(p), np.zeros((3, 3)), np.eye(3)])
+                    S = J @ f.covariance[:9, :9] @ J.T
+                    distance.append(np.linalg.norm(error))
+                    nees.append(error @ np.linalg.solve(S, error))
+            assert np.abs(scores.distance[k] - distance).max() < 1e-9, setting.filter
+            assert np.abs(scores.nees[k] / nees - 1.0).max() < 1e-9, setting.filter
+        assert np.all((scores.active > 0) & (scores.active <= 1)), setting.filter
 
 
 def test_the_study_is_the_same_from_the_same_seed_and_is_written_whole(study, found, tmp_path):
     first, second = found, run_study(study)
-    for a, b in zip((*first.rows, *first.extras), (*second.rows, *second.extras), strict=True):
+    for a, b in zip((*first.paper, *first.beyond), (*second.paper, *second.beyond), strict=True):
         assert np.array_equal(a.scores.nees, b.scores.nees)
         assert np.isfinite(a.scores.distance).all()
-    rng = np.random.default_rng(0)
-    remarks, iterated = study_remark(rng, (0.8,), 0.8, 40), study_iterations(study, (1, 3))
-    write_study(first, runtime_accuracy(rng, 2, 2, 1), remarks, iterated, tmp_path)
+    rng, page = np.random.default_rng(0), tmp_path / "page.md"
+    write_study(first, runtime_accuracy(rng, 2, 2, 1), tmp_path, page=page)
     text = (tmp_path / "table.md").read_text()
     assert "coverage_persistent" in text
     assert all(reading in text for reading in READINGS)
     assert "(paper)" in text
     assert "<img" in (tmp_path / "report.html").read_text()
-    assert {p.name for p in tmp_path.glob("*.csv")} == {
-        "table.csv", "beyond.csv", "runtime.csv", "remark.csv", "iterations.csv",
-    }  # fmt: skip
+    assert {p.stem for p in tmp_path.glob("*.csv")} == {"table", "beyond", "runtime", "iterations"}
+    figures = {p.stem for p in (tmp_path / "figures").glob("*.png")}
+    assert figures == {"runtime", "nees_by_gamma", "over_time", "update"}
+    assert not read_origin(page).stale
 
 
 def test_paired_trials_say_where_coverage_pays():
@@ -167,11 +162,9 @@ def test_paired_trials_say_where_coverage_pays():
 
     def verdict(rmse: float, nees: float) -> str:
         rows = [
-            Row("some", name, None, None, None, _constant_scores(scale[0] * hardness, scale[1]))
-            for name, scale in {
-                "velocity_persistent": (1.0, 6.0), "coverage_persistent": (rmse, nees),
-            }.items()
-        ]  # fmt: skip
+            Row("some", Setting("velocity_persistent"), _constant_scores(hardness, 6.0)),
+            Row("some", Setting("coverage_persistent"), _constant_scores(rmse * hardness, nees)),
+        ]
         return beyond_table(rows)["coverage beside velocity"].iloc[0]
 
     def _constant_scores(rmse: np.ndarray, nees: float) -> Scores:
@@ -187,19 +180,20 @@ def test_paired_trials_say_where_coverage_pays():
 
 @pytest.mark.parametrize("where", ["workers", "cluster"])
 def test_other_processes_give_the_same_numbers(study, where):
-    small = replace(study, duration=3.0, extras=())
+    small = replace(study, duration=3.0, beyond=replace(study.beyond, regime=()))
     near = run_study(small)
     if where == "workers":
-        far = run_study(small, spread=lambda jobs: on_workers(jobs, 2))
+        far = run_study(small, workers=2)
     else:
         distributed = pytest.importorskip("distributed")
+        plain = {"processes": False, "dashboard_address": None, "protocol": "tcp://"}
         with distributed.LocalCluster(
-            n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None,
-            protocol="tcp://", host="127.0.0.1",
-        ) as cluster:  # fmt: skip
-            far = run_study(small, spread=lambda jobs: on_cluster(cluster.scheduler_address, jobs))
-    for a, b in zip(near.rows, far.rows, strict=True):
-        assert (a.filter, a.gamma, a.reading) == (b.filter, b.gamma, b.reading)
+            n_workers=1, threads_per_worker=1, host="127.0.0.1", **plain
+        ) as cluster:
+            far = run_study(small, cluster=cluster.scheduler_address)
+    for a, b in zip(near.paper, far.paper, strict=True):
+        assert (a.setting.filter, a.setting.gamma) == (b.setting.filter, b.setting.gamma)
+        assert a.setting.reading == b.setting.reading
         assert np.array_equal(a.scores.nees, b.scores.nees)
         assert np.array_equal(a.scores.distance, b.scores.distance)
 
@@ -208,7 +202,7 @@ def test_a_cluster_that_is_not_there_is_one_line(study, monkeypatch):
     monkeypatch.setattr("surefoot.scenarios.datasets.cluster.PATIENCE", 0.5)
     pytest.importorskip("distributed")
     with pytest.raises(SurefootError, match=r"--cluster tcp://127\.0\.0\.1:9: ") as error:
-        run_study(study, spread=lambda jobs: on_cluster("tcp://127.0.0.1:9", jobs))
+        run_study(study, cluster="tcp://127.0.0.1:9")
     assert "\n" not in str(error.value)
 
 
@@ -216,7 +210,7 @@ def test_the_ekf_is_consistent_where_its_model_is_right(study):
     long = replace(study, duration=20.0)
     truth = true_motion(long)
     trials = make_trials(long, truth, UNBIASED.test, seeds(100))
-    nees = run_batch(long, truth, trials, Setting(R=np.diag(long.noise**2))).nees
+    nees = run_trials(long, truth, trials, Setting("velocity", R=np.diag(long.noise_std**2))).nees
     # The mean of 100 independent chi-square numbers of 3 degrees has deviation 0.245.
     assert nees[:, -1].mean() == pytest.approx(3.0, abs=0.8)
     assert nees.mean() == pytest.approx(3.0, abs=0.6)
@@ -232,7 +226,7 @@ def test_bounds_hold_what_their_reading_says(study):
 @pytest.mark.parametrize("mixing", MIXINGS)
 def test_mixing_parts_have_zero_mean_and_the_stated_covariance(study, mixing):
     rng = np.random.default_rng(0)
-    errors = velocity_errors(study, ErrorLaw(mixing=mixing), 400000, rng) / study.noise
+    errors = velocity_errors(study, ErrorLaw(mixing=mixing), 400000, rng) / study.noise_std
     assert np.abs(errors.mean(axis=0)).max() < 0.02
     if mixing == "outliers":
         assert np.var(errors, axis=0) == pytest.approx([0.95 + 0.05 * 100] * 3, rel=0.05)
@@ -266,41 +260,38 @@ def test_sampling_errors_decay_as_the_papers_and_ours_are_a_million_times_less()
         assert getattr(ours, name) < 1e-6 * getattr(rows[1000], name)
 
 
-def test_the_remark_is_studied_where_it_is_proved_and_where_it_is_not():
-    exact, *others = study_remark(np.random.default_rng(1), (0.8,), 0.8, 400)
-    assert exact.active > 200
-    assert (exact.raised, exact.within, exact.breach) == (1.0, 1.0, None)
-    assert 0.3 < exact.closed < exact.after_five < 1.0
-    assert [row.way for row in others] == [
-        "moments from 1000 samples", "moments from 100 samples",
-        "in the filter, attitude known to 0.1 rad", "in the filter, attitude known to 2 rad",
-    ]  # fmt: skip
-    assert min(row.within for row in others) > 0.98
-    assert len(remark_table([exact, *others])) == 5
-    assert f"all {exact.active} random boxes" in remark_words([exact, *others])
-
-
-def test_the_map_of_the_remark_is_empty_where_nothing_is_to_be_done():
-    share = gap_on_one_axis(np.array([0.0, 4.0]), np.array([0.5, 3.0]), 0.8)
-    assert np.isnan(share[1, 0])
-    assert np.all((share[0] > 0) & (share[0] < 1))
-    cubes = gap_on_three_axes(np.array([0.0, 3.0]), np.array([-0.4, 0.0, 0.9]), 1.0, 0.8)
-    assert np.all((cubes > 0) & (cubes < 1))
+def test_one_update_raises_the_mass_and_never_beyond_gamma():
+    """The paper's remark, pi < pi+ <= gamma, on boxes of all places and widths."""
+    rng = np.random.default_rng(1)
+    shifts, wider = rng.uniform(-2.0, 2.0, (400, 3)), rng.uniform(0.0, 2.0, (400, 3))
+    closed = []
+    for mean, cov, low, high, shift, more in zip(
+        *ordinary_boxes(rng, 400), shifts, wider, strict=True
+    ):
+        pi, *_, pi_plus = update(mean, cov, low + shift - more, high + shift + more, 0.8)
+        if 1e-12 < pi < 0.8:
+            assert pi < pi_plus <= 0.8
+            closed.append((pi_plus - pi) / (0.8 - pi))
+    assert len(closed) > 200
+    assert 0.3 < np.mean(closed) < 1.0
     assert len(update_illustration().axes) == 6
-    assert len(remark_figure().axes) == 4
 
 
 def test_an_inactive_box_is_left_alone():
     wide = np.full(3, 6.0)
-    pi, mean, cov = update(np.zeros(3), np.eye(3), -wide, wide, 0.8)
+    pi, mean, cov, pi_plus = update(np.zeros(3), np.eye(3), -wide, wide, 0.8)
     assert pi > 0.8
+    assert pi_plus == pytest.approx(pi)
     assert np.array_equal(mean, np.zeros(3))
     assert np.array_equal(cov, np.eye(3))
 
 
-def test_iterations_start_from_the_row_of_the_papers_table(study, found):
-    first, third, *_ = study_iterations(study, (1, 3))
-    rows = {(r.regime, r.filter, r.reading): r for r in found.rows}
+def test_iterations_start_from_the_row_of_the_papers_table(found):
+    first, second, third, *_ = found.iterated
+    assert (first.setting.iterations, second.setting.iterations, third.setting.iterations) == (
+        ITERATIONS
+    )
+    rows = {(r.regime, r.setting.filter, r.setting.reading): r for r in found.paper}
     paper = rows["unbiased", "coverage", READINGS[1]]
     assert np.array_equal(first.scores.nees, paper.scores.nees)
     assert not np.array_equal(third.scores.nees, paper.scores.nees)
@@ -310,13 +301,17 @@ def test_iterations_start_from_the_row_of_the_papers_table(study, found):
     ("before", "after", "says"),
     [
         ("trials = 100", "trails = 100", "unknown key 'trails'"),
-        ("turn = 0.15", "turns = 0.15", "unknown key 'motion.turns'"),
-        ('mixing = "student"', 'mixing = "cauchy"', "mixing 'cauchy' is unknown"),
+        ("turn = 0.15", "turns = 0.15", "[motion] unknown key 'turns'"),
+        ('mixing = "student"', 'mixing = "cauchy"', "mixing must be one of gaussian, student"),
         ("update_rate = 20.0", "update_rate = 30.0", "update_rate must divide imu_rate"),
         ("calibration_trials = 24", "calibration_trials = 3", "calibration_trials"),
-        ("gammas = [0.70,", "gammas = [1.70,", "gammas must be inside (0, 1)"),
-        ("seed = 2026", "", "'seed' is missing"),
-        ("std = [0.08, 0.06, 0.05]", "std = [0.08, 0.06]", "'noise.std' must be three"),
+        ("gammas = [0.70,", "gammas = [1.70,", "gammas must be a number < 1"),
+        ("seed = 2026", "", "seed is missing"),
+        (
+            "std = [0.08, 0.06, 0.05]",
+            "std = [0.08, 0.06]",
+            "[noise] std must be an array of length 3",
+        ),
     ],
 )
 def test_a_bad_study_file_is_one_line_that_names_the_key(tmp_path, before, after, says):
@@ -333,9 +328,11 @@ def test_a_bad_study_file_is_one_line_that_names_the_key(tmp_path, before, after
 
 def test_the_command_refuses_bad_options(tmp_path):
     for option in (
-        ["--trials", "1"], ["--seed", "-1"], ["--workers", "0"],
+        ["--trials", "1"],
+        ["--seed", "-1"],
+        ["--workers", "0"],
         ["--cluster", "tcp://x:1", "--workers", "2"],
-    ):  # fmt: skip
+    ):
         with pytest.raises(SystemExit) as caught:
             main(["montecarlo", "-o", str(tmp_path / "out"), *option])
         assert option[0] in str(caught.value)

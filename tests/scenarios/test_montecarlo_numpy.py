@@ -7,9 +7,9 @@ import pytest
 
 from surefoot.estimator.box import box_moments
 from surefoot.scenarios.studies.bench.montecarlo import montecarlo_rows
-from surefoot.scenarios.studies.montecarlo.batch import Setting, run_batch
 from surefoot.scenarios.studies.montecarlo.numpy_reference import numpy_moments, numpy_trial
 from surefoot.scenarios.studies.montecarlo.settings import BIASED, load_study
+from surefoot.scenarios.studies.montecarlo.study import Setting, run_trials
 from surefoot.scenarios.studies.montecarlo.trials import make_trials, true_motion
 
 
@@ -19,10 +19,10 @@ def test_the_filters_are_the_textbooks(kind):
     truth = true_motion(study)
     seeds = np.random.SeedSequence(11).spawn(2)
     trials = make_trials(study, truth, BIASED.test, seeds)
-    setting = Setting(R=np.diag(study.noise**2))
+    setting = Setting("velocity", R=np.diag(study.noise_std**2))
     if kind == "coverage":
-        setting = Setting(epsilon=1.5 * study.noise, gamma=0.8)
-    found = run_batch(study, truth, trials, setting).distance
+        setting = Setting("coverage", epsilon=1.5 * study.noise_std, gamma=0.8)
+    found = run_trials(study, truth, trials, setting).distance
     for k in range(2):
         plain = numpy_trial(study, truth, trials, k, setting)
         # The integrators differ by what second order leaves of a step: far below a millimetre.

@@ -39,7 +39,7 @@ def coverage_row(rounds: int, tell: Progress | None = None) -> Ratio:
     study, truth, trials = trial()
     noise = FilterNoise(study.imu.gyro, study.imu.accel, 0.0, 0.0).packed()
     # 1.8 deviations an axis hold 0.8 of a Gaussian error jointly.
-    epsilon = 1.8 * study.noise
+    epsilon = 1.8 * study.noise_std
     shifts = np.random.default_rng(6).random((STEPS, 3))
 
     def run(samples: int):
@@ -96,7 +96,7 @@ def step_row(rounds: int, tell: Progress | None = None) -> Ratio:
     study, _, trials = trial()
     loop = Loop(untrained_observer())
     x = np.random.default_rng(7).standard_normal((STEPS, 36))
-    epsilon, dt = 1.8 * study.noise, 1.0 / study.imu_rate
+    epsilon, dt = 1.8 * study.noise_std, 1.0 / study.imu_rate
     noise = FilterNoise(study.imu.gyro, study.imu.accel, 0.0, 0.0)
     state, covariance = NavState.unpack(trials.means[0, :EXTRA]), trials.covariance
 
@@ -157,7 +157,7 @@ def velocity_filter():
     """A function that runs our filter over the trial and returns its last v_I (3,)."""
     study, _, trials = trial(LONG)
     noise = FilterNoise(study.imu.gyro, study.imu.accel, 0.0, 0.0)
-    R, dt = np.diag(study.noise**2), 1.0 / study.imu_rate
+    R, dt = np.diag(study.noise_std**2), 1.0 / study.imu_rate
     state = replace(
         NavState.unpack(trials.means[0, :EXTRA]), b_a=study.imu.bias_accel, b_g=study.imu.bias_gyro
     )
@@ -188,7 +188,7 @@ def gtsam_filter(gtsam):
     start = trials.means[0]
     X = gtsam.NavState(gtsam.Rot3(start[:3]), start[4], start[3])
     # From the right-invariant error to gtsam's: each rotated, and the lever arms of v and p.
-    R, dt = np.diag(study.noise**2), 1.0 / study.imu_rate
+    R, dt = np.diag(study.noise_std**2), 1.0 / study.imu_rate
     T = np.zeros((9, 9))
     for row, column, lever in ((0, 0, None), (3, 6, start[4]), (6, 3, start[3])):
         T[row : row + 3, column : column + 3] = -start[:3].T

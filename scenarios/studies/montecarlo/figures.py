@@ -1,6 +1,7 @@
 """Figures of the Monte-Carlo study, and the paper's own numbers that they show beside ours."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -36,16 +37,12 @@ def runtime_figure(rows: Sequence[Accuracy]) -> Figure:
     ax = axes[0, 0]
     sampled = [r for r in rows if r.samples is not None]
     for name, style in (("probability", "o-"), ("mean", "s-"), ("covariance", "^-")):
-        line = ax.plot(
-            [r.milliseconds for r in sampled], [getattr(r, name) for r in sampled], style,
-            label=f"QMC, {name}",
-        )  # fmt: skip
-        color = line[0].get_color()
+        times, errors = zip(*((r.milliseconds, getattr(r, name)) for r in sampled), strict=True)
+        (line,) = ax.plot(times, errors, style, label=f"QMC, {name}")
         for r in (r for r in rows if r.samples is None):
-            ax.plot(
-                r.milliseconds, max(getattr(r, name), 1e-16), style[0], color=color, markersize=9,
-                markeredgecolor=INK, label=f"Ours, {name}",
-            )  # fmt: skip
+            look = {"color": line.get_color(), "markersize": 9, "markeredgecolor": INK}
+            error = max(getattr(r, name), 1e-16)
+            ax.plot(r.milliseconds, error, style[0], label=f"Ours, {name}", **look)
     ax.set(xscale="log", yscale="log", xlabel="time [ms]", ylabel="error")
     legend_below(figure, ax, columns=3)
     return figure
@@ -56,21 +53,18 @@ def nees_figure(rows: Sequence[Row]) -> Figure:
     figure, axes = new_figure(1, 2, size=(9.0, 4.2))
     for k, regime in enumerate(("unbiased", "biased")):
         ax = axes[0, k]
+        own = [row for row in rows if row.regime == regime]
         for reading, style in zip(READINGS, ("o-", "s--"), strict=True):
             for name in ("coverage", "coverage_persistent"):
-                shown = [
-                    r for r in rows
-                    if (r.regime, r.filter, r.reading) == (regime, name, reading)
-                ]  # fmt: skip
+                points = [
+                    (row.setting.gamma, row.scores.mean_nees.mean())
+                    for row in own
+                    if (row.setting.filter, row.setting.reading) == (name, reading)
+                ]
                 label = f"{estimator_label(name)}, quantile at {reading}"
-                means = [r.scores.mean_nees.mean() for r in shown]
-                gammas = [r.gamma for r in shown]
-                ax.plot(gammas, means, style, color=estimator_color(name), label=label)  # pyright: ignore
-        for row in rows:
-            if row.regime == regime and row.gamma is None:
-                color, line = estimator_color(row.filter), estimator_line(row.filter)
-                level = float(row.scores.mean_nees.mean())
-                ax.axhline(level, color=color, ls=line, label=estimator_label(row.filter))
+                ax.plot(*zip(*points, strict=True), style, color=estimator_color(name), label=label)
+        for row in (row for row in own if row.setting.gamma is None):
+            ax.axhline(float(row.scores.mean_nees.mean()), **_look(row))
         gammas = [g for g in PAPER_ROWS if g is not None]
         paper = [float(PAPER_ROWS[g][2 + k].split()[0]) for g in gammas]
         ax.plot(gammas, paper, "x", color=TRUTH, label="Coverage (paper)")
@@ -87,15 +81,12 @@ def time_figure(rows: Sequence[Row], gamma: float, rate: float) -> Figure:
     figure, axes = new_figure(2, 2, size=(9.0, 6.0), share_x=True)
     for k, regime in enumerate(("unbiased", "biased")):
         for row in rows:
-            if row.regime != regime or row.gamma not in (None, gamma) or row.reading == READINGS[0]:
+            s = row.setting
+            if row.regime != regime or s.gamma not in (None, gamma) or s.reading == READINGS[0]:
                 continue
             t = np.arange(1, row.scores.nees.shape[1] + 1) / rate
-            error = np.sqrt(np.mean(row.scores.distance**2, axis=0))
-            for ax, value in zip(axes[:, k], (error, row.scores.nees.mean(axis=0)), strict=True):
-                ax.plot(
-                    t, value, color=estimator_color(row.filter), ls=estimator_line(row.filter),
-                    label=estimator_label(row.filter),
-                )  # fmt: skip
+            axes[0, k].plot(t, np.sqrt(np.mean(row.scores.distance**2, axis=0)), **_look(row))
+            axes[1, k].plot(t, row.scores.nees.mean(axis=0), **_look(row))
         axes[1, k].axhline(3.0, color=INK, linewidth=0.8)
         axes[1, k].set(yscale="log", xlabel="time [s]", ylabel="position NEES")
         _plain_ticks(axes[1, k])
@@ -103,6 +94,15 @@ def time_figure(rows: Sequence[Row], gamma: float, rate: float) -> Figure:
         set_title(axes[0, k], regime)
     legend_below(figure, axes[0, 0])
     return figure
+
+
+def _look(row: Row) -> dict[str, Any]:
+    name = row.setting.filter
+    return {
+        "color": estimator_color(name),
+        "linestyle": estimator_line(name),
+        "label": estimator_label(name),
+    }
 
 
 def _plain_ticks(ax) -> None:

@@ -9,11 +9,13 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from surefoot.scenarios.studies.montecarlo.batch import Setting
+from surefoot.estimator.core.lie import hat
+from surefoot.estimator.core.state import GRAVITY
 from surefoot.scenarios.studies.montecarlo.settings import Study
+from surefoot.scenarios.studies.montecarlo.study import Setting
 from surefoot.scenarios.studies.montecarlo.trials import Trials, Truth
 
-G = np.array([0.0, 0.0, -9.81])
+G = np.array([0.0, 0.0, -GRAVITY])
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(20)
 
 
@@ -85,11 +87,6 @@ def numpy_moments(cov, lower, upper) -> tuple[float, np.ndarray, np.ndarray]:
     return float(pi), mean, np.array([[xx, cxy, cxz], [cxy, yy, cyz], [cxz, cyz, zz]])
 
 
-def hat(x: np.ndarray) -> np.ndarray:
-    """[x]x (3, 3)."""
-    return np.array([[0.0, -x[2], x[1]], [x[2], 0.0, -x[0]], [-x[1], x[0], 0.0]])
-
-
 def _update(P, H, residual, setting: Setting) -> tuple[np.ndarray, np.ndarray]:
     """delta (15,) and the new P: Gaussian with setting.R, else coverage with its bounds."""
     S = H @ P @ H.T
@@ -97,6 +94,7 @@ def _update(P, H, residual, setting: Setting) -> tuple[np.ndarray, np.ndarray]:
         K = np.linalg.solve(S + setting.R, H @ P).T
         return K @ residual, (np.eye(15) - K @ H) @ P
     assert setting.epsilon is not None
+    assert setting.gamma is not None
     pi, mean, cov = numpy_moments(S, residual - setting.epsilon, residual + setting.epsilon)
     if pi >= setting.gamma:
         return np.zeros(15), P

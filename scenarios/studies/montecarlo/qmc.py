@@ -28,27 +28,37 @@ PAPER = {
 }
 """The paper's table: ms on an i9-13950HX, and errors of probability, mean and covariance."""
 _NODES = 48
-_MIDDLE = (
-    3.3871328727963666080, 1.3314166789178437745e2, 1.9715909503065514427e3,
-    1.3731693765509461125e4, 4.5921953931549871457e4, 6.7265770927008700853e4,
-    3.3430575583588128105e4, 2.5090809287301226727e3, 1.0, 4.2313330701600911252e1,
-    6.8718700749205790830e2, 5.3941960214247511077e3, 2.1213794301586595867e4,
-    3.9307895800092710610e4, 2.8729085735721942674e4, 5.2264952788528545610e3,
-)  # fmt: skip
-_TAIL = (
-    1.42343711074968357734, 4.63033784615654529590, 5.76949722146069140550,
-    3.64784832476320460504, 1.27045825245236838258, 2.41780725177450611770e-1,
-    2.27238449892691845833e-2, 7.74545014278341407640e-4, 1.0, 2.05319162663775882187,
-    1.67638483018380384940, 6.89767334985100004550e-1, 1.48103976427480074590e-1,
-    1.51986665636164571966e-2, 5.47593808499534494600e-4, 1.05075007164441684324e-9,
-)  # fmt: skip
-_FAR = (
-    6.65790464350110377720, 5.46378491116411436990, 1.78482653991729133580,
-    2.96560571828504891230e-1, 2.65321895265761230930e-2, 1.24266094738807843860e-3,
-    2.71155556874348757815e-5, 2.01033439929228813265e-7, 1.0, 5.99832206555887937690e-1,
-    1.36929880922735805310e-1, 1.48753612908506148525e-2, 7.86869131145613259100e-4,
-    1.84631831751005468180e-5, 1.42151175831644588870e-7, 2.04426310338993978564e-15,
-)  # fmt: skip
+
+
+def _numbers(text: str) -> tuple[float, ...]:
+    return tuple(map(float, text.split()))
+
+
+# Coefficients of Wichura's rational functions: eight above the line, eight below it.
+_MIDDLE = _numbers(
+    "3.3871328727963666080 1.3314166789178437745e2 1.9715909503065514427e3 "
+    "1.3731693765509461125e4 4.5921953931549871457e4 6.7265770927008700853e4 "
+    "3.3430575583588128105e4 2.5090809287301226727e3 "
+    "1.0 4.2313330701600911252e1 6.8718700749205790830e2 5.3941960214247511077e3 "
+    "2.1213794301586595867e4 3.9307895800092710610e4 2.8729085735721942674e4 "
+    "5.2264952788528545610e3 "
+)
+_TAIL = _numbers(
+    "1.42343711074968357734 4.63033784615654529590 5.76949722146069140550 "
+    "3.64784832476320460504 1.27045825245236838258 2.41780725177450611770e-1 "
+    "2.27238449892691845833e-2 7.74545014278341407640e-4 "
+    "1.0 2.05319162663775882187 1.67638483018380384940 6.89767334985100004550e-1 "
+    "1.48103976427480074590e-1 1.51986665636164571966e-2 5.47593808499534494600e-4 "
+    "1.05075007164441684324e-9 "
+)
+_FAR = _numbers(
+    "6.65790464350110377720 5.46378491116411436990 1.78482653991729133580 "
+    "2.96560571828504891230e-1 2.65321895265761230930e-2 1.24266094738807843860e-3 "
+    "2.71155556874348757815e-5 2.01033439929228813265e-7 "
+    "1.0 5.99832206555887937690e-1 1.36929880922735805310e-1 1.48753612908506148525e-2 "
+    "7.86869131145613259100e-4 1.84631831751005468180e-5 1.42151175831644588870e-7 "
+    "2.04426310338993978564e-15 "
+)
 
 
 @dataclass(frozen=True)
@@ -109,7 +119,7 @@ def runtime_accuracy(
     boxes: int = 10,
     shifts: int = 10,
     rounds: int = 5,
-    tell: Callable[[float], None] | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> list[Accuracy]:
     """The paper's table in one run: each N of SAMPLES, then `box_moments`, on the same boxes.
 
@@ -141,8 +151,8 @@ def runtime_accuracy(
         milliseconds = 1e3 * fastest / (len(repeats) * boxes)
         probability, mean, cov = np.sqrt(np.mean(errors, axis=0)).tolist()
         rows.append(Accuracy(samples or None, milliseconds, probability, mean, cov))
-        if tell:
-            tell((number + 1) / (len(SAMPLES) + 1))
+        if progress:
+            progress((number + 1) / (len(SAMPLES) + 1))
     return rows
 
 
@@ -150,8 +160,8 @@ def ordinary_boxes(rng: np.random.Generator, count: int):
     """means (B, 3), covariances (B, 3, 3), lower and upper (B, 3) with unit prior deviations."""
     factors = np.eye(3) + 0.5 * rng.standard_normal((count, 3, 3))
     covs = factors @ np.swapaxes(factors, 1, 2)
-    spread = np.sqrt(np.einsum("bii->bi", covs))
-    covs = covs / spread[:, :, None] / spread[:, None, :]
+    std = np.sqrt(np.einsum("bii->bi", covs))
+    covs = covs / std[:, :, None] / std[:, None, :]
     centre, half = rng.uniform(-1.0, 1.0, (count, 3)), rng.uniform(0.5, 2.0, (count, 3))
     return np.zeros((count, 3)), covs, centre - half, centre + half
 
@@ -175,10 +185,8 @@ def tensor_moments(mean, cov, lower, upper) -> tuple[float, np.ndarray, np.ndarr
 def _evaluate_qmc(means, covs, lowers, uppers, samples, shifts, prob, mean, cov):
     for s in range(shifts.shape[0]):
         for b in range(shifts.shape[1]):
-            prob[s, b] = qmc_moments(
-                means[b], covs[b], lowers[b], uppers[b], samples, shifts[s, b], mean[s, b],
-                cov[s, b],
-            )  # fmt: skip
+            box = (means[b], covs[b], lowers[b], uppers[b])
+            prob[s, b] = qmc_moments(*box, samples, shifts[s, b], mean[s, b], cov[s, b])
 
 
 @kernel

@@ -1,19 +1,23 @@
-"""What the Monte-Carlo study draws from: `montecarlo.toml`, schema-checked, as frozen data."""
+"""What the Monte-Carlo study draws from: `montecarlo.toml` as frozen data, its tables and keys."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Literal, get_args
 
 import numpy as np
+from msgspec import Meta
 
 from surefoot.estimator.initial import InitialStd
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
-from surefoot.sim.common.toml import read_toml
+from surefoot.sim.common.toml import Count, NonNegative, Positive, read_typed
 
-T = TypeVar("T")
 BUNDLED = bundled("surefoot.scenarios.studies.montecarlo", "montecarlo.toml")
-MIXINGS = ("gaussian", "student", "skewed", "bimodal", "outliers")
+Vector = tuple[float, float, float]
+Level = Annotated[float, Meta(gt=0, lt=1)]
+Mixing = Literal["gaussian", "student", "skewed", "bimodal", "outliers"]
+MIXINGS: tuple[str, ...] = get_args(Mixing)
 
 
 @dataclass(frozen=True)
@@ -22,11 +26,11 @@ class Motion:
 
     speed: float  # m/s
     speed_swing: float  # m/s
-    speed_period: float  # s
+    speed_period: Positive  # s
     turn: float  # rad/s
     turn_swing: float  # rad/s
-    turn_period: float  # s
-    stride: float  # Hz
+    turn_period: Positive  # s
+    stride: Positive  # Hz
     bob: float  # m
     sway: float  # m
     surge: float  # m
@@ -38,22 +42,26 @@ class Motion:
 class Imu:
     """White-noise densities and fixed biases of the IMU."""
 
-    gyro: float  # rad/s/sqrt(Hz)
-    accel: float  # m/s^2/sqrt(Hz)
-    bias_gyro: np.ndarray  # (3,) rad/s
-    bias_accel: np.ndarray  # (3,) m/s^2
+    gyro: Positive  # rad/s/sqrt(Hz)
+    accel: Positive  # m/s^2/sqrt(Hz)
+    bias_gyro: Vector  # rad/s
+    bias_accel: Vector  # m/s^2
 
 
 @dataclass(frozen=True)
-class Mixture:
-    """A Gaussian mixture of velocity errors in I: weights (C,), means (C, 3), factors (C, 3, 3).
+class Noise:
+    """Velocity errors of the unbiased regime: standard deviations of independent axes."""
 
-    factors are lower Cholesky factors of the components' covariances, in m/s.
-    """
+    std: tuple[Positive, Positive, Positive]  # m/s
 
-    weights: np.ndarray
-    means: np.ndarray
-    factors: np.ndarray
+
+@dataclass(frozen=True)
+class Component:
+    """One component of the mixture that biased velocity errors are drawn from."""
+
+    weight: NonNegative
+    mean: Vector  # m/s
+    covariance: tuple[Vector, Vector, Vector]  # m^2/s^2
 
 
 @dataclass(frozen=True)
@@ -74,38 +82,101 @@ class ErrorLaw:
 
 @dataclass(frozen=True)
 class Regime:
-    """The law of the errors that are met, and of those that the filters were calibrated on."""
+    """The law of the errors in the trials, and of those that the filters were calibrated on.
+
+    Where `calibrated_mixing` and `calibrated_scale` are left out they are as in the trials; the
+    calibration has the full bias, and no drift, unless it says otherwise.
+    """
 
     name: str
-    test: ErrorLaw
-    calibration: ErrorLaw
+    bias: float = 1.0
+    drift: NonNegative = 0.0
+    mixing: Mixing = "gaussian"
+    scale: Positive = 1.0
+    calibrated_bias: float = 1.0
+    calibrated_drift: NonNegative = 0.0
+    calibrated_mixing: Mixing | None = None
+    calibrated_scale: Positive | None = None
+
+    @property
+    def test(self) -> ErrorLaw:
+        """The law in the trials."""
+        return ErrorLaw(self.bias, self.drift, self.mixing, self.scale)
+
+    @property
+    def calibration(self) -> ErrorLaw:
+        """The law of what R, bounds and persistent part are calibrated on."""
+        return ErrorLaw(
+            self.calibrated_bias,
+            self.calibrated_drift,
+            self.calibrated_mixing or self.mixing,
+            self.calibrated_scale or self.scale,
+        )
 
 
-UNBIASED = Regime("unbiased", ErrorLaw(), ErrorLaw())
-BIASED = Regime("biased", ErrorLaw(bias=1.0), ErrorLaw(bias=1.0))
+UNBIASED = Regime("unbiased", bias=0.0, calibrated_bias=0.0)
+BIASED = Regime("biased")
+
+
+@dataclass(frozen=True)
+class Beyond:
+    """Regimes beyond the paper's two: all four filters at one joint level."""
+
+    gamma: Level
+    trials: Count
+    regime: tuple[Regime, ...]
 
 
 @dataclass(frozen=True)
 class Study:
-    """All that the study draws from; rates in Hz, duration in s, noise (3,) in m/s."""
+    """All that the study draws from; rates in Hz, duration in s."""
 
-    seed: int
-    trials: int
-    duration: float
-    imu_rate: float
-    update_rate: float
-    score_rate: float
-    gammas: tuple[float, ...]
-    calibration_trials: int
-    population: int
+    seed: Annotated[int, Meta(ge=0)]
+    trials: Annotated[int, Meta(ge=2)]  # the tables give standard deviations
+    duration: Positive
+    imu_rate: Positive
+    update_rate: Positive
+    score_rate: Positive
+    gammas: Annotated[tuple[Level, ...], Meta(min_length=1)]
+    calibration_trials: Annotated[int, Meta(ge=5)]  # a covariance of three axes is estimated
+    population: Annotated[int, Meta(ge=1000)]  # quantiles are taken of it
     motion: Motion
     imu: Imu
     prior: InitialStd
-    noise: np.ndarray
-    mixture: Mixture
-    beyond_gamma: float
-    beyond_trials: int
-    beyond: tuple[Regime, ...]
+    noise: Noise
+    component: tuple[Component, ...]
+    beyond: Beyond
+
+    def __post_init__(self):
+        for name in ("update_rate", "score_rate"):
+            ratio = self.imu_rate / getattr(self, name)
+            if ratio < 1 or abs(ratio - round(ratio)) > 1e-9:
+                raise SurefootError(f"{name} must divide imu_rate")
+        try:
+            assert self.factors.shape[1:] == (3, 3)
+        except np.linalg.LinAlgError:
+            raise SurefootError("[[component]] covariance must be positive definite") from None
+
+    @cached_property
+    def noise_std(self) -> np.ndarray:
+        """Standard deviations (3,) [m/s] of the unbiased regime's errors."""
+        return np.array(self.noise.std)
+
+    @cached_property
+    def weights(self) -> np.ndarray:
+        """Weights (C,) of the mixture's components; they sum to 1."""
+        weights = np.array([one.weight for one in self.component])
+        return weights / weights.sum()
+
+    @cached_property
+    def means(self) -> np.ndarray:
+        """Means (C, 3) [m/s] of the mixture's components, in I."""
+        return np.array([one.mean for one in self.component])
+
+    @cached_property
+    def factors(self) -> np.ndarray:
+        """Lower Cholesky factors (C, 3, 3) [m/s] of the components' covariances."""
+        return np.linalg.cholesky(np.array([one.covariance for one in self.component]))
 
     @property
     def samples(self) -> int:
@@ -130,109 +201,4 @@ class Study:
 
 def load_study(path: str | Path = BUNDLED) -> Study:
     """The study of a file. Raises SurefootError, one line with file and key, where it is bad."""
-    path = Path(path)
-    table = read_toml(path)
-    try:
-        study = _study(table)
-    except SurefootError as error:
-        raise SurefootError(f"{path}: {error}") from None
-    except KeyError as error:
-        raise SurefootError(f"{path}: {error} is missing") from None
-    except (TypeError, ValueError, AttributeError, np.linalg.LinAlgError) as error:
-        raise SurefootError(f"{path}: {error}") from None
-    return study
-
-
-def _study(table: dict[str, Any]) -> Study:
-    beyond, components = table["beyond"], table["component"]
-    known = {f.name for f in fields(Study)} - {"beyond_gamma", "beyond_trials", "mixture"}
-    _refuse_unknown(table, known | {"component"}, "")
-    _refuse_unknown(beyond, {"gamma", "trials", "regime"}, "beyond.")
-    _refuse_unknown(table["noise"], {"std"}, "noise.")
-    for component in components:
-        _refuse_unknown(component, {"weight", "mean", "covariance"}, "component.")
-    weights = np.array([c["weight"] for c in components], dtype=float)
-    imu = dict(table["imu"])
-    for name in ("bias_gyro", "bias_accel"):
-        imu[name] = _vector(imu[name], name)
-    study = Study(
-        **{
-            name: kind(table[name])
-            for name, kind in {
-                "seed": int, "trials": int, "duration": float, "imu_rate": float,
-                "update_rate": float, "score_rate": float, "calibration_trials": int,
-                "population": int,
-            }.items()
-        },
-        gammas=tuple(float(g) for g in table["gammas"]),
-        motion=_section(Motion, table["motion"], "motion"),
-        imu=_section(Imu, imu, "imu"),
-        prior=_section(InitialStd, table["prior"], "prior"),
-        noise=_vector(table["noise"]["std"], "noise.std"),
-        mixture=Mixture(
-            weights / weights.sum(),
-            np.array([_vector(c["mean"], "component.mean") for c in components]),
-            np.linalg.cholesky(np.array([c["covariance"] for c in components], dtype=float)),
-        ),
-        beyond_gamma=float(beyond["gamma"]),
-        beyond_trials=int(beyond["trials"]),
-        beyond=tuple(_regime(r) for r in beyond["regime"]),
-    )  # fmt: skip
-    _check(study)
-    return study
-
-
-def _check(study: Study) -> None:
-    for name in ("trials", "beyond_trials", "duration", "imu_rate", "update_rate", "score_rate"):
-        if not 0 < getattr(study, name) < np.inf:
-            raise SurefootError(f"{name} must be a number > 0")
-    for name, rate in (("update_rate", study.update_rate), ("score_rate", study.score_rate)):
-        ratio = study.imu_rate / rate
-        if ratio < 1 or abs(ratio - round(ratio)) > 1e-9:
-            raise SurefootError(f"{name} must divide imu_rate")
-    if study.calibration_trials < 5:
-        raise SurefootError("calibration_trials must be 5 or more: three axes are estimated")
-    if study.population < 1000:
-        raise SurefootError("population must be 1000 or more: quantiles are taken of it")
-    if not study.gammas or not all(0 < g < 1 for g in (*study.gammas, study.beyond_gamma)):
-        raise SurefootError("gammas must be inside (0, 1)")
-    if not np.all(study.noise > 0) or not np.all(study.mixture.weights >= 0):
-        raise SurefootError("noise.std must be > 0 and component weights >= 0")
-
-
-def _regime(table: dict[str, Any]) -> Regime:
-    """A regime of `beyond`: what is not said of the calibration is as in the test."""
-    names = {f.name for f in fields(ErrorLaw)}
-    _refuse_unknown(
-        table, {"name"} | names | {f"calibrated_{n}" for n in names}, "beyond.regime."
-    )  # fmt: skip
-    values: dict[str, Any] = {"bias": 1.0} | {n: table[n] for n in names if n in table}
-    # Half the bias, twice the bias: the calibration is still that of the full one.
-    calibrated: dict[str, Any] = values | {"bias": 1.0, "drift": 0.0}
-    calibrated |= {n: table[f"calibrated_{n}"] for n in names if f"calibrated_{n}" in table}
-    for law in (values, calibrated):
-        if law.get("mixing", MIXINGS[0]) not in MIXINGS:
-            raise SurefootError(f"mixing '{law['mixing']}' is unknown: {' | '.join(MIXINGS)}")
-    return Regime(str(table["name"]), ErrorLaw(**values), ErrorLaw(**calibrated))
-
-
-def _section(kind: type[T], table: dict[str, Any], where: str) -> T:
-    names = {f.name for f in fields(kind)}  # pyright: ignore
-    _refuse_unknown(table, names, f"{where}.")
-    missing = sorted(names - set(table))
-    if missing:
-        raise SurefootError(f"'{where}.{missing[0]}' is missing")
-    return kind(**table)
-
-
-def _refuse_unknown(table: dict[str, Any], known: set[str], where: str) -> None:
-    unknown = sorted(set(table) - known)
-    if unknown:
-        raise SurefootError(f"unknown key '{where}{unknown[0]}'")
-
-
-def _vector(value: Any, name: str) -> np.ndarray:
-    out = np.array(value, dtype=float)
-    if out.shape != (3,) or not np.isfinite(out).all():
-        raise SurefootError(f"'{name}' must be three finite numbers")
-    return out
+    return read_typed(path, Study)

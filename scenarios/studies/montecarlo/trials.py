@@ -29,13 +29,13 @@ class Truth:
     accel: np.ndarray
 
     def state(self, k: int = 0) -> NavState:
-        """The true state at row k; biases are zero, whoever adds them knows them."""
+        """The true state at row k; biases are zero."""
         return NavState(self.R_GI[k], self.v_GI[k], self.p_GI[k])
 
 
 @dataclass(frozen=True)
 class Trials:
-    """T trials: what filters are given, and where they start.
+    """T trials: the readings that filters take, and where they start.
 
     gyro and accel (T, N+1, 3); v_I (T, M, 3) [m/s] after every N/M-th sample; means (T, 7, 3)
     packed starts and their covariance (15, 15), from which they were drawn.
@@ -89,15 +89,14 @@ def velocity_errors(
     study: Study, law: ErrorLaw, count: int, rng: np.random.Generator
 ) -> np.ndarray:
     """Errors (count, 3) [m/s] of one trial: a component kept throughout, and noise."""
-    mixture = study.mixture
     if law.bias == 0.0:
-        persistent, factor = np.zeros((1, 3)), np.diag(study.noise)
+        persistent, factor = np.zeros((1, 3)), np.diag(study.noise_std)
     else:
-        component = rng.choice(len(mixture.weights), p=mixture.weights)
-        persistent, factor = law.bias * mixture.means[component][None], mixture.factors[component]
+        component = rng.choice(len(study.weights), p=study.weights)
+        persistent, factor = law.bias * study.means[component][None], study.factors[component]
         if law.drift > 0.0:
-            spread = np.einsum("c,ci,cj->ij", mixture.weights, mixture.means, mixture.means)
-            steps = rng.standard_normal((count, 3)) @ np.linalg.cholesky(spread).T
+            second = np.einsum("c,ci,cj->ij", study.weights, study.means, study.means)
+            steps = rng.standard_normal((count, 3)) @ np.linalg.cholesky(second).T
             persistent = law.bias * _gauss_markov(steps, 1.0 / (study.update_rate * law.drift))
     return law.scale * (persistent + _mixing(law.mixing, count, rng) @ factor.T)
 
@@ -128,10 +127,10 @@ def _mixing(kind: str, count: int, rng: np.random.Generator) -> np.ndarray:
 def _gauss_markov(steps, rate: float):
     """A stationary process (M, 3) of the steps' covariance, exp(-rate) correlated a step."""
     keep = np.exp(-rate)
-    spread = np.sqrt(1.0 - keep * keep)
+    scale = np.sqrt(1.0 - keep * keep)
     out = steps.copy()
     for k in range(1, steps.shape[0]):
-        out[k] = keep * out[k - 1] + spread * steps[k]
+        out[k] = keep * out[k - 1] + scale * steps[k]
     return out
 
 
