@@ -19,8 +19,8 @@ from surefoot.sim.common.errors import SurefootError
 class Registry(Mapping[str, Any]):
     """Name -> member of a group: those that come with surefoot, then those that users add.
 
-    Names are listed without an import; a member is imported when it is first looked up, so that one
-    that is broken stops only what uses it.
+    Names are listed without an import; a member is imported when it is looked up, so that one that
+    is broken stops only what uses it.
     """
 
     def __init__(self, group: str, bundled: Mapping[str, Any], needs: tuple[str, ...] = ()):
@@ -34,17 +34,13 @@ class Registry(Mapping[str, Any]):
         self.group, self.bundled, self.needs = group, bundled, needs
 
     def __iter__(self) -> Iterator[str]:
-        yield from self.bundled
-        for name, point in plugins(self.group).items():
-            if name in self.bundled:
-                raise SurefootError(f"{_what(point)}: surefoot has one of that name")
-            yield name
+        return iter(dict.fromkeys((*self.bundled, *plugins(self.group))))
 
     def __len__(self) -> int:
-        return sum(1 for _ in self)
+        return len(self.bundled.keys() | plugins(self.group).keys())
 
     def __contains__(self, name: object) -> bool:
-        return any(name == one for one in self)
+        return name in self.bundled or name in plugins(self.group)
 
     def __getitem__(self, name: str) -> Any:
         """The member of that name.
@@ -52,12 +48,17 @@ class Registry(Mapping[str, Any]):
         Raises KeyError where there is none, and SurefootError, one line that names the plugin,
         where it cannot be imported, lacks an attribute, or bears the name of another.
         """
-        if name not in self:
-            raise KeyError(name)
+        points = plugins(self.group).get(name, ())
         if name in self.bundled:
+            if points:
+                raise SurefootError(f"{_what(points[0])}: surefoot has one of that name")
             member = self.bundled[name]
             return EntryPoint(name, member, self.group).load() if type(member) is str else member
-        point = plugins(self.group)[name]
+        if not points:
+            raise KeyError(name)
+        point, *others = points
+        if others:
+            raise SurefootError(f"{_what(point)}: {others[0].value} has that name too")
         try:
             member = point.load()
         except Exception as error:  # whatever a module of a user's own raises
@@ -77,17 +78,15 @@ def load_plugins(
 
 
 @cache
-def plugins(group: str) -> dict[str, EntryPoint]:
-    """Name -> entry point of what users add to `group`, sorted by name, nothing imported yet.
+def plugins(group: str) -> dict[str, tuple[EntryPoint, ...]]:
+    """Name -> entry points of what users add to `group`, sorted by name, nothing imported yet.
 
-    Raises SurefootError where two packages use one name.
+    More than one where packages disagree on what the name means.
     """
-    found: dict[str, EntryPoint] = {}
-    for point in sorted(entry_points(group=group), key=lambda point: point.name):
-        other = found.setdefault(point.name, point)
-        if other.value != point.value:
-            raise SurefootError(f"{_what(point)}: {other.value} has that name too")
-    return found
+    found: dict[str, dict[str, EntryPoint]] = {}
+    for point in sorted(entry_points(group=group), key=lambda point: (point.name, point.value)):
+        found.setdefault(point.name, {})[point.value] = point
+    return {name: tuple(points.values()) for name, points in found.items()}
 
 
 def _what(point: EntryPoint) -> str:

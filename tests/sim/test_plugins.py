@@ -78,4 +78,4 @@ def test_one_name_of_two_packages_is_refused(package):
     package("mine = own_thing:Mine", "Mine = 1\n")
     package("mine = other_thing:Mine", "Mine = 2\n", name="other")
     with pytest.raises(SurefootError, match="has that name too"):
-        list(Registry(GROUP, {}))
+        load_plugins(GROUP)
