@@ -1,4 +1,4 @@
-"""The networks an observer may be: those the paper weighed, each of about 20 000 parameters.
+"""The networks an observer may be: those the paper compared, each of about 20 000 parameters.
 
 | model | sees, before each answer                                   | causal |
 |-------|------------------------------------------------------------|--------|
@@ -9,39 +9,39 @@
 | mlp   | 8 samples 40 ms apart: 0.28 s back                         | yes    |
 | tcn   | convolutions dilated by 1, 2, 4, 8, 16: 0.62 s back        | yes    |
 
-All take scaled inputs x (T, B, inputs), 10 ms apart, to features (T, B, features), float32, on the
-CPU. `stepper()` gives the same sample by sample: a function from x (inputs,) to features
-(features,) that begins anew and keeps its own past. Before a log begins a window sees its first
-sample: the robot stood there.
+Each is one class as `surefoot.models.observer.network.Architecture` has it, found by its name in
+`surefoot.models.registry`. Before a log begins a window sees its first sample: the robot stood
+there.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import torch
 
-from surefoot.models.observer.gru import GRU
+from surefoot.models.observer.gru import GRU, draw_uniform
 
 Stepper = Callable[[np.ndarray], np.ndarray]
 
 
 class Recurrent(torch.nn.Module):
-    """One layer of torch's tanh RNN or LSTM."""
+    """One layer of torch's, of the kind `layer_type`."""
 
-    def __init__(self, kind: type[torch.nn.RNN] | type[torch.nn.LSTM], inputs: int, width: int):
+    layer_type: ClassVar[Callable[[int, int], torch.nn.Module]]
+    receptive_field = None
+    causal = True
+
+    def __init__(self, inputs: int, width: int):
         super().__init__()
-        self.layer = kind(inputs, width)
+        self.layer = type(self).layer_type(inputs, width)
         self.features = width
 
     def initialise(self, generator: torch.Generator) -> None:
         """Uniform within 1/sqrt(width), as torch does, drawn from `generator`."""
-        k = 1 / math.sqrt(self.features)
-        for p in self.parameters():
-            torch.nn.init.uniform_(p, -k, k, generator=generator)
+        draw_uniform(self, self.features, generator)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         return self.layer(x)[0]
@@ -58,8 +58,26 @@ class Recurrent(torch.nn.Module):
         return step
 
 
-class BothWays(torch.nn.Module):
+class RNN(Recurrent):
+    """A layer of tanh units."""
+
+    layer_type = torch.nn.RNN
+    width, rate = 120, 3e-3
+
+
+class LSTM(Recurrent):
+    """A layer of long short-term memory."""
+
+    layer_type = torch.nn.LSTM
+    width, rate = 54, 1e-2
+
+
+class BiGRU(torch.nn.Module):
     """A GRU from the log's beginning and one from its end: it knows the future, and cannot step."""
+
+    width, rate = 40, 1e-2
+    receptive_field = None
+    causal = False
 
     def __init__(self, inputs: int, width: int):
         super().__init__()
@@ -75,14 +93,18 @@ class BothWays(torch.nn.Module):
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         return torch.cat((self.forwards(x), self.backwards(x.flip(0)).flip(0)), -1)
 
+    def stepper(self) -> Stepper:
+        raise NotImplementedError("a network that is not causal has no next step")
+
 
 class Windowed(torch.nn.Module):
-    """What a window of `field` samples decides: the answers of `valid` (T + field - 1 -> T)."""
+    """Answers from a window of `receptive_field` samples: those of `valid`."""
 
-    field: int
+    receptive_field: ClassVar[int]
+    causal = True
 
     def valid(self, x: torch.Tensor) -> torch.Tensor:
-        """Features (T, B, F) from x (T + field - 1, B, inputs), the past it needs in front."""
+        """Features (T, B, F) from x (T + receptive_field - 1, B, inputs), its past in front."""
         raise NotImplementedError
 
     def initialise(self, generator: torch.Generator) -> None:
@@ -94,7 +116,7 @@ class Windowed(torch.nn.Module):
                 torch.nn.init.zeros_(p)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        return self.valid(torch.cat((x[:1].expand(self.field - 1, -1, -1), x)))
+        return self.valid(torch.cat((x[:1].expand(self.receptive_field - 1, -1, -1), x)))
 
     def stepper(self) -> Stepper:
         window = None
@@ -103,7 +125,7 @@ class Windowed(torch.nn.Module):
         def step(x: np.ndarray) -> np.ndarray:
             nonlocal window
             new = torch.from_numpy(x)[None, None]
-            window = new.expand(self.field, -1, -1) if window is None else window
+            window = new.expand(self.receptive_field, -1, -1) if window is None else window
             window = torch.cat((window[1:], new))
             return self.valid(window)[0, 0].numpy()
 
@@ -113,8 +135,9 @@ class Windowed(torch.nn.Module):
 class MLP(Windowed):
     """Two rectified layers on 8 samples, 40 ms apart."""
 
+    width, rate = 64, 1e-2
     taps, apart = 8, 4
-    field = (taps - 1) * apart + 1
+    receptive_field = (taps - 1) * apart + 1
 
     def __init__(self, inputs: int, width: int):
         super().__init__()
@@ -123,7 +146,7 @@ class MLP(Windowed):
         self.features = width
 
     def valid(self, x: torch.Tensor) -> torch.Tensor:
-        T = len(x) - self.field + 1
+        T = len(x) - self.receptive_field + 1
         seen = torch.cat([x[k * self.apart :][:T] for k in range(self.taps)], -1)
         return torch.relu(self.second(torch.relu(self.first(seen))))
 
@@ -131,8 +154,9 @@ class MLP(Windowed):
 class TCN(Windowed):
     """Residual blocks of one dilated, rectified convolution over three samples each."""
 
+    width, rate = 36, 1e-2
     dilations = (1, 2, 4, 8, 16)
-    field = 1 + 2 * sum(dilations)
+    receptive_field = 1 + 2 * sum(dilations)
 
     def __init__(self, inputs: int, width: int):
         super().__init__()
@@ -147,31 +171,3 @@ class TCN(Windowed):
         for dilation, block in zip(self.dilations, self.blocks, strict=True):
             h = h[..., 2 * dilation :] + torch.relu(block(h))
         return h.permute(2, 0, 1)
-
-
-Body = GRU | Recurrent | BothWays | MLP | TCN
-
-
-@dataclass(frozen=True)
-class Architecture:
-    """How to make one, `make(inputs, width)`, and how it was found to learn.
-
-    width: that gives it about 20 000 parameters on 36 inputs; rate: Adam's highest; field: samples
-    that an answer depends on, None where all since the log began (or, not causal, to its end) do.
-    """
-
-    make: Callable[[int, int], Body]
-    width: int
-    rate: float
-    field: int | None = None
-    causal: bool = True
-
-
-ARCHITECTURES = {
-    "gru": Architecture(GRU, 64, 1e-2),
-    "mlp": Architecture(MLP, 64, 1e-2, MLP.field),
-    "rnn": Architecture(lambda c, w: Recurrent(torch.nn.RNN, c, w), 120, 3e-3),
-    "lstm": Architecture(lambda c, w: Recurrent(torch.nn.LSTM, c, w), 54, 1e-2),
-    "bigru": Architecture(BothWays, 40, 1e-2, causal=False),
-    "tcn": Architecture(TCN, 36, 1e-2, TCN.field),
-}

@@ -157,6 +157,10 @@ class GRU(torch.nn.Module):
     `stepper()` is the same for a robot's own loop: from x (inputs,) to h (hidden,), state kept.
     """
 
+    width, rate = 64, 1e-2
+    receptive_field = None
+    causal = True
+
     def __init__(self, inputs: int, hidden: int):
         super().__init__()
         self.features = hidden
@@ -167,9 +171,7 @@ class GRU(torch.nn.Module):
 
     def initialise(self, generator: torch.Generator) -> None:
         """Uniform within 1/sqrt(hidden), as torch.nn.GRU does, drawn from `generator`."""
-        k = 1 / math.sqrt(self.features)
-        for p in self.parameters():
-            torch.nn.init.uniform_(p, -k, k, generator=generator)
+        draw_uniform(self, self.features, generator)
 
     def forward(self, x: torch.Tensor, h0: torch.Tensor | None = None) -> torch.Tensor:
         gates = torch.nn.functional.linear(x, self.weight_ih_l0, self.bias_ih_l0)
@@ -187,6 +189,13 @@ class GRU(torch.nn.Module):
             return h
 
         return one
+
+
+def draw_uniform(layer: torch.nn.Module, width: int, generator: torch.Generator) -> None:
+    """Draw all weights of a layer uniformly within 1/sqrt(width)."""
+    k = 1 / math.sqrt(width)
+    for p in layer.parameters():
+        torch.nn.init.uniform_(p, -k, k, generator=generator)
 
 
 def _transposed(weight: torch.Tensor) -> np.ndarray:

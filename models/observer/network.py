@@ -1,23 +1,25 @@
-"""The observer's network: one of `models.observer.architectures`, a linear head, and the two
-losses.
+"""The observer's network: an architecture, a linear head, and the two losses.
 
     (h_t, v_t) = NN(y_t, h_{t - dt})          the paper's Eq. (setup_rnn), h_0 = 0
 
 `mse` reads a velocity off the head. `gml` reads a Gaussian's mean and the Cholesky factor L of its
 covariance L L^T, and maximises its likelihood (Russell and Reale, Multivariate Uncertainty in Deep
-Learning, TNNLS 2022). With leg odometry the head adds to what
-the soles say (`models.observer.odometry`). Everything here is in scaled units, float32.
+Learning, TNNLS 2022). With leg odometry the head adds to that of the contact points
+(`surefoot.models.observer.odometry`). Everything here is in scaled units, float32, on the CPU.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import ClassVar, Protocol
 
+import numpy as np
 import torch
 from torch.nn.functional import softplus
 
-from surefoot.models.observer.architectures import ARCHITECTURES, Body
 from surefoot.models.observer.odometry import Odometry
+from surefoot.models.registry import ARCHITECTURES
 
 LOSSES = ("mse", "gml")
 OUTPUTS = {"mse": 3, "gml": 9}
@@ -25,12 +27,48 @@ SMALLEST = 1e-3
 """Floor of L's diagonal: a likelihood without one grows without bound on a perfect fit."""
 
 
+class Architecture(Protocol):
+    """A torch.nn.Module from scaled inputs, 10 ms apart, to features: what a new one must have.
+
+    It is made as `Architecture(inputs, width)`, holds weights in float32, and is found by an entry
+    point of the group "surefoot.architectures". With a width of its own and Adam's highest rate it
+    says how it is trained.
+
+    width: of its layers, such that it has about 20 000 parameters on 36 inputs.
+    rate: Adam's highest.
+    receptive_field: samples that an answer depends on; None where all since the log began do.
+    causal: whether an answer depends on nothing later.
+    features: number of its outputs.
+    """
+
+    width: ClassVar[int]
+    rate: ClassVar[float]
+    receptive_field: ClassVar[int | None]
+    causal: ClassVar[bool]
+    features: int
+
+    def __init__(self, inputs: int, width: int): ...
+
+    def initialise(self, generator: torch.Generator) -> None:
+        """Draw all weights from `generator`."""
+        ...
+
+    def __call__(self, x: torch.Tensor) -> torch.Tensor:
+        """Features (T, B, features) of x (T, B, inputs), from the beginning of a log."""
+        ...
+
+    def stepper(self) -> Callable[[np.ndarray], np.ndarray]:
+        """The same sample by sample, in a function from x (inputs,) to features (features,) that
+        begins anew and keeps its own past. Called of causal ones alone."""
+        ...
+
+
 class Network(torch.nn.Module):
     """`forward(x (T, B, inputs)) -> head (T, B, outputs)`, from the beginning of a log."""
 
     def __init__(self, model: str, inputs: int, outputs: int, width: int, odometry: bool = False):
         super().__init__()
-        self.body: Body = ARCHITECTURES[model].make(inputs, width)
+        self.body: Architecture = ARCHITECTURES[model](inputs, width)
         self.head = torch.nn.Linear(self.body.features, outputs)
         self.odometry = Odometry(self.body.features) if odometry else None
 

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 import torch
 
-from surefoot.models.observer.architectures import ARCHITECTURES
 from surefoot.models.observer.network import LOSSES, OUTPUTS, Network
 from surefoot.models.observer.odometry import (
     Kinematics,
@@ -25,6 +24,7 @@ from surefoot.models.observer.odometry import (
     check_leg_geometry,
     contact_points,
 )
+from surefoot.models.registry import ARCHITECTURES
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.log import Log

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from surefoot.models.observer.architectures import BothWays
 from surefoot.models.observer.imu_mounting import (
     Mounted,
     move_covariance,
@@ -78,7 +77,7 @@ class Loop:
     def __init__(self, observer: Observer):
         """Begin as at the start of a log."""
         body = observer.network.body
-        if isinstance(body, BothWays):
+        if not body.causal:
             raise ObserverError(
                 f"the observer is a {observer.model}, which reads a log from both ends: it serves "
                 "whole logs, not a loop; train one with --model gru"

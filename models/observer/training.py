@@ -19,7 +19,6 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from surefoot.models.observer.architectures import ARCHITECTURES
 from surefoot.models.observer.data import Dataset, Walk, draw, prepare
 from surefoot.models.observer.decimate import RATE
 from surefoot.models.observer.imu_mounting import Mounted
@@ -34,6 +33,7 @@ from surefoot.models.observer.observer import (
     log_digest,
 )
 from surefoot.models.observer.training_state import State, task_digest
+from surefoot.models.registry import ARCHITECTURES
 from surefoot.sim.common.errors import check_seed
 from surefoot.sim.log import Log
 
@@ -77,7 +77,7 @@ def train(
 ) -> Observer:
     """An observer of `logs`' robot from `inputs`; the same seed and logs give the same one.
 
-    `model` is one of surefoot.models.observer.architectures. `progress` True draws a bar with the
+    `model` is one of surefoot.models.registry.ARCHITECTURES. `progress` True draws a bar with the
     held-out RMSE; a
     function is called with (step, steps, rmse (3,) in m/s) after each validation. `partial` is a
     file for the state after each of them: a training that was killed goes on from there, to the
@@ -171,7 +171,7 @@ def _fit(
 ) -> _Training:
     architecture, walks = ARCHITECTURES[model], lessons.walks
     rate = schedule.rate or architecture.rate
-    unsettled = max(WARM_UP, (architecture.field or 0) - 1)
+    unsettled = max(WARM_UP, (architecture.receptive_field or 0) - 1)
     task = task_digest(
         walks, model=model, loss=loss, seed=seed, schedule=asdict(schedule), rate=rate
     )

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from surefoot.models.registry import ARCHITECTURES
 from surefoot.scenarios.cli.options import (
     BoundsFiles,
     Force,
@@ -13,6 +14,7 @@ from surefoot.scenarios.cli.options import (
     Out,
     RobotName,
     learnt_from,
+    one_of,
     read_as_declared,
     read_logs,
 )
@@ -31,7 +33,7 @@ class Train:
     inputs: Literal["q", "q,dq", "q,dq,tau", "feet", "tau,feet", "q,dq,tau,feet"] = "q,dq,tau"
     """What it reads of a log, which must have it: joint angles, velocities, torques. feet is leg
     odometry of the declared robot, computed from q and dq, which the network corrects."""
-    model: Literal["gru", "mlp", "rnn", "lstm", "bigru", "tcn"] = "gru"
+    model: one_of(ARCHITECTURES) = "gru"  # pyright: ignore[reportInvalidTypeForm]
     """The network; a bigru reads a log from both ends, so it serves whole logs alone."""
     seed: int = 0
     force: Force = False

@@ -1,9 +1,11 @@
 """What several commands of the command line share."""
 
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from tyro.conf import UseAppendAction, arg
+from tyro.extras import literal_type_from_choices
 
 from surefoot.sim.common.errors import SurefootError
 
@@ -23,6 +25,11 @@ Workers = Annotated[int, arg(help="How much runs at once on this machine.")]
 Cluster = Annotated[
     str | None, arg(help="Address of a Dask scheduler to run on, such as tcp://127.0.0.1:8786.")
 ]
+
+
+def one_of(names: Iterable[str]) -> Any:
+    """The type of an option that is one of these names, such as a Registry's: --help has them."""
+    return literal_type_from_choices(tuple(names))
 
 
 def read_logs(paths: tuple[Path, ...]) -> list:

@@ -10,6 +10,7 @@ from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.calibrate import calibrate
 from surefoot.models.observer.observer import Observer
 from surefoot.models.observer.training import Schedule, train
+from surefoot.models.registry import ARCHITECTURES
 from surefoot.scenarios.datasets.index import recipe, row_of
 from surefoot.scenarios.estimate.facts import error_table, estimate_facts
 from surefoot.scenarios.estimate.registry import NEEDS, Learnt, declared_model, run_filter
@@ -18,6 +19,7 @@ from surefoot.scenarios.experiments.cache import Product, product, product_key
 from surefoot.scenarios.experiments.file import Learning
 from surefoot.scenarios.viewer.walk_recording import record_walk
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.sources import sources_digest
 from surefoot.sim.log import Log
 from surefoot.sim.walking.batch import Job, known_robot, walk_job
 
@@ -62,14 +64,8 @@ def make_observer(
     folder: Path, logs: Sequence[tuple[str, Product]], learning: Learning, loss: str, seed: int
 ) -> Product:
     """An observer of that loss, trained on these walks as their logs declare them."""
-    inputs = {
-        "logs": [(name, walk.digest) for name, walk in logs],
-        "inputs": learning.inputs,
-        "steps": learning.steps,
-        "model": learning.model,
-        "loss": loss,
-        "seed": seed,
-    }
+    inputs = {"logs": [(name, walk.digest) for name, walk in logs], "loss": loss, "seed": seed}
+    inputs |= observer_inputs(learning)
 
     def make(path: Path) -> dict[str, Any]:
         walks = [read_walk(walk, name) for name, walk in logs]
@@ -90,6 +86,16 @@ def make_observer(
     # A killed training goes on from what it had learnt.
     partial = folder / "observer" / f"{product_key('observer', inputs, code)}.partial"
     return product(folder, "observer", inputs, code, ".pt", make)
+
+
+def observer_inputs(learning: Learning) -> dict[str, Any]:
+    """What decides an observer beside its logs, a network of a user's own with its sources."""
+    source = sources_digest(ARCHITECTURES[learning.model].__module__)
+    return {
+        "inputs": learning.inputs,
+        "steps": learning.steps,
+        "model": [learning.model, source],
+    }
 
 
 def make_bounds(

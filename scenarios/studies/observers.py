@@ -15,10 +15,10 @@ import pandas as pd
 import tyro
 from tqdm import tqdm
 
-from surefoot.models.observer.architectures import ARCHITECTURES
 from surefoot.models.observer.decimate import RATE
 from surefoot.models.observer.predict import prediction_errors
 from surefoot.models.observer.training import Schedule, train
+from surefoot.models.registry import ARCHITECTURES
 from surefoot.scenarios.datasets.simulate import simulate_all
 from surefoot.scenarios.estimate.registry import declared_model
 from surefoot.scenarios.reporting.tables import to_csv, to_markdown
@@ -139,9 +139,9 @@ def _sees(model: str) -> str:
     architecture = ARCHITECTURES[model]
     if not architecture.causal:
         return "past and future"
-    if architecture.field is None:
+    if architecture.receptive_field is None:
         return "all the past"
-    return f"{(architecture.field - 1) / RATE:.2f} s"
+    return f"{(architecture.receptive_field - 1) / RATE:.2f} s"
 
 
 if __name__ == "__main__":

@@ -29,8 +29,9 @@ def imported_sources(module: str, file: str | None = None) -> dict[str, Path]:
         module: its dotted name; a name that no source has yields nothing.
         file: its source, where Python cannot find it by name: a script, a test.
 
-    Counts imports inside functions, relative ones, and every package that a name lies in; not
-    those for type checkers alone. Imports that are made of strings are not seen.
+    Counts imports inside functions, relative ones, every package that a name lies in, and what a
+    Registry names as "module:attribute"; not those for type checkers alone. Other imports that are
+    made of strings are not seen.
     """
     found: dict[str, Path] = {}
     waiting = [module]
@@ -67,6 +68,9 @@ def _imports(path: Path, _changed: int, _size: int) -> tuple[tuple[int, str, tup
             waiting += node.orelse
             continue
         waiting += ast.iter_child_nodes(node)
+        if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("Registry"):
+            strings = (n.value for n in ast.walk(node) if isinstance(n, ast.Constant))
+            out += [(0, s.partition(":")[0], ()) for s in strings if type(s) is str and ":" in s]
         if isinstance(node, ast.Import):
             out += [(0, alias.name, ()) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):

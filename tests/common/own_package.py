@@ -5,7 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-PACKAGES = Path(__file__).resolve().parents[1] / "packages"
+COMMON = Path(__file__).resolve().parent
+PACKAGES = COMMON.parent / "packages"
 
 
 def run_with(package: str, *arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess:
@@ -13,10 +14,10 @@ def run_with(package: str, *arguments: str, cwd: Path | None = None) -> subproce
 
     In a process of its own, and not installed: no other test sees it.
     """
-    path = os.pathsep.join([str(PACKAGES / package), *filter(None, [os.environ.get("PYTHONPATH")])])
+    folders = [str(PACKAGES / package), str(COMMON), *filter(None, [os.environ.get("PYTHONPATH")])]
     return subprocess.run(
         [sys.executable, *arguments],
-        env=os.environ | {"PYTHONPATH": path},
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(folders)},
         cwd=cwd,
         capture_output=True,
         text=True,

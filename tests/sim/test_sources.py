@@ -9,6 +9,8 @@ from surefoot.sim.common import sources
 from surefoot.sim.common.sources import imported_sources, sources_digest
 
 FILES = {
+    "named": "from a import Registry\nR = Registry('g', {'one': 'house.alone:z'}, note='x: y')\n",
+    "unnamed": "HOMES = {'one': 'house.alone:z'}\n",
     "__init__": "",
     "start": "import numpy\nfrom house import plain\nfrom . import beside\nfrom .room import one\n",
     "plain": "def late():\n    import house.inside\n",
@@ -21,6 +23,8 @@ FILES = {
     "deep/__init__": "",
     "deep/two": "",
 }
+
+UNUSED = ("alone", "named", "unnamed")
 
 
 @pytest.fixture
@@ -47,7 +51,7 @@ def test_every_way_to_import_counts(house):
     assert set(imported_sources("house.start")) == expected
 
 
-@pytest.mark.parametrize("name", [name for name in FILES if name != "alone"])
+@pytest.mark.parametrize("name", [n for n in FILES if n not in UNUSED])
 def test_an_edit_of_any_of_them_changes_the_digest(house, name):
     before = sources_digest("house.start")
     path = house / f"{name}.py"
@@ -61,6 +65,11 @@ def test_an_edit_of_another_module_does_not(house):
     (house / "alone.py").write_text("z = 4\n")
     sources_digest.cache_clear()
     assert sources_digest("house.start") == before
+
+
+def test_what_a_registry_names_counts(house):
+    assert set(imported_sources("house.named")) == {"house", "house.named", "house.alone"}
+    assert set(imported_sources("house.unnamed")) == {"house.unnamed"}
 
 
 def test_the_library_counts_through_its_packages():

@@ -10,10 +10,10 @@ from surefoot.estimator.core.state import EXTRA, FilterNoise, NavState
 from surefoot.estimator.filter import InvariantFilter
 from surefoot.estimator.updates.coverage import FLOOR, update_coverage
 from surefoot.estimator.updates.velocity_output import lift, velocity_output
-from surefoot.models.observer.architectures import ARCHITECTURES
 from surefoot.models.observer.network import Network
 from surefoot.models.observer.observer import Observer
 from surefoot.models.observer.predict import Loop
+from surefoot.models.registry import ARCHITECTURES
 from surefoot.scenarios.studies.bench.ratio import Progress, Ratio, in_turn
 from surefoot.scenarios.studies.montecarlo.qmc import ordinary_boxes, qmc_moments
 from surefoot.scenarios.studies.montecarlo.settings import UNBIASED, load_study

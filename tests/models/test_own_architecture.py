@@ -1,0 +1,80 @@
+"""A network in a package of a user's own is one like ours: in help, files, training and loops."""
+
+from pathlib import Path
+
+import pytest
+from own_package import run_with
+
+from surefoot.models.observer.observer import Observer, ObserverError
+from surefoot.models.registry import ARCHITECTURES
+from surefoot.sim.common.sources import imported_sources
+
+USE = """
+import sys
+from pathlib import Path
+
+import numpy as np
+from synthetic import Body, synthetic_walk
+
+from surefoot.models.observer.observer import Observer
+from surefoot.models.observer.predict import Loop, predict, prediction_errors
+from surefoot.models.observer.samples import samples
+from surefoot.models.observer.training import Schedule, train
+from surefoot.models.registry import ARCHITECTURES
+from surefoot.scenarios.experiments.file import Experiment
+from surefoot.scenarios.experiments.products import observer_inputs
+
+print(*ARCHITECTURES)
+walk, test = (synthetic_walk(seed, 20, noise=0.1) for seed in (0, 1))
+plan = Schedule(steps=15, batch=2, every=15)
+observer = train(walk, Body(), "q,dq", model="averages", schedule=plan)
+observer.save("observer.pt")
+loaded = Observer.load("observer.pt")
+v_I = predict(loaded, test, Body()).v_I
+_, errors = prediction_errors(loaded, test, Body())
+assert np.sqrt((errors**2).mean(axis=0))[0] < test.ref_v.std(axis=0)[0]
+loop, x = Loop(loaded), samples(test, loaded.inputs).x
+assert np.allclose([loop.step(row)[0] for row in x[:50]], v_I[:50], atol=1e-5)
+
+learning = Experiment.load("grid.toml").learning
+print(learning.model, observer_inputs(learning)["model"])
+"""
+GRID = """
+scenarios = ["walk.toml"]
+[observer]
+model = "averages"
+"""
+WALK = """
+name = "walk"
+robot = "spot_class"
+[[segment]]
+duration = 2.0
+forward = 0.5
+"""
+
+
+def test_an_own_network_is_offered_trained_and_run(tmp_path):
+    (tmp_path / "grid.toml").write_text(GRID)
+    (tmp_path / "walk.toml").write_text(WALK)
+    script = tmp_path / "use.py"
+    script.write_text(USE)
+    done = run_with("own_architecture", str(script), cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    names, learning = done.stdout.splitlines()
+    assert names == "gru mlp rnn lstm bigru tcn averages"
+    assert learning.startswith("averages ['averages', '")
+    with pytest.raises(ObserverError, match=r"--model averages: choose gru \| mlp"):
+        Observer.load(tmp_path / "observer.pt")
+
+
+def test_the_command_offers_it():
+    done = run_with("own_architecture", "-m", "surefoot", "train", "--help")
+    assert "--model {gru,mlp,rnn,lstm,bigru,tcn,averages}" in done.stdout
+
+
+@pytest.mark.parametrize("name", ARCHITECTURES)
+def test_a_training_is_made_of_every_bundled_one(name):
+    """Products are kept under a digest of what training imports."""
+    sources = imported_sources("surefoot.models.observer.training")
+    assert ARCHITECTURES[name].__module__ in sources
+    assert Path(sources[ARCHITECTURES[name].__module__]).is_file()
