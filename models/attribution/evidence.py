@@ -12,7 +12,6 @@ from surefoot.models.residuals.binning import (
     mean_rate_of_change,
     reference_motion,
 )
-from surefoot.models.residuals.channels import Parts, residual, with_ground
 from surefoot.models.residuals.jacobians import (
     Regressor,
     ResidualJacobians,
@@ -22,7 +21,15 @@ from surefoot.models.residuals.jacobians import (
     wrt_readings,
     wrt_robot,
 )
-from surefoot.models.residuals.layout import Layout
+from surefoot.models.residuals.layout import Layout, layout_of
+from surefoot.models.residuals.registry import channels
+from surefoot.models.residuals.residual import (
+    ResidualTable,
+    filled,
+    residual,
+    residual_inputs,
+    with_ground,
+)
 from surefoot.sim.effects import Effect, compensate_all, effect, known_effects
 from surefoot.sim.effects.base import with_columns
 from surefoot.sim.log import Log
@@ -33,6 +40,8 @@ from surefoot.sim.sensors.streams import Sensors
 
 Key = tuple[str, str]
 """A candidate: effect name and target."""
+SMALL = 1e-3
+"""Share of a change of readings by which it is differenced where the chain rule does not go."""
 TURN_ON = 4.5
 """Standard deviations of a declared turn-on bias beyond which a bias is an effect."""
 
@@ -85,18 +94,12 @@ def log_under_model(log: Log, robot: Machine) -> LogUnderModel:
 
 def channels_of(case: LogUnderModel) -> tuple[str, ...]:
     """The channels that a log can fill at all."""
-    log, legged = case.log, not case.fixed
-    there = {
-        "imu_gyro": legged and log.has("imu"),
-        "imu_accel": legged and log.has("imu"),
-        "leg_velocity": legged and log.has("q") and log.has("contact"),
-        "foot_height": legged and log.has("q") and log.has("contact") and case.frame.level,
-        "joint_torque": log.has("q") and log.has("tau") and (case.fixed or log.has("contact")),
-        "base_wrench": legged and log.has("q") and log.has("tau") and log.has("contact"),
-        "joint_rate": log.has("q") and log.has("dq"),
-        "contact_timing": legged and log.has("q") and log.has("contact"),
-    }
-    return tuple(name for name, has in there.items() if has)
+    layout = layout_of(case.log.joints)
+    return tuple(
+        name
+        for name, channel in channels().items()
+        if name in layout and channel.fills(case.log, case.fixed, case.frame.level)
+    )
 
 
 def all_keys(case: LogUnderModel) -> tuple[Key, ...]:
@@ -174,7 +177,7 @@ def table_of(case: LogUnderModel, chosen: Sequence[Effect]) -> np.ndarray:
 
 def _parts(
     case: LogUnderModel, chosen: Sequence[Effect]
-) -> tuple[Log, Machine, Parts, ReferenceMotion]:
+) -> tuple[Log, Machine, ResidualTable, ReferenceMotion]:
     log, robot = compensate_all(chosen, case.log, case.robot)
     frame = case.frame
     if log is not case.log and _moves_frame(log.frame.attrs["changed"]):
@@ -215,19 +218,40 @@ class _Linear:
             slower = (old.imu_lowpass, old.softness) != (new.imu_lowpass, new.softness)
             if timed or turned or slower:
                 return self._by_difference(log, robot, step)
-            return _minus(wrt_robot(self.parts, self.robot, robot, step))
+            return self._reduced(wrt_robot(self.parts, self.robot, robot, step))
         moved = log.frame.attrs["last"]
         # Of joints that all move in time, the parts of the chain rule cancel but for their errors.
         if _moves_frame(moved) or {"q", "tau"} <= {name.split("_")[0] for name in moved}:
             return self._by_difference(log, robot, step)
-        change = _change(self.log, log, self.joints, self.frame, step)
-        return _minus(wrt_readings(self.parts, self.answers, change))
+        change = self._by_chain_rule(log, step)
+        return self._reduced(change + self._of_others(log, robot, step))
 
     def by_columns(self, added: Mapping[str, np.ndarray]) -> Regressor:
         """What these additions (N,) to the readings add to the table."""
         columns = {name: self.log.frame[name].to_numpy() + x for name, x in added.items()}
-        change = _change(self.log, with_columns(self.log, columns), self.joints, self.frame, 1.0)
+        change = self._by_chain_rule(with_columns(self.log, columns), 1.0)
+        small = {n: self.log.frame[n].to_numpy() + SMALL * x for n, x in added.items()}
+        others = self._of_others(with_columns(self.log, small), self.robot, SMALL)
+        return sparse(change + others, self.parts.table)
+
+    def _by_chain_rule(self, log: Log, step: float) -> np.ndarray:
+        """Change (M, W) of the table, per unit, with the readings of `log`, `step` units away."""
+        change = _change(self.log, log, self.joints, self.frame, step)
         return wrt_readings(self.parts, self.answers, change)
+
+    def _of_others(self, log: Log, robot: Machine, step: float) -> np.ndarray:
+        """The same (M, W) in the channels that the chain rule does not know, by a difference."""
+        layout, table = self.parts.layout, self.parts.table
+        others = [name for name in layout.channels if not channels()[name].chained]
+        if not others:
+            return np.zeros(table.shape)
+        moved = filled(layout, residual_inputs(log, robot, self.frame), others)
+        return np.nan_to_num(moved - table) / step
+
+    def _reduced(self, change: np.ndarray) -> Regressor:
+        """What an effect adds to the table of which compensation makes this change (M, W)."""
+        one = sparse(change, self.parts.table)
+        return Regressor(one.columns, -one.values)
 
     def _about_its_value(self, key: Key) -> Regressor:
         step = known_effects()[key[0]].step_of(key[1])
@@ -251,13 +275,13 @@ class _Linear:
                     ("gyro", sensors.gyro_turn_on), ("accel", sensors.accel_turn_on),
                 ):  # fmt: skip
                     unit = {kind: {axis: np.ones(len(parts.t))}}
-                    one = wrt_readings(parts, self.answers, unit)
+                    one = sparse(wrt_readings(parts, self.answers, unit), parts.table)
                     out.append((one, TURN_ON * turn_on, (f"{kind}_bias", name)))
-        if not self.case.fixed and self.frame.level:
-            columns = np.arange(18, 22)
-            there = np.isfinite(parts.table[:, columns])
-            for values in (np.ones(len(parts.t)), *parts.bins.p_GI[:, :2].T):
-                out.append((Regressor(columns, there * values[:, None]), np.inf, None))
+        for name, columns in parts.layout.channels.items():
+            for values in channels()[name].free(parts.inputs):
+                which = parts.layout.of(name)
+                there = np.isfinite(parts.table[:, columns])
+                out.append((Regressor(which, there * values), np.inf, None))
         return out
 
 
@@ -290,10 +314,6 @@ def _change(
                 mean_rate_of_change(difference, old.t, frame) / step
             )
     return change
-
-
-def _minus(one: Regressor) -> Regressor:
-    return Regressor(one.columns, -one.values)
 
 
 def joined(parts: Sequence[Regressor], starts: np.ndarray) -> Regressor:

@@ -7,10 +7,10 @@ import numpy as np
 
 from surefoot.models.attribution.evidence import Evidence, LogUnderModel, linearise
 from surefoot.models.attribution.fit import design, fit, normal_equations
-from surefoot.models.attribution.noise_floor import LEVEL, Repeat
+from surefoot.models.attribution.noise_floor import Repeat
 from surefoot.models.attribution.robust_weights import RobustWeights
 from surefoot.models.attribution.search import Attribution, Split
-from surefoot.models.residuals.layout import UNITS
+from surefoot.models.residuals.registry import channels
 
 AT_FLOOR = 1.05
 """A channel is at its floor up to this ratio to what the floor's walks reach (`highest`)."""
@@ -21,7 +21,7 @@ WORSE = 1.02
 
 
 @dataclass(frozen=True)
-class Channel:
+class ChannelLevel:
     """Root mean square residual on the report split, in `unit`; biases of the sensor are taken off.
 
     None for the floor where no repeat of the declared model has the channel.
@@ -52,7 +52,7 @@ class Channel:
 
 def channel_levels(
     cases: Sequence[LogUnderModel], result: Attribution, split: Split
-) -> dict[str, Channel]:
+) -> dict[str, ChannelLevel]:
     """Level of each channel on the report split, with and without the effects found."""
     evidence, trusted, floor = result.evidence, result.robust_weights, result.floor
     plain = linearise(cases, (), (), None)
@@ -65,14 +65,15 @@ def channel_levels(
         for one, rows in zip(floor.repeats, every, strict=True)
     ]
     ahead = [_ahead(one) for one in floor.repeats] if floor.evenness else floors
-    channels = {}
+    levels = {}
     for name, columns in evidence.layout.channels.items():
         if not np.isfinite(before[split.report][:, columns]).any():
             continue
-        least = LEVEL if name == "foot_height" else 0.0
+        channel = channels()[name]
+        least = channel.least_noise if channel.on_level_ground else 0.0
         level = [
             max(_rms(part[:, columns]), least)
-            for part in (ahead if name == "foot_height" else floors)
+            for part in (ahead if channel.on_level_ground else floors)
             if np.isfinite(part[:, columns]).any()
         ]
         known = float(np.sqrt(np.mean(np.square(level)))) if level else None
@@ -82,14 +83,14 @@ def channel_levels(
             # Neighbours share noise, so that a level of n bins is known to one part in sqrt(n).
             count = np.isfinite(after[split.report][:, columns]).sum()
             most = known * (1.0 + 2.0 / float(np.sqrt(max(count, 1))))
-        channels[name] = Channel(
+        levels[name] = ChannelLevel(
             before=_rms(before[split.report][:, columns]),
             after=_rms(after[split.report][:, columns]),
             noise_floor=known,
-            unit=UNITS[name],
+            unit=channel.unit,
             highest=most,
         )
-    return channels
+    return levels
 
 
 def without_bias(evidence: Evidence, trusted: RobustWeights, use: np.ndarray) -> np.ndarray:

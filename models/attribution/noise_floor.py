@@ -21,6 +21,7 @@ from surefoot.models.attribution.robust_weights import RobustWeights, robust_wei
 from surefoot.models.attribution.sensor_noise import reading_noise, sheet_noise
 from surefoot.models.attribution.whiteness import variance_inflation
 from surefoot.models.residuals.layout import Layout, layout_of
+from surefoot.models.residuals.registry import channels
 from surefoot.models.residuals.torques import declared
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect, known_effects
@@ -38,11 +39,6 @@ SEED = 20_011
 STAND = 0.5  # s
 STANDS = 0.999
 """Share of rows with a foot on the ground from which a log is one of standing."""
-LEVEL = 2e-4
-"""m. Simulated ground is level to a hundredth of a millimetre, which no reference measures."""
-ROW = 1e-3
-"""s. A contact is told by the row, so that its time is known to half of one."""
-
 
 Course = tuple[tuple[float, float, float], ...]
 Groups = tuple[str, ...]
@@ -201,10 +197,10 @@ def _floor(
 
 
 def _least(layout: Layout) -> np.ndarray:
-    """The least noise (W,) that a quadruped's columns count with."""
-    least = np.full(layout.width, 1e-12)
-    least[layout.channels["foot_height"]] = LEVEL
-    least[layout.channels["contact_timing"]] = ROW
+    """The least noise (W,) that columns count with."""
+    least = np.zeros(layout.width)
+    for name, columns in layout.channels.items():
+        least[columns] = channels()[name].least_noise
     return least
 
 

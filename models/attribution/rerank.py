@@ -75,16 +75,17 @@ def told_between_rows(data: Data) -> np.ndarray:
     noise, which would be as large for each candidate: where it is larger the bin tells nothing.
     """
     weight, begin = np.ones_like(data.robust_weights.weight), 0
+    imu = data.evidence.layout.of("imu_gyro", "imu_accel")
     for case in data.cases:
         first, count = case.frame.first, case.frame.count[:, None]
-        rows = slice(begin, begin + len(first))
-        begin = rows.stop
+        rows = begin + np.arange(len(first))
+        begin += len(first)
         if case.fixed or not case.log.has("imu"):
             continue
         x = np.hstack([case.log.gyro, case.log.accel])
         lost = np.zeros_like(x)
         lost[1:-1] = 2 / 8 * (x[2:] - 2.0 * x[1:-1] + x[:-2])
         square = np.add.reduceat(lost**2, first, axis=0) / count**2
-        noise = data.robust_weights.sigma[:6] ** 2
-        weight[rows, :6] = (noise / (noise + square)) ** 2
+        noise = data.robust_weights.sigma[imu] ** 2
+        weight[np.ix_(rows, imu)] = (noise / (noise + square)) ** 2
     return weight

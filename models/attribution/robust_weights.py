@@ -12,7 +12,7 @@ import numpy as np
 
 from surefoot.models.attribution.fit import Design
 from surefoot.models.residuals.binning import BIN
-from surefoot.models.residuals.layout import QUADRUPED, Layout
+from surefoot.models.residuals.layout import Layout
 
 SOFT = 2.5
 """Standard deviations beyond which an entry loses weight."""
@@ -28,7 +28,7 @@ ROUNDS = 3
 @dataclass(frozen=True)
 class RobustWeights:
     """sigma (W,): noise of each column in the residual's unit; weight (M, W) in 0..1, zero where
-    missing or masked; masked (M, 4): foot bins so taken, of which share is the share."""
+    missing or masked; masked (M, legs): foot bins so masked, of which share is the share."""
 
     sigma: np.ndarray
     weight: np.ndarray
@@ -39,8 +39,10 @@ class RobustWeights:
 def robust_weights(data: Design, floor: np.ndarray) -> RobustWeights:
     """Weights of an evidence whose columns the declared model leaves at `floor` (W,)."""
     layout, there = data.evidence.layout, data.there
-    legged = layout is QUADRUPED
-    masked, spoiled = np.zeros((len(there), 4), dtype=bool), np.zeros(there.shape, dtype=bool)
+    feet = layout.by_leg("leg_velocity")
+    legged = len(feet) > 0
+    masked = np.zeros((len(there), len(feet)), dtype=bool)
+    spoiled = np.zeros(there.shape, dtype=bool)
     sigma, weight = np.where(floor > 0, floor, 1e-12), there.astype(float)
     for last in (False, True) if legged else (True,):
         left = data.y
@@ -49,40 +51,43 @@ def robust_weights(data: Design, floor: np.ndarray) -> RobustWeights:
             sigma = np.maximum(floor, _pooled(layout, np.where(spoiled, np.nan, left)))
             weight = (there & ~spoiled) * _soft(layout, left / sigma)
         if not last:
-            slid, raised = slips(data, left)
-            masked, spoiled = slid | raised, _spoiled(layout, slid, raised)
-    standing = there[:, 6:18:3].sum() if legged else 0
+            slid, elsewhere = slips(data, left)
+            masked, spoiled = slid | elsewhere, _spoiled(layout, slid, elsewhere)
+    standing = there[:, feet[:, 0]].sum() if legged else 0
     return RobustWeights(sigma, weight, masked, float(masked.sum() / max(standing, 1)))
 
 
-def _spoiled(layout: Layout, slid: np.ndarray, raised: np.ndarray) -> np.ndarray:
-    """Entries (M, W) not to believe, of feet (M, 4) that slid or stood elsewhere: their velocity
-    and height; of the latter, which touch at another point, what they give the base as well."""
+def _spoiled(layout: Layout, slid: np.ndarray, elsewhere: np.ndarray) -> np.ndarray:
+    """Entries (M, W) that are masked, where feet (M, legs) slid or stood elsewhere: columns of such
+    a foot, and columns of no foot where any foot did, of the channels that mind."""
     spoiled = np.zeros((len(slid), layout.width), dtype=bool)
-    either = slid | raised
-    spoiled[:, layout.channels["leg_velocity"]] = np.repeat(either, 3, axis=1)
-    spoiled[:, layout.channels["foot_height"]] = either
-    spoiled[:, layout.channels["base_wrench"]] = raised.any(axis=1, keepdims=True)
+    flags = {"slid": slid, "elsewhere": elsewhere}
+    for c, (column, causes) in enumerate(zip(layout.columns, layout.masked_by, strict=True)):
+        for cause in causes:
+            flag = flags[cause]
+            spoiled[:, c] |= flag.any(axis=1) if column.leg is None else flag[:, column.leg]
     return spoiled
 
 
 def slips(data: Design, left: np.ndarray) -> np.ndarray:
-    """Foot bins (2, M, 4) of the stances that stand out from their foot's own bulk, by their speed
-    and by their height.
+    """Foot bins (2, M, legs) of the stances that stand out from their foot's own bulk, by their
+    speed and by their height.
 
     left (M, W): what the catalogue does not explain. A stance is judged by the speed of its
     fastest bin: a foot that slides sticks again before the stance is over, and a mean over the
     stance would leave every second slip in. And by its height, since one that stands on an edge
     does not slide.
     """
-    masked = np.zeros((2, len(left), 4), dtype=bool)
-    for leg in range(4):
-        speed = np.sqrt(np.sum(left[:, 6 + 3 * leg : 9 + 3 * leg] ** 2, axis=1))
+    layout = data.evidence.layout
+    velocity, heights = layout.by_leg("leg_velocity"), layout.by_leg("foot_height")
+    masked = np.zeros((2, len(left), len(velocity)), dtype=bool)
+    for leg in range(len(velocity)):
+        speed = np.sqrt(np.sum(left[:, velocity[leg]] ** 2, axis=1))
         stances = stance_bins(data.evidence.t, data.evidence.log, np.isfinite(speed))
         if len(stances) < 5:
             continue
         fastest = np.array([speed[bins].max() for bins in stances])
-        height = np.nan_to_num(np.array([left[bins, 18 + leg].mean() for bins in stances]))
+        height = np.nan_to_num(np.array([left[bins, heights[leg, 0]].mean() for bins in stances]))
         off = np.abs(height - np.median(height))
         for kind, out in enumerate((_stands_out(fastest, SLOWEST_SLIP), _stands_out(off, RAISED))):
             for stance in np.flatnonzero(out):
@@ -127,9 +132,9 @@ def _pooled(layout: Layout, left: np.ndarray) -> np.ndarray:
     """Robust standard deviation of each column, pooled over those that are alike."""
     sigma = np.zeros(layout.width)
     for columns in layout.alike:
-        values = np.abs(left[:, list(columns)])
+        values = np.abs(left[:, columns])
         values = values[np.isfinite(values)]
-        sigma[list(columns)] = 1.4826 * np.median(values) if len(values) else 0.0
+        sigma[columns] = 1.4826 * np.median(values) if len(values) else 0.0
     return np.maximum(sigma, 1e-12)
 
 
@@ -137,7 +142,6 @@ def _soft(layout: Layout, z: np.ndarray) -> np.ndarray:
     """Weights (M, W): one for the bulk, falling as the inverse square beyond SOFT deviations."""
     weight = np.ones_like(z)
     for group in layout.groups:
-        count = group.stop - group.start
-        size = np.sqrt(np.nansum(z[:, group] ** 2, axis=1) / count)
+        size = np.sqrt(np.nansum(z[:, group] ** 2, axis=1) / len(group))
         weight[:, group] = np.minimum(1.0, (SOFT / np.maximum(size, SOFT)) ** 2)[:, None]
     return weight

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from surefoot.models.attribution.evidence import LogUnderModel, table_of
-from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.layout import Layout
+from surefoot.models.residuals.registry import channels
 from surefoot.sim.effects.base import Effect, with_columns
 from surefoot.sim.log import Log
 from surefoot.sim.sensors.streams import Sensors
@@ -17,22 +17,9 @@ SEED = 20_012
 
 def sheet_noise(rate: float, layout: Layout, evenness: float = 0.0) -> np.ndarray:
     """Standard deviation (W,) of a bin's residual from the sensors' noise and the ground alone."""
-    s, rows = Sensors(), max(1.0, BIN * rate)
-    reach = 0.5  # m, from a joint to the foot
-    torque = s.torque_noise / np.sqrt(rows)
-    noise = {
-        "imu_gyro": s.gyro_noise / np.sqrt(BIN),
-        "imu_accel": s.accel_noise / np.sqrt(BIN),
-        "leg_velocity": s.velocity_noise * reach * np.sqrt(3 / rows),
-        "foot_height": float(np.hypot(s.encoder_step * reach, evenness)),
-        "joint_torque": torque,
-        "base_wrench": torque / reach * np.sqrt(12),
-        "contact_timing": 1.0 / rate,
-        "joint_rate": s.velocity_noise / np.sqrt(rows) + s.encoder_step / BIN / np.sqrt(rows),
-    }
     sigma = np.zeros(layout.width)
     for name, columns in layout.channels.items():
-        sigma[columns] = noise[name]
+        sigma[columns] = channels()[name].noise(Sensors(), rate, evenness)
     return sigma
 
 

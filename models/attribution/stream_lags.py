@@ -1,6 +1,6 @@
 """How late is each stream of a log against its reference, where nobody stamped them together?"""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -97,16 +97,14 @@ def _velocity_costs(log: Log) -> np.ndarray:
 def _leg_costs(
     log: Log, robot: Robot, frame: ReferenceMotion, part: tuple[float, float]
 ) -> np.ndarray:
+    robot = replace(robot, foot_radius=np.maximum(robot.foot_radius, 0.0))
     q, dq = CubicSpline(log.t, log.q), CubicSpline(log.t, joint_velocity(log))
     phase = np.column_stack([phase_of(contact) for contact in log.contact.T])
     standing = frame.standing & (phase >= part[0]) & (phase <= part[1])
     costs = []
     for d in SHIFTS:
         then = np.clip(log.t + d, log.t[0], log.t[-1])
-        v = leg_velocity(
-            robot.legs, np.maximum(robot.foot_radius, 0.0), robot.R_BI, robot.p_BI, q(then),
-            dq(then), log.gyro, frame.up_I, standing,
-        )  # fmt: skip
+        v = leg_velocity(robot, q(then), dq(then), log.gyro, frame.up_I, standing)
         # Wrong lengths and radii leave each foot a mean of its own, which says nothing of time.
         off = v - frame.v_I[:, None]
         off = off - np.nanmedian(off, axis=0)

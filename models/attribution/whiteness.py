@@ -33,5 +33,5 @@ def variance_inflation(data: Design, trusted: RobustWeights) -> np.ndarray:
             seen = expected > 1e-12 * max(float(expected.max()), 1e-300)
             found += list(score[seen] ** 2 / expected[seen])
         if found:
-            ratios[list(columns)] = max(1.0, float(np.mean(found)))
+            ratios[columns] = max(1.0, float(np.mean(found)))
     return ratios

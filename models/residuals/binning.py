@@ -8,6 +8,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 
+from surefoot.models.residuals.limbs import limbs_of
 from surefoot.sim.log import Log, joint_velocity, reference_velocity
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
@@ -23,14 +24,14 @@ ENDS = 0.006
 
 @dataclass(frozen=True)
 class ReferenceMotion:
-    """What the residual of a log is measured against; it stays as it is while effects are tried.
+    """What readings are compared with; it stays as it is while effects are tried.
 
     gyro, accel (N, 3): what the reference implies, by the exact inverse of `sim.sensors.streams`;
-    v_I,
-    p_GI (N, 3), R_GI (N, 3, 3): the reference's motion; ok (N,): rows that have a reference; moved
-    (N,): rows whose step has one; standing, lifted (N, 4): feet well inside a stance, or a swing;
-    first (M,): first row of each bin, count (M,) its rows, t (M,) its mean time, s.
-    A log without a reference, of a machine on a fixed base, has `ok` everywhere and zero motion.
+    v_I, p_GI (N, 3), R_GI (N, 3, 3): the reference's motion; ok (N,): rows that have a reference;
+    moved (N,): rows whose step has one; standing, lifted (N, L): of L feet, those well inside a
+    stance, or a swing; first (M,): first row of each bin, count (M,) its rows, t (M,) its mean
+    time, s. A log without a reference, of a machine on a fixed base, has `ok` everywhere and zero
+    motion.
     """
 
     gyro: np.ndarray
@@ -46,7 +47,7 @@ class ReferenceMotion:
     count: np.ndarray
     t: np.ndarray
     level: bool = False
-    """Whether the ground is level, so that heights of feet tell of the robot."""
+    """Whether the ground is level, so that heights of feet depend on the robot alone."""
 
     @property
     def up_I(self) -> np.ndarray:
@@ -56,13 +57,16 @@ class ReferenceMotion:
 
 @dataclass(frozen=True)
 class Bins:
-    """Means over the M bins. t (M,) s; q, dq, tau (M, J), NaN where the log has none; gyro and
-    accel (M, 3) less what the reference implies, NaN where it implies nothing; omega (M, 3): rate
-    of the IMU at the rows' own times, in I; base (M, 9): rate, its derivative and specific force of
-    the base's origin, in B; v_I, p_GI (M, 3), R_GI (M, 3, 3): the reference's motion; standing,
-    lifted (M, 4); lag (M, J) rad: angles less the integral of the rates; q_step, dq_step, ddq
-    (M, J): means over the times of its torques; depth (M, 4) [m] and v_sole (M, 4, 3) [m/s], in I:
-    how deep feet are in soft ground and how they move in it, where the model knows it to be."""
+    """Means over the M bins, of J joints and L feet.
+
+    t (M,) s; q, dq, tau (M, J), NaN where the log has none; gyro and accel (M, 3) minus what the
+    reference implies, NaN where it implies nothing; omega (M, 3): rate of the IMU at the rows' own
+    times, in I; base (M, 9): rate, its derivative and specific force of the base's origin, in B;
+    v_I, p_GI (M, 3), R_GI (M, 3, 3): the reference's motion; standing, lifted (M, L); lag (M, J)
+    rad: angles minus the integral of the rates; q_step, dq_step, ddq (M, J): means over the times
+    of its torques; depth (M, L) [m] and v_sole (M, L, 3) [m/s], in I: how deep feet are in soft
+    ground and how they move in it, where the model knows it to be.
+    """
 
     t: np.ndarray
     q: np.ndarray
@@ -94,8 +98,9 @@ def reference_motion(log: Log, fixed: bool = False) -> ReferenceMotion:
     count = np.diff(np.append(first, len(t)))
     bins = {"first": first, "count": count, "t": np.add.reduceat(t, first) / count}
     none = np.zeros((len(t), 3))
+    legs = len(limbs_of(log.joints).legs)
     if fixed:
-        every, feet = np.ones(len(t), dtype=bool), np.zeros((len(t), 4), dtype=bool)
+        every, feet = np.ones(len(t), dtype=bool), np.zeros((len(t), legs), dtype=bool)
         still = np.broadcast_to(np.eye(3), (len(t), 3, 3))
         return ReferenceMotion(none, none, none, none, still, every, ~every, feet, ~feet, **bins)
     log.require("reference")
@@ -105,7 +110,7 @@ def reference_motion(log: Log, fixed: bool = False) -> ReferenceMotion:
     gyro[1:], accel[1:] = between_states(t, R_GI, v_GI)
     gyro[0], accel[0] = gyro[1], accel[1]
     whole = np.concatenate([[False], dt < 1.5 * np.median(dt)])
-    feet = np.zeros((2, len(t), 4), dtype=bool)
+    feet = np.zeros((2, len(t), legs), dtype=bool)
     if log.has("contact"):
         feet = np.stack([inside_stance(t, log.contact), inside_stance(t, ~log.contact)])
     return ReferenceMotion(
@@ -123,7 +128,7 @@ def reference_motion(log: Log, fixed: bool = False) -> ReferenceMotion:
 
 
 def inside_stance(t: np.ndarray, contact: np.ndarray) -> np.ndarray:
-    """Rows and feet (N, 4) that stand, farther than EDGE from either end of their stance."""
+    """Rows and feet (N, legs) that stand, farther than EDGE from either end of their stance."""
     inside = contact.copy()
     for leg in range(contact.shape[1]):
         change = np.flatnonzero(np.diff(contact[:, leg].astype(int)))
@@ -162,13 +167,24 @@ def binned(log: Log, robot: Machine, frame: ReferenceMotion) -> Bins:
     omega = 0.5 * (omega + np.concatenate([omega[1:], omega[-1:]]))
     mean = bin_mean(frame)
     return Bins(
-        frame.t, mean(q), mean(dq), mean(tau), _where_most(gyro, frame), _where_most(accel, frame),
-        mean(omega), mean(base), mean(frame.v_I), mean(frame.p_GI), mean(frame.R_GI),
-        mean(frame.standing.astype(float)) >= 0.5, mean(frame.lifted.astype(float)) >= 0.999,
-        mean(q - cumulative_trapezoid(dq, log.t, axis=0, initial=0.0)),
-        mean(at_torques(q, frame)), mean(at_torques(dq, frame)), mean_rate_of_change(dq, log.t,
-    frame),
-    )  # fmt: skip
+        t=frame.t,
+        q=mean(q),
+        dq=mean(dq),
+        tau=mean(tau),
+        gyro=_where_most(gyro, frame),
+        accel=_where_most(accel, frame),
+        omega=mean(omega),
+        base=mean(base),
+        v_I=mean(frame.v_I),
+        p_GI=mean(frame.p_GI),
+        R_GI=mean(frame.R_GI),
+        standing=mean(frame.standing.astype(float)) >= 0.5,
+        lifted=mean(frame.lifted.astype(float)) >= 0.999,
+        lag=mean(q - cumulative_trapezoid(dq, log.t, axis=0, initial=0.0)),
+        q_step=mean(at_torques(q, frame)),
+        dq_step=mean(at_torques(dq, frame)),
+        ddq=mean_rate_of_change(dq, log.t, frame),
+    )
 
 
 def bin_mean(frame: ReferenceMotion):

@@ -1,129 +1,243 @@
-"""What a log's readings say beyond the model: residual channels against the log's reference.
+"""The residual channels that come with surefoot, each against the log's reference or its model.
 
     imu_gyro, imu_accel   reading minus what the reference motion implies for the same sample
-    leg_velocity          body velocity by each standing foot's kinematics, less the reference's
+    leg_velocity          body velocity by each standing foot's kinematics minus the reference's
     foot_height           height of each standing foot in the world, where the ground is level
-    joint_torque          measured torque less inverse dynamics, of legs in swing or a fixed base
-    base_wrench           what the standing feet give the base less what its motion takes
-    joint_rate            slope of a joint's measured angle less its measured rate
-    contact_timing        when a contact is told to change less when the foot stopped or moved
+    joint_torque          measured torque minus inverse dynamics, of legs in swing or a fixed base
+    base_wrench           what the standing feet give the base minus what its motion takes
+    joint_rate            slope of a joint's measured angle minus its measured rate
+    contact_timing        when a contact changes minus when the foot stopped or started to move
 
 Residuals are means over bins of 20 ms.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
 
 import numpy as np
 
-from surefoot.models.residuals.binning import Bins, ReferenceMotion, binned
+from surefoot.models.residuals.binning import BIN
+from surefoot.models.residuals.channel import Channel, Column, ResidualInputs
 from surefoot.models.residuals.contact_timing import contact_timing
-from surefoot.models.residuals.foot_loads import foot_loads
-from surefoot.models.residuals.layout import QUADRUPED, Layout, layout_of
-from surefoot.models.residuals.leg_velocity import leg_velocity
-from surefoot.models.residuals.soft_ground import foot_sinking
-from surefoot.models.residuals.torques import (
-    InverseDynamics,
-    Steps,
-    inverse_dynamics,
-    slope,
-    steps_of,
-    torque_residual,
-    wrench_residual,
-)
-from surefoot.sim.log import Log
+from surefoot.models.residuals.feet import foot_heights, leg_velocities
+from surefoot.models.residuals.limbs import Limbs
+from surefoot.models.residuals.torques import slope, torque_residual, wrench_residual
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.sensors.streams import Sensors
 
-HALFWAY = 0.5
-"""Share of a foot's depth above its sole at which it touches."""
-
-
-@dataclass(frozen=True)
-class Parts:
-    """A log's residuals and what they were computed from: what derivatives need again."""
-
-    layout: Layout
-    bins: Bins
-    steps: Steps
-    inverse_dynamics: InverseDynamics | None
-    table: np.ndarray  # (M, W)
-    t: np.ndarray  # (M,) s
+AXES = ("x", "y", "z")
+REACH = 0.5
+"""m from a joint to the foot, by which its noise is carried to the foot where only data sheets
+say what noise there is."""
 
 
-def residual(log: Log, robot: Machine, frame: ReferenceMotion) -> Parts:
-    """Residuals of the log's readings under the declared model `robot`."""
-    layout = layout_of(log.joints)
-    bins = binned(log, robot, frame)
-    table = np.full((len(bins.t), layout.width), np.nan)
-    steps, needed = steps_of(bins, robot), None
-    if np.isfinite(bins.tau).any():
-        needed = inverse_dynamics(steps, robot)
-        table[:, layout.channels["joint_torque"]] = torque_residual(steps, needed)
-    if log.has("q") and log.has("dq"):
-        rates = slope(bins.lag)
+class ImuGyro(Channel):
+    """Angular rate minus that of the reference motion."""
+
+    name = "imu_gyro"
+    unit = "rad/s"
+    needs = ("imu", "reference")
+    chained = True
+
+    def columns(self, limbs: Limbs) -> tuple[Column, ...]:
+        legged = bool(limbs.legs)
+        return tuple(Column(f"gyro_{a}", self.unit, "gyro", a) for a in AXES if legged)
+
+    def residual(self, inputs: ResidualInputs) -> np.ndarray:
+        return inputs.bins.gyro
+
+    def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
+        return sensors.gyro_noise / np.sqrt(BIN)
+
+
+class ImuAccel(Channel):
+    """Specific force minus that of the reference motion."""
+
+    name = "imu_accel"
+    unit = "m/s^2"
+    needs = ("imu", "reference")
+    chained = True
+
+    def columns(self, limbs: Limbs) -> tuple[Column, ...]:
+        legged = bool(limbs.legs)
+        return tuple(Column(f"accel_{a}", self.unit, "accel", a) for a in AXES if legged)
+
+    def residual(self, inputs: ResidualInputs) -> np.ndarray:
+        return inputs.bins.accel
+
+    def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
+        return sensors.accel_noise / np.sqrt(BIN)
+
+
+class LegVelocity(Channel):
+    """The body's velocity by the kinematics of each standing foot minus that of the reference."""
+
+    name = "leg_velocity"
+    unit = "m/s"
+    needs = ("q", "contact", "reference")
+    masked_by = ("slid", "elsewhere")
+    chained = True
+
+    def columns(self, limbs: Limbs) -> tuple[Column, ...]:
+        return tuple(
+            Column(f"leg_{leg}_{axis}", self.unit, leg, axis, i)
+            for i, leg in enumerate(limbs.legs)
+            for axis in AXES
+        )
+
+    def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
+        if not _stands(inputs):
+            return None
+        return leg_velocities(inputs.bins, inputs.robot)
+
+    def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
+        return sensors.velocity_noise * REACH * np.sqrt(3 / _rows(rate))
+
+
+class FootHeight(Channel):
+    """Height of each standing foot, of which a plane and the legs' own lengths are unknown."""
+
+    name = "foot_height"
+    unit = "m"
+    needs = ("q", "contact", "reference")
+    on_level_ground = True
+    masked_by = ("slid", "elsewhere")
+    least_noise = 2e-4
+    """m. Simulated ground is level to a hundredth of a millimetre, which no reference measures."""
+    chained = True
+
+    def columns(self, limbs: Limbs) -> tuple[Column, ...]:
+        legs = enumerate(limbs.legs)
+        return tuple(Column(f"height_{leg}", self.unit, leg, "", i) for i, leg in legs)
+
+    def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
+        if not (_stands(inputs) and inputs.motion.level):
+            return None
+        return foot_heights(inputs.bins, inputs.robot)
+
+    def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
+        return float(np.hypot(sensors.encoder_step * REACH, evenness))
+
+    def free(self, inputs: ResidualInputs) -> Sequence[np.ndarray]:
+        """The plane that a log's feet stand on."""
+        if not inputs.motion.level:
+            return ()
+        x, y = inputs.bins.p_GI[:, :2].T
+        return np.ones((len(x), 1)), x[:, None], y[:, None]
+
+
+class JointTorque(Channel):
+    """Measured torque minus inverse dynamics: of legs in swing, or of a fixed base."""
+
+    name = "joint_torque"
+    unit = "N m"
+    needs = ("q", "tau", "contact")
+    on_fixed_base = True
+    chained = True
+
+    def columns(self, limbs: Limbs) -> tuple[Column, ...]:
+        return _of_joints("torque", self.unit, limbs)
+
+    def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
+        if inputs.inverse_dynamics is None:
+            return None
+        return torque_residual(inputs.steps, inputs.inverse_dynamics)
+
+    def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
+        return sensors.torque_noise / np.sqrt(_rows(rate))
+
+
+class BaseWrench(Channel):
+    """Force and moment that the standing feet give the base minus what its motion takes."""
+
+    name = "base_wrench"
+    unit = "N and N m"
+    needs = ("q", "tau", "contact", "reference")
+    masked_by = ("elsewhere",)
+    chained = True
+
+    def columns(self, limbs: Limbs) -> tuple[Column, ...]:
+        kinds = (("force", "N"), ("moment", "N m")) if limbs.legs else ()
+        return tuple(
+            Column(f"{kind}_{axis}", unit, kind, f"{kind}_{axis}")
+            for kind, unit in kinds
+            for axis in AXES
+        )
+
+    def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
+        if inputs.inverse_dynamics is None:
+            return None
+        assert isinstance(inputs.robot, Robot)
+        return wrench_residual(inputs.steps, inputs.inverse_dynamics, inputs.robot)
+
+    def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
+        return sensors.torque_noise / np.sqrt(_rows(rate)) / REACH * np.sqrt(12)
+
+
+class JointRate(Channel):
+    """Slope of a joint's measured angle minus its measured rate."""
+
+    name = "joint_rate"
+    unit = "rad/s"
+    needs = ("q", "dq")
+    on_fixed_base = True
+    chained = True
+
+    def columns(self, limbs: Limbs) -> tuple[Column, ...]:
+        return _of_joints("rate", self.unit, limbs)
+
+    def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
+        if not (inputs.log.has("q") and inputs.log.has("dq")):
+            return None
+        rates = slope(inputs.bins.lag)
         rates[[0, -1]] = np.nan
-        table[:, layout.channels["joint_rate"]] = rates
-    if layout is QUADRUPED:
-        assert isinstance(robot, Robot)
-        table[:, :3], table[:, 3:6] = bins.gyro, bins.accel
-        if log.has("q") and bins.standing.any():
-            if robot.extras.softness:
-                load = foot_loads(log, robot, frame, bins, steps)
-                depth, v_sole = foot_sinking(log, robot, frame, bins, load)
-                bins = replace(bins, depth=depth, v_sole=v_sole)
-                steps = replace(steps, sunk=HALFWAY * depth)
-            table[:, 6:18] = leg_columns(bins, robot)
-            if frame.level:
-                table[:, 18:22] = height_columns(bins, robot)
-            table[:, layout.channels["contact_timing"]] = contact_timing(log, robot, frame)
-            if needed is not None:
-                table[:, 34:40] = wrench_residual(steps, needed, robot)
-    return Parts(layout, bins, steps, needed, table, frame.t)
+        return rates
+
+    def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
+        root = np.sqrt(_rows(rate))
+        return sensors.velocity_noise / root + sensors.encoder_step / BIN / root
 
 
-def leg_columns(bins: Bins, robot: Robot) -> np.ndarray:
-    """(M, 12) [m/s] in I. With v_foot = 0 at the contact point of a foot that rolls on its sphere
-    of radius r, v_I = -J dq - omega x f + (omega + omega_foot) x r n, all in I."""
-    v = leg_velocity(
-        robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI, bins.q, bins.dq, bins.omega,
-        bins.R_GI[:, 2], bins.standing,
-    )  # fmt: skip
-    v -= bins.v_I[:, None]
-    if bins.depth is not None and bins.v_sole is not None:
-        spin = bins.omega[:, None] + robot.foot_rates_I(bins.q, bins.dq)
-        rise = HALFWAY * bins.depth[:, :, None] * bins.R_GI[:, None, 2]
-        v += bins.v_sole - np.cross(spin, rise)
-    return v.reshape(len(v), 12)
+class ContactTiming(Channel):
+    """When a contact begins or ends minus when the foot stopped or started to move.
+
+    It is a time of an event, which a small change of a reading does not move smoothly: the chain
+    rule counts it as unchanged.
+    """
+
+    name = "contact_timing"
+    unit = "s"
+    needs = ("q", "contact", "reference")
+    least_noise = 1e-3
+    """s. A contact changes at a row, so that its time is known to half of one."""
+    chained = True
+
+    def columns(self, limbs: Limbs) -> tuple[Column, ...]:
+        return tuple(
+            Column(f"{change}_{leg}", self.unit, f"{change}_{leg}", change, i)
+            for change in ("touchdown", "liftoff")
+            for i, leg in enumerate(limbs.legs)
+        )
+
+    def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
+        if not _stands(inputs):
+            return None
+        assert isinstance(inputs.robot, Robot)
+        return contact_timing(inputs.log, inputs.robot, inputs.motion)
+
+    def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
+        return 1.0 / rate
 
 
-def height_columns(bins: Bins, robot: Robot) -> np.ndarray:
-    """Height (M, 4) [m] of each standing foot's centre in the world."""
-    feet_I = robot.feet_I(bins.q)
-    z = bins.p_GI[:, 2, None] + np.einsum("nj,nlj->nl", bins.R_GI[:, 2], feet_I)
-    if bins.depth is not None:
-        z = z + bins.depth
-    return np.where(bins.standing, z, np.nan)
+def _of_joints(what: str, unit: str, limbs: Limbs) -> tuple[Column, ...]:
+    """A column for each joint, of one noise with the same joint of other legs."""
+    joints = enumerate(limbs.joints)
+    return tuple(Column(f"{what}_{name}", unit, name, limbs.kind(i)) for i, name in joints)
 
 
-def level_ground(bins: Bins, robot: Robot, within: float = 0.006) -> bool:
-    """Whether the feet stand on one plane: what a leg's heights have beyond a plane through all
-    feet and a constant of the leg's own varies by less than `within` [m]."""
-    z = height_columns(bins, robot)
-    rows, legs = np.nonzero(np.isfinite(z))
-    if len(rows) < 100:
-        return False
-    A = np.hstack([np.eye(4)[legs], bins.p_GI[rows, :2]])
-    left = z[rows, legs]
-    for _ in range(3):
-        fit = np.linalg.lstsq(A, z[rows, legs], rcond=1e-10)[0]
-        left = np.abs(z[rows, legs] - A @ fit)
-        keep = left <= 4 * np.median(left) + 1e-4
-        rows, legs, A = rows[keep], legs[keep], A[keep]
-    return bool(1.4826 * np.median(left) < within)
+def _stands(inputs: ResidualInputs) -> bool:
+    return inputs.log.has("q") and bool(inputs.bins.standing.any())
 
 
-def with_ground(frame: ReferenceMotion, log: Log, robot: Machine) -> ReferenceMotion:
-    """The frame, knowing whether heights of feet mean anything."""
-    if not isinstance(robot, Robot) or not log.has("q") or not frame.standing.any():
-        return frame
-    return replace(frame, level=level_ground(binned(log, robot, frame), robot))
+def _rows(rate: float) -> float:
+    """Rows of a bin."""
+    return max(1.0, BIN * rate)

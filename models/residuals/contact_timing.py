@@ -1,4 +1,4 @@
-"""When a foot is said to touch and to lift, against when it stops and starts to move.
+"""When contacts begin and end, against when the foot stops and starts to move.
 
 The motion is that of the point with which the foot would touch, by the leg's kinematics and the
 reference. A foot that lands stops within a millisecond; one that lifts is unloaded for a while
@@ -20,26 +20,27 @@ MOVES = 0.2
 WINDOW = 0.08
 """s on either side of a change of contact in which the foot is looked at."""
 USUAL = (-0.0005, -0.018)
-"""s, how late touchdowns and liftoffs are told on walks in simulation: within 0.7 ms and 12 ms on
-seven robots' models."""
+"""s, how late contacts begin and end on simulated walks: within 0.7 ms and 12 ms on models of seven
+robots."""
 
 
 def contact_timing(log: Log, robot: Robot, frame: ReferenceMotion) -> np.ndarray:
-    """How late contacts are told (M, 8) [s]: touchdowns of the four feet, then their liftoffs.
+    """How late contacts change (M, 2 legs) [s]: touchdowns of the feet, then their liftoffs.
 
     Each change is in the bin in which the foot stopped or started; all other bins are NaN.
     """
     rows = max(1, round(WINDOW * log.rate))
     changes = [changes_of(stands) for stands in log.contact.T]
     speed = over_ground(log, robot, frame, near_changes(changes, frame, rows))
-    late = np.full((len(frame.first), 8), np.nan)
+    late = np.full((len(frame.first), 2 * len(changes)), np.nan)
     usual = (USUAL[0] + robot.extras.touchdown_late, USUAL[1] + robot.extras.liftoff_late)
     for leg, change in enumerate(changes):
         at, when, lifts = moments(log.t, log.contact[:, leg], speed[:, leg], change, rows)
-        told = 0.5 * (log.t[change] + log.t[change - 1])
+        behind = 0.5 * (log.t[change] + log.t[change - 1]) - when
         known = np.isfinite(when)
         bins = np.searchsorted(frame.first, at[known], side="right") - 1
-        late[bins, leg + 4 * lifts[known]] = (told - when - np.where(lifts, *usual[::-1]))[known]
+        column = leg + len(changes) * lifts[known]
+        late[bins, column] = (behind - np.where(lifts, *usual[::-1]))[known]
     return late
 
 
@@ -65,10 +66,8 @@ def over_ground(log: Log, robot: Robot, frame: ReferenceMotion, where: np.ndarra
     `where` (N, 4), NaN elsewhere."""
     rows = np.flatnonzero(where.any(axis=1))
     omega = log.gyro if log.has("imu") else frame.gyro
-    v = leg_velocity(
-        robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI, log.q[rows],
-        joint_velocity(log)[rows], omega[rows], frame.up_I[rows], where[rows],
-    )  # fmt: skip
+    dq = joint_velocity(log)[rows]
+    v = leg_velocity(robot, log.q[rows], dq, omega[rows], frame.up_I[rows], where[rows])
     speed = np.full(where.shape, np.nan)
     speed[rows] = np.linalg.norm(v - frame.v_I[rows, None], axis=2)
     return speed

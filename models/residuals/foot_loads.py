@@ -14,7 +14,7 @@ from surefoot.sim.sensors.streams import GRAVITY_G
 def foot_loads(
     log: Log, robot: Robot, frame: ReferenceMotion, bins: Bins, steps: Steps
 ) -> np.ndarray:
-    """Force (N, 4) [N] along the ground's normal on each foot that stands, zero on the others.
+    """Force (N, legs) [N] along the ground's normal on each foot that stands, zero on the others.
 
     J^T f = inverse dynamics - measured torque, the former as means over bins. A log without torques
     has the weight shared evenly by the feet that stand.
@@ -23,10 +23,8 @@ def foot_loads(
     if not np.isfinite(bins.tau).any():
         weight = -GRAVITY_G[2] * (robot.mass + robot.extras.payload)
         return weight * stands / np.maximum(stands.sum(axis=1, keepdims=True), 1)
-    motion = normal_forces(
-        robot.legs, steps.q, steps.up_B, np.ones_like(bins.standing),
-        inverse_dynamics(steps, robot, every=True).torque,
-    )  # fmt: skip
+    taken = inverse_dynamics(steps, robot, every=True).torque
+    motion = normal_forces(robot.legs, steps.q, steps.up_B, np.ones_like(bins.standing), taken)
     up_B = frame.R_GI[:, 2] @ robot.R_BI.T
     motor = normal_forces(robot.legs, at_torques(log.q, frame), up_B, stands, log.tau)
     rows = np.column_stack([np.interp(log.t, bins.t, one) for one in motion.T])
@@ -35,11 +33,12 @@ def foot_loads(
 
 @kernel
 def normal_forces(legs, q, up, stands, torque):
-    """n . f (N, 4) [N] with J^T f = torque: q, torque (N, 12), up (N, 3) in B, stands (N, 4)."""
-    out = np.zeros((len(q), 4))
+    """n . f (N, legs) [N] with J^T f = torque: q, torque (N, joints), up (N, 3) in B, stands (N,
+    legs)."""
+    out = np.zeros(stands.shape)
     foot, J, axes = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     for k in range(len(q)):
-        for leg in range(4):
+        for leg in range(stands.shape[1]):
             if not stands[k, leg]:
                 continue
             leg_forward(legs, leg, q[k, 3 * leg : 3 * leg + 3], foot, J, axes)

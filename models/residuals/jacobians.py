@@ -1,7 +1,7 @@
-"""How each residual answers to a small change of the readings, bin by bin: the chain rule.
+"""How each residual changes with a small change of the readings or of the robot, bin by bin.
 
-An effect's `explain` says how it changes readings; from there on the derivatives are the same for
-all effects and are computed once a log.
+An effect's `compensate` says how it changes readings; from there on the derivatives are the same
+for all effects and are computed once a log.
 """
 
 from collections.abc import Mapping
@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from surefoot.models.residuals.channels import Parts, height_columns, leg_columns
-from surefoot.models.residuals.layout import QUADRUPED
+from surefoot.models.residuals.feet import foot_heights, leg_velocities
+from surefoot.models.residuals.registry import channels
+from surefoot.models.residuals.residual import ResidualTable, filled
 from surefoot.models.residuals.torques import (
     InverseDynamics,
     Steps,
@@ -21,8 +22,6 @@ from surefoot.models.residuals.torques import (
     inverse_dynamics_jacobians,
     slope,
     smooth_121,
-    torque_residual,
-    wrench_residual,
 )
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
@@ -44,10 +43,12 @@ class Regressor:
 
 @dataclass(frozen=True)
 class ResidualJacobians:
-    """Derivatives of a table's columns at each bin. Of legs, by the rate of the IMU (M, 12, 3) and
-    by the leg's own joints' angles and rates (M, 4, 3, 3); of heights, by the own joints' angles
-    (M, 4, 3); of torques and wrench together (J, M, J + 6), by each joint's angle, rate,
-    acceleration and torque."""
+    """Derivatives of a table's columns at each bin; L legs of P joints, J joints in all.
+
+    Of legs, by the rate of the IMU (M, 3 L, 3) and by the leg's own joints' angles and rates
+    (M, L, 3, P); of heights, by the own joints' angles (M, L, P); of torques and wrench together
+    (J, M, J + 6), by each joint's angle, rate, acceleration and torque.
+    """
 
     leg_omega: np.ndarray
     leg_q: np.ndarray
@@ -59,41 +60,47 @@ class ResidualJacobians:
     effort_tau: np.ndarray
 
 
-def residual_jacobians(parts: Parts, robot: Machine) -> ResidualJacobians:
+def residual_jacobians(parts: ResidualTable, robot: Machine) -> ResidualJacobians:
     """Every derivative that a change of readings can ask for."""
-    m, joints = parts.bins.q.shape
-    leg_omega, leg = np.zeros((m, 12, 3)), np.zeros((2, m, 4, 3, 3))
-    height_q = np.zeros((m, 4, 3))
-    legged = parts.layout is QUADRUPED and np.isfinite(parts.table[:, 6:18]).any()
-    if legged:
+    layout, bins = parts.layout, parts.inputs.bins
+    m, joints = bins.q.shape
+    legs = len(layout.limbs.legs)
+    per = joints // max(legs, 1)
+    leg_omega, leg = np.zeros((m, 3 * legs, 3)), np.zeros((2, m, legs, 3, per))
+    height_q = np.zeros((m, legs, per))
+    velocities = parts.table[:, layout.of("leg_velocity")]
+    if np.isfinite(velocities).any():
         assert isinstance(robot, Robot)
-        bins = parts.bins
 
         def by(**moved) -> np.ndarray:
-            ahead = leg_columns(replace(bins, **moved), robot)
-            return np.nan_to_num(ahead - parts.table[:, 6:18]) / STEP
+            ahead = leg_velocities(replace(bins, **moved), robot)
+            return np.nan_to_num(ahead - velocities) / STEP
 
         for axis in range(3):
             leg_omega[:, :, axis] = by(omega=bins.omega + STEP * np.eye(3)[axis])
-            all_legs = STEP * np.tile(np.eye(3)[axis], 4)
-            leg[0, ..., axis] = by(q=bins.q + all_legs).reshape(m, 4, 3)
-            leg[1, ..., axis] = by(dq=bins.dq + all_legs).reshape(m, 4, 3)
-            if np.isfinite(parts.table[:, 18:22]).any():
-                rise = height_columns(replace(bins, q=bins.q + all_legs), robot)
-                height_q[:, :, axis] = np.nan_to_num(rise - parts.table[:, 18:22]) / STEP
+        heights = parts.table[:, layout.of("foot_height")]
+        for j in range(per):
+            # One joint of every leg at once: a leg's columns change by its own joints alone.
+            all_legs = STEP * np.tile(np.eye(per)[j], legs)
+            leg[0, ..., j] = by(q=bins.q + all_legs).reshape(m, legs, 3)
+            leg[1, ..., j] = by(dq=bins.dq + all_legs).reshape(m, legs, 3)
+            if np.isfinite(heights).any():
+                rise = foot_heights(replace(bins, q=bins.q + all_legs), robot)
+                height_q[:, :, j] = np.nan_to_num(rise - heights) / STEP
     by_effort = np.zeros((4, joints, m, joints + 6))
-    if parts.inverse_dynamics is not None:
-        by_effort = _by_effort(parts, parts.inverse_dynamics, robot)
+    if parts.inputs.inverse_dynamics is not None:
+        by_effort = _by_effort(parts, parts.inputs.inverse_dynamics, robot)
     return ResidualJacobians(leg_omega, leg[0], leg[1], height_q, *by_effort)
 
 
-def _by_effort(parts: Parts, needed: InverseDynamics, robot: Machine) -> np.ndarray:
+def _by_effort(parts: ResidualTable, needed: InverseDynamics, robot: Machine) -> np.ndarray:
     """(4, J, M, J + 6): by each joint's angle, rate, acceleration and torque, the torques, then the
     wrench."""
-    m, joints = parts.bins.q.shape
+    steps = parts.inputs.steps
+    m, joints = steps.q.shape
     out = np.zeros((4, joints, m, joints + 6))
-    use = np.flatnonzero(dilate(parts.steps.swings.any(axis=1) | parts.steps.steady))
-    s = replace(parts.steps, **{name: values[use] for name, values in vars(parts.steps).items()})
+    use = np.flatnonzero(dilate(steps.swings.any(axis=1) | steps.steady))
+    s = replace(steps, **{name: values[use] for name, values in vars(steps).items()})
     wrench, torque = inverse_dynamics_jacobians(s, robot, STEP)
     out[:3, :, use, :joints], out[:3, :, use, joints:] = -torque, -wrench
     for j in range(joints):
@@ -104,25 +111,27 @@ def _by_effort(parts: Parts, needed: InverseDynamics, robot: Machine) -> np.ndar
 
 
 def _by_feet(s: Steps, needed: np.ndarray, torque: np.ndarray, robot: Robot) -> np.ndarray:
-    """What the feet give the base (4, 12, M, 6), likewise. The base's motion being what it is, a
-    joint changes the torques of its own leg alone, and so the force of its own foot: all four legs
-    can be moved at once.
+    """What the feet give the base (4, J, M, 6), likewise. The base's motion being what it is, a
+    joint changes the torques of its own leg alone, and so the force of its own foot: all legs can
+    be moved at once.
 
-    needed (M, 12), torque (3, 12, M, 12): what the motion takes, and its derivatives.
+    needed (M, J), torque (3, J, M, J): what the motion takes, and its derivatives.
     """
-    legs, bins = np.arange(4), len(needed)
-    out = np.zeros((4, 12, bins, 6))
+    bins, joints = needed.shape
+    count = s.standing.shape[1]
+    legs, per = np.arange(count), joints // count
+    out = np.zeros((4, joints, bins, 6))
     plain = given_by_feet(s, s.q, needed - s.tau, robot)
-    for j in range(3):
-        at = 3 * legs + j
-        moved = np.zeros(12)
+    for j in range(per):
+        at = per * legs + j
+        moved = np.zeros(joints)
         moved[at] = 1.0
         for kind in range(4):
             if kind == 3:
                 step, gained = 1.0, -moved
             else:
-                own = torque[kind, at].reshape(4, bins, 4, 3)[legs, :, legs]
-                step, gained = STEP, STEP * np.moveaxis(own, 0, 1).reshape(bins, 12)
+                own = torque[kind, at].reshape(count, bins, count, per)[legs, :, legs]
+                step, gained = STEP, STEP * np.moveaxis(own, 0, 1).reshape(bins, joints)
             q = s.q + STEP * moved if kind == 0 else s.q
             given = given_by_feet(s, q, needed - s.tau + gained, robot)
             out[kind, at] = np.moveaxis(given - plain, 1, 0) / step
@@ -130,63 +139,63 @@ def _by_feet(s: Steps, needed: np.ndarray, torque: np.ndarray, robot: Robot) -> 
 
 
 def wrt_readings(
-    parts: Parts, known: ResidualJacobians, change: Mapping[str, Mapping[int, np.ndarray]]
-) -> Regressor:
-    """What a change of readings does to the table: of each stream, at each place (axis or joint),
-    its means over bins (M,); of "ddq" what the rate gains over them."""
-    out = np.zeros(parts.table.shape)
-    layout, joints = parts.layout, parts.bins.q.shape[1]
-    legged = layout is QUADRUPED
-    torque, rate = layout.channels["joint_torque"].start, layout.channels["joint_rate"].start
+    parts: ResidualTable, known: ResidualJacobians, change: Mapping[str, Mapping[int, np.ndarray]]
+) -> np.ndarray:
+    """What a change of readings does to the table (M, W), by the chain rule: of each stream, at
+    each place (axis or joint), its means over bins (M,); of "ddq" what the rate gains over them."""
+    out, layout = np.zeros(parts.table.shape), parts.layout
+    joints = parts.inputs.bins.q.shape[1]
+    gyro, accel, legs = (layout.of(n) for n in ("imu_gyro", "imu_accel", "leg_velocity"))
+    velocity, height = layout.by_leg("leg_velocity"), layout.by_leg("foot_height")
+    torque, wrench, rate = (layout.of(n) for n in ("joint_torque", "base_wrench", "joint_rate"))
+    per = joints // max(len(layout.limbs.legs), 1)
     forces = np.zeros((len(out), joints + 6))
     for axis, x in change.get("gyro", {}).items():
-        out[:, axis] += x
-        out[:, 6:18] += known.leg_omega[:, :, axis] * x[:, None]
+        out[:, gyro[axis]] += x
+        out[:, legs] += known.leg_omega[:, :, axis] * x[:, None]
     for axis, x in change.get("accel", {}).items():
-        out[:, 3 + axis] += x
-    for place, x in change.get("q", {}).items():
-        leg, j = divmod(place, 3)
-        if legged:
-            out[:, 6 + 3 * leg : 9 + 3 * leg] += known.leg_q[:, leg, :, j] * x[:, None]
-            out[:, 18 + leg] += known.height_q[:, leg, j] * x
-        out[:, rate + place] += slope(x)
-        forces += known.effort_q[place] * x[:, None]
-    for place, x in change.get("dq", {}).items():
-        leg, j = divmod(place, 3)
-        if legged:
-            out[:, 6 + 3 * leg : 9 + 3 * leg] += known.leg_dq[:, leg, :, j] * x[:, None]
-        out[:, rate + place] -= smooth_121(x)
-        forces += known.effort_dq[place] * x[:, None]
-    for place, x in change.get("ddq", {}).items():
-        forces += known.effort_ddq[place] * x[:, None]
-    for place, x in change.get("tau", {}).items():
-        forces += known.effort_tau[place] * x[:, None]
+        out[:, accel[axis]] += x
+    for joint, x in change.get("q", {}).items():
+        if len(legs):
+            leg, j = divmod(joint, per)
+            out[:, velocity[leg]] += known.leg_q[:, leg, :, j] * x[:, None]
+            out[:, height[leg, 0]] += known.height_q[:, leg, j] * x
+        out[:, rate[joint]] += slope(x)
+        forces += known.effort_q[joint] * x[:, None]
+    for joint, x in change.get("dq", {}).items():
+        if len(legs):
+            leg, j = divmod(joint, per)
+            out[:, velocity[leg]] += known.leg_dq[:, leg, :, j] * x[:, None]
+        out[:, rate[joint]] -= smooth_121(x)
+        forces += known.effort_dq[joint] * x[:, None]
+    for joint, x in change.get("ddq", {}).items():
+        forces += known.effort_ddq[joint] * x[:, None]
+    for joint, x in change.get("tau", {}).items():
+        forces += known.effort_tau[joint] * x[:, None]
     forces = smooth_121(forces)
-    out[:, torque : torque + joints] += forces[:, :joints]
-    if legged:
-        out[:, layout.channels["base_wrench"]] += forces[:, joints:]
-    return sparse(out, parts.table)
+    out[:, torque] += forces[:, :joints]
+    if len(wrench):
+        out[:, wrench] += forces[:, joints:]
+    return out
 
 
-def wrt_robot(parts: Parts, robot: Machine, one: Robot, step: float) -> Regressor:
-    """What a changed body does to the table, the model `one` having `step` more than `robot`."""
-    table = parts.table.copy()
-    legs_alone = robot.extras is one.extras
-    if np.isfinite(table[:, 6:18]).any() and legs_alone:
-        table[:, 6:18] = leg_columns(parts.bins, one)
-        if np.isfinite(table[:, 18:22]).any():
-            table[:, 18:22] = height_columns(parts.bins, one)
-    if parts.inverse_dynamics is not None and parts.steps.steady.any():
-        needed = parts.inverse_dynamics
-        if robot.legs.offset is not one.legs.offset:
-            needed = inverse_dynamics(parts.steps, one)
-            torques = parts.layout.channels["joint_torque"]
-            table[:, torques] = torque_residual(parts.steps, needed)
-        elif not legs_alone:
-            more = carried(parts.steps, one) - carried(parts.steps, robot)
+def wrt_robot(parts: ResidualTable, robot: Machine, one: Robot, step: float) -> np.ndarray:
+    """What a changed body does to the table (M, W), per unit, the model `one` having `step` more
+    than `robot`: the channels computed again on the same means of readings.
+
+    Where a contact changes is left as it is: a body that differs by a small step moves that by
+    less than a row.
+    """
+    inputs, needed = parts.inputs, parts.inputs.inverse_dynamics
+    if needed is not None and inputs.steps.steady.any():
+        if not np.array_equal(robot.legs.offset, one.legs.offset):
+            needed = inverse_dynamics(inputs.steps, one)
+        else:
+            more = carried(inputs.steps, one) - carried(inputs.steps, robot)
             needed = replace(needed, wrench=needed.wrench + more)
-        table[:, 34:40] = wrench_residual(parts.steps, needed, one)
-    return sparse((table - parts.table) / step, parts.table)
+    again = [name for name in channels() if name != "contact_timing"]
+    table = filled(parts.layout, replace(inputs, robot=one, inverse_dynamics=needed), again)
+    return (table - parts.table) / step
 
 
 def sparse(change: np.ndarray, table: np.ndarray) -> Regressor:

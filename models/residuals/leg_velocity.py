@@ -3,17 +3,36 @@
 import numpy as np
 
 from surefoot.sim.common.kernels import kernel
+from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import leg_forward
 
 
-@kernel
-def leg_velocity(legs, radius, R_BI, p_BI, q, dq, omega, up, standing):
-    """Velocity of the IMU in I (N, 4, 3) [m/s] by each standing foot; NaN for the others.
+def leg_velocity(
+    robot: Robot,
+    q: np.ndarray,
+    dq: np.ndarray,
+    omega: np.ndarray,
+    up: np.ndarray,
+    standing: np.ndarray,
+) -> np.ndarray:
+    """Velocity of the IMU in I (N, legs, 3) [m/s] by each standing foot; NaN for the others.
 
-    legs, radius (4,), R_BI, p_BI: the robot's; q, dq (N, 12) [rad, rad/s]; omega (N, 3) [rad/s] and
-    up (N, 3), the ground's unit normal, in I; standing (N, 4).
+    Args:
+        robot: legs, radius of the feet, mounting of the IMU.
+        q: angles (N, J) [rad].
+        dq: rates (N, J) [rad/s].
+        omega: rate (N, 3) [rad/s] of the IMU, in I.
+        up: the ground's unit normal (N, 3) in I.
+        standing: feet (N, legs) that it is asked of.
     """
-    out = np.full((len(q), 4, 3), np.nan)
+    return _leg_velocity(
+        robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI, q, dq, omega, up, standing
+    )
+
+
+@kernel
+def _leg_velocity(legs, radius, R_BI, p_BI, q, dq, omega, up, standing):
+    out = np.full((len(q), standing.shape[1], 3), np.nan)
     foot, J, axes = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     sole, spin, step = np.empty(3), np.empty(3), np.empty(3)
     for k in range(len(q)):
@@ -21,7 +40,7 @@ def leg_velocity(legs, radius, R_BI, p_BI, q, dq, omega, up, standing):
         for a in range(3):
             sole[a] = R_BI[a, 0] * up[k, 0] + R_BI[a, 1] * up[k, 1] + R_BI[a, 2] * up[k, 2]
             spin[a] = R_BI[a, 0] * omega[k, 0] + R_BI[a, 1] * omega[k, 1] + R_BI[a, 2] * omega[k, 2]
-        for leg in range(4):
+        for leg in range(standing.shape[1]):
             if not standing[k, leg]:
                 continue
             leg_forward(legs, leg, q[k, 3 * leg : 3 * leg + 3], foot, J, axes)

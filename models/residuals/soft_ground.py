@@ -14,7 +14,8 @@ Only feet are known to touch. Where they sink so deep that a shank touches as we
 T = 0.05 s), it takes a part of the load, and `trace` finds too small a size or another effect.
 """
 
-from dataclasses import dataclass
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,8 +39,7 @@ ROUNDS = 3
 """Times that a stance is followed, until its end and its beginning agree on where the ground is."""
 
 
-@dataclass(frozen=True)
-class Stances:
+class Stances(NamedTuple):
     """The K stances of a foot: first and last (K,), its first row and the one after its last;
     landed (K,): whether it was seen to land; v_G (K, 3) [m/s]: its velocity on landing."""
 
@@ -55,8 +55,9 @@ def foot_sinking(
     """Depth (M, 4) [m] and velocity (M, 4, 3) [m/s], in I, of each standing foot's sole beyond
     those on hard ground, means over bins; load (N, 4) [N] on each foot."""
     swept_G = np.einsum("nij,nlj->nli", bins.R_GI, swept(robot, bins))
-    rows = np.empty((len(log.t), 4, 4))
-    for leg in range(4):
+    legs = bins.standing.shape[1]
+    rows = np.empty((len(log.t), legs, 4))
+    for leg in range(legs):
         for axis in range(3):
             rows[:, leg, axis] = np.interp(log.t, bins.t, swept_G[:, leg, axis])
         rows[:, leg, 3] = load[:, leg]
@@ -65,13 +66,11 @@ def foot_sinking(
     height = frame.p_GI[:, 2, None] + np.einsum("nj,nlj->nl", frame.R_GI[:, 2], feet_I)
     give, dq = gives(robot), joint_velocity(log)
     depth, v_G = np.zeros(height.shape), np.zeros((*height.shape, 3))
-    for leg in range(4):
+    for leg in range(legs):
         s = stances(log, robot, frame, leg, dq)
         for T, sign in ((SOLREF[0] + robot.extras.softness, 1.0), (SOLREF[0], -1.0)):
-            _follow_all(
-                log.t, height[:, leg], rows[:, leg], s.first, s.last, s.landed, s.v_G, give[leg],
-                T, sign, depth[:, leg], v_G[:, leg],
-            )  # fmt: skip
+            moved = (depth[:, leg], v_G[:, leg])
+            _follow_all(log.t, height[:, leg], rows[:, leg], s, give[leg], T, sign, *moved)
     mean = bin_mean(frame)
     return mean(depth), np.einsum("nji,nlj->nli", bins.R_GI, mean(v_G))
 
@@ -85,14 +84,13 @@ def gives(robot: Robot) -> np.ndarray:
 def swept(robot: Robot, bins: Bins) -> np.ndarray:
     """Acceleration (M, 4, 3) [m/s^2], in I, of each sole while the rates of the joints and of the
     base stay as they are, and so does its origin's velocity in the world."""
-    up, every = bins.R_GI[:, 2], np.ones((len(bins.t), 4), dtype=bool)
+    up, every = bins.R_GI[:, 2], np.ones(bins.standing.shape, dtype=bool)
+    at_origin = replace(robot, p_BI=np.zeros(3))
 
     def soles(time: float) -> np.ndarray:
         turned = up - time * np.cross(bins.omega, up)
-        return -leg_velocity(
-            robot.legs, robot.foot_radius, robot.R_BI, np.zeros(3), bins.q + time * bins.dq,
-            bins.dq, bins.omega, turned, every,
-        )  # fmt: skip
+        q = bins.q + time * bins.dq
+        return -leg_velocity(at_origin, q, bins.dq, bins.omega, turned, every)
 
     now = soles(0.0)
     return np.cross(bins.omega[:, None], now) + (soles(AHEAD) - now) / AHEAD
@@ -103,12 +101,9 @@ def stances(log: Log, robot: Robot, frame: ReferenceMotion, leg: int, dq: np.nda
     first, last = between_swings(log.t, log.contact[:, leg])
     around = max(1, round(AROUND * log.rate))
     rows = np.clip(first[:, None] + np.arange(-around, around + 1), 0, len(log.t) - 1)
-    at, only = rows.ravel(), np.zeros((rows.size, 4), dtype=bool)
+    at, only = rows.ravel(), np.zeros((rows.size, log.contact.shape[1]), dtype=bool)
     only[:, leg] = True
-    v_I = leg_velocity(
-        robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI, log.q[at], dq[at], frame.gyro[at],
-        frame.R_GI[at, 2], only,
-    )[:, leg]  # fmt: skip
+    v_I = leg_velocity(robot, log.q[at], dq[at], frame.gyro[at], frame.R_GI[at, 2], only)[:, leg]
     v_G = np.einsum("nij,nj->ni", frame.R_GI[at], frame.v_I[at] - v_I).reshape(*rows.shape, 3)
     return Stances(first, last, first > 0, np.nan_to_num(v_G.mean(axis=1)))
 
@@ -122,16 +117,16 @@ def between_swings(t: np.ndarray, contact: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 @kernel
-def _follow_all(t, height, rows, first, last, landed, v_landing, give, T, sign, depth, v_G):
+def _follow_all(t, height, rows, stances, give, T, sign, depth, v_G):
     """Add what a foot does in all its stances, `sign` times, to depth (N,) and v_G (N, 3)."""
     z, v = np.zeros(len(t)), np.zeros((len(t), 3))
-    for s in range(len(first)):
-        a, b = first[s], last[s]
-        if not landed[s]:
+    for s in range(len(stances.first)):
+        a, b = stances.first[s], stances.last[s]
+        if not stances.landed[s]:
             _follow(t, rows, a, b, _at_rest(rows[a, 3], give, T), np.zeros(3), give, T, z, v)
         start = 0.0
-        for _ in range(ROUNDS * landed[s]):
-            _follow(t, rows, a, b, start, v_landing[s], give, T, z, v)
+        for _ in range(ROUNDS * stances.landed[s]):
+            _follow(t, rows, a, b, start, stances.v_G[s], give, T, z, v)
             # The ground is where the settled foot is, and as much higher as that is deep.
             half = a + int(SETTLED * (b - a))
             start = np.mean(height[half:b] + z[half:b]) - height[a]

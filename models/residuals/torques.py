@@ -21,10 +21,13 @@ from surefoot.sim.robot.kinematics import leg_forward
 
 @dataclass(frozen=True)
 class Steps:
-    """What inverse dynamics takes, bin by bin: q, dq, ddq, tau (M, J), base (M, 9), up_B (M, 3),
-    standing (M, 4); swings (M, J): joints of feet that are in the air for three bins; steady (M,):
-    bins that no foot lands or lifts in, nor in their neighbours; sunk (M, 4) [m]: how much nearer
-    to a foot's centre than its radius it touches."""
+    """What inverse dynamics takes, bin by bin, of J joints and L feet.
+
+    q, dq, ddq, tau (M, J), base (M, 9), up_B (M, 3), standing (M, L); swings (M, J): joints of feet
+    that are in the air for three bins; steady (M,): bins that no foot lands or lifts in, nor in
+    their neighbours; sunk (M, L) [m]: how much nearer to a foot's centre than its radius it
+    touches.
+    """
 
     q: np.ndarray
     dq: np.ndarray
@@ -47,15 +50,22 @@ def steps_of(bins: Bins, robot: Machine) -> Steps:
     up_B = np.zeros((len(bins.t), 3))
     if isinstance(robot, Robot):
         up_B = bins.R_GI[:, 2] @ robot.R_BI.T
-        swings = np.repeat(lifted, 3, axis=1)
+        swings = np.repeat(lifted, bins.q.shape[1] // lifted.shape[1], axis=1)
         steady = (stays | lifted).all(axis=1) & stays.any(axis=1)
     else:
         swings, steady = np.ones_like(bins.q, dtype=bool), np.zeros(len(bins.t), dtype=bool)
     return Steps(
-        bins.q_step, bins.dq_step, bins.ddq, bins.tau, bins.base, up_B,
-        bins.standing, swings & whole[:, None], steady & whole,
-        np.zeros(bins.standing.shape),
-    )  # fmt: skip
+        q=bins.q_step,
+        dq=bins.dq_step,
+        ddq=bins.ddq,
+        tau=bins.tau,
+        base=bins.base,
+        up_B=up_B,
+        standing=bins.standing,
+        swings=swings & whole[:, None],
+        steady=steady & whole,
+        sunk=np.zeros(bins.standing.shape),
+    )
 
 
 def smooth_121(x: np.ndarray) -> np.ndarray:
@@ -149,23 +159,23 @@ def unbalanced(s: Steps, needed: InverseDynamics, robot: Robot) -> np.ndarray:
 
 
 def given_by_feet(s: Steps, q: np.ndarray, taken: np.ndarray, robot: Robot) -> np.ndarray:
-    """What each standing foot gives the base (M, 4, 6), at angles q (M, 12), its leg taking the
-    torques `taken` (M, 12) more than were measured."""
+    """What each standing foot gives the base (M, L, 6), at angles q (M, J), its leg taking the
+    torques `taken` (M, J) more than were measured."""
     radius = np.maximum(robot.foot_radius - s.sunk, 0.0)
     return feet_wrenches(robot.legs, radius, q, s.up_B, s.standing, np.ascontiguousarray(taken))
 
 
 @kernel
 def feet_wrenches(legs, radius, q, up, standing, taken):
-    """Force and moment (M, 4, 6) [N, N m] of each standing foot on the base, in B about its origin.
+    """Force and moment (M, L, 6) [N, N m] of each standing foot on the base, in B about its origin.
 
-    radius (M, 4) [m]; q (M, 12) [rad]; up (M, 3): the ground's normal in B; standing (M, 4); taken
-    (M, 12): J^T f.
+    radius (M, L) [m]; q (M, 3 L) [rad]; up (M, 3): the ground's normal in B; standing (M, L); taken
+    (M, 3 L): J^T f.
     """
-    out = np.zeros((len(q), 4, 6))
+    out = np.zeros((len(q), standing.shape[1], 6))
     foot, f, J, axes = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     for k in range(len(q)):
-        for leg in range(4):
+        for leg in range(standing.shape[1]):
             if not standing[k, leg]:
                 continue
             leg_forward(legs, leg, q[k, 3 * leg : 3 * leg + 3], foot, J, axes)
@@ -204,7 +214,7 @@ def dilate(flag: np.ndarray) -> np.ndarray:
 
 
 def _always(flag: np.ndarray) -> np.ndarray:
-    """Bins (M, 4) whose neighbours have the flag too."""
+    """Bins (M, L) whose neighbours have the flag too."""
     out = np.zeros_like(flag)
     out[1:-1] = flag[:-2] & flag[1:-1] & flag[2:]
     return out

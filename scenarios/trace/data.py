@@ -9,6 +9,7 @@ from surefoot.models.attribution.evidence import LogUnderModel, all_keys, channe
 from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.attribution.search import Split
 from surefoot.models.residuals.binning import BIN, bin_mean
+from surefoot.models.residuals.registry import channels
 from surefoot.sim.log import LEGS, Log
 from surefoot.sim.robot import Robot
 
@@ -26,17 +27,6 @@ SHORTEST_FIXED = 3.0
 """s, of a machine on a fixed base, every row of which tells something."""
 CARRIED = 0.5
 """m that no robot moves whose feet do not step."""
-NEEDS = {
-    "imu_gyro": ("imu", "reference"),
-    "imu_accel": ("imu", "reference"),
-    "leg_velocity": ("q", "contact", "reference"),
-    "foot_height": ("q", "contact", "reference"),
-    "joint_torque": ("q", "tau", "contact"),
-    "base_wrench": ("q", "tau", "contact", "reference"),
-    "joint_rate": ("q", "dq"),
-    "contact_timing": ("q", "contact", "reference"),
-}
-"""Groups of columns that each channel takes."""
 
 
 def split_of(cases: Sequence[LogUnderModel]) -> Split:
@@ -58,6 +48,7 @@ def readings(log: Log) -> Log:
     known = ("gyro_", "accel_", "q_", "dq_", "tau_", "contact_", "force_", "ref_")
     if dead_contacts(log):
         known = tuple(name for name in known if name != "contact_")
+    known += tuple(n for c in channels().values() for n in c.needs if n.startswith("x_"))
     names = [n for n in log.frame if str(n) == "t" or str(n).startswith(known)]
     meta = replace(log.meta, scenario=None, seed=None, effects=(), versions={})
     return Log(log.frame.filter(items=names), meta, log.name)
@@ -102,14 +93,14 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
     """What the reader should know of the data before the result."""
     notes = []
     there = set.intersection(*(set(channels_of(case)) for case in cases))
-    for channel, needed in NEEDS.items():
-        lacking = [g for g in needed if not all(case.log.has(g) for case in cases)]
-        if channel in there:
+    for name, channel in channels().items():
+        if name in there:
             continue
+        lacking = [g for g in channel.needs if not all(channel.has(c.log, g) for c in cases)]
         if lacking:
-            notes.append(f"{channel}: not used, the log lacks {' and '.join(lacking)}")
-        elif channel == "foot_height":
-            notes.append("foot_height: not used, the ground is not level")
+            notes.append(f"{name}: not used, the log lacks {' and '.join(lacking)}")
+        elif channel.on_level_ground:
+            notes.append(f"{name}: not used, the ground is not level")
     if "joint_torque" not in there and all(case.log.has("q_des") for case in cases):
         notes.append(
             "tracking: commanded angles tell of drives by torques alone; give the map a motor law"

@@ -19,8 +19,8 @@ def residuals(
     """RMS residual of each channel before and after, with its noise floor, each in its own unit.
 
     Args:
-        channels: name -> {"before", "after", "noise_floor", "unit"}, as in trace.json; a value may
-            be None where it is not known.
+        channels: name -> {"before", "after", "noise_floor", "unit"}, as in trace.json, and
+            "label", what to call it instead of its name; a value may be None where it is not known.
         title: said above the figure.
     """
     rows = max(1, ceil(len(channels) / _COLUMNS))
@@ -40,7 +40,7 @@ def residuals(
             ax.axhline(
                 floor, color=OUTSIDE, linewidth=1.4, linestyle=(0, (4, 2)), label="noise floor"
             )
-        set_title(ax, name.replace("_", " "), 9.5)
+        set_title(ax, channel.get("label") or name.replace("_", " "), 9.5)
         ax.set_ylabel(f"RMS [{channel.get('unit', '')}]")
         ax.set_xticks([0, 1], ["before", "after"])
         ax.set_xlim(-0.6, 1.6)

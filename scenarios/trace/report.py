@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from surefoot.models.attribution.levels import ChannelLevel
+from surefoot.models.residuals.registry import channels
 from surefoot.scenarios.reporting.html import Picture, Section, write_report
 from surefoot.scenarios.trace.figures import candidate_gains, residuals
 from surefoot.scenarios.trace.words import VERDICTS, remainder_in_words, size_in_words, summary
@@ -57,14 +60,8 @@ def sections(found: Trace) -> list[Section]:
         )
     ]
     if found.channels:
-        channels = {
-            name: {
-                "before": c.before, "after": c.after, "noise_floor": c.noise_floor, "unit": c.unit,
-            }
-            for name, c in found.channels.items()
-        }  # fmt: skip
         picture = Picture(
-            residuals(channels),
+            residuals(channel_rows(found.channels)),
             "Root mean square residual of each channel on the end of the log, which no fit and no "
             "choice has seen. The dashed line is what a robot leaves that is as the model says.",
         )
@@ -113,6 +110,13 @@ def sections(found: Trace) -> list[Section]:
             )
         )  # fmt: skip
     return parts
+
+
+def channel_rows(levels: Mapping[str, ChannelLevel]) -> dict[str, dict[str, Any]]:
+    """What the figure shows of each channel."""
+    return {
+        name: {**vars(level), "label": channels()[name].label} for name, level in levels.items()
+    }
 
 
 def _sentences(found: Trace) -> list[str]:

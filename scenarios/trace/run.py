@@ -9,7 +9,7 @@ import numpy as np
 
 from surefoot.models.attribution.angle_error import angle_errors
 from surefoot.models.attribution.evidence import LogUnderModel, log_under_model
-from surefoot.models.attribution.levels import Channel, channel_levels, without_bias
+from surefoot.models.attribution.levels import ChannelLevel, channel_levels, without_bias
 from surefoot.models.attribution.noise_floor import noise_floor
 from surefoot.models.attribution.search import Attribution, attribute
 from surefoot.models.attribution.unexplained import Unexplained, sparse_regression
@@ -44,7 +44,7 @@ class Trace:
 
     verdict: str
     attribution: Attribution | None
-    channels: dict[str, Channel]
+    channels: dict[str, ChannelLevel]
     filters: dict[str, dict[str, dict[str, float]]]
     masked_share: float
     floor: str
@@ -222,7 +222,7 @@ def _filtered(
     return tuple(done)
 
 
-def _verdict(result: Attribution, channels: dict[str, Channel], bent: bool) -> str:
+def _verdict(result: Attribution, channels: dict[str, ChannelLevel], bent: bool) -> str:
     at_floor = not bent and all(c.at_floor and not c.worse for c in channels.values())
     if not result.found:
         return "no_residual" if at_floor else "none_of_these"

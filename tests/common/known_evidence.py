@@ -4,8 +4,10 @@ import numpy as np
 
 from surefoot.models.attribution.evidence import Evidence
 from surefoot.models.residuals.jacobians import sparse
-from surefoot.models.residuals.layout import QUADRUPED
+from surefoot.models.residuals.layout import layout_of
+from surefoot.sim.log import JOINTS
 
+QUADRUPED = layout_of(JOINTS)
 KEYS = (
     ("encoder_offset", "FL_hip"),
     ("encoder_offset", "FL_thigh"),

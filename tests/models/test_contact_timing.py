@@ -6,9 +6,10 @@ from numpy.testing import assert_allclose
 
 from surefoot.models.attribution.evidence import linearise, log_under_model, table_of
 from surefoot.models.residuals.contact_timing import MOVES, moments
-from surefoot.models.residuals.layout import QUADRUPED
+from surefoot.models.residuals.layout import layout_of
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.log import JOINTS
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
@@ -74,7 +75,7 @@ def test_a_delay_adds_its_size_and_a_clock_the_time_that_it_is_off(plain):
 
 def test_sensors_alone_tell_touchdowns_to_a_millisecond(plain):
     table = table_of(plain, ())
-    assert QUADRUPED.channels["contact_timing"] == slice(52, 60)
+    assert layout_of(JOINTS).channels["contact_timing"] == slice(52, 60)
     touchdowns = table[:, TOUCHDOWN][np.isfinite(table[:, TOUCHDOWN])]
     assert len(touchdowns) > 40
     assert np.quantile(np.abs(touchdowns), 0.8) < 1e-3

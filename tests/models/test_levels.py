@@ -2,7 +2,7 @@
 
 import pytest
 
-from surefoot.models.attribution.levels import Channel
+from surefoot.models.attribution.levels import ChannelLevel
 
 
 @pytest.mark.parametrize(
@@ -17,15 +17,15 @@ from surefoot.models.attribution.levels import Channel
     ],
 )
 def test_harm_is_more_than_the_floors_walks_differ_by(before, after, worse):
-    assert Channel(before, after, 1.0, "m", 1.2).worse == worse
+    assert ChannelLevel(before, after, 1.0, "m", 1.2).worse == worse
 
 
 def test_without_a_floor_any_more_is_harm():
-    assert Channel(1.0, 1.1, None, "m").worse
-    assert not Channel(1.0, 1.0, None, "m").worse
-    assert Channel(1.0, 1.1, None, "m").at_floor  # nothing says that it is not
+    assert ChannelLevel(1.0, 1.1, None, "m").worse
+    assert not ChannelLevel(1.0, 1.0, None, "m").worse
+    assert ChannelLevel(1.0, 1.1, None, "m").at_floor  # nothing says that it is not
 
 
 def test_a_channel_is_at_its_floor_up_to_what_walks_reach():
-    assert Channel(3.0, 1.25, 1.0, "m", 1.2).at_floor
-    assert not Channel(3.0, 1.3, 1.0, "m", 1.2).at_floor
+    assert ChannelLevel(3.0, 1.25, 1.0, "m", 1.2).at_floor
+    assert not ChannelLevel(3.0, 1.3, 1.0, "m", 1.2).at_floor

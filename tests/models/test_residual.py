@@ -8,12 +8,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 from surefoot.models.residuals.binning import inside_stance, reference_motion
-from surefoot.models.residuals.channels import Parts, residual
-from surefoot.models.residuals.layout import QUADRUPED
+from surefoot.models.residuals.layout import layout_of
 from surefoot.models.residuals.leg_velocity import leg_velocity
+from surefoot.models.residuals.residual import ResidualTable, residual
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.log import LogError
+from surefoot.sim.log import JOINTS, LogError
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.sensors.streams import Sensors
@@ -46,7 +46,7 @@ def rms(values):
 class Left:
     """The channels of a residual by name; a foot's velocity is (M, 4, 3)."""
 
-    parts: Parts
+    parts: ResidualTable
 
     def __getattr__(self, name):
         columns = {"gyro": slice(0, 3), "accel": slice(3, 6), "leg": slice(6, 18)}[name]
@@ -113,10 +113,7 @@ def test_leg_velocity_is_the_rigid_body_formula():
     up = rng.normal(size=(5, 3))
     up /= np.linalg.norm(up, axis=1, keepdims=True)
     turned = replace(ROBOT, R_BI=np.linalg.qr(rng.normal(size=(3, 3)))[0])
-    got = leg_velocity(
-        turned.legs, turned.foot_radius, turned.R_BI, turned.p_BI, q, dq, omega, up,
-        np.ones((5, 4), bool),
-    )  # fmt: skip
+    got = leg_velocity(turned, q, dq, omega, up, np.ones((5, 4), bool))
     arm = turned.foot_radius[:, None] * up[:, None]
     jdq = np.einsum("nlij,nlj->nli", turned.feet_jacobian_I(q), dq.reshape(5, 4, 3))
     rolling = np.cross(omega[:, None] + turned.foot_rates_I(q, dq), arm)
@@ -171,5 +168,5 @@ def test_without_noise_the_torques_are_those_of_the_motion():
     scenario = Scenario("turns", COURSE[:2], Ground(0.8), sensors=quiet, stand=0.5)
     log = walk(scenario, ROBOT, seed=5)
     left = residual(log, ROBOT, reference_motion(log)).table
-    assert np.sqrt(np.nanmean(left[:, QUADRUPED.channels["joint_torque"]] ** 2)) < 0.15
-    assert np.sqrt(np.nanmean(left[:, QUADRUPED.channels["base_wrench"]][:, :3] ** 2)) < 0.4
+    assert np.sqrt(np.nanmean(left[:, layout_of(JOINTS).channels["joint_torque"]] ** 2)) < 0.15
+    assert np.sqrt(np.nanmean(left[:, layout_of(JOINTS).channels["base_wrench"]][:, :3] ** 2)) < 0.4

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from surefoot.models.attribution.evidence import _Linear, all_keys, log_under_model, table_of
-from surefoot.models.residuals.layout import QUADRUPED
+from surefoot.models.residuals.layout import layout_of
 from surefoot.sim.effects import CATALOGUE, effect
 from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.log import JOINTS
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
@@ -37,7 +38,7 @@ def test_a_regressor_is_the_slope_of_the_true_residual(case, key):
     slope = np.where(np.isfinite(table), slope, 0.0)
     whole = np.zeros_like(table)
     whole[:, one.columns] = one.values
-    for name, columns in QUADRUPED.channels.items():
+    for name, columns in layout_of(JOINTS).channels.items():
         # What is left of two changes that cancel; and when feet move, which is for delays to say.
         if name in ("joint_rate", "contact_timing"):
             continue

@@ -9,9 +9,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from surefoot.models.attribution.evidence import linearise, log_under_model
 from surefoot.models.residuals.binning import binned
-from surefoot.models.residuals.channels import residual
 from surefoot.models.residuals.foot_loads import foot_loads
 from surefoot.models.residuals.jacobians import Regressor, explained_share
+from surefoot.models.residuals.residual import residual
 from surefoot.models.residuals.soft_ground import _follow, between_swings, swept
 from surefoot.models.residuals.torques import steps_of
 from surefoot.sim.common.quaternion import quaternion_from_matrix

@@ -15,6 +15,7 @@ from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.estimator.metrics import align_first, evaluate
 from surefoot.models.attribution.evidence import log_under_model, table_of
 from surefoot.models.attribution.stream_lags import BLOCK, WALKING, Lag, phase_of
+from surefoot.models.residuals.layout import layout_of
 from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.scenarios.estimate.registry import Learnt
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
@@ -56,10 +57,9 @@ def stance_profile(log: Log, robot: Robot, effects: Sequence[Effect]) -> np.ndar
     reference: root mean square over walking, by tenths of the stance and leg."""
     log, robot = compensate_all(effects, log, robot)
     frame = log_under_model(log, robot).frame
-    v = leg_velocity(
-        robot.legs, np.maximum(robot.foot_radius, 0.0), robot.R_BI, robot.p_BI, log.q,
-        joint_velocity(log), log.gyro, frame.up_I, log.contact & log.ref_ok[:, None],
-    )  # fmt: skip
+    robot = replace(robot, foot_radius=np.maximum(robot.foot_radius, 0.0))
+    standing = log.contact & log.ref_ok[:, None]
+    v = leg_velocity(robot, log.q, joint_velocity(log), log.gyro, frame.up_I, standing)
     square = np.sum((v - frame.v_I[:, None]) ** 2, axis=2)
     walks = np.linalg.norm(frame.v_I, axis=1) > WALKING
     out = np.full((TENTHS, 4), np.nan)
@@ -78,9 +78,10 @@ def shares_table(log: Log, robot: Robot, found: Trace, seed: int = 0) -> pd.Data
     case = log_under_model(log, robot)
     late = split_of([case]).report
     block = np.floor(case.frame.t / BLOCK).astype(int)[late]
+    velocity = layout_of(log.joints).channels["leg_velocity"]
 
     def squares(chosen: Sequence[Effect]) -> tuple[np.ndarray, np.ndarray]:
-        left = table_of(case, chosen)[late, 6:18] ** 2
+        left = table_of(case, chosen)[late][:, velocity] ** 2
         count = np.isfinite(left).sum(axis=1)
         total = np.nansum(left, axis=1)
         numbers = np.unique(block)
@@ -115,10 +116,8 @@ def rolling_table(log: Log, robot: Robot, seed: int = 0) -> pd.DataFrame:
     dq, up = joint_velocity(log), frame.up_I
 
     def off(radius: float) -> np.ndarray:
-        v = leg_velocity(
-            robot.legs, np.full(4, radius), robot.R_BI, robot.p_BI, log.q, dq, log.gyro, up,
-            log.contact & walks[:, None],
-        )  # fmt: skip
+        rolling = replace(robot, foot_radius=np.full(len(robot.foot_radius), radius))
+        v = leg_velocity(rolling, log.q, dq, log.gyro, up, log.contact & walks[:, None])
         return v - frame.v_I[:, None]
 
     point, slope = off(0.0), off(1.0) - off(0.0)

@@ -1,0 +1,121 @@
+"""The contract of a residual channel: its columns, what it reads, its residual and its noise.
+
+A channel of one's own is one class, offered by the entry point group `surefoot.channels`:
+
+    class Temperature(Channel):
+        name = "temperature"
+        unit = "K"
+        needs = ("x_temperature",)
+
+        def columns(self, limbs): ...
+        def residual(self, inputs): ...
+        def noise(self, sensors, rate, evenness): ...
+
+From then on it stands in the residual table, in what effects may explain, in noise floors, reports
+and figures, beside those that come with surefoot.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from surefoot.models.residuals.binning import Bins, ReferenceMotion
+from surefoot.models.residuals.limbs import Limbs
+from surefoot.models.residuals.torques import InverseDynamics, Steps
+from surefoot.sim.log import Log
+from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.sensors.streams import Sensors
+
+OF_WALKS = ("contact", "reference")
+"""Groups of columns that a machine on a fixed base does without."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a residual table.
+
+    name: unlike any other of the table; unit; group: columns that one reading fills, and that lose
+    weight together where it is an outlier; kind: columns whose noise is of one size, estimated from
+    all of them; leg: index of the foot whose stance or swing fills it, None where that is no foot.
+    Groups and kinds are the channel's own: other channels may use the same words.
+    """
+
+    name: str
+    unit: str
+    group: str
+    kind: str
+    leg: int | None = None
+
+
+@dataclass(frozen=True)
+class ResidualInputs:
+    """What residuals are computed from: a log under a model.
+
+    motion: what readings are compared with; bins: means of readings over bins; steps, and
+    inverse_dynamics at them where the log has torques.
+    """
+
+    log: Log
+    robot: Machine
+    motion: ReferenceMotion
+    bins: Bins
+    steps: Steps
+    inverse_dynamics: InverseDynamics | None
+
+
+class Channel:
+    """A residual: readings of a log minus what the model says of them, in means over bins."""
+
+    name: ClassVar[str]
+    unit: ClassVar[str]
+    label: ClassVar[str] = ""
+    """Title in figures; the name without underscores where it is empty."""
+    needs: ClassVar[tuple[str, ...]]
+    """Groups of a log's columns, or names of columns, without which it has no values."""
+    on_fixed_base: ClassVar[bool] = False
+    """Whether a machine on a fixed base has it, without contacts and a reference."""
+    on_level_ground: ClassVar[bool] = False
+    """Whether it means anything on level ground alone; its level is then judged on ground that no
+    fit has seen."""
+    masked_by: ClassVar[tuple[str, ...]] = ()
+    """What of a foot makes its columns worthless: that it "slid", or stood "elsewhere" than at its
+    other steps. Columns of no foot are masked when any foot did."""
+    least_noise: ClassVar[float] = 1e-12
+    """[unit] that no log resolves: noise is never taken to be less."""
+    chained: ClassVar[bool] = False
+    """Whether `jacobians` writes down how its columns change with readings. Others are
+    differenced."""
+
+    def columns(self, limbs: Limbs) -> tuple[Column, ...]:
+        """Its columns for a machine with these legs and joints; none where it has no meaning."""
+        raise NotImplementedError
+
+    def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
+        """Values (M, its columns), NaN where there is none; None where the log has none at all."""
+        raise NotImplementedError
+
+    def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
+        """Standard deviation [unit] of a bin by sensors' noise alone.
+
+        Args:
+            sensors: noise of the declared sensors.
+            rate: of the log, Hz.
+            evenness: standard deviation of the ground's height, m.
+        """
+        raise NotImplementedError
+
+    def free(self, inputs: ResidualInputs) -> Sequence[np.ndarray]:
+        """What is fitted to each log anew, (M, 1) or (M, its columns), each of any size."""
+        return ()
+
+    def has(self, log: Log, group: str) -> bool:
+        """Whether a log has a group of columns, or a column of that name."""
+        return group in log.frame if group.startswith("x_") else log.has(group)
+
+    def fills(self, log: Log, fixed: bool, level: bool) -> bool:
+        """Whether a log can fill it; of a `fixed` base or not, on `level` ground or not."""
+        if (fixed and not self.on_fixed_base) or (self.on_level_ground and not level):
+            return False
+        return all(self.has(log, g) for g in self.needs if not (fixed and g in OF_WALKS))

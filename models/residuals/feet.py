@@ -1,0 +1,51 @@
+"""Velocity of the body and height of the ground, by the kinematics of each standing foot."""
+
+import numpy as np
+
+from surefoot.models.residuals.binning import Bins
+from surefoot.models.residuals.leg_velocity import leg_velocity
+from surefoot.sim.robot import Robot
+
+HALFWAY = 0.5
+"""Share of a foot's depth in soft ground, above its sole, at which it touches."""
+
+
+def leg_velocities(bins: Bins, robot: Robot) -> np.ndarray:
+    """Velocity of the body by each standing foot minus the reference's, (M, 3 legs) [m/s] in I.
+
+    With v_foot = 0 at the contact point of a foot that rolls on its sphere of radius r,
+    v_I = -J dq - omega x f + (omega + omega_foot) x r n, all in I.
+    """
+    v = leg_velocity(robot, bins.q, bins.dq, bins.omega, bins.R_GI[:, 2], bins.standing)
+    v -= bins.v_I[:, None]
+    if bins.depth is not None and bins.v_sole is not None:
+        spin = bins.omega[:, None] + robot.foot_rates_I(bins.q, bins.dq)
+        rise = HALFWAY * bins.depth[:, :, None] * bins.R_GI[:, None, 2]
+        v += bins.v_sole - np.cross(spin, rise)
+    return v.reshape(len(v), -1)
+
+
+def foot_heights(bins: Bins, robot: Robot) -> np.ndarray:
+    """Height (M, legs) [m] of each standing foot's centre in the world."""
+    feet_I = robot.feet_I(bins.q)
+    z = bins.p_GI[:, 2, None] + np.einsum("nj,nlj->nl", bins.R_GI[:, 2], feet_I)
+    if bins.depth is not None:
+        z = z + bins.depth
+    return np.where(bins.standing, z, np.nan)
+
+
+def level_ground(bins: Bins, robot: Robot, within: float = 0.006) -> bool:
+    """Whether the feet stand on one plane: what a leg's heights have beyond a plane through all
+    feet and a constant of the leg's own varies by less than `within` [m]."""
+    z = foot_heights(bins, robot)
+    rows, legs = np.nonzero(np.isfinite(z))
+    if len(rows) < 100:
+        return False
+    A = np.hstack([np.eye(z.shape[1])[legs], bins.p_GI[rows, :2]])
+    left = z[rows, legs]
+    for _ in range(3):
+        fit = np.linalg.lstsq(A, z[rows, legs], rcond=1e-10)[0]
+        left = np.abs(z[rows, legs] - A @ fit)
+        keep = left <= 4 * np.median(left) + 1e-4
+        rows, legs, A = rows[keep], legs[keep], A[keep]
+    return bool(1.4826 * np.median(left) < within)

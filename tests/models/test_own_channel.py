@@ -1,0 +1,106 @@
+"""A channel of a user's own package is in the table, in trace's channels, report and figures."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+from own_package import run_with
+
+from surefoot.models.residuals.registry import BUNDLED, channels
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.plugins import plugins
+
+TRACE = """
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from surefoot.models.attribution.evidence import linearise, log_under_model
+from surefoot.scenarios.trace.figures import residuals
+from surefoot.scenarios.trace.report import channel_rows
+from surefoot.scenarios.trace.run import trace
+from surefoot.sim.effects import effect
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
+
+robot, out = Robot.load("spot_class"), Path(sys.argv[1])
+course = (Segment(8.0, 0.5, turn=0.3), Segment(6.0, 0.4, turn=-0.3))
+log = walk(Scenario("plain", course, Ground(0.8)), robot, 3, [effect("payload", "all", 6.0)], False)
+legs = ("q_", "dq_", "tau_", "contact_", "slip_", "mu_")
+log = replace(log, frame=log.frame[[n for n in log.frame if not str(n).startswith(legs)]])
+
+case = log_under_model(log, robot)
+keys = [("accel_bias", "z"), ("payload", "all"), ("gyro_bias", "x")]
+data = linearise([case], (), keys)
+column = data.layout.names.index("support")
+slopes = [
+    [float(np.mean(one.values[:, k])) for k in np.flatnonzero(one.columns == column)]
+    for one in data.X
+]
+found = trace([log], robot, out)
+figure = residuals(channel_rows(found.channels))
+print(json.dumps({
+    "unit": data.layout.columns[column].unit,
+    "slopes": slopes,
+    "mass": robot.mass,
+    "titles": [ax.get_title(loc="left") + ax.get_title() for ax in figure.axes],
+}))
+"""
+
+
+def test_a_channel_of_a_package_is_traced_told_and_drawn(tmp_path):
+    run = run_with("own_channel", "-c", TRACE, str(tmp_path / "out"))
+    assert run.returncode == 0, run.stderr
+    seen = json.loads(run.stdout.splitlines()[-1])
+    assert seen["unit"] == "N"
+    # Regressors by the chain rule know nothing of it, yet it answers to readings and to the robot.
+    (by_bias,), (by_payload,), by_gyro = seen["slopes"]
+    assert by_bias == pytest.approx(-seen["mass"], rel=0.02)
+    assert by_payload == pytest.approx(9.81, rel=0.02)
+    assert by_gyro == []
+    assert "force of all feet" in seen["titles"]
+
+    found = json.loads((tmp_path / "out" / "trace.json").read_text())
+    level = found["channels"]["support_force"]
+    assert level["unit"] == "N"
+    # 6 kg that the model lacks, beside what walks of the model leave, which have the channel too.
+    assert level["before"] == pytest.approx(np.hypot(6.0 * 9.81, level["noise_floor"]), rel=0.1)
+    assert found["verdict"] == "none_of_these"
+    assert any(form["channel"] == "support_force" for form in found["remainder"])
+
+
+def test_without_the_package_there_are_the_bundled_channels_alone():
+    assert list(channels()) == [kind.name for kind in BUNDLED]
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ("class Mine:\n    name = unit = needs = 'mine'\n", "must be a subclass of Channel"),
+        (
+            "from surefoot.models.residuals.channel import Channel\n"
+            "class Mine(Channel):\n    name, unit, needs = 'other', 'm', ()\n",
+            "whose name is 'mine'",
+        ),
+    ],
+)
+def test_what_is_no_channel_is_refused_in_a_line(tmp_path, monkeypatch, source, words):
+    (tmp_path / "own_thing.py").write_text(source)
+    info = tmp_path / "own-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: own\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[surefoot.channels]\nmine = own_thing:Mine\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "own_thing", raising=False)
+    plugins.cache_clear()
+    try:
+        with pytest.raises(SurefootError, match=f"plugin mine .*{words}"):
+            channels.__wrapped__()
+    finally:
+        plugins.cache_clear()
