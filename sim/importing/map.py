@@ -31,7 +31,7 @@ from surefoot.sim.importing.map_checks import (
     checked_text,
     checked_vector,
 )
-from surefoot.sim.log.schema import GROUPS, LEGS, joint_prefix
+from surefoot.sim.log.schema import GROUPS, LEGS, is_column, joint_prefix
 
 BUNDLED = bundled("surefoot.sim.importing", "maps")
 G = 9.80665
@@ -136,9 +136,9 @@ def _parse(path: Path, sections: dict[str, Any]) -> ImportMap:
     if ("t" in parts["columns"]) == ("rate" in parts):
         raise SurefootError("[columns] t or [source] rate must be given, and not both")
     contact = parts.get("contact")
-    if contact and not all(name in parts["columns"] for name in GROUPS["force"]):
+    if contact and not all(f"force_{leg}" in parts["columns"] for leg in LEGS):
         raise SurefootError("[contact] needs force_<leg> of every leg in [columns]")
-    if contact and any(name in parts["columns"] for name in GROUPS["contact"]):
+    if contact and any(name.startswith("contact_") for name in parts["columns"]):
         raise SurefootError("[contact] is given beside contact_<leg> in [columns]")
     evenness = parts.pop("evenness", EVENNESS)
     if "reference" in parts or any(name.startswith("ref_") for name in parts["columns"]):
@@ -244,9 +244,8 @@ def _columns(section: str, columns: Any) -> dict[str, Column]:
 
 
 def _column(section: str, name: str, spec: Any) -> Column:
-    plain = {column for group in GROUPS.values() for column in group} | {"t", "ref_ok"}
     prefix = joint_prefix(name)
-    if name not in plain and prefix is None and not name.startswith("x_"):
+    if not is_column(name):
         raise SurefootError(f"[{section}] {name}: not a column of the log (see DESIGN, x_<name>)")
     if isinstance(spec, str):
         return Column(spec)

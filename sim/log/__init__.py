@@ -1,8 +1,8 @@
 """The Log, the only thing that is passed between the rooms: its file, its schema, its checks."""
 
 from surefoot.sim.log.derived import joint_velocity, reference_velocity, with_velocities
-from surefoot.sim.log.log import SCHEMA, Log, LogError, Meta
-from surefoot.sim.log.schema import JOINTS, LEGS
+from surefoot.sim.log.log import Log, LogError, LogReader
+from surefoot.sim.log.schema import JOINTS, LEGS, SCHEMA, Meta
 
 __all__ = [
     "JOINTS",
@@ -10,6 +10,7 @@ __all__ = [
     "SCHEMA",
     "Log",
     "LogError",
+    "LogReader",
     "Meta",
     "joint_velocity",
     "reference_velocity",

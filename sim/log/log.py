@@ -7,8 +7,9 @@ t[k]: a filter predicts over row k, then updates with row k. `sim.log.schema` sa
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -24,15 +25,18 @@ from surefoot.sim.common.quaternion import matrix_from_quaternion
 from surefoot.sim.log.schema import (
     GROUPS,
     JOINTS,
-    LEGS,
+    KEY,
+    Meta,
     check_frame,
-    check_metadata,
     check_table,
+    group_columns,
     joint_names,
+    leg_names,
+    read_metadata,
 )
 
-SCHEMA = 1
-KEY = b"surefoot"
+ROW_GROUP = 1 << 15
+"""Rows of a file's row group: a minute at 500 Hz."""
 
 
 class LogError(SurefootError):
@@ -40,34 +44,12 @@ class LogError(SurefootError):
 
 
 @dataclass(frozen=True)
-class Meta:
-    """What a log says of itself.
-
-    `rate` is in Hz. `effects` are the declared ones, each a dict of name, target, value, unit.
-    `motor_law` is {"kp": (J,), "kd": (J,)} in N m/rad and N m s/rad. `model` is what an import map
-    says of the robot (p_BI in m, q_BI as w, x, y, z, foot_radius in m), which overrides the MJCF,
-    and of its ground (ground_evenness in m).
-    """
-
-    rate: float
-    schema: int = SCHEMA
-    robot: str | None = None
-    scenario: str | None = None
-    seed: int | None = None
-    effects: tuple[dict[str, Any], ...] = ()
-    motor_law: dict[str, Any] | None = None
-    derived: tuple[str, ...] = ()
-    versions: dict[str, str] = field(default_factory=dict)
-    model: dict[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
 class Log:
     """One walk: `frame` has a float64 column each (`t`, `gyro_x`, `q_FL_hip` ...), a row a sample.
 
     The properties give fresh contiguous arrays in SI units; each raises LogError where its columns
-    are missing. J joints in canonical order (leg-major over FL, FR, RL, RR), so a quadruped's
-    `q.reshape(N, 4, 3)` is (row, leg, joint).
+    are missing. J joints and L legs are those that the columns name. A quadruped's are in canonical
+    order (leg-major over FL, FR, RL, RR), so that its `q.reshape(N, 4, 3)` is (row, leg, joint).
     """
 
     frame: pd.DataFrame
@@ -77,27 +59,15 @@ class Log:
     @classmethod
     def read(cls, path: str | Path) -> Log:
         """The log at `path`. Raises LogError, one line with file, column and row, if not valid."""
-        path = Path(path)
-        table = _read_table(path)
-        try:
-            check_table(table.schema)
-            values = check_metadata(table.schema.metadata or {}, KEY, SCHEMA)
-            columns = {name: table[name].to_numpy() for name in table.column_names}
-            frame = pd.DataFrame(columns)
-            check_frame(frame, values["rate"])
-        except SurefootError as error:
-            raise LogError(f"{path}: {error}") from error
-        for name in ("effects", "derived"):
-            if name in values:
-                values[name] = tuple(values[name])
-        return cls(frame, Meta(**values), path.stem)
+        (log,) = LogReader(path).chunks()
+        return log
 
     def write(self, path: str | Path, force: bool = False) -> None:
         """Write the whole file or none. Raises LogError if it exists (no `force`) or is invalid."""
         path = Path(path)
         try:
             text = json.dumps(asdict(self.meta), default=_plain, allow_nan=False, sort_keys=True)
-            check_metadata({KEY: text.encode()}, KEY, SCHEMA)
+            read_metadata({KEY: text.encode()})
             check_frame(self.frame, self.meta.rate)
         except (SurefootError, TypeError, ValueError) as error:
             raise LogError(f"{path}: not written, {error}") from error
@@ -105,7 +75,13 @@ class Log:
         table = pa.table(columns).replace_schema_metadata({KEY: text.encode()})
         try:
             with whole_file(path, force) as temporary:
-                pq.write_table(table, temporary, compression="zstd", write_page_checksum=True)
+                pq.write_table(
+                    table,
+                    temporary,
+                    row_group_size=ROW_GROUP,
+                    compression="zstd",
+                    write_page_checksum=True,
+                )
         except SurefootError as error:
             raise LogError(str(error)) from error
 
@@ -133,14 +109,7 @@ class Log:
     def _missing(self, group: str) -> list[str]:
         if group not in GROUPS:
             raise KeyError(f"no log group {group!r}; groups are {', '.join(GROUPS)}")
-        names: list[str] = []
-        for name in GROUPS[group]:
-            if not name.endswith("_"):
-                names.append(name)
-            elif self.joints:
-                names.extend(name + joint for joint in self.joints)
-            else:
-                names.append(name + "<joint>")
+        names = group_columns(group, self.joints, self.legs)
         return [name for name in names if name not in self.frame]
 
     def _array(self, group: str, names: Sequence[str]) -> np.ndarray:
@@ -151,11 +120,19 @@ class Log:
     def _joint_array(self, prefix: str) -> np.ndarray:
         return self._array(prefix, [f"{prefix}_{joint}" for joint in self.joints])
 
+    def _leg_array(self, group: str, prefix: str) -> np.ndarray:
+        return self._array(group, [f"{prefix}_{leg}" for leg in self.legs])
+
     @cached_property
     def joints(self) -> tuple[str, ...]:
         """Joint names, canonical for a quadruped, else in the order of the columns."""
         names = joint_names(self.frame.columns)
         return JOINTS if set(names) == set(JOINTS) else names
+
+    @cached_property
+    def legs(self) -> tuple[str, ...]:
+        """Leg names, FL, FR, RL, RR for a quadruped, else in the order of the columns."""
+        return leg_names(self.frame.columns)
 
     @property
     def rate(self) -> float:
@@ -209,13 +186,13 @@ class Log:
 
     @property
     def contact(self) -> np.ndarray:
-        """Feet in contact (N, 4), bool, as the robot senses it."""
-        return self._array("contact", [f"contact_{leg}" for leg in LEGS]) > 0.5
+        """Feet in contact (N, L), bool, as the robot senses it."""
+        return self._leg_array("contact", "contact") > 0.5
 
     @property
     def force(self) -> np.ndarray:
-        """Foot force (N, 4), raw, in the sensor's own unit."""
-        return self._array("force", [f"force_{leg}" for leg in LEGS])
+        """Foot force (N, L), raw, in the sensor's own unit."""
+        return self._leg_array("force", "force")
 
     @property
     def ref_p(self) -> np.ndarray:
@@ -247,28 +224,72 @@ class Log:
 
     @property
     def slip(self) -> np.ndarray:
-        """Truth: speed (N, 4) of each loaded foot over the ground, m/s."""
-        return self._array("truth", [f"slip_{leg}" for leg in LEGS])
+        """Truth: speed (N, L) of each loaded foot over the ground, m/s."""
+        return self._leg_array("truth", "slip")
 
     @property
     def mu(self) -> np.ndarray:
-        """Truth: friction coefficient (N, 4) under each foot."""
-        return self._array("truth", [f"mu_{leg}" for leg in LEGS])
+        """Truth: friction coefficient (N, L) under each foot."""
+        return self._leg_array("truth", "mu")
 
 
-def _read_table(path: Path) -> pa.Table:
-    if not path.is_file():
-        raise LogError(f"{path}: {'is a folder' if path.is_dir() else 'no such file'}")
-    try:
-        with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            names = file.schema_arrow.names
-            twice = sorted({name for name in names if names.count(name) > 1})
-            if not twice:
-                return file.read(use_threads=False)
-    except (pa.ArrowException, OSError, ValueError, OverflowError, MemoryError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise LogError(f"{path}: not a whole Parquet file, truncated? ({reason})") from error
-    raise LogError(f"{path}: column {twice[0]} is there more than once")
+class LogReader:
+    """The file of a log, read by stretches: a walk of any length in the memory of one stretch.
+
+    `meta`, `columns` and the number of `rows` are there at once.
+    """
+
+    def __init__(self, path: str | Path):
+        """Raises LogError, one line, where the file, its columns' types or its metadata are bad."""
+        self.path = Path(path)
+        if not self.path.is_file():
+            raise LogError(f"{path}: {'is a folder' if self.path.is_dir() else 'no such file'}")
+        with self._opened() as file:
+            self.rows = file.metadata.num_rows
+            self.columns: tuple[str, ...] = tuple(file.schema_arrow.names)
+            check_table(file.schema_arrow)
+            self.meta = read_metadata(file.schema_arrow.metadata)
+
+    def chunks(self, seconds: float = np.inf) -> Iterator[Log]:
+        """The log's rows in turn, each in one log of about `seconds` at its rate; the last one has
+        what is left, without an end all rows are in one.
+
+        Raises LogError, one line with file, column and row, at the first fault.
+        """
+        size = max(1, round(min(seconds * self.meta.rate, self.rows)))
+        row, before = 0, -np.inf
+        with self._opened() as file:
+            for table in _tables(file, size):
+                frame = pd.DataFrame({name: table[name].to_numpy() for name in self.columns})
+                check_frame(frame, self.meta.rate, row, before)
+                yield Log(frame, self.meta, self.path.stem)
+                row, before = row + len(frame), frame["t"].iloc[-1]
+
+    @contextmanager
+    def _opened(self) -> Iterator[pq.ParquetFile]:
+        try:
+            with pq.ParquetFile(self.path, page_checksum_verification=True) as file:
+                yield file
+        except SurefootError as error:
+            raise LogError(f"{self.path}: {error}") from error
+        except (pa.ArrowException, OSError, ValueError, OverflowError, MemoryError) as error:
+            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise LogError(
+                f"{self.path}: not a whole Parquet file, truncated? ({reason})"
+            ) from error
+
+
+def _tables(file: pq.ParquetFile, size: int) -> Iterator[pa.Table]:
+    """All rows of a file in turn, `size` in each table but the last, which may be empty."""
+    held = pa.Table.from_batches([], file.schema_arrow)
+    # A row group at a time: `iter_batches` keeps what it has read.
+    for group in range(file.num_row_groups):
+        held = pa.concat_tables([held, file.read_row_group(group, use_threads=False)])
+        while len(held) >= size:
+            yield held[:size]
+            held = held[size:]
+    if len(held) or not file.metadata.num_rows:
+        yield held
 
 
 def _plain(value: Any) -> Any:

@@ -1,10 +1,12 @@
 """What makes a log valid: its columns, its metadata, its numbers. Each fault is one clear line.
 
-The messages name column and row (counted from 0); `sim.log.log` puts the file in front.
+The messages name column and row (counted from 0); `sim.log.log` puts the file in front. Joints and
+legs are those that the columns name: a quadruped's, a biped's, an arm's.
 """
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -12,10 +14,16 @@ import pandas as pd
 import pyarrow as pa
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.toml import Count, Positive, typed
 
+SCHEMA = 1
+KEY = b"surefoot"
 LEGS = ("FL", "FR", "RL", "RR")
+"""A quadruped's legs, in the order of every array."""
 JOINTS = tuple(f"{leg}_{joint}" for leg in LEGS for joint in ("hip", "thigh", "calf"))
+"""A quadruped's joints, in the order of every array."""
 _JOINT_PREFIXES = ("q_des_", "dq_des_", "tau_ff_", "q_", "dq_", "tau_")
+_LEG_PREFIXES = ("contact_", "force_", "slip_", "mu_")
 _BINARY_PREFIXES = ("contact_", "ref_ok")
 _UNIT_TOLERANCE = 1e-5
 
@@ -24,119 +32,177 @@ def _axes(name: str, axes: str = "xyz") -> tuple[str, ...]:
     return tuple(f"{name}_{axis}" for axis in axes)
 
 
-def _legs(name: str) -> tuple[str, ...]:
-    return tuple(f"{name}_{leg}" for leg in LEGS)
-
-
-# A name that ends in an underscore stands for one column a joint.
 GROUPS: dict[str, tuple[str, ...]] = {
     "imu": _axes("gyro") + _axes("accel"),
-    "q": ("q_",),
-    "dq": ("dq_",),
-    "tau": ("tau_",),
-    "q_des": ("q_des_",),
-    "dq_des": ("dq_des_",),
-    "tau_ff": ("tau_ff_",),
-    "commands": ("q_des_", "dq_des_", "tau_ff_"),
-    "contact": _legs("contact"),
-    "force": _legs("force"),
+    "q": ("q_<joint>",),
+    "dq": ("dq_<joint>",),
+    "tau": ("tau_<joint>",),
+    "q_des": ("q_des_<joint>",),
+    "dq_des": ("dq_des_<joint>",),
+    "tau_ff": ("tau_ff_<joint>",),
+    "commands": ("q_des_<joint>", "dq_des_<joint>", "tau_ff_<joint>"),
+    "contact": ("contact_<leg>",),
+    "force": ("force_<leg>",),
     "reference": _axes("ref_p") + _axes("ref_q", "wxyz"),
     "ref_v": _axes("ref_v"),
-    "truth": _legs("slip") + _legs("mu"),
+    "truth": ("slip_<leg>", "mu_<leg>"),
 }
-_WHOLE = ("imu", "contact", "force", "reference", "ref_v")
+"""Columns by group; one with <joint> or <leg> stands for a column of each."""
+_PLAIN = {name for names in GROUPS.values() for name in names if "<" not in name} | {"t", "ref_ok"}
 
-# Metadata: key -> the JSON types it may have, and whether it must be there.
-_METADATA: dict[str, tuple[tuple[type, ...], bool]] = {
-    "schema": ((int,), True),
-    "rate": ((int, float), True),
-    "robot": ((str, type(None)), False),
-    "scenario": ((str, type(None)), False),
-    "seed": ((int, type(None)), False),
-    "effects": ((list,), False),
-    "motor_law": ((dict, type(None)), False),
-    "derived": ((list,), False),
-    "versions": ((dict,), False),
-    "model": ((dict,), False),
-}
+
+def group_columns(group: str, joints: Sequence[str], legs: Sequence[str]) -> list[str]:
+    """The columns of a group, of these joints and legs; of none, the name with its placeholder."""
+    names: list[str] = []
+    for name in GROUPS[group]:
+        for placeholder, each in (("<joint>", joints), ("<leg>", legs)):
+            if placeholder in name and each:
+                names += [name.replace(placeholder, one) for one in each]
+                break
+        else:
+            names.append(name)
+    return names
 
 
 def joint_prefix(column: str) -> str | None:
     """`q_`, `dq_des_`, ... of a joint's column; None for any other column."""
-    for prefix in _JOINT_PREFIXES:
+    return _prefix(column, _JOINT_PREFIXES)
+
+
+def is_column(name: str) -> bool:
+    """Whether a log may have a column of this name."""
+    return (
+        name in _PLAIN
+        or name.startswith("x_")
+        or _prefix(name, (*_JOINT_PREFIXES, *_LEG_PREFIXES)) is not None
+    )
+
+
+def joint_names(columns: Iterable[str]) -> tuple[str, ...]:
+    """The joints that have a position column, in the order of the columns."""
+    return tuple(name[2:] for name in columns if joint_prefix(name) == "q_")
+
+
+def leg_names(columns: Iterable[str]) -> tuple[str, ...]:
+    """The legs that have a contact, or else a force, or else a truth: a quadruped's in the order of
+    LEGS, else in the order of the columns."""
+    names = list(columns)
+    for prefix in _LEG_PREFIXES:
+        legs = tuple(n.removeprefix(prefix) for n in names if _prefix(n, _LEG_PREFIXES) == prefix)
+        if legs:
+            return LEGS if set(legs) <= set(LEGS) else legs
+    return ()
+
+
+def _prefix(column: str, prefixes: tuple[str, ...]) -> str | None:
+    for prefix in prefixes:
         if column.startswith(prefix) and len(column) > len(prefix):
             return prefix
     return None
 
 
-def joint_names(columns: Iterable[str]) -> tuple[str, ...]:
-    """The joints that have a position column, in the order of the columns."""
-    near = [name for name in columns if name.startswith("q_")]
-    return tuple(name[2:] for name in near if joint_prefix(name) == "q_")
+@dataclass(frozen=True)
+class Meta:
+    """What a log says of itself.
+
+    `rate` is in Hz. `effects` are the declared ones, each a dict of name, target, value, unit.
+    `motor_law` is {"kp": (J,), "kd": (J,)} in N m/rad and N m s/rad. `model` is what an import map
+    says of the robot (p_BI in m, q_BI as w, x, y, z, foot_radius in m), which overrides the MJCF,
+    and of its ground (ground_evenness in m).
+    """
+
+    rate: float
+    schema: int = SCHEMA
+    robot: str | None = None
+    scenario: str | None = None
+    seed: int | None = None
+    effects: tuple[dict[str, Any], ...] = ()
+    motor_law: dict[str, Any] | None = None
+    derived: tuple[str, ...] = ()
+    versions: dict[str, str] = field(default_factory=dict)
+    model: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _DeclaredEffect:
+    name: str
+    target: str
+    value: float
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class _Model:
+    p_BI: tuple[float, float, float] | None = None
+    q_BI: tuple[float, float, float, float] | None = None
+    foot_radius: float | tuple[float, ...] | None = None
+    ground_evenness: float | None = None
+
+    def __post_init__(self):
+        if self.q_BI and abs(np.linalg.norm(self.q_BI) - 1.0) > _UNIT_TOLERANCE:
+            raise SurefootError(f"q_BI is {list(self.q_BI)}, not of unit length")
+
+
+@dataclass(frozen=True)
+class _Metadata(Meta):
+    """What the metadata must be; a model may say more than is known here."""
+
+    rate: Positive
+    schema: Count = field()
+    effects: tuple[_DeclaredEffect, ...] = ()
+    versions: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self):
+        known = {f.name for f in fields(_Model)}
+        typed({"model": {k: v for k, v in self.model.items() if k in known}}, dict[str, _Model])
 
 
 def check_table(schema: pa.Schema) -> None:
-    """Raise unless every column of the Parquet schema is float64."""
+    """Raise unless every column of the Parquet schema is float64, and there once."""
     for column in schema:
+        if schema.names.count(column.name) > 1:
+            raise SurefootError(f"column {column.name} is there more than once")
         if column.type != pa.float64():
             raise SurefootError(f"column {column.name} has type {column.type}, not float64")
 
 
-def check_metadata(metadata: dict[bytes, bytes], key: bytes, schema: int) -> dict[str, Any]:
-    """The metadata under `key`, of a schema no newer than `schema`, as a checked dictionary."""
-    if key not in metadata:
-        raise SurefootError(f"no {key.decode()!r} metadata in the Parquet schema; not a log")
+def read_metadata(metadata: dict[bytes, bytes] | None) -> Meta:
+    """What a Parquet schema's metadata say, of a log schema no newer than SCHEMA.
+
+    Raises SurefootError, one line with the key.
+    """
+    if not metadata or KEY not in metadata:
+        raise SurefootError(f"no {KEY.decode()!r} metadata in the Parquet schema; not a log")
     try:
-        values = json.loads(metadata[key])
+        values = json.loads(metadata[KEY])
     except ValueError as error:
         raise SurefootError(f"the metadata is not JSON ({error})") from error
     if not isinstance(values, dict):
         raise SurefootError("the metadata is not a JSON object")
     version = values.get("schema")
-    if type(version) is int and version > schema:
+    if type(version) is int and version > SCHEMA:
         raise SurefootError(
-            f"written with log schema {version}, newer than {schema}: update surefoot to read it"
+            f"written with log schema {version}, newer than {SCHEMA}: update surefoot to read it"
         )
-    for name, (types, required) in _METADATA.items():
-        if name not in values:
-            if required:
-                raise SurefootError(f"metadata key {name!r} is missing")
-        elif type(values[name]) not in types:
-            raise SurefootError(f"metadata key {name!r} is a {type(values[name]).__name__}")
-    unknown = sorted(set(values) - set(_METADATA))
-    if unknown:
-        raise SurefootError(f"unknown metadata key {unknown[0]!r}")
-    if values["schema"] < 1:
-        raise SurefootError(f"metadata key 'schema' is {values['schema']}")
-    if not 0.0 < values["rate"] < np.inf:
-        raise SurefootError(f"metadata key 'rate' is {values['rate']}, not a rate in Hz")
-    for name, kind in (("effects", dict), ("derived", str)):
-        if not all(isinstance(item, kind) for item in values.get(name, ())):
-            raise SurefootError(f"metadata key {name!r} holds something else than {kind.__name__}")
-    for effect in values.get("effects", ()):
-        kinds = {"name": (str,), "target": (str,), "value": (int, float)}
-        if any(type(effect.get(key)) not in kind for key, kind in kinds.items()):
-            raise SurefootError("metadata key 'effects' holds one without name, target or value")
-    _check_model(values.get("model", {}))
-    return values
+    try:
+        typed(values, _Metadata)
+    except SurefootError as error:
+        raise SurefootError(f"metadata: {error}") from None
+    lists = {name: tuple(values[name]) for name in ("effects", "derived") if name in values}
+    return Meta(**values | lists)
 
 
-def _check_model(model: dict[str, Any]) -> None:
-    """Raise unless what the metadata say of the robot are numbers of the right shape."""
-    known = {"p_BI": ((3,),), "q_BI": ((4,),), "foot_radius": ((), (4,)), "ground_evenness": ((),)}
-    for name, shapes in known.items():
-        try:
-            value = np.array(model.get(name, np.ones(shapes[0])), dtype=float)
-        except (TypeError, ValueError):
-            value = np.array(np.nan)
-        if value.shape not in shapes or not np.isfinite(value).all():
-            raise SurefootError(f"metadata key 'model': {name} is {model[name]!r}")
-    if "q_BI" in model and abs(np.linalg.norm(model["q_BI"]) - 1.0) > _UNIT_TOLERANCE:
-        raise SurefootError(f"metadata key 'model': q_BI is {model['q_BI']!r}, not of unit length")
+def check_frame(
+    frame: pd.DataFrame, rate: float, first_row: int = 0, before: float = -np.inf
+) -> None:
+    """Raise SurefootError at the first fault of the columns and numbers of a log.
 
-
-def check_frame(frame: pd.DataFrame, rate: float) -> None:
-    """Raise SurefootError at the first fault of the columns and numbers of a log."""
+    Args:
+        frame: of the whole log, or of a stretch of its rows.
+        rate: that the metadata give [Hz].
+        first_row: number of the frame's first row in the log.
+        before: time of the row before it [s].
+    """
     _check_columns([str(name) for name in frame.columns])
     for name, dtype in frame.dtypes.items():
         if dtype != np.float64:
@@ -144,18 +210,19 @@ def check_frame(frame: pd.DataFrame, rate: float) -> None:
     if len(frame) == 0:
         raise SurefootError("the log has no rows")
     for name in frame.columns:
-        _check_finite(str(name), frame[name].to_numpy())
-    _check_time(frame["t"].to_numpy(), rate)
+        _check_finite(str(name), frame[name].to_numpy(), first_row)
+    _check_time(frame["t"].to_numpy(), rate, first_row, before)
     for name in frame.columns:
         if str(name).startswith(_BINARY_PREFIXES):
-            _check_binary(str(name), frame[name].to_numpy())
+            _check_binary(str(name), frame[name].to_numpy(), first_row)
     if "ref_q_w" in frame:
         norm = np.linalg.norm(frame[list(_axes("ref_q", "wxyz"))].to_numpy(), axis=1)
         bad = np.flatnonzero(np.abs(norm - 1.0) > _UNIT_TOLERANCE)
         if bad.size:
             row = bad[0]
             raise SurefootError(
-                f"columns ref_q_w..z, row {row}: not a unit quaternion (norm {norm[row]:.6g})"
+                f"columns ref_q_w..z, row {first_row + row}: not a unit quaternion "
+                f"(norm {norm[row]:.6g})"
             )
 
 
@@ -167,35 +234,36 @@ def _check_columns(names: list[str]) -> None:
         seen.add(name)
     if "t" not in seen:
         raise SurefootError("column t is missing")
-    groups = {name for columns in GROUPS.values() for name in columns if not name.endswith("_")}
     for name in names:
-        known = name in groups or name in ("t", "ref_ok") or name.startswith("x_")
-        if not known and joint_prefix(name) is None:
+        if not is_column(name):
             raise SurefootError(f"unknown column {name} (a column of your own is named x_<name>)")
-    for group in _WHOLE:
-        _check_whole(GROUPS[group], seen)
-    for name in ("slip", "mu"):
-        _check_whole(_legs(name), seen)
+    for group in ("imu", "reference", "ref_v"):
+        missing = [name for name in GROUPS[group] if name not in seen]
+        if missing and len(missing) < len(GROUPS[group]):
+            raise SurefootError(f"column {missing[0]} is missing")
     if seen & {"ref_ok", *GROUPS["ref_v"]} and "ref_p_x" not in seen:
         raise SurefootError("column ref_p_x is missing beside the other reference columns")
-    joints = joint_names(names)
-    for prefix in _JOINT_PREFIXES:
-        own = [name.removeprefix(prefix) for name in names if joint_prefix(name) == prefix]
-        for joint in own:
-            if joint not in joints:
-                raise SurefootError(f"column q_{joint} is missing beside {prefix}{joint}")
-        for joint in joints:
-            if own and joint not in own:
-                raise SurefootError(f"column {prefix}{joint} is missing")
+    _check_each(names, _JOINT_PREFIXES, joint_names(names), "q_")
+    legs = leg_names(names)
+    first = next((p for p in _LEG_PREFIXES if legs and f"{p}{legs[0]}" in seen), "contact_")
+    _check_each(names, _LEG_PREFIXES, legs, first)
 
 
-def _check_whole(columns: tuple[str, ...], seen: set[str]) -> None:
-    missing = [name for name in columns if name not in seen]
-    if missing and len(missing) < len(columns):
-        raise SurefootError(f"column {missing[0]} is missing")
+def _check_each(
+    names: list[str], prefixes: tuple[str, ...], parts: tuple[str, ...], first: str
+) -> None:
+    """Raise unless what one joint or leg has all have: `parts` are those that have `first`."""
+    for prefix in prefixes:
+        own = [name.removeprefix(prefix) for name in names if _prefix(name, prefixes) == prefix]
+        for part in own:
+            if part not in parts:
+                raise SurefootError(f"column {first}{part} is missing beside {prefix}{part}")
+        for part in parts:
+            if own and part not in own:
+                raise SurefootError(f"column {prefix}{part} is missing")
 
 
-def _check_finite(name: str, values: np.ndarray) -> None:
+def _check_finite(name: str, values: np.ndarray, first_row: int) -> None:
     bad = ~np.isfinite(values)
     if not bad.any():
         return
@@ -203,23 +271,28 @@ def _check_finite(name: str, values: np.ndarray) -> None:
     after = bad[row:]
     run = len(after) if after.all() else int(np.argmin(after))
     what = "NaN" if np.isnan(values[row]) else "infinite"
-    raise SurefootError(f"column {name}, row {row}: {what}, for {run} row{'s' if run > 1 else ''}")
+    raise SurefootError(
+        f"column {name}, row {first_row + row}: {what}, for {run} row{'s' if run > 1 else ''}"
+    )
 
 
-def _check_time(t: np.ndarray, rate: float) -> None:
-    step = np.diff(t)
+def _check_time(t: np.ndarray, rate: float, first_row: int, before: float) -> None:
+    step = np.diff(t, prepend=before)
     bad = np.flatnonzero(step <= 0.0)
     if bad.size:
-        row = bad[0] + 1
-        how = "stops" if step[row - 1] == 0.0 else f"jumps back by {-step[row - 1]:.6g} s"
-        raise SurefootError(f"column t, row {row}: time {how} at {t[row]:.6f} s")
-    if step.size:
-        actual = 1.0 / float(np.median(step))
+        row = bad[0]
+        how = "stops" if step[row] == 0.0 else f"jumps back by {-step[row]:.6g} s"
+        raise SurefootError(f"column t, row {first_row + row}: time {how} at {t[row]:.6f} s")
+    if len(t) > 1:
+        actual = 1.0 / float(np.median(step[1:]))
         if not 0.5 < actual / rate < 2.0:
             raise SurefootError(f"column t runs at {actual:.6g} Hz, the metadata says {rate:.6g}")
 
 
-def _check_binary(name: str, values: np.ndarray) -> None:
+def _check_binary(name: str, values: np.ndarray, first_row: int) -> None:
     bad = np.flatnonzero((values != 0.0) & (values != 1.0))
     if bad.size:
-        raise SurefootError(f"column {name}, row {bad[0]}: {values[bad[0]]:.6g} is not 0 or 1")
+        row = bad[0]
+        raise SurefootError(
+            f"column {name}, row {first_row + row}: {values[row]:.6g} is not 0 or 1"
+        )

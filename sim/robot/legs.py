@@ -6,10 +6,10 @@ import mujoco
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.log.schema import JOINTS, LEGS
 from surefoot.sim.robot.kinematics import Legs
 
-LEGS = ("FL", "FR", "RL", "RR")
-JOINTS = tuple(f"{leg}_{joint}" for leg in LEGS for joint in ("hip", "thigh", "calf"))
+__all__ = ["JOINTS", "LEGS", "LegTree", "find_legs"]
 
 
 @dataclass(frozen=True)

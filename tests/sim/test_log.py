@@ -13,7 +13,17 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from surefoot.sim.log import JOINTS, LEGS, SCHEMA, Log, LogError, Meta
+from surefoot.sim.log import (
+    JOINTS,
+    LEGS,
+    SCHEMA,
+    Log,
+    LogError,
+    LogReader,
+    Meta,
+    joint_velocity,
+)
+from surefoot.sim.log.log import ROW_GROUP
 
 RATE = 500.0
 FUZZ = settings(
@@ -93,6 +103,58 @@ def test_a_pendulum_has_one_joint_and_no_feet():
     assert not log.has("imu")
     with pytest.raises(LogError, match=r"lacks imu \(gyro_x.*dq \(dq_shoulder\)"):
         log.require("imu", "q", "dq")
+
+
+def other_machine(joints: tuple[str, ...], legs: tuple[str, ...], n: int = 60) -> Log:
+    rng = np.random.default_rng(1)
+    columns = {"t": np.arange(n) / RATE}
+    columns |= {f"{g}_{j}": rng.normal(size=n) for g in ("q", "dq", "tau", "q_des") for j in joints}
+    columns |= {f"force_{leg}": rng.normal(size=n) for leg in legs}
+    columns |= {f"contact_{leg}": (rng.random(n) > 0.5).astype(float) for leg in legs}
+    return Log(pd.DataFrame(columns), Meta(RATE))
+
+
+BIPED = tuple(f"{side}_{j}" for side in ("left", "right") for j in ("yaw", "roll", "hip", "knee"))
+
+
+@pytest.mark.parametrize(
+    ("joints", "legs"),
+    [(BIPED, ("left", "right")), (("a1", "a2", "a3", "a4", "a5", "a6"), ()), (("shoulder",), ())],
+    ids=["biped", "arm", "pendulum"],
+)
+def test_joints_and_legs_are_those_that_a_log_has(tmp_path, joints, legs):
+    log = other_machine(joints, legs)
+    log.write(tmp_path / "log.parquet")
+    back = Log.read(tmp_path / "log.parquet")
+    assert (back.joints, back.legs) == (joints, legs)
+    assert back.q.shape == back.tau.shape == (60, len(joints))
+    assert joint_velocity(without_rates(back, joints)).shape == (60, len(joints))
+    np.testing.assert_array_equal(back.q_des[:, -1], log.frame[f"q_des_{joints[-1]}"])
+    if legs:
+        assert back.contact.shape == back.force.shape == (60, len(legs))
+        np.testing.assert_array_equal(back.contact[:, 1], log.frame["contact_right"] == 1.0)
+    else:
+        with pytest.raises(LogError, match=r"lacks contact \(contact_<leg>\), force"):
+            back.require("contact", "force")
+
+
+def without_rates(log: Log, joints: tuple[str, ...]) -> Log:
+    return replace(log, frame=log.frame.drop(columns=[f"dq_{joint}" for joint in joints]))
+
+
+@pytest.mark.parametrize(
+    ("drop", "said"),
+    [
+        ("force_right", "column force_right is missing"),
+        ("contact_right", "column contact_right is missing beside force_right"),
+        ("dq_left_knee", "column dq_left_knee is missing"),
+        ("q_left_knee", "column q_left_knee is missing beside q_des_left_knee"),
+    ],
+)
+def test_a_biped_lacks_nothing_of_one_side(tmp_path, drop, said):
+    log = other_machine(BIPED, ("left", "right"))
+    log = replace(log, frame=log.frame.drop(columns=drop))
+    assert said in fault(written(log, tmp_path / "bad.parquet"))
 
 
 def test_a_missing_group_is_named_and_never_zero():
@@ -190,19 +252,25 @@ def test_doubled_unknown_and_mistyped_columns_are_named(tmp_path):
     ("metadata", "said"),
     [
         ({"schema": SCHEMA + 1, "rate": RATE, "new": 1}, "newer than"),
-        ({"rate": RATE}, "'schema' is missing"),
-        ({"schema": SCHEMA}, "'rate' is missing"),
-        ({"schema": SCHEMA, "rate": "500"}, "'rate' is a str"),
-        ({"schema": SCHEMA, "rate": -1.0}, "'rate' is -1.0"),
+        ({"rate": RATE}, "metadata: schema is missing"),
+        ({"schema": SCHEMA}, "metadata: rate is missing"),
+        ({"schema": SCHEMA, "rate": "500"}, "rate must be a number, is '500'"),
+        ({"schema": SCHEMA, "rate": -1.0}, "rate must be a number > 0.0, is -1.0"),
         ({"schema": SCHEMA, "rate": 10.0}, "runs at 500 Hz, the metadata says 10"),
-        ({"schema": SCHEMA, "rate": RATE, "colour": 1}, "unknown metadata key 'colour'"),
-        ({"schema": SCHEMA, "rate": RATE, "effects": [1]}, "'effects' holds something else"),
-        ({"schema": SCHEMA, "rate": RATE, "effects": [{"name": "a"}]}, "without name, target or"),
-        ({"schema": SCHEMA, "rate": RATE, "model": {"p_BI": [1.0, 2.0]}}, "p_BI is [1.0, 2.0]"),
+        ({"schema": SCHEMA, "rate": RATE, "colour": 1}, "metadata: unknown key 'colour'"),
+        ({"schema": SCHEMA, "rate": RATE, "effects": [1]}, "effects[0] must be a table, is 1"),
+        (
+            {"schema": SCHEMA, "rate": RATE, "effects": [{"name": "a"}]},
+            "1 target is missing",
+        ),
+        (
+            {"schema": SCHEMA, "rate": RATE, "model": {"p_BI": [1.0, 2.0]}},
+            "[model] p_BI must be an array",
+        ),
         ({"schema": SCHEMA, "rate": RATE, "model": {"q_BI": [0, 0, 0, 0]}}, "not of unit length"),
         (b"{", "not JSON"),
         (b"[1]", "not a JSON object"),
-        (b'{"schema": 1, "rate": NaN}', "'rate' is nan"),
+        (b'{"schema": 1, "rate": NaN}', "rate must be a number > 0.0, is nan"),
     ],
 )
 def test_bad_metadata_is_named(tmp_path, metadata, said):
@@ -256,3 +324,74 @@ def test_any_bad_cell_is_found(tmp_path, column, row, value):
     log = make_log()
     log.frame.loc[row, column] = value
     assert f"column {column}, row {row}" in fault(written(log, tmp_path / "bad.parquet"))
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.02, 0.2, 7.0, np.inf])
+def test_chunks_are_the_rows_in_turn_each_once(tmp_path, seconds):
+    log = make_log(1003)
+    path = tmp_path / "walk.parquet"
+    log.write(path)
+    reader = LogReader(path)
+    assert (reader.rows, reader.meta, reader.columns) == (1003, log.meta, tuple(log.frame.columns))
+    chunks = list(reader.chunks(seconds))
+    size = max(1, round(min(seconds * RATE, 1003)))
+    assert [len(c.t) for c in chunks[:-1]] == [size] * (len(chunks) - 1)
+    assert all(c.meta == log.meta and c.name == "walk" for c in chunks)
+    whole = pd.concat([c.frame for c in chunks], ignore_index=True)
+    pd.testing.assert_frame_equal(whole, log.frame, check_exact=True)
+
+
+def test_a_long_log_is_in_many_row_groups_and_a_chunk_crosses_them(tmp_path):
+    t = np.arange(3 * ROW_GROUP + 17) / RATE
+    log = Log(pd.DataFrame({"t": t, "q_shoulder": np.sin(t)}), Meta(RATE))
+    log.write(tmp_path / "long.parquet")
+    groups = pq.ParquetFile(tmp_path / "long.parquet").metadata
+    rows = [groups.row_group(i).num_rows for i in range(groups.num_row_groups)]
+    assert rows == [ROW_GROUP] * 3 + [17]
+    chunks = list(LogReader(tmp_path / "long.parquet").chunks(100.0))
+    assert [len(c.t) for c in chunks] == [50_000, 48_321]
+    np.testing.assert_array_equal(np.concatenate([c.q for c in chunks]), log.q)
+
+
+def test_a_log_is_read_in_the_memory_of_a_chunk(tmp_path):
+    t = np.arange(20 * ROW_GROUP) / RATE
+    rng = np.random.default_rng(0)
+    columns = {"t": t} | {f"q_{j}": rng.normal(size=len(t)) for j in JOINTS}
+    Log(pd.DataFrame(columns), Meta(RATE)).write(tmp_path / "long.parquet")
+    whole = 8 * len(t) * len(columns)
+    del columns, t
+    before = pa.total_allocated_bytes()
+    most = 0
+    for _ in LogReader(tmp_path / "long.parquet").chunks(10.0):
+        most = max(most, pa.total_allocated_bytes() - before)
+    assert most < 0.2 * whole
+
+
+@pytest.mark.parametrize(
+    ("row", "column", "value", "said"),
+    [
+        (500, "t", 12.0, "column t, row 500: time jumps back"),
+        (500, "t", 12.0 + 499 / RATE, "column t, row 500: time stops"),
+        (777, "gyro_x", np.nan, "column gyro_x, row 777: NaN"),
+        (999, "contact_FL", 0.5, "column contact_FL, row 999: 0.5 is not 0 or 1"),
+        (600, "ref_q_w", 3.0, "row 600: not a unit quaternion"),
+    ],
+)
+def test_a_fault_is_found_across_chunks_with_its_row_in_the_log(tmp_path, row, column, value, said):
+    log = make_log(1003)
+    log.frame.loc[row, column] = value
+    path = written(log, tmp_path / "bad.parquet")
+    chunks = LogReader(path).chunks(1.0)
+    assert len(next(chunks).t) == 500
+    with pytest.raises(LogError) as caught:
+        list(chunks)
+    assert said in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+def test_a_reader_refuses_what_read_refuses(tmp_path):
+    for name in ("nowhere.parquet", "."):
+        with pytest.raises(LogError, match=r"no such file|is a folder"):
+            LogReader(tmp_path / name)
+    with pytest.raises(LogError, match="metadata: rate is missing"):
+        LogReader(written(make_log(), tmp_path / "bad.parquet", {"schema": SCHEMA}))
