@@ -21,7 +21,7 @@ distance regression serves the same end).
 
 import numpy as np
 
-from surefoot.estimator.core.state import numbers
+from surefoot.estimator.core.checks import numbers
 from surefoot.estimator.updates.velocity_output import inverse_3
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import kernel

@@ -1,37 +1,74 @@
 """The invariant filter with velocity and coverage updates: one call a sample, or a whole log."""
 
+from typing import NamedTuple
+
 import numpy as np
 
-from surefoot.estimator.core.arrays import imu_arrays, outputs, row_indices, trajectory
-from surefoot.estimator.core.propagation import propagate
-from surefoot.estimator.core.quick import quick_predict, quick_velocity
-from surefoot.estimator.core.state import EXTRA, FilterNoise, NavState, numbers, spd, spd_3, vector
+from surefoot.estimator.core.checks import numbers, spd, spd_3, vector
+from surefoot.estimator.core.propagation import propagate, propagate_checked
+from surefoot.estimator.core.state import EXTRA, FilterNoise, NavState
 from surefoot.estimator.evaluation.trajectory import Trajectory, UpdateRecord
+from surefoot.estimator.run import (
+    NO_VELOCITIES,
+    ImuSamples,
+    Velocities,
+    bounded_velocities,
+    empty_estimates,
+    every_row,
+    gaussian_velocities,
+    imu_samples,
+    trajectory,
+)
 from surefoot.estimator.updates.bias_states import (
+    BIAS_AT,
     EXTRAS,
-    NONE,
+    NOT_PERSISTENT,
     PersistentError,
     propagate_bias,
     update_coverage_persistent,
     update_velocity_persistent,
 )
 from surefoot.estimator.updates.coverage import update_coverage_within
-from surefoot.estimator.updates.outliers import ANY
-from surefoot.estimator.updates.velocity import update_velocity
+from surefoot.estimator.updates.outliers import UNLIMITED, fresh_counts
+from surefoot.estimator.updates.velocity import update_velocity, update_velocity_checked
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import kernel
+
+
+class CoverageSettings(NamedTuple):
+    """Of coverage updates: gamma the joint level of the bounds, iterations of the projection, and
+    max_error (3,) [m/s], beyond which an error is an outlier.
+    """
+
+    gamma: float = 0.0
+    iterations: int = 1
+    max_error: np.ndarray = UNLIMITED
+
+
+class FilterMemory(NamedTuple):
+    """What a filter carries from sample to sample, changed in place by the kernels.
+
+    mean (7+E, 3) and covariance (15+3E, 15+3E) of `surefoot.estimator.core.state`; columns
+    (15+3E, 6) and rotation_columns (3E, 3), work space of `propagate`; counts (2,) of
+    `surefoot.estimator.updates.outliers`.
+    """
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    columns: np.ndarray
+    rotation_columns: np.ndarray
+    counts: np.ndarray
 
 
 class InvariantFilter:
     """Right-invariant filter on SE_2(3) x R^6 (paper, Sec. II): one call a sample.
 
     state: NavState; covariance (15, 15) in the error order (rotation, velocity, position, b_a,
-    b_g); noise: FilterNoise. `persistent`, where given, describes a part of the
-    observer's error that lasts: it becomes three more states, so that a stream of measurements is
-    not taken for independent news, and coverage statements are about means (the derivation is in
-    `estimator.updates.bias_states`). Raises SurefootError on wrong shapes, values that are not
-    finite and
-    covariances that are not positive definite.
+    b_g); noise: FilterNoise. `persistent`, where given, describes the persistent part of the
+    observer's error: it becomes more states, so that successive measurements are not treated as
+    independent, and coverage statements are about means (the derivation is in
+    `surefoot.estimator.updates.bias_states`). Raises SurefootError on wrong shapes, values that are
+    not finite and covariances that are not positive definite.
     """
 
     def __init__(
@@ -42,20 +79,32 @@ class InvariantFilter:
         persistent: PersistentError | None = None,
     ):
         self._noise = (noise or FilterNoise()).packed()
-        self._mean, self._covariance = _start(state, covariance, persistent)
+        covariance = spd("covariance", covariance, 15)
         self._persistent = None if persistent is None else persistent.model()
-        self._columns, self._rotation_columns = _work(self._mean)
-        self._left_out = np.zeros(2, dtype=np.int64)
+        self._mean = state.pack(0 if persistent is None else EXTRAS)
+        self._covariance = covariance if persistent is None else persistent.enter(covariance)
+        extras = len(self._mean) - EXTRA
+        self._columns = np.zeros((15 + 3 * extras, 6))
+        self._rotation_columns = np.zeros((3 * extras, 3))
+        self._counts = fresh_counts()
+        self.t = np.nan
+        """Stamp [s] of the last sample, NaN before the first: `run` goes on from there."""
 
     def predict(self, gyro: np.ndarray, accel: np.ndarray, dt: float) -> None:
         """IMU step (eq. covariance_propagation): gyro (3,) [rad/s] and accel (3,) [m/s^2], both in
         I, are means over the dt > 0 [s] that ends now.
         """
         try:
-            done = quick_predict(
-                self._mean, self._covariance, gyro, accel, dt, self._noise, self._columns,
+            done = propagate_checked(
+                self._mean,
+                self._covariance,
+                gyro,
+                accel,
+                dt,
+                self._noise,
+                self._columns,
                 self._rotation_columns,
-            )  # fmt: skip
+            )
         except TypeError:
             done = False
         if not done:
@@ -63,57 +112,108 @@ class InvariantFilter:
             if not 0.0 < dt < np.inf:
                 raise SurefootError(f"dt: {dt} where a number > 0 is expected")
             propagate(
-                self._mean, self._covariance, gyro, accel, float(dt), self._noise, self._columns,
+                self._mean,
+                self._covariance,
+                gyro,
+                accel,
+                float(dt),
+                self._noise,
+                self._columns,
                 self._rotation_columns,
-            )  # fmt: skip
+            )
         if self._persistent:
-            propagate_bias(self._mean, self._covariance, *self._persistent[:2], float(dt))
+            propagate_bias(self._mean, self._covariance, self._persistent, float(dt))
 
     def update_coverage(
-        self, v_I: np.ndarray, epsilon: np.ndarray, gamma: float, iterations: int = 1, reach=None
+        self,
+        v_I: np.ndarray,
+        epsilon: np.ndarray,
+        gamma: float,
+        iterations: int = 1,
+        max_error: np.ndarray | None = None,
     ) -> float:
         """Algorithm 1 with P(|v_I - true v_I| <= epsilon) >= gamma, gamma the JOINT level.
 
-        v_I (3,) and epsilon (3,) > 0 in m/s, in I. Returns pi, the prior mass inside the bounds
-        (eq. pi_def_error_state); the state changed if pi < gamma. More than one of `iterations`
-        repeats the projection, so that the posterior holds closer to gamma. With a persistent part
-        epsilon bounds the mean mixing error of a window: pi is nan, and the state unchanged, but
-        for the measurement that ends one. Errors beyond reach (3,) [m/s] are outliers and left out,
-        where it is given (`estimator.updates.outliers`); a persistent part has its own.
+        Returns pi, the prior mass inside the bounds (eq. pi_def_error_state); the state changed if
+        pi < gamma. With a persistent part epsilon bounds the mean mixing error of a window: pi is
+        nan, and the state unchanged, but for the measurement that ends one.
+
+        Args:
+            v_I: measured velocity (3,) [m/s] in I.
+            epsilon: its bounds (3,) > 0 [m/s].
+            gamma: their joint level.
+            iterations: more than one repeat the projection, so that the posterior holds closer to
+                gamma.
+            max_error: errors beyond (3,) [m/s] are outliers and rejected
+                (`surefoot.estimator.updates.outliers`); a persistent part has its own.
         """
         v_I, epsilon = vector("v_I", v_I), vector("epsilon", epsilon)
         if not min(epsilon.tolist()) > 0:
-            _bounds(epsilon, (3,))
-        _check_gamma(gamma, iterations)
-        reach = ANY if reach is None else _reach(reach, self._persistent)
+            raise SurefootError("epsilon: every bound must be > 0 m/s")
+        settings = coverage_settings(gamma, iterations, max_error, self._persistent is not None)
+        mean, covariance = self._mean, self._covariance
         if self._persistent:
             return update_coverage_persistent(
-                self._mean, self._covariance, v_I, epsilon, float(gamma), int(iterations),
-                *self._persistent[2:],
-            )  # fmt: skip
-        return update_coverage_within(
-            self._mean, self._covariance, 0, v_I, epsilon, float(gamma), int(iterations), reach,
-            self._left_out,
-        )  # fmt: skip
+                mean, covariance, v_I, epsilon, *settings[:2], self._persistent, self._counts
+            )
+        return update_coverage_within(mean, covariance, 0, v_I, epsilon, *settings, self._counts)
 
     def update_velocity(self, v_I: np.ndarray, cov: np.ndarray) -> float:
         """Gaussian update with v_I (3,) [m/s] in I and its covariance (3, 3). Returns the squared
         Mahalanobis distance of the innovation. With a persistent part cov is that of the mixing
-        error, and the distance is nan where v_I was left out as an outlier.
+        error, and the distance is nan where v_I was rejected as an outlier.
         """
         if self._persistent:
             v_I, cov = vector("v_I", v_I), spd_3("cov", cov)
             return update_velocity_persistent(
-                self._mean, self._covariance, v_I, cov, *self._persistent[2:]
+                self._mean, self._covariance, v_I, cov, self._persistent, self._counts
             )
         try:
-            distance = quick_velocity(self._mean, self._covariance, 0, v_I, cov)
+            distance = update_velocity_checked(self._mean, self._covariance, 0, v_I, cov)
         except TypeError:
             distance = -1.0
         if distance >= 0.0:
             return distance
         v_I, cov = vector("v_I", v_I), spd_3("cov", cov)
         return update_velocity(self._mean, self._covariance, 0, v_I, cov)
+
+    def run(
+        self,
+        imu: ImuSamples,
+        velocities: Velocities = NO_VELOCITIES,
+        rows: np.ndarray | None = None,
+        settings: CoverageSettings | None = None,
+    ) -> Trajectory:
+        """The rows of a log that follow those seen so far, in one compiled loop.
+
+        The numbers are those of one call a row, however a log is cut into pieces. Updates are
+        coverage updates where `velocities` have bounds and Gaussian ones where they have
+        covariances. Of a window, the record has the measurement that ended it; of velocities, those
+        not rejected.
+
+        Args:
+            imu: the samples, of `imu_samples`.
+            velocities: measured on the way, of `bounded_velocities` or `gaussian_velocities`.
+            rows: of these samples, whose estimates are returned; at 100 Hz where left out.
+            settings: of coverage updates.
+        """
+        settings = settings or CoverageSettings()
+        found = empty_estimates(every_row(imu.t, None) if rows is None else rows)
+        pi = np.full(len(velocities.rows), np.nan)
+        memory = FilterMemory(
+            self._mean, self._covariance, self._columns, self._rotation_columns, self._counts
+        )
+        model, persistent = self._persistent or NOT_PERSISTENT, self._persistent is not None
+        _run(imu, velocities, settings, memory, self._noise, model, persistent, self.t, found, pi)
+        self.t = float(imu.t[-1])
+        done, updates = np.isfinite(pi), None
+        t, v_I, epsilon = imu.t[velocities.rows], velocities.v_I, velocities.epsilon
+        if len(epsilon):
+            active = pi[done] < settings.gamma
+            updates = UpdateRecord(t[done], v_I[done], epsilon[done], pi[done], active)
+        elif len(v_I):
+            updates = UpdateRecord(t, v_I, None, None, done)
+        return trajectory(imu.t, found, updates)
 
     @property
     def state(self) -> NavState:
@@ -130,147 +230,136 @@ class InvariantFilter:
         """Estimate (3,) [m/s] and covariance (3, 3) of the persistent error, None without one."""
         if self._persistent is None:
             return None
-        return self._mean[EXTRA].copy(), self._covariance[15:18, 15:18].copy()
+        return self._mean[EXTRA].copy(), self._covariance[BIAS_AT:, BIAS_AT:][:3, :3].copy()
+
+
+@kernel
+def _run(imu, velocities, settings, memory, noise, model, persistent, before, found, values):
+    """A filter over rows of a log; values (M,) receive what each update returns.
+
+    Args:
+        imu: ImuSamples.
+        velocities: Velocities.
+        settings: CoverageSettings.
+        memory: FilterMemory.
+        noise: of `FilterNoise.packed`.
+        model: PersistentModel.
+        persistent: whether the state has a persistent part.
+        before: stamp of the row before the first [s], nan where there is none.
+        found: Estimates to fill.
+        values: pi of coverage updates, squared distances of Gaussian ones.
+    """
+    mean, P, counts = memory.mean, memory.covariance, memory.counts
+    columns, rotation_columns = memory.columns, memory.rotation_columns
+    m = out = 0
+    for k in range(imu.t.shape[0]):
+        if not np.isnan(before):
+            dt = imu.t[k] - before
+            propagate(mean, P, imu.gyro[k], imu.accel[k], dt, noise, columns, rotation_columns)
+            if persistent:
+                propagate_bias(mean, P, model, dt)
+        before = imu.t[k]
+        if m < velocities.rows.shape[0] and velocities.rows[m] == k:
+            v_I = velocities.v_I[m]
+            if velocities.epsilon.shape[0] > 0:
+                epsilon, gamma, iterations = (
+                    velocities.epsilon[m],
+                    settings.gamma,
+                    settings.iterations,
+                )
+                if persistent:
+                    values[m] = update_coverage_persistent(
+                        mean, P, v_I, epsilon, gamma, iterations, model, counts
+                    )
+                else:
+                    values[m] = update_coverage_within(
+                        mean, P, 0, v_I, epsilon, gamma, iterations, settings.max_error, counts
+                    )
+            elif persistent:
+                values[m] = update_velocity_persistent(
+                    mean, P, v_I, velocities.cov[m], model, counts
+                )
+            else:
+                values[m] = update_velocity(mean, P, 0, v_I, velocities.cov[m])
+            m += 1
+        if out < found.rows.shape[0] and found.rows[out] == k:
+            found.mean[out] = mean[:7]
+            found.covariance[out] = P[:15, :15]
+            out += 1
+
+
+def coverage_settings(
+    gamma: float, iterations: int, max_error, persistent: bool
+) -> CoverageSettings:
+    """Checked settings; max_error (3,) [m/s] or None, which a filter with a persistent part has of
+    its own."""
+    if not 0.0 < gamma < 1.0:
+        raise SurefootError(f"gamma: {gamma} where a number inside (0, 1) is expected")
+    if not 1 <= iterations <= 1000:
+        raise SurefootError(f"iterations: {iterations} where a whole number in 1..1000 is expected")
+    if max_error is None:
+        return CoverageSettings(float(gamma), int(iterations))
+    max_error = numbers("max_error", max_error, (3,))
+    if not np.all(max_error > 0):
+        raise SurefootError("max_error: every one must be > 0 m/s")
+    if persistent:
+        raise SurefootError("max_error: a persistent part has its own")
+    return CoverageSettings(float(gamma), int(iterations), max_error)
 
 
 def run_imu(t, gyro, accel, state, covariance, noise=None, stride=None) -> Trajectory:
     """Integrate the IMU alone over a log: t (N,), gyro and accel (N, 3); see `run_coverage`."""
-    none = np.zeros((0, 3))
-    return _run(t, gyro, accel, none[:, 0], none, None, None, 0.0, state, covariance, noise, stride)
+    imu = imu_samples(t, gyro, accel)
+    return InvariantFilter(state, covariance, noise).run(imu, rows=every_row(imu.t, stride))
 
 
 def run_velocity(
     t, gyro, accel, rows, v_I, cov, state, covariance, noise=None, stride=None, persistent=None
 ) -> Trajectory:
     """Gaussian velocity updates over a log; cov (3, 3) or (M, 3, 3), the rest as `run_coverage`."""
-    v_I = numbers("v_I", v_I, (-1, 3))
-    if np.ndim(cov) == 2:
-        cov = np.broadcast_to(spd("cov", cov, 3), (len(v_I), 3, 3))
-    cov = numbers("cov", cov, (len(v_I), 3, 3))
-    if len(cov) and np.linalg.eigvalsh(cov).min() <= 0:
-        raise SurefootError("cov: is not positive definite in every row")
-    return _run(
-        t, gyro, accel, rows, v_I, None, cov, 0.0, state, covariance, noise, stride, persistent
-    )
+    imu = imu_samples(t, gyro, accel)
+    velocities = gaussian_velocities(rows, v_I, cov, len(imu.t))
+    one = InvariantFilter(state, covariance, noise, persistent)
+    return one.run(imu, velocities, every_row(imu.t, stride))
 
 
 def run_coverage(
-    t, gyro, accel, rows, v_I, epsilon, gamma, state, covariance, noise=None, stride=None,
-    persistent=None, iterations: int = 1, reach=None,
-) -> Trajectory:  # fmt: skip
+    t,
+    gyro,
+    accel,
+    rows,
+    v_I,
+    epsilon,
+    gamma,
+    state,
+    covariance,
+    noise=None,
+    stride=None,
+    persistent=None,
+    iterations: int = 1,
+    max_error=None,
+) -> Trajectory:
     """Coverage updates over a whole log, one compiled loop with the numbers of `InvariantFilter`.
 
-    t (N,) [s], gyro (N, 3) and accel (N, 3): row k holds the means over (t[k-1], t[k]], so row 0
-    is where `state` stands and predicts nothing. rows (M,) are the increasing row indices of the
-    measurements v_I (M, 3) [m/s], each applied after its row's prediction; epsilon (3,) or (M, 3)
-    [m/s], gamma the joint level, `iterations` and `reach` as `InvariantFilter.update_coverage`,
-    `persistent` as `InvariantFilter`. Output every `stride` rows, by default at 100 Hz.
+    Args:
+        t: stamps (N,) [s].
+        gyro: (N, 3) [rad/s] in I; row k is the mean over (t[k-1], t[k]], so row 0 is where `state`
+            stands and predicts nothing.
+        accel: (N, 3) [m/s^2] in I, likewise.
+        rows: increasing row indices (M,) of the measurements, each used after its row's prediction.
+        v_I: measured velocities (M, 3) [m/s] in I.
+        epsilon: bounds (3,) or (M, 3) [m/s].
+        gamma: their joint level.
+        state: NavState at t[0].
+        covariance: (15, 15) of its error.
+        noise: FilterNoise.
+        stride: rows from one estimate that is returned to the next; 100 Hz where left out.
+        persistent: PersistentError, as `InvariantFilter`.
+        iterations: as `InvariantFilter.update_coverage`.
+        max_error: likewise.
     """
-    v_I = numbers("v_I", v_I, (-1, 3))
-    if np.ndim(epsilon) == 1:
-        epsilon = np.broadcast_to(_bounds(epsilon, (3,)), v_I.shape)
-    epsilon = _bounds(epsilon, v_I.shape)
-    _check_gamma(gamma, iterations)
-    return _run(
-        t, gyro, accel, rows, v_I, epsilon, None, gamma, state, covariance, noise, stride,
-        persistent, iterations, ANY if reach is None else _reach(reach, persistent),
-    )  # fmt: skip
-
-
-def _run(
-    t, gyro, accel, rows, v_I, epsilon, cov, gamma, state, covariance, noise, stride,
-    persistent=None, iterations=1, reach=ANY,
-):  # fmt: skip
-    t, gyro, accel, stride = imu_arrays(t, gyro, accel, stride)
-    rows = row_indices(rows, len(v_I), len(t))
-    mean, P = _start(state, covariance, persistent)
-    model = (*NONE[:3], reach, np.zeros(2, dtype=np.int64))
-    if persistent is not None:
-        model = persistent.model()
-    out_mean, out_cov = outputs(len(t), stride)
-    pi = np.full(len(rows), np.nan)
-    _loop(
-        t, gyro, accel, rows, v_I,
-        np.zeros((0, 3)) if epsilon is None else epsilon,
-        np.zeros((0, 3, 3)) if cov is None else cov,
-        float(gamma), int(iterations), mean, P, (noise or FilterNoise()).packed(), *_work(mean),
-        stride, out_mean, out_cov, pi,
-        persistent is not None, *model,
-    )  # fmt: skip
-    updates = None
-    # Of a window, the record has the measurement that ended it; of velocities, those not left out.
-    done = np.isfinite(pi)
-    if epsilon is not None:
-        updates = UpdateRecord(t[rows[done]], v_I[done], epsilon[done], pi[done], pi[done] < gamma)
-    elif cov is not None:
-        updates = UpdateRecord(t[rows], v_I, None, None, done)
-    return trajectory(t[::stride], out_mean, out_cov, updates)
-
-
-@kernel
-def _loop(
-    t, gyro, accel, rows, v_I, epsilon, cov, gamma, iterations, mean, P, noise, columns,
-    rotation_columns, stride, out_mean, out_cov, pi, lasting, prior, time_constant, window, reach,
-    counts,
-):  # fmt: skip
-    m = 0
-    for k in range(t.shape[0]):
-        if k > 0:
-            dt = t[k] - t[k - 1]
-            propagate(mean, P, gyro[k], accel[k], dt, noise, columns, rotation_columns)
-            if lasting:
-                propagate_bias(mean, P, prior, time_constant, dt)
-        if m < rows.shape[0] and rows[m] == k:
-            if epsilon.shape[0] > 0 and lasting:
-                pi[m] = update_coverage_persistent(
-                    mean, P, v_I[m], epsilon[m], gamma, iterations, window, reach, counts
-                )
-            elif epsilon.shape[0] > 0:
-                pi[m] = update_coverage_within(
-                    mean, P, 0, v_I[m], epsilon[m], gamma, iterations, reach, counts
-                )
-            elif lasting:
-                pi[m] = update_velocity_persistent(mean, P, v_I[m], cov[m], window, reach, counts)
-            else:
-                pi[m] = update_velocity(mean, P, 0, v_I[m], cov[m])
-            m += 1
-        if k % stride == 0:
-            out_mean[k // stride] = mean[:7]
-            out_cov[k // stride] = P[:15, :15]
-
-
-def _start(
-    state: NavState, covariance, persistent: PersistentError | None
-) -> tuple[np.ndarray, np.ndarray]:
-    covariance = spd("covariance", covariance, 15)
-    if persistent is None:
-        return state.pack(), covariance
-    return state.pack(EXTRAS), persistent.enter(covariance)
-
-
-def _work(mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    extras = len(mean) - EXTRA
-    return np.zeros((15 + 3 * extras, 6)), np.zeros((3 * extras, 3))
-
-
-def _bounds(epsilon, shape) -> np.ndarray:
-    epsilon = numbers("epsilon", epsilon, shape)
-    if not np.all(epsilon > 0):
-        raise SurefootError("epsilon: every bound must be > 0 m/s")
-    return epsilon
-
-
-def _reach(reach, persistent) -> np.ndarray:
-    reach = numbers("reach", reach, (3,))
-    if not np.all(reach > 0):
-        raise SurefootError("reach: every one must be > 0 m/s")
-    if persistent:
-        raise SurefootError("reach: a persistent part has its own")
-    return reach
-
-
-def _check_gamma(gamma: float, iterations: int) -> None:
-    if not 0.0 < gamma < 1.0:
-        raise SurefootError(f"gamma: {gamma} where a number inside (0, 1) is expected")
-    if not 1 <= iterations <= 1000:
-        raise SurefootError(f"iterations: {iterations} where a whole number in 1..1000 is expected")
+    imu = imu_samples(t, gyro, accel)
+    velocities = bounded_velocities(rows, v_I, epsilon, len(imu.t))
+    settings = coverage_settings(gamma, iterations, max_error, persistent is not None)
+    one = InvariantFilter(state, covariance, noise, persistent)
+    return one.run(imu, velocities, every_row(imu.t, stride), settings)

@@ -1,16 +1,43 @@
 """The leg filter: contact-aided right-invariant EKF (Hartley 2020) with feet that roll."""
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
-from surefoot.estimator.core.arrays import imu_arrays, outputs, row_indices, trajectory
-from surefoot.estimator.core.state import EXTRA, FilterNoise, NavState, numbers, spd, spd_3, vector
+from surefoot.estimator.core.checks import numbers, spd, spd_3, vector
+from surefoot.estimator.core.state import EXTRA, FilterNoise, NavState
 from surefoot.estimator.evaluation.trajectory import Trajectory
-from surefoot.estimator.updates.contact import propagate_contacts, update_contacts
+from surefoot.estimator.run import (
+    NO_VELOCITIES,
+    ImuSamples,
+    Velocities,
+    empty_estimates,
+    every_row,
+    gaussian_velocities,
+    imu_samples,
+    trajectory,
+)
+from surefoot.estimator.updates.contact import (
+    ContactModel,
+    contact_memory,
+    propagate_contacts,
+    update_contacts,
+)
 from surefoot.estimator.updates.velocity import update_velocity
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import kernel
+
+
+class LegSamples(NamedTuple):
+    """Leg kinematics at each row: feet_I (N, K, 3) [m] the foot centres in I, contact (N, K) bool,
+    covariance (N, K, 3, 3) [m^2] of the centres, rates_I (N, K, 3) [rad/s] of the feet in I.
+    """
+
+    feet_I: np.ndarray
+    contact: np.ndarray
+    covariance: np.ndarray
+    rates_I: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -43,7 +70,7 @@ class LegFilter:
     state, covariance (15, 15) as `InvariantFilter`; noise: LegNoise. foot_radius [m]: 0 for point
     feet, or one value a foot (K,); `feet` is K. slip_gate, where given, is the squared Mahalanobis
     distance (3 degrees of freedom; 16.27 is passed by chance once in 1000) of an innovation, or of
-    their running mean, beyond which a foot is held to slip and left out (`leg_slip`). Raises
+    their running mean, beyond which a foot slips and is left out (`leg_slip`). Raises
     SurefootError on bad input.
     """
 
@@ -57,18 +84,13 @@ class LegFilter:
         slip_gate: float | None = None,
     ):
         noise = noise or LegNoise()
-        self._imu_noise = noise.imu.packed()
-        self._contact_noise, self._rolling_noise = noise.packed()
-        self._radius = _radius(foot_radius, feet)
-        self._gate = _gate(slip_gate)
-        self._mean, self._covariance = _start(state, covariance, feet)
-        self._columns, self._rotation_columns = (
-            np.zeros((15 + 3 * feet, 6)),
-            np.zeros((3 * feet, 3)),
-        )
-        self._standing = np.zeros(feet, dtype=np.bool_)
-        self._drift, self._held = np.zeros((feet, 3)), np.zeros(feet, dtype=np.int64)
-        self._rates: np.ndarray | None = None
+        P = np.zeros((15 + 3 * feet, 15 + 3 * feet))
+        P[:15, :15] = spd("covariance", covariance, 15)
+        radius, gate = _radius(foot_radius, feet), _gate(slip_gate)
+        self._model = ContactModel(noise.imu.packed(), *noise.packed(), radius, gate)
+        self._memory = contact_memory(state.pack(feet), P)
+        self.t = np.nan
+        """Stamp [s] of the last sample, NaN before the first: `run` goes on from there."""
 
     def predict(
         self, gyro: np.ndarray, accel: np.ndarray, dt: float, foot_rates_I: np.ndarray | None = None
@@ -81,122 +103,174 @@ class LegFilter:
         gyro, accel = vector("gyro", gyro), vector("accel", accel)
         if not 0.0 < dt < np.inf:
             raise SurefootError(f"dt: {dt} where a number > 0 is expected")
+        rates = self._rates(foot_rates_I)
+        propagate_contacts(self._memory, self._model, gyro, accel, float(dt), rates)
+
+    def _rates(self, foot_rates_I, rows: tuple[int, ...] = ()) -> np.ndarray:
+        """Checked rates (*rows, K, 3) of the feet, zero where none are needed."""
+        shape = (*rows, len(self._model.radius), 3)
         if foot_rates_I is None:
-            if self._radius.any():
+            if self._model.radius.any():
                 raise SurefootError("foot_rates_I: needed, as foot_radius is not 0")
-            foot_rates_I = np.zeros((len(self._radius), 3))
-        rates = numbers("foot_rates_I", foot_rates_I, (len(self._radius), 3))
-        before = rates if self._rates is None else self._rates
-        propagate_contacts(
-            self._mean, self._covariance, self._standing, gyro, accel, float(dt), self._imu_noise,
-            self._contact_noise, self._rolling_noise, self._radius, 0.5 * (before + rates),
-            self._columns, self._rotation_columns,
-        )  # fmt: skip
-        self._rates = rates
+            return np.zeros(shape)
+        return numbers("foot_rates_I", foot_rates_I, shape)
 
     def update_contacts(
         self, foot_positions_I: np.ndarray, in_contact: np.ndarray, covariance: np.ndarray
     ) -> np.ndarray:
         """Leg kinematics now: foot centres (K, 3) [m] in I, which of them stand (K,), and the
-        covariances (K, 3, 3) [m^2] of the positions. Returns (K,) bool: feet held to slip.
+        covariances (K, 3, 3) [m^2] of the positions. Returns (K,) bool: feet found slipping.
         """
-        feet = len(self._radius)
+        feet = len(self._model.radius)
         positions = numbers("foot_positions_I", foot_positions_I, (feet, 3))
         cov = numbers("covariance", covariance, (feet, 3, 3))
         in_contact = _flags(in_contact, (feet,))
         for k in np.flatnonzero(in_contact):
             spd_3(f"covariance of foot {k}", cov[k])
-        update_contacts(
-            self._mean, self._covariance, self._standing, positions, in_contact, cov, self._gate,
-            self._drift, self._held,
-        )  # fmt: skip
-        return self._held > 0
+        update_contacts(self._memory, self._model.gate, positions, in_contact, cov)
+        return self._memory.held > 0
 
     def update_velocity(self, v_I: np.ndarray, cov: np.ndarray) -> float:
         """Gaussian update with a velocity (3,) [m/s] in I, as `InvariantFilter.update_velocity`."""
         v_I, cov = vector("v_I", v_I), spd_3("cov", cov)
-        return update_velocity(self._mean, self._covariance, len(self._radius), v_I, cov)
+        memory, feet = self._memory, len(self._model.radius)
+        return update_velocity(memory.mean, memory.covariance, feet, v_I, cov)
 
     @property
     def state(self) -> NavState:
         """The estimate (a copy)."""
-        return NavState.unpack(self._mean)
+        return NavState.unpack(self._memory.mean)
 
     @property
     def covariance(self) -> np.ndarray:
         """Covariance (15, 15) of the error state without the contacts (a copy)."""
-        return self._covariance[:15, :15].copy()
+        return self._memory.covariance[:15, :15].copy()
 
     @property
     def contacts(self) -> dict[int, np.ndarray]:
         """Foot index -> estimated centre (3,) [m] in G of each standing foot."""
-        return {int(k): self._mean[EXTRA + k].copy() for k in np.flatnonzero(self._standing)}
+        standing = np.flatnonzero(self._memory.standing)
+        return {int(k): self._memory.mean[EXTRA + k].copy() for k in standing}
+
+    def legs(self, feet_I, contact, covariance, foot_rates_I=None) -> LegSamples:
+        """Checked samples of the legs for `run`.
+
+        Args:
+            feet_I: foot centres (N, K, 3) [m] in I.
+            contact: which feet stand (N, K).
+            covariance: of the centres (N, K, 3, 3) [m^2].
+            foot_rates_I: angular velocities of the feet (N, K, 3) [rad/s]; point feet need none.
+        """
+        feet_I = numbers("feet_I", feet_I, (-1, len(self._model.radius), 3))
+        n, feet = feet_I.shape[:2]
+        contact = _flags(contact, (n, feet))
+        cov = numbers("cov", covariance, (n, feet, 3, 3))
+        if contact.any() and np.linalg.eigvalsh(cov[contact]).min() <= 0:
+            raise SurefootError("cov: is not positive definite for every standing foot")
+        return LegSamples(feet_I, contact, cov, self._rates(foot_rates_I, (n,)))
+
+    def run(
+        self,
+        imu: ImuSamples,
+        legs: LegSamples,
+        velocities: Velocities = NO_VELOCITIES,
+        rows: np.ndarray | None = None,
+    ) -> Trajectory:
+        """The rows of a log that follow those seen so far, in one compiled loop.
+
+        The numbers are those of one call a row, however a log is cut into pieces.
+
+        Args:
+            imu: the samples, of `imu_samples`.
+            legs: at the same rows, of `legs`.
+            velocities: measured besides (by a radar, say), of `gaussian_velocities`.
+            rows: of these samples, whose estimates are returned; at 100 Hz where left out.
+        """
+        found = empty_estimates(every_row(imu.t, None) if rows is None else rows)
+        if len(legs.contact) != len(imu.t):
+            raise SurefootError(f"feet_I: {len(legs.contact)} rows where t has {len(imu.t)}")
+        _run(imu, legs, velocities, self._memory, self._model, self.t, found)
+        self.t = float(imu.t[-1])
+        return trajectory(imu.t, found)
 
 
 def run_leg(
-    t, gyro, accel, feet_I, contact, cov, state, covariance, noise=None,
+    t,
+    gyro,
+    accel,
+    feet_I,
+    contact,
+    cov,
+    state,
+    covariance,
+    noise=None,
     foot_radius: float | np.ndarray = 0.0,
-    foot_rates_I=None, slip_gate=None, stride=None, rows=None, v_I=None, v_cov=None,
-) -> Trajectory:  # fmt: skip
+    foot_rates_I=None,
+    slip_gate=None,
+    stride=None,
+    rows=None,
+    v_I=None,
+    v_cov=None,
+) -> Trajectory:
     """The leg filter over a whole log in one compiled loop, with the numbers of `LegFilter`.
 
-    t (N,), gyro (N, 3), accel (N, 3), stride as `run_coverage`; feet_I (N, K, 3) [m], contact
-    (N, K), cov (N, K, 3, 3) [m^2] and foot_rates_I (N, K, 3) [rad/s] at t[k], every row an update.
-    Velocities measured besides (a radar's, say) come as rows (M,), v_I (M, 3), v_cov (M, 3, 3).
+    Args:
+        t: stamps (N,) [s].
+        gyro: (N, 3) [rad/s] in I, as `run_coverage`.
+        accel: (N, 3) [m/s^2] in I, likewise.
+        feet_I: foot centres (N, K, 3) [m] in I, every row an update.
+        contact: which feet stand (N, K).
+        cov: covariances of the centres (N, K, 3, 3) [m^2].
+        state: NavState at t[0].
+        covariance: (15, 15) of its error.
+        noise: LegNoise.
+        foot_radius: [m], one or one a foot (K,).
+        foot_rates_I: angular velocities of the feet (N, K, 3) [rad/s]; point feet need none.
+        slip_gate: as `LegFilter`.
+        stride: rows from one estimate that is returned to the next; 100 Hz where left out.
+        rows: increasing row indices (M,) of velocities measured besides.
+        v_I: those velocities (M, 3) [m/s] in I.
+        v_cov: their covariances (M, 3, 3) [m^2/s^2].
     """
-    t, gyro, accel, stride = imu_arrays(t, gyro, accel, stride)
-    n = len(t)
-    feet_I = numbers("feet_I", feet_I, (n, -1, 3))
-    feet = feet_I.shape[1]
-    contact = _flags(contact, (n, feet))
-    cov = numbers("cov", cov, (n, feet, 3, 3))
-    if contact.any() and np.linalg.eigvalsh(cov[contact]).min() <= 0:
-        raise SurefootError("cov: is not positive definite for every standing foot")
-    radius = _radius(foot_radius, feet)
-    if foot_rates_I is None:
-        if radius.any():
-            raise SurefootError("foot_rates_I: needed, as foot_radius is not 0")
-        foot_rates_I = np.zeros((n, feet, 3))
-    rates = numbers("foot_rates_I", foot_rates_I, (n, feet, 3))
-    v_I = numbers("v_I", np.zeros((0, 3)) if v_I is None else v_I, (-1, 3))
-    v_cov = numbers("v_cov", np.zeros((0, 3, 3)) if v_cov is None else v_cov, (len(v_I), 3, 3))
-    rows = row_indices(np.zeros(0, int) if rows is None else rows, len(v_I), n)
-    noise = noise or LegNoise()
-    contact_noise, rolling_noise = noise.packed()
-    mean, P = _start(state, covariance, feet)
-    out_mean, out_cov = outputs(n, stride)
-    _loop(
-        t, gyro, accel, feet_I, contact, cov, rates, radius, rows, v_I, v_cov, mean, P,
-        noise.imu.packed(), contact_noise, rolling_noise, _gate(slip_gate), stride, out_mean,
-        out_cov,
-    )  # fmt: skip
-    return trajectory(t[::stride], out_mean, out_cov, None)
+    imu = imu_samples(t, gyro, accel)
+    feet = np.shape(feet_I)[1] if np.ndim(feet_I) == 3 else 0
+    one = LegFilter(state, covariance, noise, foot_radius, feet, slip_gate)
+    legs = one.legs(feet_I, contact, cov, foot_rates_I)
+    none = rows is None
+    velocities = NO_VELOCITIES if none else gaussian_velocities(rows, v_I, v_cov, len(imu.t))
+    return one.run(imu, legs, velocities, every_row(imu.t, stride))
 
 
 @kernel
-def _loop(
-    t, gyro, accel, feet_I, contact, cov, rates, radius, rows, v_I, v_cov, mean, P,
-    noise, contact_noise, rolling_noise, gate, stride, out_mean, out_cov,
-):  # fmt: skip
-    feet = radius.shape[0]
-    standing = np.zeros(feet, dtype=np.bool_)
-    drift, held = np.zeros((feet, 3)), np.zeros(feet, dtype=np.int64)
-    columns, rotation_columns = np.zeros((15 + 3 * feet, 6)), np.zeros((3 * feet, 3))
-    m = 0
-    for k in range(t.shape[0]):
-        if k > 0:
-            before = rates[k - 1] if k > 1 else rates[k]
-            propagate_contacts(
-                mean, P, standing, gyro[k], accel[k], t[k] - t[k - 1], noise, contact_noise,
-                rolling_noise, radius, 0.5 * (before + rates[k]), columns, rotation_columns,
-            )  # fmt: skip
-        update_contacts(mean, P, standing, feet_I[k], contact[k], cov[k], gate, drift, held)
-        if m < rows.shape[0] and rows[m] == k:
-            update_velocity(mean, P, feet, v_I[m], v_cov[m])
+def _run(imu, legs, velocities, memory, model, before, found):
+    """A leg filter over rows of a log.
+
+    Args:
+        imu: ImuSamples.
+        legs: LegSamples.
+        velocities: Velocities with covariances.
+        memory: ContactMemory.
+        model: ContactModel.
+        before: stamp of the row before the first [s], nan where there is none.
+        found: Estimates to fill.
+    """
+    feet = model.radius.shape[0]
+    m = out = 0
+    for k in range(imu.t.shape[0]):
+        if not np.isnan(before):
+            dt = imu.t[k] - before
+            propagate_contacts(memory, model, imu.gyro[k], imu.accel[k], dt, legs.rates_I[k])
+        before = imu.t[k]
+        update_contacts(memory, model.gate, legs.feet_I[k], legs.contact[k], legs.covariance[k])
+        if m < velocities.rows.shape[0] and velocities.rows[m] == k:
+            update_velocity(
+                memory.mean, memory.covariance, feet, velocities.v_I[m], velocities.cov[m]
+            )
             m += 1
-        if k % stride == 0:
-            out_mean[k // stride] = mean[:7]
-            out_cov[k // stride] = P[:15, :15]
+        if out < found.rows.shape[0] and found.rows[out] == k:
+            found.mean[out] = memory.mean[:7]
+            found.covariance[out] = memory.covariance[:15, :15]
+            out += 1
 
 
 def encoder_covariance(jacobian_I: np.ndarray, encoder: float, kinematics: float) -> np.ndarray:
@@ -207,12 +281,6 @@ def encoder_covariance(jacobian_I: np.ndarray, encoder: float, kinematics: float
     """
     J = np.asarray(jacobian_I, dtype=float)
     return J @ np.swapaxes(J, -1, -2) * encoder**2 + np.eye(3) * kinematics**2
-
-
-def _start(state: NavState, covariance, feet: int) -> tuple[np.ndarray, np.ndarray]:
-    P = np.zeros((15 + 3 * feet, 15 + 3 * feet))
-    P[:15, :15] = spd("covariance", covariance, 15)
-    return state.pack(feet), P
 
 
 def _radius(radius, feet: int) -> np.ndarray:

@@ -5,11 +5,12 @@ yaw at the first common sample, which proprioception cannot observe; SE(3)-align
 `se3` in their names.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from surefoot.estimator.core.lie import hats
 from surefoot.estimator.evaluation.trajectory import Trajectory, TrajectoryError
 from surefoot.sim.common.stamps import rows_every
 
@@ -136,12 +137,15 @@ def transformed(trajectory: Trajectory, R: np.ndarray, p: np.ndarray) -> Traject
         A = np.eye(15)
         for k in range(3):
             A[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = R
-        A[6:9, :3] = _hat(p) @ R
+        A[6:9, :3] = hats(p) @ R
         covariance = A @ covariance @ A.T
-    return Trajectory(
-        trajectory.t, R @ trajectory.R_GI, trajectory.v_GI @ R.T, trajectory.p_GI @ R.T + p,
-        trajectory.b_a, trajectory.b_g, covariance, trajectory.updates,
-    )  # fmt: skip
+    return replace(
+        trajectory,
+        R_GI=R @ trajectory.R_GI,
+        v_GI=trajectory.v_GI @ R.T,
+        p_GI=trajectory.p_GI @ R.T + p,
+        covariance=covariance,
+    )
 
 
 def absolute_errors(reference: Trajectory, estimate: Trajectory) -> tuple[np.ndarray, np.ndarray]:
@@ -193,12 +197,12 @@ def nees(reference: Trajectory, estimate: Trajectory) -> Nees:
 
 def position_jacobian(p: np.ndarray) -> np.ndarray:
     """J (N, 3, 9) of p_bar - p by (rotation, velocity, position), at the estimates p (N, 3)."""
-    return np.concatenate([-_hat(p), np.zeros((len(p), 3, 3)), _eyes(len(p))], axis=2)
+    return np.concatenate([-hats(p), np.zeros((len(p), 3, 3)), _eyes(len(p))], axis=2)
 
 
 def velocity_jacobian(v: np.ndarray) -> np.ndarray:
     """J (N, 3, 9) of v_bar - v by (rotation, velocity, position), at the estimates v (N, 3)."""
-    return np.concatenate([-_hat(v), _eyes(len(v)), np.zeros((len(v), 3, 3))], axis=2)
+    return np.concatenate([-hats(v), _eyes(len(v)), np.zeros((len(v), 3, 3))], axis=2)
 
 
 def path_length(trajectory: Trajectory, every: float = 0.5) -> float:
@@ -228,13 +232,6 @@ def _relative(trajectory: Trajectory, i: np.ndarray, j: np.ndarray):
 def _angle(R: np.ndarray) -> np.ndarray:
     """Geodesic angle (N,) [deg] of the rotations (N, 3, 3)."""
     return np.degrees(Rotation.from_matrix(R).magnitude())
-
-
-def _hat(x: np.ndarray) -> np.ndarray:
-    zero = np.zeros_like(x[..., 0])
-    a, b, c = x[..., 0], x[..., 1], x[..., 2]
-    rows = [[zero, -c, b], [c, zero, -a], [-b, a, zero]]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
 def _eyes(n: int) -> np.ndarray:

@@ -17,8 +17,8 @@ from typing import Annotated, Any
 import tyro
 from tyro.conf import arg
 
-from surefoot.scenarios.estimate.registry import NEEDS, declared_model
-from surefoot.scenarios.estimate.tuned import BUNDLED, OWN, Tuned, read_tuned, tuned
+from surefoot.scenarios.estimate.registry import ESTIMATORS, declared_model, estimator_named
+from surefoot.scenarios.estimate.tuned import BUNDLED, Tuned, read_tuned, tuned
 from surefoot.scenarios.experiments.cache import Product, product
 from surefoot.scenarios.experiments.file import Condition, Experiment, walk_to_make
 from surefoot.scenarios.experiments.products import (
@@ -38,8 +38,6 @@ from surefoot.sim.walking.batch import known_robot
 SUITES = tuple(
     bundled("surefoot.scenarios.experiments", "suites") / f"{n}.toml" for n in ("vision60", "spot")
 )
-SEARCHED = tuple(name for name in OWN if name != "imu")
-"""The floor has nothing to be tuned for."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,8 @@ class TuneFilters:
     """s of a walk that a filter is judged on."""
     conditions: tuple[str, ...] = ()
     """Of the suites' conditions, those to walk under; all where left out."""
-    filters: tuple[str, ...] = SEARCHED
+    filters: tuple[str, ...] = ()
+    """All but the IMU alone where left out: the floor has nothing to be tuned for."""
     workers: int = 1
     force: bool = False
     """Overwrite tuned.toml and tuned.md in `out`."""
@@ -75,6 +74,8 @@ class Part:
 
 def tune(options: TuneFilters) -> tuple[dict[str, Tuned], str]:
     """The robots' parameters after the search, and the table of before and after."""
+    if not options.filters:
+        options = replace(options, filters=tuple(name for name in ESTIMATORS if name != "imu"))
     experiments = [_experiment(path, options) for path in options.suites]
     cache = options.out / "cache"
     with processes(options.workers) as pool:
@@ -158,9 +159,10 @@ def make_search(
     """One filter's search; the facts are what it started from and found, on all pieces."""
     robot = known_robot(robot_name)
     before = tuned(robot)
+    start = before.of(estimator_named(name))
     inputs = {
         "filter": name,
-        "start": before.filters[name],
+        "start": start,
         "mounting": before.mounting,
         "budget": budget,
         "logs": [part.log.digest for part in parts],
@@ -175,8 +177,8 @@ def make_search(
         for part in parts:
             log = replace(Log.read(part.log.path), name=part.name)
             known = declared_model(log, robot)
-            pieces.append(piece(name, *known, part.learnt.load(gamma), before.mounting))
-        found = search(lambda values: price_on(pieces, values), before.filters[name], budget)
+            pieces.append(piece(name, *known, part.learnt.load(gamma)))
+        found = search(lambda values: price_on(pieces, values), start, budget)
         facts = found.__dict__ | {
             "before": facts_on(pieces, found.start),
             "after": facts_on(pieces, found.best),
@@ -192,8 +194,8 @@ def write_tuned(path: Path, entries: dict[str, Tuned], force: bool = False) -> N
     blocks = []
     for robot, values in entries.items():
         lines = [f"[{robot}]", f'reason = "{values.reason}"', f"mounting = {values.mounting:g}"]
-        for name in OWN:
-            pairs = ", ".join(f"{k} = {v:g}" for k, v in values.filters[name].items())
+        for name, own in values.filters.items():
+            pairs = ", ".join(f"{k} = {v:g}" for k, v in own.items())
             lines.append(f"{name} = {{ {pairs} }}")
         blocks.append("\n".join(lines))
     with whole_file(path, force) as temporary:
@@ -201,9 +203,10 @@ def write_tuned(path: Path, entries: dict[str, Tuned], force: bool = False) -> N
 
 
 HEAD = """\
-# The filters' parameters by robot, as surefoot.scenarios.tune found them: it says on what walks,
-# and tuned.py what each parameter is. Robots not named here take [default]. mounting is the suites'
-# tolerance of an IMU's mounting (suites/as_built.toml: 0.006 rad uniform), declared for them all.
+# What the estimators are tuned to by robot, as surefoot.scenarios.tune found it, where that is not
+# their defaults, which each class says with unit and meaning. Robots not named here take [default].
+# mounting is the suites' tolerance of an IMU's mounting (suites/as_built.toml: 0.006 rad uniform),
+# declared for them all.
 
 """
 
@@ -230,7 +233,7 @@ def _robots(experiment: Experiment) -> list[str]:
 
 
 def _kind(name: str) -> str:
-    return "learnt" if NEEDS.get(name, ("observers", "bounds")) else "leg"
+    return "learnt" if estimator_named(name).needs.learnt else "leg"
 
 
 def _entries(found: dict[tuple[str, str], Product], options: TuneFilters) -> dict[str, Tuned]:

@@ -16,10 +16,9 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from surefoot.estimator.evaluation.mounting_tolerance import with_mounting
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.estimator.metrics import Metrics, evaluate
-from surefoot.scenarios.estimate.registry import FILTERS, Learnt
+from surefoot.scenarios.estimate.registry import Learnt, estimated, estimator_named
 from surefoot.scenarios.estimate.tuned import Parameters
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import Log
@@ -85,16 +84,18 @@ class Piece:
     name: str
     truth: Trajectory
     run: Callable[[Parameters], Trajectory]
-    mounting: float
 
     def judged(self, values: Parameters) -> Metrics:
         """Metrics with these parameters."""
-        return evaluate(self.truth, with_mounting(self.run(values), self.mounting))
+        return evaluate(self.truth, self.run(values))
 
 
-def piece(name: str, log: Log, robot: Robot, learnt: Learnt, mounting: float) -> Piece:
-    """Raises SurefootError where the log lacks what the filter or a metric takes."""
-    return Piece(log.name, reference(log), FILTERS[name](log, robot, learnt), mounting)
+def piece(name: str, log: Log, robot: Robot, learnt: Learnt) -> Piece:
+    """Raises SurefootError where the log lacks what a metric takes."""
+    estimator = estimator_named(name)
+    return Piece(
+        log.name, reference(log), lambda values: estimated(estimator, log, robot, learnt, values)
+    )
 
 
 def price_of(metrics: Metrics) -> float:

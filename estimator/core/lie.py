@@ -57,6 +57,14 @@ def hat(phi):
     return out
 
 
+def hats(x: np.ndarray) -> np.ndarray:
+    """`hat` of every one of x (..., 3): (..., 3, 3)."""
+    zero = np.zeros_like(x[..., 0])
+    a, b, c = x[..., 0], x[..., 1], x[..., 2]
+    rows = [[zero, -c, b], [c, zero, -a], [-b, a, zero]]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
 @kernel
 def _polynomial(phi, identity: float, linear: float, square: float, out):
     """out = identity I + linear [phi]x + square [phi]x^2."""

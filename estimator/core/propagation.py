@@ -18,6 +18,7 @@ the sample is, so Q_d = B (Q/dt) B^T + walks.
 
 import numpy as np
 
+from surefoot.estimator.core.checks import finite_3
 from surefoot.estimator.core.lie import entire, gammas
 from surefoot.estimator.core.state import B_A, B_G, GRAVITY, P, V
 from surefoot.sim.common.kernels import kernel
@@ -200,3 +201,14 @@ def _add_rows(M, columns, rotation_columns, dt: float):
         for j in range(n):
             M[i, j] += b0 * M[9, j] + b1 * M[10, j] + b2 * M[11, j]
             M[i, j] += b3 * M[12, j] + b4 * M[13, j] + b5 * M[14, j]
+
+
+# A call from Python costs more than the arithmetic of a step, and checks in Python more than the
+# call: with a signature it takes C-contiguous float arrays alone (TypeError otherwise).
+@kernel(signature="b1(f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, f8[:,::1], f8[:,::1], f8[:,::1])")
+def propagate_checked(mean, covariance, gyro, accel, dt, noise, columns, rotation_columns) -> bool:
+    """`propagate` for finite gyro (3,) and accel (3,) and dt > 0: True, or False undone."""
+    if not (finite_3(gyro) and finite_3(accel) and 0.0 < dt < np.inf):
+        return False
+    propagate(mean, covariance, gyro, accel, dt, noise, columns, rotation_columns)
+    return True

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from surefoot.estimator.core.lie import hat
+from surefoot.estimator.core.lie import hats
 from surefoot.estimator.evaluation.trajectory import Trajectory
 
 ACROSS = np.diag([1.0, 1.0, 0.0])
@@ -27,11 +27,7 @@ def with_mounting(estimate: Trajectory, std: float) -> Trajectory:
         return estimate
     D = std**2 * estimate.R_GI @ ACROSS @ np.swapaxes(estimate.R_GI, 1, 2)
     unit = np.broadcast_to(np.eye(3), D.shape)
-    J = np.concatenate([unit, _hats(estimate.v_GI), _hats(estimate.p_GI)], axis=1)
+    J = np.concatenate([unit, hats(estimate.v_GI), hats(estimate.p_GI)], axis=1)
     covariance = estimate.covariance.copy()
     covariance[:, :9, :9] += J @ D @ np.swapaxes(J, 1, 2)
     return replace(estimate, covariance=covariance)
-
-
-def _hats(x: np.ndarray) -> np.ndarray:
-    return np.stack([hat(row) for row in x])

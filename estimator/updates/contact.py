@@ -12,6 +12,8 @@ With W = omega dt the error of the contact point follows
     xi_d' = xi_d + r [W]x [e_z]x xi_R + ([d']x - r [e_z]x) B_R delta b_g.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from surefoot.estimator.core.propagation import (
@@ -23,28 +25,84 @@ from surefoot.estimator.core.state import B_G, EXTRA, P
 from surefoot.estimator.updates.velocity import gaussian_update
 from surefoot.sim.common.kernels import kernel
 
-MEMORY = 0.1
+NEWEST = 0.1
 """Weight of the newest innovation in the running mean: about 20 updates, 40 ms at 500 Hz."""
 HOLD = 50
 """Updates for which a foot that slipped is left out, 0.1 s at 500 Hz."""
 
 
+class ContactModel(NamedTuple):
+    """What does not change from sample to sample.
+
+    imu_noise (4, 3) of `FilterNoise.packed`; contact_noise (3,), squared densities [m^2/s] along
+    G's axes; rolling_noise [rad^2/s], squared density of the error of the feet's rates; radius (K,)
+    [m] of the feet; gate, the squared Mahalanobis distance beyond which a foot slips.
+    """
+
+    imu_noise: np.ndarray
+    contact_noise: np.ndarray
+    rolling_noise: float
+    radius: np.ndarray
+    gate: float
+
+
+class ContactMemory(NamedTuple):
+    """What is carried from sample to sample, changed in place.
+
+    mean (7+K, 3) and covariance (15+3K, 15+3K) of `surefoot.estimator.core.state`; columns
+    (15+3K, 6) and rotation_columns (3K, 3), work space; standing (K,) bool, which feet are in the
+    state; drift (K, 3), running means of their whitened innovations; held (K,), updates for which a
+    foot that slipped still stays out; rates (K, 3) [rad/s] of the feet at the last prediction, NaN
+    before the first.
+    """
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    columns: np.ndarray
+    rotation_columns: np.ndarray
+    standing: np.ndarray
+    drift: np.ndarray
+    held: np.ndarray
+    rates: np.ndarray
+
+
+def contact_memory(mean: np.ndarray, covariance: np.ndarray) -> ContactMemory:
+    """The memory of a filter that begins with this mean (7+K, 3) and covariance (15+3K, 15+3K)."""
+    feet = len(mean) - EXTRA
+    return ContactMemory(
+        mean,
+        covariance,
+        columns=np.zeros((15 + 3 * feet, 6)),
+        rotation_columns=np.zeros((3 * feet, 3)),
+        standing=np.zeros(feet, dtype=np.bool_),
+        drift=np.zeros((feet, 3)),
+        held=np.zeros(feet, dtype=np.int64),
+        rates=np.full((feet, 3), np.nan),
+    )
+
+
 @kernel
-def propagate_contacts(
-    mean, covariance, standing, gyro, accel, dt: float, noise, contact_noise, rolling_noise: float,
-    radius, rates, columns, rotation_columns,
-):  # fmt: skip
+def propagate_contacts(memory, model, gyro, accel, dt: float, rates):
     """One IMU step with the contact points rolling, in place.
 
-    standing (K,) bool; radius (K,) [m]; rates (K, 3) [rad/s], the feet's angular velocity relative
-    to the body over the step, in I; contact_noise (3,) squared densities [m^2/s] along G's axes;
-    rolling_noise [rad^2/s] the squared density of the rates' error; the rest as `propagate`.
+    Args:
+        memory: ContactMemory.
+        model: ContactModel.
+        gyro: mean over the step (3,) [rad/s], in I.
+        accel: mean over the step (3,) [m/s^2], in I.
+        dt: the step [s].
+        rates: the feet's angular velocities relative to the body (K, 3) [rad/s] now, in I; over the
+            step the mean with the last call's is used.
     """
+    mean, covariance = memory.mean, memory.covariance
+    columns, rotation_columns = memory.columns, memory.rotation_columns
+    standing, radius = memory.standing, model.radius
     omega = np.empty(3)
     W = np.empty(3)
     for i in range(3):
         omega[i] = gyro[i] - mean[B_G, i]
     propagate_mean(mean, gyro, accel, dt, columns)
+    known = standing.shape[0] > 0 and not np.isnan(memory.rates[0, 0])
     for k in range(standing.shape[0]):
         at = 15 + 3 * k
         rotation_columns[3 * k : 3 * k + 3] = 0.0
@@ -56,7 +114,8 @@ def propagate_contacts(
             # -B_R turns a rate in I into an angle in G, over the step's mean attitude.
             W[i] = 0.0
             for m in range(3):
-                W[i] -= columns[i, 3 + m] * (omega[m] + rates[k, m])
+                before = memory.rates[k, m] if known else rates[k, m]
+                W[i] -= columns[i, 3 + m] * (omega[m] + 0.5 * (before + rates[k, m]))
         mean[EXTRA + k, 0] += r * W[1]
         mean[EXTRA + k, 1] -= r * W[0]
         rotation_columns[3 * k, 0] = -r * W[2]
@@ -67,25 +126,32 @@ def propagate_contacts(
         for j in range(3, 6):
             columns[at, j] += r * columns[1, j]
             columns[at + 1, j] -= r * columns[0, j]
-    propagate_covariance(covariance, columns, rotation_columns, dt, noise)
+    propagate_covariance(covariance, columns, rotation_columns, dt, model.imu_noise)
     for k in range(standing.shape[0]):
         if standing[k]:
             for i in range(3):
-                roll = radius[k] ** 2 * rolling_noise if i < 2 else 0.0
-                covariance[15 + 3 * k + i, 15 + 3 * k + i] += (contact_noise[i] + roll) * dt
+                roll = radius[k] ** 2 * model.rolling_noise if i < 2 else 0.0
+                at = 15 + 3 * k + i
+                covariance[at, at] += (model.contact_noise[i] + roll) * dt
+    memory.rates[:] = rates
 
 
 @kernel
-def update_contacts(
-    mean, covariance, standing, feet_I, in_contact, measurement_cov, gate: float, drift, held
-):
+def update_contacts(memory, gate: float, feet_I, in_contact, measurement_cov):
     """Contacts leave, correct the state and enter, in this order, in place.
 
-    feet_I (K, 3) [m] and measurement_cov (K, 3, 3) [m^2] in I; in_contact (K,) bool. A foot found
-    slipping (see `_slips`, drift (K, 3)) leaves the state and stays out for HOLD updates, counted
-    down in held (K,), or until it lifts off.
+    A foot found slipping (see `_slips`) leaves the state and stays out for HOLD updates, or until
+    it lifts off.
+
+    Args:
+        memory: ContactMemory.
+        gate: of `ContactModel`.
+        feet_I: centres of the feet (K, 3) [m] in I.
+        in_contact: (K,) bool.
+        measurement_cov: of feet_I (K, 3, 3) [m^2].
     """
-    feet = standing.shape[0]
+    mean, covariance, standing = memory.mean, memory.covariance, memory.standing
+    drift, held, feet = memory.drift, memory.held, memory.standing.shape[0]
     n = covariance.shape[0]
     PHt, S, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
     for k in range(feet):
@@ -117,7 +183,7 @@ def _slips(S, measurement_cov, residual, gate: float, drift) -> bool:
 
     Innovations of a consistent filter are white with covariance S + R. A slip of half a metre a
     second moves a foot by only a millimetre an update, which no single innovation shows; it does
-    show in the exponential mean `drift` of the whitened ones, of variance MEMORY / (2 - MEMORY).
+    show in the exponential mean `drift` of the whitened ones, of variance NEWEST / (2 - NEWEST).
     """
     L = np.zeros((3, 3))
     white = np.empty(3)
@@ -133,9 +199,9 @@ def _slips(S, measurement_cov, residual, gate: float, drift) -> bool:
             if j < i:
                 white[i] -= L[i, j] * white[j]
         white[i] /= L[i, i]
-        drift[i] += MEMORY * (white[i] - drift[i])
+        drift[i] += NEWEST * (white[i] - drift[i])
         single += white[i] ** 2
-        running += drift[i] ** 2 * (2.0 - MEMORY) / MEMORY
+        running += drift[i] ** 2 * (2.0 - NEWEST) / NEWEST
     return max(single, running) > gate
 
 

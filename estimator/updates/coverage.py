@@ -30,7 +30,7 @@ smaller). So the projection can be repeated, and pi climbs towards gamma: `itera
 import numpy as np
 
 from surefoot.estimator.box import box_moments_kernel
-from surefoot.estimator.updates.outliers import PATIENCE, is_outlier
+from surefoot.estimator.updates.outliers import MOST_REJECTED, is_outlier
 from surefoot.estimator.updates.velocity_output import lift, velocity_output
 from surefoot.sim.common.kernels import kernel
 
@@ -79,16 +79,25 @@ def update_coverage(
 
 @kernel
 def update_coverage_within(
-    mean, covariance, contacts: int, v_I, epsilon, gamma: float, iterations: int, reach, counts
+    mean, covariance, contacts: int, v_I, epsilon, gamma: float, iterations: int, max_error, counts
 ) -> float:
-    """`update_coverage`, but that an error beyond reach (3,) [m/s] is left out: pi is nan.
+    """`update_coverage` that rejects outliers: pi is nan.
 
-    counts (2,) are kept as `estimator.updates.outliers.is_outlier` says.
+    Args:
+        mean: packed state (7+E, 3), changed in place.
+        covariance: of its error (15+3E, 15+3E), changed in place.
+        contacts: how many extras of the state are contact points.
+        v_I: measured velocity (3,) [m/s].
+        epsilon: bounds (3,) [m/s].
+        gamma: their joint level.
+        iterations: of the projection.
+        max_error: beyond which an error is an outlier (3,) [m/s].
+        counts: of the filter (2,), see `surefoot.estimator.updates.outliers`.
     """
     n = covariance.shape[0]
     PHt, S, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
     velocity_output(mean, covariance, contacts, v_I, PHt, S, residual)
-    if is_outlier(S, residual, reach, PATIENCE, counts):
+    if is_outlier(S, residual, max_error, MOST_REJECTED, counts):
         return np.nan
     return _set_update(mean, covariance, contacts, PHt, S, residual, epsilon, gamma, iterations)
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from surefoot.estimator.core.checks import definite_3, finite_3
 from surefoot.estimator.updates.velocity_output import inverse_3, lift, velocity_output
 from surefoot.sim.common.kernels import kernel
 
@@ -41,3 +42,12 @@ def gaussian_update(mean, covariance, contacts: int, PHt, S, residual, measureme
         for j in range(3):
             distance += residual[i] * information[i, j] * residual[j]
     return distance
+
+
+# As `propagate_checked`: checks and work in one call, for a robot's own loop.
+@kernel(signature="f8(f8[:,::1], f8[:,::1], i8, f8[::1], f8[:,::1])")
+def update_velocity_checked(mean, covariance, contacts, v_I, cov) -> float:
+    """`update_velocity` for a finite v_I (3,) and a positive definite cov (3, 3); -1 undone."""
+    if not finite_3(v_I) or cov.shape != (3, 3) or not definite_3(cov):
+        return -1.0
+    return update_velocity(mean, covariance, contacts, v_I, cov)

@@ -61,8 +61,8 @@ class BiasModel:
     the constant that b varies about, by the same laws; it may be zero. time_constant [s], may be
     inf.
     epsilon (3,) [m/s] bounds the mean of `window` successive mixing errors at the joint level of
-    the bounds; within (3, 3) [m^2/s^2] is that mean's covariance times `window`; reach (3,) [m/s]
-    the largest single mixing error seen. variance (3,) is c itself, interval (3, 2) and
+    the bounds; within (3, 3) [m^2/s^2] is that mean's covariance times `window`; max_error (3,)
+    [m/s] the largest single mixing error seen. variance (3,) is c itself, interval (3, 2) and
     time_constant_interval (2,) are 95 % of c and tau. sequences, blocks and nu count what was seen.
     """
 
@@ -71,7 +71,7 @@ class BiasModel:
     time_constant: float
     epsilon: np.ndarray
     within: np.ndarray
-    reach: np.ndarray
+    max_error: np.ndarray
     window: int
     variance: np.ndarray
     interval: np.ndarray
@@ -91,12 +91,13 @@ class BiasModel:
             course=R @ self.course @ R.T,
             within=R @ self.within @ R.T,
             epsilon=np.abs(R) @ self.epsilon,
-            reach=np.abs(R) @ self.reach,
+            max_error=np.abs(R) @ self.max_error,
         )
 
     def plain(self) -> dict[str, Any]:
         """As JSON takes it: lists, and null for an infinite time constant."""
         values: dict[str, Any] = {k: np.asarray(v).tolist() for k, v in self.__dict__.items()}
+        values["reach"] = values.pop("max_error")  # its name in the file
         ends = values["time_constant_interval"]
         values["time_constant_interval"] = [None if math.isinf(end) else end for end in ends]
         if math.isinf(self.time_constant):
@@ -108,7 +109,8 @@ class BiasModel:
         """Back from `plain`. Raises TypeError, KeyError or ValueError where it is not whole."""
         ends = [math.inf if end is None else end for end in values["time_constant_interval"]]
         tau = values["time_constant"]
-        values = values | {
+        named = {("max_error" if k == "reach" else k): v for k, v in values.items()}
+        values = named | {
             "time_constant": math.inf if tau is None else float(tau),
             "time_constant_interval": np.array(ends, dtype=float),
         }
@@ -121,15 +123,17 @@ class BiasModel:
             np.linalg.cholesky(values[name])
         if np.linalg.eigvalsh(found.course)[0] < -1e-12:
             raise ValueError("persistent.course is no covariance")
-        if not (found.time_constant > 0 and np.all(found.epsilon > 0) and np.all(found.reach > 0)):
-            raise ValueError("persistent.time_constant, epsilon and reach must be > 0")
+        if not (
+            found.time_constant > 0 and np.all(found.epsilon > 0) and np.all(found.max_error > 0)
+        ):
+            raise ValueError("persistent.time_constant, epsilon and max_error must be > 0")
         if not (isinstance(found.window, int) and found.window > 0):
             raise ValueError("persistent.window must be whole and positive")
         return found
 
 
 _SHAPES = {
-    "covariance": (3, 3), "course": (3, 3), "within": (3, 3), "epsilon": (3,), "reach": (3,),
+    "covariance": (3, 3), "course": (3, 3), "within": (3, 3), "epsilon": (3,), "max_error": (3,),
     "variance": (3,), "interval": (3, 2),
 }  # fmt: skip
 
@@ -175,7 +179,7 @@ def estimate_bias_model(
         time_constant=tau,
         epsilon=_quantile(np.abs(windows), gamma ** (1 / 3)),
         within=windows.T @ windows / len(windows) * length,
-        reach=np.abs(np.concatenate(mixing)).max(axis=0),
+        max_error=np.abs(np.concatenate(mixing)).max(axis=0),
         window=length,
         variance=variance,
         interval=interval,

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,8 +13,14 @@ from surefoot.estimator.evaluation.trajectory import reference
 from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.empirical_coverage import Coverage, coverage
 from surefoot.models.observer.predict import Prediction, predict, prediction_errors
+from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
-from surefoot.scenarios.estimate.registry import FILTERS, Learnt, Result, declared_model, run_all
+from surefoot.scenarios.estimate.registry import (
+    Result,
+    declared_model,
+    estimator_named,
+    run_all,
+)
 from surefoot.scenarios.reporting.figures import body_velocity, height, position_error, trajectories
 from surefoot.scenarios.reporting.html import Picture, Section, save_picture, write_report
 from surefoot.scenarios.reporting.tables import to_csv, to_markdown
@@ -34,7 +41,7 @@ MEANINGS = {
     "NEES_pos": "mean normalised squared position error; 3 is consistent, more is overconfident",
     "NEES_vel": "the same of velocity",
     "NEES_att": "the same of attitude",
-    "step [us]": "time of one IMU sample with its updates in the compiled loop (varies by machine)",
+    "step [us]": "time of one IMU sample, observer and legs included (varies by machine)",
 }
 
 
@@ -54,21 +61,22 @@ class Comparison:
 def compare_log(
     log: Log, robot: Robot, learnt: Learnt, names: Sequence[str] | None = None
 ) -> Comparison:
-    """Run every filter that can run on `log`; a bar tells which."""
+    """Run every filter that can run on `log`; a bar shows which."""
     with tqdm(total=None, desc=f"filters on {log.name}", unit=" filter") as bar:
 
-        def tell(name: str) -> None:
+        def progress(name: str) -> None:
             bar.set_postfix_str(name)
             bar.update()
 
-        results, left_out = run_all(log, robot, learnt, names, tell)
+        results, left_out = run_all(log, robot, learnt, names, progress)
     known, model = declared_model(log, robot)  # as the filters see it
     prediction, bounds = None, None
     held: dict[str, Coverage] = {}
-    for name, loss in (("coverage_gml", "gml"), ("coverage", None)):
-        if name not in {r.filter for r in results}:
+    for name in reversed([result.filter for result in results]):  # the first one's are drawn
+        bounded_by: Any = getattr(estimator_named(name), "bounded_by", None)
+        if bounded_by is None:
             continue
-        observer, bounds = learnt.bounded(loss)
+        observer, bounds = bounded_by(learnt)
         prediction = predict(observer, known, model)
         if log.has("reference"):
             held[name] = coverage(prediction_errors(observer, known, model)[1], bounds)
@@ -132,7 +140,7 @@ def write_comparison(
                 out / f"{comparison.log.name}.rrd",
                 comparison.log,
                 comparison.robot,
-                {r.filter: r.trajectory for r in comparison.results if r.filter != "imu"},
+                {r.filter: r.trajectory for r in comparison.results if is_drawn(r.filter)},
                 comparison.prediction,
                 comparison.bounds,
                 ground,
@@ -154,6 +162,11 @@ def prepare_folder(out: Path, force: bool) -> None:
         raise SurefootError(f"-o {out}: {error.strerror}") from None
 
 
+def is_drawn(name: str) -> bool:
+    """Whether an estimator is drawn: one that is far off would hide the others."""
+    return getattr(estimator_named(name), "drawn", True)
+
+
 def _with_interval(held: Coverage) -> str:
     low, high = 100 * held.joint_interval
     return f"{100 * held.joint:.1f} ({low:.0f}–{high:.0f})"
@@ -167,7 +180,7 @@ def _summary_sections(comparisons: Sequence[Comparison], found: pd.DataFrame) ->
         for name, why in comparison.left_out.items()
     ]
     ran = dict.fromkeys(result.filter for c in comparisons for result in c.results)
-    glossary = [{"": name, "means": FILTERS[name].__doc__} for name in ran]
+    glossary = [{"": name, "means": estimator_named(name).description} for name in ran]
     glossary += [{"": n, "means": text} for n, text in MEANINGS.items() if n in found.columns]
     return [
         Section("Filters compared", "\n\n".join(left_out), found),
@@ -201,11 +214,10 @@ def _pictures(comparison: Comparison, patches: Sequence) -> dict[str, Picture]:
     if not comparison.log.has("reference"):
         return {}
     truth = reference(comparison.log)
-    # The IMU alone leaves the picture within seconds and would hide the others.
     errors: dict[str, ErrorSeries] = {
         r.filter: error_series(truth, r.trajectory, 20.0)
         for r in comparison.results
-        if r.filter != "imu"
+        if is_drawn(r.filter)
     }
     pictures = {
         "trajectories": Picture(

@@ -10,8 +10,9 @@ from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.estimator.metrics import align_first, matched, nees
 from surefoot.models.calibration.empirical_coverage import binomial_interval
 from surefoot.models.observer.samples import body_velocity
+from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.error_series import error_series
-from surefoot.scenarios.estimate.registry import Learnt, Result
+from surefoot.scenarios.estimate.registry import Result
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
@@ -20,8 +21,8 @@ SERIES_RATE = 5.0
 
 
 def estimate_facts(log: Log, robot: Robot, result: Result, learnt: Learnt) -> dict[str, Any]:
-    """Metrics of an estimate, its time a step, and of the velocities it was fed their mean error
-    (3,), its spread (3,), and how often the bounds held.
+    """Metrics of an estimate, its time a step, and of the velocities it used their mean error (3,),
+    its spread (3,), and how often the bounds held.
 
     Bounds on anything but a velocity itself, such as the mean of a window beside a persistent part
     that the filter estimates, are not judged here.

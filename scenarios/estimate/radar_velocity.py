@@ -1,7 +1,10 @@
 """The radar of a simulated walk as velocities for a filter: what the perceptive reference sees."""
 
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,11 +21,38 @@ DOPPLER = 0.06
 """m/s, a return's error as the estimator takes it: step, noise and what a wrong direction does."""
 
 
+COLUMNS = (
+    *(f"x_radar_v_{a}" for a in "xyz"),
+    *(f"x_radar_cov_{a}{b}" for a in "xyz" for b in "xyz"),
+)
+"""Of a log: a radar's velocity of the IMU in I [m/s] and its covariance; NaN between frames."""
+
+
+def with_radar(log: Log, robot: Robot) -> Log:
+    """The log with the columns of a radar: its own, else those of a simulated one.
+
+    Raises SurefootError as `radar_velocity` does.
+    """
+    if set(COLUMNS) <= set(log.frame.columns):
+        return log
+    rows, v_I, cov = radar_velocity(log, robot)
+    values = np.full((len(log.frame), len(COLUMNS)), np.nan)
+    values[rows] = np.concatenate([v_I, cov.reshape(-1, 9)], axis=1)
+    return replace(log, frame=log.frame.assign(**dict(zip(COLUMNS, values.T, strict=True))))
+
+
+def radar_of(columns: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """rows (M,) that have a radar's velocity, v_I (M, 3) [m/s] there and covariances (M, 3, 3)."""
+    values = np.column_stack([np.asarray(columns[name], dtype=float) for name in COLUMNS])
+    rows = np.flatnonzero(np.isfinite(values[:, 0]))
+    return rows, values[rows, :3], values[rows, 3:].reshape(-1, 3, 3)
+
+
 def radar_velocity(log: Log, robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """rows (M,) of the log, the IMU's velocity v_I (M, 3) [m/s] there, and covariances (M, 3, 3).
 
-    What is left of the directions' pull lasts (about 1 % of the speed), and a filter that takes
-    frames for independent would trust it: `radar` of tuned.toml multiplies the covariances.
+    The bias that wrong directions leave persists (about 1 % of the speed), while the filter treats
+    frames as independent: the parameter `radar` multiplies the covariances.
 
     Raises SurefootError where there is no world for a radar to see: the log is measured, or of a
     scenario that is not among the bundled ones.
@@ -31,10 +61,10 @@ def radar_velocity(log: Log, robot: Robot) -> tuple[np.ndarray, np.ndarray, np.n
         raise SurefootError("needs the world of a bundled scenario for its radar (perceptive)")
     sensor = RadarSensor()
     seen = radar(log, Scenario.load(_scenarios()[log.meta.scenario]), robot, sensor)
+    angle_noise = sensor.azimuth_noise, sensor.elevation_noise
     frames, velocity, cov = ego_velocities(
-        seen.frame, seen.direction_R, seen.doppler, len(seen.rows), DOPPLER,
-        (sensor.azimuth_noise, sensor.elevation_noise),
-    )  # fmt: skip
+        seen.frame, seen.direction_R, seen.doppler, len(seen.rows), DOPPLER, angle_noise
+    )
     rows = seen.rows[frames]
     # The sensor's velocity is that of the IMU and of the arm between them, turning.
     v_I = velocity @ seen.R_IR.T - np.cross(log.gyro[rows], seen.p_IR)

@@ -1,92 +1,69 @@
-"""The filters' parameters by robot, from `tuned.toml`: what `scenarios.tune` found."""
+"""The estimators' parameters by robot: the defaults of each, and what `tuned.toml` says instead."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 
-from surefoot.estimator.core.state import FilterNoise
-from surefoot.estimator.leg import LegNoise
+from surefoot.scenarios.estimate.contract import Estimator
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
-from surefoot.sim.common.toml import read_toml
+from surefoot.sim.common.toml import Name, NonNegative, Positive, read_typed
 from surefoot.sim.robot import Robot
 
 BUNDLED = bundled("surefoot.scenarios.estimate", "tuned.toml")
-GYRO_WALK, ACCEL_WALK = 1e-5, 1e-4
-"""rad/s^2/sqrt(Hz) and m/s^3/sqrt(Hz), the same for all filters."""
-IMU = ("accel", "gyro")
-OWN: dict[str, tuple[str, ...]] = {
-    "coverage": IMU,
-    "coverage_gml": IMU,
-    "coverage_persistent": (*IMU, "lasting"),
-    "velocity": IMU,
-    "velocity_inflated": (*IMU, "inflation"),
-    "velocity_persistent": (*IMU, "lasting"),
-    "leg": (*IMU, "contact"),
-    "leg_slip": (*IMU, "contact", "slip_gate"),
-    "radar_leg": (*IMU, "contact", "slip_gate", "radar"),
-    "imu": IMU,
-}
-"""Each filter's own parameters.
-
-accel [m/s^2/sqrt(Hz)] and gyro [rad/s/sqrt(Hz)]: a measurement errs for long stretches in one
-direction, and an IMU taken at its data sheet's word would carry each such error on. contact
-[m/s/sqrt(Hz)]: of a standing foot. slip_gate: a squared Mahalanobis distance of 3 degrees of
-freedom. inflation: times the covariance that a gml observer predicts. lasting: times the deviations
-of the persistent part's prior. radar: times a radar frame's covariance.
-"""
+FORMER = {"lasting": "persistent"}
+"""Parameters by their names in files of surefoot 0.1.0, and what they are now."""
 
 Parameters = Mapping[str, float]
 
 
 @dataclass(frozen=True)
 class Tuned:
-    """Parameters of one robot's filters, by filter: the names in OWN, all > 0.
+    """What a robot's estimators are tuned to.
 
-    mounting [rad]: deviation of the IMU's mounting about each axis, declared for all filters and
-    never tuned. reason says who chose the rest.
+    filters: by the estimator's name, parameters that are not at their defaults. mounting [rad]:
+    deviation of the IMU's mounting about each axis, declared for all of them and never tuned.
+    reason says who chose the rest.
     """
 
-    filters: dict[str, dict[str, float]]
     mounting: float
     reason: str
+    filters: dict[str, dict[str, float]] = field(default_factory=dict)
 
-
-def imu_noise(values: Parameters) -> FilterNoise:
-    return FilterNoise(values["gyro"], values["accel"], GYRO_WALK, ACCEL_WALK)
-
-
-def leg_noise(values: Parameters) -> LegNoise:
-    return LegNoise(imu_noise(values), values["contact"])
+    def of(self, estimator: Estimator) -> dict[str, float]:
+        """The value of each of its parameters. Raises SurefootError for one that it has not."""
+        own = self.filters.get(estimator.name, {})
+        values = {parameter.name: parameter.default for parameter in estimator.parameters}
+        for name in own:
+            if name not in values:
+                known = ", ".join(values)
+                raise SurefootError(f"{estimator.name}: unknown parameter '{name}'; known: {known}")
+        return values | own
 
 
 def tuned(robot: Robot) -> Tuned:
-    """The parameters of this robot's filters: those of its name, else the defaults."""
+    """What this robot's estimators are tuned to: the entry of its name, else [default]."""
     every = read_tuned()
     return every.get(robot.name, every["default"])
 
 
 @cache
 def read_tuned(path: Path = BUNDLED) -> dict[str, Tuned]:
-    """All robots' parameters. Raises SurefootError, one line, on a bad file."""
-    found = {name: _tuned(values, f"{path}: [{name}]") for name, values in read_toml(path).items()}
-    if "default" not in found:
+    """All robots' entries. Raises SurefootError, one line, on a bad file."""
+    tables = read_typed(path, dict[str, dict[str, NonNegative | Name | dict[str, Positive]]])
+    if "default" not in tables:
         raise SurefootError(f"{path}: [default] is missing")
-    return found
+    return {robot: _tuned(table, f"{path}: [{robot}]") for robot, table in tables.items()}
 
 
-def _tuned(values, where: str) -> Tuned:
-    names = {"reason", "mounting", *OWN}
-    if not isinstance(values, dict) or set(values) != names:
-        raise SurefootError(f"{where} must have {', '.join(sorted(names))}")
-    filters = {}
-    for name, own in OWN.items():
-        table = values[name]
-        if not isinstance(table, dict) or set(table) != set(own):
-            raise SurefootError(f"{where}: {name} must have {', '.join(own)}")
-        for parameter, value in table.items():
-            if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
-                raise SurefootError(f"{where}: {name}.{parameter} = {value!r} must be > 0")
-        filters[name] = {parameter: float(table[parameter]) for parameter in own}
-    return Tuned(filters, float(values["mounting"]), str(values["reason"]))
+def _tuned(table: dict[str, float | str | dict[str, float]], where: str) -> Tuned:
+    filters: dict[str, dict[str, float]] = {}
+    mounting, reason = table.pop("mounting", None), table.pop("reason", None)
+    if not isinstance(mounting, float) or not isinstance(reason, str):
+        raise SurefootError(f"{where} must have mounting, a number, and reason, a string")
+    for name, values in table.items():
+        if not isinstance(values, dict):
+            raise SurefootError(f"{where} {name} must be a table of parameters, is {values!r}")
+        filters[name] = {FORMER.get(key, key): float(value) for key, value in values.items()}
+    return Tuned(mounting, reason, filters)

@@ -9,7 +9,7 @@ from zlib import crc32
 from surefoot.models.calibration.regions import METHODS
 from surefoot.models.observer.observer import check_inputs, check_loss, check_model
 from surefoot.models.observer.training import DEFAULT
-from surefoot.scenarios.estimate.registry import FILTERS
+from surefoot.scenarios.estimate.registry import ESTIMATORS
 from surefoot.scenarios.experiments.imperfections import Imperfection, load_imperfections
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
@@ -89,7 +89,7 @@ class Experiment:
     robots: tuple[str, ...] | None = None
     seeds: tuple[int, ...] = (0,)
     gammas: tuple[float, ...] = (0.8,)
-    filters: tuple[str, ...] = tuple(FILTERS)
+    filters: tuple[str, ...] = field(default_factory=lambda: tuple(ESTIMATORS))
     published: str | None = None
     learning: Learning = field(default_factory=Learning)
     sweep: Sweep = field(default_factory=Sweep)
@@ -160,10 +160,10 @@ def _experiment(table: Mapping[str, Any], path: Path) -> Experiment:
         for robot in robots or (str(scenario.robot),):
             known_robot(robot)
     conditions = tuple(_condition(c, path.parent, n) for n, c in enumerate(_tables(table), 1))
-    filters = _strings(table, "filters") if "filters" in table else tuple(FILTERS)
+    filters = _strings(table, "filters") if "filters" in table else tuple(ESTIMATORS)
     for name in filters:
-        if name not in FILTERS:
-            raise SurefootError(f"filters: unknown '{name}'; known: {', '.join(FILTERS)}")
+        if name not in ESTIMATORS:
+            raise SurefootError(f"filters: unknown '{name}'; known: {', '.join(ESTIMATORS)}")
     found = Experiment(
         title=_string(table, "title", path.stem),
         scenarios=scenarios,

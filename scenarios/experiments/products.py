@@ -13,7 +13,13 @@ from surefoot.models.observer.training import Schedule, train
 from surefoot.models.registry import ARCHITECTURES
 from surefoot.scenarios.datasets.index import recipe, row_of
 from surefoot.scenarios.estimate.facts import error_table, estimate_facts
-from surefoot.scenarios.estimate.registry import NEEDS, Learnt, declared_model, run_filter
+from surefoot.scenarios.estimate.registry import (
+    Learnt,
+    declared_model,
+    estimator_code,
+    estimator_named,
+    run_filter,
+)
 from surefoot.scenarios.estimate.tuned import tuned
 from surefoot.scenarios.experiments.cache import Product, product, product_key
 from surefoot.scenarios.experiments.file import Learning
@@ -142,10 +148,12 @@ def make_estimates(
     found: dict[tuple[str, float | None], Product] = {}
     left_out: dict[str, str] = {}
     for filter_name in filters:
-        needs = NEEDS.get(filter_name, ("observers", "bounds"))
+        estimator = estimator_named(filter_name)
+        needs = estimator.needs.learnt
         for gamma in gammas if "bounds" in needs else gammas[:1]:
             inputs: dict[str, Any] = {"walk": walk.digest, "filter": filter_name}
-            inputs["parameters"] = parameters.filters[filter_name]
+            inputs["code"] = estimator_code(filter_name)
+            inputs["parameters"] = parameters.of(estimator)
             inputs["mounting"] = parameters.mounting
             if "observers" in needs:
                 inputs["observers"] = sorted(one.digest for one in learnt.observers.values())

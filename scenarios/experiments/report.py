@@ -11,7 +11,7 @@ from shutil import copyfile
 import pandas as pd
 
 from surefoot.scenarios.datasets.simulate import seed_range
-from surefoot.scenarios.estimate.registry import FILTERS
+from surefoot.scenarios.estimate.registry import estimator_named
 from surefoot.scenarios.experiments.figures import (
     FACTOR,
     NOMINAL,
@@ -224,7 +224,9 @@ def _series(
 
 
 def _glossary(main: pd.DataFrame, outcome: Outcome) -> list[dict[str, str]]:
-    rows = [{"": name, "means": FILTERS[name].__doc__ or ""} for name in main["filter"].unique()]
+    rows = [
+        {"": name, "means": estimator_named(name).description} for name in main["filter"].unique()
+    ]
     rows += [{"": name, "means": text} for name, text in MEANINGS.items()]
     rows += [{"": f"{name}, left out", "means": why} for name, why in outcome.left_out.items()]
     return rows

@@ -7,6 +7,8 @@ All are legible on the white of a page and on the dark background of the viewer.
 
 from zlib import crc32
 
+from surefoot.scenarios.estimate.registry import ESTIMATORS
+
 TRUTH = "#8C8C8C"
 OBSERVER = "#E69F00"
 BOUNDS = "#B8913D"
@@ -18,19 +20,10 @@ BEFORE, AFTER = "#8C8C8C", "#0072B2"
 LEG_COLORS = {"FL": "#DDAA33", "FR": "#CC6677", "RL": "#44AA99", "RR": "#AA66CC"}
 
 _STYLES: dict[str, tuple[str, str, str]] = {
-    "coverage": ("Coverage", "#D55E00", "-"),
-    "coverage_persistent": ("Coverage, persistent error", "#F2A07B", "--"),
-    "coverage_gml": ("Coverage on GML mean", "#9C3D00", ":"),
-    "velocity": ("Velocity IEKF", "#009E73", "-"),
-    "velocity_inflated": ("Velocity IEKF, covariance inflated", "#3C6E5D", ":"),
-    "velocity_persistent": ("Velocity IEKF, persistent error", "#74CDB2", "--"),
-    "leg": ("Leg IEKF", "#2F86D1", "-"),
-    "leg_slip": ("Leg IEKF, slip rejected", "#8CBBEA", "--"),
     "leg (declared model)": ("Leg IEKF, declared model", "#8CBBEA", "--"),
     "leg (effect added)": ("Leg IEKF, effect added", "#2F86D1", "-"),
-    "imu": ("IMU alone", "#CC79A7", "-"),
-    "radar_leg": ("Radar and legs", "#9A9A2E", "-"),
 }
+"""Beside the estimators, which say their own: one estimator under two models."""
 _SIDES = {"before": "--", "after": "-"}
 _SPARE_COLORS = ("#AA4499", "#5B6BC0", "#6B8E23", "#A0522D", "#C71585", "#20868F")
 _SPARE_STYLES = ("-", "--", "-.", ":")
@@ -39,20 +32,18 @@ _SPARE_STYLES = ("-", "--", "-.", ":")
 def estimator_label(name: str) -> str:
     """The words a reader sees for the estimator `name`; an unknown name is its own label."""
     base, side = _side(name)
-    label = _STYLES[base][0] if base in _STYLES else base
+    label = _style(base)[0] or base
     return f"{label}, {side}" if side else label
 
 
 def estimator_color(name: str) -> str:
     """The colour '#RRGGBB' of the estimator `name`, the same in every picture.
 
-    An estimator that surefoot does not know gets a spare colour chosen by its name alone, so
-    that it too keeps one colour from one run to the next.
+    One that has no colour of its own gets a spare one chosen by its name alone, so that it keeps
+    it from one run to the next.
     """
     name, _ = _side(name)
-    if name in _STYLES:
-        return _STYLES[name][1]
-    return _SPARE_COLORS[crc32(name.encode()) % len(_SPARE_COLORS)]
+    return _style(name)[1] or _SPARE_COLORS[crc32(name.encode()) % len(_SPARE_COLORS)]
 
 
 def estimator_line(name: str) -> str:
@@ -60,9 +51,18 @@ def estimator_line(name: str) -> str:
     name, side = _side(name)
     if side:
         return _SIDES[side]
+    spare = crc32(name.encode()) // len(_SPARE_COLORS) % len(_SPARE_STYLES)
+    return _style(name)[2] or _SPARE_STYLES[spare]
+
+
+def _style(name: str) -> tuple[str, str, str]:
+    """Label, colour and line that an estimator says of itself; empty where it says nothing."""
     if name in _STYLES:
-        return _STYLES[name][2]
-    return _SPARE_STYLES[crc32(name.encode()) // len(_SPARE_COLORS) % len(_SPARE_STYLES)]
+        return _STYLES[name]
+    if name not in ESTIMATORS:
+        return "", "", ""
+    one = ESTIMATORS[name]
+    return one.label, getattr(one, "color", ""), getattr(one, "line", "")
 
 
 def _side(name: str) -> tuple[str, str]:

@@ -5,11 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from surefoot.estimator.evaluation.mounting_tolerance import with_mounting
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.estimator.metrics import Metrics, evaluate
-from surefoot.scenarios.estimate.registry import FILTERS, Learnt
-from surefoot.scenarios.estimate.tuned import tuned
+from surefoot.scenarios.estimate.registry import ESTIMATORS, Learnt, estimated, estimator_named
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect, compensate_all
 from surefoot.sim.log import Log
@@ -46,7 +44,7 @@ def before_and_after(
     if part is None or other is None:
         return []
     truth, done = reference(part), []
-    for name in FILTERS:
+    for name in ESTIMATORS:
         try:
             before = filtered(name, part, robot, learnt)
             after = filtered(name, other, informed, learnt) if effects else before
@@ -61,9 +59,7 @@ def before_and_after(
 def filtered(name: str, log: Log, robot: Robot, learnt: Learnt) -> Trajectory:
     """One filter over a log. Raises SurefootError saying what it lacks."""
     robot = replace(robot, foot_radius=np.maximum(robot.foot_radius, 0.0))
-    parameters = tuned(robot)
-    found = FILTERS[name](log, robot, learnt)(parameters.filters[name])
-    return with_mounting(found, parameters.mounting)
+    return estimated(estimator_named(name), log, robot, learnt)
 
 
 def stretch(log: Log, begin: float, end: float) -> Log | None:

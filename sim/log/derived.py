@@ -62,6 +62,28 @@ def derivative(t: np.ndarray, x: np.ndarray, window: float, causal: bool) -> np.
     return np.linalg.solve(normal, products)[:, 1] / scale
 
 
+class CausalDerivative:
+    """`derivative` of the past alone, of a log that comes in pieces or row by row.
+
+    Called with the rows that follow those seen so far, t (N,) and x (N, D), it returns their
+    derivatives (N, D): to the bit those of the whole log.
+    """
+
+    def __init__(self, window: float = JOINT_WINDOW):
+        self._window = window
+        self._t, self._x = np.zeros(0), None
+
+    def __call__(self, t: np.ndarray, x: np.ndarray) -> np.ndarray:
+        before = len(self._t)
+        t = np.concatenate([self._t, t])
+        x = x if self._x is None else np.concatenate([self._x, x])
+        found = derivative(t, x, self._window, causal=True)[before:]
+        # What the next row looks back on: the window, and two rows at least.
+        kept = min(int(np.searchsorted(t, t[-1] - self._window - 1e-5)), len(t) - 3)
+        self._t, self._x = t[max(kept, 0) :], x[max(kept, 0) :]
+        return found
+
+
 def joint_velocity(log: Log, causal: bool = False) -> np.ndarray:
     """Joint velocities (N, J) in rad/s: the logged ones, else derived from q over 25 ms.
 

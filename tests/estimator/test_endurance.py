@@ -12,28 +12,36 @@ from surefoot.estimator.updates.bias_states import (
     update_coverage_persistent,
     update_velocity_persistent,
 )
-from surefoot.estimator.updates.contact import propagate_contacts, update_contacts
+from surefoot.estimator.updates.contact import (
+    ContactModel,
+    contact_memory,
+    propagate_contacts,
+    update_contacts,
+)
 from surefoot.estimator.updates.coverage import update_coverage, update_coverage_within
 from surefoot.estimator.updates.velocity import update_velocity
 from surefoot.sim.common.kernels import kernel
 
 KINDS = (
     "coverage", "velocity", "coverage_persistent", "velocity_persistent", "leg", "leg_slip",
-    "coverage_within_reach",
+    "coverage_without_outliers",
 )  # fmt: skip
 NOISE = FilterNoise(3e-4, 1e-2, 1e-5, 1e-4).packed()
 FEET = np.array([[0.3, 0.2, -0.5], [0.3, -0.2, -0.5], [-0.3, 0.2, -0.5], [-0.3, -0.2, -0.5]])
 
 
 @kernel
-def march(kind, steps, seed, mean, P, prior, tau, window, reach, noise, feet_I, check):
+def march(kind, steps, seed, memory, persistent, contacts, noise, feet_I, check):
     """Walk in circles at 500 Hz; `check` (M, n, n) receives P at even intervals."""
     np.random.seed(seed)
-    n = P.shape[0]
-    columns, rotation = np.zeros((n, 6)), np.zeros((n - 15, 3))
+    mean, P, columns, rotation = (
+        memory.mean,
+        memory.covariance,
+        memory.columns,
+        memory.rotation_columns,
+    )
     counts = np.zeros(2, dtype=np.int64)
-    standing, drift = np.zeros(4, dtype=np.bool_), np.zeros((4, 3))
-    held, rates = np.zeros(4, dtype=np.int64), np.zeros((4, 3))
+    rates = np.zeros((4, 3))
     contact, cov = np.zeros(4, dtype=np.bool_), np.zeros((4, 3, 3))
     R, epsilon = np.eye(3) * 4e-4, np.array([0.05, 0.2, 0.05])
     every = steps // check.shape[0]
@@ -45,12 +53,9 @@ def march(kind, steps, seed, mean, P, prior, tau, window, reach, noise, feet_I, 
         if kind < 4 or kind == 6:
             propagate(mean, P, gyro, accel, 0.002, noise, columns, rotation)
         else:
-            propagate_contacts(
-                mean, P, standing, gyro, accel, 0.002, noise, np.full(3, 4e-4), 0.01,
-                np.full(4, 0.02), rates, columns, rotation,
-            )  # fmt: skip
+            propagate_contacts(memory, contacts, gyro, accel, 0.002, rates)
         if kind == 2 or kind == 3:
-            propagate_bias(mean, P, prior, tau, 0.002)
+            propagate_bias(mean, P, persistent, 0.002)
         if k % every == every - 1:
             check[k // every] = P
         if k % 5000 >= 4500:
@@ -68,17 +73,17 @@ def march(kind, steps, seed, mean, P, prior, tau, window, reach, noise, feet_I, 
             elif kind == 1:
                 update_velocity(mean, P, 0, v, R)
             elif kind == 6:
-                update_coverage_within(mean, P, 0, v, epsilon, 0.8, 1, reach, counts)
+                update_coverage_within(mean, P, 0, v, epsilon, 0.8, 1, persistent.max_error, counts)
             elif kind == 2:
-                update_coverage_persistent(mean, P, v, epsilon, 0.8, 1, window, reach, counts)
+                update_coverage_persistent(mean, P, v, epsilon, 0.8, 1, persistent, counts)
             else:
-                update_velocity_persistent(mean, P, v, R, window, reach, counts)
+                update_velocity_persistent(mean, P, v, R, persistent, counts)
         elif kind == 4 or kind == 5:
             for i in range(4):
                 contact[i] = (k // 150 + i // 2 + i) % 2 == 0
             seen = feet_I + wild * 2e-3 * np.random.randn(4, 3)
             gate = np.inf if kind == 4 else 16.27
-            update_contacts(mean, P, standing, seen, contact, cov, gate, drift, held)
+            update_contacts(memory, gate, seen, contact, cov)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -95,7 +100,8 @@ def test_the_covariance_stays_definite_and_nothing_diverges(kind, steps):
     else:
         mean, P = NavState().pack(), start
     check = np.full((40, *P.shape), np.nan)
-    march(place, steps, 1, mean, P, *lasting.model()[:4], NOISE, FEET, check)
+    contacts = ContactModel(NOISE, np.full(3, 4e-4), 0.01, np.full(4, 0.02), np.inf)
+    march(place, steps, 1, contact_memory(mean, P), lasting.model(), contacts, NOISE, FEET, check)
     assert np.isfinite(check).all()
     assert np.isfinite(P).all()
     assert np.isfinite(mean).all()

@@ -9,7 +9,12 @@ from surefoot.estimator.core import lie
 from surefoot.estimator.core.state import FilterNoise, NavState, retract
 from surefoot.estimator.leg import LegFilter, LegNoise, encoder_covariance, run_leg
 from surefoot.estimator.metrics import evaluate, nees
-from surefoot.estimator.updates.contact import contact_output, propagate_contacts
+from surefoot.estimator.updates.contact import (
+    ContactModel,
+    contact_memory,
+    contact_output,
+    propagate_contacts,
+)
 from surefoot.sim.common.errors import SurefootError
 
 RADIUS = 0.03
@@ -95,12 +100,12 @@ def test_transition_of_rolling_contacts(contacts):
     """Phi of the contact points, rotation and gyro bias included, against differences."""
     mean, rng = contacts
     gyro, accel, rates, dt = rng.normal(size=3), rng.normal(size=3), rng.normal(size=(2, 3)), 1e-3
+    model = ContactModel(np.zeros((4, 3)), np.zeros(3), 0.0, np.full(2, 0.5), np.inf)
 
     def step(m, P):
-        propagate_contacts(
-            m, P, np.ones(2, bool), gyro, accel, dt, np.zeros((4, 3)), np.zeros(3), 0.0,
-            np.full(2, 0.5), rates, np.zeros((21, 6)), np.zeros((6, 3)),
-        )  # fmt: skip
+        memory = contact_memory(m, P)
+        memory.standing[:] = True
+        propagate_contacts(memory, model, gyro, accel, dt, rates)
         return m
 
     after, h = step(mean.copy(), np.eye(21)), 1e-5

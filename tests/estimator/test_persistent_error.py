@@ -13,6 +13,7 @@ from surefoot.estimator.metrics import nees
 from surefoot.estimator.updates.bias_states import (
     EXTRAS,
     PersistentError,
+    PersistentModel,
     propagate_bias,
     update_coverage_persistent,
     update_velocity_persistent,
@@ -38,10 +39,11 @@ def prior(rng, size=1e-3):
 def gather(mean, P, samples, v_I, window):
     """IMU steps with a measurement after each, all gathered; nothing wanders and nothing is new."""
     work = np.zeros((24, 6)), np.zeros((9, 3))
+    model = PersistentModel(np.zeros((3, 3)), np.inf, window, INF)
     for (gyro, accel), v in zip(samples, v_I, strict=True):
         propagate(mean, P, gyro, accel, 0.02, np.zeros((4, 3)), *work)
         update_coverage_persistent(
-            mean, P, v, np.ones(3), 0.8, 1, window, INF, np.zeros(2, dtype=np.int64)
+            mean, P, v, np.ones(3), 0.8, 1, model, np.zeros(2, dtype=np.int64)
         )
 
 
@@ -73,8 +75,9 @@ def test_it_wanders_as_gauss_and_markov_say():
     rng = np.random.default_rng(1)
     mean, P = prior(rng)
     C, tau, dt = np.diag([1e-3, 2e-3, 3e-3]), 5.0, 0.7
+    model = PersistentModel(C, tau, 1, INF)
     before, spread = mean.copy(), P.copy()
-    propagate_bias(mean, P, C, tau, dt)
+    propagate_bias(mean, P, model, dt)
     F = np.eye(24)
     F[15:18, 15:18] *= np.exp(-dt / tau)
     F[15:18, 21:] = (1 - np.exp(-dt / tau)) * np.eye(3)
@@ -83,16 +86,16 @@ def test_it_wanders_as_gauss_and_markov_say():
     assert_allclose(P, F @ spread @ F.T + Q, rtol=1e-12, atol=1e-18)
     assert_allclose(mean[7], before[9] + (before[7] - before[9]) * np.exp(-dt / tau))
     for _ in range(200):
-        propagate_bias(mean, P, C, tau, dt)
+        propagate_bias(mean, P, model, dt)
     assert_allclose(P[15:18, 15:18], C + spread[21:, 21:], rtol=1e-10, atol=1e-15)
     assert_allclose(mean[7], mean[9])
     lasting = PersistentError(C, tau, course=np.eye(3) * 4e-3)
     start = lasting.enter(np.eye(15))
     before = start.copy()
-    propagate_bias(mean, start, C, tau, dt)
+    propagate_bias(mean, start, model, dt)
     assert_allclose(start, before, rtol=1e-12, atol=1e-18, err_msg="the prior is stationary")
     spread = P.copy()
-    propagate_bias(mean, P, C, np.inf, dt)
+    propagate_bias(mean, P, model._replace(time_constant=np.inf), dt)
     assert_array_equal(P, spread)
 
 
@@ -132,7 +135,7 @@ def test_a_bias_is_told_from_motion_by_turning():
 
 def test_outliers_alone_are_left_out_and_a_jump_is_not():
     state, P = NavState(), np.eye(15) * 1e-4
-    lasting = PersistentError(np.eye(3) * 1e-4, window=5, reach=np.full(3, 0.2))
+    lasting = PersistentError(np.eye(3) * 1e-4, window=5, max_error=np.full(3, 0.2))
     far = np.array([30.0, 0.0, 0.0])
     for kind in ("coverage", "velocity"):
         one = InvariantFilter(state, P, persistent=lasting)
@@ -151,7 +154,7 @@ def test_outliers_alone_are_left_out_and_a_jump_is_not():
         assert one.state.v_GI[0] > 0.1, "a jump that stays is believed in the end"
 
 
-def test_outliers_cost_it_less_than_the_same_filter_without_reach():
+def test_outliers_cost_it_less_than_the_same_filter_without_a_largest_error():
     rng = np.random.default_rng(3)
     walk = motion(20.0, 500.0)
     rows = np.arange(10, len(walk.t), 10)
@@ -160,8 +163,8 @@ def test_outliers_cost_it_less_than_the_same_filter_without_reach():
     errors[rng.random(len(rows)) < 0.05] *= 30
     log = walk.t, walk.gyro, walk.accel, rows, walk.v_I[rows] + errors
     found = {}
-    for reach in (np.full(3, 0.15), INF):
-        lasting = PersistentError(np.eye(3) * 1e-4, window=10, reach=reach)
+    for max_error in (np.full(3, 0.15), INF):
+        lasting = PersistentError(np.eye(3) * 1e-4, window=10, max_error=max_error)
         for kind, whole in (
             ("coverage", run_coverage(*log, np.full(3, 0.02), 0.8, *walk.start(), noise,
                                       persistent=lasting)),
@@ -170,7 +173,7 @@ def test_outliers_cost_it_less_than_the_same_filter_without_reach():
         ):  # fmt: skip
             # The first row is the start itself, aligned to no error at all.
             series = nees(walk.reference().rows(slice(0, None, 5)), whole).velocity[1:]
-            found[kind, reach[0]] = series.mean()
+            found[kind, max_error[0]] = series.mean()
     for kind in ("coverage", "velocity"):
         assert found[kind, 0.15] < 0.5 * found[kind, np.inf]
         assert found[kind, 0.15] < 6.0
@@ -184,7 +187,7 @@ def test_outliers_cost_it_less_than_the_same_filter_without_reach():
         ({"time_constant": 0.0}, "time_constant"),
         ({"window": 0}, "window"),
         ({"window": 1.5}, "window"),
-        ({"reach": np.zeros(3)}, "reach"),
+        ({"max_error": np.zeros(3)}, "max_error"),
         ({"course": -np.eye(3)}, "course"),
         ({"course": np.eye(2)}, "course"),
     ],
@@ -199,9 +202,8 @@ def test_a_velocity_left_out_changes_nothing():
     mean, P = prior(np.random.default_rng(5))
     before = mean.copy(), P.copy()
     counts = np.zeros(2, dtype=np.int64)
-    found = update_velocity_persistent(
-        mean, P, np.full(3, 1e3), np.eye(3), 5, np.full(3, 0.1), counts
-    )
+    model = PersistentModel(np.eye(3), np.inf, 5, np.full(3, 0.1))
+    found = update_velocity_persistent(mean, P, np.full(3, 1e3), np.eye(3), model, counts)
     assert np.isnan(found)
     assert_array_equal(mean, before[0])
     assert_array_equal(P, before[1])

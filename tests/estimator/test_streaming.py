@@ -94,7 +94,7 @@ def test_coverage(walk, log, measured, persistent, iterations):
 def test_coverage_without_outliers(walk, log, measured):
     t, gyro, accel = log
     rows, v_I, epsilon, _ = measured
-    v_I, reach = v_I.copy(), np.full(3, 0.5)
+    v_I, max_error = v_I.copy(), np.full(3, 0.5)
     v_I[10::40, 1] += 40.0
     start = walk[0].start()
     one, pi = InvariantFilter(*start), []
@@ -103,11 +103,11 @@ def test_coverage_without_outliers(walk, log, measured):
         if k:
             one.predict(gyro[k], accel[k], t[k] - t[k - 1])
         for m in np.flatnonzero(rows == k):
-            pi.append(one.update_coverage(v_I[m], epsilon[m], 0.8, reach=reach))
+            pi.append(one.update_coverage(v_I[m], epsilon[m], 0.8, max_error=max_error))
 
     found = stream(one, log, at_row)
     data = (t, gyro, accel, rows, v_I, epsilon, 0.8, *start)
-    whole = run_coverage(*data, stride=STRIDE, reach=reach)
+    whole = run_coverage(*data, stride=STRIDE, max_error=max_error)
     assert_same(*found, whole)
     keep = np.isfinite(pi)
     assert not keep[10::40].any()

@@ -53,7 +53,7 @@ def test_bounds_say_what_they_said(tmp_path):
     part = bounds.persistent_at(np.eye(3))
     for name in ("covariance", "course", "epsilon", "within", "variance", "interval"):
         assert getattr(part, name) == pytest.approx(np.array(values["persistent"][name]), rel=1e-12)
-    assert part.reach.tolist() == values["persistent"]["reach"]
+    assert part.max_error.tolist() == values["persistent"]["reach"]
     bounds.save(tmp_path / "again.json")
     again = Bounds.load(tmp_path / "again.json")
     assert replace(again.persistent_at(np.eye(3))).plain() == part.plain()

@@ -80,7 +80,7 @@ def test_bounds_hold_the_mean_of_a_window_of_the_mixing_part():
     means = rest[: count * found.window].reshape(count, found.window, 3).mean(axis=1)
     assert np.all(np.abs(means) <= found.epsilon, axis=1).mean() == pytest.approx(0.8, abs=0.03)
     assert np.diag(found.within) / found.window == pytest.approx(means.var(axis=0), rel=0.06)
-    assert np.all(found.reach > 3 * MIXING)
+    assert np.all(found.max_error > 3 * MIXING)
 
 
 def test_the_likelihood_is_the_dense_gaussian_one():

@@ -9,7 +9,7 @@ from surefoot.models.calibration.calibrate import calibrate
 from surefoot.models.observer.training import Schedule, train
 from surefoot.scenarios.demo import demo
 from surefoot.scenarios.estimate.compare import compare_log, table, write_comparison
-from surefoot.scenarios.estimate.registry import FILTERS, Learnt, run_filter
+from surefoot.scenarios.estimate.registry import ESTIMATORS, Learnt, run_filter
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground, Patch
@@ -55,7 +55,7 @@ def test_every_filter_runs_and_stays_near_the_truth(compared):
     """With an observer that is barely trained: all beat the IMU alone, and report themselves."""
     assert set(compared.left_out) == {"radar_leg"}  # this course is not a bundled one
     found = table([compared])
-    assert list(found["filter"]) == [name for name in FILTERS if name != "radar_leg"]
+    assert list(found["filter"]) == [name for name in ESTIMATORS if name != "radar_leg"]
     errors = dict(zip(found["filter"], found["APE_trans [m]"], strict=True))
     assert all(error < errors["imu"] for name, error in errors.items() if name != "imu")
     assert errors["leg"] < 0.1

@@ -7,7 +7,7 @@ import pytest
 
 from surefoot.scenarios.estimate import radar_velocity as module
 from surefoot.scenarios.estimate.radar_velocity import radar_velocity
-from surefoot.scenarios.estimate.registry import FILTERS, Learnt, run_all, run_filter
+from surefoot.scenarios.estimate.registry import Learnt, estimator_named, run_all, run_filter
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
@@ -82,6 +82,4 @@ def test_a_log_without_a_world_is_left_out_with_the_reason(log, robot):
 def test_bundled_courses_are_known_by_name_and_the_table_says_perceptive():
     module._scenarios.cache_clear()
     assert {"Atrium", "RoomScan", "demo_walk"} <= set(module._scenarios())
-    doc = FILTERS["radar_leg"].__doc__
-    assert doc is not None
-    assert doc.startswith("Perceptive")
+    assert estimator_named("radar_leg").description.startswith("Perceptive")

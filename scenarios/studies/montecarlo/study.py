@@ -259,7 +259,7 @@ def _persistent(
     parts = {reading: estimate_bias_model(errors, dt, levels[reading]) for reading in readings}
     part = parts[readings[0]]
     persistent = PersistentError(
-        part.covariance, part.time_constant, part.window, part.reach, part.course
+        part.covariance, part.time_constant, part.window, part.max_error, part.course
     )
     return [
         Setting("velocity_persistent", R=part.within, persistent=persistent),

@@ -1,0 +1,114 @@
+"""Rows of a log as the compiled loops take them, and what they estimate as a trajectory.
+
+Row k of a log holds gyro and accel as means over (t[k-1], t[k]], so the first row that a filter
+sees is where its state stands and predicts nothing; every later one predicts, then updates.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from surefoot.estimator.core.checks import numbers, row_indices
+from surefoot.estimator.evaluation.trajectory import Trajectory, UpdateRecord
+from surefoot.sim.common.errors import SurefootError
+
+OUTPUT_PERIOD = 0.01
+"""s between estimates that are kept, where nothing else is asked for."""
+
+
+class ImuSamples(NamedTuple):
+    """t (N,) [s]; gyro (N, 3) [rad/s] and accel (N, 3) [m/s^2] in I, means over (t[k-1], t[k]]."""
+
+    t: np.ndarray
+    gyro: np.ndarray
+    accel: np.ndarray
+
+
+class Velocities(NamedTuple):
+    """Measured velocities of the IMU, each used after the prediction of its row.
+
+    rows (M,), increasing; v_I (M, 3) [m/s] in I. A coverage update takes the bounds epsilon (M, 3)
+    [m/s], a Gaussian one the covariances cov (M, 3, 3) [m^2/s^2]: the other is empty.
+    """
+
+    rows: np.ndarray
+    v_I: np.ndarray
+    epsilon: np.ndarray
+    cov: np.ndarray
+
+
+class Estimates(NamedTuple):
+    """Packed means (L, 7, 3) and covariances (L, 15, 15) at some rows (L,) of the log."""
+
+    rows: np.ndarray
+    mean: np.ndarray
+    covariance: np.ndarray
+
+
+NO_VELOCITIES = Velocities(
+    np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3))
+)
+
+
+def imu_samples(t, gyro, accel, after: float = np.nan) -> ImuSamples:
+    """Checked samples: t (N,) strictly increasing, later than `after` where that is a number.
+
+    Raises SurefootError naming what is wrong, also where a filter's first rows are fewer than two.
+    """
+    t = numbers("t", t, (-1,))
+    gyro, accel = numbers("gyro", gyro, (len(t), 3)), numbers("accel", accel, (len(t), 3))
+    fresh = np.isnan(after)
+    if len(t) < (2 if fresh else 1) or not np.all(np.diff(t) > 0):
+        raise SurefootError("t: needs two rows or more, strictly increasing")
+    if not fresh and not t[0] > after:
+        raise SurefootError(f"t: {t[0]} does not follow {after}")
+    return ImuSamples(t, gyro, accel)
+
+
+def gaussian_velocities(rows, v_I, cov, n: int) -> Velocities:
+    """Checked velocities at `rows` of n, with their covariance (3, 3) or covariances (M, 3, 3)."""
+    v_I = numbers("v_I", v_I, (-1, 3))
+    cov = np.broadcast_to(cov, (len(v_I), 3, 3)) if np.ndim(cov) == 2 else cov
+    cov = numbers("cov", cov, (len(v_I), 3, 3))
+    if len(cov) and np.linalg.eigvalsh(cov).min() <= 0:
+        raise SurefootError("cov: is not positive definite in every row")
+    return Velocities(row_indices(rows, len(v_I), n), v_I, np.zeros((0, 3)), cov)
+
+
+def bounded_velocities(rows, v_I, epsilon, n: int) -> Velocities:
+    """Checked velocities at `rows` of n, with their bounds (3,) or (M, 3), all > 0 m/s."""
+    v_I = numbers("v_I", v_I, (-1, 3))
+    epsilon = np.broadcast_to(epsilon, v_I.shape) if np.ndim(epsilon) == 1 else epsilon
+    epsilon = numbers("epsilon", epsilon, v_I.shape)
+    if not np.all(epsilon > 0):
+        raise SurefootError("epsilon: every bound must be > 0 m/s")
+    return Velocities(row_indices(rows, len(v_I), n), v_I, epsilon, np.zeros((0, 3, 3)))
+
+
+def output_stride(t: np.ndarray, stride: int | None = None) -> int:
+    """Rows from one kept estimate to the next: 100 Hz at the rate of t (N,), where it is None."""
+    if stride is None:
+        return max(1, round(OUTPUT_PERIOD / float(np.median(np.diff(t)))))
+    if stride < 1:
+        raise SurefootError(f"stride: {stride} where a whole number >= 1 is expected")
+    return int(stride)
+
+
+def every_row(t: np.ndarray, stride: int | None) -> np.ndarray:
+    """Rows whose estimates are kept: every stride-th."""
+    return np.arange(0, len(t), output_stride(t, stride))
+
+
+def empty_estimates(rows: np.ndarray) -> Estimates:
+    """Estimates at these rows, to be filled."""
+    return Estimates(rows, np.empty((len(rows), 7, 3)), np.empty((len(rows), 15, 15)))
+
+
+def trajectory(t: np.ndarray, found: Estimates, updates: UpdateRecord | None = None) -> Trajectory:
+    """The trajectory of estimates at rows of t. Raises SurefootError where a filter diverged."""
+    t, mean = t[found.rows], found.mean
+    bad = np.flatnonzero(~np.isfinite(mean).all(axis=(1, 2)))
+    if len(bad):
+        raise SurefootError(f"filter: the estimate is not finite from t = {t[bad[0]]:.3f} s on")
+    R, v, p, b_a, b_g = mean[:, :3], mean[:, 3], mean[:, 4], mean[:, 5], mean[:, 6]
+    return Trajectory(t, R, v, p, b_a, b_g, found.covariance, updates)

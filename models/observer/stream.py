@@ -1,0 +1,128 @@
+"""An observer fed at a log's own rate, sample by sample or piece by piece."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from surefoot.models.observer.decimate import RATE, SPAN, DecimationError, decimate
+from surefoot.models.observer.imu_mounting import (
+    Mounted,
+    move_covariance,
+    move_velocity,
+    same_mounting,
+)
+from surefoot.models.observer.observer import Observer, ObserverError, signals
+from surefoot.models.observer.predict import Loop
+from surefoot.models.observer.samples import DQ_ZERO_PHASE
+from surefoot.sim.log.derived import CausalDerivative
+
+
+class ObserverStream:
+    """`predict` for a log that comes in pieces: decimation, network and mounting, the past kept.
+
+    A row is an update where it is nearest to a point of the 100 Hz grid that starts at the first
+    row; the next stamp is not known yet, so it is expected one period later. Where stamps are even
+    the rows are those of `predict`, and velocities equal its own to the rounding of float32.
+    """
+
+    def __init__(
+        self,
+        observer: Observer,
+        robot: Mounted,
+        rate: float,
+        joints: tuple[str, ...],
+        derived: tuple[str, ...] = (),
+    ):
+        """Begin as at the start of a log.
+
+        Args:
+            observer: causal; one that reads a log from both ends is refused.
+            robot: of the log; its mounting may differ from the one that the observer learnt.
+            rate: of the samples [Hz].
+            joints: their names in the order of q.
+            derived: the log's derived columns; joint velocities of zero phase look into the
+                future and are derived again.
+
+        Raises ObserverError or DecimationError where the observer does not fit.
+        """
+        if robot.name != observer.robot:
+            raise ObserverError(
+                f"the observer was trained on {observer.robot}, the log is of {robot.name}"
+            )
+        if joints != observer.joints:
+            raise ObserverError(
+                f"the observer reads the joints {', '.join(observer.joints)}, the log has "
+                f"{', '.join(joints)}"
+            )
+        if rate < RATE * (1 - 1e-3):
+            raise DecimationError(
+                f"sampled at {rate:g} Hz, the observer needs {RATE:g} Hz at least"
+            )
+        self._observer, self._robot = observer, robot
+        self._moved = not same_mounting(observer, robot)
+        self._loop = Loop(observer)
+        self._period = 1.0 / rate
+        self._signals = signals(observer.inputs)
+        self._rates = CausalDerivative() if DQ_ZERO_PHASE in derived else None
+        self._t, self._x = np.zeros(0), np.zeros((0, 0))
+        self._start, self._last = np.nan, -1
+
+    def advance(
+        self, t: np.ndarray, gyro: np.ndarray, joints: dict[str, np.ndarray | None]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """The rows that follow those seen so far.
+
+        Args:
+            t: stamps (N,) [s].
+            gyro: (N, 3) [rad/s] in I.
+            joints: q, dq and tau (N, J), None where not measured.
+
+        Returns the rows (M,) among these that are updates, v_I (M, 3) [m/s] there and covariances
+        (M, 3, 3), None of an `mse` observer. Raises ObserverError where an input is missing.
+        """
+        x = self._inputs(t, joints)
+        if np.isnan(self._start):
+            self._start, self._x = t[0], x[:0]
+        before = len(self._t)
+        times, x = np.concatenate([self._t, t]), np.concatenate([self._x, x])
+        rows = self._updates(t)
+        seen = decimate(times, x, rows + before)
+        kept = int(np.searchsorted(times, times[-1] - SPAN - 1e-6))
+        self._t, self._x = times[kept:], x[kept:]
+        steps = [self._loop.step(one) for one in seen]
+        v_I = np.array([v for v, _ in steps]).reshape(-1, 3)
+        covariance = None
+        if self._observer.loss == "gml":
+            covariance = np.array([cov for _, cov in steps]).reshape(-1, 3, 3)
+        if self._moved:
+            v_I = move_velocity(v_I, gyro[rows], self._observer, self._robot)
+            if covariance is not None:
+                covariance = move_covariance(covariance, self._observer, self._robot)
+        return rows, v_I, covariance
+
+    def _inputs(self, t: np.ndarray, joints: dict[str, np.ndarray | None]) -> np.ndarray:
+        values = []
+        for name in self._signals:
+            value = joints[name]
+            if name == "dq" and self._rates is not None and joints["q"] is not None:
+                value = self._rates(t, joints["q"])
+            if value is None:
+                raise ObserverError(
+                    f"the observer reads {','.join(self._signals)}, {name} is missing"
+                )
+            values.append(value)
+        return np.concatenate(values, axis=1)
+
+    def _updates(self, t: np.ndarray) -> np.ndarray:
+        """Rows (M,) of t that are nearest to their point of the grid, one a point."""
+        step = 1.0 / RATE
+        number = np.rint((t - self._start) / step).astype(np.int64)
+        grid = self._start + step * number
+        near = np.abs(t - grid) <= min(self._period, 0.5 * step) + 1e-7
+        # Ties, and stamps good to nanoseconds, go to the later row, as in `observer_rows`.
+        later = (t < grid) & (grid - t >= t + self._period - grid - 1e-7)
+        candidates = np.flatnonzero(near & ~later & (number > self._last))
+        rows = candidates[np.unique(number[candidates], return_index=True)[1]]
+        if len(rows):
+            self._last = int(number[rows[-1]])
+        return rows

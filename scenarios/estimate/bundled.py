@@ -1,0 +1,430 @@
+"""The estimators that come with surefoot, a class each, and the streams they run as."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from surefoot.estimator.core.state import FilterNoise, NavState
+from surefoot.estimator.evaluation.trajectory import Trajectory
+from surefoot.estimator.filter import CoverageSettings, InvariantFilter
+from surefoot.estimator.leg import LegFilter, LegNoise, encoder_covariance
+from surefoot.estimator.run import (
+    NO_VELOCITIES,
+    Velocities,
+    bounded_velocities,
+    gaussian_velocities,
+    imu_samples,
+)
+from surefoot.estimator.updates.bias_states import PersistentError
+from surefoot.scenarios.estimate.contract import (
+    Beginning,
+    Learnt,
+    Needs,
+    Parameter,
+    Sample,
+    Update,
+)
+from surefoot.scenarios.estimate.radar_velocity import radar_of, with_radar
+from surefoot.sim.log import Log
+from surefoot.sim.log.derived import CausalDerivative
+from surefoot.sim.robot import Robot
+
+if TYPE_CHECKING:
+    from surefoot.models.calibration.bias_model import BiasModel
+    from surefoot.models.calibration.bounds import Bounds
+    from surefoot.models.observer.observer import Observer
+
+ENCODER = 2e-3
+"""rad, of a joint angle: encoder step, calibration and what a loaded drive gives."""
+KINEMATICS = 2e-3
+"""m, of a foot's place: links, mounts and the foot's shape."""
+GYRO_WALK, ACCEL_WALK = 1e-5, 1e-4
+"""rad/s^2/sqrt(Hz) and m/s^3/sqrt(Hz), the same for all filters."""
+
+
+def _imu_parameters(accel: float) -> tuple[Parameter, ...]:
+    # Beside velocities the accelerometer's noise is larger: their errors are correlated over long
+    # stretches, and an IMU as good as its data sheet would carry each of them on.
+    return (
+        Parameter("accel", accel, "m/s^2/sqrt(Hz)", "noise density of the accelerometer"),
+        Parameter("gyro", 3e-4, "rad/s/sqrt(Hz)", "noise density of the gyro"),
+    )
+
+
+VELOCITY = _imu_parameters(0.03)
+PERSISTENT = (
+    *VELOCITY,
+    Parameter("persistent", 1.0, "1", "factor of the prior deviations of the persistent error"),
+)
+LEG = (
+    *_imu_parameters(0.01),
+    Parameter("contact", 0.02, "m/s/sqrt(Hz)", "velocity noise density of a standing foot"),
+)
+LEG_SLIP = (
+    *LEG,
+    Parameter("slip_gate", 16.27, "1", "squared Mahalanobis distance (3 degrees of freedom)"),
+)
+
+
+class Coverage:
+    """Set-coverage updates with the bounds of the mse observer."""
+
+    name, label, color, line = "coverage", "Coverage", "#D55E00", "-"
+    description = "Set-coverage IEKF, bounds of the mse observer."
+    needs = Needs(learnt=("observers", "bounds"))
+    parameters = VELOCITY
+    loss: str | None = None
+
+    def bounded_by(self, learnt: Learnt) -> tuple[Observer, Bounds]:
+        """The observer and the bounds that it uses."""
+        return learnt.bounded(self.loss)
+
+    def start(
+        self, robot: Robot, learnt: Learnt, parameters: Mapping[str, float], beginning: Beginning
+    ) -> ObserverFusion:
+        """A stream; see `surefoot.scenarios.estimate.contract.Estimator`."""
+        observer, bounds = self.bounded_by(learnt)
+        fusion = Fusion(bounds.epsilon_at(robot.R_BI), bounds.gamma)
+        return ObserverFusion(observer, robot, beginning, fusion, imu_noise(parameters))
+
+
+class CoverageGml(Coverage):
+    """The same with the gml observer's mean and its bounds."""
+
+    name, label, color, line = "coverage_gml", "Coverage on GML mean", "#9C3D00", ":"
+    description = "Set-coverage IEKF on the gml observer's mean: compares update, not network."
+    loss = "gml"
+
+
+class CoveragePersistent:
+    """Set-coverage updates with the persistent error as states."""
+
+    name, label = "coverage_persistent", "Coverage, persistent error"
+    color, line = "#F2A07B", "--"
+    description = (
+        "Set-coverage IEKF with the observer's persistent error as states, bounds on window means."
+    )
+    needs = Needs(learnt=("observers", "bounds"))
+    parameters = PERSISTENT
+
+    def start(
+        self, robot: Robot, learnt: Learnt, parameters: Mapping[str, float], beginning: Beginning
+    ) -> ObserverFusion:
+        """A stream; see `surefoot.scenarios.estimate.contract.Estimator`."""
+        observer, bounds = learnt.bounded()
+        part = bounds.persistent_at(robot.R_BI)
+        model = persistent_error(part, parameters["persistent"])
+        fusion = Fusion(part.epsilon, bounds.gamma)
+        return ObserverFusion(observer, robot, beginning, fusion, imu_noise(parameters), model)
+
+
+class Velocity:
+    """Gaussian velocity updates with the covariance that the gml observer predicts."""
+
+    name, label, color, line = "velocity", "Velocity IEKF", "#009E73", "-"
+    description = "Gaussian-velocity IEKF, covariance predicted by the gml observer."
+    needs = Needs(learnt=("observers",))
+    parameters = VELOCITY
+
+    def start(
+        self, robot: Robot, learnt: Learnt, parameters: Mapping[str, float], beginning: Beginning
+    ) -> ObserverFusion:
+        """A stream; see `surefoot.scenarios.estimate.contract.Estimator`."""
+        fusion = Fusion(inflation=parameters.get("inflation", 1.0))
+        return ObserverFusion(learnt.gaussian(), robot, beginning, fusion, imu_noise(parameters))
+
+
+class VelocityInflated(Velocity):
+    """The same with the covariance times a factor."""
+
+    name, label = "velocity_inflated", "Velocity IEKF, covariance inflated"
+    color, line = "#3C6E5D", ":"
+    description = (
+        "The same, its covariance times a factor chosen on training and calibration courses."
+    )
+    parameters = (
+        *VELOCITY,
+        Parameter("inflation", 150.0, "1", "factor of the covariance that the observer predicts"),
+    )
+
+
+class VelocityPersistent:
+    """Gaussian velocity updates with the persistent error as states."""
+
+    name, label = "velocity_persistent", "Velocity IEKF, persistent error"
+    color, line = "#74CDB2", "--"
+    description = (
+        "Gaussian-velocity IEKF with the persistent error as states, covariance of the rest."
+    )
+    needs = Needs(learnt=("observers", "persistent"))
+    parameters = PERSISTENT
+
+    def start(
+        self, robot: Robot, learnt: Learnt, parameters: Mapping[str, float], beginning: Beginning
+    ) -> ObserverFusion:
+        """A stream; see `surefoot.scenarios.estimate.contract.Estimator`."""
+        observer, bounds = learnt.bounded()
+        part = bounds.persistent_at(robot.R_BI)
+        model = persistent_error(part, parameters["persistent"])
+        fusion = Fusion(cov=part.within)
+        return ObserverFusion(observer, robot, beginning, fusion, imu_noise(parameters), model)
+
+
+class Leg:
+    """Contacts as states."""
+
+    name, label, color, line = "leg", "Leg IEKF", "#2F86D1", "-"
+    description = "Contact-aided leg IEKF (Hartley)."
+    needs = Needs(log=("imu", "q", "contact"))
+    parameters = LEG
+
+    def start(
+        self, robot: Robot, learnt: Learnt, parameters: Mapping[str, float], beginning: Beginning
+    ) -> LegStream:
+        """A stream; see `surefoot.scenarios.estimate.contract.Estimator`."""
+        return LegStream(robot, beginning, parameters)
+
+
+class LegSlip(Leg):
+    """Contacts as states, and a gate for those that slip."""
+
+    name, label, color, line = "leg_slip", "Leg IEKF, slip rejected", "#8CBBEA", "--"
+    description = "Leg IEKF that restarts a contact whose innovation fails a chi-square gate."
+    parameters = LEG_SLIP
+
+
+class RadarLeg(Leg):
+    """`leg_slip` with the ego velocities of a radar.
+
+    GaRLILEO (arXiv 2511.13216) ties velocity to gravity by factors of their own; in a
+    right-invariant filter the same velocities make roll and pitch observable already.
+    """
+
+    name, label, color, line = "radar_leg", "Radar and legs", "#9A9A2E", "-"
+    description = (
+        "Perceptive: a simulated radar's ego velocity with leg_slip; sees gravity through the IEKF."
+    )
+    parameters = (
+        *LEG_SLIP,
+        Parameter("radar", 16.0, "1", "factor of the covariance of a radar frame"),
+    )
+
+    def prepare(self, log: Log, robot: Robot) -> Log:
+        """The log with the velocities of a simulated radar, where it has none."""
+        return with_radar(log, robot)
+
+
+class Imu:
+    """The IMU integrated: what every other estimator must improve on."""
+
+    name, label, color, line = "imu", "IMU alone", "#CC79A7", "-"
+    description = "IMU alone: the floor."
+    needs = Needs()
+    parameters = _imu_parameters(0.01)
+    drawn = False  # it leaves every picture within seconds and would hide the others
+
+    def start(
+        self, robot: Robot, learnt: Learnt, parameters: Mapping[str, float], beginning: Beginning
+    ) -> ImuStream:
+        """A stream; see `surefoot.scenarios.estimate.contract.Estimator`."""
+        return ImuStream(beginning, imu_noise(parameters))
+
+
+def imu_noise(parameters: Mapping[str, float]) -> FilterNoise:
+    """Noise of the IMU with these parameters."""
+    return FilterNoise(parameters["gyro"], parameters["accel"], GYRO_WALK, ACCEL_WALK)
+
+
+def persistent_error(part: BiasModel, factor: float) -> PersistentError:
+    """The filter's model of what the calibration found, its prior deviations times `factor`."""
+    square = factor**2
+    return PersistentError(
+        square * part.covariance,
+        part.time_constant,
+        part.window,
+        part.max_error,
+        square * part.course,
+    )
+
+
+class ImuStream:
+    """The invariant filter without a measurement."""
+
+    def __init__(self, beginning: Beginning, noise: FilterNoise, model=None):
+        self.filter = InvariantFilter(beginning.state, beginning.covariance, noise, model)
+
+    @property
+    def state(self) -> NavState:
+        """The estimate."""
+        return self.filter.state
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Covariance (15, 15) of its error."""
+        return self.filter.covariance
+
+    def step(self, sample: Sample) -> Update | None:
+        """Predict."""
+        if not np.isnan(self.filter.t):
+            self.filter.predict(sample.gyro, sample.accel, sample.t - self.filter.t)
+        self.filter.t = sample.t
+        return None
+
+    def run(self, log: Log, rows: np.ndarray, more: bool = False) -> Trajectory:
+        """Predict over the rows of a log; the estimates at `rows` of them."""
+        return self.filter.run(imu_samples(log.t, log.gyro, log.accel, self.filter.t), rows=rows)
+
+
+class Fusion(NamedTuple):
+    """How an observer's velocity is used: with bounds epsilon (3,) [m/s] of the joint level gamma,
+    or with a covariance cov (3, 3), or with the predicted one times `inflation`.
+    """
+
+    epsilon: np.ndarray | None = None
+    gamma: float = 0.0
+    cov: np.ndarray | None = None
+    inflation: float = 1.0
+
+    def velocities(self, rows, v_I, predicted, n: int) -> Velocities:
+        """The updates at these rows of n."""
+        if self.epsilon is not None:
+            return bounded_velocities(rows, v_I, self.epsilon, n)
+        cov = self.inflation * predicted if self.cov is None else self.cov
+        return gaussian_velocities(rows, v_I, cov, n)
+
+
+class ObserverFusion(ImuStream):
+    """The invariant filter with the velocities of an observer."""
+
+    def __init__(
+        self,
+        observer: Observer,
+        robot: Robot,
+        beginning: Beginning,
+        fusion: Fusion,
+        noise: FilterNoise,
+        model: PersistentError | None = None,
+    ):
+        """Begin with the first sample.
+
+        Args:
+            observer: whose velocities are used.
+            robot: of the samples.
+            beginning: state, covariance, rate and joints.
+            fusion: how its velocities are used.
+            noise: of the IMU.
+            model: of the observer's persistent error, where that is estimated.
+        """
+        super().__init__(beginning, noise, model)
+        self._observer, self._robot, self._beginning = observer, robot, beginning
+        self._fusion, self._stream = fusion, None
+
+    def _advance(self, t, gyro, q, dq, tau):
+        """Rows, velocities and covariances of what follows, its past kept."""
+        from surefoot.models.observer.stream import ObserverStream
+
+        if self._stream is None:
+            at = self._beginning
+            self._stream = ObserverStream(
+                self._observer, self._robot, at.rate, at.joints, at.derived
+            )
+        return self._stream.advance(t, gyro, {"q": q, "dq": dq, "tau": tau})
+
+    def step(self, sample: Sample) -> Update | None:
+        """Predict, and update where the observer has a velocity."""
+        super().step(sample)
+        joints = [None if x is None else x[None] for x in (sample.q, sample.dq, sample.tau)]
+        rows, velocities, predicted = self._advance(
+            np.array([sample.t]), sample.gyro[None], *joints
+        )
+        if not len(rows):
+            return None
+        v_I, fusion = velocities[0], self._fusion
+        if fusion.epsilon is not None:
+            pi = self.filter.update_coverage(v_I, fusion.epsilon, fusion.gamma)
+            active = bool(pi < fusion.gamma)
+            return Update(v_I, fusion.epsilon, pi, active) if np.isfinite(pi) else None
+        cov = fusion.inflation * predicted[0] if fusion.cov is None else fusion.cov
+        distance = self.filter.update_velocity(v_I, cov)
+        return Update(v_I, active=bool(np.isfinite(distance)))
+
+    def run(self, log: Log, rows: np.ndarray, more: bool = False) -> Trajectory:
+        """Predict and update over the rows of a log; the estimates at `rows` of them.
+
+        A whole log at once is predicted as one batch, as `surefoot.models.observer.predict` does.
+        """
+        if self._stream is None and np.isnan(self.filter.t) and not more:
+            from surefoot.models.observer.predict import predict
+
+            whole = predict(self._observer, log, self._robot)
+            at, v_I, predicted = whole.rows, whole.v_I, whole.covariance
+        else:
+            joints = (getattr(log, g) if log.has(g) else None for g in ("q", "dq", "tau"))
+            at, v_I, predicted = self._advance(log.t, log.gyro, *joints)
+        imu = imu_samples(log.t, log.gyro, log.accel, self.filter.t)
+        velocities = self._fusion.velocities(at, v_I, predicted, len(imu.t))
+        settings = CoverageSettings(self._fusion.gamma)
+        return self.filter.run(imu, velocities, rows, settings)
+
+
+class LegStream:
+    """The leg filter with the kinematics of a robot's legs, and a radar's velocities if any."""
+
+    def __init__(self, robot: Robot, beginning: Beginning, parameters: Mapping[str, float]):
+        noise = LegNoise(imu_noise(parameters), parameters["contact"])
+        self._robot, self._inflation = robot, parameters.get("radar")
+        self._rates = CausalDerivative()
+        self.filter = LegFilter(
+            beginning.state,
+            beginning.covariance,
+            noise,
+            robot.foot_radius,
+            len(robot.foot_radius),
+            parameters.get("slip_gate"),
+        )
+
+    @property
+    def state(self) -> NavState:
+        """The estimate."""
+        return self.filter.state
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Covariance (15, 15) of its error, without the contacts."""
+        return self.filter.covariance
+
+    def _legs(self, t, q, dq):
+        """Foot centres, their covariances and the feet's rates at rows that follow."""
+        dq = self._rates(t, q) if dq is None else dq
+        cov = encoder_covariance(self._robot.feet_jacobian_I(q), ENCODER, KINEMATICS)
+        return self._robot.feet_I(q), cov, self._robot.foot_rates_I(q, dq)
+
+    def step(self, sample: Sample) -> Update | None:
+        """Predict, and update with the contacts."""
+        assert sample.q is not None
+        assert sample.contact is not None
+        dq = None if sample.dq is None else sample.dq[None]
+        feet_I, cov, rates = self._legs(np.array([sample.t]), sample.q[None], dq)
+        if not np.isnan(self.filter.t):
+            self.filter.predict(sample.gyro, sample.accel, sample.t - self.filter.t, rates[0])
+        self.filter.t = sample.t
+        self.filter.update_contacts(feet_I[0], sample.contact, cov[0])
+        if self._inflation is not None and sample.extra is not None:
+            rows, v_I, v_cov = radar_of({name: np.array([x]) for name, x in sample.extra.items()})
+            if len(rows):
+                self.filter.update_velocity(v_I[0], self._inflation * v_cov[0])
+        return None
+
+    def run(self, log: Log, rows: np.ndarray, more: bool = False) -> Trajectory:
+        """Predict and update over the rows of a log; the estimates at `rows` of them."""
+        imu = imu_samples(log.t, log.gyro, log.accel, self.filter.t)
+        feet_I, cov, rates = self._legs(imu.t, log.q, log.dq if log.has("dq") else None)
+        velocities = NO_VELOCITIES
+        if self._inflation is not None:
+            at, v_I, v_cov = radar_of(log.frame)
+            velocities = gaussian_velocities(at, v_I, self._inflation * v_cov, len(imu.t))
+        legs = self.filter.legs(feet_I, log.contact, cov, rates)
+        return self.filter.run(imu, legs, velocities, rows)

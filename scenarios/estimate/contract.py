@@ -1,0 +1,200 @@
+"""What an estimator is: the contract that makes one appear in every command, table and figure.
+
+A class with `name`, `label`, `description`, `needs`, `parameters` and `start(...) -> Stream`,
+listed under the entry points `surefoot.estimators` of any installed package, is run, tabled and
+drawn like the bundled ones:
+
+    [project.entry-points."surefoot.estimators"]
+    gravity_only = "my_package:GravityOnly"
+
+Optional, looked up where present: `color` and `line` (matplotlib's "#RRGGBB" and "-", "--", ":",
+"-."), chosen by the name otherwise; `drawn`, False for one whose errors would hide the others';
+`bounded_by(learnt) -> (Observer, Bounds)`, whose empirical coverage the tables then show; and
+`prepare(log, robot) -> Log`, what it computes of a whole log before the first sample.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+
+from surefoot.estimator.core.state import NavState
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
+
+if TYPE_CHECKING:  # what legs and IMU need comes without a network's library, which is slow to load
+    from surefoot.models.calibration.bounds import Bounds
+    from surefoot.models.observer.observer import Observer
+
+REQUIRED = ("name", "label", "description", "needs", "parameters", "start")
+"""What a class must have to be an estimator."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number that tunes an estimator, > 0: its default, unit and meaning."""
+
+    name: str
+    default: float
+    unit: str
+    meaning: str
+
+
+@dataclass(frozen=True)
+class Needs:
+    """What an estimator reads: groups of a log's columns (`Log.require`), and of what was learnt
+    "observers", "bounds", or of these "persistent", the persistent part alone, which is the same
+    at every gamma.
+    """
+
+    log: tuple[str, ...] = ("imu",)
+    learnt: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Learnt:
+    """What was learnt: observers, and bounds that each name the observer they belong to."""
+
+    observers: tuple[Observer, ...] = ()
+    bounds: tuple[Bounds, ...] = ()
+
+    def gaussian(self) -> Observer:
+        """The observer that predicts a covariance. Raises SurefootError naming the option."""
+        found = [o for o in self.observers if o.loss == "gml"]
+        if len(found) == 1:
+            return found[0]
+        if found:
+            raise SurefootError("--observer: two observers were trained with gml; give one")
+        if self.observers:
+            raise SurefootError(
+                "--observer: this one was trained with mse; train one with --loss gml"
+            )
+        raise SurefootError("needs --observer, one trained with --loss gml")
+
+    def bounded(self, loss: str | None = None) -> tuple[Observer, Bounds]:
+        """The observer and its bounds; of two, the `mse` one unless `loss` says otherwise."""
+        if not self.observers:
+            raise SurefootError("needs --observer and --bounds")
+        if not self.bounds:
+            raise SurefootError("needs --bounds: calibrate the observer")
+        pairs = [(o, b) for o in self.observers for b in self.bounds if b.observer == o.hash]
+        if not pairs:
+            raise SurefootError("--bounds belong to another observer; calibrate this one")
+        wanted = [pair for pair in pairs if loss is None or pair[0].loss == loss]
+        if not wanted:
+            raise SurefootError(f"needs --bounds of an observer trained with --loss {loss}")
+        return min(wanted, key=lambda pair: pair[0].loss != "mse")
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """Where a stream begins: the state and its covariance (15, 15) at the first sample.
+
+    rate [Hz] of the samples; joints, their names in the order of q; derived, which of the log's
+    columns were derived and how (`Meta.derived`), empty on a robot.
+    """
+
+    state: NavState
+    covariance: np.ndarray
+    rate: float
+    joints: tuple[str, ...] = ()
+    derived: tuple[str, ...] = ()
+
+
+class Sample(NamedTuple):
+    """One row of a log, or what a robot's sensors say now; None where that is not measured.
+
+    t [s]; gyro (3,) [rad/s] and accel (3,) [m/s^2] in I, means since the last sample; q, dq, tau
+    (J,) [rad, rad/s, N m] of the joints and contact (K,) bool of the feet, now; extra: the columns
+    `x_<name>` of a log by their names.
+    """
+
+    t: float
+    gyro: np.ndarray
+    accel: np.ndarray
+    q: np.ndarray | None = None
+    dq: np.ndarray | None = None
+    tau: np.ndarray | None = None
+    contact: np.ndarray | None = None
+    extra: Mapping[str, float] | None = None
+
+
+class Update(NamedTuple):
+    """A velocity that a sample brought and that the stream used, for the record of updates.
+
+    v_I (3,) [m/s] in I; of a coverage update its bounds epsilon (3,) [m/s] and pi, the prior mass
+    inside them; active, whether the state changed.
+    """
+
+    v_I: np.ndarray
+    epsilon: np.ndarray | None = None
+    pi: float | None = None
+    active: bool = True
+
+
+@runtime_checkable
+class Stream(Protocol):
+    """An estimator at work: one call a sample, in a robot's own loop or along a log.
+
+    A stream may also have `run(log, rows, more) -> Trajectory`, which takes the rows of a log that
+    follow those seen so far at once and returns the estimates at `rows` of them; `more` says that
+    others follow. It must give the numbers of `step`.
+    """
+
+    def step(self, sample: Sample) -> Update | None:
+        """Take one sample; the first one is where the state stands and predicts nothing."""
+        ...
+
+    @property
+    def state(self) -> NavState:
+        """The estimate."""
+        ...
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Covariance (15, 15) of its right-invariant error, in the order of `Trajectory`."""
+        ...
+
+
+class Estimator(Protocol):
+    """One way to estimate a robot's motion; see the module for what else it may have.
+
+    name: in commands, tables and files. label: in figures. description: one sentence, which tables
+    print. needs: of a log and of what was learnt. parameters: with the defaults that hold where
+    `tuned.toml` says nothing else.
+    """
+
+    name: str
+    label: str
+    description: str
+    needs: Needs
+    parameters: tuple[Parameter, ...]
+
+    def start(
+        self, robot: Robot, learnt: Learnt, parameters: Mapping[str, float], beginning: Beginning
+    ) -> Stream:
+        """A stream that begins here. Raises SurefootError saying what it lacks.
+
+        Args:
+            robot: the declared model.
+            learnt: observers and bounds.
+            parameters: value of each parameter by name.
+            beginning: state, covariance and rate of the samples.
+        """
+        ...
+
+
+def samples(log: Log) -> Iterator[Sample]:
+    """The rows of a log one by one, with what it has of each group."""
+    whole = [getattr(log, name) for name in ("t", "gyro", "accel")]
+    groups = ("q", "dq", "tau", "contact")
+    others = [getattr(log, name) if log.has(name) else None for name in groups]
+    names = [name for name in log.frame.columns if str(name).startswith("x_")]
+    extra = log.frame[names].to_dict("records") if names else None
+    for k in range(len(log.frame)):
+        rows = [None if values is None else values[k] for values in others]
+        yield Sample(*(values[k] for values in whole), *rows, extra[k] if extra else None)
