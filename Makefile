@@ -32,9 +32,10 @@ study: setup
 study-observer: setup
 	$(BIN)/python -m surefoot.scenarios.studies.observers -o out/observer_study
 
-# What trace takes undeclared effects for, whole catalogue; killed, it goes on where it was.
+# Undeclared effects of the whole catalogue, traced blind; killed, it goes on where it was.
 study-trace: setup
-	$(BIN)/python -m surefoot.scenarios.studies.blind.study --out out/blind_study
+	$(BIN)/python -m surefoot.scenarios.studies.blind.study -o out/blind_study \
+		--data docs/data/blind --page docs/results/blind.md
 
 # What models lack of three real machines; a study whose recording is not there is skipped.
 study-hardware: setup

@@ -2,14 +2,20 @@
 
 import pytest
 
+from surefoot.scenarios.studies.blind import study
 from surefoot.scenarios.studies.blind.outside_effects import OUTSIDE
-from surefoot.scenarios.studies.blind.report import write_report_of
-from surefoot.scenarios.studies.blind.score import points, right_channel, rules, sized, tells_twins
+from surefoot.scenarios.studies.blind.report import (
+    names_both_twins,
+    points,
+    right_channel,
+    rules,
+    sized,
+    write_report_of,
+)
 from surefoot.scenarios.studies.blind.study import (
     PLAN,
     cases,
     ground_and_course,
-    read_cases,
     run_study,
     standing_part,
 )
@@ -76,8 +82,8 @@ def test_outside_the_catalogue_the_channel_counts():
 
 def test_twins_must_both_be_named():
     found, twin = [("encoder_offset", "FL_hip", 0.02)], [("backlash", "FL_hip")]
-    assert tells_twins(record("confounded", found, twin, twin="backlash FL_hip"))
-    assert not tells_twins(record("attributed", found, twin="backlash FL_hip"))
+    assert names_both_twins(record("confounded", found, twin, twin="backlash FL_hip"))
+    assert not names_both_twins(record("attributed", found, twin="backlash FL_hip"))
 
 
 def test_a_robot_whose_twins_cannot_be_told_never_lifts_a_foot():
@@ -96,18 +102,24 @@ def test_the_report_is_written_from_what_was_run(tmp_path):
     ]
     text = write_report_of(tmp_path, records)
     assert "| right effect and target first" in text
-    headings = [line for line in text.splitlines() if line and line[0] != "|"]
-    assert headings[3:] == ["Every miss", "Two effects at once"]
+    headings = [line for line in text.splitlines() if line.startswith("## ")]
+    assert headings[3:] == ["## Every miss", "## Two effects at once", "## Every case"]
     assert (tmp_path / "report.html").stat().st_size > 10_000
     measured = {row["rule"]: row["measured"] for row in rules(records)}
     assert measured["a false name on a clean log"].startswith("0 %")
 
 
+def test_a_study_that_was_stopped_goes_on_where_it_was(tmp_path, monkeypatch):
+    monkeypatch.setattr(study, "run_case", lambda case: {"number": case.number})
+    assert run_study(tmp_path, at_most=3) == [{"number": 0}, {"number": 1}, {"number": 2}]
+    monkeypatch.setattr(study, "run_case", lambda case: {"number": -case.number})
+    assert run_study(tmp_path, at_most=4)[1:] == [{"number": 1}, {"number": 2}, {"number": -3}]
+
+
 @pytest.mark.slow
 def test_the_blind_study(tmp_path):
     """The whole of it: a few hours of one core."""
-    run_study(tmp_path, workers=2)
-    records = list(read_cases(tmp_path))
+    records = run_study(tmp_path / "cases", workers=2)
     print(write_report_of(tmp_path, records))
     single = [points(r) for r in records if r["kind"] == "single" and "fell" not in r]
     clean = [bool(r["effects_found"]) for r in records if r["kind"] == "clean"]

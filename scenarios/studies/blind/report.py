@@ -1,69 +1,233 @@
-"""The report of the blind study: its rules, its confusion matrix, and tables of what was found."""
+"""The blind study scored: each of its rules, tables by effect, size and case, and two figures."""
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from surefoot.scenarios.reporting.html import Picture, Section, write_report
-from surefoot.scenarios.reporting.tables import to_csv, to_markdown
-from surefoot.scenarios.studies.blind.figures import confusion, sizes
-from surefoot.scenarios.studies.blind.score import (
-    Record,
-    by_effect,
-    by_size,
-    channel_said,
-    named,
-    points,
-    right_channel,
-    rules,
-    tells_twins,
-    truth,
-)
-from surefoot.sim.common.files import whole_file
+import numpy as np
+from matplotlib.figure import Figure
+from scipy.stats import binomtest
+
+from surefoot.scenarios.reporting.html import Picture, Section
+from surefoot.scenarios.reporting.palette import AFTER, INK
+from surefoot.scenarios.reporting.palette import OUTSIDE as MISSED
+from surefoot.scenarios.reporting.plotting import new_figure, set_title
+from surefoot.scenarios.studies.blind.outside_effects import OUTSIDE
+from surefoot.scenarios.studies.pages import origin_of, write_page, write_results
+from surefoot.sim.effects import CATALOGUE
+
+Record = Mapping[str, Any]
+Rows = list[dict[str, Any]]
+KINDS = ("single", "clean", "outside", "together", "twins")
+NOT_NAMED = ("nothing", "another target", "confounded")
+"""Columns of the confusion matrix beside the effects."""
 
 
-def write_report_of(out: Path, records: Sequence[Record]) -> str:
-    """Write report.html, table.md and cases.csv; returns the tables as text."""
-    tables = {
-        "What was asked, and what was measured": rules(records),
-        "By effect": by_effect(records),
-        "By size over the least that the log could show": by_size(records),
-        **details([r for r in records if "fell" not in r]),
-    }
-    picture = Picture(
-        confusion(records),
-        "Rows: the effect that was put in, one of each log. Columns: the effect that trace named "
-        "first. On the diagonal the target (joint, leg or axis) is right too, and the verdict is "
-        "not confounded.",
-    )
-    sized = Picture(
-        sizes(records),
-        "A dot a log whose effect and target were named right first. The band is a tenth about the "
-        "size put in; red where neither the band nor the interval holds it. Beyond the axis, dots "
-        "stand at its edge.",
-    )
-    pictures = {"By effect": (picture,), "By size over the least that the log could show": (sized,)}
-    parts = [
-        Section(heading, table=rows, pictures=pictures.get(heading, ()))
-        for heading, rows in tables.items()
+def write_report_of(out: Path, records: Sequence[Record], page: Path | None = None) -> str:
+    """Write report.html, table.md and cases.csv, and the page; returns the tables as text."""
+    walked = [r for r in records if "fell" not in r]
+    of = {kind: [r for r in walked if r["kind"] == kind] for kind in KINDS}
+    sections = [
+        Section("Rules and results", RULES_PROSE, rules(records)),
+        Section(
+            "By effect",
+            table=by_effect(of["single"]),
+            pictures=(
+                Picture(
+                    confusion(of["single"]),
+                    "Rows: the effect that was put in, one of each log. Columns: the effect that "
+                    "trace named first. On the diagonal the target (joint, leg or axis) is right "
+                    "too, and the verdict is not confounded.",
+                ),
+            ),
+        ),
+        Section(
+            "By size over the least that the log could show",
+            table=by_size(of["single"]),
+            pictures=(
+                Picture(
+                    sizes(of["single"]),
+                    "A dot a log whose effect and target were named right first. The band is a "
+                    "tenth about the size put in; red where neither the band nor the interval "
+                    "holds it. Beyond the axis, dots are drawn at its edge.",
+                ),
+            ),
+        ),
+        *(Section(heading, table=rows) for heading, rows in details(of).items() if rows),
     ]
-    parts.append(Section("Every case", table=[_row(r) for r in records]))
-    write_report(out / "report.html", "Blind study of trace", parts, True)
-    text = "\n\n".join(f"{heading}\n\n{to_markdown(rows)}" for heading, rows in tables.items())
-    for name, content in (
-        ("table.md", text + "\n"),
-        ("cases.csv", to_csv([_row(r) for r in records])),
-    ):
-        with whole_file(out / name, force=True) as temporary:
-            temporary.write_text(content, encoding="utf-8")
-    return text
+    title = "What trace finds: the blind study"
+    if page:
+        write_page(page, title, sections, origin_of(__name__, "make study-trace"))
+    every = Section("Every case", table=[_row(r) for r in records])
+    return write_results(out, title, [*sections, every], {"cases": every.table or []}, force=True)
 
 
-def details(records: Sequence[Record]) -> dict[str, list[dict[str, Any]]]:
+RULES_PROSE = (
+    "Shares with their 95 % interval (Wilson) in brackets; `confounded` that names the truth among "
+    "two counts a half. An effect is above the floor where its size is more than the least that "
+    "its log could show. Simulated logs by the same physics that trace assumes: this measures how "
+    "well effects are told from each other, not how well a model describes a robot."
+)
+
+
+def named(record: Record) -> list[tuple[str, str]]:
+    """Effects that the trace named, strongest first."""
+    return [(e["name"], e["target"]) for e in record["effects_found"]]
+
+
+def truth(record: Record) -> list[tuple[str, str]]:
+    """Effects that were put in."""
+    return [(e["name"], e["target"]) for e in record["effects"]]
+
+
+def rivals(record: Record) -> list[tuple[str, str]]:
+    """Effects that the trace could not tell from the one that it named."""
+    return [(r["name"], r["target"]) for r in record.get("rivals") or ()]
+
+
+def points(record: Record) -> float:
+    """Of a log with one effect: 1 for the right effect and target first, a half where it is one of
+    at most two that a `confounded` names, else 0."""
+    first, true = named(record)[:1], truth(record)[0]
+    if record["verdict"] == "confounded":
+        among = {*first, *rivals(record)}
+        return 0.5 if true in among and len(among) <= 2 else 0.0
+    return 1.0 if first == [true] else 0.0
+
+
+def sized(record: Record) -> bool | None:
+    """Whether the size of the right effect is within a tenth, or within its interval."""
+    if named(record)[:1] != truth(record)[:1]:
+        return None
+    found, true = record["effects_found"][0], record["effects"][0]["value"]
+    low, high = found["interval"]
+    return abs(found["value"] - true) <= 0.1 * abs(true) or low <= true <= high
+
+
+def right_channel(record: Record) -> bool:
+    """Of an effect that is in no catalogue: `none_of_these`, and the form of what is left, or else
+    the channel that stands furthest above its floor, is in a channel that the effect shows in."""
+    if record["verdict"] != "none_of_these":
+        return False
+    return main_channel(record) in OUTSIDE[record["effects"][0]["name"]].channels
+
+
+def main_channel(record: Record) -> str:
+    """The channel of the form of what is left, or else the one furthest above its floor."""
+    if record.get("remainder"):
+        return record["remainder"][0]["channel"]
+    above = {
+        name: c["before"] / c["noise_floor"]
+        for name, c in record["channels"].items()
+        if c["noise_floor"]
+    }
+    return max(above, key=lambda name: above[name], default="-")
+
+
+def names_both_twins(record: Record) -> bool:
+    """Of effects that a standing robot cannot tell apart: `confounded`, both named."""
+    twin = tuple(record["twin"].split())
+    both = {truth(record)[0], twin} <= {*named(record), *rivals(record)}
+    return record["verdict"] == "confounded" and both
+
+
+def names_all(record: Record) -> bool:
+    """Whether every effect that was put in was named."""
+    return set(truth(record)) <= set(named(record))
+
+
+def below_floor(record: Record) -> bool:
+    """Whether an effect is smaller than this log could show."""
+    return any(over is not None and over < 1.0 for over in record["over_floor"])
+
+
+def share(hits: Sequence[float | bool]) -> str:
+    """A share with its 95 % binomial interval: '91 % (83..96) of 100'."""
+    if not hits:
+        return "no case"
+    ratio = sum(hits) / len(hits)
+    interval = binomtest(round(sum(hits)), len(hits)).proportion_ci(method="wilson")
+    return (
+        f"{100 * ratio:.0f} % ({100 * interval.low:.0f}..{100 * interval.high:.0f}) of {len(hits)}"
+    )
+
+
+def rules(records: Sequence[Record]) -> Rows:
+    """The study's rules, what each asks for, and what was measured."""
+    walked = [r for r in records if "fell" not in r]
+    single, clean, outside, together, twins = (
+        [r for r in walked if r["kind"] == kind] for kind in KINDS
+    )
+    above = [r for r in single if not below_floor(r)]
+    clear = [r for r in together if not below_floor(r)]
+    fits = [fit for fit in map(sized, single) if fit is not None]
+    lines = [
+        ("right effect and target first", ">= 90 %", share([points(r) for r in single])),
+        ("... of effects above the log's floor", "", share([points(r) for r in above])),
+        ("its size within a tenth or its interval", "", share(fits)),
+        ("a false name on a clean log", "<= 5 %", share([bool(named(r)) for r in clean])),
+        (
+            "none_of_these with the right channel, effect in no catalogue",
+            ">= 80 %",
+            share([right_channel(r) for r in outside]),
+        ),
+        ("two effects at once, both found", ">= 70 %", share([names_all(r) for r in together])),
+        ("... both above the log's floor", "", share([names_all(r) for r in clear])),
+        (
+            "twins of a standing robot: confounded, both named",
+            "",
+            share([names_both_twins(r) for r in twins]),
+        ),
+        ("the robot fell, no log", "", f"{len(records) - len(walked)} of {len(records)}"),
+    ]
+    return [{"rule": a, "asked": b, "measured": c} for a, b, c in lines]
+
+
+def named_first(record: Record) -> str:
+    """The effect named first, or of NOT_NAMED why the right one does not count as found."""
+    first = named(record)[0][0] if named(record) else "nothing"
+    if first == truth(record)[0][0] and points(record) < 1.0:
+        return "confounded" if record["verdict"] == "confounded" else "another target"
+    return first
+
+
+def by_effect(single: Sequence[Record]) -> Rows:
+    """A row an effect: how often it was found, how well sized, and what was named instead."""
+    rows = []
+    for name in dict.fromkeys(truth(r)[0][0] for r in single):
+        own = [r for r in single if truth(r)[0][0] == name]
+        instead = Counter(named_first(r) for r in own if points(r) < 1.0)
+        fits = [fit for fit in map(sized, own) if fit is not None]
+        row = {
+            "effect": name,
+            "logs": len(own),
+            "points": sum(points(r) for r in own),
+            "below floor": sum(below_floor(r) for r in own),
+            "size right": f"{sum(fits)} of {len(fits)}",
+            "named instead": ", ".join(f"{k} ({v})" for k, v in instead.items()) or "-",
+        }
+        rows.append(row)
+    return rows
+
+
+def by_size(single: Sequence[Record]) -> Rows:
+    """A row a range of size over floor."""
+    rows = []
+    for low, high in pairwise((0.0, 1.0, 2.0, 5.0, 20.0, float("inf"))):
+        over = [(r, r["over_floor"][0]) for r in single if r["over_floor"][0] is not None]
+        own = [points(r) for r, size in over if low <= size < high]
+        rows += [{"size over floor": f"{low:g} to {high:g}", "right": share(own)}] if own else []
+    unknown = [points(r) for r in single if r["over_floor"][0] is None]
+    if unknown:
+        rows.append({"size over floor": "not a candidate of trace", "right": share(unknown)})
+    return rows
+
+
+def details(of: Mapping[str, Sequence[Record]]) -> dict[str, Rows]:
     """A table of each kind of case, a row a log: of single effects those that were missed."""
-    of = {kind: [r for r in records if r["kind"] == kind]
-          for kind in ("single", "clean", "outside", "together", "twins")}  # fmt: skip
-    rows = {
+    return {
         "Every miss": [
             _short(r) | {"size over floor": r["over_floor"][0]}
             for r in of["single"]
@@ -71,17 +235,62 @@ def details(records: Sequence[Record]) -> dict[str, list[dict[str, Any]]]:
         ],
         "False names on clean logs": [_short(r) for r in of["clean"] if named(r)],
         "Effects in no catalogue": [
-            _short(r) | {"channel": channel_said(r), "right": _yes(right_channel(r))}
+            _short(r) | {"channel": main_channel(r), "right": right_channel(r)}
             for r in of["outside"]
         ],
-        "Two effects at once": [
-            _short(r) | {"both": _yes(set(truth(r)) <= set(named(r)))} for r in of["together"]
-        ],
+        "Two effects at once": [_short(r) | {"both": names_all(r)} for r in of["together"]],
         "Twins of a robot that stands": [
-            _short(r) | {"its twin": r["twin"], "right": _yes(tells_twins(r))} for r in of["twins"]
+            _short(r) | {"its twin": r["twin"], "right": names_both_twins(r)} for r in of["twins"]
         ],
     }
-    return {heading: table for heading, table in rows.items() if table}
+
+
+def confusion(single: Sequence[Record]) -> Figure:
+    """Which effect was put in against which was named first, as counts."""
+    names = list(CATALOGUE)
+    columns = [*names, *NOT_NAMED]
+    counts = np.zeros((len(names), len(columns)))
+    for r in single:
+        counts[names.index(truth(r)[0][0]), columns.index(named_first(r))] += 1
+    figure, axes = new_figure(size=(9.5, 8.5))
+    ax = axes[0, 0]
+    ax.imshow(counts, cmap="Blues", vmin=0, vmax=max(1.0, counts.max()), aspect="auto")
+    for i, j in zip(*np.nonzero(counts), strict=True):
+        color = "white" if counts[i, j] > 0.6 * counts.max() else INK
+        ax.text(j, i, f"{counts[i, j]:.0f}", ha="center", va="center", fontsize=7, color=color)
+    ax.set_xticks(range(len(columns)), [c.replace("_", " ") for c in columns], rotation=90)
+    ax.set_yticks(range(len(names)), [n.replace("_", " ") for n in names])
+    ax.tick_params(labelsize=7)
+    ax.grid(False)
+    ax.axvline(len(names) - 0.5, color=INK, linewidth=0.8)
+    ax.set_xlabel("named first")
+    ax.set_ylabel("put in")
+    set_title(ax, "Effects put in, and effects that trace names first")
+    return figure
+
+
+def sizes(single: Sequence[Record]) -> Figure:
+    """The size found over the size put in, against how far the effect stands above its floor."""
+    figure, axes = new_figure(size=(7.5, 4.2))
+    ax = axes[0, 0]
+    least, most = 0.5, 1.5
+    for r in single:
+        over, fit = r["over_floor"][0], sized(r)
+        if fit is None or over is None:
+            continue
+        found, true = r["effects_found"][0], r["effects"][0]["value"]
+        ratio = np.clip(np.array([found["value"], *found["interval"]]) / true, least, most)
+        color = AFTER if fit else MISSED
+        ax.plot([over, over], sorted(ratio[1:]), color=color, linewidth=1.0, alpha=0.6)
+        ax.plot(over, ratio[0], "o", color=color, markersize=3.5)
+    ax.axhspan(0.9, 1.1, color=INK, alpha=0.07, linewidth=0)
+    ax.axvline(1.0, color=INK, linewidth=0.8, linestyle=":")
+    ax.set_xscale("log")
+    ax.set_ylim(least, most)
+    ax.set_xlabel("size put in, over the least that the log could show")
+    ax.set_ylabel("size found / size put in")
+    set_title(ax, "Sizes of the effects that were named right, with their 95 % intervals")
+    return figure
 
 
 def _short(record: Record) -> dict[str, Any]:
@@ -90,22 +299,21 @@ def _short(record: Record) -> dict[str, Any]:
     return {key: row[key] for key in ("put in", "robot", "verdict")} | {"named": name}
 
 
-def _yes(right: bool) -> str:
-    return "yes" if right else "no"
-
-
-def _row(record: Record) -> dict[str, object]:
-    def words(effects) -> str:
-        return (
-            ", ".join(f"{e['name']} {e['target']} {e['value']:.3g} {e['unit']}" for e in effects)
-            or "-"
-        )
-
-    rivals = ", ".join(f"{r['name']} {r['target']}" for r in record.get("rivals") or ())
+def _row(record: Record) -> dict[str, Any]:
     over = [x for x in record.get("over_floor", ()) if x is not None]
     return {
-        "case": record["number"], "kind": record["kind"], "robot": record["robot"],
-        "seed": record["seed"], "put in": words(record["effects"]),
-        "verdict": record.get("verdict", "fell"), "named": words(record.get("effects_found", ())),
-        "rivals": rivals or "-", "size over floor": over[0] if over else None,
-    }  # fmt: skip
+        "case": record["number"],
+        "kind": record["kind"],
+        "robot": record["robot"],
+        "seed": record["seed"],
+        "put in": _listed(record["effects"]),
+        "verdict": record.get("verdict", "fell"),
+        "named": _listed(record.get("effects_found", ())),
+        "rivals": ", ".join(" ".join(rival) for rival in rivals(record)) or "-",
+        "size over floor": over[0] if over else None,
+    }
+
+
+def _listed(effects: Sequence[Mapping[str, Any]]) -> str:
+    parts = [f"{e['name']} {e['target']} {e['value']:.3g} {e['unit']}" for e in effects]
+    return ", ".join(parts) or "-"

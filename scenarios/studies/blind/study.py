@@ -1,13 +1,10 @@
-"""The blind study of `trace`: logs with one undeclared effect each, and what trace says of them.
+"""The blind study of `trace`: logs with one undeclared effect each, and the effects that it names.
 
-`blind_study.toml` says what is drawn. Each case leaves one JSON file, so that a study that was
-stopped goes on where it was; `python -m surefoot.scenarios.studies.blind.study -o DIR` runs it and
-reports.
+`study.toml` says what is drawn. Each finished case is a row, so that a study that was stopped goes
+on where it was; `python -m surefoot.scenarios.studies.blind.study -o DIR` runs it and reports.
 """
 
-import json
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -15,13 +12,14 @@ from typing import Any
 
 import numpy as np
 import tyro
-from tqdm import tqdm
 
 from surefoot.scenarios.cli.options import Out
+from surefoot.scenarios.stages import processes, stage
 from surefoot.scenarios.studies.blind.outside_effects import OUTSIDE
+from surefoot.scenarios.studies.cases import finished_case, read_case
 from surefoot.scenarios.trace.run import Trace, diagnose
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import bundled, whole_file
+from surefoot.sim.common.files import bundled
 from surefoot.sim.common.toml import read_toml
 from surefoot.sim.effects import CATALOGUE, Effect, effect
 from surefoot.sim.ground.terrain import Ground, Patch
@@ -31,8 +29,9 @@ from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 
 PLAN = bundled("surefoot.scenarios.studies.blind", "study.toml")
+MODULE = "surefoot.scenarios.studies.blind.study"
 STAND = 20.0
-"""s that a robot stands which is to tell its twins apart."""
+"""s that a robot stands whose log has an effect that standing cannot tell from another."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +51,7 @@ def cases(plan: dict[str, Any]) -> list[Case]:
     """Every case of a plan, drawn from its seed."""
     rng = np.random.default_rng(plan["seed"])
     walks = [(r, s) for s in plan["walk"]["seeds"] for r in plan["walk"]["robots"]]
+    known = [name for name in CATALOGUE if name in plan["sizes"]]
     found: list[Case] = []
 
     def add(kind: str, effects: Sequence[Effect] = (), **more) -> None:
@@ -60,7 +60,7 @@ def cases(plan: dict[str, Any]) -> list[Case]:
 
     # Turn by turn, so that a study that is stopped early has seen as much of each.
     for turn in range(plan["each"]):
-        for name in CATALOGUE:
+        for name in known:
             add("single", [_drawn(name, plan["sizes"][name], rng)])
         for _ in range(_share(plan["clean"], turn, plan["each"])):
             add("clean")
@@ -68,7 +68,7 @@ def cases(plan: dict[str, Any]) -> list[Case]:
             name = list(OUTSIDE)[(turn + k) % len(OUTSIDE)]
             add("outside", [_drawn(name, plan["outside_sizes"][name], rng)])
         for _ in range(_share(plan["together"], turn, plan["each"])):
-            first, second = rng.choice(list(CATALOGUE), 2, replace=False)
+            first, second = rng.choice(known, 2, replace=False)
             add("together", [_drawn(n, plan["sizes"][n], rng) for n in (first, second)])
         for k in range(_share(plan["confounded"], turn, plan["each"])):
             pair = plan["twins"][(turn + k) % len(plan["twins"])]
@@ -88,7 +88,7 @@ def _drawn(name: str, size: Sequence[float], rng: np.random.Generator) -> Effect
     value = float(np.exp(rng.uniform(*np.log(size))))
     sign = rng.choice([-1.0, 1.0])
     target = str(rng.choice(kind.targets))
-    # A delay that is negative would be a prophecy.
+    # No delay is negative.
     both = kind.bounds[0] < 0 and not name.endswith("_delay")
     return kind(target, sign * value if both else value)
 
@@ -103,22 +103,28 @@ def ground_and_course(seed: int, standing: bool) -> Scenario:
     rng = np.random.default_rng([seed, 7])
     segments = tuple(
         Segment(
-            rng.uniform(*w["duration"]), rng.uniform(*w["forward"]), rng.choice([0.0, 0.08, -0.08]),
-            rng.choice([0.0, -1.0, 1.0]) * rng.uniform(*w["turn"]),
+            duration=rng.uniform(*w["duration"]),
+            forward=rng.uniform(*w["forward"]),
+            lateral=rng.choice([0.0, 0.08, -0.08]),
+            turn=rng.choice([0.0, -1.0, 1.0]) * rng.uniform(*w["turn"]),
         )
         for _ in range(w["stretches"])
-    )  # fmt: skip
+    )
     places = rng.uniform(-3.0, 6.0, (w["patches"], 2))
     patches = tuple(Patch(x, y, 1.0, 1.0, rng.uniform(0.15, 0.3)) for x, y in places)
     return Scenario("study", segments, Ground(rng.uniform(*w["mu"]), patches))
 
 
 def run_case(case: Case) -> dict[str, Any]:
-    """Walk, trace and score one case."""
+    """Walk and trace one case: what was put in, and the verdict, effects and channels found."""
     record: dict[str, Any] = {
-        "number": case.number, "kind": case.kind, "robot": case.robot, "seed": case.seed,
-        "effects": [e.as_dict() for e in case.effects], "twin": case.twin,
-    }  # fmt: skip
+        "number": case.number,
+        "kind": case.kind,
+        "robot": case.robot,
+        "seed": case.seed,
+        "effects": [e.as_dict() for e in case.effects],
+        "twin": case.twin,
+    }
     robot = Robot.load(case.robot)
     scenario = ground_and_course(case.seed, case.standing)
     try:
@@ -128,10 +134,9 @@ def run_case(case: Case) -> dict[str, Any]:
     if case.standing:
         log = standing_part(log)
     found = diagnose([log], robot)
-    said = found.as_dict()
-    record |= {key: said.get(key) for key in ("verdict", "rivals", "remainder")}
-    record["effects_found"] = said["effects"]
-    record["channels"] = said["channels"]
+    result = found.as_dict()
+    record |= {key: result.get(key) for key in ("verdict", "rivals", "remainder", "channels")}
+    record["effects_found"] = result["effects"]
     record["over_floor"] = [over_floor(found, one) for one in case.effects]
     return record
 
@@ -145,7 +150,7 @@ def standing_part(log: Log) -> Log:
 def over_floor(found: Trace, one: Effect) -> float | None:
     """An effect's size over the least that this log could show of it; None where unknown.
 
-    Zero for what is no candidate and leaves no channel above its floor: it never showed.
+    Zero for an effect that is no candidate and leaves no channel above its noise floor.
     """
     rounds = found.attribution.rounds if found.attribution else ()
     for c in rounds[0] if rounds else ():
@@ -156,35 +161,46 @@ def over_floor(found: Trace, one: Effect) -> float | None:
     return None if shown else 0.0
 
 
-def run_study(out: Path, workers: int, at_most: int | None = None) -> list[dict[str, Any]]:
-    """Run what is missing, each walk's cases by one worker: they share its noise floor."""
-    folder = out / "cases"
-    folder.mkdir(parents=True, exist_ok=True)
-    planned = cases(read_toml(PLAN, "study"))[:at_most]
-    todo = [case for case in planned if not (folder / f"{case.number:03d}.json").exists()]
+def run_study(folder: Path, workers: int = 1, at_most: int | None = None) -> list[dict[str, Any]]:
+    """The records of all cases, those run that are not in `folder`.
+
+    A walk's cases are run by one worker, for they share its noise floor.
+    """
+    plan = read_toml(PLAN, "study")
     groups: dict[tuple, list[Case]] = {}
-    for case in todo:
-        # Pieces of a few turns keep a study that is stopped early even over the effects.
-        groups.setdefault((case.number // 80, case.robot, case.seed), []).append(case)
-    with ProcessPoolExecutor(workers) as pool, tqdm(total=len(todo), desc="study") as bar:
-        futures = [pool.submit(_run_group, group, folder) for group in groups.values()]
-        for future in as_completed(futures):
-            bar.update(future.result())
-    return list(read_cases(out))
+    records: dict[int, dict[str, Any]] = {}
+    for case in cases(plan)[:at_most]:
+        row = read_case(folder, _name(case), _inputs(case, plan), MODULE)
+        if row is not None:
+            records[case.number] = row
+        else:
+            # Groups of a few turns: a study that is stopped early has seen as much of each effect.
+            key = case.number // 80, case.robot, case.seed
+            groups.setdefault(key, []).append(case)
+    with processes(workers) as pool:
+        jobs = {key: (_run_group, group, folder, plan) for key, group in groups.items()}
+        for rows in stage(pool, "study", jobs).values():
+            records |= rows
+    return [records[number] for number in sorted(records)]
 
 
-def _run_group(group: Sequence[Case], folder: Path) -> int:
-    for case in group:
-        with whole_file(folder / f"{case.number:03d}.json", force=True) as temporary:
-            text = json.dumps(run_case(case), default=float)
-            temporary.write_text(text, encoding="utf-8")
-    return len(group)
+def _run_group(group: Sequence[Case], folder: Path, plan: dict) -> dict[int, dict[str, Any]]:
+    return {
+        case.number: finished_case(
+            folder, _name(case), _inputs(case, plan), MODULE, lambda case=case: run_case(case)
+        )
+        for case in group
+    }
 
 
-def read_cases(out: Path) -> Iterator[dict[str, Any]]:
-    """The cases that have been run."""
-    for path in sorted((out / "cases").glob("*.json")):
-        yield json.loads(path.read_text(encoding="utf-8"))
+def _name(case: Case) -> str:
+    return f"{case.number:03d}"
+
+
+def _inputs(case: Case, plan: dict[str, Any]) -> dict[str, Any]:
+    effects = [e.as_dict() for e in case.effects]
+    drawn = {"kind": case.kind, "robot": case.robot, "seed": case.seed, "effects": effects}
+    return drawn | {"standing": case.standing, "walk": plan["walk"]}
 
 
 @dataclass(frozen=True)
@@ -192,16 +208,20 @@ class Study:
     """Run the blind study of trace, or go on with it, and write its report."""
 
     out: Out = Path("out/blind_study")
-    """Folder of the cases and of the report."""
+    """Folder of the report."""
+    data: Path | None = None
+    """Folder of finished cases; `cases` in the output where left out."""
     workers: int = 2
     at_most: int | None = None
     """Of the plan's cases, the first so many."""
+    page: Path | None = None
+    """Page of results to write as well, such as docs/results/blind.md."""
 
     def run(self) -> None:
         from surefoot.scenarios.studies.blind.report import write_report_of
 
-        run_study(self.out, self.workers, self.at_most)
-        print(write_report_of(self.out, list(read_cases(self.out))))
+        records = run_study(self.data or self.out / "cases", self.workers, self.at_most)
+        print(write_report_of(self.out, records, self.page))
 
 
 if __name__ == "__main__":
