@@ -2,20 +2,22 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
+from itertools import chain
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Literal, get_args
 
+import msgspec
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.toml import read_toml
+from surefoot.sim.common.toml import Count, NonNegative, Positive, read_typed
 from surefoot.sim.ground.terrain import Ground, Patch, Strip
 from surefoot.sim.scenario_catalog import scenario_file
 from surefoot.sim.sensors.streams import Sensors
 
-T = TypeVar("T")
-ROLES = ("train", "calibrate", "test")
-KEYS = {"name", "robot", "role", "stand", "laps", "segment", "ground", "ranges", "sensors"}
+Role = Literal["train", "calibrate", "test"]
+ROLES: tuple[Role, ...] = get_args(Role)
+Friction = Annotated[float, msgspec.Meta(ge=0.01, le=3.0)]
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,12 @@ class Ranges:
     gain: tuple[float, float] = (1.0, 1.0)  # factor on the controller's course and level gains
     payload: tuple[float, float] = (0.0, 0.0)  # kg on the base that the controller ignores
 
+    def __post_init__(self):
+        for name in (one.name for one in fields(self) if isinstance(one.default, tuple)):
+            low, high = getattr(self, name)
+            if low > high:
+                raise SurefootError(f"{name} must be [low, high], is [{low:g}, {high:g}]")
+
 
 @dataclass(frozen=True)
 class Scenario:
@@ -53,7 +61,7 @@ class Scenario:
     segments: tuple[Segment, ...]
     ground: Ground
     robot: str | None = None
-    role: str | None = None  # one of ROLES
+    role: Role | None = None
     ranges: Ranges = field(default_factory=Ranges)
     sensors: Sensors = field(default_factory=Sensors)
     stand: float = 1.0  # s, standing still before the first step
@@ -66,11 +74,18 @@ class Scenario:
         Raises SurefootError naming the file and the key at fault.
         """
         path = scenario_file(name_or_path)
-        table = read_toml(path, "scenario")
-        try:
-            return _scenario(table, path.stem)
-        except SurefootError as error:
-            raise SurefootError(f"scenario {path}: {error}") from None
+        file = read_typed(path, _File, "scenario")
+        return cls(
+            name=path.stem if file.name is None else file.name,
+            segments=tuple(chain.from_iterable(entry.segments() for entry in file.segment)),
+            ground=file.ground.ground(),
+            robot=file.robot,
+            role=file.role,
+            ranges=file.ranges,
+            sensors=file.sensors,
+            stand=file.stand,
+            laps=file.laps,
+        )
 
 
 @dataclass(frozen=True)
@@ -124,154 +139,86 @@ def _drawn_strip(strip: Strip, mu: float, rough: float, rng: np.random.Generator
     return replace(strip, mu=own_mu, rough=strip.rough * rough).roughened(rng)
 
 
-def _scenario(table: dict[str, Any], stem: str) -> Scenario:
-    _only(table, KEYS, "")
-    name, robot, role = table.get("name", stem), table.get("robot"), table.get("role")
-    if not isinstance(name, str) or not (robot is None or isinstance(robot, str)):
-        raise SurefootError("name and robot must be strings")
-    if role is not None and role not in ROLES:
-        raise SurefootError(f"role must be one of {', '.join(ROLES)}, is {role!r}")
-    laps = table.get("laps", 1)
-    if isinstance(laps, bool) or not isinstance(laps, int) or laps < 1:
-        raise SurefootError(f"laps must be a whole number from 1, is {laps!r}")
-    segments = tuple(_segments(_tables(table, "segment", ""), "[[segment]]"))
-    if not segments:
-        raise SurefootError("needs at least one [[segment]]")
-    return Scenario(
-        name=name,
-        segments=segments,
-        ground=_ground(_table(table, "ground")),
-        robot=robot,
-        role=role,
-        ranges=_build(Ranges, _table(table, "ranges"), "[ranges] "),
-        sensors=_build(Sensors, _table(table, "sensors"), "[sensors] "),
-        stand=_number(table.get("stand", 1.0), "stand"),
-        laps=laps,
-    )
+@dataclass(frozen=True)
+class _SegmentEntry:
+    """A segment as a file has it, by time, length or angle; or `repeat` rounds of others."""
 
+    duration: Positive | None = None  # s
+    distance: Positive | None = None  # m
+    angle: Positive | None = None  # rad
+    forward: float = 0.0
+    lateral: float = 0.0
+    turn: float = 0.0
+    repeat: Count | None = None
+    segment: tuple["_SegmentEntry", ...] = ()
 
-def _segments(tables: list[dict[str, Any]], where: str) -> Iterator[Segment]:
-    """Segments, where a table with `repeat` and `segment` stands for that many rounds of others."""
-    for i, table in enumerate(tables):
-        here = f"{where} {i + 1} "
-        if "repeat" in table:
-            _only(table, {"repeat", "segment"}, here)
-            rounds = _number(table["repeat"], here + "repeat")
-            if rounds < 1 or rounds != round(rounds):
-                raise SurefootError(f"{here}repeat must be a whole number from 1, is {rounds:g}")
-            inner = tuple(_segments(_tables(table, "segment", here), here + "segment"))
-            yield from inner * round(rounds)
-            continue
-        values = {k: v for k, v in table.items() if k not in ("distance", "angle")}
-        if sum(k in table for k in ("duration", "distance", "angle")) != 1:
-            raise SurefootError(f"{here}needs one of duration [s], distance [m] or angle [rad]")
-        segment = _build(Segment, {"duration": 1.0, **values}, here)
-        for key, speed in (
-            ("distance", np.hypot(segment.forward, segment.lateral)),
-            ("angle", abs(segment.turn)),
-        ):
-            if key in table:
-                if speed == 0.0:
-                    raise SurefootError(f"{here}{key} needs a speed other than zero")
-                segment = replace(segment, duration=_number(table[key], here + key) / speed)
-        if segment.duration <= 0:
-            raise SurefootError(f"{here}must last longer than 0 s, lasts {segment.duration:g}")
-        yield segment
+    def __post_init__(self):
+        lasts = [self.duration, self.distance, self.angle]
+        moves = [*lasts, self.forward, self.lateral, self.turn]
+        if self.repeat is not None or self.segment:
+            if self.repeat is None or not self.segment or any(moves):
+                raise SurefootError("repeat goes with segment, and with nothing else")
+        elif sum(one is not None for one in lasts) != 1:
+            raise SurefootError("needs one of duration [s], distance [m] or angle [rad]")
+        elif self.distance and not (self.forward or self.lateral):
+            raise SurefootError("distance needs a speed other than zero")
+        elif self.angle and not self.turn:
+            raise SurefootError("angle needs a speed other than zero")
 
-
-def _ground(table: dict[str, Any]) -> Ground:
-    _only(table, {"mu", "half_size", "patch", "strip"}, "[ground] ")
-    ground = Ground(
-        mu=_number(table.get("mu", 0.8), "[ground] mu"),
-        patches=tuple(
-            _patch(p, f"[[ground.patch]] {i + 1} ")
-            for i, p in enumerate(_tables(table, "patch", "[ground] "))
-        ),
-        half_size=_number(table.get("half_size", 100.0), "[ground] half_size"),
-        strips=tuple(
-            _strip(s, f"[[ground.strip]] {i + 1} ")
-            for i, s in enumerate(_tables(table, "strip", "[ground] "))
-        ),
-    )
-    for mu in (ground.mu, *(part.mu for part in (*ground.patches, *ground.strips))):
-        if mu is not None and not 0.01 <= mu <= 3.0:
-            raise SurefootError(f"mu must lie between 0.01 and 3, is {mu}")
-    if ground.half_size <= 0:
-        raise SurefootError(f"[ground] half_size must be positive, is {ground.half_size:g}")
-    return ground
-
-
-def _strip(table: dict[str, Any], where: str) -> Strip:
-    _only(table, {f.name for f in fields(Strip)} - {"bumps"}, where)
-    values: dict[str, Any] = {}
-    for key, value in table.items():
-        pair = key in ("start", "end", "heights")
-        values[key] = _pair(value, where + key) if pair else _number(value, where + key)
-    missing = [key for key in ("start", "end", "width") if key not in values]
-    if missing:
-        raise SurefootError(f"{where}needs {missing[0]}")
-    try:
-        return Strip(**{**values, "steps": int(values.get("steps", 0))})
-    except SurefootError as error:
-        raise SurefootError(f"{where}{error}") from None
-
-
-def _patch(table: dict[str, Any], where: str) -> Patch:
-    _only(table, {"center", "size", "mu"}, where)
-    for key in ("center", "size", "mu"):
-        if key not in table:
-            raise SurefootError(f"{where}needs {key}")
-    size = _pair(table["size"], where + "size")
-    if min(size) <= 0:
-        raise SurefootError(f"{where}size must be positive")
-    center = _pair(table["center"], where + "center")
-    return Patch(*center, *size, _number(table["mu"], where + "mu"))
-
-
-def _build(cls: type[T], table: dict[str, Any], where: str) -> T:
-    """A frozen dataclass of numbers and (low, high) pairs from a TOML table."""
-    pairs = {f.name: isinstance(f.default, tuple) for f in fields(cls)}  # type: ignore[arg-type]
-    _only(table, set(pairs), where)
-    values: dict[str, Any] = {}
-    for key, value in table.items():
-        if pairs[key]:
-            values[key] = _pair(value, where + key)
-            if values[key][0] > values[key][1]:
-                raise SurefootError(f"{where}{key} must be [low, high], is {value}")
+    def segments(self) -> Iterator[Segment]:
+        if self.repeat is not None:
+            yield from [one for entry in self.segment for one in entry.segments()] * self.repeat
+            return
+        if self.distance is not None:
+            duration = self.distance / np.hypot(self.forward, self.lateral)
+        elif self.angle is not None:
+            duration = self.angle / abs(self.turn)
         else:
-            values[key] = _number(value, where + key)
-    return cls(**values)
+            duration = self.duration
+        assert duration is not None
+        yield Segment(duration, self.forward, self.lateral, self.turn)
 
 
-def _table(table: dict[str, Any], key: str) -> dict[str, Any]:
-    value = table.get(key, {})
-    if not isinstance(value, dict):
-        raise SurefootError(f"{key} must be a table, [{key}]")
-    return value
+@dataclass(frozen=True)
+class _PatchEntry:
+    center: tuple[float, float]
+    size: tuple[Positive, Positive]
+    mu: Friction
 
 
-def _tables(table: dict[str, Any], key: str, where: str) -> list[dict[str, Any]]:
-    value = table.get(key, [])
-    if not isinstance(value, list) or not all(isinstance(v, dict) for v in value):
-        raise SurefootError(f"{where}{key} must be an array of tables, [[{key}]]")
-    return value
+@dataclass(frozen=True)
+class _StripEntry(Strip):
+    mu: Friction | None = None
 
 
-def _only(table: dict[str, Any], allowed: set[str], where: str) -> None:
-    unknown = sorted(set(table) - allowed)
-    if unknown:
-        raise SurefootError(
-            f"{where}unknown key '{unknown[0]}'; known: {', '.join(sorted(allowed))}"
+@dataclass(frozen=True)
+class _GroundTable:
+    mu: Friction = 0.8
+    half_size: Positive = 100.0
+    patch: tuple[_PatchEntry, ...] = ()
+    strip: tuple[_StripEntry, ...] = ()
+
+    def ground(self) -> Ground:
+        return Ground(
+            mu=self.mu,
+            patches=tuple(Patch(*p.center, *p.size, p.mu) for p in self.patch),
+            half_size=self.half_size,
+            strips=tuple(Strip(**vars(strip)) for strip in self.strip),
         )
 
 
-def _pair(value: Any, where: str) -> tuple[float, float]:
-    if not isinstance(value, list) or len(value) != 2:
-        raise SurefootError(f"{where} must be two numbers, is {value!r}")
-    return _number(value[0], where), _number(value[1], where)
+@dataclass(frozen=True)
+class _File:
+    name: str | None = None
+    robot: str | None = None
+    role: Role | None = None
+    stand: NonNegative = 1.0
+    laps: Count = 1
+    segment: tuple[_SegmentEntry, ...] = ()
+    ground: _GroundTable = field(default_factory=_GroundTable)
+    ranges: Ranges = field(default_factory=Ranges)
+    sensors: Sensors = field(default_factory=Sensors)
 
-
-def _number(value: Any, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise SurefootError(f"{where} must be a number, is {value!r}")
-    return float(value)
+    def __post_init__(self):
+        if not self.segment:
+            raise SurefootError("needs at least one [[segment]]")
