@@ -10,7 +10,7 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import matrix_from_quaternion, quaternion_from_matrix
 from surefoot.sim.importing.csv_table import read_csv
 from surefoot.sim.importing.map import Column, ImportMap
-from surefoot.sim.log import LEGS, Log, LogError, Meta
+from surefoot.sim.log import Log, LogError, Meta
 from surefoot.sim.log.schema import check_frame, joint_names, joint_prefix
 from surefoot.sim.sensors.contact import contact_from_force
 
@@ -72,7 +72,7 @@ def log_from_tables(main: Table, reference: Table | None, rules: ImportMap, name
     derived = []
     if rules.contact is not None:
         derived.append("contact from force")
-        for leg in LEGS:
+        for leg in rules.contact.on:
             main[f"contact_{leg}"] = contact_from_force(
                 main["t"],
                 main[f"force_{leg}"] - rules.contact.offset[leg],

@@ -17,21 +17,14 @@
 A key that is not listed is an error: a misspelt sign that was ignored would cost days.
 """
 
-import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
-from surefoot.sim.importing.map_checks import (
-    check_keys,
-    checked_by_name,
-    checked_number,
-    checked_text,
-    checked_vector,
-)
-from surefoot.sim.log.schema import GROUPS, LEGS, is_column, joint_prefix
+from surefoot.sim.common.toml import Name, NonNegative, Positive, read_typed
+from surefoot.sim.log.schema import GROUPS, is_column, joint_prefix, leg_names
 
 BUNDLED = bundled("surefoot.sim.importing", "maps")
 G = 9.80665
@@ -102,14 +95,11 @@ class ImportMap:
         Raises SurefootError naming file, section and key.
         """
         path = find_map(path)
+        file = read_typed(path, _File)
         try:
-            sections = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
-            raise SurefootError(f"{path}: {' '.join(str(error).split())}") from error
-        try:
-            return _parse(path, sections)
+            return file.checked(path)
         except SurefootError as error:
-            raise SurefootError(f"{path}: {error}") from error
+            raise SurefootError(f"{path}: {error}") from None
 
 
 def find_map(path: str | Path) -> Path:
@@ -124,44 +114,126 @@ def find_map(path: str | Path) -> Path:
     raise SurefootError(f"{path}: no such import map (bundled: {names})")
 
 
-def _parse(path: Path, sections: dict[str, Any]) -> ImportMap:
-    check_keys("map", sections, required=("columns",), optional=tuple(_SECTIONS))
-    for name in sections:
-        if not isinstance(sections[name], dict):
-            raise SurefootError(f"[{name}] is not a table")
-    parts: dict[str, Any] = {"columns": _columns("columns", sections["columns"])}
-    for name, parse in _SECTIONS.items():
-        if name in sections:
-            parts |= parse(sections[name])
-    if ("t" in parts["columns"]) == ("rate" in parts):
-        raise SurefootError("[columns] t or [source] rate must be given, and not both")
-    contact = parts.get("contact")
-    if contact and not all(f"force_{leg}" in parts["columns"] for leg in LEGS):
-        raise SurefootError("[contact] needs force_<leg> of every leg in [columns]")
-    if contact and any(name.startswith("contact_") for name in parts["columns"]):
-        raise SurefootError("[contact] is given beside contact_<leg> in [columns]")
-    evenness = parts.pop("evenness", EVENNESS)
-    if "reference" in parts or any(name.startswith("ref_") for name in parts["columns"]):
-        model = {"ground_evenness": evenness}
-        parts["model"] = parts.get("model", {}) | model
-    if "reference" in parts and any(name.startswith("ref_") for name in parts["columns"]):
-        raise SurefootError("[columns] has ref_ columns beside a [reference] file")
-    return ImportMap(path=path, **parts)
+@dataclass(frozen=True)
+class _ColumnEntry:
+    column: Name
+    unit: str | None = None
+    sign: float = 1.0
+
+    def __post_init__(self):
+        _check_sign("sign", self.sign)
 
 
-def _source(section: dict[str, Any]) -> dict[str, Any]:
-    check_keys("source", section, optional=("file", "rate"))
-    parts: dict[str, Any] = {}
-    if "file" in section:
-        parts["file"] = checked_text("source", "file", section["file"])
-    if "rate" in section:
-        parts["rate"] = checked_number("source", "rate", section["rate"], above=0.0)
-    return parts
+_Columns = dict[str, Name | _ColumnEntry]
 
 
-def _reference(section: dict[str, Any]) -> dict[str, Any]:
-    check_keys("reference", section, required=("columns",), optional=("file", "frame"))
-    columns = _columns("reference.columns", section["columns"])
+@dataclass(frozen=True)
+class _Source:
+    file: Name | None = None
+    rate: Positive | None = None
+
+
+@dataclass(frozen=True)
+class _ReferenceTable:
+    columns: _Columns
+    file: Name | None = None
+    frame: Literal["imu", "base"] = "imu"
+
+
+@dataclass(frozen=True)
+class _Robot:
+    name: Name
+    imu_position: tuple[float, float, float] | None = None
+    imu_orientation: tuple[float, float, float, float] | None = None
+    foot_radius: NonNegative = 0.0
+    joint_sign: dict[str, float] = field(default_factory=dict)
+    joint_offset: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self):
+        q = self.imu_orientation
+        if q is not None and abs(sum(c * c for c in q) - 1.0) > 1e-5:
+            raise SurefootError("imu_orientation is not a unit quaternion (w, x, y, z)")
+        for joint, sign in self.joint_sign.items():
+            _check_sign(f"joint_sign.{joint}", sign)
+
+    def model(self) -> dict[str, Any]:
+        given = {"p_BI": self.imu_position, "q_BI": self.imu_orientation}
+        poses = {key: list(value) for key, value in given.items() if value is not None}
+        return {"foot_radius": self.foot_radius, **poses}
+
+
+@dataclass(frozen=True)
+class _Ground:
+    evenness: NonNegative
+
+
+@dataclass(frozen=True)
+class _Contact:
+    on: float | dict[str, float]
+    off: float | dict[str, float]
+    offset: float | dict[str, float] = 0.0
+    debounce: NonNegative = 0.0
+
+    def by_leg(self, legs: tuple[str, ...]) -> Contact:
+        offset, on, off = (
+            _by_leg(key, getattr(self, key), legs) for key in ("offset", "on", "off")
+        )
+        for leg in legs:
+            if off[leg] > on[leg]:
+                raise SurefootError(f"[contact] off is above on for {leg}")
+        return Contact(offset, on, off, self.debounce)
+
+
+@dataclass(frozen=True)
+class _MotorLaw:
+    kp: NonNegative | dict[str, float]
+    kd: NonNegative | dict[str, float]
+
+
+@dataclass(frozen=True)
+class _File:
+    columns: _Columns
+    source: _Source = field(default_factory=_Source)
+    reference: _ReferenceTable | None = None
+    robot: _Robot | None = None
+    ground: _Ground = field(default_factory=lambda: _Ground(EVENNESS))
+    contact: _Contact | None = None
+    motor_law: _MotorLaw | None = None
+
+    def checked(self, path: Path) -> ImportMap:
+        columns = _columns("columns", self.columns)
+        if ("t" in columns) == (self.source.rate is not None):
+            raise SurefootError("[columns] t or [source] rate must be given, and not both")
+        contact, legs = None, leg_names(columns)
+        if self.contact is not None:
+            if not legs or any(f"force_{leg}" not in columns for leg in legs):
+                raise SurefootError("[contact] needs force_<leg> of every leg in [columns]")
+            if any(name.startswith("contact_") for name in columns):
+                raise SurefootError("[contact] is given beside contact_<leg> in [columns]")
+            contact = self.contact.by_leg(legs)
+        model = self.robot.model() if self.robot else {}
+        referenced = any(name.startswith("ref_") for name in columns)
+        if self.reference is not None and referenced:
+            raise SurefootError("[columns] has ref_ columns beside a [reference] file")
+        if self.reference is not None or referenced:
+            model["ground_evenness"] = self.ground.evenness
+        return ImportMap(
+            path=path,
+            columns=columns,
+            file=self.source.file,
+            rate=self.source.rate,
+            reference=_reference(self.reference) if self.reference else None,
+            robot=self.robot.name if self.robot else None,
+            model=model,
+            joint_sign=self.robot.joint_sign if self.robot else {},
+            joint_offset=self.robot.joint_offset if self.robot else {},
+            contact=contact,
+            motor_law=vars(self.motor_law) if self.motor_law else None,
+        )
+
+
+def _reference(table: _ReferenceTable) -> Reference:
+    columns = _columns("reference.columns", table.columns)
     needed = ("t", *GROUPS["reference"])
     for name in needed:
         if name not in columns:
@@ -169,105 +241,42 @@ def _reference(section: dict[str, Any]) -> dict[str, Any]:
     for name in columns:
         if name not in needed:
             raise SurefootError(f"[reference.columns] {name}: only t, ref_p and ref_q go here")
-    frame = section.get("frame", "imu")
-    if frame not in ("imu", "base"):
-        raise SurefootError(f'[reference] frame is {frame!r}, not "imu" or "base"')
-    file = checked_text("reference", "file", section["file"]) if "file" in section else None
-    return {"reference": Reference(file, columns, frame)}
+    return Reference(table.file, columns, table.frame)
 
 
-def _robot(section: dict[str, Any]) -> dict[str, Any]:
-    keys = ("imu_position", "imu_orientation", "foot_radius", "joint_sign", "joint_offset")
-    check_keys("robot", section, required=("name",), optional=keys)
-    parts: dict[str, Any] = {"robot": checked_text("robot", "name", section["name"])}
-    model: dict[str, Any] = {"foot_radius": 0.0}
-    parts["model"] = model
-    if "imu_position" in section:
-        model["p_BI"] = checked_vector("robot", "imu_position", section["imu_position"], 3)
-    if "imu_orientation" in section:
-        q = checked_vector("robot", "imu_orientation", section["imu_orientation"], 4)
-        if abs(sum(c * c for c in q) - 1.0) > 1e-5:
-            raise SurefootError("[robot] imu_orientation is not a unit quaternion (w, x, y, z)")
-        model["q_BI"] = q
-    if "foot_radius" in section:
-        radius = checked_number("robot", "foot_radius", section["foot_radius"], least=0.0)
-        model["foot_radius"] = radius
-    for key in ("joint_sign", "joint_offset"):
-        if key in section:
-            parts[key] = checked_by_name("robot", key, section[key])
-    for joint, sign in parts.get("joint_sign", {}).items():
-        if sign not in (1.0, -1.0):
-            raise SurefootError(f"[robot] joint_sign.{joint} is {sign:g}, not 1 or -1")
-    return parts
-
-
-def _ground(section: dict[str, Any]) -> dict[str, Any]:
-    check_keys("ground", section, required=("evenness",))
-    return {"evenness": checked_number("ground", "evenness", section["evenness"], least=0.0)}
-
-
-def _contact(section: dict[str, Any]) -> dict[str, Any]:
-    check_keys("contact", section, required=("on", "off"), optional=("offset", "debounce"))
-    values = {key: _by_leg(key, section.get(key, 0.0)) for key in ("offset", "on", "off")}
-    for leg in LEGS:
-        if values["off"][leg] > values["on"][leg]:
-            raise SurefootError(f"[contact] off is above on for {leg}")
-    debounce = checked_number("contact", "debounce", section.get("debounce", 0.0), least=0.0)
-    return {"contact": Contact(**values, debounce=debounce)}
-
-
-def _motor_law(section: dict[str, Any]) -> dict[str, Any]:
-    check_keys("motor_law", section, required=("kp", "kd"))
-    law: dict[str, float | dict[str, float]] = {}
-    for key, value in section.items():
-        if isinstance(value, dict):
-            law[key] = checked_by_name("motor_law", key, value)
-        else:
-            law[key] = checked_number("motor_law", key, value, least=0.0)
-    return {"motor_law": law}
-
-
-_SECTIONS = {
-    "source": _source,
-    "reference": _reference,
-    "robot": _robot,
-    "ground": _ground,
-    "contact": _contact,
-    "motor_law": _motor_law,
-}
-
-
-def _columns(section: str, columns: Any) -> dict[str, Column]:
-    if not isinstance(columns, dict):
-        raise SurefootError(f"[{section}] is not a table")
-    return {name: _column(section, name, spec) for name, spec in columns.items()}
-
-
-def _column(section: str, name: str, spec: Any) -> Column:
-    prefix = joint_prefix(name)
-    if not is_column(name):
-        raise SurefootError(f"[{section}] {name}: not a column of the log (see DESIGN, x_<name>)")
-    if isinstance(spec, str):
-        return Column(spec)
-    where = f"{section}.{name}"
-    if not isinstance(spec, dict):
-        raise SurefootError(f"[{section}] {name}: a column name or a table of column, unit, sign")
-    check_keys(where, spec, required=("column",), optional=("unit", "sign"))
-    scale = float(spec.get("sign", 1)) if spec.get("sign", 1) in (1, -1) else None
-    if scale is None:
-        raise SurefootError(f"[{where}] sign is {spec['sign']!r}, not 1 or -1")
-    if "unit" in spec:
+def _columns(section: str, entries: _Columns) -> dict[str, Column]:
+    found = {}
+    for name, entry in entries.items():
+        if not is_column(name):
+            raise SurefootError(
+                f"[{section}] {name}: not a column of the log (one of your own is x_<name>)"
+            )
+        if isinstance(entry, str):
+            found[name] = Column(entry)
+            continue
+        prefix = joint_prefix(name)
         kind = prefix[:-1] if prefix else name.rsplit("_", 1)[0]
         units = _UNITS.get(_KINDS.get(kind, kind), {})
-        if spec["unit"] not in units:
+        if entry.unit is not None and entry.unit not in units:
             allowed = ", ".join(units) or "none: it is kept as given"
-            raise SurefootError(f"[{where}] unit {spec['unit']!r} (allowed: {allowed})")
-        scale *= units[spec["unit"]]
-    return Column(checked_text(where, "column", spec["column"]), scale)
+            raise SurefootError(f"[{section}.{name}] unit {entry.unit!r} (allowed: {allowed})")
+        scale = entry.sign if entry.unit is None else entry.sign * units[entry.unit]
+        found[name] = Column(entry.column, scale)
+    return found
 
 
-def _by_leg(key: str, value: Any) -> dict[str, float]:
+def _by_leg(key: str, value: float | dict[str, float], legs: tuple[str, ...]) -> dict[str, float]:
     if not isinstance(value, dict):
-        return dict.fromkeys(LEGS, checked_number("contact", key, value))
-    check_keys(f"contact.{key}", value, required=LEGS)
-    return {leg: checked_number("contact", f"{key}.{leg}", value[leg]) for leg in LEGS}
+        return dict.fromkeys(legs, value)
+    for leg in value:
+        if leg not in legs:
+            raise SurefootError(f"[contact.{key}] unknown key {leg!r}; known: {', '.join(legs)}")
+    for leg in legs:
+        if leg not in value:
+            raise SurefootError(f"[contact.{key}] {leg} is missing")
+    return value
+
+
+def _check_sign(key: str, value: float) -> None:
+    if value not in (1.0, -1.0):
+        raise SurefootError(f"{key} is {value:g}, not 1 or -1")
