@@ -6,9 +6,8 @@ from itertools import pairwise
 import numpy as np
 
 from surefoot.sim.log import LEGS, Log
+from surefoot.sim.walking.truth import SLIPPING
 
-SLIPPING = 0.05
-"""m/s, of a loaded foot over the ground."""
 SLIPPERY = 0.4
 """Friction coefficient under a loaded foot."""
 STEEP = 0.05

@@ -22,8 +22,8 @@ from surefoot.sim.common.files import whole_file
 from surefoot.sim.log import Log
 from surefoot.sim.walk import Plan
 from surefoot.sim.walking.batch import Job, Walked, known_robot
+from surefoot.sim.walking.truth import SLIPPING
 
-SLIPPING = 0.05  # m/s, of a loaded foot over the ground
 DRY = 0.5  # friction coefficient from which ground counts as dry
 
 
@@ -109,16 +109,29 @@ def _drawn(made: Plan) -> dict[str, float]:
 
 def measured(log: Log) -> dict[str, float]:
     """Duration [s], length [m], share of slipping stance and creep [m/s], as in `Row`."""
+    slip_share, creep = slip_and_creep(log)
+    return {
+        "duration": float(log.t[-1]),
+        "length": path_length(log),
+        "slip_share": slip_share,
+        "creep": creep,
+    }
+
+
+def path_length(log: Log) -> float:
+    """Length [m] of the reference's path, sampled every 0.5 s: the gait's bob does not count."""
     path = log.ref_p[:: max(round(0.5 * log.rate), 1)]
+    return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+
+
+def slip_and_creep(log: Log) -> tuple[float, float]:
+    """Share of the loaded feet's samples that slip, and the median speed [m/s] of feet loaded on
+    dry ground; NaN where there are none."""
     slip = log.slip
     loaded = slip > 0.0
     dry = slip[loaded & (log.mu >= DRY)]
-    return {
-        "duration": float(log.t[-1]),
-        "length": float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()),
-        "slip_share": float((slip[loaded] > SLIPPING).mean()) if loaded.any() else np.nan,
-        "creep": float(np.median(dry)) if dry.size else np.nan,
-    }
+    share = float((slip[loaded] > SLIPPING).mean()) if loaded.any() else np.nan
+    return share, float(np.median(dry)) if dry.size else np.nan
 
 
 def file_hash(path: Path) -> str:

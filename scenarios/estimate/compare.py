@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
@@ -13,6 +12,7 @@ from surefoot.estimator.evaluation.trajectory import reference
 from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.empirical_coverage import Coverage, coverage
 from surefoot.models.observer.predict import Prediction, predict, prediction_errors
+from surefoot.scenarios.datasets.index import path_length, slip_and_creep
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
 from surefoot.scenarios.estimate.registry import (
@@ -30,6 +30,7 @@ from surefoot.sim.common.files import whole_file
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
+from surefoot.sim.walking.truth import SLIPPING
 
 MEANINGS = {
     "APE_trans [m]": "position RMSE after aligning position and yaw at the first sample",
@@ -192,17 +193,12 @@ def _walk_prose(comparison: Comparison) -> str:
     log = comparison.log
     text = f"{comparison.robot.name}, {log.t[-1] - log.t[0]:.1f} s"
     if log.has("reference"):
-        # Sampled every half second, or the gait's bob counts as path.
-        step = max(1, round(0.5 * log.rate))
-        length = np.linalg.norm(np.diff(log.ref_p[::step], axis=0), axis=1).sum()
-        text += f", {length:.1f} m"
+        text += f", {path_length(log):.1f} m"
     if log.has("truth"):
-        loaded = log.slip > 0
-        dry = loaded & (log.mu > 0.4)
+        slipping, creep = slip_and_creep(log)
         text += (
-            f". Feet slide faster than 5 cm/s in {100 * (log.slip[loaded] > 0.05).mean():.1f} % of "
-            f"the samples that load them; on dry ground they creep at "
-            f"{1e3 * np.median(log.slip[dry]):.2f} mm/s (median)"
+            f". Loaded feet slip, faster than {SLIPPING} m/s, in {100 * slipping:.1f} % of their "
+            f"samples; on dry ground they creep at {1e3 * creep:.2f} mm/s (median)"
         )
     if comparison.bounds is not None:
         x, y, z = comparison.bounds.epsilon

@@ -15,7 +15,6 @@ from surefoot.scenarios.reporting.palette import estimator_label
 from surefoot.scenarios.viewer.blueprint import layout
 from surefoot.scenarios.viewer.ground_shapes import write_ground
 from surefoot.scenarios.viewer.scene import (
-    SLIPPING,
     trunk_size,
     write_estimates,
     write_footprints,
@@ -28,6 +27,7 @@ from surefoot.sim.common.files import whole_file
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
+from surefoot.sim.walking.truth import SLIPPING
 
 if TYPE_CHECKING:
     from surefoot.models.calibration.bounds import Bounds

@@ -19,9 +19,9 @@ from surefoot.scenarios.viewer.robot_shapes import link_poses, link_shapes, reru
 from surefoot.sim.common.stamps import rows_every
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
+from surefoot.sim.walking.truth import SLIPPING
 
 POSE_RATE = 50.0  # Hz
-SLIPPING = 0.1  # m/s, foot speed over the ground above which a loaded foot is called slipping
 _ELLIPSOID_RATE = 5.0  # Hz
 _PIECE = 5  # samples of a trail that appear at once
 _FOOTPRINT = (0x2B, 0x2B, 0x2B, 255)

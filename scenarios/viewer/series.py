@@ -20,8 +20,9 @@ from surefoot.scenarios.reporting.palette import (
     estimator_label,
     rgba,
 )
-from surefoot.scenarios.viewer.scene import SLIPPING, time_column
+from surefoot.scenarios.viewer.scene import time_column
 from surefoot.sim.log import LEGS, Log, reference_velocity
+from surefoot.sim.walking.truth import SLIPPING
 
 if TYPE_CHECKING:
     from surefoot.models.observer.predict import Prediction

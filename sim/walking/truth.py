@@ -11,6 +11,8 @@ from surefoot.sim.robot.kinematics import leg_forward
 from surefoot.sim.sensors.streams import Motion
 
 LOADED = 0.02  # of the robot's weight, on one foot
+SLIPPING = 0.05
+"""m/s, speed over the ground from which a loaded foot counts as slipping."""
 
 
 def foot_truth(motion: Motion, robot: Robot, ground: Ground) -> tuple[np.ndarray, np.ndarray]:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.scenarios.datasets.index import DRY, SLIPPING, measured
+from surefoot.scenarios.datasets.index import DRY, measured
 from surefoot.scenarios.reporting.tables import to_csv, to_markdown
 from surefoot.scenarios.studies.bench.walking import COURSE, Replay
 from surefoot.scenarios.studies.walking.grounds import grounds_for
@@ -24,6 +24,7 @@ from surefoot.sim.scenario import Scenario
 from surefoot.sim.sensors.streams import Motion
 from surefoot.sim.walk import SETTLE, Fallen, Plan, plan, record, simulate
 from surefoot.sim.walking.batch import Job, known_robot, on_threads
+from surefoot.sim.walking.truth import SLIPPING
 
 SUITES = tuple(bundled("surefoot.scenarios", "courses") / suite for suite in ("vision60", "spot"))
 MEAN_OVER = 1.0  # s, two gait cycles or more: the velocity's bob within them does not count
