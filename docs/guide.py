@@ -1,0 +1,74 @@
+"""Run a guide as a reader would: its files, commands and Python, from top to bottom.
+
+`python docs/guide.py docs/guides/compare.md` runs it in the present folder. A block of code with a
+title is a file of that name, a `bash` or `python` block is run (the Python of one guide shares its
+names), and any other block is output. A block below a line that begins "Not run:" is left out; the
+line says why. A guide that continues another one runs in the folder that the other left.
+"""
+
+import os
+import re
+import subprocess
+import sys
+import traceback
+from dataclasses import dataclass
+from pathlib import Path
+
+GUIDES = Path(__file__).resolve().parent / "guides"
+FENCE = re.compile(r"^```(\w*)(?:\s+title=\"([^\"]+)\")?[^\n]*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+CONTINUES = re.compile(r"^Continues \[[^\]]+\]\((\w+)\.md\)", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Block:
+    """A block of code: its language, its text, the file that it is, and why it is not run."""
+
+    language: str
+    text: str
+    line: int
+    file: str | None = None
+    not_run: str | None = None
+
+
+def blocks(guide: Path) -> list[Block]:
+    """The blocks of code of a guide, in order."""
+    page, found = guide.read_text(encoding="utf-8"), []
+    for match in FENCE.finditer(page):
+        language, file, text = match.groups()
+        above = page[: match.start()].rstrip().rpartition("\n\n")[2]
+        reason = above.removeprefix("Not run:").strip() if above.startswith("Not run:") else None
+        found.append(Block(language, text, page.count("\n", 0, match.start()) + 2, file, reason))
+    return found
+
+
+def continued(guide: Path) -> Path | None:
+    """The guide whose files this one needs."""
+    match = CONTINUES.search(guide.read_text(encoding="utf-8"))
+    return GUIDES / f"{match.group(1)}.md" if match else None
+
+
+def run(guide: Path) -> None:
+    """Run a guide here. Raises SystemExit naming file and line of the block that fails."""
+    names: dict[str, object] = {"__name__": "__main__"}
+    for block in blocks(guide):
+        if block.not_run is not None:
+            continue
+        if block.file is not None:
+            Path(block.file).parent.mkdir(parents=True, exist_ok=True)
+            Path(block.file).write_text(block.text, encoding="utf-8")
+        elif block.language == "bash":
+            path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
+            script = ["bash", "-euo", "pipefail", "-c", block.text]
+            if subprocess.run(script, env=os.environ | {"PATH": path}, check=False).returncode:
+                raise SystemExit(f"{guide}:{block.line}: this block fails")
+        elif block.language == "python":
+            try:
+                exec(compile("\n" * (block.line - 1) + block.text, guide, "exec"), names)
+            except Exception:
+                traceback.print_exc()
+                raise SystemExit(f"{guide}:{block.line}: this block fails") from None
+
+
+if __name__ == "__main__":
+    sys.path.insert(0, "")
+    run(Path(sys.argv[1]).resolve())

@@ -1,0 +1,77 @@
+"""Hooks of MkDocs: pages that stand at the root of the repository, and pages made from the code.
+
+README.md becomes the site's first page and CONTRIBUTING.md and CHANGELOG.md pages of it, so that
+each text exists once. The page of commands holds what `surefoot COMMAND --help` prints.
+"""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
+ELSEWHERE = re.compile(r"\[([^\]]+)\]\((?:LICENSE|CITATION\.cff|Makefile)\)")
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """The pages of docs/, those of the root, the commands, and an index of the results."""
+    for source, page in PAGES.items():
+        files.append(File.generated(config, page, content=_moved(source)))
+    files.append(File.generated(config, "reference/commands.md", content=_commands()))
+    files.append(File.generated(config, "results/index.md", content=_results()))
+    return files
+
+
+def _moved(source: str) -> str:
+    """A page of the root as it reads inside docs/: links to files outside the site become text."""
+    text = (ROOT / source).read_text(encoding="utf-8")
+    for other, page in PAGES.items():
+        text = text.replace(f"]({other})", f"]({page})")
+    return ELSEWHERE.sub(r"`\1`", text).replace("](docs/", "](")
+
+
+def _results() -> str:
+    """One line a page: its title, the commit that it was measured on, and whether it is stale."""
+    sys.path.insert(0, str(ROOT))
+    from surefoot.scenarios.studies.pages import pages_table
+
+    lines = [
+        "# Results",
+        "Each page is written by the command that measures, which names the commit and the digest "
+        "of the code in the page's header. A page is stale where that code has changed since, or "
+        "where the digest is not known.",
+        "| page | measured on commit | state |\n| --- | --- | --- |",
+    ]
+    rows = []
+    for row in pages_table(ROOT / "docs" / "results"):
+        page = ROOT / "docs" / "results" / row["page"]
+        title = page.read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
+        rows.append(f"| [{title}]({row['page']}) | `{row['commit']}` | {row['state']} |")
+    return "\n\n".join(lines) + "\n" + "\n".join(rows) + "\n"
+
+
+def _commands() -> str:
+    """What each command prints of itself."""
+    sys.path.insert(0, str(ROOT))
+    from surefoot.scenarios.cli.main import COMMANDS
+
+    parts = ["# Commands", "Every command, as its `--help` describes it."]
+    for name in COMMANDS:
+        parts += [f"## surefoot {name}", f"```text\n{_help(name)}\n```"]
+    return "\n\n".join(parts) + "\n"
+
+
+def _help(name: str) -> str:
+    made = subprocess.run(
+        [sys.executable, "-m", "surefoot", name, "--help"],
+        env=os.environ | {"PYTHONPATH": str(ROOT), "NO_COLOR": "1", "COLUMNS": "100"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return re.sub(r"\x1b\[[0-9;]*m", "", made.stdout).strip()
