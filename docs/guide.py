@@ -4,18 +4,25 @@
 title is a file of that name, a `bash` or `python` block is run (the Python of one guide shares its
 names), and any other block is output. A block below a line that begins "Not run:" is left out; the
 line says why. A guide that continues another one runs in the folder that the other left.
+
+Nothing is installed: for `pip install --editable .` the entry points of the guide's pyproject.toml are
+written beside it, and the folder is on the path of every block.
 """
 
 import os
 import re
 import subprocess
 import sys
+import tomllib
 import traceback
 from dataclasses import dataclass
 from pathlib import Path
 
 GUIDES = Path(__file__).resolve().parent / "guides"
-FENCE = re.compile(r"^```(\w*)(?:\s+title=\"([^\"]+)\")?[^\n]*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+FENCE = re.compile(
+    r"^```(\w*)(?:\s+title=\"([^\"]+)\")?[^\n]*\n(.*?)^```$", re.MULTILINE | re.DOTALL
+)
+INSTALL = "pip install --editable ."
 CONTINUES = re.compile(r"^Continues \[[^\]]+\]\((\w+)\.md\)", re.MULTILINE)
 
 
@@ -57,9 +64,10 @@ def run(guide: Path) -> None:
             Path(block.file).parent.mkdir(parents=True, exist_ok=True)
             Path(block.file).write_text(block.text, encoding="utf-8")
         elif block.language == "bash":
-            path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
-            script = ["bash", "-euo", "pipefail", "-c", block.text]
-            if subprocess.run(script, env=os.environ | {"PATH": path}, check=False).returncode:
+            if INSTALL in block.text:
+                _write_entry_points()
+            script = ["bash", "-euo", "pipefail", "-c", block.text.replace(INSTALL, ":")]
+            if subprocess.run(script, env=_environment(), check=False).returncode:
                 raise SystemExit(f"{guide}:{block.line}: this block fails")
         elif block.language == "python":
             try:
@@ -67,6 +75,26 @@ def run(guide: Path) -> None:
             except Exception:
                 traceback.print_exc()
                 raise SystemExit(f"{guide}:{block.line}: this block fails") from None
+
+
+def _environment() -> dict[str, str]:
+    """This interpreter's commands first, and the present folder on Python's path."""
+    first = {"PATH": str(Path(sys.executable).parent), "PYTHONPATH": str(Path.cwd())}
+    return os.environ | {k: os.pathsep.join([v, os.environ.get(k, "")]) for k, v in first.items()}
+
+
+def _write_entry_points() -> None:
+    """What installing the package of this folder would tell `importlib.metadata`."""
+    project = tomllib.loads(Path("pyproject.toml").read_text(encoding="utf-8"))["project"]
+    name, version = project["name"], project["version"]
+    folder = Path(f"{name.replace('-', '_')}-{version}.dist-info")
+    folder.mkdir(exist_ok=True)
+    metadata = f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n"
+    (folder / "METADATA").write_text(metadata, encoding="utf-8")
+    lines = []
+    for group, points in project["entry-points"].items():
+        lines += [f"[{group}]", *(f"{key} = {value}" for key, value in points.items())]
+    (folder / "entry_points.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""`none_of_these` goes on, as docs/new_effect.md tells it: the form that trace names is enough to
+"""`none_of_these` goes on, as docs/guides/own_effect.md describes it: the form that trace names is enough to
 write a class, and with the class the same log is attributed. Of the log the IMU is kept, so that
-it is quick; the page traces all of it."""
+it is quick."""
 
 from dataclasses import replace
 
