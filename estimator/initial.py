@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from surefoot.estimator.core.lie import hat
-from surefoot.estimator.core.state import GRAVITY, NavState
+from surefoot.estimator.core.state import NavState
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.log import Log, reference_velocity
 
 STILL_WINDOW = 0.5

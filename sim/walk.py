@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.effects import Effect
 from surefoot.sim.gait.controller import Gait, gait_for
@@ -120,7 +121,7 @@ def record(made: Plan, motion: Motion) -> Log:
         streams = effect.alter_streams(streams, robot)
     sensors, rng = made.scenario.sensors, np.random.default_rng(made.sensor_seed)
     streams = corrupt(streams, sensors, rng)
-    contact = sensed_contact(streams, robot.mass * 9.81, sensors, rng)
+    contact = sensed_contact(streams, robot.mass * GRAVITY, sensors, rng)
     truth = foot_truth(motion, _walked(made), made.ground)
     return Log(
         frame=_frame(streams, contact, reference, *truth),

@@ -20,7 +20,8 @@ import numpy as np
 
 from surefoot.estimator.core.checks import finite_3
 from surefoot.estimator.core.lie import entire, gammas
-from surefoot.estimator.core.state import B_A, B_G, GRAVITY, P, V
+from surefoot.estimator.core.state import B_A, B_G, P, V
+from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
 
 

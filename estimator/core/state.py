@@ -18,9 +18,6 @@ from surefoot.estimator.core.lie import entire
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import kernel
 
-GRAVITY = 9.81
-"""Magnitude of gravity [m/s^2]; it points along -z of G."""
-
 V, P, B_A, B_G, EXTRA = 3, 4, 5, 6, 7
 """Rows of the packed mean."""
 

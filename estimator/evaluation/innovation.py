@@ -6,9 +6,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from surefoot.estimator.evaluation.trajectory import Trajectory, TrajectoryError
+from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.log import Log
-
-GRAVITY = np.array([0.0, 0.0, -9.81])
 
 
 @dataclass(frozen=True)
@@ -49,7 +48,7 @@ def innovations(log: Log, trajectory: Trajectory) -> Innovations:
         row = np.minimum(first + ahead, rows)
         dt = np.where(first + ahead <= rows, t[row] - t[row - 1], 0.0)[:, None]
         f_G = np.einsum("mij,mj->mi", R, accel[row] - trajectory.b_a[at])
-        v = v + (f_G + GRAVITY) * dt
+        v = v + (f_G + GRAVITY_G) * dt
         R = R @ Rotation.from_rotvec((gyro[row] - trajectory.b_g[at]) * dt).as_matrix()
     z = trajectory.updates.v_I[known] - np.einsum("mji,mj->mi", R, v)
     return Innovations(trajectory.updates.t[known], z, S)

@@ -11,10 +11,10 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation, Slerp
 
+from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.effects.base import with_columns
 from surefoot.sim.log import Log
-from surefoot.sim.sensors.streams import GRAVITY_G
 
 BEND = 1e-6
 """m/s by which a velocity changes from row to row where two straight lines meet."""

@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 from surefoot.models.attribution.evidence import log_under_model
 from surefoot.models.residuals.binning import ReferenceMotion
 from surefoot.models.residuals.leg_velocity import leg_velocity
+from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.log import Log, joint_velocity, reference_velocity
 from surefoot.sim.robot import Robot
-from surefoot.sim.sensors.streams import GRAVITY_G
 
 SHIFTS = np.arange(-0.030, 0.0301, 0.001)
 """s, tried by which a stream is late against the reference."""

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import lfilter
 
 from surefoot.models.residuals.limbs import limbs_of
+from surefoot.sim.common.low_pass import low_pass
 from surefoot.sim.log import Log, joint_velocity, reference_velocity
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
@@ -152,9 +152,9 @@ def binned(log: Log, robot: Machine, frame: ReferenceMotion) -> Bins:
     if log.has("imu") and isinstance(robot, Robot):
         omega = log.gyro
         slow = robot.extras.imu_lowpass
-        gyro = np.where(frame.moved[:, None], log.gyro - _behind(frame.gyro, slow, log.rate), gyro)
+        gyro = np.where(frame.moved[:, None], log.gyro - low_pass(frame.gyro, slow, log.rate), gyro)
         accel = np.where(
-            frame.moved[:, None], log.accel - _behind(frame.accel, slow, log.rate), accel
+            frame.moved[:, None], log.accel - low_pass(frame.accel, slow, log.rate), accel
         )
     base = np.zeros((n, 9))
     if isinstance(robot, Robot):
@@ -221,14 +221,6 @@ def mean_rate_of_change(x: np.ndarray, t: np.ndarray, frame: ReferenceMotion) ->
     before = np.maximum(frame.first - 1, 0)
     time = np.maximum(t[last] - t[before], 1e-9).reshape(-1, *[1] * (x.ndim - 1))
     return (x[last] - x[before]) / time
-
-
-def _behind(x: np.ndarray, time: float, rate: float) -> np.ndarray:
-    """x (N, 3) behind a first-order low-pass of time constant `time` [s]."""
-    if time <= 0.0:
-        return x
-    keep = np.exp(-1.0 / (time * rate))
-    return lfilter([1.0 - keep], [1.0, -keep], x, axis=0, zi=keep * x[:1])[0]
 
 
 def _base_motion(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, robot: Robot) -> np.ndarray:

@@ -4,11 +4,11 @@ import numpy as np
 
 from surefoot.models.residuals.binning import Bins, ReferenceMotion, at_torques
 from surefoot.models.residuals.torques import Steps, inverse_dynamics
+from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import leg_forward
-from surefoot.sim.sensors.streams import GRAVITY_G
 
 
 def foot_loads(

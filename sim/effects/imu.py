@@ -8,10 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from surefoot.sim.common.low_pass import low_pass
 from surefoot.sim.effects.base import AXES, Effect, turn_about, with_columns
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
-from surefoot.sim.sensors.streams import Streams, low_pass
+from surefoot.sim.sensors.streams import Streams
 
 
 class ImuRotation(Effect):

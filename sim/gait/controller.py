@@ -8,15 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.gait.stance_control import support
 from surefoot.sim.gait.swing import swing
 from surefoot.sim.ground.height_map import height, normal, surface
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.foot_motion import foot_motion, sole_motion
-from surefoot.sim.robot.kinematics import leg_forward
+from surefoot.sim.robot.kinematics import foot_motion, leg_forward, sole_motion
 
-GRAVITY = 9.81
 SWING, STANCE, REACHING = 0, 1, 2
 STEEPEST = 0.6  # slope that the body follows at most
 

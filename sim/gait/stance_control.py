@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
 
-GRAVITY = 9.81
 STANCE = 1
 
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.ground.height_map import height, normal, surface
 
-GRAVITY = 9.81
 SWING, STANCE = 0, 1
 # Room between a foothold and an edge, as shares of the leg's length: a falling edge, a riser before
 # the foot, and one behind it, which the shin leans over where it descends.

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.ground.height_map import HeightMap, surface
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.ground.tiles import add_ground
@@ -83,7 +84,7 @@ def build_world(robot: Robot, ground: Ground, spec: mujoco.MjSpec | None = None)
     """Compile the robot (or an edited spec of it) standing on `ground`."""
     scene: mujoco.MjSpec = robot_spec(robot) if spec is None else spec
     # Feet creep on dry ground unless friction is stiff and exact: elliptic cone, high impratio.
-    scene.option.gravity = [0.0, 0.0, -9.81]
+    scene.option.gravity = GRAVITY_G
     scene.option.disableflags = scene.option.enableflags = 0
     scene.memory = -1  # what MuJoCo thinks fit: running out of it ends the whole process
     scene.option.timestep = TIMESTEP

@@ -16,6 +16,7 @@ from llvmlite import binding
 from numba import types
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.common.quaternion import matrix_from_quaternion
 from surefoot.sim.gait.controller import Gait, fresh_memory, tick
@@ -129,7 +130,7 @@ def trot(
 ) -> None:
     """Walk the first `ticks` control periods of the course, from `data` as it is; fills `trace`."""
     target = np.column_stack([course.pose, course.velocity])
-    memory, load = fresh_memory(), np.full(4, gait.mass * 9.81 / 4)
+    memory, load = fresh_memory(), np.full(4, gait.mass * GRAVITY / 4)
     body = mj_views(world, data)
     for first in range(0, ticks, TICKS_AT_ONCE):
         last = min(first + TICKS_AT_ONCE, ticks)

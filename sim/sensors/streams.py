@@ -6,10 +6,10 @@ import numpy as np
 from scipy.signal import lfilter
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.common.kernels import kernel
+from surefoot.sim.common.low_pass import low_pass
 from surefoot.sim.robot import Robot
-
-GRAVITY_G = np.array([0.0, 0.0, -9.81])  # gravity in G [m/s^2]
 
 
 @dataclass(frozen=True)
@@ -191,15 +191,6 @@ def sensed_contact(
     stands = stands[np.maximum(np.arange(len(stands)) - late, 0)]
     wrong = np.where(stands, sensors.contact_missed, sensors.contact_false)
     return stands ^ (rng.random(stands.shape) < wrong)
-
-
-def low_pass(x: np.ndarray, time: float, rate: float) -> np.ndarray:
-    """x (N, K), `rate` samples a second, behind a first-order low-pass of time constant `time` [s],
-    at rest on its first sample."""
-    if time == 0.0:
-        return x
-    keep = np.exp(-1.0 / (time * rate))
-    return lfilter([1.0 - keep], [1.0, -keep], x, axis=0, zi=keep * x[:1])[0]
 
 
 def _gauss_markov(rng, n: int, sigma: float, time: float, rate: float) -> np.ndarray:

@@ -20,6 +20,7 @@ from dm_control.mujoco.wrapper import MjModel
 from dm_env import specs
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.effects import Effect
 from surefoot.sim.log import Log
@@ -72,7 +73,7 @@ class WalkingEnvironment(dm_env.Environment):
             raise SurefootError(f"actions must be torque or position, is {actions!r}")
         self._scenario, self._robot, self._effects = scenario, robot, tuple(effects)
         self._by_position = actions == "position"
-        stiff = 0.75 * robot.mass * 9.81 * robot.leg_length if kp is None else kp
+        stiff = 0.75 * robot.mass * GRAVITY * robot.leg_length if kp is None else kp
         damping = 0.03 * np.asarray(stiff) if kd is None else kd
         self._kp = np.array(np.broadcast_to(stiff, 12), dtype=float) * self._by_position
         self._kd = np.array(np.broadcast_to(damping, 12), dtype=float) * self._by_position

@@ -2,12 +2,12 @@
 
 import numpy as np
 
+from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.ground.height_map import normal
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.foot_motion import foot_motion, sole_motion
-from surefoot.sim.robot.kinematics import leg_forward
+from surefoot.sim.robot.kinematics import foot_motion, leg_forward, sole_motion
 from surefoot.sim.sensors.streams import Motion
 
 LOADED = 0.02  # of the robot's weight, on one foot
@@ -24,7 +24,7 @@ def foot_truth(motion: Motion, robot: Robot, ground: Ground) -> tuple[np.ndarray
         robot.legs, ground.relief, robot.foot_radius, motion.q[1:], motion.dq[1:],
         motion.p_GB[1:], motion.R_GB[1:], motion.v_GB[1:], motion.w_B[1:],
     )  # fmt: skip
-    slip[motion.force <= LOADED * robot.mass * 9.81] = 0.0
+    slip[motion.force <= LOADED * robot.mass * GRAVITY] = 0.0
     return slip, ground.friction(touching[..., 0], touching[..., 1])
 
 

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from surefoot.estimator.core.state import GRAVITY, NavState
+from surefoot.estimator.core.state import NavState
 from surefoot.estimator.evaluation.trajectory import Trajectory
 from surefoot.estimator.initial import InitialStd, start_covariance
+from surefoot.sim.common.gravity import GRAVITY
 
 
 @dataclass(frozen=True)

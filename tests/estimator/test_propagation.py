@@ -6,7 +6,8 @@ from numpy.testing import assert_allclose
 
 from surefoot.estimator.core import lie
 from surefoot.estimator.core.propagation import gamma_derivatives, propagate
-from surefoot.estimator.core.state import GRAVITY, FilterNoise, NavState, retract
+from surefoot.estimator.core.state import FilterNoise, NavState, retract
+from surefoot.sim.common.gravity import GRAVITY
 
 SILENT = np.zeros((4, 3))
 

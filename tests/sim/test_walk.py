@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 from turning import mean_rotation
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.effects import effect
 from surefoot.sim.gait.controller import gait_for
 from surefoot.sim.gait.course import lay_course
@@ -14,7 +15,7 @@ from surefoot.sim.ground.terrain import Ground, Patch, Strip
 from surefoot.sim.physics.scene import TIMESTEP, build_world
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Ranges, Scenario, Segment
-from surefoot.sim.sensors.streams import GRAVITY_G, Sensors, ideal_streams, imu_motion
+from surefoot.sim.sensors.streams import Sensors, ideal_streams, imu_motion
 from surefoot.sim.walk import STEPS_PER_TICK, Fallen, simulate, walk
 
 SPOT = Robot.load("spot_class")

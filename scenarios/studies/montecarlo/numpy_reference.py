@@ -10,10 +10,10 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from surefoot.estimator.core.lie import hat
-from surefoot.estimator.core.state import GRAVITY
 from surefoot.scenarios.studies.montecarlo.settings import Study
 from surefoot.scenarios.studies.montecarlo.study import Setting
 from surefoot.scenarios.studies.montecarlo.trials import Trials, Truth
+from surefoot.sim.common.gravity import GRAVITY
 
 G = np.array([0.0, 0.0, -GRAVITY])
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(20)

@@ -7,9 +7,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from surefoot.estimator.core.lie import gammas
-from surefoot.estimator.core.state import GRAVITY, NavState, retract
+from surefoot.estimator.core.state import NavState, retract
 from surefoot.estimator.initial import start_covariance
 from surefoot.scenarios.studies.montecarlo.settings import ErrorLaw, Motion, Study
+from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
 
 
