@@ -5,8 +5,8 @@ title is a file of that name, a `bash` or `python` block is run (the Python of o
 names), and any other block is output. A block below a line that begins "Not run:" is left out; the
 line says why. A guide that continues another one runs in the folder that the other left.
 
-Nothing is installed: for `pip install --editable .` the entry points of the guide's pyproject.toml are
-written beside it, and the folder is on the path of every block.
+Nothing is installed: for `pip install --editable .` the entry points of the guide's pyproject.toml
+are written beside it, and the folder is on the path of every block.
 """
 
 import os

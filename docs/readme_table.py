@@ -20,7 +20,7 @@ COLUMNS = ("APE_trans [m]", "APE_rot [deg]", "RPE_trans [m]", "NEES_pos", "step 
 def with_table(text: str, table: str) -> str:
     """The README with `table` between its markers. Raises SystemExit where they are missing."""
     before, begin, rest = text.partition(BEGIN)
-    old, end, after = rest.partition(END)
+    _, end, after = rest.partition(END)
     if not (begin and end):
         raise SystemExit(f"{README.name}: lacks the markers {BEGIN} and {END}")
     return f"{before}{begin}\n{table}\n{end}{after}"

@@ -1,6 +1,6 @@
-"""`none_of_these` goes on, as docs/guides/own_effect.md describes it: the form that trace names is enough to
-write a class, and with the class the same log is attributed. Of the log the IMU is kept, so that
-it is quick."""
+"""`none_of_these` goes on, as docs/guides/own_effect.md describes it: the form that trace names is
+enough to write a class, and with the class the same log is attributed. Of the log the IMU is kept,
+so that it is quick."""
 
 from dataclasses import replace
 
