@@ -20,7 +20,8 @@ from surefoot.scenarios.reporting.observer_figures import mixing_curve
 from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.scenarios.trace.report import sections as trace_sections
-from surefoot.scenarios.trace.run import Trace, trace
+from surefoot.scenarios.trace.result import Trace
+from surefoot.scenarios.trace.run import trace
 from surefoot.scenarios.trace.words import summary
 from surefoot.sim.common.errors import SurefootError, check_seed
 from surefoot.sim.effects import Effect, effect

@@ -15,8 +15,8 @@ from scipy.ndimage import uniform_filter1d
 
 from surefoot.models.attribution.evidence import Evidence, LogUnderModel, joined, wrt_columns
 from surefoot.models.attribution.fit import design, draws, fit, loss, normal_equations
-from surefoot.models.attribution.search import Attribution, Split
-from surefoot.models.attribution.selection import FIT, SELECT
+from surefoot.models.attribution.search import Attribution
+from surefoot.models.attribution.split import FIT, SELECT, Split
 from surefoot.sim.log import Log
 from surefoot.sim.robot.legs import JOINTS, LEGS
 

@@ -9,7 +9,8 @@ from surefoot.models.attribution.evidence import Evidence, LogUnderModel, linear
 from surefoot.models.attribution.fit import design, fit, normal_equations
 from surefoot.models.attribution.noise_floor import Repeat
 from surefoot.models.attribution.robust_weights import RobustWeights
-from surefoot.models.attribution.search import Attribution, Split
+from surefoot.models.attribution.search import Attribution
+from surefoot.models.attribution.split import Split
 from surefoot.models.residuals.registry import channels
 
 AT_FLOOR = 1.05

@@ -13,7 +13,8 @@ import numpy as np
 from surefoot.models.attribution.evidence import Key
 from surefoot.models.attribution.fit import NormalEquations, fit, loss
 from surefoot.models.attribution.refinement import Data, best_near, refined
-from surefoot.models.attribution.selection import FIT, REPORT, SELECT, Candidate
+from surefoot.models.attribution.selection import Candidate
+from surefoot.models.attribution.split import FIT, REPORT, SELECT
 from surefoot.sim.effects import Effect, effect
 
 CLOSE_BEHIND = 0.3

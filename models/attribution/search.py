@@ -21,7 +21,8 @@ from surefoot.models.attribution.noise_floor import NoiseFloor, noise_floor_with
 from surefoot.models.attribution.refinement import Data, refined
 from surefoot.models.attribution.rerank import contenders, rerank
 from surefoot.models.attribution.robust_weights import RobustWeights, robust_weights
-from surefoot.models.attribution.selection import DOUBT, FIT, REPORT, SELECT, Candidate, judge
+from surefoot.models.attribution.selection import DOUBT, Candidate, judge
+from surefoot.models.attribution.split import FIT, REPORT, SELECT, Split
 from surefoot.sim.effects import Effect
 
 AT_MOST = 4
@@ -51,23 +52,6 @@ class Attribution:
     robust_weights: RobustWeights
     evidence: Evidence
     floor: NoiseFloor
-
-
-@dataclass(frozen=True)
-class Split:
-    """Masks (M,) of the bins that sizes are fitted on, that choose, and that only report."""
-
-    fit: np.ndarray
-    select: np.ndarray
-    report: np.ndarray
-
-    @property
-    def part(self) -> np.ndarray:
-        """FIT, SELECT or REPORT of each bin (M,), -1 for none."""
-        part = np.full(len(self.fit), -1)
-        for number, mask in enumerate((self.fit, self.select, self.report)):
-            part[mask] = number
-        return part
 
 
 def attribute(

@@ -8,6 +8,7 @@ import numpy as np
 from surefoot.models.attribution.evidence import Key
 from surefoot.models.attribution.fit import NormalEquations, draws, fit, loss
 from surefoot.models.attribution.noise_floor import NoiseFloor
+from surefoot.models.attribution.split import FIT, SELECT
 from surefoot.sim.effects import known_effects
 
 ABOVE_FLOOR = 5.0
@@ -20,8 +21,6 @@ WORTH = 0.02
 CLEAR, LARGE = 20.0, 0.2
 """One that stands so many times above its floor and takes such a share of all that is left may add
 less: beside a very large effect even a large one is little."""
-FIT, SELECT, REPORT = 0, 1, 2
-"""Parts of a split."""
 
 
 @dataclass(frozen=True)

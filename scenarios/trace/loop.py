@@ -18,11 +18,11 @@ import pandas as pd
 
 from surefoot.models.observer.observer import log_digest
 from surefoot.models.observer.training import DEFAULT, Schedule
-from surefoot.scenarios.estimate.compare import Comparison, compare_log, prepare_folder
+from surefoot.scenarios.estimate.compare import compare_log, prepare_folder
 from surefoot.scenarios.estimate.learning import learn, learnt_in
 from surefoot.scenarios.estimate.registry import Learnt, declared_model
 from surefoot.scenarios.reporting.progress import percent_bar
-from surefoot.scenarios.trace.loop_report import write_loop
+from surefoot.scenarios.trace.loop_report import Side, write_loop
 from surefoot.scenarios.trace.run import trace
 from surefoot.scenarios.trace.words import caution, summary
 from surefoot.sim.common.errors import SurefootError, check_seed
@@ -48,16 +48,6 @@ class Lesson:
     seconds: float = 30.0  # of each walk to train on
     calibration: float = 150.0  # s of the one to calibrate on
     schedule: Schedule = DEFAULT
-
-
-@dataclass(frozen=True)
-class Side:
-    """One of the two worlds: its model's effects, what was learnt in it, and the estimates."""
-
-    name: str
-    effects: tuple[Effect, ...]
-    learnt: Learnt
-    comparison: Comparison
 
 
 def loop(

@@ -1,11 +1,10 @@
 """The loop as files: one before-and-after table, a report, and a recording with both."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pandas as pd
 
@@ -13,18 +12,16 @@ from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.models.observer.predict import prediction_errors
 from surefoot.scenarios.estimate.compare import Comparison
 from surefoot.scenarios.estimate.error_series import error_series
-from surefoot.scenarios.estimate.registry import declared_model
+from surefoot.scenarios.estimate.registry import Learnt, declared_model
 from surefoot.scenarios.reporting.figures import body_velocity, height, trajectories
 from surefoot.scenarios.reporting.html import Picture, Section, write_report
 from surefoot.scenarios.reporting.tables import to_csv, to_markdown
 from surefoot.scenarios.trace.words import caution
 from surefoot.scenarios.viewer.recording import write_recording
 from surefoot.sim.common.files import whole_file
+from surefoot.sim.effects import Effect
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
-
-if TYPE_CHECKING:
-    from surefoot.scenarios.trace.loop import Side
 
 METRICS = {
     "ape_trans": "APE_trans [m]",
@@ -33,6 +30,16 @@ METRICS = {
     "nees_position": "NEES_pos",
     "nees_velocity": "NEES_vel",
 }
+
+
+@dataclass(frozen=True)
+class Side:
+    """One of the two worlds: its model's effects, what was learnt in it, and the estimates."""
+
+    name: str
+    effects: tuple[Effect, ...]
+    learnt: Learnt
+    comparison: Comparison
 
 
 def write_loop(log: Log, robot: Robot, sides: Sequence[Side], out: Path) -> pd.DataFrame:

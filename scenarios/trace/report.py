@@ -1,25 +1,21 @@
 """A trace as files: trace.json, effects.toml, a report with figures, and a recording."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.models.residuals.registry import channels
 from surefoot.scenarios.reporting.html import Picture, Section, write_report
 from surefoot.scenarios.trace.figures import candidate_gains, residuals
-from surefoot.scenarios.trace.words import VERDICTS, remainder_in_words, size_in_words, summary
+from surefoot.scenarios.trace.result import Trace
+from surefoot.scenarios.trace.words import VERDICTS, size_in_words, summary, unexplained_in_words
 from surefoot.scenarios.viewer.recording import write_recording
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.effects.file import save_effects
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
-
-if TYPE_CHECKING:
-    from surefoot.scenarios.trace.run import Trace
 
 _METRICS = {
     "ape_trans": ("APE, translation", "m"),
@@ -128,7 +124,7 @@ def _sentences(found: Trace) -> list[str]:
         for r in found.rivals
     ]
     lines += [f"To tell them apart: {found.motion}."] if found.rivals else []
-    lines += [line.strip() + "." for line in remainder_in_words(found)]
+    lines += [line.strip() + "." for line in unexplained_in_words(found)]
     return lines + [f"Note: {note}." for note in found.notes]
 
 

@@ -1,14 +1,11 @@
 """A trace in words: what was found, how sure, and what it changes."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from math import isfinite
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from surefoot.models.attribution.search import Found
-    from surefoot.scenarios.trace.run import Trace
+from surefoot.models.attribution.search import Found
+from surefoot.scenarios.trace.result import Trace
 
 VERDICTS = {
     "attributed": "traced to what the model lacks; what is left is at the noise floor",
@@ -60,14 +57,14 @@ def size_in_words(found: Found) -> str:
     )
 
 
-def remainder_in_words(found: Trace) -> list[str]:
+def unexplained_in_words(found: Trace) -> list[str]:
     """The three strongest forms of what is left, a line each."""
     return [
         f"  {100 * r.share:.0f} % of what is left in {r.channel} {r.column} goes with "
         f"{', '.join(r.regressors)}"
         if r.regressors
         else f"  nothing simple goes with what is left in {r.channel} {r.column}"
-        for r in found.remainder[:3]
+        for r in found.unexplained[:3]
     ]
 
 
@@ -79,7 +76,7 @@ def summary(found: Trace) -> str:
     lines += [f"  or {r['name']} {r['target']} (overlap {r['overlap']:.2f})" for r in found.rivals]
     if found.rivals:
         lines.append(f"  to tell them apart: {found.motion}")
-    lines += remainder_in_words(found)
+    lines += unexplained_in_words(found)
     if found.channels:
         lines.append("residual on the part that no fit has seen (root mean square of 20 ms means):")
     for name, c in found.channels.items():

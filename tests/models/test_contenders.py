@@ -11,7 +11,8 @@ from surefoot.models.attribution.noise_floor import noise_floor
 from surefoot.models.attribution.refinement import Data
 from surefoot.models.attribution.rerank import rerank, told_between_rows
 from surefoot.models.attribution.robust_weights import robust_weights
-from surefoot.models.attribution.selection import FIT, SELECT, Candidate
+from surefoot.models.attribution.selection import Candidate
+from surefoot.models.attribution.split import FIT, SELECT
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from surefoot.models.attribution.diagnose import diagnose
 from surefoot.scenarios.studies.blind.outside_effects import ThermalGyroDrift
-from surefoot.scenarios.trace.run import diagnose
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import CATALOGUE, add
 from surefoot.sim.effects.base import AXES, Effect, with_columns
@@ -69,7 +69,7 @@ def log():
 def test_the_form_that_is_left_becomes_an_effect(log, catalogue):
     before = diagnose([log], ROBOT)
     assert before.verdict == "none_of_these"
-    form = before.remainder[0]
+    form = before.unexplained[0]
     assert (form.channel, form.column) == ("imu_gyro", "gyro_y")
     assert form.regressors[0] in {"settling_8_s", "settling_16_s", "settling_32_s"}
 

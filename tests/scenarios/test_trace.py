@@ -7,10 +7,11 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from surefoot.models.attribution.data import dead_contacts, readings
 from surefoot.models.attribution.evidence import log_under_model
 from surefoot.models.attribution.noise_floor import ground_of, noise_floor, noise_floor_with
-from surefoot.scenarios.trace.data import dead_contacts, readings
-from surefoot.scenarios.trace.run import OUTPUTS, Trace, diagnose, trace
+from surefoot.scenarios.trace.result import Trace
+from surefoot.scenarios.trace.run import OUTPUTS, trace, trace_logs
 from surefoot.scenarios.trace.words import caution, summary
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
@@ -43,7 +44,7 @@ def log_with(*one, slippery=True, seed=0):
 
 @lru_cache
 def traced(*one):
-    return diagnose([log_with(*one)], ROBOT)
+    return trace_logs([log_with(*one)], ROBOT)
 
 
 @pytest.mark.parametrize(
@@ -77,7 +78,7 @@ def test_the_leg_filter_gains_by_what_was_found():
 
 @pytest.mark.parametrize("slippery", [True, False])
 def test_a_walk_as_declared_lacks_nothing(slippery):
-    found = diagnose([log_with(slippery=slippery)], ROBOT)
+    found = trace_logs([log_with(slippery=slippery)], ROBOT)
     assert found.verdict == "no_residual"
     assert found.effects == ()
     # Integration makes every walk's rates look half a step late: the floor knows by how much.
@@ -119,7 +120,7 @@ def test_the_same_trace_of_a_log_that_tells_nothing_of_itself(tmp_path):
 
 def test_a_declared_effect_is_part_of_the_model():
     known = effect("encoder_offset", "RL_thigh", -0.02)
-    found = diagnose([log_with("encoder_offset", "RL_thigh", -0.02)], ROBOT, declared=[known])
+    found = trace_logs([log_with("encoder_offset", "RL_thigh", -0.02)], ROBOT, declared=[known])
     assert found.verdict == "no_residual"
 
 
@@ -129,7 +130,7 @@ def test_a_leg_is_measured_on_a_floor_that_is_no_more_even_than_floors_are():
     one = effect("link_length", "RR_calf", 0.002)
     log = walk(Scenario("uneven", COURSE, ground), ROBOT, 4, effects=[one], declared=False)
     log = replace(log, meta=replace(log.meta, model={"ground_evenness": EVENNESS}))
-    found = diagnose([log], ROBOT)
+    found = trace_logs([log], ROBOT)
     assert found.verdict == "attributed"
     assert [(e.name, e.target) for e in found.effects] == [("link_length", "RR_calf")]
     assert found.attribution is not None
@@ -161,7 +162,7 @@ def test_data_that_cannot_tell_are_not_identifiable(tmp_path):
 def test_a_reference_that_covers_only_the_report_is_not_identifiable():
     frame = log_with().frame.copy()
     frame["ref_ok"] = (frame["t"] > 0.8 * frame["t"].iloc[-1]).astype(float)
-    found = diagnose([replace(log_with(), frame=frame)], ROBOT)
+    found = trace_logs([replace(log_with(), frame=frame)], ROBOT)
     assert found.verdict == "not_identifiable"
     assert "too little reference: 0.0 s to fit" in summary(found)
 
@@ -189,7 +190,10 @@ def test_without_a_reference_there_is_nothing_to_trace(tmp_path):
 
 def test_rivals_are_named_and_the_motion_that_tells_them_apart_is_said_once():
     rivals = tuple({"name": "encoder_scale", "target": t, "overlap": 0.97} for t in ("a", "b"))
-    said = summary(Trace("confounded", None, {}, {}, 0.0, "none", rivals, "bend the joint", (), ()))
+    found = Trace(
+        verdict="confounded", channels={}, filters={}, rivals=rivals, motion="bend the joint"
+    )
+    said = summary(found)
     assert "or encoder_scale a (overlap 0.97)" in said
     assert said.count("bend the joint") == 1
 

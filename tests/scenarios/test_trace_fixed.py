@@ -5,7 +5,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from surefoot.scenarios.trace.run import diagnose
+from surefoot.scenarios.trace.run import trace_logs
 from surefoot.scenarios.trace.words import summary
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import Log, Meta
@@ -57,7 +57,7 @@ def swung(seconds=12.0, viscous=0.0, dry=0.0, rotor=0.0, scale=0.0, seed=0):
     ],
 )
 def test_what_one_drive_lacks_is_named_with_its_size(made, name, size):
-    found = diagnose([swung(**made)], PENDULUM)
+    found = trace_logs([swung(**made)], PENDULUM)
     assert (found.effects[0].name, found.effects[0].target) == (name, "shoulder")
     assert found.effects[0].value == pytest.approx(size, rel=0.1)
     assert found.channels["joint_torque"].after < 0.3 * found.channels["joint_torque"].before
@@ -67,20 +67,20 @@ def test_what_one_drive_lacks_is_named_with_its_size(made, name, size):
 @pytest.mark.parametrize("seconds", [4.0, 12.0])
 def test_a_drive_as_declared_lacks_nothing(seconds):
     """Its noise is that of its readings, rates among them: inertia makes torque of theirs."""
-    found = diagnose([swung(seconds)], PENDULUM)
+    found = trace_logs([swung(seconds)], PENDULUM)
     assert found.verdict == "no_residual"
     assert found.effects == ()
 
 
 def test_a_few_seconds_of_one_drive_are_enough():
-    found = diagnose([swung(4.0, rotor=0.02)], PENDULUM)
+    found = trace_logs([swung(4.0, rotor=0.02)], PENDULUM)
     assert found.verdict == "attributed"
     assert [(e.name, e.target) for e in found.effects] == [("armature", "shoulder")]
     assert found.effects[0].value == pytest.approx(0.02, rel=0.1)
 
 
 def test_too_short_a_log_is_not_identifiable():
-    found = diagnose([swung(1.0)], PENDULUM)
+    found = trace_logs([swung(1.0)], PENDULUM)
     assert found.verdict == "not_identifiable"
     assert "too short: 1.0 s where 3 s are needed" in summary(found)
 

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 import tyro
 
+from surefoot.models.attribution.diagnose import Diagnosis, diagnose
 from surefoot.scenarios.cli.options import Out
 from surefoot.scenarios.stages import processes, stage
 from surefoot.scenarios.studies.blind.outside_effects import OUTSIDE
 from surefoot.scenarios.studies.cases import finished_case, read_case
-from surefoot.scenarios.trace.run import Trace, diagnose
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
 from surefoot.sim.common.toml import read_toml
@@ -147,7 +147,7 @@ def standing_part(log: Log) -> Log:
     return replace(log, frame=log.frame[still])
 
 
-def over_floor(found: Trace, one: Effect) -> float | None:
+def over_floor(found: Diagnosis, one: Effect) -> float | None:
     """An effect's size over the least that this log could show of it; None where unknown.
 
     Zero for an effect that is no candidate and leaves no channel above its noise floor.

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.estimator.metrics import align_first, evaluate
 from surefoot.models.attribution.evidence import log_under_model, table_of
+from surefoot.models.attribution.split import split_of
 from surefoot.models.attribution.stream_lags import BLOCK, WALKING, Lag, phase_of
 from surefoot.models.residuals.layout import layout_of
 from surefoot.models.residuals.leg_velocity import leg_velocity
@@ -21,9 +22,8 @@ from surefoot.scenarios.estimate.registry import Learnt
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
 from surefoot.scenarios.reporting.plotting import new_figure, set_title
 from surefoot.scenarios.studies.hardware.words import between
-from surefoot.scenarios.trace.data import split_of
 from surefoot.scenarios.trace.filters import filtered
-from surefoot.scenarios.trace.run import Trace
+from surefoot.scenarios.trace.result import Trace
 from surefoot.sim.effects import Effect, compensate_all, effect
 from surefoot.sim.log import Log, joint_velocity
 from surefoot.sim.robot import Robot

@@ -1,4 +1,4 @@
-"""What a trace may know of its logs, how it splits them, and what they can and cannot tell."""
+"""What a trace reads of its logs, and what they can and cannot tell."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -7,18 +7,12 @@ import numpy as np
 
 from surefoot.models.attribution.evidence import LogUnderModel, all_keys, channels_of
 from surefoot.models.attribution.noise_floor import NoiseFloor
-from surefoot.models.attribution.search import Split
+from surefoot.models.attribution.split import Split
 from surefoot.models.residuals.binning import BIN, bin_mean
 from surefoot.models.residuals.registry import channels
 from surefoot.sim.log import LEGS, Log
 from surefoot.sim.robot import Robot
 
-REPORT_SHARE = 0.35
-"""Of each log, at its end, that no fit and no choice sees."""
-BLOCK, GAP = 4.0, 0.2
-"""s: blocks that fit and blocks that select take turns, with gaps between them."""
-TURNS = 6
-"""Blocks that a log has at least: of a short one they are shorter, and the gaps with them."""
 THIN = 0.5
 """s of residuals below which a part of the split is taken to have none."""
 SHORTEST = 12.0
@@ -27,20 +21,6 @@ SHORTEST_FIXED = 3.0
 """s, of a machine on a fixed base, every row of which tells something."""
 CARRIED = 0.5
 """m that no robot moves whose feet do not step."""
-
-
-def split_of(cases: Sequence[LogUnderModel]) -> Split:
-    """Each log's end reports; before it, blocks that fit and blocks that select take turns."""
-    parts = []
-    for case in cases:
-        t = case.frame.t - case.frame.t[0]
-        begin = (1 - REPORT_SHARE) * t[-1]
-        length = min(BLOCK, begin / TURNS)
-        gap = GAP * length / BLOCK
-        block = np.floor(t / length).astype(int)
-        used = (t < begin - gap) & (t - length * block >= gap)
-        parts.append((used & (block % 2 == 0), used & (block % 2 == 1), t >= begin))
-    return Split(*(np.concatenate(masks) for masks in zip(*parts, strict=True)))
 
 
 def readings(log: Log) -> Log:

@@ -1,0 +1,48 @@
+"""Each log in blocks that fit, blocks that select, and an end that only reports."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from surefoot.models.attribution.evidence import LogUnderModel
+
+FIT, SELECT, REPORT = 0, 1, 2
+"""Parts of a split."""
+REPORT_SHARE = 0.35
+"""Of each log, at its end, that no fit and no choice sees."""
+BLOCK, GAP = 4.0, 0.2
+"""s: blocks that fit and blocks that select take turns, with gaps between them."""
+TURNS = 6
+"""Blocks that a log has at least: of a short one they are shorter, and the gaps with them."""
+
+
+@dataclass(frozen=True)
+class Split:
+    """Masks (M,) of the bins that sizes are fitted on, that choose, and that only report."""
+
+    fit: np.ndarray
+    select: np.ndarray
+    report: np.ndarray
+
+    @property
+    def part(self) -> np.ndarray:
+        """FIT, SELECT or REPORT of each bin (M,), -1 for none."""
+        part = np.full(len(self.fit), -1)
+        for number, mask in enumerate((self.fit, self.select, self.report)):
+            part[mask] = number
+        return part
+
+
+def split_of(cases: Sequence[LogUnderModel]) -> Split:
+    """Each log's end reports; before it, blocks that fit and blocks that select take turns."""
+    parts = []
+    for case in cases:
+        t = case.frame.t - case.frame.t[0]
+        begin = (1 - REPORT_SHARE) * t[-1]
+        length = min(BLOCK, begin / TURNS)
+        gap = GAP * length / BLOCK
+        block = np.floor(t / length).astype(int)
+        used = (t < begin - gap) & (t - length * block >= gap)
+        parts.append((used & (block % 2 == 0), used & (block % 2 == 1), t >= begin))
+    return Split(*(np.concatenate(masks) for masks in zip(*parts, strict=True)))
