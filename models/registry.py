@@ -18,3 +18,16 @@ ARCHITECTURES = Registry(
     needs=("width", "rate", "receptive_field", "causal", "initialise", "forward", "stepper"),
 )
 """Each as surefoot.models.observer.network.Architecture has it."""
+
+CALIBRATORS = Registry(
+    "surefoot.calibrators",
+    {
+        "conformal": "surefoot.models.calibration.regions:Conformal",
+        "bonferroni": "surefoot.models.calibration.regions:Bonferroni",
+        "maxnorm": "surefoot.models.calibration.regions:MaxNorm",
+        "ellipsoid": "surefoot.models.calibration.regions:Ellipsoid",
+        "scenario": "surefoot.models.calibration.scenario_box:ScenarioBox",
+    },
+    needs=("label", "fit_share", "level", "samples_needed", "fit", "conformalize", "bounds"),
+)
+"""Each as surefoot.models.calibration.regions.Calibrator has it."""

@@ -34,6 +34,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
+from surefoot.models.calibration.conformal import conformal_quantile, level_per_axis
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import kernel
 
@@ -177,7 +178,7 @@ def estimate_bias_model(
         covariance=correlation * np.outer(std, std),
         course=correlation * np.outer(of_course, of_course),
         time_constant=tau,
-        epsilon=_quantile(np.abs(windows), gamma ** (1 / 3)),
+        epsilon=conformal_quantile(np.abs(windows), level_per_axis(gamma)),
         within=windows.T @ windows / len(windows) * length,
         max_error=np.abs(np.concatenate(mixing)).max(axis=0),
         window=length,
@@ -310,11 +311,3 @@ def _smoothed(y, ratio: float, phi: float):
         if p_ahead[k + 1] > 0.0:
             b[k] += phi * p[k] / p_ahead[k + 1] * (b[k + 1] - ahead[k + 1])
     return b
-
-
-def _quantile(scores: np.ndarray, level: float) -> np.ndarray:
-    """The conformal quantile (D,) of scores (N, D)."""
-    k = math.ceil((len(scores) + 1) * level - 1e-9)
-    if k > len(scores):
-        raise SurefootError(f"{len(scores)} windows are too few to bound at {level:.4f} an axis")
-    return np.sort(scores, axis=0)[k - 1]

@@ -10,17 +10,13 @@ from typing import Any
 import numpy as np
 
 from surefoot.models.calibration.bias_model import BiasModel
+from surefoot.models.calibration.conformal import BoundsError
 from surefoot.models.calibration.mixing import Mixing
 from surefoot.models.observer.observer import Observer
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
 
 FORMAT = "surefoot bounds"
 SCHEMA = 1
-
-
-class BoundsError(SurefootError):
-    """Bounds that cannot be read or made, or that belong to another observer."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,11 +1,10 @@
 """Bounds on an observer's errors from a log (paper, "Calibration and Coverage Statements").
 
 Errors on a log the observer has not seen, taken K steps apart so that they are nearly independent,
-become a region by one of the methods of `models.calibration.regions`. The paper's is `conformal`:
-each axis has
-the k-th smallest absolute error as its bound, k = ceil((N + 1) gamma^(1/3)), and the joint level
-gamma follows if the axes are independent. `models.calibration.empirical_coverage` measures what it
-came to.
+become a region by one of the methods of `surefoot.models.registry.CALIBRATORS`. The paper's is
+`conformal`: each axis has the k-th smallest absolute error as its bound,
+k = ceil((N + 1) gamma^(1/3)), and the joint level gamma follows if the axes are independent.
+`surefoot.models.calibration.empirical_coverage` measures what it came to.
 """
 
 from __future__ import annotations
@@ -15,27 +14,16 @@ from itertools import count
 import numpy as np
 
 from surefoot.models.calibration.bias_model import estimate_bias_model, long_enough
-from surefoot.models.calibration.bounds import Bounds, BoundsError
+from surefoot.models.calibration.bounds import Bounds
+from surefoot.models.calibration.conformal import BoundsError
 from surefoot.models.calibration.mixing import mixing
-from surefoot.models.calibration.regions import (
-    SHAPED,
-    check_method,
-    conformalize,
-    fit,
-    level_of,
-    samples_needed,
-)
+from surefoot.models.calibration.regions import CONFIDENCE, Calibrator, Region, calibrator
 from surefoot.models.observer.decimate import RATE
 from surefoot.models.observer.imu_mounting import Mounted
 from surefoot.models.observer.observer import Observer, log_digest
 from surefoot.models.observer.predict import prediction_errors
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
-
-CONFIDENCE = 0.95
-"""Of `scenario` bounds, over the calibrations that might have been."""
-SHAPING = 0.25
-"""Share of the log that fixes the shape of a score that has one."""
 
 
 def calibrate(
@@ -49,14 +37,20 @@ def calibrate(
 ) -> Bounds:
     """Bounds holding jointly with probability gamma, in the frame of the log's IMU.
 
-    `method` is one of `models.calibration.regions.METHODS`, `confidence` that of `scenario`. K, in
-    steps of
-    10 ms, comes from the mixing curve of the errors unless it is given. Raises BoundsError for a
-    gamma outside (0, 1), a log the observer was trained on, or one too short; ObserverError and
-    LogError where the log lacks what the observer or the errors need.
+    Args:
+        observer: whose errors are bounded.
+        log: one that it has not seen, with a reference.
+        gamma: joint level.
+        method: a name of surefoot.models.registry.CALIBRATORS.
+        robot: the log's (Robot.for_log where left out).
+        K: steps of 10 ms between errors taken as independent; where left out it comes from the
+            mixing curve of the errors.
+        confidence: of `scenario` bounds, over calibrations.
+
+    Raises BoundsError for a gamma outside (0, 1), a log the observer was trained on, or one too
+    short; ObserverError and LogError where the log lacks what the observer or the errors need.
     """
-    check_method(method)
-    level = level_of(method, gamma)
+    how = calibrator(method, gamma, confidence)
     seen = {part.sha256: part.name for part in observer.logs}
     digest = log_digest(log)
     if digest in seen:
@@ -66,17 +60,17 @@ def calibrate(
         )
     robot = Robot.for_log(log) if robot is None else robot
     _, errors = prediction_errors(observer, log, robot)
-    require_samples(len(errors), 1 if K is None else K, gamma, log.name, method, confidence)
+    require_samples(how, len(errors), 1 if K is None else K, log.name)
     curve = mixing(errors) if K is None else None
     K = curve.K if curve is not None else K
     assert K is not None
-    require_samples(len(errors), K, gamma, log.name, method, confidence)
-    shaping, chosen = samples_for(method, errors, K)
-    region = conformalize(method, fit(method, shaping), chosen, gamma, confidence)
+    require_samples(how, len(errors), K, log.name)
+    shaping, chosen = samples_for(how, errors, K)
+    region = region_of(how, shaping, chosen)
     return Bounds(
         epsilon=region.epsilon,
         gamma=gamma,
-        level_per_axis=level,
+        level_per_axis=how.level,
         method=method,
         K=K,
         n=len(chosen),
@@ -84,11 +78,30 @@ def calibrate(
         R_BI=np.array(robot.R_BI, dtype=float),
         log=log.name,
         mixing=curve,
-        confidence=confidence if method == "scenario" else None,
+        confidence=how.confidence,
         persistent=estimate_bias_model(errors, 1 / RATE, gamma)
         if long_enough(errors, 1 / RATE)
         else None,
     )
+
+
+def samples_for(how: Calibrator, errors: np.ndarray, K: int) -> tuple[np.ndarray, np.ndarray]:
+    """What `fit` and what `conformalize` are given of errors (n, 3): the first share, the rest.
+
+    The first are as they come, the second K apart.
+    """
+    split = K * int(how.fit_share * (len(errors) // K))
+    return errors[:split], subsample(errors[split:], K)
+
+
+def region_of(how: Calibrator, shaping: np.ndarray, chosen: np.ndarray) -> Region:
+    """The region of errors (n, 3) to fit to and (N, 3) to rank, m/s, by `samples_for`.
+
+    Raises BoundsError where they are too few.
+    """
+    how.fit(shaping)
+    how.conformalize(chosen)
+    return how.bounds()
 
 
 def subsample(errors: np.ndarray, K: int) -> np.ndarray:
@@ -96,32 +109,14 @@ def subsample(errors: np.ndarray, K: int) -> np.ndarray:
     return errors[K - 1 :: K]
 
 
-def samples_for(method: str, errors: np.ndarray, K: int) -> tuple[np.ndarray, np.ndarray]:
-    """What `fit` and what `conformalize` are given of errors (n, 3): the first quarter, the rest.
-
-    Where the method's score has no shape, all errors go to the second. The first are as they come,
-    the second K apart.
-    """
-    split = K * int(SHAPING * (len(errors) // K)) if method in SHAPED else 0
-    return errors[:split], subsample(errors[split:], K)
-
-
-def require_samples(
-    n: int,
-    K: int,
-    gamma: float,
-    name: str = "log",
-    method: str = "conformal",
-    confidence: float = CONFIDENCE,
-) -> None:
-    """Raise BoundsError where n errors, K apart, are too few for a finite bound."""
+def require_samples(how: Calibrator, n: int, K: int, name: str = "log") -> None:
+    """Raise BoundsError where n errors of the log `name`, K apart, are too few for this method."""
     if K < 1:
         raise BoundsError(f"K = {K}: must be 1 at least")
-    needed = samples_needed(method, gamma, confidence)
-    if method in SHAPED:
-        needed = next(m for m in count(needed) if m - int(SHAPING * m) >= needed)
+    least = how.samples_needed()
+    needed = next(m for m in count(least) if m - int(how.fit_share * m) >= least)
     if n // K < needed:
         raise BoundsError(
-            f"{name}: {n // K} independent samples ({n} at K = {K}), gamma {gamma:g} needs "
+            f"{name}: {n // K} independent samples ({n} at K = {K}), gamma {how.gamma:g} needs "
             f"{needed}: {needed * K / RATE:.1f} s of walk with a reference"
         )

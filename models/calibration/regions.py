@@ -1,33 +1,27 @@
-"""Regions that errors lie in: how each method makes one from errors that stand K apart.
+"""Regions that errors lie in, and the methods that make one of errors that stand K apart.
 
 Split conformal in three forms for three axes: a bound an axis (`conformal`, `bonferroni`), or one
 score for all (`maxnorm`, `ellipsoid`), whose finite-sample statement is joint by itself. The fifth
-method, `scenario`, is in `models.calibration.scenario_box`. fit -> conformalize -> predict, in our
-words:
-`fit` looks at errors of its own and fixes the score's shape, `conformalize` turns other errors
-into a Region, and `Region.around` puts it about predictions.
+method, `scenario`, is in `surefoot.models.calibration.scenario_box`.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from fractions import Fraction
+from typing import ClassVar
 
 import numpy as np
 
-from surefoot.models.calibration.bounds import BoundsError
-from surefoot.models.calibration.scenario_box import least_samples, scenario_box
+from surefoot.models.calibration.conformal import (
+    BoundsError,
+    conformal_quantile,
+    least_rank,
+    level_per_axis,
+)
+from surefoot.models.registry import CALIBRATORS
 
-METHODS = {
-    "conformal": "an axis at a time at gamma^(1/3): joint if the axes were independent",
-    "bonferroni": "an axis at a time at 1 - (1 - gamma)/3: joint whatever their dependence",
-    "maxnorm": "one score, the largest of the scaled axes: a joint box",
-    "ellipsoid": "one score, the Mahalanobis norm: an ellipsoid; filters take the box around it",
-    "scenario": "the smallest box after discarding: joint, with a confidence over calibrations",
-}
-SHAPED = ("maxnorm", "ellipsoid")
-"""Methods whose score has a shape, which errors of their own must fix."""
+CONFIDENCE = 0.95
+"""Of `scenario` bounds, over the calibrations that might have been."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,87 +57,113 @@ class Region:
         return v_I - self.epsilon, v_I + self.epsilon
 
 
-def fit(method: str, errors: np.ndarray) -> np.ndarray | None:
-    """The score's shape, from errors (n, 3) that `conformalize` will not see: their second moment.
+class Calibrator:
+    """A calibration method: `fit`, `conformalize`, `bounds`, in that order, once each.
 
-    Only its diagonal for `maxnorm`; None for the methods that need no shape.
+    A method of one's own is a subclass, found by an entry point of the group
+    "surefoot.calibrators".
+
+    label: what it states, in a line of a table. fit_share: of the log, its beginning, that `fit` is
+    given; the rest goes to `conformalize`. confidence: with which the statement holds, over the
+    calibrations that might have been; None where it is about their mean.
     """
-    check_method(method)
-    if method not in SHAPED:
-        return None
-    moment = errors.T @ errors / len(errors)
-    return moment if method == "ellipsoid" else np.diag(np.diag(moment))
+
+    label: ClassVar[str]
+    fit_share: ClassVar[float] = 0.0
+    confidence: float | None = None
+
+    def __init__(self, gamma: float, confidence: float = CONFIDENCE):
+        """To hold a further error with probability gamma; `confidence` for those that state one.
+
+        Raises BoundsError for gamma outside (0, 1).
+        """
+        self.per_axis = level_per_axis(gamma)
+        self.gamma = gamma
+
+    @property
+    def level(self) -> float:
+        """At which the method's score is ranked."""
+        return self.gamma
+
+    def samples_needed(self) -> int:
+        """Least number of independent errors that `conformalize` takes."""
+        return least_rank(self.level)
+
+    def fit(self, errors: np.ndarray) -> None:
+        """Fix the score's shape by errors (n, 3), m/s, that `conformalize` will not see."""
+
+    def conformalize(self, errors: np.ndarray) -> None:
+        """Fix the region's size by errors (N, 3), m/s. Raises BoundsError where N is too few."""
+        raise NotImplementedError
+
+    def bounds(self) -> Region:
+        """The region."""
+        raise NotImplementedError
 
 
-def conformalize(
-    method: str,
-    shape: np.ndarray | None,
-    errors: np.ndarray,
-    gamma: float,
-    confidence: float = 0.95,
-) -> Region:
-    """The region that holds a further error with probability gamma, from errors (N, 3).
+class Conformal(Calibrator):
+    """The paper's: each axis at gamma^(1/3)."""
 
-    `shape` is what `fit` gave; `confidence` is that of `scenario` alone. Raises BoundsError where
-    N is less than `samples_needed`.
-    """
-    needed = samples_needed(method, gamma, confidence)
-    if len(errors) < needed:
-        raise BoundsError(f"{len(errors)} independent samples, gamma {gamma:g} needs {needed}")
-    if method == "scenario":
-        return Region(scenario_box(errors, gamma, confidence))
-    level = level_of(method, gamma)
-    if shape is None:
-        return Region(conformal_bounds(np.abs(errors), level))
-    if method == "maxnorm":
-        scale = np.sqrt(np.diag(shape))
-        radius = conformal_bounds((np.abs(errors) / scale).max(axis=1)[:, None], level)[0]
-        return Region(radius * scale)
-    square = conformal_bounds(mahalanobis(errors, shape)[:, None], level)[0]
-    return Region(np.sqrt(square * np.diag(shape)), square * shape)
+    label = "an axis at a time at gamma^(1/3): joint if the axes were independent"
+
+    @property
+    def level(self) -> float:
+        return self.per_axis
+
+    def conformalize(self, errors: np.ndarray) -> None:
+        self.epsilon = conformal_quantile(np.abs(errors), self.level)
+
+    def bounds(self) -> Region:
+        return Region(self.epsilon)
 
 
-def samples_needed(method: str, gamma: float, confidence: float = 0.95) -> int:
-    """Least number of independent errors with which `method` gives a finite region."""
-    if method == "scenario":
-        return least_samples(gamma, confidence)
-    return least_rank(level_of(method, gamma))
+class Bonferroni(Conformal):
+    """Each axis at 1 - (1 - gamma)/3."""
+
+    label = "an axis at a time at 1 - (1 - gamma)/3: joint whatever their dependence"
+
+    @property
+    def level(self) -> float:
+        return 1 - (1 - self.gamma) / 3
 
 
-def level_of(method: str, gamma: float) -> float:
-    """Level at which the method's score is ranked. Raises BoundsError for gamma outside (0, 1)."""
-    check_method(method)
-    per_axis = level_per_axis(gamma)
-    if method == "conformal":
-        return per_axis
-    return 1 - (1 - gamma) / 3 if method == "bonferroni" else gamma
+class MaxNorm(Calibrator):
+    """The largest of the axes, each scaled by its root mean square."""
+
+    label = "one score, the largest of the scaled axes: a joint box"
+    fit_share = 0.25
+
+    def fit(self, errors: np.ndarray) -> None:
+        self.scale = np.sqrt(np.diag(second_moment(errors)))
+
+    def conformalize(self, errors: np.ndarray) -> None:
+        score = (np.abs(errors) / self.scale).max(axis=1)
+        self.radius = conformal_quantile(score[:, None], self.level)[0]
+
+    def bounds(self) -> Region:
+        return Region(self.radius * self.scale)
 
 
-def level_per_axis(gamma: float) -> float:
-    """gamma^(1/3), the level of each axis. Raises BoundsError unless 0 < gamma < 1."""
-    if not 0 < gamma < 1:
-        raise BoundsError(f"--gamma {gamma:g}: must lie between 0 and 1")
-    return gamma ** (1 / 3)
+class Ellipsoid(Calibrator):
+    """The Mahalanobis norm about zero."""
+
+    label = "one score, the Mahalanobis norm: an ellipsoid; filters take the box around it"
+    fit_share = 0.25
+
+    def fit(self, errors: np.ndarray) -> None:
+        self.shape = second_moment(errors)
+
+    def conformalize(self, errors: np.ndarray) -> None:
+        score = mahalanobis(errors, self.shape)
+        self.square = conformal_quantile(score[:, None], self.level)[0]
+
+    def bounds(self) -> Region:
+        return Region(np.sqrt(self.square * np.diag(self.shape)), self.square * self.shape)
 
 
-def rank(n: int, level: float) -> int:
-    """k = ceil((n + 1) level): which of n sorted scores is the bound; more than n means none is.
-
-    In exact arithmetic on the level's shortest decimal form, so that 0.9 of 10 is 9 and not 10.
-    """
-    return math.ceil((n + 1) * Fraction(repr(float(level))))
-
-
-def least_rank(level: float) -> int:
-    """The least n whose rank(n, level) is no more than n."""
-    exact = Fraction(repr(float(level)))
-    return math.ceil(exact / (1 - exact))
-
-
-def conformal_bounds(scores: np.ndarray, level: float) -> np.ndarray:
-    """The k-th smallest of scores (N, D) by column, (D,), k = rank(N, level) <= N."""
-    k = rank(len(scores), level)
-    return np.sort(scores, axis=0)[k - 1]
+def second_moment(errors: np.ndarray) -> np.ndarray:
+    """Mean of e e^T (3, 3) over errors (n, 3)."""
+    return errors.T @ errors / len(errors)
 
 
 def mahalanobis(errors: np.ndarray, shape: np.ndarray) -> np.ndarray:
@@ -151,7 +171,8 @@ def mahalanobis(errors: np.ndarray, shape: np.ndarray) -> np.ndarray:
     return np.einsum("mi,mi->m", errors @ np.linalg.inv(shape), errors)
 
 
-def check_method(method: str) -> None:
-    """Raise BoundsError for a method that is none."""
-    if method not in METHODS:
-        raise BoundsError(f"--method {method}: choose {' | '.join(METHODS)}")
+def calibrator(method: str, gamma: float, confidence: float = CONFIDENCE) -> Calibrator:
+    """The method of that name. Raises BoundsError where there is none, or gamma is no level."""
+    if method not in CALIBRATORS:
+        raise BoundsError(f"--method {method}: choose {' | '.join(CALIBRATORS)}")
+    return CALIBRATORS[method](gamma, confidence)

@@ -20,13 +20,33 @@ import numpy as np
 from scipy.special import gammaln
 from scipy.stats import binom
 
-from surefoot.models.calibration.bounds import BoundsError
+from surefoot.models.calibration.conformal import BoundsError
+from surefoot.models.calibration.regions import CONFIDENCE, Calibrator, Region
 from surefoot.sim.common.kernels import kernel
 
 VARIABLES = 3
 
 
-def scenario_box(errors: np.ndarray, gamma: float, confidence: float = 0.95) -> np.ndarray:
+class ScenarioBox(Calibrator):
+    """The smallest box after discarding."""
+
+    label = "the smallest box after discarding: joint, with a confidence over calibrations"
+
+    def __init__(self, gamma: float, confidence: float = CONFIDENCE):
+        super().__init__(gamma)
+        self.confidence: float = confidence
+
+    def samples_needed(self) -> int:
+        return least_samples(self.gamma, self.confidence)
+
+    def conformalize(self, errors: np.ndarray) -> None:
+        self.epsilon = scenario_box(errors, self.gamma, self.confidence)
+
+    def bounds(self) -> Region:
+        return Region(self.epsilon)
+
+
+def scenario_box(errors: np.ndarray, gamma: float, confidence: float = CONFIDENCE) -> np.ndarray:
     """Half widths (3,) of the box after discarding as many of errors (N, 3) as the bound allows.
 
     Errors are discarded one by one: the one of the three that hold the box open whose loss shrinks
@@ -61,7 +81,7 @@ def discards(n: int, gamma: float, confidence: float) -> int:
 
 
 @lru_cache
-def least_samples(gamma: float, confidence: float = 0.95) -> int:
+def least_samples(gamma: float, confidence: float = CONFIDENCE) -> int:
     """The least number of errors for which the bound holds with nothing discarded."""
     _check_confidence(confidence)
     allowed = np.log1p(-confidence)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import minimize
 
-from surefoot.models.calibration.regions import level_per_axis, samples_needed
+from surefoot.models.calibration.conformal import least_rank, level_per_axis
 from surefoot.models.calibration.shift import BLOCK
 
 RIDGE = 1.0
@@ -72,7 +72,7 @@ def weighted_bounds(
     level_per_axis(gamma)
     ours, theirs = likelihood_ratios(features(calibration), features(new))
     # As many equally weighted seconds would know as much (Kish).
-    if ours.sum() ** 2 / (ours**2).sum() < samples_needed("maxnorm", gamma):
+    if ours.sum() ** 2 / (ours**2).sum() < least_rank(gamma):
         return None
     errors = errors[: len(ours) * BLOCK]
     scale = np.sqrt((errors**2).mean(axis=0))

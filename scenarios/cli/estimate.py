@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from surefoot.models.registry import ARCHITECTURES
+from surefoot.models.registry import ARCHITECTURES, CALIBRATORS
 from surefoot.scenarios.cli.options import (
     BoundsFiles,
     Force,
@@ -67,7 +67,7 @@ class Calibrate:
     """File for the bounds (JSON)."""
     gamma: float = 0.8
     """Joint level."""
-    method: Literal["conformal", "bonferroni", "maxnorm", "ellipsoid", "scenario"] = "conformal"
+    method: one_of(CALIBRATORS) = "conformal"  # pyright: ignore[reportInvalidTypeForm]
     """conformal and bonferroni bound an axis at a time; maxnorm and ellipsoid all by one score;
     scenario is the smallest box after discarding."""
     confidence: float = 0.95

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 from zlib import crc32
 
-from surefoot.models.calibration.regions import METHODS
 from surefoot.models.observer.observer import check_inputs, check_loss, check_model
 from surefoot.models.observer.training import DEFAULT
+from surefoot.models.registry import CALIBRATORS
 from surefoot.scenarios.estimate.registry import ESTIMATORS
 from surefoot.scenarios.experiments.imperfections import Imperfection, load_imperfections
 from surefoot.sim.common.errors import SurefootError
@@ -233,8 +233,8 @@ def _learning(table: Mapping[str, Any]) -> Learning:
     )
     check_inputs(inputs)
     check_model(model)
-    if method not in METHODS:
-        raise SurefootError(f"[observer] method {method}: choose {' | '.join(METHODS)}")
+    if method not in CALIBRATORS:
+        raise SurefootError(f"[observer] method {method}: choose {' | '.join(CALIBRATORS)}")
     (steps,) = _whole({"steps": [table.get("steps", default.steps)]}, "steps", ())
     return Learning(losses, inputs, steps, model, method)
 

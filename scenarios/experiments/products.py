@@ -10,7 +10,7 @@ from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.calibrate import calibrate
 from surefoot.models.observer.observer import Observer
 from surefoot.models.observer.training import Schedule, train
-from surefoot.models.registry import ARCHITECTURES
+from surefoot.models.registry import ARCHITECTURES, CALIBRATORS
 from surefoot.scenarios.datasets.index import recipe, row_of
 from surefoot.scenarios.estimate.facts import error_table, estimate_facts
 from surefoot.scenarios.estimate.registry import (
@@ -110,7 +110,7 @@ def make_bounds(
     """The observer's bounds at joint level gamma, from this walk."""
     name, walk = log
     inputs = {"observer": observer.digest, "log": (name, walk.digest)}
-    inputs |= {"gamma": gamma, "method": method}
+    inputs |= {"gamma": gamma, "method": [method, sources_digest(CALIBRATORS[method].__module__)]}
 
     def make(path: Path) -> dict[str, Any]:
         bounds = calibrate(Observer.load(observer.path), read_walk(walk, name), gamma, method)

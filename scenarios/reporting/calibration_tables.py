@@ -7,8 +7,9 @@ import numpy as np
 import pandas as pd
 
 from surefoot.estimator.evaluation.innovation import innovations
-from surefoot.models.calibration.bounds import Bounds, BoundsError
-from surefoot.models.calibration.calibrate import CONFIDENCE, samples_for
+from surefoot.models.calibration.bounds import Bounds
+from surefoot.models.calibration.calibrate import region_of, samples_for
+from surefoot.models.calibration.conformal import BoundsError
 from surefoot.models.calibration.empirical_coverage import (
     CaseCoverage,
     binomial_interval,
@@ -16,13 +17,14 @@ from surefoot.models.calibration.empirical_coverage import (
     coverage_by,
     worst_case,
 )
-from surefoot.models.calibration.regions import METHODS, Region, conformalize, fit
+from surefoot.models.calibration.regions import CONFIDENCE, Region, calibrator
 from surefoot.models.calibration.shift import Alarm, block_sizes, inflation, shift_alarm
 from surefoot.models.calibration.weighted import weighted_bounds
 from surefoot.models.observer.decimate import RATE, observer_rows
 from surefoot.models.observer.observer import Observer, log_digest
 from surefoot.models.observer.predict import prediction_errors
 from surefoot.models.observer.samples import samples
+from surefoot.models.registry import CALIBRATORS
 from surefoot.scenarios.estimate.registry import Learnt, declared_model, run_filter
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
@@ -65,17 +67,16 @@ def methods_table(calibration: Walk, tests: Sequence[Walk]) -> pd.DataFrame:
     bounds = calibration.bounds
     judged = [walk.errors for walk in tests if len(walk.errors)]
     rows: list[dict[str, object]] = []
-    for method in METHODS:
-        shaping, chosen = samples_for(method, calibration.errors, bounds.K)
+    for method in CALIBRATORS:
+        how = calibrator(method, bounds.gamma, bounds.confidence or CONFIDENCE)
+        shaping, chosen = samples_for(how, calibration.errors, bounds.K)
         row: dict[str, object] = {"method": method, "errors": len(chosen)}
         try:
-            shape = fit(method, shaping)
-            confidence = bounds.confidence or CONFIDENCE
-            region = conformalize(method, shape, chosen, bounds.gamma, confidence)
+            region = region_of(how, shaping, chosen)
         except BoundsError as error:
             rows.append(row | {"note": str(error)})
             continue
-        rows.append(row | _region_row(region, judged, METHODS[method]))
+        rows.append(row | _region_row(region, judged, how.label))
         if region.shape is not None:
             rows.append(
                 {"method": f"{method}, its box", "errors": len(chosen)}

@@ -11,15 +11,21 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import binom, binomtest
 from synthetic import Body, synthetic_walk
 
-from surefoot.models.calibration.bounds import Bounds, BoundsError
+from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.calibrate import calibrate, require_samples, subsample
+from surefoot.models.calibration.conformal import (
+    BoundsError,
+    conformal_quantile,
+    level_per_axis,
+    rank,
+)
 from surefoot.models.calibration.empirical_coverage import (
     binomial_interval,
     coverage,
     coverage_by,
     worst_case,
 )
-from surefoot.models.calibration.regions import conformal_bounds, level_per_axis, rank
+from surefoot.models.calibration.regions import calibrator
 from surefoot.models.calibration.walking_conditions import stride_phase
 from surefoot.models.observer.predict import prediction_errors
 from surefoot.sim.log import LEGS, Log
@@ -50,7 +56,7 @@ def test_quantiles_are_those_of_mapie(n):
     zero = DummyRegressor(strategy="constant", constant=0.0).fit(X, errors)
     oracle = SplitConformalRegressor(zero, confidence_level=level, prefit=True)
     _, interval = oracle.conformalize(X, errors).predict_interval(X[:1])
-    ours = conformal_bounds(np.abs(errors)[:, None], level)[0]
+    ours = conformal_quantile(np.abs(errors)[:, None], level)[0]
     assert ours == pytest.approx(interval[0, 1, 0], rel=1e-12)
 
 
@@ -60,7 +66,7 @@ def test_exchangeable_errors_are_covered_as_promised():
     gamma, n, trials = 0.8, 120, 3000
     level = level_per_axis(gamma)
     scores = np.abs(rng.standard_cauchy((trials, n + 1, 3)))
-    inside = np.array([s[n] <= conformal_bounds(s[:n], level) for s in scores])
+    inside = np.array([s[n] <= conformal_quantile(s[:n], level) for s in scores])
     expected = rank(n, level) / (n + 1)
     low, high = binom.interval(0.999, trials, expected)
     assert np.all((inside.sum(axis=0) >= low) & (inside.sum(axis=0) <= high))
@@ -70,18 +76,18 @@ def test_exchangeable_errors_are_covered_as_promised():
 
 def test_too_few_samples_say_how_many_are_needed():
     with pytest.raises(BoundsError, match=r"12 independent samples .* needs 13: 2.6 s"):
-        require_samples(259, 20, 0.8)
-    require_samples(260, 20, 0.8)
+        require_samples(calibrator("conformal", 0.8), 259, 20)
+    require_samples(calibrator("conformal", 0.8), 260, 20)
 
 
 @given(gamma=st.floats(0.05, 0.999))
 def test_the_number_needed_is_the_least_that_will_do(gamma):
     level = level_per_axis(gamma)
     needed = next(n for n in range(1, 10_000) if rank(n, level) <= n)
-    require_samples(needed, 1, gamma)
+    require_samples(calibrator("conformal", gamma), needed, 1)
     if needed > 1:
         with pytest.raises(BoundsError, match=f"needs {needed}:"):
-            require_samples(needed - 1, 1, gamma)
+            require_samples(calibrator("conformal", gamma), needed - 1, 1)
 
 
 @pytest.mark.parametrize("gamma", [0.0, 1.0, -0.2, 1.5, float("nan")])

@@ -9,23 +9,24 @@ from scipy.optimize import linprog
 from scipy.signal import lfilter
 from scipy.stats import binom
 
-from surefoot.models.calibration.bounds import BoundsError
+from surefoot.models.calibration.calibrate import region_of
+from surefoot.models.calibration.conformal import BoundsError, rank
 from surefoot.models.calibration.mixing import mixing
-from surefoot.models.calibration.regions import (
-    METHODS,
-    SHAPED,
-    Region,
-    conformalize,
-    fit,
-    level_of,
-    mahalanobis,
-    rank,
-    samples_needed,
-)
+from surefoot.models.calibration.regions import Region, calibrator, mahalanobis
 from surefoot.models.calibration.scenario_box import discards, log_failure, scenario_box
+from surefoot.models.registry import CALIBRATORS
 
 TRIALS = 1000
-SPLIT = [m for m in METHODS if m != "scenario"]
+SPLIT = [m for m in CALIBRATORS if m != "scenario"]
+
+
+def region(method, pilot, errors, gamma=0.8):
+    """Fitted to errors (n, 3), ranked on others (N, 3)."""
+    return region_of(calibrator(method, gamma), pilot, errors)
+
+
+def level_of(method, gamma):
+    return calibrator(method, gamma).level
 
 
 def mapie_quantile(scores, level):
@@ -42,19 +43,18 @@ def mapie_quantile(scores, level):
 def test_quantiles_are_those_of_mapie(method):
     rng = np.random.default_rng(0)
     pilot, errors = rng.standard_t(4, (100, 3)), rng.standard_t(4, (150, 3)) * [1.0, 0.5, 2.0]
-    shape = fit(method, pilot)
-    region, level = conformalize(method, shape, errors, 0.8), level_of(method, 0.8)
+    found, level = region(method, pilot, errors), level_of(method, 0.8)
     if method in ("conformal", "bonferroni"):
         theirs = [mapie_quantile(np.abs(axis), level) for axis in errors.T]
-        assert region.epsilon == pytest.approx(theirs, rel=1e-12)
+        assert found.epsilon == pytest.approx(theirs, rel=1e-12)
     elif method == "maxnorm":
         scale = np.sqrt((pilot**2).mean(axis=0))
         theirs = scale * mapie_quantile(np.abs(errors / scale).max(axis=1), level)
-        assert region.epsilon == pytest.approx(theirs, rel=1e-12)
+        assert found.epsilon == pytest.approx(theirs, rel=1e-12)
     else:
-        assert shape is not None
+        shape = pilot.T @ pilot / len(pilot)
         squared = mapie_quantile(mahalanobis(errors, shape), level)
-        assert region.shape == pytest.approx(squared * shape, rel=1e-12)
+        assert found.shape == pytest.approx(squared * shape, rel=1e-12)
 
 
 def hits(method, draw, n, rng, gamma=0.8, pilot=60):
@@ -62,8 +62,7 @@ def hits(method, draw, n, rng, gamma=0.8, pilot=60):
     found = 0
     for _ in range(TRIALS):
         errors = draw(rng, pilot + n + 1)
-        region = conformalize(method, fit(method, errors[:pilot]), errors[pilot:-1], gamma)
-        found += region.contains(errors[-1:])[0]
+        found += region(method, errors[:pilot], errors[pilot:-1], gamma).contains(errors[-1:])[0]
     return found
 
 
@@ -109,7 +108,7 @@ def regimes(rng, n):
 
 
 @pytest.mark.parametrize("process", [autoregression, regimes])
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", CALIBRATORS)
 def test_errors_that_remember_are_held_as_promised(method, process):
     """Errors K apart, K from the curve of one long record; judged far beyond each record's end."""
     rng, gamma, n = np.random.default_rng(3), 0.8, 60
@@ -117,8 +116,7 @@ def test_errors_that_remember_are_held_as_promised(method, process):
     gap, found = 10, 0
     for _ in range(TRIALS):
         errors = process(rng, K * (20 + n + gap))[K - 1 :: K]
-        region = conformalize(method, fit(method, errors[:20]), errors[20 : 20 + n], gamma)
-        found += region.contains(errors[-1:])[0]
+        found += region(method, errors[:20], errors[20 : 20 + n]).contains(errors[-1:])[0]
     if method == "scenario":
         assert found >= binom.ppf(0.001, TRIALS, gamma)
         return
@@ -167,8 +165,8 @@ def test_which_way_the_product_of_levels_errs():
     held = {}
     for name, errors in laws.items():
         for method in ("conformal", "bonferroni", "maxnorm"):
-            region = conformalize(method, fit(method, errors), errors[:5000], gamma)
-            held[name, method] = region.contains(errors[5000:]).mean()
+            found = region(method, errors, errors[:5000])
+            held[name, method] = found.contains(errors[5000:]).mean()
     assert held["independent", "conformal"] == pytest.approx(gamma, abs=0.02)
     assert held["together", "conformal"] == pytest.approx(gamma ** (1 / 3), abs=0.02)
     assert held["in turn", "conformal"] == pytest.approx(3 * gamma ** (1 / 3) - 2, abs=0.02)
@@ -181,7 +179,7 @@ def test_the_joint_score_is_the_smaller_region_where_axes_err_together():
     rng = np.random.default_rng(6)
     L = np.linalg.cholesky(np.full((3, 3), 0.95) + 0.05 * np.eye(3))
     errors = rng.standard_normal((4000, 3)) @ L.T
-    found = {m: conformalize(m, fit(m, errors[:2000]), errors[2000:], 0.8) for m in METHODS}
+    found = {m: region(m, errors[:2000], errors[2000:]) for m in CALIBRATORS}
     assert found["ellipsoid"].volume < 0.5 * found["maxnorm"].volume
     assert found["maxnorm"].volume < found["conformal"].volume < found["bonferroni"].volume
     tight, wide = found["ellipsoid"], found["ellipsoid"].box
@@ -210,25 +208,24 @@ def test_the_discarding_bound_by_hand():
 
 
 @given(
-    method=st.sampled_from(sorted(METHODS)),
+    method=st.sampled_from(sorted(CALIBRATORS)),
     gamma=st.floats(0.05, 0.995),
     confidence=st.floats(0.5, 0.999),
 )
 def test_one_sample_less_than_needed_is_refused(method, gamma, confidence):
-    needed = samples_needed(method, gamma, confidence)
+    how = calibrator(method, gamma, confidence)
+    needed = how.samples_needed()
     errors = np.random.default_rng(0).standard_normal((needed, 3))
-    shape = np.eye(3) if method in SHAPED else None
-    region = conformalize(method, shape, errors, gamma, confidence)
-    assert np.all(region.epsilon > 0)
+    assert np.all(region_of(how, np.eye(3), errors).epsilon > 0)
     with pytest.raises(BoundsError, match=f"needs {needed}"):
-        conformalize(method, shape, errors[1:], gamma, confidence)
+        how.conformalize(errors[1:])
 
 
 def test_what_is_no_method_level_or_confidence_is_refused():
     errors = np.ones((100, 3))
     with pytest.raises(BoundsError, match="--method magic: choose conformal"):
-        fit("magic", errors)
+        calibrator("magic", 0.8)
     with pytest.raises(BoundsError, match="--gamma 1"):
-        conformalize("maxnorm", np.eye(3), errors, 1.0)
+        calibrator("maxnorm", 1.0)
     with pytest.raises(BoundsError, match="--confidence 0"):
-        conformalize("scenario", None, errors, 0.8, 0.0)
+        calibrator("scenario", 0.8, 0.0).conformalize(errors)

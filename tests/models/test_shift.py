@@ -97,12 +97,12 @@ def test_true_weights_keep_the_level_that_is_lost_without_them():
 
 
 def test_equal_weights_are_split_conformal():
-    from surefoot.models.calibration.regions import conformal_bounds
+    from surefoot.models.calibration.conformal import conformal_quantile
 
     scores = np.random.default_rng(5).standard_normal(77)
     for level in (0.5, 0.83, 0.97):
         ours = weighted_quantile(scores, np.ones(77), 1.0, level)
-        assert ours == conformal_bounds(scores[:, None], level)[0]
+        assert ours == conformal_quantile(scores[:, None], level)[0]
 
 
 def test_ratios_are_those_of_the_densities():

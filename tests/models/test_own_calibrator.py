@@ -1,0 +1,64 @@
+"""A calibration method in a package of a user's own is one like ours: in help, files, tables."""
+
+from own_package import run_with
+
+USE = """
+import numpy as np
+from synthetic import Body, synthetic_walk
+
+from surefoot.models.calibration.bounds import Bounds
+from surefoot.models.calibration.calibrate import calibrate
+from surefoot.models.calibration.empirical_coverage import coverage
+from surefoot.models.observer.predict import prediction_errors
+from surefoot.models.observer.training import Schedule, train
+from surefoot.models.registry import CALIBRATORS
+from surefoot.scenarios.experiments.file import Experiment
+from surefoot.scenarios.reporting.calibration_tables import Walk, methods_table
+
+print(*CALIBRATORS)
+fit, log, test = (synthetic_walk(seed, 20, noise=0.1) for seed in range(3))
+observer = train(fit, Body(), "q,dq", schedule=Schedule(steps=10, batch=2, every=10))
+bounds = calibrate(observer, log, method="horizontal", robot=Body(), K=20)
+bounds.save("bounds.json")
+loaded = Bounds.load("bounds.json")
+assert loaded.method == "horizontal"
+assert (loaded.epsilon == bounds.epsilon).all()
+assert bounds.epsilon[0] == bounds.epsilon[1]
+assert abs(bounds.level_per_axis - 0.9) < 1e-12
+rows, errors = prediction_errors(observer, log, Body())
+assert coverage(errors, bounds).joint > 0.75
+nothing = np.zeros(0)
+table = methods_table(Walk(log, "calibration", bounds, rows, errors, nothing, nothing, nothing), [])
+print(*table.method)
+print(Experiment.load("grid.toml").learning.method)
+"""
+GRID = """
+scenarios = ["walk.toml"]
+[observer]
+method = "horizontal"
+"""
+WALK = """
+name = "walk"
+robot = "spot_class"
+[[segment]]
+duration = 2.0
+forward = 0.5
+"""
+
+
+def test_an_own_method_is_offered_calibrates_and_is_compared(tmp_path):
+    (tmp_path / "grid.toml").write_text(GRID)
+    (tmp_path / "walk.toml").write_text(WALK)
+    script = tmp_path / "use.py"
+    script.write_text(USE)
+    done = run_with("own_calibrator", str(script), cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    names, table, chosen = done.stdout.splitlines()
+    assert names == "conformal bonferroni maxnorm ellipsoid scenario horizontal"
+    assert table == "conformal bonferroni maxnorm ellipsoid ellipsoid, its box scenario horizontal"
+    assert chosen == "horizontal"
+
+
+def test_the_command_offers_it():
+    done = run_with("own_calibrator", "-m", "surefoot", "calibrate", "--help")
+    assert "{conformal,bonferroni,maxnorm,ellipsoid,scenario,horizontal}" in done.stdout
