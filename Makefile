@@ -2,7 +2,8 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo test check docs readme study study-observer study-trace study-hardware suites tune lock clean
+.PHONY: setup demo test check docs readme study study-observer study-trace study-hardware suites \
+	tune tune-vision60 tune-spot lock clean
 
 setup: .venv/.ready
 
@@ -55,9 +56,26 @@ suites: setup
 	$(BIN)/surefoot suite vision60 -o out/suite_vision60 --workers 2 --force
 	$(BIN)/surefoot suite spot -o out/suite_spot --workers 2 --force
 
-# One search for all filters' parameters, on training and calibration courses; killed, it goes on.
-tune: setup
-	$(BIN)/python -m surefoot.scenarios.tune -o out/tuned --workers 2 --force
+# One search for all filters' parameters, for each suite on walks that no table uses: trained on one,
+# calibrated on another, tuned on two of another seed; killed, it goes on.
+tune: tune-vision60 tune-spot
+tune-vision60: TRAIN = 3CC3CCW
+tune-vision60: CALIBRATE = RoomScan
+tune-vision60: COURSES = vision60/3cc3ccw vision60/room_scan
+tune-spot: TRAIN = Upstair
+tune-spot: CALIBRATE = Quad
+tune-spot: COURSES = spot/upstair spot/quad
+tune-vision60 tune-spot: tune-%: setup
+	$(BIN)/surefoot simulate $(COURSES) --seeds 10:12 --workers 2 -o out/tuned/$*/logs
+	for loss in mse gml; do \
+		$(BIN)/surefoot train out/tuned/$*/logs/$(TRAIN)_10.parquet \
+			--loss $$loss --force -o out/tuned/$*/$$loss.observer && \
+		$(BIN)/surefoot calibrate out/tuned/$*/$$loss.observer \
+			out/tuned/$*/logs/$(CALIBRATE)_10.parquet --force -o out/tuned/$*/$$loss.json \
+		|| exit 1; done
+	$(BIN)/surefoot tune out/tuned/$*/logs/*_11.parquet -o out/tuned/$* --workers 2 --force \
+		--observer out/tuned/$*/mse.observer --observer out/tuned/$*/gml.observer \
+		--bounds out/tuned/$*/mse.json --bounds out/tuned/$*/gml.json
 
 lock: setup
 	$(BIN)/pip freeze --exclude-editable | sed 's/+cpu$$//' > requirements.lock

@@ -17,6 +17,7 @@ from surefoot.scenarios.cli.study import (
     Montecarlo,
     Suite,
     TraceCommand,
+    Tune,
     Walking,
 )
 from surefoot.sim.common.errors import SurefootError
@@ -37,6 +38,7 @@ COMMANDS: dict[str, type] = {
     "view": View,
     "robots": Robots,
     "walking": Walking,
+    "tune": Tune,
     "bench": Bench,
 }
 

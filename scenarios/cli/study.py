@@ -6,7 +6,17 @@ from typing import Literal
 
 from tyro.conf import Positional, UseAppendAction
 
-from surefoot.scenarios.cli.options import Cluster, Force, Out, RobotName, Workers, read_logs
+from surefoot.scenarios.cli.options import (
+    BoundsFiles,
+    Cluster,
+    Force,
+    Observers,
+    Out,
+    RobotName,
+    Workers,
+    learnt_from,
+    read_logs,
+)
 from surefoot.sim.common.errors import SurefootError
 
 
@@ -178,6 +188,49 @@ class Walking:
             )
         print(report(walks))
         print(f"table: {self.out / 'walking.md'}")
+
+
+@dataclass(frozen=True)
+class Tune:
+    """One search, with one budget, for the parameters of any filter; a killed run is resumed.
+
+    Writes tuned.toml, which every command reads once $SUREFOOT_TUNED names it.
+    """
+
+    logs: Positional[tuple[Path, ...]]
+    """Logs with a reference; others than observers were trained and bounds calibrated on."""
+    out: Out
+    """Folder for tuned.toml, tuned.md (errors before and after) and finished searches."""
+    filter: UseAppendAction[tuple[str, ...]] = ()
+    """A filter to tune; may be given several times. All that the inputs allow where left out."""
+    robot: RobotName = None
+    observer: Observers = ()
+    bounds: BoundsFiles = ()
+    budget: int = 16
+    """Runs of each filter over all logs of a robot."""
+    longest: float = 120.0
+    """s of each log, from its start, that filters are judged on."""
+    workers: Workers = 1
+    force: Force = False
+
+    def run(self) -> None:
+        from surefoot.scenarios.tune import tune
+
+        if not self.logs:
+            raise SurefootError("give at least one log")
+        text = tune(
+            self.logs,
+            self.out,
+            self.filter,
+            self.robot,
+            learnt_from(self.observer, self.bounds),
+            self.budget,
+            self.longest,
+            self.workers,
+            self.force,
+        )
+        print(text)
+        print(f"parameters: {self.out / 'tuned.toml'}")
 
 
 @dataclass(frozen=True)

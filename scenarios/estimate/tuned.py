@@ -1,5 +1,6 @@
 """The estimators' parameters by robot: the defaults of each, and what `tuned.toml` says instead."""
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -44,8 +45,13 @@ class Tuned:
 
 def tuned(robot: Robot) -> Tuned:
     """What this robot's estimators are tuned to: the entry of its name, else [default]."""
-    every = read_tuned()
+    every = read_tuned(tuned_file())
     return every.get(robot.name, every["default"])
+
+
+def tuned_file() -> Path:
+    """$SUREFOOT_TUNED, such as `surefoot tune` writes, or else the bundled tuned.toml."""
+    return Path(os.environ.get("SUREFOOT_TUNED", BUNDLED))
 
 
 @cache

@@ -22,7 +22,7 @@ def test_every_filter_has_its_own_parameters_for_every_robot():
     leg = estimator_named("leg")
     assert read_tuned()["v60_class"].of(leg)["contact"] == 0.01
     assert read_tuned()["default"].of(leg)["contact"] == 0.02
-    assert tuned(Robot.load("v60_class")) is read_tuned()["v60_class"]
+    assert tuned(Robot.load("v60_class")) == read_tuned()["v60_class"]
 
 
 def test_what_is_written_is_read_again(tmp_path):

@@ -6,9 +6,17 @@ import numpy as np
 import pytest
 
 from surefoot.estimator.metrics import Metrics
-from surefoot.scenarios.tune import TuneFilters, tune
-from surefoot.scenarios.tuning import PRICE, price_of, search
+from surefoot.scenarios import tune
+from surefoot.scenarios.cli.main import main
+from surefoot.scenarios.estimate.registry import run_filter
+from surefoot.scenarios.estimate.tuned import read_tuned
+from surefoot.scenarios.tune import PRICE, price_of, search
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
 
 
 def bowl(values):
@@ -51,16 +59,54 @@ def test_a_price_is_that_of_the_error_and_of_not_knowing_it():
     assert price_of(metrics(np.nan, np.inf)) == worst == pytest.approx(PRICE * np.log(1000 / 3))
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        ({"seed": 0}, "--seed 0: vision60.toml tests with it"),
-        (
-            {"conditions": ("as bult",)},
-            "--conditions as bult: vision60.toml has as drawn, as built",
-        ),
-    ],
-)
-def test_what_cannot_be_tuned_on_is_one_line(tmp_path, options, said):
-    with pytest.raises(SurefootError, match=said):
-        tune(TuneFilters(out=tmp_path, **options))
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    course = Scenario("short", (Segment(4.0, 0.6), Segment(4.0, 0.4, turn=0.4)), Ground(0.8))
+    path = tmp_path_factory.mktemp("tune") / "walk.parquet"
+    walk(course, Robot.load("spot_class"), 5).write(path)
+    return path
+
+
+def test_the_command_tunes_any_filter_and_its_file_is_what_filters_take(log, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(tune, "stage", lambda pool, label, jobs: ran(jobs))
+    seen: list = []
+
+    def ran(jobs):
+        seen.append(set(jobs))
+        return {key: work(*arguments) for key, (work, *arguments) in jobs.items()}
+
+    main(f"tune {log} --filter leg --filter leg_slip --budget 4 -o out".split())
+    assert seen == [{("spot_class", "leg"), ("spot_class", "leg_slip")}]
+    entry = read_tuned(tmp_path / "out" / "tuned.toml")["spot_class"]
+    assert set(entry.filters["leg"]) == {"accel", "gyro", "contact"}
+    assert entry.reason == "surefoot tune, budget 4, 1 logs"
+    assert read_tuned(tmp_path / "out" / "tuned.toml")["default"] == read_tuned()["default"]
+    text = (tmp_path / "out" / "tuned.md").read_text()
+    row = next(line.split("|") for line in text.splitlines() if "| leg " in line)
+    assert float(row[8]) <= float(row[4])
+    own = Log.read(log)
+    plain = run_filter("leg", own, Robot.load("spot_class")).metrics
+    monkeypatch.setenv("SUREFOOT_TUNED", str(tmp_path / "out" / "tuned.toml"))
+    better = run_filter("leg", own, Robot.load("spot_class")).metrics
+    assert plain is not None
+    assert better is not None
+    assert price_of(better) < price_of(plain)
+
+
+def test_a_search_that_is_done_is_not_run_again(log, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    first = tune.tune([log], out, ["imu"], budget=3)
+    monkeypatch.setattr(tune, "search", lambda *_: pytest.fail("searched again"))
+    assert tune.tune([log], out, ["imu"], budget=3, force=True) == first
+    with pytest.raises(SurefootError, match="exists already"):
+        tune.tune([log], out, ["imu"], budget=3)
+
+
+def test_filters_that_the_inputs_do_not_allow_are_left_out_or_one_line(log, tmp_path):
+    text = tune.tune([log], tmp_path / "all", budget=1)
+    assert "left out for spot_class: coverage (needs --observer" in text
+    with pytest.raises(SurefootError, match="filter velocity, spot_class: needs --observer"):
+        tune.tune([log], tmp_path / "one", ["velocity"], budget=1)
+    with pytest.raises(SurefootError, match="--filter legs: unknown; choose"):
+        tune.tune([log], tmp_path / "none", ["legs"])
