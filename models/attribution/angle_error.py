@@ -16,22 +16,11 @@ from scipy.ndimage import uniform_filter1d
 from surefoot.models.attribution.evidence import Evidence, LogUnderModel, joined, wrt_columns
 from surefoot.models.attribution.fit import design, draws, fit, loss, normal_equations
 from surefoot.models.attribution.search import Attribution
+from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.attribution.split import FIT, SELECT, Split
 from surefoot.sim.log import Log
 from surefoot.sim.robot.legs import JOINTS, LEGS
 
-BENDS: tuple[int, ...] = (2, 3, 4, 5, 6)
-"""Degrees of the curve of an angle that is read wrong, over the range that the joint turns."""
-LOADED: tuple[int, ...] = (1, 2, 3, 4)
-"""Degrees of the same for an error that grows with the torque."""
-WORTH = 0.03
-"""Share of what the effect itself explains that its curve must add."""
-OTHERS = 3.0
-"""How many times more the curve must explain than the same joint's of legs with nothing found."""
-
-
-WINDOW = 0.03
-"""s, over which a torque is averaged before it is differentiated."""
 SHOWS = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
 
 
@@ -49,7 +38,7 @@ def angle_errors(
     cases: Sequence[LogUnderModel], result: Attribution, split: Split, rng: np.random.Generator
 ) -> tuple[AngleError, ...]:
     """The joints with an effect found whose readings a curve explains better, on unseen blocks."""
-    found = [f.effect for f in result.found]
+    s, found = cases[0].settings, [f.effect for f in result.found]
     at = [e.target for e in found if e.target in JOINTS and "leg_velocity" in e.channels]
     if not at or cases[0].fixed:
         return ()
@@ -63,7 +52,7 @@ def angle_errors(
     plain = fit(seen, keys, errors=False).vector
     bent = {j: fit(seen, [*keys, *_curves_of(evidence, j)], errors=False).vector for j in joints}
     gains = {joint: loss(unseen, plain) - loss(unseen, bent[joint]) for joint in joints}
-    price = len(BENDS + LOADED) * np.log(max(2, len(seen.G)))
+    price = len(s.curve_degrees + s.loaded_degrees) * np.log(max(2, len(seen.G)))
     out = []
     for joint in dict.fromkeys(at):
         alike = [f"{leg}_{joint.split('_')[1]}" for leg in LEGS]
@@ -75,7 +64,7 @@ def angle_errors(
         explained = float(np.sum(loss(unseen, without) - loss(unseen, plain)))
         gain = float(gains[joint].sum())
         low = np.percentile(draws(len(unseen.G), rng) @ gains[joint], 2.5)
-        if low > 0 and gain > max(price, OTHERS * chance, WORTH * explained):
+        if low > 0 and gain > max(price, s.curve_others * chance, s.curve_worth * explained):
             by_channel = {}
             for channel in SHOWS:
                 weight = np.zeros_like(result.robust_weights.weight)
@@ -99,12 +88,12 @@ def _with_curves(
     """The evidence of the effects found, and of curves of these joints' angles."""
     effects = [f.effect for f in result.found]
     known = result.evidence.only([(e.name, e.target) for e in effects])
-    per_log = [
-        wrt_columns(
-            case, effects, lambda log: [c for j in joints for c in angle_error_basis(log, j)]
-        )
-        for case in cases
-    ]
+    settings = cases[0].settings
+
+    def basis(log: Log) -> list[dict[str, np.ndarray]]:
+        return [c for joint in joints for c in angle_error_basis(log, joint, settings)]
+
+    per_log = [wrt_columns(case, effects, basis) for case in cases]
     starts = np.searchsorted(known.log, np.arange(len(cases) + 1))
     curves = tuple(joined(list(parts), starts) for parts in zip(*per_log, strict=True))
     each = len(curves) // len(joints)
@@ -112,14 +101,17 @@ def _with_curves(
     return replace(known, keys=(*known.keys, *names), X=(*known.X, *curves))
 
 
-def angle_error_basis(log: Log, joint: str) -> list[dict[str, np.ndarray]]:
+def angle_error_basis(
+    log: Log, joint: str, settings: TraceSettings = DEFAULT
+) -> list[dict[str, np.ndarray]]:
     """Changes of a joint's angle [rad] and rate [rad/s], each (N,): curves of its angle, alone and
     times its torque where the log has one."""
     q = log.frame[f"q_{joint}"].to_numpy()
-    weights = [(np.ones_like(q), BENDS)]
+    weights = [(np.ones_like(q), settings.curve_degrees)]
     if f"tau_{joint}" in log.frame:
-        rows = max(1, round(WINDOW * log.rate))
-        weights.append((uniform_filter1d(log.frame[f"tau_{joint}"].to_numpy(), rows), LOADED))
+        rows = max(1, round(settings.torque_window * log.rate))
+        torque = uniform_filter1d(log.frame[f"tau_{joint}"].to_numpy(), rows)
+        weights.append((torque, settings.loaded_degrees))
     changes = []
     for weight, degrees in weights:
         for degree in degrees:

@@ -11,17 +11,11 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation, Slerp
 
+from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.effects.base import with_columns
 from surefoot.sim.log import Log
-
-BEND = 1e-6
-"""m/s by which a velocity changes from row to row where two straight lines meet."""
-COARSE = 0.5
-"""Share of rows with a sample of its own below which a reference is coarse."""
-LEAST = 100
-"""Samples without which nothing can be said of them."""
 
 
 @dataclass(frozen=True)
@@ -34,10 +28,10 @@ class Coarse:
     angle: float
 
 
-def coarseness(log: Log) -> Coarse | None:
+def coarseness(log: Log, settings: TraceSettings = DEFAULT) -> Coarse | None:
     """How coarse the reference of a log is; None where it has a sample a row, or too few."""
-    at = _samples(log)
-    if len(at) < LEAST or len(at) > COARSE * len(log.t):
+    at = _samples(log, settings.bend)
+    if len(at) < settings.coarse_samples or len(at) > settings.coarse_share * len(log.t):
         return None
     t = np.interp(at, np.arange(len(log.t)), log.t)
     intervals = np.diff(t)
@@ -64,10 +58,10 @@ def as_coarse(log: Log, coarse: Coarse, rng: np.random.Generator) -> Log:
     return with_columns(log, columns)
 
 
-def _samples(log: Log) -> np.ndarray:
+def _samples(log: Log, bend: float) -> np.ndarray:
     """Rows (K,), between two of them, at which the reference's path bends."""
     slope = np.diff(log.ref_p, axis=0) / np.diff(log.t)[:, None]
-    bent = 1 + np.flatnonzero(np.linalg.norm(np.diff(slope, axis=0), axis=1) > BEND)
+    bent = 1 + np.flatnonzero(np.linalg.norm(np.diff(slope, axis=0), axis=1) > bend)
     bends = np.split(bent, np.flatnonzero(np.diff(bent) > 1) + 1)
     return np.array([np.mean(one) for one in bends if len(one)])
 

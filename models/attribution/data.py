@@ -7,26 +7,18 @@ import numpy as np
 
 from surefoot.models.attribution.evidence import LogUnderModel, all_keys, channels_of
 from surefoot.models.attribution.noise_floor import NoiseFloor
+from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.attribution.split import Split
 from surefoot.models.residuals.binning import BIN, bin_mean
 from surefoot.models.residuals.registry import channels
 from surefoot.sim.log import LEGS, Log
 from surefoot.sim.robot import Robot
 
-THIN = 0.5
-"""s of residuals below which a part of the split is taken to have none."""
-SHORTEST = 12.0
-"""s of a log below which there is too little to split."""
-SHORTEST_FIXED = 3.0
-"""s, of a machine on a fixed base, every row of which tells something."""
-CARRIED = 0.5
-"""m that no robot moves whose feet do not step."""
 
-
-def readings(log: Log) -> Log:
+def readings(log: Log, settings: TraceSettings = DEFAULT) -> Log:
     """The log without anything that a measured one could not have, nor contacts that cannot be."""
     known = ("gyro_", "accel_", "q_", "dq_", "tau_", "contact_", "force_", "ref_")
-    if dead_contacts(log):
+    if dead_contacts(log, settings):
         known = tuple(name for name in known if name != "contact_")
     known += tuple(n for c in channels().values() for n in c.needs if n.startswith("x_"))
     names = [n for n in log.frame if str(n) == "t" or str(n).startswith(known)]
@@ -34,13 +26,14 @@ def readings(log: Log) -> Log:
     return Log(log.frame.filter(items=names), meta, log.name)
 
 
-def dead_contacts(log: Log) -> str:
+def dead_contacts(log: Log, settings: TraceSettings = DEFAULT) -> str:
     """What is wrong with contacts that never change although the robot walks; "" if nothing is."""
     if not log.has("contact") or not log.has("reference"):
         return ""
     dead = [leg for leg, one in zip(LEGS, log.contact.T, strict=True) if one.all() or not one.any()]
     far = float(np.ptp(log.ref_p[:, :2], axis=0).max())
-    walks = len(LEGS) - len(dead) >= 2 or (len(dead) == len(LEGS) and far > CARRIED)
+    carried = len(dead) == len(LEGS) and far > settings.farthest_carried
+    walks = len(LEGS) - len(dead) >= 2 or carried
     if not dead or not walks:
         return ""
     names = ", ".join(f"contact_{leg}" for leg in dead)
@@ -54,14 +47,15 @@ def cannot_tell(cases: Sequence[LogUnderModel], split: Split) -> str:
             "no channel: needs gyro and accel, or q and contact, beside the reference; or q and "
             "tau of a fixed base"
         )
+    s = cases[0].settings
     longest = max(case.frame.t[-1] - case.frame.t[0] for case in cases)
-    shortest = SHORTEST_FIXED if cases[0].fixed else SHORTEST
+    shortest = s.shortest_fixed if cases[0].fixed else s.shortest
     if longest < shortest:
         return f"too short: {longest:.1f} s where {shortest:g} s are needed to fit and to check"
     known = np.concatenate([bin_mean(case.frame)(case.frame.ok.astype(float)) for case in cases])
     parts = (split.fit, split.select, split.report)
     seconds = [BIN * float(known[part].sum()) for part in parts]
-    if min(seconds) < THIN:
+    if min(seconds) < s.shortest_part:
         fit, select, report = (f"{x:.1f} s" for x in seconds)
         return (
             f"too little reference: {fit} to fit on, {select} to choose on, {report} to report on"

@@ -13,15 +13,13 @@ from surefoot.models.attribution.levels import ChannelLevel, channel_levels, wit
 from surefoot.models.attribution.noise_floor import noise_floor
 from surefoot.models.attribution.search import Attribution, attribute
 from surefoot.models.attribution.selection import Candidate
+from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.attribution.split import split_of
 from surefoot.models.attribution.unexplained import Unexplained, sparse_regression
 from surefoot.sim.common.errors import check_seed
 from surefoot.sim.effects import Effect, compensate_all
 from surefoot.sim.log import Log
 from surefoot.sim.robot.fixed_base import Machine
-
-FAR = 3.0
-"""Times the floor beyond which what is left of a channel makes every size doubtful."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,6 +76,7 @@ def diagnose(
     seed: int = 0,
     progress: Callable[[float], None] = lambda share: None,
     declared: Sequence[Effect] = (),
+    settings: TraceSettings = DEFAULT,
 ) -> Diagnosis:
     """Find which effect `robot` lacks as a model of the logs.
 
@@ -87,11 +86,12 @@ def diagnose(
         seed: of the bootstrap.
         progress: called with the share that is done.
         declared: effects that belong to the model: compensated before anything is asked.
+        settings: thresholds and constants.
 
     Raises LogError where a log lacks a reference that it needs.
     """
     check_seed(seed)
-    cases = cases_of(logs, robot, declared)
+    cases = cases_of(logs, robot, declared, settings)
     split = split_of(cases)
     cannot = cannot_tell(cases, split)
     if cannot:
@@ -112,7 +112,7 @@ def diagnose(
             Unexplained(one.channel, one.joint, (f"curve_of_angle_{one.joint}",), one.share)
             for one in curves
         ) + sparse_regression(cases, left, result.robust_weights, above, split.fit, split.select)
-    dead = dict.fromkeys(note for note in map(dead_contacts, logs) if note)
+    dead = dict.fromkeys(note for log in logs if (note := dead_contacts(log, settings)))
     progress(1.0)
     return Diagnosis(
         verdict=verdict,
@@ -130,10 +130,16 @@ def diagnose(
 
 
 def cases_of(
-    logs: Sequence[Log], robot: Machine, declared: Sequence[Effect]
+    logs: Sequence[Log],
+    robot: Machine,
+    declared: Sequence[Effect],
+    settings: TraceSettings = DEFAULT,
 ) -> list[LogUnderModel]:
     """The logs' readings under the model with its declared effects."""
-    return [log_under_model(*compensate_all(declared, readings(log), robot)) for log in logs]
+    return [
+        log_under_model(*compensate_all(declared, readings(log, settings), robot), settings)
+        for log in logs
+    ]
 
 
 def _verdict(result: Attribution, channels: dict[str, ChannelLevel], curves: bool) -> str:
@@ -157,7 +163,7 @@ def _result_notes(result: Attribution, channels: dict[str, ChannelLevel]) -> lis
         f"{name}: what is left is {c.after / c.highest:.0f} times what the declared model leaves; "
         "sizes may be its doing"
         for name, c in channels.items()
-        if result.found and c.after > FAR * c.highest
+        if result.found and c.after > c.settings.far * c.highest
     ]
     return notes
 

@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.residuals.binning import (
     ReferenceMotion,
     bin_mean,
@@ -40,10 +41,6 @@ from surefoot.sim.sensors.streams import Sensors
 
 Key = tuple[str, str]
 """A candidate: effect name and target."""
-SMALL = 1e-3
-"""Share of a change of readings by which it is differenced where the chain rule does not go."""
-TURN_ON = 4.5
-"""Standard deviations of a declared turn-on bias beyond which a bias is an effect."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +62,7 @@ class Evidence:
     Z: tuple[Regressor, ...]
     limits: np.ndarray
     stands_for: tuple[Key | None, ...]
+    settings: TraceSettings = DEFAULT
 
     def only(self, keys: Sequence[Key]) -> "Evidence":
         """The evidence with no other candidates than these."""
@@ -80,16 +78,17 @@ class LogUnderModel:
     robot: Machine
     frame: ReferenceMotion
     fixed: bool = False
+    settings: TraceSettings = DEFAULT
 
 
-def log_under_model(log: Log, robot: Machine) -> LogUnderModel:
+def log_under_model(log: Log, robot: Machine, settings: TraceSettings = DEFAULT) -> LogUnderModel:
     """The log held against the robot. Without a reference only a fixed base can be traced: a
     machine that has one, or a robot whose log shows no foot on the ground."""
     stands = log.has("contact") and log.contact.any()
     hung = not log.has("reference") and not stands and log.has("q")
     fixed = not isinstance(robot, Robot) or hung
     frame = reference_motion(log, fixed)
-    return LogUnderModel(log, robot, with_ground(frame, log, robot), fixed)
+    return LogUnderModel(log, robot, with_ground(frame, log, robot), fixed, settings)
 
 
 def channels_of(case: LogUnderModel) -> tuple[str, ...]:
@@ -157,6 +156,7 @@ def linearise(
         Z=tuple(Z),
         limits=np.array(limits),
         stands_for=tuple(stands_for),
+        settings=cases[0].settings,
     )
 
 
@@ -194,7 +194,7 @@ class _Linear:
         self.joints = self.log.joints
 
     @cached_property
-    def answers(self) -> ResidualJacobians:
+    def jacobians(self) -> ResidualJacobians:
         return residual_jacobians(self.parts, self.robot)
 
     def regressor(self, key: Key) -> Regressor:
@@ -230,14 +230,15 @@ class _Linear:
         """What these additions (N,) to the readings add to the table."""
         columns = {name: self.log.frame[name].to_numpy() + x for name, x in added.items()}
         change = self._by_chain_rule(with_columns(self.log, columns), 1.0)
-        small = {n: self.log.frame[n].to_numpy() + SMALL * x for n, x in added.items()}
-        others = self._of_others(with_columns(self.log, small), self.robot, SMALL)
+        share = self.case.settings.small_change
+        small = {n: self.log.frame[n].to_numpy() + share * x for n, x in added.items()}
+        others = self._of_others(with_columns(self.log, small), self.robot, share)
         return sparse(change + others, self.parts.table)
 
     def _by_chain_rule(self, log: Log, step: float) -> np.ndarray:
         """Change (M, W) of the table, per unit, with the readings of `log`, `step` units away."""
         change = _change(self.log, log, self.joints, self.frame, step)
-        return wrt_readings(self.parts, self.answers, change)
+        return wrt_readings(self.parts, self.jacobians, change)
 
     def _of_others(self, log: Log, robot: Machine, step: float) -> np.ndarray:
         """The same (M, W) in the channels that the chain rule does not know, by a difference."""
@@ -270,13 +271,13 @@ class _Linear:
         out: list[tuple[Regressor, float, Key | None]] = []
         parts, sensors = self.parts, Sensors()
         if not self.case.fixed and self.case.log.has("imu"):
+            deviations = {"gyro": sensors.gyro_turn_on, "accel": sensors.accel_turn_on}
+            most = self.case.settings.turn_on_limit
             for axis, name in enumerate("xyz"):
-                for kind, turn_on in (
-                    ("gyro", sensors.gyro_turn_on), ("accel", sensors.accel_turn_on),
-                ):  # fmt: skip
+                for kind, turn_on in deviations.items():
                     unit = {kind: {axis: np.ones(len(parts.t))}}
-                    one = sparse(wrt_readings(parts, self.answers, unit), parts.table)
-                    out.append((one, TURN_ON * turn_on, (f"{kind}_bias", name)))
+                    one = sparse(wrt_readings(parts, self.jacobians, unit), parts.table)
+                    out.append((one, most * turn_on, (f"{kind}_bias", name)))
         for name, columns in parts.layout.channels.items():
             for values in channels()[name].free(parts.inputs):
                 which = parts.layout.of(name)

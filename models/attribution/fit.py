@@ -10,10 +10,8 @@ from functools import cached_property
 
 import numpy as np
 
-from surefoot.models.attribution.evidence import TURN_ON, Evidence, Key
-
-BLOCK = 2.0
-"""s; residuals of one step resemble the next step's, blocks of this length hardly each other."""
+from surefoot.models.attribution.evidence import Evidence, Key
+from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 
 
 @dataclass(frozen=True)
@@ -77,6 +75,7 @@ class NormalEquations:
     stands_for: tuple[Key | None, ...]
     entries: np.ndarray
     part: np.ndarray
+    settings: TraceSettings = DEFAULT
 
     @cached_property
     def whole(self) -> np.ndarray:
@@ -89,10 +88,8 @@ class NormalEquations:
 
     def total(self) -> "NormalEquations":
         """All blocks as one: enough for sizes, not for their errors."""
-        return replace(
-            self, G=self.G.sum(0, keepdims=True), entries=self.entries.sum(keepdims=True),
-            part=self.part[:1],
-        )  # fmt: skip
+        entries = self.entries.sum(keepdims=True)
+        return replace(self, G=self.G.sum(0, keepdims=True), entries=entries, part=self.part[:1])
 
 
 def normal_equations(
@@ -104,7 +101,7 @@ def normal_equations(
     """
     evidence = data.evidence
     part = np.zeros(len(evidence.t), dtype=int) if part is None else part
-    stretch = np.floor((evidence.t - evidence.t.min()) / BLOCK).astype(int)
+    stretch = np.floor((evidence.t - evidence.t.min()) / evidence.settings.block).astype(int)
     number = (evidence.log * (stretch.max() + 1) + stretch) * (part.max() + 1) + part
     # Parts of a short log take turns more often than that: each turn is a block of its own.
     turns = np.cumsum(np.diff(np.where(part < 0, -1, number), prepend=-1) != 0)
@@ -124,7 +121,15 @@ def normal_equations(
     known = np.count_nonzero(weight, axis=1)
     entries = np.array([known[i : i + n].sum() for i, n in zip(first, many, strict=True)], float)
     parts = part[first].astype(int)
-    return NormalEquations(G, evidence.keys, evidence.limits, evidence.stands_for, entries, parts)
+    return NormalEquations(
+        G=G,
+        keys=evidence.keys,
+        limits=evidence.limits,
+        stands_for=evidence.stands_for,
+        entries=entries,
+        part=parts,
+        settings=evidence.settings,
+    )
 
 
 @dataclass(frozen=True)
@@ -153,10 +158,8 @@ def fit(data: NormalEquations, keys: Sequence[Key], errors: bool = True) -> Fit:
     while True:
         use = own + [f for f in free if f not in held]
         sizes, inverse, dead = _solve(G, vector, use, held)
-        beyond = [
-            (f, s) for f, s in zip(use, sizes, strict=True)
-            if f >= first and abs(s) > data.limits[f - first]
-        ]  # fmt: skip
+        sized = [(f, s) for f, s in zip(use, sizes, strict=True) if f >= first]
+        beyond = [(f, s) for f, s in sized if abs(s) > data.limits[f - first]]
         if not beyond:
             break
         for f, s in beyond:
@@ -172,7 +175,8 @@ def fit(data: NormalEquations, keys: Sequence[Key], errors: bool = True) -> Fit:
         # A bias that an effect stands for is not known better than it is declared.
         for i, key in enumerate(keys):
             if key in data.stands_for:
-                covariance[i, i] += (data.limits[data.stands_for.index(key)] / TURN_ON) ** 2
+                limit = data.limits[data.stands_for.index(key)]
+                covariance[i, i] += (limit / data.settings.turn_on_limit) ** 2
     return Fit(sizes[: len(keys)], covariance, vector)
 
 

@@ -10,15 +10,9 @@ from surefoot.models.attribution.fit import design, fit, normal_equations
 from surefoot.models.attribution.noise_floor import Repeat
 from surefoot.models.attribution.robust_weights import RobustWeights
 from surefoot.models.attribution.search import Attribution
+from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.attribution.split import Split
 from surefoot.models.residuals.registry import channels
-
-AT_FLOOR = 1.05
-"""A channel is at its floor up to this ratio to what the floor's walks reach (`highest`)."""
-AHEAD = 0.35
-"""Share of a floor's walk, at its end, on which an uneven ground is judged."""
-WORSE = 1.02
-"""A channel got worse from this ratio of after to before."""
 
 
 @dataclass(frozen=True)
@@ -35,19 +29,20 @@ class ChannelLevel:
     highest: float = np.inf
     """The most that walks of the floor have: of those walked, and as far again as they differ. Of
     noise alone, the most that so few bins reach by chance."""
+    settings: TraceSettings = DEFAULT
 
     @property
     def at_floor(self) -> bool:
         """Whether what is left is what the declared model leaves by itself."""
-        return self.after <= AT_FLOOR * self.highest
+        return self.after <= self.settings.at_floor * self.highest
 
     @property
     def worse(self) -> bool:
         """Whether what was added to the model does harm on data that no fit has seen: it leaves
         more than before and than the floor's own walks do, by more than those differ."""
         if self.noise_floor is None:
-            return self.after > WORSE * self.before
-        more = self.after > max(WORSE * self.before, self.noise_floor)
+            return self.after > self.settings.worse * self.before
+        more = self.after > max(self.settings.worse * self.before, self.noise_floor)
         return more and self.after - self.before > self.highest - self.noise_floor
 
 
@@ -90,6 +85,7 @@ def channel_levels(
             noise_floor=known,
             unit=channel.unit,
             highest=most,
+            settings=evidence.settings,
         )
     return levels
 
@@ -106,7 +102,7 @@ def without_bias(evidence: Evidence, trusted: RobustWeights, use: np.ndarray) ->
 def _ahead(one: Repeat) -> np.ndarray:
     """The end of a walk, over ground that the plane fitted to its beginning has not seen."""
     t = one.evidence.t
-    use = t < t[0] + (1.0 - AHEAD) * (t[-1] - t[0])
+    use = t < t[0] + (1.0 - one.evidence.settings.ahead) * (t[-1] - t[0])
     return without_bias(one.evidence, one.robust_weights, use)[~use]
 
 

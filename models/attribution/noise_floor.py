@@ -19,6 +19,7 @@ from surefoot.models.attribution.evidence import (
 from surefoot.models.attribution.fit import NormalEquations, design, fit, normal_equations
 from surefoot.models.attribution.robust_weights import RobustWeights, robust_weights
 from surefoot.models.attribution.sensor_noise import reading_noise, sheet_noise
+from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.attribution.whiteness import variance_inflation
 from surefoot.models.residuals.layout import Layout, layout_of
 from surefoot.models.residuals.registry import channels
@@ -30,15 +31,6 @@ from surefoot.sim.log import Log
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 from surefoot.sim.walking.imitation import PIECE, body_twists
-
-REPEATS = 4
-SECONDS = 12.0
-"""s of walking in each repeat."""
-FRICTION = 0.8
-SEED = 20_011
-STAND = 0.5  # s
-STANDS = 0.999
-"""Share of rows with a foot on the ground from which a log is one of standing."""
 
 Course = tuple[tuple[float, float, float], ...]
 Groups = tuple[str, ...]
@@ -56,26 +48,39 @@ class Repeat:
 
 
 @dataclass(frozen=True)
+class FloorPlan:
+    """What is walked for a floor: the robot's file, a course a walk, the groups of columns that the
+    logs have, how far the ground is from a plane [m, standard deviation], how coarse the reference
+    is."""
+
+    file: Path
+    courses: tuple[Course, ...]
+    groups: Groups
+    evenness: float
+    coarse: Coarse | None
+    settings: TraceSettings
+
+
+@dataclass(frozen=True)
 class NoiseFloor:
     """The residual of a robot that is as its model says.
 
-    sigma (W,): noise of each column of the residual table, in its unit; repeats: the walks it is
-    from; source: in words; file, courses and groups: the robot, the motion that was walked, and
-    the groups of columns that the log has; evenness: how far the ground is from a plane [m];
-    coarse: how coarse the reference is;
-    readings: the logs, where their own noise is the floor.
+    sigma (W,): noise of each column of the residual table, in its unit; repeats: the walks that it
+    is from, walked by `plan`; source: in words; readings: the logs, where their own noise is the
+    floor.
     """
 
     sigma: np.ndarray
     repeats: tuple[Repeat, ...]
     source: str
-    file: Path | None = None
-    courses: tuple[Course, ...] = ()
-    groups: Groups = ()
-    evenness: float = 0.0
-    coarse: Coarse | None = None
+    plan: FloorPlan | None = None
     readings: tuple[LogUnderModel, ...] = ()
     _known: dict = field(default_factory=dict, compare=False, repr=False)
+
+    @property
+    def evenness(self) -> float:
+        """How far the ground of the walks is from a plane, m."""
+        return self.plan.evenness if self.plan else 0.0
 
     def counted(self, sigma: np.ndarray) -> np.ndarray:
         """The noise sigma (W,) as it counts in a fit: what is not white tells less."""
@@ -138,11 +143,16 @@ def noise_floor(cases: Sequence[LogUnderModel]) -> NoiseFloor:
         source = "how the readings differ from one row to the next"
         return NoiseFloor(reading_noise(cases), (), source, readings=tuple(cases))
     known = ("imu", "q", "dq", "tau", "contact", "ref_v")
-    groups = tuple(g for g in known if all(case.log.has(g) for case in cases))
-    along = tuple(courses([case.log for case in cases]))
     evenness = max(float(case.log.meta.model.get("ground_evenness", 0.0)) for case in cases)
-    coarse = coarseness(first.log)
-    floor = _floor(first.robot.file, along, groups, evenness, coarse, ())
+    plan = FloorPlan(
+        file=first.robot.file,
+        courses=tuple(courses([case.log for case in cases], first.settings)),
+        groups=tuple(g for g in known if all(case.log.has(g) for case in cases)),
+        evenness=evenness,
+        coarse=coarseness(first.log, first.settings),
+        settings=first.settings,
+    )
+    floor = _floor(plan, ())
     if floor.repeats:
         return floor
     sigma = sheet_noise(first.log.rate, layout_of(first.log.joints), evenness)
@@ -165,35 +175,27 @@ def noise_floor_with(floor: NoiseFloor, effects: Sequence[Effect]) -> NoiseFloor
         if type(e).edit_spec is not Effect.edit_spec
         or type(e).alter_ground is not Effect.alter_ground
     )
-    if not bodily or floor.file is None or not floor.repeats:
+    if not bodily or floor.plan is None or not floor.repeats:
         return floor
-    other = _floor(floor.file, floor.courses, floor.groups, floor.evenness, floor.coarse, bodily)
+    other = _floor(floor.plan, bodily)
     return other if other.repeats else floor
 
 
-def _floor(
-    file: Path,
-    along: tuple[Course, ...],
-    groups: Groups,
-    evenness: float,
-    coarse: Coarse | None,
-    effects: tuple[Effect, ...],
-) -> NoiseFloor:
+def _floor(plan: FloorPlan, effects: tuple[Effect, ...]) -> NoiseFloor:
     known = tuple(known_effects())
-    walks = [
-        _repeat(file, one, SEED + i, groups, evenness, coarse, effects, known)
-        for i, one in enumerate(along)
-    ]
+    seed = plan.settings.floor_seed
+    # A course that other logs have too is walked once for all.
+    alone = replace(plan, courses=())
+    walks = [_repeat(alone, one, seed + i, effects, known) for i, one in enumerate(plan.courses)]
     repeats = tuple(one for one in walks if one is not None)
     if not repeats:
         return NoiseFloor(np.zeros(0), (), "")
     sigma = np.sqrt(np.mean([one.robust_weights.sigma**2 for one in repeats], axis=0))
-    layout = repeats[0].evidence.layout
-    sigma = np.maximum(sigma, _least(layout))
+    sigma = np.maximum(sigma, _least(repeats[0].evidence.layout))
     source = f"{len(repeats)} simulated walks of the declared model along the log's own course"
-    if coarse:
+    if plan.coarse:
         source += ", seen by a reference as coarse as the log's"
-    return NoiseFloor(sigma, repeats, source, file, along, groups, evenness, coarse)
+    return NoiseFloor(sigma, repeats, source, plan)
 
 
 def _least(layout: Layout) -> np.ndarray:
@@ -204,71 +206,67 @@ def _least(layout: Layout) -> np.ndarray:
     return least
 
 
-def courses(logs: Sequence[Log]) -> list[Course]:
+def courses(logs: Sequence[Log], settings: TraceSettings = DEFAULT) -> list[Course]:
     """Commanded forward, lateral velocity [m/s] and turn [rad/s] a second, for each repeat; none
     where the robot stands on all its feet throughout."""
-    if all(log.has("contact") and np.mean(log.contact) > STANDS for log in logs):
-        return [()] * REPEATS
+    if all(log.has("contact") and np.mean(log.contact) > settings.standing_share for log in logs):
+        return [()] * settings.floor_walks
     # Two decimals: rounding makes equal courses equal, so that they are walked once.
     motion = [
         (round(float(forward), 2), round(float(lateral), 2), round(float(turn), 2))
         for log in logs
         for forward, lateral, turn in body_twists(log)
     ]
-    length = max(1, min(round(SECONDS / PIECE), len(motion)))
-    starts = np.linspace(0, len(motion) - length, REPEATS).round().astype(int)
+    length = max(1, min(round(settings.floor_seconds / PIECE), len(motion)))
+    starts = np.linspace(0, len(motion) - length, settings.floor_walks).round().astype(int)
     return [tuple(motion[start : start + length]) for start in starts] if motion else []
 
 
 @lru_cache(maxsize=16)
 def _repeat(
-    file: Path,
-    course: Course,
-    seed: int,
-    groups: Groups,
-    evenness: float,
-    coarse: Coarse | None,
-    effects: tuple[Effect, ...],
-    known: tuple[str, ...],
+    plan: FloorPlan, course: Course, seed: int, effects: tuple[Effect, ...], known: tuple[str, ...]
 ) -> Repeat | None:
     """One walk, fitted with what the catalogue has: the effects `known` to it."""
-    robot = declared(file)
+    robot, s = declared(plan.file), plan.settings
     for slower in (1.0, 0.6, 0.3) if course else (1.0,):
         segments = tuple(
             Segment(PIECE, forward * slower, lateral * slower, turn * slower)
             for forward, lateral, turn in course or ((0.0, 0.0, 0.0),)
         )
-        stand = STAND if course else SECONDS
-        scenario = Scenario("floor", segments, ground_of(segments, evenness), stand=stand)
+        stand = s.floor_stand if course else s.floor_seconds
+        scenario = Scenario("floor", segments, ground_of(segments, plan.evenness, s), stand=stand)
         try:
             log = walk(scenario, robot, seed, effects, declared=False)
         except SurefootError:  # fallen, or a size that leaves it no foot
             continue
         if not course:
-            log = replace(log, frame=log.frame[log.t - log.t[0] < SECONDS - STAND])
-        log = _with_groups(log, groups)
-        if coarse:
-            log = as_coarse(log, coarse, np.random.default_rng(seed))
-        case = log_under_model(log, robot)
+            log = replace(log, frame=log.frame[log.t - log.t[0] < s.floor_seconds - s.floor_stand])
+        log = _with_groups(log, plan.groups)
+        if plan.coarse:
+            log = as_coarse(log, plan.coarse, np.random.default_rng(seed))
+        case = log_under_model(log, robot, s)
         data = design(linearise([case], effects, all_keys(case)))
         # The same least noise as of the log: each channel then weighs alike in both.
-        believed = robust_weights(data, _least(data.evidence.layout))
-        beyond = variance_inflation(data, believed)
-        sums = normal_equations(data, believed.sigma * np.sqrt(beyond), believed.weight).total()
+        weights = robust_weights(data, _least(data.evidence.layout))
+        beyond = variance_inflation(data, weights)
+        sums = normal_equations(data, weights.sigma * np.sqrt(beyond), weights.weight).total()
         # Of the walk itself only what is left of it matters from here on.
-        return Repeat(data.evidence.only(()), believed, sums, beyond)
+        return Repeat(data.evidence.only(()), weights, sums, beyond)
     return None
 
 
-def ground_of(segments: Sequence[Segment], evenness: float) -> Ground:
+def ground_of(
+    segments: Sequence[Segment], evenness: float, settings: TraceSettings = DEFAULT
+) -> Ground:
     """Ground for a walk, whose heights differ from a plane by `evenness` [m, standard deviation].
 
     The bumps of a rough strip deviate by a quarter of the highest.
     """
     if not evenness:
-        return Ground(FRICTION)
+        return Ground(settings.floor_friction)
     far = float(np.ceil(2 + sum(s.duration * np.hypot(s.forward, s.lateral) for s in segments)))
-    return Ground(FRICTION, strips=(Strip((-far, 0.0), (far, 0.0), 2 * far, rough=4 * evenness),))
+    bumps = Strip((-far, 0.0), (far, 0.0), 2 * far, rough=4 * evenness)
+    return Ground(settings.floor_friction, strips=(bumps,))
 
 
 def _with_groups(log: Log, groups: Groups) -> Log:

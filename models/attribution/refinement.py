@@ -1,4 +1,10 @@
-"""Sizes on the true residual, which hardly any effect changes in a straight line."""
+"""Sizes on the residual itself, in which hardly any effect is linear, and the best of those
+candidates that linear regressors can barely tell apart.
+
+An IMU that is late looks like a reference that is early in all that the two have in common, which
+is by far the loudest. The legs agree with only one of the two, but they count only where the loud
+channel does not choose by how streams are interpolated between their rows.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,12 +15,9 @@ from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel, l
 from surefoot.models.attribution.fit import NormalEquations, design, fit, loss, normal_equations
 from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.attribution.robust_weights import RobustWeights
-from surefoot.sim.effects import Effect
-
-AT_MOST = 10
-"""Steps of Gauss-Newton: a derivative that noise enters falls short of the size at each."""
-CLOSE = 1e-3
-"""Share of its size by which an effect may still move when it is taken for settled."""
+from surefoot.models.attribution.selection import Candidate
+from surefoot.models.attribution.split import FIT, REPORT, SELECT
+from surefoot.sim.effects import Effect, effect
 
 
 @dataclass(frozen=True)
@@ -43,12 +46,14 @@ def refined(data: Data, chosen: Sequence[Effect], report: int) -> list[Effect]:
     """The effects at the sizes that leave least on all blocks but those of the part `report`, by
     Gauss-Newton."""
     chosen = [clipped(e, e.value) for e in chosen]
+    settings = data.evidence.settings
     offsets = _offsets(data.floor, [(e.name, e.target) for e in chosen])
-    for _ in range(AT_MOST):
+    for _ in range(settings.newton_steps):
         steps = best_near(data, chosen, report)[0] - offsets
         moved = [clipped(e, e.value + d) for e, d in zip(chosen, steps, strict=True)]
         pairs = zip(moved, chosen, strict=True)
-        settled = all(abs(a.value - b.value) < CLOSE * abs(a.value) for a, b in pairs)
+        close = settings.newton_close
+        settled = all(abs(a.value - b.value) < close * abs(a.value) for a, b in pairs)
         chosen = moved
         if settled:
             break
@@ -72,3 +77,68 @@ def _offsets(floor: NoiseFloor, keys: Sequence[Key]) -> np.ndarray:
 def clipped(one: Effect, value: float) -> Effect:
     """The effect of this size, or of the nearest inside its bounds."""
     return replace(one, value=float(np.clip(value, *type(one).inside(one.target))))
+
+
+def contenders(
+    data: NormalEquations, candidates: Sequence[Candidate], chosen: Sequence[Key]
+) -> list[Candidate]:
+    """The few that might be the best, by gain: of those that earn a place, and of those that
+    explain what the first of them does, and more, but are too small to earn one alone."""
+    earned = [c for c in candidates if c.earned]
+    near = [c for c in earned if c.gain > data.settings.close_behind * earned[0].gain]
+    near += [c for c in candidates if earned and _outdoes(data, c, earned[0], chosen)]
+    return sorted(near, key=lambda c: -c.gain)[: data.settings.contenders]
+
+
+def _outdoes(data: NormalEquations, one: Candidate, best: Candidate, chosen: Sequence[Key]) -> bool:
+    """Whether a candidate that did not earn a place gains more than the best that did, and leaves
+    little for that one to explain."""
+    sized = abs(one.size) > data.settings.contender_size * np.hypot(one.error, one.floor)
+    if one.earned or one.at_bound or not sized or one.interval[0] <= best.gain:
+        return False
+    seen, unseen = data.rows(data.part == FIT), data.rows(data.part == SELECT)
+    alone, both = (
+        float(loss(unseen, fit(seen, [*chosen, *keys], errors=False).vector).sum())
+        for keys in ((one.key,), (one.key, best.key))
+    )
+    return alone - both < data.settings.same_share * best.gain
+
+
+def rerank(data: Data, few: Sequence[Candidate]) -> tuple[Candidate, list[Effect]]:
+    """The candidate that leaves least of the true residual, and all effects at their sizes with it.
+
+    For the choice an IMU counts as far as its readings can be told between rows.
+    """
+    before = list(data.explained)
+    tried = [(c, refined(data, [*before, effect(*c.key, c.size)], REPORT)) for c in few]
+    if len(tried) == 1:
+        return tried[0]
+    weight = data.robust_weights.weight * known_between_rows(data)
+    fair = replace(data, robust_weights=replace(data.robust_weights, weight=weight))
+    return min(tried, key=lambda one: best_near(fair, one[1], REPORT)[1])
+
+
+def known_between_rows(data: Data) -> np.ndarray:
+    """Weights (M, W) in 0..1 against what a stream that was moved in time, and back, has lost.
+
+    A line from row to row errs by up to an eighth of the second difference of what it follows, and
+    as much again when the move is undone; at the touch of a foot that is far more than noise. Undo
+    the delay of the other stream instead, and it is lost once. The IMU's own readings say how fast
+    they change: a reference may have been smoothed before it was written down. The loss is no
+    noise, which would be as large for each candidate: where it is larger the bin tells nothing.
+    """
+    weight, begin = np.ones_like(data.robust_weights.weight), 0
+    imu = data.evidence.layout.of("imu_gyro", "imu_accel")
+    for case in data.cases:
+        first, count = case.frame.first, case.frame.count[:, None]
+        rows = begin + np.arange(len(first))
+        begin += len(first)
+        if case.fixed or not case.log.has("imu"):
+            continue
+        x = np.hstack([case.log.gyro, case.log.accel])
+        lost = np.zeros_like(x)
+        lost[1:-1] = 2 / 8 * (x[2:] - 2.0 * x[1:-1] + x[:-2])
+        square = np.add.reduceat(lost**2, first, axis=0) / count**2
+        noise = data.robust_weights.sigma[imu] ** 2
+        weight[np.ix_(rows, imu)] = (noise / (noise + square)) ** 2
+    return weight

@@ -1,5 +1,5 @@
-"""Which parts of a residual to believe: robust weights, and stances on which a foot slid or stood
-on something else than at its other steps.
+"""How much each part of a residual counts: robust weights, and masks of stances on which a foot
+slid or stood on something else than at its other steps.
 
 Both are judged by what the whole catalogue together cannot explain, so that neither can hide an
 effect of the catalogue: a mask takes a stance that stands out from its own foot's bulk, not a foot
@@ -13,16 +13,6 @@ import numpy as np
 from surefoot.models.attribution.fit import Design
 from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.layout import Layout
-
-SOFT = 2.5
-"""Standard deviations beyond which an entry loses weight."""
-OUTLYING = 6.0
-"""Robust deviations above the foot's median at which a stance is taken for a slip."""
-RAISED = 0.001
-"""m off its own foot's height from which a stance that stands out is on something else: an edge."""
-SLOWEST_SLIP = 0.02
-"""m/s. Below this a standing foot creeps, as compliant contacts do."""
-ROUNDS = 3
 
 
 @dataclass(frozen=True)
@@ -38,7 +28,7 @@ class RobustWeights:
 
 def robust_weights(data: Design, floor: np.ndarray) -> RobustWeights:
     """Weights of an evidence whose columns the declared model leaves at `floor` (W,)."""
-    layout, there = data.evidence.layout, data.there
+    layout, settings, there = data.evidence.layout, data.evidence.settings, data.there
     feet = layout.by_leg("leg_velocity")
     legged = len(feet) > 0
     masked = np.zeros((len(there), len(feet)), dtype=bool)
@@ -46,10 +36,10 @@ def robust_weights(data: Design, floor: np.ndarray) -> RobustWeights:
     sigma, weight = np.where(floor > 0, floor, 1e-12), there.astype(float)
     for last in (False, True) if legged else (True,):
         left = data.y
-        for _ in range(ROUNDS):
+        for _ in range(settings.weight_rounds):
             left = np.where(there, data.y - _explained(data, sigma, weight), np.nan)
             sigma = np.maximum(floor, _pooled(layout, np.where(spoiled, np.nan, left)))
-            weight = (there & ~spoiled) * _soft(layout, left / sigma)
+            weight = (there & ~spoiled) * _soft(layout, left / sigma, settings.outlier)
         if not last:
             slid, elsewhere = slips(data, left)
             masked, spoiled = slid | elsewhere, _spoiled(layout, slid, elsewhere)
@@ -78,7 +68,7 @@ def slips(data: Design, left: np.ndarray) -> np.ndarray:
     stance would leave every second slip in. And by its height, since one that stands on an edge
     does not slide.
     """
-    layout = data.evidence.layout
+    layout, settings = data.evidence.layout, data.evidence.settings
     velocity, heights = layout.by_leg("leg_velocity"), layout.by_leg("foot_height")
     masked = np.zeros((2, len(left), len(velocity)), dtype=bool)
     for leg in range(len(velocity)):
@@ -89,18 +79,20 @@ def slips(data: Design, left: np.ndarray) -> np.ndarray:
         fastest = np.array([speed[bins].max() for bins in stances])
         height = np.nan_to_num(np.array([left[bins, heights[leg, 0]].mean() for bins in stances]))
         off = np.abs(height - np.median(height))
-        for kind, out in enumerate((_stands_out(fastest, SLOWEST_SLIP), _stands_out(off, RAISED))):
-            for stance in np.flatnonzero(out):
+        for kind, (score, least) in enumerate(
+            ((fastest, settings.slowest_slip), (off, settings.raised))
+        ):
+            for stance in np.flatnonzero(_stands_out(score, least, settings.slip_outlier)):
                 masked[kind, stances[stance], leg] = True
     return masked
 
 
-def _stands_out(score: np.ndarray, least: float) -> np.ndarray:
-    """Which stances (K,) score above their foot's bulk, and above `least`."""
+def _stands_out(score: np.ndarray, least: float, outlier: float) -> np.ndarray:
+    """Which stances (K,) score `outlier` deviations above their foot's bulk, and above `least`."""
     middle = np.median(score)
     # From below: slips only add to it, and many of them would widen a spread from both sides.
     spread = 1.4826 * (middle - np.quantile(score, 0.25))
-    return score > max(middle + OUTLYING * spread, least)
+    return score > max(middle + outlier * spread, least)
 
 
 def stance_bins(t: np.ndarray, log: np.ndarray, there: np.ndarray) -> list[np.ndarray]:
@@ -138,10 +130,11 @@ def _pooled(layout: Layout, left: np.ndarray) -> np.ndarray:
     return np.maximum(sigma, 1e-12)
 
 
-def _soft(layout: Layout, z: np.ndarray) -> np.ndarray:
-    """Weights (M, W): one for the bulk, falling as the inverse square beyond SOFT deviations."""
+def _soft(layout: Layout, z: np.ndarray, outlier: float) -> np.ndarray:
+    """Weights (M, W): one for the bulk, falling as the inverse square beyond `outlier`
+    deviations."""
     weight = np.ones_like(z)
     for group in layout.groups:
         size = np.sqrt(np.nansum(z[:, group] ** 2, axis=1) / len(group))
-        weight[:, group] = np.minimum(1.0, (SOFT / np.maximum(size, SOFT)) ** 2)[:, None]
+        weight[:, group] = np.minimum(1.0, (outlier / np.maximum(size, outlier)) ** 2)[:, None]
     return weight

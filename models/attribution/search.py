@@ -18,19 +18,11 @@ from surefoot.models.attribution.fit import (
     overlap,
 )
 from surefoot.models.attribution.noise_floor import NoiseFloor, noise_floor_with
-from surefoot.models.attribution.refinement import Data, refined
-from surefoot.models.attribution.rerank import contenders, rerank
+from surefoot.models.attribution.refinement import Data, contenders, refined, rerank
 from surefoot.models.attribution.robust_weights import RobustWeights, robust_weights
-from surefoot.models.attribution.selection import DOUBT, Candidate, judge
+from surefoot.models.attribution.selection import Candidate, judge
 from surefoot.models.attribution.split import FIT, REPORT, SELECT, Split
 from surefoot.sim.effects import Effect
-
-AT_MOST = 4
-"""Effects that one trace may name."""
-TWINS = 0.95
-"""Overlap from which two regressors are hard to tell apart."""
-SETTLING, MOVED = 3, 0.01
-"""Times at most that sizes and weights are found anew, and the share of a size that is a move."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +61,7 @@ def attribute(
     having been one of many (extended BIC, blocks as samples).
     """
     keys = tuple(dict.fromkeys(key for case in cases for key in all_keys(case)))
+    settings = cases[0].settings
     chosen: list[Effect] = []
     rounds: list[tuple[Candidate, ...]] = []
     rivals: tuple[tuple[Key, float], ...] = ()
@@ -76,13 +69,13 @@ def attribute(
     evidence = None
     while True:
         if progress:
-            progress(len(rounds) / (AT_MOST + 1))
+            progress(len(rounds) / (settings.most_effects + 1))
         evidence, whole, trusted, chosen = _settled(cases, chosen, keys, evidence, floor, split)
         data = normal_equations(whole, floor.counted(trusted.sigma), trusted.weight, split.part)
         candidates = judge(data, floor, [_key(e) for e in chosen], explained, rng)
         rounds.append(candidates)
         best = candidates[0] if candidates and candidates[0].earned else None
-        if best is None or len(chosen) == AT_MOST:
+        if best is None or len(chosen) == settings.most_effects:
             break
         known = Data(cases, floor, evidence, chosen, trusted, split.part)
         best, chosen_with = rerank(known, contenders(data, candidates, [*map(_key, chosen)]))
@@ -108,18 +101,18 @@ def _settled(
 
     A large effect that is not linear spoils much of the evidence before it is explained.
     """
-    times = 0
+    settings, times = cases[0].settings, 0
     while True:
         evidence = linearise(cases, chosen, keys, evidence)
         whole = design(evidence)
         trusted = robust_weights(whole, floor.sigma)
         times += 1
-        if not chosen or times == SETTLING:
+        if not chosen or times == settings.settling_rounds:
             return evidence, whole, trusted, chosen
         data = Data(cases, floor, evidence, chosen, trusted, split.part)
         moved = refined(data, chosen, REPORT)
         pairs = list(zip(moved, chosen, strict=True))
-        if all(abs(a.value - b.value) < MOVED * abs(b.value) for a, b in pairs):
+        if all(abs(a.value - b.value) < settings.settled_share * abs(b.value) for a, b in pairs):
             return evidence, whole, trusted, chosen
         chosen = moved
 
@@ -152,7 +145,7 @@ def _rivals(
         if other.key == best.key or other.at_bound:
             continue
         shared = overlap(data, best.key, other.key, chosen)
-        if shared <= TWINS:
+        if shared <= data.settings.twin_overlap:
             continue
         behind = left(other.key) - of_best
         as_good = np.percentile(counts @ behind, 2.5) <= price
@@ -173,7 +166,8 @@ def _with_intervals(
     for i, one in enumerate(chosen):
         offset, spread = floor.sizes([k for k in keys if k != keys[i]], keys[i])
         repeats = len(floor.repeats)
-        half = float(np.hypot(1.96 * np.sqrt(covariance[i, i]), 1.96 * DOUBT * offset))
+        faked = 1.96 * data.settings.faked_share * offset
+        half = float(np.hypot(1.96 * np.sqrt(covariance[i, i]), faked))
         if repeats > 1:
             half = float(np.hypot(half, t.ppf(0.975, repeats - 1) * spread))
         at = 1 + data.keys.index(keys[i])

@@ -11,17 +11,6 @@ from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.attribution.split import FIT, SELECT
 from surefoot.sim.effects import known_effects
 
-ABOVE_FLOOR = 5.0
-"""How many times its size on walks that lack it an effect must have."""
-DOUBT = 0.7
-"""Share of the size that contacts fake on such walks which is taken for uncertain: on slippery
-ground they faked a delay of joints four times as long as on the floor's."""
-WORTH = 0.02
-"""Share of what is explained so far that a further effect must add."""
-CLEAR, LARGE = 20.0, 0.2
-"""One that stands so many times above its floor and takes such a share of all that is left may add
-less: beside a very large effect even a large one is little."""
-
 
 @dataclass(frozen=True)
 class Candidate:
@@ -51,7 +40,7 @@ def judge(
     rng: np.random.Generator,
 ) -> tuple[Candidate, ...]:
     """Every candidate that is not chosen yet, those that earn a place first, by gain."""
-    seen, unseen = data.rows(data.part == FIT), data.rows(data.part == SELECT)
+    s, seen, unseen = data.settings, data.rows(data.part == FIT), data.rows(data.part == SELECT)
     counts = draws(len(unseen.G), rng)
     plain = fit(seen, chosen, errors=False).vector
     plainly = loss(unseen, plain), loss(seen, plain)
@@ -74,20 +63,20 @@ def judge(
         low, high = np.percentile(counts @ blocks, [2.5, 97.5])
         at_seen = float(np.sum(before_seen - loss(seen, fitted.vector)))
         # The floor's own offset is only as sure as its contact model.
-        spread = float(np.hypot(spread, DOUBT * offset))
+        spread = float(np.hypot(spread, s.faked_share * offset))
         low_end, high_end = known_effects()[key[0]].inside(key[1])
         # A fit beyond them is no size either, however much of it the floor's walks have.
         fitted_beyond = abs(fitted.sizes[-1]) > max(-low_end, high_end)
         at_bound = fitted_beyond or not low_end < size < high_end
         share = gain / max(float(before.sum()), 1e-300)
         clear = abs(size) / max(float(np.hypot(spread, error)), 1e-300)
-        plain_to_see = clear > CLEAR and share > LARGE
+        plain_to_see = clear > s.clear and share > s.large
         earned = (
             low > 0
             and np.isfinite(error)
-            and clear > ABOVE_FLOOR
+            and clear > s.above_floor
             and not at_bound
-            and (gain > WORTH * explained or plain_to_see)
+            and (gain > s.worth * explained or plain_to_see)
             and min(at_seen, gain) > price
         )
         judged.append(

@@ -12,8 +12,6 @@ from surefoot.sim.effects.base import Effect, with_columns
 from surefoot.sim.log import Log
 from surefoot.sim.sensors.streams import Sensors
 
-SEED = 20_012
-
 
 def sheet_noise(rate: float, layout: Layout, evenness: float = 0.0) -> np.ndarray:
     """Standard deviation (W,) of a bin's residual from the sensors' noise and the ground alone."""
@@ -29,7 +27,7 @@ def reading_noise(cases: Sequence[LogUnderModel], effects: Sequence[Effect] = ()
 
     As much noise again is put on the readings, to see what it does to the residual.
     """
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(cases[0].settings.reading_seed)
     change = [
         table_of(replace(case, log=_noisier(case, rng)), effects) - table_of(case, effects)
         for case in cases

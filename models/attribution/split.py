@@ -9,12 +9,6 @@ from surefoot.models.attribution.evidence import LogUnderModel
 
 FIT, SELECT, REPORT = 0, 1, 2
 """Parts of a split."""
-REPORT_SHARE = 0.35
-"""Of each log, at its end, that no fit and no choice sees."""
-BLOCK, GAP = 4.0, 0.2
-"""s: blocks that fit and blocks that select take turns, with gaps between them."""
-TURNS = 6
-"""Blocks that a log has at least: of a short one they are shorter, and the gaps with them."""
 
 
 @dataclass(frozen=True)
@@ -38,10 +32,10 @@ def split_of(cases: Sequence[LogUnderModel]) -> Split:
     """Each log's end reports; before it, blocks that fit and blocks that select take turns."""
     parts = []
     for case in cases:
-        t = case.frame.t - case.frame.t[0]
-        begin = (1 - REPORT_SHARE) * t[-1]
-        length = min(BLOCK, begin / TURNS)
-        gap = GAP * length / BLOCK
+        s, t = case.settings, case.frame.t - case.frame.t[0]
+        begin = (1 - s.report_share) * t[-1]
+        length = min(s.turn, begin / s.turns)
+        gap = s.gap * length / s.turn
         block = np.floor(t / length).astype(int)
         used = (t < begin - gap) & (t - length * block >= gap)
         parts.append((used & (block % 2 == 0), used & (block % 2 == 1), t >= begin))

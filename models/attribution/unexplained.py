@@ -7,21 +7,11 @@ import numpy as np
 
 from surefoot.models.attribution.evidence import LogUnderModel
 from surefoot.models.attribution.robust_weights import RobustWeights
+from surefoot.models.attribution.settings import TraceSettings
 from surefoot.models.residuals.layout import layout_of
 from surefoot.sim.effects.contact import STICKING
 from surefoot.sim.log import joint_velocity
 from surefoot.sim.robot.legs import LEGS
-
-AT_MOST = 3
-"""Regressors named for one column."""
-LEAST = 0.05
-"""Share of a column's rest that a regressor must explain on unseen blocks to be named."""
-
-HARMONICS = (2, 3, 4, 6, 8, 10, 12)
-"""Of a joint's turn: what repeats with the turns of a gear or of its motor."""
-
-SETTLING = (4, 8, 16, 32, 64)
-"""s, time constants of what warms up or comes to rest after the log's first row."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +30,7 @@ class Unexplained:
 def sparse_regression(
     cases: Sequence[LogUnderModel],
     left: np.ndarray,
-    trusted: RobustWeights,
+    robust: RobustWeights,
     channels: Sequence[str],
     seen: np.ndarray,
     unseen: np.ndarray,
@@ -57,10 +47,12 @@ def sparse_regression(
     for place, channel in enumerate(channels):
         columns = range(*layout.channels[channel].indices(layout.width))
         known = [c for c in columns if np.isfinite(left[seen, c]).any()]
-        noise = {c: np.nanmean(left[seen, c] ** 2) / trusted.sigma[c] ** 2 for c in known}
+        noise = {c: np.nanmean(left[seen, c] ** 2) / robust.sigma[c] ** 2 for c in known}
         before = len(found)
         for column in known:
-            one = _column(values, left[:, column], trusted.weight[:, column], seen, unseen)
+            one = _column(
+                values, left[:, column], robust.weight[:, column], seen, unseen, cases[0].settings
+            )
             if one is not None:
                 chosen, share = one
                 regressors = tuple(names[i] for i in chosen)
@@ -80,7 +72,7 @@ def library(cases: Sequence[LogUnderModel]) -> tuple[tuple[str, ...], np.ndarray
         log, first = case.log, case.frame.first
         count = np.diff(np.append(first, len(log.t)))[:, None]
         columns = {"time": log.t}
-        for k in SETTLING:
+        for k in case.settings.settling_times:
             columns[f"settling_{k}_s"] = np.exp(-(log.t - log.t[0]) / k)
         if log.has("imu") and not case.fixed:
             columns |= _named("rate", log.gyro, "xyz") | _named("force", log.accel, "xyz")
@@ -91,7 +83,7 @@ def library(cases: Sequence[LogUnderModel]) -> tuple[tuple[str, ...], np.ndarray
             dq = joint_velocity(log)
             columns |= _named("angle", log.q, log.joints) | _named("speed", dq, log.joints)
             columns |= _named("sense", np.tanh(dq / STICKING), log.joints)
-            for k in HARMONICS:
+            for k in case.settings.harmonics:
                 columns |= _named(f"sin_{k}_angle", np.sin(k * log.q), log.joints)
                 columns |= _named(f"cos_{k}_angle", np.cos(k * log.q), log.joints)
         if log.has("tau"):
@@ -111,7 +103,12 @@ def _named(kind: str, values: np.ndarray, names: Sequence[str]) -> dict[str, np.
 
 
 def _column(
-    values: np.ndarray, y: np.ndarray, weight: np.ndarray, seen: np.ndarray, unseen: np.ndarray
+    values: np.ndarray,
+    y: np.ndarray,
+    weight: np.ndarray,
+    seen: np.ndarray,
+    unseen: np.ndarray,
+    settings: TraceSettings,
 ) -> tuple[list[int], float] | None:
     there = np.isfinite(y) & (weight > 0)
     fit, check = there & seen, there & unseen
@@ -121,7 +118,7 @@ def _column(
     ones = np.ones((len(y), 1))
     chosen: list[int] = []
     share = 0.0
-    while len(chosen) < AT_MOST:
+    while len(chosen) < settings.most_regressors:
         A = np.hstack([ones, values[:, chosen]]) * root
         base = _solve(A, y * root[:, 0], fit)
         rest = np.where(there, np.nan_to_num(y) * root[:, 0] - A @ base, 0.0)
@@ -137,7 +134,7 @@ def _column(
         after = y[check] * root[check, 0] - A[check] @ _solve(A, y * root[:, 0], fit)
         plain = (y[check] - np.average(y[check], weights=weight[check])) * root[check, 0]
         gained = 1.0 - float(after @ after) / max(float(plain @ plain), 1e-300)
-        if gained < share + LEAST:
+        if gained < share + settings.least_share:
             break
         chosen, share = [*chosen, best], gained
     return (chosen, share) if chosen else None

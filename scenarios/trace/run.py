@@ -5,7 +5,7 @@ from pathlib import Path
 
 from surefoot.models.attribution.diagnose import cases_of, diagnose
 from surefoot.models.attribution.evidence import LogUnderModel
-from surefoot.models.attribution.split import REPORT_SHARE
+from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.scenarios.estimate.registry import Learnt
 from surefoot.scenarios.trace.filters import BeforeAfter, before_and_after, mean_metrics
 from surefoot.scenarios.trace.report import write_outputs
@@ -17,8 +17,6 @@ from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
 
-HARM = 1.05
-"""Ratio of a filter's errors, after to before, from which what was found is said to do harm."""
 OUTPUTS = ("trace.json", "effects.toml", "report.html", "trace.rrd")
 
 
@@ -31,6 +29,7 @@ def trace(
     force: bool = False,
     declared: Sequence[Effect] = (),
     learnt: Learnt | None = None,
+    settings: TraceSettings = DEFAULT,
 ) -> Trace:
     """Find which effect `robot` lacks as a model of the logs, and what adding it changes.
 
@@ -43,6 +42,7 @@ def trace(
         force: overwrite such files.
         declared: effects that belong to the model: compensated before anything is asked.
         learnt: observers and bounds for the filters that need them.
+        settings: thresholds and constants.
 
     Raises SurefootError where `out` has such files (no `force`), and LogError where a log
     has no reference.
@@ -54,7 +54,7 @@ def trace(
         for name in OUTPUTS:
             if (out / name).exists():
                 raise SurefootError(f"{out / name}: exists already; give --force to overwrite it")
-    found = trace_logs(logs, robot, seed, progress, declared, learnt)
+    found = trace_logs(logs, robot, seed, progress, declared, learnt, settings)
     write_outputs(found, robot, out, force)
     return found
 
@@ -66,13 +66,14 @@ def trace_logs(
     progress: Callable[[float], None] | None = None,
     declared: Sequence[Effect] = (),
     learnt: Learnt | None = None,
+    settings: TraceSettings = DEFAULT,
 ) -> Trace:
     """`trace` without the files, and with its arguments."""
     report = progress or (lambda share: None)
-    found = diagnose(logs, robot, seed, lambda share: report(0.88 * share), declared)
+    found = diagnose(logs, robot, seed, lambda share: report(0.88 * share), declared, settings)
     stretches: tuple[BeforeAfter, ...] = ()
     if found.attribution is not None:
-        cases = cases_of(logs, robot, declared)
+        cases = cases_of(logs, robot, declared, settings)
         stretches = _filtered(cases, found.effects, learnt or Learnt())
     filters = {}
     for name in dict.fromkeys(s.filter for s in stretches):
@@ -82,7 +83,7 @@ def trace_logs(
     harm = tuple(
         f"{name} filter: farther off with what was found"
         for name, m in filters.items()
-        if m["after"]["ape_trans"] > HARM * m["before"]["ape_trans"]
+        if m["after"]["ape_trans"] > settings.harm * m["before"]["ape_trans"]
     )
     motion = motion_to_tell_apart([r["name"] for r in found.rivals]) if found.rivals else ""
     report(1.0)
@@ -98,6 +99,6 @@ def _filtered(
         if case.fixed or not isinstance(case.robot, Robot) or not case.log.has("imu"):
             continue
         t = case.log.t
-        begin = t[0] + (1 - REPORT_SHARE) * (t[-1] - t[0])
+        begin = t[0] + (1 - case.settings.report_share) * (t[-1] - t[0])
         done += before_and_after(case.log, case.robot, effects, learnt, begin, t[-1])
     return tuple(done)

@@ -9,9 +9,10 @@ from numpy.testing import assert_allclose
 
 from surefoot.models.attribution.fit import design, draws, fit, loss, normal_equations, overlap
 from surefoot.models.attribution.noise_floor import NoiseFloor, Repeat
-from surefoot.models.attribution.rerank import CLOSE_BEHIND, TRIED, contenders
+from surefoot.models.attribution.refinement import contenders
 from surefoot.models.attribution.robust_weights import robust_weights, slips
 from surefoot.models.attribution.selection import judge
+from surefoot.models.attribution.settings import DEFAULT
 from surefoot.models.residuals.jacobians import sparse
 
 NO_WALKS = NoiseFloor(NOISE, (), "none")
@@ -98,8 +99,8 @@ def test_a_few_near_the_best_are_tried_on_the_true_residual():
     found = judged(one)
     tried = contenders(whitened(one), found, ())
     assert tried[0] is found[0]
-    assert len(tried) <= TRIED
-    assert all(one.earned and one.gain > CLOSE_BEHIND * tried[0].gain for one in tried)
+    assert len(tried) <= DEFAULT.contenders
+    assert all(one.earned and one.gain > DEFAULT.close_behind * tried[0].gain for one in tried)
 
 
 def test_one_that_explains_more_is_tried_even_where_it_is_not_sure_of_itself():

@@ -8,8 +8,7 @@ import pytest
 from surefoot.models.attribution.evidence import all_keys, linearise, log_under_model
 from surefoot.models.attribution.fit import design
 from surefoot.models.attribution.noise_floor import noise_floor
-from surefoot.models.attribution.refinement import Data
-from surefoot.models.attribution.rerank import rerank, told_between_rows
+from surefoot.models.attribution.refinement import Data, known_between_rows, rerank
 from surefoot.models.attribution.robust_weights import robust_weights
 from surefoot.models.attribution.selection import Candidate
 from surefoot.models.attribution.split import FIT, SELECT
@@ -57,7 +56,7 @@ def test_of_two_streams_the_late_one_is_named(floor, late, other):
 
 def test_shocks_of_the_imu_lose_weight_and_nothing_else_does(floor):
     data = data_of(case_with(), floor)
-    weight = told_between_rows(data)
+    weight = known_between_rows(data)
     assert np.all(weight[:, 6:] == 1.0)
     case = data.cases[0]
     quiet = (case.frame.standing.all(axis=1)).astype(float)
@@ -65,4 +64,4 @@ def test_shocks_of_the_imu_lose_weight_and_nothing_else_does(floor):
     assert np.median(weight[bins, :6]) > 0.4
     assert weight[:, 3:6].min() < 0.02
     still = replace(data, cases=[replace(case, fixed=True)])
-    assert np.all(told_between_rows(still) == 1.0)
+    assert np.all(known_between_rows(still) == 1.0)

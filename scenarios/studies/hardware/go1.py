@@ -15,12 +15,12 @@ from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.estimator.metrics import align_first, evaluate
 from surefoot.models.attribution.evidence import log_under_model, table_of
 from surefoot.models.attribution.split import split_of
-from surefoot.models.attribution.stream_lags import BLOCK, WALKING, Lag, phase_of
 from surefoot.models.residuals.layout import layout_of
 from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.scenarios.estimate.registry import Learnt
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
 from surefoot.scenarios.reporting.plotting import new_figure, set_title
+from surefoot.scenarios.studies.hardware.stream_lags import BLOCK, WALKING, Lag, phase_of
 from surefoot.scenarios.studies.hardware.words import between
 from surefoot.scenarios.trace.filters import filtered
 from surefoot.scenarios.trace.result import Trace

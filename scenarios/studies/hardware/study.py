@@ -14,13 +14,13 @@ import pandas as pd
 import tyro
 from matplotlib.figure import Figure
 
-from surefoot.models.attribution.stream_lags import lags
 from surefoot.scenarios.reporting.plotting import save_png
 from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.scenarios.studies.hardware import go1 as go1
 from surefoot.scenarios.studies.hardware import go2 as go2
 from surefoot.scenarios.studies.hardware import pendulum as pendulum
+from surefoot.scenarios.studies.hardware.stream_lags import lags
 from surefoot.scenarios.trace.run import trace
 from surefoot.scenarios.trace.words import summary
 from surefoot.sim.common.errors import SurefootError
