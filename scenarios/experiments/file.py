@@ -1,10 +1,12 @@
 """Experiment files: a grid over scenarios, robots, conditions, gamma, filters and seeds. TOML."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Literal
 from zlib import crc32
+
+import msgspec
 
 from surefoot.models.observer.observer import check_inputs, check_loss, check_model
 from surefoot.models.observer.training import DEFAULT
@@ -13,20 +15,19 @@ from surefoot.scenarios.estimate.registry import ESTIMATORS
 from surefoot.scenarios.experiments.imperfections import Imperfection, load_imperfections
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
-from surefoot.sim.common.toml import read_toml
+from surefoot.sim.common.toml import Count, Name, read_toml, typed
 from surefoot.sim.effects import Effect
 from surefoot.sim.effects.file import load_effects
-from surefoot.sim.scenario import ROLES, Scenario
+from surefoot.sim.scenario import Scenario
 from surefoot.sim.scenario_catalog import scenario_file
 from surefoot.sim.sensors.streams import Sensors
 from surefoot.sim.walking.batch import Job, known_robot
 
 SUITES_FOLDER = bundled("surefoot.scenarios.experiments", "suites")
 SUITES = ("spot", "vision60")
-KEYS = (
-    "title", "scenarios", "robots", "seeds", "gammas", "filters", "published", "roles", "observer",
-    "sweep", "condition",
-)  # fmt: skip
+
+Seed = Annotated[int, msgspec.Meta(ge=0)]
+Level = Annotated[float, msgspec.Meta(gt=0, lt=1)]
 
 
 @dataclass(frozen=True)
@@ -34,19 +35,28 @@ class Learning:
     """How the observers are trained and bounded: one of each loss for each robot, condition, seed.
 
     model is one of surefoot.models.observer.architectures, method (of calibration) one of
-    surefoot.models.calibration.regions.
+    surefoot.models.registry.CALIBRATORS.
     """
 
     losses: tuple[str, ...] = ("mse", "gml")
     inputs: str = "q,dq,tau"
-    steps: int = DEFAULT.steps
+    steps: Count = DEFAULT.steps
     model: str = "gru"
     method: str = "conformal"
+
+    def __post_init__(self):
+        _each_once("losses", self.losses)
+        for loss in self.losses:
+            check_loss(loss)
+        check_inputs(self.inputs)
+        check_model(self.model)
+        if self.method not in CALIBRATORS:
+            raise SurefootError(f"method {self.method}: choose {' | '.join(CALIBRATORS)}")
 
 
 @dataclass(frozen=True)
 class Condition:
-    """What the walks are made under besides their scenario, and what no filter is told of.
+    """What the walks are made under besides their scenario, unknown to the filters.
 
     effects: of every robot; imperfections: drawn by each seed, which stands for one robot.
     sensors: names of `sim.sensors.streams.Sensors` and what they are instead of the scenario's.
@@ -72,8 +82,8 @@ PLAIN = Condition("plain", "the scenarios as they are written")
 class Sweep:
     """Further gammas, for the filters that use bounds, on some of the seeds."""
 
-    gammas: tuple[float, ...] = ()
-    seeds: tuple[int, ...] = ()
+    gammas: tuple[Level, ...] = ()
+    seeds: tuple[Seed, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -106,7 +116,7 @@ class Experiment:
             path = SUITES_FOLDER / f"{name_or_path}.toml"
         table = read_toml(path, "experiment")
         try:
-            return _experiment(table, path)
+            return _experiment(typed(table, _File), path)
         except SurefootError as error:
             raise SurefootError(f"experiment {path}: {error}") from None
 
@@ -139,42 +149,91 @@ def walk_to_make(scenario: Scenario, robot: str, condition: Condition, seed: int
     )
 
 
-def _experiment(table: Mapping[str, Any], path: Path) -> Experiment:
-    _only(table, KEYS, "")
-    roles = _table(table, "roles")
-    scenarios = tuple(
-        _with_role(Scenario.load(scenario_file(name, path.parent)), roles)
-        for name in _strings(table, "scenarios")
-    )
+@dataclass(frozen=True)
+class _ConditionTable:
+    name: Name
+    words: str = ""
+    effects: str | None = None
+    declared: bool = False
+    imperfections: str | None = None
+    sensors: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self):
+        try:
+            typed(self.sensors, Sensors)
+        except SurefootError as error:
+            raise SurefootError(f"sensors: {error}") from None
+
+    def condition(self, folder: Path) -> Condition:
+        """With the files that it names, relative to the experiment's folder."""
+        drawn = load_imperfections(folder / self.imperfections) if self.imperfections else ()
+        return Condition(
+            self.name,
+            self.words,
+            load_effects(folder / self.effects) if self.effects else (),
+            self.declared,
+            drawn,
+            tuple(self.sensors.items()),
+        )
+
+
+@dataclass(frozen=True)
+class _File:
+    scenarios: tuple[str, ...]
+    title: str | None = None
+    robots: tuple[str, ...] | None = None
+    seeds: tuple[Seed, ...] = (0,)
+    gammas: tuple[Level, ...] = (0.8,)
+    filters: tuple[str, ...] = field(default_factory=lambda: tuple(ESTIMATORS))
+    published: str | None = None
+    roles: dict[str, Literal["train", "calibrate", "test"]] = field(default_factory=dict)
+    observer: Learning = field(default_factory=Learning)
+    sweep: Sweep = field(default_factory=Sweep)
+    condition: tuple[_ConditionTable, ...] = ()
+
+    def __post_init__(self):
+        for key in ("scenarios", "seeds", "gammas", "filters"):
+            _each_once(key, getattr(self, key))
+        if self.robots is not None:
+            _each_once("robots", self.robots)
+        if self.sweep.seeds and not self.sweep.gammas:
+            raise SurefootError("[sweep] gammas is missing")
+        for name in self.filters:
+            if name not in ESTIMATORS:
+                raise SurefootError(f"filters: unknown '{name}'; known: {', '.join(ESTIMATORS)}")
+
+
+def _each_once(key: str, values: Sequence) -> None:
+    if not values or len(set(values)) < len(values):
+        raise SurefootError(f"{key} must be a list of values, each once, is {list(values)}")
+
+
+def _experiment(file: _File, path: Path) -> Experiment:
+    loaded = [Scenario.load(scenario_file(name, path.parent)) for name in file.scenarios]
+    scenarios = tuple(replace(s, role=file.roles.get(s.name, s.role)) for s in loaded)
     names = [scenario.name for scenario in scenarios]
     for name in names:
         if names.count(name) > 1:
             raise SurefootError(f"scenarios: two are named {name}")
-    for name in roles:
+    for name in file.roles:
         if name not in names:
             raise SurefootError(f"[roles] {name}: no scenario has that name")
-    robots = _strings(table, "robots") if "robots" in table else None
     for scenario in scenarios:
-        if not robots and not scenario.robot:
+        if not file.robots and not scenario.robot:
             raise SurefootError(f"scenario {scenario.name} names no robot: give robots")
-        for robot in robots or (str(scenario.robot),):
+        for robot in file.robots or (str(scenario.robot),):
             known_robot(robot)
-    conditions = tuple(_condition(c, path.parent, n) for n, c in enumerate(_tables(table), 1))
-    filters = _strings(table, "filters") if "filters" in table else tuple(ESTIMATORS)
-    for name in filters:
-        if name not in ESTIMATORS:
-            raise SurefootError(f"filters: unknown '{name}'; known: {', '.join(ESTIMATORS)}")
     found = Experiment(
-        title=_string(table, "title", path.stem),
+        title=file.title or path.stem,
         scenarios=scenarios,
-        robots=robots,
-        seeds=_whole(table, "seeds", (0,)),
-        gammas=_levels(table, "gammas", (0.8,)),
-        filters=filters,
-        published=_string(table, "published", None),
-        learning=_learning(_table(table, "observer")),
-        sweep=_sweep(_table(table, "sweep")),
-        conditions=conditions or (PLAIN,),
+        robots=file.robots,
+        seeds=file.seeds,
+        gammas=file.gammas,
+        filters=file.filters,
+        published=file.published,
+        learning=file.observer,
+        sweep=replace(file.sweep, seeds=file.sweep.seeds or (0,)) if file.sweep.gammas else Sweep(),
+        conditions=tuple(c.condition(path.parent) for c in file.condition) or (PLAIN,),
     )
     _check(found)
     return found
@@ -190,110 +249,3 @@ def _check(found: Experiment) -> None:
         count = len(found.with_role("calibrate", robot))
         if count > 1:
             raise SurefootError(f"{count} scenarios of {robot} are to calibrate with: give one")
-
-
-def _with_role(scenario: Scenario, roles: Mapping[str, Any]) -> Scenario:
-    role = roles.get(scenario.name, scenario.role)
-    if role is not None and role not in ROLES:
-        raise SurefootError(f"[roles] {scenario.name}: must be one of {', '.join(ROLES)}")
-    return replace(scenario, role=role)
-
-
-def _condition(table: Mapping[str, Any], folder: Path, number: int) -> Condition:
-    where = f"[[condition]] {number} "
-    keys = ("name", "words", "effects", "declared", "imperfections", "sensors")
-    _only(table, keys, where)
-    name = _string(table, "name", None)
-    if not name:
-        raise SurefootError(f"{where}needs name")
-    sensors = _table(table, "sensors")
-    try:
-        Sensors(**sensors)
-    except TypeError:
-        raise SurefootError(f"{where}sensors: unknown or not a number: {sensors}") from None
-    effects, imperfections = table.get("effects"), table.get("imperfections")
-    return Condition(
-        name=name,
-        words=_string(table, "words", "") or "",
-        effects=load_effects(folder / str(effects)) if effects else (),
-        declared=bool(table.get("declared", False)),
-        imperfections=load_imperfections(folder / str(imperfections)) if imperfections else (),
-        sensors=tuple(sensors.items()),
-    )
-
-
-def _learning(table: Mapping[str, Any]) -> Learning:
-    default = Learning()
-    _only(table, tuple(f.name for f in fields(Learning)), "[observer] ")
-    losses = _strings(table, "losses") if "losses" in table else default.losses
-    for loss in losses:
-        check_loss(loss)
-    model, inputs, method = (
-        _string(table, key, getattr(default, key)) for key in ("model", "inputs", "method")
-    )
-    check_inputs(inputs)
-    check_model(model)
-    if method not in CALIBRATORS:
-        raise SurefootError(f"[observer] method {method}: choose {' | '.join(CALIBRATORS)}")
-    (steps,) = _whole({"steps": [table.get("steps", default.steps)]}, "steps", ())
-    return Learning(losses, inputs, steps, model, method)
-
-
-def _sweep(table: Mapping[str, Any]) -> Sweep:
-    _only(table, ("gammas", "seeds"), "[sweep] ")
-    if not table:
-        return Sweep()
-    return Sweep(_levels(table, "gammas", ()), _whole(table, "seeds", (0,)))
-
-
-def _only(table: Mapping[str, Any], known: tuple[str, ...], where: str) -> None:
-    unknown = sorted(set(table) - set(known))
-    if unknown:
-        raise SurefootError(f"{where}unknown key '{unknown[0]}'; known: {', '.join(known)}")
-
-
-def _table(table: Mapping[str, Any], key: str) -> dict[str, Any]:
-    value = table.get(key, {})
-    if not isinstance(value, dict):
-        raise SurefootError(f"{key} must be a table, [{key}]")
-    return value
-
-
-def _tables(table: Mapping[str, Any]) -> list[dict[str, Any]]:
-    value = table.get("condition", [])
-    if not isinstance(value, list) or not all(isinstance(v, dict) for v in value):
-        raise SurefootError("condition must be an array of tables, [[condition]]")
-    return value
-
-
-def _string(table: Mapping[str, Any], key: str, default: str | None) -> Any:
-    value = table.get(key, default)
-    if value is not default and not isinstance(value, str):
-        raise SurefootError(f"{key} must be text, is {value!r}")
-    return value
-
-
-def _list(table: Mapping[str, Any], key: str, default: tuple, kind: type, words: str) -> tuple:
-    value = table.get(key, list(default))
-    good = isinstance(value, list) and all(type(v) is kind for v in value)
-    if not good or not value or len(set(value)) < len(value):
-        raise SurefootError(f"{key} must be a list of {words}, each once, is {value!r}")
-    return tuple(value)
-
-
-def _strings(table: Mapping[str, Any], key: str) -> tuple[str, ...]:
-    return _list(table, key, (), str, "names")
-
-
-def _whole(table: Mapping[str, Any], key: str, default: tuple[int, ...]) -> tuple[int, ...]:
-    values = _list(table, key, default, int, "whole numbers")
-    if min(values) < 0:
-        raise SurefootError(f"{key} must not be negative, is {min(values)}")
-    return values
-
-
-def _levels(table: Mapping[str, Any], key: str, default: tuple[float, ...]) -> tuple[float, ...]:
-    values = _list(table, key, default, float, "numbers between 0 and 1")
-    if not all(0.0 < v < 1.0 for v in values):
-        raise SurefootError(f"{key} must lie between 0 and 1, is {list(values)}")
-    return values

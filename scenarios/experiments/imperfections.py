@@ -1,17 +1,15 @@
-"""What sets a robot as built apart from its drawing: each instance draws its own, once for life."""
+"""How robots as built differ from their drawing: each instance draws its own, once and for all."""
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 from zlib import crc32
 
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.toml import read_toml
+from surefoot.sim.common.toml import read_typed
 from surefoot.sim.effects import Effect, effect, known_effects
 
-KEYS = ("effect", "targets", "normal", "uniform", "fixed", "source")
 LAWS = ("normal", "uniform", "fixed")
 
 
@@ -40,47 +38,47 @@ class Imperfection:
         return [effect(self.effect, t, v) for t, v in zip(self.targets, values, strict=True)]
 
 
+@dataclass(frozen=True)
+class _Entry:
+    effect: str
+    source: str
+    targets: tuple[str, ...] | None = None
+    normal: float | None = None
+    uniform: float | None = None
+    fixed: float | None = None
+
+    def __post_init__(self):
+        known = known_effects()
+        if self.effect not in known:
+            raise SurefootError(f"unknown effect '{self.effect}'; known: {', '.join(known)}")
+        if sum(getattr(self, law) is not None for law in LAWS) != 1:
+            raise SurefootError(f"needs one of {', '.join(LAWS)}")
+        if self.targets == ():
+            raise SurefootError("targets must not be empty")
+        one = self.imperfection
+        for target in one.targets:
+            effect(self.effect, target, one.size)
+
+    @property
+    def imperfection(self) -> Imperfection:
+        law = next(law for law in LAWS if getattr(self, law) is not None)
+        targets = self.targets or known_effects()[self.effect].targets
+        return Imperfection(self.effect, tuple(targets), law, getattr(self, law), self.source)
+
+
+@dataclass(frozen=True)
+class _File:
+    imperfection: tuple[_Entry, ...] = ()
+
+    def __post_init__(self):
+        if not self.imperfection:
+            raise SurefootError("are written as [[imperfection]] tables")
+
+
 def load_imperfections(path: str | Path) -> tuple[Imperfection, ...]:
     """The imperfections of a file, `[[imperfection]]` each.
 
     Raises SurefootError, one line with file, entry and key, if bad.
     """
-    path = Path(path)
-    table = read_toml(path, "imperfections")
-    entries = table.get("imperfection", [])
-    if set(table) - {"imperfection"} or not isinstance(entries, list) or not entries:
-        raise SurefootError(
-            f"imperfections {path}: are written as [[imperfection]] tables, and nothing else"
-        )
-    found = []
-    for number, entry in enumerate(entries, 1):
-        try:
-            found.append(_imperfection(entry))
-        except SurefootError as error:
-            raise SurefootError(
-                f"imperfections {path}: [[imperfection]] {number}: {error}"
-            ) from None
-    return tuple(found)
-
-
-def _imperfection(entry: dict[str, Any]) -> Imperfection:
-    unknown = sorted(set(entry) - set(KEYS))
-    if unknown:
-        raise SurefootError(f"unknown key '{unknown[0]}'; known: {', '.join(KEYS)}")
-    name = str(entry.get("effect"))
-    if name not in known_effects():
-        raise SurefootError(f"unknown effect '{name}'; known: {', '.join(known_effects())}")
-    laws = [law for law in LAWS if law in entry]
-    if len(laws) != 1:
-        raise SurefootError(f"needs one of {', '.join(LAWS)}")
-    size = entry[laws[0]]
-    if isinstance(size, bool) or not isinstance(size, int | float) or not np.isfinite(size):
-        raise SurefootError(f"{laws[0]} must be a number, is {size!r}")
-    if not isinstance(entry.get("source"), str):
-        raise SurefootError("needs source: where the size comes from")
-    targets = entry.get("targets", list(known_effects()[name].targets))
-    if not isinstance(targets, list) or not targets:
-        raise SurefootError("targets must be a list of names")
-    for target in targets:
-        effect(name, str(target), float(size))
-    return Imperfection(name, tuple(targets), laws[0], float(size), entry["source"])
+    file = read_typed(path, _File, "imperfections")
+    return tuple(entry.imperfection for entry in file.imperfection)

@@ -48,7 +48,7 @@ def test_every_size_of_the_suites_has_a_source():
         ("[[imperfection]]\neffect='wings'\nnormal=1\nsource=''", "unknown effect 'wings'"),
         ("[[imperfection]]\neffect='payload'\nsource=''", "needs one of normal"),
         ("[[imperfection]]\neffect='payload'\nfixed=true\nsource=''", "must be a number"),
-        ("[[imperfection]]\neffect='payload'\nfixed=1", "needs source"),
+        ("[[imperfection]]\neffect='payload'\nfixed=1", "source is missing"),
         ("[[imperfection]]\neffect='payload'\nfixed=99\nsource=''", "must lie between"),
         ("[[imperfection]]\neffect='payload'\nfixed=1\nsource=''\ntargets=['x']", "unknown target"),
         ("[[imperfection]]\neffect='payload'\nfixed=1\nsource=''\nsize=2", "unknown key 'size'"),
