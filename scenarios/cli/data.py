@@ -63,7 +63,7 @@ class Import:
 
     def run(self) -> None:
         from surefoot.sim.importing.bag import import_bag
-        from surefoot.sim.importing.importer import import_csv
+        from surefoot.sim.importing.csv_file import import_csv
 
         read = import_bag if self.kind == "bag" else import_csv
         log = read(self.file, self.map)

@@ -2,7 +2,7 @@
 
     [source]     file, rate (Hz, where there is no time column)
     [columns]    <log column> = "their column" | { column, unit, sign }; a bag's columns are
-                 "topic:field.path" (`sim.importing.bag_table`), and the topic of t is the log's
+                 "topic:field.path" (`sim.importing.bag`), and the topic of t is the log's
     clock
     [reference]  file (not of a bag), frame ("imu" | "base"), and [reference.columns] as above, with
                  a t of its own

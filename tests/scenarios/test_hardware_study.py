@@ -12,7 +12,7 @@ from surefoot.scenarios.studies.hardware.study import MEASURED, RUNS, Options, a
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import measured_folder
 from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.importing.importer import import_csv
+from surefoot.sim.importing.csv_file import import_csv
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.catalog import known_robots
 from surefoot.sim.robot.fixed_base import load_machine

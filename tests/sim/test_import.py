@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled, measured_folder
-from surefoot.sim.importing.csv_table import read_csv
-from surefoot.sim.importing.importer import import_csv, interpolate_reference
+from surefoot.sim.importing.assemble import interpolate_reference
+from surefoot.sim.importing.csv_file import import_csv, read_csv
 from surefoot.sim.importing.map import EVENNESS, ImportMap
 from surefoot.sim.log import JOINTS, Log
 from surefoot.sim.sensors.contact import contact_from_force

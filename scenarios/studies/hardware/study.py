@@ -25,7 +25,7 @@ from surefoot.scenarios.trace.run import trace
 from surefoot.scenarios.trace.words import summary
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import measured_folder, refuse_overwrite, whole_file
-from surefoot.sim.importing.importer import import_csv
+from surefoot.sim.importing.csv_file import import_csv
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.catalog import known_robots
 from surefoot.sim.robot.fixed_base import load_machine, machine_for_log

@@ -1,4 +1,4 @@
-"""A recording of somebody's robot becomes a Log, as an import map says (`sim.importing.map`)."""
+"""Columns of a recording become a Log, as an import map says (`sim.importing.map`)."""
 
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -8,8 +8,7 @@ import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import matrix_from_quaternion, quaternion_from_matrix
-from surefoot.sim.importing.csv_table import read_csv
-from surefoot.sim.importing.map import Column, ImportMap
+from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.log import Log, LogError, Meta
 from surefoot.sim.log.schema import check_frame, joint_names, joint_prefix
 from surefoot.sim.sensors.contact import contact_from_force
@@ -19,29 +18,6 @@ MAX_GAP = 0.05
 _UNIT_TOLERANCE = 1e-2
 
 Table = dict[str, np.ndarray]
-
-
-def import_csv(path: str | Path, map_path: str | Path) -> Log:
-    """The log of a CSV recording: `path` is its main file, or the folder it lies in.
-
-    `map_path` is a map's file or the name of a bundled map. Rows outside the reference are cut.
-    Raises SurefootError (LogError) in one line with file, column and line.
-    """
-    rules = ImportMap.read(map_path)
-    path = Path(path)
-    if path.is_dir():
-        if rules.file is None:
-            raise SurefootError(f"{path}: is a folder, and {rules.path} has no [source] file")
-        path = path / rules.file
-    main = _read_csv_table(path, rules.columns)
-    reference = None
-    if rules.reference is not None:
-        if rules.reference.file is None:
-            raise SurefootError(f"{rules.path}: [reference] file is missing")
-        beside = path.parent / rules.reference.file
-        reference = _read_csv_table(beside, rules.reference.columns)
-        unit_quaternions(beside, reference)
-    return checked_log(main, reference, rules, path)
 
 
 def checked_log(main: Table, reference: Table | None, rules: ImportMap, path: Path) -> Log:
@@ -159,14 +135,6 @@ def _base_to_imu(p: np.ndarray, q: np.ndarray, rules: ImportMap) -> tuple[np.nda
     R_GB = matrix_from_quaternion(q)
     R_BI = matrix_from_quaternion(np.array(rules.model.get("q_BI", [1.0, 0.0, 0.0, 0.0])))
     return p + R_GB @ np.array(rules.model["p_BI"]), quaternion_from_matrix(R_GB @ R_BI)
-
-
-def _read_csv_table(path: Path, columns: dict[str, Column]) -> Table:
-    cells = read_csv(path, sorted({column.theirs for column in columns.values()}))
-    table = {name: column.scale * cells[column.theirs] for name, column in columns.items()}
-    if "t" in table:
-        check_rising(table["t"], path, columns["t"].theirs, "line", 2)
-    return table
 
 
 def check_rising(t: np.ndarray, path: Path, column: str, unit: str, first: int) -> None:

@@ -1,4 +1,4 @@
-"""A CSV file as checked columns of numbers: any fault is one line with file, column and line."""
+"""A CSV recording becomes a Log; any fault of its cells is one line with file, column and line."""
 
 import csv
 import warnings
@@ -9,6 +9,40 @@ import numpy as np
 import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.importing.assemble import Table, check_rising, checked_log, unit_quaternions
+from surefoot.sim.importing.map import Column, ImportMap
+from surefoot.sim.log import Log
+
+
+def import_csv(path: str | Path, map_path: str | Path) -> Log:
+    """The log of a CSV recording: `path` is its main file, or the folder it lies in.
+
+    `map_path` is a map's file or the name of a bundled map. Rows outside the reference are cut.
+    Raises SurefootError (LogError) in one line with file, column and line.
+    """
+    rules = ImportMap.read(map_path)
+    path = Path(path)
+    if path.is_dir():
+        if rules.file is None:
+            raise SurefootError(f"{path}: is a folder, and {rules.path} has no [source] file")
+        path = path / rules.file
+    main = _read_csv_table(path, rules.columns)
+    reference = None
+    if rules.reference is not None:
+        if rules.reference.file is None:
+            raise SurefootError(f"{rules.path}: [reference] file is missing")
+        beside = path.parent / rules.reference.file
+        reference = _read_csv_table(beside, rules.reference.columns)
+        unit_quaternions(beside, reference)
+    return checked_log(main, reference, rules, path)
+
+
+def _read_csv_table(path: Path, columns: dict[str, Column]) -> Table:
+    cells = read_csv(path, sorted({column.theirs for column in columns.values()}))
+    table = {name: column.scale * cells[column.theirs] for name, column in columns.items()}
+    if "t" in table:
+        check_rising(table["t"], path, columns["t"].theirs, "line", 2)
+    return table
 
 
 def read_csv(path: str | Path, columns: Sequence[str]) -> dict[str, np.ndarray]:
