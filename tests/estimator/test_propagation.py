@@ -145,3 +145,29 @@ def test_tiny_rates_lose_no_digits(case):
         results.append(covariance)
     assert_allclose(results[1], results[0], rtol=1e-10, atol=1e-10)
     assert_allclose(results[2], results[0], rtol=1e-8, atol=1e-8)
+
+
+def test_the_error_dynamics_are_hartleys(case):
+    """dSigma/dt = A Sigma + Sigma A^T + N Q N^T for dt -> 0, with the A and N of Hartley 2020."""
+    mean, gyro, accel, rng = case
+    R = mean[:3]
+    A = np.zeros((15, 15))
+    A[3:6, :3], A[6:9, 3:6] = lie.hat(np.array([0.0, 0.0, -GRAVITY])), np.eye(3)
+    A[3:6, 9:12], A[:3, 12:] = -R, -R
+    A[3:6, 12:], A[6:9, 12:] = -lie.hat(mean[3]) @ R, -lie.hat(mean[4]) @ R
+    N = np.zeros((15, 12))
+    N[3:6, :3], N[:3, 3:6] = R, R
+    N[3:6, 3:6], N[6:9, 3:6] = lie.hat(mean[3]) @ R, lie.hat(mean[4]) @ R
+    N[9:, 6:] = np.eye(6)
+    noise = FilterNoise(0.3, 0.7, np.array([0.1, 0.2, 0.3]), 0.4)
+    start = rng.normal(size=(15, 15))
+    start = start @ start.T
+
+    def rate(dt):
+        after = start.copy()
+        step(mean.copy(), after, gyro, accel, dt, noise.packed())
+        return (after - start) / dt
+
+    wanted = A @ start + start @ A.T + N @ np.diag(noise.packed().ravel()) @ N.T
+    # The difference is of first order in dt: two steps take that error out.
+    assert_allclose(2 * rate(1e-5) - rate(2e-5), wanted, atol=1e-4)

@@ -13,7 +13,7 @@ from surefoot.models.observer.decimate import decimate
 from surefoot.models.observer.imu_mounting import move_covariance, move_velocity
 from surefoot.models.observer.observer import ObserverError
 from surefoot.models.observer.predict import Loop, predict, prediction_errors
-from surefoot.models.observer.samples import samples
+from surefoot.models.observer.samples import body_velocity, samples
 from surefoot.models.observer.training import Schedule, train
 from surefoot.sim.log import LogError
 
@@ -168,3 +168,21 @@ def test_what_cannot_be_trained_on_is_said(walks):
         train(fit, Body(), loss="l1", schedule=TINY)
     with pytest.raises(ObserverError, match="no log"):
         train([], Body())
+
+
+def test_labels_are_the_velocity_in_the_imus_frame(walks):
+    """v_I = R_GI^T v_GI, the rotation by scipy."""
+    log, rows = walks["test"], np.array([0, 57, 900, 20_000])
+    q = log.frame[[f"ref_q_{axis}" for axis in "xyzw"]].to_numpy()[rows]
+    v_I, measured = body_velocity(log, rows)
+    assert measured.all()
+    assert v_I == pytest.approx(Rotation.from_quat(q).inv().apply(log.ref_v[rows]))
+
+
+def test_an_error_is_what_is_predicted_less_what_is_true(mse_observer, walks):
+    log = walks["test"]
+    prediction = predict(mse_observer, log, Body())
+    rows, errors = prediction_errors(mse_observer, log, Body())
+    assert np.array_equal(rows, prediction.rows)
+    true = np.einsum("nji,nj->ni", log.ref_R_GI[rows], log.ref_v[rows])
+    assert errors == pytest.approx(prediction.v_I - true)

@@ -1,6 +1,7 @@
 """Figures show the numbers they are given, with units, and are the same twice."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
@@ -8,6 +9,7 @@ from matplotlib.figure import Figure
 from surefoot.estimator.evaluation.trajectory import reference
 from surefoot.models.calibration.mixing import mixing
 from surefoot.scenarios.estimate.error_series import error_series
+from surefoot.scenarios.experiments.figures import paths
 from surefoot.scenarios.reporting import figures, observer_figures
 from surefoot.scenarios.reporting.palette import estimator_color, estimator_label, estimator_line
 from surefoot.scenarios.reporting.plotting import png, save_png
@@ -115,3 +117,33 @@ def test_two_worlds_of_one_estimator_share_its_colour_and_differ_in_line():
     ]
     assert len({(estimator_color(name), estimator_line(name)) for name in shown}) == 4
     assert estimator_label("leg before") == f"{estimator_label('leg')}, before"
+
+
+def test_the_mixing_figure_shows_the_curve_and_where_k_was_read_from_it():
+    x = np.cumsum(np.random.default_rng(2).normal(size=(3000, 3)), axis=0) % 7.0
+    curve = mixing(x)
+    ax = observer_figures.mixing_curve(curve, rate=100.0).axes[0]
+    lines = {str(line.get_label()): np.asarray(line.get_xydata()) for line in ax.get_lines()}
+    drawn = [line for line in lines.values() if len(line) == len(curve.lags)]
+    for k in range(3):
+        np.testing.assert_array_equal(drawn[2 * k][:, 1], curve.beta[:, k])
+        np.testing.assert_array_equal(drawn[2 * k + 1][:, 1], curve.excess[:, k])
+    (at,) = [line for label, line in lines.items() if label.startswith("K = ")]
+    assert at[0, 0] == curve.K
+    np.testing.assert_allclose(curve.excess**2, np.maximum(curve.beta**2 - curve.floor**2, 0.0))
+
+
+def test_paths_are_those_of_the_estimates():
+    rng = np.random.default_rng(3)
+    names = ["t", "ref_x", "ref_y", "ref_z", "p_x", "p_y", "p_z"]
+    series = {
+        name: pd.DataFrame(rng.normal(size=(50, 7)), columns=names) for name in ("coverage", "leg")
+    }
+    above, height = paths(series, "Two walks").axes[:2]
+    for k, name in enumerate(series):
+        np.testing.assert_array_equal(above.get_lines()[k + 1].get_xdata(), series[name]["p_x"])
+        np.testing.assert_array_equal(above.get_lines()[k + 1].get_ydata(), series[name]["p_y"])
+        np.testing.assert_array_equal(height.get_lines()[k + 1].get_ydata(), series[name]["p_z"])
+    truth = series["coverage"]
+    np.testing.assert_array_equal(above.get_lines()[0].get_xdata(), truth["ref_x"])
+    np.testing.assert_array_equal(above.get_lines()[0].get_ydata(), truth["ref_y"])

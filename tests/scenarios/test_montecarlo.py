@@ -340,3 +340,16 @@ def test_the_command_refuses_bad_options(tmp_path):
     (tmp_path / "full" / "a").write_text("")
     with pytest.raises(SurefootError, match="not empty"):
         montecarlo(tmp_path / "full", trials=2)
+
+
+@pytest.mark.parametrize("gamma", [0.6, 0.8])
+def test_the_illustration_draws_the_densities_of_the_theorem(gamma):
+    """Each integrates to one; the posterior has gamma inside the set, the prior less."""
+    axis = update_illustration(gamma).axes[2]
+    (z, p), (_, q), (_, matched) = (np.asarray(c.get_xydata()).T for c in axis.get_lines()[:3])
+    inside, step = (z >= 0.5) & (z <= 1.6), z[1] - z[0]
+    for density in (p, q, matched):
+        assert np.sum(density) * step == pytest.approx(1.0, abs=5e-3)
+    assert np.sum(q[inside]) * step == pytest.approx(gamma, abs=5e-3)
+    assert np.sum(p[inside]) * step < gamma
+    assert q @ z * step == pytest.approx(matched @ z * step, abs=0.02)

@@ -5,7 +5,7 @@ import pytest
 
 from surefoot.models.calibration.error_statistics import error_statistics
 from surefoot.scenarios.reporting.observer_errors import bound_words, error_section, error_words
-from surefoot.scenarios.reporting.observer_figures import error_bounds
+from surefoot.scenarios.reporting.observer_figures import error_bounds, error_distributions
 from surefoot.scenarios.reporting.plotting import png
 
 EPSILON = np.array([0.1, 0.1, 0.1])
@@ -64,3 +64,17 @@ def test_the_bounds_figure_shows_shares_of_the_data(errors):
     share = 100 * (np.abs(test[:, 0]) <= EPSILON[0]).mean()
     assert f"test {share:.1f} %" in ax.get_title()
     assert png(figure)[:4] == b"\x89PNG"
+
+
+def test_the_motivating_figure_fits_a_gaussian_to_each(errors):
+    """The fit drawn over each axis' errors has their mean and their spread."""
+    biased = errors[1] + np.array([0.04, -0.05, 0.06])
+    figure = error_distributions(errors[0], biased, EPSILON, 0.8)
+    for k, ax in enumerate(figure.axes[:3]):
+        fits = [line for line in ax.get_lines() if "Gaussian fit" in str(line.get_label())]
+        for line, e in zip(fits, (errors[0][:, k], biased[:, k]), strict=True):
+            x, density = np.asarray(line.get_xydata()).T
+            assert x[np.argmax(density)] == pytest.approx(e.mean(), abs=x[1] - x[0])
+            assert density.max() == pytest.approx(1 / np.sqrt(2 * np.pi) / e.std(), rel=0.02)
+        share = 100 * (np.abs(biased[:, k]) <= EPSILON[k]).mean()
+        assert f"test {share:.1f} %" in ax.get_title()

@@ -1,0 +1,123 @@
+"""State, right-invariant error and output in the dense matrices that the paper prints."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.linalg import expm
+
+from surefoot.estimator.box import box_moments
+from surefoot.estimator.core import lie
+from surefoot.estimator.core.state import NavState, retract
+from surefoot.estimator.initial import InitialStd, start_covariance
+from surefoot.estimator.updates.coverage import update_coverage
+from surefoot.estimator.updates.velocity_output import velocity_output
+
+D = np.array([0.0, 0.0, 0.0, -1.0, 0.0])
+"""The paper's d of the velocity output."""
+
+
+def cross(x):
+    return np.array([[0.0, -x[2], x[1]], [x[2], 0.0, -x[0]], [-x[1], x[0], 0.0]])
+
+
+def wedge(xi):
+    """xi^ (5, 5) of xi (9,)."""
+    out = np.zeros((5, 5))
+    out[:3, :3], out[:3, 3], out[:3, 4] = cross(xi[:3]), xi[3:6], xi[6:9]
+    return out
+
+
+def group(mean):
+    """The element of SE_2(3) in a packed mean."""
+    X = np.eye(5)
+    X[:3, :3], X[:3, 3], X[:3, 4] = mean[:3], mean[3], mean[4]
+    return X
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(12)
+
+
+@pytest.fixture
+def state(rng):
+    x = rng.normal(size=(5, 3))
+    return NavState(lie.so3_exp(x[0]), x[1], 5 * x[2], 0.1 * x[3], 0.1 * x[4])
+
+
+def test_a_state_is_packed_in_the_papers_order(state):
+    mean = state.pack()
+    wanted = [*state.R_GI, state.v_GI, state.p_GI, state.b_a, state.b_g]
+    assert_array_equal(mean, wanted)
+    assert_array_equal(NavState.unpack(mean).pack(), mean)
+
+
+def test_the_error_is_right_invariant(state, rng):
+    """eta = X_bar X^-1 = exp(xi^), and a common motion T from the right leaves it as it is."""
+    xi = rng.normal(size=9)
+    mean = state.pack()
+    retract(mean, np.r_[xi, np.zeros(6)], 0)
+    estimate, truth = group(state.pack()), group(mean)
+    assert_allclose(estimate @ np.linalg.inv(truth), expm(wedge(xi)), atol=1e-12)
+    T = expm(wedge(rng.normal(size=9)))
+    moved = (estimate @ T) @ np.linalg.inv(truth @ T)
+    assert_allclose(moved, expm(wedge(xi)), atol=1e-12)
+
+
+def test_xi_is_the_logarithm_of_the_error(state, rng):
+    """eta = exp(xi^) both ways: of an error drawn, and of the error between two states."""
+    xi = rng.normal(size=9)
+    eta = expm(wedge(xi))
+    assert_allclose(lie.se_exp(xi), eta, atol=1e-13)
+    estimate = group(state.pack())
+    truth = np.linalg.inv(eta) @ estimate
+    assert_allclose(lie.se_log(estimate @ lie.se_inverse(truth)), xi, atol=1e-12)
+
+
+def test_boxplus_is_the_papers(state, rng):
+    """X = exp(-xi^) X_bar and b = b_bar - delta b, b_a before b_g."""
+    delta = rng.normal(size=15)
+    mean = state.pack()
+    retract(mean, delta, 0)
+    assert_allclose(group(mean), expm(-wedge(delta[:9])) @ group(state.pack()), atol=1e-12)
+    assert_allclose(mean[5], state.b_a - delta[9:12], atol=1e-15)
+    assert_allclose(mean[6], state.b_g - delta[12:], atol=1e-15)
+
+
+def test_the_start_is_as_uncertain_as_its_plain_deviations_say(state):
+    """Plain errors are v_bar - v = xi_v - [v]x xi_R, p likewise: of these the deviations are."""
+    std = InitialStd(tilt=0.02, yaw=0.01, velocity=0.3, position=0.5, b_a=0.1, b_g=0.01)
+    plain = np.eye(15)
+    plain[3:6, :3], plain[6:9, :3] = -cross(state.v_GI), -cross(state.p_GI)
+    wanted = np.diag(np.r_[0.02, 0.02, 0.01, np.repeat([0.3, 0.5, 0.1, 0.01], 3)])
+    assert_allclose(plain @ start_covariance(state, std) @ plain.T, wanted**2, atol=1e-14)
+
+
+def test_the_output_is_the_velocity_in_the_imus_frame(state):
+    """y = X^-1 d = (v_I, -1, 0)."""
+    wanted = np.r_[state.v_I, -1.0, 0.0]
+    assert_allclose(lie.se_inverse(group(state.pack())) @ D, wanted, atol=1e-14)
+    assert_allclose(np.linalg.inv(group(state.pack())) @ D, wanted, atol=1e-13)
+
+
+def test_the_feasible_set_is_the_papers(state, rng):
+    """H delta X = Pi X_bar^-1 xi^ d, its first order, and l and u about -Pi (X_bar^-1 d - y)."""
+    mean, P = state.pack(), rng.normal(size=(15, 15))
+    P = 0.04 * P @ P.T
+    v_I, epsilon = state.v_I + rng.normal(size=3), np.array([0.3, 0.8, 0.5])
+    inverse, y = np.linalg.inv(group(mean)), np.r_[v_I, -1.0, 0.0]
+    H = np.zeros((3, 15))
+    H[:, :9] = np.column_stack([(inverse @ wedge(e) @ D)[:3] for e in np.eye(9)])
+    delta = 1e-6 * rng.normal(size=15)
+    moved = mean.copy()
+    retract(moved, delta, 0)
+    change = (np.linalg.inv(group(moved)) @ D - inverse @ D)[:3]
+    assert_allclose(change, H @ delta, atol=1e-10)
+    PHt, S, residual = np.empty((15, 3)), np.empty((3, 3)), np.empty(3)
+    velocity_output(mean, P, 0, v_I, PHt, S, residual)
+    assert_allclose(PHt, P @ H.T, atol=1e-12)
+    assert_allclose(S, H @ P @ H.T, atol=1e-12)
+    middle = -(inverse @ D - y)[:3]
+    assert_allclose(residual, middle, atol=1e-13)
+    log_pi, _, _ = box_moments(np.zeros(3), S, middle - epsilon, middle + epsilon)
+    assert_allclose(update_coverage(mean, P, 0, v_I, epsilon, 0.8), np.exp(log_pi), rtol=1e-8)
