@@ -23,7 +23,7 @@ from surefoot.scenarios.estimate.registry import (
 from surefoot.scenarios.estimate.tuned import tuned
 from surefoot.scenarios.experiments.cache import Product, product, product_key
 from surefoot.scenarios.experiments.file import Learning
-from surefoot.scenarios.viewer.walk_recording import record_walk
+from surefoot.scenarios.viewer.recording import record_walk
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.sources import sources_digest
 from surefoot.sim.log import Log
@@ -209,6 +209,4 @@ def make_recording(
         named.replace(path)
         return {}
 
-    return product(
-        folder, "recording", inputs, "surefoot.scenarios.viewer.walk_recording", ".rrd", make
-    )
+    return product(folder, "recording", inputs, "surefoot.scenarios.viewer.recording", ".rrd", make)

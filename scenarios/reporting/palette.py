@@ -17,7 +17,7 @@ INK = "#222222"
 TRAIN, TEST = "#2E8B57", "#C8102E"
 BEFORE, AFTER = "#8C8C8C", "#0072B2"
 
-LEG_COLORS = {"FL": "#DDAA33", "FR": "#CC6677", "RL": "#44AA99", "RR": "#AA66CC"}
+_LEG_COLORS = {"FL": "#DDAA33", "FR": "#CC6677", "RL": "#44AA99", "RR": "#AA66CC"}
 
 _STYLES: dict[str, tuple[str, str, str]] = {
     "leg (declared model)": ("Leg IEKF, declared model", "#8CBBEA", "--"),
@@ -69,6 +69,11 @@ def _side(name: str) -> tuple[str, str]:
     """An estimator's name and which of two worlds it ran in: "leg before" is leg, before."""
     base, _, side = name.rpartition(" ")
     return (base, side) if side in _SIDES else (name, "")
+
+
+def leg_color(name: str) -> str:
+    """The colour '#RRGGBB' of a leg; of one that is no quadruped's, chosen by its name."""
+    return _LEG_COLORS.get(name) or _SPARE_COLORS[crc32(name.encode()) % len(_SPARE_COLORS)]
 
 
 def rgba(color: str, alpha: float = 1.0) -> tuple[int, int, int, int]:

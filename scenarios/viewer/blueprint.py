@@ -11,6 +11,7 @@ from surefoot.scenarios.viewer.series import ANGLES, AXES
 _WINDOW = 3.0  # s on each side of the time cursor, about six strides
 _LEGEND = rrb.PlotLegend(rrb.Corner2D.LeftTop)
 _TRAIL = 10.0  # s of path behind the robot
+_THIN = "thin: ±3σ"
 _AXIS_WORDS = {"x": "forward", "y": "left", "z": "up"}
 _ANGLE_WORDS = {"roll": "about forward", "pitch": "about left", "yaw": "about up"}
 
@@ -37,19 +38,39 @@ def layout(
     """
     scene = rrb.Vertical(_following(estimators, eye), _map(estimators, centre, span))
     scene.row_shares = [3, 2]
-    tabs: list[rrb.Vertical | rrb.View] = [
-        _overview(bool(estimators), has_feet, has_slip),
-        _velocity(),
-    ]
+    feet = _feet(has_slip) if has_feet else []
+    distance = "Distance between estimate and truth [m], thin: the filter's own 3σ"
+    errors = [_plot("/distance", distance, whole_walk=True)] if estimators else []
+    tabs: dict[str, list[rrb.View]] = {
+        "Overview": [_velocity("x"), *errors, *feet],
+        "Velocity and bounds": [_velocity(axis) for axis in AXES],
+    }
     if estimators:
-        tabs += [_position_error(), _attitude_error()]
+        tabs["Position error"] = [
+            _plot(
+                f"/position_error/{axis}",
+                f"Position error along {axis} of the world [m], {_THIN}",
+                whole_walk=True,
+            )
+            for axis in AXES
+        ]
+        tabs["Attitude error"] = [
+            _plot(
+                f"/attitude_error/{angle}",
+                f"{angle.capitalize()} error ({_ANGLE_WORDS[angle]}) [deg], {_THIN}",
+                whole_walk=True,
+            )
+            for angle in ANGLES
+        ]
     if has_feet:
-        tabs.append(rrb.Vertical(*_feet(has_slip), name="Feet"))
+        tabs["Feet"] = feet
     if has_update:
-        tabs.append(_update())
-    tabs.append(rrb.TextDocumentView(origin="/about", name="What is this?"))
+        name = "Prior mass π inside the bounds: an update acts where it is below γ"
+        tabs["Coverage update"] = [_plot("/update", name)]
+    about = rrb.TextDocumentView(origin="/about", name="What is this?")
+    columns = [rrb.Vertical(*views, name=name) for name, views in tabs.items()]
     return rrb.Blueprint(
-        rrb.Horizontal(scene, rrb.Tabs(*tabs, active_tab=0), column_shares=[1, 1]),
+        rrb.Horizontal(scene, rrb.Tabs(*columns, about, active_tab=0), column_shares=[1, 1]),
         rrb.TimePanel(state="collapsed", timeline="time", play_state="paused"),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
@@ -67,7 +88,7 @@ def _following(estimators: Sequence[str], eye) -> rrb.Spatial3DView:
     return rrb.Spatial3DView(
         origin="/world/follow",
         contents=["/world/**", "- /world/robot/dot", "- /world/truth/path", *estimates],
-        name=f"Robot, boxes where estimators believe its trunk to be, last {_TRAIL:g} s of path",
+        name=f"Robot, boxes: its trunk as estimated, last {_TRAIL:g} s of path",
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital,
             position=eye,
@@ -100,102 +121,33 @@ def _map(estimators: Sequence[str], centre, span: float) -> rrb.Spatial3DView:
     )
 
 
-def _overview(has_errors: bool, has_feet: bool, has_slip: bool) -> rrb.Vertical:
-    views: list = [_velocity_view("x")]
-    if has_errors:
-        views.append(
-            rrb.TimeSeriesView(
-                origin="/distance",
-                axis_x=_whole_walk(),
-                plot_legend=_LEGEND,
-                name="Distance between estimate and truth [m], thin: the filter's own 3σ",
-            )
-        )
-    views += _feet(has_slip) if has_feet else []
-    return rrb.Vertical(*views, name="Overview")
+def _plot(origin: str, name: str, whole_walk: bool = False) -> rrb.TimeSeriesView:
+    """Series under `origin`, over the whole walk or a few strides about the time cursor."""
+    axis = _axis(None if whole_walk else _WINDOW)
+    return rrb.TimeSeriesView(origin=origin, name=name, axis_x=axis, plot_legend=_LEGEND)
 
 
-def _velocity() -> rrb.Vertical:
-    return rrb.Vertical(*[_velocity_view(axis) for axis in AXES], name="Velocity and bounds")
+def _velocity(axis: str) -> rrb.TimeSeriesView:
+    name = f"Body velocity along {axis} of the IMU ({_AXIS_WORDS[axis]}) [m/s]"
+    return _plot(f"/velocity/{axis}", name)
 
 
-def _velocity_view(axis: str) -> rrb.TimeSeriesView:
-    return rrb.TimeSeriesView(
-        origin=f"/velocity/{axis}",
-        name=f"Body velocity along {axis} of the IMU ({_AXIS_WORDS[axis]}) [m/s]",
-        axis_x=_around_cursor(),
-        plot_legend=_LEGEND,
+def _feet(has_slip: bool) -> list[rrb.View]:
+    lanes = rrb.StateTimelineView(
+        origin="/feet/contact",
+        name="Feet on the ground (magenta: slipping)",
+        time_view=_axis(_WINDOW),
     )
+    slip = _plot("/feet/slip", "Slip speed of loaded feet over the ground [m/s]")
+    return [lanes, slip] if has_slip else [lanes]
 
 
-def _position_error() -> rrb.Vertical:
-    views = [
-        rrb.TimeSeriesView(
-            origin=f"/position_error/{axis}",
-            axis_x=_whole_walk(),
-            plot_legend=_LEGEND,
-            name=f"Position error along {axis} of the world [m], thin: ±3σ",
-        )
-        for axis in AXES
-    ]
-    return rrb.Vertical(*views, name="Position error")
-
-
-def _attitude_error() -> rrb.Vertical:
-    views = [
-        rrb.TimeSeriesView(
-            origin=f"/attitude_error/{angle}",
-            axis_x=_whole_walk(),
-            plot_legend=_LEGEND,
-            name=f"{angle.capitalize()} error ({_ANGLE_WORDS[angle]}) [deg], thin: ±3σ",
-        )
-        for angle in ANGLES
-    ]
-    return rrb.Vertical(*views, name="Attitude error")
-
-
-def _update() -> rrb.Vertical:
-    view = rrb.TimeSeriesView(
-        origin="/update",
-        name="Prior mass π inside the bounds: an update acts where it is below γ",
-        plot_legend=_LEGEND,
-        axis_x=_around_cursor(),
-    )
-    return rrb.Vertical(view, name="Coverage update")
-
-
-def _feet(has_slip: bool) -> list:
-    views: list = [
-        rrb.StateTimelineView(
-            origin="/feet/contact",
-            name="Feet on the ground (magenta: slipping)",
-            time_view=_around_cursor(),
-        )
-    ]
-    if has_slip:
-        views.append(
-            rrb.TimeSeriesView(
-                origin="/feet/slip",
-                name="Slip speed of loaded feet over the ground [m/s]",
-                axis_x=_around_cursor(),
-                plot_legend=_LEGEND,
-            )
-        )
-    return views
-
-
-def _whole_walk() -> rrb.TimeAxis:
-    return rrb.TimeAxis(
-        view_range=rr.TimeRange(
-            start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.infinite()
-        )
-    )
-
-
-def _around_cursor() -> rrb.TimeAxis:
-    return rrb.TimeAxis(
-        view_range=rr.TimeRange(
-            start=rrb.TimeRangeBoundary.cursor_relative(seconds=-_WINDOW),
-            end=rrb.TimeRangeBoundary.cursor_relative(seconds=_WINDOW),
-        )
-    )
+def _axis(around: float | None) -> rrb.TimeAxis:
+    """All times, or those within `around` seconds of the time cursor."""
+    boundary = rrb.TimeRangeBoundary
+    if around is None:
+        start, end = boundary.infinite(), boundary.infinite()
+    else:
+        start = boundary.cursor_relative(seconds=-around)
+        end = boundary.cursor_relative(seconds=around)
+    return rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,14 +10,16 @@ import numpy as np
 import rerun as rr
 
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
+from surefoot.models.observer.predict import predict
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
+from surefoot.scenarios.estimate.registry import Learnt, declared_model, run_all
 from surefoot.scenarios.reporting.palette import estimator_label
 from surefoot.scenarios.viewer.blueprint import layout
-from surefoot.scenarios.viewer.ground_shapes import write_ground
 from surefoot.scenarios.viewer.scene import (
     trunk_size,
     write_estimates,
     write_footprints,
+    write_ground,
     write_robot,
     write_truth_path,
 )
@@ -27,6 +29,8 @@ from surefoot.sim.common.files import whole_file
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
+from surefoot.sim.walk import plan
+from surefoot.sim.walking.batch import Job, known_robot
 from surefoot.sim.walking.truth import SLIPPING
 
 if TYPE_CHECKING:
@@ -120,24 +124,48 @@ def _about(log: Log, robot: Robot, errors: Mapping[str, ErrorSeries]) -> str:
             f"# {log.meta.scenario or 'A walk'} by {robot.name}, {log.t[-1] - log.t[0]:.1f} s",
             "",
             "The robot and the grey line are the truth (of a measured log: the reference). Each "
-            "box is the trunk where one estimator believes it to be; its arrow points forward.",
+            "box is the trunk at the pose of one estimator; its arrow points forward.",
             "",
-            "Estimates are laid on the true position and heading at their first sample, because an "
-            "estimator that only feels its own body can observe neither. The wire ellipsoid is "
-            "where one is nearly sure to be: three of its own standard deviations.",
+            "Estimates are aligned with the true position and heading at their first sample, which "
+            "proprioception cannot observe. The wire ellipsoid is three standard deviations of an "
+            "estimator's own position covariance.",
             "",
             *(table if errors else []),
             "- **Ground**: the paler and bluer, the more slippery; labels give the friction "
             "coefficient.",
             "- **Dots on the ground**: where feet stood; magenta where one slipped.",
             "- **Velocity and bounds**: velocity of the IMU along its own axes. The observer's "
-            "guess lies midway between its calibrated bounds; magenta marks true velocities that "
-            "they missed.",
+            "prediction lies midway between its calibrated bounds; magenta marks true velocities "
+            "outside them.",
             "- **Errors**: estimate minus truth. Thin lines are three of the filter's own standard "
-            "deviations: an honest filter stays inside them nearly always.",
+            "deviations: a consistent filter stays inside them nearly always.",
             f"- **Feet**: stance of each foot, magenta while a loaded foot slides faster than "
             f"{SLIPPING} m/s.",
             "",
             "Space plays and pauses; drag and scroll turn and zoom; a double click resets a view.",
         ]
+    )
+
+
+def record_walk(path: Path, log: Log, job: Job, learnt: Learnt, filters: Sequence[str]) -> None:
+    """Write the recording of a log, the walk of `job`.
+
+    On the ground that its seed drew, with every filter but the IMU alone, which leaves the scene
+    within seconds.
+    """
+    robot = known_robot(job.robot)
+    results, _ = run_all(log, robot, learnt, [name for name in filters if name != "imu"])
+    prediction, bounds = None, None
+    if learnt.bounds:
+        observer, bounds = learnt.bounded()
+        prediction = predict(observer, *declared_model(log, robot))
+    write_recording(
+        path,
+        log,
+        robot,
+        {result.filter: result.trajectory for result in results},
+        prediction,
+        bounds,
+        plan(job.scenario, robot, job.seed, job.effects, job.declared).ground,
+        force=True,
     )

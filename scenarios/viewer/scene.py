@@ -1,6 +1,7 @@
-"""The 3-D half of a recording: robot, footprints, and where each estimator thinks it is."""
+"""The 3-D half of a recording: ground, robot, footprints, and each estimator's pose."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -13,10 +14,20 @@ from surefoot.scenarios.reporting.palette import (
     TRUTH,
     estimator_color,
     estimator_label,
+    friction_color,
     rgba,
 )
-from surefoot.scenarios.viewer.robot_shapes import link_poses, link_shapes, rerun_quaternion
+from surefoot.scenarios.viewer.shapes import (
+    geom_shapes,
+    height_field,
+    link_poses,
+    link_shapes,
+    rerun_quaternion,
+)
 from surefoot.sim.common.stamps import rows_every
+from surefoot.sim.ground.height_map import height
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.ground.tiles import add_ground
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.walking.truth import SLIPPING
@@ -24,6 +35,7 @@ from surefoot.sim.walking.truth import SLIPPING
 POSE_RATE = 50.0  # Hz
 _ELLIPSOID_RATE = 5.0  # Hz
 _PIECE = 5  # samples of a trail that appear at once
+_FLOOR_MARGIN = 2.0  # m of floor around the walk
 _FOOTPRINT = (0x2B, 0x2B, 0x2B, 255)
 
 
@@ -37,6 +49,42 @@ def time_column(t: np.ndarray) -> rr.TimeColumn:
 def estimate_path(name: str) -> str:
     """The entity of an estimator in the scene; any name will do."""
     return f"world/estimates/{rr.escape_entity_path_part(name)}"
+
+
+def write_ground(
+    stream: rr.RecordingStream, corners: tuple[np.ndarray, np.ndarray], ground: Ground
+) -> None:
+    """The ground at /world/ground/friction_<mu>/..., and a label on each patch.
+
+    Args:
+        stream: the recording.
+        corners: lower and upper (3,) corner of the walk, m; the floor ends a little beyond it.
+        ground: as it was walked on, after its seed drew patches and bumps.
+    """
+    reach = float(np.abs(np.concatenate([c[:2] for c in corners])).max())
+    strips = [abs(edge) for strip in ground.strips for edge in strip.rectangle]
+    half = min(ground.half_size, max(reach, *strips, 0.0) + _FLOOR_MARGIN)
+    spec = mujoco.MjSpec()
+    add_ground(spec, replace(ground, half_size=half))  # the very tiles of the walk's world
+    model = spec.compile()
+    frictions = np.round(model.geom_friction[:, 0], 2)
+    for mu in np.unique(frictions):
+        alike = np.flatnonzero(frictions == mu)
+        root, color = f"world/ground/friction_{mu:.2f}", rgba(friction_color(mu))
+        for name, shape in geom_shapes(model, alike, color):
+            stream.log(f"{root}/{name}", shape, static=True)
+        for geom in alike[model.geom_type[alike] == mujoco.mjtGeom.mjGEOM_HFIELD]:
+            stream.log(f"{root}/field_{geom}", height_field(model, int(geom), color), static=True)
+    for k, patch in enumerate(ground.patches):
+        above = height(ground.relief, patch.center_x, patch.center_y) + 0.02
+        label = rr.Points3D(
+            [[patch.center_x, patch.center_y, above]],
+            colors=[rgba(friction_color(patch.mu))],
+            radii=[0.02],
+            labels=[f"friction {patch.mu:.2f}"],
+            show_labels=True,
+        )
+        stream.log(f"world/ground/patch_{k}", label, static=True)
 
 
 def write_robot(stream: rr.RecordingStream, log: Log, robot: Robot) -> None:
@@ -72,7 +120,7 @@ def write_footprints(stream: rr.RecordingStream, log: Log, robot: Robot) -> None
     feet_G = log.ref_p[:, None] + np.einsum("nij,nlj->nli", log.ref_R_GI, robot.feet_I(log.q))
     slip = log.slip if log.has("truth") else np.zeros(contact.shape)
     points, slipped = [], []
-    for leg in range(4):
+    for leg in range(contact.shape[1]):
         starts, ends = stances(contact[:, leg])
         for start, end in zip(starts, ends, strict=True):
             if t[end - 1] - t[start] > 0.05:
@@ -102,8 +150,8 @@ def write_truth_path(stream: rr.RecordingStream, log: Log) -> None:
 def write_estimates(
     stream: rr.RecordingStream, errors: Mapping[str, ErrorSeries], robot: Robot, size: np.ndarray
 ) -> None:
-    """Each estimator's path, a box the size of the trunk that moves where it thinks it is, and the
-    ellipsoid of three standard deviations of its position.
+    """Each estimator's path, a box of the trunk's size at its estimated pose, and the ellipsoid of
+    three standard deviations of its position.
 
     Args:
         stream: the recording.
@@ -129,7 +177,7 @@ def write_estimates(
 def _write_ellipsoid(
     stream: rr.RecordingStream, path: str, error: ErrorSeries, covariance: np.ndarray, color: str
 ) -> None:
-    """Where the estimator is nearly sure to be, by its own account: semi-axes of three sigma."""
+    """The estimator's own position uncertainty: semi-axes of three sigma."""
     rows = rows_every(error.t, 1.0 / _ELLIPSOID_RATE)
     variance, axes = np.linalg.eigh(covariance[rows])
     axes[np.linalg.det(axes) < 0.0, :, 0] *= -1.0

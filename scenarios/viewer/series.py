@@ -12,16 +12,16 @@ from surefoot.estimator.evaluation.trajectory import UpdateRecord
 from surefoot.scenarios.estimate.error_series import ErrorSeries
 from surefoot.scenarios.reporting.palette import (
     BOUNDS,
-    LEG_COLORS,
     OBSERVER,
     OUTSIDE,
     TRUTH,
     estimator_color,
     estimator_label,
+    leg_color,
     rgba,
 )
 from surefoot.scenarios.viewer.scene import time_column
-from surefoot.sim.log import LEGS, Log, reference_velocity
+from surefoot.sim.log import Log, reference_velocity
 from surefoot.sim.walking.truth import SLIPPING
 
 if TYPE_CHECKING:
@@ -75,28 +75,17 @@ def write_errors(stream: rr.RecordingStream, errors: Mapping[str, ErrorSeries]) 
         label, color = estimator_label(name), estimator_color(name)
         _line(stream, f"distance/{part}/error", error.t, error.distance, label, color, 2.0)
         if error.distance_sigma is not None:
-            bound = 3.0 * error.distance_sigma
-            _line(
-                stream,
-                f"distance/{part}/three_sigma",
-                error.t,
-                bound,
-                f"{label} 3σ",
-                color,
-                1.0,
-                0.5,
-            )
-        degrees = np.degrees(error.attitude)
-        sigma = None if error.attitude_sigma is None else np.degrees(error.attitude_sigma)
-        for k in range(3):
-            _error_with_sigma(
-                stream, f"position_error/{AXES[k]}/{part}", error.t, error.position[:, k],
-                None if error.position_sigma is None else error.position_sigma[:, k], label, color,
-            )  # fmt: skip
-            _error_with_sigma(
-                stream, f"attitude_error/{ANGLES[k]}/{part}", error.t, degrees[:, k],
-                None if sigma is None else sigma[:, k], label, color,
-            )  # fmt: skip
+            root, sigma = f"distance/{part}/three_sigma", error.distance_sigma
+            _line(stream, root, error.t, 3.0 * sigma, f"{label} 3σ", color, 1.0, 0.5)
+        for kind, names, values, sigma, scale in (
+            ("position_error", AXES, error.position, error.position_sigma, 1.0),
+            ("attitude_error", ANGLES, error.attitude, error.attitude_sigma, 180.0 / np.pi),
+        ):
+            for k, axis in enumerate(names):
+                root = f"{kind}/{axis}/{part}"
+                _line(stream, f"{root}/error", error.t, scale * values[:, k], label, color, 2.0)
+                if sigma is not None:
+                    _band(stream, root, error.t, 3.0 * (scale * sigma[:, k]), f"{label} ±3σ", color)
 
 
 def write_update(
@@ -116,7 +105,7 @@ def write_feet(stream: rr.RecordingStream, log: Log) -> None:
     """Contact lanes by foot, and, where the log knows the truth, slip speed by foot."""
     t, contact = log.t, log.contact
     slip = log.slip if log.has("truth") else None
-    for k, leg in enumerate(LEGS):
+    for k, leg in enumerate(log.legs):
         state = contact[:, k].astype(int)
         if slip is not None:
             state = np.where(contact[:, k] & (slip[:, k] > SLIPPING), 2, state)
@@ -124,7 +113,7 @@ def write_feet(stream: rr.RecordingStream, log: Log) -> None:
         path = f"feet/contact/{leg}"
         style = rr.StateConfiguration(
             values=["swing", "stance", "slipping"],
-            colors=[rgba(TRUTH), rgba(LEG_COLORS[leg]), rgba(OUTSIDE)],
+            colors=[rgba(TRUTH), rgba(leg_color(leg)), rgba(OUTSIDE)],
             visible=[False, True, True],
         )
         stream.log(path, style, static=True)
@@ -138,18 +127,13 @@ def write_feet(stream: rr.RecordingStream, log: Log) -> None:
             step = max(1, round(log.rate / SERIES_RATE))
             starts = np.arange(0, len(t), step)
             peak = np.maximum.reduceat(slip[:, k], starts)
-            _line(stream, f"feet/slip/{leg}", t[starts], peak, leg, LEG_COLORS[leg], 1.5)
+            _line(stream, f"feet/slip/{leg}", t[starts], peak, leg, leg_color(leg), 1.5)
 
 
-def _error_with_sigma(stream, root, t, error, sigma, label, color) -> None:
-    _line(stream, f"{root}/error", t, error, label, color, 2.0)
-    if sigma is None:
-        return
-    style = rr.SeriesLines(
-        colors=[rgba(color, 0.5)] * 2, widths=[1.0] * 2, names=[f"{label} ±3σ"] * 2
-    )
+def _band(stream, root, t, half, name, color) -> None:
+    style = rr.SeriesLines(colors=[rgba(color, 0.5)] * 2, widths=[1.0] * 2, names=[name] * 2)
     stream.log(f"{root}/three_sigma", style, static=True)
-    both = np.stack([3.0 * sigma, -3.0 * sigma], axis=1)
+    both = np.stack([half, -half], axis=1)
     columns = rr.Scalars.columns(scalars=both.ravel()).partition(np.full(len(t), 2))
     stream.send_columns(f"{root}/three_sigma", indexes=[time_column(t)], columns=columns)
 

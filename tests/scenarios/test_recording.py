@@ -13,8 +13,8 @@ from rerun.chunk import RrdReader
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
 from surefoot.scenarios.reporting.palette import estimator_color, friction_color
 from surefoot.scenarios.viewer.recording import write_recording
-from surefoot.scenarios.viewer.robot_shapes import geom_shapes
 from surefoot.scenarios.viewer.scene import write_estimates
+from surefoot.scenarios.viewer.shapes import geom_shapes
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import matrix_from_quaternion
 from surefoot.sim.ground.terrain import Ground

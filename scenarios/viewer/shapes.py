@@ -1,7 +1,8 @@
-"""A MuJoCo model as rerun shapes: what each link looks like, and where it is."""
+"""A MuJoCo model as rerun shapes: geoms, meshes and height fields, and where each link is."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -10,6 +11,15 @@ import rerun as rr
 from surefoot.sim.common.quaternion import matrix_from_quaternion, quaternion_from_matrix
 
 _GEOM = mujoco.mjtGeom
+_Sizes = Callable[[np.ndarray], dict[str, Any]]
+_PRIMITIVES: dict[mujoco.mjtGeom, tuple[Any, _Sizes]] = {
+    _GEOM.mjGEOM_BOX: (rr.Boxes3D, lambda s: {"half_sizes": s}),
+    _GEOM.mjGEOM_SPHERE: (rr.Ellipsoids3D, lambda s: {"half_sizes": s[:, [0, 0, 0]]}),
+    _GEOM.mjGEOM_ELLIPSOID: (rr.Ellipsoids3D, lambda s: {"half_sizes": s}),
+    _GEOM.mjGEOM_CYLINDER: (rr.Cylinders3D, lambda s: {"radii": s[:, 0], "lengths": 2.0 * s[:, 1]}),
+    _GEOM.mjGEOM_CAPSULE: (rr.Capsules3D, lambda s: {"radii": s[:, 0], "lengths": 2.0 * s[:, 1]}),
+}
+"""Kinds of geom: rerun's archetype, and its sizes by those of the geoms (n, 3)."""
 _COLLISION_GROUP = 3  # MuJoCo's viewers hide groups 3 and up
 _DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0], dtype=np.float32)
 _DEFAULT_COLOR = (96, 104, 114, 255)
@@ -80,16 +90,28 @@ def geom_shapes(
     model: mujoco.MjModel, geoms: np.ndarray, color: tuple[int, int, int, int] | None = None
 ) -> Iterator[tuple[str, rr.AsComponents]]:
     """(entity name, archetype) for the geoms, in their body's frame; planes are left out."""
-    for kind, build in _BUILDERS.items():
-        of_kind = geoms[model.geom_type[geoms] == kind]
-        if len(of_kind):
-            yield kind.name.removeprefix("mjGEOM_").lower(), build(model, of_kind, color)
+    for kind, (archetype, sizes) in _PRIMITIVES.items():
+        mine = geoms[model.geom_type[geoms] == kind]
+        if len(mine):
+            name = kind.name.removeprefix("mjGEOM_").lower()
+            place, R = model.geom_pos[mine], matrix_from_quaternion(model.geom_quat[mine])
+            if archetype is rr.Capsules3D:
+                # Rerun's capsule starts at its origin where MuJoCo's is centred on it.
+                place = {"translations": place - model.geom_size[mine, 1, None] * R[:, :, 2]}
+            else:
+                place = {"centers": place}
+            yield (
+                name,
+                archetype(
+                    **sizes(model.geom_size[mine]),
+                    **place,
+                    quaternions=rerun_quaternion(R),
+                    colors=[color or _geom_color(model, int(geom)) for geom in mine],
+                    fill_mode="solid",
+                ),
+            )
     for geom in geoms[model.geom_type[geoms] == _GEOM.mjGEOM_MESH]:
         yield f"mesh_{geom}", _mesh(model, int(geom), color)
-
-
-def _colors(model, geoms, color) -> list[tuple[int, int, int, int]]:
-    return [color or _geom_color(model, int(geom)) for geom in geoms]
 
 
 def _geom_color(model: mujoco.MjModel, geom: int) -> tuple[int, int, int, int]:
@@ -99,62 +121,6 @@ def _geom_color(model: mujoco.MjModel, geom: int) -> tuple[int, int, int, int]:
         return _DEFAULT_COLOR
     r, g, b, a = (round(255 * float(value)) for value in rgba)
     return r, g, b, a
-
-
-def _placement(model, geoms) -> dict:
-    return {
-        "centers": model.geom_pos[geoms],
-        "quaternions": rerun_quaternion(matrix_from_quaternion(model.geom_quat[geoms])),
-        "fill_mode": "solid",
-    }
-
-
-def _boxes(model, geoms, color) -> rr.Boxes3D:
-    return rr.Boxes3D(
-        half_sizes=model.geom_size[geoms],
-        colors=_colors(model, geoms, color),
-        **_placement(model, geoms),
-    )
-
-
-def _spheres(model, geoms, color) -> rr.Ellipsoids3D:
-    return rr.Ellipsoids3D(
-        half_sizes=np.repeat(model.geom_size[geoms, :1], 3, axis=1),
-        colors=_colors(model, geoms, color),
-        **_placement(model, geoms),
-    )
-
-
-def _ellipsoids(model, geoms, color) -> rr.Ellipsoids3D:
-    return rr.Ellipsoids3D(
-        half_sizes=model.geom_size[geoms],
-        colors=_colors(model, geoms, color),
-        **_placement(model, geoms),
-    )
-
-
-def _cylinders(model, geoms, color) -> rr.Cylinders3D:
-    return rr.Cylinders3D(
-        radii=model.geom_size[geoms, 0],
-        lengths=2.0 * model.geom_size[geoms, 1],
-        colors=_colors(model, geoms, color),
-        **_placement(model, geoms),
-    )
-
-
-def _capsules(model, geoms, color) -> rr.Capsules3D:
-    """Rerun's capsule starts at its origin where MuJoCo's is centred on it."""
-    placement = _placement(model, geoms)
-    axis = matrix_from_quaternion(model.geom_quat[geoms])[:, :, 2]
-    half_length = model.geom_size[geoms, 1, None]
-    return rr.Capsules3D(
-        radii=model.geom_size[geoms, 0],
-        lengths=2.0 * model.geom_size[geoms, 1],
-        translations=placement["centers"] - half_length * axis,
-        quaternions=placement["quaternions"],
-        colors=_colors(model, geoms, color),
-        fill_mode="solid",
-    )
 
 
 def _mesh(model: mujoco.MjModel, geom: int, color) -> rr.Mesh3D:
@@ -176,10 +142,27 @@ def _mesh(model: mujoco.MjModel, geom: int, color) -> rr.Mesh3D:
     )
 
 
-_BUILDERS = {
-    _GEOM.mjGEOM_BOX: _boxes,
-    _GEOM.mjGEOM_SPHERE: _spheres,
-    _GEOM.mjGEOM_ELLIPSOID: _ellipsoids,
-    _GEOM.mjGEOM_CYLINDER: _cylinders,
-    _GEOM.mjGEOM_CAPSULE: _capsules,
-}
+def height_field(model: mujoco.MjModel, geom: int, color: tuple[int, int, int, int]) -> rr.Mesh3D:
+    """A height field as a mesh: two triangles a cell, cut as MuJoCo cuts them."""
+    field = int(model.geom_dataid[geom])
+    rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
+    size_x, size_y, size_z, _ = model.hfield_size[field]
+    start = int(model.hfield_adr[field])
+    z = size_z * model.hfield_data[start : start + rows * columns].reshape(rows, columns)
+    x, y = np.meshgrid(np.linspace(-size_x, size_x, columns), np.linspace(-size_y, size_y, rows))
+    slope_y, slope_x = np.gradient(z, y[:, 0], x[0])
+    normals = np.stack([-slope_x, -slope_y, np.ones_like(z)], axis=-1).reshape(-1, 3)
+    corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
+    right, above, across = corner + 1, corner + columns, corner + columns + 1
+    triangles = np.concatenate(
+        [np.stack([corner, right, across], axis=1), np.stack([corner, across, above], axis=1)]
+    )
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    R = matrix_from_quaternion(model.geom_quat[geom])
+    vertices = np.stack([x, y, z], axis=-1).reshape(-1, 3) @ R.T + model.geom_pos[geom]
+    return rr.Mesh3D(
+        vertex_positions=vertices.astype(np.float32),
+        vertex_normals=(normals @ R.T).astype(np.float32),
+        triangle_indices=triangles,
+        albedo_factor=color,
+    )
