@@ -40,7 +40,8 @@ study: setup
 
 # The architectures compared over seeds, on both suites; killed, it goes on where it was.
 study-observer: setup
-	$(BIN)/python -m surefoot.scenarios.studies.observers -o out/observer_study
+	$(BIN)/python -m surefoot.scenarios.studies.observers -o out/observer_study \
+		--data docs/data/observers --page docs/results/observers.md
 
 # Undeclared effects of the whole catalogue, traced blind; killed, it goes on where it was.
 study-trace: setup

@@ -176,17 +176,29 @@ class Walking:
     seeds: int = 5
     """Seeds of each course, from 0."""
     workers: Workers = 1
+    data: Path | None = None
+    """Folder of finished walks, which are not walked again; `walks` in the output if left out."""
+    page: Path | None = None
+    """Page of results to write as well, such as docs/results/walking.md."""
     force: Force = False
 
     def run(self) -> None:
-        from surefoot.scenarios.reporting.progress import percent_bar
         from surefoot.scenarios.studies.walking.study import report, walking_study
 
-        with percent_bar("walking") as tell:
-            walks = walking_study(
-                self.out, self.robot, self.course, self.seeds, self.workers, tell, self.force
+        print(
+            report(
+                walking_study(
+                    self.out,
+                    self.robot,
+                    self.course,
+                    self.seeds,
+                    self.workers,
+                    self.data,
+                    self.page,
+                    self.force,
+                )
             )
-        print(report(walks))
+        )
         print(f"table: {self.out / 'walking.md'}")
 
 
@@ -241,19 +253,10 @@ class Bench:
     """Times that each pair runs in turn; the shortest counts."""
     only: UseAppendAction[tuple[str, ...]] = ()
     """Items to run; all where left out."""
+    page: Path | None = None
+    """Page of results to write as well, such as docs/results/bench.md."""
 
     def run(self) -> None:
-        from surefoot.scenarios.reporting.progress import percent_bar
-        from surefoot.scenarios.reporting.tables import to_markdown
-        from surefoot.scenarios.studies.bench.run import ITEMS
+        from surefoot.scenarios.studies.bench.run import bench
 
-        for name in self.only:
-            if name not in ITEMS:
-                raise SurefootError(f"--only {name}: known are {', '.join(ITEMS)}")
-        if self.rounds < 1:
-            raise SurefootError(f"--rounds {self.rounds}: at least 1")
-        rows = []
-        for name in self.only or ITEMS:
-            with percent_bar(name) as tell:
-                rows += [ratio.as_row() for ratio in ITEMS[name](self.rounds, tell)]
-        print(to_markdown(rows))
+        print(bench(self.rounds, self.only, self.page))

@@ -1,11 +1,11 @@
-"""Which network observes best? Each of them, on both suites, over seeds: `make study-observer`.
+"""Every architecture of the observer compared, on both suites, over seeds: `make study-observer`.
 
 Each suite trains on one sequence, as in the paper, and is tested on two courses of other ground.
 Everything is kept in the folder: walks, and a row for each training. Killed, it goes on from there.
 """
 
-import json
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from time import process_time
 from typing import Annotated
@@ -21,13 +21,22 @@ from surefoot.models.observer.training import Schedule, train
 from surefoot.models.registry import ARCHITECTURES
 from surefoot.scenarios.datasets.simulate import simulate_all
 from surefoot.scenarios.estimate.registry import declared_model
-from surefoot.scenarios.reporting.tables import to_csv, to_markdown
+from surefoot.scenarios.reporting.html import Section
+from surefoot.scenarios.reporting.tables import to_markdown
+from surefoot.scenarios.studies.cases import finished_case
+from surefoot.scenarios.studies.pages import origin_of, write_page, write_results
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import bundled, whole_file
+from surefoot.sim.common.files import bundled
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
 COURSES = bundled("surefoot.scenarios", "courses")
+MODULE = "surefoot.scenarios.studies.observers"
+TITLE = "Observers compared"
+PROSE = (
+    "Each architecture is trained on one walk of a suite and tested on two others. Root mean "
+    "square errors, mean and standard deviation over seeds."
+)
 AXES = ("forward", "lateral", "vertical", "all")
 
 
@@ -55,6 +64,10 @@ class Options:
     steps: int = Schedule.steps
     """Steps of training, the same for all."""
     loss: str = "mse"
+    data: Path | None = None
+    """Folder of finished trainings; `trainings` in the output where left out."""
+    page: Path | None = None
+    """Page of results to write as well, such as docs/results/observers.md."""
 
 
 def study(options: Options) -> pd.DataFrame:
@@ -68,17 +81,21 @@ def study(options: Options) -> pd.DataFrame:
     ]
     rows = []
     for suite, model, seed in tqdm(tasks, desc="architectures", unit="training"):
-        name = f"{suite}_{model}_{options.loss}_{options.steps}_{seed}"
-        path = options.out / "trainings" / f"{name}.json"
-        if not path.exists():
-            row = _trained_and_tested(logs[suite], SUITES[suite], model, seed, options)
-            with whole_file(path) as temporary:
-                temporary.write_text(json.dumps({"suite": suite, "model": model} | row, indent=1))
-        rows.append(json.loads(path.read_text()))
+        inputs = {"suite": suite, "model": model, "seed": seed}
+        inputs |= {"loss": options.loss, "steps": options.steps}
+        row = finished_case(
+            options.data or options.out / "trainings",
+            "_".join(map(str, inputs.values())),
+            inputs | {"logs": [log.name for log in logs[suite].values()]},
+            MODULE,
+            partial(_trained_and_tested, logs[suite], SUITES[suite], model, seed, options),
+        )
+        rows.append({"suite": suite, "model": model} | row)
     table = summary(pd.DataFrame(rows))
-    for file, text in (("table.md", to_markdown(table, 4) + "\n"), ("table.csv", to_csv(table))):
-        with whole_file(options.out / file, force=True) as temporary:
-            temporary.write_text(text)
+    section = Section("Errors on two courses that no network was trained on", PROSE, table)
+    write_results(options.out, TITLE, [section], {"table": table}, force=True)
+    if options.page:
+        write_page(options.page, TITLE, [section], origin_of(MODULE, "make study-observer"))
     return table
 
 

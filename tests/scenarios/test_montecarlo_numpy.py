@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surefoot.estimator.box import box_moments
-from surefoot.scenarios.studies.bench.montecarlo import montecarlo_rows
+from surefoot.scenarios.studies.bench.run import montecarlo_rows
 from surefoot.scenarios.studies.montecarlo.numpy_reference import numpy_moments, numpy_trial
 from surefoot.scenarios.studies.montecarlo.settings import BIASED, load_study
 from surefoot.scenarios.studies.montecarlo.study import Setting, run_trials

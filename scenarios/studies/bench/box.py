@@ -14,7 +14,7 @@ Boxes = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 TARGET = 15.0
 
 
-def box_rows(rounds: int, tell: Progress | None = None) -> list[Ratio]:
+def box_rows(rounds: int, progress: Progress | None = None) -> list[Ratio]:
     """A line for each kind of box: the time of all its boxes, ours and the samples'."""
     kinds = box_kinds(np.random.default_rng(4), _BOXES)
     rows = []
@@ -25,7 +25,7 @@ def box_rows(rounds: int, tell: Progress | None = None) -> list[Ratio]:
             lambda boxes=boxes, ours=ours: run_ours(*boxes, *ours),
             lambda boxes=boxes, shifts=shifts, theirs=theirs: run_qmc(*boxes, shifts, *theirs),
             rounds,
-            part_of(tell, number, len(kinds)),
+            part_of(progress, number, len(kinds)),
         )
         note = f"{1e6 * fast / _BOXES:.1f} us a box"
         if name == "ordinary":

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from surefoot.estimator.core.lie import hat
 from surefoot.estimator.core.propagation import propagate
 from surefoot.estimator.core.state import EXTRA, FilterNoise, NavState
 from surefoot.estimator.filter import InvariantFilter
@@ -18,6 +19,7 @@ from surefoot.scenarios.studies.bench.ratio import Progress, Ratio, in_turn
 from surefoot.scenarios.studies.montecarlo.qmc import ordinary_boxes, qmc_moments
 from surefoot.scenarios.studies.montecarlo.settings import UNBIASED, load_study
 from surefoot.scenarios.studies.montecarlo.trials import make_trials, true_motion
+from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
 
 SAMPLES, GAMMA, STEPS = 1000, 0.8, 200
@@ -34,7 +36,7 @@ def trial(steps: int = STEPS):
     return study, truth, trials
 
 
-def coverage_row(rounds: int, tell: Progress | None = None) -> Ratio:
+def coverage_row(rounds: int, progress: Progress | None = None) -> Ratio:
     """Predict and coverage update, compiled, against the same two with sampled moments."""
     study, truth, trials = trial()
     noise = FilterNoise(study.imu.gyro, study.imu.accel, 0.0, 0.0).packed()
@@ -44,11 +46,11 @@ def coverage_row(rounds: int, tell: Progress | None = None) -> Ratio:
 
     def run(samples: int):
         mean, covariance = trials.means[0].copy(), trials.covariance.copy()
-        walk(truth.t, trials.gyro[0], trials.accel[0], trials.v_I[0], epsilon, mean, covariance,
-             noise, shifts, samples)  # fmt: skip
+        log = truth.t, trials.gyro[0], trials.accel[0], trials.v_I[0]
+        walk(*log, epsilon, mean, covariance, noise, shifts, samples)
         return mean
 
-    ours, theirs = in_turn(lambda: run(0), lambda: run(SAMPLES), rounds, tell)
+    ours, theirs = in_turn(lambda: run(0), lambda: run(SAMPLES), rounds, progress)
     return Ratio(
         "predict + coverage update",
         f"the same filter with QMC, N = {SAMPLES}",
@@ -91,7 +93,7 @@ def sampled_update(mean, covariance, v_I, epsilon, samples: int, shift):
         lift(mean, covariance, 0, PHt, S, alpha * z_mean, z_cov)
 
 
-def step_row(rounds: int, tell: Progress | None = None) -> Ratio:
+def step_row(rounds: int, progress: Progress | None = None) -> Ratio:
     """Observer, predict and coverage update, a Python call each, against the sampling alone."""
     study, _, trials = trial()
     loop = Loop(untrained_observer())
@@ -115,7 +117,7 @@ def step_row(rounds: int, tell: Progress | None = None) -> Ratio:
         for box in boxes:
             qmc_moments(*box, SAMPLES, shift, mean, cov)
 
-    fast, slow = in_turn(ours, theirs, rounds, tell)
+    fast, slow = in_turn(ours, theirs, rounds, progress)
     return Ratio(
         "whole step from Python: observer + predict + coverage",
         f"QMC, N = {SAMPLES}, alone",
@@ -131,16 +133,28 @@ def untrained_observer(inputs: int = 36) -> Observer:
     network = Network("gru", inputs, 3, width)
     network.initialise(torch.Generator().manual_seed(0))
     return Observer(
-        model="gru", width=width, weights=network.state_dict(), inputs=("q", "dq", "tau"),
+        model="gru",
+        width=width,
+        weights=network.state_dict(),
+        inputs=("q", "dq", "tau"),
         joints=tuple(f"joint_{k}" for k in range(inputs // 3)),
-        input_mean=np.zeros(inputs), input_scale=np.ones(inputs),
-        output_mean=np.zeros(3), output_scale=np.ones(3), robot="none", p_BI=np.zeros(3),
-        R_BI=np.eye(3), loss="mse", logs=(), seed=0, rate=100.0, rmse=np.ones(3),
+        input_mean=np.zeros(inputs),
+        input_scale=np.ones(inputs),
+        output_mean=np.zeros(3),
+        output_scale=np.ones(3),
+        robot="none",
+        p_BI=np.zeros(3),
+        R_BI=np.eye(3),
+        loss="mse",
+        logs=(),
+        seed=0,
+        rate=100.0,
+        rmse=np.ones(3),
         errors=np.zeros((1, 3)),
-    )  # fmt: skip
+    )
 
 
-def gtsam_row(rounds: int, tell: Progress | None = None) -> Ratio:
+def gtsam_row(rounds: int, progress: Progress | None = None) -> Ratio:
     """Predict and Gaussian velocity update, one sample at a time from Python, against gtsam."""
     what, against = "predict + velocity update from Python", "gtsam NavStateImuEKF"
     try:
@@ -148,7 +162,7 @@ def gtsam_row(rounds: int, tell: Progress | None = None) -> Ratio:
     except ImportError:
         return Ratio(what, against, None, 5.0, 'gtsam is not installed: pip install ".[bench]"')
     ours, theirs = velocity_filter(), gtsam_filter(gtsam)
-    fast, slow = in_turn(ours, theirs, rounds, tell)
+    fast, slow = in_turn(ours, theirs, rounds, progress)
     note = f"{1e6 * fast / LONG:.1f} against {1e6 * slow / LONG:.1f} us a step; gtsam's state has "
     return Ratio(what, against, slow / fast, 5.0, note + "no biases (9 errors), ours has (15)")
 
@@ -181,7 +195,7 @@ def velocity_filter():
 def gtsam_filter(gtsam):
     """The same of gtsam's filter; its errors are (rotation, position, velocity) in the body."""
     study, _, trials = trial(LONG)
-    params = gtsam.PreintegrationParams.MakeSharedU(9.81)
+    params = gtsam.PreintegrationParams.MakeSharedU(GRAVITY)
     params.setGyroscopeCovariance(study.imu.gyro**2 * np.eye(3))
     params.setAccelerometerCovariance(study.imu.accel**2 * np.eye(3))
     params.setIntegrationCovariance(1e-12 * np.eye(3))
@@ -193,7 +207,7 @@ def gtsam_filter(gtsam):
     for row, column, lever in ((0, 0, None), (3, 6, start[4]), (6, 3, start[3])):
         T[row : row + 3, column : column + 3] = -start[:3].T
         if lever is not None:
-            T[row : row + 3, :3] = start[:3].T @ _hat(lever)
+            T[row : row + 3, :3] = start[:3].T @ hat(lever)
     covariance = T @ trials.covariance[:9, :9] @ T.T
     gyro, accel = trials.gyro[0] - study.imu.bias_gyro, trials.accel[0] - study.imu.bias_accel
     v_I = trials.v_I[0]
@@ -211,7 +225,3 @@ def gtsam_filter(gtsam):
         return f.state().bodyVelocity()
 
     return run
-
-
-def _hat(x: np.ndarray) -> np.ndarray:
-    return np.array([[0.0, -x[2], x[1]], [x[2], 0.0, -x[0]], [-x[1], x[0], 0.0]])

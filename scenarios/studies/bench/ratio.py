@@ -39,7 +39,7 @@ def in_turn(
     ours: Callable[[], object],
     theirs: Callable[[], object],
     rounds: int,
-    tell: Progress | None = None,
+    progress: Progress | None = None,
 ) -> tuple[float, float]:
     """Smallest times [s] of the two, run in turn `rounds` times after once to warm up."""
     times: list[tuple[float, float]] = []
@@ -49,13 +49,13 @@ def in_turn(
         between = perf_counter()
         theirs()
         times.append((between - now, perf_counter() - between))
-        if tell:
-            tell((i + 1) / (rounds + 1))
+        if progress:
+            progress((i + 1) / (rounds + 1))
     return min(a for a, _ in times[1:]), min(b for _, b in times[1:])
 
 
-def part_of(tell: Progress | None, part: int, parts: int) -> Progress | None:
-    """`tell` for one part of several."""
-    if tell is None:
+def part_of(progress: Progress | None, part: int, parts: int) -> Progress | None:
+    """`progress` for one part of several."""
+    if progress is None:
         return None
-    return lambda share: tell((part + share) / parts)
+    return lambda share: progress((part + share) / parts)

@@ -4,20 +4,62 @@ A and B run in turn, so that both see the same machine; the smallest time of eit
 """
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
+
+from surefoot.scenarios.reporting.html import Section
+from surefoot.scenarios.reporting.progress import percent_bar
+from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.scenarios.studies.bench.box import box_rows
 from surefoot.scenarios.studies.bench.filter import coverage_row, gtsam_row, step_row
-from surefoot.scenarios.studies.bench.montecarlo import montecarlo_rows
-from surefoot.scenarios.studies.bench.ratio import Progress, Ratio, in_turn
+from surefoot.scenarios.studies.bench.ratio import Progress, Ratio, in_turn, part_of
 from surefoot.scenarios.studies.bench.walking import race
+from surefoot.scenarios.studies.montecarlo.numpy_reference import numpy_trial
+from surefoot.scenarios.studies.montecarlo.settings import BIASED, load_study
+from surefoot.scenarios.studies.montecarlo.study import Setting, run_trials
+from surefoot.scenarios.studies.montecarlo.trials import make_trials, true_motion
+from surefoot.scenarios.studies.pages import origin_of, write_page
+from surefoot.sim.common.errors import SurefootError
+
+_TRIALS, _DURATION = 40, 4.0
 
 
-def walking(rounds: int, tell: Progress | None = None, robots: int = 4, threads: int = 0) -> Ratio:
+def montecarlo_rows(rounds: int, progress: Progress | None = None) -> list[Ratio]:
+    """Four seconds of 40 trials on one core, against one trial in numpy; a line a filter."""
+    study = replace(load_study(), duration=_DURATION)
+    truth = true_motion(study)
+    seeds = np.random.SeedSequence(11).spawn(_TRIALS)
+    trials = make_trials(study, truth, BIASED.test, seeds)
+    settings = {
+        "EKF": Setting("velocity", R=np.diag(study.noise_std**2)),
+        "coverage": Setting("coverage", epsilon=1.8 * study.noise_std, gamma=0.8),
+    }
+    rows = []
+    for number, (name, setting) in enumerate(settings.items()):
+        batch, one = in_turn(
+            lambda setting=setting: run_trials(study, truth, trials, setting),
+            lambda setting=setting: numpy_trial(study, truth, trials, 0, setting),
+            rounds,
+            part_of(progress, number, len(settings)),
+        )
+        note = (
+            f"{1e3 * batch / _TRIALS:.2f} against {1e3 * one:.0f} ms a trial of {_DURATION:.0f} s"
+        )
+        what = f"Monte-Carlo study, {name}"
+        rows.append(Ratio(what, "one trial at a time in numpy", one * _TRIALS / batch, 30.0, note))
+    return rows
+
+
+def walking(
+    rounds: int, progress: Progress | None = None, robots: int = 4, threads: int = 0
+) -> Ratio:
     """Simulated walking against `mujoco.rollout` of the recorded controls; threads 0: all cores."""
     threads = threads or os.cpu_count() or 1
     pair = race(robots, threads)
-    ours, theirs = in_turn(pair.walk, pair.replay, rounds, tell)
+    ours, theirs = in_turn(pair.walk, pair.replay, rounds, progress)
     return Ratio(
         what=f"walking, {robots} robots on {threads} threads, controller and sensors included",
         against="mujoco.rollout of the same controls, same states",
@@ -30,9 +72,34 @@ def walking(rounds: int, tell: Progress | None = None, robots: int = 4, threads:
 
 ITEMS: dict[str, Callable[[int, Progress | None], list[Ratio]]] = {
     "box": box_rows,
-    "coverage": lambda rounds, tell: [coverage_row(rounds, tell)],
-    "step": lambda rounds, tell: [step_row(rounds, tell)],
-    "gtsam": lambda rounds, tell: [gtsam_row(rounds, tell)],
+    "coverage": lambda rounds, progress: [coverage_row(rounds, progress)],
+    "step": lambda rounds, progress: [step_row(rounds, progress)],
+    "gtsam": lambda rounds, progress: [gtsam_row(rounds, progress)],
     "montecarlo": montecarlo_rows,
-    "walking": lambda rounds, tell: [walking(rounds, tell)],
+    "walking": lambda rounds, progress: [walking(rounds, progress)],
 }
+
+
+def bench(rounds: int, only: Sequence[str] = (), page: Path | None = None) -> str:
+    """Run the items (all where `only` names none); returns the table in Markdown.
+
+    Raises SurefootError for an unknown item or no round; writes the page of results where named.
+    """
+    for name in only:
+        if name not in ITEMS:
+            raise SurefootError(f"--only {name}: known are {', '.join(ITEMS)}")
+    if rounds < 1:
+        raise SurefootError(f"--rounds {rounds}: at least 1")
+    rows = []
+    for name in only or ITEMS:
+        with percent_bar(name) as progress:
+            rows += [ratio.as_row() for ratio in ITEMS[name](rounds, progress)]
+    if page:
+        text = (
+            "Each ratio is taken in one run, ours and its peer in turn, the smallest time of "
+            f"{rounds} rounds counting. gtsam is the extra `bench`."
+        )
+        write_page(
+            page, "Speed", [Section("Ratios", text, rows)], origin_of(__name__, "surefoot bench")
+        )
+    return to_markdown(rows)

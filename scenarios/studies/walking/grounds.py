@@ -19,9 +19,11 @@ def grounds_for(robot: Robot) -> tuple[Scenario, ...]:
     leg = robot.leg_length
     v = 0.8 * np.sqrt(leg / 0.66)  # m/s, the same Froude number for all
     turns = (
-        Segment(9, v), Segment(6, 0.5 * v, turn=0.5), Segment(9, 1.1 * v),
+        Segment(9, v),
+        Segment(6, 0.5 * v, turn=0.5),
+        Segment(9, 1.1 * v),
         Segment(6, 0.5 * v, turn=-0.6),
-    )  # fmt: skip
+    )
     on_ice = (Segment(20, 0.5 * v), Segment(20, 0.4 * v, turn=0.3), Segment(18, 0.6 * v))
     return (
         Scenario("flat, turns", turns, Ground(MU), laps=2),

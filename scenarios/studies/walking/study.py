@@ -1,8 +1,9 @@
-"""How robots walk: every robot over four grounds, every course on several seeds, in two tables.
+"""How robots walk: every robot over four grounds, every course on several seeds, in one table.
 
 After each walk the bare engine steps the same model through the same torques, on the same thread.
 """
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -11,9 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.scenarios.datasets.index import DRY, measured
+from surefoot.scenarios.datasets.index import DRY, measured, recipe
+from surefoot.scenarios.reporting.html import Section
+from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.scenarios.reporting.tables import to_csv, to_markdown
 from surefoot.scenarios.studies.bench.walking import COURSE, Replay
+from surefoot.scenarios.studies.cases import finished_case, read_case
+from surefoot.scenarios.studies.pages import origin_of, write_page
 from surefoot.scenarios.studies.walking.grounds import grounds_for
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled, refuse_overwrite, whole_file
@@ -28,6 +33,16 @@ from surefoot.sim.walking.truth import SLIPPING
 
 SUITES = tuple(bundled("surefoot.scenarios", "courses") / suite for suite in ("vision60", "spot"))
 MEAN_OVER = 1.0  # s, two gait cycles or more: the velocity's bob within them does not count
+MODULE = "surefoot.scenarios.studies.walking.study"
+TITLE = "How the robots walk"
+LEGEND = (
+    "Means over the seeds that did not fall. Velocity error: root mean square of the base's "
+    f"velocity, averaged over {MEAN_OVER:g} s, less the commanded one. Slipping: share of the "
+    f"loaded feet's samples faster than {SLIPPING} m/s over the ground. Creep: median speed of "
+    f"loaded feet where mu >= {DRY}. Pace: simulated seconds per second of one thread, "
+    "controller and sensors included; bare: `mujoco.rollout` of the same model, state and "
+    "torques on that thread, with seed 0."
+)
 
 
 @dataclass(frozen=True)
@@ -53,13 +68,22 @@ def walking_study(
     courses: Sequence[str | Path] = (),
     seeds: int = 5,
     workers: int = 1,
-    progress: Callable[[float], None] | None = None,
+    data: Path | None = None,
+    page: Path | None = None,
     force: bool = False,
 ) -> list[Walk]:
     """Write `walking.md` and `walking.csv` (one row a walk) into `out`; returns the walks.
 
-    robots: names or MJCF files, each over its four grounds with seed 0; courses: scenario files,
-    each on its own robot. Where neither is given: every known robot, and the seventeen courses.
+    Args:
+        out: folder of the two.
+        robots: names or MJCF files, each over its four grounds with seed 0.
+        courses: scenario files, each on its own robot. Where neither robots nor courses are given:
+            every known robot, and the courses of both suites.
+        seeds: of each course, from 0.
+        workers: walks at once, each on a thread.
+        data: folder of finished walks; `walks` in `out` where left out.
+        page: page of results (Markdown) to write as well.
+        force: overwrite walking.md and walking.csv.
     """
     if not robots and not courses:
         robots = list(known_robots())
@@ -74,20 +98,31 @@ def walking_study(
     jobs = [*on_grounds, *on_courses]
     order = {(known_robot(j.robot).name, j.scenario.name, j.seed): i for i, j in enumerate(jobs)}
     jobs.sort(key=lambda job: job.seed)  # every course once before any twice
-    walked(Job(COURSE, "spot_class", 0))  # compiles what is compiled at first use
-    walks: list[Walk] = []
-    for walk in on_threads(jobs, walked, workers, progress):
-        walks.append(walk)
-        walks.sort(key=lambda w: order[w.robot, w.walk, w.seed])
-        # After every walk: a study that is stopped has its tables up to there.
-        with whole_file(rows, force=True) as temporary:
-            temporary.write_text(to_csv([asdict(w) for w in walks]), encoding="utf-8")
-        with whole_file(table, force=True) as temporary:
-            temporary.write_text(report(walks), encoding="utf-8")
+    folder = data or out / "walks"
+    if any(_finished(folder, job) is None for job in jobs):
+        walked(Job(COURSE, "spot_class", 0))  # compiles what is compiled at first use
+
+    def row_of(job: Job, progress: Callable[[float], None]) -> Walk:
+        inputs = {"recipe": recipe(job)}
+        row = finished_case(
+            folder, _case(job), inputs, MODULE, lambda: asdict(walked(job, progress))
+        )
+        return Walk(**row)
+
+    with percent_bar("walking") as progress:
+        walks = list(on_threads(jobs, row_of, workers, progress))
+    walks.sort(key=lambda w: order[w.robot, w.walk, w.seed])
+    with whole_file(rows, force=True) as temporary:
+        temporary.write_text(to_csv([asdict(w) for w in walks]), encoding="utf-8")
+    with whole_file(table, force=True) as temporary:
+        temporary.write_text(report(walks), encoding="utf-8")
+    if page:
+        section = Section("Means over the seeds", LEGEND, _lines(walks))
+        write_page(page, TITLE, [section], origin_of(MODULE, "surefoot walking"))
     return walks
 
 
-def walked(job: Job, tell: Callable[[float], None] | None = None) -> Walk:
+def walked(job: Job, progress: Callable[[float], None] | None = None) -> Walk:
     """Make one walk, measure it, and with seed 0 time the bare engine on the same work.
 
     Time is the thread's own: that of a core with nothing else to do.
@@ -96,7 +131,7 @@ def walked(job: Job, tell: Callable[[float], None] | None = None) -> Walk:
     began = thread_time()
     made = plan(job.scenario, robot, job.seed, job.effects)
     try:
-        motion = simulate(made.world, robot, made.gait, made.course, tell)
+        motion = simulate(made.world, robot, made.gait, made.course, progress)
     except Fallen as fall:
         return Walk(robot.name, job.scenario.name, job.seed, 1, duration=fall.time - SETTLE)
     log = record(made, motion)
@@ -141,20 +176,15 @@ def velocity_error(made: Plan, motion: Motion) -> float:
 
 
 def report(walks: Sequence[Walk]) -> str:
-    """The two tables in Markdown, and what their columns mean."""
+    """The table in Markdown, and what its columns mean."""
+    return f"# {TITLE}\n\n{to_markdown(_lines(walks))}\n\n{LEGEND}\n"
+
+
+def _lines(walks: Sequence[Walk]) -> list[dict[str, Any]]:
     alike: dict[tuple[str, str], list[Walk]] = {}
     for walk in walks:
         alike.setdefault((walk.robot, walk.walk), []).append(walk)
-    return (
-        "# How the robots walk\n\n"
-        f"{to_markdown([_line(group) for group in alike.values()])}\n\n"
-        "Means over the seeds that did not fall. Velocity error: root mean square of the base's "
-        f"velocity, averaged over {MEAN_OVER:g} s, less the commanded one. Slipping: share of the "
-        f"loaded feet's samples faster than {SLIPPING} m/s over the ground. Creep: median speed of "
-        f"loaded feet where mu >= {DRY}. Pace: simulated seconds per second of one thread, "
-        "controller and sensors included; bare: `mujoco.rollout` of the same model, state and "
-        "torques on that thread, with seed 0.\n"
-    )
+    return [_line(group) for group in alike.values()]
 
 
 def _line(walks: Sequence[Walk]) -> dict[str, Any]:
@@ -175,6 +205,15 @@ def _line(walks: Sequence[Walk]) -> dict[str, Any]:
         "pace": mean("pace", 0),
         "bare": mean("bare_pace", 0),
     }
+
+
+def _case(job: Job) -> str:
+    """The name of a walk's finished case."""
+    return re.sub(r"\W+", "_", f"{known_robot(job.robot).name} {job.scenario.name} {job.seed}")
+
+
+def _finished(folder: Path, job: Job) -> dict[str, Any] | None:
+    return read_case(folder, _case(job), {"recipe": recipe(job)}, MODULE)
 
 
 def _course_job(path: str | Path, seed: int) -> Job:
