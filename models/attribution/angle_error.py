@@ -14,10 +14,11 @@ from numpy.polynomial import Legendre
 from scipy.ndimage import uniform_filter1d
 
 from surefoot.models.attribution.evidence import Evidence, LogUnderModel, joined, wrt_columns
-from surefoot.models.attribution.fit import design, draws, fit, loss, normal_equations
+from surefoot.models.attribution.fit import design, fit, loss, normal_equations
 from surefoot.models.attribution.search import Attribution
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.attribution.split import FIT, SELECT, Split
+from surefoot.models.bootstrap import block_draws
 from surefoot.sim.log import Log
 from surefoot.sim.robot.legs import JOINTS, LEGS
 
@@ -63,7 +64,7 @@ def angle_errors(
                 without[1 + evidence.keys.index((e.name, joint))] += e.value
         explained = float(np.sum(loss(unseen, without) - loss(unseen, plain)))
         gain = float(gains[joint].sum())
-        low = np.percentile(draws(len(unseen.G), rng) @ gains[joint], 2.5)
+        low = np.percentile(block_draws(len(unseen.G), rng) @ gains[joint], 2.5)
         if low > 0 and gain > max(price, s.curve_others * chance, s.curve_worth * explained):
             by_channel = {}
             for channel in SHOWS:

@@ -198,11 +198,6 @@ def loss(data: NormalEquations, vector: np.ndarray) -> np.ndarray:
     return (data.G[:, there[:, None], there] @ vector[there]) @ vector[there]
 
 
-def draws(blocks: int, rng: np.random.Generator, count: int = 1000) -> np.ndarray:
-    """How often each of K blocks is in each of `count` samples of the block bootstrap."""
-    return rng.multinomial(blocks, np.full(blocks, 1.0 / blocks), size=count).astype(float)
-
-
 def overlap(data: NormalEquations, one: Key, other: Key, given: Sequence[Key]) -> float:
     """Cosine (0..1) between two regressors once `given` and the free parts are projected out.
 

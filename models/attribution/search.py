@@ -11,7 +11,6 @@ from surefoot.models.attribution.fit import (
     Design,
     NormalEquations,
     design,
-    draws,
     fit,
     loss,
     normal_equations,
@@ -22,6 +21,7 @@ from surefoot.models.attribution.refinement import Data, contenders, refined, re
 from surefoot.models.attribution.robust_weights import RobustWeights, robust_weights
 from surefoot.models.attribution.selection import Candidate, judge
 from surefoot.models.attribution.split import FIT, REPORT, SELECT, Split
+from surefoot.models.bootstrap import block_draws
 from surefoot.sim.effects import Effect
 
 
@@ -132,7 +132,7 @@ def _rivals(
     overlap.
     """
     seen, unseen = data.rows(data.part == FIT), data.rows(data.part == SELECT)
-    counts = draws(len(unseen.G), rng)
+    counts = block_draws(len(unseen.G), rng)
 
     def left(*keys: Key) -> np.ndarray:
         return loss(unseen, fit(seen, [*chosen, *keys], errors=False).vector)

@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from surefoot.models.attribution.evidence import Key
-from surefoot.models.attribution.fit import NormalEquations, draws, fit, loss
+from surefoot.models.attribution.fit import NormalEquations, fit, loss
 from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.attribution.split import FIT, SELECT
+from surefoot.models.bootstrap import block_draws
 from surefoot.sim.effects import known_effects
 
 
@@ -41,7 +42,7 @@ def judge(
 ) -> tuple[Candidate, ...]:
     """Every candidate that is not chosen yet, those that earn a place first, by gain."""
     s, seen, unseen = data.settings, data.rows(data.part == FIT), data.rows(data.part == SELECT)
-    counts = draws(len(unseen.G), rng)
+    counts = block_draws(len(unseen.G), rng)
     plain = fit(seen, chosen, errors=False).vector
     plainly = loss(unseen, plain), loss(seen, plain)
     # Chen and Chen 2008, extended BIC: one of many costs more than one alone.

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import kurtosis, kurtosistest, norm, skew, skewtest
+from scipy.stats import kurtosis, kurtosistest, norm, normaltest, skew, skewtest
 
 from surefoot.models.calibration.mixing import mixing
 from surefoot.sim.common.errors import SurefootError
@@ -64,7 +64,6 @@ def _axis(e: np.ndarray, K: int) -> AxisErrors:
     thin = e[K - 1 :: K]
     mean, std, independent = float(e.mean()), float(e.std()), effective_samples(e)
     half = float(norm.ppf(0.975)) * std / np.sqrt(independent)
-    skewed, tailed = skewtest(thin), kurtosistest(thin)
     return AxisErrors(
         n=len(e),
         K=K,
@@ -74,11 +73,10 @@ def _axis(e: np.ndarray, K: int) -> AxisErrors:
         interval=(mean - half, mean + half),
         std=std,
         skewness=float(skew(thin)),
-        skewness_p=float(skewed.pvalue),
+        skewness_p=float(skewtest(thin).pvalue),
         kurtosis=float(kurtosis(thin)),
-        kurtosis_p=float(tailed.pvalue),
-        # The sum of two squared normal scores is chi-squared with two degrees of freedom.
-        normal_p=float(np.exp(-0.5 * (skewed.statistic**2 + tailed.statistic**2))),
+        kurtosis_p=float(kurtosistest(thin).pvalue),
+        normal_p=float(normaltest(thin).pvalue),
         anderson_p=anderson_darling(thin)[1],
         beyond=float((np.abs(e - mean) > 3 * std).mean()),
     )

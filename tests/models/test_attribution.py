@@ -7,12 +7,13 @@ import pytest
 from known_evidence import BINS, KEYS, NOISE, WIDTH, evidence
 from numpy.testing import assert_allclose
 
-from surefoot.models.attribution.fit import design, draws, fit, loss, normal_equations, overlap
+from surefoot.models.attribution.fit import design, fit, loss, normal_equations, overlap
 from surefoot.models.attribution.noise_floor import NoiseFloor, Repeat
 from surefoot.models.attribution.refinement import contenders
 from surefoot.models.attribution.robust_weights import robust_weights, slips
 from surefoot.models.attribution.selection import judge
 from surefoot.models.attribution.settings import DEFAULT
+from surefoot.models.bootstrap import block_draws
 from surefoot.models.residuals.jacobians import sparse
 
 NO_WALKS = NoiseFloor(NOISE, (), "none")
@@ -230,6 +231,6 @@ def test_a_bias_stays_within_what_is_declared():
 
 def test_the_block_bootstrap_has_the_spread_of_block_sums():
     sums = np.array([1.0, 5.0, 9.0])
-    drawn = draws(3, np.random.default_rng(0), 4000) @ sums
+    drawn = block_draws(3, np.random.default_rng(0), 4000) @ sums
     assert drawn.mean() == pytest.approx(15.0, rel=0.02)
     assert drawn.std() == pytest.approx(np.sqrt(3 * np.var(sums)), rel=0.05)

@@ -67,7 +67,7 @@ def test_what_was_put_in_is_found():
     )
     plain, skewed, tailed, biased = error_statistics(np.stack(columns, axis=1), K=1)
     assert min(plain.normal_p, plain.anderson_p, plain.skewness_p, plain.kurtosis_p) > 0.01
-    assert plain.extras == pytest.approx(0.0027, abs=0.003)
+    assert plain.beyond == pytest.approx(0.0027, abs=0.003)
     assert skewed.skewness == pytest.approx(1.0, abs=0.25)
     assert max(skewed.skewness_p, skewed.normal_p, skewed.anderson_p) < 1e-6
     assert tailed.kurtosis > 1

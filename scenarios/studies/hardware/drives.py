@@ -14,6 +14,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
+from surefoot.models.bootstrap import block_draws
 from surefoot.sim.effects.contact import STICKING
 from surefoot.sim.log import Log
 from surefoot.sim.physics.inverse_dynamics import dynamics_of
@@ -167,7 +168,7 @@ def fit(
     values = _solved(G.sum(axis=0))
     if not samples:
         return Sizes(tuple(names), values, np.full((len(names), 2), np.nan))
-    counts = rng.multinomial(len(G), np.full(len(G), 1.0 / len(G)), size=samples)
+    counts = block_draws(len(G), rng, samples)
     drawn = np.array([_solved(np.tensordot(one, G, 1)) for one in counts])
     interval = np.percentile(drawn, [2.5, 97.5], axis=0).T.reshape(-1, 2)
     return Sizes(tuple(names), values, interval)
@@ -198,7 +199,7 @@ def level_interval(
             if len(here):
                 squares.append(float(np.sum(here**2)))
                 counts.append(len(here))
-    draws = rng.multinomial(len(squares), np.full(len(squares), 1.0 / len(squares)), size=1000)
+    draws = block_draws(len(squares), rng)
     spread = np.sqrt((draws @ np.array(squares)) / (draws @ np.array(counts)))
     low, high = np.percentile(spread, [2.5, 97.5])
     return float(low), float(high)

@@ -15,6 +15,7 @@ from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.estimator.metrics import align_first, evaluate
 from surefoot.models.attribution.evidence import log_under_model, table_of
 from surefoot.models.attribution.split import split_of
+from surefoot.models.bootstrap import block_draws
 from surefoot.models.residuals.layout import layout_of
 from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.scenarios.estimate.registry import Learnt
@@ -91,7 +92,7 @@ def shares_table(log: Log, robot: Robot, found: Trace, seed: int = 0) -> pd.Data
         )
 
     before, count = squares(())
-    draws = rng.multinomial(len(before), np.full(len(before), 1 / len(before)), size=1000)
+    draws = block_draws(len(before), rng)
     rows = []
     for words, chosen in ladder(found.effects, robot, late_ends(found)):
         after, _ = squares(chosen)
@@ -129,7 +130,7 @@ def rolling_table(log: Log, robot: Robot, seed: int = 0) -> pd.DataFrame:
         for axis, name in enumerate(("forward", "lateral")):
             y, x = np.where(use, point[..., axis], 0.0), np.where(use, slope[..., axis], 0.0)
             sums = [np.bincount(block, values.sum(axis=1)) for values in (-x * y, x * x)]
-            counts = rng.multinomial(len(sums[0]), np.full(len(sums[0]), 1 / len(sums[0])), 1000)
+            counts = block_draws(len(sums[0]), rng)
             drawn = 1e3 * (counts @ sums[0]) / (counts @ sums[1])
             size = 1e3 * sums[0].sum() / sums[1].sum()
             row[f"radius by {name} velocity [mm]"] = between(

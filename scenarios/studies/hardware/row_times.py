@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from surefoot.models.bootstrap import block_draws
+
 FAST = 7.0
 """rad/s: norm of all joints' rates from which a row tells its own time."""
 TOGETHER = 16
@@ -41,7 +43,7 @@ def row_times(q: np.ndarray, dq: np.ndarray, rng: np.random.Generator) -> RowTim
     """The times between the rows of q (N, J) [rad] with rates dq (N, J) [rad/s]."""
     turned, rate = np.diff(q, axis=0), 0.5 * (dq[1:] + dq[:-1])
     block = np.arange(len(turned)) // BLOCK
-    counts = rng.multinomial(block[-1] + 1, np.full(block[-1] + 1, 1 / (block[-1] + 1)), size=1000)
+    counts = block_draws(block[-1] + 1, rng)
     many = np.arange(len(turned)) // TOGETHER
     far, whole = _sums(many, turned), _sums(many, rate)
     top = _sums(block[::TOGETHER], far * whole)

@@ -8,6 +8,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from surefoot.models.attribution.evidence import log_under_model
+from surefoot.models.bootstrap import block_draws
 from surefoot.models.residuals.binning import ReferenceMotion
 from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.sim.common.gravity import GRAVITY_G
@@ -58,7 +59,7 @@ def _least(
     """Where the cost (S, N), summed over these rows, is least, with the bootstrap's interval."""
     numbers = np.unique(block[rows])
     sums = np.array([cost[:, rows & (block == b)].sum(axis=1) for b in numbers])
-    counts = rng.multinomial(len(sums), np.full(len(sums), 1 / len(sums)), size=1000)
+    counts = block_draws(len(sums), rng)
     found = [_valley(c) for c in counts @ sums]
     low, high = np.percentile(found, [2.5, 97.5])
     return _valley(sums.sum(axis=0)), (float(low), float(high))

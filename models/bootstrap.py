@@ -1,0 +1,11 @@
+"""The block bootstrap: intervals of sums over blocks that are about independent."""
+
+import numpy as np
+
+
+def block_draws(blocks: int, rng: np.random.Generator, count: int = 1000) -> np.ndarray:
+    """How often each of K blocks is in each of `count` samples of the block bootstrap, (count, K).
+
+    Times the sums of the blocks (K, ...) it gives the sum of each sample.
+    """
+    return rng.multinomial(blocks, np.full(blocks, 1.0 / blocks), size=count)
