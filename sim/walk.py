@@ -12,8 +12,9 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.effects import Effect
-from surefoot.sim.gait.controller import Gait, gait_for
+from surefoot.sim.gait.controller import gait_for
 from surefoot.sim.gait.course import Course, lay_course
+from surefoot.sim.gait.state import Gait
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.physics.scene import TIMESTEP, World, add_payload, build_world, robot_spec

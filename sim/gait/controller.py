@@ -11,38 +11,22 @@ import numpy as np
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.gait.stance_control import support
+from surefoot.sim.gait.state import REACHING, STANCE, SWING, Command, Feet, Gait, LegMemory
 from surefoot.sim.gait.swing import swing
-from surefoot.sim.ground.height_map import height, normal, surface
+from surefoot.sim.ground.height_map import HeightMap, height, normal, surface
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.kinematics import foot_motion, leg_forward, sole_motion
+from surefoot.sim.robot.kinematics import FootMotion, Legs, foot_motion, leg_forward, sole_motion
 
-SWING, STANCE, REACHING = 0, 1, 2
 STEEPEST = 0.6  # slope that the body follows at most
 
 
-class Gait(NamedTuple):
-    """Gait timing and gains of one robot, SI units."""
+class Controller(NamedTuple):
+    """A trot controller: the robot's legs and gait, the ground, and what it remembers."""
 
-    period: float  # s
-    duty: float  # share of the period in stance
-    clearance: float  # m, of the swing foot
-    height: float  # m, base origin over the ground
-    mass: float  # kg
-    inertia: np.ndarray  # (3,) kg m^2, of the whole robot about its base axes
-    com_B: np.ndarray  # (3,) m
-    nominal_B: np.ndarray  # (4, 2) m, foothold below each hip, in B
-    foot_radius: np.ndarray  # (4,) m
-    torque_limit: np.ndarray  # (12,) N m
-    foot_mass: float  # kg, of a leg as felt at its foot
-    leg_length: float  # m
-    start: float  # s, first step
-    phase: np.ndarray  # (4,) share of the period by which each leg's stance begins later
-    friction_clamp: float  # tangential over normal foot force
-    capture: float  # s, foothold per velocity error
-    course_gain: float  # 1/s, force per velocity error and mass
-    level_gain: float  # 1/s^2, moment per tilt and inertia
-    level_damping: float  # 1/s
-    slide_damping: float  # N s/m, on a stance foot that slides
+    legs: Legs
+    gait: Gait
+    relief: HeightMap
+    memory: LegMemory
 
 
 def gait_for(
@@ -76,87 +60,79 @@ def gait_for(
     )
 
 
-def fresh_memory() -> np.ndarray:
-    """What `tick` remembers of each leg (4, 9), of a robot that stands.
-
-    Lift-off foot x, y, z; last mode; foothold x, y, z; touched since the stance began; height of
-    the swing's bump.
-    """
-    memory = np.zeros((4, 9))
-    memory[:, 3] = STANCE
-    return memory
-
-
 @kernel
-def tick(legs, gait, relief, memory, t, p, R, v, w, q, dq, load, target, torque):
-    """One control tick; writes joint torques [N m] into `torque` (12,).
+def tick(controller, state, target, torque):
+    """One control tick.
 
-    p, R, v: base position, attitude, velocity in G; w: angular velocity in B; q, dq (12,);
-    load (4,) normal foot forces [N]; target (6,): x, y, yaw and their velocities (forward,
-    lateral, yaw rate); relief: the ground; memory: of `fresh_memory`.
+    Args:
+        controller: a Controller, whose memory is changed.
+        state: a RobotState.
+        target: (6,) x, y [m], yaw [rad] and their velocities: forward, lateral, yaw rate.
+        torque: (12,) N m, written.
     """
-    yaw = np.arctan2(R[1, 0], R[0, 0])
-    c, s = np.cos(target[2]), np.sin(target[2])
-    v_want = np.array([c * target[3] - s * target[4], s * target[3] + c * target[4], 0.0])
-    for a in range(2):
-        v_want[a] += min(max(1.0 * (target[a] - p[a]), -0.3), 0.3)
-    yaw_error = np.arctan2(np.sin(target[2] - yaw), np.cos(target[2] - yaw))
-    turn = target[5] + min(max(2.0 * yaw_error, -0.5), 0.5)
-    ground = ground_below(gait, relief, p, yaw)
-
-    feet = np.empty((4, 3))
-    feet_v = np.empty((4, 3))
-    sole_v = np.empty((4, 3))
-    normals = np.empty((4, 3))
-    jacobians = np.empty((4, 3, 3))
-    mode = np.empty(4, np.int64)
-    progress = np.zeros(4)
+    legs, gait, relief, memory = controller
+    t, base, q, dq, load = state
+    yaw = np.arctan2(base.R[1, 0], base.R[0, 0])
+    command = _command(base, yaw, target)
+    ground = ground_below(gait, relief, base.p, yaw)
+    feet = Feet(
+        np.empty((4, 3)),
+        np.empty((4, 3)),
+        np.empty((4, 3)),
+        np.empty((4, 3, 3)),
+        np.empty((4, 3)),
+        np.empty(4, np.int64),
+        np.zeros(4),
+    )
     foot, J, axes, spin = np.empty(3), np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
     loaded = 0.04 * gait.mass * GRAVITY
     for leg in range(4):
-        leg_forward(legs, leg, q[3 * leg : 3 * leg + 3], foot, J, axes)
+        own = slice(3 * leg, 3 * leg + 3)
+        leg_forward(legs, leg, q[own], foot, J, axes)
+        place = feet.place[leg]
+        motion = FootMotion(place, feet.velocity[leg], feet.jacobian[leg], spin)
+        foot_motion(base, dq[own], foot, J, axes, motion)
+        up = feet.normal[leg]
+        up[0], up[1], up[2] = normal(relief, place[0], place[1])
         radius = gait.foot_radius[leg]
-        foot_motion(
-            p, R, v, w, dq[3 * leg : 3 * leg + 3], foot, J, axes,
-            feet[leg], feet_v[leg], jacobians[leg], spin,
-        )  # fmt: skip
-        normals[leg, 0], normals[leg, 1], normals[leg, 2] = normal(
-            relief, feet[leg, 0], feet[leg, 1]
-        )
-        sole_motion(feet_v[leg], spin, radius, normals[leg], sole_v[leg])
+        sole_motion(feet.velocity[leg], spin, radius, up, feet.sole_velocity[leg])
         phase = 0.0
         if t >= gait.start:
             phase = ((t - gait.start) / gait.period + gait.phase[leg]) % 1.0
         if phase < gait.duty or t < gait.start:
-            progress[leg] = phase / gait.duty if t >= gait.start else 0.5
-            if memory[leg, 3] == SWING:
-                memory[leg, 7] = 0.0
+            feet.progress[leg] = phase / gait.duty if t >= gait.start else 0.5
+            if memory.mode[leg] == SWING:
+                memory.touched[leg] = False
             if load[leg] > loaded:
-                memory[leg, 7] = 1.0
-            mode[leg] = STANCE if memory[leg, 7] > 0.0 or t < gait.start else REACHING
+                memory.touched[leg] = True
+            feet.mode[leg] = STANCE if memory.touched[leg] or t < gait.start else REACHING
         else:
-            progress[leg] = (phase - gait.duty) / (1.0 - gait.duty)
-            mode[leg] = SWING
-            above = feet[leg, 2] - radius - height(relief, feet[leg, 0], feet[leg, 1])
+            feet.progress[leg] = (phase - gait.duty) / (1.0 - gait.duty)
+            feet.mode[leg] = SWING
+            above = place[2] - radius - height(relief, place[0], place[1])
             low = above < 0.5 * radius + 0.04 * gait.leg_length
-            if progress[leg] > 0.6 and load[leg] > loaded and low:
-                mode[leg] = STANCE  # early touchdown: the ground is already carrying
-                progress[leg] = 0.0
-            elif memory[leg, 3] != SWING:
-                memory[leg, 0:3] = feet[leg]
-                memory[leg, 8] = 0.0
-        memory[leg, 3] = SWING if mode[leg] == SWING else STANCE
-
-    swing(
-        gait, relief, memory, p, v, yaw, v_want, turn,
-        feet, feet_v, jacobians, mode, progress, torque,
-    )  # fmt: skip
-    support(
-        gait, ground, p, R, v, w, v_want, turn,
-        feet, sole_v, normals, jacobians, mode, progress, torque,
-    )  # fmt: skip
+            if feet.progress[leg] > 0.6 and load[leg] > loaded and low:
+                feet.mode[leg] = STANCE  # early touchdown: the ground is already carrying
+                feet.progress[leg] = 0.0
+            elif memory.mode[leg] != SWING:
+                memory.lift_off[leg] = place
+                memory.bump[leg] = 0.0
+        memory.mode[leg] = SWING if feet.mode[leg] == SWING else STANCE
+    swing(controller, base, command, feet, torque)
+    support(gait, ground, base, command, feet, torque)
     for i in range(12):
         torque[i] = min(max(torque[i], -gait.torque_limit[i]), gait.torque_limit[i])
+
+
+@kernel
+def _command(base, yaw, target):
+    """The target's velocities, and what brings the base back to its place and heading."""
+    c, s = np.cos(target[2]), np.sin(target[2])
+    v = np.array([c * target[3] - s * target[4], s * target[3] + c * target[4], 0.0])
+    for a in range(2):
+        v[a] += min(max(1.0 * (target[a] - base.p[a]), -0.3), 0.3)
+    yaw_error = np.arctan2(np.sin(target[2] - yaw), np.cos(target[2] - yaw))
+    return Command(v, target[5] + min(max(2.0 * yaw_error, -0.5), 0.5))
 
 
 @kernel

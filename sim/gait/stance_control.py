@@ -4,8 +4,7 @@ import numpy as np
 
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
-
-STANCE = 1
+from surefoot.sim.gait.state import STANCE
 
 
 @kernel
@@ -31,14 +30,19 @@ def stance_forces(r, wrench, weight, effort):
 
 
 @kernel
-def support(
-    gait, ground, p, R, v, w, v_want, turn, feet, sole_v, normals, J, mode, progress, torque
-):
+def support(gait, ground, base, command, feet, torque):
     """The wrench that holds height, attitude and course, shared over the feet that stand.
 
-    ground: height at the base and slopes along x and y of the plane that the body follows.
+    Args:
+        gait: a Gait.
+        ground: height at the base [m] and slopes along x and y of the plane that it follows.
+        base: a BaseMotion.
+        command: a Command.
+        feet: Feet.
+        torque: (12,) N m, of whose legs those that stand are written.
     """
-    standing = np.flatnonzero(mode == STANCE)
+    p, R, v, w = base
+    standing = np.flatnonzero(feet.mode == STANCE)
     n = len(standing)
     if n == 0:
         return
@@ -46,14 +50,14 @@ def support(
     com = p + R @ gait.com_B
     wrench = np.empty(6)
     for a in range(2):
-        wrench[a] = gait.mass * gait.course_gain * (v_want[a] - v[a])
+        wrench[a] = gait.mass * gait.course_gain * (command.v[a] - v[a])
     climb = slope_x * v[0] + slope_y * v[1]
     wrench[2] = gait.mass * (GRAVITY + 120.0 * (gait.height + level - p[2]) + 16.0 * (climb - v[2]))
     # Attitude error as the rotation vector that would set the base along the plane, small-angle.
     steep = np.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
     up_B = R.T @ np.array([-slope_x / steep, -slope_y / steep, 1.0 / steep])
     error_B = np.array([-up_B[1], up_B[0], 0.0])
-    spin = turn * R[2] - w
+    spin = command.turn * R[2] - w
     moment_B = np.empty(3)
     for a in range(3):
         moment_B[a] = gait.inertia[a] * (
@@ -66,15 +70,15 @@ def support(
     effort = np.empty(n)
     for i in range(n):
         leg = standing[i]
-        r[i] = feet[leg] - com - gait.foot_radius[leg] * normals[leg]
-        u = progress[leg]
+        r[i] = feet.place[leg] - com - gait.foot_radius[leg] * feet.normal[leg]
+        u = feet.progress[leg]
         ease = min(1.0, min(u / 0.15, (1.0 - u) / 0.15))
         effort[i] = 1e-3 / max(ease, 0.05) ** 2
     forces = stance_forces(r, wrench, weight, effort)
     floor, ceiling = 0.03 * gait.mass * GRAVITY, 1.5 * gait.mass * GRAVITY
     for i in range(n):
         leg = standing[i]
-        up = normals[leg]
+        up = feet.normal[leg]
         push = forces[i] @ up
         across = forces[i] - push * up
         push = min(max(push, floor), ceiling)
@@ -82,7 +86,8 @@ def support(
         if side > gait.friction_clamp * push:
             across *= gait.friction_clamp * push / side
         # On a foot that slides the ground has no more to give: the leg itself must stop it.
-        slide = sole_v[leg] - (sole_v[leg] @ up) * up
+        sole_v = feet.sole_velocity[leg]
+        slide = sole_v - (sole_v @ up) * up
         torque[3 * leg : 3 * leg + 3] = -(
-            J[leg].T @ (push * up + across + gait.slide_damping * slide)
+            feet.jacobian[leg].T @ (push * up + across + gait.slide_damping * slide)
         )

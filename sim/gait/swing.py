@@ -4,9 +4,9 @@ import numpy as np
 
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
+from surefoot.sim.gait.state import STANCE, SWING
 from surefoot.sim.ground.height_map import height, normal, surface
 
-SWING, STANCE = 0, 1
 # Room between a foothold and an edge, as shares of the leg's length: a falling edge, a riser before
 # the foot, and one behind it, which the shin leans over where it descends.
 BRINK, RISER, SHIN = 0.07, 0.14, 0.17
@@ -17,8 +17,18 @@ ROOM = 0.04  # of the leg's length, between the sole and what it passes over
 
 
 @kernel
-def swing(gait, relief, memory, p, v, yaw, v_want, turn, feet, feet_v, J, mode, progress, torque):
-    """Operational-space PD of feet in the air towards their footholds."""
+def swing(controller, base, command, feet, torque):
+    """Operational-space PD of feet in the air towards their footholds.
+
+    Args:
+        controller: a Controller, whose footholds and bumps are changed.
+        base: a BaseMotion.
+        command: a Command.
+        feet: Feet.
+        torque: (12,) N m, of whose legs those in the air are written.
+    """
+    gait, memory = controller.gait, controller.memory
+    yaw = np.arctan2(base.R[1, 0], base.R[0, 0])
     c, s = np.cos(yaw), np.sin(yaw)
     swing_time = (1.0 - gait.duty) * gait.period
     stance_time = gait.duty * gait.period
@@ -26,46 +36,45 @@ def swing(gait, relief, memory, p, v, yaw, v_want, turn, feet, feet_v, J, mode, 
     want = np.empty(2)
     goal, goal_v, goal_a = np.empty(3), np.empty(3), np.empty(3)
     for leg in range(4):
-        if mode[leg] == STANCE:
+        if feet.mode[leg] == STANCE:
             continue
-        u = progress[leg]
+        u = feet.progress[leg]
         goal_v[:] = 0.0
         goal_a[:] = 0.0
-        if mode[leg] == SWING:
+        if feet.mode[leg] == SWING:
             x, y = gait.nominal_B[leg]
             arm_x, arm_y = c * x - s * y, s * x + c * y
             ahead = stance_time / 2.0 + (1.0 - u) * swing_time
             for a in range(2):
-                spin = turn * (-arm_y if a == 0 else arm_x)
-                drift, wanted = v[a] + spin, v_want[a] + spin
-                want[a] = p[a] + (arm_x if a == 0 else arm_y)
+                spin = command.turn * (-arm_y if a == 0 else arm_x)
+                drift, wanted = base.v[a] + spin, command.v[a] + spin
+                want[a] = base.p[a] + (arm_x if a == 0 else arm_y)
                 want[a] += ahead * drift + gait.capture * (drift - wanted)
-            place_foot(gait, relief, memory[leg], leg, want, c, s, u)
-            rise_over(gait, relief, memory[leg], leg)
+            place_foot(controller, leg, want, (c, s), u)
+            rise_over(controller, leg)
             # Minimum-jerk across; up and down again along a smooth bump that lands softly.
             for a in range(3):
-                span = memory[leg, 4 + a] - memory[leg, a]
+                start = memory.lift_off[leg, a]
+                span = memory.foothold[leg, a] - start
                 part, pace = (u, 1.0) if a < 2 else lift_part(span, u)
                 blend = part * part * part * (10.0 - 15.0 * part + 6.0 * part * part)
                 slope = 30.0 * (part * (1.0 - part)) ** 2
                 bend = 60.0 * part * (1.0 - part) * (1.0 - 2.0 * part)
-                goal[a] = memory[leg, a] + blend * span
+                goal[a] = start + blend * span
                 goal_v[a] = slope * span * pace / swing_time
                 goal_a[a] = bend * span * (pace / swing_time) ** 2
-            goal[2] += 64.0 * (u * (1.0 - u)) ** 3 * memory[leg, 8]
-            goal_v[2] += (
-                192.0 * (u * (1.0 - u)) ** 2 * (1.0 - 2.0 * u) * memory[leg, 8] / swing_time
-            )
+            bump = memory.bump[leg]
+            goal[2] += 64.0 * (u * (1.0 - u)) ** 3 * bump
+            goal_v[2] += 192.0 * (u * (1.0 - u)) ** 2 * (1.0 - 2.0 * u) * bump / swing_time
         else:
             # Late touchdown: hold the foothold and go on down, or the foot is thrown off its step.
-            goal[0], goal[1] = memory[leg, 4], memory[leg, 5]
-            goal[2] = feet[leg, 2] - 0.02
+            goal[:] = memory.foothold[leg]
+            goal[2] = feet.place[leg, 2] - 0.02
             goal_v[2] = -0.15
-        force = gait.foot_mass * (
-            goal_a + rate * rate * (goal - feet[leg]) + 1.4 * rate * (goal_v - feet_v[leg])
-        )
+        error, error_v = goal - feet.place[leg], goal_v - feet.velocity[leg]
+        force = gait.foot_mass * (goal_a + rate * rate * error + 1.4 * rate * error_v)
         force[2] += gait.foot_mass * GRAVITY
-        torque[3 * leg : 3 * leg + 3] = J[leg].T @ force
+        torque[3 * leg : 3 * leg + 3] = feet.jacobian[leg].T @ force
 
 
 @kernel
@@ -77,18 +86,25 @@ def lift_part(span, u):
 
 
 @kernel
-def place_foot(gait, relief, memory, leg, want, c, s, u):
-    """Sets the foothold of a leg near `want` (2,) [m]: on the ground, and kept off edges.
+def place_foot(controller, leg, want, heading, u):
+    """Sets the foothold of a leg on the ground near where it is wanted, and off edges.
 
-    Late in the swing it stays on the step that it has.
+    Args:
+        controller: a Controller.
+        leg: its number.
+        want: (2,) m, the foothold wanted.
+        heading: cosine and sine of the base's yaw.
+        u: share of the swing that is over; late in it the foothold stays on the step that it has.
     """
+    gait, relief = controller.gait, controller.relief
+    foothold = controller.memory.foothold[leg]
     length = gait.leg_length
     x, y = want
-    x += _off_edges(relief, x, y, 0, c, length)
-    y += _off_edges(relief, x, y, 1, s, length)
+    x += _off_edges(relief, x, y, 0, heading[0], length)
+    y += _off_edges(relief, x, y, 1, heading[1], length)
     z = height(relief, x, y) + gait.foot_radius[leg] / normal(relief, x, y)[2]
-    if u < SETTLED or abs(z - memory[6]) < JUMP * length:
-        memory[4], memory[5], memory[6] = x, y, z
+    if u < SETTLED or abs(z - foothold[2]) < JUMP * length:
+        foothold[0], foothold[1], foothold[2] = x, y, z
 
 
 @kernel
@@ -138,25 +154,27 @@ def _along(relief, x, y, axis, distance):
 
 
 @kernel
-def rise_over(gait, relief, memory, leg):
+def rise_over(controller, leg):
     """Sets the height of the swing's bump so that the sole clears the ground between its ends.
 
     Over ground that rises evenly from one end to the other the plain swing does.
     """
+    gait, relief, memory = controller.gait, controller.relief, controller.memory
+    start, end = memory.lift_off[leg], memory.foothold[leg]
     radius, room = gait.foot_radius[leg], ROOM * gait.leg_length
     apex, uneven = 0.0, False
     for k in range(4, 17):
         u = 0.05 * k
         blend = u * u * u * (10.0 - 15.0 * u + 6.0 * u * u)
-        x = memory[0] + blend * (memory[4] - memory[0])
-        y = memory[1] + blend * (memory[5] - memory[1])
+        x = start[0] + blend * (end[0] - start[0])
+        y = start[1] + blend * (end[1] - start[1])
         sole = height(relief, x, y) + radius
-        climb = memory[6] - memory[2]
-        uneven |= abs(sole - memory[2] - blend * climb) > 0.015 * gait.leg_length
+        climb = end[2] - start[2]
+        uneven |= abs(sole - start[2] - blend * climb) > 0.015 * gait.leg_length
         part, _ = lift_part(climb, u)
         lifted = part * part * part * (10.0 - 15.0 * part + 6.0 * part * part)
-        lack = sole + room - memory[2] - lifted * climb
+        lack = sole + room - start[2] - lifted * climb
         apex = max(apex, lack / (64.0 * (u * (1.0 - u)) ** 3))
     if uneven:
-        memory[8] = max(memory[8], min(apex, 0.4 * gait.leg_length))
-    memory[8] = max(memory[8], gait.clearance)
+        memory.bump[leg] = max(memory.bump[leg], min(apex, 0.4 * gait.leg_length))
+    memory.bump[leg] = max(memory.bump[leg], gait.clearance)

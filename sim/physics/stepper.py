@@ -19,11 +19,13 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.common.quaternion import matrix_from_quaternion
-from surefoot.sim.gait.controller import Gait, fresh_memory, tick
+from surefoot.sim.gait.controller import Controller, tick
 from surefoot.sim.gait.course import Course
+from surefoot.sim.gait.state import Gait, RobotState, standing
 from surefoot.sim.ground.height_map import height
 from surefoot.sim.physics.scene import TIMESTEP, World
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.kinematics import BaseMotion
 from surefoot.sim.sensors.streams import Motion
 
 STEPS_PER_TICK = 2  # the controller runs at 250 Hz
@@ -80,18 +82,29 @@ class Recording(NamedTuple):
 def mj_views(world: World, data: mujoco.MjData) -> MjViews:
     """Views of `data`, which must outlive them."""
     return MjViews(
-        world.model._address, data._address, data.qpos, data.qvel, data.ctrl, data.sensordata,
-        data.actuator_force, world.qpos_adr, world.dof_adr, world.touch_adr, data.warning.number,
-    )  # fmt: skip
+        model=world.model._address,
+        data=data._address,
+        qpos=data.qpos,
+        qvel=data.qvel,
+        ctrl=data.ctrl,
+        sensordata=data.sensordata,
+        actuator_force=data.actuator_force,
+        qpos_adr=world.qpos_adr,
+        dof_adr=world.dof_adr,
+        touch_adr=world.touch_adr,
+        unstable=data.warning.number,
+    )
 
 
 def recording_of(world: World, steps: int) -> Recording:
     """Room for `steps` steps."""
     nq, nv = world.model.nq, world.model.nv
     return Recording(
-        np.empty((steps + 1, nq)), np.empty((steps + 1, nv)),
-        np.empty((steps, 12)), np.empty((steps, 4)),
-    )  # fmt: skip
+        qpos=np.empty((steps + 1, nq)),
+        qvel=np.empty((steps + 1, nv)),
+        tau=np.empty((steps, len(world.dof_adr))),
+        force=np.empty((steps, len(world.touch_adr))),
+    )
 
 
 def start(world: World) -> mujoco.MjData:
@@ -110,7 +123,7 @@ def simulate(
 ) -> Motion:
     """Step the world under the trot controller through the whole course.
 
-    `progress` is told the share done. Raises Fallen, saying when, if the robot falls.
+    `progress` is called with the share done. Raises Fallen, saying when, if the robot falls.
     """
     data, ticks = start(world), len(course.t)
     trace = recording_of(world, ticks * STEPS_PER_TICK)
@@ -128,15 +141,25 @@ def trot(
     ticks: int,
     progress: Callable[[float], None] | None = None,
 ) -> None:
-    """Walk the first `ticks` control periods of the course, from `data` as it is; fills `trace`."""
+    """Walk the first `ticks` control periods of the course.
+
+    Args:
+        world, data: where the robot is; `data` is changed.
+        robot, gait: who walks, and how.
+        course: the reference motion of the base.
+        trace: written, from its first row on.
+        ticks: how many periods.
+        progress: called with the share done.
+
+    Raises Fallen, saying when, if the robot falls.
+    """
     target = np.column_stack([course.pose, course.velocity])
-    memory, load = fresh_memory(), np.full(4, gait.mass * GRAVITY / 4)
+    controller = Controller(robot.legs, gait, world.relief, standing())
+    load = np.full(4, gait.mass * GRAVITY / 4)
     body = mj_views(world, data)
     for first in range(0, ticks, TICKS_AT_ONCE):
         last = min(first + TICKS_AT_ONCE, ticks)
-        fell = _stepper(
-            body, robot.legs, gait, world.relief, memory, load, course.t, target, trace, first, last
-        )
+        fell = _stepper(body, controller, load, course.t, target, trace, (first, last))
         if fell >= 0:
             t = float(course.t[fell])
             raise Fallen(f"robot {robot.name} fell at {t:.2f} s of {course.t[-1]:.0f} s", t)
@@ -145,8 +168,18 @@ def trot(
 
 
 @kernel(nogil=True)
-def _stepper(body, legs, gait, relief, memory, load, t, target, trace, first, last):
-    """Control ticks `first` to `last`; returns the one at which the robot fell, or -1."""
+def _stepper(body, controller, load, t, target, trace, ticks):
+    """Some control ticks in turn; returns the one at which the robot fell, or -1.
+
+    Args:
+        body: MjViews.
+        controller: a Controller.
+        load: (4,) N, normal foot forces, kept from tick to tick.
+        t, target: (N,) s and (N, 6) of the course, as `tick` takes them.
+        trace: a Recording, written.
+        ticks: first, and the one after the last.
+    """
+    first, last = ticks
     qpos, qvel = body.qpos, body.qvel
     q, dq, torque = np.empty(12), np.empty(12), np.zeros(12)
     k = first * STEPS_PER_TICK
@@ -154,12 +187,10 @@ def _stepper(body, legs, gait, relief, memory, load, t, target, trace, first, la
         R = rotation(qpos[3], qpos[4], qpos[5], qpos[6])
         for j in range(12):
             q[j], dq[j] = qpos[body.qpos_adr[j]], qvel[body.dof_adr[j]]
-        if has_fallen(gait, relief, qpos, R) or body.unstable.any():
+        if has_fallen(controller.gait, controller.relief, qpos, R) or body.unstable.any():
             return i
-        tick(
-            legs, gait, relief, memory, t[i], qpos[:3].copy(), R,
-            qvel[:3].copy(), qvel[3:6].copy(), q, dq, load, target[i], torque,
-        )  # fmt: skip
+        base = BaseMotion(qpos[:3].copy(), R, qvel[:3].copy(), qvel[3:6].copy())
+        tick(controller, RobotState(t[i], base, q, dq, load), target[i], torque)
         body.ctrl[:] = torque
         for _ in range(STEPS_PER_TICK):
             step(body, trace, k)

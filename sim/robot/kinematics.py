@@ -53,14 +53,36 @@ def leg_forward(legs, leg, q, foot, jacobian, axes):
         jacobian[2, j] = ax * ly - ay * lx
 
 
-@kernel(nogil=True)
-def foot_motion(p, R, v, w, rates, foot, J, axes, place, velocity, jacobian, spin):
-    """How a leg's foot moves in the world; writes the last four arguments.
+class BaseMotion(NamedTuple):
+    """How a robot's base moves."""
 
-    p, R, v: base position, attitude, velocity in G; w (3,): angular velocity in B; rates (3,) of
-    the leg's joints [rad/s]; foot (3,), J (3, 3), axes (3, 3): of `leg_forward`. place (3,) [m] and
-    velocity (3,) of the foot's centre, its jacobian (3, 3), spin (3,) of its link, all in G.
+    p: np.ndarray  # (3,) m, in G
+    R: np.ndarray  # (3, 3) from B to G
+    v: np.ndarray  # (3,) m/s, in G
+    w: np.ndarray  # (3,) rad/s, in B
+
+
+class FootMotion(NamedTuple):
+    """How one foot moves in G: memory that `foot_motion` fills."""
+
+    place: np.ndarray  # (3,) m, of the foot's centre
+    velocity: np.ndarray  # (3,) m/s
+    jacobian: np.ndarray  # (3, 3) m, of the place by the leg's joints
+    spin: np.ndarray  # (3,) rad/s, of the foot's link
+
+
+@kernel(nogil=True)
+def foot_motion(base, rates, foot, J, axes, out):
+    """How a leg's foot moves in the world.
+
+    Args:
+        base: a BaseMotion.
+        rates: (3,) of the leg's joints [rad/s].
+        foot, J, axes: (3,), (3, 3), (3, 3) of `leg_forward`.
+        out: a FootMotion, written.
     """
+    p, R, v, w = base
+    place, velocity, jacobian, spin = out
     wx, wy, wz = w[0], w[1], w[2]
     x, y, z = foot[0], foot[1], foot[2]
     a, b, c = rates[0], rates[1], rates[2]
@@ -94,11 +116,10 @@ def axis_rotation(axis, angle):
     s, c = np.sin(angle), np.cos(angle)
     x, y, z = axis[0], axis[1], axis[2]
     u = 1.0 - c
-    return (
-        c + x * x * u, x * y * u - z * s, x * z * u + y * s,
-        y * x * u + z * s, c + y * y * u, y * z * u - x * s,
-        z * x * u - y * s, z * y * u + x * s, c + z * z * u,
-    )  # fmt: skip
+    first = c + x * x * u, x * y * u - z * s, x * z * u + y * s
+    second = y * x * u + z * s, c + y * y * u, y * z * u - x * s
+    third = z * x * u - y * s, z * y * u + x * s, c + z * z * u
+    return first + second + third
 
 
 @kernel

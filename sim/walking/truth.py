@@ -7,7 +7,13 @@ from surefoot.sim.common.kernels import kernel
 from surefoot.sim.ground.height_map import normal
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.kinematics import foot_motion, leg_forward, sole_motion
+from surefoot.sim.robot.kinematics import (
+    BaseMotion,
+    FootMotion,
+    foot_motion,
+    leg_forward,
+    sole_motion,
+)
 from surefoot.sim.sensors.streams import Motion
 
 LOADED = 0.02  # of the robot's weight, on one foot
@@ -20,29 +26,35 @@ def foot_truth(motion: Motion, robot: Robot, ground: Ground) -> tuple[np.ndarray
 
     A rolling foot does not slip: the speed is that of its contact point, not of its centre.
     """
-    slip, touching = _soles(
-        robot.legs, ground.relief, robot.foot_radius, motion.q[1:], motion.dq[1:],
-        motion.p_GB[1:], motion.R_GB[1:], motion.v_GB[1:], motion.w_B[1:],
-    )  # fmt: skip
+    bases = BaseMotion(motion.p_GB[1:], motion.R_GB[1:], motion.v_GB[1:], motion.w_B[1:])
+    q, dq = motion.q[1:], motion.dq[1:]
+    slip, touching = _soles(robot.legs, ground.relief, robot.foot_radius, bases, q, dq)
     slip[motion.force <= LOADED * robot.mass * GRAVITY] = 0.0
     return slip, ground.friction(touching[..., 0], touching[..., 1])
 
 
 @kernel(nogil=True)
-def _soles(legs, relief, radius, q, dq, p, R, v, w):
-    """Speeds (N, 4) along the ground of the feet's contact points, and these points (N, 4, 2)."""
+def _soles(legs, relief, radius, bases, q, dq):
+    """Speeds (N, 4) along the ground of the feet's contact points, and these points (N, 4, 2).
+
+    Args:
+        legs, relief, radius: of the robot and the ground, radius (4,) [m].
+        bases: a BaseMotion of N rows.
+        q, dq: (N, 12) rad, rad/s.
+    """
+    p, R, v, w = bases
     n = len(p)
     speed, touching = np.empty((n, 4)), np.empty((n, 4, 2))
     foot, J, axes, jacobian = np.empty(3), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     place, velocity, spin, up = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     sole_v = np.empty(3)
+    motion = FootMotion(place, velocity, jacobian, spin)
     for k in range(n):
+        base = BaseMotion(p[k], R[k], v[k], w[k])
         for leg in range(4):
             own = slice(3 * leg, 3 * leg + 3)
             leg_forward(legs, leg, q[k, own], foot, J, axes)
-            foot_motion(
-                p[k], R[k], v[k], w[k], dq[k, own], foot, J, axes, place, velocity, jacobian, spin
-            )
+            foot_motion(base, dq[k, own], foot, J, axes, motion)
             up[0], up[1], up[2] = normal(relief, place[0], place[1])
             # The contact point lies below the centre along the ground's normal, not along gravity.
             sole_motion(velocity, spin, radius[leg], up, sole_v)

@@ -9,11 +9,13 @@ from dm_env import test_utils
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
-from surefoot.sim.gait.controller import fresh_memory, tick
+from surefoot.sim.gait.controller import Controller, tick
+from surefoot.sim.gait.state import RobotState, standing
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.physics.stepper import rotation
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.kinematics import BaseMotion
 from surefoot.sim.scenario import Ranges, Scenario, Segment
 from surefoot.sim.walk import plan, walk
 from surefoot.sim.walking.dm_environment import SETTLING, WalkingEnvironment
@@ -35,19 +37,18 @@ class TestConformsToDmEnv(test_utils.EnvironmentTestMixin, unittest.TestCase):
 
 def the_trot(made):
     """The bundled controller as a policy: what a user's own would be."""
-    memory, torque = fresh_memory(), np.zeros(12)
-    memory[:, 7] = 1.0  # standing already
+    memory, torque = standing(), np.zeros(12)
+    memory.touched[:] = True  # standing already
+    controller = Controller(SPOT.legs, made.gait, made.world.relief, memory)
     ticks = iter(range(SETTLING, len(made.course.t)))
     targets = np.column_stack([made.course.pose, made.course.velocity])
 
     def policy(seen):
         i = next(ticks)
-        tick(
-            SPOT.legs, made.gait, made.world.relief, memory, made.course.t[i],
-            seen["position"], rotation(*seen["orientation"]), seen["velocity"],
-            seen["angular_velocity"], seen["joint_position"], seen["joint_velocity"],
-            seen["foot_force"], targets[i], torque,
-        )  # fmt: skip
+        R = rotation(*seen["orientation"])
+        base = BaseMotion(seen["position"], R, seen["velocity"], seen["angular_velocity"])
+        q, dq, load = seen["joint_position"], seen["joint_velocity"], seen["foot_force"]
+        tick(controller, RobotState(made.course.t[i], base, q, dq, load), targets[i], torque)
         return torque
 
     return policy

@@ -3,17 +3,24 @@
 import numpy as np
 import pytest
 
-from surefoot.sim.gait.controller import fresh_memory, gait_for, ground_below, tick
+from surefoot.sim.gait.controller import Controller, gait_for, ground_below, tick
 from surefoot.sim.gait.stance_control import stance_forces
+from surefoot.sim.gait.state import LegMemory, RobotState, standing
 from surefoot.sim.gait.swing import lift_part, place_foot, rise_over
 from surefoot.sim.ground.height_map import height
 from surefoot.sim.ground.terrain import Ground, Strip
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.kinematics import BaseMotion
 
 SPOT = Robot.load("spot_class")
 GAIT = gait_for(SPOT, 0.0)
 RISER, TREAD = 0.12, 0.32
 STAIRS = Ground(0.8, (), 20.0, (Strip((1.0, 0.0), (4.2, 0.0), 4.0, (0.0, 1.2), steps=10),)).relief
+
+
+def on(relief) -> Controller:
+    """A controller on this ground, the robot standing."""
+    return Controller(SPOT.legs, GAIT, relief, standing())
 
 
 def test_four_feet_make_any_wrench():
@@ -44,36 +51,38 @@ def test_stairs_look_like_the_slope_that_they_are():
 @pytest.mark.parametrize("heading", [1.0, -1.0])
 def test_footholds_keep_off_every_edge(heading):
     for want in np.linspace(1.4, 3.8, 97):
-        memory = fresh_memory()[0]
-        place_foot(GAIT, STAIRS, memory, 0, np.array([want, 0.0]), heading, 0.0, 0.0)
-        on_tread = (memory[4] - 1.0) % TREAD
+        trot = on(STAIRS)
+        place_foot(trot, 0, np.array([want, 0.0]), (heading, 0.0), 0.0)
+        x, _, z = trot.memory.foothold[0]
+        on_tread = (x - 1.0) % TREAD
         assert 0.04 < on_tread < TREAD - 0.04
-        assert abs(memory[4] - want) < 0.16
+        assert abs(x - want) < 0.16
         # The shin's side, behind the foot, has the more room where the ground behind is higher.
         if heading < 0:
             assert TREAD - on_tread > 0.1
-        expected = height(STAIRS, memory[4], 0.0) + GAIT.foot_radius[0]
-        assert memory[6] == pytest.approx(expected, abs=1e-12)
+        expected = height(STAIRS, x, 0.0) + GAIT.foot_radius[0]
+        assert z == pytest.approx(expected, abs=1e-12)
 
 
 def test_late_in_the_swing_a_foothold_stays_on_its_step():
-    memory = fresh_memory()[0]
-    place_foot(GAIT, STAIRS, memory, 0, np.array([2.2, 0.0]), 1.0, 0.0, 0.0)
-    early = memory.copy()
-    place_foot(GAIT, STAIRS, memory, 0, np.array([2.6, 0.0]), 1.0, 0.0, 0.9)
-    np.testing.assert_array_equal(memory, early)
+    trot = on(STAIRS)
+    place_foot(trot, 0, np.array([2.2, 0.0]), (1.0, 0.0), 0.0)
+    early = trot.memory.foothold.copy()
+    place_foot(trot, 0, np.array([2.6, 0.0]), (1.0, 0.0), 0.9)
+    np.testing.assert_array_equal(trot.memory.foothold, early)
 
 
-def swing_path(memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def swing_path(memory: LegMemory) -> tuple[np.ndarray, np.ndarray]:
     u = np.linspace(0.0, 1.0, 400)
 
     def blend(s):
         return s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
 
-    climb = memory[6] - memory[2]
+    start, end = memory.lift_off[0], memory.foothold[0]
+    climb = end[2] - start[2]
     lifted = np.array([blend(lift_part(climb, v)[0]) for v in u])
-    x = memory[0] + blend(u) * (memory[4] - memory[0])
-    return x, memory[2] + lifted * climb + 64.0 * (u * (1.0 - u)) ** 3 * memory[8]
+    x = start[0] + blend(u) * (end[0] - start[0])
+    return x, start[2] + lifted * climb + 64.0 * (u * (1.0 - u)) ** 3 * memory.bump[0]
 
 
 @pytest.mark.parametrize("there", [1.52, 1.84, 2.16])
@@ -81,21 +90,19 @@ def swing_path(memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def test_a_swing_clears_the_stairs_between_its_ends(there, down):
     radius = GAIT.foot_radius[0]
     ends = [(x, height(STAIRS, x, 0.0) + radius) for x in (0.8, there)]
-    memory = fresh_memory()[0]
-    (memory[0], memory[2]), (memory[4], memory[6]) = ends[::-1] if down else ends
-    memory[8] = 0.0
-    rise_over(GAIT, STAIRS, memory, 0)
-    x, z = swing_path(memory)
+    trot = on(STAIRS)
+    trot.memory.lift_off[0, [0, 2]], trot.memory.foothold[0, [0, 2]] = ends[::-1] if down else ends
+    rise_over(trot, 0)
+    x, z = swing_path(trot.memory)
     ground = np.array([height(STAIRS, a, 0.0) for a in x])
     assert (z - radius - ground)[1:-1].min() > -1e-3
 
 
 def test_on_flat_ground_the_swing_is_the_plain_one():
-    memory = fresh_memory()[0]
-    flat = Ground(0.8).relief
-    memory[[0, 2, 4, 6]] = 0.0, 0.036, 0.4, 0.036
-    rise_over(GAIT, flat, memory, 0)
-    assert memory[8] == GAIT.clearance
+    trot = on(Ground(0.8).relief)
+    trot.memory.lift_off[0], trot.memory.foothold[0] = (0.0, 0.0, 0.036), (0.4, 0.0, 0.036)
+    rise_over(trot, 0)
+    assert trot.memory.bump[0] == GAIT.clearance
 
 
 def test_a_standing_robot_is_held_by_its_weight():
@@ -104,10 +111,9 @@ def test_a_standing_robot_is_held_by_its_weight():
     p = np.array([0.0, 0.0, SPOT.foot_radius.mean() - home_B[:, 2].mean()])
     gait = GAIT._replace(start=1.0)
     load = np.full(4, SPOT.mass * 9.81 / 4)
-    tick(
-        SPOT.legs, gait, Ground(0.8).relief, fresh_memory(), 0.0, p, np.eye(3), np.zeros(3),
-        np.zeros(3), SPOT.q_home, np.zeros(12), load, np.zeros(6), torque,
-    )  # fmt: skip
+    base = BaseMotion(p, np.eye(3), np.zeros(3), np.zeros(3))
+    state = RobotState(0.0, base, SPOT.q_home, np.zeros(12), load)
+    tick(on(Ground(0.8).relief)._replace(gait=gait), state, np.zeros(6), torque)
     J_B = SPOT.feet_jacobian_I(SPOT.q_home[None])[0]
     J_B = np.einsum("ij,ljk->lik", SPOT.R_BI, J_B)
     push = [-np.linalg.solve(J.T, t) for J, t in zip(J_B, torque.reshape(4, 3), strict=True)]

@@ -1,0 +1,85 @@
+"""What the gait controller's parts pass to each other, compiled code and all: named arrays."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from surefoot.sim.robot.kinematics import BaseMotion
+
+SWING, STANCE, REACHING = 0, 1, 2
+"""Modes of a leg: in the air, on the ground, late to touch down."""
+
+
+class Gait(NamedTuple):
+    """Gait timing and gains of one robot, SI units."""
+
+    period: float  # s
+    duty: float  # share of the period in stance
+    clearance: float  # m, of the swing foot
+    height: float  # m, base origin over the ground
+    mass: float  # kg
+    inertia: np.ndarray  # (3,) kg m^2, of the whole robot about its base axes
+    com_B: np.ndarray  # (3,) m
+    nominal_B: np.ndarray  # (4, 2) m, foothold below each hip, in B
+    foot_radius: np.ndarray  # (4,) m
+    torque_limit: np.ndarray  # (12,) N m
+    foot_mass: float  # kg, of a leg as felt at its foot
+    leg_length: float  # m
+    start: float  # s, first step
+    phase: np.ndarray  # (4,) share of the period by which each leg's stance begins later
+    friction_clamp: float  # tangential over normal foot force
+    capture: float  # s, foothold per velocity error
+    course_gain: float  # 1/s, force per velocity error and mass
+    level_gain: float  # 1/s^2, moment per tilt and inertia
+    level_damping: float  # 1/s
+    slide_damping: float  # N s/m, on a stance foot that slides
+
+
+class LegMemory(NamedTuple):
+    """What the controller remembers of each leg from tick to tick."""
+
+    mode: np.ndarray  # (4,) SWING or STANCE
+    touched: np.ndarray  # (4,) bool, whether the foot has been loaded since its stance began
+    lift_off: np.ndarray  # (4, 3) m, where the foot left the ground, in G
+    foothold: np.ndarray  # (4, 3) m, where its centre goes down, in G
+    bump: np.ndarray  # (4,) m, height of the swing over the way between them
+
+
+def standing() -> LegMemory:
+    """The memory of a robot that stands."""
+    return LegMemory(
+        mode=np.full(4, STANCE),
+        touched=np.zeros(4, dtype=bool),
+        lift_off=np.zeros((4, 3)),
+        foothold=np.zeros((4, 3)),
+        bump=np.zeros(4),
+    )
+
+
+class RobotState(NamedTuple):
+    """What the controller knows of the robot at a tick."""
+
+    t: float  # s
+    base: BaseMotion
+    q: np.ndarray  # (12,) rad
+    dq: np.ndarray  # (12,) rad/s
+    load: np.ndarray  # (4,) N, normal foot forces
+
+
+class Command(NamedTuple):
+    """How the base should move now."""
+
+    v: np.ndarray  # (3,) m/s, in G
+    turn: float  # rad/s
+
+
+class Feet(NamedTuple):
+    """The four feet at a tick, in G."""
+
+    place: np.ndarray  # (4, 3) m, of the centres
+    velocity: np.ndarray  # (4, 3) m/s
+    sole_velocity: np.ndarray  # (4, 3) m/s, of the contact points
+    jacobian: np.ndarray  # (4, 3, 3) m
+    normal: np.ndarray  # (4, 3) of the ground below
+    mode: np.ndarray  # (4,) SWING, STANCE or REACHING
+    progress: np.ndarray  # (4,) share of the swing or stance that is over
