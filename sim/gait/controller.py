@@ -15,15 +15,14 @@ from surefoot.sim.gait.state import REACHING, STANCE, SWING, Command, Feet, Gait
 from surefoot.sim.gait.swing import swing
 from surefoot.sim.ground.height_map import HeightMap, height, normal, surface
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.kinematics import FootMotion, Legs, foot_motion, leg_forward, sole_motion
+from surefoot.sim.robot.kinematics import FootMotion, foot_motion, leg_forward, sole_motion
 
 STEEPEST = 0.6  # slope that the body follows at most
 
 
 class Controller(NamedTuple):
-    """A trot controller: the robot's legs and gait, the ground, and what it remembers."""
+    """A trot controller: the robot's gait, the ground, and what it remembers."""
 
-    legs: Legs
     gait: Gait
     relief: HeightMap
     memory: LegMemory
@@ -61,16 +60,17 @@ def gait_for(
 
 
 @kernel
-def tick(controller, state, target, torque):
+def tick(legs, controller, state, target, torque):
     """One control tick.
 
     Args:
+        legs: the robot's Legs.
         controller: a Controller, whose memory is changed.
         state: a RobotState.
         target: (6,) x, y [m], yaw [rad] and their velocities: forward, lateral, yaw rate.
         torque: (12,) N m, written.
     """
-    legs, gait, relief, memory = controller
+    gait, relief, memory = controller
     t, base, q, dq, load = state
     yaw = np.arctan2(base.R[1, 0], base.R[0, 0])
     command = _command(base, yaw, target)

@@ -154,12 +154,12 @@ def trot(
     Raises Fallen, saying when, if the robot falls.
     """
     target = np.column_stack([course.pose, course.velocity])
-    controller = Controller(robot.legs, gait, world.relief, standing())
+    controller = Controller(gait, world.relief, standing())
     load = np.full(4, gait.mass * GRAVITY / 4)
     body = mj_views(world, data)
     for first in range(0, ticks, TICKS_AT_ONCE):
         last = min(first + TICKS_AT_ONCE, ticks)
-        fell = _stepper(body, controller, load, course.t, target, trace, (first, last))
+        fell = _stepper(body, robot.legs, controller, load, course.t, target, trace, (first, last))
         if fell >= 0:
             t = float(course.t[fell])
             raise Fallen(f"robot {robot.name} fell at {t:.2f} s of {course.t[-1]:.0f} s", t)
@@ -168,11 +168,12 @@ def trot(
 
 
 @kernel(nogil=True)
-def _stepper(body, controller, load, t, target, trace, ticks):
+def _stepper(body, legs, controller, load, t, target, trace, ticks):
     """Some control ticks in turn; returns the one at which the robot fell, or -1.
 
     Args:
         body: MjViews.
+        legs: the robot's Legs.
         controller: a Controller.
         load: (4,) N, normal foot forces, kept from tick to tick.
         t, target: (N,) s and (N, 6) of the course, as `tick` takes them.
@@ -190,7 +191,7 @@ def _stepper(body, controller, load, t, target, trace, ticks):
         if has_fallen(controller.gait, controller.relief, qpos, R) or body.unstable.any():
             return i
         base = BaseMotion(qpos[:3].copy(), R, qvel[:3].copy(), qvel[3:6].copy())
-        tick(controller, RobotState(t[i], base, q, dq, load), target[i], torque)
+        tick(legs, controller, RobotState(t[i], base, q, dq, load), target[i], torque)
         body.ctrl[:] = torque
         for _ in range(STEPS_PER_TICK):
             step(body, trace, k)

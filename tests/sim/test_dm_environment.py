@@ -39,7 +39,7 @@ def the_trot(made):
     """The bundled controller as a policy: what a user's own would be."""
     memory, torque = standing(), np.zeros(12)
     memory.touched[:] = True  # standing already
-    controller = Controller(SPOT.legs, made.gait, made.world.relief, memory)
+    controller = Controller(made.gait, made.world.relief, memory)
     ticks = iter(range(SETTLING, len(made.course.t)))
     targets = np.column_stack([made.course.pose, made.course.velocity])
 
@@ -48,7 +48,13 @@ def the_trot(made):
         R = rotation(*seen["orientation"])
         base = BaseMotion(seen["position"], R, seen["velocity"], seen["angular_velocity"])
         q, dq, load = seen["joint_position"], seen["joint_velocity"], seen["foot_force"]
-        tick(controller, RobotState(made.course.t[i], base, q, dq, load), targets[i], torque)
+        tick(
+            SPOT.legs,
+            controller,
+            RobotState(made.course.t[i], base, q, dq, load),
+            targets[i],
+            torque,
+        )
         return torque
 
     return policy

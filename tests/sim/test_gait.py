@@ -20,7 +20,7 @@ STAIRS = Ground(0.8, (), 20.0, (Strip((1.0, 0.0), (4.2, 0.0), 4.0, (0.0, 1.2), s
 
 def on(relief) -> Controller:
     """A controller on this ground, the robot standing."""
-    return Controller(SPOT.legs, GAIT, relief, standing())
+    return Controller(GAIT, relief, standing())
 
 
 def test_four_feet_make_any_wrench():
@@ -113,7 +113,7 @@ def test_a_standing_robot_is_held_by_its_weight():
     load = np.full(4, SPOT.mass * 9.81 / 4)
     base = BaseMotion(p, np.eye(3), np.zeros(3), np.zeros(3))
     state = RobotState(0.0, base, SPOT.q_home, np.zeros(12), load)
-    tick(on(Ground(0.8).relief)._replace(gait=gait), state, np.zeros(6), torque)
+    tick(SPOT.legs, on(Ground(0.8).relief)._replace(gait=gait), state, np.zeros(6), torque)
     J_B = SPOT.feet_jacobian_I(SPOT.q_home[None])[0]
     J_B = np.einsum("ij,ljk->lik", SPOT.R_BI, J_B)
     push = [-np.linalg.solve(J.T, t) for J, t in zip(J_B, torque.reshape(4, 3), strict=True)]
