@@ -41,7 +41,7 @@ UNDECLARED: tuple[tuple[str, tuple[str, ...], tuple[float, float]], ...] = (
     ("gyro_scale", ("x", "y", "z"), (0.01, 0.03)),
     ("joint_delay", ("all",), (0.003, 0.01)),
 )
-"""What the walk to be traced may hide: an effect, its targets, and the range of its size."""
+"""What the traced walk may contain: an effect, its targets, and the range of its size."""
 
 
 def demo(out: Path, seed: int = 0, force: bool = False) -> pd.DataFrame:
@@ -56,16 +56,16 @@ def demo(out: Path, seed: int = 0, force: bool = False) -> pd.DataFrame:
     logs = {role: _walk(role, robot, _seed(role, seed), out, force) for role in ROLES}
     print("training two observers on one walk: mean squared error, Gaussian likelihood")
     learnt = learn([logs["train"]], logs["calibrate"], out, seed, force=force)
-    print("\nThree filters and their rivals, on a walk nobody has seen")
+    print("\nevery filter, on a walk that nothing was trained on")
     comparison = compare_log(logs["walk"], robot, learnt)
     found, hidden = _trace(robot, seed, out, force)
     # The ground as this seed laid it, not as the file has it before patches and mu are drawn.
     ground = plan(_scenario("walk"), robot, _seed("walk", seed)).draw.scenario.ground
     extra = [*_observer_sections(logs, learnt, out, force), *_loop_sections(found, hidden)]
-    title = "surefoot demo: a walk on slippery ground, estimated from the inside"
+    title = "surefoot demo: a walk on slippery ground, estimated by proprioception"
     results = write_comparison([comparison], out, title, ground, extra=extra, force=force)
     print("\n" + to_markdown(results))
-    print(f"\n{summary(found)}\nIt was: {_in_words(hidden)}.")
+    print(f"\n{summary(found)}\nThe effect was: {_in_words(hidden)}.")
     print(
         f"\n{perf_counter() - started:.0f} s in all. Report: {out / 'report.html'}\n"
         f"See the walk: surefoot view {out / 'walk.rrd'}"
@@ -91,7 +91,7 @@ def _walk(role: str, robot: Robot, seed: int, out: Path, force: bool) -> Log:
 
 
 def _trace(robot: Robot, seed: int, out: Path, force: bool) -> tuple[Trace, Effect]:
-    """Walk once more with something the model lacks, and find it from the log alone."""
+    """Walk once more with an undeclared effect, and find it from the log alone."""
     rng = np.random.default_rng([seed, 4])
     name, targets, (low, high) = UNDECLARED[rng.integers(len(UNDECLARED))]
     size = float(rng.choice([-1.0, 1.0]) * np.exp(rng.uniform(np.log(low), np.log(high))))
@@ -111,12 +111,12 @@ def _in_words(hidden: Effect) -> str:
 
 
 def _loop_sections(found: Trace, hidden: Effect) -> list[Section]:
-    told = Section(
-        "The loop closed once",
+    hidden_effect = Section(
+        "The undeclared effect",
         "A further walk was recorded with an effect that its log does not declare; what follows "
         f"was found from the log alone. The effect was: {_in_words(hidden)}.",
     )
-    return [told, *trace_sections(found)]
+    return [hidden_effect, *trace_sections(found)]
 
 
 def _observer_sections(
@@ -127,7 +127,7 @@ def _observer_sections(
     held = coverage(test_errors, bounds)
     pictures = ()
     if bounds.mixing is not None:
-        caption = "How long errors remember: calibration samples are taken K steps apart."
+        caption = "Correlation of errors over time: calibration samples are taken K steps apart."
         pictures = (Picture(mixing_curve(bounds.mixing), caption),)
         save_picture(pictures[0], out / "figures" / "observer_mixing.png", force)
     learning = Section(
@@ -143,7 +143,7 @@ def _observer_sections(
         errors = error_section(
             observer.errors, test_errors, bounds.epsilon, bounds.gamma, "the third walk"
         )
-    except SurefootError as few:  # errors that remember too long for statistics
+    except SurefootError as few:  # errors correlated for too long for statistics
         return [learning, Section("The observer's errors", str(few))]
     for k, picture in enumerate(errors.pictures):
         save_picture(picture, out / "figures" / f"observer_errors_{k + 1}.png", force)

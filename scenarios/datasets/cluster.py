@@ -31,27 +31,16 @@ def walk_on_cluster(
     process alone writes them into `folder`. Raises SurefootError in one line where the cluster
     cannot be reached, or a worker would not give the same bits.
     """
-    if not jobs:
-        return
-    try:
-        from distributed import Client, as_completed
-    except ImportError:
-        raise SurefootError("--cluster: needs the extra, pip install 'surefoot[cluster]'") from None
-    with _plainly(address), Client(address, timeout=PATIENCE, set_as_default=False) as client:
-        client.wait_for_workers(1, timeout=PATIENCE)
-        futures = {client.submit(_walk_remotely, job, recipe(job), pure=False) for job in jobs}
-        for done, future in enumerate(as_completed(futures, loop=client.loop), 1):
-            values, content = future.result()
-            row = Row(**values)
-            if row.file:
-                with whole_file(folder / row.file, force) as temporary:
-                    temporary.write_bytes(content)
-            yield row
-            if progress:
-                progress(done / len(jobs))
-            # The file is here: a worker that dies now has nothing left to lose.
-            futures.discard(future)
-            future.release()
+    tasks = [(job, recipe(job)) for job in jobs]
+    for done, (_, found) in enumerate(run_on_cluster(address, _walk_remotely, tasks), 1):
+        values, content = found
+        row = Row(**values)
+        if row.file:
+            with whole_file(folder / row.file, force) as temporary:
+                temporary.write_bytes(content)
+        yield row
+        if progress:
+            progress(done / len(jobs))
 
 
 def run_on_cluster(
@@ -59,13 +48,19 @@ def run_on_cluster(
 ) -> Iterator[tuple[int, R]]:
     """function(argument) on the scheduler at `address`: places in `arguments` and results, as done.
 
-    Raises SurefootError in one line where the cluster cannot be reached or lacks the function.
+    A result stays with its worker until the next is asked for. Raises SurefootError in one line
+    where the cluster cannot be reached or lacks the function.
     """
+    if not arguments:
+        return
     try:
         from distributed import Client, as_completed
     except ImportError:
         raise SurefootError("--cluster: needs the extra, pip install 'surefoot[cluster]'") from None
-    with _plainly(address), Client(address, timeout=PATIENCE, set_as_default=False) as client:
+    with (
+        _one_line_errors(address),
+        Client(address, timeout=PATIENCE, set_as_default=False) as client,
+    ):
         client.wait_for_workers(1, timeout=PATIENCE)
         futures = {client.submit(function, x, pure=False): i for i, x in enumerate(arguments)}
         for future in as_completed(list(futures), loop=client.loop):
@@ -73,8 +68,9 @@ def run_on_cluster(
             future.release()
 
 
-def _walk_remotely(job: Job, expected: str) -> tuple[dict, bytes]:
-    """On a worker: the row and the log's file, empty for a fall."""
+def _walk_remotely(task: tuple[Job, str]) -> tuple[dict, bytes]:
+    """On a worker: the row of a job with its recipe, and the log's file, empty for a fall."""
+    job, expected = task
     if recipe(job) != expected:
         raise SurefootError(
             f"robot {known_robot(job.robot).name}: a worker has another model of it, or another "
@@ -91,7 +87,7 @@ def _walk_remotely(job: Job, expected: str) -> tuple[dict, bytes]:
 
 
 @contextmanager
-def _plainly(address: str) -> Iterator[None]:
+def _one_line_errors(address: str) -> Iterator[None]:
     """What goes wrong with a cluster, in one line."""
     from distributed import KilledWorker
     from distributed.client import FutureCancelledError
@@ -104,6 +100,6 @@ def _plainly(address: str) -> Iterator[None]:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise SurefootError(f"--cluster {address}: {reason}") from None
     except KilledWorker as error:
-        raise SurefootError(f"--cluster {address}: several workers died on one walk") from error
+        raise SurefootError(f"--cluster {address}: several workers died on one task") from error
     except FutureCancelledError as error:
         raise SurefootError(f"--cluster {address}: the scheduler is gone") from error

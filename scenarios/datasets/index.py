@@ -142,7 +142,7 @@ def file_hash(path: Path) -> str:
 class Journal:
     """The rows of a folder, one JSON line each, appended as walks end; the last of a walk counts.
 
-    A line that a kill cut short is passed over: its walk is looked at again.
+    A line that a kill cut short is skipped: its walk is checked again.
     """
 
     def __init__(self, folder: Path):
@@ -224,7 +224,7 @@ def card(rows: Sequence[Row]) -> str:
         f"have no log. Made with {versions}.\n\n"
         f"{to_markdown(table)}\n\n"
         "One Parquet file a walk, sensors at 500 Hz, with the true motion; SI units, quaternions "
-        "w, x, y, z. `index.parquet` says of each walk what its seed drew, how it went and its "
+        "w, x, y, z. `index.parquet` has what each walk's seed drew, how it went and its "
         "file's sha256.\n"
         f"Slip: share of the loaded feet's samples faster than {SLIPPING} m/s over the ground. "
         f"Creep: median speed of loaded feet where mu >= {DRY}.\n"

@@ -1,4 +1,4 @@
-"""Many walks: scenarios times seeds, one log each, and an index; goes on where it was killed."""
+"""Many walks: scenarios times seeds, one log each, and an index; a killed run is resumed."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -38,10 +38,19 @@ def simulate_all(
 ) -> list[Row]:
     """Walk every scenario with every seed into `out`/<scenario>_<seed>.parquet; returns the rows.
 
-    A robot other than the scenario's own stands in the name too. Walks that are done are left
-    alone (so a killed run goes on where it stopped) unless `force`; `dataset/` holds the index. A
-    fall is a row without a file. With `undeclared` nothing but truth.toml tells of the effects.
-    workers: threads of this machine; cluster: address of a Dask scheduler, instead of them.
+    A fall is a row without a file; `dataset/` holds the index.
+
+    Args:
+        scenarios: files, or names of bundled ones.
+        out: folder; walks that are done are left alone, so that a killed run is resumed.
+        robot: name or MJCF file, part of the logs' names unless it is the scenario's own.
+        seeds: one, or a range such as "0:8".
+        effects: file of effects to put into the walks.
+        undeclared: the effects go into truth.toml and not into the logs.
+        force: walk again what is done.
+        workers: threads of this machine.
+        cluster: address of a Dask scheduler, instead of threads.
+
     Raises SurefootError for bad input, or logs in `out` that were made of something else.
     """
     if workers < 1:
@@ -53,7 +62,7 @@ def simulate_all(
     for name in dict.fromkeys(job.robot for job in jobs):
         if known_robot(name).imu is None:
             print(
-                f"note: {name}: its model has no IMU, so the base frame stands for it; give the "
+                f"note: {name}: its model has no IMU, so the base frame is used instead; give the "
                 "base body a site named imu to place one"
             )
     journal = Journal(out)
@@ -61,14 +70,14 @@ def simulate_all(
     todo = jobs if force else [job for job in jobs if not _done(journal, job)]
     names = {f".{log_name(job)}.parquet" for job in todo}
     clear_debris(p for p in out.glob(".*.tmp") if p.stem.rpartition(".")[0] in names)
-    with percent_bar("simulate") as tell:
+    with percent_bar("simulate") as progress:
         if cluster:
-            rows = walk_on_cluster(cluster, todo, out, force, tell)
+            rows = walk_on_cluster(cluster, todo, out, force, progress)
         else:
-            rows = walk_batch(todo, lambda walked: save_walk(walked, out, force), workers, tell)
+            rows = walk_batch(todo, lambda walked: save_walk(walked, out, force), workers, progress)
         for row in rows:
             journal.add(row)
-        tell(1.0)
+        progress(1.0)
     index = write_index(out, journal.present())
     made = [row for job in jobs if (row := journal.find(job))]
     fallen = [row for row in made if row.falls]
@@ -128,7 +137,7 @@ def _guard_truth(out: Path, hidden: tuple[Effect, ...], journal: Journal, force:
 
 
 def _done(journal: Journal, job: Job) -> bool:
-    """Whether the walk is there; a log that a kill parted from its row is given a new one.
+    """Whether the walk is there; a log whose row a kill prevented is given one.
 
     Raises SurefootError for a file of that name that is another walk's.
     """
@@ -146,8 +155,8 @@ def _done(journal: Journal, job: Job) -> bool:
     log = Log.read(path)
     made = plan(job.scenario, known_robot(job.robot), job.seed, job.effects, job.declared)
     declared = tuple(e.as_dict() for e in job.effects) if job.declared else ()
-    said = (log.meta.scenario, log.meta.robot, log.meta.seed, log.meta.effects)
-    if said != (job.scenario.name, made.robot.name, job.seed, declared):
+    found = (log.meta.scenario, log.meta.robot, log.meta.seed, log.meta.effects)
+    if found != (job.scenario.name, made.robot.name, job.seed, declared):
         refuse_overwrite(path, False)
     journal.add(with_hash(row_of(Walked(job, made, log)), path))
     return True

@@ -51,10 +51,8 @@ def by_sequence(
             ax.plot(mine[column], y, ".", color=color, markersize=3.0, alpha=0.7)
             means = mine.groupby("sequence")[column].mean()
             at = [names.index(sequence) + offsets[name] for sequence in means.index]
-            ax.plot(
-                means, at, "|", color=color, markersize=8, markeredgewidth=2.2,
-                label=estimator_label(name),
-            )  # fmt: skip
+            bar = {"markersize": 8, "markeredgewidth": 2.2, "label": estimator_label(name)}
+            ax.plot(means, at, "|", color=color, **bar)
         if log:
             ax.set_xscale("log")
         ax.set_yticks(range(len(names)), labels=names)
@@ -89,11 +87,9 @@ def gamma_sweep(table: pd.DataFrame, title: str) -> Figure:
         for (condition, name), part in table.groupby(["condition", "filter"], sort=False):
             conditions = list(table["condition"].unique())
             style = ("-", "--", ":", "-.")[conditions.index(condition) % 4]
-            ax.plot(
-                part["gamma"], part[column], style, marker="o", markersize=4,
-                color=estimator_color(str(name)),
-                label=f"{estimator_label(str(name))}, {condition}",
-            )  # fmt: skip
+            color, label = estimator_color(str(name)), f"{estimator_label(str(name))}, {condition}"
+            dots = {"marker": "o", "markersize": 4}
+            ax.plot(part["gamma"], part[column], style, **dots, color=color, label=label)
         ax.set(xlabel="γ", ylabel=column)
         ax.set_ylim(0.0, None)
     figure.suptitle(title, x=0.01, ha="left", fontsize=11)
@@ -134,7 +130,7 @@ def paths(series: Mapping[str, pd.DataFrame], title: str) -> Figure:
 def errors_over_time(
     series: Mapping[str, Mapping[str, pd.DataFrame]], title: str, columns: int = 3
 ) -> Figure:
-    """A panel a sequence: distance from the truth, and dashed the three sigma a filter claims."""
+    """A panel a sequence: distance from the truth, and dashed the filter's own three sigma."""
     lines = -(-len(series) // columns)
     figure, axes = new_figure(lines, columns, size=(10.0, 2.2 * lines + 0.8))
     for ax in axes.flat[len(series) :]:
@@ -142,17 +138,13 @@ def errors_over_time(
     for ax, (name, by_filter) in zip(axes.flat, series.items(), strict=False):
         top = 0.0
         for filter_name, part in by_filter.items():
-            color = estimator_color(filter_name)
-            ax.plot(
-                part["t"], part["distance"], color=color, linewidth=1.3,
-                linestyle=estimator_line(filter_name), label=estimator_label(filter_name),
-            )  # fmt: skip
+            color, label = estimator_color(filter_name), estimator_label(filter_name)
+            line = {"color": color, "linewidth": 1.3, "linestyle": estimator_line(filter_name)}
+            ax.plot(part["t"], part["distance"], **line, label=label)
             top = max(top, float(part["distance"].max()))
             if "sigma" in part:
-                ax.plot(
-                    part["t"], 3.0 * part["sigma"], color=color, linewidth=0.8,
-                    linestyle=(0, (4, 2)), alpha=0.8,
-                )  # fmt: skip
+                line = {"color": color, "linewidth": 0.8, "linestyle": (0, (4, 2)), "alpha": 0.8}
+                ax.plot(part["t"], 3.0 * part["sigma"], **line)
         ax.set_ylim(0.0, 1.15 * top if top else 1.0)
         set_title(ax, name, 9.0)
     for ax in axes[:, 0]:

@@ -21,6 +21,7 @@ from surefoot.scenarios.experiments.figures import (
     paths,
 )
 from surefoot.scenarios.experiments.file import Experiment
+from surefoot.scenarios.experiments.findings import FLOOR, findings
 from surefoot.scenarios.experiments.run import Outcome, run
 from surefoot.scenarios.experiments.tables import (
     MEANINGS,
@@ -31,7 +32,6 @@ from surefoot.scenarios.experiments.tables import (
     sweep,
     tidy,
 )
-from surefoot.scenarios.experiments.words import FLOOR, findings
 from surefoot.scenarios.reporting.html import (
     Picture,
     Section,
@@ -55,8 +55,18 @@ def experiment(
 ) -> pd.DataFrame:
     """Run the file's grid into `out` and print the averages; returns every row.
 
-    A run that was killed goes on where it stopped. Raises SurefootError for bad input, and where
-    `out` holds a finished run and `force` is not given.
+    A killed run is resumed from its cache.
+
+    Args:
+        file: experiment file, or the name of a bundled suite, "spot" or "vision60".
+        out: folder for tables, report, figures and recordings.
+        workers: processes at once.
+        seeds: one, or a range such as "0:8", instead of the file's.
+        cache: folder of intermediate products; `cache` in `out` where left out.
+        recordings: write a rerun recording of each sequence.
+        force: write tables and report again.
+
+    Raises SurefootError for bad input, and where `out` holds a finished run without `force`.
     """
     found = Experiment.load(file)
     if workers < 1:
@@ -106,11 +116,11 @@ def write_tables(rows: pd.DataFrame, found: Experiment, out: Path) -> None:
 
 
 def sections(rows: pd.DataFrame, outcome: Outcome, found: Experiment, out: Path) -> list[Section]:
-    """The report: averages, what they say, errors by sequence, consistency, sweep, paths, rows."""
+    """The report: averages, findings, errors by sequence, consistency, sweep, paths, rows."""
     main = at_gamma(rows, found.gammas[0])
     shown = _narrow(averages(main))
     pages = [Section("Averages over the test sequences", _setting(found, rows), shown)]
-    pages += [Section(f"What the rows say: {name}", text) for name, text in findings(main, found)]
+    pages += [Section(f"Findings: {name}", text) for name, text in findings(main, found)]
     if found.published:
         pages += _published(found.published)
     pictures = _pictures(main, found.gammas[0])
@@ -135,7 +145,7 @@ def sections(rows: pd.DataFrame, outcome: Outcome, found: Experiment, out: Path)
 
 
 def _narrow(table: pd.DataFrame) -> pd.DataFrame:
-    """The table without the columns that say the same in every row."""
+    """The table without the columns that are constant."""
     same = [c for c in ("condition", "robot") if table[c].nunique() == 1]
     return table.drop(columns=same)
 
@@ -177,7 +187,7 @@ def _pictures(main: pd.DataFrame, gamma: float) -> dict[str, Picture]:
         ),
         "nees": Picture(
             by_sequence(shown, "NEES_pos", "Consistency: NEES of position", band),
-            "The grey band is within a factor of two of 3; to its right a filter claims too much.",
+            "The grey band is within a factor of two of 3; to its right a filter is overconfident.",
         ),
     }
     if shown["coverage [%]"].notna().any():
@@ -203,7 +213,9 @@ def _walks(outcome: Outcome, found: Experiment, out: Path) -> list[Section]:
             save_picture(picture, out / "figures" / f"{name}_{_slug(condition.name)}.png", True)
             pictures.append(picture)
         if series:
-            title = f"Distance from the truth, dashed: the three sigma claimed; {condition.name}"
+            title = (
+                f"Distance from the truth, dashed: the filter's own three sigma; {condition.name}"
+            )
             picture = Picture(errors_over_time(series, title), "Errors over time.")
             save_picture(picture, out / "figures" / f"errors_{_slug(condition.name)}.png", True)
             pages.append(Section(f"Paths: {condition.name}", "", None, (picture, *pictures)))

@@ -109,6 +109,7 @@ def _learn(
             named = by_role[cell.scenario.role].setdefault(cell.group, [])
             named.append((cell.scenario.name, walk))
     learning, held_out = experiment.learning, by_role["calibrate"]
+    method = learning.method
     observers = stage(
         pool,
         "observers",
@@ -122,14 +123,12 @@ def _learn(
         pool,
         "bounds",
         {
-            (group, gamma, loss): (
-                make_bounds, folder, observer, held_out[group][0], gamma, learning.method,
-            )
+            (group, gamma, loss): (make_bounds, folder, observer, held_out[group][0], gamma, method)
             for (group, loss), observer in observers.items()
             if group in held_out
             for gamma in _gammas(experiment, group[2])
         },
-    )  # fmt: skip
+    )
     found: dict[tuple[str, str, int], LearntFiles] = {}
     for (group, loss), observer in observers.items():
         found.setdefault(group, LearntFiles({}, {})).observers[loss] = observer
@@ -175,8 +174,6 @@ def _record(
     for cell, walk in walks.items():
         if cell.seed == experiment.seeds[0] and not walk.facts["falls"]:
             files = learnt.get(cell.group, LearntFiles({}, {}))
-            gamma = experiment.gammas[0]
-            tasks[cell.title(experiment)] = (
-                make_recording, folder, walk, _job(cell), files, experiment.filters, gamma,
-            )  # fmt: skip
+            what = (_job(cell), files, experiment.filters, experiment.gammas[0])
+            tasks[cell.title(experiment)] = (make_recording, folder, walk, *what)
     return stage(pool, "recordings", tasks)

@@ -4,8 +4,6 @@
 # pyright: reportIndexIssue=false, reportReturnType=false, reportAttributeAccessIssue=false
 # (pandas' stubs take a selection for any of several types)
 
-from collections.abc import Sequence
-
 import numpy as np
 import pandas as pd
 
@@ -31,10 +29,24 @@ METRICS = {
 """Columns of the tables and the facts of an estimate that they show."""
 SHARE = "APE [% of path]"
 HELD = "coverage [%]"
+COLUMNS = (
+    "APE_trans [m]",
+    SHARE,
+    "APE_rot [deg]",
+    "RPE_trans [m]",
+    "RPE_rot [deg/m]",
+    "pi<gamma [%]",
+    HELD,
+    "NEES_pos",
+    "NEES_vel",
+    "NEES_att",
+    "step [us]",
+)
+"""In the order that averages and sequences are shown in."""
 MEANINGS = {
     **MEANINGS,
-    HELD: "share of velocity errors jointly inside the bounds, with a 95 % interval; not told of "
-    "filters whose bounds are on something else",
+    HELD: "share of velocity errors jointly inside the bounds, with a 95 % interval; not given "
+    "for filters whose bounds are on something else",
     SHARE: "APE_trans over the length of the walk",
     "±": "standard deviation over seeds; each seed is a robot, its walks and its observers",
 }
@@ -90,7 +102,7 @@ def averages(rows: pd.DataFrame) -> pd.DataFrame:
         row |= {column: with_spread(by_seed[column]) for column in [*METRICS, SHARE]}
         row[HELD] = _held(part)
         found.append(row)
-    order = ["condition", "robot", "filter", *_columns(rows)]
+    order = ["condition", "robot", "filter", *COLUMNS]
     return pd.DataFrame(found, columns=order) if found else pd.DataFrame(columns=order)
 
 
@@ -106,7 +118,7 @@ def per_sequence(rows: pd.DataFrame) -> pd.DataFrame:
         row |= {column: with_spread(part[column]) for column in [*METRICS, SHARE]}
         row[HELD] = _held(part)
         found.append(row)
-    return pd.DataFrame(found, columns=["sequence", "path", "filter", *_columns(rows)])
+    return pd.DataFrame(found, columns=["sequence", "path", "filter", *COLUMNS])
 
 
 def sweep(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
@@ -172,8 +184,3 @@ def _held(part: pd.DataFrame) -> str | None:
     share = float((part["coverage [%]"] * part["coverage_n"]).sum() / n)
     low, high = 100.0 * binomial_interval(share / 100.0, int(n))
     return f"{share:.1f} ({low:.0f}–{high:.0f})"
-
-
-def _columns(rows: pd.DataFrame) -> Sequence[str]:
-    return ["APE_trans [m]", SHARE, "APE_rot [deg]", "RPE_trans [m]", "RPE_rot [deg/m]",
-            "pi<gamma [%]", HELD, "NEES_pos", "NEES_vel", "NEES_att", "step [us]"]  # fmt: skip

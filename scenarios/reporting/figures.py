@@ -76,7 +76,7 @@ def trajectories(
 def height(
     log: Log, errors: Mapping[str, ErrorSeries], title: str = "Height of the IMU over time"
 ) -> Figure:
-    """Height of truth and estimates over time: vertical drift, which nothing on board can see."""
+    """Height of truth and estimates over time: vertical drift, which is unobservable."""
     figure, axes = new_figure(size=(7.5, 3.6))
     ax = axes[0, 0]
     t, z = log.t, log.ref_p[:, 2]
@@ -125,10 +125,9 @@ def body_velocity(
         panel = f"{axis} of the IMU ({word})"
         if half is not None:
             lower, upper = guess[:, k] - half[:, k], guess[:, k] + half[:, k]
-            ax.fill_between(
-                t[shown], lower[shown], upper[shown],
-                color=BOUNDS, alpha=0.25, linewidth=0, label="Observer ± ε (the bounds)",
-            )  # fmt: skip
+            band = {"color": BOUNDS, "alpha": 0.25, "linewidth": 0}
+            label = "Observer ± ε (the bounds)"
+            ax.fill_between(t[shown], lower[shown], upper[shown], **band, label=label)
         ax.plot(t[shown], guess[shown, k], color=OBSERVER, linewidth=1.2, label="Observer")
         measured = np.where(ok, truth[:, k], np.nan)
         ax.plot(t[shown], measured[shown], color=TRUTH, linewidth=2.0, label="Truth")
@@ -151,7 +150,7 @@ def body_velocity(
 
 def position_error(
     errors: Mapping[str, ErrorSeries],
-    title: str = "Distance between estimate and truth, and what each filter expects of itself",
+    title: str = "Distance between estimate and truth, and each filter's own 3σ",
 ) -> Figure:
     """Position error norm and the filter's own 3 sigma (of the covariance's trace) over time."""
     figure, axes = new_figure(size=(7.5, 4.0))
@@ -164,14 +163,13 @@ def position_error(
         sigma = error.distance_sigma
         if sigma is not None:
             inside = 100.0 * (error.distance <= 3.0 * sigma).mean()
-            ax.plot(
-                error.t, 3.0 * sigma, color=color, linewidth=1.0, linestyle=(0, (4, 2)),
-                label=f"{label}: own 3σ, holds {inside:.0f} % of the time",
-            )  # fmt: skip
+            label = f"{label}: own 3σ, holds {inside:.0f} % of the time"
+            line = {"color": color, "linewidth": 1.0, "linestyle": (0, (4, 2))}
+            ax.plot(error.t, 3.0 * sigma, **line, label=label)
     if errors:
         ax.set_xlim(min(e.t[0] for e in errors.values()), max(e.t[-1] for e in errors.values()))
     ax.set(xlabel="time [s]", ylabel="position error [m]")
-    # An honest but wide 3 sigma may not squeeze the errors themselves into the floor.
+    # A wide 3 sigma must not flatten the errors themselves.
     ax.set_ylim(0.0, min(ax.get_ylim()[1], 4.0 * top) if top else None)
     set_title(ax, title)
     legend_below(figure, ax, columns=2)
@@ -205,8 +203,7 @@ def _draw_patch(ax, patch, low: np.ndarray, high: np.ndarray) -> None:
     centre = np.array([patch.center_x, patch.center_y])
     if (centre > low).all() and (centre < high).all():
         top = patch.center_y + 0.5 * patch.size_y
-        ax.annotate(
-            f"friction {patch.mu:.2f}", (patch.center_x, min(top, high[1])), fontsize=8,
-            ha="center", va="top", color="#33677D",
-            bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0},
-        )  # fmt: skip
+        place = patch.center_x, min(top, high[1])
+        look = {"fontsize": 8, "ha": "center", "va": "top", "color": "#33677D"}
+        box = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0}
+        ax.annotate(f"friction {patch.mu:.2f}", place, **look, bbox=box)

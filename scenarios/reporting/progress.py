@@ -1,4 +1,4 @@
-"""A bar for work that tells its share done."""
+"""A bar for work that reports its share done."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -8,11 +8,11 @@ from tqdm import tqdm
 
 @contextmanager
 def percent_bar(label: str) -> Iterator[Callable[[float], None]]:
-    """Yield a function to be told the share of the work that is done, from 0 to 1."""
+    """Yield a function that takes the share of the work that is done, from 0 to 1."""
     layout = "{l_bar}{bar}| {elapsed}<{remaining}"
     with tqdm(total=100, desc=label, unit="%", bar_format=layout) as bar:
 
-        def tell(share: float) -> None:
+        def progress(share: float) -> None:
             bar.update(100.0 * share - bar.n)
 
-        yield tell
+        yield progress

@@ -1,4 +1,4 @@
-"""What an experiment's rows say, in words: who leads, who loses where, and what the reason is."""
+"""An experiment's findings in words: which filter errs least, where another is better, and why."""
 
 # pyright: reportArgumentType=false, reportGeneralTypeIssues=false, reportCallIssue=false
 # pyright: reportIndexIssue=false, reportReturnType=false, reportAttributeAccessIssue=false
@@ -12,9 +12,9 @@ from surefoot.scenarios.experiments.tables import SHARE
 from surefoot.scenarios.reporting.palette import estimator_label
 
 OURS = ("coverage_persistent", "coverage")
-"""The method whose losses are told; the first that was run."""
+"""The method that others are compared with; the first that was run."""
 PERCEPTIVE = ("radar_leg",)
-"""Filters that see the world; they are not ranked with those that feel it."""
+"""Exteroceptive filters are not ranked with the proprioceptive ones."""
 FLOOR = ("imu",)
 DIVERGED = 5.0  # % of the path
 HIGHEST = "APE_trans [m]"
@@ -33,7 +33,7 @@ def findings(rows: pd.DataFrame, experiment: Experiment) -> list[tuple[str, str]
 
 
 def _condition(rows: pd.DataFrame, condition: Condition) -> list[str]:
-    said = (
+    paragraphs = (
         [f"{condition.name[:1].upper()}{condition.name[1:]}: {condition.words}."]
         if condition.words
         else []
@@ -41,15 +41,15 @@ def _condition(rows: pd.DataFrame, condition: Condition) -> list[str]:
     ranked = rows[~rows["filter"].isin([*PERCEPTIVE, *FLOOR])]
     test = ranked[ranked["role"] == "test"]
     if test.empty:
-        return said
+        return paragraphs
     means = test.groupby("filter")[HIGHEST].mean().sort_values()
     order = ", ".join(f"{estimator_label(str(n))} {v:.3f} m" for n, v in means.items())
-    said.append(f"Position error averaged over the test sequences, lowest first: {order}.")
-    said += [_divergence(ranked), _consistency(test)]
+    paragraphs.append(f"Position error averaged over the test sequences, lowest first: {order}.")
+    paragraphs += [_divergence(ranked), _consistency(test)]
     ours = next((name for name in OURS if name in set(ranked["filter"])), None)
     if ours:
-        said += _losses(ranked, ours, condition)
-    return [line for line in said if line]
+        paragraphs += _losses(ranked, ours, condition)
+    return [line for line in paragraphs if line]
 
 
 def _divergence(rows: pd.DataFrame) -> str:
@@ -60,7 +60,8 @@ def _divergence(rows: pd.DataFrame) -> str:
         for n, v in worst.items()
         if not v < DIVERGED
     ]
-    text = f"On every sequence below {DIVERGED:g} % of the path: {', '.join(kept) or 'none'}."
+    good = ", ".join(kept) or "none"
+    text = f"Position error below {DIVERGED:g} % of the path on every sequence: {good}."
     return text + (f" Above it: {'; '.join(lost)}." if lost else "")
 
 
@@ -77,13 +78,13 @@ def _consistency(test: pd.DataFrame) -> str:
             inside = ((nees > NOMINAL / FACTOR) & (nees < NOMINAL * FACTOR)).mean()
             parts.append(f"{estimator_label(str(name))} {nees.mean():.2f} ({100 * inside:.0f} %)")
     return (
-        f"Mean NEES of position, {NOMINAL:g} if a filter knows its own error, and the share of "
+        f"Mean NEES of position, {NOMINAL:g} for a consistent filter, and the share of "
         f"test walks within a factor of {FACTOR:g} of it: {', '.join(parts)}."
     )
 
 
 def _losses(rows: pd.DataFrame, ours: str, condition: Condition) -> list[str]:
-    """On which sequences another proprioceptive filter comes out ahead, by how much, and why."""
+    """On which sequences another proprioceptive filter errs less, by how much, and why."""
     means = rows.groupby(["sequence", "filter"], sort=False)[HIGHEST].mean().unstack()
     ahead = {}
     for sequence, values in means.iterrows():
@@ -93,31 +94,30 @@ def _losses(rows: pd.DataFrame, ours: str, condition: Condition) -> list[str]:
     label = estimator_label(ours)
     if not ahead:
         return [f"{label} has the lowest position error of all on every sequence."]
-    said = []
+    paragraphs = []
     for best, found in ahead.items():
-        where = ", ".join(f"{s} ({a:.2f} against {b:.2f} m)" for s, a, b in found)
+        where = ", ".join(f"{s} ({b:.2f} against {a:.2f} m)" for s, a, b in found)
         winner, n = estimator_label(best), len(means)
-        said.append(f"{label} loses to {winner} on {len(found)} of {n} sequences: {where}.")
+        paragraphs.append(
+            f"{winner} has a lower position error than {label} on {len(found)} of {n} sequences: "
+            f"{where}."
+        )
     if any(name.startswith("leg") for name in ahead):
-        said.append(_why_legs(rows, condition))
-    said.append(_why_learnt(rows, ours))
-    return said
+        paragraphs.append(_why_legs(rows, condition))
+    paragraphs.append(_why_learnt(rows, ours))
+    return paragraphs
 
 
 def _why_legs(rows: pd.DataFrame, condition: Condition) -> str:
     walks = rows.drop_duplicates(["sequence", "seed"])
     if condition.effects or condition.imperfections:
-        model = (
-            "The leg filter's model of the legs is off by no more than the robot's imperfections"
-        )
-        so = "what legs measure stays more exact than what was learnt from so little walking"
+        model = "The leg filter's model of the legs is wrong only by the robot's imperfections"
+        so = "leg kinematics remain more accurate than an observer trained on so little walking"
     else:
-        model = (
-            "The leg filter has a perfect model of the legs, down to the radius its feet roll on"
-        )
-        so = "what legs measure is nearly exact"
+        model = "The leg filter has a perfect model of the legs, the radius of the feet included"
+        so = "velocities from leg kinematics are nearly exact"
     return (
-        f"{model}; a foot that stands creeps by {walks['creep [mm/s]'].median():.1f} mm/s on dry "
+        f"{model}; a standing foot creeps by {walks['creep [mm/s]'].median():.1f} mm/s on dry "
         f"ground (median) and slides on {walks['slip [%]'].mean():.1f} % of its samples: {so}."
     )
 
@@ -130,6 +130,6 @@ def _why_learnt(rows: pd.DataFrame, ours: str) -> str:
     drift = bias * mine["duration [s]"]
     return (
         f"The observer's velocity errors do not average out over a walk: their mean is "
-        f"{1e3 * bias.mean():.1f} mm/s on average, {1e3 * bias.max():.1f} mm/s at worst; alone "
-        f"it would carry an estimate {drift.mean():.2f} m away on average."
+        f"{1e3 * bias.mean():.1f} mm/s on average, {1e3 * bias.max():.1f} mm/s at worst; integrated "
+        f"over a walk, it would move an estimate by {drift.mean():.2f} m on average."
     )
