@@ -130,6 +130,6 @@ def _why_learnt(rows: pd.DataFrame, ours: str) -> str:
     drift = bias * mine["duration [s]"]
     return (
         f"The observer's velocity errors do not average out over a walk: their mean is "
-        f"{1e3 * bias.mean():.1f} mm/s on average, {1e3 * bias.max():.1f} mm/s at worst; integrated "
-        f"over a walk, it would move an estimate by {drift.mean():.2f} m on average."
+        f"{1e3 * bias.mean():.1f} mm/s on average, {1e3 * bias.max():.1f} mm/s at worst; "
+        f"integrated over a walk, it would move an estimate by {drift.mean():.2f} m on average."
     )
