@@ -9,6 +9,8 @@ import numpy as np
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.residuals.binning import (
     ReferenceMotion,
+    at_rows,
+    at_torques,
     bin_mean,
     mean_rate_of_change,
     reference_motion,
@@ -208,23 +210,18 @@ class _Linear:
         return max(tried, key=lambda one: explained_share(one, self.parts.table))
 
     def _from_zero(self, key: Key, step: float) -> Regressor:
+        """By a difference of the residual, or by the chain rule that the effect declares."""
         log, robot = compensate_all([effect(*key, step)], self.log, self.robot)
-        if robot is not self.robot:
-            old, new = self.robot.extras, robot.extras
+        rule = known_effects()[key[0]].chain_rule
+        if rule == "readings":
+            change = self._by_chain_rule(log, step) + self._of_others(log, robot, step)
+        elif rule is not None:
             assert isinstance(robot, Robot)
-            assert isinstance(self.robot, Robot)
-            timed = log is not self.log and _moves_frame(log.frame.attrs["last"])
-            turned = robot.R_BI is not self.robot.R_BI
-            slower = (old.imu_lowpass, old.softness) != (new.imu_lowpass, new.softness)
-            if timed or turned or slower:
-                return self._by_difference(log, robot, step)
-            return self._reduced(wrt_robot(self.parts, self.robot, robot, step))
-        moved = log.frame.attrs["last"]
-        # Of joints that all move in time, the parts of the chain rule cancel but for their errors.
-        if _moves_frame(moved) or {"q", "tau"} <= {name.split("_")[0] for name in moved}:
-            return self._by_difference(log, robot, step)
-        change = self._by_chain_rule(log, step)
-        return self._reduced(change + self._of_others(log, robot, step))
+            change = wrt_robot(self.parts, self.robot, robot, step)
+        else:
+            change = self._by_difference(log, robot, step)
+        one = sparse(change, self.parts.table)
+        return Regressor(one.columns, -one.values)
 
     def by_columns(self, added: Mapping[str, np.ndarray]) -> Regressor:
         """What these additions (N,) to the readings add to the table."""
@@ -249,22 +246,16 @@ class _Linear:
         moved = filled(layout, residual_inputs(log, robot, self.frame), others)
         return np.nan_to_num(moved - table) / step
 
-    def _reduced(self, change: np.ndarray) -> Regressor:
-        """What an effect adds to the table of which compensation makes this change (M, W)."""
-        one = sparse(change, self.parts.table)
-        return Regressor(one.columns, -one.values)
-
     def _about_its_value(self, key: Key) -> Regressor:
         step = known_effects()[key[0]].step_of(key[1])
         ahead, behind = (table_of(self.case, _moved(self.chosen, key, s)) for s in (step, -step))
         return sparse((behind - ahead) / (2 * step), self.parts.table)
 
-    def _by_difference(self, log: Log, robot: Machine, step: float) -> Regressor:
+    def _by_difference(self, log: Log, robot: Machine, step: float) -> np.ndarray:
         frame = self.frame
         if log is not self.log:
             frame = replace(reference_motion(log, self.case.fixed), level=frame.level)
-        moved = residual(log, robot, frame).table
-        return sparse((self.parts.table - moved) / step, self.parts.table)
+        return (residual(log, robot, frame).table - self.parts.table) / step
 
     def free(self) -> list[tuple[Regressor, float, Key | None]]:
         """What may be free in a log, its limit, and the candidate that stands for it."""
@@ -275,7 +266,8 @@ class _Linear:
             most = self.case.settings.turn_on_limit
             for axis, name in enumerate("xyz"):
                 for kind, turn_on in deviations.items():
-                    unit = {kind: {axis: np.ones(len(parts.t))}}
+                    ones = {axis: np.ones(len(parts.t))}
+                    unit = {kind: ones} | ({"omega": ones} if kind == "gyro" else {})
                     one = sparse(wrt_readings(parts, self.jacobians, unit), parts.table)
                     out.append((one, most * turn_on, (f"{kind}_bias", name)))
         for name, columns in parts.layout.channels.items():
@@ -308,12 +300,16 @@ def _change(
             place = joints.index(what)
         else:
             continue
-        difference = new.frame[name].to_numpy() - old.frame[name].to_numpy()
-        change.setdefault(stream, {})[place] = mean(difference) / step
+        rows = new.frame[name].to_numpy() - old.frame[name].to_numpy()
+        means = {stream: mean(rows)}
+        if stream == "gyro":
+            means["omega"] = mean(at_rows(rows))
+        elif stream in ("q", "dq"):
+            means[f"{stream}_step"] = mean(at_torques(rows, frame))
         if stream == "dq":
-            change.setdefault("ddq", {})[place] = (
-                mean_rate_of_change(difference, old.t, frame) / step
-            )
+            means["ddq"] = mean_rate_of_change(rows, old.t, frame)
+        for kind, values in means.items():
+            change.setdefault(kind, {})[place] = values / step
     return change
 
 

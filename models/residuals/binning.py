@@ -163,8 +163,7 @@ def binned(log: Log, robot: Machine, frame: ReferenceMotion) -> Bins:
         base = _base_motion(
             log.t, *((frame.gyro, frame.accel) if known else (omega, log.accel)), robot
         )
-    # Rows hold the mean rate of the step before; the rate at the row itself is between two.
-    omega = 0.5 * (omega + np.concatenate([omega[1:], omega[-1:]]))
+    omega = at_rows(omega)
     mean = bin_mean(frame)
     return Bins(
         t=frame.t,
@@ -195,6 +194,11 @@ def bin_mean(frame: ReferenceMotion):
         return np.add.reduceat(values, frame.first, axis=0) / count
 
     return mean
+
+
+def at_rows(omega: np.ndarray) -> np.ndarray:
+    """Rates (N, ...) at the rows' own times: rows hold the mean of the step before."""
+    return 0.5 * (omega + np.concatenate([omega[1:], omega[-1:]]))
 
 
 def at_torques(x: np.ndarray, frame: ReferenceMotion) -> np.ndarray:

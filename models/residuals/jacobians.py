@@ -142,7 +142,8 @@ def wrt_readings(
     parts: ResidualTable, known: ResidualJacobians, change: Mapping[str, Mapping[int, np.ndarray]]
 ) -> np.ndarray:
     """What a change of readings does to the table (M, W), by the chain rule: of each stream, at
-    each place (axis or joint), its means over bins (M,); of "ddq" what the rate gains over them."""
+    each place (axis or joint), its means over bins (M,); of "omega", gyro at the rows' times; of
+    "q_step" and "dq_step", at those of torques; of "ddq" what the rate gains over them."""
     out, layout = np.zeros(parts.table.shape), parts.layout
     joints = parts.inputs.bins.q.shape[1]
     gyro, accel, legs = (layout.of(n) for n in ("imu_gyro", "imu_accel", "leg_velocity"))
@@ -152,6 +153,7 @@ def wrt_readings(
     forces = np.zeros((len(out), joints + 6))
     for axis, x in change.get("gyro", {}).items():
         out[:, gyro[axis]] += x
+    for axis, x in change.get("omega", {}).items():
         out[:, legs] += known.leg_omega[:, :, axis] * x[:, None]
     for axis, x in change.get("accel", {}).items():
         out[:, accel[axis]] += x
@@ -161,12 +163,14 @@ def wrt_readings(
             out[:, velocity[leg]] += known.leg_q[:, leg, :, j] * x[:, None]
             out[:, height[leg, 0]] += known.height_q[:, leg, j] * x
         out[:, rate[joint]] += slope(x)
-        forces += known.effort_q[joint] * x[:, None]
     for joint, x in change.get("dq", {}).items():
         if len(legs):
             leg, j = divmod(joint, per)
             out[:, velocity[leg]] += known.leg_dq[:, leg, :, j] * x[:, None]
         out[:, rate[joint]] -= smooth_121(x)
+    for joint, x in change.get("q_step", {}).items():
+        forces += known.effort_q[joint] * x[:, None]
+    for joint, x in change.get("dq_step", {}).items():
         forces += known.effort_dq[joint] * x[:, None]
     for joint, x in change.get("ddq", {}).items():
         forces += known.effort_ddq[joint] * x[:, None]
