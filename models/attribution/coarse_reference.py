@@ -1,7 +1,7 @@
 """How coarse a measured reference is, and a walk of the model seen by one that is as coarse.
 
-Poses between two samples of a reference are interpolated, which bends at every sample: that says
-when those were. How much they err is told by the IMU, whose turns and gains of velocity between
+Poses between two samples of a reference are interpolated, which bends at every sample: that shows
+when those were. How much they err follows from the IMU, whose turns and gains of velocity between
 samples hardly do. Simulated references have a sample a row.
 """
 
@@ -42,7 +42,7 @@ def coarseness(log: Log, settings: TraceSettings = DEFAULT) -> Coarse | None:
 
 
 def as_coarse(log: Log, coarse: Coarse, rng: np.random.Generator) -> Log:
-    """The log with its reference sampled, in error and interpolated as `coarse` says."""
+    """The log with its reference sampled, in error and interpolated as in `coarse`."""
     t = log.t
     repeats = int(np.ceil((t[-1] - t[0]) / sum(coarse.intervals)))
     then = t[0] + np.cumsum(np.tile(coarse.intervals, repeats))
@@ -68,7 +68,7 @@ def _samples(log: Log, bend: float) -> np.ndarray:
 
 def _noise(log: Log, t: np.ndarray) -> tuple[float, float]:
     """Standard deviations of a sample's attitude [rad] and position [m], at the times t (K,) [s],
-    by what the reference does between samples less what the IMU says."""
+    by what the reference does between samples less what the IMU measures."""
     step = np.diff(t)[:, None]
     R_GI = Slerp(log.t, Rotation.from_matrix(log.ref_R_GI))(t)
     turn = (R_GI[:-1].inv() * R_GI[1:]).as_rotvec()

@@ -1,4 +1,4 @@
-"""What a trace reads of its logs, and what they can and cannot tell."""
+"""What a trace reads of its logs, and what can be identified from them."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -77,7 +77,7 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
             notes.append(f"{name}: not used, the ground is not level")
     if "joint_torque" not in there and all(case.log.has("q_des") for case in cases):
         notes.append(
-            "tracking: commanded angles tell of drives by torques alone; give the map a motor law"
+            "tracking: commanded angles need a motor law to give torques; add one to the map"
         )
     if cases[0].fixed:
         notes.append("without a reference the base is taken to be held still and level")
@@ -87,7 +87,7 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
         notes.append("the model does not walk in simulation: the floor is sensor noise alone")
     if floor.evenness and "foot_height" in there:
         notes.append(
-            f"the ground is taken for even to {1e3 * floor.evenness:.2g} mm (standard deviation)"
+            f"the ground is assumed even to {1e3 * floor.evenness:.2g} mm (standard deviation)"
         )
     if any(isinstance(c.robot, Robot) and np.any(c.robot.foot_radius == 0) for c in cases):
         notes.append("the model's feet are points; the floor is from walks with the file's feet")

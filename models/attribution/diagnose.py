@@ -24,7 +24,7 @@ from surefoot.sim.robot.fixed_base import Machine
 
 @dataclass(frozen=True, kw_only=True)
 class Diagnosis:
-    """What logs say of their model.
+    """What logs show of their model.
 
     verdict: attributed, confounded, none_of_these, not_identifiable or no_residual; attribution:
     the search, None where there was none; channels: levels by channel on data that no fit has seen;
@@ -155,7 +155,7 @@ def _result_notes(result: Attribution, channels: dict[str, ChannelLevel]) -> lis
     notes = []
     if "leg_velocity" in channels:
         notes.append(
-            "foot_slip: cannot be told; friction shows where feet slide, and that they did on "
+            "foot_slip: not identifiable; friction shows where feet slide, and that they did on "
             f"{100 * result.robust_weights.share:.1f} % of their stance, wherever it was slippery"
         )
     notes += [f"{name}: worse with what was found" for name, c in channels.items() if c.worse]

@@ -201,7 +201,7 @@ def loss(data: NormalEquations, vector: np.ndarray) -> np.ndarray:
 def overlap(data: NormalEquations, one: Key, other: Key, given: Sequence[Key]) -> float:
     """Cosine (0..1) between two regressors once `given` and the free parts are projected out.
 
-    At one, no size of the other could be told from some size of the first with these data.
+    At one, no size of the other could be distinguished from some size of the first with these data.
     """
     G = data.whole
     first = 1 + len(data.keys)

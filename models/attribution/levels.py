@@ -50,11 +50,11 @@ def channel_levels(
     cases: Sequence[LogUnderModel], result: Attribution, split: Split
 ) -> dict[str, ChannelLevel]:
     """Level of each channel on the report split, with and without the effects found."""
-    evidence, trusted, floor = result.evidence, result.robust_weights, result.floor
+    evidence, weights, floor = result.evidence, result.robust_weights, result.floor
     plain = linearise(cases, (), (), None)
     use = split.fit | split.select
-    before = without_bias(plain, trusted, use)
-    after = without_bias(evidence, trusted, use)
+    before = without_bias(plain, weights, use)
+    after = without_bias(evidence, weights, use)
     every = [np.ones(len(one.evidence.t), dtype=bool) for one in floor.repeats]
     floors = [
         without_bias(one.evidence, one.robust_weights, rows)
@@ -90,13 +90,13 @@ def channel_levels(
     return levels
 
 
-def without_bias(evidence: Evidence, trusted: RobustWeights, use: np.ndarray) -> np.ndarray:
+def without_bias(evidence: Evidence, weights: RobustWeights, use: np.ndarray) -> np.ndarray:
     """The residual table (M, W) less the free parts as fitted on `use`; NaN where masked."""
     data = design(evidence.only(()))
-    sums = normal_equations(data, trusted.sigma, trusted.weight, np.where(use, 0, -1)).total()
+    sums = normal_equations(data, weights.sigma, weights.weight, np.where(use, 0, -1)).total()
     vector = fit(sums, (), errors=False).vector
     left = np.where(data.there, data.y - data.explained(-vector[1:]), np.nan)
-    return np.where(trusted.weight > 0, left, np.nan)
+    return np.where(weights.weight > 0, left, np.nan)
 
 
 def _ahead(one: Repeat) -> np.ndarray:

@@ -38,7 +38,7 @@ Groups = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Repeat:
-    """One walk of the declared model: its evidence, what of it to believe, its sums of products,
+    """One walk of the declared model: its evidence, robust weights, normal equations,
     and how far each column (W,) is from white (`models.attribution.whiteness`)."""
 
     evidence: Evidence
@@ -83,7 +83,7 @@ class NoiseFloor:
         return self.plan.evenness if self.plan else 0.0
 
     def counted(self, sigma: np.ndarray) -> np.ndarray:
-        """The noise sigma (W,) as it counts in a fit: what is not white tells less."""
+        """The noise sigma (W,) as it counts in a fit: what is not white is less informative."""
         if not self.repeats:
             return sigma
         return sigma * np.sqrt(np.mean([one.variance_inflation for one in self.repeats], axis=0))
@@ -98,13 +98,13 @@ class NoiseFloor:
             return 0.0, 0.0
         free = self.repeats[0].normal_equations
         if key in free.stands_for:
-            # A bias is drawn anew whenever the sensor is switched on: `fit` puts that in its error.
+            # A bias is drawn whenever the sensor is switched on: `fit` puts that in its error.
             return 0.0, 0.0
         own = self._sizes(chosen, key)
         mean, count = float(np.mean(own)), len(own)
         if count < 2:
             return mean, 0.0
-        # A few walks tell little of how far a size varies: its like on other legs tell as much.
+        # A few walks are few samples of how far a size varies: its like on other legs are more.
         spreads = [np.var(self._sizes(chosen, k), ddof=1) for k in alike if k not in chosen]
         spread = float(np.sqrt(max(np.var(own, ddof=1), np.mean(spreads)) * (1 + 1 / count)))
         # Only what the walks agree on is the contacts' doing; the rest is chance.

@@ -1,5 +1,5 @@
 """Sizes on the residual itself, in which hardly any effect is linear, and the best of those
-candidates that linear regressors can barely tell apart.
+candidates that linear regressors can barely distinguish.
 
 An IMU that is late looks like a reference that is early in all that the two have in common, which
 is by far the loudest. The legs agree with only one of the two, but they count only where the loud
@@ -107,7 +107,7 @@ def _outdoes(data: NormalEquations, one: Candidate, best: Candidate, chosen: Seq
 def rerank(data: Data, few: Sequence[Candidate]) -> tuple[Candidate, list[Effect]]:
     """The candidate that leaves least of the true residual, and all effects at their sizes with it.
 
-    For the choice an IMU counts as far as its readings can be told between rows.
+    For the choice an IMU counts as far as its readings are known between rows.
     """
     before = list(data.explained)
     tried = [(c, refined(data, [*before, effect(*c.key, c.size)], REPORT)) for c in few]
@@ -123,9 +123,9 @@ def known_between_rows(data: Data) -> np.ndarray:
 
     A line from row to row errs by up to an eighth of the second difference of what it follows, and
     as much again when the move is undone; at the touch of a foot that is far more than noise. Undo
-    the delay of the other stream instead, and it is lost once. The IMU's own readings say how fast
+    the delay of the other stream instead, and it is lost once. The IMU's own readings show how fast
     they change: a reference may have been smoothed before it was written down. The loss is no
-    noise, which would be as large for each candidate: where it is larger the bin tells nothing.
+    noise, which would be as large for each candidate: where it is larger the bin is worthless.
     """
     weight, begin = np.ones_like(data.robust_weights.weight), 0
     imu = data.evidence.layout.of("imu_gyro", "imu_accel")

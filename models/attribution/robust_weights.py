@@ -115,7 +115,7 @@ def _explained(data: Design, sigma: np.ndarray, weight: np.ndarray) -> np.ndarra
         normal[np.ix_(which, which)] += A.T @ X
         right[which] += A.T @ data.y[rows, column]
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    # A ridge far below what data say keeps twins apart without moving anything that they tell.
+    # A ridge far below the data keeps twins apart and moves nothing that they determine.
     normal = normal / scale / scale[:, None] + 1e-9 * np.eye(size)
     return data.explained(np.linalg.solve(normal, right / scale) / scale)
 

@@ -36,7 +36,7 @@ class Found:
 @dataclass(frozen=True)
 class Attribution:
     """What was found: effects, strongest first; candidates by round; rivals of any effect;
-    trust of the final evidence; floor: that of the model with the effects."""
+    robust weights of the final evidence; floor: that of the model with the effects."""
 
     found: tuple[Found, ...]
     rounds: tuple[tuple[Candidate, ...], ...]
@@ -70,14 +70,14 @@ def attribute(
     while True:
         if progress:
             progress(len(rounds) / (settings.most_effects + 1))
-        evidence, whole, trusted, chosen = _settled(cases, chosen, keys, evidence, floor, split)
-        data = normal_equations(whole, floor.counted(trusted.sigma), trusted.weight, split.part)
+        evidence, whole, weights, chosen = _settled(cases, chosen, keys, evidence, floor, split)
+        data = normal_equations(whole, floor.counted(weights.sigma), weights.weight, split.part)
         candidates = judge(data, floor, [_key(e) for e in chosen], explained, rng)
         rounds.append(candidates)
         best = candidates[0] if candidates and candidates[0].earned else None
         if best is None or len(chosen) == settings.most_effects:
             break
-        known = Data(cases, floor, evidence, chosen, trusted, split.part)
+        known = Data(cases, floor, evidence, chosen, weights, split.part)
         best, chosen_with = rerank(known, contenders(data, candidates, [*map(_key, chosen)]))
         rivals += _rivals(data, best, candidates, [_key(e) for e in chosen], rng)
         explained += best.gain
@@ -86,7 +86,7 @@ def attribute(
     found = _with_intervals(data, chosen, floor)
     # What was found beside an effect is no other explanation of it.
     rivals = tuple(rival for rival in rivals if rival[0] not in [_key(e) for e in chosen])
-    return Attribution(found, tuple(rounds), rivals, trusted, evidence, floor)
+    return Attribution(found, tuple(rounds), rivals, weights, evidence, floor)
 
 
 def _settled(
@@ -97,7 +97,7 @@ def _settled(
     floor: NoiseFloor,
     split: Split,
 ) -> tuple[Evidence, Design, RobustWeights, list[Effect]]:
-    """The evidence about the chosen effects, which of it to believe, and their sizes on that.
+    """The evidence about the chosen effects, its robust weights, and their sizes with those.
 
     A large effect that is not linear spoils much of the evidence before it is explained.
     """
@@ -105,15 +105,15 @@ def _settled(
     while True:
         evidence = linearise(cases, chosen, keys, evidence)
         whole = design(evidence)
-        trusted = robust_weights(whole, floor.sigma)
+        weights = robust_weights(whole, floor.sigma)
         times += 1
         if not chosen or times == settings.settling_rounds:
-            return evidence, whole, trusted, chosen
-        data = Data(cases, floor, evidence, chosen, trusted, split.part)
+            return evidence, whole, weights, chosen
+        data = Data(cases, floor, evidence, chosen, weights, split.part)
         moved = refined(data, chosen, REPORT)
         pairs = list(zip(moved, chosen, strict=True))
         if all(abs(a.value - b.value) < settings.settled_share * abs(b.value) for a, b in pairs):
-            return evidence, whole, trusted, chosen
+            return evidence, whole, weights, chosen
         chosen = moved
 
 

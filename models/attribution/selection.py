@@ -82,10 +82,17 @@ def judge(
         )
         judged.append(
             Candidate(
-                key, size, error, spread, gain, (float(low), float(high)),
-                share, bool(at_bound), bool(earned),
+                key=key,
+                size=size,
+                error=error,
+                floor=spread,
+                gain=gain,
+                interval=(float(low), float(high)),
+                share=share,
+                at_bound=bool(at_bound),
+                earned=bool(earned),
             )
-        )  # fmt: skip
+        )
     return tuple(sorted(judged, key=lambda c: (not c.earned, -c.gain)))
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class TraceSettings:
-    """What a trace takes for granted. Values were chosen on simulated walks before the blind study.
+    """Thresholds and constants, chosen on simulated walks before the blind study.
 
     They go with a log under a model (`evidence.LogUnderModel`), and from there with all that is
     computed from it.
@@ -83,7 +83,7 @@ class TraceSettings:
     most_effects: int = 4
     """Effects that one trace may name."""
     twin_overlap: float = 0.95
-    """Overlap (cosine) from which two regressors are hard to tell apart."""
+    """Overlap (cosine) from which two regressors are hard to distinguish."""
     settling_rounds: int = 3
     """Times at most that sizes and weights are estimated in turn."""
     settled_share: float = 0.01
@@ -94,7 +94,7 @@ class TraceSettings:
     newton_close: float = 1e-3
     """Share of its size by which an effect may still move when Gauss-Newton has converged."""
     close_behind: float = 0.3
-    """Share of the best gain from which a candidate might be better than linear regressors say."""
+    """Share of the best gain from which a candidate might be better than linear regressors show."""
     contenders: int = 3
     """Candidates that are refined on the residual itself in a round."""
     same_share: float = 0.5

@@ -6,16 +6,16 @@ from surefoot.models.attribution.fit import Design, fit, normal_equations
 from surefoot.models.attribution.robust_weights import RobustWeights
 
 
-def variance_inflation(data: Design, trusted: RobustWeights) -> np.ndarray:
+def variance_inflation(data: Design, weights: RobustWeights) -> np.ndarray:
     """How much more (W,) than white noise of its own size each column has along the candidates.
 
     data: of a walk that lacks every effect, so that what is left is noise and what contacts fake.
     Along a regressor x the score x'r of white noise r of size sigma has the variance sigma^2 x'x:
     the mean ratio of its square to that, over the candidates and over columns that are alike. A
-    residual that goes on for a whole swing tells as little as its few independent values: the
+    residual that goes on for a whole swing is worth only its few independent values: the
     noise that a column counts with is sigma times the root of this.
     """
-    sums = normal_equations(data, trusted.sigma, trusted.weight).total()
+    sums = normal_equations(data, weights.sigma, weights.weight).total()
     free = fit(sums, (), errors=False).vector[1:]
     left = np.where(data.there, data.y - data.explained(-free), 0.0)
     candidates = len(data.evidence.X)
@@ -27,8 +27,8 @@ def variance_inflation(data: Design, trusted: RobustWeights) -> np.ndarray:
             X, rows = data.X[c][:, own], data.rows[c]
             if not X.size:
                 continue
-            weight = trusted.weight[rows, c]
-            expected = trusted.sigma[c] ** 2 * (weight @ X**2)
+            weight = weights.weight[rows, c]
+            expected = weights.sigma[c] ** 2 * (weight @ X**2)
             score = (weight * left[rows, c]) @ X
             seen = expected > 1e-12 * max(float(expected.max()), 1e-300)
             found += list(score[seen] ** 2 / expected[seen])

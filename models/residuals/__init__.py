@@ -1,1 +1,1 @@
-"""What readings say beyond the model, channel by channel, and the Jacobians of it."""
+"""Residuals of readings against the model, channel by channel, and their Jacobians."""

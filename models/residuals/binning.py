@@ -19,7 +19,7 @@ BIN = 0.02
 EDGE = 0.03
 """s at either end of a stance that are left out: there the foot lands, rocks or already lifts."""
 ENDS = 0.006
-"""s, over which a rate is averaged at either end of a bin before it says how it changed."""
+"""s, over which a rate is averaged at either end of a bin before its change is taken."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ def binned(log: Log, robot: Machine, frame: ReferenceMotion) -> Bins:
         )
     base = np.zeros((n, 9))
     if isinstance(robot, Robot):
-        # A reference without velocities is too coarse to say how the base accelerates.
+        # A reference without velocities is too coarse for accelerations of the base.
         known = log.has("ref_v") or not log.has("imu")
         base = _base_motion(
             log.t, *((frame.gyro, frame.accel) if known else (omega, log.accel)), robot

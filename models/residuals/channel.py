@@ -66,7 +66,7 @@ class ResidualInputs:
 
 
 class Channel:
-    """A residual: readings of a log minus what the model says of them, in means over bins."""
+    """A residual: readings of a log minus what the model predicts, in means over bins."""
 
     name: ClassVar[str]
     unit: ClassVar[str]
@@ -107,7 +107,7 @@ class Channel:
         raise NotImplementedError
 
     def free(self, inputs: ResidualInputs) -> Sequence[np.ndarray]:
-        """What is fitted to each log anew, (M, 1) or (M, its columns), each of any size."""
+        """What is fitted to each log by itself, (M, 1) or (M, its columns), each of any size."""
         return ()
 
     def has(self, log: Log, group: str) -> bool:

@@ -26,8 +26,8 @@ from surefoot.sim.sensors.streams import Sensors
 
 AXES = ("x", "y", "z")
 REACH = 0.5
-"""m from a joint to the foot, by which its noise is carried to the foot where only data sheets
-say what noise there is."""
+"""m from a joint to the foot, by which its noise is carried to the foot where its noise
+is known from data sheets alone."""
 
 
 class ImuGyro(Channel):

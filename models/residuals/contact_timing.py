@@ -2,7 +2,7 @@
 
 The motion is that of the point with which the foot would touch, by the leg's kinematics and the
 reference. A foot that lands stops within a millisecond; one that lifts is unloaded for a while
-before it moves, and says so.
+before it moves, and is sensed as lifted then.
 """
 
 from collections.abc import Sequence

@@ -52,6 +52,6 @@ def normal_forces(legs, q, up, stands, torque):
                     along += torque[k, 3 * leg + j] * normal * up[k, a]
                     if j == 0:
                         volume += J[a, 0] * normal
-            if volume != 0.0:  # a leg so straight that its torques say nothing of its load
+            if volume != 0.0:  # a leg so straight that its torques do not depend on its load
                 out[k, leg] = along / volume
     return out

@@ -1,6 +1,6 @@
 """How each residual changes with a small change of the readings or of the robot, bin by bin.
 
-An effect's `compensate` says how it changes readings; from there on the derivatives are the same
+An effect's `compensate` defines how it changes readings; from there on the derivatives are the same
 for all effects and are computed once a log.
 """
 

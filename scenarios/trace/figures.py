@@ -21,7 +21,7 @@ def residuals(
     Args:
         channels: name -> {"before", "after", "noise_floor", "unit"}, as in trace.json, and
             "label", what to call it instead of its name; a value may be None where it is not known.
-        title: said above the figure.
+        title: above the figure.
     """
     rows = max(1, ceil(len(channels) / _COLUMNS))
     columns = min(_COLUMNS, max(1, len(channels)))
@@ -31,10 +31,9 @@ def residuals(
             value = channel.get(key)
             if value is not None:
                 ax.bar(k, value, 0.65, color=color, label=f"RMS {key}")
-                ax.annotate(
-                    f"{value:.3g}", (k, value), ha="center", va="bottom", fontsize=8,
-                    xytext=(0, 1), textcoords="offset points",
-                )  # fmt: skip
+                above = {"xytext": (0, 1), "textcoords": "offset points"}
+                text, place = f"{value:.3g}", (k, value)
+                ax.annotate(text, place, ha="center", va="bottom", fontsize=8, **above)
         floor = channel.get("noise_floor")
         if floor is not None:
             ax.axhline(
@@ -65,7 +64,7 @@ def candidate_gains(
         gains: effect -> gain (1 explains all, below 0 makes it worse), or (gain, low, high)
             with the ends of its interval.
         chosen: the effects that entered the model.
-        title: said above the figure.
+        title: above the figure.
         at_most: bars drawn; the axis says how many candidates there are.
     """
     values = {name: np.atleast_1d(np.asarray(g, dtype=float)) for name, g in gains.items()}
@@ -81,10 +80,9 @@ def candidate_gains(
         if len(gain) == 3:
             ax.plot(100 * gain[1:], [place, place], color=INK, linewidth=1.2, marker="|")
             right = max(right, gain[2])
-        ax.annotate(
-            f"{100 * gain[0]:.1f} %", (100 * max(right, 0.0), place), va="center", fontsize=8,
-            xytext=(5, 0), textcoords="offset points",
-        )  # fmt: skip
+        beside = {"xytext": (5, 0), "textcoords": "offset points"}
+        end = (100 * max(right, 0.0), place)
+        ax.annotate(f"{100 * gain[0]:.1f} %", end, va="center", fontsize=8, **beside)
     ax.set_yticks(places, [name.replace("_", " ") for name in shown])
     ax.axvline(0, color=INK, linewidth=0.8)
     more = f" (best {at_most} of {len(order)} candidates)" if len(order) > at_most else ""

@@ -14,9 +14,15 @@ from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
 REPORTED = (
-    "ape_trans", "ape_rot", "rpe_trans", "rpe_rot", "velocity", "nees_position", "nees_velocity",
+    "ape_trans",
+    "ape_rot",
+    "rpe_trans",
+    "rpe_rot",
+    "velocity",
+    "nees_position",
+    "nees_velocity",
     "nees_attitude",
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)

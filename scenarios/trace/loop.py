@@ -1,11 +1,10 @@
-"""The loop closed: trace a measured log, put what it lacks into the simulation, learn anew,
+"""The loop closed: trace a measured log, put what it lacks into the simulation, retrain,
 estimate the same log again, and compare.
 
 Two worlds are simulated, `before` as the model was declared and `after` with the effects found. In
 each a robot walks in the manner of the measured log (`sim.walking.imitation`), an observer is
-trained and
-calibrated on those walks alone, and every filter estimates the measured log with that world's
-model and that world's observer.
+trained and calibrated on those walks alone, and every filter estimates the measured log with that
+world's model and that world's observer.
 """
 
 import json
@@ -41,8 +40,8 @@ RECIPE = "recipe.json"
 
 
 @dataclass(frozen=True)
-class Lesson:
-    """How much an observer is taught in simulation."""
+class TrainingPlan:
+    """How much an observer is trained in simulation."""
 
     walks: int = 8
     seconds: float = 30.0  # of each walk to train on
@@ -56,7 +55,7 @@ def loop(
     out: Path,
     seed: int = 0,
     force: bool = False,
-    lesson: Lesson = Lesson(),
+    plan: TrainingPlan = TrainingPlan(),
 ) -> tuple[pd.DataFrame, tuple[Side, ...]]:
     """Close the loop on one log into `out`; a run that was killed goes on where it stopped.
 
@@ -68,8 +67,11 @@ def loop(
     log.require("imu", "q", "reference")
     shown = walking_style(*declared_model(log, robot))
     recipe = {
-        "log": log_digest(log), "robot": robot.name, "seed": seed, "lesson": asdict(lesson),
-    }  # fmt: skip
+        "log": log_digest(log),
+        "robot": robot.name,
+        "seed": seed,
+        "lesson": asdict(plan),
+    }
     if force or not _same(out, recipe):
         prepare_folder(out, force)
         with whole_file(out / RECIPE, True) as path:
@@ -81,9 +83,9 @@ def loop(
     worlds = {"before": declared, "after": (*declared, *found)} if found else {"before": declared}
     sides = []
     for name, effects in worlds.items():
-        learnt = _learnt(shown, log, robot, effects, out / name, seed, lesson)
-        told = tuple(e.as_dict() for e in effects)
-        as_modelled = replace(log, meta=replace(log.meta, effects=told))
+        learnt = _learnt(shown, log, robot, effects, out / name, seed, plan)
+        declared_then = tuple(e.as_dict() for e in effects)
+        as_modelled = replace(log, meta=replace(log.meta, effects=declared_then))
         sides.append(Side(name, effects, learnt, compare_log(as_modelled, robot, learnt)))
     return write_loop(log, robot, sides, out), tuple(sides)
 
@@ -96,7 +98,7 @@ def world_of(robot: Robot) -> Robot:
 def bodily(effects: Sequence[Effect], robot: Robot, world: Robot) -> tuple[Effect, ...]:
     """The effects as amounts beyond the simulated robot, whose feet have their file's radius.
 
-    A declared model may say that feet are points; what was found then is their whole radius.
+    A declared model may have feet as points; what was found then is their whole radius.
     """
     missing = float(np.mean(robot.foot_radius - world.foot_radius))
     if abs(missing) < 1e-9:
@@ -112,19 +114,19 @@ def simulate_training(
     robot: Robot,
     effects: Sequence[Effect],
     seed: int,
-    lesson: Lesson = Lesson(),
-    tell: Callable[[float], None] = lambda share: None,
+    plan: TrainingPlan = TrainingPlan(),
+    progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[list[Log], Log]:
     """Walks to train on and one to calibrate on, as a model that knows of the effects sees them."""
     world = world_of(robot)
     added = bodily(effects, robot, world)
     logs = []
-    for k, seconds in enumerate([*[lesson.seconds] * lesson.walks, lesson.calibration]):
+    for k, seconds in enumerate([*[plan.seconds] * plan.walks, plan.calibration]):
         rng = np.random.default_rng([seed, k])
         scenario, poised = imitation(shown, world, f"imitation_{k}", seconds, rng)
         walked = _walk(scenario, poised, seed + k, added)
         logs.append(declared_model(replace(walked, name=scenario.name), world)[0])
-        tell((k + 1) / (lesson.walks + 1))
+        progress((k + 1) / (plan.walks + 1))
     return logs[:-1], logs[-1]
 
 
@@ -153,8 +155,8 @@ def _traced(
     log: Log, robot: Robot, out: Path, seed: int, declared: Sequence[Effect]
 ) -> tuple[Effect, ...]:
     if not (out / "trace.json").exists():
-        with percent_bar("trace") as tell:
-            found = trace([log], robot, out, seed, tell, force=True, declared=declared)
+        with percent_bar("trace") as progress:
+            found = trace([log], robot, out, seed, progress, force=True, declared=declared)
         print(summary(found))
         if warned := caution(found.as_dict()):
             print(warned)
@@ -168,14 +170,14 @@ def _learnt(
     effects: Sequence[Effect],
     out: Path,
     seed: int,
-    lesson: Lesson,
+    plan: TrainingPlan,
 ) -> Learnt:
     done = out / "done"
     if not done.exists():
-        with percent_bar(f"walking: {out.name}") as tell:
-            training, calibration = simulate_training(shown, robot, effects, seed, lesson, tell)
+        with percent_bar(f"walking: {out.name}") as progress:
+            training, calibration = simulate_training(shown, robot, effects, seed, plan, progress)
         inputs = inputs_of(log)
-        learn(training, calibration, out, seed, inputs, force=True, schedule=lesson.schedule)
+        learn(training, calibration, out, seed, inputs, force=True, schedule=plan.schedule)
         done.touch()
     return learnt_in(out)
 

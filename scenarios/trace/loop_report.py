@@ -55,9 +55,8 @@ def write_loop(log: Log, robot: Robot, sides: Sequence[Side], out: Path) -> pd.D
         path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     shown = _trajectories(sides)
     last = sides[-1].comparison
-    write_recording(
-        out / "loop.rrd", log, robot, shown, last.prediction, last.bounds, force=True
-    )  # fmt: skip
+    seen = (last.prediction, last.bounds)
+    write_recording(out / "loop.rrd", log, robot, shown, *seen, force=True)
     sections = [
         Section("Before and after", _prose(found, sides, rmse), table),
         *_pictures(log, sides, shown),
@@ -124,8 +123,8 @@ def _trajectories(sides: Sequence[Side]) -> dict[str, Trajectory]:
 def _prose(
     found: dict[str, Any], sides: Sequence[Side], rmse: dict[str, dict[str, list[float]]]
 ) -> str:
-    added = [f"{e['name']} of {e['target']}, {e['value']:.4g} {e['unit']}"
-             for e in found["effects"]]  # fmt: skip
+    form = "{name} of {target}, {value:.4g} {unit}"
+    added = [form.format(**effect) for effect in found["effects"]]
     text = f"The trace's verdict: {found['verdict']}. "
     text += f"Put into the simulation: {'; '.join(added)}." if added else "Nothing to add."
     if warned := caution(found):

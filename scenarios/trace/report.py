@@ -59,7 +59,7 @@ def sections(found: Trace) -> list[Section]:
         picture = Picture(
             residuals(channel_rows(found.channels)),
             "Root mean square residual of each channel on the end of the log, which no fit and no "
-            "choice has seen. The dashed line is what a robot leaves that is as the model says.",
+            "choice has seen. The dashed line is what a robot leaves that is as its model.",
         )
         masked = f"Masked as slipping: {100 * found.masked_share:.1f} % of stance time. "
         masked = masked if "leg_velocity" in found.channels else ""
@@ -74,37 +74,31 @@ def sections(found: Trace) -> list[Section]:
         )
     rounds = found.attribution.rounds if found.attribution else ()
     chosen = [f"{e.name} {e.target}" for e in found.effects]
-    pictures = tuple(
-        Picture(
-            candidate_gains(
-                {f"{c.key[0]} {c.key[1]}": _gain(c) for c in one},
-                chosen if k < len(chosen) else (),
-                title=f"Round {k + 1}: share of the residual explained on held-out blocks",
-            ),
-            "Each candidate is fitted on some blocks of the log and judged on others. "
-            + ("The best that earns its place enters the model." if k == 0 else
-               "Candidates are fitted along with what is in the model already."),
+    pictures = []
+    for k, candidates in enumerate(one for one in rounds if one):
+        figure = candidate_gains(
+            {f"{c.key[0]} {c.key[1]}": _gain(c) for c in candidates},
+            chosen if k < len(chosen) else (),
+            title=f"Round {k + 1}: share of the residual explained on held-out blocks",
         )
-        for k, one in enumerate(rounds)
-        if one
-    )  # fmt: skip
+        model = "Candidates are fitted along with what is in the model already."
+        if k == 0:
+            model = "The best that earns its place enters the model."
+        judged = "Each candidate is fitted on some blocks of the log and judged on others."
+        pictures.append(Picture(figure, f"{judged} {model}"))
     if pictures:
-        parts.append(Section("Candidates", pictures=pictures))
+        parts.append(Section("Candidates", pictures=tuple(pictures)))
     for name, metrics in found.filters.items():
-        parts.append(
-            Section(
-                f"What it does to the {name} filter",
-                "The filter runs over the same end of the log, started from the reference: with "
-                "the declared model, and with the effect added to it.",
-                table=[
-                    {
-                        "metric": words, "unit": unit, "before": metrics["before"][key],
-                        "after": metrics["after"][key],
-                    }
-                    for key, (words, unit) in _METRICS.items()
-                ],
-            )
-        )  # fmt: skip
+        before, after = metrics["before"], metrics["after"]
+        rows = [
+            {"metric": words, "unit": unit, "before": before[key], "after": after[key]}
+            for key, (words, unit) in _METRICS.items()
+        ]
+        words = (
+            "The filter runs over the same end of the log, started from the reference: with the "
+            "declared model, and with the effect added to it."
+        )
+        parts.append(Section(f"What it does to the {name} filter", words, table=rows))
     return parts
 
 
@@ -123,7 +117,7 @@ def _sentences(found: Trace) -> list[str]:
         f"Or {r['name']} {r['target']}: their regressors overlap by {r['overlap']:.2f}."
         for r in found.rivals
     ]
-    lines += [f"To tell them apart: {found.motion}."] if found.rivals else []
+    lines += [f"To distinguish them: {found.motion}."] if found.rivals else []
     lines += [line.strip() + "." for line in unexplained_in_words(found)]
     return lines + [f"Note: {note}." for note in found.notes]
 
@@ -133,11 +127,15 @@ def _effects(found: Trace):
         return None
     return [
         {
-            "effect": f.effect.name, "target": f.effect.target, "value": f.effect.value,
-            "low": f.interval[0], "high": f.interval[1], "unit": f.effect.unit,
+            "effect": f.effect.name,
+            "target": f.effect.target,
+            "value": f.effect.value,
+            "low": f.interval[0],
+            "high": f.interval[1],
+            "unit": f.effect.unit,
         }
         for f in found.attribution.found
-    ]  # fmt: skip
+    ]
 
 
 def _gain(candidate) -> tuple[float, float, float]:

@@ -1,4 +1,4 @@
-"""What a trace says: a diagnosis, and what it changes in the filters."""
+"""What a trace finds: a diagnosis, and what it changes in the filters."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +12,7 @@ class Trace(Diagnosis):
     """A diagnosis with the filters before and after, on the end of each log.
 
     filters: name -> {"before", "after"} -> mean metrics; stretches: what they are means of; motion:
-    what would tell rivals apart.
+    what would distinguish rivals.
     """
 
     filters: dict[str, dict[str, dict[str, float]]]

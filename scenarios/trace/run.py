@@ -10,7 +10,7 @@ from surefoot.scenarios.estimate.registry import Learnt
 from surefoot.scenarios.trace.filters import BeforeAfter, before_and_after, mean_metrics
 from surefoot.scenarios.trace.report import write_outputs
 from surefoot.scenarios.trace.result import Trace
-from surefoot.scenarios.trace.words import motion_to_tell_apart
+from surefoot.scenarios.trace.words import motion_to_distinguish
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect
 from surefoot.sim.log import Log
@@ -85,7 +85,7 @@ def trace_logs(
         for name, m in filters.items()
         if m["after"]["ape_trans"] > settings.harm * m["before"]["ape_trans"]
     )
-    motion = motion_to_tell_apart([r["name"] for r in found.rivals]) if found.rivals else ""
+    motion = motion_to_distinguish([r["name"] for r in found.rivals]) if found.rivals else ""
     report(1.0)
     known = vars(found) | {"notes": found.notes + harm}
     return Trace(**known, filters=filters, stretches=stretches, motion=motion)

@@ -9,12 +9,12 @@ from surefoot.scenarios.trace.result import Trace
 
 VERDICTS = {
     "attributed": "traced to what the model lacks; what is left is at the noise floor",
-    "confounded": "the residual has more than one explanation that these data cannot tell apart",
+    "confounded": "the residual has more than one explanation that these data cannot distinguish",
     "none_of_these": "a residual is left that no effect of the catalogue explains",
-    "not_identifiable": "the data cannot tell",
+    "not_identifiable": "the data cannot identify an effect",
     "no_residual": "the model explains the log down to its noise floor",
 }
-_EXPLAIN = {
+_MOTIONS = {
     "encoder_offset": "walk crouched and tall, and turn on the spot",
     "link_length": "stand tall and crouched, and step over a known distance",
     "foot_rolling": "change the slope of the legs: long against short steps at one speed",
@@ -40,13 +40,13 @@ _EXPLAIN = {
 _SCALE = {"rad": (1e3, "mrad"), "m": (1e3, "mm"), "s": (1e3, "ms"), "ratio": (1e2, "%")}
 
 
-def motion_to_tell_apart(names: Sequence[str]) -> str:
+def motion_to_distinguish(names: Sequence[str]) -> str:
     """The motion that would separate effects of these names."""
-    return "; ".join(dict.fromkeys(_EXPLAIN.get(name, "more varied motion") for name in names))
+    return "; ".join(dict.fromkeys(_MOTIONS.get(name, "more varied motion") for name in names))
 
 
 def size_in_words(found: Found) -> str:
-    """An effect with its size and interval, in the unit people say: 'encoder_offset FL_thigh +19.8
+    """An effect with its size and interval, in a handy unit: 'encoder_offset FL_thigh +19.8
     mrad (95 % interval +19.1 .. +20.4)'."""
     one = found.effect
     factor, unit = _SCALE.get(one.unit, (1.0, one.unit))
@@ -75,7 +75,7 @@ def summary(found: Trace) -> str:
         lines += [f"  lacks {size_in_words(f)}" for f in found.attribution.found]
     lines += [f"  or {r['name']} {r['target']} (overlap {r['overlap']:.2f})" for r in found.rivals]
     if found.rivals:
-        lines.append(f"  to tell them apart: {found.motion}")
+        lines.append(f"  to distinguish them: {found.motion}")
     lines += unexplained_in_words(found)
     if found.channels:
         lines.append("residual on the part that no fit has seen (root mean square of 20 ms means):")
@@ -102,12 +102,11 @@ def caution(found: Mapping[str, Any]) -> str:
     if found["verdict"] != "none_of_these" or not found["effects"]:
         return ""
     harm = [note for note in found["notes"] if note.endswith("with what was found")]
-    return "; ".join([
-        "caution: more is left than was found, and what was found may stand for it", *harm
-    ])  # fmt: skip
+    words = "caution: more is left than was found, and what was found may stand for it"
+    return "; ".join([words, *harm])
 
 
 def _change(before: dict[str, float], after: dict[str, float], metric: str, digits: int) -> str:
     """A metric before and after; a dash where the walk is too short for it."""
-    said = [f"{m[metric]:.{digits}f}" if isfinite(m[metric]) else "–" for m in (before, after)]
-    return " -> ".join(said)
+    shown = [f"{m[metric]:.{digits}f}" if isfinite(m[metric]) else "–" for m in (before, after)]
+    return " -> ".join(shown)

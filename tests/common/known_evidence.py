@@ -49,8 +49,13 @@ def evidence(sizes=(0, 0, 0, 0), bias=(0, 0, 0, 0, 0, 0), seed=0, noise=NOISE):
 
 def made_of(t, table, X, Z):
     return Evidence(
-        QUADRUPED, t, np.zeros(len(t), int), table, KEYS,
-        tuple(sparse(X[..., i], table) for i in range(X.shape[2])),
-        tuple(sparse(Z[..., i], table) for i in range(Z.shape[2])),
-        np.full(6, 1.0), (None,) * 6,
-    )  # fmt: skip
+        layout=QUADRUPED,
+        t=t,
+        log=np.zeros(len(t), int),
+        table=table,
+        keys=KEYS,
+        X=tuple(sparse(X[..., i], table) for i in range(X.shape[2])),
+        Z=tuple(sparse(Z[..., i], table) for i in range(Z.shape[2])),
+        limits=np.full(6, 1.0),
+        stands_for=(None,) * 6,
+    )

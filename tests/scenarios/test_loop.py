@@ -11,7 +11,7 @@ from surefoot.models.observer.training import train
 from surefoot.scenarios.estimate.registry import declared_model
 from surefoot.scenarios.trace.loop import (
     RECIPE,
-    Lesson,
+    TrainingPlan,
     bodily,
     inputs_of,
     loop,
@@ -27,7 +27,7 @@ from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 from surefoot.sim.walking.imitation import walking_style
 
-SHORT = Lesson(walks=1, seconds=4.0, calibration=4.0)
+SHORT = TrainingPlan(walks=1, seconds=4.0, calibration=4.0)
 
 
 @pytest.fixture(scope="module")
