@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 import pandas as pd
@@ -19,6 +20,16 @@ _KEY = b"surefoot_trajectory"
 _SCHEMA = b"1"
 _UPPER = [(i, j) for i in range(15) for j in range(i, 15)]
 _POSE = {"p_GI": "p", "v_GI": "v", "b_a": "b_a", "b_g": "b_g"}
+_COLUMNS = (
+    "t",
+    *(f"q_{c}" for c in "wxyz"),
+    *(f"{short}_{c}" for short in _POSE.values() for c in "xyz"),
+    *(f"cov_{i}_{j}" for i, j in _UPPER),
+    "update_t",
+    *(f"update_{name}_{c}" for name in ("v", "epsilon") for c in "xyz"),
+    "update_pi",
+    "update_active",
+)
 
 
 class TrajectoryError(SurefootError):
@@ -83,11 +94,11 @@ class Trajectory:
         return replace(self, **arrays, covariance=covariance)
 
     def write(self, path: str | Path, force: bool = False) -> None:
-        """Write one Parquet file, whole or not at all; refuses to overwrite without `force`.
+        """Write one Parquet file, whole or not at all; refuses to overwrite without `force`."""
+        with TrajectoryWriter(path, force, tuple(self._columns())) as file:
+            file.write(self)
 
-        Columns: t, q_{w,x,y,z}, {p,v,b_a,b_g}_{x,y,z}, the upper triangle cov_<i>_<j>, and for the
-        updates update_{t,v_*,epsilon_*,pi,active}; the shorter of the two is padded with NaN.
-        """
+    def _columns(self) -> dict[str, np.ndarray]:
         columns = {"t": self.t}
         _spread(columns, "q", quaternion_from_matrix(self.R_GI), "wxyz")
         for name, short in _POSE.items():
@@ -103,14 +114,7 @@ class Trajectory:
             if self.updates.pi is not None:
                 columns["update_pi"] = self.updates.pi
             columns["update_active"] = self.updates.active.astype(float)
-        height = max(len(values) for values in columns.values())
-        padded = {
-            name: np.concatenate([values, np.full(height - len(values), np.nan)])
-            for name, values in columns.items()
-        }
-        table = pa.table(padded).replace_schema_metadata({_KEY: _SCHEMA})
-        with whole_file(path, force) as temporary:
-            pq.write_table(table, temporary, compression="zstd")
+        return columns
 
     @classmethod
     def read(cls, path: str | Path) -> Trajectory:
@@ -147,10 +151,59 @@ class Trajectory:
 
     def write_tum(self, path: str | Path, force: bool = False) -> None:
         """Write t x y z qx qy qz qw a line (TUM format), 17 digits, so nothing is lost."""
+        with whole_file(path, force) as temporary, temporary.open("w") as file:
+            self.append_tum(file)
+
+    def append_tum(self, file: TextIO) -> None:
+        """The same lines at the end of an open file."""
         q = quaternion_from_matrix(self.R_GI)
         table = np.column_stack([self.t, self.p_GI, q[:, 1:], q[:, :1]])
-        with whole_file(path, force) as temporary:
-            np.savetxt(temporary, table, fmt="%.17g")
+        np.savetxt(file, table, fmt="%.17g")
+
+
+class TrajectoryWriter:
+    """A file of a trajectory that comes in pieces, a row group each: whole or not there at all.
+
+    Columns: t, q_{w,x,y,z}, {p,v,b_a,b_g}_{x,y,z}, the upper triangle cov_<i>_<j>, and for the
+    updates update_{t,v_*,epsilon_*,pi,active}; in each row group the shorter of the two is padded
+    with NaN. `with TrajectoryWriter(path) as file: file.write(trajectory)`, as often as there are
+    pieces; `Trajectory.read` gives them as one.
+    """
+
+    def __init__(
+        self, path: str | Path, force: bool = False, columns: tuple[str, ...] | None = None
+    ):
+        """Nothing is written yet.
+
+        Args:
+            path: of the file.
+            force: whether to overwrite one that is there; SurefootError otherwise.
+            columns: of the file; all where left out, NaN where a piece has none of them.
+        """
+        self._file = whole_file(path, force)
+        schema = pa.schema([(name, pa.float64()) for name in columns or _COLUMNS])
+        self._schema = schema.with_metadata({_KEY: _SCHEMA})
+
+    def __enter__(self) -> TrajectoryWriter:
+        temporary = self._file.__enter__()
+        self._writer = pq.ParquetWriter(temporary, self._schema, compression="zstd")
+        return self
+
+    def __exit__(self, *error) -> bool | None:
+        self._writer.close()
+        return self._file.__exit__(*error)
+
+    def write(self, piece: Trajectory) -> None:
+        """Append what follows."""
+        columns = piece._columns()
+        height = max(len(values) for values in columns.values())
+        padded = {
+            name: np.concatenate([values, np.full(height - len(values), np.nan)])
+            for name, values in columns.items()
+        }
+        nothing = np.full(height, np.nan)
+        arrays = [padded.get(name, nothing) for name in self._schema.names]
+        self._writer.write_table(pa.table(arrays, schema=self._schema))
 
 
 def reference(log: Log) -> Trajectory:
@@ -176,6 +229,10 @@ def _read_updates(frame: pd.DataFrame) -> UpdateRecord | None:
     if "update_t" not in frame:
         return None
     frame = pd.DataFrame(frame[frame["update_t"].notna()])
+    # A file that was written in pieces has columns for all that a piece may have.
+    frame = frame.dropna(axis="columns", how="all")
+    if "update_t" not in frame:
+        return None
     return UpdateRecord(
         frame["update_t"].to_numpy(),
         _gather(frame, "update_v", "xyz"),

@@ -18,6 +18,7 @@ from surefoot.scenarios.cli.options import (
     read_as_declared,
     read_logs,
 )
+from surefoot.scenarios.estimate.estimators import ESTIMATORS
 from surefoot.sim.common.errors import SurefootError
 
 
@@ -122,9 +123,7 @@ class Estimate:
     """Run one filter over a log; prints metrics where the log has a reference."""
 
     log: Positional[Path]
-    filter: str
-    """coverage, coverage_gml, coverage_persistent, velocity, velocity_inflated,
-    velocity_persistent, leg, leg_slip, radar_leg or imu."""
+    filter: Annotated[str, arg(help=f"One of {', '.join(ESTIMATORS)}.")]
     robot: RobotName = None
     observer: Observers = ()
     bounds: BoundsFiles = ()
@@ -133,27 +132,23 @@ class Estimate:
     force: Force = False
 
     def run(self) -> None:
-        from surefoot.scenarios.estimate.registry import run_filter
+        from surefoot.scenarios.estimate.long_logs import estimate_file
         from surefoot.scenarios.reporting.tables import to_markdown
         from surefoot.sim.common.files import refuse_overwrite
-        from surefoot.sim.log import Log
-        from surefoot.sim.robot import Robot
+        from surefoot.sim.log import LogReader
 
-        log = Log.read(self.log)
+        reader = LogReader(self.log)
         if self.out:
             if self.out.suffix == ".tum":
                 raise SurefootError(f"-o {self.out}: name the .parquet; the .tum goes beside it")
             refuse_overwrite(self.out, self.force)
             refuse_overwrite(self.out.with_suffix(".tum"), self.force)
-        robot = Robot.for_log(log, self.robot)
-        result = run_filter(self.filter, log, robot, learnt_from(self.observer, self.bounds))
-        if self.out:
-            result.trajectory.write(self.out, self.force)
-            result.trajectory.write_tum(self.out.with_suffix(".tum"), self.force)
-        if result.metrics is None:
-            print(f"{log.name}: {len(log.t)} samples estimated; no reference to compare with")
+        learnt = learnt_from(self.observer, self.bounds)
+        found = estimate_file(self.filter, reader, self.robot, learnt, self.out, self.force)
+        if found is None:
+            print(f"{self.log.stem}: {reader.rows} samples estimated; no reference to compare with")
         else:
-            print(to_markdown([metrics_row(result.metrics)]))
+            print(to_markdown([metrics_row(found)]))
 
 
 @dataclass(frozen=True)

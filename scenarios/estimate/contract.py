@@ -30,9 +30,6 @@ if TYPE_CHECKING:  # what legs and IMU need comes without a network's library, w
     from surefoot.models.calibration.bounds import Bounds
     from surefoot.models.observer.observer import Observer
 
-REQUIRED = ("name", "label", "description", "needs", "parameters", "start")
-"""What a class must have to be an estimator."""
-
 
 @dataclass(frozen=True)
 class Parameter:

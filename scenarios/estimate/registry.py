@@ -1,4 +1,4 @@
-"""Every estimator by name, and running one of them over a log."""
+"""Running an estimator over a log, as a whole or in pieces, and what came of it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from surefoot.estimator.initial import initial_state
 from surefoot.estimator.metrics import Metrics, evaluate
 from surefoot.estimator.run import output_stride
 from surefoot.scenarios.estimate.contract import (
-    REQUIRED,
     Beginning,
     Estimator,
     Learnt,
@@ -25,47 +24,12 @@ from surefoot.scenarios.estimate.contract import (
     Update,
     samples,
 )
+from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
 from surefoot.scenarios.estimate.tuned import Parameters, tuned
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.plugins import Registry
-from surefoot.sim.common.sources import sources_digest
 from surefoot.sim.effects import compensate_all, effect
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
-
-_BUNDLED = "surefoot.scenarios.estimate.bundled"
-ESTIMATORS = Registry(
-    "surefoot.estimators",
-    {
-        "coverage": f"{_BUNDLED}:Coverage",
-        "coverage_gml": f"{_BUNDLED}:CoverageGml",
-        "coverage_persistent": f"{_BUNDLED}:CoveragePersistent",
-        "velocity": f"{_BUNDLED}:Velocity",
-        "velocity_inflated": f"{_BUNDLED}:VelocityInflated",
-        "velocity_persistent": f"{_BUNDLED}:VelocityPersistent",
-        "leg": f"{_BUNDLED}:Leg",
-        "leg_slip": f"{_BUNDLED}:LegSlip",
-        "radar_leg": f"{_BUNDLED}:RadarLeg",
-        "imu": f"{_BUNDLED}:Imu",
-    },
-    REQUIRED,
-)
-"""Name -> class of every estimator: those that come with surefoot, then those that users add."""
-
-
-def estimator_named(name: str) -> Estimator:
-    """The estimator of that name. Raises SurefootError naming those there are."""
-    if name not in ESTIMATORS:
-        raise SurefootError(f"--filter {name}: unknown; choose {' | '.join(ESTIMATORS)}")
-    found = ESTIMATORS[name]()
-    if found.name != name:
-        raise SurefootError(f"--filter {name}: its class calls itself {found.name}")
-    return found
-
-
-def estimator_code(name: str) -> str:
-    """Digest of the code that an estimator is made of: what products of it are kept under."""
-    return sources_digest(ESTIMATORS[name].__module__)
 
 
 @dataclass(frozen=True)
@@ -258,8 +222,10 @@ def _record(updates: list[tuple[float, Update]]) -> UpdateRecord | None:
 def joined(parts: Iterable[Trajectory]) -> Trajectory:
     """Trajectories that follow each other as one."""
     parts = list(parts)
-    names = ("t", "R_GI", "v_GI", "p_GI", "b_a", "b_g", "covariance")
-    arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    arrays: dict = {}
+    for name in ("t", "R_GI", "v_GI", "p_GI", "b_a", "b_g", "covariance"):
+        values = [getattr(part, name) for part in parts]
+        arrays[name] = None if values[0] is None else np.concatenate(values)
     records = [part.updates for part in parts if part.updates is not None]
     if not records:
         return Trajectory(**arrays)

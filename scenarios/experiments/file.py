@@ -11,7 +11,7 @@ import msgspec
 from surefoot.models.observer.observer import check_inputs, check_loss, check_model
 from surefoot.models.observer.training import DEFAULT
 from surefoot.models.registry import CALIBRATORS
-from surefoot.scenarios.estimate.registry import ESTIMATORS
+from surefoot.scenarios.estimate.estimators import ESTIMATORS
 from surefoot.scenarios.experiments.imperfections import Imperfection, load_imperfections
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled

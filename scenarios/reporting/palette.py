@@ -7,7 +7,7 @@ All are legible on the white of a page and on the dark background of the viewer.
 
 from zlib import crc32
 
-from surefoot.scenarios.estimate.registry import ESTIMATORS
+from surefoot.scenarios.estimate.estimators import ESTIMATORS
 
 TRUTH = "#8C8C8C"
 OBSERVER = "#E69F00"

@@ -1,0 +1,70 @@
+"""An estimator of a user's own package appears wherever the bundled ones do."""
+
+import pandas as pd
+import pytest
+from own_package import run_with
+
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
+
+LISTS = """
+from surefoot.scenarios.estimate.estimators import ESTIMATORS
+from surefoot.scenarios.estimate.tuned import tuned
+from surefoot.scenarios.experiments.file import Experiment
+from surefoot.scenarios.reporting.palette import estimator_color, estimator_label, estimator_line
+from surefoot.sim.robot import Robot
+
+assert list(ESTIMATORS)[-1] == "standing_feet"
+assert "standing_feet" in Experiment("one", ()).filters
+own = ESTIMATORS["standing_feet"]()
+assert tuned(Robot.load("v60_class")).of(own) == {"accel": 0.02, "spread": 0.1}
+assert estimator_label("standing_feet") == "Standing feet"
+assert estimator_color("standing_feet").startswith("#")
+assert estimator_line("standing_feet") in ("-", "--", "-.", ":")
+"""
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    path = tmp_path_factory.mktemp("walk") / "walk.parquet"
+    scenario = Scenario("short", (Segment(3.0, 0.5), Segment(2.0, 0.4, turn=0.5)), Ground(0.8))
+    walk(scenario, Robot.load("spot_class"), 0).write(path)
+    return path
+
+
+def test_it_is_in_every_list():
+    done = run_with("own_estimator", "-c", LISTS)
+    assert done.returncode == 0, done.stderr
+
+
+def test_help_names_it():
+    done = run_with("own_estimator", "-m", "surefoot", "estimate", "--help")
+    assert "standing_feet" in done.stdout
+    assert "standing_feet" not in run_with("", "-m", "surefoot", "estimate", "--help").stdout
+
+
+def test_it_is_estimated_tabled_and_drawn(log, tmp_path):
+    done = run_with(
+        "own_estimator", "-m", "surefoot", "compare", str(log), "-o", "out", cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    table = pd.read_csv(tmp_path / "out" / "table.csv")
+    rows = table.set_index("filter")
+    assert list(rows.index) == ["leg", "leg_slip", "imu", "standing_feet"]
+    assert rows["APE_trans [m]"]["standing_feet"] < rows["APE_trans [m]"]["imu"]
+    report = (tmp_path / "out" / "report.html").read_text()
+    assert "Mean velocity of the standing feet" in report
+    command = ("estimate", str(log), "--filter", "standing_feet", "-o", "own.parquet")
+    done = run_with("own_estimator", "-m", "surefoot", *command, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "own.tum").stat().st_size > 1000
+
+
+def test_without_its_package_it_is_unknown_in_one_line(log, tmp_path):
+    command = ("estimate", str(log), "--filter", "standing_feet")
+    done = run_with("", "-m", "surefoot", *command, cwd=tmp_path)
+    assert done.returncode == 1
+    assert "standing_feet: unknown; choose coverage" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1

@@ -1,0 +1,197 @@
+"""Every estimator gives the same numbers a sample at a time, in pieces, and over a whole log."""
+
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from surefoot.estimator.evaluation.trajectory import Trajectory
+from surefoot.estimator.initial import initial_state
+from surefoot.estimator.run import every_row
+from surefoot.models.calibration.calibrate import calibrate
+from surefoot.models.observer.training import Schedule, train
+from surefoot.scenarios.cli.main import main
+from surefoot.scenarios.estimate import long_logs
+from surefoot.scenarios.estimate import radar_velocity as radar
+from surefoot.scenarios.estimate.contract import Beginning, Learnt, Stream
+from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
+from surefoot.scenarios.estimate.registry import (
+    estimated,
+    estimated_in_chunks,
+    joined,
+    stepped,
+)
+from surefoot.scenarios.estimate.tuned import tuned
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.ground.terrain import Ground, Patch
+from surefoot.sim.log import Log, LogReader
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Ranges, Scenario, Segment
+from surefoot.sim.walk import walk
+
+SHORT = Schedule(steps=30, batch=4, every=20)
+ARRAYS = ("t", "R_GI", "v_GI", "p_GI", "b_a", "b_g", "covariance")
+CUTS = (0, 1, 700, 701, 1333, 4000)
+ROUNDING = 2e-4
+"""Of float32: an observer's network predicts a log as one batch, or step by step."""
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return Robot.load("spot_class")
+
+
+@pytest.fixture(scope="module")
+def walks(robot) -> list[Log]:
+    segments = (Segment(4.0, 0.6), Segment(3.0, 0.4, turn=0.5))
+    ground = Ground(0.8, (Patch(1.0, 0.0, 0.5, 2.0, 0.2),))
+    scenario = Scenario("short", segments, ground, ranges=Ranges(speed=(0.9, 1.1)), laps=2)
+    return [walk(scenario, robot, seed) for seed in range(2)]
+
+
+@pytest.fixture(scope="module")
+def learnt(walks) -> Learnt:
+    observers = tuple(train(walks[0], loss=loss, seed=0, schedule=SHORT) for loss in ("mse", "gml"))
+    return Learnt(observers, tuple(calibrate(one, walks[1], K=20) for one in observers))
+
+
+@pytest.fixture(scope="module")
+def log(walks) -> Log:
+    """A walk with the columns of a radar."""
+    one = walks[1]
+    rng, rows = np.random.default_rng(0), np.arange(5, len(one.t), 28)
+    values = np.full((len(one.t), len(radar.COLUMNS)), np.nan)
+    v_I = np.einsum("nji,nj->ni", one.ref_R_GI[rows], one.ref_v[rows])
+    cov = np.tile(2.5e-3 * np.eye(3), (len(rows), 1, 1)).reshape(-1, 9)
+    values[rows] = np.concatenate([v_I + 0.05 * rng.normal(size=v_I.shape), cov], axis=1)
+    frame = one.frame.assign(**dict(zip(radar.COLUMNS, values.T, strict=True)))
+    return replace(one, frame=frame)
+
+
+def pieces(log: Log) -> list[Log]:
+    ends = [*(cut for cut in CUTS[1:] if cut < len(log.t)), len(log.t)]
+    return [log.rows(slice(a, b)) for a, b in zip((0, *ends), ends, strict=False)]
+
+
+def begun(name: str, log: Log, robot: Robot, learnt: Learnt) -> Stream:
+    one = estimator_named(name)
+    at = Beginning(*initial_state(log), log.rate, log.joints, log.meta.derived)
+    return one.start(robot, learnt, tuned(robot).of(one), at)
+
+
+def assert_same(a: Trajectory, b: Trajectory, tolerance: float):
+    """Equal to the bit where the tolerance is zero, else relative to the largest of each array."""
+    assert (a.updates is None) == (b.updates is None)
+    pairs = [(getattr(a, name), getattr(b, name)) for name in ARRAYS]
+    if a.updates is not None and b.updates is not None:
+        for name in ("t", "v_I", "epsilon", "pi", "active"):
+            pairs.append((getattr(a.updates, name), getattr(b.updates, name)))
+    for one, other in pairs:
+        if one is None or other is None or tolerance == 0.0:
+            assert_array_equal(one, other)
+        elif one.dtype == bool:
+            assert np.mean(one != other) < 0.01
+        else:
+            assert_allclose(one, other, rtol=0.0, atol=tolerance * np.abs(one).max())
+
+
+@pytest.mark.parametrize("name", list(ESTIMATORS))
+def test_step_by_step_and_in_pieces_it_is_the_same(name, log, robot, learnt):
+    rows = every_row(log.t, None)
+    one_by_one = stepped(begun(name, log, robot, learnt), log, rows)
+    in_pieces = joined(estimated_raw(name, log, robot, learnt))
+    whole = begun(name, log, robot, learnt)
+    at_once = whole.run(log, rows) if hasattr(whole, "run") else one_by_one
+    if name in ("leg", "leg_slip", "radar_leg", "imu"):
+        assert_same(one_by_one, at_once, 0.0)
+        assert_same(in_pieces, at_once, 0.0)
+    else:
+        assert_same(one_by_one, in_pieces, 1e-12)
+        assert_same(in_pieces, at_once, ROUNDING)
+
+
+def estimated_raw(name, log, robot, learnt):
+    """The pieces of one stream; the mounting's tolerance left out."""
+    stream, seen = begun(name, log, robot, learnt), 0
+    stride = int(every_row(log.t, None)[1])
+    for part in pieces(log):
+        rows = np.arange(-seen % stride, len(part.t), stride)
+        yield stream.run(part, rows, True)
+        seen += len(part.t)
+
+
+@pytest.mark.parametrize("name", ["leg", "imu"])
+def test_a_log_that_comes_in_pieces_gives_the_trajectory_of_the_whole(name, log, robot):
+    one = estimator_named(name)
+    # The first piece must show how the robot stands.
+    parts = [log.rows(slice(0, 700)), log.rows(slice(700, 701)), log.rows(slice(701, None))]
+    found = joined(estimated_in_chunks(one, parts, robot, Learnt()))
+    assert_same(found, estimated(one, log, robot, Learnt()), 0.0)
+
+
+def test_joint_rates_that_are_missing_are_the_same_in_pieces(log, robot):
+    frame = log.frame.drop(columns=[name for name in log.frame if str(name).startswith("dq_")])
+    bare = replace(log, frame=frame)
+    rows = every_row(log.t, None)
+    whole = begun("leg", bare, robot, Learnt()).run(bare, rows)
+    assert_same(joined(estimated_raw("leg", bare, robot, Learnt())), whole, 0.0)
+    assert_same(stepped(begun("leg", bare, robot, Learnt()), bare, rows), whole, 0.0)
+
+
+def test_a_simulated_radar_takes_the_whole_log(walks, robot, monkeypatch, tmp_path):
+    one = estimator_named("radar_leg")
+    monkeypatch.setattr(radar, "radar_velocity", lambda log, robot: (
+        np.zeros(1, int), np.zeros((1, 3)), np.eye(3)[None]
+    ))  # fmt: skip
+    with pytest.raises(SurefootError, match="a whole log at once"):
+        list(estimated_in_chunks(one, pieces(walks[1])[1:], robot, Learnt()))
+
+
+def standing(seconds: float, rate: float = 500.0) -> Log:
+    """A robot that stands still for a long time, with nothing but its IMU and a reference."""
+    n = round(seconds * rate)
+    rng = np.random.default_rng(0)
+    columns = {"t": np.arange(n) / rate}
+    columns |= {f"gyro_{a}": 1e-3 * rng.normal(size=n) for a in "xyz"}
+    columns |= {
+        f"accel_{a}": g + 1e-2 * rng.normal(size=n)
+        for a, g in zip("xyz", (0, 0, 9.81), strict=True)
+    }
+    columns |= {f"ref_p_{a}": np.zeros(n) for a in "xyz"}
+    columns |= {f"ref_q_{a}": np.full(n, float(a == "w")) for a in "wxyz"}
+    columns |= {f"ref_v_{a}": np.zeros(n) for a in "xyz"}
+    import pandas as pd
+
+    from surefoot.sim.log import Meta
+
+    return Log(pd.DataFrame(columns), Meta(rate=rate, robot="spot_class"), "standing")
+
+
+def test_a_long_log_is_estimated_in_the_memory_of_a_piece(tmp_path, monkeypatch, robot, capsys):
+    """Four times the log takes no more memory; file and metrics are those of the whole."""
+    monkeypatch.setattr(long_logs, "PIECE", 10.0)
+    main_run = ["--filter", "imu", "--force", "-o", str(tmp_path / "out.parquet")]
+    peaks = {}
+    for seconds in (60.0, 240.0):
+        path = tmp_path / f"log{seconds:.0f}.parquet"
+        standing(seconds).write(path)
+        monkeypatch.setattr(long_logs, "LONG", 0.0)
+        monkeypatch.setattr(long_logs, "JUDGED", 1000)
+        main(["estimate", str(path), *main_run])
+        tracemalloc.start()
+        long_logs.estimate_file(
+            "imu", LogReader(path), None, Learnt(), tmp_path / "out.parquet", True
+        )
+        peaks[seconds] = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    assert peaks[240.0] < 1.3 * peaks[60.0]
+    assert peaks[240.0] < 0.5 * standing(240.0).frame.memory_usage().sum() + 40e6
+    in_pieces = Trajectory.read(tmp_path / "out.parquet")
+    lines = (tmp_path / "out.tum").read_text()
+    monkeypatch.setattr(long_logs, "LONG", np.inf)
+    main(["estimate", str(path), *main_run])
+    assert_same(in_pieces, Trajectory.read(tmp_path / "out.parquet"), 0.0)
+    assert lines == (tmp_path / "out.tum").read_text()
+    assert "APE_trans" in capsys.readouterr().out
