@@ -65,7 +65,7 @@ def initial_state(log: Log, std: InitialStd | None = None) -> tuple[NavState, np
     if abs(size - GRAVITY) > 2.0:
         raise SurefootError(
             f"{log.name}: accel averages {size:.1f} m/s^2 over the first {STILL_WINDOW} s, "
-            "so gravity cannot be told; start the log standing or give a reference"
+            "so gravity is unknown; start the log standing or give a reference"
         )
     b_g, std = still_gyro_bias(log, std or GRAVITY_STD)
     state = NavState(level(force), b_g=b_g)

@@ -24,7 +24,7 @@ SEGMENT, SEGMENT_TOLERANCE = 1.0, 0.1
 
 @dataclass(frozen=True)
 class Metrics:
-    """What `evaluate` finds; NaN where it cannot be told (no covariance, no updates, no segment).
+    """What `evaluate` finds; NaN where it is not defined (no covariance, no updates, no segment).
 
     ape_trans [m] and ape_rot [deg]: absolute error after aligning position and yaw at the first
     sample; ape_trans_se3 [m] and ape_rot_se3 [deg]: after the SE(3) alignment of least squares.

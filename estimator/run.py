@@ -50,17 +50,22 @@ NO_VELOCITIES = Velocities(
 )
 
 
-def imu_samples(t, gyro, accel, after: float = np.nan) -> ImuSamples:
-    """Checked samples: t (N,) strictly increasing, later than `after` where that is a number.
+def imu_samples(t, gyro, accel, after: float | None = None) -> ImuSamples:
+    """Checked samples of a whole log, or of a piece that follows the stamp `after`.
 
-    Raises SurefootError naming what is wrong, also where a filter's first rows are fewer than two.
+    Args:
+        t: strictly increasing (N,) [s]; two rows or more where it is a whole log.
+        gyro: (N, 3) [rad/s] in I.
+        accel: (N, 3) [m/s^2] in I.
+        after: None for a whole log, NaN for its first piece.
+
+    Raises SurefootError naming what is wrong.
     """
     t = numbers("t", t, (-1,))
     gyro, accel = numbers("gyro", gyro, (len(t), 3)), numbers("accel", accel, (len(t), 3))
-    fresh = np.isnan(after)
-    if len(t) < (2 if fresh else 1) or not np.all(np.diff(t) > 0):
+    if len(t) < (2 if after is None else 1) or not np.all(np.diff(t) > 0):
         raise SurefootError("t: needs two rows or more, strictly increasing")
-    if not fresh and not t[0] > after:
+    if after is not None and t[0] <= after:
         raise SurefootError(f"t: {t[0]} does not follow {after}")
     return ImuSamples(t, gyro, accel)
 

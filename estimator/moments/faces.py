@@ -5,9 +5,30 @@ choices an axis. The distance is strictly convex, so the nearest of the feasible
 minimum; faces are visited by conditioning, one axis at a time, and never through an inverse.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from surefoot.sim.common.kernels import kernel
+
+
+class Gaussian2(NamedTuple):
+    """N([m0, m1], [[v0, c], [c, v1]])."""
+
+    m0: float
+    m1: float
+    v0: float
+    c: float
+    v1: float
+
+
+class Rectangle(NamedTuple):
+    """[lower0, upper0] x [lower1, upper1]."""
+
+    lower0: float
+    upper0: float
+    lower1: float
+    upper1: float
 
 
 @kernel
@@ -27,11 +48,10 @@ def nearest_on_line(mean: float, lower: float, upper: float) -> float:
 
 
 @kernel
-def nearest_in_rectangle(
-    m0: float, m1: float, v0: float, c: float, v1: float,
-    l0: float, u0: float, l1: float, u1: float,
-):  # fmt: skip
-    """Squared distance of N([m0, m1], [[v0, c], [c, v1]]) to [l0, u0] x [l1, u1], and the point."""
+def nearest_in_rectangle(gaussian, rectangle):
+    """Squared distance of a Gaussian2 to a Rectangle, and the point (two numbers)."""
+    m0, m1, v0, c, v1 = gaussian
+    l0, u0, l1, u1 = rectangle
     best, x0, x1 = np.inf, m0, m1
     # Axis 1 free: it follows axis 0 to its conditional mean.
     a0 = nearest_on_line(m0, l0, u0)
@@ -56,21 +76,24 @@ def nearest_in_rectangle(
 def nearest_given_first(x0: float, C, lower, upper):
     """Squared distance of the zero-mean Gaussian C (3, 3) to the box with x[0] held, and x[1:]."""
     b1, b2 = C[0, 1] / C[0, 0], C[0, 2] / C[0, 0]
-    distance, x1, x2 = nearest_in_rectangle(
-        b1 * x0, b2 * x0,
-        remaining(C[1, 1], C[0, 1], C[0, 0]), C[1, 2] - b1 * C[0, 2],
+    given = Gaussian2(
+        b1 * x0,
+        b2 * x0,
+        remaining(C[1, 1], C[0, 1], C[0, 0]),
+        C[1, 2] - b1 * C[0, 2],
         remaining(C[2, 2], C[0, 2], C[0, 0]),
-        lower[1], upper[1], lower[2], upper[2],
-    )  # fmt: skip
+    )
+    rectangle = Rectangle(lower[1], upper[1], lower[2], upper[2])
+    distance, x1, x2 = nearest_in_rectangle(given, rectangle)
     return distance + x0 * x0 / C[0, 0], x1, x2
 
 
 @kernel
 def nearest_in_box(C, lower, upper, point) -> float:
     """Squared distance of the zero-mean Gaussian C (3, 3) to the box; the nearest point (3,)."""
-    best, x1, x2 = nearest_in_rectangle(
-        0.0, 0.0, C[1, 1], C[1, 2], C[2, 2], lower[1], upper[1], lower[2], upper[2]
-    )
+    others = Gaussian2(0.0, 0.0, C[1, 1], C[1, 2], C[2, 2])
+    rectangle = Rectangle(lower[1], upper[1], lower[2], upper[2])
+    best, x1, x2 = nearest_in_rectangle(others, rectangle)
     # Axis 0 free: its conditional mean given the other two, one after the other.
     b = C[1, 2] / C[1, 1]
     gain = (C[0, 2] - b * C[0, 1]) / remaining(C[2, 2], C[1, 2], C[1, 1])

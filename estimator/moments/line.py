@@ -1,6 +1,7 @@
 """Moments along the innermost line of a box: a one-dimensional Gaussian on an interval."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -68,19 +69,46 @@ def _by_quadrature(near: float, length: float, origin: float, sign: float):
     return 0.5 * origin * origin, m0 * length, sign * m1 * length, m2 * length, sign * origin
 
 
-@kernel(error_model="numpy")
-def plane_moments(
-    m1: float, m2: float, s1: float, slope: float, s2: float,
-    l1: float, u1: float, l2: float, u2: float,
-    c1: float, c2: float, x1: float, log_scale: float, depth: float, out,
-):  # fmt: skip
-    """Moments of a two-dimensional Gaussian on a rectangle, about (c1, c2), scaled; into out (6,).
+class Conditional2(NamedTuple):
+    """Axis 1 is N(m1, s1^2); axis 2 given it N(m2 + slope (x1 - m1), s2^2)."""
 
-    Axis 1 is N(m1, s1^2); axis 2 given it N(m2 + slope (x1 - m1), s2^2). x1 is axis 1 of the
-    rectangle's nearest point. The densities are exp(log_scale - distance^2 / 2), without the
-    factor 1/(2 pi s1 s2); out holds the moments 1, 1', 2', 1'1', 1'2', 2'2'. Where one axis is free
-    as far as the density counts, the other's line is all there is to integrate.
+    m1: float
+    m2: float
+    s1: float
+    slope: float
+    s2: float
+
+
+class About(NamedTuple):
+    """What moments on a rectangle are taken about and scaled by.
+
+    (c1, c2) is their origin; x1 is axis 1 of the rectangle's nearest point; densities are
+    exp(log_scale - distance^2 / 2), and count down to exp(-depth) of the largest.
     """
+
+    c1: float
+    c2: float
+    x1: float
+    log_scale: float
+    depth: float
+
+
+@kernel(error_model="numpy")
+def plane_moments(gaussian, rectangle, about, out):
+    """Moments of a two-dimensional Gaussian on a rectangle, scaled; into out (6,).
+
+    Without the factor 1/(2 pi s1 s2); out holds the moments 1, 1', 2', 1'1', 1'2', 2'2'. Where one
+    axis is free as far as the density counts, the other's line is all there is to integrate.
+
+    Args:
+        gaussian: Conditional2.
+        rectangle: Rectangle of axes 1 and 2.
+        about: About.
+        out: to fill.
+    """
+    m1, m2, s1, slope, s2 = gaussian
+    l1, u1, l2, u2 = rectangle
+    c1, c2, x1, log_scale, depth = about
     out[:] = 0.0
     left, right = _window(m1, m2, s1, slope, s2, l2, u2, x1, depth)
     reach = math.sqrt(2.0 * depth) * s2

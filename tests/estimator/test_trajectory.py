@@ -130,7 +130,7 @@ def test_start_without_a_reference_is_gravity():
     assert_allclose(state.v_GI, 0)
     assert covariance[0, 0] == GRAVITY_STD.tilt**2
     falling = frame.assign(accel_x=0.0, accel_y=0.0, accel_z=0.1)
-    with pytest.raises(SurefootError, match="gravity cannot be told"):
+    with pytest.raises(SurefootError, match="gravity is unknown"):
         initial_state(Log(falling, bare.meta))
 
 
