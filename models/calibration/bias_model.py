@@ -1,23 +1,22 @@
-"""What lasts of an observer's error and what passes: variance components and a time constant.
+"""The persistent and the mixing part of an observer's error: variance components, time constant.
 
 Of the errors of axis i the model is
 
     e_i(t) = b_i(t) + m_i(t),     cov(b_i(t), b_i(t + s)) = c_i exp(-s / tau),
 
 b the persistent part, a first-order Gauss-Markov process of zero mean with one tau for all axes,
-and m the mixing part, which forgets within a block of BLOCK seconds. The means of blocks are then
-y_k = b_k + n_k with n white of variance s_i, and c_i, s_i and tau have a likelihood, that of a
-scalar Kalman filter (Harvey, Forecasting, Structural Time Series Models and the Kalman Filter,
+and m the mixing part, which decorrelates within a block of BLOCK seconds. The means of blocks are
+then y_k = b_k + n_k with n white of variance s_i, and c_i, s_i and tau have a likelihood, that of
+a scalar Kalman filter (Harvey, Forecasting, Structural Time Series Models and the Kalman Filter,
 1989, ch. 3.4). It is maximised over a grid of tau, tau = inf being a part that stays the same
 throughout. Several sequences add to it, each drawing its b anew; so do long blocks of one.
 
-What a fitted b cannot show is how one course differs from the next: its tau is that of what changes
-on the way, and a tau of seconds averages out over minutes, which the mean error of a course need
-not. So b varies about a constant c, another for each course. Its variance is that of the course
-means seen, together with one more course that is all of one kind, as far off as b is within a
-course: few courses say little of others, and the ground that a stretch of this one had may be the
-whole of the next. What b already explains of a course's mean is taken off, all of it where tau is
-infinite.
+A fitted b does not give how one course differs from the next: its tau is that of changes within a
+course, and a tau of seconds averages out over minutes, which the mean error of a course need not.
+So b varies about a constant c, another for each course. Its variance is that of the measured course
+means, together with one further course as far off as b is within a course: few courses say little
+of others, and the ground of a stretch of this one may be all of the next. The share of a course's
+mean that b accounts for is subtracted, all of it where tau is infinite.
 
 The mean is zero, not estimated: what all sequences share is persistent as well. Intervals are those
 of the likelihood ratio (Wilks): all values at which the likelihood, at its best over the others,
@@ -43,13 +42,13 @@ BLOCK = 0.5
 WINDOW = 0.25
 """s: the mean over this is what `epsilon` bounds; half a stride, at which a trot's legs swap."""
 LEAST = 20
-"""Blocks in all: fewer tell nothing of what lasts."""
+"""Blocks in all: fewer do not identify the persistent part."""
 TAUS = np.append(np.geomspace(2.0, 500.0, 21), np.inf)
 """s: the time constants that are tried. Shorter ones cannot be told from the mixing part."""
 RATIOS = np.append(0.0, np.geomspace(1e-5, 1e4, 91))
 """c / s that are tried."""
 LEAST_STD = 1e-4
-"""m/s: least deviation of the prior, so that it stays definite where nothing lasts."""
+"""m/s: least deviation of the prior, so that it stays definite without a persistent part."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,14 +132,12 @@ class BiasModel:
         return found
 
 
-_SHAPES = {
-    "covariance": (3, 3), "course": (3, 3), "within": (3, 3), "epsilon": (3,), "max_error": (3,),
-    "variance": (3,), "interval": (3, 2),
-}  # fmt: skip
+_SHAPES = dict.fromkeys(("epsilon", "max_error", "variance"), (3,)) | {"interval": (3, 2)}
+_SHAPES |= dict.fromkeys(("covariance", "course", "within"), (3, 3))
 
 
 def long_enough(errors: np.ndarray, dt: float) -> bool:
-    """Whether one sequence of errors (N, 3) every dt [s] tells of what lasts."""
+    """Whether a sequence of errors (N, 3) every dt [s] has enough blocks for a persistent part."""
     return len(errors) // round(BLOCK / dt) >= LEAST
 
 
@@ -210,7 +207,7 @@ def _fit(y, fresh, step: float):
     _survey(y, fresh, np.exp(-step / TAUS), RATIOS, likelihood, c)
     allowed = 0.5 * chi2.ppf(0.95, 1)
     by_tau = likelihood.max(axis=2).sum(axis=1)
-    # Where nothing lasts all tau are alike: the longest is then the plainest.
+    # Without a persistent part all tau are alike: the longest is then the simplest.
     best = len(TAUS) - 1 - int(np.argmax(by_tau[::-1]))
     kept = TAUS[by_tau >= by_tau.max() - allowed]
     ratio, variance, interval = np.empty(3), np.empty(3), np.empty((3, 2))
@@ -269,7 +266,7 @@ def _course_variance(sequences, dt: float, variance, tau: float) -> np.ndarray:
 
 
 def _correlation(y, fresh, phi: float, nu: float) -> np.ndarray:
-    """Correlations (3, 3) of what lasts, from lagged pairs of block means."""
+    """Correlations (3, 3) of the persistent part, from lagged pairs of block means."""
     lagged = np.zeros((3, 3))
     for part in np.split(y, np.flatnonzero(fresh)[1:]):
         # Weighted sums over all pairs of different blocks, by one pass of a decaying sum.

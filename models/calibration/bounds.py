@@ -1,4 +1,4 @@
-"""Bounds: what a calibration says of an observer's errors, P(|e| <= epsilon) >= gamma."""
+"""Bounds: the calibrated statement of an observer's errors, P(|e| <= epsilon) >= gamma."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ class Bounds:
     n samples, K steps of 10 ms apart, came from `log`; `observer` is the hash of the observer they
     hold for. `mixing` is the curve behind K, None where K was given; `confidence` is that of
     `scenario` bounds over calibrations, None where the statement is about the mean of them.
-    `persistent` is what lasts of the errors, None of a log too short to tell and in files from
-    before it was estimated.
+    `persistent` is the persistent part of the errors, None of a log too short for it and in files
+    from before it was estimated.
     """
 
     epsilon: np.ndarray
@@ -63,7 +63,7 @@ class Bounds:
         return np.abs(np.asarray(R_BI).T @ self.R_BI) @ self.epsilon
 
     def persistent_at(self, R_BI: np.ndarray) -> BiasModel:
-        """What lasts, for an IMU turned otherwise. Raises BoundsError where that is missing."""
+        """The persistent part, for another IMU mounting. Raises BoundsError where it is missing."""
         if self.persistent is None:
             raise BoundsError("--bounds have no persistent part; calibrate again, on a longer log")
         return self.persistent.turned(np.asarray(R_BI).T @ self.R_BI)

@@ -1,6 +1,6 @@
-"""What an observer's errors are like: bias, spread, skewness, tails, and whether they are Gaussian.
+"""Statistics of an observer's errors: bias, spread, skewness, tails, and tests for a Gaussian.
 
-Errors 10 ms apart repeat each other, and a test that takes them for independent finds everything
+Errors 10 ms apart are correlated, and a test that assumes independence finds everything
 significant. So the tests of shape take every K-th error, K from the mixing curve, and the interval
 of the mean counts as many independent errors as its autocorrelation leaves.
 """

@@ -1,11 +1,11 @@
-"""Where and how the robot was walking at each sample: the splits that coverage is looked at by."""
+"""Where and how the robot was walking at each sample: the conditions that coverage is split by."""
 
 from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
 
-from surefoot.sim.log import LEGS, Log
+from surefoot.sim.log import Log
 from surefoot.sim.walking.truth import SLIPPING
 
 SLIPPERY = 0.4
@@ -22,11 +22,11 @@ Condition = tuple[str, str, np.ndarray]
 
 
 def walking_conditions(log: Log, rows: np.ndarray) -> Iterator[Condition]:
-    """(split, case, which of `rows` fall into it (M,)) for every split that the log can tell.
+    """(split, case, which of `rows` fall into it (M,)) for every split whose columns the log has.
 
     terrain: level, climbing, descending, by the reference path. motion: standing, straight,
     turning. slip and ground: by the truth columns of a simulation. stride: quarters of the time
-    between touchdowns of the left fore foot, by its contact.
+    between touchdowns of the first leg, by its contact.
     """
     if log.has("reference"):
         yield from _path(log, rows)
@@ -39,14 +39,14 @@ def walking_conditions(log: Log, rows: np.ndarray) -> Iterator[Condition]:
         yield "ground", f"friction below {SLIPPERY:g}", least < SLIPPERY
         yield "ground", "dry", (least >= SLIPPERY) & np.isfinite(least)
     if log.has("contact"):
-        phase = stride_phase(log.t, log.contact[:, LEGS.index("FL")])[rows]
+        phase = stride_phase(log.t, log.contact[:, 0])[rows]
         for k, name in enumerate(QUARTERS):
             yield "stride", f"{name} quarter", np.floor(4 * phase) == k
 
 
 def _path(log: Log, rows: np.ndarray) -> Iterator[Condition]:
-    reach = max(1, round(log.rate))
-    ahead, behind = np.minimum(rows + reach, len(log.t) - 1), np.maximum(rows - reach, 0)
+    second = max(1, round(log.rate))
+    ahead, behind = np.minimum(rows + second, len(log.t) - 1), np.maximum(rows - second, 0)
     step = log.ref_p[ahead] - log.ref_p[behind]
     run, time = np.linalg.norm(step[:, :2], axis=1), log.t[ahead] - log.t[behind]
     still = run < STILL * time

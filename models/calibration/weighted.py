@@ -63,7 +63,7 @@ def weighted_quantile(
 def weighted_bounds(
     errors: np.ndarray, calibration: np.ndarray, new: np.ndarray, gamma: float
 ) -> np.ndarray | None:
-    """epsilon (3,) for a walk of inputs `new`, or None where the calibration cannot speak for it.
+    """epsilon (3,) for a walk of inputs `new`, or None where the calibration has too few like it.
 
     errors (M, 3) of the calibration, one for each row of its inputs; calibration (M, C) and new
     (M', C) are scaled inputs at 100 Hz. The score is the largest of the axes, each scaled by its

@@ -66,11 +66,20 @@ class Architecture(Protocol):
 class Network(torch.nn.Module):
     """`forward(x (T, B, inputs)) -> head (T, B, outputs)`, from the beginning of a log."""
 
-    def __init__(self, model: str, inputs: int, outputs: int, width: int, odometry: bool = False):
+    def __init__(self, model: str, inputs: int, outputs: int, width: int, legs: int = 0):
+        """A network with weights that are not yet drawn.
+
+        Args:
+            model: name of its architecture.
+            inputs: number of channels.
+            outputs: of the head: OUTPUTS of the loss.
+            width: of the architecture's layers.
+            legs: of a robot whose leg odometry it corrects; 0 without.
+        """
         super().__init__()
         self.body: Architecture = ARCHITECTURES[model](inputs, width)
         self.head = torch.nn.Linear(self.body.features, outputs)
-        self.odometry = Odometry(self.body.features) if odometry else None
+        self.odometry = Odometry(self.body.features, legs) if legs else None
 
     def initialise(self, generator: torch.Generator) -> None:
         """Draw all weights from `generator`; the head's bias starts at zero."""
@@ -79,7 +88,7 @@ class Network(torch.nn.Module):
         torch.nn.init.uniform_(self.head.weight, -k, k, generator=generator)
         torch.nn.init.zeros_(self.head.bias)
         if self.odometry is not None:
-            # Begin as plain odometry.
+            # Start as plain odometry.
             torch.nn.init.zeros_(self.head.weight)
             self.odometry.initialise()
 

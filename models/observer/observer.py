@@ -1,8 +1,8 @@
 """The learned velocity observer: what it is, and its checkpoint on disk.
 
-An Observer is data: weights, what it reads, how that is scaled, for which robot and IMU mounting,
-and which logs it has seen. `models.observer.predict` runs it and `models.observer.training` makes
-it.
+An Observer is data: weights, inputs and their scales, robot and IMU mounting, and the logs it was
+trained on.
+`surefoot.models.observer.predict` runs it and `surefoot.models.observer.training` makes it.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from surefoot.models.registry import ARCHITECTURES
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.log import Log
-from surefoot.sim.robot.legs import JOINTS
 
 FORMAT = "surefoot observer"
 SCHEMA = 2
 WIDEST = 4096
 """Units of a layer that a checkpoint may ask memory for."""
-INPUTS = (
-    ("q",), ("q", "dq"), ("q", "dq", "tau"), ("feet",), ("tau", "feet"), ("q", "dq", "tau", "feet"),
-)  # fmt: skip
-"""Groups of columns of a log; `feet` is computed of q and dq, and comes last."""
+INPUTS = tuple(
+    tuple(names.split(","))
+    for names in ("q", "q,dq", "q,dq,tau", "feet", "tau,feet", "q,dq,tau,feet")
+)
+"""Groups of columns of a log; `feet` is computed from q and dq, and comes last."""
 
 
 class ObserverError(SurefootError):
@@ -59,11 +59,11 @@ class Observer:
     `model` names its architecture, `width` is its layers', `weights` its state dict. `inputs`
     names the joint groups, side by side in the order of `joints`; a sample is scaled as
     (x - input_mean) / input_scale, an output as output_mean + output_scale * y, in m/s. `p_BI` (3,)
-    and `R_BI` (3, 3) are the IMU's mounting whose velocity was learnt. `causal_dq` says that the
-    joint velocities were derived from q. `rmse` (3,) in m/s is that of the held-out part of the
-    training logs; `errors` (M, 3) in m/s are those at all their measured rows, log after log: what
-    errors elsewhere are held against. `legs` is the drawing of the robot that `feet` is computed
-    of, wherever the observer is used; empty without `feet`.
+    and `R_BI` (3, 3) are the mounting of the IMU whose velocity was learnt. `causal_dq` says that
+    the joint velocities were derived from q. `rmse` (3,) in m/s is that of the validation rows of
+    the training logs; `errors` (M, 3) in m/s are those at all their measured rows, log after log,
+    which errors elsewhere are compared with. `legs` is the geometry of the robot that `feet` is
+    computed from, wherever the observer is used; empty without `feet`.
     """
 
     model: str
@@ -111,7 +111,8 @@ class Observer:
     def network(self) -> Network:
         """The network with these weights, ready to run."""
         inputs, outputs = len(self.input_mean), OUTPUTS[self.loss]
-        network = Network(self.model, inputs, outputs, self.width, "feet" in self.inputs)
+        legs = len(self.legs["radius"]) if self.legs else 0
+        network = Network(self.model, inputs, outputs, self.width, legs)
         network.load_state_dict(self.weights)
         return network.eval()
 
@@ -182,7 +183,7 @@ def observer_inputs(inputs: tuple[str, ...], known: Kinematics | None, x: np.nda
     """
     if known is None:
         return x
-    joints = len(JOINTS)
+    joints = known.legs.q_zero.size
     q, dq = x[:, :joints], x[:, joints : 2 * joints]
     own = x if "q" in inputs else x[:, 2 * joints :]
     return np.concatenate((own, contact_points(known, q, dq)), axis=1)
@@ -243,11 +244,13 @@ def _from_plain(values: dict[str, Any]) -> Observer:
             raise ValueError(f"{name} is not a {kind.__name__}")
     if not 0 < known["width"] <= WIDEST:
         raise ValueError(f"width is not within 1 and {WIDEST}")
-    channels = sum(24 if name == "feet" else len(known["joints"]) for name in known["inputs"])
+    # Of a leg's three joints come the position and the velocity of its contact point.
+    joints = len(known["joints"])
+    channels = sum(2 * joints if name == "feet" else joints for name in known["inputs"])
     if "feet" in known["inputs"]:
-        check_leg_geometry(known["legs"])
-        if known["joints"] != JOINTS:
-            raise ValueError("feet of joints that are not a quadruped's twelve")
+        if joints % 3:
+            raise ValueError("feet of legs that have not three joints each")
+        check_leg_geometry(known["legs"], joints // 3)
     elif known["legs"]:
         raise ValueError("legs without feet among the inputs")
     shapes = {"input_mean": (channels,), "input_scale": (channels,), "R_BI": (3, 3)}

@@ -1,13 +1,13 @@
-"""Leg odometry inside the observer: what the robot's drawing says, and a network that mends it.
+"""Leg odometry inside the observer: the robot's declared kinematics, corrected by a network.
 
-A sole that stands still on the ground gives v_I = -u - omega x s, with s its place and u its
-velocity relative to the base. With `feet` among its inputs the network sees s and u of all four
-soles, and answers
+A contact point that stands still on the ground gives v_I = -u - omega x s, with s its position and
+u its velocity relative to the base. With `feet` among its inputs the network sees s and u of all
+legs, and answers
 
     v = -gain * sum_l w_l u_l + head(features),    w = softmax(gates(features)):
 
-who stands is learnt, and so are the base's turning, slip, and how the robot differs from its
-drawing. Speeds that no training walk had come out of the kinematics, not of the network.
+which legs stand is learnt, and so are the base's rotation, slip, and how the robot differs from its
+declared geometry. Speeds that no training walk had come from the kinematics, not from the network.
 """
 
 from __future__ import annotations
@@ -25,16 +25,13 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import Legs, leg_forward
 from surefoot.sim.robot.legs import JOINTS
 
-LEGS = 4
-VELOCITIES = 3 * LEGS
-"""Columns of `feet`: this many places (m), then as many velocities (m/s), leg after leg."""
 LegGeometry = dict[str, torch.Tensor]
-"""The fields of surefoot.sim.robot.kinematics.Legs, and `radius` (4,) in m: what a checkpoint
-keeps of a robot."""
+"""The fields of surefoot.sim.robot.kinematics.Legs, and `radius` (L,) in m of the feet: what a
+checkpoint keeps of a robot with L legs of three joints."""
 
 
 def leg_geometry(robot: Mounted, joints: tuple[str, ...]) -> LegGeometry:
-    """What `soles` needs of a robot's declared model.
+    """What `contact_points` needs of a robot's declared model.
 
     Raises SurefootError where it, or a log's joints, are not a quadruped's.
     """
@@ -46,23 +43,23 @@ def leg_geometry(robot: Mounted, joints: tuple[str, ...]) -> LegGeometry:
     return {name: torch.from_numpy(np.array(value, dtype=float)) for name, value in values.items()}
 
 
-def check_leg_geometry(drawing: LegGeometry) -> LegGeometry:
-    """The same. Raises ValueError where it is not of four legs of three joints."""
-    shapes = {"rotation": (LEGS, 3, 3, 3), "q_zero": (LEGS, 3), "foot": (LEGS, 3)}
-    shapes |= dict.fromkeys(("offset", "axis", "anchor"), (LEGS, 3, 3)) | {"radius": (LEGS,)}
-    if set(drawing) != set(shapes):
-        raise ValueError("legs is not a drawing of four legs")
+def check_leg_geometry(geometry: LegGeometry, legs: int) -> LegGeometry:
+    """The same. Raises ValueError where it is not of this many legs of three joints."""
+    shapes = {"rotation": (legs, 3, 3, 3), "q_zero": (legs, 3), "foot": (legs, 3)}
+    shapes |= dict.fromkeys(("offset", "axis", "anchor"), (legs, 3, 3)) | {"radius": (legs,)}
+    if set(geometry) != set(shapes):
+        raise ValueError(f"legs is not the geometry of {legs} legs")
     for name, shape in shapes.items():
-        value = drawing[name]
+        value = geometry[name]
         if tuple(value.shape) != shape or value.dtype != torch.float64:
             raise ValueError(f"legs: {name} is not of shape {shape} and float64")
         if not bool(torch.isfinite(value).all()):
             raise ValueError(f"legs: {name} is not finite")
-    return drawing
+    return geometry
 
 
 class Kinematics(NamedTuple):
-    """A drawing and the IMU's mounting, ready to compute with."""
+    """Leg geometry and the IMU's mounting, as kernels take them."""
 
     legs: Legs
     radius: np.ndarray
@@ -70,18 +67,18 @@ class Kinematics(NamedTuple):
     p_BI: np.ndarray
 
     @classmethod
-    def of(cls, drawing: LegGeometry, mounting: Mounted) -> Kinematics:
-        values = {name: np.ascontiguousarray(value) for name, value in drawing.items()}
+    def of(cls, geometry: LegGeometry, mounting: Mounted) -> Kinematics:
+        values = {name: np.ascontiguousarray(value) for name, value in geometry.items()}
         R_BI, p_BI = (np.array(x, dtype=float) for x in (mounting.R_BI, mounting.p_BI))
         return cls(radius=values.pop("radius"), R_BI=R_BI, p_BI=p_BI, legs=Legs(**values))
 
 
 def contact_points(known: Kinematics, q: np.ndarray, dq: np.ndarray) -> np.ndarray:
-    """Places s and velocities u (N, 24) of the soles relative to the base, in I, m and m/s.
+    """Positions s and velocities u (N, 6 L) of the contact points relative to the base, in I.
 
-    q and dq (N, 12) in rad and rad/s. The sole is the point of the foot's link that lies the foot's
-    radius below its centre, along the base's vertical: a foot that rolls has it at rest, not its
-    centre.
+    First those of all legs in m, then these in m/s; q and dq (N, 3 L) in rad and rad/s. The contact
+    point is that of the foot's link which lies the foot's radius below its centre, along the base's
+    vertical: of a foot that rolls it is at rest, not the centre.
     """
     return _contact_points(known, np.ascontiguousarray(q), np.ascontiguousarray(dq))
 
@@ -89,59 +86,61 @@ def contact_points(known: Kinematics, q: np.ndarray, dq: np.ndarray) -> np.ndarr
 @kernel
 def _contact_points(known, q, dq):
     legs, radius, R_BI, p_BI = known
-    found = np.empty((len(q), 24))
+    first = 3 * len(radius)
+    found = np.empty((len(q), 2 * first))
     foot, J, axes = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     velocity = np.empty(3)
     for k in range(len(q)):
-        for leg in range(4):
+        for leg in range(len(radius)):
             j = 3 * leg
             leg_forward(legs, leg, q[k, j : j + 3], foot, J, axes)
             a, b, c = dq[k, j], dq[k, j + 1], dq[k, j + 2]
             for i in range(3):
                 velocity[i] = J[i, 0] * a + J[i, 1] * b + J[i, 2] * c
                 foot[i] -= p_BI[i]
-            # The link's turning times the arm (0, 0, -radius).
+            # The link's angular velocity times the lever arm (0, 0, -radius).
             velocity[0] -= radius[leg] * (axes[1, 0] * a + axes[1, 1] * b + axes[1, 2] * c)
             velocity[1] += radius[leg] * (axes[0, 0] * a + axes[0, 1] * b + axes[0, 2] * c)
             foot[2] -= radius[leg]
             for i in range(3):
-                found[k, j + i] = found[k, 12 + j + i] = 0.0
+                found[k, j + i] = found[k, first + j + i] = 0.0
                 for m in range(3):
                     found[k, j + i] += R_BI[m, i] * foot[m]
-                    found[k, 12 + j + i] += R_BI[m, i] * velocity[m]
+                    found[k, first + j + i] += R_BI[m, i] * velocity[m]
     return found
 
 
 class Odometry(torch.nn.Module):
-    """The sum over the legs above, in the network's units: x (..., C) ends with the velocities.
+    """The sum over the L legs above, in the network's units: x (..., C) ends with the velocities.
 
-    `mean` and `scale` (12,) bring a scaled velocity of a sole into the output's units.
+    `mean` and `scale` (3 L,) bring a scaled velocity of a contact point into the output's units.
     """
 
     mean: torch.Tensor
     scale: torch.Tensor
 
-    def __init__(self, features: int):
+    def __init__(self, features: int, legs: int):
         super().__init__()
-        self.gates = torch.nn.Linear(features, LEGS)
+        self.gates = torch.nn.Linear(features, legs)
         self.gain = torch.nn.Parameter(torch.ones(3))
-        self.register_buffer("mean", torch.zeros(VELOCITIES))
-        self.register_buffer("scale", torch.ones(VELOCITIES))
+        self.register_buffer("mean", torch.zeros(3 * legs))
+        self.register_buffer("scale", torch.ones(3 * legs))
 
     def initialise(self) -> None:
-        """Every leg counts alike, and fully."""
+        """Plain odometry: all legs with equal weight, gain 1."""
         torch.nn.init.zeros_(self.gates.weight)
         torch.nn.init.zeros_(self.gates.bias)
         torch.nn.init.ones_(self.gain)
 
     def set_units(self, mean: np.ndarray, scale: np.ndarray, output_scale: np.ndarray) -> None:
         """Of inputs' mean and scale (C,), and outputs' scale (3,), in m/s."""
-        unit = np.tile(output_scale, LEGS)
-        self.mean.copy_(torch.from_numpy(mean[-VELOCITIES:] / unit))
-        self.scale.copy_(torch.from_numpy(scale[-VELOCITIES:] / unit))
+        columns = len(self.mean)
+        unit = np.tile(output_scale, columns // 3)
+        self.mean.copy_(torch.from_numpy(mean[-columns:] / unit))
+        self.scale.copy_(torch.from_numpy(scale[-columns:] / unit))
 
     def forward(self, x: torch.Tensor, features: torch.Tensor) -> torch.Tensor:
-        u = (self.mean + self.scale * x[..., -VELOCITIES:]).unflatten(-1, (LEGS, 3))
+        u = (self.mean + self.scale * x[..., -len(self.mean) :]).unflatten(-1, (-1, 3))
         w = torch.softmax(self.gates(features), -1)
         return -self.gain * (w[..., None] * u).sum(-2)
 
@@ -155,14 +154,14 @@ class Odometry(torch.nn.Module):
 @kernel
 def _odometry(W, b, gain, mean, scale, x, features):
     w = b.copy()
-    for leg in range(4):
+    for leg in range(len(b)):
         for k in range(len(features)):
             w[leg] += W[leg, k] * features[k]
     w = np.exp(w - w.max())
     w /= w.sum()
     v = np.zeros(3, np.float32)
-    first = len(x) - 12
-    for leg in range(4):
+    first = len(x) - len(mean)
+    for leg in range(len(b)):
         for i in range(3):
             j = 3 * leg + i
             v[i] -= gain[i] * w[leg] * (mean[j] + scale[j] * x[first + j])

@@ -1,4 +1,4 @@
-"""What the observer sees of a log, and what it is to answer: arrays at 100 Hz."""
+"""Inputs and target of the observer: arrays of a log at 100 Hz."""
 
 from dataclasses import dataclass
 

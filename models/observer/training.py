@@ -222,7 +222,8 @@ def _begin(model: str, loss: str, lessons: Dataset, seed: int, rate: float) -> _
     rng = np.random.default_rng(seed)
     inputs = len(lessons.x_mean)
     width = ARCHITECTURES[model].width
-    network = Network(model, inputs, OUTPUTS[loss], width, bool(lessons.legs))
+    legs = len(lessons.legs["radius"]) if lessons.legs else 0
+    network = Network(model, inputs, OUTPUTS[loss], width, legs)
     network.initialise(torch.Generator().manual_seed(int(rng.integers(2**63))))
     if network.odometry is not None:
         network.odometry.set_units(lessons.x_mean, lessons.x_scale, lessons.y_scale)

@@ -1,4 +1,4 @@
-"""What a calibration rests on and where it holds: the report of `surefoot calibrate --report`."""
+"""The report of `surefoot calibrate --report`: bounds, mixing, methods, and coverage by walk."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -64,8 +64,8 @@ def _pictures(bounds: Bounds) -> dict[str, Picture]:
     if bounds.mixing is not None:
         pictures["mixing"] = Picture(
             mixing_curve(bounds.mixing),
-            "How long errors remember. Peaks that do not decay are the stride: a gait by the clock "
-            "errs alike at each of its steps, however far apart.",
+            "Dependence of errors on earlier ones. Peaks that do not decay are the stride: under a "
+            "gait with a fixed period errors repeat with it, however far apart.",
         )
     return pictures
 
@@ -137,8 +137,8 @@ def _mixing_prose(bounds: Bounds) -> str:
     )
     if not bounds.mixing.mixed:
         text += (
-            " No lag looked at comes down that far: the errors never forget within it, K is where "
-            "they remember least, and there are fewer independent errors than are counted."
+            " No lag up to the longest comes down that far: K is where the coefficient is lowest, "
+            "and there are fewer independent errors than are counted."
         )
     return text
 
@@ -146,10 +146,10 @@ def _mixing_prose(bounds: Bounds) -> str:
 def _shift_prose(tables: dict[str, pd.DataFrame]) -> str:
     found = tables["coverage"]
     lost = [] if "bounds" not in found else list(found.walk[found.bounds == "lost"])
-    told = f"Coverage is lost on {', '.join(lost)}." if lost else "Coverage is lost nowhere."
+    verdict = f"Coverage is lost on {', '.join(lost)}." if lost else "Coverage is lost nowhere."
     return (
-        f"{told} Lost: the whole 95 % interval lies below the level. The interval counts one error "
-        "for each K samples.\n\n"
+        f"{verdict} Lost: the whole 95 % interval lies below the level. The interval counts one "
+        "error for each K samples.\n\n"
         "The alarm needs no truth: it watches the size of the filter's innovations, a second at a "
         f"time, against those of the calibration. On a walk like that one it is raised with "
         f"probability {FALSE_ALARM:g} at most. It tests likeness, not coverage.\n\n"

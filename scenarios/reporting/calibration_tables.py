@@ -125,7 +125,7 @@ def _held(walk: Walk) -> dict[str, object]:
     return {
         "coverage [%]": percent(found.joint),
         "95 % interval": f"{100 * low:.0f}–{100 * high:.0f}",
-        "bounds": "lost" if lost else "hold" if found.joint >= gamma else "not told apart",
+        "bounds": "lost" if lost else "hold" if found.joint >= gamma else "not significant",
         "worst case": "–" if worst is None else f"{worst.case} {100 * worst.joint:.0f} %",
     }
 

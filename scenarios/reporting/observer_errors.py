@@ -10,7 +10,7 @@ from surefoot.scenarios.reporting.html import Picture, Section
 from surefoot.scenarios.reporting.observer_figures import error_bounds, error_distributions
 
 LEVEL = 0.01
-"""Below this a p-value is held against the Gaussian."""
+"""Significance level at which a Gaussian is rejected."""
 
 
 def error_section(
@@ -68,19 +68,19 @@ def error_table(found: Sequence[AxisErrors], where: str) -> list[dict[str, objec
 def error_words(
     train: Sequence[AxisErrors], test: Sequence[AxisErrors], where: str = "test"
 ) -> str:
-    """What the statistics say, a sentence or two an axis."""
-    said = []
+    """The statistics in words, a sentence or two an axis."""
+    sentences = []
     for (_, word), a, b in zip(AXES, train, test, strict=True):
-        said.append(
+        sentences.append(
             f"{word.capitalize()}: in training {_shape(a)}; on {where} {_shape(b)}, and the errors "
             f"spread {b.std / a.std:.1f} times as far."
         )
-    said.append(
-        f"Shapes are judged at p < {LEVEL:g} on errors far enough apart to be independent, "
-        f"{train[0].thinned} in training and {test[0].thinned} on {where}; few of them can hide a "
-        "shape, none can show one that is not there."
+    sentences.append(
+        f"Shapes are tested at p < {LEVEL:g} on errors far enough apart to be independent, "
+        f"{train[0].thinned} in training and {test[0].thinned} on {where}; with few of them a "
+        "deviation may go undetected."
     )
-    return "\n\n".join(said)
+    return "\n\n".join(sentences)
 
 
 def bound_words(train: np.ndarray, test: np.ndarray, epsilon: np.ndarray, gamma: float) -> str:
@@ -113,7 +113,7 @@ def _shape(e: AxisErrors) -> str:
     if p < LEVEL:
         text = "they are not Gaussian" + (f", {' and '.join(ways)}" if ways else "")
     else:
-        text = "nothing speaks against a Gaussian"
+        text = "a Gaussian is not rejected"
     low, high = e.interval
     biased = f"biased by {e.mean:+.3f} m/s ({low:+.3f} to {high:+.3f})"
     return f"{text} (p = {p:.2g}), {biased if low > 0 or high < 0 else 'without a bias'}"

@@ -1,4 +1,4 @@
-"""Figures of the observer's errors: are they Gaussian, do the bounds hold, how long they last."""
+"""Figures of the observer's errors: distribution, coverage of the bounds, mixing."""
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -70,8 +70,10 @@ def error_distributions(
     )
     figure.suptitle(
         f"{title}\nAll three axes inside at once: {joint}; meant: at least {100 * gamma:g} %",
-        x=0.01, ha="left", fontsize=11,
-    )  # fmt: skip
+        x=0.01,
+        ha="left",
+        fontsize=11,
+    )
     legend_below(figure, axes[0, 0], columns=5)
     return figure
 
@@ -117,7 +119,7 @@ def error_bounds(
 def mixing_curve(
     mixing: Mixing,
     rate: float = 100.0,
-    title: str = "How long the observer's errors remember: β-mixing coefficient",
+    title: str = "β-mixing coefficient of the observer's errors",
 ) -> Figure:
     """The beta-mixing coefficient of each axis over the lag, with the spacing K marked.
 
@@ -130,9 +132,13 @@ def mixing_curve(
         style = ("-", "--", ":")[k]
         ax.plot(mixing.lags, mixing.beta[:, k], color="#BDBDBD", linestyle=style, linewidth=1.0)
         ax.plot(
-            mixing.lags, mixing.excess[:, k], color=INK, linestyle=style, linewidth=1.9,
+            mixing.lags,
+            mixing.excess[:, k],
+            color=INK,
+            linestyle=style,
+            linewidth=1.9,
             label=f"{axis} ({word})",
-        )  # fmt: skip
+        )
     ax.plot([], [], color="#BDBDBD", linewidth=1.0, label="before the floor is taken off")
     level = mixing.threshold
     ax.axhline(level, color=BOUNDS, linewidth=1.2, linestyle=(0, (4, 2)), label=f"β = {level:g}")

@@ -81,7 +81,7 @@ def test_an_untrained_network_is_plain_odometry(drawing):
     log = walk(3, 12)
     inputs = ("tau", "feet")
     lessons = prepare([log], ROBOT, inputs)
-    network = Network("mlp", 36, 3, 8, odometry=True)
+    network = Network("mlp", 36, 3, 8, legs=4)
     network.initialise(torch.Generator().manual_seed(0))
     assert network.odometry is not None
     network.odometry.set_units(lessons.x_mean, lessons.x_scale, lessons.y_scale)

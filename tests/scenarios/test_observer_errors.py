@@ -26,11 +26,11 @@ def test_words_name_bias_skewness_and_tails(errors):
     of_train, of_test = error_statistics(errors[0], K=4), error_statistics(errors[1], K=4)
     forward, lateral, vertical, _ = error_words(of_train, of_test, "Stroll").split("\n\n")
     for sentence in (forward, lateral, vertical):
-        assert "in training nothing speaks against a Gaussian" in sentence
+        assert "in training a Gaussian is not rejected" in sentence
     assert "on Stroll they are not Gaussian, skewed upwards" in forward
     assert "biased by +0.02" in forward.split("on Stroll")[1]
     assert "heavy tails" in lateral
-    assert "on Stroll nothing speaks against a Gaussian" in vertical
+    assert "on Stroll a Gaussian is not rejected" in vertical
     assert "spread 1.0 times" in vertical
 
 
