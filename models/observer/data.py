@@ -1,4 +1,4 @@
-"""What a network is shown in training: scaled walks, which of their rows teach, random windows."""
+"""What a network is trained on: scaled logs, their validation rows, random windows of them."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ are off by half a metre a second."""
 
 
 @dataclass(frozen=True)
-class Walk:
-    """One log, scaled: x (M, C), y (M, 3), and which rows teach, or are held out (M,)."""
+class ScaledLog:
+    """One log, scaled: x (M, C), y (M, 3), and which rows train and which validate (M,)."""
 
     x: torch.Tensor
     y: torch.Tensor
-    learn: torch.Tensor
-    held: torch.Tensor
+    train: torch.Tensor
+    validation: torch.Tensor
 
 
 @dataclass(frozen=True)
 class Dataset:
-    """Walks of one robot, and the scales they were brought to: (C,) of x, (3,) in m/s of y."""
+    """Logs of one robot, and the scales they were brought to: (C,) of x, (3,) in m/s of y."""
 
-    walks: tuple[Walk, ...]
+    logs: tuple[ScaledLog, ...]
     x_mean: np.ndarray
     x_scale: np.ndarray
     y_mean: np.ndarray
@@ -64,58 +64,58 @@ def prepare(logs: Sequence[Log], robot: Mounted | None, inputs: tuple[str, ...])
                 f"of it with a reference; training takes {WINDOW / RATE:g} s at least"
             )
     legs = leg_geometry(robot, logs[0].joints) if "feet" in inputs else {}
-    known = Kinematics.of(legs, robot) if legs else None
-    shown = [observer_inputs(inputs, known, sample.x) for sample in seen]
-    x_mean, x_scale = _scaling(shown)
-    _, y_scale = _scaling([v_I[ok & ~held_out(len(ok))] for v_I, ok in labels])
+    kinematics = Kinematics.of(legs, robot) if legs else None
+    unscaled = [observer_inputs(inputs, kinematics, sample.x) for sample in seen]
+    x_mean, x_scale = _scaling(unscaled)
+    _, y_scale = _scaling([v_I[ok & ~validation_rows(len(ok))] for v_I, ok in labels])
     # Not centred: the zero state then answers about zero, and a log starts at rest.
     y_mean = np.zeros(3)
-    walks = []
-    for x, (v_I, measured) in zip(shown, labels, strict=True):
-        held = held_out(len(measured)) & measured
-        walks.append(
-            Walk(
+    scaled = []
+    for x, (v_I, measured) in zip(unscaled, labels, strict=True):
+        validation = validation_rows(len(measured)) & measured
+        scaled.append(
+            ScaledLog(
                 torch.from_numpy(((x - x_mean) / x_scale).astype(np.float32)),
                 torch.from_numpy(((v_I - y_mean) / y_scale).astype(np.float32)),
-                torch.from_numpy(measured & ~held),
-                torch.from_numpy(held),
+                torch.from_numpy(measured & ~validation),
+                torch.from_numpy(validation),
             )
         )
-    if not any(walk.held.any() for walk in walks):
-        raise ObserverError("train: the reference is missing wherever the score would be taken")
-    return Dataset(tuple(walks), x_mean, x_scale, y_mean, y_scale, robot, seen[0].causal_dq, legs)
+    if not any(log.validation.any() for log in scaled):
+        raise ObserverError("train: the reference is missing in all validation blocks")
+    return Dataset(tuple(scaled), x_mean, x_scale, y_mean, y_scale, robot, seen[0].causal_dq, legs)
 
 
-def held_out(steps: int) -> np.ndarray:
-    """Which of a log's steps (M,) are held out: one second in each ten, from the fifth on.
+def validation_rows(steps: int) -> np.ndarray:
+    """Which of a log's steps (M,) validate: one second in each ten, from the fifth on.
 
     Short blocks all along the log withhold no manoeuvre whole (two seconds in sixteen cost half of
-    the forward accuracy elsewhere); a second is two strides, more than the neighbours of what was
-    learnt, and the score on it came out as that on walks not seen.
+    the forward accuracy elsewhere); a second is two strides, longer than errors are correlated, and
+    the score on it came out as that on walks not seen.
     """
     return np.arange(steps) % 1000 // 100 == 5
 
 
 def draw(
-    walks: Sequence[Walk], batch: int, unsettled: int, rng: np.random.Generator
+    logs: Sequence[ScaledLog], batch: int, unsettled: int, rng: np.random.Generator
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Random windows: x (WINDOW, B, C), y (WINDOW, B, 3), learn (WINDOW, B).
+    """Random windows: x (WINDOW, B, C), y (WINDOW, B, 3), and which rows train, (WINDOW, B).
 
-    Cut out of a walk, a window starts from a past that no observer in use ever has: its first
-    `unsettled` rows do not teach.
+    A window that begins inside a log starts from a zero state that no observer in use has there:
+    its first `unsettled` rows do not train.
     """
-    starts = np.array([len(walk.x) - WINDOW + 1 for walk in walks])
-    chosen = rng.choice(len(walks), size=batch, p=starts / starts.sum())
+    starts = np.array([len(log.x) - WINDOW + 1 for log in logs])
+    chosen = rng.choice(len(logs), size=batch, p=starts / starts.sum())
     windows = []
     for i in chosen:
         first = 0 if rng.random() < BEGINNINGS else int(rng.integers(starts[i]))
-        windows.append((walks[i], slice(first, first + WINDOW)))
-    x = torch.stack([walk.x[window] for walk, window in windows], 1)
-    y = torch.stack([walk.y[window] for walk, window in windows], 1)
-    learn = torch.stack([walk.learn[window] for walk, window in windows], 1)
-    cut = torch.tensor([window.start > 0 for _, window in windows])
-    learn[:unsettled, cut] = False
-    return x, y, learn
+        windows.append((logs[i], slice(first, first + WINDOW)))
+    x = torch.stack([log.x[window] for log, window in windows], 1)
+    y = torch.stack([log.y[window] for log, window in windows], 1)
+    train = torch.stack([log.train[window] for log, window in windows], 1)
+    inside = torch.tensor([window.start > 0 for _, window in windows])
+    train[:unsettled, inside] = False
+    return x, y, train
 
 
 def _scaling(parts: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

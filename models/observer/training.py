@@ -1,25 +1,28 @@
 """Training the velocity observer (paper, "Supervised Training").
 
 Windows of 1 000 steps at 10 ms, drawn at random and overlapping, each from the zero state. The
-labels of held-out blocks take no part in the loss; on them the network is scored as it will be
-used, its state running through the whole log, and the best weights so scored are kept.
+labels of validation blocks take no part in the loss; on them the network is scored as it will be
+used, its state running through the whole log, and the best weights so scored are kept. The state of
+a training is kept on disk, so that a killed one goes on from there, to the same bits.
 """
 
 from __future__ import annotations
 
 import copy
+import hashlib
 import json
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from tqdm import tqdm
 
-from surefoot.models.observer.data import Dataset, Walk, draw, prepare
+from surefoot.models.observer.data import Dataset, ScaledLog, draw, prepare
 from surefoot.models.observer.decimate import RATE
 from surefoot.models.observer.imu_mounting import Mounted
 from surefoot.models.observer.network import OUTPUTS, Network, loss_of
@@ -32,16 +35,17 @@ from surefoot.models.observer.observer import (
     check_model,
     log_digest,
 )
-from surefoot.models.observer.training_state import State, task_digest
 from surefoot.models.registry import ARCHITECTURES
 from surefoot.sim.common.errors import check_seed
+from surefoot.sim.common.files import whole_file
 from surefoot.sim.log import Log
 
 WARM_UP = 25
-"""Steps, of windows that begin inside a walk, that a recurrent network is not taught by."""
+"""Steps, of windows that begin inside a log, that a recurrent network is not trained on."""
 MEAN_FIRST = 0.4
-"""Share of the steps in which a Gaussian's mean is fitted alone, by mse. A likelihood from the
-start explains the smaller motions as noise: the vertical error came out twice as large."""
+"""Share of the steps in which a Gaussian's mean is fitted alone, by mse. With the likelihood from
+the start the smaller motions go into the covariance: the vertical error came out twice as large."""
+FORMAT = "surefoot training state"
 
 
 @dataclass(frozen=True)
@@ -77,52 +81,70 @@ def train(
 ) -> Observer:
     """An observer of `logs`' robot from `inputs`; the same seed and logs give the same one.
 
-    `model` is one of surefoot.models.registry.ARCHITECTURES. `progress` True draws a bar with the
-    held-out RMSE; a
-    function is called with (step, steps, rmse (3,) in m/s) after each validation. `partial` is a
-    file for the state after each of them: a training that was killed goes on from there, to the
-    same bits; whoever saves the observer deletes it. One thread is used, whatever the machine has:
-    more would sum in another order. Raises ObserverError where a log is too short, lacks an input,
-    or where the logs disagree on robot, mounting or joints; LogError where one has no reference.
+    Args:
+        logs: to train on.
+        robot: theirs (Robot.for_log where left out).
+        inputs: groups of a log's columns, or "q,dq,tau".
+        loss: "mse", or "gml", which predicts a covariance too.
+        seed: of weights and windows.
+        progress: True draws a bar with the validation RMSE; a function is called with (step, steps,
+            rmse (3,) in m/s) after each validation.
+        schedule: how long and how fast.
+        model: a name of surefoot.models.registry.ARCHITECTURES.
+        partial: file for the state after each validation; a training that was killed goes on from
+            there. Whoever saves the observer deletes it.
+
+    One thread is used, whatever the machine has: more would sum in another order. Raises
+    ObserverError where a log is too short, lacks an input, or where the logs disagree on robot,
+    mounting or joints; LogError where one has no reference.
     """
     logs = [logs] if isinstance(logs, Log) else list(logs)
     check_seed(seed)
     inputs, loss, model = check_inputs(inputs), check_loss(loss), check_model(model)
     if not logs:
         raise ObserverError("train: no log given")
-    lessons = prepare(logs, robot, inputs)
+    dataset = prepare(logs, robot, inputs)
     with _one_thread():
-        fitted = _fit(model, loss, lessons, seed, schedule, progress, partial)
+        fitted = _fit(model, loss, dataset, seed, schedule, progress, partial)
         network = fitted.network
         network.load_state_dict(fitted.best)
-        errors = _errors(network, lessons)
+        errors = _errors(network, dataset)
     return Observer(
         model=model,
         width=ARCHITECTURES[model].width,
         weights=network.state_dict(),
         inputs=inputs,
         joints=logs[0].joints,
-        input_mean=lessons.x_mean,
-        input_scale=lessons.x_scale,
-        output_mean=lessons.y_mean,
-        output_scale=lessons.y_scale,
-        robot=lessons.robot.name,
-        p_BI=np.array(lessons.robot.p_BI, dtype=float),
-        R_BI=np.array(lessons.robot.R_BI, dtype=float),
+        input_mean=dataset.x_mean,
+        input_scale=dataset.x_scale,
+        output_mean=dataset.y_mean,
+        output_scale=dataset.y_scale,
+        robot=dataset.robot.name,
+        p_BI=np.array(dataset.robot.p_BI, dtype=float),
+        R_BI=np.array(dataset.robot.R_BI, dtype=float),
         loss=loss,
         logs=tuple(TrainingLog(log.name, log_digest(log)) for log in logs),
         seed=seed,
         rate=RATE,
         rmse=fitted.rmse,
         errors=errors,
-        causal_dq=lessons.causal_dq,
-        legs=lessons.legs,
+        causal_dq=dataset.causal_dq,
+        legs=dataset.legs,
     )
 
 
+def partial_path(observer: Path) -> Path:
+    """Where the training of `observer` keeps its state: beside it, with `.partial` added."""
+    return observer.with_name(observer.name + ".partial")
+
+
 @dataclass
-class _Training:
-    """A training under way: the fields are those of State, alive."""
+class Training:
+    """A training under way: all that its next step depends on, after `step` of them.
+
+    best: weights with the lowest `score` on the validation rows, and rmse (3,) in m/s theirs;
+    since: validations without better ones.
+    """
 
     network: Network
     optimiser: torch.optim.Adam
@@ -133,24 +155,47 @@ class _Training:
     rmse: np.ndarray = field(default_factory=lambda: np.full(3, np.nan))
     since: int = 0
 
-    def state(self) -> State:
-        return State(
-            step=self.step,
-            network=self.network.state_dict(),
-            optimiser=self.optimiser.state_dict(),
-            rng=json.dumps(self.rng.bit_generator.state),
-            best=self.best,
-            score=self.score,
-            rmse=self.rmse.tolist(),
-            since=self.since,
-        )
+    def save(self, path: Path, task: str) -> None:
+        """Write it in place of an earlier one, whole or not at all; `task` says of what it is."""
+        values = {
+            "format": FORMAT,
+            "task": task,
+            "step": self.step,
+            "network": self.network.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "rng": json.dumps(self.rng.bit_generator.state),
+            "best": self.best,
+            "score": self.score,
+            "rmse": self.rmse.tolist(),
+            "since": self.since,
+        }
+        with whole_file(path, force=True) as temporary:
+            torch.save(values, temporary)
 
-    def restore(self, state: State) -> None:
-        self.network.load_state_dict(state.network)
-        self.optimiser.load_state_dict(state.optimiser)
-        self.rng.bit_generator.state = json.loads(state.rng)
-        self.best, self.step, self.score = state.best, state.step, state.score
-        self.rmse, self.since = np.array(state.rmse), state.since
+    def restore(self, path: Path, task: str) -> bool:
+        """Go on from the state at `path`; False where there is none or it is another task's.
+
+        Raises ObserverError where the file is something else, which is then left alone.
+        """
+        if not path.exists():
+            return False
+        try:
+            values: Any = torch.load(path, map_location="cpu", weights_only=True)
+            if values["format"] != FORMAT:
+                raise ValueError
+            if values["task"] != task:
+                return False
+            self.network.load_state_dict(values["network"])
+            self.optimiser.load_state_dict(values["optimiser"])
+            self.rng.bit_generator.state = json.loads(values["rng"])
+            self.best, self.step, self.score = values["best"], values["step"], values["score"]
+            self.rmse, self.since = np.array(values["rmse"]), values["since"]
+        except Exception as error:
+            # torch raises many kinds here, depending on what the file turns out to be.
+            raise ObserverError(
+                f"{path}: not a training that was broken off; move it away, or delete it"
+            ) from error
+        return True
 
     def judge(self, score: float, rmse: np.ndarray) -> None:
         """Keep the weights if no earlier ones scored better."""
@@ -160,33 +205,46 @@ class _Training:
             self.score, self.rmse, self.since = score, rmse, 0
 
 
+def task_digest(logs: Sequence[ScaledLog], **settings: object) -> str:
+    """SHA-256 of what decides a training's outcome: its data, settings, and torch's version."""
+    settings["torch"] = torch.__version__
+    digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode())
+    for log in logs:
+        for tensor in (log.x, log.y, log.train, log.validation):
+            digest.update(tensor.numpy().tobytes())
+    return digest.hexdigest()
+
+
 def _fit(
     model: str,
     loss: str,
-    lessons: Dataset,
+    dataset: Dataset,
     seed: int,
     schedule: Schedule,
     progress: bool | Progress,
     partial: Path | None,
-) -> _Training:
-    architecture, walks = ARCHITECTURES[model], lessons.walks
+) -> Training:
+    """Train until the schedule ends; arguments as of `train`."""
+    architecture, logs = ARCHITECTURES[model], dataset.logs
     rate = schedule.rate or architecture.rate
     unsettled = max(WARM_UP, (architecture.receptive_field or 0) - 1)
     task = task_digest(
-        walks, model=model, loss=loss, seed=seed, schedule=asdict(schedule), rate=rate
+        logs, model=model, loss=loss, seed=seed, schedule=asdict(schedule), rate=rate
     )
-    now = _begin(model, loss, lessons, seed, rate)
-    if partial and (state := State.load(partial, task)):
-        now.restore(state)
-    bar = tqdm(
-        total=schedule.steps, initial=now.step, desc=f"train {model} {loss}", unit="step",
-        disable=progress is not True,
-    )  # fmt: skip
+    now = _begin(model, loss, dataset, seed, rate)
+    if partial:
+        now.restore(partial, task)
 
     def stage(step: int) -> str:
         return "mse" if step <= MEAN_FIRST * schedule.steps else loss
 
-    with bar:
+    with tqdm(
+        total=schedule.steps,
+        initial=now.step,
+        desc=f"train {model} {loss}",
+        unit="step",
+        disable=progress is not True,
+    ) as bar:
         while now.step < schedule.steps:
             if now.since >= schedule.patience and stage(now.step) == loss:
                 break
@@ -196,21 +254,21 @@ def _fit(
                 now.score, now.since = np.inf, 0
             for group in now.optimiser.param_groups:
                 group["lr"] = rate * _warm_cosine(now.step / schedule.steps)
-            x, y, learn = draw(walks, schedule.batch, unsettled, now.rng)
+            x, y, trains = draw(logs, schedule.batch, unsettled, now.rng)
             now.optimiser.zero_grad()
             # A sum, not a mean over nothing, where a batch has no measured reference at all.
-            losses = loss_of(kind, now.network(x), y)[learn]
-            (losses.sum() / max(int(learn.sum()), 1)).backward()
+            losses = loss_of(kind, now.network(x), y)[trains]
+            (losses.sum() / max(int(trains.sum()), 1)).backward()
             torch.nn.utils.clip_grad_norm_(now.network.parameters(), 1.0)
             now.optimiser.step()
             bar.update()
             if now.step % schedule.every and now.step != schedule.steps:
                 continue
-            score, rmse = _score(now.network, walks, kind, lessons.y_scale)
+            score, rmse = _score(now.network, logs, kind, dataset.y_scale)
             now.judge(score, rmse)
             if partial:
-                now.state().save(partial, task)
-            bar.set_postfix_str("held-out RMSE " + " ".join(f"{e:.3f}" for e in rmse) + " m/s")
+                now.save(partial, task)
+            bar.set_postfix_str("validation RMSE " + " ".join(f"{e:.3f}" for e in rmse) + " m/s")
             if callable(progress):
                 progress(now.step, schedule.steps, rmse)
     if not np.isfinite(now.score):
@@ -218,41 +276,41 @@ def _fit(
     return now
 
 
-def _begin(model: str, loss: str, lessons: Dataset, seed: int, rate: float) -> _Training:
+def _begin(model: str, loss: str, dataset: Dataset, seed: int, rate: float) -> Training:
     rng = np.random.default_rng(seed)
-    inputs = len(lessons.x_mean)
+    inputs = len(dataset.x_mean)
     width = ARCHITECTURES[model].width
-    legs = len(lessons.legs["radius"]) if lessons.legs else 0
+    legs = len(dataset.legs["radius"]) if dataset.legs else 0
     network = Network(model, inputs, OUTPUTS[loss], width, legs)
     network.initialise(torch.Generator().manual_seed(int(rng.integers(2**63))))
     if network.odometry is not None:
-        network.odometry.set_units(lessons.x_mean, lessons.x_scale, lessons.y_scale)
+        network.odometry.set_units(dataset.x_mean, dataset.x_scale, dataset.y_scale)
     optimiser = torch.optim.Adam(network.parameters(), lr=rate)
-    return _Training(network, optimiser, rng, copy.deepcopy(network.state_dict()))
+    return Training(network, optimiser, rng, copy.deepcopy(network.state_dict()))
 
 
 @torch.no_grad()
 def _score(
-    network: Network, walks: Sequence[Walk], loss: str, y_scale: np.ndarray
+    network: Network, logs: Sequence[ScaledLog], loss: str, y_scale: np.ndarray
 ) -> tuple[float, np.ndarray]:
-    """Loss of the held-out rows, and their RMSE (3,) in m/s."""
+    """Loss of the validation rows, and their RMSE (3,) in m/s."""
     losses, squares = [], []
-    for walk in walks:
-        outputs = network(walk.x[:, None])[:, 0][walk.held]
-        losses.append(loss_of(loss, outputs, walk.y[walk.held]))
-        squares.append((outputs[:, :3] - walk.y[walk.held]).square())
+    for log in logs:
+        outputs, target = network(log.x[:, None])[:, 0][log.validation], log.y[log.validation]
+        losses.append(loss_of(loss, outputs, target))
+        squares.append((outputs[:, :3] - target).square())
     rmse = torch.cat(squares).mean(0).sqrt().double().numpy() * y_scale
     return float(torch.cat(losses).mean()), rmse
 
 
 @torch.no_grad()
-def _errors(network: Network, lessons: Dataset) -> np.ndarray:
-    """Errors (M, 3), m/s, at all measured rows of all walks."""
+def _errors(network: Network, dataset: Dataset) -> np.ndarray:
+    """Errors (M, 3), m/s, at all measured rows of all logs."""
     errors = []
-    for walk in lessons.walks:
-        measured = walk.learn | walk.held
-        outputs = network(walk.x[:, None])[:, 0, :3]
-        errors.append((outputs - walk.y)[measured].double().numpy() * lessons.y_scale)
+    for log in dataset.logs:
+        measured = log.train | log.validation
+        outputs = network(log.x[:, None])[:, 0, :3]
+        errors.append((outputs - log.y)[measured].double().numpy() * dataset.y_scale)
     return np.concatenate(errors)
 
 

@@ -40,8 +40,7 @@ class Train:
     force: Force = False
 
     def run(self) -> None:
-        from surefoot.models.observer.training import train
-        from surefoot.models.observer.training_state import partial_path
+        from surefoot.models.observer.training import partial_path, train
         from surefoot.sim.common.files import refuse_overwrite
 
         refuse_overwrite(self.out, self.force)
@@ -54,7 +53,8 @@ class Train:
         partial.unlink(missing_ok=True)
         x, y, z = observer.rmse
         print(
-            f"{self.out}: held-out RMSE {x:.4f}, {y:.4f}, {z:.4f} m/s (forward, lateral, vertical)"
+            f"{self.out}: validation RMSE {x:.4f}, {y:.4f}, {z:.4f} m/s "
+            "(forward, lateral, vertical)"
         )
 
 

@@ -80,12 +80,12 @@ def test_soles_of_a_point_foot_are_the_leg_filters_feet(drawing):
 def test_an_untrained_network_is_plain_odometry(drawing):
     log = walk(3, 12)
     inputs = ("tau", "feet")
-    lessons = prepare([log], ROBOT, inputs)
+    dataset = prepare([log], ROBOT, inputs)
     network = Network("mlp", 36, 3, 8, legs=4)
     network.initialise(torch.Generator().manual_seed(0))
     assert network.odometry is not None
-    network.odometry.set_units(lessons.x_mean, lessons.x_scale, lessons.y_scale)
-    v = network(lessons.walks[0].x[:, None])[:, 0].detach().numpy() * lessons.y_scale
+    network.odometry.set_units(dataset.x_mean, dataset.x_scale, dataset.y_scale)
+    v = network(dataset.logs[0].x[:, None])[:, 0].detach().numpy() * dataset.y_scale
     u = observer_inputs(inputs, Kinematics.of(drawing, ROBOT), samples(log, inputs).x)[:, -12:]
     assert v == pytest.approx(-u.reshape(-1, 4, 3).mean(axis=1), abs=1e-4)
 

@@ -8,7 +8,7 @@ import torch
 from scipy.spatial.transform import Rotation
 from synthetic import Body, synthetic_walk, without
 
-from surefoot.models.observer.data import WINDOW, held_out
+from surefoot.models.observer.data import WINDOW, validation_rows
 from surefoot.models.observer.decimate import decimate
 from surefoot.models.observer.imu_mounting import move_covariance, move_velocity
 from surefoot.models.observer.observer import ObserverError
@@ -54,7 +54,7 @@ def test_held_out_labels_do_not_matter(walks):
     """Other labels in the held-out blocks change the score, never a weight."""
     log = walks["fit"]
     frame = log.frame.copy()
-    held = np.repeat(held_out(len(frame) // 5), 5)
+    held = np.repeat(validation_rows(len(frame) // 5), 5)
     frame.loc[held, "ref_v_x"] += 1.0
     plan = replace(TINY, steps=2, every=2)
     ours, theirs = (train(x, Body(), "q", schedule=plan) for x in (log, replace(log, frame=frame)))

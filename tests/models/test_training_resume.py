@@ -13,9 +13,9 @@ import pytest
 import synthetic
 from synthetic import Body, synthetic_walk
 
+from surefoot.models.observer.data import prepare
 from surefoot.models.observer.observer import Observer, ObserverError
-from surefoot.models.observer.training import Schedule, train
-from surefoot.models.observer.training_state import State, partial_path
+from surefoot.models.observer.training import Schedule, _begin, partial_path, train
 
 PLAN = Schedule(steps=24, batch=1, every=2)
 SCRIPT = """
@@ -68,7 +68,11 @@ def test_an_early_end_stays_an_early_end(tmp_path):
     partial = tmp_path / "o.pt.partial"
     patient = replace(PLAN, every=1, patience=2, rate=0.5, steps=40)
     first = fit(partial, loss="mse", schedule=patient)
-    assert State.load(partial, "another task") is None
+    fresh = _begin(
+        "gru", "mse", prepare([synthetic_walk(0, 15, noise=0.1)], Body(), ("q",)), 3, 0.5
+    )
+    assert not fresh.restore(partial, "another task")
+    assert fresh.step == 0
     told = []
     again = fit(partial, lambda *step: told.append(step), loss="mse", schedule=patient)
     assert again.hash == first.hash
