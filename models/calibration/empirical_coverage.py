@@ -1,4 +1,4 @@
-"""Do the bounds hold, and where do they not? Empirical coverage of an observer's errors."""
+"""Empirical coverage of an observer's errors by their bounds, in all and by condition."""
 
 from dataclasses import dataclass
 
@@ -29,8 +29,8 @@ class Coverage:
 def coverage(errors: np.ndarray, bounds: Bounds, confidence: float = 0.95) -> Coverage:
     """How often errors (M, 3), at 100 Hz, kept within their bounds.
 
-    Neighbouring errors are no independent trials: the interval counts M / K of them, with the K
-    that the bounds were calibrated at. Raises BoundsError where there is not one.
+    Neighbouring errors are not independent: the interval counts M / K of them, with the K that the
+    bounds were calibrated at. Raises BoundsError where there is not one.
     """
     n = len(errors) // bounds.K
     if n < 1:
@@ -68,9 +68,8 @@ def coverage_by(
 ) -> list[CaseCoverage]:
     """Coverage by terrain, slip, motion and gait phase, as far as the log has the columns.
 
-    errors (M, 3) at `rows` (M,) of the log, as `models.observer.predict.prediction_errors` gives
-    them.
-    Returns a CaseCoverage for each case that occurs.
+    errors (M, 3) at `rows` (M,) of the log, as surefoot.models.observer.predict.prediction_errors
+    returns them. Returns a CaseCoverage for each case that occurs.
     """
     inside = np.all(np.abs(errors) <= bounds.epsilon, axis=1)
     block = np.arange(len(errors)) // bounds.K

@@ -1,4 +1,4 @@
-"""How far apart two samples must be to count as independent: the beta-mixing coefficient.
+"""The beta-mixing coefficient of errors: how far apart two count as independent.
 
 Histogram estimator of McDonald, Shalizi and Schervish (Estimating beta-mixing coefficients via
 histograms, Electronic Journal of Statistics 9, 2015), for blocks of d samples, a apart:
@@ -6,11 +6,11 @@ histograms, Electronic Journal of Statistics 9, 2015), for blocks of d samples, 
     beta^d(a) = 1/2 sum |p_2d(block, block a later) - p_d(block) p_d(block)|
 
 On a finite record it stays above zero even for independent samples, so the curve is read against
-its own floor: the same estimate at lags so long that nothing can be left to find. On Gaussian
+its own floor: the same estimate at lags so long that no dependence is left. On Gaussian
 autoregressions, whose coefficient is known, K so read comes out at the true one to a third above
 it, for the slowest of three axes decides.
 
-Errors of a gait that keeps the clock do not mix at all: they repeat with the stride, and the curve
+Errors of a gait with a fixed period do not mix at all: they repeat with the stride, and the curve
 has a peak at each of its multiples, however far away. K falls between the peaks. A spacing that is
 a multiple of the stride would show the calibration one moment of the stride alone.
 """

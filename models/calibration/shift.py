@@ -1,4 +1,4 @@
-"""An alarm for walks unlike the calibration's, from the filter's own innovations: no truth needed.
+"""An alarm for walks unlike the calibration's, from the filter's innovations, without a reference.
 
 The innovations of each second have a size. If the walk is like the calibration's, the rank of a new
 size among all before it is uniform, and a gambler who bets on large ones cannot get rich: the odds
@@ -18,7 +18,7 @@ from surefoot.sim.common.kernels import kernel
 BLOCK = 100
 """Updates in a block: 1 s, two strides or so, for errors repeat with the stride."""
 SETTLING = 1
-"""Blocks at a walk's beginning that are not looked at: the filter is finding itself."""
+"""Blocks at a walk's beginning that are left out: the filter is converging."""
 FALSE_ALARM = 0.01
 """Chance that a walk like the calibration's ever raises the alarm."""
 STAKES = np.array([0.0, 1.0, 2.0])

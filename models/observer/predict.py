@@ -94,11 +94,9 @@ class Loop:
     def step(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """v_I (3,), m/s, and covariance (3, 3) or None, from signals x (S,), filtered, unscaled.
 
-        The signals are those of surefoot.models.observer.observer.signals, side by side: q, dq,
-        tau as far as the
-        inputs are made of them. The filter is `models.observer.decimate.decimate` over the samples
-        of the
-        last 20 ms.
+        The signals are those of surefoot.models.observer.observer.signals, side by side: q, dq, tau
+        as far as the inputs are made of them. The filter is surefoot.models.observer.decimate's
+        over the samples of the last 20 ms.
         """
         scaled = self.observer.scaled(x[None])[0]
         features = self._features(scaled)
