@@ -20,7 +20,6 @@ from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.attribution.split import FIT, SELECT, Split
 from surefoot.models.bootstrap import block_draws
 from surefoot.sim.log import Log
-from surefoot.sim.robot.legs import JOINTS, LEGS
 
 SHOWS = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
 
@@ -40,12 +39,13 @@ def angle_errors(
 ) -> tuple[AngleError, ...]:
     """The joints with an effect found whose readings a curve explains better, on unseen blocks."""
     s, found = cases[0].settings, [f.effect for f in result.found]
-    at = [e.target for e in found if e.target in JOINTS and "leg_velocity" in e.channels]
+    limbs = result.evidence.layout.limbs
+    kind = {joint: limbs.kind(i) for i, joint in enumerate(limbs.joints)}
+    at = [e.target for e in found if e.target in kind and "leg_velocity" in e.channels]
     if not at or cases[0].fixed:
         return ()
     keys = [(e.name, e.target) for e in found]
-    parts = {joint.split("_")[1] for joint in at}
-    joints = [joint for joint in JOINTS if joint.split("_")[1] in parts]
+    joints = [joint for joint in kind if kind[joint] in {kind[one] for one in at}]
     evidence = _with_curves(cases, result, joints)
     whole, sigma = design(evidence), result.floor.counted(result.robust_weights.sigma)
     data = normal_equations(whole, sigma, result.robust_weights.weight, split.part)
@@ -56,7 +56,7 @@ def angle_errors(
     price = len(s.curve_degrees + s.loaded_degrees) * np.log(max(2, len(seen.G)))
     out = []
     for joint in dict.fromkeys(at):
-        alike = [f"{leg}_{joint.split('_')[1]}" for leg in LEGS]
+        alike = [one for one in kind if kind[one] == kind[joint]]
         chance = max([float(gains[one].sum()) for one in alike if one not in at], default=0.0)
         without = plain.copy()
         for e in found:

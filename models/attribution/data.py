@@ -11,7 +11,7 @@ from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.attribution.split import Split
 from surefoot.models.residuals.binning import BIN, bin_mean
 from surefoot.models.residuals.registry import channels
-from surefoot.sim.log import LEGS, Log
+from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
 
@@ -30,10 +30,11 @@ def dead_contacts(log: Log, settings: TraceSettings = DEFAULT) -> str:
     """What is wrong with contacts that never change although the robot walks; "" if nothing is."""
     if not log.has("contact") or not log.has("reference"):
         return ""
-    dead = [leg for leg, one in zip(LEGS, log.contact.T, strict=True) if one.all() or not one.any()]
+    legs = log.legs
+    dead = [leg for leg, one in zip(legs, log.contact.T, strict=True) if one.all() or not one.any()]
     far = float(np.ptp(log.ref_p[:, :2], axis=0).max())
-    carried = len(dead) == len(LEGS) and far > settings.farthest_carried
-    walks = len(LEGS) - len(dead) >= 2 or carried
+    carried = len(dead) == len(legs) and far > settings.farthest_carried
+    walks = len(legs) - len(dead) >= 2 or carried
     if not dead or not walks:
         return ""
     names = ", ".join(f"contact_{leg}" for leg in dead)

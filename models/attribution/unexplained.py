@@ -11,7 +11,6 @@ from surefoot.models.attribution.settings import TraceSettings
 from surefoot.models.residuals.layout import layout_of
 from surefoot.sim.effects.contact import STICKING
 from surefoot.sim.log import joint_velocity
-from surefoot.sim.robot.legs import LEGS
 
 
 @dataclass(frozen=True)
@@ -89,7 +88,7 @@ def library(cases: Sequence[LogUnderModel]) -> tuple[tuple[str, ...], np.ndarray
         if log.has("tau"):
             columns |= _named("torque", log.tau, log.joints)
         if log.has("contact"):
-            columns |= _named("stance", log.contact.astype(float), LEGS)
+            columns |= _named("stance", log.contact.astype(float), log.legs)
         names = list(columns)
         rows = np.column_stack(list(columns.values()))
         tables.append(np.add.reduceat(rows, first, axis=0) / count)

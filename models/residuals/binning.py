@@ -12,6 +12,7 @@ from surefoot.sim.common.low_pass import low_pass
 from surefoot.sim.log import Log, joint_velocity, reference_velocity
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.sensors.stances import inside_stances
 from surefoot.sim.sensors.streams import between_states
 
 BIN = 0.02
@@ -112,7 +113,7 @@ def reference_motion(log: Log, fixed: bool = False) -> ReferenceMotion:
     whole = np.concatenate([[False], dt < 1.5 * np.median(dt)])
     feet = np.zeros((2, len(t), legs), dtype=bool)
     if log.has("contact"):
-        feet = np.stack([inside_stance(t, log.contact), inside_stance(t, ~log.contact)])
+        feet = np.stack([inside_stances(t, c, EDGE) for c in (log.contact, ~log.contact)])
     return ReferenceMotion(
         gyro=gyro,
         accel=accel,
@@ -125,19 +126,6 @@ def reference_motion(log: Log, fixed: bool = False) -> ReferenceMotion:
         lifted=feet[1] & ok[:, None],
         **bins,
     )
-
-
-def inside_stance(t: np.ndarray, contact: np.ndarray) -> np.ndarray:
-    """Rows and feet (N, legs) that stand, farther than EDGE from either end of their stance."""
-    inside = contact.copy()
-    for leg in range(contact.shape[1]):
-        change = np.flatnonzero(np.diff(contact[:, leg].astype(int)))
-        middle = 0.5 * (t[change] + t[change + 1])
-        edges = np.zeros(len(t) + 1, dtype=int)
-        np.add.at(edges, np.searchsorted(t, middle - EDGE), 1)
-        np.add.at(edges, np.searchsorted(t, middle + EDGE, side="right"), -1)
-        inside[np.cumsum(edges[:-1]) > 0, leg] = False
-    return inside
 
 
 def binned(log: Log, robot: Machine, frame: ReferenceMotion) -> Bins:

@@ -14,6 +14,7 @@ from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.log import Log, joint_velocity
 from surefoot.sim.robot import Robot
+from surefoot.sim.sensors.stances import changes
 
 MOVES = 0.2
 """m/s over the ground from which a foot does not stand: a tenth of what one swings at."""
@@ -30,30 +31,25 @@ def contact_timing(log: Log, robot: Robot, frame: ReferenceMotion) -> np.ndarray
     Each change is in the bin in which the foot stopped or started; all other bins are NaN.
     """
     rows = max(1, round(WINDOW * log.rate))
-    changes = [changes_of(stands) for stands in log.contact.T]
-    speed = over_ground(log, robot, frame, near_changes(changes, frame, rows))
-    late = np.full((len(frame.first), 2 * len(changes)), np.nan)
+    turns = [changes(stands) for stands in log.contact.T]
+    speed = over_ground(log, robot, frame, near_changes(turns, frame, rows))
+    late = np.full((len(frame.first), 2 * len(turns)), np.nan)
     usual = (USUAL[0] + robot.extras.touchdown_late, USUAL[1] + robot.extras.liftoff_late)
-    for leg, change in enumerate(changes):
+    for leg, change in enumerate(turns):
         at, when, lifts = moments(log.t, log.contact[:, leg], speed[:, leg], change, rows)
         behind = 0.5 * (log.t[change] + log.t[change - 1]) - when
         known = np.isfinite(when)
         bins = np.searchsorted(frame.first, at[known], side="right") - 1
-        column = leg + len(changes) * lifts[known]
+        column = leg + len(turns) * lifts[known]
         late[bins, column] = (behind - np.where(lifts, *usual[::-1]))[known]
     return late
 
 
-def changes_of(stands: np.ndarray) -> np.ndarray:
-    """Rows (K,) from which a contact (N,) is another than before."""
-    return 1 + np.flatnonzero(stands[1:] != stands[:-1])
-
-
-def near_changes(changes: Sequence[np.ndarray], frame: ReferenceMotion, rows: int) -> np.ndarray:
-    """Rows and feet (N, 4) no more than `rows` from a foot's changes of contact."""
+def near_changes(turns: Sequence[np.ndarray], frame: ReferenceMotion, rows: int) -> np.ndarray:
+    """Rows and feet (N, L) no more than `rows` from a foot's changes of contact."""
     n = len(frame.ok)
-    near = np.zeros((n, len(changes)), dtype=bool)
-    for leg, change in enumerate(changes):
+    near = np.zeros((n, len(turns)), dtype=bool)
+    for leg, change in enumerate(turns):
         count = np.zeros(n + 1, dtype=int)
         np.add.at(count, np.maximum(change - rows - 1, 0), 1)
         np.add.at(count, np.minimum(change + rows + 1, n), -1)
@@ -62,8 +58,8 @@ def near_changes(changes: Sequence[np.ndarray], frame: ReferenceMotion, rows: in
 
 
 def over_ground(log: Log, robot: Robot, frame: ReferenceMotion, where: np.ndarray) -> np.ndarray:
-    """Speed (N, 4) [m/s] over the ground of the points with which feet touch, at the rows and feet
-    `where` (N, 4), NaN elsewhere."""
+    """Speed (N, L) [m/s] over the ground of the points with which feet touch, at the rows and feet
+    `where` (N, L), NaN elsewhere."""
     rows = np.flatnonzero(where.any(axis=1))
     omega = log.gyro if log.has("imu") else frame.gyro
     dq = joint_velocity(log)[rows]

@@ -27,7 +27,7 @@ from surefoot.sim.log import Log, joint_velocity
 from surefoot.sim.physics.inverse_dynamics import dynamics_of
 from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.robot import Robot
-from surefoot.sim.sensors.contact import SWING
+from surefoot.sim.sensors.stances import stances_between_swings
 
 AROUND = 0.004
 """s to either side of a landing, over which a foot's velocity is taken."""
@@ -52,8 +52,8 @@ class Stances(NamedTuple):
 def foot_sinking(
     log: Log, robot: Robot, frame: ReferenceMotion, bins: Bins, load: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Depth (M, 4) [m] and velocity (M, 4, 3) [m/s], in I, of each standing foot's sole beyond
-    those on hard ground, means over bins; load (N, 4) [N] on each foot."""
+    """Depth (M, L) [m] and velocity (M, L, 3) [m/s], in I, of each standing foot's sole beyond
+    those on hard ground, means over bins; load (N, L) [N] on each foot."""
     swept_G = np.einsum("nij,nlj->nli", bins.R_GI, swept(robot, bins))
     legs = bins.standing.shape[1]
     rows = np.empty((len(log.t), legs, 4))
@@ -76,13 +76,13 @@ def foot_sinking(
 
 
 def gives(robot: Robot) -> np.ndarray:
-    """What a unit of force accelerates each foot by, (4,) [1/kg], by the declared masses."""
+    """What a unit of force accelerates each foot by, (L,) [1/kg], by the declared masses."""
     model = dynamics_of(robot.file, robot.joint_names).model
     return np.array([model.body_invweight0[model.body(name).id, 0] for name in robot.foot_bodies])
 
 
 def swept(robot: Robot, bins: Bins) -> np.ndarray:
-    """Acceleration (M, 4, 3) [m/s^2], in I, of each sole while the rates of the joints and of the
+    """Acceleration (M, L, 3) [m/s^2], in I, of each sole while the rates of the joints and of the
     base stay as they are, and so does its origin's velocity in the world."""
     up, every = bins.R_GI[:, 2], np.ones(bins.standing.shape, dtype=bool)
     at_origin = replace(robot, p_BI=np.zeros(3))
@@ -97,8 +97,8 @@ def swept(robot: Robot, bins: Bins) -> np.ndarray:
 
 
 def stances(log: Log, robot: Robot, frame: ReferenceMotion, leg: int, dq: np.ndarray) -> Stances:
-    """The stances of a foot by its contacts; dq (N, 12) [rad/s]."""
-    first, last = between_swings(log.t, log.contact[:, leg])
+    """The stances of a foot by its contacts; dq (N, J) [rad/s]."""
+    first, last = stances_between_swings(log.t, log.contact[:, leg])
     around = max(1, round(AROUND * log.rate))
     rows = np.clip(first[:, None] + np.arange(-around, around + 1), 0, len(log.t) - 1)
     at, only = rows.ravel(), np.zeros((rows.size, log.contact.shape[1]), dtype=bool)
@@ -106,14 +106,6 @@ def stances(log: Log, robot: Robot, frame: ReferenceMotion, leg: int, dq: np.nda
     v_I = leg_velocity(robot, log.q[at], dq[at], frame.gyro[at], frame.R_GI[at, 2], only)[:, leg]
     v_G = np.einsum("nij,nj->ni", frame.R_GI[at], frame.v_I[at] - v_I).reshape(*rows.shape, 3)
     return Stances(first, last, first > 0, np.nan_to_num(v_G.mean(axis=1)))
-
-
-def between_swings(t: np.ndarray, contact: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First row of each stance and the one after its last: t (N,) [s], contact (N,)."""
-    edge = np.diff(np.concatenate([[0], contact.astype(int), [0]]))
-    first, last = np.flatnonzero(edge > 0), np.flatnonzero(edge < 0)
-    swung = t[first[1:]] - t[last[:-1] - 1] > SWING
-    return first[np.insert(swung, 0, True)[: len(first)]], last[np.append(swung, True)[: len(last)]]
 
 
 @kernel

@@ -30,6 +30,7 @@ from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.ground.tiles import add_ground
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
+from surefoot.sim.sensors.stances import stances
 from surefoot.sim.walking.truth import SLIPPING
 
 POSE_RATE = 50.0  # Hz
@@ -131,12 +132,6 @@ def write_footprints(stream: rr.RecordingStream, log: Log, robot: Robot) -> None
         colors = [rgba(OUTSIDE) if s else _FOOTPRINT for s in slipped]
         radii = 0.35 * max(float(robot.foot_radius.max()), 0.02)
         stream.log("world/footprints", rr.Points3D(points, colors=colors, radii=radii), static=True)
-
-
-def stances(contact: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First row and one past the last of every unbroken contact in contact (N,), bool."""
-    edges = np.diff(np.concatenate([[0], contact.astype(int), [0]]))
-    return np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
 
 
 def write_truth_path(stream: rr.RecordingStream, log: Log) -> None:

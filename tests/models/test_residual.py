@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from surefoot.models.residuals.binning import inside_stance, reference_motion
+from surefoot.models.residuals.binning import EDGE, reference_motion
 from surefoot.models.residuals.layout import layout_of
 from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.models.residuals.residual import ResidualTable, residual
@@ -16,6 +16,7 @@ from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import JOINTS, LogError
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.sensors.stances import inside_stances
 from surefoot.sim.sensors.streams import Sensors
 from surefoot.sim.walk import walk
 
@@ -126,7 +127,7 @@ def test_stance_edges_are_left_out():
     contact = np.zeros((100, 4), bool)
     contact[20:60, 0] = True
     contact[:, 1] = True
-    inside = inside_stance(t, contact)
+    inside = inside_stances(t, contact, EDGE)
     assert np.flatnonzero(inside[:, 0]).tolist() == list(range(23, 57))
     assert inside[:, 1].all()
     assert not inside[:, 2:].any()

@@ -12,7 +12,7 @@ from surefoot.models.residuals.binning import binned
 from surefoot.models.residuals.foot_loads import foot_loads
 from surefoot.models.residuals.jacobians import Regressor, explained_share
 from surefoot.models.residuals.residual import residual
-from surefoot.models.residuals.soft_ground import _follow, between_swings, swept
+from surefoot.models.residuals.soft_ground import _follow, swept
 from surefoot.models.residuals.torques import steps_of
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.effects import effect
@@ -22,6 +22,7 @@ from surefoot.sim.log import Log
 from surefoot.sim.physics.scene import build_world
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.sensors.stances import stances_between_swings
 from surefoot.sim.walk import walk
 
 COURSE = (Segment(4.0, 0.5), Segment(4.0, 0.4, turn=0.4))
@@ -44,14 +45,14 @@ def knowing(robot: Robot, softness: float) -> Robot:
 
 def test_a_stance_begins_with_a_landing_and_the_first_with_the_log():
     t = 0.1 * np.arange(8)
-    first, last = between_swings(t, np.array([1, 1, 0, 0, 1, 1, 0, 1], dtype=bool))
+    first, last = stances_between_swings(t, np.array([1, 1, 0, 0, 1, 1, 0, 1], dtype=bool))
     assert_array_equal([first, last], [[0, 4, 7], [2, 6, 8]])
-    assert len(between_swings(t, np.zeros(8, dtype=bool))[0]) == 0
+    assert len(stances_between_swings(t, np.zeros(8, dtype=bool))[0]) == 0
 
 
 def test_a_foot_that_bounces_has_not_landed_again():
     t = 0.02 * np.arange(9)
-    first, last = between_swings(t, np.array([1, 0, 0, 0, 0, 1, 0, 1, 1], dtype=bool))
+    first, last = stances_between_swings(t, np.array([1, 0, 0, 0, 0, 1, 0, 1, 1], dtype=bool))
     assert_array_equal([first, last], [[0, 5], [1, 9]])
 
 

@@ -21,13 +21,14 @@ from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.scenarios.estimate.registry import Learnt
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
 from surefoot.scenarios.reporting.plotting import new_figure, set_title
-from surefoot.scenarios.studies.hardware.stream_lags import BLOCK, WALKING, Lag, phase_of
+from surefoot.scenarios.studies.hardware.stream_lags import BLOCK, WALKING, Lag
 from surefoot.scenarios.studies.hardware.words import between
 from surefoot.scenarios.trace.filters import filtered
 from surefoot.scenarios.trace.result import Trace
 from surefoot.sim.effects import Effect, compensate_all, effect
 from surefoot.sim.log import Log, joint_velocity
 from surefoot.sim.robot import Robot
+from surefoot.sim.sensors.stances import stance_phase
 
 TENTHS = 10
 MISSED = "#AA4499"
@@ -65,7 +66,7 @@ def stance_profile(log: Log, robot: Robot, effects: Sequence[Effect]) -> np.ndar
     walks = np.linalg.norm(frame.v_I, axis=1) > WALKING
     out = np.full((TENTHS, 4), np.nan)
     for leg in range(4):
-        phase = phase_of(log.contact[:, leg])
+        phase = stance_phase(log.contact[:, leg])
         for k in range(TENTHS):
             here = walks & (phase >= k / TENTHS) & (phase < (k + 1) / TENTHS)
             here &= np.isfinite(square[:, leg])
@@ -112,7 +113,7 @@ def rolling_table(log: Log, robot: Robot, seed: int = 0) -> pd.DataFrame:
     each by least squares over walking, with intervals by blocks."""
     rng = np.random.default_rng(seed)
     frame = log_under_model(log, robot).frame
-    phase = np.column_stack([phase_of(contact) for contact in log.contact.T])
+    phase = np.column_stack([stance_phase(contact) for contact in log.contact.T])
     walks = (np.linalg.norm(frame.v_I, axis=1) > WALKING) & log.ref_ok
     dq, up = joint_velocity(log), frame.up_I
 

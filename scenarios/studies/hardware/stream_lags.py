@@ -14,6 +14,7 @@ from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.log import Log, joint_velocity, reference_velocity
 from surefoot.sim.robot import Robot
+from surefoot.sim.sensors.stances import stance_phase
 
 SHIFTS = np.arange(-0.030, 0.0301, 0.001)
 """s, tried by which a stream is late against the reference."""
@@ -100,7 +101,7 @@ def _leg_costs(
 ) -> np.ndarray:
     robot = replace(robot, foot_radius=np.maximum(robot.foot_radius, 0.0))
     q, dq = CubicSpline(log.t, log.q), CubicSpline(log.t, joint_velocity(log))
-    phase = np.column_stack([phase_of(contact) for contact in log.contact.T])
+    phase = np.column_stack([stance_phase(contact) for contact in log.contact.T])
     standing = frame.standing & (phase >= part[0]) & (phase <= part[1])
     costs = []
     for d in SHIFTS:
@@ -127,12 +128,3 @@ def _costs(log: Log, step: int, known: np.ndarray, integral, there: np.ndarray) 
 def _measured_throughout(log: Log, step: int) -> np.ndarray:
     bad = np.cumsum(~log.ref_ok)
     return bad[step:] == bad[:-step]
-
-
-def phase_of(stands: np.ndarray) -> np.ndarray:
-    """Share (N,) of its stance that has passed at each row; NaN in the air."""
-    edges = np.flatnonzero(np.diff(stands.astype(int), prepend=0, append=0))
-    phase = np.full(len(stands), np.nan)
-    for begin, end in zip(edges[::2], edges[1::2], strict=True):
-        phase[begin:end] = (np.arange(end - begin) + 0.5) / (end - begin)
-    return phase

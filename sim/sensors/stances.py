@@ -1,0 +1,48 @@
+"""Stances of feet from their contacts: where each begins and ends, and how far a row is into it."""
+
+import numpy as np
+
+from surefoot.sim.sensors.contact import SWING
+
+
+def changes(stands: np.ndarray) -> np.ndarray:
+    """Rows (K,) from which a contact (N,) is another than before."""
+    return 1 + np.flatnonzero(stands[1:] != stands[:-1])
+
+
+def stances(stands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First row, and one past the last, of every unbroken contact of stands (N,) bool."""
+    edges = np.diff(np.concatenate([[0], stands.astype(int), [0]]))
+    return np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
+
+
+def stances_between_swings(t: np.ndarray, stands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same of t (N,) [s] and stands (N,), where a foot that bounces, being up for no longer
+    than SWING, is in one stance all the while."""
+    first, end = stances(stands)
+    swung = t[first[1:]] - t[end[:-1] - 1] > SWING
+    return first[np.insert(swung, 0, True)[: len(first)]], end[np.append(swung, True)[: len(end)]]
+
+
+def inside_stances(t: np.ndarray, contact: np.ndarray, margin: float) -> np.ndarray:
+    """Rows and feet (N, L) that stand, farther than `margin` [s] from either end of the stance.
+
+    t (N,) [s]; contact (N, L) bool.
+    """
+    inside = contact.copy()
+    for leg in range(contact.shape[1]):
+        change = changes(contact[:, leg])
+        middle = 0.5 * (t[change - 1] + t[change])
+        edges = np.zeros(len(t) + 1, dtype=int)
+        np.add.at(edges, np.searchsorted(t, middle - margin), 1)
+        np.add.at(edges, np.searchsorted(t, middle + margin, side="right"), -1)
+        inside[np.cumsum(edges[:-1]) > 0, leg] = False
+    return inside
+
+
+def stance_phase(stands: np.ndarray) -> np.ndarray:
+    """Share (N,) of its stance that has passed at each row of stands (N,) bool; NaN in the air."""
+    phase = np.full(len(stands), np.nan)
+    for begin, end in zip(*stances(stands), strict=True):
+        phase[begin:end] = (np.arange(end - begin) + 0.5) / (end - begin)
+    return phase
