@@ -63,11 +63,17 @@ def walk(
     declared: bool = True,
     progress: Callable[[float], None] | None = None,
 ) -> Log:
-    """Walk the scenario and record what the robot's sensors say, at 500 Hz.
+    """Walk the scenario and record what the robot's sensors read, at 500 Hz.
 
-    Effects act on the simulated world (its MjSpec) or on the sensor streams; with `declared` false
-    the log does not mention them. `progress` is told the share that is done. The same seed
-    gives the same log, bit for bit. Raises Fallen, saying when, if the robot falls.
+    Args:
+        scenario: the course, the ground and the sensors.
+        robot: who walks.
+        seed: of everything that is drawn; the same seed gives the same log, bit for bit.
+        effects: injected into the simulated world (its MjSpec) or the sensor streams.
+        declared: whether the log's metadata list the effects.
+        progress: called with the share that is done.
+
+    Raises Fallen, with the time, if the robot falls.
     """
     made = plan(scenario, robot, seed, effects, declared)
     return record(made, simulate(made.world, robot, made.gait, made.course, progress))
@@ -105,9 +111,18 @@ def plan(
         )
     gait = gait_for(robot, SETTLE + scenario.stand, draw.period, draw.clearance, draw.gain)
     return Plan(
-        scenario, robot, seed, tuple(effects), declared, draw, ground, world, course, gait,
-        sensor_seed,
-    )  # fmt: skip
+        scenario=scenario,
+        robot=robot,
+        seed=seed,
+        effects=tuple(effects),
+        declared=declared,
+        draw=draw,
+        ground=ground,
+        world=world,
+        course=course,
+        gait=gait,
+        sensor_seed=sensor_seed,
+    )
 
 
 def record(made: Plan, motion: Motion) -> Log:

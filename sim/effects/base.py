@@ -132,3 +132,13 @@ def with_columns(log: Log, columns: Mapping[str, np.ndarray]) -> Log:
     for name, values in columns.items():
         frame[name] = values
     return replace(log, frame=frame)
+
+
+def changed_columns(before: Log, after: Log) -> tuple[str, ...]:
+    """The columns of `after` whose numbers are not those of `before`, or that it lacks."""
+    old, new = before.frame, after.frame
+    return tuple(
+        str(name)
+        for name in new
+        if name not in old or not np.array_equal(old[name].to_numpy(), new[name].to_numpy())
+    )

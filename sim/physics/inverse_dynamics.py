@@ -25,9 +25,9 @@ _mj_inverse = types.ExternalFunction(
     "mj_inverseSkip", types.void(types.uintp, types.uintp, types.intc, types.intc)
 )
 # What MuJoCo need not compute again: nothing, what places decide, or what places and rates do.
-_ALL, _SAME_PLACES, _SAME_RATES = (int(stage) for stage in (
-    mujoco.mjtStage.mjSTAGE_NONE, mujoco.mjtStage.mjSTAGE_POS, mujoco.mjtStage.mjSTAGE_VEL,
-))  # fmt: skip
+_ALL = int(mujoco.mjtStage.mjSTAGE_NONE)
+_SAME_PLACES = int(mujoco.mjtStage.mjSTAGE_POS)
+_SAME_RATES = int(mujoco.mjtStage.mjSTAGE_VEL)
 
 
 @dataclass(frozen=True)
@@ -113,10 +113,8 @@ class Dynamics:
     @property
     def _memory(self) -> tuple:
         """Addresses of model and data, and the arrays of `data` that go in and come out."""
-        model, data = self.model, self.data
-        return (
-            model._address, data._address, data.qpos, data.qvel, data.qacc, data.qfrc_inverse
-        )  # fmt: skip
+        model, d = self.model, self.data
+        return model._address, d._address, d.qpos, d.qvel, d.qacc, d.qfrc_inverse
 
 
 @lru_cache(maxsize=16)

@@ -10,7 +10,7 @@ env.log().write("mine.parquet")
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import dm_env
 import mujoco
@@ -119,10 +119,8 @@ class WalkingEnvironment(dm_env.Environment):
         first, self._k = self._k, self._k + STEPS_PER_TICK
         self._wanted[first : self._k] = wanted
         torque = np.zeros(12) if self._by_position else wanted
-        _drive(
-            self._body, self._trace, first, torque, wanted, self._kp, self._kd,
-            self._robot.torque_limit,
-        )  # fmt: skip
+        motors = _Motors(self._kp, self._kd, self._robot.torque_limit)
+        _drive(self._body, self._trace, first, torque, wanted, motors)
         qpos = self._body.qpos
         fell = has_fallen(self._plan.gait, self._plan.world.relief, qpos, rotation(*qpos[3:7]))
         fell |= bool(self._body.unstable.any())
@@ -167,11 +165,10 @@ class WalkingEnvironment(dm_env.Environment):
 
     def observation_spec(self) -> Any:
         """An OrderedDict of arrays, in SI units: `_observation` says what each is."""
-        shapes = {
-            "time": (), "position": (3,), "orientation": (4,), "velocity": (3,),
-            "angular_velocity": (3,), "joint_position": (12,), "joint_velocity": (12,),
-            "foot_force": (4,), "target": (3,), "command": (3,),
-        }  # fmt: skip
+        sizes = {"position": 3, "orientation": 4, "velocity": 3, "angular_velocity": 3}
+        sizes |= {"joint_position": 12, "joint_velocity": 12, "foot_force": 4}
+        shapes = {"time": ()} | {n: (size,) for n, size in sizes.items()}
+        shapes |= {"target": (3,), "command": (3,)}
         return OrderedDict((n, specs.Array(shape, float, n)) for n, shape in shapes.items())
 
     def reward_spec(self) -> specs.BoundedArray:
@@ -203,9 +200,24 @@ def _reward(observation: OrderedDict) -> float:
     return float(np.exp(-miss @ miss))
 
 
+class _Motors(NamedTuple):
+    kp: np.ndarray  # (12,) N m/rad
+    kd: np.ndarray  # (12,) N m s/rad
+    limit: np.ndarray  # (12,) N m
+
+
 @kernel(nogil=True)
-def _drive(body, trace, k, torque, target, kp, kd, limit):
-    """A control period from the k-th timestep on: torques plus the motor law's, cut at `limit`."""
+def _drive(body, trace, k, torque, target, motors):
+    """A control period of torques plus the motor law's, cut at the motors' limits.
+
+    Args:
+        body: MjViews.
+        trace: a Recording, written.
+        k: the period's first timestep.
+        torque, target: (12,) N m and rad.
+        motors: _Motors.
+    """
+    kp, kd, limit = motors
     for i in range(STEPS_PER_TICK):
         for j in range(12):
             q, dq = body.qpos[body.qpos_adr[j]], body.qvel[body.dof_adr[j]]

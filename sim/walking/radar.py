@@ -133,10 +133,9 @@ def radar_over(
     frame, direction, distance, doppler = (np.concatenate(p) for p in zip(*parts, strict=True))
     wrap = 2.0 * sensor.doppler_range
     doppler = (doppler + sensor.doppler_range) % wrap - sensor.doppler_range
-    return Radar(
-        rows, frame, direction, _stepped(distance, sensor.range_step),
-        _stepped(doppler, sensor.doppler_step), p_IR, R_IR,
-    )  # fmt: skip
+    distance = _stepped(distance, sensor.range_step)
+    doppler = _stepped(doppler, sensor.doppler_step)
+    return Radar(rows, frame, direction, distance, doppler, p_IR, R_IR)
 
 
 def mounting(robot: Robot, sensor: RadarSensor) -> tuple[np.ndarray, np.ndarray]:
@@ -159,9 +158,19 @@ def _distances(model, data, place, directions, longest: float) -> np.ndarray:
     n = len(directions)
     distance, geom = np.empty(n), np.empty(n, dtype=np.int32)
     mujoco.mj_multiRay(
-        model, data, place, directions.ravel(), None, True, -1, geom, distance, None, n,
-        longest + 1.0,
-    )  # fmt: skip
+        m=model,
+        d=data,
+        pnt=place,
+        vec=directions.ravel(),
+        geomgroup=None,
+        flg_static=True,
+        bodyexclude=-1,
+        geomid=geom,
+        dist=distance,
+        normal=None,
+        nray=n,
+        cutoff=longest + 1.0,
+    )
     return np.where(geom >= 0, distance, np.inf)
 
 
