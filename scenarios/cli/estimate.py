@@ -133,7 +133,7 @@ class Estimate:
 
     def run(self) -> None:
         from surefoot.scenarios.estimate.long_logs import estimate_file
-        from surefoot.scenarios.reporting.tables import to_markdown
+        from surefoot.scenarios.reporting.tables import metrics_row, to_markdown
         from surefoot.sim.common.files import refuse_overwrite
         from surefoot.sim.log import LogReader
 
@@ -185,17 +185,3 @@ class Compare:
             for name, why in comparison.left_out.items():
                 print(f"left out on {comparison.log.name}: {name} ({why})")
         print(f"\nreport: {self.out / 'report.html'}")
-
-
-def metrics_row(m) -> dict[str, float]:
-    """The columns of a table row for one trajectory's Metrics."""
-    return {
-        "APE_trans [m]": m.ape_trans,
-        "APE_rot [deg]": m.ape_rot,
-        "RPE_trans [m]": m.rpe_trans,
-        "RPE_rot [deg/m]": m.rpe_rot,
-        "pi<gamma [%]": m.pi_below_gamma,
-        "NEES_pos": m.nees_position,
-        "NEES_vel": m.nees_velocity,
-        "NEES_att": m.nees_attitude,
-    }

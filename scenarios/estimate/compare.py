@@ -23,7 +23,7 @@ from surefoot.scenarios.estimate.registry import (
 )
 from surefoot.scenarios.reporting.figures import body_velocity, height, position_error, trajectories
 from surefoot.scenarios.reporting.html import Picture, Section, save_picture, write_report
-from surefoot.scenarios.reporting.tables import to_csv, to_markdown
+from surefoot.scenarios.reporting.tables import metrics_row, to_csv, to_markdown
 from surefoot.scenarios.viewer.recording import write_recording
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
@@ -89,23 +89,13 @@ def table(comparisons: Sequence[Comparison]) -> pd.DataFrame:
     rows = []
     for comparison in comparisons:
         for result in comparison.results:
-            m = result.metrics
-            row: dict[str, object] = {"log": result.log, "filter": result.filter}
-            if m is not None:
+            values: dict[str, object] = {"step [us]": 1e6 * result.step_time}
+            if result.metrics is not None:
                 held = comparison.held.get(result.filter)
-                row |= {
-                    "APE_trans [m]": m.ape_trans,
-                    "APE_rot [deg]": m.ape_rot,
-                    "RPE_trans [m]": m.rpe_trans,
-                    "RPE_rot [deg/m]": m.rpe_rot,
-                    "pi<gamma [%]": m.pi_below_gamma,
-                    "coverage [%]": _with_interval(held) if held else None,
-                    "NEES_pos": m.nees_position,
-                    "NEES_vel": m.nees_velocity,
-                    "NEES_att": m.nees_attitude,
-                }
-            row["step [us]"] = 1e6 * result.step_time
-            rows.append(row)
+                values |= metrics_row(result.metrics)
+                values["coverage [%]"] = _with_interval(held) if held else None
+            row: dict[str, object] = {"log": result.log, "filter": result.filter}
+            rows.append(row | {name: values[name] for name in MEANINGS if name in values})
     return pd.DataFrame(rows)
 
 

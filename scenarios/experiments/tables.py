@@ -11,37 +11,17 @@ from surefoot.models.calibration.empirical_coverage import binomial_interval
 from surefoot.scenarios.estimate.compare import MEANINGS
 from surefoot.scenarios.experiments.file import SUITES_FOLDER, Experiment
 from surefoot.scenarios.experiments.run import Outcome
+from surefoot.scenarios.reporting.tables import METRICS
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.toml import read_toml
 
 PUBLISHED = SUITES_FOLDER / "published.toml"
-METRICS = {
-    "APE_trans [m]": "ape_trans",
-    "APE_rot [deg]": "ape_rot",
-    "RPE_trans [m]": "rpe_trans",
-    "RPE_rot [deg/m]": "rpe_rot",
-    "pi<gamma [%]": "pi_below_gamma",
-    "NEES_pos": "nees_position",
-    "NEES_vel": "nees_velocity",
-    "NEES_att": "nees_attitude",
-    "step [us]": "step_us",
-}
+METRICS = {**METRICS, "step [us]": "step_us"}
 """Columns of the tables and the facts of an estimate that they show."""
 SHARE = "APE [% of path]"
 HELD = "coverage [%]"
-COLUMNS = (
-    "APE_trans [m]",
-    SHARE,
-    "APE_rot [deg]",
-    "RPE_trans [m]",
-    "RPE_rot [deg/m]",
-    "pi<gamma [%]",
-    HELD,
-    "NEES_pos",
-    "NEES_vel",
-    "NEES_att",
-    "step [us]",
-)
+COLUMNS = [name for name in MEANINGS if name in METRICS or name == HELD]
+COLUMNS.insert(1, SHARE)
 """In the order that averages and sequences are shown in."""
 MEANINGS = {
     **MEANINGS,

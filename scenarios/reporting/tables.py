@@ -1,16 +1,36 @@
 """One table in three dresses: Markdown, CSV and HTML, with the same numbers in each."""
 
-import csv
+from __future__ import annotations
+
 import re
 from collections.abc import Mapping, Sequence
 from html import escape
-from io import StringIO
 from numbers import Integral, Real
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
+if TYPE_CHECKING:
+    from surefoot.estimator.metrics import Metrics
+
 Table = pd.DataFrame | Sequence[Mapping]
+METRICS = {
+    "APE_trans [m]": "ape_trans",
+    "APE_rot [deg]": "ape_rot",
+    "RPE_trans [m]": "rpe_trans",
+    "RPE_rot [deg/m]": "rpe_rot",
+    "pi<gamma [%]": "pi_below_gamma",
+    "NEES_pos": "nees_position",
+    "NEES_vel": "nees_velocity",
+    "NEES_att": "nees_attitude",
+}
+"""Columns of every table of errors, and the fields of `estimator.metrics.Metrics` they show."""
+
+
+def metrics_row(metrics: Metrics) -> dict[str, float]:
+    """The columns of one trajectory's metrics."""
+    return {column: getattr(metrics, field) for column, field in METRICS.items()}
 
 
 def as_frame(table: Table) -> pd.DataFrame:
@@ -56,13 +76,7 @@ def to_markdown(table: Table, digits: int = 3) -> str:
 
 def to_csv(table: Table) -> str:
     """Comma-separated values at full precision, with a header and nothing for what is missing."""
-    frame = as_frame(table)
-    stream = StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(frame.columns)
-    for row in frame.itertuples(index=False):
-        writer.writerow(["" if value is None or value != value else value for value in row])
-    return stream.getvalue()
+    return as_frame(table).to_csv(index=False, lineterminator="\n")
 
 
 def to_html(table: Table, digits: int = 3) -> str:
