@@ -28,7 +28,7 @@ check: setup
 
 # The site into out/site, and which pages of results have gone stale.
 docs: setup
-	$(BIN)/mkdocs build --strict --quiet
+	$(BIN)/mkdocs build --strict
 	$(BIN)/python -m surefoot.scenarios.studies.pages docs/results
 
 # The README's table from a demo of this commit.
