@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from surefoot.models.calibration.calibrate import calibrate
     from surefoot.models.observer.training import train
     from surefoot.scenarios.estimate.compare import compare_log as compare
+    from surefoot.scenarios.estimate.contract import Learnt
     from surefoot.scenarios.estimate.registry import run_filter
     from surefoot.scenarios.trace.run import trace
     from surefoot.sim.log import Log
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from surefoot.sim.walk import walk
 
 __all__ = [
+    "Learnt",
     "Log",
     "Robot",
     "Scenario",
@@ -35,6 +37,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "Learnt": "surefoot.scenarios.estimate.contract:Learnt",
     "Log": "surefoot.sim.log:Log",
     "Robot": "surefoot.sim.robot:Robot",
     "Scenario": "surefoot.sim.scenario:Scenario",
