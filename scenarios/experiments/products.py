@@ -12,14 +12,10 @@ from surefoot.models.observer.observer import Observer
 from surefoot.models.observer.training import Schedule, train
 from surefoot.models.registry import ARCHITECTURES, CALIBRATORS
 from surefoot.scenarios.datasets.index import recipe, row_of
+from surefoot.scenarios.estimate.contract import Learnt
+from surefoot.scenarios.estimate.estimators import estimator_code, estimator_named
 from surefoot.scenarios.estimate.facts import error_table, estimate_facts
-from surefoot.scenarios.estimate.registry import (
-    Learnt,
-    declared_model,
-    estimator_code,
-    estimator_named,
-    run_filter,
-)
+from surefoot.scenarios.estimate.registry import declared_model, run_filter
 from surefoot.scenarios.estimate.tuned import tuned
 from surefoot.scenarios.experiments.cache import Product, product, product_key
 from surefoot.scenarios.experiments.file import Learning

@@ -115,8 +115,8 @@ def body_velocity(
     rows = np.asarray(prediction.rows)
     t, ok = log.t[rows], log.ref_ok[rows]
     truth = np.einsum("nji,nj->ni", log.ref_R_GI[rows], reference_velocity(log)[rows])
-    guess = np.asarray(prediction.v_I)
-    half = None if epsilon is None else np.broadcast_to(epsilon, guess.shape)
+    predicted = np.asarray(prediction.v_I)
+    half = None if epsilon is None else np.broadcast_to(epsilon, predicted.shape)
     first, last = window or _middle(t)
     shown = (t >= first) & (t <= last)
     figure, axes = new_figure(3, 1, size=(7.5, 6.2), share_x=True)
@@ -124,15 +124,15 @@ def body_velocity(
         ax = axes[k, 0]
         panel = f"{axis} of the IMU ({word})"
         if half is not None:
-            lower, upper = guess[:, k] - half[:, k], guess[:, k] + half[:, k]
+            lower, upper = predicted[:, k] - half[:, k], predicted[:, k] + half[:, k]
             band = {"color": BOUNDS, "alpha": 0.25, "linewidth": 0}
             label = "Observer ± ε (the bounds)"
             ax.fill_between(t[shown], lower[shown], upper[shown], **band, label=label)
-        ax.plot(t[shown], guess[shown, k], color=OBSERVER, linewidth=1.2, label="Observer")
+        ax.plot(t[shown], predicted[shown, k], color=OBSERVER, linewidth=1.2, label="Observer")
         measured = np.where(ok, truth[:, k], np.nan)
         ax.plot(t[shown], measured[shown], color=TRUTH, linewidth=2.0, label="Truth")
         if half is not None:
-            outside = ok & (np.abs(truth[:, k] - guess[:, k]) > half[:, k])
+            outside = ok & (np.abs(truth[:, k] - predicted[:, k]) > half[:, k])
             missed = shown & outside
             ax.plot(
                 t[missed], truth[missed, k], ".", color=OUTSIDE, markersize=4, label="Truth outside"
