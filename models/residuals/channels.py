@@ -39,8 +39,7 @@ class ImuGyro(Channel):
     chained = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
-        legged = bool(limbs.legs)
-        return tuple(Column(f"gyro_{a}", self.unit, "gyro", a) for a in AXES if legged)
+        return _of_axes("gyro", self.unit, limbs)
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray:
         return inputs.bins.gyro
@@ -58,8 +57,7 @@ class ImuAccel(Channel):
     chained = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
-        legged = bool(limbs.legs)
-        return tuple(Column(f"accel_{a}", self.unit, "accel", a) for a in AXES if legged)
+        return _of_axes("accel", self.unit, limbs)
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray:
         return inputs.bins.accel
@@ -87,6 +85,7 @@ class LegVelocity(Channel):
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
         if not _stands(inputs):
             return None
+        assert isinstance(inputs.robot, Robot)
         return leg_velocities(inputs.bins, inputs.robot)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
@@ -112,6 +111,7 @@ class FootHeight(Channel):
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
         if not (_stands(inputs) and inputs.motion.level):
             return None
+        assert isinstance(inputs.robot, Robot)
         return foot_heights(inputs.bins, inputs.robot)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
@@ -156,12 +156,7 @@ class BaseWrench(Channel):
     chained = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
-        kinds = (("force", "N"), ("moment", "N m")) if limbs.legs else ()
-        return tuple(
-            Column(f"{kind}_{axis}", unit, kind, f"{kind}_{axis}")
-            for kind, unit in kinds
-            for axis in AXES
-        )
+        return (*_of_axes("force", "N", limbs), *_of_axes("moment", "N m", limbs))
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
         if inputs.inverse_dynamics is None:
@@ -226,6 +221,11 @@ class ContactTiming(Channel):
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
         return 1.0 / rate
+
+
+def _of_axes(what: str, unit: str, limbs: Limbs) -> tuple[Column, ...]:
+    """A column for each axis of a vector, of a machine that walks."""
+    return tuple(Column(f"{what}_{a}", unit, what, f"{what}_{a}") for a in AXES if limbs.legs)
 
 
 def _of_joints(what: str, unit: str, limbs: Limbs) -> tuple[Column, ...]:

@@ -1,6 +1,7 @@
 """Close the loop: residual of measured logs -> the effect the model lacks -> before and after."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from surefoot.models.attribution.diagnose import cases_of, diagnose
@@ -87,7 +88,7 @@ def trace_logs(
     )
     motion = motion_to_distinguish([r["name"] for r in found.rivals]) if found.rivals else ""
     report(1.0)
-    known = vars(found) | {"notes": found.notes + harm}
+    known = vars(replace(found, notes=found.notes + harm))
     return Trace(**known, filters=filters, stretches=stretches, motion=motion)
 
 
