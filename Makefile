@@ -50,7 +50,8 @@ study-trace: setup
 
 # What models lack of three real machines; a study whose recording is not there is skipped.
 study-hardware: setup
-	$(BIN)/python -m surefoot.scenarios.studies.hardware.study -o out/hardware --force
+	$(BIN)/python -m surefoot.scenarios.studies.hardware.study -o out/hardware --force \
+		--page docs/results/hardware.md
 
 # The paper's two tables on three seeds, about half an hour on two idle cores; killed, it goes on.
 suites: setup

@@ -130,9 +130,13 @@ class LooseImu(Effect):
 OUTSIDE = {
     kind.name: kind
     for kind in (
-        EncoderEccentricity, ThermalGyroDrift, MagnetCrosstalk, TorqueRipple, DuplicatedPackets,
+        EncoderEccentricity,
+        ThermalGyroDrift,
+        MagnetCrosstalk,
+        TorqueRipple,
+        DuplicatedPackets,
         LooseImu,
     )
-}  # fmt: skip
+}
 """By name; the channels of each are those that it shows in: any of them is right to name. Those of
 an encoder's error are the catalogue's own of an encoder's offset."""

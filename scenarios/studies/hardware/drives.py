@@ -56,7 +56,7 @@ class Balance:
     """The torques of a log and what may make them up, smoothed by one kernel.
 
     t (N,) s; tau, rigid (N, J) N m: measured, and by the declared model; terms: name -> (N, J), the
-    torque per unit of its size; good (N, J): rows to believe; floor (J,) N m: standard deviation
+    torque per unit of its size; good (N, J): rows to use; floor (J,) N m: standard deviation
     that the readings' own jitter from row to row leaves of tau - rigid. Sums over several balances
     weigh each by its `noise`.
     """
@@ -91,7 +91,7 @@ def balance(log: Log, machine: Machine, width: float, stops: float = 0.0) -> Bal
     """The balance of a log of a machine on a fixed base, level and still.
 
     width [s]: standard deviation of the Gaussian kernel. Rows of a joint within `stops` [rad] of
-    the end of its range are not believed, nor their neighbours: there the stop takes a part of
+    the end of its range are left out, and their neighbours: there the stop takes a part of
     the torque. Raises LogError where the log lacks q or tau.
     """
     log.require("q", "tau")
@@ -195,14 +195,24 @@ def level_interval(
     squares, counts = [], []
     for one, rest in parts:
         for number in np.unique(one.block):
-            here = rest[(one.block == number) & np.isfinite(rest)]
-            if len(here):
-                squares.append(float(np.sum(here**2)))
-                counts.append(len(here))
-    draws = block_draws(len(squares), rng)
-    spread = np.sqrt((draws @ np.array(squares)) / (draws @ np.array(counts)))
-    low, high = np.percentile(spread, [2.5, 97.5])
+            own = rest[(one.block == number) & np.isfinite(rest)]
+            if len(own):
+                squares.append(float(np.sum(own**2)))
+                counts.append(len(own))
+    low, high = np.sqrt(ratio_interval(np.array(squares), np.array(counts), rng))
     return float(low), float(high)
+
+
+def ratio_interval(top: np.ndarray, bottom: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """95 % interval (2,) of sum(top) / sum(bottom) over blocks (B,), by bootstrap."""
+    draws = rng.multinomial(len(top), np.full(len(top), 1.0 / len(top)), size=1000)
+    return np.percentile((draws @ top) / (draws @ bottom), [2.5, 97.5])
+
+
+def between(value: float, interval: Sequence[float] | np.ndarray, digits: int = 3) -> str:
+    """'0.120 (0.110 – 0.130)'."""
+    low, high = interval
+    return f"{value:.{digits}f} ({low:.{digits}f} – {high:.{digits}f})"
 
 
 def select(
@@ -232,10 +242,10 @@ def _judged(balances: Sequence[Balance], joint: int, names: Sequence[str]) -> fl
     """Sum of squares left of the blocks that were not fitted, each half in turn."""
     total = 0.0
     for side in (0, 1):
-        G = np.concatenate([
-            _products(one, joint, names, one.good[:, joint] & (one.block % 2 == side))
-            for one in balances
-        ])  # fmt: skip
+        fitted = [one.good[:, joint] & (one.block % 2 == side) for one in balances]
+        G = np.concatenate(
+            [_products(b, joint, names, rows) for b, rows in zip(balances, fitted, strict=True)]
+        )
         sizes = _solved(G.sum(axis=0))
         for one in balances:
             unseen = one.good[:, joint] & (one.block % 2 != side)

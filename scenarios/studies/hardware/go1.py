@@ -1,7 +1,7 @@
-"""Study of a walking Go1 with motion capture: what does the model of its legs lack?
+"""Study of a walking Go1 with motion capture: effects that the model of its legs lacks.
 
-The reference has no time stamps of its own, so that how it lies against each stream is estimated
-first; then `trace` says what is missing, and the leg filter what it is worth.
+The reference has no time stamps of its own, so that its lag against each stream is estimated
+first; then `trace` finds what is missing, and the leg filter shows its worth.
 """
 
 from collections.abc import Sequence
@@ -21,8 +21,8 @@ from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.scenarios.estimate.registry import Learnt
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
 from surefoot.scenarios.reporting.plotting import new_figure, set_title
+from surefoot.scenarios.studies.hardware.drives import between
 from surefoot.scenarios.studies.hardware.stream_lags import BLOCK, WALKING, Lag
-from surefoot.scenarios.studies.hardware.words import between
 from surefoot.scenarios.trace.filters import filtered
 from surefoot.scenarios.trace.result import Trace
 from surefoot.sim.effects import Effect, compensate_all, effect
@@ -47,15 +47,12 @@ METRICS = {
 
 def lags_table(found: Sequence[Lag]) -> pd.DataFrame:
     """A row a stream."""
-    return pd.DataFrame([
-        {"stream": one.stream,
-         "late by [ms]": between(1e3 * one.late, [1e3 * x for x in one.interval], 1)}
-        for one in found
-    ])  # fmt: skip
+    late = [between(1e3 * one.late, [1e3 * x for x in one.interval], 1) for one in found]
+    return pd.DataFrame({"stream": [one.stream for one in found], "late by [ms]": late})
 
 
 def stance_profile(log: Log, robot: Robot, effects: Sequence[Effect]) -> np.ndarray:
-    """Speed (TENTHS, 4) [m/s] that a foot which the log calls standing has, by the legs and the
+    """Speed (TENTHS, K) [m/s] that a foot which the log calls standing has, by the legs and the
     reference: root mean square over walking, by tenths of the stance and leg."""
     log, robot = compensate_all(effects, log, robot)
     frame = log_under_model(log, robot).frame
@@ -64,13 +61,13 @@ def stance_profile(log: Log, robot: Robot, effects: Sequence[Effect]) -> np.ndar
     v = leg_velocity(robot, log.q, joint_velocity(log), log.gyro, frame.up_I, standing)
     square = np.sum((v - frame.v_I[:, None]) ** 2, axis=2)
     walks = np.linalg.norm(frame.v_I, axis=1) > WALKING
-    out = np.full((TENTHS, 4), np.nan)
-    for leg in range(4):
+    out = np.full((TENTHS, log.contact.shape[1]), np.nan)
+    for leg in range(log.contact.shape[1]):
         phase = stance_phase(log.contact[:, leg])
         for k in range(TENTHS):
-            here = walks & (phase >= k / TENTHS) & (phase < (k + 1) / TENTHS)
-            here &= np.isfinite(square[:, leg])
-            out[k, leg] = np.sqrt(square[here, leg].mean()) if here.any() else np.nan
+            rows = walks & (phase >= k / TENTHS) & (phase < (k + 1) / TENTHS)
+            rows &= np.isfinite(square[:, leg])
+            out[k, leg] = np.sqrt(square[rows, leg].mean()) if rows.any() else np.nan
     return out
 
 
@@ -100,11 +97,13 @@ def shares_table(log: Log, robot: Robot, found: Trace, seed: int = 0) -> pd.Data
         share = 100 * (1 - after.sum() / before.sum())
         spread = 100 * (1 - (draws @ after) / (draws @ before))
         level = np.sqrt(after.sum() / count.sum())
-        rows.append({
-            "model": words,
-            "leg velocity left [m/s]": f"{level:.4f}",
-            "explained [% of squares]": between(share, np.percentile(spread, [2.5, 97.5]), 1),
-        })  # fmt: skip
+        rows.append(
+            {
+                "model": words,
+                "leg velocity left [m/s]": f"{level:.4f}",
+                "explained [% of squares]": between(share, np.percentile(spread, [2.5, 97.5]), 1),
+            }
+        )
     return pd.DataFrame(rows)
 
 
@@ -117,12 +116,12 @@ def rolling_table(log: Log, robot: Robot, seed: int = 0) -> pd.DataFrame:
     walks = (np.linalg.norm(frame.v_I, axis=1) > WALKING) & log.ref_ok
     dq, up = joint_velocity(log), frame.up_I
 
-    def off(radius: float) -> np.ndarray:
+    def error(radius: float) -> np.ndarray:
         rolling = replace(robot, foot_radius=np.full(len(robot.foot_radius), radius))
         v = leg_velocity(rolling, log.q, dq, log.gyro, up, log.contact & walks[:, None])
         return v - frame.v_I[:, None]
 
-    point, slope = off(0.0), off(1.0) - off(0.0)
+    point, slope = error(0.0), error(1.0) - error(0.0)
     block = np.floor((log.t - log.t[0]) / BLOCK).astype(int)
     rows = []
     for words, (begin, end) in STANCES.items():
@@ -211,8 +210,8 @@ def _drawn(one: Effect, interval: tuple[float, float], rng: np.random.Generator)
 
 
 def _judged(words: str, log: Log, robot: Robot, chosen: Sequence[Effect]) -> dict[str, str | float]:
-    told, model = compensate_all(chosen, log, robot)
-    m = evaluate(reference(log), filtered("leg", told, model, Learnt()))
+    compensated, model = compensate_all(chosen, log, robot)
+    m = evaluate(reference(log), filtered("leg", compensated, model, Learnt()))
     return {"model": words} | {name: getattr(m, metric) for name, metric in METRICS.items()}
 
 
@@ -222,8 +221,9 @@ def figure(log: Log, robot: Robot, found: Trace, late: Sequence[Lag]) -> Figure:
     above, stance, times = axes[0]
     truth = reference(log)
     models: list[tuple[str, Sequence[Effect], str, str]] = [
-        ("as declared", (), BEFORE, "--"), ("with what was found", found.effects, AFTER, "-"),
-    ]  # fmt: skip
+        ("as declared", (), BEFORE, "--"),
+        ("with what was found", found.effects, AFTER, "-"),
+    ]
     if missed := [*drawn_feet(found.effects, robot), *late_ends(found)]:
         models.append(("with what was not", missed, MISSED, "-"))
     for words, chosen, color, line in models:

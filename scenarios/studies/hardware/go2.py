@@ -1,7 +1,8 @@
-"""Study of a Go2 hung in the air: how long is a row of its log, and what do its drives lack?"""
+"""Study of a Go2 hung in the air: the time between rows of its log, and effects of its drives."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,6 +15,7 @@ from surefoot.scenarios.studies.hardware.drives import (
     RIVALS,
     Balance,
     balance,
+    between,
     fit,
     left,
     level,
@@ -21,7 +23,6 @@ from surefoot.scenarios.studies.hardware.drives import (
     select,
 )
 from surefoot.scenarios.studies.hardware.row_times import RowTimes, row_times
-from surefoot.scenarios.studies.hardware.words import between
 from surefoot.sim.log import Log
 from surefoot.sim.robot.fixed_base import Machine
 
@@ -45,9 +46,13 @@ MODELS: dict[str, tuple[str, ...]] = {
     "and other armature and dry friction": (*_SMALL, "armature", "coulomb_friction"),
     "and torque scale, armature, dry friction": tuple(EFFECTS),
     "and heavier links instead of a torque scale": (
-        *_SMALL, "gravity", "inertia", "armature", "coulomb_friction",
+        *_SMALL,
+        "gravity",
+        "inertia",
+        "armature",
+        "coulomb_friction",
     ),
-}  # fmt: skip
+}
 """Explanations set side by side on the part that none was fitted on."""
 
 
@@ -73,38 +78,42 @@ def drives(log: Log, machine: Machine, period: float) -> Drives:
 
 
 def clock(log: Log, seed: int = 0) -> RowTimes:
-    """The rows' times by what the joints say."""
+    """The rows' times, from the joints."""
     return row_times(log.q, log.dq, np.random.default_rng(seed))
 
 
 def clock_table(times: RowTimes, joints: Sequence[str]) -> pd.DataFrame:
-    """A row a joint: mean time of a row by its angle and its rate, and what that says of rates if
-    a row is 5 ms."""
+    """A row a joint: mean time of a row by its angle and its rate, and the scale of its rate if a
+    row is 5 ms."""
     rows = []
     for joint, period, interval in zip(joints, times.period, times.periods, strict=True):
         scale = [PERIODS[0] / x for x in (period, *interval[::-1])]
-        rows.append({
-            "joint": joint,
-            "ms a row, if its rate is right": between(1e3 * period, 1e3 * interval, 2),
-            "its rate reads, if a row is 5 ms": between(scale[0], scale[1:], 3),
-        })  # fmt: skip
+        rows.append(
+            {
+                "joint": joint,
+                "ms a row, if its rate is right": between(1e3 * period, 1e3 * interval, 2),
+                "its rate reads, if a row is 5 ms": between(scale[0], scale[1:], 3),
+            }
+        )
     return pd.DataFrame(rows)
 
 
 def ticks_table(times: RowTimes) -> pd.DataFrame:
-    """What the two heaps of rows say."""
+    """Rows of two lengths, and ticks of a source between them."""
     low, high = (3.0 - share for share in times.share_interval[::-1])
     ticks = 3.0 - times.share
-    return pd.DataFrame([
-        {"what": "short rows, by the rates [ms]", "value": f"{1e3 * times.short:.2f}"},
-        {"what": "long rows, by the rates [ms]", "value": f"{1e3 * times.long:.2f}"},
-        {"what": "long / short (3 / 2 if rows are 2 and 3 ticks of a source)",
-         "value": between(times.ratio, times.ratio_interval)},
-        {"what": "share of short rows", "value": between(times.share, times.share_interval)},
-        {"what": "ticks a row", "value": between(ticks, (low, high))},
-        {"what": "a row, if the source ticks at 500 Hz [ms]",
-         "value": between(1e3 * SOURCE * ticks, (1e3 * SOURCE * low, 1e3 * SOURCE * high))},
-    ])  # fmt: skip
+    row = between(1e3 * SOURCE * ticks, (1e3 * SOURCE * low, 1e3 * SOURCE * high))
+    values = {
+        "short rows, by the rates [ms]": f"{1e3 * times.short:.2f}",
+        "long rows, by the rates [ms]": f"{1e3 * times.long:.2f}",
+        "long / short (3 / 2 if rows are 2 and 3 ticks of a source)": between(
+            times.ratio, times.ratio_interval
+        ),
+        "share of short rows": between(times.share, times.share_interval),
+        "ticks a row": between(ticks, (low, high)),
+        "a row, if the source ticks at 500 Hz [ms]": row,
+    }
+    return pd.DataFrame([{"what": name, "value": value} for name, value in values.items()])
 
 
 def drives_table(found: Drives, seed: int = 0) -> pd.DataFrame:
@@ -118,18 +127,20 @@ def drives_table(found: Drives, seed: int = 0) -> pd.DataFrame:
         before, after = left(found.unseen, j), left(found.unseen, j, sizes)
         of_before = level_interval([(found.unseen, before)], rng)
         of_after = level_interval([(found.unseen, after)], rng)
-        rows.append({
-            "joint": joint,
-            "before [N m]": between(level(before), of_before, 2),
-            "after [N m]": between(level(after), of_after, 2),
-            "every term [N m]": f"{level(left(found.unseen, j, every)):.2f}",
-            "jitter [N m]": f"{found.seen.floor[j]:.3f}",
-            "masked [%]": f"{100 * (1 - (found.seen.good | found.unseen.good)[:, j].mean()):.0f}",
-            "effects (95 % interval)": "; ".join(
-                f"{n.replace('_', ' ')} {between(v, i)} {EFFECTS[n].replace('ratio', '')}".strip()
-                for n, v, i in zip(sizes.names, sizes.values, sizes.interval, strict=True)
-            ),
-        })  # fmt: skip
+        rows.append(
+            {
+                "joint": joint,
+                "before [N m]": between(level(before), of_before, 2),
+                "after [N m]": between(level(after), of_after, 2),
+                "every term [N m]": f"{level(left(found.unseen, j, every)):.2f}",
+                "jitter [N m]": f"{found.seen.floor[j]:.3f}",
+                "masked [%]": f"{100 * (1 - (found.seen.good | found.unseen.good)[:, j].mean()):.0f}",
+                "effects (95 % interval)": "; ".join(
+                    f"{n.replace('_', ' ')} {between(v, i)} {EFFECTS[n].replace('ratio', '')}".strip()
+                    for n, v, i in zip(sizes.names, sizes.values, sizes.interval, strict=True)
+                ),
+            }
+        )
     return pd.DataFrame(rows)
 
 
@@ -154,16 +165,19 @@ def figure(times: RowTimes, joints: Sequence[str], found: Drives, seed: int = 0)
     """Rows' own times, each joint's mean, and the residual torque before and after."""
     drawn, axes = new_figure(1, 3, (12.0, 4.2))
     heaps, means, torque = axes[0]
+    above: Any = {
+        "xycoords": ("data", "axes fraction"),
+        "ha": "center",
+        "va": "bottom",
+        "fontsize": 8.0,
+    }
     heaps.hist(
         1e3 * times.each[np.isfinite(times.each)], bins=np.arange(2.0, 7.01, 0.08), color=AFTER
     )
     tick = 1e3 * (times.short + times.long) / 5.0
     for count in (2, 3):
         heaps.axvline(count * tick, color=INK, linestyle=":", linewidth=1.2)
-        heaps.annotate(
-            f"{count} ticks", (count * tick, 1.0), xycoords=("data", "axes fraction"),
-            ha="center", va="bottom", fontsize=8.0,
-        )  # fmt: skip
+        heaps.annotate(f"{count} ticks", (count * tick, 1.0), **above)
     heaps.set_xlabel("time of a row by turn / rate [ms]")
     heaps.set_ylabel("rows")
     set_title(heaps, "rows come short and long, 2 : 3\n")
@@ -171,8 +185,7 @@ def figure(times: RowTimes, joints: Sequence[str], found: Drives, seed: int = 0)
     half = 1e3 * np.abs(times.periods.T - times.period)
     means.errorbar(1e3 * times.period, where, xerr=half, fmt="o", color=AFTER, markersize=3.5)
     means.axvline(5.0, color=INK, linestyle="--", linewidth=1.2)
-    means.annotate("nominal", (5.0, 1.0), xycoords=("data", "axes fraction"), ha="center",
-                   va="bottom", fontsize=8.0)  # fmt: skip
+    means.annotate("nominal", (5.0, 1.0), **above)
     means.set_yticks(where, joints)
     means.invert_yaxis()
     means.set_xlabel("mean time of a row by turn / rate [ms]")

@@ -1,4 +1,4 @@
-"""Study of one AK80-6 drive that swings a point mass: what does its rigid model lack?
+"""Study of one AK80-6 drive that swings a point mass: what effects does its rigid model lack?
 
 Every run is held out once: terms are chosen and fitted on the others, and judged on it.
 """
@@ -18,13 +18,13 @@ from surefoot.scenarios.studies.hardware.drives import (
     Balance,
     Sizes,
     balance,
+    between,
     fit,
     left,
     level,
     level_interval,
     select,
 )
-from surefoot.scenarios.studies.hardware.words import between, size_rows
 from surefoot.sim.log import Log
 from surefoot.sim.robot.fixed_base import Machine
 
@@ -48,7 +48,7 @@ MODELS = {
 
 @dataclass(frozen=True)
 class HeldOut:
-    """One run, judged with what the other runs say."""
+    """One run, judged with the effects fitted on the other runs."""
 
     run: Balance
     sizes: Sizes
@@ -75,16 +75,18 @@ def held_out_table(done: tuple[HeldOut, ...], seed: int = 0) -> pd.DataFrame:
     for one in done:
         own = fit([one.run], 0, (*EFFECTS, *RIVALS), rng, samples=0)
         before, after = level(one.before), level(one.after)
-        rows.append({
-            "run held out": one.run.name,
-            "terms chosen by the other three": ", ".join(one.sizes.names),
-            "before [N m]": between(before, level_interval([(one.run, one.before)], rng)),
-            "after [N m]": between(after, level_interval([(one.run, one.after)], rng)),
-            "explained [%]": f"{100 * (1 - (after / before) ** 2):.0f}",
-            "every term, own fit [N m]": f"{level(left(one.run, 0, own)):.3f}",
-            "jitter of the readings [N m]": f"{one.run.floor[0]:.3f}",
-            "left out [%]": f"{100 * (1 - one.run.good.mean()):.0f}",
-        })  # fmt: skip
+        rows.append(
+            {
+                "run held out": one.run.name,
+                "terms chosen by the other three": ", ".join(one.sizes.names),
+                "before [N m]": between(before, level_interval([(one.run, one.before)], rng)),
+                "after [N m]": between(after, level_interval([(one.run, one.after)], rng)),
+                "explained [%]": f"{100 * (1 - (after / before) ** 2):.0f}",
+                "every term, own fit [N m]": f"{level(left(one.run, 0, own)):.3f}",
+                "jitter of the readings [N m]": f"{one.run.floor[0]:.3f}",
+                "left out [%]": f"{100 * (1 - one.run.good.mean()):.0f}",
+            }
+        )
     return pd.DataFrame(rows)
 
 
@@ -95,7 +97,16 @@ def sizes_table(done: tuple[HeldOut, ...], seed: int = 0) -> pd.DataFrame:
     names = MODELS["torque scale, dry friction, armature"]
     whole = fit(runs, 0, names, rng)
     alone = {run.name: fit([run], 0, names, rng, samples=0).values for run in runs}
-    return size_rows(whole, EFFECTS, alone)
+    rows = []
+    for i, name in enumerate(names):
+        digits = 4 if name == "armature" else 3
+        row = {
+            "effect": name.replace("_", " "),
+            "unit": EFFECTS[name],
+            "size (95 % interval)": between(whole.values[i], whole.interval[i], digits),
+        }
+        rows.append(row | {run: f"{values[i]:.{digits}f}" for run, values in alone.items()})
+    return pd.DataFrame(rows)
 
 
 def rivals_table(done: tuple[HeldOut, ...], seed: int = 0) -> pd.DataFrame:
@@ -120,8 +131,8 @@ def figure(done: tuple[HeldOut, ...]) -> Figure:
         shown = np.where(run.good[:, 0], run.tau[:, 0], np.nan)
         torque.plot(t, shown, color=INK, label="torque as the drive reports it", linewidth=1.8)
         torque.plot(t, run.rigid[:, 0], "--", color=BEFORE, label="needed by the rigid model")
-        told = run.tau[:, 0] - one.after
-        torque.plot(t, told, color=AFTER, label="with what the three other runs say it lacks")
+        estimated = run.tau[:, 0] - one.after
+        torque.plot(t, estimated, color=AFTER, label="with the effects fitted on the other runs")
         bulk = 1.3 * np.nanmax(np.abs(shown))
         torque.set_ylim(-bulk, bulk)
         torque.set_ylabel("torque [N m]")

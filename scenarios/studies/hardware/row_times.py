@@ -1,7 +1,7 @@
-"""How long is a row? The time between rows, from joints whose angle and rate are both read.
+"""The time between rows of a log, from joints whose angle and rate are both read.
 
-Of each row all joints together say how far they turned and how fast they were going, so a log with
-no time stamps, or wrong ones, carries its own clock: as good as the scale of the rates.
+The angle that the joints turned over a row, divided by their rate, is its duration: a log without
+time stamps, or with wrong ones, has its own clock, as good as the scale of the rates.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ import numpy as np
 from surefoot.models.bootstrap import block_draws
 
 FAST = 7.0
-"""rad/s: norm of all joints' rates from which a row tells its own time."""
+"""rad/s: norm of all joints' rates from which a row's own time is estimated."""
 TOGETHER = 16
 """Rows that a joint's mean time is taken over: rows of unequal length would bias single ones."""
 BLOCK = 512
@@ -49,23 +49,28 @@ def row_times(q: np.ndarray, dq: np.ndarray, rng: np.random.Generator) -> RowTim
     top = _sums(block[::TOGETHER], far * whole)
     bottom = _sums(block[::TOGETHER], whole * whole)
     period = top.sum(axis=0) / bottom.sum(axis=0)
-    spread = (counts @ top) / (counts @ bottom)
+    drawn = (counts @ top) / (counts @ bottom)
     # A joint whose rate reads too much would smear the heaps.
     rate = rate * period / period.mean()
     fast = np.linalg.norm(rate, axis=1) > FAST
     speed = np.maximum(np.sum(rate * rate, axis=1), 1e-12)
     each = np.where(fast, np.sum(turned * rate, axis=1) / speed, np.nan)
     low, high = two_heaps(each[fast])
-    found = np.array([
-        _ratio_and_share(np.repeat(each, np.repeat(count, BLOCK)[: len(each)]))
-        for count in counts[:200]
-    ])  # fmt: skip
+    resampled = (np.repeat(each, np.repeat(n, BLOCK)[: len(each)]) for n in counts[:200])
+    found = np.array([_ratio_and_share(times) for times in resampled])
     ratio, share = _ratio_and_share(each)
     (r0, s0), (r1, s1) = np.percentile(found, [2.5, 97.5], axis=0)
     return RowTimes(
-        period, np.percentile(spread, [2.5, 97.5], axis=0).T, each, low, high, ratio,
-        (float(r0), float(r1)), share, (float(s0), float(s1)),
-    )  # fmt: skip
+        period=period,
+        periods=np.percentile(drawn, [2.5, 97.5], axis=0).T,
+        each=each,
+        short=low,
+        long=high,
+        ratio=ratio,
+        ratio_interval=(float(r0), float(r1)),
+        share=share,
+        share_interval=(float(s0), float(s1)),
+    )
 
 
 def two_heaps(x: np.ndarray) -> tuple[float, float]:

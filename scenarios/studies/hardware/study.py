@@ -14,6 +14,7 @@ import pandas as pd
 import tyro
 from matplotlib.figure import Figure
 
+from surefoot.scenarios.reporting.html import Picture, Section
 from surefoot.scenarios.reporting.plotting import save_png
 from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.scenarios.reporting.tables import to_markdown
@@ -21,6 +22,7 @@ from surefoot.scenarios.studies.hardware import go1 as go1
 from surefoot.scenarios.studies.hardware import go2 as go2
 from surefoot.scenarios.studies.hardware import pendulum as pendulum
 from surefoot.scenarios.studies.hardware.stream_lags import lags
+from surefoot.scenarios.studies.pages import origin_of, write_page
 from surefoot.scenarios.trace.run import trace
 from surefoot.scenarios.trace.words import summary
 from surefoot.sim.common.errors import SurefootError
@@ -38,13 +40,15 @@ SHIFTS = (-0.005, 0.005)
 
 @dataclass(frozen=True)
 class Options:
-    """What models lack of three real machines: tables with intervals, and figures."""
+    """Effects that the models of three real machines lack: tables with intervals, and figures."""
 
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     measured: Path = MEASURED
     """Folder with ak80_pendulum, go2_in_air and go1_square."""
     only: tuple[str, ...] = ()
     """Of the three, those to run; all if left out."""
+    page: Path | None = None
+    """Page of results to write as well, such as docs/results/hardware.md."""
     force: bool = False
 
 
@@ -66,12 +70,14 @@ def ak80_pendulum(folder: Path, options: Options) -> Chapter:
     }
     done = pendulum.study(logs, load_machine("ak80_pendulum"))
     tables = {
-        "Residual torque of runs that no fit has seen (root mean square)":
-            pendulum.held_out_table(done),
+        "Residual torque of runs that no fit has seen (root mean square)": pendulum.held_out_table(
+            done
+        ),
         "Sizes: from all four runs, and from each alone": pendulum.sizes_table(done),
-        "Rival explanations, fitted on three runs, residual [N m] on the fourth":
-            pendulum.rivals_table(done),
-    }  # fmt: skip
+        "Rival explanations, fitted on three runs, residual [N m] on the fourth": pendulum.rivals_table(
+            done
+        ),
+    }
     return Chapter("AK80-6 pendulum", tables, pendulum.figure(done))
 
 
@@ -101,12 +107,14 @@ def go1_square(folder: Path, options: Options) -> Chapter:
         found = trace([log], robot, options.out / "go1_trace", progress=tell, force=options.force)
     tables = {
         "Streams against the reference": go1.lags_table(late),
-        "How large the feet are, by the part of the stance that is asked":
-            go1.rolling_table(log, robot),
-        "Velocity by standing legs, on the third that only reports":
-            go1.shares_table(log, robot, found),
+        "How large the feet are, by the part of the stance that is asked": go1.rolling_table(
+            log, robot
+        ),
+        "Velocity by standing legs, on the third that only reports": go1.shares_table(
+            log, robot, found
+        ),
         "Leg filter over the whole walk": go1.leg_filter_table(log, robot, found, SHIFTS),
-    }  # fmt: skip
+    }
     drawn = go1.figure(log, robot, found, late)
     return Chapter("Go1 around a square", tables, drawn, summary(found))
 
@@ -138,7 +146,19 @@ def study(options: Options) -> dict[str, Chapter]:
         save_png(chapter.figure, options.out / f"{name}.png", True)
         with whole_file(options.out / f"{name}.md", True) as path:
             path.write_text(as_markdown(chapter), encoding="utf-8")
+    if options.page:
+        sections = [section for chapter in done.values() for section in as_sections(chapter)]
+        title = "Three real machines, and effects that their models lack"
+        origin = origin_of("surefoot.scenarios.studies.hardware.study", "make study-hardware")
+        write_page(options.page, title, sections, origin)
     return done
+
+
+def as_sections(chapter: Chapter) -> list[Section]:
+    """The chapter as parts of a report: a figure, then its tables."""
+    figure = Picture(chapter.figure, chapter.title)
+    parts = [Section(chapter.title, chapter.words, pictures=(figure,))]
+    return parts + [Section(heading, table=table) for heading, table in chapter.tables.items()]
 
 
 def as_markdown(chapter: Chapter) -> str:
