@@ -205,7 +205,7 @@ def level_interval(
 
 def ratio_interval(top: np.ndarray, bottom: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """95 % interval (2,) of sum(top) / sum(bottom) over blocks (B,), by bootstrap."""
-    draws = rng.multinomial(len(top), np.full(len(top), 1.0 / len(top)), size=1000)
+    draws = block_draws(len(top), rng)
     return np.percentile((draws @ top) / (draws @ bottom), [2.5, 97.5])
 
 

@@ -21,7 +21,7 @@ from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.scenarios.estimate.registry import Learnt
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
 from surefoot.scenarios.reporting.plotting import new_figure, set_title
-from surefoot.scenarios.studies.hardware.drives import between
+from surefoot.scenarios.studies.hardware.drives import between, ratio_interval
 from surefoot.scenarios.studies.hardware.stream_lags import BLOCK, WALKING, Lag
 from surefoot.scenarios.trace.filters import filtered
 from surefoot.scenarios.trace.result import Trace
@@ -130,12 +130,9 @@ def rolling_table(log: Log, robot: Robot, seed: int = 0) -> pd.DataFrame:
         for axis, name in enumerate(("forward", "lateral")):
             y, x = np.where(use, point[..., axis], 0.0), np.where(use, slope[..., axis], 0.0)
             sums = [np.bincount(block, values.sum(axis=1)) for values in (-x * y, x * x)]
-            counts = block_draws(len(sums[0]), rng)
-            drawn = 1e3 * (counts @ sums[0]) / (counts @ sums[1])
             size = 1e3 * sums[0].sum() / sums[1].sum()
-            row[f"radius by {name} velocity [mm]"] = between(
-                size, np.percentile(drawn, [2.5, 97.5]), 1
-            )
+            interval = 1e3 * ratio_interval(*sums, rng)
+            row[f"radius by {name} velocity [mm]"] = between(size, interval, 1)
         rows.append(row)
     return pd.DataFrame(rows)
 

@@ -125,6 +125,7 @@ def drives_table(found: Drives, seed: int = 0) -> pd.DataFrame:
         sizes = fit([found.seen], j, names, rng)
         every = fit([found.seen], j, (*EFFECTS, *RIVALS), rng, samples=0)
         before, after = left(found.unseen, j), left(found.unseen, j, sizes)
+        good = (found.seen.good | found.unseen.good)[:, j]
         of_before = level_interval([(found.unseen, before)], rng)
         of_after = level_interval([(found.unseen, after)], rng)
         rows.append(
@@ -134,14 +135,18 @@ def drives_table(found: Drives, seed: int = 0) -> pd.DataFrame:
                 "after [N m]": between(level(after), of_after, 2),
                 "every term [N m]": f"{level(left(found.unseen, j, every)):.2f}",
                 "jitter [N m]": f"{found.seen.floor[j]:.3f}",
-                "masked [%]": f"{100 * (1 - (found.seen.good | found.unseen.good)[:, j].mean()):.0f}",
+                "masked [%]": f"{100 * (1 - good.mean()):.0f}",
                 "effects (95 % interval)": "; ".join(
-                    f"{n.replace('_', ' ')} {between(v, i)} {EFFECTS[n].replace('ratio', '')}".strip()
-                    for n, v, i in zip(sizes.names, sizes.values, sizes.interval, strict=True)
+                    f"{name.replace('_', ' ')} {between(*size)} {_unit(name)}".strip()
+                    for name, *size in zip(sizes.names, sizes.values, sizes.interval, strict=True)
                 ),
             }
         )
     return pd.DataFrame(rows)
+
+
+def _unit(effect: str) -> str:
+    return EFFECTS[effect].replace("ratio", "")
 
 
 def rivals_table(found: Drives, seed: int = 0) -> pd.DataFrame:

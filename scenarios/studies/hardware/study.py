@@ -69,14 +69,12 @@ def ak80_pendulum(folder: Path, options: Options) -> Chapter:
         for run in RUNS
     }
     done = pendulum.study(logs, load_machine("ak80_pendulum"))
+    unseen = "Residual torque of runs that no fit has seen (root mean square)"
+    rivals = "Rival explanations, fitted on three runs, residual [N m] on the fourth"
     tables = {
-        "Residual torque of runs that no fit has seen (root mean square)": pendulum.held_out_table(
-            done
-        ),
+        unseen: pendulum.held_out_table(done),
         "Sizes: from all four runs, and from each alone": pendulum.sizes_table(done),
-        "Rival explanations, fitted on three runs, residual [N m] on the fourth": pendulum.rivals_table(
-            done
-        ),
+        rivals: pendulum.rivals_table(done),
     }
     return Chapter("AK80-6 pendulum", tables, pendulum.figure(done))
 
@@ -103,8 +101,10 @@ def go1_square(folder: Path, options: Options) -> Chapter:
     robot = machine_for_log(log, _known("go1").name)
     assert isinstance(robot, Robot)
     late = lags(log, robot)
-    with percent_bar("trace") as tell:
-        found = trace([log], robot, options.out / "go1_trace", progress=tell, force=options.force)
+    with percent_bar("trace") as progress:
+        found = trace(
+            [log], robot, options.out / "go1_trace", progress=progress, force=options.force
+        )
     tables = {
         "Streams against the reference": go1.lags_table(late),
         "How large the feet are, by the part of the stance that is asked": go1.rolling_table(
