@@ -1,4 +1,4 @@
-"""Scenario files: a course, the ground under it, and what a seed may vary. TOML, schema-checked."""
+"""Scenario files: a course, the ground under it, and what a seed may vary. TOML as typed models."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace

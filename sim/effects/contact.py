@@ -89,7 +89,7 @@ class Armature(Effect):
 class FootSlip(Effect):
     """The feet hold less than the ground's friction says: every coefficient loses this share.
 
-    No model can know of it from a log, so it is not explained: below its limit friction leaves no
+    It cannot be identified from a log, so it is not compensated: below its limit friction leaves no
     trace, and a trot at 0.3 to 0.7 m/s on level ground seldom reaches it. With a third of the
     friction gone (0.82 to 0.55) feet slid on 0.1 to 1.3 % of their stance, on walks that lacked
     nothing on 0.1 to 1 %; with four fifths gone (0.17) on 7 %, which patches of little friction on
@@ -117,8 +117,8 @@ class SoftGround(Effect):
 
     The size is added to the time constant of MuJoCo's `solref`: a foot that lands sinks and is
     pushed back within a few of them, to the depth at which its load keeps it, which grows as the
-    square. A model that knows of it is told how deep each foot is, and how it moves there, from its
-    landings and its load (`models.residuals.soft_ground`).
+    square. The model predicts how deep each foot is, and how it moves there, from its landings and its
+    load (`models.residuals.soft_ground`).
     """
 
     name = "soft_ground"

@@ -1,4 +1,4 @@
-"""Effects of time: what arrives late, and clocks that disagree.
+"""Effects of timing: delays, and clocks that disagree.
 
 Tan et al., "Sim-to-Real: Learning Agile Locomotion for Quadruped Robots", RSS 2018, draw latencies
 of 0 to 40 ms for their robot; Haarnoja et al., "Learning Agile Soccer Skills for a Bipedal Robot",
@@ -22,7 +22,7 @@ from surefoot.sim.sensors.streams import Reference, Streams
 
 STREAMS = {"imu": ("gyro", "accel"), "joints": ("q", "dq", "tau"), "feet": ("force",)}
 COLUMNS = {**STREAMS, "feet": ("force", "contact"), "reference": ("ref",)}
-"""What a log has of each stream: contacts are told from the feet's forces."""
+"""A log's columns of each stream: contacts are derived from the feet's forces."""
 
 
 class JointDelay(Effect):
@@ -34,7 +34,7 @@ class JointDelay(Effect):
     channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
     targets = ("all",)
     needs = ("reference",)
-    # Longer than a row: noise must not pass for the slope of torques and rates.
+    # Longer than a row: noise must not be taken as the slope of torques and rates.
     step = 4e-3
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
@@ -85,8 +85,8 @@ class ContactDelay(Effect):
     """The feet's contacts begin late, or end late, by a constant time.
 
     Thresholds, debouncing and filters of a foot's force make them; foam that springs back makes
-    them end late alone. An end that is told early enough does no harm: an unloaded foot still
-    stands for a while.
+    them end late alone. An end that is reported early does no harm: an unloaded foot stands
+    still for a while.
     """
 
     name = "contact_delay"
@@ -115,13 +115,13 @@ class ContactDelay(Effect):
         return replace(streams, force=force)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        rows, told = int(self.value * log.rate), log.contact
+        rows, contact = int(self.value * log.rate), log.contact
         for leg in range(len(LEGS)):
             lifts, lands = swings(log.t, log.contact[:, leg])
             for edge in lands if self.target == "touchdown" else lifts:
-                told[max(edge - rows, 0) : edge, leg] = self.target == "touchdown"
-        columns = {f"contact_{leg}": told[:, i].astype(float) for i, leg in enumerate(LEGS)}
-        # What is less than a row is for the model to know.
+                contact[max(edge - rows, 0) : edge, leg] = self.target == "touchdown"
+        columns = {f"contact_{leg}": contact[:, i].astype(float) for i, leg in enumerate(LEGS)}
+        # Less than a row cannot be undone in the log: it goes into the declared model.
         name, rest = f"{self.target}_late", self.value - rows / log.rate
         known = replace(robot.extras, **{name: getattr(robot.extras, name) + rest})
         return with_columns(log, columns), replace(robot, extras=known)

@@ -94,13 +94,15 @@ class Robot:
             raise SurefootError(
                 f"{log.name}: its joints are not a quadruped's twelve ({JOINTS[0]} to {JOINTS[-1]})"
             )
-        told = log.meta.model
-        if "p_BI" in told:
-            robot = replace(robot, p_BI=np.array(told["p_BI"], dtype=float))
-        if "q_BI" in told:
-            robot = replace(robot, R_BI=matrix_from_quaternion(np.array(told["q_BI"], dtype=float)))
-        if "foot_radius" in told:
-            radius = np.broadcast_to(told["foot_radius"], (4,)).astype(float)
+        mapped = log.meta.model
+        if "p_BI" in mapped:
+            robot = replace(robot, p_BI=np.array(mapped["p_BI"], dtype=float))
+        if "q_BI" in mapped:
+            robot = replace(
+                robot, R_BI=matrix_from_quaternion(np.array(mapped["q_BI"], dtype=float))
+            )
+        if "foot_radius" in mapped:
+            radius = np.broadcast_to(mapped["foot_radius"], (4,)).astype(float)
             robot = replace(robot, foot_radius=radius)
         return robot
 

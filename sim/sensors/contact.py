@@ -1,4 +1,4 @@
-"""Contact of a foot from its raw force, and the swings that it tells of."""
+"""Contact of a foot from its raw force, and its swings."""
 
 import numpy as np
 
@@ -12,8 +12,7 @@ def contact_from_force(
     """Whether a foot stands (N,), from its force (N,) less its offset, in the sensor's own unit.
 
     A foot stands once the force has stayed above `on` for `debounce` seconds, and lifts as soon as
-    it falls below `off` <= `on`: late to trust, quick to doubt, and nothing is known in advance.
-    The first row needs no debounce.
+    it falls below `off` <= `on`; rows to come are not used. The first row needs no debounce.
     """
     above = force > on
     # The start of the run of rows above `on` that each row belongs to.

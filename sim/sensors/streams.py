@@ -1,4 +1,4 @@
-"""From the simulated motion to what the robot's sensors would say."""
+"""From the simulated motion to what the robot's sensors would read."""
 
 from dataclasses import dataclass, fields
 
@@ -45,9 +45,9 @@ class Sensors:
     contact_threshold: float = 0.08  # of the robot's weight, on one foot
     imu_bandwidth: float = 0.0  # Hz, of the IMU's first-order low-pass; 0: it has none
     encoder_offset: float = 0.0  # rad, standard deviation, drawn once a joint
-    contact_delay: float = 0.0  # s, until a change of contact is told
-    contact_missed: float = 0.0  # share of samples of a standing foot that say it does not
-    contact_false: float = 0.0  # share of samples of a lifted foot that say it stands
+    contact_delay: float = 0.0  # s, until a change of contact is reported
+    contact_missed: float = 0.0  # share of samples of a foot in contact that report none
+    contact_false: float = 0.0  # share of samples of a lifted foot that report contact
 
     def __post_init__(self):
         for name in (part.name for part in fields(self)):
@@ -182,9 +182,9 @@ def corrupt(streams: Streams, sensors: Sensors, rng: np.random.Generator) -> Str
 def sensed_contact(
     streams: Streams, weight: float, sensors: Sensors, rng: np.random.Generator
 ) -> np.ndarray:
-    """Whether each foot is said to stand (N, 4), on a robot of `weight` [N].
+    """Whether each foot is reported in contact (N, 4), on a robot of `weight` [N].
 
-    A threshold on the measured force, told late, and wrong on samples drawn from `rng`.
+    A threshold on the measured force, reported late, and wrong on samples drawn from `rng`.
     """
     stands = streams.force > sensors.contact_threshold * weight
     late = round(sensors.contact_delay * streams.rate)

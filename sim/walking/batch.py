@@ -46,7 +46,7 @@ class _Stopped(Exception):
 
 
 def walk_job(job: Job, progress: Callable[[float], None] | None = None) -> Walked:
-    """Make one walk; a fall is a result like any other. `progress` is told the share done."""
+    """Make one walk; a fall is a result like any other. `progress` is called with the share done."""
     robot = known_robot(job.robot)
     made = plan(job.scenario, robot, job.seed, job.effects, job.declared)
     try:
@@ -71,7 +71,7 @@ def walk_batch(
     """Walk the jobs on `threads` threads; yields what `use` makes of each, in order of finishing.
 
     `use` runs on the walk's own thread, so that writing files does not wait in line either.
-    `progress` is told the share of the whole batch. An error, or leaving the iterator early,
+    `progress` is called with the share of the whole batch. An error, or leaving the iterator early,
     stops the walks in progress within a second of simulated time.
     """
     return on_threads(jobs, lambda job, tell: use(walk_job(job, tell)), threads, progress)

@@ -1,7 +1,7 @@
 """Walks like one that was measured: its speeds and turns, its gait and posture, on flat ground.
 
 An observer that is trained in simulation alone should see the motions that it will be asked about:
-not the same walk, but the same manner of walking.
+not the same walk, but the same style of walking.
 """
 
 from dataclasses import dataclass, replace
@@ -23,7 +23,7 @@ SPREAD = 0.1
 """Share by which speed, period and clearance are varied about the measured ones."""
 POSTURE = (0.05, 0.15, 0.2)
 """rad, largest shifts of hip, thigh and calf, all legs alike, about the measured posture: an
-observer that has seen one posture takes another for a speed."""
+observer trained on one posture mistakes another for a speed."""
 SHORTEST_SWING, LONGEST_STRIDE = 0.08, 2.0
 """s: a foot off the ground for less has bounced; one that lands later has paused."""
 PERIODS, CLEARANCES = (0.6, 1.6), (0.5, 2.0)
@@ -32,7 +32,7 @@ PERIODS, CLEARANCES = (0.6, 1.6), (0.5, 2.0)
 
 @dataclass(frozen=True)
 class WalkingStyle:
-    """How a log walks."""
+    """Speeds, gait and posture of a walk."""
 
     twists: np.ndarray  # (N, 3) forward, lateral [m/s], turn [rad/s] of each piece
     period: float  # factor on the controller's gait period
@@ -78,13 +78,13 @@ def walking_style(log: Log, robot: Robot) -> WalkingStyle:
 
 
 def imitation(
-    shown: WalkingStyle, robot: Robot, name: str, duration: float, rng: np.random.Generator
+    style: WalkingStyle, robot: Robot, name: str, duration: float, rng: np.random.Generator
 ) -> tuple[Scenario, Robot]:
-    """A walk of about `duration` seconds in the manner shown, its stretches in an order drawn.
+    """A walk of about `duration` seconds in this style, its stretches in a random order.
 
     Returns the scenario and the robot that stands in about the measured posture.
     """
-    groups = [shown.twists[i : i + STRETCH] for i in range(0, len(shown.twists), STRETCH)]
+    groups = [style.twists[i : i + STRETCH] for i in range(0, len(style.twists), STRETCH)]
     needed = int(np.ceil(duration / PIECE))
     pieces: list[np.ndarray] = []
     while len(pieces) < needed:
@@ -94,15 +94,15 @@ def imitation(
     ranges = Ranges(
         mu=(0.6, 1.2),
         speed=near,
-        period=(near[0] * shown.period, near[1] * shown.period),
-        clearance=(near[0] * shown.clearance, near[1] * shown.clearance),
+        period=(near[0] * style.period, near[1] * style.period),
+        clearance=(near[0] * style.clearance, near[1] * style.clearance),
         gain=(0.8, 1.2),
     )
     scenario = Scenario(name, segments, Ground(0.8), robot.name, ranges=ranges)
     shift = rng.uniform(-1.0, 1.0, 3) * POSTURE
     outward = np.ones((4, 3))
     outward[1::2, 0] = -1.0  # hips turn about one axis, so right legs spread the other way
-    return scenario, replace(robot, q_home=shown.q_stance + (shift * outward).ravel())
+    return scenario, replace(robot, q_home=style.q_stance + (shift * outward).ravel())
 
 
 def slower(scenario: Scenario, factor: float) -> Scenario:
