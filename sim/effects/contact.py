@@ -117,8 +117,8 @@ class SoftGround(Effect):
 
     The size is added to the time constant of MuJoCo's `solref`: a foot that lands sinks and is
     pushed back within a few of them, to the depth at which its load keeps it, which grows as the
-    square. The model predicts how deep each foot is, and how it moves there, from its landings and its
-    load (`models.residuals.soft_ground`).
+    square. The model predicts how deep each foot is, and how it moves there, from its landings and
+    its load (`models.residuals.soft_ground`).
     """
 
     name = "soft_ground"
