@@ -119,7 +119,7 @@ def _expected(error: str, arms: tuple[Any, ...]) -> str:
     if choices:
         return f"one of {', '.join(choices)}"
     types, limit = re.findall(r"`([^`]*)`([^,`]*)", error)[0]
-    names = [_WORDS.get(name, name) for name in types.split(" | ") if name != "null"]
+    names = [str(_WORDS.get(name, name)) for name in types.split(" | ") if name != "null"]
     if any(get_origin(arm) is tuple and is_dataclass(get_args(arm)[0]) for arm in arms):
         names[-1] = "an array of tables"
     return " or ".join(names) + limit.removesuffix(" - at ")

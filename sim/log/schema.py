@@ -144,13 +144,19 @@ class _Model:
 
 
 @dataclass(frozen=True)
-class _Metadata(Meta):
-    """What the metadata must be; a model may say more than is known here."""
+class _Metadata:
+    """What the metadata must be; a model may hold more than is known here."""
 
     rate: Positive
-    schema: Count = field()
+    schema: Count
+    robot: str | None = None
+    scenario: str | None = None
+    seed: int | None = None
     effects: tuple[_DeclaredEffect, ...] = ()
+    motor_law: dict[str, Any] | None = None
+    derived: tuple[str, ...] = ()
     versions: dict[str, Any] = field(default_factory=dict)
+    model: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self):
         known = {f.name for f in fields(_Model)}
@@ -188,8 +194,9 @@ def read_metadata(metadata: dict[bytes, bytes] | None) -> Meta:
         typed(values, _Metadata)
     except SurefootError as error:
         raise SurefootError(f"metadata: {error}") from None
-    lists = {name: tuple(values[name]) for name in ("effects", "derived") if name in values}
-    return Meta(**values | lists)
+    for name in ("effects", "derived"):
+        values[name] = tuple(values.get(name, ()))
+    return Meta(**values)
 
 
 def check_frame(

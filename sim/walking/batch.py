@@ -46,7 +46,7 @@ class _Stopped(Exception):
 
 
 def walk_job(job: Job, progress: Callable[[float], None] | None = None) -> Walked:
-    """Make one walk; a fall is a result like any other. `progress` is called with the share done."""
+    """Make one walk; a fall is a result too. `progress` is called with the share done."""
     robot = known_robot(job.robot)
     made = plan(job.scenario, robot, job.seed, job.effects, job.declared)
     try:
