@@ -150,13 +150,23 @@ class InvariantFilter:
         v_I, epsilon = vector("v_I", v_I), vector("epsilon", epsilon)
         if not min(epsilon.tolist()) > 0:
             raise SurefootError("epsilon: every bound must be > 0 m/s")
-        settings = coverage_settings(gamma, iterations, max_error, self._persistent is not None)
-        mean, covariance = self._mean, self._covariance
+        _check_level(gamma, iterations)
+        limit = UNLIMITED if max_error is None else _limit(max_error, self._persistent is not None)
+        mean, covariance, counts = self._mean, self._covariance, self._counts
         if self._persistent:
             return update_coverage_persistent(
-                mean, covariance, v_I, epsilon, *settings[:2], self._persistent, self._counts
+                mean,
+                covariance,
+                v_I,
+                epsilon,
+                float(gamma),
+                int(iterations),
+                self._persistent,
+                counts,
             )
-        return update_coverage_within(mean, covariance, 0, v_I, epsilon, *settings, self._counts)
+        return update_coverage_within(
+            mean, covariance, 0, v_I, epsilon, float(gamma), int(iterations), limit, counts
+        )
 
     def update_velocity(self, v_I: np.ndarray, cov: np.ndarray) -> float:
         """Gaussian update with v_I (3,) [m/s] in I and its covariance (3, 3). Returns the squared
@@ -293,18 +303,25 @@ def coverage_settings(
 ) -> CoverageSettings:
     """Checked settings; max_error (3,) [m/s] or None, which a filter with a persistent part has of
     its own."""
+    _check_level(gamma, iterations)
+    limit = UNLIMITED if max_error is None else _limit(max_error, persistent)
+    return CoverageSettings(float(gamma), int(iterations), limit)
+
+
+def _check_level(gamma: float, iterations: int) -> None:
     if not 0.0 < gamma < 1.0:
         raise SurefootError(f"gamma: {gamma} where a number inside (0, 1) is expected")
     if not 1 <= iterations <= 1000:
         raise SurefootError(f"iterations: {iterations} where a whole number in 1..1000 is expected")
-    if max_error is None:
-        return CoverageSettings(float(gamma), int(iterations))
+
+
+def _limit(max_error, persistent: bool) -> np.ndarray:
     max_error = numbers("max_error", max_error, (3,))
     if not np.all(max_error > 0):
         raise SurefootError("max_error: every one must be > 0 m/s")
     if persistent:
         raise SurefootError("max_error: a persistent part has its own")
-    return CoverageSettings(float(gamma), int(iterations), max_error)
+    return max_error
 
 
 def run_imu(t, gyro, accel, state, covariance, noise=None, stride=None) -> Trajectory:
