@@ -34,7 +34,7 @@ from surefoot.models.residuals.residual import (
     with_ground,
 )
 from surefoot.sim.effects import Effect, compensate_all, effect, known_effects
-from surefoot.sim.effects.base import with_columns
+from surefoot.sim.effects.base import changed_columns, with_columns
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
@@ -182,7 +182,7 @@ def _parts(
 ) -> tuple[Log, Machine, ResidualTable, ReferenceMotion]:
     log, robot = compensate_all(chosen, case.log, case.robot)
     frame = case.frame
-    if log is not case.log and _moves_frame(log.frame.attrs["changed"]):
+    if log is not case.log and _moves_frame(changed_columns(case.log, log)):
         frame = replace(reference_motion(log, case.fixed), level=case.frame.level)
     return log, robot, residual(log, robot, frame), frame
 
@@ -292,7 +292,7 @@ def _change(
     """Change of each stream for one unit of an effect: stream -> place -> means over bins (M,)."""
     change: dict[str, dict[int, np.ndarray]] = {}
     mean = bin_mean(frame)
-    for name in new.frame.attrs["last"]:
+    for name in changed_columns(old, new):
         stream, _, what = name.partition("_")
         if stream in ("gyro", "accel"):
             place = "xyz".index(what)

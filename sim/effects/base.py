@@ -124,14 +124,8 @@ def turn_about(axis: str, angle: float) -> np.ndarray:
 
 
 def with_columns(log: Log, columns: Mapping[str, np.ndarray]) -> Log:
-    """The log with some columns replaced; its frame's `attrs` say which, `changed` in all and
-    `last` just now, so that nobody needs to compare numbers."""
-    frame = log.frame.copy(deep=False)
-    changed = {*log.frame.attrs.get("changed", ()), *columns}
-    frame.attrs = {"changed": tuple(sorted(changed)), "last": tuple(columns)}
-    for name, values in columns.items():
-        frame[name] = values
-    return replace(log, frame=frame)
+    """The log with some columns replaced."""
+    return replace(log, frame=log.frame.assign(**columns))
 
 
 def changed_columns(before: Log, after: Log) -> tuple[str, ...]:

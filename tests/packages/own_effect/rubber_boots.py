@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from surefoot.sim.effects.base import Effect, with_columns
+from surefoot.sim.effects.base import Effect
 from surefoot.sim.effects.body import FootRolling
 from surefoot.sim.robot.legs import JOINTS
 
@@ -32,9 +32,8 @@ class RubberBoots(Effect):
 
     def compensate(self, log, robot):
         columns = {f"q_{j}": log.frame[f"q_{j}"].to_numpy() - self.value / SHANK for j in CALVES}
-        return with_columns(log, columns), replace(
-            robot, foot_radius=robot.foot_radius + self.value
-        )
+        known = replace(robot, foot_radius=robot.foot_radius + self.value)
+        return replace(log, frame=log.frame.assign(**columns)), known
 
 
 CALVES = [joint for joint in JOINTS if joint.endswith("_calf")]
