@@ -34,7 +34,7 @@ class ScenarioBox(Calibrator):
 
     def __init__(self, gamma: float, confidence: float = CONFIDENCE):
         super().__init__(gamma)
-        self.confidence: float = confidence
+        self.confidence = confidence
 
     def samples_needed(self) -> int:
         return least_samples(self.gamma, self.confidence)
