@@ -68,7 +68,16 @@ def box_moments(
 
 @kernel
 def box_moments_kernel(mean, cov, lower, upper, out_mean, out_cov) -> float:
-    """`box_moments` without its checks, compiled; fills out_mean and out_cov, returns log_prob."""
+    """`box_moments` without its checks, compiled; returns the log probability of the box.
+
+    Args:
+        mean: (3,) of the Gaussian, in the unit of the bounds.
+        cov: (3, 3) of the Gaussian, positive definite.
+        lower: (3,), the box's lower bounds; may be -inf.
+        upper: (3,), the box's upper bounds; may be inf.
+        out_mean: (3,), receives the truncated mean.
+        out_cov: (3, 3), receives the truncated covariance.
+    """
     order, spread = np.empty(3, dtype=np.int64), np.empty(3)
     C, low, high = np.empty((3, 3)), np.empty(3), np.empty(3)
     for i in range(3):
@@ -134,6 +143,14 @@ def _corner(C, low, high, mode, distance, sums) -> float:
 
     Each axis by itself, given the other two at the nearest point: finite, inside the box and below
     the prior. Met beyond 200 deviations with correlations within 1e-6 of one.
+
+    Args:
+        C: (3, 3), correlation matrix.
+        low: (3,), the box's lower bounds in prior standard deviations from the mean.
+        high: (3,), its upper bounds, alike.
+        mode: (3,), the point of the box nearest to zero.
+        distance: squared Mahalanobis distance of the mode.
+        sums: (10,), receives the moments 0, 1 and 2 about the mode.
     """
     sums[:] = 0.0
     sums[0] = 1.0
@@ -162,7 +179,16 @@ def _corner(C, low, high, mode, distance, sums) -> float:
 
 @kernel
 def _axis_order(mean, cov, lower, upper, spread, order):
-    """Axes by the length of their interval over the deviation that the other two leave them."""
+    """Axes by the length of their interval over the deviation that the other two leave them.
+
+    Args:
+        mean: (3,) of the Gaussian.
+        cov: (3, 3) of the Gaussian.
+        lower: (3,), the box's lower bounds.
+        upper: (3,), its upper bounds.
+        spread: (3,), prior standard deviations.
+        order: (3,), receives the axes, the shortest interval first.
+    """
     length = np.empty(3)
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
@@ -184,7 +210,16 @@ def _axis_order(mean, cov, lower, upper, spread, order):
 
 @kernel
 def _integrate(C, low, high, mode, distance, sums) -> float:
-    """Moments 0, 1 and 2 about the mode into sums (10,); returns the log of their common factor."""
+    """Moments of the box by nested rules; returns the log of their common factor.
+
+    Args:
+        C: (3, 3), correlation matrix.
+        low: (3,), the box's lower bounds in prior standard deviations from the mean.
+        high: (3,), its upper bounds, alike.
+        mode: (3,), the point of the box nearest to zero.
+        distance: squared Mahalanobis distance of the mode.
+        sums: (10,), zeros, receives the moments 0, 1 and 2 about the mode.
+    """
     # Axis 1 given axis 0, and axis 2 given both.
     b1, b2 = C[0, 1], C[0, 2]
     v1 = remaining(1.0, b1, 1.0)
@@ -234,7 +269,16 @@ def _integrate(C, low, high, mode, distance, sums) -> float:
 
 @kernel
 def _outer_end(C, low, high, mode, distance, side: float) -> float:
-    """End of the window of axis 0 on one side: where its best point lies DEPTH below the mode."""
+    """End of the window of axis 0 on one side: where its best point lies DEPTH below the mode.
+
+    Args:
+        C: (3, 3), correlation matrix.
+        low: (3,), the box's lower bounds in prior standard deviations from the mean.
+        high: (3,), its upper bounds, alike.
+        mode: (3,), the point of the box nearest to zero.
+        distance: squared Mahalanobis distance of the mode.
+        side: -1.0 for the lower end, +1.0 for the upper one.
+    """
     bound = high[0] if side > 0.0 else low[0]
     # Half the squared distance of the best point is convex and bends at least as the marginal does.
     far = mode[0] + side * math.sqrt(2.0 * DEPTH)

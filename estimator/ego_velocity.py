@@ -64,7 +64,13 @@ def ego_velocities(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """`ego_velocity` of every frame: which frames gave one (M,), velocities (M, 3), covariances.
 
-    frame (n,) is the index of each return's frame, ascending, below `frames`.
+    Args:
+        frame: (n,), index of each return's frame, ascending, below `frames`.
+        direction: (n, 3), unit vectors to the returns in the sensor's frame.
+        doppler: (n,) [m/s], radial velocities.
+        frames: number of frames.
+        noise: standard deviation of a Doppler [m/s].
+        angle_noise: standard deviations of azimuth and elevation [rad].
     """
     direction, doppler, noises = _checked(direction, doppler, noise, angle_noise)
     ends = np.searchsorted(frame, np.arange(frames + 1))
@@ -87,6 +93,16 @@ def _checked(direction, doppler, noise, angle_noise):
 
 @kernel
 def _each(ends, direction, doppler, noises, velocities, covariances):
+    """`_ego_velocity` of each frame; returns whether it has one, (M,) bool.
+
+    Args:
+        ends: (M+1,), row of each frame's first return, and the end of the last.
+        direction: (n, 3), unit vectors to the returns.
+        doppler: (n,) [m/s].
+        noises: (3,), standard deviations of Doppler [m/s], azimuth and elevation [rad].
+        velocities: (M, 3) [m/s], filled.
+        covariances: (M, 3, 3) [m^2/s^2], filled.
+    """
     good = np.zeros(len(velocities), dtype=np.bool_)
     for k in range(len(velocities)):
         u, d = direction[ends[k] : ends[k + 1]], doppler[ends[k] : ends[k + 1]]
@@ -97,7 +113,16 @@ def _each(ends, direction, doppler, noises, velocities, covariances):
 
 @kernel
 def _ego_velocity(u, d, noises, v, cov, inlier) -> bool:
-    """Fill v (3,), cov (3, 3) and inlier (n,); False where the frame does not tell."""
+    """Robust velocity of one frame; False where too few returns agree or they do not determine it.
+
+    Args:
+        u: (n, 3), unit vectors to the returns.
+        d: (n,) [m/s], their Dopplers.
+        noises: (3,), standard deviations of Doppler [m/s], azimuth and elevation [rad].
+        v: (3,) [m/s], filled.
+        cov: (3, 3) [m^2/s^2], filled.
+        inlier: (n,) bool, filled.
+    """
     n, none = len(d), np.zeros(3)
     if n < ENOUGH:
         return False
@@ -146,10 +171,15 @@ def _residuals(u, d, v):
 
 @kernel
 def _solve(u, d, weight, noises, v, spread) -> bool:
-    """Weighted least squares into v (3,); False if singular.
+    """Weighted least squares for the velocity; False if singular.
 
-    spread (3, 3) receives the estimate's covariance for Dopplers of unit variance. noises[1:] are
-    the angles', whose effect on the normal equations is taken off.
+    Args:
+        u: (n, 3), unit vectors to the returns.
+        d: (n,) [m/s], their Dopplers.
+        weight: (n,), of each return.
+        noises: (3,); noises[1:] are the angles', whose effect on the normal equations is removed.
+        v: (3,) [m/s], filled.
+        spread: (3, 3), filled with the covariance of the estimate for Dopplers of unit variance.
     """
     A, C, b = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3)
     tangent, rise = np.zeros(3), np.zeros(3)

@@ -325,7 +325,17 @@ def _limit(max_error, persistent: bool) -> np.ndarray:
 
 
 def run_imu(t, gyro, accel, state, covariance, noise=None, stride=None) -> Trajectory:
-    """Integrate the IMU alone over a log: t (N,), gyro and accel (N, 3); see `run_coverage`."""
+    """Integrate the IMU alone over a log.
+
+    Args:
+        t: (N,) [s].
+        gyro: (N, 3) [rad/s] in I.
+        accel: (N, 3) [m/s^2] in I, specific force.
+        state: the initial state.
+        covariance: of its error.
+        noise: FilterNoise, or None for the defaults.
+        stride: rows from one returned estimate to the next; 100 Hz where left out.
+    """
     imu = imu_samples(t, gyro, accel)
     return InvariantFilter(state, covariance, noise).run(imu, rows=every_row(imu.t, stride))
 
@@ -333,7 +343,21 @@ def run_imu(t, gyro, accel, state, covariance, noise=None, stride=None) -> Traje
 def run_velocity(
     t, gyro, accel, rows, v_I, cov, state, covariance, noise=None, stride=None, persistent=None
 ) -> Trajectory:
-    """Gaussian velocity updates over a log; cov (3, 3) or (M, 3, 3), the rest as `run_coverage`."""
+    """Gaussian velocity updates over a log.
+
+    Args:
+        t: (N,) [s].
+        gyro: (N, 3) [rad/s] in I.
+        accel: (N, 3) [m/s^2] in I, specific force.
+        rows: (M,), the IMU rows of the updates.
+        v_I: (M, 3) [m/s], measured velocity of the IMU in I.
+        cov: (3, 3) or (M, 3, 3) [m^2/s^2], its covariance.
+        state: the initial state.
+        covariance: of its error.
+        noise: FilterNoise, or None for the defaults.
+        stride: rows from one returned estimate to the next; 100 Hz where left out.
+        persistent: as of `run_coverage`.
+    """
     imu = imu_samples(t, gyro, accel)
     velocities = gaussian_velocities(rows, v_I, cov, len(imu.t))
     one = InvariantFilter(state, covariance, noise, persistent)

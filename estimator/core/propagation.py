@@ -39,7 +39,15 @@ def propagate(mean, covariance, gyro, accel, dt: float, noise, columns, rotation
 
 @kernel
 def propagate_mean(mean, gyro, accel, dt: float, columns):
-    """The mean in place, and the rows (0..8) of B for rotation, velocity and position."""
+    """Propagate the mean in place; fill the rows 0 to 8 of B: rotation, velocity, position.
+
+    Args:
+        mean: (7+E, 3), the packed mean.
+        gyro: (3,) [rad/s] in I.
+        accel: (3,) [m/s^2] in I, specific force.
+        dt: the step [s].
+        columns: (15+3E, 6), receives B, the derivative by (b_a, b_g).
+    """
     # One piece of memory for all: asking for many is slower than the arithmetic.
     work = np.empty((7, 3, 3))
     G0, G1, G2, D1, D2, R = work[0], work[1], work[2], work[3], work[4], work[5]
@@ -128,6 +136,13 @@ def propagate_covariance(covariance, columns, rotation_columns, dt: float, noise
     Phi = [F B; 0 I] acts by additions of rows, since F is sparse. Of (Phi Sigma) Phi^T one half is
     computed: row i of Phi Sigma is read for the last time there, so that element (i, j) may be
     kept at (j, i), whose row is done with. The noise Q/dt of B goes in with the bias columns.
+
+    Args:
+        covariance: (15+3E, 15+3E).
+        columns: (15+3E, 6), B of `propagate_mean`.
+        rotation_columns: (3E, 3), coupling of the extras to the rotation error.
+        dt: the step [s].
+        noise: (4, 3), `FilterNoise.packed`.
     """
     n = covariance.shape[0]
     _add_rows(covariance, columns, rotation_columns, dt)
@@ -208,7 +223,18 @@ def _add_rows(M, columns, rotation_columns, dt: float):
 # call: with a signature it takes C-contiguous float arrays alone (TypeError otherwise).
 @kernel(signature="b1(f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, f8[:,::1], f8[:,::1], f8[:,::1])")
 def propagate_checked(mean, covariance, gyro, accel, dt, noise, columns, rotation_columns) -> bool:
-    """`propagate` for finite gyro (3,) and accel (3,) and dt > 0: True, or False undone."""
+    """`propagate` for finite samples and dt > 0: True, or False with nothing changed.
+
+    Args:
+        mean: (7+E, 3), the packed mean, in place.
+        covariance: (15+3E, 15+3E), in place.
+        gyro: (3,) [rad/s] in I.
+        accel: (3,) [m/s^2] in I, specific force.
+        dt: the step [s].
+        noise: (4, 3), `FilterNoise.packed`.
+        columns: (15+3E, 6), work space for B; its rows of extras are the caller's.
+        rotation_columns: (3E, 3), coupling of the extras to the rotation error.
+    """
     if not (finite_3(gyro) and finite_3(accel) and 0.0 < dt < np.inf):
         return False
     propagate(mean, covariance, gyro, accel, dt, noise, columns, rotation_columns)

@@ -1,4 +1,4 @@
-"""What each velocity measurement tells a filter: its difference from what the filter expected."""
+"""Innovations of velocity measurements: measured minus expected velocity, and its covariance."""
 
 from dataclasses import dataclass
 

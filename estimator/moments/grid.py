@@ -28,11 +28,19 @@ _LOG_2PI = math.log(2.0 * math.pi)
 
 @kernel(error_model="numpy")
 def grid_moments(C, low, high, mode, distance, mean, cov) -> float:
-    """Moments of N(0, C) on a box, C a correlation matrix (3, 3): log probability, or NaN.
+    """Moments of N(0, C) on a box: log probability, or NaN.
 
-    mode (3,) is the point of the box nearest to zero and `distance` its squared distance. mean
-    (3,) and cov (3, 3) are filled. NaN says that the box is not one for a grid: correlations too
-    near to one for its exponents or its number of nodes.
+    NaN means that the box is not one for a grid: correlations too near to one for its exponents or
+    its number of nodes.
+
+    Args:
+        C: (3, 3), correlation matrix.
+        low: (3,), the box's lower bounds.
+        high: (3,), its upper bounds.
+        mode: (3,), the point of the box nearest to zero.
+        distance: its squared Mahalanobis distance.
+        mean: (3,), filled.
+        cov: (3, 3), filled.
     """
     information, centre, half = np.empty((3, 3)), np.empty(3), np.empty(3)
     free = np.zeros(3, dtype=np.bool_)
@@ -241,6 +249,18 @@ def _windows(C, information, low, high, mode, distance, centre, half, steep, fre
     Half the squared distance of the best point with x_a held is convex, and bends at least as the
     marginal does, so beyond the mode it rises at least by slope t + t^2 / 2. Where the density
     counts at all, x_a also lies near its regression on any other axis.
+
+    Args:
+        C: (3, 3), correlation matrix.
+        information: (3, 3), its inverse.
+        low: (3,), the box's lower bounds.
+        high: (3,), its upper bounds.
+        mode: (3,), the point of the box nearest to zero.
+        distance: its squared Mahalanobis distance.
+        centre: (3,), filled with the windows' centres.
+        half: (3,), filled with their half lengths.
+        steep: (3,), filled with the slope of the log density at a mode on a bound, else 0.
+        free: (3,) bool, filled.
     """
     left, right = np.empty(3), np.empty(3)
     for a in range(3):
@@ -274,7 +294,16 @@ def _windows(C, information, low, high, mode, distance, centre, half, steep, fre
 
 @kernel(error_model="numpy")
 def _nodes(count, pieces, half, free, y, f):
-    """Nodes about the centre into y, weights into f; a free axis has one node at zero."""
+    """Nodes and weights of one axis; a free axis has one node at zero.
+
+    Args:
+        count: number of nodes.
+        pieces: of equal length that the window is divided into.
+        half: half the window's length.
+        free: whether the axis is free of its bounds.
+        y: (count,), filled with the nodes about the centre.
+        f: (count,), filled with their weights.
+    """
     if free:
         y[0], f[0] = 0.0, 1.0
         return
@@ -293,13 +322,31 @@ def _nodes(count, pieces, half, free, y, f):
 
 @kernel(error_model="numpy")
 def _fall(y, f, count, g, d):
+    """Multiply the weights by exp(-g y - d y^2 / 2).
+
+    Args:
+        y: (count,), nodes about the centre.
+        f: (count,), weights, in place.
+        count: number of nodes.
+        g: slope of half the squared distance at the centre.
+        d: its second derivative.
+    """
     for n in range(count):
         f[n] *= math.exp(-y[n] * (g + 0.5 * d * y[n]))
 
 
 @kernel(error_model="numpy")
 def _pair(x, nx, y, ny, coupling, out):
-    """out[p, q] = exp(-coupling x_p y_q), one exponential for four entries."""
+    """out[p, q] = exp(-coupling x_p y_q), one exponential for four entries.
+
+    Args:
+        x: (nx,), symmetric nodes of one axis.
+        nx: their number, even where coupled.
+        y: (ny,), symmetric nodes of the other axis.
+        ny: their number, even where coupled.
+        coupling: element of the information matrix that couples the two axes.
+        out: (nx, ny), filled.
+    """
     if coupling == 0.0:
         for p in range(nx):
             for q in range(ny):
@@ -316,7 +363,16 @@ def _pair(x, nx, y, ny, coupling, out):
 
 @kernel(error_model="numpy")
 def _pair_blocks(x, nx, y, ny, coupling, out):
-    """`_pair`, laid out in blocks of four along x: out[p // 4, q, p % 4]."""
+    """`_pair`, laid out in blocks of four along x: out[p // 4, q, p % 4].
+
+    Args:
+        x: (nx,), symmetric nodes of one axis.
+        nx: their number, even where coupled.
+        y: (ny,), symmetric nodes of the other axis.
+        ny: their number, even where coupled.
+        coupling: element of the information matrix that couples the two axes.
+        out: (blocks, ny, 4), filled.
+    """
     if coupling == 0.0:
         for p in range(nx):
             for q in range(ny):
@@ -334,7 +390,21 @@ def _pair_blocks(x, nx, y, ny, coupling, out):
 
 @kernel(error_model="numpy")
 def _ridge(x, nx, dx, y, ny, dy, coupling, shift, out, first, last):
-    """The whole of a strongly coupled pair's fall, where it has not fallen to nothing."""
+    """The whole of a strongly coupled pair's fall, where it has not fallen to nothing.
+
+    Args:
+        x: (nx,), symmetric nodes of one axis.
+        nx: their number.
+        dx: element of the information matrix of the axis of x.
+        y: (ny,), symmetric nodes of the other axis.
+        ny: their number.
+        dy: element of the information matrix of the axis of y.
+        coupling: element that couples the two.
+        shift: length by which the window along y is widened on both sides.
+        out: (blocks, ny, 4), filled with the densities in the layout of `_pair_blocks`.
+        first: (blocks,), filled with the first column of each block that is not zero.
+        last: (blocks,), filled with the end of those columns.
+    """
     deviation = 1.0 / math.sqrt(dy)
     for p in range((nx + 1) // 2):
         o = nx - 1 - p

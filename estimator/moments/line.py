@@ -177,8 +177,18 @@ def plane_moments(gaussian, rectangle, about, out):
 def _one_axis(m, s, lower, upper, c, off, slope, rest, log_scale):
     """Moments on an axis N(m, s^2) cut to [lower, upper], and on a free one that depends on it.
 
-    The free axis is off + slope (x - m) about its origin, with deviation `rest`; c is the origin of
-    the cut one. Returns the moments 1, x, free, x x, x free, free free.
+    Returns the moments 1, x, free, x x, x free, free free.
+
+    Args:
+        m: mean of the cut axis.
+        s: its standard deviation.
+        lower: its lower bound.
+        upper: its upper bound.
+        c: origin of its moments.
+        off: mean of the free axis at x = m, from the origin of its moments.
+        slope: of the free axis's mean along the cut one.
+        rest: standard deviation of the free axis, given the cut one.
+        log_scale: log of a factor of all moments.
     """
     shift, n0, n1, n2, about = line_moments((lower - m) / s, (upper - m) / s)
     w = math.exp(log_scale - shift) * s * rest * _SQRT_2PI
@@ -198,6 +208,17 @@ def _window(m1, m2, s1, slope, s2, l2, u2, x1, depth):
 
     The profile is a concave parabola in three pieces: axis 2 at its lower bound, inside, at its
     upper one. Its exact end on either side is the root of the piece that it ends in.
+
+    Args:
+        m1: mean of axis 1.
+        m2: mean of axis 2 at x1 = m1.
+        s1: standard deviation of axis 1.
+        slope: of axis 2's mean along axis 1.
+        s2: standard deviation of axis 2, given axis 1.
+        l2: lower bound of axis 2.
+        u2: upper bound of axis 2.
+        x1: axis 1 of the rectangle's nearest point.
+        depth: fall of the log density at the window's ends.
     """
     level = 2.0 * (_fall(x1, m1, m2, s1, slope, s2, l2, u2) + depth)
     left = _end(m1, m2, s1, slope, s2, l2, u2, level, -1.0)
@@ -207,7 +228,18 @@ def _window(m1, m2, s1, slope, s2, l2, u2, x1, depth):
 
 @kernel
 def _fall(x, m1, m2, s1, slope, s2, l2, u2) -> float:
-    """Half the squared distance of the best point at x along axis 1."""
+    """Half the squared distance of the best point at x along axis 1.
+
+    Args:
+        x: along axis 1.
+        m1: mean of axis 1.
+        m2: mean of axis 2 at x = m1.
+        s1: standard deviation of axis 1.
+        slope: of axis 2's mean along axis 1.
+        s2: standard deviation of axis 2, given axis 1.
+        l2: lower bound of axis 2.
+        u2: upper bound of axis 2.
+    """
     mean = m2 + slope * (x - m1)
     off = (mean - min(max(mean, l2), u2)) / s2
     along = (x - m1) / s1
@@ -216,7 +248,19 @@ def _fall(x, m1, m2, s1, slope, s2, l2, u2) -> float:
 
 @kernel
 def _end(m1, m2, s1, slope, s2, l2, u2, level, side):
-    """The point x1 on one side (+1, -1) at which the squared distance reaches `level`."""
+    """The point x1 on one side (+1, -1) at which the squared distance reaches `level`.
+
+    Args:
+        m1: mean of axis 1.
+        m2: mean of axis 2 at x1 = m1.
+        s1: standard deviation of axis 1.
+        slope: of axis 2's mean along axis 1.
+        s2: standard deviation of axis 2, given axis 1.
+        l2: lower bound of axis 2.
+        u2: upper bound of axis 2.
+        level: squared distance.
+        side: +1.0 or -1.0.
+    """
     reach = s1 * math.sqrt(level)
     if slope == 0.0:
         return m1 + side * reach

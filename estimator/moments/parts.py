@@ -27,10 +27,18 @@ _NEAR = 16.0
 def outer_parts(C, low, high, left: float, right: float, distance, cuts, scales) -> int:
     """Cut [left, right] of axis 0 into parts; returns their number.
 
-    cuts gets the ends of the parts, scales the smallest deviation that the integrand shows inside
-    each; distance is the box's squared one. Zone 6 (j - 1) + 2 c + w is axis j past its lower
-    (w = 0) or upper bound, alone (c = 0) or with the other axis at its lower (c = 1) or upper bound
-    (c = 2).
+    Zone 6 (j - 1) + 2 c + w is axis j past its lower (w = 0) or upper bound, alone (c = 0) or with
+    the other axis at its lower (c = 1) or upper bound (c = 2).
+
+    Args:
+        C: (3, 3), correlation matrix.
+        low: (3,), the box's lower bounds.
+        high: (3,), its upper bounds.
+        left: lower end of the window of axis 0.
+        right: its upper end.
+        distance: squared Mahalanobis distance of the box.
+        cuts: (16,), receives the ends of the parts.
+        scales: (16,), receives the smallest deviation that the integrand shows inside each part.
     """
     edges, sides, bends = np.zeros(12), np.zeros(12), np.zeros(12)
     _zones(C, low, high, edges, sides, bends)
@@ -63,7 +71,15 @@ def outer_parts(C, low, high, left: float, right: float, distance, cuts, scales)
 
 @kernel
 def _covers(z: int, start: float, end: float, edges, sides) -> bool:
-    """Whether zone z reaches into the part."""
+    """Whether zone z reaches into the part.
+
+    Args:
+        z: index of the zone, as of `outer_parts`.
+        start: lower end of the part along axis 0.
+        end: its upper end.
+        edges: (12,), where each zone begins.
+        sides: (12,), direction of each zone: +1, -1, or 0 for none.
+    """
     if sides[z] == 0.0:
         return False
     return end > edges[z] if sides[z] > 0.0 else start < edges[z]
@@ -78,7 +94,16 @@ def _corner(z: int) -> int:
 
 @kernel
 def _zones(C, low, high, edges, sides, bends):
-    """Begin, direction (+1, -1; 0 for none) and bend of the twelve zones."""
+    """Begin, direction (+1, -1; 0 for none) and bend of the twelve zones.
+
+    Args:
+        C: (3, 3), correlation matrix.
+        low: (3,), the box's lower bounds.
+        high: (3,), its upper bounds.
+        edges: (12,), filled with the begin of each zone along axis 0.
+        sides: (12,), filled with its direction.
+        bends: (12,), filled with its bend, (slope/deviation)^2.
+    """
     reach = math.sqrt(2.0 * DEPTH)
     for j in range(1, 3):
         k = 3 - j

@@ -184,6 +184,13 @@ def _slips(S, measurement_cov, residual, gate: float, drift) -> bool:
     Innovations of a consistent filter are white with covariance S + R. A slip of half a metre a
     second moves a foot by only a millimetre an update, which no single innovation shows; it does
     show in the exponential mean `drift` of the whitened ones, of variance NEWEST / (2 - NEWEST).
+
+    Args:
+        S: (3, 3) [m^2], H Sigma H^T.
+        measurement_cov: (3, 3) [m^2], of the measured foot position.
+        residual: (3,) [m] in I, the innovation.
+        gate: threshold of chi-square.
+        drift: (3,), the running mean of whitened innovations, in place.
     """
     L = np.zeros((3, 3))
     white = np.empty(3)
@@ -207,7 +214,17 @@ def _slips(S, measurement_cov, residual, gate: float, drift) -> bool:
 
 @kernel
 def contact_output(mean, covariance, k: int, foot_I, PHt, S, residual):
-    """Sigma H^T (n, 3), H Sigma H^T (3, 3) and f - R^T (d - p) (3,) of foot k."""
+    """Predicted output of the contact of foot k.
+
+    Args:
+        mean: (7+E, 3), the packed mean.
+        covariance: (n, n), n = 15+3E.
+        k: index of the foot.
+        foot_I: (3,) [m], measured foot position f in I.
+        PHt: (n, 3), filled with Sigma H^T.
+        S: (3, 3) [m^2], filled with H Sigma H^T.
+        residual: (3,) [m], filled with f - R^T (d - p).
+    """
     at = 15 + 3 * k
     for i in range(covariance.shape[0]):
         for j in range(3):
@@ -236,7 +253,15 @@ def _remove(mean, covariance, k: int):
 
 @kernel
 def _insert(mean, covariance, k: int, foot_I, measurement_cov):
-    """Foot k enters at d = p + R f, so xi_d = xi_p + R n_f (Hartley 2020, eq. 32)."""
+    """Foot k enters at d = p + R f, so xi_d = xi_p + R n_f (Hartley 2020, eq. 32).
+
+    Args:
+        mean: (7+E, 3), the packed mean, in place.
+        covariance: (15+3E, 15+3E), in place.
+        k: index of the foot.
+        foot_I: (3,) [m], measured foot position f in I.
+        measurement_cov: (3, 3) [m^2], its covariance in I.
+    """
     at = 15 + 3 * k
     n = covariance.shape[0]
     for i in range(3):

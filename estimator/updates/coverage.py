@@ -66,10 +66,17 @@ def update_coverage(
 ) -> float:
     """Algorithm 1 of the paper on the packed state, in place; returns pi of the prior.
 
-    v_I (3,) [m/s] is the pseudo-measurement of the IMU's velocity in I, epsilon (3,) [m/s] its
-    bounds and gamma their JOINT level: P(|v_I - v_I true| <= epsilon) >= gamma. With z = H delta X
-    (eq. setup_feasible_set_lie_linear_augmented) the box is v_I - v_I_bar -+ epsilon. The posterior
-    of z is projected and matched up to `iterations` times, once in the paper, and lifted once.
+    With z = H delta X (eq. setup_feasible_set_lie_linear_augmented) the box is v_I - v_I_bar -+
+    epsilon. The posterior of z is projected and matched up to `iterations` times and lifted once.
+
+    Args:
+        mean: (7+E, 3), the packed mean.
+        covariance: (15+3E, 15+3E).
+        contacts: number of contact points in the state.
+        v_I: (3,) [m/s], pseudo-measurement of the IMU's velocity in I.
+        epsilon: (3,) [m/s], its bounds.
+        gamma: their JOINT level, P(|v_I - v_I true| <= epsilon) >= gamma.
+        iterations: of projection and matching; once in the paper.
     """
     n = covariance.shape[0]
     PHt, S, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
@@ -106,6 +113,19 @@ def update_coverage_within(
 def _set_update(
     mean, covariance, contacts: int, PHt, S, residual, epsilon, gamma: float, iterations: int
 ) -> float:
+    """The update of `update_coverage` for z ~ N(0, S); returns pi of the prior.
+
+    Args:
+        mean: (7+E, 3), the packed mean, in place.
+        covariance: (n, n), n = 15+3E, in place.
+        contacts: number of contact points in the state.
+        PHt: (n, 3), Sigma H^T.
+        S: (3, 3) [m^2/s^2], H Sigma H^T; a floor is added in place.
+        residual: (3,) [m/s], v_I - v_I_bar.
+        epsilon: (3,) [m/s], bounds of v_I.
+        gamma: their joint level.
+        iterations: of projection and matching.
+    """
     floor = FLOOR**2 + 1e-10 * (S[0, 0] + S[1, 1] + S[2, 2])
     for i in range(3):
         S[i, i] += floor

@@ -11,9 +11,16 @@ from surefoot.sim.common.kernels import kernel
 def update_velocity(mean, covariance, contacts: int, v_I, measurement_cov) -> float:
     """Right-invariant EKF update of the packed state, in place (Hartley 2020, eq. 20).
 
-    v_I (3,) [m/s] measures the IMU's velocity in I with covariance measurement_cov (3, 3). Returns
-    the squared Mahalanobis distance of the innovation. In output space the posterior of z is
-    N(S (S+R)^-1 r, S (S+R)^-1 R), which the same lift as the coverage update carries to the state.
+    Returns the squared Mahalanobis distance of the innovation. In output space the posterior of z
+    is N(S (S+R)^-1 r, S (S+R)^-1 R), which the same lift as the coverage update carries to the
+    state.
+
+    Args:
+        mean: (7+E, 3), the packed mean.
+        covariance: (15+3E, 15+3E).
+        contacts: number of contact points in the state.
+        v_I: (3,) [m/s], measured velocity of the IMU in I.
+        measurement_cov: (3, 3) [m^2/s^2], its covariance R.
     """
     n = covariance.shape[0]
     work = np.empty((n + 4, 3))
@@ -24,11 +31,20 @@ def update_velocity(mean, covariance, contacts: int, v_I, measurement_cov) -> fl
 
 @kernel
 def gaussian_update(mean, covariance, contacts: int, PHt, S, residual, measurement_cov) -> float:
-    """Kalman update for z = H delta X with innovation `residual` (3,), in place.
+    """Kalman update for z = H delta X, in place.
 
-    Returns the squared Mahalanobis distance of the innovation. K (z_cov - S) K^T is
-    -Sigma H^T (S+R)^-1 H Sigma: lifting with W = S + R in the place of S, the posterior's
-    covariance at zero and its mean at the innovation is the textbook update.
+    Returns the squared Mahalanobis distance of the innovation. K (z_cov - S) K^T is -Sigma H^T
+    (S+R)^-1 H Sigma: lifting with W = S + R in the place of S, the posterior's covariance at zero
+    and its mean at the innovation is the textbook update.
+
+    Args:
+        mean: (7+E, 3), the packed mean.
+        covariance: (n, n), n = 15+3E.
+        contacts: number of contact points in the state.
+        PHt: (n, 3), Sigma H^T.
+        S: (3, 3), H Sigma H^T.
+        residual: (3,), the innovation.
+        measurement_cov: (3, 3), covariance R of the measurement, in the unit of S.
     """
     work = np.zeros((3, 3, 3))
     W, information, nothing = work[0], work[1], work[2]
@@ -47,7 +63,15 @@ def gaussian_update(mean, covariance, contacts: int, PHt, S, residual, measureme
 # As `propagate_checked`: checks and work in one call, for a robot's own loop.
 @kernel(signature="f8(f8[:,::1], f8[:,::1], i8, f8[::1], f8[:,::1])")
 def update_velocity_checked(mean, covariance, contacts, v_I, cov) -> float:
-    """`update_velocity` for a finite v_I (3,) and a positive definite cov (3, 3); -1 undone."""
+    """`update_velocity` of a valid measurement; -1 with nothing changed for any other.
+
+    Args:
+        mean: (7+E, 3), the packed mean.
+        covariance: (15+3E, 15+3E).
+        contacts: number of contact points in the state.
+        v_I: (3,) [m/s] in I, finite.
+        cov: (3, 3) [m^2/s^2], positive definite.
+    """
     if not finite_3(v_I) or cov.shape != (3, 3) or not definite_3(cov):
         return -1.0
     return update_velocity(mean, covariance, contacts, v_I, cov)

@@ -16,7 +16,17 @@ from surefoot.sim.common.kernels import kernel
 
 @kernel
 def velocity_output(mean, covariance, contacts: int, v_I, PHt, S, residual):
-    """Sigma H^T (n, 3), S = H Sigma H^T (3, 3), v_I - v_I_bar (3,): into the last three arrays."""
+    """Predicted output of a velocity measurement, with a persistent part where the state has one.
+
+    Args:
+        mean: (7+E, 3), the packed mean.
+        covariance: (n, n), n = 15+3E.
+        contacts: number of contact points in the state.
+        v_I: (3,) [m/s], measured velocity of the IMU in I.
+        PHt: (n, 3), filled with Sigma H^T.
+        S: (3, 3) [m^2/s^2], filled with H Sigma H^T.
+        residual: (3,) [m/s], filled with v_I - v_I_bar.
+    """
     n = covariance.shape[0]
     persistent = EXTRA + contacts < mean.shape[0]
     at = 15 + 3 * contacts
@@ -71,7 +81,14 @@ def inverse_3(S, out):
 def lift(mean, covariance, contacts: int, PHt, S, z_mean, z_cov):
     """Eqs. lift_mean and lift_cov with K = Sigma H^T S^-1, then the on-manifold update, in place.
 
-    z_mean (3,) and z_cov (3, 3) are the posterior of z, whose prior is N(0, S).
+    Args:
+        mean: (7+E, 3), the packed mean.
+        covariance: (n, n), n = 15+3E.
+        contacts: number of contact points in the state.
+        PHt: (n, 3), Sigma H^T.
+        S: (3, 3), covariance of the prior N(0, S) of z.
+        z_mean: (3,), posterior mean of z.
+        z_cov: (3, 3), its posterior covariance.
     """
     n = covariance.shape[0]
     # One piece of memory for all: asking for many is slower than the arithmetic.
