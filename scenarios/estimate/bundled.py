@@ -76,6 +76,7 @@ class Coverage:
     description = "Set-coverage IEKF, bounds of the mse observer."
     needs = Needs(learnt=("observers", "bounds"))
     parameters = VELOCITY
+    proposed = 1
     loss: str | None = None
 
     def bounded_by(self, learnt: Learnt) -> tuple[Observer, Bounds]:
@@ -96,6 +97,7 @@ class CoverageGml(Coverage):
 
     name, label, color, line = "coverage_gml", "Coverage on GML mean", "#9C3D00", ":"
     description = "Set-coverage IEKF on the gml observer's mean: compares update, not network."
+    variant, proposed = True, 0
     loss = "gml"
 
 
@@ -109,6 +111,7 @@ class CoveragePersistent:
     )
     needs = Needs(learnt=("observers", "bounds"))
     parameters = PERSISTENT
+    variant, proposed = True, 2
 
     def start(
         self, robot: Robot, learnt: Learnt, parameters: Mapping[str, float], beginning: Beginning
@@ -142,6 +145,7 @@ class VelocityInflated(Velocity):
 
     name, label = "velocity_inflated", "Velocity IEKF, covariance inflated"
     color, line = "#3C6E5D", ":"
+    variant = True
     description = (
         "The same, its covariance times a factor chosen on training and calibration courses."
     )
@@ -161,6 +165,7 @@ class VelocityPersistent:
     )
     needs = Needs(learnt=("observers", "persistent"))
     parameters = PERSISTENT
+    variant = True
 
     def start(
         self, robot: Robot, learnt: Learnt, parameters: Mapping[str, float], beginning: Beginning
@@ -180,6 +185,7 @@ class Leg:
     description = "Contact-aided leg IEKF (Hartley)."
     needs = Needs(log=("imu", "q", "contact"))
     parameters = LEG
+    of_legs = True
 
     def start(
         self, robot: Robot, learnt: Learnt, parameters: Mapping[str, float], beginning: Beginning
@@ -194,6 +200,7 @@ class LegSlip(Leg):
     name, label, color, line = "leg_slip", "Leg IEKF, slip rejected", "#8CBBEA", "--"
     description = "Leg IEKF that restarts a contact whose innovation fails a chi-square gate."
     parameters = LEG_SLIP
+    variant = True
 
 
 class RadarLeg(Leg):
@@ -211,6 +218,7 @@ class RadarLeg(Leg):
         *LEG_SLIP,
         Parameter("radar", 16.0, "1", "factor of the covariance of a radar frame"),
     )
+    variant = perceptive = True
 
     def prepare(self, log: Log, robot: Robot) -> Log:
         """The log with the velocities of a simulated radar, where it has none."""
@@ -224,6 +232,7 @@ class Imu:
     description = "IMU alone: the floor."
     needs = Needs()
     parameters = _imu_parameters(0.01)
+    floor = True
     drawn = False  # it leaves every picture within seconds and would hide the others
 
     def start(

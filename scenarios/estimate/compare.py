@@ -15,10 +15,10 @@ from surefoot.models.observer.predict import Prediction, predict, prediction_err
 from surefoot.scenarios.datasets.index import path_length, slip_and_creep
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
+from surefoot.scenarios.estimate.estimators import estimator_named, traits
 from surefoot.scenarios.estimate.registry import (
     Result,
     declared_model,
-    estimator_named,
     run_all,
 )
 from surefoot.scenarios.reporting.figures import body_velocity, height, position_error, trajectories
@@ -131,7 +131,7 @@ def write_comparison(
                 out / f"{comparison.log.name}.rrd",
                 comparison.log,
                 comparison.robot,
-                {r.filter: r.trajectory for r in comparison.results if is_drawn(r.filter)},
+                {r.filter: r.trajectory for r in comparison.results if traits(r.filter).drawn},
                 comparison.prediction,
                 comparison.bounds,
                 ground,
@@ -151,11 +151,6 @@ def prepare_folder(out: Path, force: bool) -> None:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise SurefootError(f"-o {out}: {error.strerror}") from None
-
-
-def is_drawn(name: str) -> bool:
-    """Whether an estimator is drawn: one that is far off would hide the others."""
-    return getattr(estimator_named(name), "drawn", True)
 
 
 def _with_interval(held: Coverage) -> str:
@@ -203,7 +198,7 @@ def _pictures(comparison: Comparison, patches: Sequence) -> dict[str, Picture]:
     errors: dict[str, ErrorSeries] = {
         r.filter: error_series(truth, r.trajectory, 20.0)
         for r in comparison.results
-        if is_drawn(r.filter)
+        if traits(r.filter).drawn
     }
     pictures = {
         "trajectories": Picture(

@@ -7,10 +7,10 @@ drawn like the bundled ones:
     [project.entry-points."surefoot.estimators"]
     gravity_only = "my_package:GravityOnly"
 
-Optional, looked up where present: `color` and `line` (matplotlib's "#RRGGBB" and "-", "--", ":",
-"-."), chosen by the name otherwise; `drawn`, False for one whose errors would hide the others';
-`bounded_by(learnt) -> (Observer, Bounds)`, whose empirical coverage the tables then show; and
-`prepare(log, robot) -> Log`, what it computes of a whole log before the first sample.
+Optional, looked up where present: what `surefoot.scenarios.estimate.estimators.Traits` lists,
+such as its colour and whether it is drawn; `bounded_by(learnt) -> (Observer, Bounds)`, whose
+empirical coverage the tables then show; and `prepare(log, robot) -> Log`, what it computes of a
+whole log before the first sample.
 """
 
 from __future__ import annotations

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 from surefoot.sim.common.errors import SurefootError
@@ -42,6 +43,35 @@ def estimator_named(name: str) -> Estimator:
     if found.name != name:
         raise SurefootError(f"--filter {name}: its class calls itself {found.name}")
     return found
+
+
+@dataclass(frozen=True)
+class Traits:
+    """What an estimator's class may say of itself, and what holds where it does not.
+
+    color, line: matplotlib's "#RRGGBB" and "-", "--", ":" or "-."; chosen by the name where empty.
+    drawn: False for one whose errors would hide the others'. variant: whether it is another
+    estimator of the list with a change, which short comparisons leave out. perceptive: whether it
+    uses exteroceptive sensors, so that it is not ranked with proprioceptive ones. floor: whether it
+    is what every other must improve on, and is not ranked either. of_legs: whether its velocities
+    come from the kinematics of the legs. proposed: the highest number of those that were run is
+    the method with which the findings of an experiment compare the others; 0 for no such method.
+    """
+
+    color: str = ""
+    line: str = ""
+    drawn: bool = True
+    variant: bool = False
+    perceptive: bool = False
+    floor: bool = False
+    of_legs: bool = False
+    proposed: int = 0
+
+
+def traits(name: str) -> Traits:
+    """The traits of an estimator; the defaults for a name that is unknown."""
+    kind = ESTIMATORS.get(name)
+    return Traits(**{each.name: getattr(kind, each.name, each.default) for each in fields(Traits)})
 
 
 def estimator_code(name: str) -> str:

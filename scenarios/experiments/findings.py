@@ -6,16 +6,12 @@
 
 import pandas as pd
 
+from surefoot.scenarios.estimate.estimators import traits
 from surefoot.scenarios.experiments.figures import FACTOR, NOMINAL
 from surefoot.scenarios.experiments.file import Condition, Experiment
 from surefoot.scenarios.experiments.tables import SHARE
 from surefoot.scenarios.reporting.palette import estimator_label
 
-OURS = ("coverage_persistent", "coverage")
-"""The method that others are compared with; the first that was run."""
-PERCEPTIVE = ("radar_leg",)
-"""Exteroceptive filters are not ranked with the proprioceptive ones."""
-FLOOR = ("imu",)
 DIVERGED = 5.0  # % of the path
 HIGHEST = "APE_trans [m]"
 
@@ -38,7 +34,9 @@ def _condition(rows: pd.DataFrame, condition: Condition) -> list[str]:
         if condition.words
         else []
     )
-    ranked = rows[~rows["filter"].isin([*PERCEPTIVE, *FLOOR])]
+    own = {name: traits(name) for name in dict.fromkeys(rows["filter"])}
+    unranked = [name for name in own if own[name].perceptive or own[name].floor]
+    ranked = rows[~rows["filter"].isin(unranked)]
     test = ranked[ranked["role"] == "test"]
     if test.empty:
         return paragraphs
@@ -46,8 +44,8 @@ def _condition(rows: pd.DataFrame, condition: Condition) -> list[str]:
     order = ", ".join(f"{estimator_label(str(n))} {v:.3f} m" for n, v in means.items())
     paragraphs.append(f"Position error averaged over the test sequences, lowest first: {order}.")
     paragraphs += [_divergence(ranked), _consistency(test)]
-    ours = next((name for name in OURS if name in set(ranked["filter"])), None)
-    if ours:
+    ours = max(ranked["filter"].unique(), key=lambda name: own[name].proposed)
+    if own[ours].proposed:
         paragraphs += _losses(ranked, ours, condition)
     return [line for line in paragraphs if line]
 
@@ -102,7 +100,7 @@ def _losses(rows: pd.DataFrame, ours: str, condition: Condition) -> list[str]:
             f"{winner} has a lower position error than {label} on {len(found)} of {n} sequences: "
             f"{where}."
         )
-    if any(name.startswith("leg") for name in ahead):
+    if any(traits(name).of_legs for name in ahead):
         paragraphs.append(_why_legs(rows, condition))
     paragraphs.append(_why_learnt(rows, ours))
     return paragraphs

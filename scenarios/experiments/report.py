@@ -11,7 +11,7 @@ from shutil import copyfile
 import pandas as pd
 
 from surefoot.scenarios.datasets.simulate import seed_range
-from surefoot.scenarios.estimate.registry import estimator_named
+from surefoot.scenarios.estimate.estimators import estimator_named, traits
 from surefoot.scenarios.experiments.figures import (
     FACTOR,
     NOMINAL,
@@ -21,7 +21,7 @@ from surefoot.scenarios.experiments.figures import (
     paths,
 )
 from surefoot.scenarios.experiments.file import Experiment
-from surefoot.scenarios.experiments.findings import FLOOR, findings
+from surefoot.scenarios.experiments.findings import findings
 from surefoot.scenarios.experiments.run import Outcome, run
 from surefoot.scenarios.experiments.tables import (
     MEANINGS,
@@ -174,7 +174,7 @@ def _published(name: str) -> list[Section]:
 
 
 def _pictures(main: pd.DataFrame, gamma: float) -> dict[str, Picture]:
-    shown = pd.DataFrame(main[~main["filter"].isin(FLOOR)])
+    shown = pd.DataFrame(main[[traits(name).drawn for name in main["filter"]]])
     band = (NOMINAL / FACTOR, NOMINAL * FACTOR)
     pictures = {
         "ape": Picture(
@@ -228,7 +228,7 @@ def _series(
     series: dict[str, dict[str, pd.DataFrame]] = {}
     for one in outcome.estimates:
         mine = one.cell.condition.name == condition and one.cell.seed == found.seeds[0]
-        if mine and one.gamma in (None, found.gammas[0]) and one.filter not in FLOOR:
+        if mine and one.gamma in (None, found.gammas[0]) and traits(one.filter).drawn:
             robots = found.robots_of(one.cell.scenario)
             name = one.cell.scenario.name + (f", {one.cell.robot}" if len(robots) > 1 else "")
             series.setdefault(name, {})[one.filter] = pd.read_parquet(one.product.path)

@@ -7,7 +7,7 @@ All are legible on the white of a page and on the dark background of the viewer.
 
 from zlib import crc32
 
-from surefoot.scenarios.estimate.estimators import ESTIMATORS
+from surefoot.scenarios.estimate.estimators import ESTIMATORS, traits
 
 TRUTH = "#8C8C8C"
 OBSERVER = "#E69F00"
@@ -61,8 +61,8 @@ def _style(name: str) -> tuple[str, str, str]:
         return _STYLES[name]
     if name not in ESTIMATORS:
         return "", "", ""
-    one = ESTIMATORS[name]
-    return one.label, getattr(one, "color", ""), getattr(one, "line", "")
+    own = traits(name)
+    return ESTIMATORS[name].label, own.color, own.line
 
 
 def _side(name: str) -> tuple[str, str]:

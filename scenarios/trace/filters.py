@@ -7,7 +7,8 @@ import numpy as np
 
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.estimator.metrics import Metrics, evaluate
-from surefoot.scenarios.estimate.registry import ESTIMATORS, Learnt, estimated, estimator_named
+from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named, traits
+from surefoot.scenarios.estimate.registry import Learnt, estimated
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect, compensate_all
 from surefoot.sim.log import Log
@@ -58,8 +59,9 @@ def before_and_after(
             continue
         metrics = evaluate(truth, before), evaluate(truth, after)
         done.append(BeforeAfter(name, part, before, after, metrics))
-    # The leg filter first: it is the one that a model of the legs serves.
-    return sorted(done, key=lambda one: one.filter != "leg")
+    # Those of the legs first: a model of the legs serves them.
+    own = {one.filter: traits(one.filter) for one in done}
+    return sorted(done, key=lambda one: own[one.filter].variant or not own[one.filter].of_legs)
 
 
 def filtered(name: str, log: Log, robot: Robot, learnt: Learnt) -> Trajectory:

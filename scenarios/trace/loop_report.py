@@ -12,6 +12,7 @@ from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.models.observer.predict import prediction_errors
 from surefoot.scenarios.estimate.compare import Comparison
 from surefoot.scenarios.estimate.error_series import error_series
+from surefoot.scenarios.estimate.estimators import traits
 from surefoot.scenarios.estimate.registry import Learnt, declared_model
 from surefoot.scenarios.reporting.figures import body_velocity, height, trajectories
 from surefoot.scenarios.reporting.html import Picture, Section, write_report
@@ -116,7 +117,7 @@ def _trajectories(sides: Sequence[Side]) -> dict[str, Trajectory]:
         f"{r.filter} {side.name}": r.trajectory
         for side in sides
         for r in side.comparison.results
-        if r.filter in ("coverage", "velocity", "leg")
+        if (own := traits(r.filter)).drawn and not own.variant
     }
 
 

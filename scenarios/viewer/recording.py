@@ -12,6 +12,7 @@ import rerun as rr
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.models.observer.predict import predict
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
+from surefoot.scenarios.estimate.estimators import traits
 from surefoot.scenarios.estimate.registry import Learnt, declared_model, run_all
 from surefoot.scenarios.reporting.palette import estimator_label
 from surefoot.scenarios.viewer.blueprint import layout
@@ -150,11 +151,10 @@ def _about(log: Log, robot: Robot, errors: Mapping[str, ErrorSeries]) -> str:
 def record_walk(path: Path, log: Log, job: Job, learnt: Learnt, filters: Sequence[str]) -> None:
     """Write the recording of a log, the walk of `job`.
 
-    On the ground that its seed drew, with every filter but the IMU alone, which leaves the scene
-    within seconds.
+    On the ground that its seed drew, with every filter that is drawn (see `Traits`).
     """
     robot = known_robot(job.robot)
-    results, _ = run_all(log, robot, learnt, [name for name in filters if name != "imu"])
+    results, _ = run_all(log, robot, learnt, [name for name in filters if traits(name).drawn])
     prediction, bounds = None, None
     if learnt.bounds:
         observer, bounds = learnt.bounded()
