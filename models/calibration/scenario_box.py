@@ -34,13 +34,13 @@ class ScenarioBox(Calibrator):
 
     def __init__(self, gamma: float, confidence: float = CONFIDENCE):
         super().__init__(gamma)
-        self.confidence = confidence
+        self.confidence = self.stated = confidence
 
     def samples_needed(self) -> int:
-        return least_samples(self.gamma, self.confidence)
+        return least_samples(self.gamma, self.stated)
 
     def conformalize(self, errors: np.ndarray) -> None:
-        self.epsilon = scenario_box(errors, self.gamma, self.confidence)
+        self.epsilon = scenario_box(errors, self.gamma, self.stated)
 
     def bounds(self) -> Region:
         return Region(self.epsilon)
