@@ -194,9 +194,8 @@ def read_metadata(metadata: dict[bytes, bytes] | None) -> Meta:
         typed(values, _Metadata)
     except SurefootError as error:
         raise SurefootError(f"metadata: {error}") from None
-    for name in ("effects", "derived"):
-        values[name] = tuple(values.get(name, ()))
-    return Meta(**values)
+    lists: dict[str, Any] = {n: tuple(values.get(n, ())) for n in ("effects", "derived")}
+    return Meta(**{**values, **lists})
 
 
 def check_frame(

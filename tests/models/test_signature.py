@@ -53,7 +53,7 @@ def catalogue():
 def slope_of(case, key, step):
     """What a unit of the effect adds to the table, by the residual itself."""
     table = table_of(case, ())
-    slope = (table - table_of(case, [effect(*key, step)])) / step
+    slope = (table - table_of(case, [effect(key[0], key[1], step)])) / step
     return np.nan_to_num(np.where(np.isfinite(table), slope, 0.0))
 
 

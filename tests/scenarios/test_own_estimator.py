@@ -53,7 +53,8 @@ def test_it_is_estimated_tabled_and_drawn(log, tmp_path):
     table = pd.read_csv(tmp_path / "out" / "table.csv")
     rows = table.set_index("filter")
     assert list(rows.index) == ["leg", "leg_slip", "imu", "standing_feet"]
-    assert rows["APE_trans [m]"]["standing_feet"] < rows["APE_trans [m]"]["imu"]
+    errors = {str(name): float(value) for name, value in rows["APE_trans [m]"].items()}
+    assert errors["standing_feet"] < errors["imu"]
     report = (tmp_path / "out" / "report.html").read_text()
     assert "Mean velocity of the standing feet" in report
     command = ("estimate", str(log), "--filter", "standing_feet", "-o", "own.parquet")
