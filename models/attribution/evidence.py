@@ -289,7 +289,15 @@ def _moved(chosen: Sequence[Effect], key: Key, step: float) -> list[Effect]:
 def _change(
     old: Log, new: Log, joints: Sequence[str], frame: ReferenceMotion, step: float
 ) -> dict[str, dict[int, np.ndarray]]:
-    """Change of each stream for one unit of an effect: stream -> place -> means over bins (M,)."""
+    """Change of each stream for one unit of an effect: stream -> place -> means over bins (M,).
+
+    Args:
+        old: log before the change.
+        new: log after it; its attrs name the columns that changed.
+        joints: names, in the order of the columns.
+        frame: reference motion of the log, with its bins.
+        step: size of the change, in the effect's unit.
+    """
     change: dict[str, dict[int, np.ndarray]] = {}
     mean = bin_mean(frame)
     for name in changed_columns(old, new):

@@ -226,7 +226,15 @@ def courses(logs: Sequence[Log], settings: TraceSettings = DEFAULT) -> list[Cour
 def _repeat(
     plan: FloorPlan, course: Course, seed: int, effects: tuple[Effect, ...], known: tuple[str, ...]
 ) -> Repeat | None:
-    """One walk, fitted with what the catalogue has: the effects `known` to it."""
+    """One walk, fitted with the `known` effects; None where the robot falls at every speed.
+
+    Args:
+        plan: robot file, groups of columns and settings.
+        course: (forward, lateral, turn) of each segment [m/s, m/s, rad/s]; empty for standing.
+        seed: of the walk.
+        effects: that the walk is simulated with.
+        known: names of the effects that the fit may use.
+    """
     robot, s = declared(plan.file), plan.settings
     for slower in (1.0, 0.6, 0.3) if course else (1.0,):
         segments = tuple(

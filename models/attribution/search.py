@@ -59,6 +59,13 @@ def attribute(
     above the one it has on walks of the declared model, it is not at its bound, it adds a share
     WORTH of what the others explain or is CLEAR by itself, and it pays for its parameter and for
     having been one of many (extended BIC, blocks as samples).
+
+    Args:
+        cases: the logs under the declared model.
+        floor: noise floor, from walks of the declared model.
+        split: which blocks fit and which select.
+        rng: draws the bootstrap's blocks.
+        progress: called with the share done, from 0 to 1.
     """
     keys = tuple(dict.fromkeys(key for case in cases for key in all_keys(case)))
     settings = cases[0].settings
@@ -100,6 +107,14 @@ def _settled(
     """The evidence about the chosen effects, its robust weights, and their sizes with those.
 
     A large effect that is not linear spoils much of the evidence before it is explained.
+
+    Args:
+        cases: the logs under the declared model.
+        chosen: effects found so far, with their sizes.
+        keys: of all candidates.
+        evidence: as far as it is linearised already, or None.
+        floor: noise floor.
+        split: which blocks fit and which select.
     """
     settings, times = cases[0].settings, 0
     while True:
@@ -130,6 +145,13 @@ def _rivals(
 ) -> tuple[tuple[Key, float], ...]:
     """Candidates inside their bounds that explain the unseen blocks as well as the best, with their
     overlap.
+
+    Args:
+        data: normal equations of the blocks.
+        best: the candidate that is added.
+        candidates: all of this round.
+        chosen: keys of the effects found before it.
+        rng: draws the bootstrap's blocks.
     """
     seen, unseen = data.rows(data.part == FIT), data.rows(data.part == SELECT)
     counts = block_draws(len(unseen.G), rng)

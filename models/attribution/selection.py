@@ -40,7 +40,15 @@ def judge(
     explained: float,
     rng: np.random.Generator,
 ) -> tuple[Candidate, ...]:
-    """Every candidate that is not chosen yet, those that earn a place first, by gain."""
+    """Every candidate that is not chosen yet, those that earn a place first, by gain.
+
+    Args:
+        data: normal equations of the blocks.
+        floor: noise floor.
+        chosen: keys of the effects found so far.
+        explained: sum of their gains on unseen blocks.
+        rng: draws the bootstrap's blocks.
+    """
     s, seen, unseen = data.settings, data.rows(data.part == FIT), data.rows(data.part == SELECT)
     counts = block_draws(len(unseen.G), rng)
     plain = fit(seen, chosen, errors=False).vector

@@ -107,7 +107,7 @@ class TraceSettings:
     worse: float = 1.02
     """Ratio of after to before from which a channel got worse."""
     far: float = 3.0
-    """Times the floor from which what is left of a channel makes every size doubtful."""
+    """Times the floor from which what is left of a channel makes every size uncertain."""
     ahead: float = 0.35
     """Share of a floor's walk, at its end, on which an uneven ground is judged."""
     harm: float = 1.05

@@ -34,11 +34,18 @@ def sparse_regression(
     seen: np.ndarray,
     unseen: np.ndarray,
 ) -> tuple[Unexplained, ...]:
-    """What goes with the rest `left` (M, W) in these channels, one channel after the other, and in
-    each first what explains most in units of noise. A channel that nothing goes with is named by
-    its loudest column.
+    """Regressors of the unexplained residual, by channel.
 
-    Forward selection of regressors on the bins `seen` (M,), shares on the bins `unseen` (M,).
+    One channel after the other, and in each first what explains most in units of noise. A channel
+    without a regressor is named by its loudest column.
+
+    Args:
+        cases: the logs under the model.
+        left: (M, W), residual of the M bins in units of the columns; NaN where there is none.
+        robust: weights (M, W) and noise (W,) of the residual.
+        channels: names of the channels.
+        seen: (M,) bool, bins of the forward selection.
+        unseen: (M,) bool, bins on which shares are computed.
     """
     names, values = library(cases)
     layout = layout_of(cases[0].log.joints)
@@ -109,6 +116,16 @@ def _column(
     unseen: np.ndarray,
     settings: TraceSettings,
 ) -> tuple[list[int], float] | None:
+    """Forward selection of the regressors of one column, and the share that they explain, or None.
+
+    Args:
+        values: (M, R), the regressors.
+        y: (M,), the column's residual.
+        weight: (M,), robust weights.
+        seen: (M,) bool, bins of the fit.
+        unseen: (M,) bool, bins on which the share is computed.
+        settings: of the trace.
+    """
     there = np.isfinite(y) & (weight > 0)
     fit, check = there & seen, there & unseen
     if fit.sum() < 50 or check.sum() < 50:

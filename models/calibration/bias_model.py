@@ -44,7 +44,7 @@ WINDOW = 0.25
 LEAST = 20
 """Blocks in all: fewer do not identify the persistent part."""
 TAUS = np.append(np.geomspace(2.0, 500.0, 21), np.inf)
-"""s: the time constants that are tried. Shorter ones cannot be told from the mixing part."""
+"""s: the time constants that are tried. Shorter ones cannot be separated from the mixing part."""
 RATIOS = np.append(0.0, np.geomspace(1e-5, 1e4, 91))
 """c / s that are tried."""
 LEAST_STD = 1e-4
@@ -195,7 +195,15 @@ def block_means(x: np.ndarray, size: int) -> np.ndarray:
 
 
 def variance_of_mixing(y, fresh, ratio, step: float, tau: float) -> np.ndarray:
-    """s (3,), the most likely variance of n at these ratios c / s (3,)."""
+    """s (3,) [m^2/s^2], the most likely variance of n, the mixing part of block means.
+
+    Args:
+        y: (K, 3) [m/s], means of the errors over blocks.
+        fresh: (K,) bool, whether a sequence begins at the block.
+        ratio: (3,), c / s of each axis.
+        step: time from one block to the next [s].
+        tau: time constant of the persistent part [s].
+    """
     phi = math.exp(-step / tau)
     return np.array([_innovations(y[:, i], fresh, ratio[i], phi)[0] for i in range(3)])
 
@@ -223,6 +231,16 @@ def _fit(y, fresh, step: float):
 
 @kernel
 def _survey(y, fresh, phis, ratios, likelihood, c):
+    """Likelihood of every time constant and ratio, and the variance c that goes with it.
+
+    Args:
+        y: (K, 3) [m/s], means of the errors over blocks.
+        fresh: (K,) bool, whether a sequence begins at the block.
+        phis: (T,), correlation of the persistent part from one block to the next.
+        ratios: (Q,), c / s.
+        likelihood: (T, 3, Q), filled.
+        c: (T, 3, Q) [m^2/s^2], filled with the persistent part's variance.
+    """
     for a in range(phis.shape[0]):
         for i in range(y.shape[1]):
             for r in range(ratios.shape[0]):
@@ -284,7 +302,15 @@ def _correlation(y, fresh, phi: float, nu: float) -> np.ndarray:
 
 
 def _mixing(errors, means, size: int, ratio, phi: float) -> np.ndarray:
-    """What is left of one sequence's errors (N, 3) without the smoothed persistent part."""
+    """What is left of one sequence's errors (N, 3) without the smoothed persistent part.
+
+    Args:
+        errors: (N, 3) [m/s].
+        means: (K, 3) [m/s], their means over blocks.
+        size: rows in a block.
+        ratio: (3,), c / s of each axis.
+        phi: correlation of the persistent part from one block to the next.
+    """
     if len(means) == 0:
         return errors - errors.mean(axis=0)
     smooth = np.column_stack([_smoothed(means[:, i], ratio[i], phi) for i in range(3)])

@@ -3,7 +3,7 @@
 Calibration errors count for more where their inputs look like those of the new walk (Tibshirani,
 Foygel Barber, Candes and Ramdas, Conformal prediction under covariate shift, NeurIPS 2019). That
 keeps coverage where inputs have moved and errors, given inputs, have not. The weights are the odds
-of a ridge logistic regression that tells the two walks' seconds apart.
+of a ridge logistic regression that separates the two walks' seconds.
 """
 
 from __future__ import annotations

@@ -83,9 +83,17 @@ def step(
     W_h: np.ndarray,
     b_h: np.ndarray,
 ) -> np.ndarray:
-    """One step without a batch, for a robot's own loop: the next h (H,) from x (C,) and h (H,).
+    """One step without a batch, for a robot's own loop: the next h (H,).
 
-    W_x (C, 3H) and W_h (H, 3H) are the weights transposed; all arrays float32 and contiguous.
+    All arrays are float32 and contiguous.
+
+    Args:
+        x: (C,), inputs of the layer.
+        h: (H,), its hidden state.
+        W_x: (C, 3H), weights of the inputs, transposed.
+        b_x: (3H,), their biases.
+        W_h: (H, 3H), weights of the hidden state, transposed.
+        b_h: (3H,), their biases.
     """
     gates = b_x.copy()
     for k in range(x.shape[0]):
@@ -130,6 +138,15 @@ def scan_backward(dh_out: np.ndarray, h: np.ndarray, saved: np.ndarray, W: np.nd
 class _Recurrence(torch.autograd.Function):
     @staticmethod
     def forward(ctx, gates, W_hh, b_hh, h0):
+        """`scan` over (T, B, 3H) gates; returns the hidden states (T, B, H).
+
+        Args:
+            ctx: torch's context, keeps the arrays for `backward`.
+            gates: (T, B, 3H), the inputs' share of the gates.
+            W_hh: (3H, H), weights of the hidden state.
+            b_hh: (3H,), their biases.
+            h0: (B, H), the first hidden state.
+        """
         W = W_hh.detach().numpy()
         h, saved = scan(
             gates.detach().contiguous().numpy(),

@@ -153,6 +153,17 @@ class Odometry(torch.nn.Module):
 
 @kernel
 def _odometry(W, b, gain, mean, scale, x, features):
+    """Velocity (3,) by the legs, weighted by a softmax over them, in units of the output.
+
+    Args:
+        W: (L, F), weights of the features for each leg.
+        b: (L,), biases.
+        gain: (3,), factor of each axis.
+        mean: (3 L,), of the legs' velocities.
+        scale: (3 L,), their standard deviation.
+        x: (C,), normalised inputs; the last 3 L are the legs' velocities.
+        features: (F,), of the network.
+    """
     w = b.copy()
     for leg in range(len(b)):
         for k in range(len(features)):

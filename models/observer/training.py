@@ -92,7 +92,7 @@ def train(
         schedule: how long and how fast.
         model: a name of surefoot.models.registry.ARCHITECTURES.
         partial: file for the state after each validation; a training that was killed goes on from
-            there. Whoever saves the observer deletes it.
+            there. The caller deletes it once the observer is saved.
 
     One thread is used, whatever the machine has: more would sum in another order. Raises
     ObserverError where a log is too short, lacks an input, or where the logs disagree on robot,
@@ -224,7 +224,17 @@ def _fit(
     progress: bool | Progress,
     partial: Path | None,
 ) -> Training:
-    """Train until the schedule ends; arguments as of `train`."""
+    """Train until the schedule ends; all as of `train`.
+
+    Args:
+        model: name of the architecture.
+        loss: "mse" or "gml".
+        dataset: of training and validation.
+        seed: of weights and windows.
+        schedule: how long and how fast.
+        progress: True draws a bar; a function is called after each validation.
+        partial: file for the state after each validation, or None.
+    """
     architecture, logs = ARCHITECTURES[model], dataset.logs
     rate = schedule.rate or architecture.rate
     unsettled = max(WARM_UP, (architecture.receptive_field or 0) - 1)
@@ -277,6 +287,15 @@ def _fit(
 
 
 def _begin(model: str, loss: str, dataset: Dataset, seed: int, rate: float) -> Training:
+    """A training before its first step.
+
+    Args:
+        model: name of the architecture.
+        loss: "mse" or "gml".
+        dataset: of training and validation, with the units of inputs and outputs.
+        seed: of weights and windows.
+        rate: learning rate of Adam.
+    """
     rng = np.random.default_rng(seed)
     inputs = len(dataset.x_mean)
     width = ARCHITECTURES[model].width

@@ -72,10 +72,17 @@ def over_ground(log: Log, robot: Robot, frame: ReferenceMotion, where: np.ndarra
 @kernel
 def moments(t, stands, speed, changes, rows):
     """Of each change (K,), the row and time [s] at which the foot stopped or started to move, and
-    whether it lifts. NaN where it is not seen to do so within `rows`, or has bounced.
+    whether it lifts. NaN where that is not seen within `rows`, or where the foot bounced.
 
-    stands (N,) bool; speed (N,) [m/s]. Looked for from the middle of the swing, or from as far into
-    it as `rows` go, towards the stance: what slips in mid-stance does not count.
+    Searched from the middle of the swing, or from as far into it as `rows` go, towards the stance:
+    a slip in mid-stance does not count.
+
+    Args:
+        t: (N,) [s].
+        stands: (N,) bool.
+        speed: (N,) [m/s], of the foot.
+        changes: (K,), rows at which `stands` changes.
+        rows: to search on either side.
     """
     at, when = np.zeros(len(changes), np.int64), np.full(len(changes), np.nan)
     lifts = np.zeros(len(changes), np.bool_)

@@ -18,6 +18,13 @@ def foot_loads(
 
     J^T f = inverse dynamics - measured torque, the former as means over bins. A log without torques
     has the weight shared evenly by the feet that stand.
+
+    Args:
+        log: the measured log.
+        robot: as declared.
+        frame: reference motion of the log.
+        bins: means over bins of torques and standing feet.
+        steps: motion at the bins for inverse dynamics.
     """
     stands = log.contact
     if not np.isfinite(bins.tau).any():

@@ -32,6 +32,19 @@ def leg_velocity(
 
 @kernel
 def _leg_velocity(legs, radius, R_BI, p_BI, q, dq, omega, up, standing):
+    """Velocity (M, L, 3) [m/s] of the IMU in I by each standing leg; NaN for the others.
+
+    Args:
+        legs: geometry of the legs, as of `leg_forward`.
+        radius: (L,) [m], of the feet.
+        R_BI: (3, 3), mounting of the IMU.
+        p_BI: (3,) [m], its origin in B.
+        q: (M, 3 L) [rad].
+        dq: (M, 3 L) [rad/s].
+        omega: (M, 3) [rad/s] in I.
+        up: (M, 3), the ground's normal in I.
+        standing: (M, L) bool.
+    """
     out = np.full((len(q), standing.shape[1], 3), np.nan)
     foot, J, axes = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     sole, spin, step = np.empty(3), np.empty(3), np.empty(3)

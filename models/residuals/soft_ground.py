@@ -53,7 +53,15 @@ def foot_sinking(
     log: Log, robot: Robot, frame: ReferenceMotion, bins: Bins, load: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Depth (M, L) [m] and velocity (M, L, 3) [m/s], in I, of each standing foot's sole beyond
-    those on hard ground, means over bins; load (N, L) [N] on each foot."""
+    those on hard ground, means over bins.
+
+    Args:
+        log: the measured log.
+        robot: as declared, with the ground's softness.
+        frame: reference motion of the log.
+        bins: means over bins.
+        load: (N, L) [N] on each foot.
+    """
     swept_G = np.einsum("nij,nlj->nli", bins.R_GI, swept(robot, bins))
     legs = bins.standing.shape[1]
     rows = np.empty((len(log.t), legs, 4))
@@ -97,7 +105,15 @@ def swept(robot: Robot, bins: Bins) -> np.ndarray:
 
 
 def stances(log: Log, robot: Robot, frame: ReferenceMotion, leg: int, dq: np.ndarray) -> Stances:
-    """The stances of a foot by its contacts; dq (N, J) [rad/s]."""
+    """The stances of a foot by its contacts; dq (N, J) [rad/s].
+
+    Args:
+        log: the measured log.
+        robot: as declared.
+        frame: reference motion of the log.
+        leg: index of the foot.
+        dq: (N, J) [rad/s].
+    """
     first, last = stances_between_swings(log.t, log.contact[:, leg])
     around = max(1, round(AROUND * log.rate))
     rows = np.clip(first[:, None] + np.arange(-around, around + 1), 0, len(log.t) - 1)
@@ -110,7 +126,19 @@ def stances(log: Log, robot: Robot, frame: ReferenceMotion, leg: int, dq: np.nda
 
 @kernel
 def _follow_all(t, height, rows, stances, give, T, sign, depth, v_G):
-    """Add what a foot does in all its stances, `sign` times, to depth (N,) and v_G (N, 3)."""
+    """Add what a foot does in all its stances, `sign` times.
+
+    Args:
+        t: (N,) [s].
+        height: (N,) [m], of the foot in G.
+        rows: (N, 4), acceleration by the rates alone in G [m/s^2] and load [N].
+        stances: Stances of the foot.
+        give: acceleration per unit of load [1/kg].
+        T: time constant of the contact [s].
+        sign: +1.0 or -1.0.
+        depth: (N,) [m], added to.
+        v_G: (N, 3) [m/s], added to.
+    """
     z, v = np.zeros(len(t)), np.zeros((len(t), 3))
     for s in range(len(stances.first)):
         a, b = stances.first[s], stances.last[s]
@@ -130,9 +158,19 @@ def _follow_all(t, height, rows, stances, give, T, sign, depth, v_G):
 
 @kernel
 def _follow(t, rows, a, b, z, v_start, give, T, depth, v_G):
-    """One stance, rows a to b, from the depth z, as the simulation steps through it.
+    """One stance, as the simulation steps through it.
 
-    rows (N, 4): the acceleration by the rates alone, and the load.
+    Args:
+        t: (N,) [s].
+        rows: (N, 4), acceleration by the rates alone in G [m/s^2] and load [N].
+        a: first row of the stance.
+        b: its end.
+        z: depth at row a [m].
+        v_start: (3,) [m/s] in G, velocity at row a.
+        give: acceleration per unit of load [1/kg].
+        T: time constant of the contact [s].
+        depth: (N,) [m], filled from a to b.
+        v_G: (N, 3) [m/s], filled likewise.
     """
     v = v_start.copy()
     damping, spring = 2.0 / (SOLIMP[1] * T), 1.0 / (SOLIMP[1] * T) ** 2

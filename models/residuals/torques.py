@@ -169,8 +169,13 @@ def given_by_feet(s: Steps, q: np.ndarray, taken: np.ndarray, robot: Robot) -> n
 def feet_wrenches(legs, radius, q, up, standing, taken):
     """Force and moment (M, L, 6) [N, N m] of each standing foot on the base, in B about its origin.
 
-    radius (M, L) [m]; q (M, 3 L) [rad]; up (M, 3): the ground's normal in B; standing (M, L); taken
-    (M, 3 L): J^T f.
+    Args:
+        legs: geometry of the legs, as of `leg_forward`.
+        radius: (M, L) [m], of the feet.
+        q: (M, 3 L) [rad].
+        up: (M, 3), the ground's normal in B.
+        standing: (M, L) bool.
+        taken: (M, 3 L) [N m], J^T f.
     """
     out = np.zeros((len(q), standing.shape[1], 6))
     foot, f, J, axes = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty((3, 3))
