@@ -86,7 +86,15 @@ def plan(
     effects: Sequence[Effect] = (),
     declared: bool = True,
 ) -> Plan:
-    """Draw what the seed decides, compile the world and lay the course."""
+    """Draw what the seed decides, compile the world and lay the course.
+
+    Args:
+        scenario: ground, segments and ranges.
+        robot: its declared description.
+        seed: of everything random.
+        effects: hidden changes of robot, ground and sensors.
+        declared: whether the log's metadata list the effects.
+    """
     course_seed, sensor_seed = np.random.SeedSequence(seed).spawn(2)
     draw = drawn(scenario, np.random.default_rng(course_seed))
     ground = draw.scenario.ground
@@ -166,6 +174,15 @@ def _walked(made: Plan) -> Robot:
 def _frame(
     streams: Streams, contact: np.ndarray, reference: Reference, slip: np.ndarray, mu: np.ndarray
 ) -> pd.DataFrame:
+    """The columns of a simulated log.
+
+    Args:
+        streams: sensor readings of N rows.
+        contact: (N, L) bool.
+        reference: motion of the IMU in G.
+        slip: (N, L) [m/s], speed of loaded feet over the ground.
+        mu: (N, L), friction under each foot.
+    """
     groups = {
         "t": streams.t[:, None],
         "gyro": streams.gyro,

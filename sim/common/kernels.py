@@ -20,7 +20,7 @@ from surefoot.sim.common.files import cache_folder
 from surefoot.sim.common.sources import sources_digest
 
 UNUSED = 30 * 86400.0
-"""s after which machine code that nobody has loaded is deleted."""
+"""s after which machine code that was not loaded is deleted."""
 
 _lock = Lock()
 _swept: set[Path] = set()

@@ -31,7 +31,15 @@ class Controller(NamedTuple):
 def gait_for(
     robot: Robot, start: float, period: float = 1.0, clearance: float = 1.0, gain: float = 1.0
 ) -> Gait:
-    """The trot of `robot`, its first step at `start` [s]; the last three are factors."""
+    """The trot of a robot.
+
+    Args:
+        robot: whose size and masses scale the gait.
+        start: time of the first step [s].
+        period: factor of the stride's period.
+        clearance: factor of the swing height.
+        gain: factor of the controller's gains.
+    """
     length = robot.leg_length
     home_B = robot.feet_I(robot.q_home[None])[0] @ robot.R_BI.T + robot.p_BI
     mass, com_B, inertia, foot_mass = robot.inertial

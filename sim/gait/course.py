@@ -26,7 +26,12 @@ def lay_course(
 ) -> Course:
     """Integrate the segments from the origin, with ramps between their velocities.
 
-    It begins and ends with `stand` seconds of standing still, after `lead` more at the beginning.
+    Args:
+        segments: of one lap.
+        dt: of the course's rows [s].
+        stand: time of standing still at the beginning and at the end [s].
+        laps: how often the segments are walked.
+        lead: further time of standing at the beginning [s].
     """
     targets = [np.zeros((round((lead + stand) / dt), 3))]
     for _ in range(laps):

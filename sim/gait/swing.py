@@ -109,7 +109,16 @@ def place_foot(controller, leg, want, heading, u):
 
 @kernel
 def _off_edges(relief, x, y, axis, heading, length):
-    """How far to move along `axis` (0: x, 1: y) to leave room to the edges on both sides [m]."""
+    """How far to move along `axis` (0: x, 1: y) to leave room to the edges on both sides [m].
+
+    Args:
+        relief: HeightMap of the ground.
+        x: of the foothold in G [m].
+        y: of the foothold in G [m].
+        axis: 0 for x, 1 for y.
+        heading: component of the robot's heading along the axis.
+        length: of the leg [m].
+    """
     low, high = -1.0, 1.0
     for side in (-1.0, 1.0):
         riser = RISER if side * heading > -0.5 else SHIN
@@ -129,6 +138,15 @@ def _edge(relief, x, y, axis, side, reach, jump):
     """Distance [m] to the next edge from (x, y) towards `side` of `axis`, and whether it rises.
 
     Twice the reach where there is none within it.
+
+    Args:
+        relief: HeightMap of the ground.
+        x: of the foothold in G [m].
+        y: of the foothold in G [m].
+        axis: 0 for x, 1 for y.
+        side: +1.0 or -1.0, direction along the axis.
+        reach: of the search [m].
+        jump: height that counts as an edge [m].
     """
     z, slope_x, slope_y = surface(relief, x, y)
     slope = (slope_x if axis == 0 else slope_y) * side
@@ -150,6 +168,15 @@ def _edge(relief, x, y, axis, side, reach, jump):
 
 @kernel
 def _along(relief, x, y, axis, distance):
+    """Height [m] of the ground at a distance from a point along an axis.
+
+    Args:
+        relief: HeightMap of the ground.
+        x: of the point in G [m].
+        y: of the point in G [m].
+        axis: 0 for x, 1 for y.
+        distance: signed [m].
+    """
     return height(relief, x + distance, y) if axis == 0 else height(relief, x, y + distance)
 
 

@@ -63,9 +63,18 @@ def _add_box(
     z_high: float,
     geom: dict,
 ) -> None:
-    """A box whose upper face is the part `tile` of a facet that rises along `axis`.
+    """A box whose upper face is one tile of a facet.
 
-    The box of a slope leans, so its high end wants a strip of the same height to lean into.
+    The box of a slope leans, so its high end needs a strip of the same height to lean into.
+
+    Args:
+        spec: of the world, edited.
+        facet: rectangle (x0, x1, y0, y1) in G [m].
+        tile: part of it, likewise.
+        axis: along which the facet rises: 0 for x, 1 for y.
+        z_low: height of its low end [m].
+        z_high: height of its high end [m].
+        geom: further attributes of the geom.
     """
     x0, x1, y0, y1 = tile
     low, high = (facet[0], facet[1]) if axis == 0 else (facet[2], facet[3])
@@ -118,7 +127,15 @@ def _cut(
     patches: Sequence[tuple[Rectangle, float]],
     on_lattice: bool,
 ) -> list[tuple[Rectangle, float]]:
-    """What is to be seen of `rectangle`, in abutting tiles with their friction."""
+    """The visible part of a rectangle, in abutting tiles with their friction.
+
+    Args:
+        rectangle: (x0, x1, y0, y1) in G [m].
+        mu: friction outside the patches.
+        hidden: rectangles that others cover.
+        patches: rectangles with a friction of their own, the last one counts.
+        on_lattice: whether edges lie on the lattice of heights.
+    """
     hidden = [r for r in hidden if _overlap(rectangle, r)]
     patches = [(r, m) for r, m in patches if _overlap(rectangle, r)]
     edges_x, edges_y = (

@@ -1,1 +1,1 @@
-"""Somebody's recording becomes a Log, as a map says."""
+"""A recording from elsewhere becomes a Log, by an import map."""

@@ -140,7 +140,12 @@ def _base_to_imu(p: np.ndarray, q: np.ndarray, rules: ImportMap) -> tuple[np.nda
 def check_rising(t: np.ndarray, path: Path, column: str, unit: str, first: int) -> None:
     """Raise LogError at the first time that does not come after the one before it.
 
-    Rows are counted in `unit`s from `first`.
+    Args:
+        t: (N,) [s].
+        path: of the file, for the message.
+        column: its column, for the message.
+        unit: name of a row in the message: "line", "message".
+        first: number of the first row.
     """
     bad = np.flatnonzero(np.diff(t) <= 0.0)
     if bad.size:

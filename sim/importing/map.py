@@ -1,4 +1,4 @@
-"""An import map: the TOML file that says what the columns of somebody's recording are.
+"""An import map: the TOML file that says what the columns of a recording are.
 
     [source]     file, rate (Hz, where there is no time column)
     [columns]    <log column> = "their column" | { column, unit, sign }; a bag's columns are
@@ -31,7 +31,7 @@ G = 9.80665
 DEGREE = 0.017453292519943295
 EVENNESS = 4e-3 / 3
 """m: DIN 18202, table 3, group 3 allows finished floors 4 mm between points a metre apart, here
-taken for three standard deviations. A log that was simulated elsewhere has evenness = 0."""
+treated as three standard deviations. A log that was simulated elsewhere has evenness = 0."""
 _UNITS: dict[str, dict[str, float]] = {
     "t": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "gyro": {"rad/s": 1.0, "deg/s": DEGREE},

@@ -76,7 +76,16 @@ class Dynamics:
         step: float = 1e-5,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Forward differences of `inverse`: wrenches (3, J, N, 6) and torques (3, J, N, J), by each
-        joint's angle, rate and acceleration."""
+        joint's angle, rate and acceleration.
+
+        Args:
+            q: (N, J) [rad].
+            dq: (N, J) [rad/s].
+            ddq: (N, J) [rad/s^2].
+            base: (N, 9) in B, as of `inverse`.
+            shift: (J, 3) [m], as of `inverse`.
+            step: of the differences [rad, rad/s, rad/s^2].
+        """
         motion = self._motion(q, dq, ddq, base)
         out = np.empty((3, len(self.dof_adr), len(q), self.model.nv))
         with self._shifted(shift):
@@ -143,6 +152,15 @@ def _hung(model: mujoco.MjModel, body: int) -> int:
 
 @kernel(nogil=True)
 def _sweep(memory, Q, V, A, out):
+    """Generalised forces of N motions.
+
+    Args:
+        memory: MuJoCo's model and data, and views of qpos, qvel, qacc and qfrc_inverse.
+        Q: (N, nq), positions.
+        V: (N, nv), velocities.
+        A: (N, nv), accelerations.
+        out: (N, nv), filled.
+    """
     model, data, qpos, qvel, qacc, force = memory
     for k in range(len(Q)):
         qpos[:], qvel[:], qacc[:] = Q[k], V[k], A[k]
@@ -152,6 +170,18 @@ def _sweep(memory, Q, V, A, out):
 
 @kernel(nogil=True)
 def _sweep_about(memory, Q, V, A, qpos_adr, dof_adr, step, out):
+    """Forward differences of the generalised forces of N motions by each joint.
+
+    Args:
+        memory: MuJoCo's model and data, and views of qpos, qvel, qacc and qfrc_inverse.
+        Q: (N, nq), positions.
+        V: (N, nv), velocities.
+        A: (N, nv), accelerations.
+        qpos_adr: (J,), place of each joint in qpos.
+        dof_adr: (J,), place of each joint in qvel.
+        step: of the differences [rad, rad/s, rad/s^2].
+        out: (3, J, N, nv), filled: by angle, rate and acceleration.
+    """
     model, data, qpos, qvel, qacc, force = memory
     here = np.empty(len(force))
     for k in range(len(Q)):

@@ -123,7 +123,14 @@ def simulate(
 ) -> Motion:
     """Step the world under the trot controller through the whole course.
 
-    `progress` is called with the share done. Raises Fallen, saying when, if the robot falls.
+    Raises Fallen, saying when, if the robot falls.
+
+    Args:
+        world: compiled model of robot and ground.
+        robot: its declared description.
+        gait: of the trot controller.
+        course: commanded poses and velocities, a row a tick.
+        progress: called with the share done.
     """
     data, ticks = start(world), len(course.t)
     trace = recording_of(world, ticks * STEPS_PER_TICK)

@@ -28,7 +28,16 @@ class Legs(NamedTuple):
 
 @kernel
 def leg_forward(legs, leg, q, foot, jacobian, axes):
-    """Foot centre (3,), its Jacobian (3, 3) and the joint axes (3, 3, as columns), all in B."""
+    """Forward kinematics of one leg, all in B.
+
+    Args:
+        legs: geometry of the legs.
+        leg: its index.
+        q: (3,) [rad], its joints.
+        foot: (3,) [m], filled with the foot's centre.
+        jacobian: (3, 3) [m/rad], filled with its Jacobian.
+        axes: (3, 3), filled with the joint axes as columns.
+    """
     # Rotations are tuples of nine numbers, row by row: arrays would be allocated at every step.
     R = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
     x, y, z = 0.0, 0.0, 0.0
@@ -103,7 +112,15 @@ def foot_motion(base, rates, foot, J, axes, out):
 
 @kernel(nogil=True)
 def sole_motion(velocity, spin, radius, normal, sole_v):
-    """Writes the velocity (3,) of the contact point, `radius` below the centre along `normal`."""
+    """Velocity of the point of a foot that touches the ground, all in one frame.
+
+    Args:
+        velocity: (3,) [m/s], of the foot's centre.
+        spin: (3,) [rad/s], angular velocity of the foot.
+        radius: of the foot [m].
+        normal: (3,), the ground's normal.
+        sole_v: (3,) [m/s], filled.
+    """
     x, y, z = radius * normal[0], radius * normal[1], radius * normal[2]
     sole_v[0] = velocity[0] - (spin[1] * z - spin[2] * y)
     sole_v[1] = velocity[1] - (spin[2] * x - spin[0] * z)

@@ -89,7 +89,7 @@ def _order_by_place(
         match = np.flatnonzero((front * centred[:, 0] > 0) & (left * centred[:, 1] > 0))
         if len(match) != 1:
             raise SurefootError(
-                f"robot {name}: cannot tell front, rear, left and right legs apart; the base's x "
+                f"robot {name}: cannot distinguish front, rear, left and right legs; the base's x "
                 "axis must point forward and y left"
             )
         ordered.append(chains[match[0]])

@@ -9,10 +9,17 @@ SWING = 0.05
 def contact_from_force(
     t: np.ndarray, force: np.ndarray, on: float, off: float, debounce: float
 ) -> np.ndarray:
-    """Whether a foot stands (N,), from its force (N,) less its offset, in the sensor's own unit.
+    """Whether a foot stands (N,).
 
     A foot stands once the force has stayed above `on` for `debounce` seconds, and lifts as soon as
-    it falls below `off` <= `on`; rows to come are not used. The first row needs no debounce.
+    it falls below `off`; rows to come are not used. The first row needs no debounce.
+
+    Args:
+        t: (N,) [s].
+        force: (N,), less its offset, in the sensor's own unit.
+        on: threshold of standing, in that unit.
+        off: threshold of lifting, off <= on.
+        debounce: time above `on` before a foot stands [s].
     """
     above = force > on
     # The start of the run of rows above `on` that each row belongs to.

@@ -159,6 +159,15 @@ def corrupt(streams: Streams, sensors: Sensors, rng: np.random.Generator) -> Str
     n = len(streams.t)
 
     def imu(reading, density, turn_on, instability, full_scale):
+        """One triad with bias, noise, bandwidth and resolution.
+
+        Args:
+            reading: (N, 3), true value in I [rad/s or m/s^2]; all others in its unit.
+            density: of the white noise [unit/sqrt(Hz)].
+            turn_on: standard deviation of the bias at power-on.
+            instability: of the bias's Gauss-Markov part.
+            full_scale: range, to 16 bits.
+        """
         bias = rng.normal(0.0, turn_on, 3) + _gauss_markov(
             rng, n, instability, s.instability_time, rate
         )
@@ -194,7 +203,15 @@ def sensed_contact(
 
 
 def _gauss_markov(rng, n: int, sigma: float, time: float, rate: float) -> np.ndarray:
-    """A stationary first-order Gauss-Markov process (n, 3)."""
+    """A stationary first-order Gauss-Markov process (n, 3).
+
+    Args:
+        rng: random generator.
+        n: rows.
+        sigma: stationary standard deviation, in the unit of the result.
+        time: correlation time [s].
+        rate: rows a second [Hz].
+    """
     keep = np.exp(-1.0 / (time * rate))
     drive = rng.normal(0.0, sigma * np.sqrt(1.0 - keep**2), (n, 3))
     drive[0] = rng.normal(0.0, sigma, 3)

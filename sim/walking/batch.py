@@ -74,7 +74,7 @@ def walk_batch(
     `progress` is called with the share of the whole batch. An error, or leaving the iterator early,
     stops the walks in progress within a second of simulated time.
     """
-    return on_threads(jobs, lambda job, tell: use(walk_job(job, tell)), threads, progress)
+    return on_threads(jobs, lambda job, report: use(walk_job(job, report)), threads, progress)
 
 
 def on_threads(
@@ -83,15 +83,15 @@ def on_threads(
     threads: int = 1,
     progress: Callable[[float], None] | None = None,
 ) -> Iterator[T]:
-    """`work(item, tell)` of every item on `threads` threads, in order of finishing.
+    """`work(item, report)` of every item on `threads` threads, in order of finishing.
 
-    `work` tells the share of it that is done; there it is stopped too once the batch is over.
+    `work` calls `report` with the share done; there it is stopped too once the batch is over.
     """
     shares = [0.0] * len(items)
     stop, guard = threading.Event(), threading.Lock()
 
     def one(i: int) -> T:
-        def tell(share: float) -> None:
+        def report(share: float) -> None:
             if stop.is_set():
                 raise _Stopped
             if progress:
@@ -99,9 +99,9 @@ def on_threads(
                     shares[i] = share
                     progress(sum(shares) / len(items))
 
-        tell(0.0)
-        result = work(items[i], tell)
-        tell(1.0)
+        report(0.0)
+        result = work(items[i], report)
+        report(1.0)
         return result
 
     with ThreadPoolExecutor(threads, thread_name_prefix="walk") as pool:

@@ -52,7 +52,7 @@ class WalkingEnvironment(dm_env.Environment):
     motor law kp (target - q) - kd dq follows at every timestep of 2 ms, kp [N m/rad] and kd
     [N m s/rad] a number or (12,) (by default, what suits the robot's size). Both are cut at their
     limits. Observations are true values in SI units, those that `sim.gait.controller.tick` has: see
-    `observation_spec`. The reward, from 0 to 1, tells how near the base's velocity is to the
+    `observation_spec`. The reward, from 0 to 1, measures how near the base's velocity is to the
     command's; the episode ends with the course, or with discount 0 in a fall.
 
     A robot is handed over standing still, as `sim.walk.walk` begins its log. The same scenario,

@@ -80,9 +80,16 @@ def walking_style(log: Log, robot: Robot) -> WalkingStyle:
 def imitation(
     style: WalkingStyle, robot: Robot, name: str, duration: float, rng: np.random.Generator
 ) -> tuple[Scenario, Robot]:
-    """A walk of about `duration` seconds in this style, its stretches in a random order.
+    """A walk in the style of a measured one, its stretches in a random order.
 
     Returns the scenario and the robot that stands in about the measured posture.
+
+    Args:
+        style: of the measured walk.
+        robot: that walks.
+        name: of the scenario.
+        duration: about [s].
+        rng: draws order and posture.
     """
     groups = [style.twists[i : i + STRETCH] for i in range(0, len(style.twists), STRETCH)]
     needed = int(np.ceil(duration / PIECE))

@@ -100,7 +100,15 @@ def radar(log: Log, scenario: Scenario, robot: Robot, sensor: RadarSensor | None
 def radar_over(
     log: Log, ground: Ground, robot: Robot, sensor: RadarSensor, rng: np.random.Generator
 ) -> Radar:
-    """The returns over a given ground."""
+    """The returns over a given ground.
+
+    Args:
+        log: with its reference.
+        ground: below it.
+        robot: that carries the sensor.
+        sensor: mounting, field of view and noise.
+        rng: draws rays and noise.
+    """
     spec = mujoco.MjSpec()
     add_ground(spec, ground)
     model = spec.compile()
@@ -154,7 +162,15 @@ def _unit(azimuth: np.ndarray, elevation: np.ndarray) -> np.ndarray:
 
 
 def _distances(model, data, place, directions, longest: float) -> np.ndarray:
-    """Distance (n,) [m] to the ground along each direction, inf where there is none."""
+    """Distance (n,) [m] to the ground along each direction, inf where there is none.
+
+    Args:
+        model: MuJoCo's model of the ground.
+        data: its data.
+        place: (3,) [m], the sensor in G.
+        directions: (n, 3), unit vectors in G.
+        longest: range [m].
+    """
     n = len(directions)
     distance, geom = np.empty(n), np.empty(n, dtype=np.int32)
     mujoco.mj_multiRay(
