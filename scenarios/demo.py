@@ -83,8 +83,17 @@ def _seed(role: str, seed: int) -> int:
 
 
 def _walk(role: str, robot: Robot, seed: int, out: Path, force: bool) -> Log:
-    with percent_bar(f"walking: {role}") as tell:
-        log = walk(_scenario(role), robot, seed, progress=tell)
+    """Walk one of the demo's scenarios and write its log.
+
+    Args:
+        role: name of the scenario and of the log.
+        robot: that walks.
+        seed: of the walk.
+        out: folder of the demo.
+        force: whether the log may be replaced.
+    """
+    with percent_bar(f"walking: {role}") as progress:
+        log = walk(_scenario(role), robot, seed, progress=progress)
     path = out / "logs" / f"{role}.parquet"
     log.write(path, force)
     return Log.read(path)
@@ -97,13 +106,15 @@ def _trace(robot: Robot, seed: int, out: Path, force: bool) -> tuple[Trace, Effe
     size = float(rng.choice([-1.0, 1.0]) * np.exp(rng.uniform(np.log(low), np.log(high))))
     hidden = effect(name, str(rng.choice(targets)), abs(size) if name == "joint_delay" else size)
     print("\nwalking once more, with an effect that the log does not declare")
-    with percent_bar("walking: undeclared") as tell:
-        log = walk(_scenario("walk"), robot, 4 * seed + 3, [hidden], declared=False, progress=tell)
+    with percent_bar("walking: undeclared") as progress:
+        log = walk(
+            _scenario("walk"), robot, 4 * seed + 3, [hidden], declared=False, progress=progress
+        )
     log = replace(log, name="undeclared")
     log.write(out / "logs" / "undeclared.parquet", force)
     save_effects(out / "truth.toml", [hidden], force)
-    with percent_bar("trace") as tell:
-        return trace([log], robot, out / "trace", seed, tell, force), hidden
+    with percent_bar("trace") as progress:
+        return trace([log], robot, out / "trace", seed, progress, force), hidden
 
 
 def _in_words(hidden: Effect) -> str:

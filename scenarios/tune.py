@@ -169,10 +169,19 @@ def search_filter(
     longest: float,
     folder: Path,
 ) -> dict[str, Any]:
-    """One filter's search on one robot's logs, as a finished case; arguments as of `tune`.
+    """One filter's search on one robot's logs, as a finished case.
 
     `search`, and the percentage of the path and NEES on each log `before` and `after`; of a filter
     that the logs or `learnt` do not allow: `left_out`, the reason.
+
+    Args:
+        name: of the filter.
+        paths: of the logs.
+        robot_name: or None for the logs' own.
+        learnt: observers and bounds.
+        budget: runs of the filter over all logs.
+        longest: time of each log, from its start, that filters are judged on [s].
+        folder: of the finished searches.
     """
     estimator = estimator_named(name)
     walks = []

@@ -61,8 +61,8 @@ class TraceCommand:
                 f"the logs are of {' and '.join(others)}: trace one robot at a time"
             )
         robot = machine_for_log(logs[0], self.robot)
-        with percent_bar("trace") as tell:
-            found = trace(logs, robot, self.out, self.seed, tell, self.force)
+        with percent_bar("trace") as progress:
+            found = trace(logs, robot, self.out, self.seed, progress, self.force)
         print(summary(found))
         print(f"\nreport: {self.out / 'report.html'}")
 

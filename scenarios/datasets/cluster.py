@@ -30,6 +30,13 @@ def walk_on_cluster(
     The walks of a worker that dies are walked again on the others. Workers send whole files; this
     process alone writes them into `folder`. Raises SurefootError in one line where the cluster
     cannot be reached, or a worker would not give the same bits.
+
+    Args:
+        address: of the scheduler, host:port.
+        jobs: the walks.
+        folder: for the logs.
+        force: whether files there may be replaced.
+        progress: called with the share done.
     """
     tasks = [(job, recipe(job)) for job in jobs]
     for done, (_, found) in enumerate(run_on_cluster(address, _walk_remotely, tasks), 1):

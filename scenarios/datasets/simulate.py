@@ -107,6 +107,15 @@ def _jobs(
     effects: tuple[Effect, ...],
     declared: bool,
 ) -> list[Job]:
+    """The walks of a dataset: each scenario with each seed.
+
+    Args:
+        scenarios: files or bundled names.
+        robot: its name, or None for each scenario's own.
+        seeds: of the walks.
+        effects: hidden changes of every walk.
+        declared: whether the logs list them.
+    """
     if not scenarios:
         raise SurefootError("give at least one scenario: a file, or a bundled name")
     jobs = []

@@ -332,7 +332,15 @@ class ObserverFusion(ImuStream):
         self._fusion, self._stream = fusion, None
 
     def _advance(self, t, gyro, q, dq, tau):
-        """Rows, velocities and covariances of what follows, its past kept."""
+        """Rows, velocities and covariances that the observer adds for these samples.
+
+        Args:
+            t: (N,) [s].
+            gyro: (N, 3) [rad/s] in I.
+            q: (N, J) [rad].
+            dq: (N, J) [rad/s].
+            tau: (N, J) [N m].
+        """
         from surefoot.models.observer.stream import ObserverStream
 
         if self._stream is None:

@@ -107,7 +107,16 @@ def write_comparison(
     extra: Sequence[Section] = (),
     force: bool = False,
 ) -> pd.DataFrame:
-    """Write table.md, table.csv, figures/, report.html and a recording a log into `out`."""
+    """Write table.md, table.csv, figures/, report.html and a recording a log into `out`.
+
+    Args:
+        comparisons: one a log.
+        out: folder.
+        title: of the report.
+        ground: drawn in the recordings, or None.
+        extra: sections added to the report.
+        force: whether files may be replaced.
+    """
     found = table(comparisons)
     with whole_file(out / "table.md", force) as path:
         path.write_text(to_markdown(found) + "\n")

@@ -25,7 +25,18 @@ def learn(
     force: bool = False,
     schedule: Schedule = DEFAULT,
 ) -> Learnt:
-    """Train with each loss at once, one process each, calibrate, and keep all four in `out`."""
+    """Train with each loss at once, one process each, calibrate, and keep all four in `out`.
+
+    Args:
+        training: logs to train on.
+        calibration: log for the bounds.
+        out: folder for observers and bounds.
+        seed: of weights and windows.
+        inputs: columns of the observer, as of `train`.
+        gamma: joint level of the bounds.
+        force: whether files may be replaced.
+        schedule: how long and how fast to train.
+    """
     with ProcessPoolExecutor(len(LOSSES), mp_context=get_context("spawn")) as pool:
         jobs = [
             pool.submit(_train, list(training), loss, seed, inputs, schedule) for loss in LOSSES
@@ -48,4 +59,13 @@ def learnt_in(out: Path) -> Learnt:
 
 
 def _train(logs: list[Log], loss: str, seed: int, inputs: str, schedule: Schedule) -> Observer:
+    """`train` with positional arguments, for another process.
+
+    Args:
+        logs: to train on.
+        loss: "mse" or "gml".
+        seed: of weights and windows.
+        inputs: columns of the observer, as of `train`.
+        schedule: how long and how fast.
+    """
     return train(logs, inputs=inputs, loss=loss, seed=seed, progress=True, schedule=schedule)

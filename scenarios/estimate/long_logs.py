@@ -76,6 +76,16 @@ def _in_pieces(
     out: Path | None,
     force: bool,
 ) -> Metrics | None:
+    """One filter over a log read piece by piece; its metrics, or None without a reference.
+
+    Args:
+        name: of the filter.
+        reader: of the log.
+        robot_name: or None for the log's own.
+        learnt: observers and bounds.
+        out: folder for the estimate, or None.
+        force: whether its file may be replaced.
+    """
     every = int(np.ceil(reader.rows / reader.meta.rate / OUTPUT_PERIOD / JUDGED))
     waiting: deque[Trajectory] = deque()  # references of pieces that were read but not estimated
     judged: list[tuple[Trajectory, Trajectory]] = []

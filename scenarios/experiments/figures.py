@@ -32,7 +32,14 @@ def by_sequence(
 ) -> Figure:
     """One figure of dots: a row a sequence, a panel a condition, a colour a filter, a dot a seed.
 
-    The wide mark is the mean over seeds; `band` shades where values should lie.
+    The wide mark is the mean over seeds.
+
+    Args:
+        rows: a row a sequence, condition, filter and seed.
+        column: the value that is drawn.
+        title: of the value's axis.
+        band: shaded, where values should lie, or None.
+        log: whether the axis is logarithmic.
     """
     rows = pd.DataFrame(rows[rows[column].notna()])
     conditions, names = list(rows["condition"].unique()), list(rows["sequence"].unique())

@@ -65,7 +65,15 @@ def make_walk(folder: Path, job: Job) -> Product:
 def make_observer(
     folder: Path, logs: Sequence[tuple[str, Product]], learning: Learning, loss: str, seed: int
 ) -> Product:
-    """An observer of that loss, trained on these walks as their logs declare them."""
+    """An observer of that loss, trained on these walks as their logs declare them.
+
+    Args:
+        folder: of the products.
+        logs: names and walks to train on.
+        learning: inputs, model and steps.
+        loss: "mse" or "gml".
+        seed: of weights and windows.
+    """
     inputs = {"logs": [(name, walk.digest) for name, walk in logs], "loss": loss, "seed": seed}
     inputs |= observer_inputs(learning)
 
@@ -103,7 +111,15 @@ def observer_inputs(learning: Learning) -> dict[str, Any]:
 def make_bounds(
     folder: Path, observer: Product, log: tuple[str, Product], gamma: float, method: str
 ) -> Product:
-    """The observer's bounds at joint level gamma, from this walk."""
+    """The observer's bounds at joint level gamma, from this walk.
+
+    Args:
+        folder: of the products.
+        observer: its file.
+        log: name and walk to calibrate on.
+        gamma: joint level.
+        method: name of the calibration method.
+    """
     name, walk = log
     inputs = {"observer": observer.digest, "log": (name, walk.digest)}
     inputs |= {"gamma": gamma, "method": [method, sources_digest(CALIBRATORS[method].__module__)]}
@@ -137,6 +153,15 @@ def make_estimates(
 
     A filter without bounds has the gamma None and is run once. The file of an estimate holds its
     errors over time, the facts its metrics.
+
+    Args:
+        folder: of the products.
+        walk: its log.
+        name: of the log.
+        robot_name: of the robot as declared.
+        learnt: files of observers and bounds.
+        filters: their names.
+        gammas: joint levels of the bounds.
     """
     parameters = tuned(known_robot(robot_name))
     log = cache(lambda: replace(Log.read(walk.path), name=name))
@@ -187,7 +212,16 @@ def make_recording(
     filters: Sequence[str],
     gamma: float,
 ) -> Product:
-    """A rerun recording of a walk and of every filter on it but the floor."""
+    """A rerun recording of a walk and of every filter on it but the floor.
+
+    Args:
+        folder: of the products.
+        walk: its log.
+        job: the walk's scenario, robot and seed.
+        learnt: files of observers and bounds.
+        filters: their names.
+        gamma: joint level of the bounds.
+    """
     name = job.scenario.name
     bounds = learnt.bounds.get(gamma, {})
     parts = [*learnt.observers.values(), *bounds.values()]

@@ -149,6 +149,15 @@ def _estimate(
     walks: dict[Cell, Product],
     learnt: dict[tuple[str, str, int], LearntFiles],
 ) -> tuple[list[Estimated], dict[str, str]]:
+    """Estimates of all walks that did not fall, and why any filter was left out.
+
+    Args:
+        pool: of processes, or None for this one.
+        experiment: filters and levels.
+        folder: of the products.
+        walks: log of each cell.
+        learnt: files of observers and bounds of each group of cells.
+    """
     tasks = {}
     for cell, walk in walks.items():
         if not walk.facts["falls"]:
@@ -170,6 +179,15 @@ def _record(
     walks: dict[Cell, Product],
     learnt: dict[tuple[str, str, int], LearntFiles],
 ) -> dict[str, Product]:
+    """Recordings of the first seed's walks, by title.
+
+    Args:
+        pool: of processes, or None for this one.
+        experiment: filters and levels.
+        folder: of the products.
+        walks: log of each cell.
+        learnt: files of observers and bounds of each group of cells.
+    """
     tasks = {}
     for cell, walk in walks.items():
         if cell.seed == experiment.seeds[0] and not walk.facts["falls"]:

@@ -34,10 +34,18 @@ def write_calibration_report(
     logs: Sequence[Log],
     force=False,
 ) -> list[Section]:
-    """Write report.html, its tables (.md, .csv) and the mixing curve into the folder `out`.
+    """Write report.html, its tables (.md, .csv) and the mixing curve into a folder.
 
-    `logs`, as recorded, are walks to judge the bounds by; one without a reference is watched by the
-    alarm alone. Raises SurefootError where a log does not suit the observer.
+    Raises SurefootError where a log does not suit the observer.
+
+    Args:
+        out: the folder.
+        observer: that was calibrated.
+        bounds: its bounds.
+        calibration: log of the bounds.
+        logs: walks, as recorded, to judge the bounds by; for one without a reference there is the
+            alarm alone.
+        force: whether files may be replaced.
     """
     with tqdm([calibration, *logs], desc="walks", unit=" log") as bar:
         first, *others = [evaluate_walk(observer, bounds, log, log is calibration) for log in bar]
@@ -77,6 +85,15 @@ def _sections(
     tables: dict[str, pd.DataFrame],
     pictures: dict[str, Picture],
 ) -> list[Section]:
+    """The report's sections.
+
+    Args:
+        observer: that was calibrated.
+        calibration: walk of the bounds.
+        others: further walks.
+        tables: by name.
+        pictures: by name.
+    """
     bounds = calibration.bounds
     sections = [
         Section("The bounds", _bounds_prose(bounds)),

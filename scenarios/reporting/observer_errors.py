@@ -16,10 +16,16 @@ LEVEL = 0.01
 def error_section(
     train: np.ndarray, test: np.ndarray, epsilon: np.ndarray, gamma: float, where: str = "test"
 ) -> Section:
-    """A report's section on errors (N, 3) in training and (M, 3) on the log `where`, m/s.
+    """A report's section on errors in training and on another log.
 
-    `train` is kept with every observer: Observer.errors. epsilon (3,) in m/s and gamma are the
-    bounds'. Raises SurefootError where either has too few independent errors.
+    Raises SurefootError where either has too few independent errors.
+
+    Args:
+        train: (N, 3) [m/s] in I, kept with every observer: Observer.errors.
+        test: (M, 3) [m/s] in I.
+        epsilon: (3,) [m/s], the bounds.
+        gamma: their joint level.
+        where: what the test log is called.
     """
     of_train, of_test = error_statistics(train), error_statistics(test)
     rows = [*error_table(of_train, "training"), *error_table(of_test, where)]

@@ -87,7 +87,14 @@ def error_bounds(
 ) -> Figure:
     """The paper's figure "coverage_validity": the share of errors below each size, and the bound.
 
-    A bound holds where the curve crosses it above gamma^(1/3). Arguments as `error_distributions`.
+    A bound holds where the curve crosses it above gamma^(1/3).
+
+    Args:
+        train: (N, 3) [m/s] in I, errors in training.
+        test: (M, 3) [m/s] in I, on another walk.
+        epsilon: (3,) [m/s], the bounds.
+        gamma: their joint level.
+        title: of the figure.
     """
     figure, axes = new_figure(1, 3, size=(9.5, 3.4))
     level = gamma ** (1 / 3)

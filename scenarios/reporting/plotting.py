@@ -37,7 +37,15 @@ def new_figure(
     share_x: bool = False,
     ratios: Sequence[float] | None = None,
 ) -> tuple[Figure, np.ndarray]:
-    """A figure of `size` inches and its axes (rows, columns); no window, no global state."""
+    """A figure and its axes (rows, columns); no window, no global state.
+
+    Args:
+        rows: of axes.
+        columns: of axes.
+        size: width and height [inches].
+        share_x: whether axes share x.
+        ratios: heights of the rows, relative, or None for equal ones.
+    """
     with rc_context(_STYLE):
         figure = Figure(figsize=size, dpi=_DPI, layout="constrained")
         axes = figure.subplots(rows, columns, squeeze=False, sharex=share_x, height_ratios=ratios)

@@ -61,9 +61,15 @@ def write_results(
     tables: Mapping[str, Table],
     force: bool = False,
 ) -> str:
-    """Write a study's report.html and table.md, and a CSV of each table by its name, into `out`.
+    """Write a study's report.html and table.md, and a CSV of each table; returns the text of
+    table.md.
 
-    Returns the text of table.md.
+    Args:
+        out: folder.
+        title: of the report.
+        sections: of the report.
+        tables: by the name of their CSV.
+        force: whether files may be replaced.
     """
     text = markdown_report(title, sections)
     contents = {"table.md": text} | {f"{name}.csv": to_csv(t) for name, t in tables.items()}

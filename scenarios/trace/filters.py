@@ -40,11 +40,19 @@ class BeforeAfter:
 def before_and_after(
     log: Log, robot: Robot, effects: Sequence[Effect], learnt: Learnt, begin: float, end: float
 ) -> list[BeforeAfter]:
-    """Every filter that the log and what was learnt allow, on the stretch from `begin` to `end`
-    [s], started from the reference at its first row: twice. None where the stretch is too short.
+    """Every filter that the log and the learnt files allow, on one stretch, without and with the
+    effects compensated; started from the reference at its first row.
 
-    The whole log is explained before it is cut: of some effects the size goes with the time since
-    the log began.
+    Empty where the stretch is too short. The whole log is compensated before it is cut: the size of
+    some effects goes with the time since the log began.
+
+    Args:
+        log: the measured log.
+        robot: as declared.
+        effects: that were found.
+        learnt: observers and bounds.
+        begin: of the stretch [s].
+        end: of the stretch [s].
     """
     explained, informed = compensate_all(effects, log, robot)
     part, other = stretch(log, begin, end), stretch(explained, begin, end)

@@ -2,7 +2,7 @@
 estimate the same log again, and compare.
 
 Two worlds are simulated, `before` as the model was declared and `after` with the effects found. In
-each a robot walks in the manner of the measured log (`sim.walking.imitation`), an observer is
+each a robot walks in the style of the measured log (`sim.walking.imitation`), an observer is
 trained and calibrated on those walks alone, and every filter estimates the measured log with that
 world's model and that world's observer.
 """
@@ -62,6 +62,14 @@ def loop(
     Returns the table, one row a filter with each metric before and after, and the two sides (one
     where nothing was found to add). Raises LogError where the log lacks IMU, joints or reference,
     and SurefootError where `out` holds another loop's files and `force` is not given.
+
+    Args:
+        log: the measured log.
+        robot: as declared.
+        out: folder.
+        seed: of trace, walks and training.
+        force: whether the files of another loop may be replaced.
+        plan: how much to walk and train.
     """
     check_seed(seed)
     log.require("imu", "q", "reference")
@@ -117,7 +125,16 @@ def simulate_training(
     plan: TrainingPlan = TrainingPlan(),
     progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[list[Log], Log]:
-    """Walks to train on and one to calibrate on, as a model that knows of the effects sees them."""
+    """Logs to train on and one to calibrate on, by the model with the effects.
+
+    Args:
+        shown: style of the measured walk.
+        robot: as declared.
+        effects: added to the model.
+        seed: of the walks.
+        plan: how many walks and how long.
+        progress: called with the share done.
+    """
     world = world_of(robot)
     added = bodily(effects, robot, world)
     logs = []
@@ -139,7 +156,7 @@ def _walk(scenario: Scenario, robot: Robot, seed: int, effects: Sequence[Effect]
         except Fallen as fall:
             fallen = fall
     raise SurefootError(
-        f"loop: in simulation {robot.name} falls in the manner of the log, even at "
+        f"loop: in simulation {robot.name} falls in the style of the log, even at "
         f"{100 * PACES[-1]:.0f} % of its speed ({fallen})"
     )
 
@@ -154,6 +171,15 @@ def inputs_of(log: Log) -> str:
 def _traced(
     log: Log, robot: Robot, out: Path, seed: int, declared: Sequence[Effect]
 ) -> tuple[Effect, ...]:
+    """The effects found on the log, traced unless a trace is there.
+
+    Args:
+        log: the measured log.
+        robot: as declared.
+        out: folder.
+        seed: of the trace.
+        declared: effects already in the model.
+    """
     if not (out / "trace.json").exists():
         with percent_bar("trace") as progress:
             found = trace([log], robot, out, seed, progress, force=True, declared=declared)
@@ -172,6 +198,17 @@ def _learnt(
     seed: int,
     plan: TrainingPlan,
 ) -> Learnt:
+    """Observers and bounds by the model with the effects, trained unless they are there.
+
+    Args:
+        shown: style of the measured walk.
+        log: whose inputs the observer has.
+        robot: as declared.
+        effects: added to the model.
+        out: folder.
+        seed: of walks and training.
+        plan: how much to walk and train.
+    """
     done = out / "done"
     if not done.exists():
         with percent_bar(f"walking: {out.name}") as progress:

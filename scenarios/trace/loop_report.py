@@ -131,7 +131,7 @@ def _prose(
     if warned := caution(found):
         text += f"\n\n{warned[0].upper()}{warned[1:]}."
     text += (
-        "\n\nObservers are trained and calibrated in simulation alone, on walks in the manner of "
+        "\n\nObservers are trained and calibrated in simulation alone, on walks in the style of "
         "the measured one; the coverage column is the share of the measured errors within the "
         "bounds, and the level asked for holds only as far as the simulation is like the robot."
     )

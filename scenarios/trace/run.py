@@ -69,7 +69,17 @@ def trace_logs(
     learnt: Learnt | None = None,
     settings: TraceSettings = DEFAULT,
 ) -> Trace:
-    """`trace` without the files, and with its arguments."""
+    """`trace` without the files.
+
+    Args:
+        logs: of one robot.
+        robot: or fixed machine, as declared.
+        seed: of the noise floor and the bootstraps.
+        progress: called with the share done.
+        declared: effects already in the model.
+        learnt: observers and bounds for the filters, or None.
+        settings: of the trace.
+    """
     report = progress or (lambda share: None)
     found = diagnose(logs, robot, seed, lambda share: report(0.88 * share), declared, settings)
     stretches: tuple[BeforeAfter, ...] = ()

@@ -152,6 +152,13 @@ def record_walk(path: Path, log: Log, job: Job, learnt: Learnt, filters: Sequenc
     """Write the recording of a log, the walk of `job`.
 
     On the ground that its seed drew, with every filter that is drawn (see `Traits`).
+
+    Args:
+        path: of the recording.
+        log: of the walk.
+        job: its scenario, robot and seed.
+        learnt: observers and bounds.
+        filters: their names; those are drawn whose `Traits` say so.
     """
     robot = known_robot(job.robot)
     results, _ = run_all(log, robot, learnt, [name for name in filters if traits(name).drawn])

@@ -172,7 +172,15 @@ def write_estimates(
 def _write_ellipsoid(
     stream: rr.RecordingStream, path: str, error: ErrorSeries, covariance: np.ndarray, color: str
 ) -> None:
-    """The estimator's own position uncertainty: semi-axes of three sigma."""
+    """The estimator's own position uncertainty: semi-axes of three sigma.
+
+    Args:
+        stream: rerun's recording.
+        path: of the entity.
+        error: whose positions the ellipsoids are at.
+        covariance: (N, 3, 3) [m^2] in G, of the position.
+        color: of the estimator.
+    """
     rows = rows_every(error.t, 1.0 / _ELLIPSOID_RATE)
     variance, axes = np.linalg.eigh(covariance[rows])
     axes[np.linalg.det(axes) < 0.0, :, 0] *= -1.0
@@ -192,6 +200,13 @@ def _write_marker(stream, path: str, name: str, size: np.ndarray, height: float)
     """A box about the trunk with an arrow forward, and the estimator's name on a flag above it.
 
     Flags differ in height (in trunk widths), or estimators that agree would hide each other's name.
+
+    Args:
+        stream: rerun's recording.
+        path: of the entity.
+        name: of the estimator.
+        size: (3,) [m], half sizes of the trunk.
+        height: of the flag, in trunk widths.
     """
     color = [rgba(estimator_color(name))]
     thin = [_pixels(1.0)]
@@ -230,7 +245,15 @@ def trunk_size(robot: Robot) -> np.ndarray:
 def _send_trail(
     stream: rr.RecordingStream, path: str, t: np.ndarray, p: np.ndarray, color: str
 ) -> None:
-    """The path once more in short pieces, each at its own time, for a view of the last seconds."""
+    """The path once more in short pieces, each at its own time, for a view of the last seconds.
+
+    Args:
+        stream: rerun's recording.
+        path: of the entity.
+        t: (N,) [s].
+        p: (N, 3) [m] in G.
+        color: of the line.
+    """
     starts = np.arange(0, len(t) - 1, _PIECE)
     pieces = [p[k : k + _PIECE + 1].astype(np.float32) for k in starts]
     style = rr.LineStrips3D.from_fields(colors=[rgba(color)], radii=[_pixels(1.5)])
@@ -246,6 +269,15 @@ def _pixels(size: float) -> Any:
 
 
 def _send_poses(stream, path: str, times: list, p: np.ndarray, R: np.ndarray) -> None:
+    """Poses of an entity over time.
+
+    Args:
+        stream: rerun's recording.
+        path: of the entity.
+        times: rerun's time columns, of N rows.
+        p: (N, 3) [m], position in the parent's frame.
+        R: (N, 3, 3), to the parent's frame.
+    """
     columns = rr.Transform3D.columns(
         translation=p.astype(np.float32), quaternion=rerun_quaternion(R).astype(np.float32)
     )

@@ -131,6 +131,16 @@ def write_feet(stream: rr.RecordingStream, log: Log) -> None:
 
 
 def _band(stream, root, t, half, name, color) -> None:
+    """Draw plus and minus a half width over time.
+
+    Args:
+        stream: rerun's recording.
+        root: of the entity.
+        t: (N,) [s].
+        half: (N,), half width in the unit of the plot.
+        name: in the legend.
+        color: of the lines.
+    """
     style = rr.SeriesLines(colors=[rgba(color, 0.5)] * 2, widths=[1.0] * 2, names=[name] * 2)
     stream.log(f"{root}/three_sigma", style, static=True)
     both = np.stack([half, -half], axis=1)
@@ -139,6 +149,18 @@ def _band(stream, root, t, half, name, color) -> None:
 
 
 def _line(stream, path, t, values, name, color, width, alpha=1.0) -> None:
+    """Draw one line over time.
+
+    Args:
+        stream: rerun's recording.
+        path: of the entity.
+        t: (N,) [s].
+        values: (N,), in the unit of the plot.
+        name: in the legend.
+        color: of the line.
+        width: of the line [points].
+        alpha: opacity, 0 to 1.
+    """
     style = rr.SeriesLines(colors=[rgba(color, alpha)], widths=[width], names=[name])
     stream.log(path, style, static=True)
     stream.send_columns(path, indexes=[time_column(t)], columns=rr.Scalars.columns(scalars=values))

@@ -89,6 +89,17 @@ def less_error(boxes, ours, theirs) -> float:
 
 @kernel
 def run_ours(means, covs, lowers, uppers, prob, mean, cov):
+    """Probabilities and moments of B boxes by quadrature.
+
+    Args:
+        means: (B, 3), of the Gaussians.
+        covs: (B, 3, 3), of the Gaussians.
+        lowers: (B, 3), bounds.
+        uppers: (B, 3), bounds.
+        prob: (B,), filled.
+        mean: (B, 3), filled.
+        cov: (B, 3, 3), filled.
+    """
     for b in range(means.shape[0]):
         log = box_moments_kernel(means[b], covs[b], lowers[b], uppers[b], mean[b], cov[b])
         prob[b] = np.exp(log)
@@ -96,6 +107,18 @@ def run_ours(means, covs, lowers, uppers, prob, mean, cov):
 
 @kernel
 def run_qmc(means, covs, lowers, uppers, shifts, prob, mean, cov):
+    """Probabilities and moments of B boxes from SAMPLES points each.
+
+    Args:
+        means: (B, 3), of the Gaussians.
+        covs: (B, 3, 3), of the Gaussians.
+        lowers: (B, 3), bounds.
+        uppers: (B, 3), bounds.
+        shifts: (B, 3) in [0, 1), of the lattices.
+        prob: (B,), filled.
+        mean: (B, 3), filled.
+        cov: (B, 3, 3), filled.
+    """
     for b in range(means.shape[0]):
         prob[b] = qmc_moments(
             means[b], covs[b], lowers[b], uppers[b], SAMPLES, shifts[b], mean[b], cov[b]

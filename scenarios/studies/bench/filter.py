@@ -62,7 +62,20 @@ def coverage_row(rounds: int, progress: Progress | None = None) -> Ratio:
 
 @kernel
 def walk(t, gyro, accel, v_I, epsilon, mean, covariance, noise, shifts, samples: int):
-    """The filter over a log with an update a sample, in place; samples 0: exact moments."""
+    """The filter over a log with an update a sample, in place.
+
+    Args:
+        t: (N,) [s].
+        gyro: (N, 3) [rad/s] in I.
+        accel: (N, 3) [m/s^2] in I.
+        v_I: (N-1, 3) [m/s] in I.
+        epsilon: (3,) [m/s], bounds of v_I.
+        mean: (7, 3), the packed mean.
+        covariance: (15, 15).
+        noise: (4, 3), `FilterNoise.packed`.
+        shifts: (N-1, 3) in [0, 1), of the lattices.
+        samples: of the moments; 0 for exact ones.
+    """
     columns, rotation_columns = np.zeros((15, 6)), np.zeros((0, 3))
     for k in range(1, t.shape[0]):
         dt = t[k] - t[k - 1]
@@ -75,7 +88,16 @@ def walk(t, gyro, accel, v_I, epsilon, mean, covariance, noise, shifts, samples:
 
 @kernel
 def sampled_update(mean, covariance, v_I, epsilon, samples: int, shift):
-    """`estimator.updates.coverage.update_coverage` with moments from samples."""
+    """`estimator.updates.coverage.update_coverage` with moments from samples.
+
+    Args:
+        mean: (7, 3), the packed mean, in place.
+        covariance: (15, 15), in place.
+        v_I: (3,) [m/s] in I.
+        epsilon: (3,) [m/s], its bounds.
+        samples: of the moments.
+        shift: (3,) in [0, 1), of the lattice.
+    """
     PHt, S, residual = np.empty((15, 3)), np.empty((3, 3)), np.empty(3)
     velocity_output(mean, covariance, 0, v_I, PHt, S, residual)
     floor = FLOOR**2 + 1e-10 * (S[0, 0] + S[1, 1] + S[2, 2])

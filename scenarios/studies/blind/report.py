@@ -68,7 +68,7 @@ RULES_PROSE = (
     "Shares with their 95 % interval (Wilson) in brackets; `confounded` that names the truth among "
     "two counts a half. An effect is above the floor where its size is more than the least that "
     "its log could show. Simulated logs by the same physics that trace assumes: this measures how "
-    "well effects are told from each other, not how well a model describes a robot."
+    "well effects are distinguished from each other, not how well a model describes a robot."
 )
 
 
@@ -83,7 +83,7 @@ def truth(record: Record) -> list[tuple[str, str]]:
 
 
 def rivals(record: Record) -> list[tuple[str, str]]:
-    """Effects that the trace could not tell from the one that it named."""
+    """Effects that the trace could not distinguish from the one that it named."""
     return [(r["name"], r["target"]) for r in record.get("rivals") or ()]
 
 
@@ -127,7 +127,7 @@ def main_channel(record: Record) -> str:
 
 
 def names_both_twins(record: Record) -> bool:
-    """Of effects that a standing robot cannot tell apart: `confounded`, both named."""
+    """Of effects that a standing robot cannot distinguish: `confounded`, both named."""
     twin = tuple(record["twin"].split())
     both = {truth(record)[0], twin} <= {*named(record), *rivals(record)}
     return record["verdict"] == "confounded" and both

@@ -31,7 +31,7 @@ from surefoot.sim.walk import walk
 PLAN = bundled("surefoot.scenarios.studies.blind", "study.toml")
 MODULE = "surefoot.scenarios.studies.blind.study"
 STAND = 20.0
-"""s that a robot stands whose log has an effect that standing cannot tell from another."""
+"""s that a robot stands whose log has an effect that standing does not distinguish from another."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ def run_case(case: Case) -> dict[str, Any]:
 
 
 def standing_part(log: Log) -> Log:
-    """The log up to its first step: a few samples of stepping would tell the twins apart."""
+    """The log up to its first step: a few samples of stepping would distinguish the twins."""
     still = log.t - log.t[0] < STAND - 0.5
     return replace(log, frame=log.frame[still])
 

@@ -163,6 +163,13 @@ def fit(
 
     Intervals are percentiles of bootstrap samples of blocks of all balances together; NaN where
     there are no samples.
+
+    Args:
+        balances: of each log.
+        joint: its index.
+        names: of the terms.
+        rng: draws the bootstrap's blocks.
+        samples: of the bootstrap.
     """
     G = np.concatenate([_products(one, joint, names, one.good[:, joint]) for one in balances])
     values = _solved(G.sum(axis=0))

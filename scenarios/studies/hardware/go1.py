@@ -138,17 +138,17 @@ def rolling_table(log: Log, robot: Robot, seed: int = 0) -> pd.DataFrame:
 
 
 def ladder(
-    effects: Sequence[Effect], robot: Robot, doubted: Sequence[Effect] = ()
+    effects: Sequence[Effect], robot: Robot, uncertain: Sequence[Effect] = ()
 ) -> list[tuple[str, list[Effect]]]:
     """The declared model, each effect alone, all of them, and what was not found: feet as large as
-    they are drawn, and effects that were sized but `doubted`."""
+    they are drawn, and effects that were sized but `uncertain`."""
     steps: list[tuple[str, list[Effect]]] = [("as declared", [])]
     steps += [(f"{_named(e)} alone", [e]) for e in effects]
     steps += [("all of them", list(effects))] if len(effects) > 1 else []
     drawn = drawn_feet(effects, robot)
     steps += [(f"not found: {_named(e)}, as drawn", [e]) for e in drawn]
-    steps += [(f"not found: {_named(e)}, as sized", [e]) for e in doubted]
-    return steps + ([("not found: both", [*drawn, *doubted])] if drawn and doubted else [])
+    steps += [(f"not found: {_named(e)}, as sized", [e]) for e in uncertain]
+    return steps + ([("not found: both", [*drawn, *uncertain])] if drawn and uncertain else [])
 
 
 def late_ends(found: Trace) -> list[Effect]:
@@ -174,7 +174,15 @@ def leg_filter_table(
     log: Log, robot: Robot, found: Trace, shifts: Sequence[float], seed: int = 0
 ) -> pd.DataFrame:
     """The leg filter over the whole log: as declared, with each effect, with all, with sizes drawn
-    from their intervals, and against a reference moved by `shifts` [s]."""
+    from their intervals, and against a reference moved by `shifts` [s].
+
+    Args:
+        log: the measured log.
+        robot: as declared.
+        found: trace of the log.
+        shifts: of the reference [s].
+        seed: of the drawn sizes.
+    """
     rng = np.random.default_rng(seed)
     steps = ladder(found.effects, robot, late_ends(found))
     rows = [_judged(words, log, robot, chosen) for words, chosen in steps]

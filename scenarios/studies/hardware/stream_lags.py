@@ -1,4 +1,4 @@
-"""How late is each stream of a log against its reference, where nobody stamped them together?"""
+"""How late is each stream of a log against its reference, where they were not stamped together?"""
 
 from dataclasses import dataclass, replace
 
@@ -115,6 +115,15 @@ def _leg_costs(
 
 
 def _costs(log: Log, step: int, known: np.ndarray, integral, there: np.ndarray) -> np.ndarray:
+    """Squared difference (shifts, N) from the reference at each shift of a stream.
+
+    Args:
+        log: the measured log.
+        step: rows over which the stream is integrated.
+        known: (N - step,) bool, where both are known.
+        integral: of the stream at a shift [s], a function to (N, 3).
+        there: (N - step, 3), the reference's change over the same rows.
+    """
     costs = np.full((len(SHIFTS), len(log.t)), np.nan)
     for i, d in enumerate(SHIFTS):
         whole = integral(float(d))

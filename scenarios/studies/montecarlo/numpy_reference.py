@@ -20,7 +20,15 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(20)
 
 
 def numpy_trial(study: Study, truth: Truth, trials: Trials, k: int, setting: Setting) -> np.ndarray:
-    """Distances (L,) [m] of trial k from the truth, at the study's scored instants."""
+    """Distances (L,) [m] of trial k from the truth, at the study's scored instants.
+
+    Args:
+        study: rates and noise.
+        truth: motion that the distances are from.
+        trials: samples and initial states of all trials.
+        k: index of the trial.
+        setting: filter and its bounds.
+    """
     mean, P = trials.means[k].copy(), trials.covariance.copy()
     R, v, p, b_a, b_g = mean[:3], mean[3], mean[4], mean[5], mean[6]
     dt = 1.0 / study.imu_rate

@@ -79,9 +79,17 @@ class Accuracy:
 
 @kernel(error_model="numpy")
 def qmc_moments(mean, cov, lower, upper, samples: int, shift, out_mean, out_cov) -> float:
-    """Probability, mean (3,) and covariance (3, 3) of N(mean, cov) on a box from `samples` points.
+    """Moments of N(mean, cov) on a box from a randomized lattice; returns the probability.
 
-    shift (3,) in [0, 1) randomizes the lattice. The last two arrays are filled.
+    Args:
+        mean: (3,) of the Gaussian.
+        cov: (3, 3) of the Gaussian.
+        lower: (3,), the box's lower bounds.
+        upper: (3,), its upper bounds.
+        samples: number of points.
+        shift: (3,) in [0, 1), randomizes the lattice.
+        out_mean: (3,), filled.
+        out_cov: (3, 3), filled.
     """
     L = np.linalg.cholesky(cov)
     low, high = lower - mean, upper - mean
@@ -126,6 +134,13 @@ def runtime_accuracy(
     Boxes are ordinary: unit deviations, correlations of a random factor, half widths of 0.5 to 2
     deviations, centres within one. The reference is a tensor rule in three dimensions,
     independent of both.
+
+    Args:
+        rng: draws boxes and shifts.
+        boxes: their number.
+        shifts: lattices of each box.
+        rounds: of timing.
+        progress: called with the share done.
     """
     means, covs, lowers, uppers = ordinary_boxes(rng, boxes)
     exact = [tensor_moments(*box) for box in zip(means, covs, lowers, uppers, strict=True)]
@@ -183,6 +198,19 @@ def tensor_moments(mean, cov, lower, upper) -> tuple[float, np.ndarray, np.ndarr
 
 @kernel
 def _evaluate_qmc(means, covs, lowers, uppers, samples, shifts, prob, mean, cov):
+    """Moments of B boxes with S lattices each.
+
+    Args:
+        means: (B, 3), of the Gaussians.
+        covs: (B, 3, 3), of the Gaussians.
+        lowers: (B, 3), bounds.
+        uppers: (B, 3), bounds.
+        samples: points of a lattice.
+        shifts: (S, B, 3) in [0, 1), of the lattices.
+        prob: (S, B), filled.
+        mean: (S, B, 3), filled.
+        cov: (S, B, 3, 3), filled.
+    """
     for s in range(shifts.shape[0]):
         for b in range(shifts.shape[1]):
             box = (means[b], covs[b], lowers[b], uppers[b])
@@ -191,6 +219,18 @@ def _evaluate_qmc(means, covs, lowers, uppers, samples, shifts, prob, mean, cov)
 
 @kernel
 def _evaluate_ours(means, covs, lowers, uppers, repeats, prob, mean, cov):
+    """Moments of B boxes by quadrature, repeated for the timing.
+
+    Args:
+        means: (B, 3), of the Gaussians.
+        covs: (B, 3, 3), of the Gaussians.
+        lowers: (B, 3), bounds.
+        uppers: (B, 3), bounds.
+        repeats: how often, S.
+        prob: (S, B), filled.
+        mean: (S, B, 3), filled.
+        cov: (S, B, 3, 3), filled.
+    """
     for s in range(repeats):
         for b in range(means.shape[0]):
             prob[s, b] = math.exp(
@@ -199,7 +239,16 @@ def _evaluate_ours(means, covs, lowers, uppers, repeats, prob, mean, cov):
 
 
 def _evaluate(means, covs, lowers, uppers, samples: int, shifts):
-    """Probabilities (S, B), means (S, B, 3), covariances (S, B, 3, 3); samples 0 means ours."""
+    """Probabilities (S, B), means (S, B, 3) and covariances (S, B, 3, 3).
+
+    Args:
+        means: (B, 3), of the Gaussians.
+        covs: (B, 3, 3), of the Gaussians.
+        lowers: (B, 3), bounds.
+        uppers: (B, 3), bounds.
+        samples: points of a lattice; 0 for quadrature.
+        shifts: (S, B, 3) in [0, 1), of the lattices.
+    """
     S, B = shifts.shape[:2]
     out = np.empty((S, B)), np.empty((S, B, 3)), np.empty((S, B, 3, 3))
     if samples:

@@ -80,7 +80,15 @@ def write_study(
     force: bool = False,
     page: Path | None = None,
 ) -> str:
-    """Write tables, figures and report into `out`, and the page; returns the tables' text."""
+    """Write tables, figures and report, and the page; returns the tables' text.
+
+    Args:
+        results: of the trials.
+        runtime: and accuracy of the moments.
+        out: folder.
+        force: whether files may be replaced.
+        page: of the documentation, or None.
+    """
     pictures = study_pictures(results, runtime)
     sections = study_sections(results, runtime, pictures)
     for name, picture in pictures.items():

@@ -152,10 +152,18 @@ def _attitude_and_velocity(motion: Motion, t: np.ndarray) -> tuple[np.ndarray, n
 
 @kernel
 def _invert_imu(R, v, turns, dt: float, gyro, accel, p):
-    """Fill the samples that make `estimator.core.propagation` go through R and v, and the p it
-    finds.
+    """Fill the samples that make `estimator.core.propagation` go through R and v.
 
     v' = v + g dt + R Gamma_1 a dt is solved for a; p' follows with Gamma_2.
+
+    Args:
+        R: (N+1, 3, 3), I to G.
+        v: (N+1, 3) [m/s] in G.
+        turns: (N, 3) [rad] in I, rotation vector of each step.
+        dt: the step [s].
+        gyro: (N+1, 3) [rad/s], filled from row 1.
+        accel: (N+1, 3) [m/s^2], filled from row 1.
+        p: (N+1, 3) [m] in G, filled from row 1 with the propagated position.
     """
     G0, G1, G2 = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     g = np.array([0.0, 0.0, -GRAVITY])

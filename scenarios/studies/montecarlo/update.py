@@ -126,6 +126,15 @@ def _draw_plane(axes, gamma: float) -> None:
 
 
 def _ellipses(ax: Axes, mean, cov, color: str, style: str) -> None:
+    """Draw the one and two sigma ellipses of a Gaussian.
+
+    Args:
+        ax: to draw on.
+        mean: (2,) of the Gaussian.
+        cov: (2, 2) of the Gaussian.
+        color: of the lines.
+        style: of the lines, as of matplotlib.
+    """
     angle = np.linspace(0.0, 2.0 * np.pi, 200)
     circle = np.linalg.cholesky(cov) @ np.array([np.cos(angle), np.sin(angle)])
     for size in (1.0, 2.0):

@@ -44,6 +44,15 @@ def _stairs(leg: float, riser: float, tread: float) -> Ground:
 
 
 def _up_and_down(first: float, side: float, top: float, rise: float, steps: int = 0) -> Ground:
+    """A ground that rises, stays level and falls again, along x.
+
+    Args:
+        first: length of the level beginning [m].
+        side: length of rise and fall [m].
+        top: length of the level part between them [m].
+        rise: its height [m].
+        steps: of a staircase; 0 for a slope.
+    """
     a, b, c, d = np.cumsum([first, side, top, side])
     return Ground(
         MU,
