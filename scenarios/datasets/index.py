@@ -135,6 +135,7 @@ def slip_and_creep(log: Log) -> tuple[float, float]:
 
 
 def file_hash(path: Path) -> str:
+    """SHA-256 of a file's content, as hexadecimal digits."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
@@ -206,6 +207,7 @@ def read_index(folder: Path) -> pd.DataFrame:
 
 
 def with_hash(row: Row, path: Path) -> Row:
+    """The row with the hash of its log."""
     return replace(row, sha256=file_hash(path))
 
 

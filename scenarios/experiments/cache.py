@@ -67,6 +67,7 @@ def product_key(kind: str, inputs: Mapping[str, Any], code: str) -> str:
 
 
 def file_digest(path: Path) -> str:
+    """SHA-256 of a file's content, as hexadecimal digits."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
