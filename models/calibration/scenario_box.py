@@ -34,7 +34,8 @@ class ScenarioBox(Calibrator):
 
     def __init__(self, gamma: float, confidence: float = CONFIDENCE):
         super().__init__(gamma)
-        self.confidence = self.stated = confidence
+        self.stated = confidence
+        self.confidence: float | None = confidence
 
     def samples_needed(self) -> int:
         return least_samples(self.gamma, self.stated)

@@ -364,7 +364,10 @@ class ObserverFusion(ImuStream):
             pi = self.filter.update_coverage(v_I, fusion.epsilon, fusion.gamma)
             active = bool(pi < fusion.gamma)
             return Update(v_I, fusion.epsilon, pi, active) if np.isfinite(pi) else None
-        cov = fusion.inflation * predicted[0] if fusion.cov is None else fusion.cov
+        cov = fusion.cov
+        if cov is None:
+            assert predicted is not None
+            cov = fusion.inflation * predicted[0]
         distance = self.filter.update_velocity(v_I, cov)
         return Update(v_I, active=bool(np.isfinite(distance)))
 

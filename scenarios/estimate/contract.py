@@ -187,11 +187,12 @@ class Estimator(Protocol):
 
 def samples(log: Log) -> Iterator[Sample]:
     """The rows of a log one by one, with what it has of each group."""
-    whole = [getattr(log, name) for name in ("t", "gyro", "accel")]
+    t, gyro, accel = log.t, log.gyro, log.accel
     groups = ("q", "dq", "tau", "contact")
     others = [getattr(log, name) if log.has(name) else None for name in groups]
     names = [name for name in log.frame.columns if str(name).startswith("x_")]
-    extra = log.frame[names].to_dict("records") if names else None
+    extra = log.frame.loc[:, names].to_dict(orient="records") if names else None
     for k in range(len(log.frame)):
-        rows = [None if values is None else values[k] for values in others]
-        yield Sample(*(values[k] for values in whole), *rows, extra[k] if extra else None)
+        q, dq, tau, contact = (None if values is None else values[k] for values in others)
+        more = {str(name): x for name, x in extra[k].items()} if extra else None
+        yield Sample(t[k], gyro[k], accel[k], q, dq, tau, contact, more)

@@ -98,12 +98,13 @@ def _in_pieces(
 
     robot = Robot.for_log(next(reader.chunks(PIECE)), robot_name)
     with ExitStack() as files:
-        table = files.enter_context(TrajectoryWriter(out, force)) if out else None
+        table, lines = None, None
         if out:
+            table = files.enter_context(TrajectoryWriter(out, force))
             path = files.enter_context(whole_file(out.with_suffix(".tum"), force))
             lines = files.enter_context(path.open("w"))
         for part in estimated_in_chunks(estimator_named(name), pieces(), robot, learnt):
-            if table is not None:
+            if table is not None and lines is not None:
                 table.write(part)
                 part.append_tum(lines)
             if waiting:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from surefoot.estimator.ego_velocity import ego_velocities
 from surefoot.sim.common.errors import SurefootError
@@ -41,7 +42,9 @@ def with_radar(log: Log, robot: Robot) -> Log:
     return replace(log, frame=log.frame.assign(**dict(zip(COLUMNS, values.T, strict=True))))
 
 
-def radar_of(columns: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def radar_of(
+    columns: Mapping[str, Any] | pd.DataFrame,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """rows (M,) that have a radar's velocity, v_I (M, 3) [m/s] there and covariances (M, 3, 3)."""
     values = np.column_stack([np.asarray(columns[name], dtype=float) for name in COLUMNS])
     rows = np.flatnonzero(np.isfinite(values[:, 0]))

@@ -229,7 +229,7 @@ def joined(parts: Iterable[Trajectory]) -> Trajectory:
     records = [part.updates for part in parts if part.updates is not None]
     if not records:
         return Trajectory(**arrays)
-    fields = {
+    fields: dict[str, Any] = {
         name: None
         if getattr(records[0], name) is None
         else np.concatenate([getattr(record, name) for record in records])

@@ -51,9 +51,8 @@ def test_it_is_estimated_tabled_and_drawn(log, tmp_path):
     )
     assert done.returncode == 0, done.stderr
     table = pd.read_csv(tmp_path / "out" / "table.csv")
-    rows = table.set_index("filter")
-    assert list(rows.index) == ["leg", "leg_slip", "imu", "standing_feet"]
-    errors = {str(name): float(value) for name, value in rows["APE_trans [m]"].items()}
+    assert list(table["filter"]) == ["leg", "leg_slip", "imu", "standing_feet"]
+    errors = dict(zip(table["filter"], table["APE_trans [m]"], strict=True))
     assert errors["standing_feet"] < errors["imu"]
     report = (tmp_path / "out" / "report.html").read_text()
     assert "Mean velocity of the standing feet" in report

@@ -131,7 +131,7 @@ def rolling_table(log: Log, robot: Robot, seed: int = 0) -> pd.DataFrame:
             y, x = np.where(use, point[..., axis], 0.0), np.where(use, slope[..., axis], 0.0)
             sums = [np.bincount(block, values.sum(axis=1)) for values in (-x * y, x * x)]
             size = 1e3 * sums[0].sum() / sums[1].sum()
-            interval = 1e3 * ratio_interval(*sums, rng)
+            interval = 1e3 * ratio_interval(sums[0], sums[1], rng)
             row[f"radius by {name} velocity [mm]"] = between(size, interval, 1)
         rows.append(row)
     return pd.DataFrame(rows)
