@@ -10,7 +10,8 @@ from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.attribution.split import Split
 from surefoot.models.residuals.binning import BIN, bin_mean
-from surefoot.models.residuals.registry import channels
+from surefoot.models.residuals.registry import CHANNELS, channels
+from surefoot.sim.effects import known_effects
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
@@ -66,7 +67,8 @@ def cannot_tell(cases: Sequence[LogUnderModel], split: Split) -> str:
 
 def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, ...]:
     """What the reader should know of the data before the result."""
-    notes = []
+    plugins = (known_effects(), CHANNELS)
+    notes = [f"{why}; not used" for one in plugins for why in one.usable()[1].values()]
     there = set.intersection(*(set(channels_of(case)) for case in cases))
     for name, channel in channels().items():
         if name in there:

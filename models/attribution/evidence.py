@@ -107,7 +107,7 @@ def all_keys(case: LogUnderModel) -> tuple[Key, ...]:
     """Every candidate that a model can know of and whose channels the log has."""
     there = channels_of(case)
     keys = []
-    for kind in known_effects().values():
+    for kind in known_effects().usable()[0].values():
         lacks = not any(c in there for c in kind.channels)
         lacks |= case.fixed and "reference" in kind.needs
         if not kind.is_compensated() or lacks or not all(case.log.has(g) for g in kind.needs):

@@ -1,11 +1,12 @@
 """The residual channels there are: those that come with surefoot, then users' own."""
 
 from functools import cache
+from typing import Any
 
 from surefoot.models.residuals import channels as bundled
 from surefoot.models.residuals.channel import Channel
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.plugins import load_plugins
+from surefoot.sim.common.plugins import Registry
 
 GROUP = "surefoot.channels"
 """Entry points by which users' packages offer channels of their own."""
@@ -21,15 +22,16 @@ BUNDLED: tuple[type[Channel], ...] = (
 )
 
 
+def _check(name: str, kind: Any) -> None:
+    if not (isinstance(kind, type) and issubclass(kind, Channel) and kind.name == name):
+        raise SurefootError(f"must be a subclass of Channel whose name is {name!r}")
+
+
+CHANNELS = Registry(GROUP, {kind.name: kind for kind in BUNDLED}, ("name", "unit", "needs"), _check)
+"""Name -> class; a package's is imported and checked when it is looked up."""
+
+
 @cache
 def channels() -> dict[str, Channel]:
-    """Name -> channel. Raises SurefootError, naming the plugin, where one is no channel."""
-    known = {kind.name: kind for kind in BUNDLED}
-    found: dict[str, Channel] = {}
-    for name, kind in load_plugins(GROUP, known, needs=("name", "unit", "needs")).items():
-        if not issubclass(kind, Channel) or kind.name != name:
-            raise SurefootError(
-                f"plugin {name} ({GROUP}): must be a subclass of Channel whose name is {name!r}"
-            )
-        found[name] = kind()
-    return found
+    """Name -> channel, of those that can be used (see `Registry.usable` for the others)."""
+    return {name: kind() for name, kind in CHANNELS.usable()[0].items()}

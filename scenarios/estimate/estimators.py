@@ -69,8 +69,11 @@ class Traits:
 
 
 def traits(name: str) -> Traits:
-    """The traits of an estimator; the defaults for a name that is unknown."""
-    kind = ESTIMATORS.get(name)
+    """The traits of an estimator; the defaults for one that is unknown or broken."""
+    try:
+        kind = ESTIMATORS.get(name)
+    except SurefootError:
+        kind = None
     return Traits(**{each.name: getattr(kind, each.name, each.default) for each in fields(Traits)})
 
 

@@ -8,7 +8,7 @@ A package offers one by a line of its metadata, in pyproject.toml
 and from then on it stands in every list beside those that come with surefoot.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
@@ -23,15 +23,22 @@ class Registry(Mapping[str, Any]):
     is broken stops only what uses it.
     """
 
-    def __init__(self, group: str, bundled: Mapping[str, Any], needs: tuple[str, ...] = ()):
+    def __init__(
+        self,
+        group: str,
+        bundled: Mapping[str, Any],
+        needs: tuple[str, ...] = (),
+        check: Callable[[str, Any], None] = lambda name, member: None,
+    ):
         """What a group holds.
 
         Args:
             group: of entry points, such as "surefoot.effects".
             bundled: name -> member that comes with surefoot, or "module:attribute" of it.
             needs: attributes that each member added must have.
+            check: raises SurefootError saying what is wrong with a name and the member added.
         """
-        self.group, self.bundled, self.needs = group, bundled, needs
+        self.group, self.bundled, self.needs, self.check = group, bundled, needs, check
 
     def __iter__(self) -> Iterator[str]:
         return iter(dict.fromkeys((*self.bundled, *plugins(self.group))))
@@ -46,7 +53,8 @@ class Registry(Mapping[str, Any]):
         """The member of that name.
 
         Raises KeyError where there is none, and SurefootError, one line that names the plugin,
-        where it cannot be imported, lacks an attribute, or bears the name of another.
+        where it cannot be imported, lacks an attribute, fails the check, or bears the name of
+        another.
         """
         points = plugins(self.group).get(name, ())
         if name in self.bundled:
@@ -67,14 +75,21 @@ class Registry(Mapping[str, Any]):
         missing = [attribute for attribute in self.needs if not hasattr(member, attribute)]
         if missing:
             raise SurefootError(f"{_what(point)}: lacks {', '.join(missing)}")
+        try:
+            self.check(name, member)
+        except SurefootError as error:
+            raise SurefootError(f"{_what(point)}: {error}") from None
         return member
 
-
-def load_plugins(
-    group: str, bundled: Mapping[str, Any] | None = None, needs: tuple[str, ...] = ()
-) -> dict[str, Any]:
-    """All members of a group, imported: arguments and errors as of `Registry`."""
-    return dict(Registry(group, bundled or {}, needs))
+    def usable(self) -> tuple[dict[str, Any], dict[str, str]]:
+        """Name -> member of those that can be used, and name -> what is wrong with any other."""
+        members, broken = {}, {}
+        for name in self:
+            try:
+                members[name] = self[name]
+            except SurefootError as error:
+                broken[name] = str(error)
+        return members, broken
 
 
 @cache

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import Any, TypeVar
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.plugins import load_plugins, plugins
+from surefoot.sim.common.plugins import Registry
 from surefoot.sim.effects.base import AXES, Effect
 from surefoot.sim.effects.body import (
     ComOffset,
@@ -71,20 +71,12 @@ CATALOGUE: dict[str, type[Effect]] = {
 }
 
 
-def known_effects() -> dict[str, type[Effect]]:
+def known_effects() -> Registry:
     """Name -> class of every effect: the catalogue's, then those of installed packages.
 
-    Raises SurefootError, one line that names the plugin, where one cannot be used.
+    A package's is imported and checked when it is looked up.
     """
-    found = load_plugins(GROUP, CATALOGUE)
-    for name in plugins(GROUP):
-        try:
-            _check(found[name])
-        except SurefootError as error:
-            raise SurefootError(f"plugin {name} ({GROUP}): {error}") from None
-        if found[name].name != name:
-            raise SurefootError(f"plugin {name} ({GROUP}): its effect is named {found[name].name}")
-    return found
+    return _EFFECTS
 
 
 def add(kind: K) -> K:
@@ -108,6 +100,15 @@ def _check(kind: Any) -> None:
     lacking = [one for one in needs if not hasattr(kind, one)]
     if lacking:
         raise SurefootError(f"effect {kind.__name__}: lacks {', '.join(lacking)}")
+
+
+def _check_named(name: str, kind: Any) -> None:
+    _check(kind)
+    if kind.name != name:
+        raise SurefootError(f"its effect is named {kind.name}")
+
+
+_EFFECTS = Registry(GROUP, CATALOGUE, check=_check_named)
 
 
 def effect(name: str, target: str, value: float) -> Effect:

@@ -6,10 +6,15 @@ import sys
 import numpy as np
 import pytest
 from own_package import run_with
+from synthetic import synthetic_walk
 
-from surefoot.models.residuals.registry import BUNDLED, channels
+from surefoot.models.attribution.data import data_notes
+from surefoot.models.attribution.evidence import log_under_model
+from surefoot.models.attribution.noise_floor import NoiseFloor
+from surefoot.models.residuals.registry import BUNDLED, CHANNELS, channels
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.plugins import plugins
+from surefoot.sim.robot import Robot
 
 TRACE = """
 import json
@@ -101,6 +106,11 @@ def test_what_is_no_channel_is_refused_in_a_line(tmp_path, monkeypatch, source, 
     plugins.cache_clear()
     try:
         with pytest.raises(SurefootError, match=f"plugin mine .*{words}"):
-            channels.__wrapped__()
+            CHANNELS["mine"]
+        assert list(channels.__wrapped__()) == [kind.name for kind in BUNDLED]
+        robot = Robot.load("spot_class")
+        case = log_under_model(synthetic_walk(0, 6.0), robot)
+        (note,) = [n for n in data_notes([case], NoiseFloor(np.zeros(0), (), "")) if "mine" in n]
+        assert note.startswith("plugin mine = own_thing:Mine (surefoot.channels): must be")
     finally:
         plugins.cache_clear()

@@ -5,7 +5,7 @@ from own_package import run_with
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.plugins import plugins
-from surefoot.sim.effects import CATALOGUE, known_effects
+from surefoot.sim.effects import CATALOGUE, effect, known_effects
 
 WALK = """
 robot = "spot_class"
@@ -92,9 +92,13 @@ def test_a_package_at_fault_is_named_in_one_line(tmp_path, monkeypatch, source, 
     plugins.cache_clear()
     try:
         with pytest.raises(SurefootError, match=r"plugin mine .*surefoot\.effects") as caught:
-            known_effects()
+            known_effects()["mine"]
         assert said in str(caught.value)
         assert "\n" not in str(caught.value)
+        # Nothing but its own use is stopped by it.
+        assert list(known_effects()) == [*CATALOGUE, "mine"]
+        assert effect("gyro_bias", "x", 0.01).value == 0.01
+        assert list(known_effects().usable()[0]) == list(CATALOGUE)
     finally:
         monkeypatch.undo()
         plugins.cache_clear()

@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.plugins import Registry, load_plugins, plugins
+from surefoot.sim.common.plugins import Registry, plugins
 
 GROUP = "surefoot.tests"
 
@@ -32,7 +32,7 @@ def package(tmp_path, monkeypatch):
 def test_own_members_come_after_the_bundled(package):
     package("mine = own_thing:Mine", "class Mine:\n    label = 'my own'\n")
     assert list(Registry(GROUP, {"theirs": 1})) == ["theirs", "mine"]
-    found = load_plugins(GROUP, {"theirs": 1}, needs=("label",))
+    found = dict(Registry(GROUP, {"theirs": 1}, needs=("label",)))
     assert list(found) == ["theirs", "mine"]
     assert found["mine"].label == "my own"
 
@@ -51,6 +51,9 @@ def test_a_broken_member_stops_only_what_uses_it(package):
     package("mine = own_thing:Mine", "raise RuntimeError('broken')\n")
     registry = Registry(GROUP, {"root": "math:sqrt"})
     assert registry["root"](4.0) == 2.0
+    members, broken = registry.usable()
+    assert list(members) == ["root"]
+    assert broken["mine"].startswith("plugin mine = own_thing:Mine")
 
 
 @pytest.mark.parametrize(
@@ -70,7 +73,7 @@ def test_a_bad_member_is_one_line_that_names_it(package, points, source, words):
     package(points, source)
     name = points.partition(" ")[0]
     with pytest.raises(SurefootError, match=f"plugin {name} = own_thing:Mine.*{words}") as error:
-        load_plugins(GROUP, {"theirs": 1}, needs=("label", "run"))
+        dict(Registry(GROUP, {"theirs": 1}, needs=("label", "run")))
     assert "\n" not in str(error.value)
 
 
@@ -78,4 +81,4 @@ def test_one_name_of_two_packages_is_refused(package):
     package("mine = own_thing:Mine", "Mine = 1\n")
     package("mine = other_thing:Mine", "Mine = 2\n", name="other")
     with pytest.raises(SurefootError, match="has that name too"):
-        load_plugins(GROUP)
+        dict(Registry(GROUP, {}))
