@@ -21,7 +21,8 @@ def readings(log: Log, settings: TraceSettings = DEFAULT) -> Log:
     known = ("gyro_", "accel_", "q_", "dq_", "tau_", "contact_", "force_", "ref_")
     if dead_contacts(log, settings):
         known = tuple(name for name in known if name != "contact_")
-    known += tuple(n for c in channels().values() for n in c.needs if n.startswith("x_"))
+    read_by = (*channels().values(), *known_effects().usable()[0].values())
+    known += tuple(n for one in read_by for n in one.needs if n.startswith("x_"))
     names = [n for n in log.frame if str(n) == "t" or str(n).startswith(known)]
     meta = replace(log.meta, scenario=None, seed=None, effects=(), versions={})
     return Log(log.frame.filter(items=names), meta, log.name)
@@ -73,7 +74,7 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
     for name, channel in channels().items():
         if name in there:
             continue
-        lacking = [g for g in channel.needs if not all(channel.has(c.log, g) for c in cases)]
+        lacking = [g for g in channel.needs if not all(c.log.has(g) for c in cases)]
         if lacking:
             notes.append(f"{name}: not used, the log lacks {' and '.join(lacking)}")
         elif channel.on_level_ground:

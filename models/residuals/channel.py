@@ -73,7 +73,7 @@ class Channel:
     label: ClassVar[str] = ""
     """Title in figures; the name without underscores where it is empty."""
     needs: ClassVar[tuple[str, ...]]
-    """Groups of a log's columns, or names of columns, without which it has no values."""
+    """Groups of a log's columns, as of `Log.require`, without which it has no values."""
     on_fixed_base: ClassVar[bool] = False
     """Whether a machine on a fixed base has it, without contacts and a reference."""
     on_level_ground: ClassVar[bool] = False
@@ -84,6 +84,8 @@ class Channel:
     other steps. Columns of no foot are masked when any foot did."""
     least_noise: ClassVar[float] = 1e-12
     """[unit] that no log resolves: noise is never taken to be less."""
+    of_events: ClassVar[bool] = False
+    """Whether it is a time of an event: a small change of the body leaves it as it is."""
     chained: ClassVar[bool] = False
     """Whether `jacobians` writes down how its columns change with readings. Others are
     differenced."""
@@ -110,12 +112,8 @@ class Channel:
         """What is fitted to each log by itself, (M, 1) or (M, its columns), each of any size."""
         return ()
 
-    def has(self, log: Log, group: str) -> bool:
-        """Whether a log has a group of columns, or a column of that name."""
-        return group in log.frame if group.startswith("x_") else log.has(group)
-
     def fills(self, log: Log, fixed: bool, level: bool) -> bool:
         """Whether a log can fill it; of a `fixed` base or not, on `level` ground or not."""
         if (fixed and not self.on_fixed_base) or (self.on_level_ground and not level):
             return False
-        return all(self.has(log, g) for g in self.needs if not (fixed and g in OF_WALKS))
+        return all(log.has(g) for g in self.needs if not (fixed and g in OF_WALKS))

@@ -205,6 +205,7 @@ class ContactTiming(Channel):
     least_noise = 1e-3
     """s. A contact changes at a row, so that its time is known to half of one."""
     chained = True
+    of_events = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
         return tuple(

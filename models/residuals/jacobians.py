@@ -197,7 +197,7 @@ def wrt_robot(parts: ResidualTable, robot: Machine, one: Robot, step: float) -> 
         else:
             more = carried(inputs.steps, one) - carried(inputs.steps, robot)
             needed = replace(needed, wrench=needed.wrench + more)
-    again = [name for name in channels() if name != "contact_timing"]
+    again = [name for name, channel in channels().items() if not channel.of_events]
     table = filled(parts.layout, replace(inputs, robot=one, inverse_dynamics=needed), again)
     return (table - parts.table) / step
 

@@ -46,7 +46,8 @@ class Effect:
     starts: ClassVar[tuple[float, ...]] = ()
     """Sizes to begin a search from, where the residual is far from linear in the size."""
     needs: ClassVar[tuple[str, ...]] = ()
-    """Groups of a log's columns that `compensate` needs, beyond those of its channels."""
+    """Groups of a log's columns, as of `Log.require`, that `compensate` needs, beyond those of its
+    channels."""
     chain_rule: ClassVar[Literal["readings", "legs", "mass"] | None] = None
     """By what alone `compensate` acts, so that the derivative of the residual by the size may be
     taken by the chain rule: "readings" (columns of gyro, accel, q, dq, tau), "legs" (the robot's

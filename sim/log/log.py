@@ -99,7 +99,7 @@ class Log:
         """Raise LogError naming the groups and columns that are missing.
 
         Groups: imu, q, dq, tau, commands (or q_des, dq_des, tau_ff one by one), contact, force,
-        reference, ref_v, truth.
+        reference, ref_v, truth; a column `x_<name>` is a group by itself.
         """
         missing = {group: self._missing(group) for group in groups}
         lacking = [f"{group} ({_shorten(names)})" for group, names in missing.items() if names]
@@ -107,6 +107,8 @@ class Log:
             raise LogError(f"{self.name}: the log lacks {', '.join(lacking)}")
 
     def _missing(self, group: str) -> list[str]:
+        if group.startswith("x_"):
+            return [] if group in self.frame else [group]
         if group not in GROUPS:
             raise KeyError(f"no log group {group!r}; groups are {', '.join(GROUPS)}")
         names = group_columns(group, self.joints, self.legs)
