@@ -31,3 +31,7 @@ CALIBRATORS = Registry(
     needs=("label", "fit_share", "level", "samples_needed", "fit", "conformalize", "bounds"),
 )
 """Each as surefoot.models.calibration.regions.Calibrator has it."""
+
+LOSSES = ("mse", "gml")
+"""What an observer is trained by: mean squared error, or Gaussian likelihood, which predicts a
+covariance too."""

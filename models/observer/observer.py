@@ -17,14 +17,14 @@ from typing import Any
 import numpy as np
 import torch
 
-from surefoot.models.observer.network import LOSSES, OUTPUTS, Network
+from surefoot.models.observer.network import OUTPUTS, Network
 from surefoot.models.observer.odometry import (
     Kinematics,
     LegGeometry,
     check_leg_geometry,
     contact_points,
 )
-from surefoot.models.registry import ARCHITECTURES
+from surefoot.models.registry import ARCHITECTURES, LOSSES
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.log import Log

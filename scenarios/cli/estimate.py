@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from surefoot.models.registry import ARCHITECTURES, CALIBRATORS
+from surefoot.models.registry import ARCHITECTURES, CALIBRATORS, LOSSES
 from surefoot.scenarios.cli.options import (
     BoundsFiles,
     Force,
@@ -22,6 +22,15 @@ from surefoot.scenarios.estimate.estimators import ESTIMATORS
 from surefoot.sim.common.errors import SurefootError
 
 
+def _labels(default: str) -> str:
+    """The labels of the calibration methods, which are imported when help is printed."""
+    methods = CALIBRATORS.usable()[0].items()
+    return "; ".join(f"{name}: {kind.label}" for name, kind in methods) + f". (default: {default})"
+
+
+Method = Annotated[one_of(CALIBRATORS), arg(help_behavior_hint=_labels)]
+
+
 @dataclass(frozen=True)
 class Train:
     """Train a velocity observer on one or more logs; a killed training is resumed."""
@@ -29,7 +38,7 @@ class Train:
     logs: Positional[tuple[Path, ...]]
     out: Out
     """File for the observer."""
-    loss: Literal["mse", "gml"] = "mse"
+    loss: one_of(LOSSES) = "mse"  # pyright: ignore[reportInvalidTypeForm]
     """Mean squared error, or Gaussian likelihood, which predicts a covariance too."""
     inputs: Literal["q", "q,dq", "q,dq,tau", "feet", "tau,feet", "q,dq,tau,feet"] = "q,dq,tau"
     """What it reads of a log, which must have it: joint angles, velocities, torques. feet is leg
@@ -68,9 +77,8 @@ class Calibrate:
     """File for the bounds (JSON)."""
     gamma: float = 0.8
     """Joint level."""
-    method: one_of(CALIBRATORS) = "conformal"  # pyright: ignore[reportInvalidTypeForm]
-    """conformal and bonferroni bound an axis at a time; maxnorm and ellipsoid all by one score;
-    scenario is the smallest box after discarding."""
+    method: Method = "conformal"  # pyright: ignore[reportInvalidTypeForm]
+    """What the bounds state."""
     confidence: float = 0.95
     """Of scenario bounds, over the calibrations that might have been."""
     K: int | None = None

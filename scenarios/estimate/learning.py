@@ -9,10 +9,9 @@ from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.calibrate import calibrate
 from surefoot.models.observer.observer import Observer
 from surefoot.models.observer.training import DEFAULT, Schedule, train
+from surefoot.models.registry import LOSSES
 from surefoot.scenarios.estimate.registry import Learnt
 from surefoot.sim.log import Log
-
-LOSSES = ("mse", "gml")
 
 
 def learn(

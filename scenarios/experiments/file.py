@@ -10,7 +10,7 @@ import msgspec
 
 from surefoot.models.observer.observer import check_inputs, check_loss, check_model
 from surefoot.models.observer.training import DEFAULT
-from surefoot.models.registry import CALIBRATORS
+from surefoot.models.registry import CALIBRATORS, LOSSES
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
 from surefoot.scenarios.experiments.imperfections import Imperfection, load_imperfections
 from surefoot.sim.common.errors import SurefootError
@@ -38,7 +38,7 @@ class Learning:
     surefoot.models.registry.CALIBRATORS.
     """
 
-    losses: tuple[str, ...] = ("mse", "gml")
+    losses: tuple[str, ...] = LOSSES
     inputs: str = "q,dq,tau"
     steps: Count = DEFAULT.steps
     model: str = "gru"

@@ -8,12 +8,12 @@ import torch
 from synthetic import Body
 
 from surefoot.models.observer.architectures import BiGRU
-from surefoot.models.observer.network import LOSSES, OUTPUTS, Network
+from surefoot.models.observer.network import OUTPUTS, Network
 from surefoot.models.observer.observer import Observer, ObserverError
 from surefoot.models.observer.predict import Loop, predict, prediction_errors
 from surefoot.models.observer.samples import samples
 from surefoot.models.observer.training import Schedule, train
-from surefoot.models.registry import ARCHITECTURES
+from surefoot.models.registry import ARCHITECTURES, LOSSES
 
 MODELS = list(ARCHITECTURES)
 CAUSAL = [name for name in MODELS if ARCHITECTURES[name].causal]
