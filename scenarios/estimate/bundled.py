@@ -26,6 +26,7 @@ from surefoot.scenarios.estimate.contract import (
     Parameter,
     Sample,
     Update,
+    measured,
 )
 from surefoot.scenarios.estimate.radar_velocity import radar_of, with_radar
 from surefoot.sim.log import Log
@@ -424,14 +425,13 @@ class LegStream:
 
     def step(self, sample: Sample) -> Update | None:
         """Predict, and update with the contacts."""
-        assert sample.q is not None
-        assert sample.contact is not None
+        q, contact = measured(sample, "q", "contact")
         dq = None if sample.dq is None else sample.dq[None]
-        feet_I, cov, rates = self._legs(np.array([sample.t]), sample.q[None], dq)
+        feet_I, cov, rates = self._legs(np.array([sample.t]), q[None], dq)
         if not np.isnan(self.filter.t):
             self.filter.predict(sample.gyro, sample.accel, sample.t - self.filter.t, rates[0])
         self.filter.t = sample.t
-        self.filter.update_contacts(feet_I[0], sample.contact, cov[0])
+        self.filter.update_contacts(feet_I[0], contact, cov[0])
         if self._inflation is not None and sample.extra is not None:
             rows, v_I, v_cov = radar_of({name: np.array([x]) for name, x in sample.extra.items()})
             if len(rows):

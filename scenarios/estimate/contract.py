@@ -185,6 +185,14 @@ class Estimator(Protocol):
         ...
 
 
+def measured(sample: Sample, *groups: str) -> list[np.ndarray]:
+    """Those groups of a sample. Raises SurefootError naming what it lacks."""
+    lacking = [group for group in groups if getattr(sample, group) is None]
+    if lacking:
+        raise SurefootError(f"the sample at {sample.t:g} s lacks {', '.join(lacking)}")
+    return [getattr(sample, group) for group in groups]
+
+
 def samples(log: Log) -> Iterator[Sample]:
     """The rows of a log one by one, with what it has of each group."""
     t, gyro, accel = log.t, log.gyro, log.accel

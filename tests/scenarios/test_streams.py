@@ -15,7 +15,7 @@ from surefoot.models.observer.training import Schedule, train
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.estimate import long_logs
 from surefoot.scenarios.estimate import radar_velocity as radar
-from surefoot.scenarios.estimate.contract import Beginning, Learnt, Stream
+from surefoot.scenarios.estimate.contract import Beginning, Learnt, Stream, samples
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
 from surefoot.scenarios.estimate.registry import (
     estimated,
@@ -195,3 +195,10 @@ def test_a_long_log_is_estimated_in_the_memory_of_a_piece(tmp_path, monkeypatch,
     assert_same(in_pieces, Trajectory.read(tmp_path / "out.parquet"), 0.0)
     assert lines == (tmp_path / "out.tum").read_text()
     assert "APE_trans" in capsys.readouterr().out
+
+
+def test_a_sample_without_what_legs_need_is_one_line(log, robot):
+    stream = begun("leg", log, robot, Learnt())
+    sample = next(samples(log))._replace(contact=None)
+    with pytest.raises(SurefootError, match=r"^the sample at \S+ s lacks contact$"):
+        stream.step(sample)
