@@ -10,7 +10,9 @@ __version__ = "0.2.0.dev0"
 
 if TYPE_CHECKING:
     from surefoot.estimator.metrics import evaluate
+    from surefoot.models.calibration.bounds import Bounds
     from surefoot.models.calibration.calibrate import calibrate
+    from surefoot.models.observer.observer import Observer
     from surefoot.models.observer.training import train
     from surefoot.scenarios.estimate.compare import compare_log as compare
     from surefoot.scenarios.estimate.contract import Learnt
@@ -22,8 +24,10 @@ if TYPE_CHECKING:
     from surefoot.sim.walk import walk
 
 __all__ = [
+    "Bounds",
     "Learnt",
     "Log",
+    "Observer",
     "Robot",
     "Scenario",
     "__version__",
@@ -37,8 +41,10 @@ __all__ = [
 ]
 
 _HOMES = {
+    "Bounds": "surefoot.models.calibration.bounds:Bounds",
     "Learnt": "surefoot.scenarios.estimate.contract:Learnt",
     "Log": "surefoot.sim.log:Log",
+    "Observer": "surefoot.models.observer.observer:Observer",
     "Robot": "surefoot.sim.robot:Robot",
     "Scenario": "surefoot.sim.scenario:Scenario",
     "calibrate": "surefoot.models.calibration.calibrate:calibrate",

@@ -30,7 +30,7 @@ def trace(
     force: bool = False,
     declared: Sequence[Effect] = (),
     learnt: Learnt | None = None,
-    settings: TraceSettings = DEFAULT,
+    settings: TraceSettings | None = None,
 ) -> Trace:
     """Find which effect `robot` lacks as a model of the logs, and what adding it changes.
 
@@ -43,7 +43,7 @@ def trace(
         force: overwrite such files.
         declared: effects that belong to the model: compensated before anything is asked.
         learnt: observers and bounds for the filters that need them.
-        settings: thresholds and constants.
+        settings: thresholds and constants; the defaults where left out.
 
     Raises SurefootError where `out` has such files (no `force`), and LogError where a log
     has no reference.
@@ -55,7 +55,7 @@ def trace(
         for name in OUTPUTS:
             if (out / name).exists():
                 raise SurefootError(f"{out / name}: exists already; give --force to overwrite it")
-    found = trace_logs(logs, robot, seed, progress, declared, learnt, settings)
+    found = trace_logs(logs, robot, seed, progress, declared, learnt, settings or DEFAULT)
     write_outputs(found, robot, out, force)
     return found
 
