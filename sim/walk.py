@@ -198,16 +198,16 @@ def _frame(
         "slip": slip,
         "mu": mu,
     }
-    suffixes = {"t": [""], "ref_q": ["_w", "_x", "_y", "_z"]}
-    by_width = {
-        3: ["_x", "_y", "_z"],
-        12: [f"_{j}" for j in JOINTS],
-        4: [f"_{leg}" for leg in LEGS],
-    }
+    joints, legs = (tuple(f"_{one}" for one in names) for names in (JOINTS, LEGS))
+    axes = ("_x", "_y", "_z")
+    suffixes = {"t": ("",), "ref_q": ("_w", *axes)}
+    suffixes |= dict.fromkeys(("gyro", "accel", "ref_p", "ref_v"), axes)
+    suffixes |= dict.fromkeys(("q", "dq", "tau"), joints)
+    suffixes |= dict.fromkeys(("contact", "force", "slip", "mu"), legs)
     return pd.DataFrame(
         {
             name + suffix: values[:, i]
             for name, values in groups.items()
-            for i, suffix in enumerate(suffixes.get(name, by_width.get(values.shape[1], [])))
+            for i, suffix in enumerate(suffixes[name])
         }
     )
