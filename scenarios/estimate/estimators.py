@@ -74,7 +74,8 @@ def traits(name: str) -> Traits:
         kind = ESTIMATORS.get(name)
     except SurefootError:
         kind = None
-    return Traits(**{each.name: getattr(kind, each.name, each.default) for each in fields(Traits)})
+    names = [each.name for each in fields(Traits) if hasattr(kind, each.name)]
+    return Traits(**{name: getattr(kind, name) for name in names})
 
 
 def estimator_code(name: str) -> str:
