@@ -14,7 +14,6 @@ The logs should be other walks than those that observers were trained and bounds
 whose errors are smaller than those of new walks, and other than those that filters are compared on.
 """
 
-import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -24,15 +23,17 @@ import numpy as np
 
 from surefoot.estimator.evaluation.trajectory import reference
 from surefoot.estimator.metrics import Metrics, evaluate
+from surefoot.scenarios.cache import file_digest, finished_case
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_code, estimator_named
 from surefoot.scenarios.estimate.registry import declared_model, estimated
 from surefoot.scenarios.estimate.tuned import Parameters, Tuned, read_tuned, tuned, tuned_file
 from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.scenarios.stages import processes, stage
-from surefoot.scenarios.studies.cases import finished_case
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import refuse_overwrite, whole_file
+from surefoot.sim.common.sources import code_digest
+from surefoot.sim.effects import declared_effects
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
@@ -184,10 +185,11 @@ def search_filter(
         folder: of the finished searches.
     """
     estimator = estimator_named(name)
-    walks = []
+    walks, declared = [], []
     for path in paths:
         log = Log.read(path)
         log = log.rows(log.t - log.t[0] <= longest)
+        declared += declared_effects(log)
         walks.append(declared_model(log, Robot.for_log(log, robot_name)))
     entry = tuned(walks[0][1])
     start = entry.of(estimator)
@@ -216,7 +218,9 @@ def search_filter(
         "mounting": entry.mounting,
         "budget": budget,
         "longest": longest,
-        "logs": [hashlib.sha256(Path(path).read_bytes()).hexdigest() for path in paths],
+        "logs": [file_digest(path) for path in paths],
+        "robots": [robot.digest for _, robot in walks],
+        "effects": code_digest(*map(type, declared)),
         "observers": [one.hash for one in learnt.observers],
         "bounds": [repr(one) for one in learnt.bounds],
     }

@@ -33,6 +33,7 @@ from surefoot.models.residuals.residual import (
     residual_inputs,
     with_ground,
 )
+from surefoot.sim.common.sources import code_digest
 from surefoot.sim.effects import Effect, compensate_all, effect, known_effects
 from surefoot.sim.effects.base import changed_columns, with_columns
 from surefoot.sim.log import Log
@@ -115,6 +116,12 @@ def all_keys(case: LogUnderModel) -> tuple[Key, ...]:
         targets = case.log.joints if kind.targets == JOINTS else kind.targets
         keys += [(kind.name, target) for target in targets]
     return tuple(keys)
+
+
+def candidates_code() -> str:
+    """Digest of the code of every effect and residual channel, users' own too."""
+    kinds = [*known_effects().values(), *map(type, channels().values())]
+    return code_digest(*kinds)
 
 
 def linearise(

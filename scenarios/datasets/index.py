@@ -16,9 +16,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from surefoot.scenarios.cache import file_digest
 from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
+from surefoot.sim.common.sources import code_digest, sources_digest
 from surefoot.sim.log import Log
 from surefoot.sim.walk import Plan
 from surefoot.sim.walking.batch import Job, Walked, known_robot
@@ -61,10 +63,15 @@ def log_name(job: Job) -> str:
 
 
 def recipe(job: Job) -> str:
-    """Hash of scenario, robot file, seed, declared effects and versions: same recipe, same bits."""
-    effects = [e.as_dict() for e in job.effects] if job.declared else []
-    robot = hashlib.sha256(known_robot(job.robot).file.read_bytes()).hexdigest()
-    parts = [repr(job.scenario), robot, job.seed, effects, _versions()]
+    """Hash of scenario, robot, seed, declared effects, code and versions: same recipe, same bits.
+
+    Undeclared effects are no part of it, since it stands in the index.
+    """
+    declared = job.effects if job.declared else ()
+    effects = [e.as_dict() for e in declared]
+    code = [sources_digest("surefoot.sim.walking.batch"), code_digest(*map(type, declared))]
+    robot = known_robot(job.robot).digest
+    parts = [repr(job.scenario), robot, job.seed, effects, code, _versions()]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
@@ -132,12 +139,6 @@ def slip_and_creep(log: Log) -> tuple[float, float]:
     dry = slip[loaded & (log.mu >= DRY)]
     share = float((slip[loaded] > SLIPPING).mean()) if loaded.any() else np.nan
     return share, float(np.median(dry)) if dry.size else np.nan
-
-
-def file_hash(path: Path) -> str:
-    """SHA-256 of a file's content, as hexadecimal digits."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 class Journal:
@@ -208,7 +209,7 @@ def read_index(folder: Path) -> pd.DataFrame:
 
 def with_hash(row: Row, path: Path) -> Row:
     """The row with the hash of its log."""
-    return replace(row, sha256=file_hash(path))
+    return replace(row, sha256=file_digest(path))
 
 
 def card(rows: Sequence[Row]) -> str:

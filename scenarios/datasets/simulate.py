@@ -16,9 +16,10 @@ from surefoot.scenarios.datasets.index import (
 )
 from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import clear_debris, refuse_overwrite
+from surefoot.sim.common.files import clear_debris, refuse_overwrite, whole_file
+from surefoot.sim.common.sources import code_digest
 from surefoot.sim.effects import Effect
-from surefoot.sim.effects.file import load_effects, save_effects
+from surefoot.sim.effects.file import load_effects, to_toml
 from surefoot.sim.log import Log
 from surefoot.sim.scenario import Scenario
 from surefoot.sim.walk import plan
@@ -139,10 +140,14 @@ def _guard_truth(out: Path, hidden: tuple[Effect, ...], journal: Journal, force:
         raise SurefootError(f"{out}: holds logs with undeclared effects; give another folder")
     if hidden and not truth.exists() and journal.rows:
         raise SurefootError(f"{out}: holds logs without undeclared effects; give another folder")
-    if hidden and truth.exists() and not force and load_effects(truth) != hidden:
-        raise SurefootError(f"{truth}: holds other effects; give another folder, or --force")
+    text = f"{to_toml(hidden)}\n# made with code {code_digest(*map(type, hidden))}\n"
+    if hidden and truth.exists() and not force and truth.read_text(encoding="utf-8") != text:
+        raise SurefootError(
+            f"{truth}: holds other effects, or other code of them; give another folder, or --force"
+        )
     if hidden and (force or not truth.exists()):
-        save_effects(truth, hidden, force)
+        with whole_file(truth, force) as temporary:
+            temporary.write_text(text, encoding="utf-8")
 
 
 def _done(journal: Journal, job: Job) -> bool:
@@ -156,7 +161,7 @@ def _done(journal: Journal, job: Job) -> bool:
         row = None
     if row and row.recipe != recipe(job):
         raise SurefootError(
-            f"{path}: was made from another scenario, robot, effects or version; give another "
+            f"{path}: was made from another scenario, robot, effects or code; give another "
             "folder, or --force to make it again"
         )
     if row or not path.exists():

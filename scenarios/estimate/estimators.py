@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.plugins import Registry
-from surefoot.sim.common.sources import sources_digest
+from surefoot.sim.common.sources import code_digest
 
 if TYPE_CHECKING:  # names alone come without compiled kernels, which are slow to load
     from surefoot.scenarios.estimate.contract import Estimator
@@ -15,20 +15,19 @@ if TYPE_CHECKING:  # names alone come without compiled kernels, which are slow t
 REQUIRED = ("name", "label", "description", "needs", "parameters", "start")
 """What a class must have to be an estimator: see `surefoot.scenarios.estimate.contract`."""
 
-_BUNDLED = "surefoot.scenarios.estimate.bundled"
 ESTIMATORS = Registry(
     "surefoot.estimators",
     {
-        "coverage": f"{_BUNDLED}:Coverage",
-        "coverage_gml": f"{_BUNDLED}:CoverageGml",
-        "coverage_persistent": f"{_BUNDLED}:CoveragePersistent",
-        "velocity": f"{_BUNDLED}:Velocity",
-        "velocity_inflated": f"{_BUNDLED}:VelocityInflated",
-        "velocity_persistent": f"{_BUNDLED}:VelocityPersistent",
-        "leg": f"{_BUNDLED}:Leg",
-        "leg_slip": f"{_BUNDLED}:LegSlip",
-        "radar_leg": f"{_BUNDLED}:RadarLeg",
-        "imu": f"{_BUNDLED}:Imu",
+        "coverage": "surefoot.scenarios.estimate.bundled:Coverage",
+        "coverage_gml": "surefoot.scenarios.estimate.bundled:CoverageGml",
+        "coverage_persistent": "surefoot.scenarios.estimate.bundled:CoveragePersistent",
+        "velocity": "surefoot.scenarios.estimate.bundled:Velocity",
+        "velocity_inflated": "surefoot.scenarios.estimate.bundled:VelocityInflated",
+        "velocity_persistent": "surefoot.scenarios.estimate.bundled:VelocityPersistent",
+        "leg": "surefoot.scenarios.estimate.bundled:Leg",
+        "leg_slip": "surefoot.scenarios.estimate.bundled:LegSlip",
+        "radar_leg": "surefoot.scenarios.estimate.bundled:RadarLeg",
+        "imu": "surefoot.scenarios.estimate.bundled:Imu",
     },
     REQUIRED,
 )
@@ -80,4 +79,4 @@ def traits(name: str) -> Traits:
 
 def estimator_code(name: str) -> str:
     """Digest of the code that an estimator is made of: what products of it are kept under."""
-    return sources_digest(ESTIMATORS[name].__module__)
+    return code_digest(ESTIMATORS[name])

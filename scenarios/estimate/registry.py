@@ -27,7 +27,7 @@ from surefoot.scenarios.estimate.contract import (
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
 from surefoot.scenarios.estimate.tuned import Parameters, tuned
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.effects import compensate_all, effect
+from surefoot.sim.effects import compensate_all, declared_effects
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
@@ -71,8 +71,7 @@ _compiled: set[str] = set()
 
 def declared_model(log: Log, robot: Robot) -> tuple[Log, Robot]:
     """The log and robot with the effects that the log declares compensated."""
-    declared = [effect(e["name"], e["target"], e["value"]) for e in log.meta.effects]
-    return compensate_all(declared, log, robot)
+    return compensate_all(declared_effects(log), log, robot)
 
 
 def run_all(

@@ -11,18 +11,20 @@ from surefoot.models.calibration.calibrate import calibrate
 from surefoot.models.observer.observer import Observer
 from surefoot.models.observer.training import Schedule, train
 from surefoot.models.registry import ARCHITECTURES, CALIBRATORS
+from surefoot.scenarios.cache import Product, product, product_key
 from surefoot.scenarios.datasets.index import recipe, row_of
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.estimators import estimator_code, estimator_named
 from surefoot.scenarios.estimate.facts import error_table, estimate_facts
 from surefoot.scenarios.estimate.registry import declared_model, run_filter
 from surefoot.scenarios.estimate.tuned import tuned
-from surefoot.scenarios.experiments.cache import Product, product, product_key
 from surefoot.scenarios.experiments.file import Learning
 from surefoot.scenarios.viewer.recording import record_walk
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.sources import sources_digest
+from surefoot.sim.common.sources import code_digest
+from surefoot.sim.effects import known_effects
 from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
 from surefoot.sim.walking.batch import Job, known_robot, walk_job
 
 
@@ -47,6 +49,7 @@ def make_walk(folder: Path, job: Job) -> Product:
         "recipe": recipe(job),
         "effects": [e.as_dict() for e in job.effects],
         "declared": job.declared,
+        "code": code_digest(*map(type, job.effects)),
     }
 
     def make(path: Path) -> dict[str, Any]:
@@ -57,9 +60,28 @@ def make_walk(folder: Path, job: Job) -> Product:
         else:
             path.write_text(f"fell at {row.fell_at:.1f} s\n")
         names = ("falls", "fell_at", "duration", "length", "slip_share", "creep", "payload")
-        return {name: getattr(row, name) for name in names}
+        facts = {name: getattr(row, name) for name in names}
+        declared = sorted({e.name for e in job.effects}) if job.declared else []
+        return facts | {"robot": job.robot, "declared": declared}
 
     return product(folder, "walk", inputs, "surefoot.sim.walking.batch", ".parquet", make)
+
+
+def walk_inputs(walk: Product) -> list[str]:
+    """What decides a walk as a model of its robot sees it, which its declared effects are part of.
+
+    The digests of its log, of the code of the effects and of the robot.
+    """
+    known = known_effects()
+    effects = code_digest(*(known[name] for name in walk.facts["declared"]))
+    return [walk.digest, effects, known_robot(walk.facts["robot"]).digest]
+
+
+def filter_inputs(name: str, robot: Robot) -> dict[str, Any]:
+    """What decides a filter's estimate beside the log: its code, and what it is tuned to."""
+    entry = tuned(robot)
+    parameters = entry.of(estimator_named(name))
+    return {"code": estimator_code(name), "parameters": parameters, "mounting": entry.mounting}
 
 
 def make_observer(
@@ -74,7 +96,8 @@ def make_observer(
         loss: "mse" or "gml".
         seed: of weights and windows.
     """
-    inputs = {"logs": [(name, walk.digest) for name, walk in logs], "loss": loss, "seed": seed}
+    seen = [(name, walk_inputs(walk)) for name, walk in logs]
+    inputs = {"logs": seen, "loss": loss, "seed": seed}
     inputs |= observer_inputs(learning)
 
     def make(path: Path) -> dict[str, Any]:
@@ -100,11 +123,10 @@ def make_observer(
 
 def observer_inputs(learning: Learning) -> dict[str, Any]:
     """What decides an observer beside its logs, a network of a user's own with its sources."""
-    source = sources_digest(ARCHITECTURES[learning.model].__module__)
     return {
         "inputs": learning.inputs,
         "steps": learning.steps,
-        "model": [learning.model, source],
+        "model": [learning.model, code_digest(ARCHITECTURES[learning.model])],
     }
 
 
@@ -121,8 +143,8 @@ def make_bounds(
         method: name of the calibration method.
     """
     name, walk = log
-    inputs = {"observer": observer.digest, "log": (name, walk.digest)}
-    inputs |= {"gamma": gamma, "method": [method, sources_digest(CALIBRATORS[method].__module__)]}
+    inputs = {"observer": observer.digest, "log": (name, walk_inputs(walk))}
+    inputs |= {"gamma": gamma, "method": [method, code_digest(CALIBRATORS[method])]}
 
     def make(path: Path) -> dict[str, Any]:
         bounds = calibrate(Observer.load(observer.path), read_walk(walk, name), gamma, method)
@@ -137,7 +159,7 @@ def make_bounds(
 def read_walk(walk: Product, name: str) -> Log:
     """A walk's log under its scenario's name, with the effects that it declares undone."""
     log = replace(Log.read(walk.path), name=name)
-    return declared_model(log, known_robot(log.meta.robot or ""))[0]
+    return declared_model(log, known_robot(walk.facts["robot"]))[0]
 
 
 def make_estimates(
@@ -163,7 +185,7 @@ def make_estimates(
         filters: their names.
         gammas: joint levels of the bounds.
     """
-    parameters = tuned(known_robot(robot_name))
+    known = known_robot(robot_name)
     log = cache(lambda: replace(Log.read(walk.path), name=name))
     loaded = cache(learnt.load)
     found: dict[tuple[str, float | None], Product] = {}
@@ -172,10 +194,8 @@ def make_estimates(
         estimator = estimator_named(filter_name)
         needs = estimator.needs.learnt
         for gamma in gammas if "bounds" in needs else gammas[:1]:
-            inputs: dict[str, Any] = {"walk": walk.digest, "filter": filter_name}
-            inputs["code"] = estimator_code(filter_name)
-            inputs["parameters"] = parameters.of(estimator)
-            inputs["mounting"] = parameters.mounting
+            inputs: dict[str, Any] = {"walk": walk_inputs(walk), "filter": filter_name}
+            inputs |= filter_inputs(filter_name, known)
             if "observers" in needs:
                 inputs["observers"] = sorted(one.digest for one in learnt.observers.values())
             if {"bounds", "persistent"} & set(needs):
@@ -183,10 +203,9 @@ def make_estimates(
                 inputs["bounds"] = sorted(one.digest for one in bounds.values())
 
             def make(path: Path, filter_name: str = filter_name, gamma: float = gamma) -> dict:
-                robot = known_robot(robot_name)
-                result = run_filter(filter_name, log(), robot, loaded(gamma))
+                result = run_filter(filter_name, log(), known, loaded(gamma))
                 error_table(log(), result.trajectory).to_parquet(path, index=False)
-                return estimate_facts(log(), robot, result, loaded(gamma))
+                return estimate_facts(log(), known, result, loaded(gamma))
 
             try:
                 one = product(
@@ -226,10 +245,10 @@ def make_recording(
     bounds = learnt.bounds.get(gamma, {})
     parts = [*learnt.observers.values(), *bounds.values()]
     inputs = {
-        "walk": walk.digest,
-        "ground": repr(job.scenario.ground),
+        "walk": walk_inputs(walk),
+        "recipe": recipe(job),
         "learnt": sorted(one.digest for one in parts),
-        "filters": list(filters),
+        "filters": {name: filter_inputs(name, known_robot(job.robot)) for name in filters},
     }
 
     def make(path: Path) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from surefoot.scenarios.experiments.cache import Product
+from surefoot.scenarios.cache import Product
 from surefoot.scenarios.experiments.file import Condition, Experiment, walk_to_make
 from surefoot.scenarios.experiments.products import (
     LearntFiles,

@@ -19,14 +19,15 @@ from surefoot.models.observer.decimate import RATE
 from surefoot.models.observer.predict import prediction_errors
 from surefoot.models.observer.training import Schedule, train
 from surefoot.models.registry import ARCHITECTURES
+from surefoot.scenarios.cache import contents_digest, finished_case
 from surefoot.scenarios.datasets.simulate import simulate_all
 from surefoot.scenarios.estimate.registry import declared_model
 from surefoot.scenarios.reporting.html import Section
 from surefoot.scenarios.reporting.tables import to_markdown
-from surefoot.scenarios.studies.cases import finished_case
 from surefoot.scenarios.studies.pages import origin_of, write_page, write_results
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
+from surefoot.sim.common.sources import code_digest
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
@@ -73,6 +74,10 @@ class Options:
 def study(options: Options) -> pd.DataFrame:
     """Run what is not yet there, write table.md and table.csv, and return the table."""
     logs = {name: _logs(suite, options.out) for name, suite in SUITES.items()}
+    digests = {
+        name: [[contents_digest(log), Robot.for_log(log).digest] for log in own.values()]
+        for name, own in logs.items()
+    }
     tasks = [
         (suite, model, seed)
         for seed in range(options.seeds)
@@ -86,7 +91,7 @@ def study(options: Options) -> pd.DataFrame:
         row = finished_case(
             options.data or options.out / "trainings",
             "_".join(map(str, inputs.values())),
-            inputs | {"logs": [log.name for log in logs[suite].values()]},
+            inputs | {"logs": digests[suite], "code": code_digest(ARCHITECTURES[model])},
             MODULE,
             partial(_trained_and_tested, logs[suite], SUITES[suite], model, seed, options),
         )

@@ -15,8 +15,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from surefoot.models.observer.observer import log_digest
+from surefoot.models.attribution.evidence import candidates_code
 from surefoot.models.observer.training import DEFAULT, Schedule
+from surefoot.scenarios.cache import contents_digest
 from surefoot.scenarios.estimate.compare import compare_log, prepare_folder
 from surefoot.scenarios.estimate.learning import learn, learnt_in
 from surefoot.scenarios.estimate.registry import Learnt, declared_model
@@ -26,7 +27,8 @@ from surefoot.scenarios.trace.run import trace
 from surefoot.scenarios.trace.words import caution, summary
 from surefoot.sim.common.errors import SurefootError, check_seed
 from surefoot.sim.common.files import whole_file
-from surefoot.sim.effects import Effect, effect
+from surefoot.sim.common.sources import sources_digest
+from surefoot.sim.effects import Effect, declared_effects, effect
 from surefoot.sim.effects.file import load_effects
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
@@ -37,6 +39,7 @@ from surefoot.sim.walking.imitation import WalkingStyle, imitation, slower, walk
 PACES = (1.0, 0.8, 0.6, 0.4)
 """Shares of the measured velocities that are tried until the robot does not fall."""
 RECIPE = "recipe.json"
+MODULE = "surefoot.scenarios.trace.loop"
 
 
 @dataclass(frozen=True)
@@ -75,8 +78,9 @@ def loop(
     log.require("imu", "q", "reference")
     shown = walking_style(*declared_model(log, robot))
     recipe = {
-        "log": log_digest(log),
-        "robot": robot.name,
+        "log": contents_digest(log),
+        "robot": [robot.name, robot.digest],
+        "code": [sources_digest(MODULE), candidates_code()],
         "seed": seed,
         "lesson": asdict(plan),
     }
@@ -86,7 +90,7 @@ def loop(
             path.write_text(json.dumps(recipe, indent=2) + "\n", encoding="utf-8")
         for stale in ("trace/trace.json", "before/done", "after/done"):
             (out / stale).unlink(missing_ok=True)
-    declared = tuple(effect(e["name"], e["target"], e["value"]) for e in log.meta.effects)
+    declared = tuple(declared_effects(log))
     found = _traced(log, robot, out / "trace", seed, declared)
     worlds = {"before": declared, "after": (*declared, *found)} if found else {"before": declared}
     sides = []

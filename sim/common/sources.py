@@ -1,23 +1,49 @@
 """Which sources a module is made of: its own and those of every module that it imports in turn.
 
-Compiled kernels and products of long runs are kept under a digest of them. Modules outside the
-library and outside the package of the first one, numpy say, do not count.
+Compiled kernels and products of long runs are kept under a digest of them. What is installed, numpy
+say, and the standard library do not count, but for the package that the module itself is of.
 """
 
 import ast
 import hashlib
+import re
+import secrets
+import sys
 from functools import cache
+from importlib.machinery import all_suffixes
 from importlib.util import find_spec, resolve_name
 from pathlib import Path
+from typing import Any, NamedTuple
 
 LIBRARY = "surefoot"
+INSTALLED = {"site-packages", "dist-packages"}
+_MEMBER = re.compile(r"([\w.]+):[\w.]+")
+
+
+def code_digest(*members: Any) -> str:
+    """SHA-256 of the code that classes, functions or instances are made of.
+
+    That is `sources_digest` of the modules that define them, in whatever order they are given. A
+    product that depends on what a user chose by name, an effect say, is kept under it.
+    """
+    modules = sorted({member.__module__ for member in members})
+    files = (getattr(sys.modules.get(module), "__file__", None) for module in modules)
+    digests = [sources_digest(module, file) for module, file in zip(modules, files, strict=True)]
+    return hashlib.sha256("".join(digests).encode()).hexdigest()
 
 
 @cache
 def sources_digest(module: str, file: str | None = None) -> str:
-    """SHA-256 of the names and sources of `imported_sources`."""
+    """SHA-256 of the names and sources of `imported_sources`.
+
+    Of a module without any, one typed at a prompt say, it is another in each process: what cannot
+    be compared is made again.
+    """
+    sources = imported_sources(module, file)
+    if not sources:
+        return secrets.token_hex(32)
     digest = hashlib.sha256()
-    for name, path in sorted(imported_sources(module, file).items()):
+    for name, path in sorted(sources.items()):
         digest.update(name.encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()
 
@@ -29,39 +55,68 @@ def imported_sources(module: str, file: str | None = None) -> dict[str, Path]:
         module: its dotted name; a name that no source has yields nothing.
         file: its source, where Python cannot find it by name: a script, a test.
 
-    Counts imports inside functions, relative ones, every package that a name lies in, and what a
-    Registry names as "module:attribute"; not those for type checkers alone. Other imports that are
-    made of strings are not seen.
+    Counts imports inside functions, relative ones, every package that a name lies in, compiled
+    modules, what a Registry names as "module:attribute", and what a package imports by such a
+    string of a dictionary once its key is asked for; not imports for type checkers alone. Other
+    imports that are made of strings are not seen.
     """
     found: dict[str, Path] = {}
     waiting = [module]
-    packages = {LIBRARY, module.partition(".")[0]}
+    own = module.partition(".")[0]
     while waiting:
         name = waiting.pop()
-        if name in found or name.partition(".")[0] not in packages:
+        if name in found or not _counts(name.partition(".")[0], own):
             continue
         path = Path(file) if file and name == module else _source(name)
-        if path is None:
+        if path is None or not path.is_file():
             continue
         found[name] = path
-        is_package = path.name == "__init__.py"
-        stat = path.stat()
-        for level, base, names in _imports(path, stat.st_mtime_ns, stat.st_size):
+        package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+        for level, base, names in _contents(path).imports:
             if level:
-                package = name if is_package else name.rpartition(".")[0]
                 base = resolve_name("." * level + base, package) if package else base
             # `from a import b`: b may be a module itself. A package runs before what lies in it.
-            for one in (base, *(f"{base}.{n}" for n in names)):
+            for one in (base, *(f"{base}.{n}" for n in names), *_imported_late(base, names, own)):
                 parts = one.split(".")
                 waiting += [".".join(parts[: k + 1]) for k in range(len(parts))]
     return found
 
 
+class _Contents(NamedTuple):
+    """Level, module and names of each import of a source; key -> module of its dictionaries."""
+
+    imports: tuple[tuple[int, str, tuple[str, ...]], ...]
+    late: dict[str, str]
+
+
+def _counts(top: str, own: str) -> bool:
+    """Whether a top-level package is the library's, the module's `own`, or not installed."""
+    if top in (LIBRARY, own):
+        return True
+    folders = () if top in sys.stdlib_module_names else _folders(top)
+    return bool(folders) and not any(INSTALLED & set(folder.parts) for folder in folders)
+
+
+def _imported_late(base: str, names: tuple[str, ...], own: str) -> list[str]:
+    """Modules that a package imports when it is asked for the names; "*" asks for all."""
+    path = _source(base) if _counts(base.partition(".")[0], own) else None
+    late = _contents(path).late if path else {}
+    return [late[name] for name in (late if "*" in names else names) if name in late]
+
+
+def _contents(path: Path) -> _Contents:
+    if path.suffix != ".py":
+        return _Contents((), {})
+    stat = path.stat()
+    return _parsed(path, stat.st_mtime_ns, stat.st_size)
+
+
 @cache
-def _imports(path: Path, _changed: int, _size: int) -> tuple[tuple[int, str, tuple[str, ...]], ...]:
-    """Level, module and names of each import of a source."""
-    out: list[tuple[int, str, tuple[str, ...]]] = []
-    waiting: list[ast.AST] = [ast.parse(path.read_bytes())]
+def _parsed(path: Path, _changed: int, _size: int) -> _Contents:
+    imports: list[tuple[int, str, tuple[str, ...]]] = []
+    late: dict[str, str] = {}
+    tree = ast.parse(path.read_bytes())
+    waiting: list[ast.AST] = [tree]
     while waiting:
         node = waiting.pop()
         if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING"):
@@ -69,37 +124,53 @@ def _imports(path: Path, _changed: int, _size: int) -> tuple[tuple[int, str, tup
             continue
         waiting += ast.iter_child_nodes(node)
         if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("Registry"):
-            strings = (n.value for n in ast.walk(node) if isinstance(n, ast.Constant))
-            out += [(0, s.partition(":")[0], ()) for s in strings if type(s) is str and ":" in s]
+            imports += [(0, module, ()) for module in map(_member, ast.walk(node)) if module]
         if isinstance(node, ast.Import):
-            out += [(0, alias.name, ()) for alias in node.names]
+            for alias in node.names:
+                imports.append((0, alias.name, ()))
+                # Any name of what is bound may be asked for later.
+                bound = alias.name if alias.asname else alias.name.partition(".")[0]
+                imports.append((0, bound, ("*",)))
         elif isinstance(node, ast.ImportFrom):
-            out.append((node.level, node.module or "", tuple(a.name for a in node.names)))
-    return tuple(out)
+            imports.append((node.level, node.module or "", tuple(a.name for a in node.names)))
+    for node in tree.body:
+        if isinstance(node, ast.Assign | ast.AnnAssign) and isinstance(node.value, ast.Dict):
+            for key, value in zip(node.value.keys, node.value.values, strict=True):
+                module = _member(value)
+                if module and isinstance(key, ast.Constant):
+                    late[str(key.value)] = module
+    return _Contents(tuple(imports), late)
+
+
+def _member(node: ast.AST) -> str:
+    """The module of a "module:attribute", empty for anything else."""
+    value = node.value if isinstance(node, ast.Constant) else None
+    found = _MEMBER.fullmatch(value) if isinstance(value, str) else None
+    return found[1] if found else ""
 
 
 def _source(module: str) -> Path | None:
     top, _, rest = module.partition(".")
-    folder = _folder(top)
-    if folder is None:
-        return None
-    if folder.suffix == ".py":
-        return None if rest else folder
-    base = folder.joinpath(*rest.split(".")) if rest else folder
-    for path in (base / "__init__.py", base.with_name(f"{base.name}.py")):
-        if path.is_file():
-            return path
+    for folder in _folders(top):
+        if folder.is_file():
+            return None if rest else folder
+        base = folder.joinpath(*rest.split(".")) if rest else folder
+        names = [base / "__init__.py", *(base.with_name(base.name + s) for s in all_suffixes())]
+        for path in names if rest else names[:1]:
+            if path.is_file():
+                return path
     return None
 
 
 @cache
-def _folder(top: str) -> Path | None:
-    """The folder of a top-level package, or the file of a top-level module."""
+def _folders(top: str) -> tuple[Path, ...]:
+    """The folders of a top-level package, several of a namespace, or the file of a module."""
     try:
         spec = find_spec(top)
     except (ImportError, ValueError):  # `__main__`, and modules that were loaded without a spec
-        return None
-    if spec is None or not spec.origin or not spec.origin.endswith(".py"):
-        return None
-    origin = Path(spec.origin)
-    return origin.parent if spec.submodule_search_locations else origin
+        return ()
+    if spec is None:
+        return ()
+    if spec.submodule_search_locations is not None:
+        return tuple(map(Path, spec.submodule_search_locations))
+    return (Path(spec.origin),) if spec.has_location and spec.origin else ()

@@ -6,8 +6,18 @@ from surefoot.sim.effects.catalogue import (
     Effect,
     add,
     compensate_all,
+    declared_effects,
     effect,
     known_effects,
 )
 
-__all__ = ["AXES", "CATALOGUE", "Effect", "add", "compensate_all", "effect", "known_effects"]
+__all__ = [
+    "AXES",
+    "CATALOGUE",
+    "Effect",
+    "add",
+    "compensate_all",
+    "declared_effects",
+    "effect",
+    "known_effects",
+]

@@ -56,7 +56,16 @@ M = TypeVar("M")
 
 K = TypeVar("K", bound=type[Effect])
 
-__all__ = ["AXES", "CATALOGUE", "Effect", "add", "compensate_all", "effect", "known_effects"]
+__all__ = [
+    "AXES",
+    "CATALOGUE",
+    "Effect",
+    "add",
+    "compensate_all",
+    "declared_effects",
+    "effect",
+    "known_effects",
+]
 
 GROUP = "surefoot.effects"
 CATALOGUE: dict[str, type[Effect]] = {
@@ -117,6 +126,11 @@ def effect(name: str, target: str, value: float) -> Effect:
     if name not in known:
         raise SurefootError(f"unknown effect '{name}'; known: {', '.join(known)}")
     return known[name](target, float(value))
+
+
+def declared_effects(log: Log) -> list[Effect]:
+    """The effects that a log declares. Raises SurefootError for one that is not known."""
+    return [effect(e["name"], e["target"], e["value"]) for e in log.meta.effects]
 
 
 def compensate_all(effects: Iterable[Effect], log: Log, robot: M) -> tuple[Log, M]:

@@ -1,5 +1,6 @@
 """A 12-joint quadruped read from its MJCF: legs, feet, IMU and limits, in canonical order."""
 
+import hashlib
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -134,6 +135,18 @@ class Robot:
         """At home: mass [kg], centre of mass (3,) in B [m], principal-axis inertia (3,) about it
         [kg m^2], and the mass of one leg as felt at its foot [kg]."""
         return _inertial(self)
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the model: its file, what that includes as MuJoCo compiles it, and the
+        mounting and feet that are declared."""
+        model = _compile(self.file)
+        compiled = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+        mujoco.mj_saveModel(model, None, compiled)
+        digest = hashlib.sha256(self.file.read_bytes())
+        for values in (compiled, self.p_BI, self.R_BI, self.foot_radius):
+            digest.update(np.ascontiguousarray(values).tobytes())
+        return digest.hexdigest()
 
     def _feet(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         q = np.ascontiguousarray(q, dtype=float)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from surefoot.scenarios.experiments.cache import product
+from surefoot.scenarios.cache import product
 from surefoot.sim.common import sources
 from surefoot.sim.common.sources import sources_digest
 
@@ -16,10 +16,10 @@ def house(tmp_path, monkeypatch):
         (tmp_path / "house" / f"{name}.py").write_text(text)
     monkeypatch.syspath_prepend(str(tmp_path))
     sources_digest.cache_clear()
-    sources._folder.cache_clear()
+    sources._folders.cache_clear()
     yield tmp_path / "house"
     sources_digest.cache_clear()
-    sources._folder.cache_clear()
+    sources._folders.cache_clear()
 
 
 def made(folder, inputs, log):

@@ -3,9 +3,9 @@
 import json
 from dataclasses import replace
 
+from surefoot.scenarios.cache import finished_case
 from surefoot.scenarios.reporting.html import Picture, Section
 from surefoot.scenarios.reporting.plotting import new_figure
-from surefoot.scenarios.studies.cases import finished_case
 from surefoot.scenarios.studies.pages import (
     NOTES,
     Origin,

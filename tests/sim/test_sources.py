@@ -2,11 +2,12 @@
 
 import subprocess
 import sys
+from importlib.machinery import EXTENSION_SUFFIXES
 
 import pytest
 
 from surefoot.sim.common import sources
-from surefoot.sim.common.sources import imported_sources, sources_digest
+from surefoot.sim.common.sources import code_digest, imported_sources, sources_digest
 
 FILES = {
     "named": "from a import Registry\nR = Registry('g', {'one': 'house.alone:z'}, note='x: y')\n",
@@ -36,10 +37,10 @@ def house(tmp_path, monkeypatch):
         path.write_text(text)
     monkeypatch.syspath_prepend(str(tmp_path))
     sources_digest.cache_clear()
-    sources._folder.cache_clear()
+    sources._folders.cache_clear()
     yield tmp_path / "house"
     sources_digest.cache_clear()
-    sources._folder.cache_clear()
+    sources._folders.cache_clear()
 
 
 def test_every_way_to_import_counts(house):
@@ -86,6 +87,72 @@ def test_a_file_that_has_no_name_counts_by_itself(tmp_path):
     found = imported_sources("__main__", str(script))
     assert found["__main__"] == script
     assert "surefoot.sim.common.errors" in found
+
+
+def write(folder, texts):
+    """Sources by name, without their suffix, in a folder."""
+    for name, text in texts.items():
+        path = folder / f"{name}.py"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+
+
+def test_a_package_without_an_init_counts(house, tmp_path):
+    write(tmp_path, {"loose/first": "from loose import second\n", "loose/second": "x = 1\n"})
+    assert set(imported_sources("loose.first")) == {"loose.first", "loose.second"}
+
+
+def test_other_packages_of_a_user_count_and_installed_ones_do_not(house, tmp_path, monkeypatch):
+    write(tmp_path, {"mine": "import helper, taken\n", "helper": "x = 1\n"})
+    write(tmp_path / "site-packages", {"taken": "x = 1\n"})
+    monkeypatch.syspath_prepend(str(tmp_path / "site-packages"))
+    assert set(imported_sources("mine")) == {"mine", "helper"}
+
+
+def test_compiled_modules_count(house, tmp_path):
+    write(tmp_path, {"fast/start": "from fast import core\n"})
+    (tmp_path / "fast" / f"core{EXTENSION_SUFFIXES[0]}").write_bytes(b"\x7fELF 1")
+    before = sources_digest("fast.start")
+    assert set(imported_sources("fast.start")) == {"fast.start", "fast.core"}
+    (tmp_path / "fast" / f"core{EXTENSION_SUFFIXES[0]}").write_bytes(b"\x7fELF 2")
+    sources_digest.cache_clear()
+    assert sources_digest("fast.start") != before
+
+
+def test_a_module_without_a_source_has_another_digest_in_each_process():
+    before = sources_digest("nowhere.at_all")
+    sources_digest.cache_clear()
+    assert sources_digest("nowhere.at_all") != before
+
+
+@pytest.mark.parametrize(
+    ("start", "added"),
+    [
+        ("from late import One\n", {"late.one"}),
+        ("import late\n", {"late.one", "late.two"}),
+        ("from late import *\n", {"late.one", "late.two"}),
+    ],
+)
+def test_what_a_package_imports_when_it_is_asked_counts(house, tmp_path, start, added):
+    homes = "_HOMES = {'One': 'late.one:One', 'Two': 'late.two:Two'}\n"
+    write(tmp_path, {"late/__init__": homes, "late/one": "", "late/two": "", "asking": start})
+    assert set(imported_sources("asking")) == {"asking", "late", *added}
+
+
+def test_a_name_of_the_public_interface_counts(house, tmp_path):
+    write(tmp_path, {"plugin": "from surefoot import Robot\n"})
+    found = imported_sources("plugin")
+    assert "surefoot.sim.robot.robot" in found
+    assert "surefoot.scenarios.trace.run" not in found
+
+
+def test_the_code_of_several_classes_is_that_of_their_modules(house, monkeypatch):
+    kinds = [type(name, (), {"__module__": f"house.{name}"}) for name in ("plain", "beside")]
+    before = code_digest(*kinds)
+    assert code_digest(*reversed(kinds)) == before != code_digest(kinds[0])
+    (house / "beside.py").write_text("y = 3\n")
+    sources_digest.cache_clear()
+    assert code_digest(*kinds) != before
 
 
 CALLER = """

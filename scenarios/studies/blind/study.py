@@ -14,10 +14,11 @@ import numpy as np
 import tyro
 
 from surefoot.models.attribution.diagnose import Diagnosis, diagnose
+from surefoot.models.attribution.evidence import candidates_code
+from surefoot.scenarios.cache import finished_case, read_case
 from surefoot.scenarios.cli.options import Out
 from surefoot.scenarios.stages import processes, stage
 from surefoot.scenarios.studies.blind.outside_effects import OUTSIDE
-from surefoot.scenarios.studies.cases import finished_case, read_case
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
 from surefoot.sim.common.toml import read_toml
@@ -27,6 +28,7 @@ from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
+from surefoot.sim.walking.batch import known_robot
 
 PLAN = bundled("surefoot.scenarios.studies.blind", "study.toml")
 MODULE = "surefoot.scenarios.studies.blind.study"
@@ -200,7 +202,8 @@ def _name(case: Case) -> str:
 def _inputs(case: Case, plan: dict[str, Any]) -> dict[str, Any]:
     effects = [e.as_dict() for e in case.effects]
     drawn = {"kind": case.kind, "robot": case.robot, "seed": case.seed, "effects": effects}
-    return drawn | {"standing": case.standing, "walk": plan["walk"]}
+    known = {"candidates": candidates_code(), "model": known_robot(case.robot).digest}
+    return drawn | known | {"standing": case.standing, "walk": plan["walk"]}
 
 
 @dataclass(frozen=True)

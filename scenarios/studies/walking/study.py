@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from surefoot.scenarios.cache import finished_case, read_case
 from surefoot.scenarios.datasets.index import DRY, measured, recipe
 from surefoot.scenarios.reporting.html import Section
 from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.scenarios.reporting.tables import to_csv, to_markdown
 from surefoot.scenarios.studies.bench.walking import COURSE, Replay
-from surefoot.scenarios.studies.cases import finished_case, read_case
 from surefoot.scenarios.studies.pages import origin_of, write_page
 from surefoot.scenarios.studies.walking.grounds import grounds_for
 from surefoot.sim.common.errors import SurefootError

@@ -1,4 +1,7 @@
-"""Products on disk, each under a key made of all that decides it: made once, found again.
+"""Results of long runs on disk, each found again while all that decides it is as it was.
+
+Products of experiments are files named by a key, a hash of all that decides them; cases of studies
+are JSON rows by a name, which hold what decides them, so that a folder of them can be read.
 
 A key hashes what the product is made from and the source of the code that makes it. An input that
 is itself a product enters by its contents, not by its key: code that changed and made the same
@@ -8,12 +11,15 @@ bits again invalidates nothing further down.
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.common.sources import sources_digest
+from surefoot.sim.log import Log
 
 
 @dataclass(frozen=True)
@@ -72,6 +78,13 @@ def file_digest(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
+def contents_digest(log: Log) -> str:
+    """SHA-256 of all that a log holds: its columns, and what it says of itself."""
+    about = json.dumps([list(log.frame), asdict(log.meta)], sort_keys=True, default=repr)
+    rows = pd.util.hash_pandas_object(log.frame, index=False).to_numpy()
+    return hashlib.sha256(about.encode() + rows.tobytes()).hexdigest()
+
+
 def _read(card: Path, path: Path) -> Product | None:
     try:
         values = json.loads(card.read_text(encoding="utf-8"))
@@ -79,3 +92,40 @@ def _read(card: Path, path: Path) -> Product | None:
     except (OSError, ValueError, KeyError, TypeError):
         return None
     return found if path.exists() else None
+
+
+def finished_case(
+    folder: Path,
+    name: str,
+    inputs: Mapping[str, Any],
+    module: str,
+    make: Callable[[], Mapping[str, Any]],
+) -> dict[str, Any]:
+    """The row of a case: read where it was finished by the same code, else made and written.
+
+    Args:
+        folder: of the study's rows; committed ones lie in docs/data/STUDY.
+        name: of the case, and of its file.
+        inputs: all that decides the case beside the code, as JSON.
+        module: dotted name of the module that runs it; it and all that it imports count.
+        make: runs the case and returns its row, as JSON.
+    """
+    row = read_case(folder, name, inputs, module)
+    if row is None:
+        row = dict(make())
+        values = {"code": sources_digest(module), "inputs": inputs, "row": row}
+        with whole_file(folder / f"{name}.json", force=True) as temporary:
+            temporary.write_text(json.dumps(values, indent=1, default=float), encoding="utf-8")
+    return json.loads(json.dumps(row, default=float))
+
+
+def read_case(
+    folder: Path, name: str, inputs: Mapping[str, Any], module: str
+) -> dict[str, Any] | None:
+    """The row of a case that the same code finished, None where there is none."""
+    try:
+        values = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    current = sources_digest(module), json.loads(json.dumps(inputs, default=float))
+    return values["row"] if (values.get("code"), values.get("inputs")) == current else None

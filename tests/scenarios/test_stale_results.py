@@ -1,0 +1,295 @@
+"""Whatever decides a result is part of what it is kept under: none comes back once that changed."""
+
+import json
+import sys
+from dataclasses import replace
+from importlib import import_module
+
+import pytest
+from own_package import PACKAGES
+
+from surefoot.models.registry import ARCHITECTURES, CALIBRATORS
+from surefoot.models.residuals.registry import BUNDLED
+from surefoot.scenarios import tune
+from surefoot.scenarios.cache import Product
+from surefoot.scenarios.datasets.index import recipe
+from surefoot.scenarios.datasets.simulate import simulate_all
+from surefoot.scenarios.estimate.contract import Learnt
+from surefoot.scenarios.estimate.estimators import ESTIMATORS
+from surefoot.scenarios.estimate.tuned import read_tuned
+from surefoot.scenarios.experiments import products
+from surefoot.scenarios.experiments.file import Learning
+from surefoot.scenarios.experiments.products import LearntFiles
+from surefoot.scenarios.studies import observers
+from surefoot.scenarios.trace import loop
+from surefoot.sim.common import sources
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.sources import imported_sources, sources_digest
+from surefoot.sim.effects import CATALOGUE
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
+from surefoot.sim.walking.batch import Job, known_robot
+
+WALK = Scenario("short", (Segment(1.0, 0.4),), Ground(0.8), "spot_class", stand=0.2)
+
+
+def forget():
+    """As another process would find things."""
+    for one in (
+        sources_digest,
+        sources._folders,
+        known_robot,
+        products.tuned.__globals__["read_tuned"],
+    ):
+        one.cache_clear()
+
+
+@pytest.fixture(autouse=True)
+def fresh():
+    forget()
+    yield
+    forget()
+
+
+@pytest.fixture
+def boots(tmp_path, monkeypatch):
+    """A user's own effect in the catalogue, and the file that it is made of."""
+    text = (PACKAGES / "own_effect" / "rubber_boots.py").read_text()
+    path = tmp_path / "own_boots.py"
+    path.write_text(text)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    sys.modules.pop("own_boots", None)
+    forget()
+    kind = import_module("own_boots").RubberBoots
+    monkeypatch.setitem(CATALOGUE, kind.name, kind)
+    return kind("all", 0.004), path
+
+
+@pytest.fixture
+def machine(tmp_path):
+    """A robot whose file includes another, and that other file."""
+    part = tmp_path / "part.xml"
+    part.write_text(Robot.load("spot_class").file.read_text())
+    (tmp_path / "whole.xml").write_text('<mujoco><include file="part.xml"/></mujoco>')
+    return str(tmp_path / "whole.xml"), part
+
+
+def edited(path):
+    """Change a source in a comment alone, a robot in one number."""
+    text = path.read_text()
+    path.write_text(
+        text.replace('damping="', 'damping="1') if path.suffix == ".xml" else text + "# x\n"
+    )
+    assert path.read_text() != text
+    forget()
+
+
+@pytest.mark.parametrize(
+    ("registry", "holder"),
+    [
+        (ESTIMATORS.bundled, "surefoot.scenarios.estimate.estimators"),
+        (ARCHITECTURES.bundled, "surefoot.models.registry"),
+        (CALIBRATORS.bundled, "surefoot.models.registry"),
+        ({kind.name: kind for kind in BUNDLED}, "surefoot.models.residuals.registry"),
+        (CATALOGUE, "surefoot.sim.effects.catalogue"),
+    ],
+)
+def test_every_member_of_a_registry_counts_where_it_is_named(registry, holder):
+    found = imported_sources(holder)
+    for name, member in registry.items():
+        module = member.partition(":")[0] if isinstance(member, str) else member.__module__
+        assert module in found, name
+
+
+@pytest.mark.parametrize(
+    "module",
+    [
+        "surefoot.scenarios.viewer.recording",
+        "surefoot.scenarios.experiments.products",
+        "surefoot.scenarios.studies.hardware.go1",
+        "surefoot.scenarios.studies.blind.study",
+        "surefoot.scenarios.tune",
+    ],
+)
+def test_whatever_runs_filters_is_made_of_the_bundled_ones(module):
+    found = imported_sources(module)
+    assert {"surefoot.scenarios.estimate.bundled", "surefoot.estimator.filters.leg"} & set(found)
+    assert ESTIMATORS["leg"].__module__ in found
+
+
+def test_a_walk_depends_on_what_its_robot_includes(machine):
+    name, part = machine
+    before = recipe(Job(WALK, name, 0))
+    assert recipe(Job(WALK, name, 0)) == before
+    edited(part)
+    assert recipe(Job(WALK, name, 0)) != before
+
+
+def test_a_walk_depends_on_the_code_of_simulation_and_of_its_effects(boots, monkeypatch):
+    effect, path = boots
+    job = Job(WALK, "spot_class", 0, (effect,))
+    before, hidden = recipe(job), recipe(replace(job, declared=False))
+    edited(path)
+    assert recipe(job) != before
+    assert recipe(replace(job, declared=False)) == hidden
+    index = "surefoot.scenarios.datasets.index.sources_digest"
+    monkeypatch.setattr(index, lambda module: "other code")
+    assert recipe(Job(WALK, "spot_class", 0)) != hidden
+
+
+def test_hidden_effects_of_other_code_are_refused(boots, tmp_path):
+    path = boots[1]
+    (tmp_path / "short.toml").write_text(
+        'robot = "spot_class"\nstand = 0.2\nsegment = [{ duration = 1.0, forward = 0.4 }]\n'
+    )
+    (tmp_path / "effects.toml").write_text(
+        '[[effect]]\nname = "rubber_boots"\ntarget = "all"\nvalue = 0.004\nunit = "m"\n'
+    )
+
+    def simulate():
+        files = [tmp_path / "short.toml"], tmp_path / "walks"
+        return simulate_all(*files, effects=tmp_path / "effects.toml", undeclared=True)
+
+    assert simulate()[0].sha256 == simulate()[0].sha256
+    edited(path)
+    with pytest.raises(SurefootError, match="other code of them"):
+        simulate()
+
+
+class Found(Exception):
+    """The inputs of the product that was asked for."""
+
+
+@pytest.fixture
+def keys(tmp_path, monkeypatch):
+    """Product -> the inputs that it is kept under, for a walk of the robot with the effect."""
+
+    def asked(folder, kind, inputs, code, suffix, make):
+        raise Found(json.dumps(inputs))
+
+    monkeypatch.setattr(products, "product", asked)
+
+    def inputs_of(make, *arguments):
+        with pytest.raises(Found) as found:
+            make(tmp_path, *arguments)
+        return found.value.args[0]
+
+    def all_inputs(robot, effect):
+        job = Job(WALK, robot, 0, (effect,))
+        made = Product(tmp_path / "walk", "0", {"robot": robot, "declared": [effect.name]})
+        other = Product(tmp_path / "other", "1", {})
+        filters = LearntFiles({}, {}), ["leg"]
+        return {
+            "walk": inputs_of(products.make_walk, job),
+            "observer": inputs_of(products.make_observer, [("a", made)], Learning(), "mse", 0),
+            "bounds": inputs_of(products.make_bounds, other, ("a", made), 0.9, "conformal"),
+            "estimate": inputs_of(products.make_estimates, made, "a", robot, *filters, [0.9]),
+            "recording": inputs_of(products.make_recording, made, job, *filters, 0.9),
+        }
+
+    return all_inputs
+
+
+def test_every_product_depends_on_the_code_of_its_effects(keys, boots):
+    effect, path = boots
+    before = keys("spot_class", effect)
+    assert keys("spot_class", effect) == before
+    edited(path)
+    after = keys("spot_class", effect)
+    assert [kind for kind in before if after[kind] == before[kind]] == []
+
+
+def test_every_product_depends_on_its_robot(keys, boots, machine):
+    name, part = machine
+    before = keys(name, boots[0])
+    edited(part)
+    after = keys(name, boots[0])
+    assert [kind for kind in before if after[kind] == before[kind]] == []
+
+
+@pytest.mark.parametrize("changed", ["mounting", "parameter"])
+def test_estimates_and_recordings_depend_on_what_filters_are_tuned_to(
+    keys, boots, tmp_path, monkeypatch, changed
+):
+    before = keys("spot_class", boots[0])
+    entry = read_tuned()["default"]
+    if changed == "mounting":
+        entry = replace(entry, mounting=0.5)
+    else:
+        first = ESTIMATORS["leg"]().parameters[0].name
+        entry = replace(entry, filters=entry.filters | {"leg": {first: 0.123}})
+    tune.write_tuned(tmp_path / "tuned.toml", {"default": entry})
+    monkeypatch.setenv("SUREFOOT_TUNED", str(tmp_path / "tuned.toml"))
+    after = keys("spot_class", boots[0])
+    differing = [kind for kind in before if after[kind] != before[kind]]
+    assert differing == ["estimate", "recording"]
+
+
+def test_estimates_and_recordings_depend_on_the_code_of_filters(keys, boots, monkeypatch):
+    before = keys("spot_class", boots[0])
+    monkeypatch.setattr(products, "estimator_code", lambda name: "other code")
+    after = keys("spot_class", boots[0])
+    assert [kind for kind in before if after[kind] != before[kind]] == ["estimate", "recording"]
+
+
+def test_a_search_depends_on_robot_and_effects(boots, machine, tmp_path, monkeypatch):
+    effect, path = boots
+    name, part = machine
+    log = walk(WALK, Robot.load(name), 0, [effect])
+    log.write(tmp_path / "log.parquet")
+    asked = []
+    monkeypatch.setattr(tune, "finished_case", lambda *given: asked.append(given[2]))
+    for change in (None, path, part):
+        if change:
+            edited(change)
+        tune.search_filter("leg", [tmp_path / "log.parquet"], name, Learnt(), 1, 5.0, tmp_path)
+    assert asked[0] != asked[1] != asked[2] != asked[0]
+
+
+def test_a_training_depends_on_the_logs_and_on_the_network(tmp_path, monkeypatch):
+    asked = []
+
+    def finished_case(folder, name, inputs, *_):
+        asked.append(json.dumps(inputs))
+        raise Found
+
+    monkeypatch.setattr(observers, "finished_case", finished_case)
+    log = walk(WALK, Robot.load("spot_class"), 0)
+    for shift, code in ((0.0, "one"), (0.0, "one"), (1e-9, "one"), (0.0, "other")):
+        seen = replace(log, frame=log.frame.assign(gyro_x=log.frame["gyro_x"] + shift))
+        monkeypatch.setattr(observers, "_logs", lambda *_, seen=seen: {"walk": seen})
+        monkeypatch.setattr(observers, "code_digest", lambda *_, code=code: code)
+        with pytest.raises(Found):
+            observers.study(observers.Options(tmp_path, seeds=1))
+    assert asked[0] == asked[1]
+    assert len(set(asked)) == 3
+
+
+def test_a_loop_depends_on_log_robot_and_code(boots, machine, tmp_path, monkeypatch):
+    name, part = machine
+    log = walk(WALK, Robot.load(name), 0)
+
+    def stop(*_):
+        raise Found
+
+    monkeypatch.setattr(loop, "_traced", stop)
+    monkeypatch.setattr(loop, "walking_style", lambda *_: None)
+
+    def recipe_of(log):
+        with pytest.raises(Found):
+            loop.loop(log, Robot.load(name), tmp_path / "loop", force=True)
+        found = json.loads((tmp_path / "loop" / loop.RECIPE).read_text())
+        with pytest.raises(Found):  # the same folder goes on
+            loop.loop(log, Robot.load(name), tmp_path / "loop")
+        return json.dumps(found)
+
+    found = [recipe_of(log)]
+    found.append(recipe_of(replace(log, meta=replace(log.meta, model={"ground_evenness": 0.01}))))
+    found.append(recipe_of(replace(log, frame=log.frame.assign(gyro_x=0.0))))
+    edited(part)
+    found.append(recipe_of(log))
+    edited(boots[1])
+    found.append(recipe_of(log))
+    assert len(set(found)) == 5
