@@ -23,4 +23,6 @@ def test_a_log_is_estimated_as_it_was():
     assert_allclose(now.t, before.t, rtol=0, atol=0)
     assert_allclose(now.p_GI, before.p_GI, rtol=0, atol=1e-12)
     assert_allclose(now.R_GI, before.R_GI, rtol=0, atol=1e-12)
+    assert now.covariance is not None
+    assert before.covariance is not None
     assert_allclose(now.covariance, before.covariance, rtol=1e-9, atol=1e-15)
