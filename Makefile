@@ -31,9 +31,10 @@ docs: setup
 	$(BIN)/mkdocs build --strict
 	$(BIN)/python -m surefoot.scenarios.studies.pages docs/results
 
-# The README's table from a demo of this commit.
+# The README's table and picture from a demo of this commit.
 readme: demo
 	$(BIN)/python docs/readme_table.py out/demo
+	$(BIN)/python docs/viewer_picture.py out/demo
 
 study: setup
 	$(BIN)/pytest -m slow -s
