@@ -4,6 +4,7 @@
 Vulkan driver, on Debian mesa-vulkan-drivers, and no screen.
 """
 
+import os
 import sys
 import time
 from pathlib import Path
@@ -19,6 +20,8 @@ PATIENCE = 60.0
 
 def draw(recording: Path) -> None:
     """Open the recording in a headless viewer and save its window."""
+    # The viewer lies beside this Python, which need not be on the path.
+    os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     client = ViewerClient.spawn(headless=True)
     client.open(str(recording))
     deadline = time.monotonic() + PATIENCE
