@@ -14,7 +14,7 @@ from surefoot.estimator.core.lie import hats
 from surefoot.estimator.evaluation.trajectory import Trajectory, TrajectoryError
 from surefoot.sim.common.stamps import rows_every
 
-RATE = 100.0
+METRICS_RATE = 100.0
 """Hz. The rate at which metrics are taken."""
 MATCH = 1e-3
 """s. Two stamps closer than this are the same sample."""
@@ -84,7 +84,7 @@ def evaluate(reference: Trajectory, estimate: Trajectory) -> Metrics:
         nees_attitude=_mean(consistency.attitude),
         pi_below_gamma=100.0 * _mean(active) if coverage else np.nan,
         duration=float(reference.t[-1] - reference.t[0]),
-        length=path_length(reference),
+        length=path_length(reference.t, reference.p_GI),
         samples=len(reference.t),
         segments=len(rpe_trans),
     )
@@ -102,7 +102,7 @@ def matched(reference: Trajectory, estimate: Trajectory) -> tuple[Trajectory, Tr
     rows = np.flatnonzero(np.abs(reference.t[nearest] - estimate.t) <= MATCH)
     if len(rows) < 2:
         raise TrajectoryError("metrics: reference and estimate have no two stamps in common")
-    slots = np.floor((estimate.t[rows] - estimate.t[rows[0]]) * RATE + 1e-3)
+    slots = np.floor((estimate.t[rows] - estimate.t[rows[0]]) * METRICS_RATE + 1e-3)
     rows = rows[np.unique(slots, return_index=True)[1]]
     return reference.rows(nearest[rows]), estimate.rows(rows)
 
@@ -205,11 +205,10 @@ def velocity_jacobian(v: np.ndarray) -> np.ndarray:
     return np.concatenate([-hats(v), _eyes(len(v)), np.zeros((len(v), 3, 3))], axis=2)
 
 
-def path_length(trajectory: Trajectory, every: float = 0.5) -> float:
-    """Path length [m] of the positions sampled every 0.5 s, so that a gait's bob does not count."""
-    t = trajectory.t
+def path_length(t: np.ndarray, p: np.ndarray, every: float = 0.5) -> float:
+    """Length [m] of a path p (N, 3) at t (N,), sampled every 0.5 s: a gait's bob does not count."""
     rows = np.append(rows_every(t, every), len(t) - 1)
-    return float(np.linalg.norm(np.diff(trajectory.p_GI[rows], axis=0), axis=1).sum())
+    return float(np.linalg.norm(np.diff(p[rows], axis=0), axis=1).sum())
 
 
 def _normalised(error: np.ndarray, J: np.ndarray, S: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from surefoot.models.observer.observer import Observer
 from surefoot.models.observer.predict import prediction_errors
 from surefoot.scenarios.estimate.compare import compare_log, prepare_folder, write_comparison
 from surefoot.scenarios.estimate.learning import learn
-from surefoot.scenarios.estimate.registry import Learnt
+from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.reporting.html import Picture, Section, save_picture
 from surefoot.scenarios.reporting.observer_errors import error_section
 from surefoot.scenarios.reporting.observer_figures import mixing_curve
@@ -31,7 +31,7 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario
 from surefoot.sim.walk import plan, walk
 
-ROLES = ("train", "calibrate", "walk")
+WALKS = ("train", "calibrate", "walk")
 
 UNDECLARED: tuple[tuple[str, tuple[str, ...], tuple[float, float]], ...] = (
     ("encoder_offset", ("FL_thigh", "FR_calf", "RL_calf", "RR_thigh"), (0.015, 0.05)),
@@ -53,7 +53,7 @@ def demo(out: Path, seed: int = 0, force: bool = False) -> pd.DataFrame:
     check_seed(seed)
     prepare_folder(out, force)
     robot = Robot.load("spot_class")
-    logs = {role: _walk(role, robot, _seed(role, seed), out, force) for role in ROLES}
+    logs = {role: _walk(role, robot, _seed(role, seed), out, force) for role in WALKS}
     print("training two observers on one walk: mean squared error, Gaussian likelihood")
     learnt = learn([logs["train"]], logs["calibrate"], out, seed, force=force)
     print("\nevery filter, on a walk that nothing was trained on")
@@ -79,7 +79,7 @@ def _scenario(role: str) -> Scenario:
 
 def _seed(role: str, seed: int) -> int:
     """Another seed a walk: the same robot, switched on anew, on ground laid anew."""
-    return 4 * seed + ROLES.index(role)
+    return 4 * seed + WALKS.index(role)
 
 
 def _walk(role: str, robot: Robot, seed: int, out: Path, force: bool) -> Log:
@@ -166,7 +166,7 @@ def _errors_table(learnt: Learnt, logs: dict[str, Log]) -> list[dict[str, object
     observer: Observer
     bounds: Bounds
     for observer, bounds in zip(learnt.observers, learnt.bounds, strict=True):
-        for role in ROLES:
+        for role in WALKS:
             errors = prediction_errors(observer, logs[role])[1]
             rms = np.sqrt((errors**2).mean(axis=0))
             row: dict[str, object] = {"loss": observer.loss, "walk": role}

@@ -26,7 +26,7 @@ from surefoot.estimator.metrics import Metrics, evaluate
 from surefoot.scenarios.cache import file_digest, finished_case
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_code, estimator_named
-from surefoot.scenarios.estimate.registry import declared_model, estimated
+from surefoot.scenarios.estimate.run import declared_model, estimated
 from surefoot.scenarios.estimate.tuned import Parameters, Tuned, read_tuned, tuned, tuned_file
 from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.scenarios.stages import processes, stage
@@ -40,7 +40,7 @@ from surefoot.sim.robot import Robot
 PRICE = 0.3
 SHARES, NEES = (1e-5, 1.0), (0.01, 1000.0)
 """To which APE as a share of the path, and NEES, are clipped."""
-STEP = 4.0
+FIRST_FACTOR = 4.0
 """Factor of the first steps."""
 FINEST = 1.02
 """Factor at which a search ends."""
@@ -65,7 +65,7 @@ def search(
         raise SurefootError(f"budget: {budget} where a whole number >= 1 is expected")
     best = first = dict(start)
     lowest = first_price = price(first)
-    tried, step = {_key(first)}, STEP
+    tried, step = {_key(first)}, FIRST_FACTOR
     while len(tried) < budget and step > FINEST:
         improved = False
         for name in start:

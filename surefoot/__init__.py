@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from surefoot.models.observer.training import train
     from surefoot.scenarios.estimate.compare import compare_log as compare
     from surefoot.scenarios.estimate.contract import Learnt
-    from surefoot.scenarios.estimate.registry import run_filter
+    from surefoot.scenarios.estimate.run import run_filter
     from surefoot.scenarios.trace.run import trace
     from surefoot.sim.log import Log
     from surefoot.sim.robot import Robot
@@ -50,7 +50,7 @@ _HOMES = {
     "calibrate": "surefoot.models.calibration.calibrate:calibrate",
     "compare": "surefoot.scenarios.estimate.compare:compare_log",
     "evaluate": "surefoot.estimator.metrics:evaluate",
-    "run_filter": "surefoot.scenarios.estimate.registry:run_filter",
+    "run_filter": "surefoot.scenarios.estimate.run:run_filter",
     "trace": "surefoot.scenarios.trace.run:trace",
     "train": "surefoot.models.observer.training:train",
     "walk": "surefoot.sim.walk:walk",

@@ -13,7 +13,12 @@ import numpy as np
 from numpy.polynomial import Legendre
 from scipy.ndimage import uniform_filter1d
 
-from surefoot.models.attribution.evidence import Evidence, LogUnderModel, joined, wrt_columns
+from surefoot.models.attribution.evidence import (
+    Evidence,
+    LogUnderModel,
+    joined_regressor,
+    wrt_columns,
+)
 from surefoot.models.attribution.fit import design, fit, loss, normal_equations
 from surefoot.models.attribution.search import Attribution
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
@@ -96,7 +101,7 @@ def _with_curves(
 
     per_log = [wrt_columns(case, effects, basis) for case in cases]
     starts = np.searchsorted(known.log, np.arange(len(cases) + 1))
-    curves = tuple(joined(list(parts), starts) for parts in zip(*per_log, strict=True))
+    curves = tuple(joined_regressor(list(parts), starts) for parts in zip(*per_log, strict=True))
     each = len(curves) // len(joints)
     names = tuple((f"curve {j}", str(i)) for j in joints for i in range(each))
     return replace(known, keys=(*known.keys, *names), X=(*known.X, *curves))

@@ -142,11 +142,11 @@ def linearise(
     if before is not None and len(before.t) == starts[-1]:
         own = {(e.name, e.target) for e in chosen}
         X = tuple(
-            joined([p.regressor(key) for p in parts], starts) if key in own else one
+            joined_regressor([p.regressor(key) for p in parts], starts) if key in own else one
             for key, one in zip(before.keys, before.X, strict=True)
         )
         return replace(before, table=np.concatenate(tables), X=X)
-    X = tuple(joined([p.regressor(key) for p in parts], starts) for key in keys)
+    X = tuple(joined_regressor([p.regressor(key) for p in parts], starts) for key in keys)
     Z, limits, stands_for = [], [], []
     for i, part in enumerate(parts):
         for one, limit, key in part.free():
@@ -328,7 +328,7 @@ def _change(
     return change
 
 
-def joined(parts: Sequence[Regressor], starts: np.ndarray) -> Regressor:
+def joined_regressor(parts: Sequence[Regressor], starts: np.ndarray) -> Regressor:
     """One regressor over several logs."""
     if len(parts) == 1:
         return parts[0]

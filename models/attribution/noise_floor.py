@@ -32,7 +32,7 @@ from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 from surefoot.sim.walking.imitation import PIECE, body_twists
 
-Course = tuple[tuple[float, float, float], ...]
+Twists = tuple[tuple[float, float, float], ...]
 Groups = tuple[str, ...]
 
 
@@ -54,7 +54,7 @@ class FloorPlan:
     is."""
 
     file: Path
-    courses: tuple[Course, ...]
+    courses: tuple[Twists, ...]
     groups: Groups
     evenness: float
     coarse: Coarse | None
@@ -206,7 +206,7 @@ def _least(layout: Layout) -> np.ndarray:
     return least
 
 
-def courses(logs: Sequence[Log], settings: TraceSettings = DEFAULT) -> list[Course]:
+def courses(logs: Sequence[Log], settings: TraceSettings = DEFAULT) -> list[Twists]:
     """Commanded forward, lateral velocity [m/s] and turn [rad/s] a second, for each repeat; none
     where the robot stands on all its feet throughout."""
     if all(log.has("contact") and np.mean(log.contact) > settings.standing_share for log in logs):
@@ -224,7 +224,7 @@ def courses(logs: Sequence[Log], settings: TraceSettings = DEFAULT) -> list[Cour
 
 @lru_cache(maxsize=16)
 def _repeat(
-    plan: FloorPlan, course: Course, seed: int, effects: tuple[Effect, ...], known: tuple[str, ...]
+    plan: FloorPlan, course: Twists, seed: int, effects: tuple[Effect, ...], known: tuple[str, ...]
 ) -> Repeat | None:
     """One walk, fitted with the `known` effects; None where the robot falls at every speed.
 

@@ -47,7 +47,7 @@ def sparse_regression(
         seen: (M,) bool, bins of the forward selection.
         unseen: (M,) bool, bins on which shares are computed.
     """
-    names, values = library(cases)
+    names, values = regressor_library(cases)
     layout = layout_of(cases[0].log.joints)
     found = []
     for place, channel in enumerate(channels):
@@ -70,7 +70,7 @@ def sparse_regression(
     return tuple(one for _, one in sorted(found, key=lambda pair: pair[0]))
 
 
-def library(cases: Sequence[LogUnderModel]) -> tuple[tuple[str, ...], np.ndarray]:
+def regressor_library(cases: Sequence[LogUnderModel]) -> tuple[tuple[str, ...], np.ndarray]:
     """Names and values (M, R) of the regressors: bin means, each of unit spread."""
     tables = []
     names: list[str] = []

@@ -37,9 +37,9 @@ from surefoot.models.calibration.conformal import conformal_quantile, level_per_
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import kernel
 
-BLOCK = 0.5
+MIXING_BLOCK = 0.5
 """s: over this the mixing part is averaged; a trot's stride, whose errors come again each time."""
-WINDOW = 0.25
+BOUNDED_MEAN = 0.25
 """s: the mean over this is what `epsilon` bounds; half a stride, at which a trot's legs swap."""
 LEAST = 20
 """Blocks in all: fewer do not identify the persistent part."""
@@ -138,11 +138,11 @@ _SHAPES |= dict.fromkeys(("covariance", "course", "within"), (3, 3))
 
 def long_enough(errors: np.ndarray, dt: float) -> bool:
     """Whether a sequence of errors (N, 3) every dt [s] has enough blocks for a persistent part."""
-    return len(errors) // round(BLOCK / dt) >= LEAST
+    return len(errors) // round(MIXING_BLOCK / dt) >= LEAST
 
 
 def estimate_bias_model(
-    errors: np.ndarray | Sequence[np.ndarray], dt: float, gamma: float, window: float = WINDOW
+    errors: np.ndarray | Sequence[np.ndarray], dt: float, gamma: float, window: float = BOUNDED_MEAN
 ) -> BiasModel:
     """The persistent part of errors (N, 3) [m/s] sampled every dt [s], one sequence or several.
 
@@ -150,11 +150,13 @@ def estimate_bias_model(
     where there are fewer than LEAST blocks, or too few windows for a bound.
     """
     sequences = [errors] if isinstance(errors, np.ndarray) else list(errors)
-    size = max(1, round(BLOCK / dt))
+    size = max(1, round(MIXING_BLOCK / dt))
     means = [block_means(part, size) for part in sequences]
     blocks = sum(map(len, means))
     if blocks < LEAST:
-        raise SurefootError(f"{blocks} blocks of {BLOCK:g} s; the persistent part needs {LEAST}")
+        raise SurefootError(
+            f"{blocks} blocks of {MIXING_BLOCK:g} s; the persistent part needs {LEAST}"
+        )
     y, fresh = np.concatenate(means), np.concatenate([np.arange(len(m)) == 0 for m in means])
     ratio, variance, tau, interval, tau_interval = _fit(y, fresh, size * dt)
     nu = sum(1.0 + (0.0 if math.isinf(tau) else len(m) * size * dt / tau) for m in means)

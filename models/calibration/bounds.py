@@ -15,8 +15,8 @@ from surefoot.models.calibration.mixing import Mixing
 from surefoot.models.observer.observer import Observer
 from surefoot.sim.common.files import whole_file
 
-FORMAT = "surefoot bounds"
-SCHEMA = 1
+BOUNDS_FORMAT = "surefoot bounds"
+BOUNDS_SCHEMA = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ class Bounds:
 
     def save(self, path: str | Path, force: bool = False) -> None:
         """Write them as JSON, whole or not at all. Raises SurefootError where `path` exists."""
-        values = {"format": FORMAT, "schema": SCHEMA} | asdict(self)
+        values = {"format": BOUNDS_FORMAT, "schema": BOUNDS_SCHEMA} | asdict(self)
         if self.persistent is not None:
             values["persistent"] = self.persistent.plain()
         text = json.dumps(values, indent=1, default=lambda array: array.tolist(), allow_nan=False)
@@ -87,11 +87,11 @@ class Bounds:
             raise BoundsError(f"{path}: cannot be read ({error.strerror})") from error
         except ValueError as error:
             raise BoundsError(f"{path}: not JSON, truncated? ({error})") from error
-        if not isinstance(values, dict) or values.pop("format", None) != FORMAT:
+        if not isinstance(values, dict) or values.pop("format", None) != BOUNDS_FORMAT:
             raise BoundsError(f"{path}: not surefoot bounds")
         schema = values.pop("schema", None)
-        if schema != SCHEMA:
-            raise BoundsError(f"{path}: schema {schema}, this surefoot reads {SCHEMA}")
+        if schema != BOUNDS_SCHEMA:
+            raise BoundsError(f"{path}: schema {schema}, this surefoot reads {BOUNDS_SCHEMA}")
         try:
             return _checked(values)
         except (KeyError, TypeError, ValueError) as error:

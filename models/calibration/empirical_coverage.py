@@ -11,7 +11,7 @@ from surefoot.sim.log import Log
 
 
 @dataclass(frozen=True)
-class Coverage:
+class EmpiricalCoverage:
     """Share of errors within their bounds, and the interval of the true share.
 
     per_axis (3,) and joint, over all errors; per_axis_interval (3, 2) and joint_interval (2,) at
@@ -26,7 +26,7 @@ class Coverage:
     confidence: float
 
 
-def coverage(errors: np.ndarray, bounds: Bounds, confidence: float = 0.95) -> Coverage:
+def coverage(errors: np.ndarray, bounds: Bounds, confidence: float = 0.95) -> EmpiricalCoverage:
     """How often errors (M, 3), at 100 Hz, kept within their bounds.
 
     Neighbouring errors are not independent: the interval counts M / K of them, with the K that the
@@ -37,7 +37,7 @@ def coverage(errors: np.ndarray, bounds: Bounds, confidence: float = 0.95) -> Co
         raise BoundsError(f"{len(errors)} errors are not one independent trial at K = {bounds.K}")
     inside = np.abs(errors) <= bounds.epsilon
     per_axis, joint = inside.mean(axis=0), float(inside.all(axis=1).mean())
-    return Coverage(
+    return EmpiricalCoverage(
         per_axis=per_axis,
         joint=joint,
         per_axis_interval=np.array([binomial_interval(p, n, confidence) for p in per_axis]),

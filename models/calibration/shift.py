@@ -15,14 +15,14 @@ import numpy as np
 
 from surefoot.sim.common.kernels import kernel
 
-BLOCK = 100
+UPDATES_OF_BLOCK = 100
 """Updates in a block: 1 s, two strides or so, for errors repeat with the stride."""
-SETTLING = 1
+SETTLING_BLOCKS = 1
 """Blocks at a walk's beginning that are left out: the filter is converging."""
 FALSE_ALARM = 0.01
 """Chance that a walk like the calibration's ever raises the alarm."""
 STAKES = np.array([0.0, 1.0, 2.0])
-JUMP = 0.01
+RESTART = 0.01
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,10 @@ class Alarm:
 
 def block_sizes(squared: np.ndarray) -> np.ndarray:
     """Root mean square (m,) of normalised innovations over whole blocks of `squared` (M,)."""
-    m = len(squared) // BLOCK
-    return np.sqrt(squared[: m * BLOCK].reshape(m, BLOCK).mean(axis=1))[SETTLING:]
+    m = len(squared) // UPDATES_OF_BLOCK
+    return np.sqrt(squared[: m * UPDATES_OF_BLOCK].reshape(m, UPDATES_OF_BLOCK).mean(axis=1))[
+        SETTLING_BLOCKS:
+    ]
 
 
 def shift_alarm(
@@ -53,7 +55,7 @@ def shift_alarm(
     """
     wealth = fortune(calibration, seen)
     raised = np.flatnonzero(wealth >= 1 / chance)
-    at = float((raised[0] + SETTLING + 1) * period) if len(raised) else None
+    at = float((raised[0] + SETTLING_BLOCKS + 1) * period) if len(raised) else None
     return Alarm(wealth, at, chance)
 
 
@@ -67,7 +69,7 @@ def fortune(calibration: np.ndarray, seen: np.ndarray) -> np.ndarray:
     for k in range(len(seen)):
         size = everything[n + k]
         p = (np.sum(everything[: n + k] >= size) + 1) / (n + k + 1)
-        purse = (1 - JUMP) * purse + JUMP * purse.mean()
+        purse = (1 - RESTART) * purse + RESTART * purse.mean()
         purse = purse * (1 + STAKES * (0.5 - p))
         wealth[k] = purse.sum()
     return wealth
@@ -83,7 +85,7 @@ def inflation(calibration: np.ndarray, squared: np.ndarray, alarm: Alarm) -> np.
         return np.ones(len(squared))
     total = np.concatenate(([0.0], np.cumsum(squared)))
     last = np.arange(1, len(squared) + 1)
-    first = np.maximum(last - BLOCK, 0)
+    first = np.maximum(last - UPDATES_OF_BLOCK, 0)
     size = np.sqrt((total[last] - total[first]) / (last - first))
     grown = np.maximum(size / np.median(calibration), 1.0)
-    return np.where(last > alarm.at * BLOCK, grown, 1.0)
+    return np.where(last > alarm.at * UPDATES_OF_BLOCK, grown, 1.0)

@@ -18,10 +18,10 @@ STILL = 0.05
 """m/s, over the same two seconds."""
 QUARTERS = ("first", "second", "third", "last")
 
-Condition = tuple[str, str, np.ndarray]
+ConditionRows = tuple[str, str, np.ndarray]
 
 
-def walking_conditions(log: Log, rows: np.ndarray) -> Iterator[Condition]:
+def walking_conditions(log: Log, rows: np.ndarray) -> Iterator[ConditionRows]:
     """(split, case, which of `rows` fall into it (M,)) for every split whose columns the log has.
 
     terrain: level, climbing, descending, by the reference path. motion: standing, straight,
@@ -44,7 +44,7 @@ def walking_conditions(log: Log, rows: np.ndarray) -> Iterator[Condition]:
             yield "stride", f"{name} quarter", np.floor(4 * phase) == k
 
 
-def _path(log: Log, rows: np.ndarray) -> Iterator[Condition]:
+def _path(log: Log, rows: np.ndarray) -> Iterator[ConditionRows]:
     second = max(1, round(log.rate))
     ahead, behind = np.minimum(rows + second, len(log.t) - 1), np.maximum(rows - second, 0)
     step = log.ref_p[ahead] - log.ref_p[behind]

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from surefoot.models.calibration.conformal import least_rank, level_per_axis
-from surefoot.models.calibration.shift import BLOCK
+from surefoot.models.calibration.shift import UPDATES_OF_BLOCK
 
 RIDGE = 1.0
 """Prior precision of a regression weight on standardised features: few seconds, many inputs."""
@@ -20,8 +20,8 @@ RIDGE = 1.0
 
 def features(x: np.ndarray) -> np.ndarray:
     """What a second of inputs looks like: means and log deviations (m, 2 C) of scaled x (M, C)."""
-    m = len(x) // BLOCK
-    blocks = x[: m * BLOCK].reshape(m, BLOCK, -1)
+    m = len(x) // UPDATES_OF_BLOCK
+    blocks = x[: m * UPDATES_OF_BLOCK].reshape(m, UPDATES_OF_BLOCK, -1)
     return np.hstack([blocks.mean(axis=1), np.log(blocks.std(axis=1) + 1e-3)])
 
 
@@ -74,10 +74,13 @@ def weighted_bounds(
     # As many equally weighted seconds would know as much (Kish).
     if ours.sum() ** 2 / (ours**2).sum() < least_rank(gamma):
         return None
-    errors = errors[: len(ours) * BLOCK]
+    errors = errors[: len(ours) * UPDATES_OF_BLOCK]
     scale = np.sqrt((errors**2).mean(axis=0))
     scores = (np.abs(errors) / scale).max(axis=1)
     radius = weighted_quantile(
-        scores, np.repeat(ours / BLOCK, BLOCK), float(np.median(theirs)), gamma
+        scores,
+        np.repeat(ours / UPDATES_OF_BLOCK, UPDATES_OF_BLOCK),
+        float(np.median(theirs)),
+        gamma,
     )
     return None if radius is None else radius * scale

@@ -12,7 +12,7 @@ from surefoot.models.observer.decimate import RATE
 from surefoot.models.observer.imu_mounting import Mounted, same_mounting
 from surefoot.models.observer.observer import ObserverError, observer_inputs
 from surefoot.models.observer.odometry import Kinematics, LegGeometry, leg_geometry
-from surefoot.models.observer.samples import body_velocity, samples
+from surefoot.models.observer.samples import body_velocity, observer_samples
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
@@ -55,7 +55,7 @@ def prepare(logs: Sequence[Log], robot: Mounted | None, inputs: tuple[str, ...])
     mounting or joints; LogError where one has no reference.
     """
     robot = _common_robot(logs, robot)
-    seen = [samples(log, inputs) for log in logs]
+    seen = [observer_samples(log, inputs) for log in logs]
     labels = [body_velocity(log, sample.rows) for log, sample in zip(logs, seen, strict=True)]
     for log, (_, measured) in zip(logs, labels, strict=True):
         if len(measured) < WINDOW or measured.sum() < WINDOW // 2:

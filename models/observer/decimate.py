@@ -13,7 +13,7 @@ from surefoot.sim.log import Log
 
 RATE = 100.0
 """Hz, of the observer and of the filters' velocity updates."""
-SPAN = 0.020
+ANTI_ALIAS_SPAN = 0.020
 """s, the length of the anti-alias window."""
 
 
@@ -23,13 +23,13 @@ class DecimationError(SurefootError):
 
 def anti_alias(age: np.ndarray) -> np.ndarray:
     """Weight, not normalised, of a sample that is `age` seconds old when the output is formed."""
-    inside = (age > -1e-9) & (age < SPAN)
-    return np.where(inside, np.sin(np.pi * age / SPAN) ** 2, 0.0)
+    inside = (age > -1e-9) & (age < ANTI_ALIAS_SPAN)
+    return np.where(inside, np.sin(np.pi * age / ANTI_ALIAS_SPAN) ** 2, 0.0)
 
 
 def delay(rate: float) -> float:
     """Delay in seconds, at low frequency, of the filtered inputs of a log sampled at `rate` Hz."""
-    age = np.arange(0.0, SPAN, 1.0 / rate)
+    age = np.arange(0.0, ANTI_ALIAS_SPAN, 1.0 / rate)
     weight = anti_alias(age)
     return float(weight @ age / weight.sum())
 
@@ -63,7 +63,7 @@ def decimate(t: np.ndarray, x: np.ndarray, rows: np.ndarray) -> np.ndarray:
     Row m is the weighted mean of the samples within SPAN before t[rows[m]], that row included, on
     the actual time stamps; at the start of the log, of those that are there.
     """
-    first = np.searchsorted(t, t[rows] - SPAN, side="right")
+    first = np.searchsorted(t, t[rows] - ANTI_ALIAS_SPAN, side="right")
     total = np.zeros((len(rows), x.shape[1]))
     norm = np.zeros(len(rows))
     for back in range(int((rows - first).max()) + 1 if len(rows) else 0):

@@ -75,7 +75,7 @@ def scan(gates: np.ndarray, W: np.ndarray, b: np.ndarray, h0: np.ndarray):
 
 
 @kernel(nogil=True)
-def step(
+def gru_step(
     x: np.ndarray,
     h: np.ndarray,
     W_x: np.ndarray,
@@ -202,7 +202,7 @@ class GRU(torch.nn.Module):
 
         def one(x: np.ndarray) -> np.ndarray:
             nonlocal h
-            h = step(x, h, W_x, b_x, W_h, b_h)
+            h = gru_step(x, h, W_x, b_x, W_h, b_h)
             return h
 
         return one

@@ -21,7 +21,7 @@ from torch.nn.functional import softplus
 from surefoot.models.observer.odometry import Odometry
 from surefoot.models.registry import ARCHITECTURES
 
-OUTPUTS = {"mse": 3, "gml": 9}
+LOSS_OUTPUTS = {"mse": 3, "gml": 9}
 SMALLEST = 1e-3
 """Floor of L's diagonal: a likelihood without one grows without bound on a perfect fit."""
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from surefoot.models.observer.network import OUTPUTS, Network
+from surefoot.models.observer.network import LOSS_OUTPUTS, Network
 from surefoot.models.observer.odometry import (
     Kinematics,
     LegGeometry,
@@ -29,8 +29,8 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.log import Log
 
-FORMAT = "surefoot observer"
-SCHEMA = 2
+OBSERVER_FORMAT = "surefoot observer"
+OBSERVER_SCHEMA = 2
 WIDEST = 4096
 """Units of a layer that a checkpoint may ask memory for."""
 INPUTS = tuple(
@@ -110,7 +110,7 @@ class Observer:
     @cached_property
     def network(self) -> Network:
         """The network with these weights, ready to run."""
-        inputs, outputs = len(self.input_mean), OUTPUTS[self.loss]
+        inputs, outputs = len(self.input_mean), LOSS_OUTPUTS[self.loss]
         legs = len(self.legs["radius"]) if self.legs else 0
         network = Network(self.model, inputs, outputs, self.width, legs)
         network.load_state_dict(self.weights)
@@ -129,7 +129,9 @@ class Observer:
         """Write the checkpoint, whole or not at all. Raises SurefootError where `path` exists."""
         with whole_file(path, force) as temporary:
             torch.save(
-                {"format": FORMAT, "schema": SCHEMA, "hash": self.hash} | _plain(self), temporary
+                {"format": OBSERVER_FORMAT, "schema": OBSERVER_SCHEMA, "hash": self.hash}
+                | _plain(self),
+                temporary,
             )
 
     @classmethod
@@ -143,12 +145,12 @@ class Observer:
         except Exception as error:
             # torch raises many kinds here, depending on what the file turns out to be.
             raise ObserverError(f"{path}: not a surefoot observer, or a damaged one") from error
-        if not isinstance(values, dict) or values.get("format") != FORMAT:
+        if not isinstance(values, dict) or values.get("format") != OBSERVER_FORMAT:
             raise ObserverError(f"{path}: a torch file, but not a surefoot observer")
-        if values.get("schema") != SCHEMA:
+        if values.get("schema") != OBSERVER_SCHEMA:
             raise ObserverError(
-                f"{path}: of schema {values.get('schema')}, this surefoot reads {SCHEMA}; train it "
-                "again"
+                f"{path}: of schema {values.get('schema')}, this surefoot reads "
+                f"{OBSERVER_SCHEMA}; train it again"
             )
         try:
             observer = _from_plain(values)

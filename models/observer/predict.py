@@ -15,7 +15,7 @@ from surefoot.models.observer.imu_mounting import (
 )
 from surefoot.models.observer.network import cholesky_factor
 from surefoot.models.observer.observer import Observer, ObserverError
-from surefoot.models.observer.samples import body_velocity, samples
+from surefoot.models.observer.samples import body_velocity, observer_samples
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
@@ -42,7 +42,7 @@ def predict(observer: Observer, log: Log, robot: Mounted | None = None) -> Predi
     log lacks an input or is of another robot.
     """
     robot = _fitting(observer, log, robot)
-    seen = samples(log, observer.inputs)
+    seen = observer_samples(log, observer.inputs)
     x = torch.from_numpy(observer.scaled(seen.x))
     with torch.no_grad():
         outputs = observer.network(x[:, None, :])

@@ -28,7 +28,7 @@ class Samples:
     causal_dq: bool
 
 
-def samples(log: Log, inputs: tuple[str, ...]) -> Samples:
+def observer_samples(log: Log, inputs: tuple[str, ...]) -> Samples:
     """Anti-aliased signals of a log for these inputs.
 
     Raises ObserverError naming what the log lacks; nothing is filled.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from surefoot.models.observer.decimate import RATE, SPAN, DecimationError, decimate
+from surefoot.models.observer.decimate import ANTI_ALIAS_SPAN, RATE, DecimationError, decimate
 from surefoot.models.observer.imu_mounting import (
     Mounted,
     move_covariance,
@@ -87,7 +87,7 @@ class ObserverStream:
         times, x = np.concatenate([self._t, t]), np.concatenate([self._x, x])
         rows = self._updates(t)
         seen = decimate(times, x, rows + before)
-        kept = int(np.searchsorted(times, times[-1] - SPAN - 1e-6))
+        kept = int(np.searchsorted(times, times[-1] - ANTI_ALIAS_SPAN - 1e-6))
         self._t, self._x = times[kept:], x[kept:]
         steps = [self._loop.step(one) for one in seen]
         v_I = np.array([v for v, _ in steps]).reshape(-1, 3)

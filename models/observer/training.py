@@ -25,7 +25,7 @@ from tqdm import tqdm
 from surefoot.models.observer.data import Dataset, ScaledLog, draw, prepare
 from surefoot.models.observer.decimate import RATE
 from surefoot.models.observer.imu_mounting import Mounted
-from surefoot.models.observer.network import OUTPUTS, Network, loss_of
+from surefoot.models.observer.network import LOSS_OUTPUTS, Network, loss_of
 from surefoot.models.observer.observer import (
     Observer,
     ObserverError,
@@ -45,7 +45,7 @@ WARM_UP = 25
 MEAN_FIRST = 0.4
 """Share of the steps in which a Gaussian's mean is fitted alone, by mse. With the likelihood from
 the start the smaller motions go into the covariance: the vertical error came out twice as large."""
-FORMAT = "surefoot training state"
+TRAINING_FORMAT = "surefoot training state"
 
 
 @dataclass(frozen=True)
@@ -64,8 +64,8 @@ class Schedule:
     patience: int = 20
 
 
-DEFAULT = Schedule()
-Progress = Callable[[int, int, np.ndarray], None]
+DEFAULT_SCHEDULE = Schedule()
+TrainingProgress = Callable[[int, int, np.ndarray], None]
 
 
 def train(
@@ -74,8 +74,8 @@ def train(
     inputs: tuple[str, ...] | str = ("q", "dq", "tau"),
     loss: str = "mse",
     seed: int = 0,
-    progress: bool | Progress = False,
-    schedule: Schedule = DEFAULT,
+    progress: bool | TrainingProgress = False,
+    schedule: Schedule = DEFAULT_SCHEDULE,
     model: str = "gru",
     partial: Path | None = None,
 ) -> Observer:
@@ -158,7 +158,7 @@ class Training:
     def save(self, path: Path, task: str) -> None:
         """Write it in place of an earlier one, whole or not at all; `task` says of what it is."""
         values = {
-            "format": FORMAT,
+            "format": TRAINING_FORMAT,
             "task": task,
             "step": self.step,
             "network": self.network.state_dict(),
@@ -181,7 +181,7 @@ class Training:
             return False
         try:
             values: Any = torch.load(path, map_location="cpu", weights_only=True)
-            if values["format"] != FORMAT:
+            if values["format"] != TRAINING_FORMAT:
                 raise ValueError
             if values["task"] != task:
                 return False
@@ -221,7 +221,7 @@ def _fit(
     dataset: Dataset,
     seed: int,
     schedule: Schedule,
-    progress: bool | Progress,
+    progress: bool | TrainingProgress,
     partial: Path | None,
 ) -> Training:
     """Train until the schedule ends; all as of `train`.
@@ -300,7 +300,7 @@ def _begin(model: str, loss: str, dataset: Dataset, seed: int, rate: float) -> T
     inputs = len(dataset.x_mean)
     width = ARCHITECTURES[model].width
     legs = len(dataset.legs["radius"]) if dataset.legs else 0
-    network = Network(model, inputs, OUTPUTS[loss], width, legs)
+    network = Network(model, inputs, LOSS_OUTPUTS[loss], width, legs)
     network.initialise(torch.Generator().manual_seed(int(rng.integers(2**63))))
     if network.odometry is not None:
         network.odometry.set_units(dataset.x_mean, dataset.x_scale, dataset.y_scale)

@@ -21,10 +21,10 @@ from surefoot.models.residuals.contact_timing import contact_timing
 from surefoot.models.residuals.feet import foot_heights, leg_velocities
 from surefoot.models.residuals.limbs import Limbs
 from surefoot.models.residuals.torques import slope, torque_residual, wrench_residual
+from surefoot.sim.effects.base import AXES
 from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.streams import Sensors
 
-AXES = ("x", "y", "z")
 REACH = 0.5
 """m from a joint to the foot, by which its noise is carried to the foot where its noise
 is known from data sheets alone."""

@@ -18,7 +18,7 @@ from surefoot.sim.sensors.stances import changes
 
 MOVES = 0.2
 """m/s over the ground from which a foot does not stand: a tenth of what one swings at."""
-WINDOW = 0.08
+CHANGE_WINDOW = 0.08
 """s on either side of a change of contact in which the foot is looked at."""
 USUAL = (-0.0005, -0.018)
 """s, how late contacts begin and end on simulated walks: within 0.7 ms and 12 ms on models of seven
@@ -30,7 +30,7 @@ def contact_timing(log: Log, robot: Robot, frame: ReferenceMotion) -> np.ndarray
 
     Each change is in the bin in which the foot stopped or started; all other bins are NaN.
     """
-    rows = max(1, round(WINDOW * log.rate))
+    rows = max(1, round(CHANGE_WINDOW * log.rate))
     turns = [changes(stands) for stands in log.contact.T]
     speed = over_ground(log, robot, frame, near_changes(turns, frame, rows))
     late = np.full((len(frame.first), 2 * len(turns)), np.nan)

@@ -26,7 +26,7 @@ from surefoot.models.residuals.torques import (
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
 
-STEP = 1e-5  # rad, rad/s
+DIFFERENCE_STEP = 1e-5  # rad, rad/s
 
 
 OUTLYING = 4.0
@@ -74,19 +74,19 @@ def residual_jacobians(parts: ResidualTable, robot: Machine) -> ResidualJacobian
 
         def by(**moved) -> np.ndarray:
             ahead = leg_velocities(replace(bins, **moved), robot)
-            return np.nan_to_num(ahead - velocities) / STEP
+            return np.nan_to_num(ahead - velocities) / DIFFERENCE_STEP
 
         for axis in range(3):
-            leg_omega[:, :, axis] = by(omega=bins.omega + STEP * np.eye(3)[axis])
+            leg_omega[:, :, axis] = by(omega=bins.omega + DIFFERENCE_STEP * np.eye(3)[axis])
         heights = parts.table[:, layout.of("foot_height")]
         for j in range(per):
             # One joint of every leg at once: a leg's columns change by its own joints alone.
-            all_legs = STEP * np.tile(np.eye(per)[j], legs)
+            all_legs = DIFFERENCE_STEP * np.tile(np.eye(per)[j], legs)
             leg[0, ..., j] = by(q=bins.q + all_legs).reshape(m, legs, 3)
             leg[1, ..., j] = by(dq=bins.dq + all_legs).reshape(m, legs, 3)
             if np.isfinite(heights).any():
                 rise = foot_heights(replace(bins, q=bins.q + all_legs), robot)
-                height_q[:, :, j] = np.nan_to_num(rise - heights) / STEP
+                height_q[:, :, j] = np.nan_to_num(rise - heights) / DIFFERENCE_STEP
     by_effort = np.zeros((4, joints, m, joints + 6))
     if parts.inputs.inverse_dynamics is not None:
         by_effort = _by_effort(parts, parts.inputs.inverse_dynamics, robot)
@@ -101,7 +101,7 @@ def _by_effort(parts: ResidualTable, needed: InverseDynamics, robot: Machine) ->
     out = np.zeros((4, joints, m, joints + 6))
     use = np.flatnonzero(dilate(steps.swings.any(axis=1) | steps.steady))
     s = replace(steps, **{name: values[use] for name, values in vars(steps).items()})
-    wrench, torque = inverse_dynamics_jacobians(s, robot, STEP)
+    wrench, torque = inverse_dynamics_jacobians(s, robot, DIFFERENCE_STEP)
     out[:3, :, use, :joints], out[:3, :, use, joints:] = -torque, -wrench
     for j in range(joints):
         out[3, j, use, j] = 1.0
@@ -131,8 +131,11 @@ def _by_feet(s: Steps, needed: np.ndarray, torque: np.ndarray, robot: Robot) -> 
                 step, gained = 1.0, -moved
             else:
                 own = torque[kind, at].reshape(count, bins, count, per)[legs, :, legs]
-                step, gained = STEP, STEP * np.moveaxis(own, 0, 1).reshape(bins, joints)
-            q = s.q + STEP * moved if kind == 0 else s.q
+                step, gained = (
+                    DIFFERENCE_STEP,
+                    DIFFERENCE_STEP * np.moveaxis(own, 0, 1).reshape(bins, joints),
+                )
+            q = s.q + DIFFERENCE_STEP * moved if kind == 0 else s.q
             given = given_by_feet(s, q, needed - s.tau + gained, robot)
             out[kind, at] = np.moveaxis(given - plain, 1, 0) / step
     return out

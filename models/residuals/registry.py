@@ -8,9 +8,9 @@ from surefoot.models.residuals.channel import Channel
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.plugins import Registry
 
-GROUP = "surefoot.channels"
+CHANNEL_GROUP = "surefoot.channels"
 """Entry points by which users' packages offer channels of their own."""
-BUNDLED: tuple[type[Channel], ...] = (
+BUNDLED_CHANNELS: tuple[type[Channel], ...] = (
     bundled.ImuGyro,
     bundled.ImuAccel,
     bundled.LegVelocity,
@@ -27,7 +27,9 @@ def _check(name: str, kind: Any) -> None:
         raise SurefootError(f"must be a subclass of Channel whose name is {name!r}")
 
 
-CHANNELS = Registry(GROUP, {kind.name: kind for kind in BUNDLED}, ("name", "unit", "needs"), _check)
+CHANNELS = Registry(
+    CHANNEL_GROUP, {kind.name: kind for kind in BUNDLED_CHANNELS}, ("name", "unit", "needs"), _check
+)
 """Name -> class; a package's is imported and checked when it is looked up."""
 
 

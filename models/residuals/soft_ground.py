@@ -31,7 +31,7 @@ from surefoot.sim.sensors.stances import stances_between_swings
 
 AROUND = 0.004
 """s to either side of a landing, over which a foot's velocity is taken."""
-SETTLED = 0.5
+SETTLED_SHARE = 0.5
 """Share of a stance after which a foot is where its load keeps it."""
 AHEAD = 1e-4
 """s, over which rates alone are followed to see what they accelerate."""
@@ -75,7 +75,7 @@ def foot_sinking(
     give, dq = gives(robot), joint_velocity(log)
     depth, v_G = np.zeros(height.shape), np.zeros((*height.shape, 3))
     for leg in range(legs):
-        s = stances(log, robot, frame, leg, dq)
+        s = foot_stances(log, robot, frame, leg, dq)
         for T, sign in ((SOLREF[0] + robot.extras.softness, 1.0), (SOLREF[0], -1.0)):
             moved = (depth[:, leg], v_G[:, leg])
             _follow_all(log.t, height[:, leg], rows[:, leg], s, give[leg], T, sign, *moved)
@@ -104,7 +104,9 @@ def swept(robot: Robot, bins: Bins) -> np.ndarray:
     return np.cross(bins.omega[:, None], now) + (soles(AHEAD) - now) / AHEAD
 
 
-def stances(log: Log, robot: Robot, frame: ReferenceMotion, leg: int, dq: np.ndarray) -> Stances:
+def foot_stances(
+    log: Log, robot: Robot, frame: ReferenceMotion, leg: int, dq: np.ndarray
+) -> Stances:
     """The stances of a foot by its contacts; dq (N, J) [rad/s].
 
     Args:
@@ -148,7 +150,7 @@ def _follow_all(t, height, rows, stances, give, T, sign, depth, v_G):
         for _ in range(ROUNDS * stances.landed[s]):
             _follow(t, rows, a, b, start, stances.v_G[s], give, T, z, v)
             # The ground is where the settled foot is, and as much higher as that is deep.
-            half = a + int(SETTLED * (b - a))
+            half = a + int(SETTLED_SHARE * (b - a))
             start = np.mean(height[half:b] + z[half:b]) - height[a]
             if not start > 0.0:  # nor where there is no reference
                 start = 0.0

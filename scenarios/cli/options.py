@@ -43,17 +43,17 @@ def read_logs(paths: tuple[Path, ...]) -> list:
 
 def read_as_declared(paths: tuple[Path, ...]) -> list:
     """The logs as the filters see them: the effects that they declare undone."""
-    from surefoot.scenarios.estimate.registry import declared_model
+    from surefoot.scenarios.estimate.run import declared_model
     from surefoot.sim.robot import Robot
 
     return [declared_model(log, Robot.for_log(log))[0] for log in read_logs(paths)]
 
 
 def learnt_from(observers: tuple[Path, ...], bounds: tuple[Path, ...]):
-    """The observers and bounds of these files, as `scenarios.estimate.registry.Learnt`."""
+    """The observers and bounds of these files, as `scenarios.estimate.run.Learnt`."""
     from surefoot.models.calibration.bounds import Bounds
     from surefoot.models.observer.observer import Observer
-    from surefoot.scenarios.estimate.registry import Learnt
+    from surefoot.scenarios.estimate.run import Learnt
 
     return Learnt(
         tuple(Observer.load(path) for path in observers),

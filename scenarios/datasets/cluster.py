@@ -7,7 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TypeVar
 
-from surefoot.scenarios.datasets.index import Row, recipe, row_of, with_hash
+from surefoot.scenarios.datasets.index import IndexRow, recipe, row_of, with_hash
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.log import Log
@@ -24,7 +24,7 @@ def walk_on_cluster(
     folder: Path,
     force: bool = False,
     progress: Callable[[float], None] | None = None,
-) -> Iterator[Row]:
+) -> Iterator[IndexRow]:
     """Walk the jobs on the scheduler at `address`; yields rows as their files are written here.
 
     The walks of a worker that dies are walked again on the others. Workers send whole files; this
@@ -41,7 +41,7 @@ def walk_on_cluster(
     tasks = [(job, recipe(job)) for job in jobs]
     for done, (_, found) in enumerate(run_on_cluster(address, _walk_remotely, tasks), 1):
         values, content = found
-        row = Row(**values)
+        row = IndexRow(**values)
         if row.file:
             with whole_file(folder / row.file, force) as temporary:
                 temporary.write_bytes(content)

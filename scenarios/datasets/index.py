@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from surefoot.estimator.metrics import path_length
 from surefoot.scenarios.cache import file_digest
 from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.sim.common.errors import SurefootError
@@ -30,7 +31,7 @@ DRY = 0.5  # friction coefficient from which ground counts as dry
 
 
 @dataclass(frozen=True)
-class Row:
+class IndexRow:
     """One walk of the index. Numbers of a walk that ended in a fall are NaN; it has no file."""
 
     file: str
@@ -80,12 +81,12 @@ def _versions() -> dict[str, str]:
     return {name: version(name) for name in ("surefoot", "mujoco", "numpy", "numba")}
 
 
-def row_of(walked: Walked) -> Row:
+def row_of(walked: Walked) -> IndexRow:
     """The index's row of a walk, its file's hash still empty."""
     job, made, log = walked.job, walked.plan, walked.log
     fell = not isinstance(log, Log)
     numbers = dict.fromkeys(("duration", "length", "slip_share", "creep"), np.nan)
-    return Row(
+    return IndexRow(
         file="" if fell else f"{log_name(job)}.parquet",
         scenario=job.scenario.name,
         robot=made.robot.name,
@@ -94,7 +95,7 @@ def row_of(walked: Walked) -> Row:
         **_drawn(made),
         falls=int(fell),
         fell_at=log.time if fell else np.nan,
-        **(numbers if fell else measured(log)),
+        **(numbers if fell else walk_facts(log)),
         sha256="",
         recipe=recipe(job),
     )
@@ -114,21 +115,15 @@ def _drawn(made: Plan) -> dict[str, float]:
     }
 
 
-def measured(log: Log) -> dict[str, float]:
-    """Duration [s], length [m], share of slipping stance and creep [m/s], as in `Row`."""
+def walk_facts(log: Log) -> dict[str, float]:
+    """Duration [s], length [m], share of slipping stance and creep [m/s], as in `IndexRow`."""
     slip_share, creep = slip_and_creep(log)
     return {
         "duration": float(log.t[-1]),
-        "length": path_length(log),
+        "length": path_length(log.t, log.ref_p),
         "slip_share": slip_share,
         "creep": creep,
     }
-
-
-def path_length(log: Log) -> float:
-    """Length [m] of the reference's path, sampled every 0.5 s: the gait's bob does not count."""
-    path = log.ref_p[:: max(round(0.5 * log.rate), 1)]
-    return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
 
 
 def slip_and_creep(log: Log) -> tuple[float, float]:
@@ -150,7 +145,7 @@ class Journal:
     def __init__(self, folder: Path):
         self.folder = folder
         self.path = folder / "dataset" / "journal.jsonl"
-        self.rows: dict[tuple[str, str, int], Row] = {}
+        self.rows: dict[tuple[str, str, int], IndexRow] = {}
         text = self.path.read_text(encoding="utf-8") if self.path.exists() else ""
         for line in text.splitlines():
             row = _parsed(line)
@@ -158,39 +153,39 @@ class Journal:
                 self._keep(row)
         self._torn = bool(text) and not text.endswith("\n")
 
-    def _keep(self, row: Row) -> None:
+    def _keep(self, row: IndexRow) -> None:
         self.rows[row.scenario, row.robot, row.seed] = row
 
-    def add(self, row: Row) -> None:
+    def add(self, row: IndexRow) -> None:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with self.path.open("a", encoding="utf-8") as stream:
             stream.write("\n" * self._torn + json.dumps(asdict(row)) + "\n")
         self._torn = False
         self._keep(row)
 
-    def find(self, job: Job) -> Row | None:
+    def find(self, job: Job) -> IndexRow | None:
         """The row of a walk that is done: its file is there, or it fell."""
         row = self.rows.get((job.scenario.name, known_robot(job.robot).name, job.seed))
         if row is None or not (row.falls or (self.folder / row.file).exists()):
             return None
         return row
 
-    def present(self) -> list[Row]:
+    def present(self) -> list[IndexRow]:
         """Rows of walks that fell or whose files are there, sorted."""
         rows = [r for r in self.rows.values() if r.falls or (self.folder / r.file).exists()]
         return sorted(rows, key=lambda r: (r.scenario, r.robot, r.seed))
 
 
-def _parsed(line: str) -> Row | None:
+def _parsed(line: str) -> IndexRow | None:
     try:
-        return Row(**json.loads(line))
+        return IndexRow(**json.loads(line))
     except (ValueError, TypeError):
         return None
 
 
-def write_index(folder: Path, rows: Sequence[Row]) -> Path:
+def write_index(folder: Path, rows: Sequence[IndexRow]) -> Path:
     """Write `dataset/index.parquet` and `dataset/README.md`, each whole; returns the index."""
-    frame = pd.DataFrame([asdict(row) for row in rows], columns=[f.name for f in fields(Row)])
+    frame = pd.DataFrame([asdict(row) for row in rows], columns=[f.name for f in fields(IndexRow)])
     path = folder / "dataset" / "index.parquet"
     with whole_file(path, force=True) as temporary:
         frame.to_parquet(temporary, index=False)
@@ -207,14 +202,14 @@ def read_index(folder: Path) -> pd.DataFrame:
     return pd.read_parquet(path)
 
 
-def with_hash(row: Row, path: Path) -> Row:
+def with_hash(row: IndexRow, path: Path) -> IndexRow:
     """The row with the hash of its log."""
     return replace(row, sha256=file_digest(path))
 
 
-def card(rows: Sequence[Row]) -> str:
+def card(rows: Sequence[IndexRow]) -> str:
     """What the folder holds, in a few lines and one table."""
-    groups: dict[tuple[str, str], list[Row]] = {}
+    groups: dict[tuple[str, str], list[IndexRow]] = {}
     for row in rows:
         groups.setdefault((row.scenario, row.robot), []).append(row)
     table = [_summary(*key, group) for key, group in groups.items()]
@@ -234,7 +229,7 @@ def card(rows: Sequence[Row]) -> str:
     )
 
 
-def _summary(scenario: str, robot: str, rows: Sequence[Row]) -> dict[str, Any]:
+def _summary(scenario: str, robot: str, rows: Sequence[IndexRow]) -> dict[str, Any]:
     def mean(name: str) -> float:
         values = np.array([getattr(r, name) for r in rows if not r.falls])
         return float(values.mean()) if len(values) else np.nan

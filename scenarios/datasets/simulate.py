@@ -6,8 +6,8 @@ from pathlib import Path
 
 from surefoot.scenarios.datasets.cluster import walk_on_cluster
 from surefoot.scenarios.datasets.index import (
+    IndexRow,
     Journal,
-    Row,
     log_name,
     recipe,
     row_of,
@@ -36,7 +36,7 @@ def simulate_all(
     force: bool = False,
     workers: int = 1,
     cluster: str | None = None,
-) -> list[Row]:
+) -> list[IndexRow]:
     """Walk every scenario with every seed into `out`/<scenario>_<seed>.parquet; returns the rows.
 
     A fall is a row without a file; `dataset/` holds the index.
@@ -91,7 +91,7 @@ def simulate_all(
     return made
 
 
-def save_walk(walked: Walked, folder: Path, force: bool = False) -> Row:
+def save_walk(walked: Walked, folder: Path, force: bool = False) -> IndexRow:
     """Write the log of a walk that did not fall, named as in its row; returns the row."""
     row = row_of(walked)
     if not isinstance(walked.log, Log):

@@ -9,19 +9,25 @@ import pandas as pd
 from tqdm import tqdm
 
 from surefoot.estimator.evaluation.trajectory import reference
+from surefoot.estimator.metrics import path_length
 from surefoot.models.calibration.bounds import Bounds
-from surefoot.models.calibration.empirical_coverage import Coverage, coverage
+from surefoot.models.calibration.empirical_coverage import EmpiricalCoverage, coverage
 from surefoot.models.observer.predict import Prediction, predict, prediction_errors
-from surefoot.scenarios.datasets.index import path_length, slip_and_creep
+from surefoot.scenarios.datasets.index import slip_and_creep
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
 from surefoot.scenarios.estimate.estimators import estimator_named, traits
-from surefoot.scenarios.estimate.registry import (
+from surefoot.scenarios.estimate.run import (
     Result,
     declared_model,
     run_all,
 )
-from surefoot.scenarios.reporting.figures import body_velocity, height, position_error, trajectories
+from surefoot.scenarios.reporting.figures import (
+    height_figure,
+    position_error,
+    trajectories,
+    velocity_figure,
+)
 from surefoot.scenarios.reporting.html import Picture, Section, save_picture, write_report
 from surefoot.scenarios.reporting.tables import metrics_row, to_csv, to_markdown
 from surefoot.scenarios.viewer.recording import write_recording
@@ -56,7 +62,7 @@ class Comparison:
     left_out: dict[str, str]  # filter -> why
     prediction: Prediction | None
     bounds: Bounds | None
-    held: dict[str, Coverage]  # filter -> empirical coverage of its bounds
+    held: dict[str, EmpiricalCoverage]  # filter -> empirical coverage of its bounds
 
 
 def compare_log(
@@ -72,7 +78,7 @@ def compare_log(
         results, left_out = run_all(log, robot, learnt, names, progress)
     known, model = declared_model(log, robot)  # as the filters see it
     prediction, bounds = None, None
-    held: dict[str, Coverage] = {}
+    held: dict[str, EmpiricalCoverage] = {}
     for name in reversed([result.filter for result in results]):  # the first one's are drawn
         bounded_by: Any = getattr(estimator_named(name), "bounded_by", None)
         if bounded_by is None:
@@ -162,7 +168,7 @@ def prepare_folder(out: Path, force: bool) -> None:
         raise SurefootError(f"-o {out}: {error.strerror}") from None
 
 
-def _with_interval(held: Coverage) -> str:
+def _with_interval(held: EmpiricalCoverage) -> str:
     low, high = 100 * held.joint_interval
     return f"{100 * held.joint:.1f} ({low:.0f}–{high:.0f})"
 
@@ -187,7 +193,7 @@ def _walk_prose(comparison: Comparison) -> str:
     log = comparison.log
     text = f"{comparison.robot.name}, {log.t[-1] - log.t[0]:.1f} s"
     if log.has("reference"):
-        text += f", {path_length(log):.1f} m"
+        text += f", {path_length(log.t, log.ref_p):.1f} m"
     if log.has("truth"):
         slipping, creep = slip_and_creep(log)
         text += (
@@ -215,7 +221,7 @@ def _pictures(comparison: Comparison, patches: Sequence) -> dict[str, Picture]:
             "The walk from above: truth and every estimate, aligned at the start.",
         ),
         "height": Picture(
-            height(comparison.log, errors),
+            height_figure(comparison.log, errors),
             "Height over time: nothing on board sees it, so every filter drifts.",
         ),
         "position_error": Picture(
@@ -226,7 +232,7 @@ def _pictures(comparison: Comparison, patches: Sequence) -> dict[str, Picture]:
     if comparison.prediction is not None and comparison.bounds is not None:
         epsilon = comparison.bounds.epsilon_at(comparison.robot.R_BI)
         pictures["velocity"] = Picture(
-            body_velocity(comparison.log, comparison.prediction, epsilon),
+            velocity_figure(comparison.log, comparison.prediction, epsilon),
             "Body velocity: the observer's prediction, its calibrated bounds, and the truth.",
         )
     return pictures

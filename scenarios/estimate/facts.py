@@ -12,11 +12,11 @@ from surefoot.models.calibration.empirical_coverage import binomial_interval
 from surefoot.models.observer.samples import body_velocity
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.error_series import error_series
-from surefoot.scenarios.estimate.registry import Result
+from surefoot.scenarios.estimate.run import Result
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
-SERIES_RATE = 5.0
+ERRORS_RATE = 5.0
 """Hz, of the errors that are kept for figures."""
 
 
@@ -46,10 +46,10 @@ def estimate_facts(log: Log, robot: Robot, result: Result, learnt: Learnt) -> di
     return facts
 
 
-def error_table(log: Log, estimate: Trajectory) -> pd.DataFrame:
+def errors_over_time(log: Log, estimate: Trajectory) -> pd.DataFrame:
     """Aligned path, truth, own sigma and NEES over time, a few rows a second."""
     truth = reference(log)
-    errors = error_series(truth, estimate, SERIES_RATE)
+    errors = error_series(truth, estimate, ERRORS_RATE)
     ref, est = matched(truth, estimate)
     consistency = nees(ref, align_first(ref, est))
     rows = np.searchsorted(ref.t, errors.t - 1e-6)

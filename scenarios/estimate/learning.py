@@ -8,9 +8,9 @@ from pathlib import Path
 from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.calibrate import calibrate
 from surefoot.models.observer.observer import Observer
-from surefoot.models.observer.training import DEFAULT, Schedule, train
+from surefoot.models.observer.training import DEFAULT_SCHEDULE, Schedule, train
 from surefoot.models.registry import LOSSES
-from surefoot.scenarios.estimate.registry import Learnt
+from surefoot.scenarios.estimate.run import Learnt
 from surefoot.sim.log import Log
 
 
@@ -22,7 +22,7 @@ def learn(
     inputs: str = "q,dq,tau",
     gamma: float = 0.8,
     force: bool = False,
-    schedule: Schedule = DEFAULT,
+    schedule: Schedule = DEFAULT_SCHEDULE,
 ) -> Learnt:
     """Train with each loss at once, one process each, calibrate, and keep all four in `out`.
 

@@ -18,7 +18,7 @@ from surefoot.estimator.metrics import Metrics, evaluate, matched
 from surefoot.estimator.run import OUTPUT_PERIOD
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.estimators import estimator_named
-from surefoot.scenarios.estimate.registry import estimated_in_chunks, joined, run_filter
+from surefoot.scenarios.estimate.run import estimated_in_chunks, joined_trajectory, run_filter
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.log import Log, LogReader
@@ -26,7 +26,7 @@ from surefoot.sim.robot import Robot
 
 LONG = 1800.0
 """s. A longer log is estimated in pieces: its trajectory alone would take gigabytes."""
-PIECE = 60.0
+LOG_PIECE = 60.0
 """s of a piece."""
 JUDGED = 100_000
 """Estimates at most that the metrics of a long log are taken from, evenly spread: 180 MB."""
@@ -91,12 +91,12 @@ def _in_pieces(
     judged: list[tuple[Trajectory, Trajectory]] = []
 
     def pieces() -> Iterator[Log]:
-        for log in reader.chunks(PIECE):
+        for log in reader.chunks(LOG_PIECE):
             if log.has("reference"):
                 waiting.append(reference(log))
             yield log
 
-    robot = Robot.for_log(next(reader.chunks(PIECE)), robot_name)
+    robot = Robot.for_log(next(reader.chunks(LOG_PIECE)), robot_name)
     with ExitStack() as files:
         table, lines = None, None
         if out:
@@ -113,7 +113,7 @@ def _in_pieces(
     if not judged:
         return None
     truths, estimates = zip(*judged, strict=True)
-    return evaluate(joined(truths), joined(estimates))
+    return evaluate(joined_trajectory(truths), joined_trajectory(estimates))
 
 
 def _thinned(part: Trajectory, every: int) -> Trajectory:

@@ -22,7 +22,7 @@ DOPPLER = 0.06
 """m/s, a return's error as the estimator takes it: step, noise and what a wrong direction does."""
 
 
-COLUMNS = (
+RADAR_COLUMNS = (
     *(f"x_radar_v_{a}" for a in "xyz"),
     *(f"x_radar_cov_{a}{b}" for a in "xyz" for b in "xyz"),
 )
@@ -34,19 +34,19 @@ def with_radar(log: Log, robot: Robot) -> Log:
 
     Raises SurefootError as `radar_velocity` does.
     """
-    if set(COLUMNS) <= set(log.frame.columns):
+    if set(RADAR_COLUMNS) <= set(log.frame.columns):
         return log
     rows, v_I, cov = radar_velocity(log, robot)
-    values = np.full((len(log.frame), len(COLUMNS)), np.nan)
+    values = np.full((len(log.frame), len(RADAR_COLUMNS)), np.nan)
     values[rows] = np.concatenate([v_I, cov.reshape(-1, 9)], axis=1)
-    return replace(log, frame=log.frame.assign(**dict(zip(COLUMNS, values.T, strict=True))))
+    return replace(log, frame=log.frame.assign(**dict(zip(RADAR_COLUMNS, values.T, strict=True))))
 
 
 def radar_of(
     columns: Mapping[str, Any] | pd.DataFrame,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """rows (M,) that have a radar's velocity, v_I (M, 3) [m/s] there and covariances (M, 3, 3)."""
-    values = np.column_stack([np.asarray(columns[name], dtype=float) for name in COLUMNS])
+    values = np.column_stack([np.asarray(columns[name], dtype=float) for name in RADAR_COLUMNS])
     rows = np.flatnonzero(np.isfinite(values[:, 0]))
     return rows, values[rows, :3], values[rows, 3:].reshape(-1, 3, 3)
 

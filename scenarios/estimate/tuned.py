@@ -12,7 +12,7 @@ from surefoot.sim.common.files import bundled
 from surefoot.sim.common.toml import Name, NonNegative, Positive, read_typed
 from surefoot.sim.robot import Robot
 
-BUNDLED = bundled("surefoot.scenarios.estimate", "tuned.toml")
+BUNDLED_PARAMETERS = bundled("surefoot.scenarios.estimate", "tuned.toml")
 FORMER = {"lasting": "persistent"}
 """Parameters by their names in files of surefoot 0.1.0, and what they are now."""
 
@@ -51,11 +51,11 @@ def tuned(robot: Robot) -> Tuned:
 
 def tuned_file() -> Path:
     """$SUREFOOT_TUNED, such as `surefoot tune` writes, or else the bundled tuned.toml."""
-    return Path(os.environ.get("SUREFOOT_TUNED", BUNDLED))
+    return Path(os.environ.get("SUREFOOT_TUNED", BUNDLED_PARAMETERS))
 
 
 @cache
-def read_tuned(path: Path = BUNDLED) -> dict[str, Tuned]:
+def read_tuned(path: Path = BUNDLED_PARAMETERS) -> dict[str, Tuned]:
     """All robots' entries. Raises SurefootError, one line, on a bad file."""
     tables = read_typed(path, dict[str, dict[str, NonNegative | Name | dict[str, Positive]]])
     if "default" not in tables:

@@ -134,7 +134,7 @@ def paths(series: Mapping[str, pd.DataFrame], title: str) -> Figure:
     return figure
 
 
-def errors_over_time(
+def errors_figure(
     series: Mapping[str, Mapping[str, pd.DataFrame]], title: str, columns: int = 3
 ) -> Figure:
     """A panel a sequence: distance from the truth, and dashed the filter's own three sigma."""

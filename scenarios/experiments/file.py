@@ -9,13 +9,13 @@ from zlib import crc32
 import msgspec
 
 from surefoot.models.observer.observer import check_inputs, check_loss, check_model
-from surefoot.models.observer.training import DEFAULT
+from surefoot.models.observer.training import DEFAULT_SCHEDULE
 from surefoot.models.registry import CALIBRATORS, LOSSES
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
 from surefoot.scenarios.experiments.imperfections import Imperfection, load_imperfections
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
-from surefoot.sim.common.toml import Count, Name, read_toml, typed
+from surefoot.sim.common.toml import Count, Level, Name, read_toml, typed
 from surefoot.sim.effects import Effect
 from surefoot.sim.effects.file import load_effects
 from surefoot.sim.scenario import Scenario
@@ -27,7 +27,6 @@ SUITES_FOLDER = bundled("surefoot.scenarios.experiments", "suites")
 SUITES = ("spot", "vision60")
 
 Seed = Annotated[int, msgspec.Meta(ge=0)]
-Level = Annotated[float, msgspec.Meta(gt=0, lt=1)]
 
 
 @dataclass(frozen=True)
@@ -40,7 +39,7 @@ class Learning:
 
     losses: tuple[str, ...] = LOSSES
     inputs: str = "q,dq,tau"
-    steps: Count = DEFAULT.steps
+    steps: Count = DEFAULT_SCHEDULE.steps
     model: str = "gru"
     method: str = "conformal"
 

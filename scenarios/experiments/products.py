@@ -15,8 +15,8 @@ from surefoot.scenarios.cache import Product, product, product_key
 from surefoot.scenarios.datasets.index import recipe, row_of
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.estimators import estimator_code, estimator_named
-from surefoot.scenarios.estimate.facts import error_table, estimate_facts
-from surefoot.scenarios.estimate.registry import declared_model, run_filter
+from surefoot.scenarios.estimate.facts import errors_over_time, estimate_facts
+from surefoot.scenarios.estimate.run import declared_model, run_filter
 from surefoot.scenarios.estimate.tuned import tuned
 from surefoot.scenarios.experiments.file import Learning
 from surefoot.scenarios.viewer.recording import record_walk
@@ -98,7 +98,7 @@ def make_observer(
     """
     seen = [(name, walk_inputs(walk)) for name, walk in logs]
     inputs = {"logs": seen, "loss": loss, "seed": seed}
-    inputs |= observer_inputs(learning)
+    inputs |= learning_choices(learning)
 
     def make(path: Path) -> dict[str, Any]:
         walks = [read_walk(walk, name) for name, walk in logs]
@@ -121,7 +121,7 @@ def make_observer(
     return product(folder, "observer", inputs, code, ".pt", make)
 
 
-def observer_inputs(learning: Learning) -> dict[str, Any]:
+def learning_choices(learning: Learning) -> dict[str, Any]:
     """What decides an observer beside its logs, a network of a user's own with its sources."""
     return {
         "inputs": learning.inputs,
@@ -204,7 +204,7 @@ def make_estimates(
 
             def make(path: Path, filter_name: str = filter_name, gamma: float = gamma) -> dict:
                 result = run_filter(filter_name, log(), known, loaded(gamma))
-                error_table(log(), result.trajectory).to_parquet(path, index=False)
+                errors_over_time(log(), result.trajectory).to_parquet(path, index=False)
                 return estimate_facts(log(), known, result, loaded(gamma))
 
             try:

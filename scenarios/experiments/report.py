@@ -16,7 +16,7 @@ from surefoot.scenarios.experiments.figures import (
     FACTOR,
     NOMINAL,
     by_sequence,
-    errors_over_time,
+    errors_figure,
     gamma_sweep,
     paths,
 )
@@ -24,7 +24,7 @@ from surefoot.scenarios.experiments.file import Experiment
 from surefoot.scenarios.experiments.findings import findings
 from surefoot.scenarios.experiments.run import Outcome, run
 from surefoot.scenarios.experiments.tables import (
-    MEANINGS,
+    TABLE_MEANINGS,
     at_gamma,
     averages,
     per_sequence,
@@ -83,7 +83,7 @@ def experiment(
     for name, recording in outcome.recordings.items():
         with whole_file(out / "recordings" / f"{name}.rrd", force=True) as temporary:
             copyfile(recording.path, temporary)
-    pages = sections(rows, outcome, found, out)
+    pages = report_sections(rows, outcome, found, out)
     with whole_file(out / "report.md", force=True) as temporary:
         temporary.write_text(markdown_report(found.title, pages), encoding="utf-8")
     # The page comes last: where it is, everything else is whole.
@@ -115,7 +115,9 @@ def write_tables(rows: pd.DataFrame, found: Experiment, out: Path) -> None:
                 temporary.write_text(to_markdown(table) + "\n", encoding="utf-8")
 
 
-def sections(rows: pd.DataFrame, outcome: Outcome, found: Experiment, out: Path) -> list[Section]:
+def report_sections(
+    rows: pd.DataFrame, outcome: Outcome, found: Experiment, out: Path
+) -> list[Section]:
     """The report: averages, findings, errors by sequence, consistency, sweep, paths, rows."""
     main = at_gamma(rows, found.gammas[0])
     shown = _narrow(averages(main))
@@ -216,7 +218,7 @@ def _walks(outcome: Outcome, found: Experiment, out: Path) -> list[Section]:
             title = (
                 f"Distance from the truth, dashed: the filter's own three sigma; {condition.name}"
             )
-            picture = Picture(errors_over_time(series, title), "Errors over time.")
+            picture = Picture(errors_figure(series, title), "Errors over time.")
             save_picture(picture, out / "figures" / f"errors_{_slug(condition.name)}.png", True)
             pages.append(Section(f"Paths: {condition.name}", "", None, (picture, *pictures)))
     return pages
@@ -239,7 +241,7 @@ def _glossary(main: pd.DataFrame, outcome: Outcome) -> list[dict[str, str]]:
     rows = [
         {"": name, "means": estimator_named(name).description} for name in main["filter"].unique()
     ]
-    rows += [{"": name, "means": text} for name, text in MEANINGS.items()]
+    rows += [{"": name, "means": text} for name, text in TABLE_MEANINGS.items()]
     rows += [{"": f"{name}, left out", "means": why} for name, why in outcome.left_out.items()]
     return rows
 

@@ -16,14 +16,14 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.toml import read_toml
 
 PUBLISHED = SUITES_FOLDER / "published.toml"
-METRICS = {**METRICS, "step [us]": "step_us"}
+TABLE_METRICS = {**METRICS, "step [us]": "step_us"}
 """Columns of the tables and the facts of an estimate that they show."""
 SHARE = "APE [% of path]"
 HELD = "coverage [%]"
-COLUMNS = [name for name in MEANINGS if name in METRICS or name == HELD]
-COLUMNS.insert(1, SHARE)
+SHOWN_COLUMNS = [name for name in MEANINGS if name in TABLE_METRICS or name == HELD]
+SHOWN_COLUMNS.insert(1, SHARE)
 """In the order that averages and sequences are shown in."""
-MEANINGS = {
+TABLE_MEANINGS = {
     **MEANINGS,
     HELD: "share of velocity errors jointly inside the bounds, with a 95 % interval; not given "
     "for filters whose bounds are on something else",
@@ -51,7 +51,7 @@ def tidy(outcome: Outcome) -> pd.DataFrame:
         ran = [one for one in outcome.estimates if one.cell is cell]
         for one in ran:
             facts = one.product.facts
-            values = {name: facts.get(key, np.nan) for name, key in METRICS.items()}
+            values = {name: facts.get(key, np.nan) for name, key in TABLE_METRICS.items()}
             values[SHARE] = 100.0 * facts.get("ape_trans", np.nan) / walk.facts["length"]
             for name in ("coverage", "coverage_low", "coverage_high"):
                 values[f"{name} [%]"] = 100.0 * facts.get(name, np.nan)
@@ -77,12 +77,12 @@ def averages(rows: pd.DataFrame) -> pd.DataFrame:
     for (condition, robot, name), part in test.groupby(
         ["condition", "robot", "filter"], sort=False
     ):
-        by_seed = part.groupby("seed")[[*METRICS, SHARE]].mean()
+        by_seed = part.groupby("seed")[[*TABLE_METRICS, SHARE]].mean()
         row: dict[str, object] = {"condition": condition, "robot": robot, "filter": name}
-        row |= {column: with_spread(by_seed[column]) for column in [*METRICS, SHARE]}
+        row |= {column: with_spread(by_seed[column]) for column in [*TABLE_METRICS, SHARE]}
         row[HELD] = _held(part)
         found.append(row)
-    order = ["condition", "robot", "filter", *COLUMNS]
+    order = ["condition", "robot", "filter", *SHOWN_COLUMNS]
     return pd.DataFrame(found, columns=order) if found else pd.DataFrame(columns=order)
 
 
@@ -95,10 +95,10 @@ def per_sequence(rows: pd.DataFrame) -> pd.DataFrame:
             "path": f"{part['length [m]'].mean():.0f} m, {part['duration [s]'].mean():.0f} s",
             "filter": filter_name,
         }
-        row |= {column: with_spread(part[column]) for column in [*METRICS, SHARE]}
+        row |= {column: with_spread(part[column]) for column in [*TABLE_METRICS, SHARE]}
         row[HELD] = _held(part)
         found.append(row)
-    return pd.DataFrame(found, columns=["sequence", "path", "filter", *COLUMNS])
+    return pd.DataFrame(found, columns=["sequence", "path", "filter", *SHOWN_COLUMNS])
 
 
 def sweep(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:

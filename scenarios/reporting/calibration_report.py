@@ -11,7 +11,7 @@ from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.shift import FALSE_ALARM
 from surefoot.models.observer.observer import Observer
 from surefoot.scenarios.reporting.calibration_tables import (
-    Walk,
+    CalibratedWalk,
     case_table,
     evaluate_walk,
     methods_table,
@@ -80,8 +80,8 @@ def _pictures(bounds: Bounds) -> dict[str, Picture]:
 
 def _sections(
     observer: Observer,
-    calibration: Walk,
-    others: Sequence[Walk],
+    calibration: CalibratedWalk,
+    others: Sequence[CalibratedWalk],
     tables: dict[str, pd.DataFrame],
     pictures: dict[str, Picture],
 ) -> list[Section]:

@@ -23,15 +23,15 @@ from surefoot.models.calibration.weighted import weighted_bounds
 from surefoot.models.observer.decimate import RATE, observer_rows
 from surefoot.models.observer.observer import Observer, log_digest
 from surefoot.models.observer.predict import prediction_errors
-from surefoot.models.observer.samples import samples
+from surefoot.models.observer.samples import observer_samples
 from surefoot.models.registry import CALIBRATORS
-from surefoot.scenarios.estimate.registry import Learnt, declared_model, run_filter
+from surefoot.scenarios.estimate.run import Learnt, declared_model, run_filter
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
 
 @dataclass(frozen=True)
-class Walk:
+class CalibratedWalk:
     """One log under one calibration. errors (M, 3) at `rows` of the log, empty without reference;
     x (M', C) the observer's scaled inputs; t and squared (M",) those of the innovations.
     """
@@ -46,7 +46,9 @@ class Walk:
     squared: np.ndarray
 
 
-def evaluate_walk(observer: Observer, bounds: Bounds, log: Log, calibrated: bool = False) -> Walk:
+def evaluate_walk(
+    observer: Observer, bounds: Bounds, log: Log, calibrated: bool = False
+) -> CalibratedWalk:
     """Run observer and coverage filter over a log as recorded."""
     named = Robot.for_log(log)
     known, robot = declared_model(log, named)
@@ -58,11 +60,11 @@ def evaluate_walk(observer: Observer, bounds: Bounds, log: Log, calibrated: bool
     trained = log_digest(known) in {part.sha256 for part in observer.logs}
     role = "calibration" if calibrated else "training" if trained else "test"
     own = replace(bounds, epsilon=bounds.epsilon_at(robot.R_BI), R_BI=np.array(robot.R_BI))
-    x = observer.scaled(samples(known, observer.inputs).x).astype(float)
-    return Walk(known, role, own, rows, errors, x, found.t, found.squared)
+    x = observer.scaled(observer_samples(known, observer.inputs).x).astype(float)
+    return CalibratedWalk(known, role, own, rows, errors, x, found.t, found.squared)
 
 
-def methods_table(calibration: Walk, tests: Sequence[Walk]) -> pd.DataFrame:
+def methods_table(calibration: CalibratedWalk, tests: Sequence[CalibratedWalk]) -> pd.DataFrame:
     """Every method from the same errors: its half widths, volume, and coverage of the tests."""
     bounds = calibration.bounds
     judged = [walk.errors for walk in tests if len(walk.errors)]
@@ -97,7 +99,7 @@ def _region_row(region: Region, judged: Sequence[np.ndarray], note: str) -> dict
     return row | {"note": note}
 
 
-def sequence_table(calibration: Walk, others: Sequence[Walk]) -> pd.DataFrame:
+def sequence_table(calibration: CalibratedWalk, others: Sequence[CalibratedWalk]) -> pd.DataFrame:
     """One row a walk: coverage with interval, the worst case, the alarm and two ways to widen."""
     usual = block_sizes(calibration.squared)
     rows: list[dict[str, object]] = []
@@ -115,7 +117,7 @@ def sequence_table(calibration: Walk, others: Sequence[Walk]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _held(walk: Walk) -> dict[str, object]:
+def _held(walk: CalibratedWalk) -> dict[str, object]:
     if len(walk.errors) < walk.bounds.K:
         return {"coverage [%]": None, "95 % interval": "no reference"}
     found = coverage(walk.errors, walk.bounds)
@@ -130,7 +132,9 @@ def _held(walk: Walk) -> dict[str, object]:
     }
 
 
-def _kept(walk: Walk, calibration: Walk, alarm: Alarm, usual: np.ndarray) -> dict[str, object]:
+def _kept(
+    walk: CalibratedWalk, calibration: CalibratedWalk, alarm: Alarm, usual: np.ndarray
+) -> dict[str, object]:
     epsilon, sizes = walk.bounds.epsilon, np.abs(walk.errors)
     factor = inflation(usual, walk.squared, alarm)
     at = np.searchsorted(walk.t, walk.log.t[walk.rows] - 1e-9).clip(max=len(walk.t) - 1)
@@ -149,7 +153,7 @@ def _kept(walk: Walk, calibration: Walk, alarm: Alarm, usual: np.ndarray) -> dic
     return row | {"weighted [%]": percent(inside), "volume": f"{volume:.2f}"}
 
 
-def _inputs_of_errors(walk: Walk) -> np.ndarray:
+def _inputs_of_errors(walk: CalibratedWalk) -> np.ndarray:
     """Inputs (M, C) at the rows that have errors: those whose reference was measured."""
     return walk.x[np.searchsorted(observer_rows(walk.log), walk.rows)]
 
@@ -163,7 +167,7 @@ def _alarm_words(alarm: Alarm) -> str:
     return "none" if alarm.at is None else f"after {alarm.at:.0f} s"
 
 
-def case_table(walks: Sequence[Walk]) -> pd.DataFrame:
+def case_table(walks: Sequence[CalibratedWalk]) -> pd.DataFrame:
     """Coverage by case, over all test walks, and the walk on which each case is covered least."""
     found: dict[tuple[str, str], list[tuple[str, int, CaseCoverage]]] = {}
     for walk in walks:

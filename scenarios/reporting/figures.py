@@ -22,7 +22,7 @@ from surefoot.scenarios.reporting.palette import (
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
 from surefoot.sim.log import Log, reference_velocity
 
-AXES = (("x", "forward"), ("y", "left"), ("z", "up"))
+NAMED_AXES = (("x", "forward"), ("y", "left"), ("z", "up"))
 
 
 def trajectories(
@@ -73,7 +73,7 @@ def trajectories(
     return figure
 
 
-def height(
+def height_figure(
     log: Log, errors: Mapping[str, ErrorSeries], title: str = "Height of the IMU over time"
 ) -> Figure:
     """Height of truth and estimates over time: vertical drift, which is unobservable."""
@@ -95,7 +95,7 @@ def height(
     return figure
 
 
-def body_velocity(
+def velocity_figure(
     log: Log,
     prediction: Prediction,
     epsilon: np.ndarray | None = None,
@@ -120,7 +120,7 @@ def body_velocity(
     first, last = window or _middle(t)
     shown = (t >= first) & (t <= last)
     figure, axes = new_figure(3, 1, size=(7.5, 6.2), share_x=True)
-    for k, (axis, word) in enumerate(AXES):
+    for k, (axis, word) in enumerate(NAMED_AXES):
         ax = axes[k, 0]
         panel = f"{axis} of the IMU ({word})"
         if half is not None:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from surefoot.models.calibration.error_statistics import AxisErrors, error_statistics
-from surefoot.scenarios.reporting.figures import AXES
+from surefoot.scenarios.reporting.figures import NAMED_AXES
 from surefoot.scenarios.reporting.html import Picture, Section
 from surefoot.scenarios.reporting.observer_figures import error_bounds, error_distributions
 
@@ -67,7 +67,7 @@ def error_table(found: Sequence[AxisErrors], where: str) -> list[dict[str, objec
             "p Anderson-Darling": e.anderson_p,
             "independent": e.thinned,
         }
-        for (_, word), e in zip(AXES, found, strict=True)
+        for (_, word), e in zip(NAMED_AXES, found, strict=True)
     ]
 
 
@@ -76,7 +76,7 @@ def error_words(
 ) -> str:
     """The statistics in words, a sentence or two an axis."""
     sentences = []
-    for (_, word), a, b in zip(AXES, train, test, strict=True):
+    for (_, word), a, b in zip(NAMED_AXES, train, test, strict=True):
         sentences.append(
             f"{word.capitalize()}: in training {_shape(a)}; on {where} {_shape(b)}, and the errors "
             f"spread {b.std / a.std:.1f} times as far."

@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 from scipy.stats import norm
 
 from surefoot.models.calibration.mixing import Mixing
-from surefoot.scenarios.reporting.figures import AXES
+from surefoot.scenarios.reporting.figures import NAMED_AXES
 from surefoot.scenarios.reporting.palette import BOUNDS, INK, OUTSIDE, TEST, TRAIN
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
 
@@ -31,7 +31,7 @@ def error_distributions(
     """
     figure, axes = new_figure(2, 3, size=(9.5, 5.8), ratios=[1.25, 1.0])
     sets = (("Training", train, TRAIN), ("Test", test, TEST))
-    for k, (axis, word) in enumerate(AXES):
+    for k, (axis, word) in enumerate(NAMED_AXES):
         top, below = axes[0, k], axes[1, k]
         edge = 1.15 * max(
             epsilon[k], *[float(np.quantile(np.abs(e[:, k]), 0.998)) for _, e, _ in sets]
@@ -98,7 +98,7 @@ def error_bounds(
     """
     figure, axes = new_figure(1, 3, size=(9.5, 3.4))
     level = gamma ** (1 / 3)
-    for k, (axis, word) in enumerate(AXES):
+    for k, (axis, word) in enumerate(NAMED_AXES):
         ax = axes[0, k]
         edge = max(1.6 * epsilon[k], *[np.quantile(np.abs(e[:, k]), 0.995) for e in (train, test)])
         ax.axvspan(0, epsilon[k], color=BOUNDS, alpha=0.18, label="Bounds |e| ≤ ε")
@@ -135,7 +135,7 @@ def mixing_curve(
     """
     figure, axes = new_figure(size=(7.0, 4.0))
     ax = axes[0, 0]
-    for k, (axis, word) in enumerate(AXES):
+    for k, (axis, word) in enumerate(NAMED_AXES):
         style = ("-", "--", ":")[k]
         ax.plot(mixing.lags, mixing.beta[:, k], color="#BDBDBD", linestyle=style, linewidth=1.0)
         ax.plot(

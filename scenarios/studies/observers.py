@@ -21,7 +21,7 @@ from surefoot.models.observer.training import Schedule, train
 from surefoot.models.registry import ARCHITECTURES
 from surefoot.scenarios.cache import contents_digest, finished_case
 from surefoot.scenarios.datasets.simulate import simulate_all
-from surefoot.scenarios.estimate.registry import declared_model
+from surefoot.scenarios.estimate.run import declared_model
 from surefoot.scenarios.reporting.html import Section
 from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.scenarios.studies.pages import origin_of, write_page, write_results
@@ -32,17 +32,17 @@ from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
 COURSES = bundled("surefoot.scenarios", "courses")
-MODULE = "surefoot.scenarios.studies.observers"
-TITLE = "Observers compared"
+_MODULE = "surefoot.scenarios.studies.observers"
+_TITLE = "Observers compared"
 PROSE = (
     "Each architecture is trained on one walk of a suite and tested on two others. Root mean "
     "square errors, mean and standard deviation over seeds."
 )
-AXES = ("forward", "lateral", "vertical", "all")
+DIRECTIONS = ("forward", "lateral", "vertical", "all")
 
 
 @dataclass(frozen=True)
-class Suite:
+class SuiteWalks:
     """Scenario files below this folder: one to train on, and those to test on."""
 
     folder: str
@@ -50,14 +50,14 @@ class Suite:
     tests: tuple[str, ...]
 
 
-SUITES = {
-    "spot": Suite("spot", "upstair", ("atrium", "slopestair")),
-    "vision60": Suite("vision60", "3cc3ccw", ("stroll", "slipped")),
+SUITE_WALKS = {
+    "spot": SuiteWalks("spot", "upstair", ("atrium", "slopestair")),
+    "vision60": SuiteWalks("vision60", "3cc3ccw", ("stroll", "slipped")),
 }
 
 
 @dataclass(frozen=True)
-class Options:
+class ObserverStudy:
     """Train every network on both suites and test it; a table of errors over the seeds."""
 
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
@@ -71,9 +71,9 @@ class Options:
     """Page of results to write as well, such as docs/results/observers.md."""
 
 
-def study(options: Options) -> pd.DataFrame:
+def observer_study(options: ObserverStudy) -> pd.DataFrame:
     """Run what is not yet there, write table.md and table.csv, and return the table."""
-    logs = {name: _logs(suite, options.out) for name, suite in SUITES.items()}
+    logs = {name: _logs(suite, options.out) for name, suite in SUITE_WALKS.items()}
     digests = {
         name: [[contents_digest(log), Robot.for_log(log).digest] for log in own.values()]
         for name, own in logs.items()
@@ -81,7 +81,7 @@ def study(options: Options) -> pd.DataFrame:
     tasks = [
         (suite, model, seed)
         for seed in range(options.seeds)
-        for suite in SUITES
+        for suite in SUITE_WALKS
         for model in ARCHITECTURES
     ]
     rows = []
@@ -92,19 +92,19 @@ def study(options: Options) -> pd.DataFrame:
             options.data or options.out / "trainings",
             "_".join(map(str, inputs.values())),
             inputs | {"logs": digests[suite], "code": code_digest(ARCHITECTURES[model])},
-            MODULE,
-            partial(_trained_and_tested, logs[suite], SUITES[suite], model, seed, options),
+            _MODULE,
+            partial(_trained_and_tested, logs[suite], SUITE_WALKS[suite], model, seed, options),
         )
         rows.append({"suite": suite, "model": model} | row)
-    table = summary(pd.DataFrame(rows))
+    table = mean_and_spread(pd.DataFrame(rows))
     section = Section("Errors on two courses that no network was trained on", PROSE, table)
-    write_results(options.out, TITLE, [section], {"table": table}, force=True)
+    write_results(options.out, _TITLE, [section], {"table": table}, force=True)
     if options.page:
-        write_page(options.page, TITLE, [section], origin_of(MODULE, "make study-observer"))
+        write_page(options.page, _TITLE, [section], origin_of(_MODULE, "make study-observer"))
     return table
 
 
-def summary(rows: pd.DataFrame) -> pd.DataFrame:
+def mean_and_spread(rows: pd.DataFrame) -> pd.DataFrame:
     """A row a suite and network: mean over the seeds and, after ±, their standard deviation."""
     found = []
     for suite, model in rows[["suite", "model"]].drop_duplicates().itertuples(index=False):
@@ -112,14 +112,14 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
         cells: dict[str, object] = {"suite": suite, "model": model, "sees": _sees(model)}
         cells["parameters"] = int(group["parameters"].iloc[0])
         cells["CPU [s]"] = f"{group['cpu'].mean():.0f}"
-        for axis in AXES:
+        for axis in DIRECTIONS:
             values = group[axis]
             cells[f"RMSE {axis} [m/s]"] = f"{values.mean():.4f} ± {values.std(ddof=1):.4f}"
         found.append(cells)
     return pd.DataFrame(found)
 
 
-def _logs(suite: Suite, out: Path) -> dict[str, Log]:
+def _logs(suite: SuiteWalks, out: Path) -> dict[str, Log]:
     """The suite's logs, walked if they are not there, as the declared model sees them."""
     names = (suite.train, *suite.tests)
     files = [COURSES / suite.folder / f"{name}.toml" for name in names]
@@ -134,7 +134,7 @@ def _logs(suite: Suite, out: Path) -> dict[str, Log]:
 
 
 def _trained_and_tested(
-    logs: dict[str, Log], suite: Suite, model: str, seed: int, options: Options
+    logs: dict[str, Log], suite: SuiteWalks, model: str, seed: int, options: ObserverStudy
 ) -> dict[str, object]:
     """One observer's row: size, CPU time and RMSE on the tests.
 
@@ -154,10 +154,10 @@ def _trained_and_tested(
     row: dict[str, object] = {"seed": seed, "parameters": observer.network.size, "cpu": cpu}
     errors = {name: prediction_errors(observer, logs[name])[1] for name in suite.tests}
     for name, e in errors.items():
-        row |= {f"{name} {axis}": value for axis, value in zip(AXES, _rmse(e), strict=True)}
+        row |= {f"{name} {axis}": value for axis, value in zip(DIRECTIONS, _rmse(e), strict=True)}
     # Courses count alike, long or short.
     pooled = np.sqrt(np.mean([_rmse(e) ** 2 for e in errors.values()], axis=0))
-    return row | dict(zip(AXES, pooled.tolist(), strict=True))
+    return row | dict(zip(DIRECTIONS, pooled.tolist(), strict=True))
 
 
 def _rmse(errors: np.ndarray) -> np.ndarray:
@@ -176,4 +176,4 @@ def _sees(model: str) -> str:
 
 
 if __name__ == "__main__":
-    print(to_markdown(study(tyro.cli(Options)), 4))
+    print(to_markdown(observer_study(tyro.cli(ObserverStudy)), 4))

@@ -8,7 +8,7 @@ import numpy as np
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.estimator.metrics import Metrics, evaluate
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named, traits
-from surefoot.scenarios.estimate.registry import Learnt, estimated
+from surefoot.scenarios.estimate.run import Learnt, estimated
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect, compensate_all
 from surefoot.sim.log import Log

@@ -16,11 +16,11 @@ import numpy as np
 import pandas as pd
 
 from surefoot.models.attribution.evidence import candidates_code
-from surefoot.models.observer.training import DEFAULT, Schedule
+from surefoot.models.observer.training import DEFAULT_SCHEDULE, Schedule
 from surefoot.scenarios.cache import contents_digest
 from surefoot.scenarios.estimate.compare import compare_log, prepare_folder
 from surefoot.scenarios.estimate.learning import learn, learnt_in
-from surefoot.scenarios.estimate.registry import Learnt, declared_model
+from surefoot.scenarios.estimate.run import Learnt, declared_model
 from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.scenarios.trace.loop_report import Side, write_loop
 from surefoot.scenarios.trace.run import trace
@@ -49,7 +49,7 @@ class TrainingPlan:
     walks: int = 8
     seconds: float = 30.0  # of each walk to train on
     calibration: float = 150.0  # s of the one to calibrate on
-    schedule: Schedule = DEFAULT
+    schedule: Schedule = DEFAULT_SCHEDULE
 
 
 def loop(

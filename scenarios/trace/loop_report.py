@@ -13,8 +13,8 @@ from surefoot.models.observer.predict import prediction_errors
 from surefoot.scenarios.estimate.compare import Comparison
 from surefoot.scenarios.estimate.error_series import error_series
 from surefoot.scenarios.estimate.estimators import traits
-from surefoot.scenarios.estimate.registry import Learnt, declared_model
-from surefoot.scenarios.reporting.figures import body_velocity, height, trajectories
+from surefoot.scenarios.estimate.run import Learnt, declared_model
+from surefoot.scenarios.reporting.figures import height_figure, trajectories, velocity_figure
 from surefoot.scenarios.reporting.html import Picture, Section, write_report
 from surefoot.scenarios.reporting.tables import to_csv, to_markdown
 from surefoot.scenarios.trace.words import caution
@@ -24,7 +24,7 @@ from surefoot.sim.effects import Effect
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
-METRICS = {
+LOOP_METRICS = {
     "ape_trans": "APE_trans [m]",
     "ape_rot": "APE_rot [deg]",
     "rpe_trans": "RPE_trans [m]",
@@ -73,7 +73,7 @@ def _rows(sides: Sequence[Side]) -> list[dict[str, Any]]:
     rows = []
     for name in filters:
         row: dict[str, Any] = {"filter": name}
-        for key, heading in METRICS.items():
+        for key, heading in LOOP_METRICS.items():
             for side in sides:
                 metrics = _metrics(side.comparison, name)
                 row[f"{heading} {side.name}"] = getattr(metrics, key) if metrics else None
@@ -90,7 +90,7 @@ def _metrics(comparison: Comparison, name: str):
 
 def _summary(side: Side, rmse: dict[str, list[float]]) -> dict[str, Any]:
     filters = {
-        r.filter: {key: float(getattr(r.metrics, key)) for key in METRICS}
+        r.filter: {key: float(getattr(r.metrics, key)) for key in LOOP_METRICS}
         for r in side.comparison.results
         if r.metrics is not None
     }
@@ -151,7 +151,7 @@ def _pictures(log: Log, sides: Sequence[Side], shown: dict[str, Trajectory]) -> 
     errors = {name: error_series(truth, t, 20.0) for name, t in shown.items()}
     paths = (
         Picture(trajectories(log, errors), "The walk from above, aligned at the start."),
-        Picture(height(log, errors), "Height over time: nothing on board sees it."),
+        Picture(height_figure(log, errors), "Height over time: nothing on board sees it."),
     )
     sections = [Section("Where each estimate went", pictures=paths)]
     for side in sides:
@@ -160,7 +160,7 @@ def _pictures(log: Log, sides: Sequence[Side], shown: dict[str, Trajectory]) -> 
             continue
         epsilon = bounds.epsilon_at(side.comparison.robot.R_BI)
         picture = Picture(
-            body_velocity(log, seen, epsilon),
+            velocity_figure(log, seen, epsilon),
             "Body velocity: the observer's prediction, its bounds, and the reference.",
         )
         sections.append(Section(f"The observer, {side.name}", pictures=(picture,)))

@@ -7,7 +7,7 @@ from pathlib import Path
 from surefoot.models.attribution.diagnose import cases_of, diagnose
 from surefoot.models.attribution.evidence import LogUnderModel
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
-from surefoot.scenarios.estimate.registry import Learnt
+from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.trace.filters import BeforeAfter, before_and_after, mean_metrics
 from surefoot.scenarios.trace.report import write_outputs
 from surefoot.scenarios.trace.result import Trace

@@ -6,7 +6,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from surefoot.scenarios.viewer.scene import estimate_path
-from surefoot.scenarios.viewer.series import ANGLES, AXES
+from surefoot.scenarios.viewer.series import ANGLES
+from surefoot.sim.effects.base import AXES
 
 _WINDOW = 3.0  # s on each side of the time cursor, about six strides
 _LEGEND = rrb.PlotLegend(rrb.Corner2D.LeftTop)

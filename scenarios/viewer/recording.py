@@ -13,7 +13,7 @@ from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.models.observer.predict import predict
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
 from surefoot.scenarios.estimate.estimators import traits
-from surefoot.scenarios.estimate.registry import Learnt, declared_model, run_all
+from surefoot.scenarios.estimate.run import Learnt, declared_model, run_all
 from surefoot.scenarios.reporting.palette import estimator_label
 from surefoot.scenarios.viewer.blueprint import layout
 from surefoot.scenarios.viewer.scene import (

@@ -21,6 +21,7 @@ from surefoot.scenarios.reporting.palette import (
     rgba,
 )
 from surefoot.scenarios.viewer.scene import time_column
+from surefoot.sim.effects.base import AXES
 from surefoot.sim.log import Log, reference_velocity
 from surefoot.sim.walking.truth import SLIPPING
 
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from surefoot.models.observer.predict import Prediction
 
 SERIES_RATE = 100.0  # Hz
-AXES = ("x", "y", "z")
 ANGLES = ("roll", "pitch", "yaw")
 
 

@@ -21,7 +21,7 @@ from surefoot.sim.sensors.contact import swings
 from surefoot.sim.sensors.streams import Reference, Streams
 
 STREAMS = {"imu": ("gyro", "accel"), "joints": ("q", "dq", "tau"), "feet": ("force",)}
-COLUMNS = {**STREAMS, "feet": ("force", "contact"), "reference": ("ref",)}
+STREAM_COLUMNS = {**STREAMS, "feet": ("force", "contact"), "reference": ("ref",)}
 """A log's columns of each stream: contacts are derived from the feet's forces."""
 
 
@@ -170,7 +170,9 @@ class ClockScale(Effect):
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         t = log.t
-        return _moved(log, COLUMNS[self.target], t[0] + (t - t[0]) / (1.0 + self.value)), robot
+        return _moved(
+            log, STREAM_COLUMNS[self.target], t[0] + (t - t[0]) / (1.0 + self.value)
+        ), robot
 
     @classmethod
     def step_of(cls, target: str) -> float:

@@ -10,7 +10,7 @@ from surefoot.sim.ground.height_map import height, normal, surface
 # Room between a foothold and an edge, as shares of the leg's length: a falling edge, a riser before
 # the foot, and one behind it, which the shin leans over where it descends.
 BRINK, RISER, SHIN = 0.07, 0.14, 0.17
-JUMP = 0.04  # of the leg's length: ground that jumps by more is an edge
+EDGE_JUMP = 0.04  # of the leg's length: ground that jumps by more is an edge
 SETTLED = 0.4  # share of the swing after which a foothold stays on its step
 LIFT = 0.6  # share of the swing in which the foot climbs to, or falls from, another height
 ROOM = 0.04  # of the leg's length, between the sole and what it passes over
@@ -103,7 +103,7 @@ def place_foot(controller, leg, want, heading, u):
     x += _off_edges(relief, x, y, 0, heading[0], length)
     y += _off_edges(relief, x, y, 1, heading[1], length)
     z = height(relief, x, y) + gait.foot_radius[leg] / normal(relief, x, y)[2]
-    if u < SETTLED or abs(z - foothold[2]) < JUMP * length:
+    if u < SETTLED or abs(z - foothold[2]) < EDGE_JUMP * length:
         foothold[0], foothold[1], foothold[2] = x, y, z
 
 
@@ -122,7 +122,7 @@ def _off_edges(relief, x, y, axis, heading, length):
     low, high = -1.0, 1.0
     for side in (-1.0, 1.0):
         riser = RISER if side * heading > -0.5 else SHIN
-        distance, rises = _edge(relief, x, y, axis, side, SHIN * length, JUMP * length)
+        distance, rises = _edge(relief, x, y, axis, side, SHIN * length, EDGE_JUMP * length)
         lacking = (riser if rises else BRINK) * length - distance
         if side < 0.0:
             low = max(low, lacking)

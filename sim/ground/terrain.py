@@ -16,7 +16,7 @@ from scipy.ndimage import gaussian_filter
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.height_map import LATTICE, HeightMap
 
-Rectangle = tuple[float, float, float, float]  # x0, x1, y0, y1 [m]
+Extent = tuple[float, float, float, float]  # x0, x1, y0, y1 [m]
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Patch:
     mu: float
 
     @property
-    def rectangle(self) -> Rectangle:
+    def rectangle(self) -> Extent:
         x, y, w, h = self.center_x, self.center_y, 0.5 * self.size_x, 0.5 * self.size_y
         return x - w, x + w, y - h, y + h
 
@@ -81,14 +81,14 @@ class Strip:
         return int(self.start[0] == self.end[0])
 
     @property
-    def rectangle(self) -> Rectangle:
+    def rectangle(self) -> Extent:
         lower = np.minimum(self.start, self.end)
         upper = np.maximum(self.start, self.end)
         lower[1 - self.axis] -= 0.5 * self.width
         upper[1 - self.axis] += 0.5 * self.width
         return float(lower[0]), float(upper[0]), float(lower[1]), float(upper[1])
 
-    def facets(self) -> Iterator[tuple[Rectangle, float, float]]:
+    def facets(self) -> Iterator[tuple[Extent, float, float]]:
         """Rectangles with the heights of their lower and upper ends along the axis."""
         x0, x1, y0, y1 = self.rectangle
         low, high = (x0, x1) if self.axis == 0 else (y0, y1)

@@ -12,7 +12,7 @@ import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.height_map import LATTICE
-from surefoot.sim.ground.terrain import Ground, Rectangle, Strip
+from surefoot.sim.ground.terrain import Extent, Ground, Strip
 
 THICKNESS = 0.5  # m, of a tile below the walking surface
 # The ground decides how a foot touches it: MuJoCo takes these from the geom of higher priority.
@@ -56,8 +56,8 @@ def add_ground(spec: mujoco.MjSpec, ground: Ground) -> None:
 
 def _add_box(
     spec: mujoco.MjSpec,
-    facet: Rectangle,
-    tile: Rectangle,
+    facet: Extent,
+    tile: Extent,
     axis: int,
     z_low: float,
     z_high: float,
@@ -96,7 +96,7 @@ def _add_box(
     )
 
 
-def _add_field(spec: mujoco.MjSpec, strip: Strip, tile: Rectangle, geom: dict) -> None:
+def _add_field(spec: mujoco.MjSpec, strip: Strip, tile: Extent, geom: dict) -> None:
     """The part `tile` of a rough strip as a height field on the strip's own lattice."""
     x0, x1, y0, y1 = tile
     left, _, front, _ = strip.rectangle
@@ -121,12 +121,12 @@ def _add_field(spec: mujoco.MjSpec, strip: Strip, tile: Rectangle, geom: dict) -
 
 
 def _cut(
-    rectangle: Rectangle,
+    rectangle: Extent,
     mu: float,
-    hidden: Sequence[Rectangle],
-    patches: Sequence[tuple[Rectangle, float]],
+    hidden: Sequence[Extent],
+    patches: Sequence[tuple[Extent, float]],
     on_lattice: bool,
-) -> list[tuple[Rectangle, float]]:
+) -> list[tuple[Extent, float]]:
     """The visible part of a rectangle, in abutting tiles with their friction.
 
     Args:
@@ -141,7 +141,7 @@ def _cut(
     edges_x, edges_y = (
         _edges([*hidden, *(r for r, _ in patches)], rectangle, axis, on_lattice) for axis in (0, 1)
     )
-    tiles: list[tuple[Rectangle, float]] = []
+    tiles: list[tuple[Extent, float]] = []
     for x0, x1 in pairwise(edges_x):
         column: list[list[float]] = []  # y0, y1, mu, merged where alike
         for y0, y1 in pairwise(edges_y):
@@ -158,7 +158,7 @@ def _cut(
 
 
 def _edges(
-    rectangles: Sequence[Rectangle], within: Rectangle, axis: int, on_lattice: bool
+    rectangles: Sequence[Extent], within: Extent, axis: int, on_lattice: bool
 ) -> list[float]:
     low, high = within[2 * axis], within[2 * axis + 1]
     edges = {e for r in rectangles for e in r[2 * axis : 2 * axis + 2] if low < e < high}
@@ -168,9 +168,9 @@ def _edges(
     return [low, *inner, high]
 
 
-def _overlap(a: Rectangle, b: Rectangle) -> bool:
+def _overlap(a: Extent, b: Extent) -> bool:
     return a[0] < b[1] and b[0] < a[1] and a[2] < b[3] and b[2] < a[3]
 
 
-def _inside(x: float, y: float, r: Rectangle) -> bool:
+def _inside(x: float, y: float, r: Extent) -> bool:
     return r[0] <= x <= r[1] and r[2] <= y <= r[3]

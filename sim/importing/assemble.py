@@ -17,10 +17,10 @@ MAX_GAP = 0.05
 """s. Over a longer gap in the reference, rows are interpolated and marked with ref_ok = 0."""
 _UNIT_TOLERANCE = 1e-2
 
-Table = dict[str, np.ndarray]
+Columns = dict[str, np.ndarray]
 
 
-def checked_log(main: Table, reference: Table | None, rules: ImportMap, path: Path) -> Log:
+def checked_log(main: Columns, reference: Columns | None, rules: ImportMap, path: Path) -> Log:
     """The log of tables in SI units, every column checked. Raises LogError naming path and map."""
     if "ref_q_w" in main:
         unit_quaternions(path, main)
@@ -32,7 +32,7 @@ def checked_log(main: Table, reference: Table | None, rules: ImportMap, path: Pa
     return log
 
 
-def log_from_tables(main: Table, reference: Table | None, rules: ImportMap, name: str) -> Log:
+def log_from_tables(main: Columns, reference: Columns | None, rules: ImportMap, name: str) -> Log:
     """Assemble a Log from tables of log columns in SI units, each (N,), one row a sample.
 
     `main` has `t` unless the map gives a rate; `reference` has its own `t`, ref_p and ref_q.
@@ -106,7 +106,7 @@ def interpolate_reference(
     return position, attitude / np.linalg.norm(attitude, axis=1, keepdims=True), ok
 
 
-def _with_reference(main: Table, reference: Table, rules: ImportMap) -> Table:
+def _with_reference(main: Columns, reference: Columns, rules: ImportMap) -> Columns:
     t = main["t"]
     inside = (t >= reference["t"][0]) & (t <= reference["t"][-1])
     if not inside.any():
@@ -157,7 +157,7 @@ def check_rising(t: np.ndarray, path: Path, column: str, unit: str, first: int) 
         )
 
 
-def unit_quaternions(path: Path, table: Table) -> None:
+def unit_quaternions(path: Path, table: Columns) -> None:
     """Normalise decimals to unit length; raise where they were never a rotation."""
     q = np.column_stack([table[f"ref_q_{axis}"] for axis in "wxyz"])
     norm = np.linalg.norm(q, axis=1)
@@ -169,7 +169,7 @@ def unit_quaternions(path: Path, table: Table) -> None:
         table[f"ref_q_{axis}"] = q[:, i] / norm
 
 
-def _apply_joints(main: Table, rules: ImportMap) -> None:
+def _apply_joints(main: Columns, rules: ImportMap) -> None:
     joints = joint_names(main)
     for joint in (*rules.joint_sign, *rules.joint_offset):
         if joint not in joints:
@@ -201,8 +201,8 @@ def _motor_law(rules: ImportMap, joints: tuple[str, ...]) -> dict[str, list[floa
 
 
 def _torques_by_law(
-    main: Table, joints: tuple[str, ...], law: dict[str, list[float]] | None
-) -> Table:
+    main: Columns, joints: tuple[str, ...], law: dict[str, list[float]] | None
+) -> Columns:
     """tau = kp (q_des - q) + kd (dq_des - dq) + tau_ff [N m], where a log has positions, rates and
     targets but no torque of its own; targets that it lacks are zero, as the law has them."""
     if law is None or any(f"tau_{joint}" in main for joint in joints):

@@ -16,8 +16,8 @@ from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.typesys import Stores, get_typestore
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.importing.assemble import Table, check_rising, checked_log, unit_quaternions
-from surefoot.sim.importing.map import Column, ImportMap
+from surefoot.sim.importing.assemble import Columns, check_rising, checked_log, unit_quaternions
+from surefoot.sim.importing.map import ImportMap, MapColumn
 from surefoot.sim.log import Log
 
 RECEIVED = "received"
@@ -52,7 +52,7 @@ def import_bag(path: str | Path, map_path: str | Path) -> Log:
     return checked_log(main, truth, rules, path)
 
 
-def _on_clock(seen: dict[str, Stamped], columns: dict[str, Column], path: Path) -> Table:
+def _on_clock(seen: dict[str, Stamped], columns: dict[str, MapColumn], path: Path) -> Columns:
     """Columns of several topics at the times of the topic that has `t`."""
     clock = columns["t"]
     t = clock.scale * seen[clock.theirs][1]
@@ -82,7 +82,7 @@ def _on_clock(seen: dict[str, Stamped], columns: dict[str, Column], path: Path) 
     return table
 
 
-def _of_one_topic(seen: dict[str, Stamped], columns: dict[str, Column], path: Path) -> Table:
+def _of_one_topic(seen: dict[str, Stamped], columns: dict[str, MapColumn], path: Path) -> Columns:
     topics = {topic_of(column.theirs) for column in columns.values()}
     if len(topics) > 1:
         raise SurefootError(f"{path}: [reference.columns] are of {' and '.join(sorted(topics))}")

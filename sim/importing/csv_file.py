@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.importing.assemble import Table, check_rising, checked_log, unit_quaternions
-from surefoot.sim.importing.map import Column, ImportMap
+from surefoot.sim.importing.assemble import Columns, check_rising, checked_log, unit_quaternions
+from surefoot.sim.importing.map import ImportMap, MapColumn
 from surefoot.sim.log import Log
 
 
@@ -37,7 +37,7 @@ def import_csv(path: str | Path, map_path: str | Path) -> Log:
     return checked_log(main, reference, rules, path)
 
 
-def _read_csv_table(path: Path, columns: dict[str, Column]) -> Table:
+def _read_csv_table(path: Path, columns: dict[str, MapColumn]) -> Columns:
     cells = read_csv(path, sorted({column.theirs for column in columns.values()}))
     table = {name: column.scale * cells[column.theirs] for name, column in columns.items()}
     if "t" in table:

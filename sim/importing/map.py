@@ -26,8 +26,8 @@ from surefoot.sim.common.files import bundled
 from surefoot.sim.common.toml import Name, NonNegative, Positive, read_typed
 from surefoot.sim.log.schema import GROUPS, is_column, joint_prefix, leg_names
 
-BUNDLED = bundled("surefoot.sim.importing", "maps")
-G = 9.80665
+BUNDLED_MAPS = bundled("surefoot.sim.importing", "maps")
+STANDARD_GRAVITY = 9.80665
 DEGREE = 0.017453292519943295
 EVENNESS = 4e-3 / 3
 """m: DIN 18202, table 3, group 3 allows finished floors 4 mm between points a metre apart, here
@@ -35,7 +35,7 @@ treated as three standard deviations. A log that was simulated elsewhere has eve
 _UNITS: dict[str, dict[str, float]] = {
     "t": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "gyro": {"rad/s": 1.0, "deg/s": DEGREE},
-    "accel": {"m/s^2": 1.0, "g": G},
+    "accel": {"m/s^2": 1.0, "g": STANDARD_GRAVITY},
     "q": {"rad": 1.0, "deg": DEGREE},
     "dq": {"rad/s": 1.0, "deg/s": DEGREE, "rpm": 6.0 * DEGREE},
     "tau": {"N m": 1.0, "mN m": 1e-3},
@@ -46,7 +46,7 @@ _KINDS = {"q_des": "q", "dq_des": "dq", "tau_ff": "tau"}
 
 
 @dataclass(frozen=True)
-class Column:
+class MapColumn:
     """Where a log column comes from: `theirs` times `scale` (unit and sign together) is SI."""
 
     theirs: str
@@ -54,11 +54,11 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Reference:
+class MapReference:
     """The reference's own file beside the main one (None in a bag), its columns, whose pose."""
 
     file: str | None
-    columns: dict[str, Column]
+    columns: dict[str, MapColumn]
     frame: str = "imu"
 
 
@@ -77,10 +77,10 @@ class ImportMap:
     """A checked map. `model` is what goes into `Meta.model`; gains are numbers or by joint."""
 
     path: Path
-    columns: dict[str, Column]
+    columns: dict[str, MapColumn]
     file: str | None = None
     rate: float | None = None
-    reference: Reference | None = None
+    reference: MapReference | None = None
     robot: str | None = None
     model: dict[str, Any] = field(default_factory=dict)
     joint_sign: dict[str, float] = field(default_factory=dict)
@@ -105,12 +105,12 @@ class ImportMap:
 def find_map(path: str | Path) -> Path:
     """The file of a map given by path, or by the name of a bundled one."""
     path = Path(path)
-    bundled = BUNDLED / f"{path.name.removesuffix('.toml')}.toml"
+    bundled = BUNDLED_MAPS / f"{path.name.removesuffix('.toml')}.toml"
     if path.is_file():
         return path
     if path.parent == Path() and bundled.is_file():
         return bundled
-    names = ", ".join(sorted(file.stem for file in BUNDLED.glob("*.toml")))
+    names = ", ".join(sorted(file.stem for file in BUNDLED_MAPS.glob("*.toml")))
     raise SurefootError(f"{path}: no such import map (bundled: {names})")
 
 
@@ -232,7 +232,7 @@ class _File:
         )
 
 
-def _reference(table: _ReferenceTable) -> Reference:
+def _reference(table: _ReferenceTable) -> MapReference:
     columns = _columns("reference.columns", table.columns)
     needed = ("t", *GROUPS["reference"])
     for name in needed:
@@ -241,10 +241,10 @@ def _reference(table: _ReferenceTable) -> Reference:
     for name in columns:
         if name not in needed:
             raise SurefootError(f"[reference.columns] {name}: only t, ref_p and ref_q go here")
-    return Reference(table.file, columns, table.frame)
+    return MapReference(table.file, columns, table.frame)
 
 
-def _columns(section: str, entries: _Columns) -> dict[str, Column]:
+def _columns(section: str, entries: _Columns) -> dict[str, MapColumn]:
     found = {}
     for name, entry in entries.items():
         if not is_column(name):
@@ -252,7 +252,7 @@ def _columns(section: str, entries: _Columns) -> dict[str, Column]:
                 f"[{section}] {name}: not a column of the log (one of your own is x_<name>)"
             )
         if isinstance(entry, str):
-            found[name] = Column(entry)
+            found[name] = MapColumn(entry)
             continue
         prefix = joint_prefix(name)
         kind = prefix[:-1] if prefix else name.rsplit("_", 1)[0]
@@ -261,7 +261,7 @@ def _columns(section: str, entries: _Columns) -> dict[str, Column]:
             allowed = ", ".join(units) or "none: it is kept as given"
             raise SurefootError(f"[{section}.{name}] unit {entry.unit!r} (allowed: {allowed})")
         scale = entry.sign if entry.unit is None else entry.sign * units[entry.unit]
-        found[name] = Column(entry.column, scale)
+        found[name] = MapColumn(entry.column, scale)
     return found
 
 

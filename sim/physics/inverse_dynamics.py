@@ -17,9 +17,9 @@ from llvmlite import binding
 from numba import types
 
 from surefoot.sim.common.kernels import kernel
-from surefoot.sim.physics.stepper import library
+from surefoot.sim.physics.stepper import mujoco_library
 
-_address = ctypes.cast(library().mj_inverseSkip, ctypes.c_void_p).value
+_address = ctypes.cast(mujoco_library().mj_inverseSkip, ctypes.c_void_p).value
 binding.add_symbol("mj_inverseSkip", _address)
 _mj_inverse = types.ExternalFunction(
     "mj_inverseSkip", types.void(types.uintp, types.uintp, types.intc, types.intc)

@@ -43,13 +43,13 @@ class Fallen(SurefootError):
         return type(self), (str(self), self.time)
 
 
-def library() -> ctypes.CDLL:
+def mujoco_library() -> ctypes.CDLL:
     """The shared library of the mujoco package, which it has loaded already."""
     folder = Path(mujoco.__file__).parent
     return ctypes.CDLL(str(next(f for g in ("libmujoco*", "mujoco.dll") for f in folder.glob(g))))
 
 
-binding.add_symbol("mj_step", ctypes.cast(library().mj_step, ctypes.c_void_p).value)
+binding.add_symbol("mj_step", ctypes.cast(mujoco_library().mj_step, ctypes.c_void_p).value)
 # Compiled code knows the function by its name alone, so that it can be cached.
 _mj_step = types.ExternalFunction("mj_step", types.void(types.uintp, types.uintp))
 

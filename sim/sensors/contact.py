@@ -2,7 +2,7 @@
 
 import numpy as np
 
-SWING = 0.05
+SHORTEST_FLIGHT = 0.05
 """s in the air from which a foot has swung; after less it has only bounced."""
 
 
@@ -35,10 +35,10 @@ def contact_from_force(
 
 def swings(t: np.ndarray, stands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """First rows of a foot's swings and of the stances after them (K,); a foot that is up for no
-    longer than SWING has bounced. t (N,) [s]; stands (N,) bool."""
+    longer than SHORTEST_FLIGHT has bounced. t (N,) [s]; stands (N,) bool."""
     lifts = 1 + np.flatnonzero(stands[:-1] & ~stands[1:])
     lands = 1 + np.flatnonzero(~stands[:-1] & stands[1:])
     lands = lands[lands > lifts[0]] if len(lifts) else lands[:0]
     lifts = lifts[: len(lands)]
-    swung = t[lands] - t[lifts] > SWING
+    swung = t[lands] - t[lifts] > SHORTEST_FLIGHT
     return lifts[swung], lands[swung]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from surefoot.sim.sensors.contact import SWING
+from surefoot.sim.sensors.contact import SHORTEST_FLIGHT
 
 
 def changes(stands: np.ndarray) -> np.ndarray:
@@ -18,9 +18,9 @@ def stances(stands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def stances_between_swings(t: np.ndarray, stands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The same of t (N,) [s] and stands (N,), where a foot that bounces, being up for no longer
-    than SWING, is in one stance all the while."""
+    than SHORTEST_FLIGHT, is in one stance all the while."""
     first, end = stances(stands)
-    swung = t[first[1:]] - t[end[:-1] - 1] > SWING
+    swung = t[first[1:]] - t[end[:-1] - 1] > SHORTEST_FLIGHT
     return first[np.insert(swung, 0, True)[: len(first)]], end[np.append(swung, True)[: len(end)]]
 
 

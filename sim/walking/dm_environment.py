@@ -41,7 +41,9 @@ from surefoot.sim.robot.legs import JOINTS
 from surefoot.sim.scenario import Scenario
 from surefoot.sim.walk import SETTLE, plan, record
 
-SETTLING = round(SETTLE / TIMESTEP) // STEPS_PER_TICK  # control periods before the log begins
+SETTLING_PERIODS = (
+    round(SETTLE / TIMESTEP) // STEPS_PER_TICK
+)  # control periods before the log begins
 TOLERANCE = 0.5  # m/s and rad/s, of the reward
 
 
@@ -102,8 +104,8 @@ class WalkingEnvironment(dm_env.Environment):
         made, data = self._plan, self._physics.data.ptr
         mujoco.mj_resetData(made.world.model, data)
         data.qpos[:] = made.world.start
-        trot(made.world, data, self._robot, made.gait, made.course, self._trace, SETTLING)
-        self._k = SETTLING * STEPS_PER_TICK
+        trot(made.world, data, self._robot, made.gait, made.course, self._trace, SETTLING_PERIODS)
+        self._k = SETTLING_PERIODS * STEPS_PER_TICK
         self._over = False
         return dm_env.restart(self._observation())
 
@@ -138,7 +140,7 @@ class WalkingEnvironment(dm_env.Environment):
 
         Raises SurefootError before the first step.
         """
-        k, settled = self._k, SETTLING * STEPS_PER_TICK
+        k, settled = self._k, SETTLING_PERIODS * STEPS_PER_TICK
         if k <= settled:
             raise SurefootError("the episode has no step yet: there is nothing to log")
         qpos, qvel, tau, force = self._trace

@@ -212,4 +212,6 @@ def test_nothing_in_common_is_one_clear_error(pair):
 def test_a_path_s_length_bears_a_stamp_that_rounding_puts_behind_its_end():
     truth = motion(10.01, 100.0).reference()
     late = replace(truth, t=15.502 + 0.01 * np.arange(len(truth.t)))
-    assert path_length(late) == pytest.approx(path_length(truth), rel=1e-2)
+    assert path_length(late.t, late.p_GI) == pytest.approx(
+        path_length(truth.t, truth.p_GI), rel=1e-2
+    )

@@ -8,10 +8,10 @@ import torch
 from synthetic import Body
 
 from surefoot.models.observer.architectures import BiGRU
-from surefoot.models.observer.network import OUTPUTS, Network
+from surefoot.models.observer.network import LOSS_OUTPUTS, Network
 from surefoot.models.observer.observer import Observer, ObserverError
 from surefoot.models.observer.predict import Loop, predict, prediction_errors
-from surefoot.models.observer.samples import samples
+from surefoot.models.observer.samples import observer_samples
 from surefoot.models.observer.training import Schedule, train
 from surefoot.models.registry import ARCHITECTURES, LOSSES
 
@@ -91,7 +91,7 @@ def test_every_model_learns_and_comes_back_from_disk(model, walks, tmp_path):
     assert loaded.model == model
     ours, theirs = (predict(o, walks["test"], Body()) for o in (observer, loaded))
     assert np.array_equal(ours.v_I, theirs.v_I)
-    seen = samples(walks["test"], observer.inputs)
+    seen = observer_samples(walks["test"], observer.inputs)
     if model == "bigru":
         with pytest.raises(ObserverError, match="both ends"):
             Loop(loaded)
@@ -108,7 +108,7 @@ def test_the_same_seed_gives_the_same_model(model, loss, walks):
         train(walks["fit"], Body(), "q", loss, seed=4, schedule=TINY, model=model) for _ in range(2)
     )
     assert first.hash == again.hash
-    assert first.network.head.out_features == OUTPUTS[loss]
+    assert first.network.head.out_features == LOSS_OUTPUTS[loss]
 
 
 def test_an_unknown_model_is_refused(walks, mse_observer, tmp_path):

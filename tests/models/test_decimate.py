@@ -6,7 +6,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surefoot.models.observer.decimate import SPAN, DecimationError, decimate, delay, observer_rows
+from surefoot.models.observer.decimate import (
+    ANTI_ALIAS_SPAN,
+    DecimationError,
+    decimate,
+    delay,
+    observer_rows,
+)
 from surefoot.sim.log import Log, Meta
 
 RATES = (500.0, 400.0, 333.0, 250.0, 1000.0, 120.0, 100.0)
@@ -21,7 +27,7 @@ def test_a_slow_signal_comes_out_late_by_the_stated_delay(rate):
     t = np.arange(int(4 * rate)) / rate
     rows = observer_rows(log_at(t, rate))
     ramp = decimate(t, t[:, None], rows)[:, 0]
-    settled = t[rows] > SPAN
+    settled = t[rows] > ANTI_ALIAS_SPAN
     late = t[rows][settled] - ramp[settled]
     assert late == pytest.approx(delay(rate), abs=1e-9)
     assert delay(rate) == pytest.approx(0.010, abs=2e-4)

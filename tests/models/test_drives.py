@@ -10,10 +10,10 @@ from pendulum import swung
 from surefoot.scenarios.studies.hardware.drives import (
     EFFECTS,
     balance,
-    fit,
+    fit_sizes,
     left,
-    level,
     ranges,
+    rms,
     select,
 )
 from surefoot.sim.robot.fixed_base import load_machine
@@ -30,12 +30,12 @@ def test_what_a_drive_hides_is_named_and_sized_and_told_of_another_run(machine):
     unseen = balance(swung(**hidden, seed=3), machine, 0.04)
     names = select(seen, 0, tuple(EFFECTS))
     assert set(names) == {"torque_scale", "coulomb_friction", "armature"}
-    sizes = fit(seen, 0, names, np.random.default_rng(0))
+    sizes = fit_sizes(seen, 0, names, np.random.default_rng(0))
     # What the drive reports is scaled, its own friction and rotor too.
     truth = {"torque_scale": 0.15, "coulomb_friction": 1.15 * 0.2, "armature": 1.15 * 0.012}
     for name, value in zip(sizes.names, sizes.values, strict=True):
         assert value == pytest.approx(truth[name], rel=0.1), name
-    before, after = level(left(unseen, 0)), level(left(unseen, 0, sizes))
+    before, after = rms(left(unseen, 0)), rms(left(unseen, 0, sizes))
     assert after < 0.35 * before
     assert after < 2.0 * unseen.floor[0]
 
@@ -43,7 +43,7 @@ def test_what_a_drive_hides_is_named_and_sized_and_told_of_another_run(machine):
 def test_a_drive_that_hides_nothing_is_given_nothing(machine):
     one = balance(swung(seed=4), machine, 0.04)
     assert select([one], 0, tuple(EFFECTS)) == ()
-    assert level(left(one, 0)) < 2.0 * one.floor[0]
+    assert rms(left(one, 0)) < 2.0 * one.floor[0]
 
 
 def test_intervals_hold_the_truth_about_as_often_as_they_say(machine):
@@ -51,7 +51,7 @@ def test_intervals_hold_the_truth_about_as_often_as_they_say(machine):
     missed = 0
     for seed in range(8):
         one = balance(swung(friction=0.15, seed=10 + seed, seconds=8.0), machine, 0.04)
-        low, high = fit([one], 0, ["coulomb_friction"], np.random.default_rng(0)).interval[0]
+        low, high = fit_sizes([one], 0, ["coulomb_friction"], np.random.default_rng(0)).interval[0]
         missed += not low - 0.01 <= 0.15 <= high + 0.01
     assert missed < 3
 
@@ -63,7 +63,7 @@ def test_a_hand_on_the_rod_is_left_out_and_changes_nothing(machine):
     assert not pushed.good[touched, 0].any()
     assert pushed.good.mean() > 0.85
     rng = np.random.default_rng(0)
-    one, other = (fit([b], 0, ["coulomb_friction"], rng).values[0] for b in (free, pushed))
+    one, other = (fit_sizes([b], 0, ["coulomb_friction"], rng).values[0] for b in (free, pushed))
     assert other == pytest.approx(one, abs=0.03)
 
 
@@ -72,7 +72,7 @@ def test_a_heavier_rod_looks_exactly_like_a_torque_scale_with_armature(machine):
     one = balance(swung(scale=1.2, armature=0.01, seed=6), machine, 0.04)
     rng = np.random.default_rng(0)
     rests = [
-        left(one, 0, fit([one], 0, names, rng))
+        left(one, 0, fit_sizes([one], 0, names, rng))
         for names in (("torque_scale", "armature"), ("gravity", "inertia"))
     ]
     np.testing.assert_allclose(rests[0][one.good[:, 0]], rests[1][one.good[:, 0]], atol=1e-3)

@@ -10,7 +10,7 @@ from surefoot.models.attribution.evidence import log_under_model
 from surefoot.models.attribution.noise_floor import noise_floor
 from surefoot.models.attribution.search import attribute
 from surefoot.models.attribution.split import split_of
-from surefoot.scenarios.studies.blind.outside_effects import OUTSIDE
+from surefoot.scenarios.studies.blind.outside_effects import OUTSIDE_EFFECTS
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
@@ -29,7 +29,7 @@ def found(one):
 
 
 def test_a_curve_is_told_from_the_line_that_comes_nearest():
-    result, bent = found(OUTSIDE["encoder_eccentricity"]("FL_thigh", 0.03))
+    result, bent = found(OUTSIDE_EFFECTS["encoder_eccentricity"]("FL_thigh", 0.03))
     assert result.found, "something of the catalogue comes near"
     assert [(one.joint, one.channel) for one in bent[:1]] == [("FL_thigh", "leg_velocity")]
 

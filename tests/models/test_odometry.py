@@ -13,7 +13,7 @@ from surefoot.models.observer.network import Network
 from surefoot.models.observer.observer import Observer, ObserverError, observer_inputs
 from surefoot.models.observer.odometry import Kinematics, contact_points, leg_geometry
 from surefoot.models.observer.predict import Loop, predict, prediction_errors
-from surefoot.models.observer.samples import samples
+from surefoot.models.observer.samples import observer_samples
 from surefoot.models.observer.training import Schedule, train
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import matrix_from_quaternion
@@ -86,7 +86,9 @@ def test_an_untrained_network_is_plain_odometry(drawing):
     assert network.odometry is not None
     network.odometry.set_units(dataset.x_mean, dataset.x_scale, dataset.y_scale)
     v = network(dataset.logs[0].x[:, None])[:, 0].detach().numpy() * dataset.y_scale
-    u = observer_inputs(inputs, Kinematics.of(drawing, ROBOT), samples(log, inputs).x)[:, -12:]
+    u = observer_inputs(inputs, Kinematics.of(drawing, ROBOT), observer_samples(log, inputs).x)[
+        :, -12:
+    ]
     assert v == pytest.approx(-u.reshape(-1, 4, 3).mean(axis=1), abs=1e-4)
 
 
@@ -102,7 +104,7 @@ def test_the_loop_and_the_disk_give_the_whole_log(model, loss, tmp_path):
     whole = predict(observer, log)
     again = predict(loaded, log)
     assert np.array_equal(whole.v_I, again.v_I)
-    loop, seen = Loop(loaded), samples(log, loaded.inputs)
+    loop, seen = Loop(loaded), observer_samples(log, loaded.inputs)
     for m in range(80):
         v_I, covariance = loop.step(seen.x[m])
         assert v_I == pytest.approx(whole.v_I[m], abs=2e-5)

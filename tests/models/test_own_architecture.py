@@ -18,11 +18,11 @@ from synthetic import Body, synthetic_walk
 
 from surefoot.models.observer.observer import Observer
 from surefoot.models.observer.predict import Loop, predict, prediction_errors
-from surefoot.models.observer.samples import samples
+from surefoot.models.observer.samples import observer_samples
 from surefoot.models.observer.training import Schedule, train
 from surefoot.models.registry import ARCHITECTURES
 from surefoot.scenarios.experiments.file import Experiment
-from surefoot.scenarios.experiments.products import observer_inputs
+from surefoot.scenarios.experiments.products import learning_choices
 
 print(*ARCHITECTURES)
 walk, test = (synthetic_walk(seed, 20, noise=0.1) for seed in (0, 1))
@@ -33,11 +33,11 @@ loaded = Observer.load("observer.pt")
 v_I = predict(loaded, test, Body()).v_I
 _, errors = prediction_errors(loaded, test, Body())
 assert np.sqrt((errors**2).mean(axis=0))[0] < test.ref_v.std(axis=0)[0]
-loop, x = Loop(loaded), samples(test, loaded.inputs).x
+loop, x = Loop(loaded), observer_samples(test, loaded.inputs).x
 assert np.allclose([loop.step(row)[0] for row in x[:50]], v_I[:50], atol=1e-5)
 
 learning = Experiment.load("grid.toml").learning
-print(learning.model, observer_inputs(learning)["model"])
+print(learning.model, learning_choices(learning)["model"])
 """
 GRID = """
 scenarios = ["walk.toml"]

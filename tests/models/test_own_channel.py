@@ -11,7 +11,7 @@ from synthetic import synthetic_walk
 from surefoot.models.attribution.data import data_notes
 from surefoot.models.attribution.evidence import log_under_model
 from surefoot.models.attribution.noise_floor import NoiseFloor
-from surefoot.models.residuals.registry import BUNDLED, CHANNELS, channels
+from surefoot.models.residuals.registry import BUNDLED_CHANNELS, CHANNELS, channels
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.plugins import plugins
 from surefoot.sim.robot import Robot
@@ -81,7 +81,7 @@ def test_a_channel_of_a_package_is_traced_told_and_drawn(tmp_path):
 
 
 def test_without_the_package_there_are_the_bundled_channels_alone():
-    assert list(channels()) == [kind.name for kind in BUNDLED]
+    assert list(channels()) == [kind.name for kind in BUNDLED_CHANNELS]
 
 
 @pytest.mark.parametrize(
@@ -107,7 +107,7 @@ def test_what_is_no_channel_is_refused_in_a_line(tmp_path, monkeypatch, source, 
     try:
         with pytest.raises(SurefootError, match=f"plugin mine .*{words}"):
             CHANNELS["mine"]
-        assert list(channels.__wrapped__()) == [kind.name for kind in BUNDLED]
+        assert list(channels.__wrapped__()) == [kind.name for kind in BUNDLED_CHANNELS]
         robot = Robot.load("spot_class")
         case = log_under_model(synthetic_walk(0, 6.0), robot)
         (note,) = [n for n in data_notes([case], NoiseFloor(np.zeros(0), (), "")) if "mine" in n]

@@ -7,7 +7,7 @@ import pytest
 
 from surefoot.models.attribution.evidence import log_under_model
 from surefoot.models.attribution.robust_weights import RobustWeights
-from surefoot.models.attribution.unexplained import library, sparse_regression
+from surefoot.models.attribution.unexplained import regressor_library, sparse_regression
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
@@ -28,7 +28,7 @@ def formed(signal=None, column=1):
     bins = len(case().frame.t)
     left = 1e-3 * np.random.default_rng(0).normal(size=(bins, 52))
     if signal:
-        names, values = library([case()])
+        names, values = regressor_library([case()])
         left[:, column] += 2e-3 * values[:, names.index(signal)]
     trusted = RobustWeights(np.ones(52), np.ones((bins, 52)), np.zeros((bins, 4), bool), 0.0)
     seen = (case().frame.t // 2).astype(int) % 2 == 0

@@ -6,8 +6,8 @@ from scipy.signal import lfilter
 from scipy.stats import binom, norm
 
 from surefoot.models.calibration.shift import (
-    BLOCK,
-    SETTLING,
+    SETTLING_BLOCKS,
+    UPDATES_OF_BLOCK,
     Alarm,
     block_sizes,
     fortune,
@@ -38,7 +38,7 @@ def test_false_alarms_on_innovations_that_remember():
     rng = np.random.default_rng(1)
     raised = 0
     for _ in range(300):
-        noise = rng.standard_normal((100 * BLOCK,))
+        noise = rng.standard_normal((100 * UPDATES_OF_BLOCK,))
         squared = np.square(np.asarray(lfilter([1.0], [1.0, -0.95], noise)))
         sizes = block_sizes(squared)
         raised += shift_alarm(sizes[:40], sizes[40:], 0.05).at is not None
@@ -49,9 +49,9 @@ def test_a_growth_by_half_is_found_within_twenty_seconds():
     rng = np.random.default_rng(2)
     delays = []
     for _ in range(200):
-        calibration = block_sizes(rng.standard_normal(61 * BLOCK) ** 2)
-        walk = rng.standard_normal(81 * BLOCK) ** 2
-        walk[41 * BLOCK :] *= 1.5**2
+        calibration = block_sizes(rng.standard_normal(61 * UPDATES_OF_BLOCK) ** 2)
+        walk = rng.standard_normal(81 * UPDATES_OF_BLOCK) ** 2
+        walk[41 * UPDATES_OF_BLOCK :] *= 1.5**2
         at = shift_alarm(calibration, block_sizes(walk)).at
         assert at is not None
         delays.append(at - 41)
@@ -65,13 +65,13 @@ def test_smaller_innovations_raise_no_alarm():
 
 
 def test_bounds_grow_after_the_alarm_as_innovations_have():
-    squared = np.concatenate((np.ones(10 * BLOCK), np.full(20 * BLOCK, 9.0)))
+    squared = np.concatenate((np.ones(10 * UPDATES_OF_BLOCK), np.full(20 * UPDATES_OF_BLOCK, 9.0)))
     raised = Alarm(np.zeros(0), 15.0, 0.01)
     factor = inflation(np.ones(30), squared, raised)
-    assert np.all(factor[: 15 * BLOCK] == 1.0)
-    assert factor[15 * BLOCK :] == pytest.approx(np.full(15 * BLOCK, 3.0))
+    assert np.all(factor[: 15 * UPDATES_OF_BLOCK] == 1.0)
+    assert factor[15 * UPDATES_OF_BLOCK :] == pytest.approx(np.full(15 * UPDATES_OF_BLOCK, 3.0))
     assert np.all(inflation(np.ones(30), squared, Alarm(np.zeros(0), None, 0.01)) == 1.0)
-    assert len(block_sizes(squared)) == 30 - SETTLING
+    assert len(block_sizes(squared)) == 30 - SETTLING_BLOCKS
 
 
 def shifted(rng, n, m):
@@ -116,9 +116,11 @@ def test_ratios_are_those_of_the_densities():
 def inputs(rng, seconds, mean, depends=1.0):
     """A second's inputs have a level of their own, and its errors a size that grows with it."""
     level = mean + rng.standard_normal(seconds)
-    x = np.repeat(level, BLOCK)[:, None] + 0.1 * rng.standard_normal((seconds * BLOCK, 1))
-    size = np.exp(0.5 * depends * np.repeat(level, BLOCK))
-    return x, size[:, None] * rng.standard_normal((seconds * BLOCK, 3))
+    x = np.repeat(level, UPDATES_OF_BLOCK)[:, None] + 0.1 * rng.standard_normal(
+        (seconds * UPDATES_OF_BLOCK, 1)
+    )
+    size = np.exp(0.5 * depends * np.repeat(level, UPDATES_OF_BLOCK))
+    return x, size[:, None] * rng.standard_normal((seconds * UPDATES_OF_BLOCK, 3))
 
 
 def test_a_walk_of_other_inputs_is_covered_and_one_of_foreign_inputs_refused():

@@ -13,7 +13,7 @@ from surefoot.models.observer.decimate import decimate
 from surefoot.models.observer.imu_mounting import move_covariance, move_velocity
 from surefoot.models.observer.observer import ObserverError
 from surefoot.models.observer.predict import Loop, predict, prediction_errors
-from surefoot.models.observer.samples import body_velocity, samples
+from surefoot.models.observer.samples import body_velocity, observer_samples
 from surefoot.models.observer.training import Schedule, train
 from surefoot.sim.log import LogError
 
@@ -67,7 +67,7 @@ def test_held_out_labels_do_not_matter(walks):
 def test_the_loop_is_the_whole_log(loss, mse_observer, gml_observer, walks):
     observer = mse_observer if loss == "mse" else gml_observer
     log = walks["test"]
-    seen = samples(log, observer.inputs)
+    seen = observer_samples(log, observer.inputs)
     whole = predict(observer, log, Body())
     loop = Loop(observer)
     for m in range(100):
@@ -81,7 +81,7 @@ def test_the_loop_is_the_whole_log(loss, mse_observer, gml_observer, walks):
 def test_filtering_the_last_samples_is_filtering_the_log(walks):
     """A robot in its loop keeps 20 ms of samples, no more."""
     log = walks["test"]
-    seen = samples(log, ("q",))
+    seen = observer_samples(log, ("q",))
     t, q = log.t, log.q
     for m in (5, 250):
         last = slice(seen.rows[m] - 11, seen.rows[m] + 1)
@@ -134,7 +134,7 @@ def test_moving_there_and_back_is_staying():
 
 def test_inputs_come_in_order_and_scaled_back(walks):
     log = walks["test"]
-    seen = samples(log, ("q", "dq", "tau"))
+    seen = observer_samples(log, ("q", "dq", "tau"))
     stacked = np.concatenate((log.q, log.dq, log.tau), axis=1)
     assert np.array_equal(seen.x, decimate(log.t, stacked, seen.rows))
 

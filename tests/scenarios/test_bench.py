@@ -12,11 +12,11 @@ from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.studies.bench import walking
 from surefoot.scenarios.studies.bench.box import box_kinds, less_error, outputs, run_ours, run_qmc
 from surefoot.scenarios.studies.bench.filter import (
-    GAMMA,
+    BENCH_GAMMA,
     gtsam_filter,
+    run_updates,
     trial,
     velocity_filter,
-    walk,
 )
 from surefoot.scenarios.studies.bench.ratio import Ratio, in_turn
 from surefoot.scenarios.studies.bench.run import ITEMS
@@ -85,11 +85,11 @@ def test_the_filter_with_samples_is_the_same_filter():
     for samples in (0, 5000):
         mean, covariance = trials.means[0].copy(), trials.covariance.copy()
         data = truth.t, trials.gyro[0], trials.accel[0], trials.v_I[0]
-        walk(*data, epsilon, mean, covariance, noise.packed(), shifts, samples)
+        run_updates(*data, epsilon, mean, covariance, noise.packed(), shifts, samples)
         ends.append(mean)
     whole = run_coverage(
-        truth.t, trials.gyro[0], trials.accel[0], np.arange(1, 201), trials.v_I[0], epsilon, GAMMA,
-        NavState.unpack(trials.means[0]), trials.covariance, noise, 1,
+        truth.t, trials.gyro[0], trials.accel[0], np.arange(1, 201), trials.v_I[0], epsilon,
+        BENCH_GAMMA, NavState.unpack(trials.means[0]), trials.covariance, noise, 1,
     )  # fmt: skip
     assert np.abs(ends[0][3] - whole.v_GI[-1]).max() < 1e-12
     assert np.abs(ends[1][3] - ends[0][3]).max() < 1e-2

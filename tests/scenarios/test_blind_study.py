@@ -3,7 +3,7 @@
 import pytest
 
 from surefoot.scenarios.studies.blind import study
-from surefoot.scenarios.studies.blind.outside_effects import OUTSIDE
+from surefoot.scenarios.studies.blind.outside_effects import OUTSIDE_EFFECTS
 from surefoot.scenarios.studies.blind.report import (
     names_both_twins,
     points,
@@ -16,7 +16,7 @@ from surefoot.scenarios.studies.blind.study import (
     PLAN,
     cases,
     ground_and_course,
-    run_study,
+    run_blind_study,
     standing_part,
 )
 from surefoot.sim.common.toml import read_toml
@@ -47,7 +47,7 @@ def test_the_plan_has_the_whole_catalogue_and_the_kinds_it_must():
     assert {single.count(name) for name in CATALOGUE} == {7}
     outside = [c.effects[0].name for c in planned if c.kind == "outside"]
     assert len(outside) == 18
-    assert min(outside.count(name) for name in OUTSIDE) >= 2
+    assert min(outside.count(name) for name in OUTSIDE_EFFECTS) >= 2
     assert all(len(c.effects) == 2 for c in planned if c.kind == "together")
     assert all(not c.effects for c in planned if c.kind == "clean")
     assert min(c.seed for c in planned) >= 100
@@ -111,15 +111,19 @@ def test_the_report_is_written_from_what_was_run(tmp_path):
 
 def test_a_study_that_was_stopped_goes_on_where_it_was(tmp_path, monkeypatch):
     monkeypatch.setattr(study, "run_case", lambda case: {"number": case.number})
-    assert run_study(tmp_path, at_most=3) == [{"number": 0}, {"number": 1}, {"number": 2}]
+    assert run_blind_study(tmp_path, at_most=3) == [{"number": 0}, {"number": 1}, {"number": 2}]
     monkeypatch.setattr(study, "run_case", lambda case: {"number": -case.number})
-    assert run_study(tmp_path, at_most=4)[1:] == [{"number": 1}, {"number": 2}, {"number": -3}]
+    assert run_blind_study(tmp_path, at_most=4)[1:] == [
+        {"number": 1},
+        {"number": 2},
+        {"number": -3},
+    ]
 
 
 @pytest.mark.slow
 def test_the_blind_study(tmp_path):
     """The whole of it: a few hours of one core."""
-    records = run_study(tmp_path / "cases", workers=2)
+    records = run_blind_study(tmp_path / "cases", workers=2)
     print(write_report_of(tmp_path, records))
     single = [points(r) for r in records if r["kind"] == "single" and "fell" not in r]
     clean = [bool(r["effects_found"]) for r in records if r["kind"] == "clean"]

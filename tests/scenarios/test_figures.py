@@ -41,7 +41,7 @@ def drawn(walk, errors) -> dict[str, Figure]:
     return {
         "trajectories": figures.trajectories(walk.log, errors, walk.patches),
         "height": figures.height(walk.log, errors),
-        "velocity": figures.body_velocity(walk.log, walk.prediction, walk.bounds.epsilon),
+        "velocity": figures.velocity_figure(walk.log, walk.prediction, walk.bounds.epsilon),
         "error": figures.position_error(errors),
         "distributions": observer_figures.error_distributions(
             train, test, walk.bounds.epsilon, walk.bounds.gamma

@@ -8,7 +8,13 @@ from pendulum import swung
 
 from surefoot.scenarios.studies.hardware import go2, pendulum
 from surefoot.scenarios.studies.hardware.go1 import ladder, rolling_table
-from surefoot.scenarios.studies.hardware.study import MEASURED, RUNS, Options, as_markdown, study
+from surefoot.scenarios.studies.hardware.study import (
+    MEASURED,
+    RUNS,
+    HardwareStudy,
+    as_markdown,
+    run_hardware,
+)
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import measured_folder
 from surefoot.sim.ground.terrain import Ground
@@ -25,7 +31,7 @@ needs_measured = pytest.mark.skipif(
 
 
 def test_a_study_without_its_recording_is_skipped_with_a_line(tmp_path, capsys):
-    assert study(Options(tmp_path / "out", measured=tmp_path / "nowhere")) == {}
+    assert run_hardware(HardwareStudy(tmp_path / "out", measured=tmp_path / "nowhere")) == {}
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 3
     assert lines[0].startswith("ak80_pendulum: skipped, its recording is not in")
@@ -34,11 +40,13 @@ def test_a_study_without_its_recording_is_skipped_with_a_line(tmp_path, capsys):
 
 def test_an_unknown_study_and_files_in_the_way_are_one_line(tmp_path):
     with pytest.raises(SurefootError, match="--only arm: unknown; choose ak80_pendulum"):
-        study(Options(tmp_path, only=("arm",)))
+        run_hardware(HardwareStudy(tmp_path, only=("arm",)))
     (tmp_path / "measured" / "ak80_pendulum").mkdir(parents=True)
     (tmp_path / "ak80_pendulum.md").write_text("mine")
     with pytest.raises(SurefootError, match=r"ak80_pendulum\.md: exists already"):
-        study(Options(tmp_path, measured=tmp_path / "measured", only=("ak80_pendulum",)))
+        run_hardware(
+            HardwareStudy(tmp_path, measured=tmp_path / "measured", only=("ak80_pendulum",))
+        )
     assert (tmp_path / "ak80_pendulum.md").read_text() == "mine"
 
 
@@ -46,7 +54,7 @@ def test_the_pendulum_study_tells_what_simulated_drives_hide():
     """Each run held out once: the others name what it lacks, and its residual falls to jitter."""
     hidden = {"scale": 1.2, "friction": 0.17, "armature": 0.01}
     logs = {f"run {s}": swung(**hidden, seed=s, seconds=8.0) for s in range(3)}
-    done = pendulum.study(logs, load_machine("ak80_pendulum"))
+    done = pendulum.held_out_runs(logs, load_machine("ak80_pendulum"))
     for one in done:
         assert set(one.sizes.names) == {"torque_scale", "coulomb_friction", "armature"}
         rest = one.after[np.isfinite(one.after)]
@@ -59,7 +67,7 @@ def test_the_pendulum_study_tells_what_simulated_drives_hide():
 @pytest.mark.slow
 @needs_measured
 def test_a_real_drive_is_told_of_runs_that_no_fit_has_seen(tmp_path):
-    done = study(Options(tmp_path, only=("ak80_pendulum",)))["ak80_pendulum"]
+    done = run_hardware(HardwareStudy(tmp_path, only=("ak80_pendulum",)))["ak80_pendulum"]
     table = next(iter(done.tables.values())).set_index("run held out")
     assert tuple(table.index) == RUNS
     explained = dict(zip(RUNS, table["explained [%]"].astype(float), strict=True))

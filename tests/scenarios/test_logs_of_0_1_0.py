@@ -9,7 +9,7 @@ from pathlib import Path
 from numpy.testing import assert_allclose
 
 from surefoot.estimator.evaluation.trajectory import Trajectory
-from surefoot.scenarios.estimate.registry import run_filter
+from surefoot.scenarios.estimate.run import run_filter
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 

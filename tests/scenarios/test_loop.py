@@ -8,7 +8,7 @@ import pytest
 
 from surefoot.models.observer.predict import prediction_errors
 from surefoot.models.observer.training import train
-from surefoot.scenarios.estimate.registry import declared_model
+from surefoot.scenarios.estimate.run import declared_model
 from surefoot.scenarios.trace.loop import (
     RECIPE,
     TrainingPlan,

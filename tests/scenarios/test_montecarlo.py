@@ -20,23 +20,23 @@ from surefoot.scenarios.studies.montecarlo.qmc import (
 from surefoot.scenarios.studies.montecarlo.report import beyond_table, montecarlo, write_study
 from surefoot.scenarios.studies.montecarlo.settings import (
     BIASED,
-    BUNDLED,
-    MIXINGS,
+    MIXING_LAWS,
+    MONTECARLO_PLAN,
     UNBIASED,
     ErrorLaw,
-    Study,
+    MonteCarloStudy,
     load_study,
 )
 from surefoot.scenarios.studies.montecarlo.study import (
     ITERATIONS,
     READINGS,
+    FilterScores,
     Results,
-    Row,
     Scores,
     Setting,
     bounds,
     paper_settings,
-    run_study,
+    run_montecarlo,
     run_trials,
 )
 from surefoot.scenarios.studies.montecarlo.trials import (
@@ -51,7 +51,7 @@ from surefoot.sim.common.errors import SurefootError
 
 
 @pytest.fixture(scope="module")
-def study() -> Study:
+def study() -> MonteCarloStudy:
     """The bundled study, but a few short trials."""
     whole = load_study()
     beyond = replace(whole.beyond, trials=2, regime=whole.beyond.regime[2:5])
@@ -61,7 +61,7 @@ def study() -> Study:
 
 @pytest.fixture(scope="module")
 def found(study) -> Results:
-    return run_study(study)
+    return run_montecarlo(study)
 
 
 def seeds(count: int) -> list[np.random.SeedSequence]:
@@ -139,7 +139,7 @@ def test_scores_are_those_of_the_filters_one_sample_at_a_time(study, regime):
 
 
 def test_the_study_is_the_same_from_the_same_seed_and_is_written_whole(study, found, tmp_path):
-    first, second = found, run_study(study)
+    first, second = found, run_montecarlo(study)
     for a, b in zip((*first.paper, *first.beyond), (*second.paper, *second.beyond), strict=True):
         assert np.array_equal(a.scores.nees, b.scores.nees)
         assert np.isfinite(a.scores.distance).all()
@@ -162,8 +162,10 @@ def test_paired_trials_say_where_coverage_pays():
 
     def verdict(rmse: float, nees: float) -> str:
         rows = [
-            Row("some", Setting("velocity_persistent"), _constant_scores(hardness, 6.0)),
-            Row("some", Setting("coverage_persistent"), _constant_scores(rmse * hardness, nees)),
+            FilterScores("some", Setting("velocity_persistent"), _constant_scores(hardness, 6.0)),
+            FilterScores(
+                "some", Setting("coverage_persistent"), _constant_scores(rmse * hardness, nees)
+            ),
         ]
         return beyond_table(rows)["coverage beside velocity"].iloc[0]
 
@@ -181,16 +183,16 @@ def test_paired_trials_say_where_coverage_pays():
 @pytest.mark.parametrize("where", ["workers", "cluster"])
 def test_other_processes_give_the_same_numbers(study, where):
     small = replace(study, duration=3.0, beyond=replace(study.beyond, regime=()))
-    near = run_study(small)
+    near = run_montecarlo(small)
     if where == "workers":
-        far = run_study(small, workers=2)
+        far = run_montecarlo(small, workers=2)
     else:
         distributed = pytest.importorskip("distributed")
         plain = {"processes": False, "dashboard_address": None, "protocol": "tcp://"}
         with distributed.LocalCluster(
             n_workers=1, threads_per_worker=1, host="127.0.0.1", **plain
         ) as cluster:
-            far = run_study(small, cluster=cluster.scheduler_address)
+            far = run_montecarlo(small, cluster=cluster.scheduler_address)
     for a, b in zip(near.paper, far.paper, strict=True):
         assert (a.setting.filter, a.setting.gamma) == (b.setting.filter, b.setting.gamma)
         assert a.setting.reading == b.setting.reading
@@ -202,7 +204,7 @@ def test_a_cluster_that_is_not_there_is_one_line(study, monkeypatch):
     monkeypatch.setattr("surefoot.scenarios.datasets.cluster.PATIENCE", 0.5)
     pytest.importorskip("distributed")
     with pytest.raises(SurefootError, match=r"--cluster tcp://127\.0\.0\.1:9: ") as error:
-        run_study(study, cluster="tcp://127.0.0.1:9")
+        run_montecarlo(study, cluster="tcp://127.0.0.1:9")
     assert "\n" not in str(error.value)
 
 
@@ -223,7 +225,7 @@ def test_bounds_hold_what_their_reading_says(study):
         assert inside.mean() == pytest.approx(share, abs=5e-3)
 
 
-@pytest.mark.parametrize("mixing", MIXINGS)
+@pytest.mark.parametrize("mixing", MIXING_LAWS)
 def test_mixing_parts_have_zero_mean_and_the_stated_covariance(study, mixing):
     rng = np.random.default_rng(0)
     errors = velocity_errors(study, ErrorLaw(mixing=mixing), 400000, rng) / study.noise_std
@@ -315,7 +317,7 @@ def test_iterations_start_from_the_row_of_the_papers_table(found):
     ],
 )
 def test_a_bad_study_file_is_one_line_that_names_the_key(tmp_path, before, after, says):
-    text = BUNDLED.read_text()
+    text = MONTECARLO_PLAN.read_text()
     assert before in text
     path = tmp_path / "study.toml"
     path.write_text(text.replace(before, after))

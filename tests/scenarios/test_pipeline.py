@@ -9,7 +9,7 @@ from surefoot.models.calibration.calibrate import calibrate
 from surefoot.models.observer.training import Schedule, train
 from surefoot.scenarios.demo import demo
 from surefoot.scenarios.estimate.compare import compare_log, table, write_comparison
-from surefoot.scenarios.estimate.registry import ESTIMATORS, Learnt, run_filter
+from surefoot.scenarios.estimate.run import ESTIMATORS, Learnt, run_filter
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground, Patch

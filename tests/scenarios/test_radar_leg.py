@@ -7,7 +7,7 @@ import pytest
 
 from surefoot.scenarios.estimate import radar_velocity as module
 from surefoot.scenarios.estimate.radar_velocity import radar_velocity
-from surefoot.scenarios.estimate.registry import Learnt, estimator_named, run_all, run_filter
+from surefoot.scenarios.estimate.run import Learnt, estimator_named, run_all, run_filter
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot

@@ -9,7 +9,7 @@ import pytest
 from own_package import PACKAGES
 
 from surefoot.models.registry import ARCHITECTURES, CALIBRATORS
-from surefoot.models.residuals.registry import BUNDLED
+from surefoot.models.residuals.registry import BUNDLED_CHANNELS
 from surefoot.scenarios import tune
 from surefoot.scenarios.cache import Product
 from surefoot.scenarios.datasets.index import recipe
@@ -92,7 +92,7 @@ def edited(path):
         (ESTIMATORS.bundled, "surefoot.scenarios.estimate.estimators"),
         (ARCHITECTURES.bundled, "surefoot.models.registry"),
         (CALIBRATORS.bundled, "surefoot.models.registry"),
-        ({kind.name: kind for kind in BUNDLED}, "surefoot.models.residuals.registry"),
+        ({kind.name: kind for kind in BUNDLED_CHANNELS}, "surefoot.models.residuals.registry"),
         (CATALOGUE, "surefoot.sim.effects.catalogue"),
     ],
 )
@@ -262,7 +262,7 @@ def test_a_training_depends_on_the_logs_and_on_the_network(tmp_path, monkeypatch
         monkeypatch.setattr(observers, "_logs", lambda *_, seen=seen: {"walk": seen})
         monkeypatch.setattr(observers, "code_digest", lambda *_, code=code: code)
         with pytest.raises(Found):
-            observers.study(observers.Options(tmp_path, seeds=1))
+            observers.observer_study(observers.ObserverStudy(tmp_path, seeds=1))
     assert asked[0] == asked[1]
     assert len(set(asked)) == 3
 

@@ -17,10 +17,10 @@ from surefoot.scenarios.estimate import long_logs
 from surefoot.scenarios.estimate import radar_velocity as radar
 from surefoot.scenarios.estimate.contract import Beginning, Learnt, Stream, samples
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
-from surefoot.scenarios.estimate.registry import (
+from surefoot.scenarios.estimate.run import (
     estimated,
     estimated_in_chunks,
-    joined,
+    joined_trajectory,
     stepped,
 )
 from surefoot.scenarios.estimate.tuned import tuned
@@ -101,7 +101,7 @@ def assert_same(a: Trajectory, b: Trajectory, tolerance: float):
 def test_step_by_step_and_in_pieces_it_is_the_same(name, log, robot, learnt):
     rows = every_row(log.t, None)
     one_by_one = stepped(begun(name, log, robot, learnt), log, rows)
-    in_pieces = joined(estimated_raw(name, log, robot, learnt))
+    in_pieces = joined_trajectory(estimated_raw(name, log, robot, learnt))
     whole = begun(name, log, robot, learnt)
     at_once = whole.run(log, rows) if hasattr(whole, "run") else one_by_one
     if name in ("leg", "leg_slip", "radar_leg", "imu"):
@@ -127,7 +127,7 @@ def test_a_log_that_comes_in_pieces_gives_the_trajectory_of_the_whole(name, log,
     one = estimator_named(name)
     # The first piece must show how the robot stands.
     parts = [log.rows(slice(0, 700)), log.rows(slice(700, 701)), log.rows(slice(701, None))]
-    found = joined(estimated_in_chunks(one, parts, robot, Learnt()))
+    found = joined_trajectory(estimated_in_chunks(one, parts, robot, Learnt()))
     assert_same(found, estimated(one, log, robot, Learnt()), 0.0)
 
 
@@ -136,7 +136,7 @@ def test_joint_rates_that_are_missing_are_the_same_in_pieces(log, robot):
     bare = replace(log, frame=frame)
     rows = every_row(log.t, None)
     whole = begun("leg", bare, robot, Learnt()).run(bare, rows)
-    assert_same(joined(estimated_raw("leg", bare, robot, Learnt())), whole, 0.0)
+    assert_same(joined_trajectory(estimated_raw("leg", bare, robot, Learnt())), whole, 0.0)
     assert_same(stepped(begun("leg", bare, robot, Learnt()), bare, rows), whole, 0.0)
 
 
@@ -171,7 +171,7 @@ def standing(seconds: float, rate: float = 500.0) -> Log:
 
 def test_a_long_log_is_estimated_in_the_memory_of_a_piece(tmp_path, monkeypatch, robot, capsys):
     """Four times the log takes no more memory; file and metrics are those of the whole."""
-    monkeypatch.setattr(long_logs, "PIECE", 10.0)
+    monkeypatch.setattr(long_logs, "LOG_PIECE", 10.0)
     main_run = ["--filter", "imu", "--force", "-o", str(tmp_path / "out.parquet")]
     peaks = {}
     for seconds in (60.0, 240.0):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surefoot.scenarios.estimate.registry import Learnt
+from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.trace.filters import before_and_after
 from surefoot.sim.effects.base import Effect, with_columns
 from surefoot.sim.ground.terrain import Ground

@@ -2,8 +2,8 @@
 
 import pytest
 
-from surefoot.scenarios.estimate.registry import ESTIMATORS, estimator_named
-from surefoot.scenarios.estimate.tuned import BUNDLED, read_tuned, tuned
+from surefoot.scenarios.estimate.run import ESTIMATORS, estimator_named
+from surefoot.scenarios.estimate.tuned import BUNDLED_PARAMETERS, read_tuned, tuned
 from surefoot.scenarios.tune import write_tuned
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.robot import Robot
@@ -44,7 +44,7 @@ def test_what_is_written_is_read_again(tmp_path):
 )
 def test_a_bad_file_is_one_line(tmp_path, old, new, said):
     path = tmp_path / "tuned.toml"
-    path.write_text(BUNDLED.read_text().replace(old, new))
+    path.write_text(BUNDLED_PARAMETERS.read_text().replace(old, new))
     with pytest.raises(SurefootError, match=said) as caught:
         read_tuned(path)
     assert "\n" not in str(caught.value)
@@ -52,7 +52,7 @@ def test_a_bad_file_is_one_line(tmp_path, old, new, said):
 
 def test_a_parameter_that_nobody_has_is_one_line(tmp_path):
     path = tmp_path / "tuned.toml"
-    path.write_text(BUNDLED.read_text().replace("leg = { contact", "leg = { contacts"))
+    path.write_text(BUNDLED_PARAMETERS.read_text().replace("leg = { contact", "leg = { contacts"))
     with pytest.raises(
         SurefootError, match="leg: unknown parameter 'contacts'; known: accel, gyro"
     ):

@@ -8,7 +8,7 @@ import pytest
 from surefoot.estimator.metrics import Metrics
 from surefoot.scenarios import tune
 from surefoot.scenarios.cli.main import main
-from surefoot.scenarios.estimate.registry import run_filter
+from surefoot.scenarios.estimate.run import run_filter
 from surefoot.scenarios.estimate.tuned import read_tuned
 from surefoot.scenarios.tune import PRICE, price_of, search
 from surefoot.sim.common.errors import SurefootError

@@ -8,7 +8,7 @@ import pytest
 
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.studies.walking.grounds import SLOPE, grounds_for
-from surefoot.scenarios.studies.walking.study import SUITES, velocity_error, walking_study
+from surefoot.scenarios.studies.walking.study import COURSE_FOLDERS, velocity_error, walking_study
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
@@ -89,7 +89,7 @@ def test_every_robot_walks_everything_and_the_courses_are_as_long_as_the_papers(
     walks = walking_study(tmp_path, workers=2)
     print((tmp_path / "walking.md").read_text())
     assert {w.walk for w in walks} > set(PAPER)
-    assert len(PAPER) == sum(1 for suite in SUITES for _ in suite.glob("*.toml"))
+    assert len(PAPER) == sum(1 for suite in COURSE_FOLDERS for _ in suite.glob("*.toml"))
     for walk in walks:
         assert not walk.falls, walk
         assert walk.creep < 1e-3, walk

@@ -18,7 +18,7 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import BaseMotion
 from surefoot.sim.scenario import Ranges, Scenario, Segment
 from surefoot.sim.walk import plan, walk
-from surefoot.sim.walking.dm_environment import SETTLING, WalkingEnvironment
+from surefoot.sim.walking.dm_environment import SETTLING_PERIODS, WalkingEnvironment
 
 # dm_control looks for a screen on import and warns where there is none.
 pytestmark = pytest.mark.filterwarnings("ignore:.*X11.*")
@@ -40,7 +40,7 @@ def the_trot(made):
     memory, torque = standing(), np.zeros(12)
     memory.touched[:] = True  # standing already
     controller = Controller(made.gait, made.world.relief, memory)
-    ticks = iter(range(SETTLING, len(made.course.t)))
+    ticks = iter(range(SETTLING_PERIODS, len(made.course.t)))
     targets = np.column_stack([made.course.pose, made.course.velocity])
 
     def policy(seen):

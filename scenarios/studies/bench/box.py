@@ -3,11 +3,10 @@
 import numpy as np
 
 from surefoot.estimator.box import box_moments_kernel
-from surefoot.scenarios.studies.bench.ratio import Progress, Ratio, in_turn, part_of
+from surefoot.scenarios.studies.bench.ratio import SAMPLES, Progress, Ratio, in_turn, part_of
 from surefoot.scenarios.studies.montecarlo.qmc import ordinary_boxes, qmc_moments, tensor_moments
 from surefoot.sim.common.kernels import kernel
 
-SAMPLES = 1000
 _BOXES = 100
 Boxes = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """Means (B, 3), covariances (B, 3, 3), lower and upper bounds (B, 3)."""

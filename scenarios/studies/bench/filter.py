@@ -15,19 +15,19 @@ from surefoot.models.observer.network import Network
 from surefoot.models.observer.observer import Observer
 from surefoot.models.observer.predict import Loop
 from surefoot.models.registry import ARCHITECTURES
-from surefoot.scenarios.studies.bench.ratio import Progress, Ratio, in_turn
+from surefoot.scenarios.studies.bench.ratio import SAMPLES, Progress, Ratio, in_turn
 from surefoot.scenarios.studies.montecarlo.qmc import ordinary_boxes, qmc_moments
 from surefoot.scenarios.studies.montecarlo.settings import UNBIASED, load_study
 from surefoot.scenarios.studies.montecarlo.trials import make_trials, true_motion
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
 
-SAMPLES, GAMMA, STEPS = 1000, 0.8, 200
-LONG = 2000
+BENCH_GAMMA, FILTER_STEPS = 0.8, 200
+PYTHON_STEPS = 2000
 """Steps from Python, so many that making the filter counts for nothing."""
 
 
-def trial(steps: int = STEPS):
+def trial(steps: int = FILTER_STEPS):
     """The Monte-Carlo study's walk at 200 Hz, a second of it, with a velocity for every sample."""
     study = load_study()
     study = replace(study, duration=steps / study.imu_rate, update_rate=study.imu_rate)
@@ -42,12 +42,12 @@ def coverage_row(rounds: int, progress: Progress | None = None) -> Ratio:
     noise = FilterNoise(study.imu.gyro, study.imu.accel, 0.0, 0.0).packed()
     # 1.8 deviations an axis hold 0.8 of a Gaussian error jointly.
     epsilon = 1.8 * study.noise_std
-    shifts = np.random.default_rng(6).random((STEPS, 3))
+    shifts = np.random.default_rng(6).random((FILTER_STEPS, 3))
 
     def run(samples: int):
         mean, covariance = trials.means[0].copy(), trials.covariance.copy()
         log = truth.t, trials.gyro[0], trials.accel[0], trials.v_I[0]
-        walk(*log, epsilon, mean, covariance, noise, shifts, samples)
+        run_updates(*log, epsilon, mean, covariance, noise, shifts, samples)
         return mean
 
     ours, theirs = in_turn(lambda: run(0), lambda: run(SAMPLES), rounds, progress)
@@ -56,12 +56,12 @@ def coverage_row(rounds: int, progress: Progress | None = None) -> Ratio:
         f"the same filter with QMC, N = {SAMPLES}",
         theirs / ours,
         10.0,
-        f"{1e6 * ours / STEPS:.1f} us a step",
+        f"{1e6 * ours / FILTER_STEPS:.1f} us a step",
     )
 
 
 @kernel
-def walk(t, gyro, accel, v_I, epsilon, mean, covariance, noise, shifts, samples: int):
+def run_updates(t, gyro, accel, v_I, epsilon, mean, covariance, noise, shifts, samples: int):
     """The filter over a log with an update a sample, in place.
 
     Args:
@@ -81,7 +81,7 @@ def walk(t, gyro, accel, v_I, epsilon, mean, covariance, noise, shifts, samples:
         dt = t[k] - t[k - 1]
         propagate(mean, covariance, gyro[k], accel[k], dt, noise, columns, rotation_columns)
         if samples == 0:
-            update_coverage(mean, covariance, 0, v_I[k - 1], epsilon, GAMMA)
+            update_coverage(mean, covariance, 0, v_I[k - 1], epsilon, BENCH_GAMMA)
         else:
             sampled_update(mean, covariance, v_I[k - 1], epsilon, samples, shifts[k - 1])
 
@@ -106,8 +106,8 @@ def sampled_update(mean, covariance, v_I, epsilon, samples: int, shift):
     z_mean, z_cov = np.empty(3), np.empty((3, 3))
     lower, upper = residual - epsilon, residual + epsilon
     pi = qmc_moments(np.zeros(3), S, lower, upper, samples, shift, z_mean, z_cov)
-    if pi < GAMMA:
-        alpha = (GAMMA - pi) / (1.0 - pi)
+    if pi < BENCH_GAMMA:
+        alpha = (BENCH_GAMMA - pi) / (1.0 - pi)
         for i in range(3):
             for j in range(3):
                 between = (1.0 - alpha) * z_mean[i] * z_mean[j]
@@ -119,20 +119,20 @@ def step_row(rounds: int, progress: Progress | None = None) -> Ratio:
     """Observer, predict and coverage update, a Python call each, against the sampling alone."""
     study, _, trials = trial()
     loop = Loop(untrained_observer())
-    x = np.random.default_rng(7).standard_normal((STEPS, 36))
+    x = np.random.default_rng(7).standard_normal((FILTER_STEPS, 36))
     epsilon, dt = 1.8 * study.noise_std, 1.0 / study.imu_rate
     noise = FilterNoise(study.imu.gyro, study.imu.accel, 0.0, 0.0)
     state, covariance = NavState.unpack(trials.means[0, :EXTRA]), trials.covariance
 
     def ours():
         f = InvariantFilter(state, covariance, noise)
-        for k in range(STEPS):
+        for k in range(FILTER_STEPS):
             loop.step(x[k])
             f.predict(trials.gyro[0, k + 1], trials.accel[0, k + 1], dt)
             # The network knows nothing: the trial's velocity stands in for its own.
-            f.update_coverage(trials.v_I[0, k], epsilon, GAMMA)
+            f.update_coverage(trials.v_I[0, k], epsilon, BENCH_GAMMA)
 
-    boxes = list(zip(*ordinary_boxes(np.random.default_rng(8), STEPS), strict=True))
+    boxes = list(zip(*ordinary_boxes(np.random.default_rng(8), FILTER_STEPS), strict=True))
     shift, mean, cov = np.full(3, 0.3), np.empty(3), np.empty((3, 3))
 
     def theirs():
@@ -145,7 +145,7 @@ def step_row(rounds: int, progress: Progress | None = None) -> Ratio:
         f"QMC, N = {SAMPLES}, alone",
         slow / fast,
         1.0,
-        f"{1e6 * fast / STEPS:.0f} us a step",
+        f"{1e6 * fast / FILTER_STEPS:.0f} us a step",
     )
 
 
@@ -185,13 +185,14 @@ def gtsam_row(rounds: int, progress: Progress | None = None) -> Ratio:
         return Ratio(what, against, None, 5.0, 'gtsam is not installed: pip install ".[bench]"')
     ours, theirs = velocity_filter(), gtsam_filter(gtsam)
     fast, slow = in_turn(ours, theirs, rounds, progress)
-    note = f"{1e6 * fast / LONG:.1f} against {1e6 * slow / LONG:.1f} us a step; gtsam's state has "
+    ours_us, theirs_us = 1e6 * fast / PYTHON_STEPS, 1e6 * slow / PYTHON_STEPS
+    note = f"{ours_us:.1f} against {theirs_us:.1f} us a step; gtsam's state has "
     return Ratio(what, against, slow / fast, 5.0, note + "no biases (9 errors), ours has (15)")
 
 
 def velocity_filter():
     """A function that runs our filter over the trial and returns its last v_I (3,)."""
-    study, _, trials = trial(LONG)
+    study, _, trials = trial(PYTHON_STEPS)
     noise = FilterNoise(study.imu.gyro, study.imu.accel, 0.0, 0.0)
     R, dt = np.diag(study.noise_std**2), 1.0 / study.imu_rate
     state = replace(
@@ -206,7 +207,7 @@ def velocity_filter():
 
     def run() -> np.ndarray:
         f = InvariantFilter(state, covariance, noise)
-        for k in range(LONG):
+        for k in range(PYTHON_STEPS):
             f.predict(gyro[k + 1], accel[k + 1], dt)
             f.update_velocity(v_I[k], R)
         return f.state.v_I
@@ -216,7 +217,7 @@ def velocity_filter():
 
 def gtsam_filter(gtsam):
     """The same of gtsam's filter; its errors are (rotation, position, velocity) in the body."""
-    study, _, trials = trial(LONG)
+    study, _, trials = trial(PYTHON_STEPS)
     params = gtsam.PreintegrationParams.MakeSharedU(GRAVITY)
     params.setGyroscopeCovariance(study.imu.gyro**2 * np.eye(3))
     params.setAccelerometerCovariance(study.imu.accel**2 * np.eye(3))
@@ -238,7 +239,7 @@ def gtsam_filter(gtsam):
 
     def run() -> np.ndarray:
         f = gtsam.NavStateImuEKF(X, covariance, params)
-        for k in range(LONG):
+        for k in range(PYTHON_STEPS):
             f.predict(gyro[k + 1], accel[k + 1], dt)
             predicted = f.state().bodyVelocity()
             x, y, z = predicted.tolist()

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from time import perf_counter
 
 Progress = Callable[[float], None]
+SAMPLES = 1000
+"""The paper's N of randomized quasi-Monte Carlo, which ours is set against."""
 
 
 @dataclass(frozen=True)

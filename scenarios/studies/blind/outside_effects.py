@@ -127,7 +127,7 @@ class LooseImu(Effect):
         return replace(streams, gyro=gyro, accel=accel)
 
 
-OUTSIDE = {
+OUTSIDE_EFFECTS = {
     kind.name: kind
     for kind in (
         EncoderEccentricity,

@@ -12,15 +12,15 @@ from scipy.stats import binomtest
 
 from surefoot.scenarios.reporting.html import Picture, Section
 from surefoot.scenarios.reporting.palette import AFTER, INK
-from surefoot.scenarios.reporting.palette import OUTSIDE as MISSED
+from surefoot.scenarios.reporting.palette import OUTSIDE_EFFECTS as MISSED
 from surefoot.scenarios.reporting.plotting import new_figure, set_title
-from surefoot.scenarios.studies.blind.outside_effects import OUTSIDE
+from surefoot.scenarios.studies.blind.outside_effects import OUTSIDE_EFFECTS
 from surefoot.scenarios.studies.pages import origin_of, write_page, write_results
 from surefoot.sim.effects import CATALOGUE
 
 Record = Mapping[str, Any]
 Rows = list[dict[str, Any]]
-KINDS = ("single", "clean", "outside", "together", "twins")
+CASE_KINDS = ("single", "clean", "outside", "together", "twins")
 NOT_NAMED = ("nothing", "another target", "confounded")
 """Columns of the confusion matrix beside the effects."""
 
@@ -28,7 +28,7 @@ NOT_NAMED = ("nothing", "another target", "confounded")
 def write_report_of(out: Path, records: Sequence[Record], page: Path | None = None) -> str:
     """Write report.html, table.md and cases.csv, and the page; returns the tables as text."""
     walked = [r for r in records if "fell" not in r]
-    of = {kind: [r for r in walked if r["kind"] == kind] for kind in KINDS}
+    of = {kind: [r for r in walked if r["kind"] == kind] for kind in CASE_KINDS}
     sections = [
         Section("Rules and results", RULES_PROSE, rules(records)),
         Section(
@@ -111,7 +111,7 @@ def right_channel(record: Record) -> bool:
     the channel that stands furthest above its floor, is in a channel that the effect shows in."""
     if record["verdict"] != "none_of_these":
         return False
-    return main_channel(record) in OUTSIDE[record["effects"][0]["name"]].channels
+    return main_channel(record) in OUTSIDE_EFFECTS[record["effects"][0]["name"]].channels
 
 
 def main_channel(record: Record) -> str:
@@ -158,7 +158,7 @@ def rules(records: Sequence[Record]) -> Rows:
     """The study's rules, what each asks for, and what was measured."""
     walked = [r for r in records if "fell" not in r]
     single, clean, outside, together, twins = (
-        [r for r in walked if r["kind"] == kind] for kind in KINDS
+        [r for r in walked if r["kind"] == kind] for kind in CASE_KINDS
     )
     above = [r for r in single if not below_floor(r)]
     clear = [r for r in together if not below_floor(r)]

@@ -18,7 +18,7 @@ from surefoot.models.attribution.evidence import candidates_code
 from surefoot.scenarios.cache import finished_case, read_case
 from surefoot.scenarios.cli.options import Out
 from surefoot.scenarios.stages import processes, stage
-from surefoot.scenarios.studies.blind.outside_effects import OUTSIDE
+from surefoot.scenarios.studies.blind.outside_effects import OUTSIDE_EFFECTS
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
 from surefoot.sim.common.toml import read_toml
@@ -31,7 +31,7 @@ from surefoot.sim.walk import walk
 from surefoot.sim.walking.batch import known_robot
 
 PLAN = bundled("surefoot.scenarios.studies.blind", "study.toml")
-MODULE = "surefoot.scenarios.studies.blind.study"
+_MODULE = "surefoot.scenarios.studies.blind.study"
 STAND = 20.0
 """s that a robot stands whose log has an effect that standing does not distinguish from another."""
 
@@ -66,8 +66,8 @@ def cases(plan: dict[str, Any]) -> list[Case]:
             add("single", [_drawn(name, plan["sizes"][name], rng)])
         for _ in range(_share(plan["clean"], turn, plan["each"])):
             add("clean")
-        for k in range(_share(plan["outside"] * len(OUTSIDE), turn, plan["each"])):
-            name = list(OUTSIDE)[(turn + k) % len(OUTSIDE)]
+        for k in range(_share(plan["outside"] * len(OUTSIDE_EFFECTS), turn, plan["each"])):
+            name = list(OUTSIDE_EFFECTS)[(turn + k) % len(OUTSIDE_EFFECTS)]
             add("outside", [_drawn(name, plan["outside_sizes"][name], rng)])
         for _ in range(_share(plan["together"], turn, plan["each"])):
             first, second = rng.choice(known, 2, replace=False)
@@ -86,7 +86,7 @@ def _share(count: int, turn: int, turns: int) -> int:
 
 
 def _drawn(name: str, size: Sequence[float], rng: np.random.Generator) -> Effect:
-    kind = CATALOGUE[name] if name in CATALOGUE else OUTSIDE[name]
+    kind = CATALOGUE[name] if name in CATALOGUE else OUTSIDE_EFFECTS[name]
     value = float(np.exp(rng.uniform(*np.log(size))))
     sign = rng.choice([-1.0, 1.0])
     target = str(rng.choice(kind.targets))
@@ -163,7 +163,9 @@ def over_floor(found: Diagnosis, one: Effect) -> float | None:
     return None if shown else 0.0
 
 
-def run_study(folder: Path, workers: int = 1, at_most: int | None = None) -> list[dict[str, Any]]:
+def run_blind_study(
+    folder: Path, workers: int = 1, at_most: int | None = None
+) -> list[dict[str, Any]]:
     """The records of all cases, those run that are not in `folder`.
 
     A walk's cases are run by one worker, for they share its noise floor.
@@ -172,7 +174,7 @@ def run_study(folder: Path, workers: int = 1, at_most: int | None = None) -> lis
     groups: dict[tuple, list[Case]] = {}
     records: dict[int, dict[str, Any]] = {}
     for case in cases(plan)[:at_most]:
-        row = read_case(folder, _name(case), _inputs(case, plan), MODULE)
+        row = read_case(folder, _name(case), _inputs(case, plan), _MODULE)
         if row is not None:
             records[case.number] = row
         else:
@@ -189,7 +191,7 @@ def run_study(folder: Path, workers: int = 1, at_most: int | None = None) -> lis
 def _run_group(group: Sequence[Case], folder: Path, plan: dict) -> dict[int, dict[str, Any]]:
     return {
         case.number: finished_case(
-            folder, _name(case), _inputs(case, plan), MODULE, lambda case=case: run_case(case)
+            folder, _name(case), _inputs(case, plan), _MODULE, lambda case=case: run_case(case)
         )
         for case in group
     }
@@ -207,7 +209,7 @@ def _inputs(case: Case, plan: dict[str, Any]) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Study:
+class BlindStudy:
     """Run the blind study of trace, or go on with it, and write its report."""
 
     out: Out = Path("out/blind_study")
@@ -223,9 +225,9 @@ class Study:
     def run(self) -> None:
         from surefoot.scenarios.studies.blind.report import write_report_of
 
-        records = run_study(self.data or self.out / "cases", self.workers, self.at_most)
+        records = run_blind_study(self.data or self.out / "cases", self.workers, self.at_most)
         print(write_report_of(self.out, records, self.page))
 
 
 if __name__ == "__main__":
-    tyro.cli(Study).run()
+    tyro.cli(BlindStudy).run()

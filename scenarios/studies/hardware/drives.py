@@ -26,7 +26,7 @@ FIRST = 0.010
 """s: the kernel that positions go through before they are differentiated."""
 BLOCK = 2.0
 """s; errors of one block hardly resemble those of the next."""
-OUTLYING = 6.0
+TOUCHED = 6.0
 """Robust deviations beyond which no drive did it: something touched the machine."""
 WORTH = 0.05
 """Share of the squares left that a further term must take off blocks that no fit has seen."""
@@ -152,7 +152,7 @@ def ranges(model: mujoco.MjModel, dof_adr: np.ndarray) -> tuple[np.ndarray, np.n
     return np.where(free, -np.inf, low), np.where(free, np.inf, high)
 
 
-def fit(
+def fit_sizes(
     balances: Sequence[Balance],
     joint: int,
     names: Sequence[str],
@@ -190,7 +190,7 @@ def left(one: Balance, joint: int, sizes: Sizes | None = None) -> np.ndarray:
     return np.where(one.good[:, joint], rest, np.nan)
 
 
-def level(rest: np.ndarray) -> float:
+def rms(rest: np.ndarray) -> float:
     """Root mean square of a residual [its unit], NaN left out."""
     return float(np.sqrt(np.nanmean(rest**2)))
 
@@ -289,7 +289,7 @@ def _without_touches(one: Balance, edge: int) -> Balance:
             sizes = Sizes(names, _solved(G), np.empty((0, 2)))
             rest = left(one, joint, sizes)
             spread = 1.4826 * np.nanmedian(np.abs(rest[good[:, joint]]))
-            touched = np.abs(np.nan_to_num(rest)) > OUTLYING * spread
+            touched = np.abs(np.nan_to_num(rest)) > TOUCHED * spread
             good[:, joint] &= maximum_filter1d(touched.astype(float), 2 * edge + 1) == 0.0
         noise[joint] = spread
     return replace(one, good=good, noise=noise)

@@ -18,11 +18,12 @@ from surefoot.models.attribution.split import split_of
 from surefoot.models.bootstrap import block_draws
 from surefoot.models.residuals.layout import layout_of
 from surefoot.models.residuals.leg_velocity import leg_velocity
-from surefoot.scenarios.estimate.registry import Learnt
+from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
 from surefoot.scenarios.reporting.plotting import new_figure, set_title
-from surefoot.scenarios.studies.hardware.drives import between, ratio_interval
-from surefoot.scenarios.studies.hardware.stream_lags import BLOCK, WALKING, Lag
+from surefoot.scenarios.reporting.tables import METRICS
+from surefoot.scenarios.studies.hardware.drives import BLOCK, between, ratio_interval
+from surefoot.scenarios.studies.hardware.stream_lags import WALKING, Lag
 from surefoot.scenarios.trace.filters import filtered
 from surefoot.scenarios.trace.result import Trace
 from surefoot.sim.effects import Effect, compensate_all, effect
@@ -35,14 +36,7 @@ MISSED = "#AA4499"
 """Colour of the model with feet as large as its file says, and contacts that end early enough."""
 STANCES = {"all of it": (0.0, 1.0), "10 to 90 %": (0.1, 0.9), "25 to 60 %": (0.25, 0.6)}
 """Parts of the stance that are asked how large the feet are."""
-METRICS = {
-    "APE_trans [m]": "ape_trans",
-    "APE_rot [deg]": "ape_rot",
-    "RPE_trans [m]": "rpe_trans",
-    "RPE_rot [deg/m]": "rpe_rot",
-    "NEES_pos": "nees_position",
-    "NEES_vel": "nees_velocity",
-}
+SHOWN_METRICS = {k: v for k, v in METRICS.items() if k not in ("pi<gamma [%]", "NEES_att")}
 
 
 def lags_table(found: Sequence[Lag]) -> pd.DataFrame:
@@ -197,7 +191,7 @@ def leg_filter_table(
             row: dict[str, str | float] = {
                 "model": f"all, sizes drawn from their intervals, {end} end"
             }
-            for key in METRICS:
+            for key in SHOWN_METRICS:
                 row[key] = float(np.percentile([float(one[key]) for one in drawn], percent))
             rows.append(row)
     for shift in shifts:
@@ -217,10 +211,10 @@ def _drawn(one: Effect, interval: tuple[float, float], rng: np.random.Generator)
 def _judged(words: str, log: Log, robot: Robot, chosen: Sequence[Effect]) -> dict[str, str | float]:
     compensated, model = compensate_all(chosen, log, robot)
     m = evaluate(reference(log), filtered("leg", compensated, model, Learnt()))
-    return {"model": words} | {name: getattr(m, metric) for name, metric in METRICS.items()}
+    return {"model": words} | {name: getattr(m, metric) for name, metric in SHOWN_METRICS.items()}
 
 
-def figure(log: Log, robot: Robot, found: Trace, late: Sequence[Lag]) -> Figure:
+def square_figure(log: Log, robot: Robot, found: Trace, late: Sequence[Lag]) -> Figure:
     """The square from above, feet that slide by tenths of their stance, and the streams' lags."""
     drawn, axes = new_figure(1, 3, (12.0, 4.2))
     above, stance, times = axes[0]

@@ -16,29 +16,29 @@ from surefoot.scenarios.studies.hardware.drives import (
     Balance,
     balance,
     between,
-    fit,
+    fit_sizes,
     left,
-    level,
     level_interval,
+    rms,
     select,
 )
 from surefoot.scenarios.studies.hardware.row_times import RowTimes, row_times
 from surefoot.sim.log import Log
 from surefoot.sim.robot.fixed_base import Machine
 
-WIDTH = 0.03
+HANGING_WIDTH = 0.03
 """s, of the kernel."""
 STOPS = 0.1
 """rad from the end of a joint's range: calves lean on their stops, which give."""
-REPORT = 0.35
+REPORT_SHARE = 0.35
 """Of the log, at its end, that only reports."""
 SOURCE = 0.002
 """s between the states that the robot's low level publishes (unitree_sdk2's examples: 500 Hz)."""
-PERIODS = (0.005, 0.0044)
+ROW_PERIODS = (0.005, 0.0044)
 """s: the nominal period of a row, and the one that rates and positions give."""
-KINDS = ("hips", "thighs", "calves")
+JOINT_KINDS = ("hips", "thighs", "calves")
 _SMALL = ("torque_bias", "torque_delay", "viscous_friction")
-MODELS: dict[str, tuple[str, ...]] = {
+HANGING_MODELS: dict[str, tuple[str, ...]] = {
     "as declared": (),
     "bias, delay and viscous friction": _SMALL,
     "and a torque scale": (*_SMALL, "torque_scale"),
@@ -68,8 +68,8 @@ class Drives:
 def drives(log: Log, machine: Machine, period: float) -> Drives:
     """The balance of the log if a row takes `period` [s]."""
     retimed = replace(log, frame=log.frame.assign(t=period * np.arange(len(log.t))))
-    one = balance(retimed, machine, WIDTH, STOPS)
-    late = one.t > (1 - REPORT) * one.t[-1]
+    one = balance(retimed, machine, HANGING_WIDTH, STOPS)
+    late = one.t > (1 - REPORT_SHARE) * one.t[-1]
     return Drives(
         period,
         replace(one, good=one.good & ~late[:, None]),
@@ -87,7 +87,7 @@ def clock_table(times: RowTimes, joints: Sequence[str]) -> pd.DataFrame:
     row is 5 ms."""
     rows = []
     for joint, period, interval in zip(joints, times.period, times.periods, strict=True):
-        scale = [PERIODS[0] / x for x in (period, *interval[::-1])]
+        scale = [ROW_PERIODS[0] / x for x in (period, *interval[::-1])]
         rows.append(
             {
                 "joint": joint,
@@ -122,8 +122,8 @@ def drives_table(found: Drives, seed: int = 0) -> pd.DataFrame:
     rows = []
     for j, joint in enumerate(found.seen.joints):
         names = select([found.seen], j, tuple(EFFECTS))
-        sizes = fit([found.seen], j, names, rng)
-        every = fit([found.seen], j, (*EFFECTS, *RIVALS), rng, samples=0)
+        sizes = fit_sizes([found.seen], j, names, rng)
+        every = fit_sizes([found.seen], j, (*EFFECTS, *RIVALS), rng, samples=0)
         before, after = left(found.unseen, j), left(found.unseen, j, sizes)
         good = (found.seen.good | found.unseen.good)[:, j]
         of_before = level_interval([(found.unseen, before)], rng)
@@ -131,9 +131,9 @@ def drives_table(found: Drives, seed: int = 0) -> pd.DataFrame:
         rows.append(
             {
                 "joint": joint,
-                "before [N m]": between(level(before), of_before, 2),
-                "after [N m]": between(level(after), of_after, 2),
-                "every term [N m]": f"{level(left(found.unseen, j, every)):.2f}",
+                "before [N m]": between(rms(before), of_before, 2),
+                "after [N m]": between(rms(after), of_after, 2),
+                "every term [N m]": f"{rms(left(found.unseen, j, every)):.2f}",
                 "jitter [N m]": f"{found.seen.floor[j]:.3f}",
                 "masked [%]": f"{100 * (1 - good.mean()):.0f}",
                 "effects (95 % interval)": "; ".join(
@@ -149,24 +149,25 @@ def _unit(effect: str) -> str:
     return EFFECTS[effect].replace("ratio", "")
 
 
-def rivals_table(found: Drives, seed: int = 0) -> pd.DataFrame:
+def hanging_rivals_table(found: Drives, seed: int = 0) -> pd.DataFrame:
     """A row an explanation: residual torque of the part not fitted, over joints of a kind."""
     rng = np.random.default_rng(seed)
     rows = []
-    for words, names in MODELS.items():
+    for words, names in HANGING_MODELS.items():
         squares = []
         for j in range(len(found.seen.joints)):
-            sizes = fit([found.seen], j, names, rng, samples=0) if names else None
-            squares.append(level(left(found.unseen, j, sizes)) ** 2)
+            sizes = fit_sizes([found.seen], j, names, rng, samples=0) if names else None
+            squares.append(rms(left(found.unseen, j, sizes)) ** 2)
         of_kind = np.sqrt(np.reshape(squares, (-1, 3)).mean(axis=0))
         row: dict[str, object] = {"explanation": words}
         rows.append(
-            row | {f"{kind} [N m]": f"{x:.2f}" for kind, x in zip(KINDS, of_kind, strict=True)}
+            row
+            | {f"{kind} [N m]": f"{x:.2f}" for kind, x in zip(JOINT_KINDS, of_kind, strict=True)}
         )
     return pd.DataFrame(rows)
 
 
-def figure(times: RowTimes, joints: Sequence[str], found: Drives, seed: int = 0) -> Figure:
+def hanging_figure(times: RowTimes, joints: Sequence[str], found: Drives, seed: int = 0) -> Figure:
     """Rows' own times, each joint's mean, and the residual torque before and after."""
     drawn, axes = new_figure(1, 3, (12.0, 4.2))
     heaps, means, torque = axes[0]
@@ -199,8 +200,8 @@ def figure(times: RowTimes, joints: Sequence[str], found: Drives, seed: int = 0)
     levels = []
     for j in range(len(joints)):
         chosen = select([found.seen], j, tuple(EFFECTS))
-        sizes = fit([found.seen], j, chosen, rng, samples=0)
-        levels.append((level(left(found.unseen, j)), level(left(found.unseen, j, sizes))))
+        sizes = fit_sizes([found.seen], j, chosen, rng, samples=0)
+        levels.append((rms(left(found.unseen, j)), rms(left(found.unseen, j, sizes))))
     before, after = np.array(levels).T
     torque.barh(where - 0.2, before, 0.38, color=BEFORE, label="declared model")
     torque.barh(where + 0.2, after, 0.38, color=AFTER, label="with the effects found")

@@ -19,16 +19,16 @@ from surefoot.scenarios.studies.hardware.drives import (
     Sizes,
     balance,
     between,
-    fit,
+    fit_sizes,
     left,
-    level,
     level_interval,
+    rms,
     select,
 )
 from surefoot.sim.log import Log
 from surefoot.sim.robot.fixed_base import Machine
 
-WIDTH = 0.04
+PENDULUM_WIDTH = 0.04
 """s, of the kernel: short against the swing's quarter second, long against a row."""
 MODELS = {
     "torque scale, dry friction, armature": ("torque_scale", "coulomb_friction", "armature"),
@@ -56,14 +56,14 @@ class HeldOut:
     after: np.ndarray
 
 
-def study(logs: Mapping[str, Log], machine: Machine, seed: int = 0) -> tuple[HeldOut, ...]:
+def held_out_runs(logs: Mapping[str, Log], machine: Machine, seed: int = 0) -> tuple[HeldOut, ...]:
     """Each run with the terms that the others chose and sized."""
     rng = np.random.default_rng(seed)
-    runs = {name: balance(log, machine, WIDTH) for name, log in logs.items()}
+    runs = {name: balance(log, machine, PENDULUM_WIDTH) for name, log in logs.items()}
     done = []
     for name, run in runs.items():
         others = [other for key, other in runs.items() if key != name]
-        sizes = fit(others, 0, select(others, 0, tuple(EFFECTS)), rng)
+        sizes = fit_sizes(others, 0, select(others, 0, tuple(EFFECTS)), rng)
         done.append(HeldOut(run, sizes, left(run, 0), left(run, 0, sizes)))
     return tuple(done)
 
@@ -73,8 +73,8 @@ def held_out_table(done: tuple[HeldOut, ...], seed: int = 0) -> pd.DataFrame:
     rng = np.random.default_rng(seed)
     rows = []
     for one in done:
-        own = fit([one.run], 0, (*EFFECTS, *RIVALS), rng, samples=0)
-        before, after = level(one.before), level(one.after)
+        own = fit_sizes([one.run], 0, (*EFFECTS, *RIVALS), rng, samples=0)
+        before, after = rms(one.before), rms(one.after)
         rows.append(
             {
                 "run held out": one.run.name,
@@ -82,7 +82,7 @@ def held_out_table(done: tuple[HeldOut, ...], seed: int = 0) -> pd.DataFrame:
                 "before [N m]": between(before, level_interval([(one.run, one.before)], rng)),
                 "after [N m]": between(after, level_interval([(one.run, one.after)], rng)),
                 "explained [%]": f"{100 * (1 - (after / before) ** 2):.0f}",
-                "every term, own fit [N m]": f"{level(left(one.run, 0, own)):.3f}",
+                "every term, own fit [N m]": f"{rms(left(one.run, 0, own)):.3f}",
                 "jitter of the readings [N m]": f"{one.run.floor[0]:.3f}",
                 "left out [%]": f"{100 * (1 - one.run.good.mean()):.0f}",
             }
@@ -95,8 +95,8 @@ def sizes_table(done: tuple[HeldOut, ...], seed: int = 0) -> pd.DataFrame:
     rng = np.random.default_rng(seed)
     runs = [one.run for one in done]
     names = MODELS["torque scale, dry friction, armature"]
-    whole = fit(runs, 0, names, rng)
-    alone = {run.name: fit([run], 0, names, rng, samples=0).values for run in runs}
+    whole = fit_sizes(runs, 0, names, rng)
+    alone = {run.name: fit_sizes([run], 0, names, rng, samples=0).values for run in runs}
     rows = []
     for i, name in enumerate(names):
         digits = 4 if name == "armature" else 3
@@ -117,13 +117,13 @@ def rivals_table(done: tuple[HeldOut, ...], seed: int = 0) -> pd.DataFrame:
         row: dict[str, object] = {"explanation": words}
         for one in done:
             others = [other.run for other in done if other is not one]
-            sizes = fit(others, 0, names, rng, samples=0)
-            row[one.run.name] = f"{level(left(one.run, 0, sizes)):.3f}"
+            sizes = fit_sizes(others, 0, names, rng, samples=0)
+            row[one.run.name] = f"{rms(left(one.run, 0, sizes)):.3f}"
         rows.append(row)
     return pd.DataFrame(rows)
 
 
-def figure(done: tuple[HeldOut, ...]) -> Figure:
+def pendulum_figure(done: tuple[HeldOut, ...]) -> Figure:
     """For each run held out, its torque and what is left of it."""
     drawn, axes = new_figure(len(done), 2, (9.5, 8.0))
     for (torque, rest), one in zip(axes, done, strict=True):
@@ -141,7 +141,7 @@ def figure(done: tuple[HeldOut, ...]) -> Figure:
         rest.plot(t, one.after, color=AFTER)
         rest.set_ylabel("left [N m]")
         set_title(
-            rest, f"what is left: {level(one.before):.2f} N m before, {level(one.after):.2f} after"
+            rest, f"what is left: {rms(one.before):.2f} N m before, {rms(one.after):.2f} after"
         )
     for ax in axes[-1]:
         ax.set_xlabel("time [s]")

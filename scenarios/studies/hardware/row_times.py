@@ -14,7 +14,7 @@ FAST = 7.0
 """rad/s: norm of all joints' rates from which a row's own time is estimated."""
 TOGETHER = 16
 """Rows that a joint's mean time is taken over: rows of unequal length would bias single ones."""
-BLOCK = 512
+ROWS_OF_BLOCK = 512
 """Rows of a block of the bootstrap."""
 
 
@@ -42,7 +42,7 @@ class RowTimes:
 def row_times(q: np.ndarray, dq: np.ndarray, rng: np.random.Generator) -> RowTimes:
     """The times between the rows of q (N, J) [rad] with rates dq (N, J) [rad/s]."""
     turned, rate = np.diff(q, axis=0), 0.5 * (dq[1:] + dq[:-1])
-    block = np.arange(len(turned)) // BLOCK
+    block = np.arange(len(turned)) // ROWS_OF_BLOCK
     counts = block_draws(block[-1] + 1, rng)
     many = np.arange(len(turned)) // TOGETHER
     far, whole = _sums(many, turned), _sums(many, rate)
@@ -56,7 +56,7 @@ def row_times(q: np.ndarray, dq: np.ndarray, rng: np.random.Generator) -> RowTim
     speed = np.maximum(np.sum(rate * rate, axis=1), 1e-12)
     each = np.where(fast, np.sum(turned * rate, axis=1) / speed, np.nan)
     low, high = two_heaps(each[fast])
-    resampled = (np.repeat(each, np.repeat(n, BLOCK)[: len(each)]) for n in counts[:200])
+    resampled = (np.repeat(each, np.repeat(n, ROWS_OF_BLOCK)[: len(each)]) for n in counts[:200])
     found = np.array([_ratio_and_share(times) for times in resampled])
     ratio, share = _ratio_and_share(each)
     (r0, s0), (r1, s1) = np.percentile(found, [2.5, 97.5], axis=0)

@@ -11,19 +11,19 @@ from surefoot.models.attribution.evidence import log_under_model
 from surefoot.models.bootstrap import block_draws
 from surefoot.models.residuals.binning import ReferenceMotion
 from surefoot.models.residuals.leg_velocity import leg_velocity
+from surefoot.scenarios.studies.hardware.drives import BLOCK
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.log import Log, joint_velocity, reference_velocity
 from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.stances import stance_phase
 
-SHIFTS = np.arange(-0.030, 0.0301, 0.001)
+LAGS = np.arange(-0.030, 0.0301, 0.001)
 """s, tried by which a stream is late against the reference."""
 WALKING = 0.15
 """m/s of the base from which a row counts as walking."""
-BLOCK = 2.0  # s
 MID_STANCE = (0.25, 0.6)
 """Shares of a stance between which a foot stands if it ever does."""
-SPAN = 0.1  # s, over which turns and changes of velocity are compared
+LAG_SPAN = 0.1  # s, over which turns and changes of velocity are compared
 
 
 @dataclass(frozen=True)
@@ -69,11 +69,11 @@ def _least(
 def _valley(cost: np.ndarray) -> float:
     k = int(np.clip(np.argmin(cost), 1, len(cost) - 2))
     a, b, c = cost[k - 1 : k + 2]
-    return float(SHIFTS[k] + 0.5 * (a - c) / max(a - 2 * b + c, 1e-300) * (SHIFTS[1] - SHIFTS[0]))
+    return float(LAGS[k] + 0.5 * (a - c) / max(a - 2 * b + c, 1e-300) * (LAGS[1] - LAGS[0]))
 
 
 def _turn_costs(log: Log, frame: ReferenceMotion) -> np.ndarray:
-    step = max(1, round(SPAN * log.rate))
+    step = max(1, round(LAG_SPAN * log.rate))
     R = log.ref_R_GI
     there = Rotation.from_matrix(np.swapaxes(R[:-step], 1, 2) @ R[step:]).as_rotvec()
     angle = CubicSpline(log.t, cumulative_trapezoid(log.gyro, log.t, axis=0, initial=0.0))
@@ -82,7 +82,7 @@ def _turn_costs(log: Log, frame: ReferenceMotion) -> np.ndarray:
 
 
 def _velocity_costs(log: Log) -> np.ndarray:
-    step = max(1, round(SPAN * log.rate))
+    step = max(1, round(LAG_SPAN * log.rate))
     v = reference_velocity(log)
     attitude = log.ref_R_GI
     there = v[step:] - v[:-step]
@@ -104,7 +104,7 @@ def _leg_costs(
     phase = np.column_stack([stance_phase(contact) for contact in log.contact.T])
     standing = frame.standing & (phase >= part[0]) & (phase <= part[1])
     costs = []
-    for d in SHIFTS:
+    for d in LAGS:
         then = np.clip(log.t + d, log.t[0], log.t[-1])
         v = leg_velocity(robot, q(then), dq(then), log.gyro, frame.up_I, standing)
         # Wrong lengths and radii leave each foot a mean of its own, which says nothing of time.
@@ -124,8 +124,8 @@ def _costs(log: Log, step: int, known: np.ndarray, integral, there: np.ndarray) 
         integral: of the stream at a shift [s], a function to (N, 3).
         there: (N - step, 3), the reference's change over the same rows.
     """
-    costs = np.full((len(SHIFTS), len(log.t)), np.nan)
-    for i, d in enumerate(SHIFTS):
+    costs = np.full((len(LAGS), len(log.t)), np.nan)
+    for i, d in enumerate(LAGS):
         whole = integral(float(d))
         off = whole[step:] - whole[:-step] - there
         off = off - np.median(off[known], axis=0)

@@ -34,12 +34,12 @@ from surefoot.sim.robot.fixed_base import load_machine, machine_for_log
 
 MEASURED = measured_folder()
 RUNS = ("ddp", "direct_collocation", "ilqr", "pd")
-SHIFTS = (-0.005, 0.005)
+STAMP_SHIFTS = (-0.005, 0.005)
 """s: one standard deviation of the stamps of the Go1's reference, as published."""
 
 
 @dataclass(frozen=True)
-class Options:
+class HardwareStudy:
     """Effects that the models of three real machines lack: tables with intervals, and figures."""
 
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
@@ -62,13 +62,13 @@ class Chapter:
     words: str = ""
 
 
-def ak80_pendulum(folder: Path, options: Options) -> Chapter:
+def ak80_pendulum(folder: Path, options: HardwareStudy) -> Chapter:
     """One drive: each run held out once."""
     logs = {
         run: replace(import_csv(folder / f"{run}_measured.csv", "ak80_pendulum"), name=run)
         for run in RUNS
     }
-    done = pendulum.study(logs, load_machine("ak80_pendulum"))
+    done = pendulum.held_out_runs(logs, load_machine("ak80_pendulum"))
     unseen = "Residual torque of runs that no fit has seen (root mean square)"
     rivals = "Rival explanations, fitted on three runs, residual [N m] on the fourth"
     tables = {
@@ -76,26 +76,28 @@ def ak80_pendulum(folder: Path, options: Options) -> Chapter:
         "Sizes: from all four runs, and from each alone": pendulum.sizes_table(done),
         rivals: pendulum.rivals_table(done),
     }
-    return Chapter("AK80-6 pendulum", tables, pendulum.figure(done))
+    return Chapter("AK80-6 pendulum", tables, pendulum.pendulum_figure(done))
 
 
-def go2_in_air(folder: Path, options: Options) -> Chapter:
+def go2_in_air(folder: Path, options: HardwareStudy) -> Chapter:
     """Twelve drives: how long a row is, and what they lack."""
     log, machine = import_csv(folder, "go2_in_air"), _known("go2")
     times = go2.clock(log)
-    found = {period: go2.drives(log, machine, period) for period in go2.PERIODS}
+    found = {period: go2.drives(log, machine, period) for period in go2.ROW_PERIODS}
     tables = {
         "Time of a row by each joint": go2.clock_table(times, log.joints),
         "Rows come in two lengths": go2.ticks_table(times),
     }
     for period, one in found.items():
         tables[f"Drives, a row taken as {1e3 * period:g} ms"] = go2.drives_table(one)
-    nominal = found[go2.PERIODS[0]]
-    tables["Rival explanations on the last third, a row taken as 5 ms"] = go2.rivals_table(nominal)
-    return Chapter("Go2 in the air", tables, go2.figure(times, log.joints, nominal))
+    nominal = found[go2.ROW_PERIODS[0]]
+    tables["Rival explanations on the last third, a row taken as 5 ms"] = go2.hanging_rivals_table(
+        nominal
+    )
+    return Chapter("Go2 in the air", tables, go2.hanging_figure(times, log.joints, nominal))
 
 
-def go1_square(folder: Path, options: Options) -> Chapter:
+def go1_square(folder: Path, options: HardwareStudy) -> Chapter:
     """Legs against motion capture: alignment, trace, and the leg filter."""
     log = import_csv(folder, "go1_square")
     robot = machine_for_log(log, _known("go1").name)
@@ -113,20 +115,20 @@ def go1_square(folder: Path, options: Options) -> Chapter:
         "Velocity by standing legs, on the third that only reports": go1.shares_table(
             log, robot, found
         ),
-        "Leg filter over the whole walk": go1.leg_filter_table(log, robot, found, SHIFTS),
+        "Leg filter over the whole walk": go1.leg_filter_table(log, robot, found, STAMP_SHIFTS),
     }
-    drawn = go1.figure(log, robot, found, late)
+    drawn = go1.square_figure(log, robot, found, late)
     return Chapter("Go1 around a square", tables, drawn, summary(found))
 
 
-STUDIES: dict[str, Callable[[Path, Options], Chapter]] = {
+STUDIES: dict[str, Callable[[Path, HardwareStudy], Chapter]] = {
     "ak80_pendulum": ak80_pendulum,
     "go2_in_air": go2_in_air,
     "go1_square": go1_square,
 }
 
 
-def study(options: Options) -> dict[str, Chapter]:
+def run_hardware(options: HardwareStudy) -> dict[str, Chapter]:
     """Run the studies whose recordings are there; NAME.md and NAME.png of each go to the folder.
 
     Raises SurefootError where a file exists (no `force`), a name is unknown or nothing can be run.
@@ -175,10 +177,10 @@ def _known(name: str):
     return load_machine(name)
 
 
-def main() -> None:
+def _main() -> None:
     """The command line."""
     try:
-        for chapter in study(tyro.cli(Options)).values():
+        for chapter in run_hardware(tyro.cli(HardwareStudy)).values():
             print(as_markdown(chapter))
     except SurefootError as error:
         print(f"error: {error}", file=sys.stderr)
@@ -186,4 +188,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    _main()

@@ -16,7 +16,7 @@ from surefoot.scenarios.reporting.palette import (
 )
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
 from surefoot.scenarios.studies.montecarlo.qmc import Accuracy
-from surefoot.scenarios.studies.montecarlo.study import READINGS, Row
+from surefoot.scenarios.studies.montecarlo.study import READINGS, FilterScores
 
 PAPER_ROWS = {
     None: ("0.61 ± 0.25", "2.33 ± 1.40", "3.11 ± 2.50", "99.9 ± 121"),
@@ -48,7 +48,7 @@ def runtime_figure(rows: Sequence[Accuracy]) -> Figure:
     return figure
 
 
-def nees_figure(rows: Sequence[Row]) -> Figure:
+def nees_figure(rows: Sequence[FilterScores]) -> Figure:
     """NEES against gamma for both readings, a panel for each regime."""
     figure, axes = new_figure(1, 2, size=(9.0, 4.2))
     for k, regime in enumerate(("unbiased", "biased")):
@@ -76,7 +76,7 @@ def nees_figure(rows: Sequence[Row]) -> Figure:
     return figure
 
 
-def time_figure(rows: Sequence[Row], gamma: float, rate: float) -> Figure:
+def time_figure(rows: Sequence[FilterScores], gamma: float, rate: float) -> Figure:
     """Error and NEES in time for the four filters at one gamma, bounds at gamma^(1/3)."""
     figure, axes = new_figure(2, 2, size=(9.0, 6.0), share_x=True)
     for k, regime in enumerate(("unbiased", "biased")):
@@ -96,7 +96,7 @@ def time_figure(rows: Sequence[Row], gamma: float, rate: float) -> Figure:
     return figure
 
 
-def _look(row: Row) -> dict[str, Any]:
+def _look(row: FilterScores) -> dict[str, Any]:
     name = row.setting.filter
     return {
         "color": estimator_color(name),

@@ -10,16 +10,18 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from surefoot.estimator.core.lie import hat
-from surefoot.scenarios.studies.montecarlo.settings import Study
+from surefoot.scenarios.studies.montecarlo.settings import MonteCarloStudy
 from surefoot.scenarios.studies.montecarlo.study import Setting
 from surefoot.scenarios.studies.montecarlo.trials import Trials, Truth
 from surefoot.sim.common.gravity import GRAVITY
 
-G = np.array([0.0, 0.0, -GRAVITY])
+g_G = np.array([0.0, 0.0, -GRAVITY])
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(20)
 
 
-def numpy_trial(study: Study, truth: Truth, trials: Trials, k: int, setting: Setting) -> np.ndarray:
+def numpy_trial(
+    study: MonteCarloStudy, truth: Truth, trials: Trials, k: int, setting: Setting
+) -> np.ndarray:
     """Distances (L,) [m] of trial k from the truth, at the study's scored instants.
 
     Args:
@@ -33,7 +35,7 @@ def numpy_trial(study: Study, truth: Truth, trials: Trials, k: int, setting: Set
     R, v, p, b_a, b_g = mean[:3], mean[3], mean[4], mean[5], mean[6]
     dt = 1.0 / study.imu_rate
     A = np.zeros((15, 15))
-    A[3:6, :3], A[6:9, 3:6] = hat(G), np.eye(3)
+    A[3:6, :3], A[6:9, 3:6] = hat(g_G), np.eye(3)
     Q = np.diag(np.repeat([study.imu.gyro**2, study.imu.accel**2], 3))
     out = []
     for n in range(1, study.samples + 1):
@@ -46,8 +48,8 @@ def numpy_trial(study: Study, truth: Truth, trials: Trials, k: int, setting: Set
         B[:9, :3], B[3:6, 3:] = A[:9, 12:], A[3:6, 9:12]
         P = Phi @ (P + B @ Q @ B.T * dt) @ Phi.T
         turned = a + 0.5 * dt * np.cross(w, a)
-        p = p + v * dt + 0.5 * dt * dt * (G + R @ a)
-        v = v + dt * (G + R @ turned)
+        p = p + v * dt + 0.5 * dt * dt * (g_G + R @ a)
+        v = v + dt * (g_G + R @ turned)
         R = R @ Rotation.from_rotvec(w * dt).as_matrix()
         if n % study.per_update == 0:
             H = np.zeros((3, 15))

@@ -17,7 +17,7 @@ import numpy as np
 from surefoot.estimator.box import box_moments_kernel
 from surefoot.sim.common.kernels import kernel
 
-SAMPLES = (100, 500, 1000, 5000, 10000)
+SAMPLE_COUNTS = (100, 500, 1000, 5000, 10000)
 """The paper's N."""
 PAPER = {
     100: (0.0125, 3.12e-4, 1.03e-1, 2.32e-1),
@@ -145,7 +145,7 @@ def runtime_accuracy(
     means, covs, lowers, uppers = ordinary_boxes(rng, boxes)
     exact = [tensor_moments(*box) for box in zip(means, covs, lowers, uppers, strict=True)]
     rows = []
-    for number, samples in enumerate([*SAMPLES, 0]):
+    for number, samples in enumerate([*SAMPLE_COUNTS, 0]):
         draws = rng.random((shifts if samples else 1, boxes, 3))
         out = _evaluate(means, covs, lowers, uppers, samples, draws)
         errors = [
@@ -167,7 +167,7 @@ def runtime_accuracy(
         probability, mean, cov = np.sqrt(np.mean(errors, axis=0)).tolist()
         rows.append(Accuracy(samples or None, milliseconds, probability, mean, cov))
         if progress:
-            progress((number + 1) / (len(SAMPLES) + 1))
+            progress((number + 1) / (len(SAMPLE_COUNTS) + 1))
     return rows
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from surefoot.models.calibration.bias_model import WINDOW
+from surefoot.models.calibration.bias_model import BOUNDED_MEAN
 from surefoot.scenarios.estimate.compare import prepare_folder
 from surefoot.scenarios.reporting.html import Picture, Section, save_picture
 from surefoot.scenarios.reporting.progress import percent_bar
@@ -20,12 +20,17 @@ from surefoot.scenarios.studies.montecarlo.figures import (
 )
 from surefoot.scenarios.studies.montecarlo.qmc import PAPER, Accuracy, runtime_accuracy
 from surefoot.scenarios.studies.montecarlo.settings import load_study
-from surefoot.scenarios.studies.montecarlo.study import READINGS, Results, Row, run_study
+from surefoot.scenarios.studies.montecarlo.study import (
+    READINGS,
+    FilterScores,
+    Results,
+    run_montecarlo,
+)
 from surefoot.scenarios.studies.montecarlo.update import iteration_table, update_illustration
 from surefoot.scenarios.studies.pages import origin_of, write_page, write_results
 from surefoot.sim.common.errors import SurefootError
 
-TITLE = "The Monte-Carlo study of the coverage update"
+_TITLE = "The Monte-Carlo study of the coverage update"
 FILTERS = ("velocity", "coverage", "velocity_persistent", "coverage_persistent")
 
 
@@ -69,7 +74,7 @@ def montecarlo(
     with percent_bar("box moments") as progress:
         rng = np.random.default_rng([study.seed, 1000])
         runtime = runtime_accuracy(rng, progress=progress)
-    results = run_study(study, workers or os.cpu_count() or 1, cluster)
+    results = run_montecarlo(study, workers or os.cpu_count() or 1, cluster)
     return write_study(results, runtime, out, force, page)
 
 
@@ -94,14 +99,14 @@ def write_study(
     for name, picture in pictures.items():
         save_picture(picture, out / "figures" / f"{name}.png", force)
     if page:
-        write_page(page, TITLE, sections, origin_of(__name__, "surefoot montecarlo"))
+        write_page(page, _TITLE, sections, origin_of(__name__, "surefoot montecarlo"))
     tables = {
         "runtime": runtime_table(runtime),
         "table": numbers_table(results.paper),
         "beyond": numbers_table(results.beyond),
         "iterations": iteration_table(results.iterated),
     }
-    return write_results(out, TITLE, sections, tables, force)
+    return write_results(out, _TITLE, sections, tables, force)
 
 
 def study_pictures(results: Results, runtime: Sequence[Accuracy]) -> dict[str, Picture]:
@@ -145,7 +150,7 @@ def study_sections(
             f"montecarlo.toml. The filters took {results.seconds:.0f} s in all.\n\n"
             "Position errors and NEES are against the truth in G, without alignment: each trial's "
             "start is drawn from the filter's own prior. Mean ± standard deviation over trials.\n\n"
-            + summary(results),
+            + level_summary(results),
         ),
         Section(
             "Runtime and accuracy of box moments",
@@ -163,7 +168,7 @@ def study_sections(
             "of |e|, read in two ways: at gamma, and at gamma^(1/3). The filters with a persistent "
             f"state take its prior from {s.calibration_trials} separate calibration trials; the "
             "bounds of coverage_persistent are quantiles of the mixing part's mean over "
-            f"{WINDOW:g} s. The paper does not give its duration, densities or mixture: its "
+            f"{BOUNDED_MEAN:g} s. The paper does not give its duration, densities or mixture: its "
             "columns show trends.",
             consistency_table(results.paper),
             (pictures["nees_by_gamma"], pictures["over_time"]),
@@ -188,7 +193,7 @@ def study_sections(
     ]
 
 
-def summary(results: Results) -> str:
+def level_summary(results: Results) -> str:
     """RMSE and NEES at the level of the study's four filters and gamma^(1/3)."""
     gamma = results.study.beyond.gamma
     scores = {
@@ -207,7 +212,7 @@ def summary(results: Results) -> str:
     return f"RMSE and NEES at gamma {gamma:g}, " + ". ".join(regimes) + ". 3 is consistent."
 
 
-def consistency_table(rows: Sequence[Row]) -> pd.DataFrame:
+def consistency_table(rows: Sequence[FilterScores]) -> pd.DataFrame:
     """The paper's second table: a row for each filter, gamma and reading, both regimes in it."""
     table = []
     regimes = [[r for r in rows if r.regime == name] for name in ("unbiased", "biased")]
@@ -228,9 +233,9 @@ def consistency_table(rows: Sequence[Row]) -> pd.DataFrame:
     return pd.DataFrame(table)
 
 
-def beyond_table(rows: Sequence[Row]) -> pd.DataFrame:
+def beyond_table(rows: Sequence[FilterScores]) -> pd.DataFrame:
     """A row for each regime, a column for each filter: RMSE and NEES; and where coverage pays."""
-    scores: dict[str, dict[str, Row]] = {}
+    scores: dict[str, dict[str, FilterScores]] = {}
     for row in rows:
         scores.setdefault(row.regime, {})[row.setting.filter] = row
     table = []
@@ -248,7 +253,7 @@ def beyond_table(rows: Sequence[Row]) -> pd.DataFrame:
     return pd.DataFrame(table)
 
 
-def numbers_table(rows: Sequence[Row]) -> pd.DataFrame:
+def numbers_table(rows: Sequence[FilterScores]) -> pd.DataFrame:
     """Every row with all its numbers, for a program to read."""
     table = []
     for row in rows:

@@ -11,17 +11,16 @@ from msgspec import Meta
 from surefoot.estimator.initial import InitialStd
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
-from surefoot.sim.common.toml import Count, NonNegative, Positive, read_typed
+from surefoot.sim.common.toml import Count, Level, NonNegative, Positive, read_typed
 
-BUNDLED = bundled("surefoot.scenarios.studies.montecarlo", "montecarlo.toml")
+MONTECARLO_PLAN = bundled("surefoot.scenarios.studies.montecarlo", "montecarlo.toml")
 Vector = tuple[float, float, float]
-Level = Annotated[float, Meta(gt=0, lt=1)]
-Mixing = Literal["gaussian", "student", "skewed", "bimodal", "outliers"]
-MIXINGS: tuple[str, ...] = get_args(Mixing)
+MixingLaw = Literal["gaussian", "student", "skewed", "bimodal", "outliers"]
+MIXING_LAWS: tuple[str, ...] = get_args(MixingLaw)
 
 
 @dataclass(frozen=True)
-class Motion:
+class TrotMotion:
     """A trotting quadruped's base: slow changes of speed and course, and the gait on top."""
 
     speed: float  # m/s
@@ -39,7 +38,7 @@ class Motion:
 
 
 @dataclass(frozen=True)
-class Imu:
+class ImuErrors:
     """White-noise densities and fixed biases of the IMU."""
 
     gyro: Positive  # rad/s/sqrt(Hz)
@@ -91,11 +90,11 @@ class Regime:
     name: str
     bias: float = 1.0
     drift: NonNegative = 0.0
-    mixing: Mixing = "gaussian"
+    mixing: MixingLaw = "gaussian"
     scale: Positive = 1.0
     calibrated_bias: float = 1.0
     calibrated_drift: NonNegative = 0.0
-    calibrated_mixing: Mixing | None = None
+    calibrated_mixing: MixingLaw | None = None
     calibrated_scale: Positive | None = None
 
     @property
@@ -128,7 +127,7 @@ class Beyond:
 
 
 @dataclass(frozen=True)
-class Study:
+class MonteCarloStudy:
     """All that the study draws from; rates in Hz, duration in s."""
 
     seed: Annotated[int, Meta(ge=0)]
@@ -140,8 +139,8 @@ class Study:
     gammas: Annotated[tuple[Level, ...], Meta(min_length=1)]
     calibration_trials: Annotated[int, Meta(ge=5)]  # a covariance of three axes is estimated
     population: Annotated[int, Meta(ge=1000)]  # quantiles are taken of it
-    motion: Motion
-    imu: Imu
+    motion: TrotMotion
+    imu: ImuErrors
     prior: InitialStd
     noise: Noise
     component: tuple[Component, ...]
@@ -199,6 +198,6 @@ class Study:
         return self.samples // self.per_update
 
 
-def load_study(path: str | Path = BUNDLED) -> Study:
+def load_study(path: str | Path = MONTECARLO_PLAN) -> MonteCarloStudy:
     """The study of a file. Raises SurefootError, one line with file and key, where it is bad."""
-    return read_typed(path, Study)
+    return read_typed(path, MonteCarloStudy)

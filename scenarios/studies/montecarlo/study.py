@@ -18,9 +18,16 @@ from surefoot.estimator.filter import run_coverage, run_velocity
 from surefoot.estimator.metrics import nees
 from surefoot.estimator.updates.bias_states import PersistentError
 from surefoot.models.calibration.bias_model import estimate_bias_model
+from surefoot.models.calibration.regions import second_moment
 from surefoot.scenarios.datasets.cluster import run_on_cluster
 from surefoot.scenarios.stages import processes, stage
-from surefoot.scenarios.studies.montecarlo.settings import BIASED, UNBIASED, ErrorLaw, Regime, Study
+from surefoot.scenarios.studies.montecarlo.settings import (
+    BIASED,
+    UNBIASED,
+    ErrorLaw,
+    MonteCarloStudy,
+    Regime,
+)
 from surefoot.scenarios.studies.montecarlo.trials import (
     Trials,
     Truth,
@@ -88,7 +95,7 @@ class Scores:
 
 
 @dataclass(frozen=True)
-class Row:
+class FilterScores:
     """One filter in one regime, with its scores over the trials."""
 
     regime: str
@@ -100,10 +107,10 @@ class Row:
 class Results:
     """The study's rows: the paper's two regimes, those beyond, and iterated projections."""
 
-    study: Study
-    paper: tuple[Row, ...]
-    beyond: tuple[Row, ...]
-    iterated: tuple[Row, ...]
+    study: MonteCarloStudy
+    paper: tuple[FilterScores, ...]
+    beyond: tuple[FilterScores, ...]
+    iterated: tuple[FilterScores, ...]
     seconds: float
 
 
@@ -118,7 +125,7 @@ class Batch:
     count: int
 
 
-def run_study(study: Study, workers: int = 1, cluster: str | None = None) -> Results:
+def run_montecarlo(study: MonteCarloStudy, workers: int = 1, cluster: str | None = None) -> Results:
     """All tables from the study's seed alone, the same on any number of workers.
 
     workers: processes of this machine; cluster: address of a Dask scheduler to run on instead.
@@ -137,16 +144,16 @@ def run_study(study: Study, workers: int = 1, cluster: str | None = None) -> Res
         keys = list(jobs)
         done = run_on_cluster(cluster, _call, list(jobs.values()))
         scores = {keys[place]: one for place, one in done}
-    tables: dict[str, list[Row]] = {"paper": [], "beyond": [], "iterated": []}
+    tables: dict[str, list[FilterScores]] = {"paper": [], "beyond": [], "iterated": []}
     for place, batch in enumerate(batches):
         parts = [scores[place, first] for first in range(0, batch.count, JOB)]
         for setting, own in zip(batch.settings, zip(*parts, strict=True), strict=True):
-            tables[batch.table].append(Row(batch.regime.name, setting, Scores.joined(own)))
+            tables[batch.table].append(FilterScores(batch.regime.name, setting, Scores.joined(own)))
     rows = {name: tuple(table) for name, table in tables.items()}
     return Results(study, **rows, seconds=perf_counter() - started)
 
 
-def study_batches(study: Study) -> list[Batch]:
+def study_batches(study: MonteCarloStudy) -> list[Batch]:
     """Everything that the study runs."""
     batches, iterated = [], []
     for number, regime in enumerate((UNBIASED, BIASED)):
@@ -167,7 +174,7 @@ def study_batches(study: Study) -> list[Batch]:
     return batches + iterated
 
 
-def run_job(study: Study, batch: Batch, first: int, stop: int) -> list[Scores]:
+def run_job(study: MonteCarloStudy, batch: Batch, first: int, stop: int) -> list[Scores]:
     """The scores of each setting of a batch on its trials first..stop - 1."""
     truth = true_motion(study)
     seeds = study_seed(study, batch.number, 1).spawn(stop)[first:]
@@ -175,7 +182,7 @@ def run_job(study: Study, batch: Batch, first: int, stop: int) -> list[Scores]:
     return [run_trials(study, truth, trials, setting) for setting in batch.settings]
 
 
-def run_trials(study: Study, truth: Truth, trials: Trials, setting: Setting) -> Scores:
+def run_trials(study: MonteCarloStudy, truth: Truth, trials: Trials, setting: Setting) -> Scores:
     """One filter on each of the trials."""
     rows = np.arange(1, study.updates + 1) * study.per_update
     at = slice(None, None, study.per_score)
@@ -206,7 +213,9 @@ def run_trials(study: Study, truth: Truth, trials: Trials, setting: Setting) -> 
     return Scores(np.array(distance), np.array(position_nees), np.array(active))
 
 
-def paper_settings(study: Study, regime: Regime, seed: np.random.SeedSequence) -> list[Setting]:
+def paper_settings(
+    study: MonteCarloStudy, regime: Regime, seed: np.random.SeedSequence
+) -> list[Setting]:
     """The paper's rows, then the two filters with a persistent state."""
     noise_seed, calibration_seed = seed.spawn(2)
     errors = population(study, regime.calibration, np.random.default_rng(noise_seed))
@@ -219,7 +228,9 @@ def paper_settings(study: Study, regime: Regime, seed: np.random.SeedSequence) -
     return settings + _persistent(study, regime.calibration, calibration_seed, READINGS)
 
 
-def beyond_settings(study: Study, regime: Regime, seed: np.random.SeedSequence) -> list[Setting]:
+def beyond_settings(
+    study: MonteCarloStudy, regime: Regime, seed: np.random.SeedSequence
+) -> list[Setting]:
     """The four filters at one gamma with bounds at gamma^(1/3), calibrated as the regime says."""
     noise_seed, calibration_seed = seed.spawn(2)
     errors = population(study, regime.calibration, np.random.default_rng(noise_seed))
@@ -237,18 +248,13 @@ def bounds(errors: np.ndarray, gamma: float, reading: str) -> np.ndarray:
     return np.quantile(np.abs(errors), level, axis=0)
 
 
-def second_moment(errors: np.ndarray) -> np.ndarray:
-    """R (3, 3) of the zero-mean Gaussian fitted to errors (n, 3)."""
-    return errors.T @ errors / len(errors)
-
-
-def study_seed(study: Study, number: int, purpose: int) -> np.random.SeedSequence:
+def study_seed(study: MonteCarloStudy, number: int, purpose: int) -> np.random.SeedSequence:
     """The seed of a regime's settings (purpose 0) or of its trials (purpose 1)."""
     return np.random.SeedSequence([study.seed, number, purpose])
 
 
 def _persistent(
-    study: Study, law: ErrorLaw, seed: np.random.SeedSequence, readings: tuple[str, ...]
+    study: MonteCarloStudy, law: ErrorLaw, seed: np.random.SeedSequence, readings: tuple[str, ...]
 ) -> list[Setting]:
     """Both filters with a persistent state, its prior estimated on separate calibration trials."""
     seeds = seed.spawn(study.calibration_trials)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from surefoot.estimator.core.lie import gammas
 from surefoot.estimator.core.state import NavState, retract
 from surefoot.estimator.initial import start_covariance
-from surefoot.scenarios.studies.montecarlo.settings import ErrorLaw, Motion, Study
+from surefoot.scenarios.studies.montecarlo.settings import ErrorLaw, MonteCarloStudy, TrotMotion
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
 
@@ -49,7 +49,7 @@ class Trials:
     covariance: np.ndarray
 
 
-def true_motion(study: Study) -> Truth:
+def true_motion(study: MonteCarloStudy) -> Truth:
     """The base motion of the study and the IMU samples that a perfect IMU would give."""
     t = np.arange(study.samples + 1) / study.imu_rate
     R, v = _attitude_and_velocity(study.motion, t)
@@ -60,7 +60,7 @@ def true_motion(study: Study) -> Truth:
     return Truth(t, R, v, p, gyro, accel)
 
 
-def make_trials(study: Study, truth: Truth, law: ErrorLaw, seeds: Sequence) -> Trials:
+def make_trials(study: MonteCarloStudy, truth: Truth, law: ErrorLaw, seeds: Sequence) -> Trials:
     """One trial for each seed (SeedSequence); a trial depends on its own seed alone."""
     n = len(truth.t)
     T = len(seeds)
@@ -87,7 +87,7 @@ def make_trials(study: Study, truth: Truth, law: ErrorLaw, seeds: Sequence) -> T
 
 
 def velocity_errors(
-    study: Study, law: ErrorLaw, count: int, rng: np.random.Generator
+    study: MonteCarloStudy, law: ErrorLaw, count: int, rng: np.random.Generator
 ) -> np.ndarray:
     """Errors (count, 3) [m/s] of one trial: a component kept throughout, and noise."""
     if law.bias == 0.0:
@@ -102,7 +102,7 @@ def velocity_errors(
     return law.scale * (persistent + _mixing(law.mixing, count, rng) @ factor.T)
 
 
-def population(study: Study, law: ErrorLaw, rng: np.random.Generator) -> np.ndarray:
+def population(study: MonteCarloStudy, law: ErrorLaw, rng: np.random.Generator) -> np.ndarray:
     """`study.population` errors (P, 3) of many trials, 100 of each: the noise as a whole."""
     parts = study.population // 100
     # A wandering part is drawn at its stationary law, so short pieces serve.
@@ -135,7 +135,7 @@ def _gauss_markov(steps, rate: float):
     return out
 
 
-def _attitude_and_velocity(motion: Motion, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _attitude_and_velocity(motion: TrotMotion, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """R_GI (N, 3, 3) and v_GI (N, 3) at t (N,): yaw by the course, roll and pitch by the gait."""
     turn = 2 * np.pi / motion.turn_period
     yaw = motion.turn * t + motion.turn_swing / turn * (1.0 - np.cos(turn * t))

@@ -15,7 +15,7 @@ from surefoot.estimator.box import box_moments
 from surefoot.estimator.updates.coverage import posterior_moments
 from surefoot.scenarios.reporting.palette import BOUNDS, TRUTH, estimator_color
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
-from surefoot.scenarios.studies.montecarlo.study import Row
+from surefoot.scenarios.studies.montecarlo.study import FilterScores
 
 _POSTERIOR, _MATCHED = estimator_color("coverage"), estimator_color("leg")
 _FREE = np.full(2, np.inf)
@@ -54,7 +54,7 @@ def update_illustration(gamma: float = 0.8) -> Figure:
     return figure
 
 
-def iteration_table(rows: Sequence[Row]) -> pd.DataFrame:
+def iteration_table(rows: Sequence[FilterScores]) -> pd.DataFrame:
     """A row for each regime, filter and number of projections in one update."""
     table = []
     for row in rows:

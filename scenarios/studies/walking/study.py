@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from surefoot.scenarios.cache import finished_case, read_case
-from surefoot.scenarios.datasets.index import DRY, measured, recipe
+from surefoot.scenarios.datasets.index import DRY, recipe, walk_facts
 from surefoot.scenarios.reporting.html import Section
 from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.scenarios.reporting.tables import to_csv, to_markdown
@@ -31,10 +31,12 @@ from surefoot.sim.walk import SETTLE, Fallen, Plan, plan, record, simulate
 from surefoot.sim.walking.batch import Job, known_robot, on_threads
 from surefoot.sim.walking.truth import SLIPPING
 
-SUITES = tuple(bundled("surefoot.scenarios", "courses") / suite for suite in ("vision60", "spot"))
+COURSE_FOLDERS = tuple(
+    bundled("surefoot.scenarios", "courses") / suite for suite in ("vision60", "spot")
+)
 MEAN_OVER = 1.0  # s, two gait cycles or more: the velocity's bob within them does not count
-MODULE = "surefoot.scenarios.studies.walking.study"
-TITLE = "How the robots walk"
+_MODULE = "surefoot.scenarios.studies.walking.study"
+_TITLE = "How the robots walk"
 LEGEND = (
     "Means over the seeds that did not fall. Velocity error: root mean square of the base's "
     f"velocity, averaged over {MEAN_OVER:g} s, less the commanded one. Slipping: share of the "
@@ -46,7 +48,7 @@ LEGEND = (
 
 
 @dataclass(frozen=True)
-class Walk:
+class WalkRow:
     """One walk of the study; what a fall leaves unmeasured is NaN."""
 
     robot: str
@@ -71,7 +73,7 @@ def walking_study(
     data: Path | None = None,
     page: Path | None = None,
     force: bool = False,
-) -> list[Walk]:
+) -> list[WalkRow]:
     """Write `walking.md` and `walking.csv` (one row a walk) into `out`; returns the walks.
 
     Args:
@@ -87,7 +89,7 @@ def walking_study(
     """
     if not robots and not courses:
         robots = list(known_robots())
-        courses = [path for suite in SUITES for path in sorted(suite.glob("*.toml"))]
+        courses = [path for suite in COURSE_FOLDERS for path in sorted(suite.glob("*.toml"))]
     table, rows = out / "walking.md", out / "walking.csv"
     for path in (table, rows):
         refuse_overwrite(path, force)
@@ -102,12 +104,12 @@ def walking_study(
     if any(_finished(folder, job) is None for job in jobs):
         walked(Job(COURSE, "spot_class", 0))  # compiles what is compiled at first use
 
-    def row_of(job: Job, progress: Callable[[float], None]) -> Walk:
+    def row_of(job: Job, progress: Callable[[float], None]) -> WalkRow:
         inputs = {"recipe": recipe(job)}
         row = finished_case(
-            folder, _case(job), inputs, MODULE, lambda: asdict(walked(job, progress))
+            folder, _case(job), inputs, _MODULE, lambda: asdict(walked(job, progress))
         )
-        return Walk(**row)
+        return WalkRow(**row)
 
     with percent_bar("walking") as progress:
         walks = list(on_threads(jobs, row_of, workers, progress))
@@ -118,11 +120,11 @@ def walking_study(
         temporary.write_text(report(walks), encoding="utf-8")
     if page:
         section = Section("Means over the seeds", LEGEND, _lines(walks))
-        write_page(page, TITLE, [section], origin_of(MODULE, "surefoot walking"))
+        write_page(page, _TITLE, [section], origin_of(_MODULE, "surefoot walking"))
     return walks
 
 
-def walked(job: Job, progress: Callable[[float], None] | None = None) -> Walk:
+def walked(job: Job, progress: Callable[[float], None] | None = None) -> WalkRow:
     """Make one walk, measure it, and with seed 0 time the bare engine on the same work.
 
     Time is the thread's own: that of a core with nothing else to do.
@@ -133,15 +135,15 @@ def walked(job: Job, progress: Callable[[float], None] | None = None) -> Walk:
     try:
         motion = simulate(made.world, robot, made.gait, made.course, progress)
     except Fallen as fall:
-        return Walk(robot.name, job.scenario.name, job.seed, 1, duration=fall.time - SETTLE)
+        return WalkRow(robot.name, job.scenario.name, job.seed, 1, duration=fall.time - SETTLE)
     log = record(made, motion)
     between = thread_time()
     if job.seed == 0:
         Replay.of([(made, motion)]).run()
     ended = thread_time()
-    found = measured(log)
+    found = walk_facts(log)
     simulated = len(motion.tau) * TIMESTEP
-    return Walk(
+    return WalkRow(
         robot=robot.name,
         walk=job.scenario.name,
         seed=job.seed,
@@ -175,19 +177,19 @@ def velocity_error(made: Plan, motion: Motion) -> float:
     return float(np.sqrt((off**2).sum(axis=1).mean()))
 
 
-def report(walks: Sequence[Walk]) -> str:
+def report(walks: Sequence[WalkRow]) -> str:
     """The table in Markdown, and what its columns mean."""
-    return f"# {TITLE}\n\n{to_markdown(_lines(walks))}\n\n{LEGEND}\n"
+    return f"# {_TITLE}\n\n{to_markdown(_lines(walks))}\n\n{LEGEND}\n"
 
 
-def _lines(walks: Sequence[Walk]) -> list[dict[str, Any]]:
-    alike: dict[tuple[str, str], list[Walk]] = {}
+def _lines(walks: Sequence[WalkRow]) -> list[dict[str, Any]]:
+    alike: dict[tuple[str, str], list[WalkRow]] = {}
     for walk in walks:
         alike.setdefault((walk.robot, walk.walk), []).append(walk)
     return [_line(group) for group in alike.values()]
 
 
-def _line(walks: Sequence[Walk]) -> dict[str, Any]:
+def _line(walks: Sequence[WalkRow]) -> dict[str, Any]:
     def mean(name: str, digits: int, factor: float = 1.0) -> str:
         values = np.array([getattr(walk, name) for walk in walks if not walk.falls])
         values = values[np.isfinite(values)]
@@ -213,7 +215,7 @@ def _case(job: Job) -> str:
 
 
 def _finished(folder: Path, job: Job) -> dict[str, Any] | None:
-    return read_case(folder, _case(job), {"recipe": recipe(job)}, MODULE)
+    return read_case(folder, _case(job), {"recipe": recipe(job)}, _MODULE)
 
 
 def _course_job(path: str | Path, seed: int) -> Job:

@@ -218,7 +218,7 @@ def _record(updates: list[tuple[float, Update]]) -> UpdateRecord | None:
     )
 
 
-def joined(parts: Iterable[Trajectory]) -> Trajectory:
+def joined_trajectory(parts: Iterable[Trajectory]) -> Trajectory:
     """Trajectories that follow each other as one."""
     parts = list(parts)
     arrays: dict = {}
