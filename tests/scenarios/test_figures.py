@@ -40,7 +40,7 @@ def drawn(walk, errors) -> dict[str, Figure]:
     channel = {"before": 0.3, "after": 0.1, "noise_floor": 0.08, "unit": "m/s"}
     return {
         "trajectories": figures.trajectories(walk.log, errors, walk.patches),
-        "height": figures.height(walk.log, errors),
+        "height": figures.height_figure(walk.log, errors),
         "velocity": figures.velocity_figure(walk.log, walk.prediction, walk.bounds.epsilon),
         "error": figures.position_error(errors),
         "distributions": observer_figures.error_distributions(

@@ -12,7 +12,7 @@ from scipy.stats import binomtest
 
 from surefoot.scenarios.reporting.html import Picture, Section
 from surefoot.scenarios.reporting.palette import AFTER, INK
-from surefoot.scenarios.reporting.palette import OUTSIDE_EFFECTS as MISSED
+from surefoot.scenarios.reporting.palette import OUTSIDE as MISSED
 from surefoot.scenarios.reporting.plotting import new_figure, set_title
 from surefoot.scenarios.studies.blind.outside_effects import OUTSIDE_EFFECTS
 from surefoot.scenarios.studies.pages import origin_of, write_page, write_results
