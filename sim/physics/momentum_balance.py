@@ -1,0 +1,83 @@
+"""Joint torques and foot forces of a walk whose log has none, from the balance of its momentum.
+
+What the motion of all bodies takes at the floating base, M qdd + h in its six rows, is what the
+standing feet give:
+
+    sum_l f_l = F,    sum_l r_l x f_l = M,    tau = (M qdd + h)_joints - J^T f
+
+Two feet leave one pull between them free, more feet more: of all such forces the least is taken,
+each in the measure of its contact, which comes and goes over a few hundredths of a second. Motor
+torques that press feet against each other do not show in a motion, and are not found.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from surefoot.sim.log import Log, joint_velocity
+from surefoot.sim.log.derived import derivative
+from surefoot.sim.physics.inverse_dynamics import dynamics_of
+from surefoot.sim.robot import Robot
+
+ACCELERATION_WINDOW = 0.04
+"""s, over which rates are differentiated: passes 25 Hz, with which a foot's load comes and goes."""
+LOADING = 0.01
+"""s, standard deviation of the time over which a foot takes its load, and of the result."""
+SLACK = 1e-3
+"""Share of what all feet can give below which a force or moment is not asked of them: two feet give
+no moment about the line between them."""
+
+
+class MomentumBalance(NamedTuple):
+    """What a motion takes: torque (N, J) [N m] of the joints; force (N, L, 3) [N], in B, of the
+    ground on the feet, zero on feet in the air."""
+
+    torque: np.ndarray
+    force: np.ndarray
+
+
+def momentum_balance(log: Log, robot: Robot) -> MomentumBalance:
+    """Joint torques and foot forces from IMU, joint angles and contacts of a walk.
+
+    Raises LogError where the log lacks one of them.
+    """
+    log.require("imu", "q", "contact")
+    t, dq = log.t, joint_velocity(log)
+    smooth = LOADING * log.rate
+    omega, accel = (
+        gaussian_filter1d(x @ robot.R_BI.T, smooth, axis=0) for x in (log.gyro, log.accel)
+    )
+    ddq, spin = (derivative(t, x, ACCELERATION_WINDOW, causal=False) for x in (dq, omega))
+    p = robot.p_BI
+    origin = accel - np.cross(spin, p) - np.cross(omega, np.cross(omega, p))
+    dynamics = dynamics_of(robot.file, robot.joint_names)
+    base = np.hstack([omega, spin, origin])
+    wrench, needed = dynamics.inverse(log.q, dq, ddq, base)
+    # From nothing where a contact begins or ends to all of it within the stance.
+    standing = gaussian_filter1d(log.contact.astype(float), smooth, axis=0)
+    loaded = np.maximum(2 * standing - 1, 0) * log.contact
+    feet_B = robot.feet_I(log.q) @ robot.R_BI.T + p
+    force = _least_forces(wrench, feet_B, loaded, robot.leg_length)
+    J = np.einsum("ij,nljk->nlik", robot.R_BI, robot.feet_jacobian_I(log.q))
+    given = np.einsum("nlik,nli->nlk", J, force).reshape(needed.shape)
+    return MomentumBalance(gaussian_filter1d(needed - given, smooth, axis=0), force)
+
+
+def _least_forces(
+    wrench: np.ndarray, feet: np.ndarray, weight: np.ndarray, length: float
+) -> np.ndarray:
+    """Forces (N, L, 3) at `feet` (N, L, 3) with the given wrench (N, 6) and the least sum of
+    squares over `weight` (N, L); moments count as forces at `length` [m]."""
+    n, legs = weight.shape
+    # Columns: what a force along each axis at each foot gives, forces first.
+    A = np.zeros((n, 6, legs, 3))
+    A[:, :3] = np.eye(3)[:, None]
+    A[:, 3:] = np.cross(feet[:, :, None], np.eye(3)).transpose(0, 3, 1, 2) / length
+    asked = np.concatenate([wrench[:, :3], wrench[:, 3:] / length], axis=1)
+    AW = (A * weight[:, None, :, None]).reshape(n, 6, -1)
+    S = AW @ A.reshape(n, 6, -1).transpose(0, 2, 1)
+    S += SLACK * np.maximum(np.trace(S, axis1=1, axis2=2), 1e-9)[:, None, None] * np.eye(6)
+    return np.einsum("nij,ni->nj", AW, np.linalg.solve(S, asked[..., None])[..., 0]).reshape(
+        n, legs, 3
+    )

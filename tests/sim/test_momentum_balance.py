@@ -1,0 +1,57 @@
+"""Joint torques and foot forces from the momentum of a walk, against those that it was walked with."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from surefoot.sim.common.gravity import GRAVITY_G
+from surefoot.sim.physics.momentum_balance import momentum_balance
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario
+from surefoot.sim.sensors.stances import inside_stances
+from surefoot.sim.walk import walk
+
+WALK = """
+name = "walk"
+robot = "spot_class"
+[ground]
+mu = 0.8
+[[segment]]
+duration = 4.0
+forward = 0.5
+turn = 0.3
+"""
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return Robot.load("spot_class")
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory, robot):
+    file = tmp_path_factory.mktemp("walk") / "walk.toml"
+    file.write_text(WALK)
+    return walk(Scenario.load(file), robot, seed=2)
+
+
+def test_torques_are_those_of_the_motors(log, robot):
+    """Of the loaded joints, but for what feet press against each other and the edges of a stance."""
+    found = momentum_balance(log, robot).torque
+    stands = inside_stances(log.t, log.contact, 0.05)
+    rows = log.t - log.t[0] > 1.0
+    for leg in range(4):
+        use, joints = rows & stands[:, leg], slice(3 * leg, 3 * leg + 3)
+        error = found[use, joints] - log.tau[use, joints]
+        taken = np.sqrt(np.mean(np.sum(log.tau[use, joints] ** 2, axis=1)))
+        assert np.sqrt(np.mean(error**2, axis=0)).max() < 0.1 * taken
+        for k in (0, 2):
+            assert np.corrcoef(found[use, joints][:, k], log.tau[use, joints][:, k])[0, 1] > 0.9
+
+
+def test_feet_carry_the_robot_and_nothing_in_the_air(log, robot):
+    force = momentum_balance(log, robot).force
+    assert_allclose(force[~log.contact], 0.0)
+    carried = force[log.t - log.t[0] > 1.0].sum(axis=1).mean(axis=0)
+    assert_allclose(carried[2], -GRAVITY_G[2] * robot.mass, rtol=0.05)
+    assert np.all(np.abs(carried[:2]) < 0.1 * carried[2])
