@@ -13,7 +13,7 @@ from surefoot.models.observer.predict import prediction_errors
 from surefoot.models.observer.training import Schedule, train
 from surefoot.models.registry import CALIBRATORS
 from surefoot.scenarios.experiments.file import Experiment
-from surefoot.scenarios.reporting.calibration_tables import Walk, methods_table
+from surefoot.scenarios.reporting.calibration_tables import CalibratedWalk, methods_table
 
 print(*CALIBRATORS)
 fit, log, test = (synthetic_walk(seed, 20, noise=0.1) for seed in range(3))
@@ -28,7 +28,9 @@ assert abs(bounds.level_per_axis - 0.9) < 1e-12
 rows, errors = prediction_errors(observer, log, Body())
 assert coverage(errors, bounds).joint > 0.75
 nothing = np.zeros(0)
-table = methods_table(Walk(log, "calibration", bounds, rows, errors, nothing, nothing, nothing), [])
+table = methods_table(
+    CalibratedWalk(log, "calibration", bounds, rows, errors, nothing, nothing, nothing), []
+)
 print(*table.method)
 print(Experiment.load("grid.toml").learning.method)
 """
