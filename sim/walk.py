@@ -102,6 +102,7 @@ def plan(
     if draw.payload:
         add_payload(spec, robot, draw.payload)
     for effect in effects:
+        effect.members(robot.limbs)  # refuses a target that the robot does not have
         effect.edit_spec(spec, robot)
         ground = effect.alter_ground(ground)
     world = build_world(robot, ground, spec)

@@ -39,7 +39,6 @@ from surefoot.sim.effects.base import changed_columns, with_columns
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
-from surefoot.sim.robot.legs import JOINTS
 from surefoot.sim.sensors.streams import Sensors
 
 Key = tuple[str, str]
@@ -53,7 +52,8 @@ class Evidence:
     t (M,) s; log (M,) which log a bin is from; table (M, W), its columns as `layout` says, NaN
     where a bin has none; X: by the size of each of `keys`; Z: by what may be free in each log, the
     turn-on biases of its IMU, up to +-limits (B,), and the plane that it stands on. `stands_for`:
-    of each of Z, the candidate that takes its place without a limit.
+    of each of Z, the candidate that takes its place without a limit. groups: the candidates whose
+    regressor is the sum of others'.
     """
 
     layout: Layout
@@ -66,6 +66,12 @@ class Evidence:
     limits: np.ndarray
     stands_for: tuple[Key | None, ...]
     settings: TraceSettings = DEFAULT
+    groups: frozenset[Key] = frozenset()
+
+    @cached_property
+    def single(self) -> np.ndarray:
+        """Which of the candidates and the free parts (C + B,) are no sum of others."""
+        return np.array([key not in self.groups for key in self.keys] + [True] * len(self.Z))
 
     def only(self, keys: Sequence[Key]) -> "Evidence":
         """The evidence with no other candidates than these."""
@@ -113,8 +119,7 @@ def all_keys(case: LogUnderModel) -> tuple[Key, ...]:
         lacks |= case.fixed and "reference" in kind.needs
         if not kind.is_compensated() or lacks or not all(case.log.has(g) for g in kind.needs):
             continue
-        targets = case.log.joints if kind.targets == JOINTS else kind.targets
-        keys += [(kind.name, target) for target in targets]
+        keys += [(kind.name, target) for target in kind.targets_on(case.robot.limbs)]
     return tuple(keys)
 
 
@@ -166,6 +171,11 @@ def linearise(
         limits=np.array(limits),
         stands_for=tuple(stands_for),
         settings=cases[0].settings,
+        groups=frozenset(
+            (name, target)
+            for name, target in keys
+            if target in known_effects()[name].group_targets(cases[0].robot.limbs)
+        ),
     )
 
 
@@ -201,6 +211,7 @@ class _Linear:
         self.case, self.chosen = case, list(chosen)
         self.log, self.robot, self.parts, self.frame = _parts(case, chosen)
         self.joints = self.log.joints
+        self._known: dict[Key, Regressor] = {}
 
     @cached_property
     def jacobians(self) -> ResidualJacobians:
@@ -208,9 +219,18 @@ class _Linear:
 
     def regressor(self, key: Key) -> Regressor:
         """What one unit of the effect `key` adds to the table."""
+        if key not in self._known:
+            self._known[key] = self._regressor(key)
+        return self._known[key]
+
+    def _regressor(self, key: Key) -> Regressor:
         if any((e.name, e.target) == key for e in self.chosen):
             return self._about_its_value(key)
         kind = known_effects()[key[0]]
+        members = kind.members_of(key[1], self.robot.limbs)
+        if members != (key[1],):
+            # One size for all: to first order each adds what it would alone.
+            return summed_regressor([self.regressor((key[0], member)) for member in members])
         tried = [self._from_zero(key, size) for size in kind.starts or (kind.step_of(key[1]),)]
         if len(tried) == 1:
             return tried[0]
@@ -326,6 +346,15 @@ def _change(
         for kind, values in means.items():
             change.setdefault(kind, {})[place] = values / step
     return change
+
+
+def summed_regressor(parts: Sequence[Regressor]) -> Regressor:
+    """The sum of some regressors of one log."""
+    columns = np.unique(np.concatenate([p.columns for p in parts]))
+    values = np.zeros((len(parts[0].values), len(columns)))
+    for part in parts:
+        values[:, np.searchsorted(columns, part.columns)] += part.values
+    return Regressor(columns, values)
 
 
 def joined_regressor(parts: Sequence[Regressor], starts: np.ndarray) -> Regressor:

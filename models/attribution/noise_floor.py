@@ -28,6 +28,7 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect, known_effects
 from surefoot.sim.ground.terrain import Ground, Strip
 from surefoot.sim.log import Log
+from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 from surefoot.sim.walking.imitation import PIECE, body_twists
@@ -93,9 +94,10 @@ class NoiseFloor:
 
         Contacts that give and creep look a little like effects, the same way on every walk.
         """
-        alike = [k for k in self._keys if k[0] == key[0] and _part(k) == _part(key)]
-        if key not in alike:
+        if key not in self._keys:
             return 0.0, 0.0
+        limbs = self.repeats[0].evidence.layout.limbs
+        alike = [k for k in self._keys if k[0] == key[0] and _part(k, limbs) == _part(key, limbs)]
         free = self.repeats[0].normal_equations
         if key in free.stands_for:
             # A bias is drawn whenever the sensor is switched on: `fit` puts that in its error.
@@ -125,9 +127,16 @@ class NoiseFloor:
         return self._known[asked]
 
 
-def _part(key: Key) -> str:
-    """What of a leg or of the body a target is: 'calf' of 'FL_calf'."""
-    return key[1].rsplit("_", 1)[-1] if key[0] != "clock_scale" else key[1]
+def _part(key: Key, limbs: Limbs) -> str:
+    """What a target has in common with its like on other legs: 'FL_calf' is 'of a calf'."""
+    name, target = key
+    if target in limbs.joints:
+        return f"of a {limbs.kind(limbs.joints.index(target))}"
+    if target in limbs.legs:
+        return "of a leg"
+    if known_effects()[name].targets == "leg_axis":
+        return f"of a {target.rsplit('_', 1)[-1]}"
+    return target
 
 
 def noise_floor(cases: Sequence[LogUnderModel]) -> NoiseFloor:

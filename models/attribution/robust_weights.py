@@ -106,7 +106,8 @@ def stance_bins(t: np.ndarray, log: np.ndarray, there: np.ndarray) -> list[np.nd
 
 def _explained(data: Design, sigma: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Best joint fit (M, W) of every candidate and free part, in the table's unit."""
-    size = data.size
+    # A group could say nothing that its members do not.
+    size, single = data.size, data.evidence.single
     normal, right = np.zeros((size, size)), np.zeros(size)
     for column, (rows, X, which) in enumerate(zip(data.rows, data.X, data.which, strict=True)):
         if not len(which) or not len(rows):
@@ -117,7 +118,9 @@ def _explained(data: Design, sigma: np.ndarray, weight: np.ndarray) -> np.ndarra
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     # A ridge far below the data keeps twins apart and moves nothing that they determine.
     normal = normal / scale / scale[:, None] + 1e-9 * np.eye(size)
-    return data.explained(np.linalg.solve(normal, right / scale) / scale)
+    sizes = np.zeros(size)
+    sizes[single] = np.linalg.solve(normal[np.ix_(single, single)], (right / scale)[single])
+    return data.explained(sizes / scale)
 
 
 def _pooled(layout: Layout, left: np.ndarray) -> np.ndarray:

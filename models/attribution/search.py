@@ -19,7 +19,7 @@ from surefoot.models.attribution.fit import (
 from surefoot.models.attribution.noise_floor import NoiseFloor, noise_floor_with
 from surefoot.models.attribution.refinement import Data, contenders, refined, rerank
 from surefoot.models.attribution.robust_weights import RobustWeights, robust_weights
-from surefoot.models.attribution.selection import Candidate, judge
+from surefoot.models.attribution.selection import Candidate, distinct, judge
 from surefoot.models.attribution.split import FIT, REPORT, SELECT, Split
 from surefoot.models.bootstrap import block_draws
 from surefoot.sim.effects import Effect
@@ -85,8 +85,9 @@ def attribute(
         if best is None or len(chosen) == settings.most_effects:
             break
         known = Data(cases, floor, evidence, chosen, weights, split.part)
-        best, chosen_with = rerank(known, contenders(data, candidates, [*map(_key, chosen)]))
-        rivals += _rivals(data, best, candidates, [_key(e) for e in chosen], rng)
+        others = distinct(data, candidates, evidence.layout.limbs)
+        best, chosen_with = rerank(known, contenders(data, others, [*map(_key, chosen)]))
+        rivals += _rivals(data, best, others, [_key(e) for e in chosen], rng)
         explained += best.gain
         chosen = chosen_with
         floor = noise_floor_with(floor, chosen)

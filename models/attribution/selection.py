@@ -11,6 +11,7 @@ from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.attribution.split import FIT, SELECT
 from surefoot.models.bootstrap import block_draws
 from surefoot.sim.effects import known_effects
+from surefoot.sim.robot.limbs import Limbs
 
 
 @dataclass(frozen=True)
@@ -102,6 +103,26 @@ def judge(
             )
         )
     return tuple(sorted(judged, key=lambda c: (not c.earned, -c.gain)))
+
+
+def distinct(
+    data: NormalEquations, candidates: Sequence[Candidate], limbs: Limbs
+) -> tuple[Candidate, ...]:
+    """The candidates without those that are one effect on parts that a better one is on too.
+
+    A group and its members, or two groups, say the same of the parts that they share. The better
+    one gains more by at least the price of a parameter, or stands for fewer parts.
+    """
+    price = np.log(max(2, np.count_nonzero(data.part == FIT)))
+    parts = {c.key: set(known_effects()[c.key[0]].members_of(c.key[1], limbs)) for c in candidates}
+    left, kept = list(candidates), []
+    while left:
+        best = left[0]
+        alike = [c for c in left if c.key[0] == best.key[0] and parts[c.key] & parts[best.key]]
+        as_good = [c for c in alike if c.earned == best.earned and c.gain > best.gain - price]
+        kept.append(min(as_good, key=lambda c: len(parts[c.key])))
+        left = [c for c in left if c not in alike]
+    return tuple(kept)
 
 
 def _without(seen: NormalEquations, at: int, offset: float, chosen: Sequence[Key]) -> np.ndarray:

@@ -23,7 +23,7 @@ def variance_inflation(data: Design, weights: RobustWeights) -> np.ndarray:
     for columns in data.evidence.layout.alike:
         found: list[float] = []
         for c in columns:
-            own = data.which[c] < candidates
+            own = (data.which[c] < candidates) & data.evidence.single[data.which[c]]
             X, rows = data.X[c][:, own], data.rows[c]
             if not X.size:
                 continue

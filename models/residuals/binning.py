@@ -7,11 +7,11 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import uniform_filter1d
 
-from surefoot.models.residuals.limbs import limbs_of
 from surefoot.sim.common.low_pass import low_pass
 from surefoot.sim.log import Log, joint_velocity, reference_velocity
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.limbs import limbs_of
 from surefoot.sim.sensors.stances import inside_stances
 from surefoot.sim.sensors.streams import between_states
 

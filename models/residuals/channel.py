@@ -22,10 +22,10 @@ from typing import ClassVar
 import numpy as np
 
 from surefoot.models.residuals.binning import Bins, ReferenceMotion
-from surefoot.models.residuals.limbs import Limbs
 from surefoot.models.residuals.torques import InverseDynamics, Steps
 from surefoot.sim.log import Log
 from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.sensors.streams import Sensors
 
 OF_WALKS = ("contact", "reference")

@@ -19,10 +19,10 @@ from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.channel import Channel, Column, ResidualInputs
 from surefoot.models.residuals.contact_timing import contact_timing
 from surefoot.models.residuals.feet import foot_heights, leg_velocities
-from surefoot.models.residuals.limbs import Limbs
 from surefoot.models.residuals.torques import slope, torque_residual, wrench_residual
 from surefoot.sim.effects.base import AXES
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.sensors.streams import Sensors
 
 REACH = 0.5

@@ -26,9 +26,10 @@ def leg_velocities(bins: Bins, robot: Robot) -> np.ndarray:
 
 
 def foot_heights(bins: Bins, robot: Robot) -> np.ndarray:
-    """Height (M, legs) [m] of each standing foot's centre in the world."""
+    """Height (M, legs) [m] of each standing foot's sole in the world, on level ground."""
     feet_I = robot.feet_I(bins.q)
     z = bins.p_GI[:, 2, None] + np.einsum("nj,nlj->nl", bins.R_GI[:, 2], feet_I)
+    z -= robot.foot_radius
     if bins.depth is not None:
         z = z + bins.depth
     return np.where(bins.standing, z, np.nan)

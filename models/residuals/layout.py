@@ -6,8 +6,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from surefoot.models.residuals.channel import Column
-from surefoot.models.residuals.limbs import Limbs, limbs_of
 from surefoot.models.residuals.registry import channels
+from surefoot.sim.robot.limbs import Limbs, limbs_of
 
 
 @dataclass(frozen=True)

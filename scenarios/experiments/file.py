@@ -18,6 +18,7 @@ from surefoot.sim.common.files import bundled
 from surefoot.sim.common.toml import Count, Level, Name, read_toml, typed
 from surefoot.sim.effects import Effect
 from surefoot.sim.effects.file import load_effects
+from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.scenario import Scenario
 from surefoot.sim.scenario_catalog import scenario_file
 from surefoot.sim.sensors.streams import Sensors
@@ -68,9 +69,9 @@ class Condition:
     imperfections: tuple[Imperfection, ...] = ()
     sensors: tuple[tuple[str, float], ...] = ()
 
-    def effects_of(self, seed: int) -> tuple[Effect, ...]:
-        """All that robot number `seed` has."""
-        drawn = [one for part in self.imperfections for one in part.drawn(seed)]
+    def effects_of(self, seed: int, limbs: Limbs) -> tuple[Effect, ...]:
+        """All that robot number `seed`, which has these limbs, has."""
+        drawn = [one for part in self.imperfections for one in part.drawn(seed, limbs)]
         return (*self.effects, *drawn)
 
 
@@ -143,9 +144,8 @@ def walk_seed(scenario: Scenario, seed: int) -> int:
 def walk_to_make(scenario: Scenario, robot: str, condition: Condition, seed: int) -> Job:
     """The walk of a scenario by robot number `seed` under a condition."""
     sensed = replace(scenario, sensors=replace(scenario.sensors, **dict(condition.sensors)))
-    return Job(
-        sensed, robot, walk_seed(scenario, seed), condition.effects_of(seed), condition.declared
-    )
+    effects = condition.effects_of(seed, known_robot(robot).limbs)
+    return Job(sensed, robot, walk_seed(scenario, seed), effects, condition.declared)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import numpy as np
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.toml import read_typed
 from surefoot.sim.effects import Effect, effect, known_effects
+from surefoot.sim.robot.limbs import QUADRUPED, Limbs
 
 LAWS = ("normal", "uniform", "fixed")
 
@@ -18,24 +19,28 @@ class Imperfection:
     """One effect on some targets, each drawn for itself.
 
     law: "normal" (standard deviation `size`), "uniform" (within +-`size`) or "fixed" (`size`), in
-    the effect's unit. source: where the size comes from.
+    the effect's unit. targets: None for every single target that the robot has. source: where the
+    size comes from.
     """
 
     effect: str
-    targets: tuple[str, ...]
+    targets: tuple[str, ...] | None
     law: str
     size: float
     source: str
 
-    def drawn(self, instance: int) -> list[Effect]:
-        """The effects that robot number `instance` has of this kind: the same at every call."""
+    def drawn(self, instance: int, limbs: Limbs) -> list[Effect]:
+        """The effects of this kind that robot number `instance`, which has these limbs, has: the
+        same at every call."""
         # A stream of its own: one imperfection more does not change the others.
         rng = np.random.default_rng([instance, crc32(self.effect.encode())])
         shares = {"normal": rng.standard_normal, "uniform": lambda n: rng.uniform(-1.0, 1.0, n)}
-        draw = shares.get(self.law, np.ones)(len(self.targets))
-        low, high = known_effects()[self.effect].bounds
+        kind = known_effects()[self.effect]
+        targets = kind.single_targets(limbs) if self.targets is None else self.targets
+        draw = shares.get(self.law, np.ones)(len(targets))
+        low, high = kind.bounds
         values = np.clip(self.size * draw, low, high)
-        return [effect(self.effect, t, v) for t, v in zip(self.targets, values, strict=True)]
+        return [effect(self.effect, t, v) for t, v in zip(targets, values, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -55,15 +60,13 @@ class _Entry:
             raise SurefootError(f"needs one of {', '.join(LAWS)}")
         if self.targets == ():
             raise SurefootError("targets must not be empty")
-        one = self.imperfection
-        for target in one.targets:
-            effect(self.effect, target, one.size)
+        for target in self.targets or known[self.effect].single_targets(QUADRUPED)[:1]:
+            effect(self.effect, target, self.imperfection.size)
 
     @property
     def imperfection(self) -> Imperfection:
         law = next(law for law in LAWS if getattr(self, law) is not None)
-        targets = self.targets or known_effects()[self.effect].targets
-        return Imperfection(self.effect, tuple(targets), law, getattr(self, law), self.source)
+        return Imperfection(self.effect, self.targets, law, getattr(self, law), self.source)
 
 
 @dataclass(frozen=True)

@@ -15,22 +15,24 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.effects.targets import AXES, Part, groups, parts
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.legs import JOINTS, LEGS
+from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.sensors.streams import Reference, Streams
 
-AXES = ("x", "y", "z")
+__all__ = ["AXES", "Effect", "changed_columns", "joint_sizes", "turn_about", "with_columns"]
 
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect on one target (a joint, leg, axis or "all"), of one scalar size.
+    """One effect on one target (a joint, leg, axis, or several of one size), of one scalar size.
 
-    A subclass gives its name, unit, bounds and valid targets, which residual channels it can
+    A subclass gives its name, unit, bounds and sort of target, which residual channels it can
     affect, how it is injected (one of the `alter_` methods or `edit_spec`), and, where a model can
-    compensate it, how. Raises SurefootError for a target it does not have or a size out of bounds.
+    compensate it, how. Raises SurefootError for a target it does not have or a size out of bounds;
+    which parts there are is the machine's to say (`members`).
     """
 
     target: str
@@ -40,7 +42,10 @@ class Effect:
     unit: ClassVar[str]
     bounds: ClassVar[tuple[float, float]]
     channels: ClassVar[tuple[str, ...]]
-    targets: ClassVar[tuple[str, ...]]
+    targets: ClassVar[Part | tuple[str, ...]]
+    """What it is on: a sort of part, of which a machine has its own, or words of the effect's."""
+    groups: ClassVar[bool] = False
+    """Whether several parts may share one size, as those of one make do (`targets.groups`)."""
     step: ClassVar[float]
     """A small size, for numerical derivatives by it; an effect that is compensated needs one."""
     starts: ClassVar[tuple[float, ...]] = ()
@@ -55,11 +60,8 @@ class Effect:
     difference of the residual itself, which holds for any effect."""
 
     def __post_init__(self):
-        if self.target not in self.targets and not self._is_other_joint():
-            raise SurefootError(
-                f"effect {self.name}: unknown target '{self.target}'; known: "
-                f"{', '.join(self.targets)}"
-            )
+        if isinstance(self.targets, tuple) and self.target not in self.targets:
+            raise SurefootError(self._unknown(self.target, self.targets))
         low, high = self.bounds
         if not low <= self.value <= high:
             raise SurefootError(
@@ -67,10 +69,45 @@ class Effect:
                 f"is {self.value:g}"
             )
 
-    def _is_other_joint(self) -> bool:
-        """Whether the target may be a joint of a machine that is no quadruped."""
-        legged = self.target.split("_")[0] in LEGS
-        return self.targets == JOINTS and self.target.isidentifier() and not legged
+    @classmethod
+    def single_targets(cls, limbs: Limbs) -> tuple[str, ...]:
+        """The parts of a machine with these limbs, or words, that it may be on alone."""
+        return cls.targets if isinstance(cls.targets, tuple) else parts(cls.targets, limbs)
+
+    @classmethod
+    def group_targets(cls, limbs: Limbs) -> dict[str, tuple[str, ...]]:
+        """The groups of parts that may share one size: name -> members, which are single targets.
+
+        None where `groups` is not set, or where the machine has no two parts of the sort.
+        """
+        alone = not cls.groups or isinstance(cls.targets, tuple)
+        return {} if alone else groups(cls.targets, limbs)
+
+    @classmethod
+    def targets_on(cls, limbs: Limbs) -> tuple[str, ...]:
+        """Every target on a machine with these limbs: single ones, then groups."""
+        return (*cls.single_targets(limbs), *cls.group_targets(limbs))
+
+    @classmethod
+    def members_of(cls, target: str, limbs: Limbs) -> tuple[str, ...]:
+        """The single targets that a target stands for: itself, or a group's members.
+
+        Raises SurefootError for a target that a machine with these limbs does not have.
+        """
+        if target in (single := cls.single_targets(limbs)):
+            return (target,)
+        found = cls.group_targets(limbs)
+        if target not in found:
+            raise SurefootError(cls._unknown(target, (*single, *found)))
+        return found[target]
+
+    def members(self, limbs: Limbs) -> tuple[str, ...]:
+        """The single targets that its own target stands for (see `members_of`)."""
+        return self.members_of(self.target, limbs)
+
+    @classmethod
+    def _unknown(cls, target: str, known: tuple[str, ...]) -> str:
+        return f"effect {cls.name}: unknown target '{target}'; known: {', '.join(known)}"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         """Change the simulated world; most effects of sensors do not."""
@@ -117,6 +154,11 @@ class Effect:
 
     def as_dict(self) -> dict[str, Any]:
         return {"name": self.name, "target": self.target, "value": self.value, "unit": self.unit}
+
+
+def joint_sizes(one: Effect, limbs: Limbs) -> np.ndarray:
+    """(J,): the size at the joints that an effect is on, zero at the others."""
+    return one.value * np.isin(limbs.joints, one.members(limbs))
 
 
 def turn_about(axis: str, angle: float) -> np.ndarray:

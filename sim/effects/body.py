@@ -13,11 +13,7 @@ from surefoot.sim.effects.base import AXES, Effect, turn_about
 from surefoot.sim.log import Log
 from surefoot.sim.physics.scene import add_payload
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.legs import LEGS
 from surefoot.sim.sensors.streams import Reference
-
-LINKS = tuple(f"{leg}_{link}" for leg in LEGS for link in ("thigh", "calf"))
-HIPS = tuple(f"{leg}_{axis}" for leg in LEGS for axis in AXES)
 
 
 class LinkLength(Effect):
@@ -31,47 +27,50 @@ class LinkLength(Effect):
     unit = "m"
     bounds = (-0.03, 0.03)
     channels = ("leg_velocity", "foot_height", "base_wrench")
-    targets = LINKS
+    targets = "leg_link"
+    groups = True
     step = 1e-3
     chain_rule = "legs"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
-        leg, link = self._place()
         model = spec.compile()
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
-        foot = _foot_geom(spec, robot, leg)
-        thigh, knee = (data.xanchor[model.joint(robot.joint_names[3 * leg + j]).id] for j in (1, 2))
-        if link == "thigh":
-            moved = spec.joint(robot.joint_names[3 * leg + 2]).parent
-            along_G = knee - thigh
-            parent = model.body_parentid[model.body(moved.name).id]
-            moved.pos = moved.pos + _in_frame(data, parent, along_G) * self.value
-            return
-        body = model.body(robot.foot_bodies[leg]).id
-        place_G = data.xpos[body] + data.xmat[body].reshape(3, 3) @ robot.foot_places[leg]
-        shift = _in_frame(data, body, place_G - knee) * self.value
-        foot.pos = foot.pos + shift
-        # Where the foot goes its touch site goes too.
-        for site in spec.sites:
-            if site.name == f"sole_{LEGS[leg]}":
-                site.pos = site.pos + shift
+        for leg, link in self._places(robot):
+            names = [robot.joint_names[joint] for joint in robot.limbs.chains[leg]]
+            upper_G = data.xanchor[model.joint(names[link]).id]
+            if link + 1 < len(names):
+                moved = spec.joint(names[link + 1]).parent
+                along_G = data.xanchor[model.joint(names[link + 1]).id] - upper_G
+                parent = model.body_parentid[model.body(moved.name).id]
+                moved.pos = moved.pos + _in_frame(data, parent, along_G) * self.value
+                continue
+            foot, body = _foot_geom(spec, robot, leg), model.body(robot.foot_bodies[leg]).id
+            place_G = data.xpos[body] + data.xmat[body].reshape(3, 3) @ robot.foot_places[leg]
+            shift = _in_frame(data, body, place_G - upper_G) * self.value
+            foot.pos = foot.pos + shift
+            # Where the foot goes its touch site goes too.
+            for site in spec.sites:
+                if site.name == f"sole_{robot.limbs.legs[leg]}":
+                    site.pos = site.pos + shift
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        leg, link = self._place()
         legs = robot.legs
-        if link == "thigh":
-            offset = legs.offset.copy()
-            along = legs.offset[leg, 2] + legs.rotation[leg, 2] @ legs.anchor[leg, 2]
-            offset[leg, 2] += _unit(along - legs.anchor[leg, 1]) * self.value
-            return log, replace(robot, legs=legs._replace(offset=offset))
-        foot = legs.foot.copy()
-        foot[leg] += _unit(legs.foot[leg] - legs.anchor[leg, 2]) * self.value
-        return log, replace(robot, legs=legs._replace(foot=foot))
+        offset, foot = legs.offset.copy(), legs.foot.copy()
+        for leg, link in self._places(robot):
+            upper = legs.anchor[leg, link]
+            if link + 1 < len(robot.limbs.chains[leg]):
+                turned = legs.rotation[leg, link + 1] @ legs.anchor[leg, link + 1]
+                lower = legs.offset[leg, link + 1] + turned
+                offset[leg, link + 1] += _unit(lower - upper) * self.value
+            else:
+                foot[leg] += _unit(legs.foot[leg] - upper) * self.value
+        return log, replace(robot, legs=legs._replace(offset=offset, foot=foot))
 
-    def _place(self) -> tuple[int, str]:
-        leg, link = self.target.split("_")
-        return LEGS.index(leg), link
+    def _places(self, robot: Robot) -> list[tuple[int, int]]:
+        """Leg and place in it of the joint at the upper end of each link."""
+        at = [robot.limbs.joints.index(joint) for joint in self.members(robot.limbs)]
+        return [(i, c.index(j)) for j in at for i, c in enumerate(robot.limbs.chains) if j in c]
 
 
 class HipOffset(Effect):
@@ -81,29 +80,35 @@ class HipOffset(Effect):
     unit = "m"
     bounds = (-0.05, 0.05)
     channels = ("leg_velocity", "foot_height", "base_wrench")
-    targets = HIPS
+    targets = "leg_axis"
     step = 1e-3
     chain_rule = "legs"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
-        leg, axis = self.target.split("_")
+        leg, axis = self._place(robot)
         model = spec.compile()
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
-        along_G = data.xmat[model.body(robot.base_name).id].reshape(3, 3)[:, AXES.index(axis)]
-        moved = spec.joint(robot.joint_names[3 * LEGS.index(leg)]).parent
+        along_G = data.xmat[model.body(robot.base_name).id].reshape(3, 3)[:, axis]
+        moved = spec.joint(robot.joint_names[robot.limbs.chains[leg][0]]).parent
         parent = model.body_parentid[model.body(moved.name).id]
         moved.pos = moved.pos + _in_frame(data, parent, along_G) * self.value
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        leg, axis = self.target.split("_")
         offset = robot.legs.offset.copy()
-        offset[LEGS.index(leg), 0, AXES.index(axis)] += self.value
+        leg, axis = self._place(robot)
+        offset[leg, 0, axis] += self.value
         return log, replace(robot, legs=robot.legs._replace(offset=offset))
+
+    def _place(self, robot: Robot) -> tuple[int, int]:
+        """Index of the leg and of the axis."""
+        (target,) = self.members(robot.limbs)
+        leg, axis = target.rsplit("_", 1)
+        return robot.limbs.legs.index(leg), AXES.index(axis)
 
 
 class FootRolling(Effect):
-    """Every foot rolls on a radius larger than the declared one; its centre stays where it was.
+    """A foot rolls on a radius larger than the declared one; its centre stays where it was.
 
     A declared model of point feet lacks the whole radius, 2 to 4 cm on most quadrupeds' models.
     """
@@ -112,12 +117,14 @@ class FootRolling(Effect):
     unit = "m"
     bounds = (-0.06, 0.06)
     channels = ("leg_velocity", "foot_height", "base_wrench")
-    targets = ("all",)
+    targets = "leg"
+    groups = True
     step = 1e-3
     chain_rule = "legs"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
-        for leg, name in enumerate(LEGS):
+        for name in self.members(robot.limbs):
+            leg = robot.limbs.legs.index(name)
             foot = _foot_geom(spec, robot, leg)
             radius = foot.size[0] + self.value
             if radius < 1e-3:
@@ -131,7 +138,8 @@ class FootRolling(Effect):
                     site.size = [1.3 * radius, 0, 0]
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        return log, replace(robot, foot_radius=robot.foot_radius + self.value)
+        added = self.value * np.isin(robot.limbs.legs, self.members(robot.limbs))
+        return log, replace(robot, foot_radius=robot.foot_radius + added)
 
 
 class Payload(Effect):
@@ -198,7 +206,8 @@ def _foot_geom(spec: mujoco.MjSpec, robot: Robot, leg: int):
         is_sphere = geom.type == mujoco.mjtGeom.mjGEOM_SPHERE
         if is_sphere and np.allclose(geom.pos, robot.foot_places[leg], atol=1e-9):
             return geom
-    raise SurefootError(f"robot {robot.name}: foot {LEGS[leg]} is not where its model says")
+    name = robot.limbs.legs[leg]
+    raise SurefootError(f"robot {robot.name}: foot {name} is not where its model says")
 
 
 def _in_frame(data: mujoco.MjData, body: int, along_G: np.ndarray) -> np.ndarray:

@@ -4,7 +4,7 @@ A package of a user's own adds to it by the entry points `surefoot.effects`, a s
 """
 
 from collections.abc import Iterable
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.plugins import Registry
@@ -42,6 +42,7 @@ from surefoot.sim.effects.joint import (
     TorqueBias,
     TorqueScale,
 )
+from surefoot.sim.effects.targets import Part
 from surefoot.sim.effects.timing import (
     ClockScale,
     ContactDelay,
@@ -109,6 +110,11 @@ def _check(kind: Any) -> None:
     lacking = [one for one in needs if not hasattr(kind, one)]
     if lacking:
         raise SurefootError(f"effect {kind.__name__}: lacks {', '.join(lacking)}")
+    if not isinstance(kind.targets, tuple) and kind.targets not in get_args(Part):
+        raise SurefootError(
+            f"effect {kind.__name__}: targets must be a tuple of words or one of "
+            f"{', '.join(get_args(Part))}"
+        )
 
 
 def _check_named(name: str, kind: Any) -> None:

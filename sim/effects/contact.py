@@ -3,6 +3,7 @@
 Where a docstring gives no source for the bounds, none was found and they were chosen wide.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import mujoco
@@ -13,7 +14,6 @@ from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.legs import JOINTS
 
 STICKING = 0.03
 """rad/s. Below it dry friction takes what it gets: a few times the noise of a measured rate."""
@@ -29,16 +29,18 @@ class ViscousFriction(Effect):
     unit = "N m s/rad"
     bounds = (0.0, 10.0)
     channels = ("joint_torque",)
-    targets = JOINTS
+    targets = "joint"
+    groups = True
     step = 1e-2
     chain_rule = "readings"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         # MuJoCo's damping is a polynomial; its first number multiplies the rate itself.
-        _joint(spec, robot, self.target).damping[0] += self.value
+        for joint in _joints(spec, robot, self):
+            joint.damping[0] += self.value
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        return _less_torque(log, self.target, self.value * _rate(log, self.target)), robot
+        return _less_torque(log, robot, self, lambda rate: rate), robot
 
 
 class CoulombFriction(Effect):
@@ -52,16 +54,17 @@ class CoulombFriction(Effect):
     unit = "N m"
     bounds = (0.0, 10.0)
     channels = ("joint_torque",)
-    targets = JOINTS
+    targets = "joint"
+    groups = True
     step = 1e-2
     chain_rule = "readings"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
-        _joint(spec, robot, self.target).frictionloss += self.value
+        for joint in _joints(spec, robot, self):
+            joint.frictionloss += self.value
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        side = np.tanh(_rate(log, self.target) / STICKING)
-        return _less_torque(log, self.target, self.value * side), robot
+        return _less_torque(log, robot, self, lambda rate: np.tanh(rate / STICKING)), robot
 
 
 class Armature(Effect):
@@ -74,16 +77,17 @@ class Armature(Effect):
     unit = "kg m^2"
     bounds = (0.0, 0.5)
     channels = ("joint_torque",)
-    targets = JOINTS
+    targets = "joint"
+    groups = True
     step = 1e-3
     chain_rule = "readings"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
-        _joint(spec, robot, self.target).armature += self.value
+        for joint in _joints(spec, robot, self):
+            joint.armature += self.value
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        rate = _rate(log, self.target)
-        return _less_torque(log, self.target, self.value * np.gradient(rate, log.t)), robot
+        return _less_torque(log, robot, self, lambda rate: np.gradient(rate, log.t)), robot
 
 
 class FootSlip(Effect):
@@ -144,11 +148,17 @@ def _rate(log: Log, joint: str) -> np.ndarray:
     return derivative(log.t, log.frame[[f"q_{joint}"]].to_numpy(), JOINT_WINDOW, causal=False)[:, 0]
 
 
-def _less_torque(log: Log, joint: str, taken: np.ndarray) -> Log:
-    """The log with a joint's torque less what the drive takes (N,) [N m]."""
-    column = f"tau_{joint}"
-    return with_columns(log, {column: log.frame[column].to_numpy() - taken})
+def _less_torque(
+    log: Log, robot: Robot, one: Effect, taken: Callable[[np.ndarray], np.ndarray]
+) -> Log:
+    """The log with the torque less what the drives take, by their rates (N,) and unit of size."""
+    columns = {}
+    for joint in one.members(robot.limbs):
+        torque = log.frame[f"tau_{joint}"].to_numpy()
+        columns[f"tau_{joint}"] = torque - one.value * taken(_rate(log, joint))
+    return with_columns(log, columns)
 
 
-def _joint(spec: mujoco.MjSpec, robot: Robot, name: str):
-    return spec.joint(robot.joint_names[JOINTS.index(name)])
+def _joints(spec: mujoco.MjSpec, robot: Robot, one: Effect) -> list[mujoco.MjsJoint]:
+    names = dict(zip(robot.limbs.joints, robot.joint_names, strict=True))
+    return [spec.joint(names[joint]) for joint in one.members(robot.limbs)]

@@ -10,10 +10,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from surefoot.sim.effects.base import Effect, with_columns
+from surefoot.sim.effects.base import Effect, joint_sizes, with_columns
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.legs import JOINTS
 from surefoot.sim.sensors.streams import Streams
 
 TORQUE_WINDOW = 0.03
@@ -30,18 +29,16 @@ class EncoderOffset(Effect):
     unit = "rad"
     bounds = (-0.2, 0.2)
     channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
-    targets = JOINTS
+    targets = "joint"
     step = 1e-3
     chain_rule = "readings"
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        q = streams.q.copy()
-        q[:, JOINTS.index(self.target)] += self.value
-        return replace(streams, q=q)
+        return replace(streams, q=streams.q + joint_sizes(self, robot.limbs))
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        column = f"q_{self.target}"
-        return with_columns(log, {column: log.frame[column].to_numpy() - self.value}), robot
+        names = [f"q_{joint}" for joint in self.members(robot.limbs)]
+        return with_columns(log, {n: log.frame[n].to_numpy() - self.value for n in names}), robot
 
 
 class EncoderScale(Effect):
@@ -51,16 +48,17 @@ class EncoderScale(Effect):
     unit = "ratio"
     bounds = (-0.2, 0.2)
     channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
-    targets = JOINTS
+    targets = "joint"
     step = 1e-3
     chain_rule = "readings"
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        factor = 1.0 + self.value * _only(self.target)
+        factor = 1.0 + joint_sizes(self, robot.limbs)
         return replace(streams, q=streams.q * factor, dq=streams.dq * factor)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        names = [n for n in (f"q_{self.target}", f"dq_{self.target}") if n in log.frame]
+        both = [f"{kind}_{joint}" for joint in self.members(robot.limbs) for kind in ("q", "dq")]
+        names = [name for name in both if name in log.frame]
         scaled = {name: log.frame[name].to_numpy() / (1 + self.value) for name in names}
         return with_columns(log, scaled), robot
 
@@ -76,23 +74,26 @@ class JointCompliance(Effect):
     unit = "rad/(N m)"
     bounds = (0.0, 0.02)
     channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
-    targets = JOINTS
+    targets = "joint"
+    groups = True
     needs = ("tau",)
     step = 2e-5
     chain_rule = "readings"
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        wound = streams.tau * (self.value * _only(self.target))
+        wound = streams.tau * joint_sizes(self, robot.limbs)
         rate = np.gradient(wound, streams.t, axis=0)
         return replace(streams, q=streams.q + wound, dq=streams.dq + rate)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        torque = log.frame[f"tau_{self.target}"].to_numpy()
-        wound = {f"q_{self.target}": self.value * torque}
-        if f"dq_{self.target}" in log.frame:
-            # The torque's noise, differenced row by row, would drown the rate that is read.
-            slope = np.gradient(uniform_filter1d(torque, _window(log)), log.t)
-            wound[f"dq_{self.target}"] = self.value * slope
+        wound = {}
+        for joint in self.members(robot.limbs):
+            torque = log.frame[f"tau_{joint}"].to_numpy()
+            wound[f"q_{joint}"] = self.value * torque
+            if f"dq_{joint}" in log.frame:
+                # The torque's noise, differenced row by row, would drown the rate that is read.
+                slope = np.gradient(uniform_filter1d(torque, _window(log)), log.t)
+                wound[f"dq_{joint}"] = self.value * slope
         columns = {name: log.frame[name].to_numpy() - wound[name] for name in wound}
         return with_columns(log, columns), robot
 
@@ -112,26 +113,29 @@ class Backlash(Effect):
     unit = "rad"
     bounds = (0.0, 0.1)
     channels = ("joint_rate", "leg_velocity", "foot_height", "base_wrench")
-    targets = JOINTS
+    targets = "joint"
+    groups = True
     needs = ("tau",)
     step = 2e-4
     chain_rule = "readings"
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        j = JOINTS.index(self.target)
-        side = np.sign(streams.tau[:, j])
+        side = np.sign(streams.tau)
         # Without a torque nothing moves it from the side where it lay.
-        last = np.maximum.accumulate(np.where(side != 0.0, np.arange(len(side)), 0))
-        q = streams.q.copy()
-        q[:, j] += 0.5 * self.value * side[last]
-        return replace(streams, q=q)
+        rows = np.arange(len(side))[:, None]
+        last = np.maximum.accumulate(np.where(side != 0.0, rows, 0), axis=0)
+        play = 0.5 * joint_sizes(self, robot.limbs)
+        return replace(streams, q=streams.q + play * np.take_along_axis(side, last, axis=0))
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        torque = log.frame[f"tau_{self.target}"].to_numpy()
-        # A noisy torque near zero would jump from side to side: a mean over some rows does less.
-        side = np.sign(uniform_filter1d(torque, max(1, _window(log) // 4)))
-        q = log.frame[f"q_{self.target}"].to_numpy() - 0.5 * self.value * side
-        return with_columns(log, {f"q_{self.target}": q}), robot
+        columns = {}
+        for joint in self.members(robot.limbs):
+            torque = log.frame[f"tau_{joint}"].to_numpy()
+            # A noisy torque near zero would jump from side to side: a mean of some rows does less.
+            side = np.sign(uniform_filter1d(torque, max(1, _window(log) // 4)))
+            q = log.frame[f"q_{joint}"].to_numpy()
+            columns[f"q_{joint}"] = q - 0.5 * self.value * side
+        return with_columns(log, columns), robot
 
 
 class TorqueScale(Effect):
@@ -146,16 +150,18 @@ class TorqueScale(Effect):
     unit = "ratio"
     bounds = (-0.5, 0.5)
     channels = ("joint_torque", "base_wrench")
-    targets = JOINTS
+    targets = "joint"
+    groups = True
     step = 1e-2
     chain_rule = "readings"
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        return replace(streams, tau=streams.tau * (1.0 + self.value * _only(self.target)))
+        return replace(streams, tau=streams.tau * (1.0 + joint_sizes(self, robot.limbs)))
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        column = f"tau_{self.target}"
-        return with_columns(log, {column: log.frame[column].to_numpy() / (1 + self.value)}), robot
+        names = [f"tau_{joint}" for joint in self.members(robot.limbs)]
+        scaled = {n: log.frame[n].to_numpy() / (1 + self.value) for n in names}
+        return with_columns(log, scaled), robot
 
 
 class TorqueBias(Effect):
@@ -165,23 +171,18 @@ class TorqueBias(Effect):
     unit = "N m"
     bounds = (-20.0, 20.0)
     channels = ("joint_torque", "base_wrench")
-    targets = JOINTS
+    targets = "joint"
     step = 0.1
     chain_rule = "readings"
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        return replace(streams, tau=streams.tau + self.value * _only(self.target))
+        return replace(streams, tau=streams.tau + joint_sizes(self, robot.limbs))
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        column = f"tau_{self.target}"
-        return with_columns(log, {column: log.frame[column].to_numpy() - self.value}), robot
+        names = [f"tau_{joint}" for joint in self.members(robot.limbs)]
+        return with_columns(log, {n: log.frame[n].to_numpy() - self.value for n in names}), robot
 
 
 def _window(log: Log) -> int:
     """Rows within TORQUE_WINDOW."""
     return max(1, round(TORQUE_WINDOW * log.rate))
-
-
-def _only(joint: str) -> np.ndarray:
-    """(12,): one for this joint, zero for the others."""
-    return np.eye(12)[JOINTS.index(joint)]

@@ -16,7 +16,6 @@ from surefoot.sim.common.quaternion import slerp
 from surefoot.sim.effects.base import Effect, with_columns
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.legs import LEGS
 from surefoot.sim.sensors.contact import swings
 from surefoot.sim.sensors.streams import Reference, Streams
 
@@ -101,7 +100,7 @@ class ContactDelay(Effect):
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         late, stands = _late(streams, STREAMS["feet"], self.value), streams.force > 0
         force = streams.force.copy()
-        for leg in range(len(LEGS)):
+        for leg in range(force.shape[1]):
             lifts, lands = swings(streams.t, stands[:, leg])
             swung = (lifts + lands) // 2
             stood = np.concatenate([[0], (lands[:-1] + lifts[1:]) // 2, [len(force)]])
@@ -116,11 +115,11 @@ class ContactDelay(Effect):
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         rows, contact = int(self.value * log.rate), log.contact
-        for leg in range(len(LEGS)):
+        for leg in range(contact.shape[1]):
             lifts, lands = swings(log.t, log.contact[:, leg])
             for edge in lands if self.target == "touchdown" else lifts:
                 contact[max(edge - rows, 0) : edge, leg] = self.target == "touchdown"
-        columns = {f"contact_{leg}": contact[:, i].astype(float) for i, leg in enumerate(LEGS)}
+        columns = {f"contact_{leg}": contact[:, i].astype(float) for i, leg in enumerate(log.legs)}
         # Less than a row cannot be undone in the log: it goes into the declared model.
         name, rest = f"{self.target}_late", self.value - rows / log.rate
         known = replace(robot.extras, **{name: getattr(robot.extras, name) + rest})

@@ -9,6 +9,7 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
 from surefoot.sim.log import Log
 from surefoot.sim.robot.catalog import robot_file
+from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.robot.robot import DeclaredExtras, Robot
 
 BUNDLED_MACHINES = bundled("surefoot.sim.robot", "machines")
@@ -22,6 +23,11 @@ class FixedBase:
     file: Path
     joint_names: tuple[str, ...]
     extras: DeclaredExtras = field(default_factory=DeclaredExtras)
+
+    @property
+    def limbs(self) -> Limbs:
+        """Names of its joints; it has no legs."""
+        return Limbs((), self.joint_names, ())
 
 
 Machine = Robot | FixedBase

@@ -15,6 +15,7 @@ from surefoot.sim.robot.catalog import robot_file
 from surefoot.sim.robot.home_pose import standing_joints, stands
 from surefoot.sim.robot.kinematics import Legs, feet
 from surefoot.sim.robot.legs import JOINTS, find_legs
+from surefoot.sim.robot.limbs import QUADRUPED, Limbs
 
 IMU_SITES = ("imu", "imu_site", "IMU", "trunk_imu")
 
@@ -106,6 +107,11 @@ class Robot:
             radius = np.broadcast_to(mapped["foot_radius"], (4,)).astype(float)
             robot = replace(robot, foot_radius=radius)
         return robot
+
+    @property
+    def limbs(self) -> Limbs:
+        """Names of its legs and joints."""
+        return QUADRUPED
 
     def feet_I(self, q: np.ndarray) -> np.ndarray:
         """Foot centres (N, 4, 3) in I [m] of joint angles q (N, 12) [rad]."""

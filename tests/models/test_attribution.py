@@ -11,10 +11,11 @@ from surefoot.models.attribution.fit import design, fit, loss, normal_equations,
 from surefoot.models.attribution.noise_floor import NoiseFloor, Repeat
 from surefoot.models.attribution.refinement import contenders
 from surefoot.models.attribution.robust_weights import robust_weights, slips
-from surefoot.models.attribution.selection import judge
+from surefoot.models.attribution.selection import Candidate, distinct, judge
 from surefoot.models.attribution.settings import DEFAULT
 from surefoot.models.bootstrap import block_draws
 from surefoot.models.residuals.jacobians import sparse
+from surefoot.sim.robot.limbs import QUADRUPED
 
 NO_WALKS = NoiseFloor(NOISE, (), "none")
 
@@ -234,3 +235,28 @@ def test_the_block_bootstrap_has_the_spread_of_block_sums():
     drawn = block_draws(3, np.random.default_rng(0), 4000) @ sums
     assert drawn.mean() == pytest.approx(15.0, rel=0.02)
     assert drawn.std() == pytest.approx(np.sqrt(3 * np.var(sums)), rel=0.05)
+
+
+def test_a_group_and_its_members_are_one_candidate():
+    """Of candidates that share parts the one that gains more stays; where the data do not tell them
+    apart, the one that says less. Others stay as they are."""
+    data, nothing = whitened(evidence()), (0.0, 0.0)
+
+    def candidate(name, target, gain):
+        return Candidate((name, target), 1.0, 0.1, 0.1, gain, nothing, 0.5, False, True)
+
+    def kept(*candidates):
+        ranked = sorted(candidates, key=lambda c: -c.gain)
+        return [c.key for c in distinct(data, ranked, QUADRUPED)]
+
+    friction = [candidate("viscous_friction", t, g) for t, g in (("thigh", 400), ("all", 250))]
+    singles = [candidate("viscous_friction", t, 99) for t in ("FL_thigh", "RR_thigh", "RR_calf")]
+    other = candidate("armature", "FL_thigh", 300)
+    assert kept(*friction, *singles, other) == [
+        ("viscous_friction", "thigh"),
+        ("armature", "FL_thigh"),
+        ("viscous_friction", "RR_calf"),
+    ]
+    # Only one of the thighs moved: nothing says that the others have it too.
+    assert kept(*friction, replace(singles[0], gain=399.5))[0] == ("viscous_friction", "FL_thigh")
+    assert kept(*friction, replace(singles[0], gain=500.0))[0] == ("viscous_friction", "FL_thigh")

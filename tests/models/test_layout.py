@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 from surefoot.models.residuals.layout import layout_for, layout_of
-from surefoot.models.residuals.limbs import Limbs
 from surefoot.models.residuals.registry import channels
-from surefoot.sim.log import JOINTS
+from surefoot.sim.robot.limbs import QUADRUPED, limbs_by_name
 
-BIPED = Limbs(("L", "R"), ("L_hip", "L_knee", "L_ankle", "R_hip", "R_knee", "R_ankle"))
-ARM = Limbs((), ("shoulder", "elbow"))
+BIPED = limbs_by_name(("L", "R"), ("L_hip", "L_knee", "L_ankle", "R_hip", "R_knee", "R_ankle"))
+ARM = limbs_by_name((), ("shoulder", "elbow"))
 
 
 def test_a_biped_has_columns_for_its_two_legs_and_six_joints():
@@ -39,7 +38,7 @@ def test_an_arm_has_its_joints_channels_alone_and_each_joint_noise_of_its_own():
     assert layout.by_leg("leg_velocity").shape == (0,)
 
 
-@pytest.mark.parametrize("limbs", [BIPED, ARM, Limbs(("FL", "FR", "RL", "RR"), JOINTS)])
+@pytest.mark.parametrize("limbs", [BIPED, ARM, QUADRUPED])
 def test_every_column_has_a_name_a_group_a_kind_and_noise(limbs):
     layout = layout_for(limbs)
     assert len(set(layout.names)) == layout.width

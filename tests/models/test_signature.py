@@ -18,6 +18,7 @@ from surefoot.sim.effects.base import Effect, with_columns
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import JOINTS
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 
@@ -33,7 +34,12 @@ def one_of_each_kind(targets):
     return [group[k % len(group)] for k, group in enumerate(alike)]
 
 
-KEYS = [(kind.name, target) for kind in CHAINED for target in one_of_each_kind(kind.targets)]
+KEYS = [
+    (kind.name, target)
+    for kind in CHAINED
+    for target in one_of_each_kind(kind.single_targets(QUADRUPED))
+    + list(kind.group_targets(QUADRUPED))[:1]
+]
 
 
 @pytest.fixture(scope="module")

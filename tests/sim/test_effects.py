@@ -16,6 +16,7 @@ from surefoot.sim.physics.scene import robot_spec
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import feet
 from surefoot.sim.robot.legs import JOINTS, LEGS, find_legs
+from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.sensors.streams import Streams
 from surefoot.sim.walk import walk
@@ -154,7 +155,11 @@ def test_a_walk_keeps_its_effects_to_itself_when_undeclared(robot):
 def test_files_give_back_what_was_saved(tmp_path_factory, data):
     name = data.draw(st.sampled_from(sorted(CATALOGUE)))
     kind = CATALOGUE[name]
-    one = effect(name, data.draw(st.sampled_from(kind.targets)), data.draw(st.floats(*kind.bounds)))
+    one = effect(
+        name,
+        data.draw(st.sampled_from(kind.targets_on(QUADRUPED))),
+        data.draw(st.floats(*kind.bounds)),
+    )
     path = tmp_path_factory.mktemp("effects") / "e.toml"
     save_effects(path, [one])
     assert load_effects(path) == (one,)
@@ -180,8 +185,8 @@ GOOD = 'name = "encoder_offset"\ntarget = "FL_hip"\nvalue = 0.02\nunit = "rad"\n
         ("[[effect]]\n" + GOOD.replace("unit", "#"), "1 unit is missing"),
         ("[[effect]]\n" + GOOD.replace('"rad"', '"deg"'), "unit of encoder_offset must be 'rad'"),
         (
-            "[[effect]]\n" + GOOD.replace("FL_hip", "FL_hop"),
-            "unknown target 'FL_hop'; known: FL_hip",
+            "[[effect]]\n" + GOOD.replace("encoder_offset", "gyro_bias").replace("rad", "rad/s"),
+            "unknown target 'FL_hip'; known: x, y, z",
         ),
         ("[[effect]]\n" + GOOD.replace("encoder_offset", "gremlin"), "unknown effect 'gremlin'"),
         ("[[effect]]\n" + GOOD.replace("0.02", "20.0"), "lie between -0.2 and 0.2 rad, is 20"),

@@ -10,7 +10,6 @@ from scipy.signal import lfilter
 
 from surefoot.sim.effects.base import AXES, Effect
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.legs import JOINTS
 from surefoot.sim.sensors.streams import Streams
 
 
@@ -21,11 +20,11 @@ class EncoderEccentricity(Effect):
     unit = "rad"
     bounds = (0.0, 0.1)
     channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
-    targets = JOINTS
+    targets = "joint"
     gear = 6.0
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        j = JOINTS.index(self.target)
+        j = robot.limbs.joints.index(self.target)
         turn = self.gear * streams.q[:, j]
         q, dq = streams.q.copy(), streams.dq.copy()
         q[:, j] += self.value * np.sin(turn)
@@ -56,10 +55,10 @@ class MagnetCrosstalk(Effect):
     unit = "rad"
     bounds = (0.0, 0.1)
     channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
-    targets = JOINTS
+    targets = "joint"
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        j = JOINTS.index(self.target)
+        j = robot.limbs.joints.index(self.target)
         bent = self.value * np.tanh(streams.tau[:, j] / 20.0) * np.sin(9.0 * streams.q[:, j])
         q, dq = streams.q.copy(), streams.dq.copy()
         q[:, j] += bent
@@ -74,10 +73,10 @@ class TorqueRipple(Effect):
     unit = "N m"
     bounds = (0.0, 20.0)
     channels = ("joint_torque", "base_wrench")
-    targets = JOINTS
+    targets = "joint"
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        j = JOINTS.index(self.target)
+        j = robot.limbs.joints.index(self.target)
         tau = streams.tau.copy()
         tau[:, j] += self.value * np.sin(28.0 * streams.q[:, j])
         return replace(streams, tau=tau)

@@ -26,6 +26,7 @@ from surefoot.sim.effects import CATALOGUE, Effect, effect
 from surefoot.sim.ground.terrain import Ground, Patch
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 from surefoot.sim.walking.batch import known_robot
@@ -89,7 +90,7 @@ def _drawn(name: str, size: Sequence[float], rng: np.random.Generator) -> Effect
     kind = CATALOGUE[name] if name in CATALOGUE else OUTSIDE_EFFECTS[name]
     value = float(np.exp(rng.uniform(*np.log(size))))
     sign = rng.choice([-1.0, 1.0])
-    target = str(rng.choice(kind.targets))
+    target = str(rng.choice(kind.single_targets(QUADRUPED)))
     # No delay is negative.
     both = kind.bounds[0] < 0 and not name.endswith("_delay")
     return kind(target, sign * value if both else value)

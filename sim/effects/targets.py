@@ -1,0 +1,47 @@
+"""What an effect may be on: a part of a machine, or several parts that share one size."""
+
+from typing import Literal
+
+from surefoot.sim.robot.limbs import Limbs
+
+Part = Literal["joint", "leg", "leg_link", "leg_axis"]
+"""A joint, or the link that it moves; a leg; a link of a leg, named after the joint at its upper
+end; a leg along one of the base's axes, `<leg>_<axis>`."""
+AXES = ("x", "y", "z")
+
+
+def parts(part: Part, limbs: Limbs) -> tuple[str, ...]:
+    """The parts of this sort that a machine with these limbs has."""
+    if part == "joint":
+        return limbs.joints
+    if part == "leg":
+        return limbs.legs
+    if part == "leg_link":
+        return tuple(limbs.joints[joint] for chain in limbs.chains for joint in chain[1:])
+    return tuple(f"{leg}_{axis}" for leg in limbs.legs for axis in AXES)
+
+
+def groups(part: Part, limbs: Limbs) -> dict[str, tuple[str, ...]]:
+    """The groups of parts of this sort that one size is sensible for, with their members.
+
+    Of joints and links those of one kind (`thigh`), of joints also those of a side and `all`; of
+    legs `front`, `rear`, `left`, `right` and `all`. A group has at least two members, and no two
+    have the same.
+    """
+    single = parts(part, limbs)
+    found: dict[str, tuple[str, ...]] = {}
+    if part in ("joint", "leg_link"):
+        for kind, joints in limbs.kinds.items():
+            found[kind] = tuple(joint for joint in joints if joint in single)
+    for side, legs in limbs.sides.items():
+        if part == "joint" and side in ("left", "right"):
+            found[side] = tuple(limbs.joints[j] for leg in legs for j in limbs.chains[leg])
+        elif part == "leg":
+            found[side] = tuple(limbs.legs[leg] for leg in legs)
+    if part in ("joint", "leg"):
+        found["all"] = single
+    distinct: dict[frozenset[str], str] = {}
+    for name, members in found.items():
+        if len(members) > 1 and name not in single:
+            distinct.setdefault(frozenset(members), name)
+    return {name: found[name] for name in distinct.values()}
