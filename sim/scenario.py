@@ -11,6 +11,7 @@ import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.toml import Count, NonNegative, Positive, read_typed
+from surefoot.sim.gait.options import GaitOptions
 from surefoot.sim.ground.terrain import Ground, Patch, Strip
 from surefoot.sim.scenario_catalog import scenario_file
 from surefoot.sim.sensors.streams import Sensors
@@ -64,6 +65,7 @@ class Scenario:
     role: Role | None = None
     ranges: Ranges = field(default_factory=Ranges)
     sensors: Sensors = field(default_factory=Sensors)
+    gait: GaitOptions = field(default_factory=GaitOptions)
     stand: float = 1.0  # s, standing still before the first step
     laps: int = 1
 
@@ -83,6 +85,7 @@ class Scenario:
             role=file.role,
             ranges=file.ranges,
             sensors=file.sensors,
+            gait=file.gait,
             stand=file.stand,
             laps=file.laps,
         )
@@ -218,6 +221,7 @@ class _File:
     ground: _GroundTable = field(default_factory=_GroundTable)
     ranges: Ranges = field(default_factory=Ranges)
     sensors: Sensors = field(default_factory=Sensors)
+    gait: GaitOptions = field(default_factory=GaitOptions)
 
     def __post_init__(self):
         if not self.segment:

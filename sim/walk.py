@@ -14,6 +14,7 @@ from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.effects import Effect
 from surefoot.sim.gait.controller import gait_for
 from surefoot.sim.gait.course import Course, lay_course
+from surefoot.sim.gait.irregular import irregular
 from surefoot.sim.gait.state import Gait
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log, Meta
@@ -22,6 +23,7 @@ from surefoot.sim.physics.stepper import STEPS_PER_TICK, Fallen, simulate
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.legs import JOINTS, LEGS, find_legs
 from surefoot.sim.scenario import Drawn, Scenario, drawn
+from surefoot.sim.sensors.sampling import sampled
 from surefoot.sim.sensors.streams import (
     Motion,
     Reference,
@@ -95,7 +97,12 @@ def plan(
         effects: hidden changes of robot, ground and sensors.
         declared: whether the log's metadata list the effects.
     """
-    course_seed, sensor_seed = np.random.SeedSequence(seed).spawn(2)
+    if scenario.sensors.rate > 1.0 / TIMESTEP:
+        raise SurefootError(
+            f"scenario {scenario.name}: [sensors] rate must not exceed {1.0 / TIMESTEP:g} Hz, the "
+            f"simulation's own, is {scenario.sensors.rate:g}"
+        )
+    course_seed, sensor_seed, gait_seed = np.random.SeedSequence(seed).spawn(3)
     draw = drawn(scenario, np.random.default_rng(course_seed))
     ground = draw.scenario.ground
     spec = robot_spec(robot)
@@ -118,7 +125,9 @@ def plan(
             f"scenario {scenario.name}: the course leaves the floor; "
             "give [ground] a larger half_size"
         )
-    gait = gait_for(robot, SETTLE + scenario.stand, draw.period, draw.clearance, draw.gain)
+    start = SETTLE + scenario.stand
+    gait = gait_for(robot, start, draw.period, draw.clearance, draw.gain, scenario.gait)
+    gait = irregular(gait, scenario.gait, course.t, np.random.default_rng(gait_seed))
     return Plan(
         scenario=scenario,
         robot=robot,
@@ -148,10 +157,14 @@ def record(made: Plan, motion: Motion) -> Log:
     streams = corrupt(streams, sensors, rng)
     contact = sensed_contact(streams, robot.mass * GRAVITY, sensors, rng)
     truth = foot_truth(motion, _walked(made), made.ground)
+    frame = _frame(streams, contact, reference, *truth)
+    rate = sensors.rate or 1.0 / TIMESTEP
+    if rate < 1.0 / TIMESTEP:
+        frame = sampled(frame, rate, averages=not sensors.imu_bandwidth)
     return Log(
-        frame=_frame(streams, contact, reference, *truth),
+        frame=frame,
         meta=Meta(
-            rate=1.0 / TIMESTEP,
+            rate=rate,
             robot=robot.name,
             scenario=made.scenario.name,
             seed=made.seed,

@@ -93,6 +93,52 @@ class LoopCommand:
         print(f"\nreport: {self.out / 'report.html'}")
 
 
+@dataclass(frozen=True)
+class Realism:
+    """A measured log beside simulated walks in its manner: one number a row, with its doubt."""
+
+    log: Positional[Path]
+    """A log with IMU, joint angles, contacts and reference."""
+    out: Out
+    """Folder for realism.json, realism.csv, table.md and report.html."""
+    robot: RobotName = None
+    effects: Path | None = None
+    """File of effects (TOML) that the simulated robot has."""
+    seed: int = 0
+    """Of the walks and the intervals."""
+    page: Path | None = None
+    """Page of results to write as well, such as docs/results/realism.md."""
+    force: Force = False
+
+    def run(self) -> None:
+        from surefoot.scenarios.reporting.progress import percent_bar
+        from surefoot.scenarios.reporting.tables import to_markdown
+        from surefoot.scenarios.trace.realism import realism, table
+        from surefoot.sim.effects.file import load_effects
+        from surefoot.sim.log import Log
+        from surefoot.sim.robot import Robot
+
+        log = Log.read(self.log)
+        robot = Robot.for_log(log, self.robot)
+        effects = load_effects(self.effects) if self.effects else ()
+        with percent_bar("walking") as bar:
+            found = realism(
+                log,
+                robot,
+                self.out,
+                effects,
+                seed=self.seed,
+                page=self.page,
+                force=self.force,
+                progress=bar,
+            )
+        for one in found:
+            print(f"\n{one.words}\n\n{to_markdown(table(one.card))}")
+            for name, why in one.card.missing.items():
+                print(f"missing: {name}: {why}")
+        print(f"\nreport: {self.out / 'report.html'}")
+
+
 @dataclass(frozen=True, kw_only=True)
 class GridOptions:
     """What `experiment` and `suite` share."""

@@ -1,7 +1,8 @@
 """A trot controller, compiled: Raibert footholds, a stance wrench, Jacobian-transpose torques.
 
-It knows the true base pose and the ground, as a laboratory's controller may. Every number
-scales with the leg length and the mass read from the model, so one set walks any quadruped.
+It knows the base's motion, true or with the errors of an estimate, and the ground, as a
+laboratory's controller may. Every number scales with the leg length and the mass read from the
+model, so one set walks any quadruped.
 """
 
 from typing import NamedTuple
@@ -10,7 +11,9 @@ import numpy as np
 
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
-from surefoot.sim.gait.stance_control import support
+from surefoot.sim.gait.irregular import stride_at
+from surefoot.sim.gait.options import PLAIN, GaitOptions
+from surefoot.sim.gait.stance_control import stiffen, support
 from surefoot.sim.gait.state import REACHING, STANCE, SWING, Command, Feet, Gait, LegMemory
 from surefoot.sim.gait.swing import swing
 from surefoot.sim.ground.height_map import HeightMap, height, normal, surface
@@ -29,7 +32,12 @@ class Controller(NamedTuple):
 
 
 def gait_for(
-    robot: Robot, start: float, period: float = 1.0, clearance: float = 1.0, gain: float = 1.0
+    robot: Robot,
+    start: float,
+    period: float = 1.0,
+    clearance: float = 1.0,
+    gain: float = 1.0,
+    options: GaitOptions = PLAIN,
 ) -> Gait:
     """The trot of a robot.
 
@@ -39,13 +47,14 @@ def gait_for(
         period: factor of the stride's period.
         clearance: factor of the swing height.
         gain: factor of the controller's gains.
+        options: what else the gait has.
     """
     length = robot.leg_length
     home_B = robot.feet_I(robot.q_home[None])[0] @ robot.R_BI.T + robot.p_BI
     mass, com_B, inertia, foot_mass = robot.inertial
     return Gait(
         period=period * 0.5 * np.sqrt(length / 0.66),
-        duty=0.6,
+        duty=options.duty,
         clearance=clearance * 0.11 * length,
         height=float(robot.foot_radius.mean() - home_B[:, 2].mean()),
         mass=mass,
@@ -64,6 +73,15 @@ def gait_for(
         level_gain=gain * 180.0,
         level_damping=32.0,
         slide_damping=80.0 * foot_mass,
+        unloading=options.unloading,
+        touchdown_speed=options.touchdown_speed * np.sqrt(GRAVITY * length),
+        braking=options.braking,
+        stiffness=options.stiffness * mass * GRAVITY * length,
+        damping=options.stiffness * options.damping * mass * GRAVITY * length,
+        beats=np.empty(0),
+        footholds=np.empty((0, 4, 2)),
+        velocity_error=np.empty((0, 3)),
+        attitude_error=np.empty((0, 3)),
     )
 
 
@@ -91,6 +109,7 @@ def tick(legs, controller, state, target, torque):
         np.empty((4, 3)),
         np.empty(4, np.int64),
         np.zeros(4),
+        np.zeros(4, np.int64),
     )
     foot, J, axes, spin = np.empty(3), np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
     loaded = 0.04 * gait.mass * GRAVITY
@@ -106,7 +125,7 @@ def tick(legs, controller, state, target, torque):
         sole_motion(feet.velocity[leg], spin, radius, up, feet.sole_velocity[leg])
         phase = 0.0
         if t >= gait.start:
-            phase = ((t - gait.start) / gait.period + gait.phase[leg]) % 1.0
+            feet.stride[leg], phase = stride_at(gait, t, leg)
         if phase < gait.duty or t < gait.start:
             feet.progress[leg] = phase / gait.duty if t >= gait.start else 0.5
             if memory.mode[leg] == SWING:
@@ -127,7 +146,9 @@ def tick(legs, controller, state, target, torque):
                 memory.bump[leg] = 0.0
         memory.mode[leg] = SWING if feet.mode[leg] == SWING else STANCE
     swing(controller, base, command, feet, torque)
-    support(gait, ground, base, command, feet, torque)
+    support(controller, ground, base, command, feet, torque)
+    if gait.stiffness > 0.0:
+        stiffen(controller, state, command, feet, torque)
     for i in range(12):
         torque[i] = min(max(torque[i], -gait.torque_limit[i]), gait.torque_limit[i])
 

@@ -6,6 +6,9 @@ from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.gait.state import STANCE
 
+FARTHEST = 0.3
+"""rad, of a joint's error that its PD answers: a foot held fast does not pull the body down."""
+
 
 @kernel
 def stance_forces(r, wrench, weight, effort):
@@ -30,17 +33,18 @@ def stance_forces(r, wrench, weight, effort):
 
 
 @kernel
-def support(gait, ground, base, command, feet, torque):
+def support(controller, ground, base, command, feet, torque):
     """The wrench that holds height, attitude and course, shared over the feet that stand.
 
     Args:
-        gait: a Gait.
+        controller: a Controller.
         ground: height at the base [m] and slopes along x and y of the plane that it follows.
         base: a BaseMotion.
         command: a Command.
         feet: Feet.
         torque: (12,) N m, of whose legs those that stand are written.
     """
+    gait = controller.gait
     p, R, v, w = base
     standing = np.flatnonzero(feet.mode == STANCE)
     n = len(standing)
@@ -72,7 +76,7 @@ def support(gait, ground, base, command, feet, torque):
         leg = standing[i]
         r[i] = feet.place[leg] - com - gait.foot_radius[leg] * feet.normal[leg]
         u = feet.progress[leg]
-        ease = min(1.0, min(u / 0.15, (1.0 - u) / 0.15))
+        ease = min(1.0, min(u / gait.unloading, (1.0 - u) / gait.unloading))
         effort[i] = 1e-3 / max(ease, 0.05) ** 2
     forces = stance_forces(r, wrench, weight, effort)
     floor, ceiling = 0.03 * gait.mass * GRAVITY, 1.5 * gait.mass * GRAVITY
@@ -91,3 +95,40 @@ def support(gait, ground, base, command, feet, torque):
         torque[3 * leg : 3 * leg + 3] = -(
             feet.jacobian[leg].T @ (push * up + across + gait.slide_damping * slide)
         )
+
+
+@kernel
+def stiffen(controller, state, command, feet, torque):
+    """Adds the joint PD of standing legs, beside the wrench's torques as feed-forward: the joints
+    are drawn to where they would be had the base moved as commanded since the foot landed.
+
+    Args:
+        controller: a Controller, whose memory of landings is changed.
+        state: a RobotState.
+        command: a Command.
+        feet: Feet.
+        torque: (12,) N m, of whose legs those that stand are changed.
+    """
+    gait, memory = controller.gait, controller.memory
+    t, base, _, dq, _ = state
+    v_B = base.R.T @ command.v
+    turn_B = base.R.T @ np.array([0.0, 0.0, command.turn])
+    for leg in range(4):
+        if feet.mode[leg] != STANCE:
+            memory.since[leg] = np.nan
+            continue
+        own = slice(3 * leg, 3 * leg + 3)
+        r_B = base.R.T @ (feet.place[leg] - base.p)
+        if np.isnan(memory.since[leg]):
+            memory.planted[leg] = r_B
+            memory.since[leg] = t
+        rate_B = -(v_B + np.cross(turn_B, memory.planted[leg]))
+        wanted_B = memory.planted[leg] + (t - memory.since[leg]) * rate_B
+        J = base.R.T @ feet.jacobian[leg]
+        # Damped, so that a straight knee asks for no infinite turn.
+        H = J @ J.T + 1e-4 * gait.leg_length**2 * np.eye(3)
+        error = J.T @ np.linalg.solve(H, wanted_B - r_B)
+        error_rate = J.T @ np.linalg.solve(H, rate_B) - dq[own]
+        for j in range(3):
+            pull = gait.stiffness * min(max(error[j], -FARTHEST), FARTHEST)
+            torque[3 * leg + j] += pull + gait.damping * error_rate[j]

@@ -33,6 +33,16 @@ class Gait(NamedTuple):
     level_gain: float  # 1/s^2, moment per tilt and inertia
     level_damping: float  # 1/s
     slide_damping: float  # N s/m, on a stance foot that slides
+    unloading: float  # share of the stance over which a foot's load comes, and goes
+    touchdown_speed: float  # m/s, of a landing foot towards the ground
+    braking: float  # share of the body's velocity that a landing foot still has
+    stiffness: float  # N m/rad, of the joints of standing legs
+    damping: float  # N m s/rad, the same
+    # What a seed draws (`sim.gait.irregular`); of no length where nothing is irregular.
+    beats: np.ndarray  # (S,) s, when the strides begin
+    footholds: np.ndarray  # (S, 4, 2) m, of each stride, ahead and to the left of the planned ones
+    velocity_error: np.ndarray  # (N, 3) m/s, in B, of the controller's estimate at each tick
+    attitude_error: np.ndarray  # (N, 3) rad, of which roll and pitch are used
 
 
 class LegMemory(NamedTuple):
@@ -43,6 +53,8 @@ class LegMemory(NamedTuple):
     lift_off: np.ndarray  # (4, 3) m, where the foot left the ground, in G
     foothold: np.ndarray  # (4, 3) m, where its centre goes down, in G
     bump: np.ndarray  # (4,) m, height of the swing over the way between them
+    planted: np.ndarray  # (4, 3) m, in B, where a foot's centre was when it began to stand
+    since: np.ndarray  # (4,) s, when that was; NaN while it does not stand
 
 
 def standing() -> LegMemory:
@@ -53,6 +65,8 @@ def standing() -> LegMemory:
         lift_off=np.zeros((4, 3)),
         foothold=np.zeros((4, 3)),
         bump=np.zeros(4),
+        planted=np.zeros((4, 3)),
+        since=np.full(4, np.nan),
     )
 
 
@@ -83,3 +97,4 @@ class Feet(NamedTuple):
     normal: np.ndarray  # (4, 3) of the ground below
     mode: np.ndarray  # (4,) SWING, STANCE or REACHING
     progress: np.ndarray  # (4,) share of the swing or stance that is over
+    stride: np.ndarray  # (4,) number of the stride that each is in

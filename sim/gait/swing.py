@@ -50,6 +50,11 @@ def swing(controller, base, command, feet, torque):
                 drift, wanted = base.v[a] + spin, command.v[a] + spin
                 want[a] = base.p[a] + (arm_x if a == 0 else arm_y)
                 want[a] += ahead * drift + gait.capture * (drift - wanted)
+            if len(gait.footholds):
+                # The stance to come is the next stride's.
+                aside = gait.footholds[min(feet.stride[leg] + 1, len(gait.footholds) - 1), leg]
+                want[0] += c * aside[0] - s * aside[1]
+                want[1] += s * aside[0] + c * aside[1]
             place_foot(controller, leg, want, (c, s), u)
             rise_over(controller, leg)
             # Minimum-jerk across; up and down again along a smooth bump that lands softly.
@@ -66,11 +71,18 @@ def swing(controller, base, command, feet, torque):
             bump = memory.bump[leg]
             goal[2] += 64.0 * (u * (1.0 - u)) ** 3 * bump
             goal_v[2] += 192.0 * (u * (1.0 - u)) ** 2 * (1.0 - 2.0 * u) * bump / swing_time
+            # A foot that is still moving when it lands: u^3 (u - 1) ends at zero with slope one.
+            late, pace = u * u * u * (u - 1.0), 4.0 * u * u * u - 3.0 * u * u
+            for a in range(3):
+                end_v = gait.braking * base.v[a] if a < 2 else -gait.touchdown_speed
+                goal[a] += end_v * swing_time * late
+                goal_v[a] += end_v * pace
+                goal_a[a] += end_v * (12.0 * u - 6.0) * u / swing_time
         else:
             # Late touchdown: hold the foothold and go on down, or the foot is thrown off its step.
             goal[:] = memory.foothold[leg]
             goal[2] = feet.place[leg, 2] - 0.02
-            goal_v[2] = -0.15
+            goal_v[2] = -max(0.15, gait.touchdown_speed)
         error, error_v = goal - feet.place[leg], goal_v - feet.velocity[leg]
         force = gait.foot_mass * (goal_a + rate * rate * error + 1.4 * rate * error_v)
         force[2] += gait.foot_mass * GRAVITY

@@ -3,13 +3,16 @@
 from dataclasses import dataclass, fields
 
 import numpy as np
-from scipy.signal import lfilter
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.gauss_markov import gauss_markov
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.common.low_pass import low_pass
 from surefoot.sim.robot import Robot
+
+SLOWEST = 20.0
+"""Hz, below which a log does not show a stride."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +30,9 @@ class Sensors:
     out by sqrt(1/6) 3.83e-4 rad / 8 / 2 ms = 0.01 rad/s.
     Torque and foot force: no published figure was found; chosen as some 0.2 % of the largest torque
     and 0.5 % of the weight of a robot of 40 kg. So was the threshold of contact, of the weight.
+    An IMU without a bandwidth of its own averages over each row (VN-100 manual: coning and sculling
+    integrals); with one it is filtered and then sampled, and what lies above half the rate folds
+    back (VN-100: 256 Hz gyro, 260 Hz accelerometer).
     """
 
     gyro_noise: float = 6.1e-5  # rad/s/rtHz
@@ -43,7 +49,8 @@ class Sensors:
     torque_noise: float = 0.1  # N m
     force_noise: float = 2.0  # N
     contact_threshold: float = 0.08  # of the robot's weight, on one foot
-    imu_bandwidth: float = 0.0  # Hz, of the IMU's first-order low-pass; 0: it has none
+    imu_bandwidth: float = 0.0  # Hz, of the IMU's first-order low-pass; 0: it averages a sample
+    rate: float = 0.0  # Hz, rows a second of the log; 0: a row a timestep
     encoder_offset: float = 0.0  # rad, standard deviation, drawn once a joint
     contact_delay: float = 0.0  # s, until a change of contact is reported
     contact_missed: float = 0.0  # share of samples of a foot in contact that report none
@@ -53,6 +60,8 @@ class Sensors:
         for name in (part.name for part in fields(self)):
             if not getattr(self, name) >= 0.0:
                 raise SurefootError(f"{name} must not be negative, is {getattr(self, name):g}")
+        if 0.0 < self.rate < SLOWEST:
+            raise SurefootError(f"rate must be {SLOWEST:g} Hz at least, is {self.rate:g}")
         for name in ("contact_missed", "contact_false"):
             if getattr(self, name) > 1.0:
                 raise SurefootError(f"{name} is a share, from 0 to 1; is {getattr(self, name):g}")
@@ -168,7 +177,7 @@ def corrupt(streams: Streams, sensors: Sensors, rng: np.random.Generator) -> Str
             instability: of the bias's Gauss-Markov part.
             full_scale: range, to 16 bits.
         """
-        bias = rng.normal(0.0, turn_on, 3) + _gauss_markov(
+        bias = rng.normal(0.0, turn_on, 3) + gauss_markov(
             rng, n, instability, s.instability_time, rate
         )
         noisy = reading + bias + rng.normal(0.0, density * np.sqrt(rate), (n, 3))
@@ -200,22 +209,6 @@ def sensed_contact(
     stands = stands[np.maximum(np.arange(len(stands)) - late, 0)]
     wrong = np.where(stands, sensors.contact_missed, sensors.contact_false)
     return stands ^ (rng.random(stands.shape) < wrong)
-
-
-def _gauss_markov(rng, n: int, sigma: float, time: float, rate: float) -> np.ndarray:
-    """A stationary first-order Gauss-Markov process (n, 3).
-
-    Args:
-        rng: random generator.
-        n: rows.
-        sigma: stationary standard deviation, in the unit of the result.
-        time: correlation time [s].
-        rate: rows a second [Hz].
-    """
-    keep = np.exp(-1.0 / (time * rate))
-    drive = rng.normal(0.0, sigma * np.sqrt(1.0 - keep**2), (n, 3))
-    drive[0] = rng.normal(0.0, sigma, 3)
-    return np.asarray(lfilter([1.0], [1.0, -keep], drive, axis=0))
 
 
 @kernel(nogil=True)

@@ -73,6 +73,8 @@ class WalkingEnvironment(dm_env.Environment):
     ):
         if actions not in ("torque", "position"):
             raise SurefootError(f"actions must be torque or position, is {actions!r}")
+        if scenario.sensors.rate and actions == "position":
+            raise SurefootError("position targets are logged a row a timestep: [sensors] rate")
         self._scenario, self._robot, self._effects = scenario, robot, tuple(effects)
         self._by_position = actions == "position"
         stiff = 0.75 * robot.mass * GRAVITY * robot.leg_length if kp is None else kp

@@ -14,6 +14,7 @@ from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log, reference_velocity
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Ranges, Scenario, Segment
+from surefoot.sim.sensors.stances import stances_between_swings
 
 PIECE = 1.0
 """s: the walk's velocities are taken as means over pieces this long, and keep their order."""
@@ -24,8 +25,10 @@ SPREAD = 0.1
 POSTURE = (0.05, 0.15, 0.2)
 """rad, largest shifts of hip, thigh and calf, all legs alike, about the measured posture: an
 observer trained on one posture mistakes another for a speed."""
-SHORTEST_SWING, LONGEST_STRIDE = 0.08, 2.0
-"""s: a foot off the ground for less has bounced; one that lands later has paused."""
+LONGEST_STRIDE = 2.0
+"""s from which a foot that lands again has paused."""
+MOVING = 0.05
+"""m/s, mean speed of the base over half a second from which it walks."""
 PERIODS, CLEARANCES = (0.6, 1.6), (0.5, 2.0)
 """Factors on the controller's own gait beyond which it would not walk."""
 
@@ -52,11 +55,11 @@ def walking_style(log: Log, robot: Robot) -> WalkingStyle:
         return WalkingStyle(twists, 1.0, 1.0, robot.q_home)
     gait = gait_for(robot, 0.0)
     period = _period(log)
-    moving = _moving(log)
+    walks = moving(log)
     height = np.einsum("jk,nlk->nlj", robot.R_BI, robot.feet_I(log.q))[..., 2]
-    contact = log.contact & moving[:, None]
+    contact = log.contact & walks[:, None]
     lifts = [
-        np.quantile(height[moving, leg], 0.98) - np.median(height[contact[:, leg], leg])
+        np.quantile(height[walks, leg], 0.98) - np.median(height[contact[:, leg], leg])
         for leg in range(4)
         if contact[:, leg].any()
     ]
@@ -75,6 +78,17 @@ def walking_style(log: Log, robot: Robot) -> WalkingStyle:
         float(np.clip(np.median(lifts) / gait.clearance, *CLEARANCES)) if lifts else 1.0,
         np.clip(stance, robot.joint_range[:, 0], robot.joint_range[:, 1]),
     )
+
+
+def replica(style: WalkingStyle, robot: Robot, name: str) -> tuple[Scenario, Robot]:
+    """A walk in the style of a measured one, piece by piece in its own order, nothing varied.
+
+    Returns the scenario and the robot that stands in the measured posture.
+    """
+    segments = tuple(Segment(PIECE, *map(float, twist)) for twist in style.twists)
+    as_measured = Ranges(period=(style.period,) * 2, clearance=(style.clearance,) * 2)
+    scenario = Scenario(name, segments, Ground(0.8), robot.name, ranges=as_measured)
+    return scenario, replace(robot, q_home=style.q_stance)
 
 
 def imitation(
@@ -137,21 +151,27 @@ def body_twists(log: Log) -> np.ndarray:
     return np.array(twists).reshape(-1, 3)
 
 
-def _moving(log: Log) -> np.ndarray:
+def moving(log: Log) -> np.ndarray:
     """Rows (N,) at which the base moves, the reference smoothed over half a second."""
     v = reference_velocity(log)
     n = max(1, round(0.5 * log.rate))
     smooth = np.stack([np.convolve(v[:, a], np.full(n, 1 / n), "same") for a in range(2)])
-    return np.hypot(*smooth) > 0.05
+    return np.hypot(*smooth) > MOVING
+
+
+def strides(t: np.ndarray, stands: np.ndarray) -> np.ndarray:
+    """Times (K, 3) [s] of each stride of a foot: it lands, lifts, lands again; pauses are left out.
+
+    t (N,) [s]; stands (N,) bool. A foot that bounces has not lifted.
+    """
+    first, end = stances_between_swings(t, stands)
+    # The first stance may have begun before the log.
+    lands, lifts = t[first[1:]], t[np.minimum(end[1:], len(t) - 1)]
+    found = np.column_stack([lands[:-1], lifts[:-1], lands[1:]])
+    return found[found[:, 2] - found[:, 0] < LONGEST_STRIDE]
 
 
 def _period(log: Log) -> float | None:
     """Median time [s] between touchdowns of one leg, None where there are none."""
-    strides: list[float] = []
-    for leg in range(4):
-        change = np.diff(log.contact[:, leg].astype(int))
-        landed, left = log.t[1:][change == 1], log.t[1:][change == -1]
-        before = np.searchsorted(left, landed) - 1
-        aloft = np.where(before >= 0, landed - left[np.maximum(before, 0)], 0.0)
-        strides += [float(d) for d in np.diff(landed[aloft > SHORTEST_SWING]) if d < LONGEST_STRIDE]
-    return float(np.median(strides)) if strides else None
+    each = np.concatenate([strides(log.t, stands) for stands in log.contact.T])
+    return float(np.median(each[:, 2] - each[:, 0])) if len(each) else None

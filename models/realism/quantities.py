@@ -1,0 +1,396 @@
+"""What is measured of a walk: each quantity a value a stride, stance or second, and one number.
+
+The number is a statistic of the values, so that drawing strides anew gives its interval.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+
+from surefoot.models.calibration.mixing import mixing
+from surefoot.models.realism.walk_view import WalkView
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.gravity import GRAVITY
+
+RIPPLE = 20.0
+"""Hz above which a joint's rate is ripple: a leg of a stride of half a second swings below."""
+FREQUENCIES = np.arange(1.0, 151.0)
+"""Hz, of the spectra: pieces of a second resolve 1 Hz at any rate."""
+LINES = (20.0, 45.0)
+"""Hz, between which feet that land, and legs on their contacts, ring."""
+_RINGING = slice(int(LINES[0]) - 1, int(LINES[1]))
+POWER = 0.95
+"""Share of a spectrum's power that lies below its bandwidth."""
+PIECE = 6.0
+"""s, the pieces of which the mixing time is taken: a dozen strides."""
+SPACING = 0.01
+"""s between errors whose mixing time is taken: the rate of observers."""
+PARTS = {"landing": (0.0, 0.2), "middle": (0.2, 0.8), "lift-off": (0.8, 1.0)}
+"""Shares of a stance."""
+AXES = ("forward", "outward", "up")
+WEIGHED = (0.8, 1.25)
+"""Mean of all forces as a share of the weight within which they count as newton."""
+
+Values = tuple[np.ndarray, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One number of a walk.
+
+    values: of a walk, (K, ...) and the time (K,) [s] that each belongs to; raises SurefootError
+    where the log cannot give them. statistic: of such values, one number in `unit`.
+    """
+
+    name: str
+    unit: str
+    values: Callable[[WalkView], Values]
+    statistic: Callable[[np.ndarray], float]
+
+
+def duty(walk: WalkView) -> Values:
+    """Share of its stride for which a foot is sensed to stand."""
+    each = np.concatenate(walk.strides)
+    return (each[:, 1] - each[:, 0]) / (each[:, 2] - each[:, 0]), each[:, 0]
+
+
+def period(walk: WalkView) -> Values:
+    """From landing to landing [s]."""
+    each = np.concatenate(walk.strides)
+    return each[:, 2] - each[:, 0], each[:, 0]
+
+
+def period_change(walk: WalkView) -> Values:
+    """Difference of successive periods of a foot, as a share of their mean: slow changes of the
+    gait hardly count in it."""
+    changes, times = [], []
+    for one in walk.strides:
+        length = one[:, 2] - one[:, 0]
+        next_to = np.flatnonzero(one[1:, 0] == one[:-1, 2])
+        changes.append((length[next_to + 1] - length[next_to]) / np.median(length))
+        times.append(one[next_to, 2])
+    return np.concatenate(changes), np.concatenate(times)
+
+
+def feet_down(walk: WalkView, share: Callable[[np.ndarray], np.ndarray]) -> Values:
+    """Share of the time of each stride for which `share` of the number of feet down is true."""
+    rows = np.flatnonzero(walk.walks)
+    is_so = share(walk.log.contact[rows].sum(axis=1))
+    stride = walk.stride_of(walk.log.t[rows])
+    count = np.bincount(stride, minlength=len(walk.clock))
+    has = count > 0
+    return np.bincount(stride, is_so, len(walk.clock))[has] / count[has], walk.clock[has]
+
+
+def foothold_change(walk: WalkView, axis: int) -> Values:
+    """Difference of successive footholds of a foot, seen from the base [m]."""
+    log, changes, times = walk.log, [], []
+    up = np.einsum("nij,njk->nik", walk.heading, log.ref_R_GI)
+    for leg, one in enumerate(walk.strides):
+        rows = np.searchsorted(log.t, one[:, 0])
+        feet = walk.robot.feet_I(log.q[rows])[:, leg]
+        place = np.einsum("nij,nj->ni", up[rows], feet)[:, axis]
+        changes.append(np.diff(place))
+        times.append(one[1:, 0])
+    return np.concatenate(changes), np.concatenate(times)
+
+
+def standing_speed(walk: WalkView, part: str, axis: int) -> Values:
+    """Mean speed over the ground [m/s] of a foot sensed to stand, in a part of its stance."""
+    low, high = PARTS[part]
+    v, inside = walk.standing_velocity, (walk.phase >= low) & (walk.phase < high)
+    sign = walk.outward if axis == 1 else np.ones(len(walk.outward))
+    means, times = [], []
+    for leg, (first, end) in enumerate(walk.stances):
+        speed = np.where(inside[:, leg], v[:, leg, axis], np.nan) * sign[leg]
+        mean = _mean_of_runs(speed, first, end)
+        means.append(mean)
+        times.append(walk.log.t[first])
+    return _known(np.concatenate(means), np.concatenate(times))
+
+
+def stance_means(walk: WalkView) -> Values:
+    """Forward speed [m/s] of the base in each stance, and what the leg misses of it, (K, 2)."""
+    found, times = [], []
+    for leg, (first, end) in enumerate(walk.stances):
+        missed = _mean_of_runs(walk.standing_velocity[:, leg, 0], first, end)
+        known = np.isfinite(walk.standing_velocity[:, leg, 0])
+        speed = _mean_of_runs(np.where(known, walk.velocity[:, 0], np.nan), first, end)
+        found.append(np.column_stack([speed, missed]))
+        times.append(walk.log.t[first])
+    return _known(np.concatenate(found), np.concatenate(times))
+
+
+def missed_share(values: np.ndarray) -> float:
+    """Slope of what is missed on the speed, through the origin, of values (K, 2)."""
+    speed, missed = values.T
+    return float(speed @ missed / (speed @ speed))
+
+
+def missed_spread(values: np.ndarray) -> float:
+    """Robust standard deviation [m/s] of what is missed about its share of the speed."""
+    speed, missed = values.T
+    return spread(missed - missed_share(values) * speed)
+
+
+def force_peak(walk: WalkView) -> Values:
+    """Largest force of a stance over its middle's median."""
+    return _of_force(walk, lambda force: force.max() / np.median(_middle(force)))
+
+
+def force_threshold(walk: WalkView) -> Values:
+    """Force at which a foot is last sensed to stand, over the median of its stance's middle."""
+    return _of_force(walk, lambda force: force[-1] / np.median(_middle(force)))
+
+
+def force_weight(walk: WalkView) -> Values:
+    """Largest force of a stance over the robot's weight. Raises SurefootError where the feet's
+    forces do not add up to it: they are in no known unit then."""
+    weight = walk.robot.mass * GRAVITY
+    walk.log.require("force")
+    total = float(walk.log.force[walk.walks].sum(axis=1).mean() / weight)
+    if not WEIGHED[0] < total < WEIGHED[1]:
+        raise SurefootError(
+            f"forces are not in newton: their mean sum is {total:.2f} of the weight's {weight:.0f}"
+        )
+    return _of_force(walk, lambda force: force.max() / weight)
+
+
+def joint_ripple(walk: WalkView, kind: int) -> Values:
+    """Mean square [rad^2/s^2] above RIPPLE of the rates of one kind of joint: hip, thigh, calf."""
+    rate = walk.log.rate
+    if rate < 4.0 * RIPPLE:
+        raise SurefootError(f"the log's {rate:g} Hz do not show what is above {RIPPLE:g} Hz")
+    high = butter(4, RIPPLE, "highpass", fs=rate, output="sos")
+    square = sosfiltfilt(high, walk.dq[:, kind::3], axis=0) ** 2
+    return _by_stride(walk, square.mean(axis=1))
+
+
+def sway(walk: WalkView, axis: int) -> Values:
+    """Mean square [rad^2/s^2] of the base's rate about its own axis (0 roll, 1 pitch)."""
+    rate = walk.log.gyro @ walk.robot.R_BI[axis]
+    return _by_stride(walk, rate**2)
+
+
+def forward_speed(walk: WalkView) -> Values:
+    """Mean forward speed of each stride [m/s]."""
+    return _by_stride(walk, walk.velocity[:, 0])
+
+
+def spectra(walk: WalkView, sensor: str) -> Values:
+    """Power spectral density (K, len(FREQUENCIES)) of each second of walk, of `gyro` or `accel`,
+    all axes together; NaN above half the log's rate. Pieces overlap by half."""
+    reading = getattr(walk.log, sensor)
+    return _spectra(walk, reading)
+
+
+def vibration(walk: WalkView, axis: int) -> Values:
+    """The same of the accelerometer along one axis of the base: forward, to the left, up."""
+    return _spectra(walk, (walk.log.accel @ walk.robot.R_BI[axis])[:, None])
+
+
+def bandwidth(spectrum: np.ndarray) -> float:
+    """Frequency [Hz] below which POWER of mean spectra (K, F) lies."""
+    mean = np.nan_to_num(spectrum.mean(axis=0))
+    cumulated = np.cumsum(mean) / mean.sum()
+    return float(np.interp(POWER, cumulated, FREQUENCIES))
+
+
+def line(spectrum: np.ndarray) -> float:
+    """Frequency [Hz] at which mean spectra (K, F) are highest between LINES."""
+    return float(FREQUENCIES[_RINGING][np.argmax(spectrum.mean(axis=0)[_RINGING])])
+
+
+def ringing(spectrum: np.ndarray) -> float:
+    """Root mean square between LINES."""
+    return float(np.sqrt(spectrum.mean(axis=0)[_RINGING].sum()))
+
+
+def all_power(spectrum: np.ndarray) -> float:
+    """Root mean square from 1 to 150 Hz, or to half the log's rate."""
+    return float(np.sqrt(np.nansum(spectrum.mean(axis=0))))
+
+
+def mixing_time(walk: WalkView) -> Values:
+    """Of pieces of PIECE, half overlapping, the time [s] after which errors of the velocity by the
+    standing legs are about independent (`models.calibration.mixing`)."""
+    rows = np.flatnonzero(np.isfinite(walk.standing_velocity).all(axis=2).any(axis=1))
+    error = np.nanmean(walk.standing_velocity[rows], axis=1)
+    t = walk.log.t[rows]
+    every = np.arange(t[0], t[-1], SPACING)
+    error = np.column_stack([np.interp(every, t, e) for e in error.T])
+    n = round(PIECE / SPACING)
+    starts = range(0, len(every) - n + 1, n // 2)
+    if not starts:
+        raise SurefootError(f"less than {PIECE:g} s of walk")
+    times = np.array([mixing(error[i : i + n]).K * SPACING for i in starts])
+    return times, every[list(starts)]
+
+
+def spread(values: np.ndarray) -> float:
+    """Robust standard deviation: that of a normal distribution of the same median deviation."""
+    return float(1.4826 * np.median(np.abs(values - np.median(values))))
+
+
+def change_spread(values: np.ndarray) -> float:
+    """Robust standard deviation of what changes by `values` from one to the next."""
+    return spread(values) / np.sqrt(2.0)
+
+
+def root_mean(values: np.ndarray) -> float:
+    """Root of the mean of squares (K,)."""
+    return float(np.sqrt(values.mean()))
+
+
+def _mean(values: np.ndarray) -> float:
+    return float(values.mean())
+
+
+def _median(values: np.ndarray) -> float:
+    return float(np.median(values))
+
+
+def _quantities() -> tuple[Quantity, ...]:
+    """All, in the order of the card."""
+    found = [
+        Quantity("forward speed", "m/s", forward_speed, _mean),
+        Quantity("stride period", "s", period, _median),
+        Quantity("stride period, jitter", "share", period_change, change_spread),
+        Quantity("duty factor", "share", duty, _median),
+        Quantity(
+            "more than half of the feet down",
+            "share",
+            lambda w: feet_down(w, lambda n: n > len(w.strides) / 2),
+            _mean,
+        ),
+        Quantity(
+            "all feet down", "share", lambda w: feet_down(w, lambda n: n == len(w.strides)), _mean
+        ),
+    ]
+    for axis, name in enumerate(AXES[:2]):
+        found.append(
+            Quantity(
+                f"foothold jitter, {name}",
+                "m",
+                lambda w, axis=axis: foothold_change(w, axis),
+                change_spread,
+            )
+        )
+    for part in PARTS:
+        for axis, name in enumerate(AXES):
+            found.append(
+                Quantity(
+                    f"standing foot, {part}, {name}",
+                    "m/s",
+                    lambda w, part=part, axis=axis: standing_speed(w, part, axis),
+                    _median,
+                )
+            )
+    found += [
+        Quantity("speed missed by standing legs", "share", stance_means, missed_share),
+        Quantity("the same, stance to stance", "m/s", stance_means, missed_spread),
+        Quantity("foot force, peak to middle", "ratio", force_peak, _median),
+        Quantity("foot force, peak to weight", "ratio", force_weight, _median),
+        Quantity("foot force, threshold to middle", "ratio", force_threshold, _median),
+    ]
+    for kind, name in enumerate(("hip", "thigh", "calf")):
+        found.append(
+            Quantity(
+                f"joint rate ripple, {name}",
+                "rad/s",
+                lambda w, kind=kind: joint_ripple(w, kind),
+                root_mean,
+            )
+        )
+    for axis, name in enumerate(("forward", "lateral", "up")):
+        found.append(
+            Quantity(
+                f"accelerometer, {name}",
+                "m/s^2",
+                lambda w, axis=axis: vibration(w, axis),
+                all_power,
+            )
+        )
+
+    def accel(walk: WalkView) -> Values:
+        return spectra(walk, "accel")
+
+    def gyro(walk: WalkView) -> Values:
+        return spectra(walk, "gyro")
+
+    found += [
+        Quantity("accelerometer, line", "Hz", accel, line),
+        Quantity("accelerometer, 20 to 45 Hz", "m/s^2", accel, ringing),
+        Quantity("accelerometer, bandwidth", "Hz", accel, bandwidth),
+        Quantity("gyro, bandwidth", "Hz", gyro, bandwidth),
+        Quantity("roll rate", "rad/s", lambda w: sway(w, 0), root_mean),
+        Quantity("pitch rate", "rad/s", lambda w: sway(w, 1), root_mean),
+        Quantity("mixing time of leg velocity errors", "s", mixing_time, _median),
+    ]
+    return tuple(found)
+
+
+def _mean_of_runs(values: np.ndarray, first: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Means (K,) of values (N,) over rows first[k] to end[k], without NaN; NaN where all are."""
+    known = np.isfinite(values)
+    total = np.concatenate([[0.0], np.cumsum(np.where(known, values, 0.0))])
+    count = np.concatenate([[0], np.cumsum(known)])
+    n = count[end] - count[first]
+    return np.where(n > 0, (total[end] - total[first]) / np.maximum(n, 1), np.nan)
+
+
+def _known(values: np.ndarray, times: np.ndarray) -> Values:
+    """The values (K, ...) without NaN."""
+    known = np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+    return values[known], times[known]
+
+
+def _of_force(walk: WalkView, number: Callable[[np.ndarray], float]) -> Values:
+    walk.log.require("force")
+    force = walk.log.force
+    found = [
+        (number(force[a:b, leg]), walk.log.t[a])
+        for leg, stances in enumerate(walk.stances)
+        for a, b in zip(*stances, strict=True)
+        if b - a >= 4 and np.median(_middle(force[a:b, leg])) > 0.0
+    ]
+    values, times = np.array(found).T
+    return values, times
+
+
+def _middle(force: np.ndarray) -> np.ndarray:
+    """Rows of the middle half of a stance."""
+    return force[len(force) // 4 : -(len(force) // 4)]
+
+
+def _by_stride(walk: WalkView, values: np.ndarray) -> Values:
+    """Means (S,) of values (N,) over the strides, while the base moves."""
+    rows = np.flatnonzero(walk.walks)
+    stride = walk.stride_of(walk.log.t[rows])
+    count = np.bincount(stride, minlength=len(walk.clock))
+    has = count > 0
+    return np.bincount(stride, values[rows], len(walk.clock))[has] / count[has], walk.clock[has]
+
+
+def _spectra(walk: WalkView, reading: np.ndarray) -> Values:
+    n = round(walk.log.rate)
+    rows = np.flatnonzero(walk.walks)
+    first = rows[0] + np.arange(0, rows[-1] - rows[0] - n + 1, n // 2)
+    if not len(first):
+        raise SurefootError("less than a second of walk")
+    pieces = reading[first[:, None] + np.arange(n)]
+    window = np.hanning(n)[:, None]
+    pieces = (pieces - pieces.mean(axis=1, keepdims=True)) * window
+    # Pieces are a second long: the density per Hz is that of a bin.
+    power = (np.abs(np.fft.rfft(pieces, axis=1)) ** 2).sum(axis=2)
+    power *= 2.0 / (n * (window**2).sum())
+    found = np.full((len(first), len(FREQUENCIES)), np.nan)
+    shown = min(len(FREQUENCIES), power.shape[1] - 1)
+    found[:, :shown] = power[:, 1 : shown + 1]
+    return found, walk.log.t[first]
+
+
+QUANTITIES = _quantities()
+"""All that a card shows."""

@@ -1,0 +1,226 @@
+"""The realism of simulated walks: a measured log beside walks of its robot in its manner."""
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from surefoot.models.attribution.coarse_reference import as_coarse, coarseness
+from surefoot.models.realism.card import Card, realism_card
+from surefoot.models.realism.walk_view import WalkView
+from surefoot.scenarios.reporting.html import Section
+from surefoot.scenarios.studies.pages import origin_of, write_page, write_results
+from surefoot.scenarios.trace.loop import bodily, world_of
+from surefoot.scenarios.trace.realism_figures import pictures
+from surefoot.sim.common.errors import SurefootError, check_seed
+from surefoot.sim.common.files import refuse_overwrite, whole_file
+from surefoot.sim.effects import Effect
+from surefoot.sim.gait.options import PLAIN, GaitOptions
+from surefoot.sim.log import Log
+from surefoot.sim.physics.scene import TIMESTEP
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario
+from surefoot.sim.walk import Fallen, walk
+from surefoot.sim.walking.imitation import replica, slower, walking_style
+
+WALKS = 3
+"""Simulated walks, each with a seed of its own."""
+PACES = (1.0, 0.9, 0.8, 0.7)
+"""Shares of the measured velocities that are tried until the robot does not fall."""
+MODULE = "surefoot.scenarios.trace.realism"
+TITLE = "Realism: a measured walk beside simulated ones in its manner"
+OUTPUTS = ("realism.json", "realism.csv", "table.md", "report.html")
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A measured walk, simulated ones and the card of the two.
+
+    pace: share of the measured speed at which the simulated robot walks; words: what it was.
+    """
+
+    words: str
+    measured: WalkView
+    simulated: tuple[WalkView, ...]
+    card: Card
+    pace: float
+
+
+def realism(
+    log: Log,
+    robot: Robot,
+    out: Path | str,
+    effects: Sequence[Effect] = (),
+    gait: GaitOptions | None = None,
+    seed: int = 0,
+    page: Path | None = None,
+    force: bool = False,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[Comparison, ...]:
+    """Compare and write realism.json, realism.csv, table.md and report.html into `out`.
+
+    Where effects or a gait are given, the simulated robot as it walks without them is compared as
+    well, first.
+
+    Args:
+        log: measured, or simulated: IMU, angles, contacts and reference are needed.
+        robot: as declared.
+        out: folder.
+        effects: that the simulated robot has.
+        gait: how it walks; the controller's own gait where left out.
+        seed: of the walks and of the intervals.
+        page: page of results (Markdown) to write as well.
+        force: overwrite the files.
+        progress: called with the share done.
+
+    Raises SurefootError where the log lacks a column or has too few strides, where the simulated
+    robot falls at every pace, and where a file exists and `force` is not given.
+    """
+    out = Path(out)
+    check_seed(seed)
+    for name in OUTPUTS:
+        refuse_overwrite(out / name, force)
+    report = progress or (lambda share: None)
+    kinds: list[tuple[str, Sequence[Effect], GaitOptions]] = [("as drawn", (), PLAIN)]
+    if effects or gait:
+        kinds.append(("as walked", effects, gait or PLAIN))
+    found = []
+    for k, (words, own, style) in enumerate(kinds):
+        found.append(
+            compare_walks(
+                log, robot, words, own, style, seed, lambda s, k=k: report((k + s) / len(kinds))
+            )
+        )
+    parts = sections(found)
+    tables = {"realism": [{"walk": c.words, **r.as_dict()} for c in found for r in c.card.rows]}
+    write_results(out, TITLE, parts, tables, force)
+    with whole_file(out / "realism.json", force) as temporary:
+        temporary.write_text(json.dumps(_json(found), indent=2) + "\n", encoding="utf-8")
+    if page:
+        write_page(page, TITLE, parts, origin_of(MODULE, "surefoot realism"))
+    return tuple(found)
+
+
+def compare_walks(
+    log: Log,
+    robot: Robot,
+    words: str,
+    effects: Sequence[Effect] = (),
+    gait: GaitOptions = PLAIN,
+    seed: int = 0,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Comparison:
+    """`realism` of one simulated robot, without the files.
+
+    Args:
+        log: measured.
+        robot: as declared.
+        words: what the simulated robot is.
+        effects: that it has.
+        gait: how it walks.
+        seed: of the walks and of the intervals.
+        progress: called with the share done.
+    """
+    measured = WalkView(log, robot)
+    world = world_of(robot)
+    scenario, poised = replica(walking_style(log, robot), world, "replica")
+    rate = min(log.rate, 1.0 / TIMESTEP)
+    sensed = replace(scenario, gait=gait, sensors=replace(scenario.sensors, rate=rate))
+    logs, pace = _walks(sensed, poised, bodily(effects, robot, world), seed, progress)
+    simulated = tuple(
+        WalkView(seen_as(replace(one, name=f"{words} {k}"), log, [seed, k]), robot)
+        for k, one in enumerate(logs)
+    )
+    card = realism_card(measured, simulated, np.random.default_rng(seed))
+    return Comparison(words, measured, simulated, card, pace)
+
+
+def seen_as(log: Log, measured: Log, seed: Sequence[int]) -> Log:
+    """A simulated log with the groups of columns of a measured one, and a reference as coarse."""
+    groups = {"dq": "dq_", "tau": "tau_", "ref_v": "ref_v_", "force": "force_"}
+    lacking = tuple(prefix for group, prefix in groups.items() if not measured.has(group))
+    kept = (
+        [c for c in log.frame if not str(c).startswith(lacking)] if lacking else log.frame.columns
+    )
+    seen = replace(log, frame=log.frame[list(kept)])
+    coarse = coarseness(measured)
+    return as_coarse(seen, coarse, np.random.default_rng(seed)) if coarse else seen
+
+
+def _walks(
+    scenario: Scenario,
+    robot: Robot,
+    effects: Sequence[Effect],
+    seed: int,
+    progress: Callable[[float], None],
+) -> tuple[list[Log], float]:
+    """WALKS walks, all at the fastest share of the measured speeds at which none falls."""
+    fallen = None
+    for pace in PACES:
+        logs: list[Log] = []
+        try:
+            for k in range(WALKS):
+                logs.append(walk(slower(scenario, pace), robot, seed + k, effects))
+                progress((k + 1) / WALKS)
+            return logs, pace
+        except Fallen as fall:
+            fallen = fall
+    raise SurefootError(
+        f"realism: in simulation {robot.name} falls in the manner of the log, even at "
+        f"{100 * PACES[-1]:.0f} % of its speed ({fallen})"
+    )
+
+
+def sections(found: Sequence[Comparison]) -> list[Section]:
+    """The report's parts."""
+    parts = []
+    for one in found:
+        card, log = one.card, one.measured.log
+        counts = ", ".join(f"{n} {word}" for word, n in card.counts.items())
+        words = (
+            f"{log.name}, {len(one.measured.clock)} strides, beside {len(one.simulated)} simulated "
+            f"walks of {one.measured.robot.name} at {100 * one.pace:.0f} % of its velocities, with "
+            f"columns, rate and reference as the log's. Rows: {counts}. Intervals are of 95 %, by "
+            "drawing strides anew; `like` means that all of the difference's interval is within "
+            "the tolerance, `unlike` that none is. Tolerances were set before any comparison."
+        )
+        if card.missing:
+            words += "\n\nMissing: " + "; ".join(f"{n} ({why})" for n, why in card.missing.items())
+            words += "."
+        parts.append(Section(f"{one.words[:1].upper()}{one.words[1:]}", words, table(card)))
+    parts.append(Section("Pictures", pictures=tuple(pictures(found))))
+    reasons = [
+        {"quantity": r.quantity, "tolerance": r.tolerance, "unit": r.unit, "reason": r.reason}
+        for r in found[0].card.rows
+    ]
+    return [*parts, Section("Tolerances", table=reasons)]
+
+
+def table(card: Card) -> list[dict[str, str | float]]:
+    """The card's rows as a reader wants them."""
+    return [
+        {
+            "quantity": r.quantity,
+            "unit": r.unit,
+            "measured": f"{r.measured:.3g} ({r.measured_low:.3g} to {r.measured_high:.3g})",
+            "simulated": f"{r.simulated:.3g} ({r.simulated_low:.3g} to {r.simulated_high:.3g})",
+            "difference": f"{r.difference:.3g} ({r.difference_low:.3g} to {r.difference_high:.3g})",
+            "tolerance": f"{r.tolerance:.3g}",
+            "": r.verdict,
+        }
+        for r in card.rows
+    ]
+
+
+def _json(found: Sequence[Comparison]) -> dict:
+    return {
+        one.words: {
+            "pace": one.pace,
+            "counts": one.card.counts,
+            "rows": [row.as_dict() for row in one.card.rows],
+            "missing": one.card.missing,
+        }
+        for one in found
+    }

@@ -1,0 +1,143 @@
+"""Figures of a realism card: the measured walk and the simulated ones in the same axes."""
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from surefoot.models.realism.quantities import (
+    AXES,
+    FREQUENCIES,
+    duty,
+    missed_share,
+    period,
+    spectra,
+    stance_means,
+)
+from surefoot.models.realism.walk_view import WalkView
+from surefoot.scenarios.reporting.html import Picture
+from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK, OUTSIDE
+from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
+
+if TYPE_CHECKING:
+    from surefoot.scenarios.trace.realism import Comparison
+
+PHASES = 20
+"""Bins of the phase of stance."""
+_COLORS = (BEFORE, AFTER)
+
+
+def pictures(found: Sequence["Comparison"]) -> Iterator[Picture]:
+    """The card's figures with their captions."""
+    walks = [("measured", OUTSIDE, [found[0].measured])]
+    walks += [(f"simulated, {c.words}", _COLORS[k % 2], c.simulated) for k, c in enumerate(found)]
+    yield Picture(
+        _standing_speed(walks),
+        "Speed over the ground of feet that are sensed to stand, by the declared legs, median by "
+        "phase of stance with its middle half. It is zero for rigid legs on feet that stand still.",
+    )
+    yield Picture(_by_speed(walks), "What standing legs miss of the speed, one dot a stance.")
+    yield Picture(_gait(walks), "Duty factor and stride period, all feet.")
+    if all(w.log.has("force") for _, _, group in walks for w in group):
+        yield Picture(
+            _force(walks), "Foot force over the median of its stance's middle, by phase of stance."
+        )
+    yield Picture(_spectra(walks), "Power spectral density of the IMU, all axes together.")
+
+
+def _standing_speed(walks: Sequence[tuple[str, str, Sequence[WalkView]]]) -> Figure:
+    figure, axes = new_figure(1, 3, size=(11.0, 3.6))
+    for a, ax in enumerate(axes[0]):
+        for label, color, group in walks:
+            phase = np.concatenate([w.phase.ravel() for w in group])
+            sign = [w.outward if a == 1 else np.ones(len(w.outward)) for w in group]
+            speed = np.concatenate(
+                [
+                    (w.standing_velocity[..., a] * s).ravel()
+                    for w, s in zip(group, sign, strict=True)
+                ]
+            )
+            _band(ax, phase, speed, label, color)
+        ax.axhline(0.0, color=INK, linewidth=0.8)
+        ax.set_xlabel("phase of stance")
+        ax.set_ylabel("m/s")
+        set_title(ax, AXES[a])
+    legend_below(figure, axes[0, 0])
+    return figure
+
+
+def _band(ax, phase: np.ndarray, values: np.ndarray, label: str, color: str) -> None:
+    """Median and middle half of values by phase of stance."""
+    known = np.isfinite(phase) & np.isfinite(values)
+    bins = np.minimum((phase[known] * PHASES).astype(int), PHASES - 1)
+    parts = [values[known][bins == k] for k in range(PHASES)]
+    middle = (np.arange(PHASES) + 0.5) / PHASES
+    low, median, high = np.array(
+        [np.percentile(p, (25, 50, 75)) if len(p) else (np.nan,) * 3 for p in parts]
+    ).T
+    ax.plot(middle, median, color=color, label=label)
+    ax.fill_between(middle, low, high, color=color, alpha=0.2, linewidth=0)
+
+
+def _by_speed(walks: Sequence[tuple[str, str, Sequence[WalkView]]]) -> Figure:
+    figure, axes = new_figure(1, 1, size=(7.5, 4.0))
+    ax = axes[0, 0]
+    for label, color, group in walks:
+        values = np.concatenate([stance_means(w)[0] for w in group])
+        ax.scatter(values[:, 0], values[:, 1], s=6, color=color, alpha=0.35, linewidth=0)
+        speed = np.array([0.0, values[:, 0].max()])
+        ax.plot(speed, missed_share(values) * speed, color=color, label=label)
+    ax.set_xlabel("forward speed of the base in a stance [m/s]")
+    ax.set_ylabel("missed by the leg [m/s]")
+    legend_below(figure, ax)
+    return figure
+
+
+def _gait(walks: Sequence[tuple[str, str, Sequence[WalkView]]]) -> Figure:
+    figure, axes = new_figure(1, 2, size=(9.0, 3.4))
+    for ax, quantity, words in zip(
+        axes[0], (duty, period), ("duty factor", "stride period [s]"), strict=True
+    ):
+        each = [np.concatenate([quantity(w)[0] for w in group]) for _, _, group in walks]
+        low, high = np.percentile(np.concatenate(each), (1, 99))
+        edges = np.linspace(low, high, 31)
+        for (label, color, _), values in zip(walks, each, strict=True):
+            ax.hist(values, edges, density=True, histtype="step", color=color, label=label)
+        ax.set_xlabel(words)
+        ax.set_yticks([])
+    legend_below(figure, axes[0, 0])
+    return figure
+
+
+def _force(walks: Sequence[tuple[str, str, Sequence[WalkView]]]) -> Figure:
+    figure, axes = new_figure(1, 1, size=(7.5, 3.6))
+    for label, color, group in walks:
+        phase, force = [], []
+        for w in group:
+            scaled = w.log.force.copy()
+            middle = np.where(
+                (w.phase > 0.25) & (w.phase < 0.75) & w.walks[:, None], scaled, np.nan
+            )
+            scaled /= np.nanmedian(middle, axis=0)
+            phase.append(np.where(w.walks[:, None], w.phase, np.nan).ravel())
+            force.append(scaled.ravel())
+        _band(axes[0, 0], np.concatenate(phase), np.concatenate(force), label, color)
+    axes[0, 0].set_xlabel("phase of stance")
+    axes[0, 0].set_ylabel("force / its middle")
+    legend_below(figure, axes[0, 0])
+    return figure
+
+
+def _spectra(walks: Sequence[tuple[str, str, Sequence[WalkView]]]) -> Figure:
+    figure, axes = new_figure(1, 2, size=(11.0, 3.8))
+    units = {"accel": "(m/s^2)^2/Hz", "gyro": "(rad/s)^2/Hz"}
+    for ax, (sensor, unit) in zip(axes[0], units.items(), strict=True):
+        for label, color, group in walks:
+            density = np.concatenate([spectra(w, sensor)[0] for w in group]).mean(axis=0)
+            ax.loglog(FREQUENCIES, density, color=color, label=label)
+        ax.set_xlabel("Hz")
+        ax.set_ylabel(unit)
+        set_title(ax, {"accel": "accelerometer", "gyro": "gyro"}[sensor])
+    legend_below(figure, axes[0, 0])
+    return figure

@@ -1,0 +1,67 @@
+"""What a seed makes irregular in a gait: strides, footholds and the controller's own estimate."""
+
+import numpy as np
+
+from surefoot.sim.common.gauss_markov import gauss_markov
+from surefoot.sim.common.kernels import kernel
+from surefoot.sim.gait.options import GaitOptions
+from surefoot.sim.gait.state import Gait
+from surefoot.sim.robot.kinematics import BaseMotion
+
+FARTHEST = 2.5
+"""Standard deviations at which drawn periods and footholds are cut: legs reach only so far."""
+
+
+def irregular(gait: Gait, options: GaitOptions, t: np.ndarray, rng: np.random.Generator) -> Gait:
+    """The gait with what `options` ask for drawn from `rng`, for control ticks at t (N,) [s]."""
+    strides = int((t[-1] - gait.start) / gait.period * 1.5) + 4
+
+    def cut(size: float, shape: int | tuple[int, ...]) -> np.ndarray:
+        return size * np.clip(rng.standard_normal(shape), -FARTHEST, FARTHEST)
+
+    drawn: dict[str, np.ndarray] = {}
+    if options.period_jitter:
+        periods = gait.period * (1.0 + cut(options.period_jitter, strides))
+        drawn["beats"] = gait.start + np.concatenate([[0.0], np.cumsum(periods)])
+    if options.foothold_jitter:
+        size = options.foothold_jitter * gait.leg_length
+        drawn["footholds"] = cut(size, (strides + 1, len(gait.phase), 2))
+    rate = 1.0 / float(np.median(np.diff(t)))
+    for name in ("velocity", "attitude"):
+        size = getattr(options, f"{name}_noise")
+        if size:
+            drawn[f"{name}_error"] = gauss_markov(rng, len(t), size, options.noise_time, rate)
+    return gait._replace(**drawn)
+
+
+@kernel
+def estimated(gait, base, tick):
+    """The BaseMotion that the controller believes in at a tick (its number): the true one, or one
+    with the errors that were drawn in its velocity and attitude, in B."""
+    p, R, v, w = base
+    if len(gait.velocity_error):
+        v = v + R @ gait.velocity_error[tick]
+    if len(gait.attitude_error):
+        a, b = gait.attitude_error[tick, 0], gait.attitude_error[tick, 1]
+        # A small turn about the base's x and y, kept a rotation by normalising its columns.
+        tilt = np.array([[1.0, 0.0, b], [0.0, 1.0, -a], [-b, a, 1.0]])
+        x = tilt[:, 0] / np.sqrt(np.sum(tilt[:, 0] ** 2))
+        y = tilt[:, 1] - np.sum(tilt[:, 1] * x) * x
+        y = y / np.sqrt(np.sum(y**2))
+        turned = np.empty((3, 3))
+        turned[:, 0], turned[:, 1], turned[:, 2] = x, y, np.cross(x, y)
+        R = R @ turned
+    return BaseMotion(p, R, v, w)
+
+
+@kernel
+def stride_at(gait, t, leg):
+    """Number of the stride that a leg is in at time t [s], from its landing on, and the share of it
+    that is over."""
+    if len(gait.beats):
+        k = min(max(np.searchsorted(gait.beats, t, "right") - 1, 0), len(gait.beats) - 2)
+        length = gait.beats[k + 1] - gait.beats[k]
+        strides = k + (t - gait.beats[k]) / length + gait.phase[leg]
+    else:
+        strides = (t - gait.start) / gait.period + gait.phase[leg]
+    return int(np.floor(strides)), strides % 1.0
