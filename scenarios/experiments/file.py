@@ -12,13 +12,14 @@ from surefoot.models.observer.observer import check_inputs, check_loss, check_mo
 from surefoot.models.observer.training import DEFAULT_SCHEDULE
 from surefoot.models.registry import CALIBRATORS, LOSSES
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
+from surefoot.scenarios.experiments.as_walked import AsWalked, load_as_walked
 from surefoot.scenarios.experiments.imperfections import Imperfection, load_imperfections
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
 from surefoot.sim.common.toml import Count, Level, Name, read_toml, typed
 from surefoot.sim.effects import Effect
 from surefoot.sim.effects.file import load_effects
-from surefoot.sim.robot.limbs import Limbs
+from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario
 from surefoot.sim.scenario_catalog import scenario_file
 from surefoot.sim.sensors.streams import Sensors
@@ -60,6 +61,7 @@ class Condition:
 
     effects: of every robot; imperfections: drawn by each seed, which stands for one robot.
     sensors: names of `sim.sensors.streams.Sensors` and what they are instead of the scenario's.
+    walked: what was measured of a robot's walk, carried to each robot by a rule.
     """
 
     name: str
@@ -68,11 +70,13 @@ class Condition:
     declared: bool = False
     imperfections: tuple[Imperfection, ...] = ()
     sensors: tuple[tuple[str, float], ...] = ()
+    walked: AsWalked | None = None
 
-    def effects_of(self, seed: int, limbs: Limbs) -> tuple[Effect, ...]:
-        """All that robot number `seed`, which has these limbs, has."""
-        drawn = [one for part in self.imperfections for one in part.drawn(seed, limbs)]
-        return (*self.effects, *drawn)
+    def effects_of(self, seed: int, robot: Robot) -> tuple[Effect, ...]:
+        """All that robot number `seed` of its kind has."""
+        drawn = [one for part in self.imperfections for one in part.drawn(seed, robot.limbs)]
+        walked = self.walked.effects_on(robot) if self.walked else ()
+        return (*self.effects, *drawn, *walked)
 
 
 PLAIN = Condition("plain", "the scenarios as they are written")
@@ -144,7 +148,9 @@ def walk_seed(scenario: Scenario, seed: int) -> int:
 def walk_to_make(scenario: Scenario, robot: str, condition: Condition, seed: int) -> Job:
     """The walk of a scenario by robot number `seed` under a condition."""
     sensed = replace(scenario, sensors=replace(scenario.sensors, **dict(condition.sensors)))
-    effects = condition.effects_of(seed, known_robot(robot).limbs)
+    if condition.walked:
+        sensed = condition.walked.scenario(sensed)
+    effects = condition.effects_of(seed, known_robot(robot))
     return Job(sensed, robot, walk_seed(scenario, seed), effects, condition.declared)
 
 
@@ -156,6 +162,7 @@ class _ConditionTable:
     declared: bool = False
     imperfections: str | None = None
     sensors: dict[str, float] = field(default_factory=dict)
+    walked: str | None = None
 
     def __post_init__(self):
         try:
@@ -173,6 +180,7 @@ class _ConditionTable:
             self.declared,
             drawn,
             tuple(self.sensors.items()),
+            load_as_walked(folder / self.walked) if self.walked else None,
         )
 
 

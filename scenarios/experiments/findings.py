@@ -108,7 +108,7 @@ def _losses(rows: pd.DataFrame, ours: str, condition: Condition) -> list[str]:
 
 def _why_legs(rows: pd.DataFrame, condition: Condition) -> str:
     walks = rows.drop_duplicates(["sequence", "seed"])
-    if condition.effects or condition.imperfections:
+    if condition.effects or condition.imperfections or condition.walked:
         model = "The leg filter's model of the legs is wrong only by the robot's imperfections"
         so = "leg kinematics remain more accurate than an observer trained on so little walking"
     else:

@@ -20,7 +20,7 @@ from surefoot.scenarios.experiments.figures import (
     gamma_sweep,
     paths,
 )
-from surefoot.scenarios.experiments.file import Experiment
+from surefoot.scenarios.experiments.file import Condition, Experiment
 from surefoot.scenarios.experiments.findings import findings
 from surefoot.scenarios.experiments.run import Outcome, run
 from surefoot.scenarios.experiments.tables import (
@@ -155,12 +155,17 @@ def _narrow(table: pd.DataFrame) -> pd.DataFrame:
 def _setting(found: Experiment, rows: pd.DataFrame) -> str:
     roles = rows.drop_duplicates("sequence").groupby("role", sort=False)["sequence"].agg(list)
     learnt = ", ".join(f"{role}: {', '.join(names)}" for role, names in roles.items())
-    sources = sorted({i.source for c in found.conditions for i in c.imperfections})
+    sized = [one for c in found.conditions for one in (*c.imperfections, *_sizes(c))]
+    sources = sorted({one.source for one in sized})
     seeds = ", ".join(map(str, found.seeds))
     text = f"{learnt}. Joint level γ = {found.gammas[0]:g}; seeds {seeds}."
     words = "\n\n".join(f"{c.name}: {c.words}." for c in found.conditions if c.words)
-    from_where = f"Sizes of the imperfections are from: {'; '.join(sources)}." if sources else ""
+    from_where = f"Sizes are from: {'; '.join(sources)}." if sources else ""
     return "\n\n".join([text, words, from_where])
+
+
+def _sizes(condition: Condition) -> tuple:
+    return (condition.walked, *condition.walked.size) if condition.walked else ()
 
 
 def _published(name: str) -> list[Section]:

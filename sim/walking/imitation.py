@@ -165,9 +165,9 @@ def strides(t: np.ndarray, stands: np.ndarray) -> np.ndarray:
     t (N,) [s]; stands (N,) bool. A foot that bounces has not lifted.
     """
     first, end = stances_between_swings(t, stands)
-    # The first stance may have begun before the log.
-    lands, lifts = t[first[1:]], t[np.minimum(end[1:], len(t) - 1)]
-    found = np.column_stack([lands[:-1], lifts[:-1], lands[1:]])
+    # A stance that the log begins with landed before.
+    first, end = first[first > 0], end[first > 0]
+    found = np.column_stack([t[first[:-1]], t[end[:-1]], t[first[1:]]])
     return found[found[:, 2] - found[:, 0] < LONGEST_STRIDE]
 
 

@@ -1,0 +1,170 @@
+"""What real gaits have: each option does what it says, and none changes the plain gait."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.gait.controller import gait_for
+from surefoot.sim.gait.irregular import estimated, irregular, stride_at
+from surefoot.sim.gait.options import PLAIN, GaitOptions
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.kinematics import BaseMotion
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.sensors.sampling import sampled
+from surefoot.sim.sensors.stances import stances_between_swings
+from surefoot.sim.sensors.streams import Sensors
+from surefoot.sim.walk import plan, simulate, walk
+
+SPOT = Robot.load("spot_class")
+TICKS = np.arange(0.0, 40.0, 0.004)
+COURSE = Scenario("options", (Segment(5.0, 0.5),), Ground(0.8), "spot_class")
+
+
+def rng():
+    return np.random.default_rng(2)
+
+
+def walked(**options):
+    """The motion of a walk with these options, and its plan."""
+    made = plan(replace(COURSE, gait=GaitOptions(**options)), SPOT, 0)
+    return simulate(made.world, SPOT, made.gait, made.course), made
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return walked()
+
+
+def loads(motion):
+    """Loaded feet (N, 4) while the robot walks."""
+    walks = (motion.t[1:] > 5.0) & (motion.t[1:] < 9.0)
+    return motion.force[walks] > 0.03 * SPOT.mass * 9.81
+
+
+def landing_speed(motion):
+    """Median speed [m/s] towards the ground of feet over the 10 ms before they are loaded."""
+    feet_B = SPOT.feet_I(motion.q) @ SPOT.R_BI.T + SPOT.p_BI
+    height = motion.p_GB[:, None, 2] + np.einsum("nj,nlj->nl", motion.R_GB[:, 2], feet_B)
+    found = []
+    for leg, loaded in enumerate((motion.force > 0.03 * SPOT.mass * 9.81).T):
+        first, _ = stances_between_swings(motion.t[1:], loaded)
+        rows = first[motion.t[first] > 5.0]
+        found.append((height[rows - 5, leg] - height[rows, leg]) / 0.01)
+    return np.median(np.concatenate(found))
+
+
+def test_a_plain_gait_is_not_irregular_and_draws_nothing():
+    gait = gait_for(SPOT, 4.0)
+    generator = rng()
+    assert irregular(gait, PLAIN, TICKS, generator) == gait
+    assert generator.random() == rng().random()
+
+
+def test_strides_are_counted_alike_with_and_without_jitter():
+    gait = gait_for(SPOT, 4.0)
+    regular = gait._replace(beats=gait.start + gait.period * np.arange(90.0))
+    for t in (4.0, 4.7, 11.13, 29.9):
+        for leg in range(4):
+            number, phase = stride_at(gait, t, leg)
+            again = stride_at(regular, t, leg)
+            assert again[0] + again[1] == pytest.approx(number + phase, abs=1e-9)
+    jittered = irregular(gait, GaitOptions(period_jitter=0.03), TICKS, rng())
+    periods = np.diff(jittered.beats)
+    assert periods.std() / periods.mean() == pytest.approx(0.03, rel=0.25)
+    assert jittered.beats[-1] > TICKS[-1]
+    # A beat is the beginning of a stride of the first leg.
+    assert stride_at(jittered, jittered.beats[5] + 1e-9, 0) == (5, pytest.approx(0.0, abs=1e-6))
+
+
+def test_the_estimate_errs_by_what_was_asked_for_and_stays_a_rotation():
+    options = GaitOptions(velocity_noise=0.05, attitude_noise=0.02)
+    gait = irregular(gait_for(SPOT, 4.0), options, TICKS, rng())
+    base = BaseMotion(np.zeros(3), np.eye(3), np.array([0.5, 0.0, 0.0]), np.zeros(3))
+    found = [estimated(gait, base, k) for k in range(0, len(TICKS), 10)]
+    v = np.array([one.v for one in found]) - base.v
+    assert v.std() == pytest.approx(0.05, rel=0.2)
+    R = np.array([one.R for one in found])
+    np.testing.assert_allclose(
+        R @ R.transpose(0, 2, 1), np.broadcast_to(np.eye(3), R.shape), atol=1e-12
+    )
+    assert R[:, 2, 1].std() == pytest.approx(0.02, rel=0.2)
+    assert np.abs(R[:, 1, 0]).max() < 0.005
+
+
+def test_a_longer_duty_puts_all_feet_on_the_ground_for_a_while(plain):
+    motion, _ = walked(duty=0.75, unloading=0.05)
+    together = [np.mean(loads(m).sum(axis=1) == 4) for m in (plain[0], motion)]
+    # Of a stride, 2 duty - 1 is planned for all four: a fifth for 0.6, half for 0.75.
+    assert together[1] > together[0] + 0.15
+
+
+def test_a_hard_touch_down_is_harder(plain):
+    hard, _ = walked(touchdown_speed=0.25)
+    asked = 0.25 * np.sqrt(9.81 * SPOT.leg_length)
+    speeds = [landing_speed(m) for m in (plain[0], hard)]
+    assert speeds[1] - speeds[0] == pytest.approx(asked, rel=0.5)
+
+
+def test_footholds_and_periods_vary_and_the_robot_walks_on():
+    motion, made = walked(
+        period_jitter=0.03,
+        foothold_jitter=0.02,
+        braking=0.3,
+        stiffness=0.4,
+        velocity_noise=0.05,
+        attitude_noise=0.01,
+    )
+    assert motion.p_GB[-1, 0] == pytest.approx(made.course.pose[-1, 0], abs=0.2)
+    assert made.gait.footholds.std() == pytest.approx(0.02 * SPOT.leg_length, rel=0.3)
+    again, _ = walked(
+        period_jitter=0.03,
+        foothold_jitter=0.02,
+        braking=0.3,
+        stiffness=0.4,
+        velocity_noise=0.05,
+        attitude_noise=0.01,
+    )
+    np.testing.assert_array_equal(motion.p_GB, again.p_GB)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"duty": 0.2}, "duty must lie between 0.4 and 0.9, is 0.2"),
+        ({"stiffness": -1.0}, "stiffness must not be negative"),
+        ({"period_jitter": 0.5}, "period_jitter must not exceed 0.2"),
+    ],
+)
+def test_a_gait_that_cannot_be_is_refused(options, message):
+    with pytest.raises(SurefootError, match=message):
+        GaitOptions(**options)
+
+
+def test_a_log_at_a_lower_rate_keeps_what_the_imu_integrates():
+    scenario = replace(COURSE, segments=(Segment(1.0, 0.4),))
+    whole = walk(scenario, SPOT, 0)
+    for rate in (100.0, 200.0, 400.0):
+        slow = walk(replace(scenario, sensors=Sensors(rate=rate)), SPOT, 0)
+        assert slow.rate == rate
+        np.testing.assert_allclose(np.diff(slow.t), 1.0 / rate, atol=1e-9)
+        n = len(slow.t)
+        end = np.searchsorted(whole.t, slow.t[-1] + 1e-9)
+        turned = (slow.gyro.sum(axis=0) / rate, whole.gyro[:end].sum(axis=0) * 0.002)
+        np.testing.assert_allclose(*turned, atol=1e-3)
+        at = np.searchsorted(whole.t, slow.t[n // 2])
+        np.testing.assert_allclose(slow.ref_p[n // 2], whole.ref_p[at], atol=2e-3)
+        np.testing.assert_allclose(np.linalg.norm(slow.ref_q, axis=1), 1.0, atol=1e-12)
+    with pytest.raises(SurefootError, match="rate must not exceed 500 Hz"):
+        walk(replace(scenario, sensors=Sensors(rate=1000.0)), SPOT, 0)
+
+
+def test_what_an_imu_samples_folds_back_and_what_it_averages_does_not():
+    frame = walk(replace(COURSE, segments=(Segment(0.5, 0.0),)), SPOT, 0).frame
+    t = frame["t"].to_numpy()
+    tone = frame.assign(accel_x=np.sin(2 * np.pi * 190.0 * t))
+    power = {a: sampled(tone, 100.0, averages=a)["accel_x"].var() for a in (True, False)}
+    assert power[False] > 0.4  # a tone of 10 Hz, as large
+    assert power[True] < 0.02
