@@ -1,4 +1,4 @@
-"""Joint torques and foot forces from the momentum of a walk, against those that it was walked with."""
+"""Joint torques and foot forces from the momentum of a walk, against those of its motors."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def log(tmp_path_factory, robot):
 
 
 def test_torques_are_those_of_the_motors(log, robot):
-    """Of the loaded joints, but for what feet press against each other and the edges of a stance."""
+    """Of loaded joints, but for what feet press against each other and the edges of a stance."""
     found = momentum_balance(log, robot).torque
     stands = inside_stances(log.t, log.contact, 0.05)
     rows = log.t - log.t[0] > 1.0
