@@ -156,7 +156,15 @@ def _walks(
     seed: int,
     progress: Callable[[float], None],
 ) -> tuple[list[Log], float]:
-    """WALKS walks, all at the fastest share of the measured speeds at which none falls."""
+    """WALKS walks, all at the fastest share of the measured speeds at which none falls.
+
+    Args:
+        scenario: at the measured speeds.
+        robot: that walks.
+        effects: that it has.
+        seed: of the first walk.
+        progress: called with the share of the walks done at a pace.
+    """
     fallen = None
     for pace in PACES:
         logs: list[Log] = []

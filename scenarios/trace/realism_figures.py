@@ -68,7 +68,15 @@ def _standing_speed(walks: Sequence[tuple[str, str, Sequence[WalkView]]]) -> Fig
 
 
 def _band(ax, phase: np.ndarray, values: np.ndarray, label: str, color: str) -> None:
-    """Median and middle half of values by phase of stance."""
+    """Median and middle half of values by phase of stance.
+
+    Args:
+        ax: to draw on.
+        phase: (N,), NaN in the air.
+        values: (N,).
+        label: of the legend.
+        color: of line and band.
+    """
     known = np.isfinite(phase) & np.isfinite(values)
     bins = np.minimum((phase[known] * PHASES).astype(int), PHASES - 1)
     parts = [values[known][bins == k] for k in range(PHASES)]
