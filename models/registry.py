@@ -24,6 +24,7 @@ CALIBRATORS = Registry(
     {
         "conformal": "surefoot.models.calibration.regions:Conformal",
         "bonferroni": "surefoot.models.calibration.regions:Bonferroni",
+        "outer": "surefoot.models.calibration.regions:Outer",
         "maxnorm": "surefoot.models.calibration.regions:MaxNorm",
         "ellipsoid": "surefoot.models.calibration.regions:Ellipsoid",
         "scenario": "surefoot.models.calibration.scenario_box:ScenarioBox",

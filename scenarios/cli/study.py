@@ -195,6 +195,8 @@ class Montecarlo:
     workers: int | None = None
     """Processes of this machine that share the trials; one a core where left out."""
     cluster: Cluster = None
+    data: Path | None = None
+    """Folder of finished regimes, which are not run again; `cases` in the output if left out."""
     page: Path | None = None
     """Page of results to write as well, such as docs/results/montecarlo.md."""
     force: Force = False
@@ -202,7 +204,7 @@ class Montecarlo:
     def run(self) -> None:
         from surefoot.scenarios.studies.montecarlo.report import montecarlo
 
-        more = self.workers, self.cluster, self.page
+        more = self.workers, self.cluster, self.data, self.page
         print(montecarlo(self.out, self.trials, self.seed, self.force, *more))
         print(f"report: {self.out / 'report.html'}")
 

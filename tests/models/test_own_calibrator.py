@@ -56,11 +56,14 @@ def test_an_own_method_is_offered_calibrates_and_is_compared(tmp_path):
     done = run_with("own_calibrator", str(script), cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     names, table, chosen = done.stdout.splitlines()
-    assert names == "conformal bonferroni maxnorm ellipsoid scenario horizontal"
-    assert table == "conformal bonferroni maxnorm ellipsoid ellipsoid, its box scenario horizontal"
+    assert names == "conformal bonferroni outer maxnorm ellipsoid scenario horizontal"
+    assert (
+        table
+        == "conformal bonferroni outer maxnorm ellipsoid ellipsoid, its box scenario horizontal"
+    )
     assert chosen == "horizontal"
 
 
 def test_the_command_offers_it():
     done = run_with("own_calibrator", "-m", "surefoot", "calibrate", "--help")
-    assert "{conformal,bonferroni,maxnorm,ellipsoid,scenario,horizontal}" in done.stdout
+    assert "{conformal,bonferroni,outer,maxnorm,ellipsoid,scenario,horizontal}" in done.stdout

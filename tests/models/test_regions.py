@@ -17,6 +17,7 @@ from surefoot.models.calibration.scenario_box import discards, log_failure, scen
 from surefoot.models.registry import CALIBRATORS
 
 TRIALS = 1000
+PER_AXIS = ("conformal", "bonferroni", "outer")
 SPLIT = [m for m in CALIBRATORS if m != "scenario"]
 
 
@@ -44,7 +45,7 @@ def test_quantiles_are_those_of_mapie(method):
     rng = np.random.default_rng(0)
     pilot, errors = rng.standard_t(4, (100, 3)), rng.standard_t(4, (150, 3)) * [1.0, 0.5, 2.0]
     found, level = region(method, pilot, errors), level_of(method, 0.8)
-    if method in ("conformal", "bonferroni"):
+    if method in PER_AXIS:
         theirs = [mapie_quantile(np.abs(axis), level) for axis in errors.T]
         assert found.epsilon == pytest.approx(theirs, rel=1e-12)
     elif method == "maxnorm":
@@ -74,7 +75,7 @@ def heavy(rng, n):
 def test_exchangeable_errors_are_held_as_promised(method):
     n, gamma = 150, 0.8
     exact = rank(n, level_of(method, gamma)) / (n + 1)
-    if method in ("conformal", "bonferroni"):
+    if method in PER_AXIS:
         exact = exact**3  # the axes are independent here
     found = hits(method, heavy, n, np.random.default_rng(1), gamma)
     low, high = binom.interval(0.999, TRIALS, exact)
@@ -111,7 +112,8 @@ def regimes(rng, n):
 @pytest.mark.parametrize("method", CALIBRATORS)
 def test_errors_that_remember_are_held_as_promised(method, process):
     """Errors K apart, K from the curve of one long record; judged far beyond each record's end."""
-    rng, gamma, n = np.random.default_rng(3), 0.8, 60
+    rng, gamma = np.random.default_rng(3), 0.8
+    n = max(60, calibrator(method, gamma).samples_needed())
     K = mixing(process(rng, 20_000)).K
     gap, found = 10, 0
     for _ in range(TRIALS):
@@ -121,7 +123,7 @@ def test_errors_that_remember_are_held_as_promised(method, process):
         assert found >= binom.ppf(0.001, TRIALS, gamma)
         return
     level = rank(n, level_of(method, gamma)) / (n + 1)
-    split_axes = method in ("conformal", "bonferroni")
+    split_axes = method in PER_AXIS
     # Axes that turn loud together are held together more often than independent ones.
     lowest = level**3 if split_axes else level
     highest = level if split_axes and process is regimes else lowest

@@ -17,7 +17,7 @@ from surefoot.scenarios.studies.montecarlo.qmc import (
     runtime_accuracy,
     tensor_moments,
 )
-from surefoot.scenarios.studies.montecarlo.report import beyond_table, montecarlo, write_study
+from surefoot.scenarios.studies.montecarlo.report import montecarlo, write_study
 from surefoot.scenarios.studies.montecarlo.settings import (
     BIASED,
     MIXING_LAWS,
@@ -29,13 +29,15 @@ from surefoot.scenarios.studies.montecarlo.settings import (
 )
 from surefoot.scenarios.studies.montecarlo.study import (
     ITERATIONS,
+    PER_AXIS,
     READINGS,
-    FilterScores,
     Results,
     Scores,
     Setting,
     bounds,
+    compared,
     paper_settings,
+    run_batch,
     run_montecarlo,
     run_trials,
 )
@@ -140,9 +142,8 @@ def test_scores_are_those_of_the_filters_one_sample_at_a_time(study, regime):
 
 def test_the_study_is_the_same_from_the_same_seed_and_is_written_whole(study, found, tmp_path):
     first, second = found, run_montecarlo(study)
-    for a, b in zip((*first.paper, *first.beyond), (*second.paper, *second.beyond), strict=True):
-        assert np.array_equal(a.scores.nees, b.scores.nees)
-        assert np.isfinite(a.scores.distance).all()
+    assert first == second
+    assert all(np.isfinite([*row.rmse, *row.nees]).all() for row in (*first.paper, *first.beyond))
     rng, page = np.random.default_rng(0), tmp_path / "page.md"
     write_study(first, runtime_accuracy(rng, 2, 2, 1), tmp_path, page=page)
     text = (tmp_path / "table.md").read_text()
@@ -154,24 +155,19 @@ def test_the_study_is_the_same_from_the_same_seed_and_is_written_whole(study, fo
     figures = {p.stem for p in (tmp_path / "figures").glob("*.png")}
     assert figures == {"runtime", "nees_by_gamma", "over_time", "update"}
     assert not read_origin(page).stale
+    assert "Nearest to the paper's NEES are bounds at" in page.read_text()
 
 
 def test_paired_trials_say_where_coverage_pays():
     rng = np.random.default_rng(0)
     hardness = rng.lognormal(0.0, 1.0, 40)  # common to both filters: pairing takes it out
 
-    def verdict(rmse: float, nees: float) -> str:
-        rows = [
-            FilterScores("some", Setting("velocity_persistent"), _constant_scores(hardness, 6.0)),
-            FilterScores(
-                "some", Setting("coverage_persistent"), _constant_scores(rmse * hardness, nees)
-            ),
-        ]
-        return beyond_table(rows)["coverage beside velocity"].iloc[0]
-
-    def _constant_scores(rmse: np.ndarray, nees: float) -> Scores:
+    def scores(rmse: np.ndarray, nees: float) -> Scores:
         distance = (rmse * rng.normal(1.0, 0.01, 40))[:, None]
         return Scores(distance, nees * rng.normal(1.0, 0.01, (40, 1)), np.ones(40))
+
+    def verdict(rmse: float, nees: float) -> str:
+        return compared(scores(rmse * hardness, nees), scores(hardness, 6.0))
 
     assert verdict(0.9, 3.0) == "more accurate, more consistent"
     assert verdict(1.1, 12.0) == "less accurate, less consistent"
@@ -193,11 +189,24 @@ def test_other_processes_give_the_same_numbers(study, where):
             n_workers=1, threads_per_worker=1, host="127.0.0.1", **plain
         ) as cluster:
             far = run_montecarlo(small, cluster=cluster.scheduler_address)
-    for a, b in zip(near.paper, far.paper, strict=True):
-        assert (a.setting.filter, a.setting.gamma) == (b.setting.filter, b.setting.gamma)
-        assert a.setting.reading == b.setting.reading
-        assert np.array_equal(a.scores.nees, b.scores.nees)
-        assert np.array_equal(a.scores.distance, b.scores.distance)
+    assert near == far
+
+
+def test_a_study_that_was_stopped_goes_on_where_it_was(study, monkeypatch, tmp_path):
+    small = replace(study, duration=2.0, beyond=replace(study.beyond, regime=()))
+    whole = run_montecarlo(small, data=tmp_path)
+    cases = sorted(path.name for path in tmp_path.iterdir())
+    assert cases == [f"{t}_{r}.json" for t in ("iterated", "paper") for r in ("biased", "unbiased")]
+    (tmp_path / "paper_biased.json").unlink()
+    ran = []
+    monkeypatch.setattr(
+        "surefoot.scenarios.studies.montecarlo.study.run_batch",
+        lambda study, batch, *_: ran.append(batch.regime.name) or run_batch(study, batch),
+    )
+    assert run_montecarlo(small, data=tmp_path) == whole
+    assert ran == ["biased"]
+    run_montecarlo(replace(small, seed=1), data=tmp_path)
+    assert len(ran) == 5
 
 
 def test_a_cluster_that_is_not_there_is_one_line(study, monkeypatch):
@@ -220,7 +229,7 @@ def test_the_ekf_is_consistent_where_its_model_is_right(study):
 
 def test_bounds_hold_what_their_reading_says(study):
     errors = population(replace(study, population=200000), ErrorLaw(), np.random.default_rng(0))
-    for reading, share in zip(READINGS, (0.8**3, 0.8), strict=True):
+    for reading, share in zip(READINGS, (0.8**3, 0.8, 0.99**3, 0.999**3), strict=True):
         inside = (np.abs(errors) <= bounds(errors, 0.8, reading)).all(axis=1)
         assert inside.mean() == pytest.approx(share, abs=5e-3)
 
@@ -290,13 +299,11 @@ def test_an_inactive_box_is_left_alone():
 
 def test_iterations_start_from_the_row_of_the_papers_table(found):
     first, second, third, *_ = found.iterated
-    assert (first.setting.iterations, second.setting.iterations, third.setting.iterations) == (
-        ITERATIONS
-    )
-    rows = {(r.regime, r.setting.filter, r.setting.reading): r for r in found.paper}
-    paper = rows["unbiased", "coverage", READINGS[1]]
-    assert np.array_equal(first.scores.nees, paper.scores.nees)
-    assert not np.array_equal(third.scores.nees, paper.scores.nees)
+    assert (first.iterations, second.iterations, third.iterations) == ITERATIONS
+    rows = {(r.regime, r.filter, r.reading): r for r in found.paper}
+    paper = rows["unbiased", "coverage", PER_AXIS]
+    assert first.nees == paper.nees
+    assert third.nees != paper.nees
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from surefoot.scenarios.reporting.palette import (
 )
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
 from surefoot.scenarios.studies.montecarlo.qmc import Accuracy
-from surefoot.scenarios.studies.montecarlo.study import READINGS, FilterScores
+from surefoot.scenarios.studies.montecarlo.study import PER_AXIS, READINGS, FilterScores
 
 PAPER_ROWS = {
     None: ("0.61 ± 0.25", "2.33 ± 1.40", "3.11 ± 2.50", "99.9 ± 121"),
@@ -49,22 +49,24 @@ def runtime_figure(rows: Sequence[Accuracy]) -> Figure:
 
 
 def nees_figure(rows: Sequence[FilterScores]) -> Figure:
-    """NEES against gamma for both readings, a panel for each regime."""
-    figure, axes = new_figure(1, 2, size=(9.0, 4.2))
+    """NEES against gamma for each reading, a panel for each regime."""
+    figure, axes = new_figure(1, 2, size=(9.0, 4.8))
     for k, regime in enumerate(("unbiased", "biased")):
         ax = axes[0, k]
         own = [row for row in rows if row.regime == regime]
-        for reading, style in zip(READINGS, ("o-", "s--"), strict=True):
+        for reading, style in zip(READINGS, ("o-", "s--", "^-.", "v:"), strict=True):
             for name in ("coverage", "coverage_persistent"):
                 points = [
-                    (row.setting.gamma, row.scores.mean_nees.mean())
+                    (row.gamma, row.nees[0])
                     for row in own
-                    if (row.setting.filter, row.setting.reading) == (name, reading)
+                    if (row.filter, row.reading) == (name, reading)
                 ]
-                label = f"{estimator_label(name)}, quantile at {reading}"
-                ax.plot(*zip(*points, strict=True), style, color=estimator_color(name), label=label)
-        for row in (row for row in own if row.setting.gamma is None):
-            ax.axhline(float(row.scores.mean_nees.mean()), **_look(row))
+                if points:
+                    label = f"{estimator_label(name)}, quantile at {reading}"
+                    color = estimator_color(name)
+                    ax.plot(*zip(*points, strict=True), style, color=color, label=label)
+        for row in (row for row in own if row.gamma is None):
+            ax.axhline(row.nees[0], **_look(row))
         gammas = [g for g in PAPER_ROWS if g is not None]
         paper = [float(PAPER_ROWS[g][2 + k].split()[0]) for g in gammas]
         ax.plot(gammas, paper, "x", color=TRUTH, label="Coverage (paper)")
@@ -76,17 +78,17 @@ def nees_figure(rows: Sequence[FilterScores]) -> Figure:
     return figure
 
 
-def time_figure(rows: Sequence[FilterScores], gamma: float, rate: float) -> Figure:
-    """Error and NEES in time for the four filters at one gamma, bounds at gamma^(1/3)."""
+def time_figure(rows: Sequence[FilterScores], duration: float) -> Figure:
+    """Error and NEES over the `duration` [s] of a trial: each filter, bounds at gamma^(1/3)."""
     figure, axes = new_figure(2, 2, size=(9.0, 6.0), share_x=True)
     for k, regime in enumerate(("unbiased", "biased")):
         for row in rows:
-            s = row.setting
-            if row.regime != regime or s.gamma not in (None, gamma) or s.reading == READINGS[0]:
+            shown = row.regime == regime and row.reading in (None, PER_AXIS)
+            if not (shown and row.nees_curve):
                 continue
-            t = np.arange(1, row.scores.nees.shape[1] + 1) / rate
-            axes[0, k].plot(t, np.sqrt(np.mean(row.scores.distance**2, axis=0)), **_look(row))
-            axes[1, k].plot(t, row.scores.nees.mean(axis=0), **_look(row))
+            t = (np.arange(len(row.nees_curve)) + 0.5) * duration / len(row.nees_curve)
+            axes[0, k].plot(t, row.distance_curve, **_look(row))
+            axes[1, k].plot(t, row.nees_curve, **_look(row))
         axes[1, k].axhline(3.0, color=INK, linewidth=0.8)
         axes[1, k].set(yscale="log", xlabel="time [s]", ylabel="position NEES")
         _plain_ticks(axes[1, k])
@@ -97,7 +99,7 @@ def time_figure(rows: Sequence[FilterScores], gamma: float, rate: float) -> Figu
 
 
 def _look(row: FilterScores) -> dict[str, Any]:
-    name = row.setting.filter
+    name = row.filter
     return {
         "color": estimator_color(name),
         "linestyle": estimator_line(name),

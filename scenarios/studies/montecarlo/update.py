@@ -56,20 +56,19 @@ def update_illustration(gamma: float = 0.8) -> Figure:
 
 def iteration_table(rows: Sequence[FilterScores]) -> pd.DataFrame:
     """A row for each regime, filter and number of projections in one update."""
-    table = []
-    for row in rows:
-        rmse, own_nees = row.scores.rmse, row.scores.mean_nees
-        table.append(
+    return pd.DataFrame(
+        [
             {
                 "regime": row.regime,
-                "filter": row.setting.filter,
-                "projections": row.setting.iterations,
-                "RMSE [m]": f"{rmse.mean():.3f} ± {rmse.std(ddof=1):.3f}",
-                "NEES": f"{own_nees.mean():.2f} ± {own_nees.std(ddof=1):.2f}",
-                "active [%]": f"{100 * row.scores.active.mean():.0f}",
+                "filter": row.filter,
+                "projections": row.iterations,
+                "RMSE [m]": f"{row.rmse[0]:.3f} ± {row.rmse[1]:.3f}",
+                "NEES": f"{row.nees[0]:.2f} ± {row.nees[1]:.2f}",
+                "active [%]": f"{100 * row.active:.0f}",
             }
-        )
-    return pd.DataFrame(table)
+            for row in rows
+        ]
+    )
 
 
 def _draw_line(axes, gamma: float) -> None:
