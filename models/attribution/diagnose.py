@@ -8,14 +8,19 @@ import numpy as np
 
 from surefoot.models.attribution.angle_error import angle_errors
 from surefoot.models.attribution.data import cannot_tell, data_notes, dead_contacts, readings
-from surefoot.models.attribution.evidence import LogUnderModel, log_under_model
+from surefoot.models.attribution.evidence import LogUnderModel, linearise, log_under_model
+from surefoot.models.attribution.friction import FootFriction, friction_of, slip_notes, slip_of
+from surefoot.models.attribution.held_out import HeldOutRuns, judged
 from surefoot.models.attribution.levels import ChannelLevel, channel_levels, without_bias
 from surefoot.models.attribution.noise_floor import noise_floor
-from surefoot.models.attribution.search import Attribution, attribute
+from surefoot.models.attribution.run_offsets import of_each_run
+from surefoot.models.attribution.search import Attribution, Found, attribute
 from surefoot.models.attribution.selection import Candidate
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
-from surefoot.models.attribution.split import split_of
+from surefoot.models.attribution.split import Split, split_of
 from surefoot.models.attribution.unexplained import Unexplained, sparse_regression
+from surefoot.models.attribution.verdict import verdict_of
+from surefoot.models.attribution.zeros import Run, run_of
 from surefoot.sim.common.errors import check_seed
 from surefoot.sim.effects import Effect, compensate_all
 from surefoot.sim.log import Log
@@ -26,16 +31,24 @@ from surefoot.sim.robot.fixed_base import Machine
 class Diagnosis:
     """What logs show of their model.
 
-    verdict: attributed, confounded, none_of_these, not_identifiable or no_residual; attribution:
-    the search, None where there was none; channels: levels by channel on data that no fit has seen;
-    rivals: other explanations of an effect; unexplained: the form of what is left; floor: where the
-    noise floor is from; masked_share: of the stance, masked as slipping; notes: for the reader.
+    verdict: attributed, confounded, none_of_these, not_identifiable or no_residual; reasons: why it
+    is no better one; attribution: the search, None where there was none; found: effects that all
+    logs share, strongest first; runs: what each log has for itself; channels: levels by channel on
+    data that no fit has seen; held_out: the same on logs that no fit has seen; rivals: other
+    explanations of an effect; unexplained: the form of what is left; floor: where the noise floor
+    is from; masked_share: of the stance, masked as slipping; friction: of the feet, None where the
+    logs lack what shows it; notes: for the reader.
     """
 
     verdict: str
+    reasons: tuple[str, ...] = ()
     attribution: Attribution | None = None
+    found: tuple[Found, ...] = ()
+    runs: tuple[Run, ...] = ()
     channels: dict[str, ChannelLevel]
+    held_out: HeldOutRuns | None = None
     masked_share: float = 0.0
+    friction: FootFriction | None = None
     floor: str = "none"
     rivals: tuple[dict[str, Any], ...] = ()
     notes: tuple[str, ...] = ()
@@ -44,25 +57,29 @@ class Diagnosis:
     @property
     def effects(self) -> tuple[Effect, ...]:
         """The effects found, strongest first."""
-        return tuple(f.effect for f in self.attribution.found) if self.attribution else ()
+        return tuple(one.effect for one in self.found)
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON: nothing in it depends on what a log is called or what its metadata are."""
-        found = self.attribution.found if self.attribution else ()
         rounds = self.attribution.rounds if self.attribution else ()
-        levels = ("before", "after", "noise_floor", "unit")
         out: dict[str, Any] = {
             "verdict": self.verdict,
-            "effects": [{**f.effect.as_dict(), "interval": list(f.interval)} for f in found],
-            "channels": {
-                name: {level: getattr(c, level) for level in levels}
-                for name, c in self.channels.items()
-            },
+            "reasons": list(self.reasons),
+            "effects": [_sized(one) for one in self.found],
+            "runs": [_own(run) for run in self.runs],
+            "channels": _levels(self.channels),
             "masked_share": self.masked_share,
+            "friction": asdict(self.friction) if self.friction else None,
             "floor": self.floor,
             "notes": list(self.notes),
             "candidates": [[_candidate(c) for c in candidates] for candidates in rounds],
         }
+        if self.held_out:
+            out["holdout"] = {
+                "channels": _levels(self.held_out.channels),
+                "runs": [_own(run) for run in self.held_out.runs],
+                "against": list(self.held_out.against),
+            }
         if self.verdict == "none_of_these":
             out["remainder"] = [asdict(form) for form in self.unexplained]
         if self.rivals:
@@ -75,8 +92,9 @@ def diagnose(
     robot: Machine,
     seed: int = 0,
     progress: Callable[[float], None] = lambda share: None,
-    declared: Sequence[Effect] = (),
+    declared: Sequence[Effect] | None = None,
     settings: TraceSettings = DEFAULT,
+    holdout: Sequence[Log] = (),
 ) -> Diagnosis:
     """Find which effect `robot` lacks as a model of the logs.
 
@@ -85,47 +103,103 @@ def diagnose(
         robot: the declared model.
         seed: of the bootstrap.
         progress: called with the share that is done.
-        declared: effects that belong to the model: compensated before anything is asked.
+        declared: effects that belong to the model: compensated before anything is asked. Where they
+            are given, if only none, zeros and clocks are no effects but the log's own.
         settings: thresholds and constants.
+        holdout: logs of the same machine that judge what was found and that no fit sees.
 
     Raises LogError where a log lacks a reference that it needs.
     """
     check_seed(seed)
-    cases = cases_of(logs, robot, declared, settings)
+    model = declared or ()
+    cases = cases_of(logs, robot, model, settings)
     split = split_of(cases)
     cannot = cannot_tell(cases, split)
     if cannot:
-        return Diagnosis(verdict="not_identifiable", channels={}, notes=(cannot,))
+        reasons = (cannot,)
+        return Diagnosis(verdict="not_identifiable", reasons=reasons, channels={}, notes=reasons)
     progress(0.02)
-    floor = noise_floor(cases)
+    friction = friction_of(cases, np.random.default_rng(seed))
+    slip = slip_of(friction, settings)
+    floor = noise_floor(cases, [one.effect for one in slip])
     progress(0.4)
     rng = np.random.default_rng(seed)
-    result = attribute(cases, floor, split, rng, lambda share: progress(0.4 + 0.55 * share))
-    channels = channel_levels(cases, result, split)
+    result = attribute(cases, floor, split, rng, lambda share: progress(0.4 + 0.5 * share))
+    several = len(cases) > 1 or declared is not None
+    own = [f.effect for f in result.found if several and of_each_run(f.effect.name)]
+    found = (*(f for f in result.found if f.effect not in own), *slip)
+    effects = [one.effect for one in found]
+    runs = _runs(cases, effects, own, result, split) if several else ()
+    now, used = [run.case for run in runs] or cases, split.fit | split.select
+    before = linearise(now, (), ())
+    after = linearise(now, effects, ()) if own else result.evidence
+    weights = result.robust_weights
+    left = without_bias(after, weights, used)
+    plainly = without_bias(before, weights, used)
+    channels = channel_levels(plainly[split.report], left[split.report], after, result.floor)
+    held_out = None
+    if holdout:
+        unseen = cases_of(holdout, robot, model, settings)
+        held_out = judged(unseen, effects, own, result.floor, rng)
+    progress(0.95)
     curves = angle_errors(cases, result, split, rng)
-    verdict, unexplained = _verdict(result, channels, bool(curves)), ()
+    verdict, reasons = verdict_of(found, channels, bool(curves), result.rivals, held_out)
+    unexplained: tuple[Unexplained, ...] = ()
     if verdict == "none_of_these":
         above = [name for name, c in channels.items() if not c.at_floor or c.worse]
         above.sort(key=lambda name: -channels[name].after / channels[name].highest)
-        left = without_bias(result.evidence, result.robust_weights, split.fit | split.select)
         unexplained = tuple(
             Unexplained(one.channel, one.joint, (f"curve_of_angle_{one.joint}",), one.share)
             for one in curves
-        ) + sparse_regression(cases, left, result.robust_weights, above, split.fit, split.select)
+        ) + sparse_regression(now, left, weights, above, split.fit, split.select)
     dead = dict.fromkeys(note for log in logs if (note := dead_contacts(log, settings)))
     progress(1.0)
     return Diagnosis(
         verdict=verdict,
+        reasons=reasons,
         attribution=result,
+        found=found,
+        runs=runs,
         channels=channels,
-        masked_share=result.robust_weights.share,
+        held_out=held_out,
+        masked_share=weights.share,
+        friction=friction,
         floor=result.floor.source,
         rivals=tuple(
             {"name": name, "target": target, "overlap": shared}
             for (name, target), shared in result.rivals
         ),
-        notes=(*dead, *data_notes(cases, floor), *_result_notes(result, channels)),
+        notes=(
+            *dead,
+            *data_notes(cases, floor),
+            *slip_notes(friction, "leg_velocity" in channels, settings),
+            *_result_notes(found, channels),
+        ),
         unexplained=unexplained,
+    )
+
+
+def _runs(
+    cases: Sequence[LogUnderModel],
+    effects: Sequence[Effect],
+    own: Sequence[Effect],
+    result: Attribution,
+    split: Split,
+) -> tuple[Run, ...]:
+    """What each log has for itself, fitted on all but the part that only reports.
+
+    Args:
+        cases: the logs under the declared model.
+        effects: found, that they share.
+        own: found, that each has a size of its own of.
+        result: of the search.
+        split: the parts.
+    """
+    weights, log = result.robust_weights, result.evidence.log
+    weight = np.where((split.fit | split.select)[:, None], weights.weight, 0.0)
+    return tuple(
+        run_of(case, effects, own, result.floor, weight[log == i], weights.sigma)
+        for i, case in enumerate(cases)
     )
 
 
@@ -142,30 +216,29 @@ def cases_of(
     ]
 
 
-def _verdict(result: Attribution, channels: dict[str, ChannelLevel], curves: bool) -> str:
-    at_floor = not curves and all(c.at_floor and not c.worse for c in channels.values())
-    if not result.found:
-        return "no_residual" if at_floor else "none_of_these"
-    if not at_floor:
-        return "none_of_these"
-    return "confounded" if result.rivals else "attributed"
-
-
-def _result_notes(result: Attribution, channels: dict[str, ChannelLevel]) -> list[str]:
-    notes = []
-    if "leg_velocity" in channels:
-        notes.append(
-            "foot_slip: not identifiable; friction shows where feet slide, and that they did on "
-            f"{100 * result.robust_weights.share:.1f} % of their stance, wherever it was slippery"
-        )
-    notes += [f"{name}: worse with what was found" for name, c in channels.items() if c.worse]
+def _result_notes(found: Sequence[Found], channels: dict[str, ChannelLevel]) -> list[str]:
+    notes = [f"{name}: worse with what was found" for name, c in channels.items() if c.worse]
     notes += [
         f"{name}: what is left is {c.after / c.highest:.0f} times what the declared model leaves; "
         "sizes may be its doing"
         for name, c in channels.items()
-        if result.found and c.after > c.settings.far * c.highest
+        if found and c.after > c.settings.far * c.highest
     ]
     return notes
+
+
+def _sized(one: Found) -> dict[str, Any]:
+    return {**one.effect.as_dict(), "interval": list(one.interval)}
+
+
+def _own(run: Run) -> list[dict[str, Any]]:
+    """A run's zeros, and whether they stand out from what its sensors are declared to have."""
+    return [{**_sized(one), "compensated": one.effect in run.taken} for one in run.zeros]
+
+
+def _levels(channels: dict[str, ChannelLevel]) -> dict[str, dict[str, Any]]:
+    levels = ("before", "after", "noise_floor", "unit")
+    return {name: {level: getattr(c, level) for level in levels} for name, c in channels.items()}
 
 
 def _candidate(c: Candidate) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from surefoot.models.attribution.run_offsets import deviations, of_each_run
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.residuals.binning import (
     ReferenceMotion,
@@ -52,8 +53,9 @@ class Evidence:
     t (M,) s; log (M,) which log a bin is from; table (M, W), its columns as `layout` says, NaN
     where a bin has none; X: by the size of each of `keys`; Z: by what may be free in each log, the
     turn-on biases of its IMU, up to +-limits (B,), and the plane that it stands on. `stands_for`:
-    of each of Z, the candidate that takes its place without a limit. groups: the candidates whose
-    regressor is the sum of others'.
+    of each of Z, the candidate that takes its place without a limit; `comes_with`: of each, the
+    candidate that it is free with, since the size of that one may differ from log to log. groups:
+    the candidates whose regressor is the sum of others'.
     """
 
     layout: Layout
@@ -65,13 +67,15 @@ class Evidence:
     Z: tuple[Regressor, ...]
     limits: np.ndarray
     stands_for: tuple[Key | None, ...]
+    comes_with: tuple[Key | None, ...] = ()
     settings: TraceSettings = DEFAULT
     groups: frozenset[Key] = frozenset()
 
     @cached_property
     def single(self) -> np.ndarray:
         """Which of the candidates and the free parts (C + B,) are no sum of others."""
-        return np.array([key not in self.groups for key in self.keys] + [True] * len(self.Z))
+        along = self.comes_with or (None,) * len(self.Z)
+        return np.array([key not in self.groups for key in (*self.keys, *along)])
 
     def only(self, keys: Sequence[Key]) -> "Evidence":
         """The evidence with no other candidates than these."""
@@ -160,16 +164,26 @@ def linearise(
             Z.append(Regressor(one.columns, whole))
             limits.append(limit)
             stands_for.append(key)
+    log = np.repeat(np.arange(len(parts)), np.diff(starts))
+    comes_with: list[Key | None] = [None] * len(Z)
+    for key, one in zip(keys, X, strict=True):
+        if of_each_run(key[0]):
+            own = deviations(one, log)
+            Z += own
+            limits += [np.inf] * len(own)
+            stands_for += [None] * len(own)
+            comes_with += [key] * len(own)
     return Evidence(
         layout=parts[0].parts.layout,
         t=np.concatenate([p.parts.t for p in parts]),
-        log=np.repeat(np.arange(len(parts)), np.diff(starts)),
+        log=log,
         table=np.concatenate(tables),
         keys=tuple(keys),
         X=X,
         Z=tuple(Z),
         limits=np.array(limits),
         stands_for=tuple(stands_for),
+        comes_with=tuple(comes_with),
         settings=cases[0].settings,
         groups=frozenset(
             (name, target)

@@ -66,8 +66,9 @@ def design(evidence: Evidence) -> Design:
 @dataclass(frozen=True)
 class NormalEquations:
     """Sums of products over K blocks. G (K, P, P), P = 1 + C + B, of the whitened numbers, the
-    candidates `keys` and the free parts with their `limits` (B,); entries (K,) of each block;
-    part (K,): which part of the split a block belongs to."""
+    candidates `keys` and the free parts with their `limits` (B,), which stand for a candidate or
+    come with one as in `Evidence`; entries (K,) of each block; part (K,): which part of the split a
+    block belongs to."""
 
     G: np.ndarray
     keys: tuple[Key, ...]
@@ -75,6 +76,7 @@ class NormalEquations:
     stands_for: tuple[Key | None, ...]
     entries: np.ndarray
     part: np.ndarray
+    comes_with: tuple[Key | None, ...] = ()
     settings: TraceSettings = DEFAULT
 
     @cached_property
@@ -85,6 +87,15 @@ class NormalEquations:
     def rows(self, which: np.ndarray) -> "NormalEquations":
         """Some of the blocks: mask (K,) or indices."""
         return replace(self, G=self.G[which], entries=self.entries[which], part=self.part[which])
+
+    def free(self, keys: Sequence[Key]) -> list[int]:
+        """Places in G of the parts that are free in a fit of these keys."""
+        along = self.comes_with or (None,) * len(self.stands_for)
+        return [
+            1 + len(self.keys) + i
+            for i, (one, other) in enumerate(zip(self.stands_for, along, strict=True))
+            if (one is None or one not in keys) and (other is None or other in keys)
+        ]
 
     def total(self) -> "NormalEquations":
         """All blocks as one: enough for sizes, not for their errors."""
@@ -128,6 +139,7 @@ def normal_equations(
         stands_for=evidence.stands_for,
         entries=entries,
         part=parts,
+        comes_with=evidence.comes_with,
         settings=evidence.settings,
     )
 
@@ -151,7 +163,7 @@ def fit(data: NormalEquations, keys: Sequence[Key], errors: bool = True) -> Fit:
     G = data.whole
     first = 1 + len(data.keys)
     own = [1 + data.keys.index(key) for key in keys]
-    free = [first + i for i, k in enumerate(data.stands_for) if k is None or k not in keys]
+    free = data.free(keys)
     vector = np.zeros(len(G))
     vector[0] = 1.0
     held: list[int] = []
@@ -204,10 +216,9 @@ def overlap(data: NormalEquations, one: Key, other: Key, given: Sequence[Key]) -
     At one, no size of the other could be distinguished from some size of the first with these data.
     """
     G = data.whole
-    first = 1 + len(data.keys)
     pair = [1 + data.keys.index(one), 1 + data.keys.index(other)]
     base = [1 + data.keys.index(key) for key in given]
-    base += [first + i for i, k in enumerate(data.stands_for) if k not in (one, other)]
+    base += data.free([*given, one, other])
     A, B = G[np.ix_(base, base)], G[np.ix_(base, pair)]
     scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
     inverse = np.linalg.pinv(A / scale / scale[:, None], rcond=1e-9, hermitian=True)

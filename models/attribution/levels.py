@@ -1,23 +1,21 @@
 """How large the residual is, channel by channel: before, after, and with nothing to explain."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from surefoot.models.attribution.evidence import Evidence, LogUnderModel, linearise
+from surefoot.models.attribution.evidence import Evidence
 from surefoot.models.attribution.fit import design, fit, normal_equations
-from surefoot.models.attribution.noise_floor import Repeat
+from surefoot.models.attribution.noise_floor import NoiseFloor, Repeat
 from surefoot.models.attribution.robust_weights import RobustWeights
-from surefoot.models.attribution.search import Attribution
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
-from surefoot.models.attribution.split import Split
 from surefoot.models.residuals.registry import channels
 
 
 @dataclass(frozen=True)
 class ChannelLevel:
-    """Root mean square residual on the report split, in `unit`; biases of the sensor are taken off.
+    """Root mean square residual of bins that no fit has seen, in `unit`; the sensor's biases are
+    taken off.
 
     None for the floor where no repeat of the declared model has the channel.
     """
@@ -37,6 +35,14 @@ class ChannelLevel:
         return self.after <= self.settings.at_floor * self.highest
 
     @property
+    def below_floor(self) -> bool:
+        """Whether the declared model leaves less than a robot does that is as its model, by more
+        than the floor's walks differ."""
+        if self.noise_floor is None:
+            return False
+        return self.before < self.noise_floor - (self.highest - self.noise_floor)
+
+    @property
     def worse(self) -> bool:
         """Whether what was added to the model does harm on data that no fit has seen: it leaves
         more than before and than the floor's own walks do, by more than those differ."""
@@ -47,23 +53,24 @@ class ChannelLevel:
 
 
 def channel_levels(
-    cases: Sequence[LogUnderModel], result: Attribution, split: Split
+    before: np.ndarray, after: np.ndarray, known: Evidence, floor: NoiseFloor
 ) -> dict[str, ChannelLevel]:
-    """Level of each channel on the report split, with and without the effects found."""
-    evidence, weights, floor = result.evidence, result.robust_weights, result.floor
-    plain = linearise(cases, (), (), None)
-    use = split.fit | split.select
-    before = without_bias(plain, weights, use)
-    after = without_bias(evidence, weights, use)
-    every = [np.ones(len(one.evidence.t), dtype=bool) for one in floor.repeats]
+    """Level of each channel of a table.
+
+    Args:
+        before: what the declared model leaves (M, W), of bins that no fit has seen.
+        after: what is left with the effects found, of the same bins.
+        known: evidence whose columns these are.
+        floor: noise floor of the model with the effects.
+    """
     floors = [
-        without_bias(one.evidence, one.robust_weights, rows)
-        for one, rows in zip(floor.repeats, every, strict=True)
+        without_bias(one.evidence, one.robust_weights, np.ones(len(one.evidence.t), dtype=bool))
+        for one in floor.repeats
     ]
     ahead = [_ahead(one) for one in floor.repeats] if floor.evenness else floors
     levels = {}
-    for name, columns in evidence.layout.channels.items():
-        if not np.isfinite(before[split.report][:, columns]).any():
+    for name, columns in known.layout.channels.items():
+        if not np.isfinite(before[:, columns]).any():
             continue
         channel = channels()[name]
         least = channel.least_noise if channel.on_level_ground else 0.0
@@ -72,20 +79,20 @@ def channel_levels(
             for part in (ahead if channel.on_level_ground else floors)
             if np.isfinite(part[:, columns]).any()
         ]
-        known = float(np.sqrt(np.mean(np.square(level)))) if level else None
+        own = float(np.sqrt(np.mean(np.square(level)))) if level else None
         most = 2.0 * max(level) - min(level) if level else np.inf
-        if known is None and not floor.repeats:
-            known = float(np.sqrt(np.mean(floor.sigma[columns] ** 2)))
+        if own is None and not floor.repeats:
+            own = float(np.sqrt(np.mean(floor.sigma[columns] ** 2)))
             # Neighbours share noise, so that a level of n bins is known to one part in sqrt(n).
-            count = np.isfinite(after[split.report][:, columns]).sum()
-            most = known * (1.0 + 2.0 / float(np.sqrt(max(count, 1))))
+            count = np.isfinite(after[:, columns]).sum()
+            most = own * (1.0 + 2.0 / float(np.sqrt(max(count, 1))))
         levels[name] = ChannelLevel(
-            before=_rms(before[split.report][:, columns]),
-            after=_rms(after[split.report][:, columns]),
-            noise_floor=known,
+            before=_rms(before[:, columns]),
+            after=_rms(after[:, columns]),
+            noise_floor=own,
             unit=channel.unit,
             highest=most,
-            settings=evidence.settings,
+            settings=known.settings,
         )
     return levels
 

@@ -52,7 +52,7 @@ class Repeat:
 class FloorPlan:
     """What is walked for a floor: the robot's file, a course a walk, the groups of columns that the
     logs have, how far the ground is from a plane [m, standard deviation], how coarse the reference
-    is."""
+    is, and effects of the ground that no model can compensate."""
 
     file: Path
     courses: tuple[Twists, ...]
@@ -60,6 +60,7 @@ class FloorPlan:
     evenness: float
     coarse: Coarse | None
     settings: TraceSettings
+    ground: tuple[Effect, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -139,13 +140,17 @@ def _part(key: Key, limbs: Limbs) -> str:
     return target
 
 
-def noise_floor(cases: Sequence[LogUnderModel]) -> NoiseFloor:
+def noise_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect] = ()) -> NoiseFloor:
     """Repeats of the logs' own motion by the declared robot, in simulation.
 
     Each of a few short walks follows a stretch of the reference's body velocities. Seeds are fixed,
     so the floor is a function of the logs. A stretch on which the robot falls is tried again
     slower; where it cannot walk at all, and for a machine on a fixed base, the noise of the
     readings alone is the floor.
+
+    Args:
+        cases: the logs under the declared model.
+        ground: effects that every walk has and no model compensates.
     """
     first = cases[0]
     if first.fixed:
@@ -160,6 +165,7 @@ def noise_floor(cases: Sequence[LogUnderModel]) -> NoiseFloor:
         evenness=evenness,
         coarse=coarseness(first.log, first.settings),
         settings=first.settings,
+        ground=tuple(ground),
     )
     floor = _floor(plan, ())
     if floor.repeats:
@@ -253,7 +259,7 @@ def _repeat(
         stand = s.floor_stand if course else s.floor_seconds
         scenario = Scenario("floor", segments, ground_of(segments, plan.evenness, s), stand=stand)
         try:
-            log = walk(scenario, robot, seed, effects, declared=False)
+            log = walk(scenario, robot, seed, (*plan.ground, *effects), declared=False)
         except SurefootError:  # fallen, or a size that leaves it no foot
             continue
         if not course:

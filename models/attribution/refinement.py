@@ -14,6 +14,7 @@ import numpy as np
 from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel, linearise
 from surefoot.models.attribution.fit import NormalEquations, design, fit, loss, normal_equations
 from surefoot.models.attribution.noise_floor import NoiseFloor
+from surefoot.models.attribution.priors import surprise
 from surefoot.models.attribution.robust_weights import RobustWeights
 from surefoot.models.attribution.selection import Candidate
 from surefoot.models.attribution.split import FIT, REPORT, SELECT
@@ -82,12 +83,12 @@ def clipped(one: Effect, value: float) -> Effect:
 def contenders(
     data: NormalEquations, candidates: Sequence[Candidate], chosen: Sequence[Key]
 ) -> list[Candidate]:
-    """The few that might be the best, by gain: of those that earn a place, and of those that
+    """The few that might be the best, by score: of those that earn a place, and of those that
     explain what the first of them does, and more, but are too small to earn one alone."""
     earned = [c for c in candidates if c.earned]
-    near = [c for c in earned if c.gain > data.settings.close_behind * earned[0].gain]
+    near = [c for c in earned if c.score > data.settings.close_behind * earned[0].score]
     near += [c for c in candidates if earned and _outdoes(data, c, earned[0], chosen)]
-    return sorted(near, key=lambda c: -c.gain)[: data.settings.contenders]
+    return sorted(near, key=lambda c: -c.score)[: data.settings.contenders]
 
 
 def _outdoes(data: NormalEquations, one: Candidate, best: Candidate, chosen: Sequence[Key]) -> bool:
@@ -115,7 +116,13 @@ def rerank(data: Data, few: Sequence[Candidate]) -> tuple[Candidate, list[Effect
         return tried[0]
     weight = data.robust_weights.weight * known_between_rows(data)
     fair = replace(data, robust_weights=replace(data.robust_weights, weight=weight))
-    return min(tried, key=lambda one: best_near(fair, one[1], REPORT)[1])
+
+    def left(one: tuple[Candidate, list[Effect]]) -> float:
+        # All have the same effects but their last one.
+        newest = one[1][-1]
+        return best_near(fair, one[1], REPORT)[1] + surprise(newest.name, newest.value)
+
+    return min(tried, key=left)
 
 
 def known_between_rows(data: Data) -> np.ndarray:

@@ -8,6 +8,7 @@ import numpy as np
 from surefoot.models.attribution.evidence import Key
 from surefoot.models.attribution.fit import NormalEquations, fit, loss
 from surefoot.models.attribution.noise_floor import NoiseFloor
+from surefoot.models.attribution.priors import surprise
 from surefoot.models.attribution.split import FIT, SELECT
 from surefoot.models.bootstrap import block_draws
 from surefoot.sim.effects import known_effects
@@ -20,7 +21,8 @@ class Candidate:
 
     size and error [its unit], less the size it has on walks that lack it; floor: how far that
     varies [its unit]; gain: squared error it takes off the unseen blocks, in units of noise, with
-    its 95 % interval; share: the same as a share of what there is to explain.
+    its 95 % interval; share: the same as a share of what there is to explain; surprise: what its
+    prior takes off the gain (`priors.surprise`).
     """
 
     key: Key
@@ -32,6 +34,12 @@ class Candidate:
     share: float
     at_bound: bool
     earned: bool
+    surprise: float = 0.0
+
+    @property
+    def score(self) -> float:
+        """What candidates are ranked by: -2 log of likelihood and prior."""
+        return self.gain - self.surprise
 
 
 def judge(
@@ -41,7 +49,7 @@ def judge(
     explained: float,
     rng: np.random.Generator,
 ) -> tuple[Candidate, ...]:
-    """Every candidate that is not chosen yet, those that earn a place first, by gain.
+    """Every candidate that is not chosen yet, those that earn a place first, by score.
 
     Args:
         data: normal equations of the blocks.
@@ -54,8 +62,9 @@ def judge(
     counts = block_draws(len(unseen.G), rng)
     plain = fit(seen, chosen, errors=False).vector
     plainly = loss(unseen, plain), loss(seen, plain)
-    # Chen and Chen 2008, extended BIC: one of many costs more than one alone.
-    price = np.log(max(2, len(seen.G))) + 2.0 * np.log(len(data.keys))
+    # Chen and Chen 2008, extended BIC: one of many costs more than one alone, and one with a size
+    # for each log as many times as it has sizes.
+    per_size, chance = np.log(max(2, len(seen.G))), 2.0 * np.log(len(data.keys))
     judged = []
     for at, key in enumerate(data.keys):
         if key in chosen:
@@ -81,13 +90,15 @@ def judge(
         share = gain / max(float(before.sum()), 1e-300)
         clear = abs(size) / max(float(np.hypot(spread, error)), 1e-300)
         plain_to_see = clear > s.clear and share > s.large
+        doubt = surprise(key[0], size)
+        price = (1 + data.comes_with.count(key)) * per_size + chance
         earned = (
             low > 0
             and np.isfinite(error)
             and clear > s.above_floor
             and not at_bound
             and (gain > s.worth * explained or plain_to_see)
-            and min(at_seen, gain) > price
+            and min(at_seen, gain) - doubt > price
         )
         judged.append(
             Candidate(
@@ -100,9 +111,10 @@ def judge(
                 share=share,
                 at_bound=bool(at_bound),
                 earned=bool(earned),
+                surprise=doubt,
             )
         )
-    return tuple(sorted(judged, key=lambda c: (not c.earned, -c.gain)))
+    return tuple(sorted(judged, key=lambda c: (not c.earned, -c.score)))
 
 
 def distinct(

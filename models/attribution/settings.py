@@ -44,6 +44,23 @@ class TraceSettings:
     """Robust deviations above its foot's median at which a stance is masked."""
     slowest_slip: float = 0.02
     """m/s, below which a standing foot creeps, as compliant contacts do, and does not slide."""
+    slides: float = 0.08
+    """m/s from which a loaded foot slides for certain: rates of its joints err by less."""
+    opposes: float = 0.9
+    """Cosine to the direction against its motion, of the ground's force on a foot that slides."""
+    slide_gap: float = 0.02
+    """s between rows that slide, from which they are two slides."""
+    slide_load: float = 0.08
+    """Share of the weight that a foot carries of which forces are looked at: of less, the leg's own
+    inertia is too much."""
+    force_window: float = 0.01
+    """s over which these forces and velocities are averaged."""
+    fewest_slides: int = 10
+    """Slides from which their friction is known."""
+    slides_everywhere: float = 0.5
+    """Share of a walk's blocks with a slide from which it is not patches that are slippery."""
+    dry: float = 0.75
+    """Share of the declared friction that dry floors have at least: 0.6 of 0.8."""
     raised: float = 0.001
     """m off its foot's height from which a stance that stands out is on something else: an edge."""
 

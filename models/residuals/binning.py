@@ -148,7 +148,7 @@ def binned(log: Log, robot: Machine, frame: ReferenceMotion) -> Bins:
     if isinstance(robot, Robot):
         # A reference without velocities is too coarse for accelerations of the base.
         known = log.has("ref_v") or not log.has("imu")
-        base = _base_motion(
+        base = base_motion(
             log.t, *((frame.gyro, frame.accel) if known else (omega, log.accel)), robot
         )
     omega = at_rows(omega)
@@ -215,7 +215,7 @@ def mean_rate_of_change(x: np.ndarray, t: np.ndarray, frame: ReferenceMotion) ->
     return (x[last] - x[before]) / time
 
 
-def _base_motion(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, robot: Robot) -> np.ndarray:
+def base_motion(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, robot: Robot) -> np.ndarray:
     """Rate, its derivative and specific force of the base's origin (N, 9), in B."""
     omega, force = gyro @ robot.R_BI.T, accel @ robot.R_BI.T
     spin, p = np.gradient(omega, t, axis=0), robot.p_BI

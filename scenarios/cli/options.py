@@ -14,6 +14,17 @@ Force = Annotated[bool, arg(help="Overwrite what is there.")]
 RobotName = Annotated[
     str | None, arg(help="Name or MJCF file of the robot; the log's own where left out.")
 ]
+Declared = Annotated[
+    Path | None,
+    arg(
+        help="Effects (TOML, such as a trace's effects.toml) that belong to the model: what is "
+        "traced is what has changed since. Zeros and clocks are then the log's own."
+    ),
+]
+Holdout = Annotated[
+    tuple[Path, ...],
+    arg(help="Logs of the same machine that no fit sees and that judge what was found."),
+]
 Observers = Annotated[
     UseAppendAction[tuple[Path, ...]],
     arg(help="An observer; may be given twice, once trained with mse and once with gml."),

@@ -9,7 +9,9 @@ from tyro.conf import Positional, UseAppendAction
 from surefoot.scenarios.cli.options import (
     BoundsFiles,
     Cluster,
+    Declared,
     Force,
+    Holdout,
     Observers,
     Out,
     RobotName,
@@ -44,6 +46,8 @@ class TraceCommand:
     out: Out
     """Folder for trace.json, effects.toml, report.html and trace.rrd."""
     robot: RobotName = None
+    declared: Declared = None
+    holdout: Holdout = ()
     seed: int = 0
     """Of the bootstrap that intervals come from."""
     force: Force = False
@@ -52,17 +56,21 @@ class TraceCommand:
         from surefoot.scenarios.reporting.progress import percent_bar
         from surefoot.scenarios.trace.run import trace
         from surefoot.scenarios.trace.words import summary
+        from surefoot.sim.effects.file import load_effects
         from surefoot.sim.robot.fixed_base import machine_for_log
 
         logs = read_logs(self.logs)
-        others = sorted({log.meta.robot for log in logs if log.meta.robot})
+        held_out = read_logs(self.holdout) if self.holdout else []
+        declared = None if self.declared is None else load_effects(self.declared)
+        others = sorted({log.meta.robot for log in [*logs, *held_out] if log.meta.robot})
         if not self.robot and len(others) > 1:
             raise SurefootError(
                 f"the logs are of {' and '.join(others)}: trace one robot at a time"
             )
         robot = machine_for_log(logs[0], self.robot)
         with percent_bar("trace") as progress:
-            found = trace(logs, robot, self.out, self.seed, progress, self.force)
+            more = {"declared": declared, "holdout": held_out}
+            found = trace(logs, robot, self.out, self.seed, progress, self.force, **more)
         print(summary(found))
         print(f"\nreport: {self.out / 'report.html'}")
 
@@ -76,6 +84,8 @@ class LoopCommand:
     out: Out
     """Folder for everything it makes; a run that was killed is resumed from it."""
     robot: RobotName = None
+    declared: Declared = None
+    holdout: Holdout = ()
     seed: int = 0
     """Of walks, training and intervals."""
     force: Force = False
@@ -83,12 +93,16 @@ class LoopCommand:
     def run(self) -> None:
         from surefoot.scenarios.reporting.tables import to_markdown
         from surefoot.scenarios.trace.loop import loop
+        from surefoot.sim.effects.file import load_effects
         from surefoot.sim.log import Log
         from surefoot.sim.robot import Robot
 
         log = Log.read(self.log)
         robot = Robot.for_log(log, self.robot)
-        table, _ = loop(log, robot, self.out, self.seed, self.force)
+        declared = None if self.declared is None else load_effects(self.declared)
+        held_out = read_logs(self.holdout) if self.holdout else []
+        more = {"declared": declared, "holdout": held_out}
+        table, _ = loop(log, robot, self.out, self.seed, self.force, **more)
         print("\n" + to_markdown(table))
         print(f"\nreport: {self.out / 'report.html'}")
 

@@ -59,6 +59,8 @@ def loop(
     seed: int = 0,
     force: bool = False,
     plan: TrainingPlan = TrainingPlan(),
+    declared: Sequence[Effect] | None = None,
+    holdout: Sequence[Log] = (),
 ) -> tuple[pd.DataFrame, tuple[Side, ...]]:
     """Close the loop on one log into `out`; a run that was killed goes on where it stopped.
 
@@ -73,6 +75,9 @@ def loop(
         seed: of trace, walks and training.
         force: whether the files of another loop may be replaced.
         plan: how much to walk and train.
+        declared: effects that belong to the model, beyond those that the log declares; what is
+            traced is then what has changed since.
+        holdout: logs of the same machine that judge what was found.
     """
     check_seed(seed)
     log.require("imu", "q", "reference")
@@ -82,6 +87,8 @@ def loop(
         "robot": [robot.name, robot.digest],
         "code": [sources_digest(MODULE), candidates_code()],
         "seed": seed,
+        "declared": None if declared is None else [e.as_dict() for e in declared],
+        "holdout": [contents_digest(one) for one in holdout],
         "lesson": asdict(plan),
     }
     if force or not _same(out, recipe):
@@ -90,9 +97,10 @@ def loop(
             path.write_text(json.dumps(recipe, indent=2) + "\n", encoding="utf-8")
         for stale in ("trace/trace.json", "before/done", "after/done"):
             (out / stale).unlink(missing_ok=True)
-    declared = tuple(declared_effects(log))
-    found = _traced(log, robot, out / "trace", seed, declared)
-    worlds = {"before": declared, "after": (*declared, *found)} if found else {"before": declared}
+    model = (*declared_effects(log), *(declared or ()))
+    known = model or declared
+    found = _traced(log, robot, out / "trace", seed, known, holdout)
+    worlds = {"before": model, "after": (*model, *found)} if found else {"before": model}
     sides = []
     for name, effects in worlds.items():
         learnt = _learnt(shown, log, robot, effects, out / name, seed, plan)
@@ -173,24 +181,34 @@ def inputs_of(log: Log) -> str:
 
 
 def _traced(
-    log: Log, robot: Robot, out: Path, seed: int, declared: Sequence[Effect]
+    log: Log,
+    robot: Robot,
+    out: Path,
+    seed: int,
+    declared: Sequence[Effect] | None,
+    holdout: Sequence[Log],
 ) -> tuple[Effect, ...]:
-    """The effects found on the log, traced unless a trace is there.
+    """The effects found on the log, and its own zeros, traced unless a trace is there.
 
     Args:
         log: the measured log.
         robot: as declared.
         out: folder.
         seed: of the trace.
-        declared: effects already in the model.
+        declared: effects already in the model, None where what is asked is not a change.
+        holdout: logs that judge what was found.
     """
     if not (out / "trace.json").exists():
+        more = {"declared": declared, "holdout": holdout}
         with percent_bar("trace") as progress:
-            found = trace([log], robot, out, seed, progress, force=True, declared=declared)
+            found = trace([log], robot, out, seed, progress, force=True, **more)
         print(summary(found))
         if warned := caution(found.as_dict()):
             print(warned)
-    return load_effects(out / "effects.toml")
+    runs = json.loads((out / "trace.json").read_text(encoding="utf-8"))["runs"]
+    zeros = [one for run in runs for one in run if one["compensated"]]
+    own = tuple(effect(one["name"], one["target"], one["value"]) for one in zeros)
+    return (*load_effects(out / "effects.toml"), *own)
 
 
 def _learnt(

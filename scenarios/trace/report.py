@@ -1,15 +1,16 @@
 """A trace as files: trace.json, effects.toml, a report with figures, and a recording."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from surefoot.models.attribution.levels import ChannelLevel
+from surefoot.models.attribution.search import Found
 from surefoot.models.residuals.registry import channels
 from surefoot.scenarios.reporting.html import Picture, Section, write_report
 from surefoot.scenarios.trace.figures import candidate_gains, residuals
-from surefoot.scenarios.trace.result import Trace
+from surefoot.scenarios.trace.result import Filters, Trace
 from surefoot.scenarios.trace.words import VERDICTS, size_in_words, summary, unexplained_in_words
 from surefoot.scenarios.viewer.recording import write_recording
 from surefoot.sim.common.files import whole_file
@@ -18,15 +19,17 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
 
 _METRICS = {
-    "ape_trans": ("APE, translation", "m"),
-    "ape_rot": ("APE, rotation", "deg"),
-    "rpe_trans": ("RPE over 1 m, translation", "m"),
-    "rpe_rot": ("RPE over 1 m, rotation", "deg/m"),
-    "velocity": ("velocity, root mean square", "m/s"),
-    "nees_position": ("NEES of position (3 if consistent)", ""),
-    "nees_velocity": ("NEES of velocity (3 if consistent)", ""),
-    "nees_attitude": ("NEES of attitude (3 if consistent)", ""),
+    "ape_trans": "APE [m]",
+    "ape_rot": "APE [deg]",
+    "rpe_trans": "RPE [m]",
+    "rpe_rot": "RPE [deg/m]",
+    "drift": "drift [m/m]",
+    "velocity": "velocity [m/s]",
+    "nees_position": "NEES position",
+    "nees_velocity": "NEES velocity",
+    "nees_attitude": "NEES attitude",
 }
+"""Metric -> heading of its two columns."""
 
 
 def write_outputs(found: Trace, robot: Machine, out: Path, force: bool = False) -> None:
@@ -52,9 +55,17 @@ def sections(found: Trace) -> list[Section]:
         Section(
             "Verdict",
             f"{found.verdict}: {VERDICTS[found.verdict]}.\n\n" + "\n\n".join(_sentences(found)),
-            table=_effects(found),
+            table=_sizes(found.found) or None,
         )
     ]
+    if found.runs:
+        rows = [
+            {"run": number, **row}
+            for number, run in enumerate(found.runs, 1)
+            for row in _sizes(run.zeros)
+        ]
+        words = "Zeros and clocks are another in every run, and no effects."
+        parts.append(Section("What each run has for itself", words, table=rows))
     if found.channels:
         picture = Picture(
             residuals(channel_rows(found.channels)),
@@ -69,6 +80,7 @@ def sections(found: Trace) -> list[Section]:
                 "Residuals are means over 20 ms. Turn-on biases of the IMU belong to the declared "
                 "sensors and are taken off. "
                 f"{masked}Noise floor: {found.floor}.",
+                table=_levels(found.channels),
                 pictures=(picture,),
             )
         )
@@ -88,18 +100,53 @@ def sections(found: Trace) -> list[Section]:
         pictures.append(Picture(figure, f"{judged} {model}"))
     if pictures:
         parts.append(Section("Candidates", pictures=tuple(pictures)))
-    for name, metrics in found.filters.items():
-        before, after = metrics["before"], metrics["after"]
-        rows = [
-            {"metric": words, "unit": unit, "before": before[key], "after": after[key]}
-            for key, (words, unit) in _METRICS.items()
-        ]
-        words = (
-            "The filter runs over the same end of the log, started from the reference: with the "
-            "declared model, and with the effect added to it."
+    parts += _filters(
+        found.filters,
+        "What it does to the filters",
+        "Each filter runs over the same end of the log, started from the reference: with the "
+        "declared model, and with the effects added to it.",
+    )
+    if found.held_out:
+        held_out = (
+            "Of these logs no fit has seen anything; zeros, biases and clocks are each log's own, "
+            "before and after."
         )
-        parts.append(Section(f"What it does to the {name} filter", words, table=rows))
+        against = "".join(f"\n\n{one}." for one in found.held_out.against)
+        table = _levels(found.held_out.channels)
+        parts.append(Section("Held-out logs", held_out + against, table=table))
+        parts += _filters(
+            found.unseen_filters, "Filters on held-out logs", "Over the whole of each log."
+        )
     return parts
+
+
+def _filters(filters: Filters, title: str, words: str) -> list[Section]:
+    """One table: a row a filter, errors before and after."""
+    rows = [
+        {"filter": name}
+        | {
+            f"{label} {side}": metrics[side][key]
+            for key, label in _METRICS.items()
+            for side in ("before", "after")
+        }
+        for name, metrics in filters.items()
+    ]
+    return [Section(title, words, table=rows)] if rows else []
+
+
+def _levels(channels: Mapping[str, ChannelLevel]) -> list[dict[str, Any]]:
+    """A row a channel: what is left before and after, and its noise floor."""
+    return [
+        {
+            "channel": name,
+            "before": c.before,
+            "after": c.after,
+            "noise floor": c.noise_floor,
+            "unit": c.unit,
+            "at its floor": "yes" if c.at_floor else "no",
+        }
+        for name, c in channels.items()
+    ]
 
 
 def channel_rows(levels: Mapping[str, ChannelLevel]) -> dict[str, dict[str, Any]]:
@@ -110,9 +157,8 @@ def channel_rows(levels: Mapping[str, ChannelLevel]) -> dict[str, dict[str, Any]
 
 
 def _sentences(found: Trace) -> list[str]:
-    lines = [
-        f"Lacks {size_in_words(f)}." for f in (found.attribution.found if found.attribution else ())
-    ]
+    lines = [f"Since {why}." for why in found.reasons]
+    lines += [f"Lacks {size_in_words(one)}." for one in found.found]
     lines += [
         f"Or {r['name']} {r['target']}: their regressors overlap by {r['overlap']:.2f}."
         for r in found.rivals
@@ -122,9 +168,8 @@ def _sentences(found: Trace) -> list[str]:
     return lines + [f"Note: {note}." for note in found.notes]
 
 
-def _effects(found: Trace):
-    if not found.attribution or not found.attribution.found:
-        return None
+def _sizes(found: Sequence[Found]) -> list[dict[str, Any]]:
+    """A row an effect, with its interval."""
     return [
         {
             "effect": f.effect.name,
@@ -134,7 +179,7 @@ def _effects(found: Trace):
             "high": f.interval[1],
             "unit": f.effect.unit,
         }
-        for f in found.attribution.found
+        for f in found
     ]
 
 

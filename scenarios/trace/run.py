@@ -7,10 +7,11 @@ from pathlib import Path
 from surefoot.models.attribution.diagnose import cases_of, diagnose
 from surefoot.models.attribution.evidence import LogUnderModel
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
+from surefoot.scenarios.cache import contents_digest
 from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.trace.filters import BeforeAfter, before_and_after, mean_metrics
 from surefoot.scenarios.trace.report import write_outputs
-from surefoot.scenarios.trace.result import Trace
+from surefoot.scenarios.trace.result import Filters, Trace
 from surefoot.scenarios.trace.words import motion_to_distinguish
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect
@@ -28,9 +29,10 @@ def trace(
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
     force: bool = False,
-    declared: Sequence[Effect] = (),
+    declared: Sequence[Effect] | None = None,
     learnt: Learnt | None = None,
     settings: TraceSettings | None = None,
+    holdout: Sequence[Log] = (),
 ) -> Trace:
     """Find which effect `robot` lacks as a model of the logs, and what adding it changes.
 
@@ -41,21 +43,28 @@ def trace(
         seed: of the bootstrap.
         progress: called with the share that is done.
         force: overwrite such files.
-        declared: effects that belong to the model: compensated before anything is asked.
+        declared: effects that belong to the model: compensated before anything is asked. Where they
+            are given, if only none, zeros and clocks are no effects but the log's own.
         learnt: observers and bounds for the filters that need them.
         settings: thresholds and constants; the defaults where left out.
+        holdout: logs of the same machine that judge what was found and that no fit sees.
 
-    Raises SurefootError where `out` has such files (no `force`), and LogError where a log
-    has no reference.
+    Raises SurefootError where `out` has such files (no `force`) or a held-out log is also one to
+    fit on, and LogError where a log has no reference.
     """
     out = Path(out)
     if not logs:
         raise SurefootError("trace: needs at least one log")
+    seen = {contents_digest(log) for log in logs} if holdout else set()
+    for log in holdout:
+        if contents_digest(log) in seen:
+            raise SurefootError(f"--holdout {log.name}: is also a log to fit on")
     if not force:
         for name in OUTPUTS:
             if (out / name).exists():
                 raise SurefootError(f"{out / name}: exists already; give --force to overwrite it")
-    found = trace_logs(logs, robot, seed, progress, declared, learnt, settings or DEFAULT)
+    settings = settings or DEFAULT
+    found = trace_logs(logs, robot, seed, progress, declared, learnt, settings, holdout)
     write_outputs(found, robot, out, force)
     return found
 
@@ -65,9 +74,10 @@ def trace_logs(
     robot: Machine,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
-    declared: Sequence[Effect] = (),
+    declared: Sequence[Effect] | None = None,
     learnt: Learnt | None = None,
     settings: TraceSettings = DEFAULT,
+    holdout: Sequence[Log] = (),
 ) -> Trace:
     """`trace` without the files.
 
@@ -76,40 +86,64 @@ def trace_logs(
         robot: or fixed machine, as declared.
         seed: of the noise floor and the bootstraps.
         progress: called with the share done.
-        declared: effects already in the model.
+        declared: effects already in the model, None where what is asked is not a change.
         learnt: observers and bounds for the filters, or None.
         settings: of the trace.
+        holdout: logs that judge what was found.
     """
     report = progress or (lambda share: None)
-    found = diagnose(logs, robot, seed, lambda share: report(0.88 * share), declared, settings)
+    settled = (declared, settings, holdout)
+    found = diagnose(logs, robot, seed, lambda share: report(0.88 * share), *settled)
     stretches: tuple[BeforeAfter, ...] = ()
+    unseen: tuple[BeforeAfter, ...] = ()
     if found.attribution is not None:
-        cases = cases_of(logs, robot, declared, settings)
-        stretches = _filtered(cases, found.effects, learnt or Learnt())
-    filters = {}
-    for name in dict.fromkeys(s.filter for s in stretches):
-        pairs = [s.metrics for s in stretches if s.filter == name]
-        before, after = (mean_metrics([pair[i] for pair in pairs]) for i in (0, 1))
-        filters[name] = {"before": before, "after": after}
-    harm = tuple(
-        f"{name} filter: farther off with what was found"
-        for name, m in filters.items()
-        if m["after"]["ape_trans"] > settings.harm * m["before"]["ape_trans"]
+        cases = [run.case for run in found.runs] or cases_of(logs, robot, declared or (), settings)
+        model = (found.effects, learnt or Learnt())
+        stretches = _filtered(cases, *model, settings.report_share)
+        held_out = [run.case for run in found.held_out.runs] if found.held_out else []
+        unseen = _filtered(held_out, *model, 1.0)
+    filters, unseen_filters = mean_metrics(stretches), mean_metrics(unseen)
+    harm = (
+        *_harm(filters, settings.harm),
+        *(f"held out: {one}" for one in _harm(unseen_filters, settings.harm)),
     )
-    motion = motion_to_distinguish([r["name"] for r in found.rivals]) if found.rivals else ""
     report(1.0)
     known = vars(replace(found, notes=found.notes + harm))
-    return Trace(**known, filters=filters, stretches=stretches, motion=motion)
+    return Trace(
+        **known,
+        filters=filters,
+        stretches=stretches,
+        unseen_filters=unseen_filters,
+        worse=(*(name for name, c in found.channels.items() if c.worse), *harm),
+        motion=motion_to_distinguish([r["name"] for r in found.rivals]) if found.rivals else "",
+    )
+
+
+def _harm(filters: Filters, more: float) -> tuple[str, ...]:
+    """The filters that are farther off with what was found, by `more` times."""
+    return tuple(
+        f"{name} filter: farther off with what was found"
+        for name, m in filters.items()
+        if m["after"]["ape_trans"] > more * m["before"]["ape_trans"]
+    )
 
 
 def _filtered(
-    cases: Sequence[LogUnderModel], effects: Sequence[Effect], learnt: Learnt
+    cases: Sequence[LogUnderModel], effects: Sequence[Effect], learnt: Learnt, share: float
 ) -> tuple[BeforeAfter, ...]:
+    """Every filter on the last `share` of each log, without and with the effects.
+
+    Args:
+        cases: the logs under the declared model.
+        effects: that were found.
+        learnt: observers and bounds.
+        share: of the log, 0 to 1.
+    """
     done: list[BeforeAfter] = []
     for case in cases:
         if case.fixed or not isinstance(case.robot, Robot) or not case.log.has("imu"):
             continue
         t = case.log.t
-        begin = t[0] + (1 - case.settings.report_share) * (t[-1] - t[0])
+        begin = t[0] + (1 - share) * (t[-1] - t[0])
         done += before_and_after(case.log, case.robot, effects, learnt, begin, t[-1])
     return tuple(done)

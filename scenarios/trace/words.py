@@ -4,8 +4,10 @@ from collections.abc import Mapping, Sequence
 from math import isfinite
 from typing import Any
 
+from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.models.attribution.search import Found
-from surefoot.scenarios.trace.result import Trace
+from surefoot.scenarios.trace.filters import DEAD_RECKONING
+from surefoot.scenarios.trace.result import Filters, Trace
 
 VERDICTS = {
     "attributed": "traced to what the model lacks; what is left is at the noise floor",
@@ -69,32 +71,58 @@ def unexplained_in_words(found: Trace) -> list[str]:
 
 
 def summary(found: Trace) -> str:
-    """What a reader wants on the screen, in a dozen lines."""
+    """What a reader wants on the screen."""
     lines = [f"verdict: {found.verdict}: {VERDICTS[found.verdict]}"]
-    if found.attribution:
-        lines += [f"  lacks {size_in_words(f)}" for f in found.attribution.found]
+    lines += [f"  since {why}" for why in found.reasons]
+    lines += [f"  lacks {size_in_words(one)}" for one in found.found]
+    for number, run in enumerate(found.runs, 1):
+        own = [one for one in run.zeros if one.effect in run.taken]
+        lines += [f"  run {number} has {size_in_words(one)}" for one in own]
     lines += [f"  or {r['name']} {r['target']} (overlap {r['overlap']:.2f})" for r in found.rivals]
     if found.rivals:
         lines.append(f"  to distinguish them: {found.motion}")
     lines += unexplained_in_words(found)
     if found.channels:
         lines.append("residual on the part that no fit has seen (root mean square of 20 ms means):")
-    for name, c in found.channels.items():
-        floor = "unknown" if c.noise_floor is None else f"{c.noise_floor:.3g}"
-        lines.append(f"  {name:13s} {c.before:.3g} -> {c.after:.3g} {c.unit}, noise floor {floor}")
-    for name, metrics in found.filters.items():
-        b, a = metrics["before"], metrics["after"]
-        lines.append(
-            f"{name} filter there: APE {_change(b, a, 'ape_trans', 3)} m, "
-            f"{_change(b, a, 'ape_rot', 2)} deg; RPE {_change(b, a, 'rpe_trans', 4)} m, "
-            f"{_change(b, a, 'rpe_rot', 3)} deg/m"
-        )
+        lines += _channel_lines(found.channels) + _filter_lines(found.filters)
+    if found.held_out:
+        lines.append("on held-out logs, of which no fit has seen anything:")
+        lines += _channel_lines(found.held_out.channels) + _filter_lines(found.unseen_filters)
     if "leg_velocity" in found.channels:
         lines.append(f"masked as slipping: {100 * found.masked_share:.1f} % of stance time")
     if found.channels:
         lines.append(f"noise floor: {found.floor}")
     lines += [f"note: {note}" for note in found.notes]
     return "\n".join(lines)
+
+
+def _channel_lines(channels: Mapping[str, ChannelLevel]) -> list[str]:
+    """A line for each channel: before, after, noise floor."""
+    width = max((len(name) for name in channels), default=0)
+    return [
+        f"  {name:{width}s} {c.before:.3g} -> {c.after:.3g} {c.unit}, noise floor {_floor(c)}"
+        for name, c in channels.items()
+    ]
+
+
+def _floor(c: ChannelLevel) -> str:
+    return "unknown" if c.noise_floor is None else f"{c.noise_floor:.3g}"
+
+
+def _filter_lines(filters: Filters) -> list[str]:
+    """A line for each filter: errors before and after."""
+    lines = []
+    for name, metrics in filters.items():
+        b, a = metrics["before"], metrics["after"]
+        kind = "legs alone, dead reckoning" if name == DEAD_RECKONING else f"{name} filter"
+        text = f"  {kind}: APE {_change(b, a, 'ape_trans', 3)} m"
+        if name != DEAD_RECKONING:
+            text += f", {_change(b, a, 'ape_rot', 2)} deg"
+        text += f"; RPE {_change(b, a, 'rpe_trans', 4)} m"
+        if name != DEAD_RECKONING:
+            text += f", {_change(b, a, 'rpe_rot', 3)} deg/m"
+        lines.append(f"{text}; drift {_change(b, a, 'drift', 4)} m/m")
+    return lines
 
 
 def caution(found: Mapping[str, Any]) -> str:

@@ -1,0 +1,155 @@
+"""How much friction the feet have, by those that slide: a foot slides at its friction's limit.
+
+Of a foot that slides with the velocity v along the ground, under a normal force n, the ground's
+force along the ground is -mu n v / |v| (Coulomb). The force follows from the leg's torques,
+J^T f = inverse dynamics - measured torque, the velocity from its kinematics and the reference. A
+foot that holds says only that friction is at least what it uses.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from surefoot.models.attribution.evidence import LogUnderModel
+from surefoot.models.attribution.search import Found
+from surefoot.models.attribution.settings import TraceSettings
+from surefoot.models.bootstrap import block_draws
+from surefoot.models.residuals.binning import base_motion
+from surefoot.models.residuals.leg_velocity import leg_velocity
+from surefoot.models.residuals.torques import feet_wrenches
+from surefoot.sim.common.gravity import GRAVITY
+from surefoot.sim.effects import effect
+from surefoot.sim.log import joint_velocity
+from surefoot.sim.physics.inverse_dynamics import dynamics_of
+from surefoot.sim.robot import Robot
+
+
+@dataclass(frozen=True)
+class FootFriction:
+    """What logs say of their feet's friction.
+
+    limit: coefficient at which feet slid, with its 95 % interval, None where they hardly did;
+    slides: how often they did; everywhere: whether on most of the way, not on patches of it; held:
+    the coefficient that feet used without sliding, 99 % of the time, a lower bound.
+    """
+
+    limit: float | None
+    interval: tuple[float, float]
+    slides: int
+    everywhere: bool
+    held: float
+
+
+def friction_of(cases: Sequence[LogUnderModel], rng: np.random.Generator) -> FootFriction | None:
+    """The friction of the feet of these logs; None where no log has what it takes: torques, IMU,
+    contacts and the reference of a robot that walks.
+
+    Args:
+        cases: logs under the model.
+        rng: draws the bootstrap's slides.
+    """
+    able = [case for case in cases if _can_tell(case)]
+    if not able:
+        return None
+    s = able[0].settings
+    held, slides, places = [], [], []
+    for number, case in enumerate(able):
+        speed, along, used = _feet(case)
+        held.append(used[speed < s.slowest_slip])
+        sliding = (speed > s.slides) & (along > s.opposes * used)
+        for leg in range(sliding.shape[1]):
+            rows = np.flatnonzero(sliding[:, leg])
+            breaks = np.flatnonzero(np.diff(case.log.t[rows]) > s.slide_gap) + 1
+            for one in np.split(rows, breaks) if len(rows) else ():
+                slides.append(along[one, leg])
+                places.append((number, case.log.t[one[0]] // s.block))
+    stretches = sum(int(np.ptp(case.log.t) / s.block) for case in able)
+    used = np.concatenate(held)
+    most = float(np.quantile(used, 0.99)) if len(used) else 0.0
+    everywhere = len(set(places)) > s.slides_everywhere * stretches
+    if len(slides) < s.fewest_slides:
+        return FootFriction(None, (most, np.inf), len(slides), everywhere, most)
+    middle = np.array([np.median(one) for one in slides])
+    drawn = block_draws(len(middle), rng)
+    medians = [np.median(np.repeat(middle, counts)) for counts in drawn]
+    low, high = (float(x) for x in np.percentile(medians, [2.5, 97.5]))
+    return FootFriction(float(np.median(middle)), (low, high), len(slides), everywhere, most)
+
+
+def slip_of(friction: FootFriction | None, settings: TraceSettings) -> tuple[Found, ...]:
+    """The effect `foot_slip`, where friction is lower all over than dry floors have."""
+    if friction is None or friction.limit is None or not friction.everywhere:
+        return ()
+    dry, (low, high) = settings.floor_friction, friction.interval
+    if high >= settings.dry * dry:
+        return ()
+    lost = effect("foot_slip", "all", float(np.clip(1.0 - friction.limit / dry, 0.0, 0.95)))
+    return (Found(lost, (1.0 - high / dry, 1.0 - low / dry)),)
+
+
+def slip_notes(
+    friction: FootFriction | None, walks: bool, settings: TraceSettings
+) -> tuple[str, ...]:
+    """What the reader should know of the feet's friction.
+
+    Args:
+        friction: as found.
+        walks: whether the logs are of a robot whose feet stand.
+        settings: of the trace.
+    """
+    if friction is None:
+        lacking = "foot_slip: not identifiable, forces of the feet need torques, IMU and contacts"
+        return (lacking,) if walks else ()
+    dry, many = settings.floor_friction, f"{friction.slides} slides under load"
+    if friction.limit is None:
+        # Of a foot that holds, friction is at least what it uses.
+        share = max(0.0, 1.0 - friction.held / dry)
+        return (
+            f"foot_slip: not identifiable, feet hardly slide ({many}); they used a friction of up "
+            f"to {friction.held:.2f}, so that up to {100 * share:.0f} % of {dry:g} may be lost "
+            "without a trace: start, stop and turn harder to see it",
+        )
+    low, high = friction.interval
+    where = "all along the way" if friction.everywhere else "in places"
+    size = f"{friction.limit:.2f} ({low:.2f} to {high:.2f})"
+    return (f"friction: feet slid at {size}, {where}; {many}",)
+
+
+def _can_tell(case: LogUnderModel) -> bool:
+    groups = ("q", "tau", "contact", "reference", "imu")
+    return isinstance(case.robot, Robot) and not case.fixed and all(map(case.log.has, groups))
+
+
+def _feet(case: LogUnderModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of each loaded foot (N, L), NaN elsewhere: its speed over the ground [m/s], and the ground's
+    force on it, over the normal force: against its motion, and in all along the ground."""
+    log, frame, robot, s = case.log, case.frame, case.robot, case.settings
+    assert isinstance(robot, Robot)
+    stands, dq = log.contact & frame.ok[:, None], joint_velocity(log)
+    rows = max(1, round(s.force_window * log.rate))
+
+    def smooth(x: np.ndarray) -> np.ndarray:
+        return uniform_filter1d(x, rows, axis=0)
+
+    v_I = leg_velocity(robot, log.q, dq, log.gyro, frame.up_I, stands)
+    # By a foot at rest the body moves as the reference does: what it lacks is the foot's own.
+    v_B = smooth(np.nan_to_num(frame.v_I[:, None] - v_I) @ robot.R_BI.T)
+    up_B = frame.up_I @ robot.R_BI.T
+    ddq = np.gradient(smooth(dq), log.t, axis=0)
+    motion = (frame.gyro, frame.accel) if log.has("ref_v") else (log.gyro, log.accel)
+    base = base_motion(log.t, *motion, robot)
+    _, torque = dynamics_of(robot.file, robot.joint_names).inverse(log.q, dq, ddq, base, None)
+    radius = np.tile(np.maximum(robot.foot_radius, 0.0), (len(log.t), 1))
+    taken = np.ascontiguousarray(torque - log.tau)
+    force_B = feet_wrenches(robot.legs, radius, log.q, up_B, stands, taken)[..., :3]
+    force_B, n_B = smooth(force_B), up_B[:, None]
+    load, rise = np.sum(force_B * n_B, axis=2), np.sum(v_B * n_B, axis=2)
+    f_B, slide_B = force_B - load[..., None] * n_B, v_B - rise[..., None] * n_B
+    whole = smooth(stands.astype(float)) > 0.999
+    loaded = whole & (load > s.slide_load * robot.mass * GRAVITY)
+    safe = np.where(loaded, load, np.nan)
+    speed = np.linalg.norm(slide_B, axis=2)
+    along = -np.sum(f_B * slide_B, axis=2) / np.maximum(speed, 1e-9) / safe
+    return np.where(loaded, speed, np.nan), along, np.linalg.norm(f_B, axis=2) / safe

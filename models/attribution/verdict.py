@@ -1,0 +1,69 @@
+"""The verdict of a whole trace, and the reasons why it is no better one."""
+
+from collections.abc import Sequence
+
+from surefoot.models.attribution.held_out import HeldOutRuns
+from surefoot.models.attribution.levels import ChannelLevel
+from surefoot.models.attribution.search import Found
+from surefoot.sim.effects import Effect
+
+
+def verdict_of(
+    found: Sequence[Found],
+    channels: dict[str, ChannelLevel],
+    curves: bool,
+    rivals: Sequence[object],
+    held_out: HeldOutRuns | None,
+) -> tuple[str, tuple[str, ...]]:
+    """The verdict and its reasons, none of them for `no_residual` and `attributed`.
+
+    Args:
+        found: effects, strongest first.
+        channels: levels on data that no fit has seen.
+        curves: whether a joint's readings err by a curve of its angle.
+        rivals: other explanations of an effect.
+        held_out: what held-out logs say, where there are any.
+    """
+    above = [name for name, c in channels.items() if not c.at_floor or c.worse]
+    reasons = [f"{name}: {_above(channels[name])}" for name in above]
+    if curves:
+        reasons.append("a joint's readings err by a curve of its angle")
+    reasons += [
+        f"{one.effect.name} {one.effect.target}: its size is at its bound"
+        for one in found
+        if _at_bound(one.effect)
+    ]
+    reasons += held_out.against if held_out else ()
+    if reasons:
+        return "none_of_these", tuple(reasons)
+    if not found:
+        return "no_residual", ()
+    below = [why for one in found if (why := _below_floor(one.effect, channels))]
+    if below:
+        return "not_identifiable", tuple(below)
+    return ("confounded" if rivals else "attributed"), ()
+
+
+def _above(c: ChannelLevel) -> str:
+    if not c.at_floor:
+        return f"{c.after:.3g} {c.unit} is left, its noise floor is {c.noise_floor:.3g}"
+    return f"worse with what was found, {c.before:.3g} -> {c.after:.3g} {c.unit}"
+
+
+def _at_bound(one: Effect) -> bool:
+    if not type(one).is_compensated():
+        return False
+    low, high = type(one).inside(one.target)
+    return not low < one.value < high
+
+
+def _below_floor(one: Effect, channels: dict[str, ChannelLevel]) -> str:
+    """Why an effect cannot be told from noise: none of its channels is above its floor."""
+    own = {name: channels[name] for name in one.channels if name in channels}
+    if not type(one).is_compensated() or not own or not all(c.below_floor for c in own.values()):
+        return ""
+    name, c = max(own.items(), key=lambda item: item[1].before / (item[1].noise_floor or 1.0))
+    return (
+        f"{one.name} {one.target}: the noise floor lies above the residual, of {name} at "
+        f"{c.noise_floor:.3g} and {c.before:.3g} {c.unit}"
+    )

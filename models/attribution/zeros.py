@@ -1,0 +1,104 @@
+"""Zeros and clock of one run, by its log alone, beside effects that all runs share."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import t
+
+from surefoot.models.attribution.evidence import (
+    Evidence,
+    Key,
+    LogUnderModel,
+    linearise,
+    log_under_model,
+)
+from surefoot.models.attribution.fit import design, fit, normal_equations
+from surefoot.models.attribution.noise_floor import NoiseFloor
+from surefoot.models.attribution.refinement import clipped
+from surefoot.models.attribution.search import Found
+from surefoot.sim.effects import Effect, compensate_all, effect
+
+ZERO_ROUNDS = 3
+"""Of Gauss-Newton: a clock that is off by milliseconds is not quite linear in its offset."""
+BIASES = tuple((f"{sensor}_bias", axis) for sensor in ("gyro", "accel") for axis in "xyz")
+
+
+@dataclass(frozen=True)
+class Run:
+    """What one run has for itself: zeros with 95 % intervals, of which those of `taken` (a subset)
+    are compensated in `case`; the others are turn-on biases, which every fit and filter estimates.
+    """
+
+    case: LogUnderModel
+    zeros: tuple[Found, ...]
+    taken: tuple[Effect, ...]
+
+
+def run_of(
+    case: LogUnderModel,
+    effects: Sequence[Effect],
+    start: Sequence[Effect],
+    floor: NoiseFloor,
+    weight: np.ndarray,
+    sigma: np.ndarray,
+) -> Run:
+    """The zeros of a run, beside the effects, and its log without those of `start`.
+
+    Args:
+        case: the log under the declared model.
+        effects: that all runs share.
+        start: effects of each run that were found, with the sizes to begin from.
+        floor: noise floor of the model with the effects.
+        weight: (M, W) of the log's bins, zero where they are not to be fitted on.
+        sigma: (W,) noise of each column.
+    """
+    taken = list(start)
+    legged = case.log.has("imu") and not case.fixed
+    own = [(e.name, e.target) for e in start]
+    keys = [*own, *(key for key in BIASES if legged and key not in own)]
+    zeros: tuple[Found, ...] = ()
+    for _ in range(ZERO_ROUNDS if start else 1):
+        known = linearise([case], [*effects, *taken], keys)
+        zeros = _sizes(known, keys, taken, floor, weight, sigma)
+        taken = [one.effect for one in zeros if (one.effect.name, one.effect.target) in own]
+    if not taken:
+        return Run(case, zeros, ())
+    without = compensate_all(taken, case.log, case.robot)
+    return Run(log_under_model(*without, case.settings), zeros, tuple(taken))
+
+
+def _sizes(
+    known: Evidence,
+    keys: Sequence[Key],
+    about: Sequence[Effect],
+    floor: NoiseFloor,
+    weight: np.ndarray,
+    sigma: np.ndarray,
+) -> tuple[Found, ...]:
+    """Sizes of the keys, each a step from where `about` has it, with intervals.
+
+    Args:
+        known: evidence of the log, linearised at `about`.
+        keys: candidates to size.
+        about: sizes that the evidence has explained already.
+        floor: noise floor, whose walks say how far sizes vary where there is nothing.
+        weight: (M, W).
+        sigma: (W,).
+    """
+    sums = normal_equations(design(known), floor.counted(sigma), weight)
+    # A run's own bias is what it is, not one draw of what the data sheet allows.
+    sums = replace(sums, limits=np.where([k in keys for k in sums.stands_for], 0.0, sums.limits))
+    fitted = fit(sums, keys)
+    at = {(e.name, e.target): e.value for e in about}
+    found = []
+    for i, key in enumerate(keys):
+        offset, spread = floor.sizes([k for k in keys if k != key], key)
+        one = clipped(effect(*key, 0.0), at.get(key, 0.0) + fitted.sizes[i] - offset)
+        many = len(floor.repeats)
+        chance = t.ppf(0.975, many - 1) * spread if many > 1 else 0.0
+        faked = 1.96 * known.settings.faked_share * offset
+        error = 1.96 * np.sqrt(fitted.covariance[i, i])
+        half = float(np.sqrt(error**2 + chance**2 + faked**2))
+        found.append(Found(one, (one.value - half, one.value + half)))
+    return tuple(found)
