@@ -122,14 +122,15 @@ def normal_equations(
     blocks, first, many = (x[blocks >= 0] for x in (blocks, first, many))
     size = 1 + data.size
     G = np.zeros((len(blocks), size, size))
-    for column, (rows, X, which) in enumerate(zip(data.rows, data.X, data.which, strict=True)):
+    for column in evidence.layout.fitted:
+        rows, X, which = data.rows[column], data.X[column], data.which[column]
         begin, end = np.searchsorted(rows, first), np.searchsorted(rows, first + many)
         place = np.concatenate([[0], 1 + which])
         A = np.column_stack([data.y[rows, column], X]) / sigma[column]
         A = A * np.sqrt(weight[rows, column])[:, None]
         own = [A[i:j].T @ A[i:j] for i, j in zip(begin, end, strict=True)]
         G[:, place[:, None], place] += own
-    known = np.count_nonzero(weight, axis=1)
+    known = np.count_nonzero(weight[:, evidence.layout.fitted], axis=1)
     entries = np.array([known[i : i + n].sum() for i, n in zip(first, many, strict=True)], float)
     parts = part[first].astype(int)
     return NormalEquations(

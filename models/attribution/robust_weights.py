@@ -109,7 +109,8 @@ def _explained(data: Design, sigma: np.ndarray, weight: np.ndarray) -> np.ndarra
     # A group could say nothing that its members do not.
     size, single = data.size, data.evidence.single
     normal, right = np.zeros((size, size)), np.zeros(size)
-    for column, (rows, X, which) in enumerate(zip(data.rows, data.X, data.which, strict=True)):
+    for column in data.evidence.layout.fitted:
+        rows, X, which = data.rows[column], data.X[column], data.which[column]
         if not len(which) or not len(rows):
             continue
         A = X * (weight[rows, column, None] / sigma[column] ** 2)

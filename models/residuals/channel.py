@@ -86,6 +86,8 @@ class Channel:
     """[unit] that no log resolves: noise is never taken to be less."""
     of_events: ClassVar[bool] = False
     """Whether it is a time of an event: a small change of the body leaves it as it is."""
+    judges: ClassVar[bool] = False
+    """Whether no fit sees it: it says what effects that others found are worth."""
     chained: ClassVar[bool] = False
     """Whether `jacobians` writes down how its columns change with readings. Others are
     differenced."""

@@ -2,6 +2,8 @@
 
     imu_gyro, imu_accel   reading minus what the reference motion implies for the same sample
     leg_velocity          body velocity by each standing foot's kinematics minus the reference's
+    stance_velocity       its mean over each stance
+    stance_displacement   how far a foot moves over the ground while it is sensed as standing
     foot_height           height of each standing foot in the world, where the ground is level
     joint_torque          measured torque minus inverse dynamics, of legs in swing or a fixed base
     base_wrench           what the standing feet give the base minus what its motion takes
@@ -19,6 +21,7 @@ from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.channel import Channel, Column, ResidualInputs
 from surefoot.models.residuals.contact_timing import contact_timing
 from surefoot.models.residuals.feet import foot_heights, leg_velocities
+from surefoot.models.residuals.stance_motion import stance_displacement, stance_means
 from surefoot.models.residuals.torques import slope, torque_residual, wrench_residual
 from surefoot.sim.effects.base import AXES
 from surefoot.sim.robot import Robot
@@ -28,6 +31,8 @@ from surefoot.sim.sensors.streams import Sensors
 REACH = 0.5
 """m from a joint to the foot, by which its noise is carried to the foot where its noise
 is known from data sheets alone."""
+STANCE_BINS = 10
+"""Bins of a stance, where its noise is known from data sheets alone."""
 
 
 class ImuGyro(Channel):
@@ -90,6 +95,69 @@ class LegVelocity(Channel):
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
         return sensors.velocity_noise * REACH * np.sqrt(3 / _rows(rate))
+
+
+class StanceVelocity(Channel):
+    """Mean of the leg velocity residual over each stance: what odometry by legs is made of."""
+
+    name = "stance_velocity"
+    unit = "m/s"
+    needs = ("q", "contact", "reference")
+    masked_by = ("slid", "elsewhere")
+    chained = True
+
+    def columns(self, limbs: Limbs) -> tuple[Column, ...]:
+        return tuple(
+            Column(f"stance_{leg}_{axis}", self.unit, leg, axis, i)
+            for i, leg in enumerate(limbs.legs)
+            for axis in AXES
+        )
+
+    def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
+        if not _stands(inputs):
+            return None
+        assert isinstance(inputs.robot, Robot)
+        bins = inputs.bins
+        v = leg_velocities(bins, inputs.robot).reshape(len(bins.t), -1, 3)
+        return stance_means(bins.t, v, bins.standing).reshape(len(v), -1)
+
+    def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
+        return sensors.velocity_noise * REACH * np.sqrt(3 / _rows(rate) / STANCE_BINS)
+
+
+class StanceDisplacement(Channel):
+    """How far each foot moves over the ground, forward and to the left, while it is sensed as
+    standing: what odometry by legs loses at a step, landing and lifting included.
+
+    Sizes fitted to it would make up for one another, a radius for contacts that end late: no fit
+    sees it, and it judges.
+    """
+
+    name = "stance_displacement"
+    unit = "m"
+    needs = ("q", "contact", "reference")
+    masked_by = ("slid", "elsewhere")
+    least_noise = 1e-4
+    """m, a tenth of what the finest reference resolves."""
+    chained = True
+    of_events = True
+    judges = True
+
+    def columns(self, limbs: Limbs) -> tuple[Column, ...]:
+        return tuple(
+            Column(f"moved_{leg}_{axis}", self.unit, leg, axis, i)
+            for i, leg in enumerate(limbs.legs)
+            for axis in AXES[:2]
+        )
+
+    def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
+        if not _stands(inputs):
+            return None
+        assert isinstance(inputs.robot, Robot)
+        return stance_displacement(inputs.log, inputs.robot, inputs.motion)
+
+    def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
+        return sensors.velocity_noise * REACH * np.sqrt(3 * STANCE_BINS * BIN / rate)
 
 
 class FootHeight(Channel):

@@ -12,6 +12,7 @@ import numpy as np
 from surefoot.models.residuals.feet import foot_heights, leg_velocities
 from surefoot.models.residuals.registry import channels
 from surefoot.models.residuals.residual import ResidualTable, filled
+from surefoot.models.residuals.stance_motion import stance_means
 from surefoot.models.residuals.torques import (
     InverseDynamics,
     Steps,
@@ -171,6 +172,11 @@ def wrt_readings(
             leg, j = divmod(joint, per)
             out[:, velocity[leg]] += known.leg_dq[:, leg, :, j] * x[:, None]
         out[:, rate[joint]] -= smooth_121(x)
+    if len(legs):
+        by_leg = out[:, velocity]
+        stands = np.isfinite(parts.table[:, velocity[:, 0]])
+        means = stance_means(parts.t, by_leg, stands)
+        out[:, layout.by_leg("stance_velocity")] = np.nan_to_num(means)
     for joint, x in change.get("q_step", {}).items():
         forces += known.effort_q[joint] * x[:, None]
     for joint, x in change.get("dq_step", {}).items():

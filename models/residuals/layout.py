@@ -48,6 +48,11 @@ class Layout:
             for _ in range(columns.stop - columns.start)
         )
 
+    @cached_property
+    def fitted(self) -> np.ndarray:
+        """Columns that sizes are fitted to: not those of channels that judge."""
+        return self.of(*(name for name in self.channels if not channels()[name].judges))
+
     def of(self, *names: str) -> np.ndarray:
         """Columns of these channels, of those that the layout has."""
         every = np.arange(self.width)

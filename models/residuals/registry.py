@@ -14,6 +14,8 @@ BUNDLED_CHANNELS: tuple[type[Channel], ...] = (
     bundled.ImuGyro,
     bundled.ImuAccel,
     bundled.LegVelocity,
+    bundled.StanceVelocity,
+    bundled.StanceDisplacement,
     bundled.FootHeight,
     bundled.JointTorque,
     bundled.BaseWrench,

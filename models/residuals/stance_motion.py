@@ -1,0 +1,79 @@
+"""What a whole stance says of a leg: its mean velocity, and how far the foot moves meanwhile.
+
+The samples of a stance are one correlated piece, of which what the foot does as it lands and lifts
+is the loudest part. What carries the odometry of legs is their mean, and the way that a foot moves
+over the ground while it counts as standing.
+"""
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d
+
+from surefoot.models.residuals.binning import BIN, ReferenceMotion
+from surefoot.models.residuals.leg_velocity import leg_velocity
+from surefoot.sim.log import Log, joint_velocity
+from surefoot.sim.robot import Robot
+from surefoot.sim.sensors.stances import stances
+
+FEWEST = 3
+"""Bins inside a stance below which their mean says little."""
+SHORTEST = 0.1
+"""s of a contact below which it is no step."""
+
+
+def stance_means(t: np.ndarray, values: np.ndarray, there: np.ndarray) -> np.ndarray:
+    """Means over stances of values (M, L, K), each in the bin in which its stance is half over; all
+    other bins are NaN.
+
+    t: (M,) [s], of the bins; there: (M, L) bins inside a stance, which follow each other.
+    """
+    means = np.full(values.shape, np.nan)
+    for leg in range(values.shape[1]):
+        rows = np.flatnonzero(there[:, leg])
+        if not len(rows):
+            continue
+        first = np.flatnonzero(np.diff(t[rows], prepend=-np.inf) > 1.5 * BIN)
+        count = np.diff(np.append(first, len(rows)))
+        mean = np.add.reduceat(values[rows, leg], first, axis=0) / count[:, None]
+        whole = count >= FEWEST
+        means[rows[(first + count // 2)[whole]], leg] = mean[whole]
+    return means
+
+
+def stance_displacement(log: Log, robot: Robot, frame: ReferenceMotion) -> np.ndarray:
+    """How far (M, 2 L) [m] a foot moves over the ground from the beginning to the end of each of
+    its contacts, by its leg and the reference: against the heading's forward and lateral axis, as
+    the body seems to have moved too far. In the bin in which the contact is half over.
+
+    Contacts are as long as the model's extras, which know of late ones, leave them.
+    """
+    omega = log.gyro if log.has("imu") else frame.gyro
+    # A row more on either side, for contacts that the model knows to be late by a part of one.
+    around = maximum_filter1d(log.contact, 3, axis=0) & frame.ok[:, None]
+    v_I = leg_velocity(robot, log.q, joint_velocity(log), omega, frame.up_I, around)
+    v_G = np.einsum("nij,nlj->nli", frame.R_GI, v_I - frame.v_I[:, None])
+    ahead = frame.R_GI[:, :2, 0]
+    ahead = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
+    forward = np.einsum("nj,nlj->nl", ahead, v_G[..., :2])
+    lateral = np.einsum("nj,nlj->nl", ahead, v_G[..., 1::-1] * [1.0, -1.0])
+    half = 0.5 * np.gradient(log.t)
+    edges = np.append(log.t - half, log.t[-1] + half[-1])
+    moved = np.nan_to_num(np.stack([forward, lateral], axis=2)) * (2 * half)[:, None, None]
+    path, lost = _sums(moved), _sums(~frame.ok)
+    out = np.full((len(frame.first), *around.shape[1:], 2), np.nan)
+    for leg in range(around.shape[1]):
+        first, end = stances(log.contact[:, leg])
+        begin = edges[first] - robot.extras.touchdown_late
+        until = edges[end] - robot.extras.liftoff_late
+        use = (until - begin > SHORTEST) & (lost[end] == lost[first])
+        use &= (first > 0) & (end < len(log.t))
+        bins = np.searchsorted(frame.first, (first + end) // 2, side="right") - 1
+        for axis in range(2):
+            far = np.interp(until, edges, path[:, leg, axis])
+            far -= np.interp(begin, edges, path[:, leg, axis])
+            out[bins[use], leg, axis] = far[use]
+    return out.reshape(len(out), -1)
+
+
+def _sums(x: np.ndarray) -> np.ndarray:
+    """Sums (N + 1, ...) of the rows of x (N, ...) before each edge between rows."""
+    return np.concatenate([np.zeros_like(x[:1], dtype=float), np.cumsum(x, axis=0)])
