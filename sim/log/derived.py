@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from surefoot.sim.common.kernels import kernel
 from surefoot.sim.log.log import Log
 
 JOINT_WINDOW = 0.025
@@ -37,29 +38,47 @@ def derivative(t: np.ndarray, x: np.ndarray, window: float, causal: bool) -> np.
         # A one-sided window of two rows at either end grows to three, to stay a quadratic.
         last = np.minimum(np.maximum(last, first + 2), n - 1)
         first = np.maximum(np.minimum(first, last - 2), 0)
-    count = last - first + 1
-    moments = np.zeros((n, 5))
-    products = np.zeros((n, 3, x.shape[1]))
-    scale = window
-    for step in range(int(count.max())):
-        row = np.minimum(first + step, n - 1)
-        inside = (step < count).astype(float)
-        tau = (t[row] - t) / scale
-        # Differences to the row itself keep the digits of a position far from the origin.
-        y = x[row] - x
-        for power in range(5):
-            moments[:, power] += inside * tau**power
-        for power in range(3):
-            products[:, power] += (inside * tau**power)[:, None] * y
-    degree = np.minimum(count - 1, 2)
-    normal = moments[:, np.add.outer(np.arange(3), np.arange(3))]
-    for coefficient in (1, 2):
-        missing = degree < coefficient
-        normal[missing, coefficient, :] = 0.0
-        normal[missing, :, coefficient] = 0.0
-        normal[missing, coefficient, coefficient] = 1.0
-        products[missing, coefficient] = 0.0
-    return np.linalg.solve(normal, products)[:, 1] / scale
+    return _slopes(t, np.ascontiguousarray(x, dtype=float), first, last, window)
+
+
+@kernel
+def _slopes(t, x, first, last, scale):
+    """Slopes (N, D) of local quadratics, of lines where there are two rows, none where there is one.
+
+    Args:
+        t: (N,) [s].
+        x: (N, D), the samples.
+        first: (N,), first row of each window.
+        last: (N,), its last.
+        scale: time [s] in units of which the fit is made.
+    """
+    out = np.zeros(x.shape)
+    for k in range(len(t)):
+        m1 = m2 = m3 = m4 = 0.0
+        m0 = float(last[k] - first[k] + 1)
+        for row in range(first[k], last[k] + 1):
+            tau = (t[row] - t[k]) / scale
+            m1 += tau
+            m2 += tau**2
+            m3 += tau**3
+            m4 += tau**4
+        # The row of the inverse normal matrix that gives the slope.
+        a, b, c = 0.0, 0.0, 0.0
+        if m0 >= 3.0:
+            a, b, c = m2 * m3 - m1 * m4, m0 * m4 - m2 * m2, m1 * m2 - m0 * m3
+            scaled = m1 * a + m2 * b + m3 * c
+        elif m0 == 2.0:
+            a, b = -m1, m0
+            scaled = m0 * m2 - m1 * m1
+        else:
+            continue
+        for row in range(first[k], last[k] + 1):
+            tau = (t[row] - t[k]) / scale
+            share = (a + b * tau + c * tau**2) / (scaled * scale)
+            for d in range(x.shape[1]):
+                # Differences to the row itself keep the digits of a position far from the origin.
+                out[k, d] += share * (x[row, d] - x[k, d])
+    return out
 
 
 class CausalDerivative:

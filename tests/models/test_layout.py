@@ -18,6 +18,8 @@ def test_a_biped_has_columns_for_its_two_legs_and_six_joints():
         "imu_gyro": 3,
         "imu_accel": 3,
         "leg_velocity": 6,
+        "stance_velocity": 6,
+        "stance_displacement": 4,
         "foot_height": 2,
         "joint_torque": 6,
         "base_wrench": 6,
