@@ -118,6 +118,9 @@ class Realism:
     robot: RobotName = None
     effects: Path | None = None
     """File of effects (TOML) that the simulated robot has."""
+    as_walked: bool = False
+    """Let it walk a second time as robots were measured to, in gait, sensors and effects (those of
+    --effects where given)."""
     seed: int = 0
     """Of the walks and the intervals."""
     page: Path | None = None
@@ -125,6 +128,7 @@ class Realism:
     force: Force = False
 
     def run(self) -> None:
+        from surefoot.scenarios.experiments.as_walked import load_as_walked
         from surefoot.scenarios.reporting.progress import percent_bar
         from surefoot.scenarios.reporting.tables import to_markdown
         from surefoot.scenarios.trace.realism import realism, table
@@ -141,6 +145,7 @@ class Realism:
                 robot,
                 self.out,
                 effects,
+                load_as_walked() if self.as_walked else None,
                 seed=self.seed,
                 page=self.page,
                 force=self.force,

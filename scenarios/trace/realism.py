@@ -10,6 +10,7 @@ import numpy as np
 from surefoot.models.attribution.coarse_reference import as_coarse, coarseness
 from surefoot.models.realism.card import Card, realism_card
 from surefoot.models.realism.walk_view import WalkView
+from surefoot.scenarios.experiments.as_walked import AsWalked
 from surefoot.scenarios.reporting.html import Section
 from surefoot.scenarios.studies.pages import origin_of, write_page, write_results
 from surefoot.scenarios.trace.loop import bodily, world_of
@@ -17,7 +18,6 @@ from surefoot.scenarios.trace.realism_figures import pictures
 from surefoot.sim.common.errors import SurefootError, check_seed
 from surefoot.sim.common.files import refuse_overwrite, whole_file
 from surefoot.sim.effects import Effect
-from surefoot.sim.gait.options import PLAIN, GaitOptions
 from surefoot.sim.log import Log
 from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.robot import Robot
@@ -53,7 +53,7 @@ def realism(
     robot: Robot,
     out: Path | str,
     effects: Sequence[Effect] = (),
-    gait: GaitOptions | None = None,
+    walked: AsWalked | None = None,
     seed: int = 0,
     page: Path | None = None,
     force: bool = False,
@@ -61,15 +61,14 @@ def realism(
 ) -> tuple[Comparison, ...]:
     """Compare and write realism.json, realism.csv, table.md and report.html into `out`.
 
-    Where effects or a gait are given, the simulated robot as it walks without them is compared as
-    well, first.
+    The simulated robot as drawn comes first; where effects or `walked` are given, with them second.
 
     Args:
         log: measured, or simulated: IMU, angles, contacts and reference are needed.
         robot: as declared.
         out: folder.
-        effects: that the simulated robot has.
-        gait: how it walks; the controller's own gait where left out.
+        effects: that the simulated robot has; those of `walked` where left out.
+        walked: gait, sensors and effects that were measured of a robot's walk.
         seed: of the walks and of the intervals.
         page: page of results (Markdown) to write as well.
         force: overwrite the files.
@@ -83,16 +82,13 @@ def realism(
     for name in OUTPUTS:
         refuse_overwrite(out / name, force)
     report = progress or (lambda share: None)
-    kinds: list[tuple[str, Sequence[Effect], GaitOptions]] = [("as drawn", (), PLAIN)]
-    if effects or gait:
-        kinds.append(("as walked", effects, gait or PLAIN))
-    found = []
-    for k, (words, own, style) in enumerate(kinds):
-        found.append(
-            compare_walks(
-                log, robot, words, own, style, seed, lambda s, k=k: report((k + s) / len(kinds))
-            )
-        )
+    found = [compare_walks(log, robot, "as drawn", seed=seed, progress=lambda s: report(0.5 * s))]
+    if effects or walked:
+
+        def second(share: float) -> None:
+            report(0.5 + 0.5 * share)
+
+        found.append(compare_walks(log, robot, "as walked", effects, walked, seed, second))
     parts = sections(found)
     tables = {"realism": [{"walk": c.words, **r.as_dict()} for c in found for r in c.card.rows]}
     write_results(out, TITLE, parts, tables, force)
@@ -108,7 +104,7 @@ def compare_walks(
     robot: Robot,
     words: str,
     effects: Sequence[Effect] = (),
-    gait: GaitOptions = PLAIN,
+    walked: AsWalked | None = None,
     seed: int = 0,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Comparison:
@@ -118,8 +114,8 @@ def compare_walks(
         log: measured.
         robot: as declared.
         words: what the simulated robot is.
-        effects: that it has.
-        gait: how it walks.
+        effects: that it has; those of `walked` where left out.
+        walked: how it walks, and with what sensors; as drawn where left out.
         seed: of the walks and of the intervals.
         progress: called with the share done.
     """
@@ -127,8 +123,12 @@ def compare_walks(
     world = world_of(robot)
     scenario, poised = replica(walking_style(log, robot), world, "replica")
     rate = min(log.rate, 1.0 / TIMESTEP)
-    sensed = replace(scenario, gait=gait, sensors=replace(scenario.sensors, rate=rate))
-    logs, pace = _walks(sensed, poised, bodily(effects, robot, world), seed, progress)
+    scenario = replace(scenario, sensors=replace(scenario.sensors, rate=rate))
+    own = bodily(effects, robot, world)
+    if walked:
+        scenario = walked.scenario(scenario)
+        own = own or walked.effects_on(world)
+    logs, pace = _walks(scenario, poised, own, seed, progress)
     simulated = tuple(
         WalkView(seen_as(replace(one, name=f"{words} {k}"), log, [seed, k]), robot)
         for k, one in enumerate(logs)

@@ -21,6 +21,7 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import FootMotion, foot_motion, leg_forward, sole_motion
 
 STEEPEST = 0.6  # slope that the body follows at most
+SLIDING = 0.2  # m/s over the ground from which a standing foot is felt to slide
 
 
 class Controller(NamedTuple):
@@ -78,6 +79,7 @@ def gait_for(
         braking=options.braking,
         stiffness=options.stiffness * mass * GRAVITY * length,
         damping=options.stiffness * options.damping * mass * GRAVITY * length,
+        slip_care=options.slip_care,
         beats=np.empty(0),
         footholds=np.empty((0, 4, 2)),
         velocity_error=np.empty((0, 3)),
@@ -145,6 +147,8 @@ def tick(legs, controller, state, target, torque):
                 memory.lift_off[leg] = place
                 memory.bump[leg] = 0.0
         memory.mode[leg] = SWING if feet.mode[leg] == SWING else STANCE
+    if gait.slip_care > 0.0:
+        _take_care(controller, t, base, command, feet)
     swing(controller, base, command, feet, torque)
     support(controller, ground, base, command, feet, torque)
     if gait.stiffness > 0.0:
@@ -162,6 +166,36 @@ def _command(base, yaw, target):
         v[a] += min(max(1.0 * (target[a] - base.p[a]), -0.3), 0.3)
     yaw_error = np.arctan2(np.sin(target[2] - yaw), np.cos(target[2] - yaw))
     return Command(v, target[5] + min(max(2.0 * yaw_error, -0.5), 0.5))
+
+
+@kernel
+def _take_care(controller, t, base, command, feet):
+    """Wants less of the velocity that feet which slide cannot give: their mean lack over a stride.
+
+    Averaged, it leaves the answer to swaying as it is. It comes back within a stride or two once no
+    foot slides.
+
+    Args:
+        controller: a Controller, which remembers what is given up.
+        t: s.
+        base: a BaseMotion.
+        command: a Command, changed.
+        feet: Feet.
+    """
+    gait, memory = controller.gait, controller.memory
+    for leg in range(4):
+        v, up = feet.sole_velocity[leg], feet.normal[leg]
+        across = v - (v @ up) * up
+        inside = 0.1 < feet.progress[leg] < 0.9
+        if feet.mode[leg] == STANCE and inside and across @ across > SLIDING * SLIDING:
+            memory.slid[0] = t
+    part = min((t - memory.slid[1]) / gait.period, 1.0)
+    memory.slid[1] = t
+    slides = t - memory.slid[0] < gait.period
+    for a in range(2):
+        lack = gait.slip_care * (command.v[a] - base.v[a]) if slides else 0.0
+        memory.given_up[a] += part * (lack - memory.given_up[a])
+        command.v[a] -= memory.given_up[a]
 
 
 @kernel

@@ -22,6 +22,7 @@ class GaitOptions:
     touchdown_speed: float = 0.0  # of the foot towards the ground / sqrt(gravity * leg length)
     braking: float = 0.0  # share of the body's velocity that a landing foot still has
     level: float = 1.0  # factor on the gains that hold the base level
+    slip_care: float = 0.0  # share of the velocity that sliding feet lack which is given up
     stiffness: float = 0.0  # of the joints of standing legs / (m g L per rad); 0: no joint PD
     damping: float = 0.025  # s, rate gain of the joint PD over its stiffness
     velocity_noise: float = 0.0  # m/s, standard deviation of the velocity that feeds the controller
@@ -32,7 +33,8 @@ class GaitOptions:
         for name in (part.name for part in fields(self)):
             if not getattr(self, name) >= 0.0:
                 raise SurefootError(f"{name} must not be negative, is {getattr(self, name):g}")
-        for name, low, high in (("duty", 0.4, 0.9), ("unloading", 0.01, 0.5)):
+        ranges = ("duty", 0.4, 0.9), ("unloading", 0.01, 0.5), ("slip_care", 0.0, 1.0)
+        for name, low, high in ranges:
             if not low <= getattr(self, name) <= high:
                 raise SurefootError(
                     f"{name} must lie between {low:g} and {high:g}, is {getattr(self, name):g}"

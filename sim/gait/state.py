@@ -38,6 +38,7 @@ class Gait(NamedTuple):
     braking: float  # share of the body's velocity that a landing foot still has
     stiffness: float  # N m/rad, of the joints of standing legs
     damping: float  # N m s/rad, the same
+    slip_care: float  # share of the velocity that sliding feet lack which is given up
     # What a seed draws (`sim.gait.irregular`); of no length where nothing is irregular.
     beats: np.ndarray  # (S,) s, when the strides begin
     footholds: np.ndarray  # (S, 4, 2) m, of each stride, ahead and to the left of the planned ones
@@ -55,6 +56,8 @@ class LegMemory(NamedTuple):
     bump: np.ndarray  # (4,) m, height of the swing over the way between them
     planted: np.ndarray  # (4, 3) m, in B, where a foot's centre was when it began to stand
     since: np.ndarray  # (4,) s, when that was; NaN while it does not stand
+    slid: np.ndarray  # (2,) s, when a standing foot was last felt to slide, and of the last tick
+    given_up: np.ndarray  # (2,) m/s, in G, of the wanted velocity, because feet slide
 
 
 def standing() -> LegMemory:
@@ -67,6 +70,8 @@ def standing() -> LegMemory:
         bump=np.zeros(4),
         planted=np.zeros((4, 3)),
         since=np.full(4, np.nan),
+        slid=np.array([-np.inf, 0.0]),
+        given_up=np.zeros(2),
     )
 
 

@@ -43,7 +43,7 @@ def derivative(t: np.ndarray, x: np.ndarray, window: float, causal: bool) -> np.
 
 @kernel
 def _slopes(t, x, first, last, scale):
-    """Slopes (N, D) of local quadratics, of lines where there are two rows, none where there is one.
+    """Slopes (N, D) of local quadratics, of lines through two rows, none through one.
 
     Args:
         t: (N,) [s].

@@ -14,7 +14,7 @@ SUITES = bundled("surefoot.scenarios.experiments", "suites")
 
 def test_an_instance_draws_the_same_wherever_it_walks_and_others_draw_otherwise():
     suite = Experiment.load("vision60")
-    _, built = suite.conditions
+    _, built, _ = suite.conditions
     jobs = [walk_to_make(s, "v60_class", built, 1) for s in suite.scenarios]
     assert all(job.effects == jobs[0].effects for job in jobs)
     assert len({job.seed for job in jobs}) == len(jobs)

@@ -9,14 +9,14 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.gait.controller import gait_for
 from surefoot.sim.gait.irregular import estimated, irregular, stride_at
 from surefoot.sim.gait.options import PLAIN, GaitOptions
-from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.ground.terrain import Ground, Patch
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import BaseMotion
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.sensors.sampling import sampled
 from surefoot.sim.sensors.stances import stances_between_swings
 from surefoot.sim.sensors.streams import Sensors
-from surefoot.sim.walk import plan, simulate, walk
+from surefoot.sim.walk import Fallen, plan, simulate, walk
 
 SPOT = Robot.load("spot_class")
 TICKS = np.arange(0.0, 40.0, 0.004)
@@ -168,3 +168,34 @@ def test_what_an_imu_samples_folds_back_and_what_it_averages_does_not():
     power = {a: sampled(tone, 100.0, averages=a)["accel_x"].var() for a in (True, False)}
     assert power[False] > 0.4  # a tone of 10 Hz, as large
     assert power[True] < 0.02
+
+
+def test_with_care_a_robot_walks_on_where_its_feet_slide_by_centimetres():
+    """Over a sheet that it turns and speeds up on; without care it falls there."""
+    segments = (Segment(2.0, 0.8), Segment(3.0, 0.1, 0.0, 0.8), Segment(4.0, 0.9))
+    sheet = Ground(0.8, (Patch(1.0, 0.3, 1.6, 3.0, 0.05),), 20.0)
+    robot = Robot.load("v60_class")
+    gait = GaitOptions(
+        duty=0.68,
+        unloading=0.05,
+        period_jitter=0.03,
+        foothold_jitter=0.015,
+        touchdown_speed=0.3,
+        braking=0.3,
+        level=0.3,
+        stiffness=0.4,
+        velocity_noise=0.04,
+        attitude_noise=0.01,
+        noise_time=0.02,
+    )
+    scenario = Scenario("sheet", segments, sheet, "v60_class", gait=gait)
+    with pytest.raises(Fallen):
+        walk(scenario, robot, 0)
+    log = walk(replace(scenario, gait=replace(gait, slip_care=1.0)), robot, 0)
+    slid = []
+    for leg in range(4):
+        for first, end in zip(*stances_between_swings(log.t, log.contact[:, leg]), strict=True):
+            if log.mu[first:end, leg].mean() < 0.3:
+                slid.append(log.slip[first:end, leg].sum() / log.rate)
+    assert np.median(slid) > 0.01
+    assert np.percentile(slid, 90) > 0.02

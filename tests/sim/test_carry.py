@@ -1,0 +1,59 @@
+"""Sizes measured on one robot, carried to another: what they do is a share of leg and stride."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.effects import effect, known_effects
+from surefoot.sim.effects.carry import DIMENSIONS, BodyScale, carried, scale_of
+from surefoot.sim.gait.controller import gait_for
+from surefoot.sim.robot import Robot
+
+SMALL, LARGE = BodyScale(120.0, 0.42, 0.02, 0.5), BodyScale(480.0, 0.84, 0.05, 0.7)
+
+
+def one(name, target, value, to=LARGE):
+    return carried([effect(name, target, value)], SMALL, to)[0].value
+
+
+def test_a_joint_gives_by_the_same_angle_under_the_robots_own_weight():
+    found = one("joint_compliance", "all", 3e-3)
+    assert found * LARGE.weight * LARGE.leg_length == pytest.approx(
+        3e-3 * SMALL.weight * SMALL.leg_length
+    )
+
+
+def test_each_size_is_carried_by_its_dimension():
+    assert one("foot_rolling", "all", 0.02) == pytest.approx(0.05)  # by the foot, not by the leg
+    assert one("hip_offset", "FL_x", 0.01) == pytest.approx(0.02)
+    assert one("contact_delay", "liftoff", 0.02) == pytest.approx(0.028)
+    assert one("encoder_offset", "FL_calf", 0.01) == 0.01
+    assert one("gyro_bias", "x", 0.01) == 0.01
+    assert one("payload", "all", 1.0) == pytest.approx(4.0)
+    assert one("payload", "all", 20.0) == known_effects()["payload"].bounds[1]
+
+
+def test_to_itself_nothing_changes_and_there_and_back_is_where_one_was():
+    effects = [effect("joint_compliance", "all", 2e-3), effect("contact_delay", "touchdown", 0.01)]
+    assert carried(effects, SMALL, SMALL) == tuple(effects)
+    back = carried(carried(effects, SMALL, LARGE), LARGE, SMALL)
+    np.testing.assert_allclose([e.value for e in back], [e.value for e in effects])
+
+
+def test_the_scale_is_the_robots_own_whatever_feet_are_declared():
+    robot = Robot.load("spot_class")
+    scale = scale_of(replace(robot, foot_radius=np.zeros(4)))
+    assert scale.foot_radius == pytest.approx(robot.foot_radius.mean())
+    assert scale.weight == pytest.approx(9.81 * robot.mass)
+    assert scale.period == pytest.approx(gait_for(robot, 0.0).period)
+    assert scale_of(robot, 0.9).period == 0.9
+
+
+def test_units_of_the_catalogue_are_known_but_for_what_no_robot_carries():
+    units = {kind.unit for kind in map(known_effects().__getitem__, known_effects())}
+    strange = units - set(DIMENSIONS)
+    assert not {unit for unit in strange if "m/s^2" not in unit}
+    with pytest.raises(SurefootError, match="gyro_g_sensitivity: no rule carries"):
+        one("gyro_g_sensitivity", "x", 1e-4)
