@@ -62,11 +62,11 @@ def log(walks) -> Log:
     """A walk with the columns of a radar."""
     one = walks[1]
     rng, rows = np.random.default_rng(0), np.arange(5, len(one.t), 28)
-    values = np.full((len(one.t), len(radar.COLUMNS)), np.nan)
+    values = np.full((len(one.t), len(radar.RADAR_COLUMNS)), np.nan)
     v_I = np.einsum("nji,nj->ni", one.ref_R_GI[rows], one.ref_v[rows])
     cov = np.tile(2.5e-3 * np.eye(3), (len(rows), 1, 1)).reshape(-1, 9)
     values[rows] = np.concatenate([v_I + 0.05 * rng.normal(size=v_I.shape), cov], axis=1)
-    frame = one.frame.assign(**dict(zip(radar.COLUMNS, values.T, strict=True)))
+    frame = one.frame.assign(**dict(zip(radar.RADAR_COLUMNS, values.T, strict=True)))
     return replace(one, frame=frame)
 
 
