@@ -52,12 +52,12 @@ study-trace: setup
 # What models lack of three real machines; a study whose recording is not there is skipped.
 study-hardware: setup
 	$(BIN)/python -m surefoot.scenarios.studies.hardware.study -o out/hardware --force \
-		--page docs/results/hardware.md
+		--data docs/data/hardware --page docs/results/hardware.md
 
 # The paper's two tables on three seeds, about half an hour on two idle cores; killed, it goes on.
 suites: setup
-	$(BIN)/surefoot suite vision60 -o out/suite_vision60 --workers 2 --force
-	$(BIN)/surefoot suite spot -o out/suite_spot --workers 2 --force
+	for suite in vision60 spot; do $(BIN)/surefoot suite $$suite -o out/suite_$$suite \
+		--workers 2 --force --page docs/results/suite_$$suite.md || exit 1; done
 
 # One search for all filters' parameters, for each suite on walks that no table uses: trained on one,
 # calibrated on another, tuned on two of another seed; killed, it goes on.

@@ -1,5 +1,6 @@
 """Commands that make, fetch and show data."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -94,24 +95,45 @@ class Robots:
     """List the robots that are known by name."""
 
     def run(self) -> None:
-        from surefoot.scenarios.reporting.tables import to_markdown
-        from surefoot.sim.robot import Robot
+        import hashlib
+
+        from surefoot.sim.common.files import cache_folder, whole_file
+        from surefoot.sim.common.sources import sources_digest
         from surefoot.sim.robot.catalog import downloadable_robots, known_robots
 
-        rows = []
-        for name in known_robots():
-            robot = Robot.load(name)
-            rows.append(
-                {
-                    "robot": name,
-                    "mass [kg]": robot.mass,
-                    "leg [m]": robot.leg_length,
-                    "foot radius [m]": robot.foot_radius.mean(),
-                    "largest torque [N m]": robot.torque_limit.max(),
-                    "IMU": f"site {robot.imu}" if robot.imu else "none: the base frame",
-                }
-            )
-        print(to_markdown(rows))
+        # Models take seconds to load: their table is kept while files and code are the same.
+        files = {p for path in known_robots().values() for p in path.parent.glob("*.xml")}
+        parts = [
+            sources_digest("surefoot.sim.robot.robot").encode(),
+            *map(str.encode, known_robots()),
+        ]
+        parts += [path.read_bytes() for path in sorted(files)]
+        key = hashlib.sha256(b"\0".join(parts)).hexdigest()[:32]
+        kept = cache_folder() / "robots" / f"{key}.md"
+        if not kept.is_file():
+            with whole_file(kept, force=True) as temporary:
+                temporary.write_text(_robot_table(known_robots()), encoding="utf-8")
+        print(kept.read_text(encoding="utf-8"))
         if further := downloadable_robots():
             print(f"fetched by robot_descriptions at first use: {', '.join(further)}")
         print("any other 12-joint quadruped: the path of its MJCF file")
+
+
+def _robot_table(names: Iterable[str]) -> str:
+    from surefoot.scenarios.reporting.tables import to_markdown
+    from surefoot.sim.robot import Robot
+
+    rows = []
+    for name in names:
+        robot = Robot.load(name)
+        rows.append(
+            {
+                "robot": name,
+                "mass [kg]": robot.mass,
+                "leg [m]": robot.leg_length,
+                "foot radius [m]": robot.foot_radius.mean(),
+                "largest torque [N m]": robot.torque_limit.max(),
+                "IMU": f"site {robot.imu}" if robot.imu else "none: the base frame",
+            }
+        )
+    return to_markdown(rows)

@@ -171,6 +171,8 @@ class GridOptions:
     """Folder of intermediate products, reused by later runs; `cache` in the output by default."""
     recordings: bool = True
     """Write a rerun recording of each sequence."""
+    page: Path | None = None
+    """Page of results to write as well, such as docs/results/suite_spot.md."""
     force: bool = False
     """Write tables and report again; what is in the cache is not made again."""
 
@@ -178,7 +180,14 @@ class GridOptions:
         from surefoot.scenarios.experiments.report import experiment
 
         experiment(
-            file, self.out, self.workers, self.seeds, self.cache, self.recordings, self.force
+            file,
+            self.out,
+            self.workers,
+            self.seeds,
+            self.cache,
+            self.recordings,
+            self.force,
+            self.page,
         )
 
 

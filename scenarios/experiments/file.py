@@ -118,6 +118,8 @@ class Experiment:
         path = Path(name_or_path)
         if str(name_or_path) in SUITES:
             path = SUITES_FOLDER / f"{name_or_path}.toml"
+        elif not path.is_file():
+            raise SurefootError(f"experiment {path}: No such file; bundled are {', '.join(SUITES)}")
         table = read_toml(path, "experiment")
         try:
             return _experiment(typed(table, _File), path)

@@ -20,7 +20,7 @@ from surefoot.scenarios.experiments.figures import (
     gamma_sweep,
     paths,
 )
-from surefoot.scenarios.experiments.file import Condition, Experiment
+from surefoot.scenarios.experiments.file import SUITES, Condition, Experiment
 from surefoot.scenarios.experiments.findings import findings
 from surefoot.scenarios.experiments.run import Outcome, run
 from surefoot.scenarios.experiments.tables import (
@@ -40,6 +40,7 @@ from surefoot.scenarios.reporting.html import (
     write_report,
 )
 from surefoot.scenarios.reporting.tables import to_csv, to_markdown
+from surefoot.scenarios.studies.pages import origin_of, write_page
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import clear_debris, whole_file
 
@@ -52,6 +53,7 @@ def experiment(
     cache: Path | None = None,
     recordings: bool = True,
     force: bool = False,
+    page: Path | None = None,
 ) -> pd.DataFrame:
     """Run the file's grid into `out` and print the averages; returns every row.
 
@@ -65,6 +67,7 @@ def experiment(
         cache: folder of intermediate products; `cache` in `out` where left out.
         recordings: write a rerun recording of each sequence.
         force: write tables and report again.
+        page: page of results (Markdown) to write as well.
 
     Raises SurefootError for bad input, and where `out` holds a finished run without `force`.
     """
@@ -88,6 +91,9 @@ def experiment(
         temporary.write_text(markdown_report(found.title, pages), encoding="utf-8")
     # The page comes last: where it is, everything else is whole.
     write_report(out / "report.html", found.title, pages, force=True)
+    if page:
+        command = f"surefoot {'suite' if file in SUITES else 'experiment'} {file}"
+        write_page(page, found.title, pages, origin_of(__name__, command))
     print("\n" + to_markdown(averages(at_gamma(rows, found.gammas[0]))))
     for name, why in outcome.left_out.items():
         print(f"left out: {name} ({why})")

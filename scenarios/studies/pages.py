@@ -80,16 +80,8 @@ def write_results(
     return text
 
 
-NOTES = "<!-- notes -->"
-"""What follows this line of a page is written by hand, and stays when the page is made again."""
-
-
 def write_page(path: Path, title: str, sections: Sequence[Section], origin: Origin) -> None:
-    """Write a page of results in Markdown, its pictures beside it as PNG; replaces an older one.
-
-    Notes at its end stay.
-    """
-    old = path.read_text(encoding="utf-8") if path.exists() else ""
+    """Write a page of results in Markdown, its pictures beside it as PNG; replaces an older one."""
     parts = [f"# {title}", "\n".join(["| | |", "| --- | --- |", *_header(origin)])]
     for number, section in enumerate(sections, 1):
         parts += [f"## {section.heading}", section.prose.strip()]
@@ -99,7 +91,6 @@ def write_page(path: Path, title: str, sections: Sequence[Section], origin: Orig
             name = f"{path.stem}_{number}_{place}.png"
             save_picture(picture, path.with_name(name), force=True)
             parts += [f"![{section.heading}]({name})", picture.caption]
-    parts += [NOTES + old.partition(NOTES)[2].rstrip()] if NOTES in old else []
     with whole_file(path, force=True) as temporary:
         temporary.write_text("\n\n".join(p for p in parts if p) + "\n", encoding="utf-8")
 

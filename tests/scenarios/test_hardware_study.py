@@ -3,18 +3,22 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from pendulum import swung
 
+from surefoot.scenarios.reporting.plotting import new_figure
 from surefoot.scenarios.studies.hardware import go2, pendulum
 from surefoot.scenarios.studies.hardware.go1 import ladder, rolling_table
 from surefoot.scenarios.studies.hardware.study import (
     MEASURED,
     RUNS,
+    STUDIES,
+    Chapter,
     HardwareStudy,
-    as_markdown,
     run_hardware,
 )
+from surefoot.scenarios.studies.pages import read_origin
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import measured_folder
 from surefoot.sim.ground.terrain import Ground
@@ -31,7 +35,7 @@ needs_measured = pytest.mark.skipif(
 
 
 def test_a_study_without_its_recording_is_skipped_with_a_line(tmp_path, capsys):
-    assert run_hardware(HardwareStudy(tmp_path / "out", measured=tmp_path / "nowhere")) == {}
+    assert run_hardware(HardwareStudy(tmp_path / "out", measured=tmp_path / "nowhere")) == []
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 3
     assert lines[0].startswith("ak80_pendulum: skipped, its recording is not in")
@@ -42,12 +46,36 @@ def test_an_unknown_study_and_files_in_the_way_are_one_line(tmp_path):
     with pytest.raises(SurefootError, match="--only arm: unknown; choose ak80_pendulum"):
         run_hardware(HardwareStudy(tmp_path, only=("arm",)))
     (tmp_path / "measured" / "ak80_pendulum").mkdir(parents=True)
-    (tmp_path / "ak80_pendulum.md").write_text("mine")
-    with pytest.raises(SurefootError, match=r"ak80_pendulum\.md: exists already"):
+    (tmp_path / "report.html").write_text("mine")
+    with pytest.raises(SurefootError, match=r"report\.html: exists already"):
         run_hardware(
             HardwareStudy(tmp_path, measured=tmp_path / "measured", only=("ak80_pendulum",))
         )
-    assert (tmp_path / "ak80_pendulum.md").read_text() == "mine"
+    assert (tmp_path / "report.html").read_text() == "mine"
+
+
+def test_a_finished_study_is_kept_until_its_recording_changes(tmp_path, monkeypatch):
+    folder = tmp_path / "measured" / "ak80_pendulum"
+    folder.mkdir(parents=True)
+    (folder / "run.csv").write_text("1")
+    ran = []
+
+    def chapter(*_) -> Chapter:
+        ran.append(1)
+        return Chapter("One", "Words.", {"Sizes": pd.DataFrame({"a": [1.5]})}, new_figure()[0])
+
+    monkeypatch.setitem(STUDIES, "ak80_pendulum", chapter)
+    options = HardwareStudy(
+        tmp_path, tmp_path / "measured", ("ak80_pendulum",), page=tmp_path / "page.md", force=True
+    )
+    assert run_hardware(options)[1].table == run_hardware(options)[1].table == [{"a": 1.5}]
+    assert len(ran) == 1
+    assert not read_origin(tmp_path / "page.md").stale
+    (tmp_path / "cases" / "ak80_pendulum.png").unlink()
+    run_hardware(options)
+    (folder / "run.csv").write_text("2")
+    run_hardware(options)
+    assert len(ran) == 3
 
 
 def test_the_pendulum_study_tells_what_simulated_drives_hide():
@@ -67,13 +95,13 @@ def test_the_pendulum_study_tells_what_simulated_drives_hide():
 @pytest.mark.slow
 @needs_measured
 def test_a_real_drive_is_told_of_runs_that_no_fit_has_seen(tmp_path):
-    done = run_hardware(HardwareStudy(tmp_path, only=("ak80_pendulum",)))["ak80_pendulum"]
-    table = next(iter(done.tables.values())).set_index("run held out")
+    sections = run_hardware(HardwareStudy(tmp_path, only=("ak80_pendulum",)))
+    table = pd.DataFrame(sections[1].table).set_index("run held out")
     assert tuple(table.index) == RUNS
     explained = dict(zip(RUNS, table["explained [%]"].astype(float), strict=True))
     assert min(explained["ddp"], explained["direct_collocation"]) > 75
-    assert (tmp_path / "ak80_pendulum.png").stat().st_size > 10_000
-    assert (tmp_path / "ak80_pendulum.md").read_text() == as_markdown(done)
+    assert (tmp_path / "cases" / "ak80_pendulum.png").stat().st_size > 10_000
+    assert "held out" in (tmp_path / "table.md").read_text()
 
 
 @needs_measured

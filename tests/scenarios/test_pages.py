@@ -7,7 +7,6 @@ from surefoot.scenarios.cache import finished_case
 from surefoot.scenarios.reporting.html import Picture, Section
 from surefoot.scenarios.reporting.plotting import new_figure
 from surefoot.scenarios.studies.pages import (
-    NOTES,
     Origin,
     origin_of,
     pages_table,
@@ -46,12 +45,12 @@ def test_a_page_is_stale_once_its_code_differs_or_is_unknown(tmp_path):
     assert states == {"a.md": "current", "b.md": "stale", "c.md": "stale"}
 
 
-def test_notes_stay_when_a_page_is_made_again(tmp_path):
+def test_what_was_written_by_hand_goes_when_a_page_is_made_again(tmp_path):
     path = tmp_path / "some.md"
     write_page(path, "Some", [Section("Old")], origin_of(MODULE, "x"))
-    path.write_text(f"{path.read_text()}\n{NOTES}\n\nMind the gap.\n")
+    path.write_text(f"{path.read_text()}\n0.12 m, typed by hand\n")
     write_page(path, "Some", [Section("New")], origin_of(MODULE, "x"))
-    assert path.read_text().endswith(f"## New\n\n{NOTES}\n\nMind the gap.\n")
+    assert path.read_text().endswith("## New\n")
     assert "Old" not in path.read_text()
 
 
