@@ -45,7 +45,7 @@ _HOMES = {
     "Learnt": "surefoot.scenarios.estimate.contract:Learnt",
     "Log": "surefoot.sim.log:Log",
     "Observer": "surefoot.models.observer.observer:Observer",
-    "Robot": "surefoot.sim.robot:Robot",
+    "Robot": "surefoot.sim.robot.robot:Robot",
     "Scenario": "surefoot.sim.scenario:Scenario",
     "calibrate": "surefoot.models.calibration.calibrate:calibrate",
     "compare": "surefoot.scenarios.estimate.compare:compare_log",
