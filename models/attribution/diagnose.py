@@ -10,9 +10,10 @@ from surefoot.models.attribution.angle_error import angle_errors
 from surefoot.models.attribution.data import cannot_tell, data_notes, dead_contacts, readings
 from surefoot.models.attribution.evidence import LogUnderModel, linearise, log_under_model
 from surefoot.models.attribution.friction import FootFriction, friction_of, slip_notes, slip_of
-from surefoot.models.attribution.held_out import HeldOutRuns, judged
+from surefoot.models.attribution.held_out import HeldOutRuns, gains_of, judged
 from surefoot.models.attribution.levels import ChannelLevel, channel_levels, without_bias
 from surefoot.models.attribution.noise_floor import noise_floor
+from surefoot.models.attribution.outside_forces import outside_forces, pushed_bins
 from surefoot.models.attribution.run_offsets import of_each_run
 from surefoot.models.attribution.search import Attribution, Found, attribute
 from surefoot.models.attribution.selection import Candidate
@@ -21,6 +22,7 @@ from surefoot.models.attribution.split import Split, split_of
 from surefoot.models.attribution.unexplained import Unexplained, sparse_regression
 from surefoot.models.attribution.verdict import verdict_of
 from surefoot.models.attribution.zeros import Run, run_of
+from surefoot.models.bootstrap import block_draws
 from surefoot.sim.common.errors import check_seed
 from surefoot.sim.effects import Effect, compensate_all
 from surefoot.sim.log import Log
@@ -136,14 +138,22 @@ def diagnose(
     weights = result.robust_weights
     left = without_bias(after, weights, used)
     plainly = without_bias(before, weights, used)
-    channels = channel_levels(plainly[split.report], left[split.report], after, result.floor)
+    pushes = outside_forces(now, left, after)
+    pushed = pushed_bins(now, after, pushes)
+    unpushed = np.where(pushed[:, None], 0.0, weights.weight)
+    gone = [f for f in found if pushes and not _stands(f.effect, effects, now, result, unpushed)]
+    found = tuple(f for f in found if f not in gone)
+    judge = split.report & ~pushed
+    channels = channel_levels(plainly[judge], left[judge], after, result.floor)
     held_out = None
     if holdout:
         unseen = cases_of(holdout, robot, model, settings)
         held_out = judged(unseen, effects, own, result.floor, rng)
     progress(0.95)
     curves = angle_errors(cases, result, split, rng)
-    verdict, reasons = verdict_of(found, channels, bool(curves), result.rivals, held_out)
+    verdict, reasons = verdict_of(
+        found, channels, bool(curves), result.rivals, held_out, pushes, gone
+    )
     unexplained: tuple[Unexplained, ...] = ()
     if verdict == "none_of_these":
         above = [name for name, c in channels.items() if not c.at_floor or c.worse]
@@ -173,10 +183,40 @@ def diagnose(
             *dead,
             *data_notes(cases, floor),
             *slip_notes(friction, "leg_velocity" in channels, settings),
+            *(f"not judged by: {why}" for p in pushes if (why := p.in_words()) not in reasons),
             *_result_notes(found, channels),
         ),
         unexplained=unexplained,
     )
+
+
+def _stands(
+    one: Effect,
+    effects: Sequence[Effect],
+    cases: Sequence[LogUnderModel],
+    result: Attribution,
+    weight: np.ndarray,
+) -> bool:
+    """Whether an effect explains anything where `weight` (M, W) is not zero.
+
+    Args:
+        one: the effect.
+        effects: all that were found.
+        cases: the logs under the declared model.
+        result: of the search.
+        weight: of the bins.
+    """
+    if not type(one).is_compensated():
+        return True
+    without, known = (
+        linearise(cases, these, ()) for these in ([e for e in effects if e != one], effects)
+    )
+    sigma = result.robust_weights.sigma
+    gains = gains_of(without, known, result.floor, weight, sigma)
+    blocks = sum(gains[name] for name in one.channels if name in gains)
+    # Blocks without a bin left gain nothing; the draws are the same on every machine.
+    drawn = block_draws(np.size(blocks), np.random.default_rng(0)) @ np.ravel(blocks)
+    return bool(np.percentile(drawn, 2.5) > 0)
 
 
 def _runs(

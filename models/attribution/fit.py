@@ -97,6 +97,13 @@ class NormalEquations:
             if (one is None or one not in keys) and (other is None or other in keys)
         ]
 
+    def by_run(self, key: Key, vector: np.ndarray) -> np.ndarray:
+        """How far the size of a key in each log (L,) is from the shared one, by a fit's `vector`;
+        (1,) zero of one that has no size of its own in each."""
+        first = 1 + len(self.keys)
+        own = -vector[[first + i for i, one in enumerate(self.comes_with) if one == key]]
+        return np.append(own, -own.sum())
+
     def total(self) -> "NormalEquations":
         """All blocks as one: enough for sizes, not for their errors."""
         entries = self.entries.sum(keepdims=True)

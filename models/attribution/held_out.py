@@ -81,18 +81,35 @@ def _made_worse(
         weights: of the log.
         rng: draws the blocks.
     """
-    tables = design(without), design(known)
-    both = tables[0].there & tables[1].there
-    sigma, gains = floor.counted(weights.sigma), {}
-    for name, columns in known.layout.channels.items():
-        own = np.zeros_like(weights.weight)
-        own[:, columns] = (weights.weight * both)[:, columns]
-        if own.any():
-            sums = [normal_equations(table, sigma, own) for table in tables]
-            left = [loss(one, fit(one, (), errors=False).vector) for one in sums]
-            gains[name] = left[0] - left[1]
+    gains = gains_of(without, known, floor, weights.weight, weights.sigma)
     if not gains:
         return ""
     most = max(gains, key=lambda name: abs(gains[name].sum()))
     high = np.percentile(block_draws(len(gains[most]), rng) @ gains[most], 97.5)
     return most if high < 0 else ""
+
+
+def gains_of(
+    without: Evidence, known: Evidence, floor: NoiseFloor, weight: np.ndarray, sigma: np.ndarray
+) -> dict[str, np.ndarray]:
+    """By channel, how much less of each block's weighted squared error (K,) `known` leaves than an
+    evidence `without` an effect.
+
+    Args:
+        without: evidence with all effects but one.
+        known: evidence with all.
+        floor: noise floor.
+        weight: (M, W) of the bins.
+        sigma: (W,) noise of each column.
+    """
+    tables = design(without), design(known)
+    both = tables[0].there & tables[1].there
+    counted, gains = floor.counted(sigma), {}
+    for name, columns in known.layout.channels.items():
+        own = np.zeros_like(weight)
+        own[:, columns] = (weight * both)[:, columns]
+        if own.any():
+            sums = [normal_equations(table, counted, own) for table in tables]
+            left = [loss(one, fit(one, (), errors=False).vector) for one in sums]
+            gains[name] = left[0] - left[1]
+    return gains

@@ -81,17 +81,20 @@ def judge(
         gain = float(blocks.sum())
         low, high = np.percentile(counts @ blocks, [2.5, 97.5])
         at_seen = float(np.sum(before_seen - loss(seen, fitted.vector)))
+        # Of one with a size for each log the largest counts, which one log alone determines.
+        sizes = size + data.by_run(key, fitted.vector)
+        most, error = float(np.max(np.abs(sizes))), error * np.sqrt(len(sizes))
         # The floor's own offset is only as sure as its contact model.
         spread = float(np.hypot(spread, s.faked_share * offset))
         low_end, high_end = known_effects()[key[0]].inside(key[1])
         # A fit beyond them is no size either, however much of it the floor's walks have.
         fitted_beyond = abs(fitted.sizes[-1]) > max(-low_end, high_end)
-        at_bound = fitted_beyond or not low_end < size < high_end
+        at_bound = fitted_beyond or not low_end < sizes.min() <= sizes.max() < high_end
         share = gain / max(float(before.sum()), 1e-300)
-        clear = abs(size) / max(float(np.hypot(spread, error)), 1e-300)
+        clear = most / max(float(np.hypot(spread, error)), 1e-300)
         plain_to_see = clear > s.clear and share > s.large
-        doubt = surprise(key[0], size)
-        price = (1 + data.comes_with.count(key)) * per_size + chance
+        doubt = sum(surprise(key[0], float(one)) for one in sizes)
+        price = len(sizes) * per_size + chance
         earned = (
             low > 0
             and np.isfinite(error)

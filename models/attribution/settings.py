@@ -61,6 +61,17 @@ class TraceSettings:
     """Share of a walk's blocks with a slide from which it is not patches that are slippery."""
     dry: float = 0.75
     """Share of the declared friction that dry floors have at least: 0.6 of 0.8."""
+    push_outlier: float = 6.0
+    """Robust deviations above its median from which what is left of the force on the base is an
+    outside force."""
+    push_share: float = 0.03
+    """Share of the weight below which nothing is an outside force: 9 N of 32 kg."""
+    push_gap: float = 0.5
+    """s between such bins from which they are two pushes, and around one that it may still act."""
+    shortest_push: float = 0.1
+    """s below which it is one foot that landed badly."""
+    pushed_share: float = 0.3
+    """Share of a log from which what pushes is no outside force but the robot's own doing."""
     raised: float = 0.001
     """m off its foot's height from which a stance that stands out is on something else: an edge."""
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from surefoot.models.attribution.held_out import HeldOutRuns
 from surefoot.models.attribution.levels import ChannelLevel
+from surefoot.models.attribution.outside_forces import Push
 from surefoot.models.attribution.search import Found
 from surefoot.sim.effects import Effect
 
@@ -14,6 +15,8 @@ def verdict_of(
     curves: bool,
     rivals: Sequence[object],
     held_out: HeldOutRuns | None,
+    pushes: Sequence[Push] = (),
+    pushed_away: Sequence[Found] = (),
 ) -> tuple[str, tuple[str, ...]]:
     """The verdict and its reasons, none of them for `no_residual` and `attributed`.
 
@@ -23,6 +26,8 @@ def verdict_of(
         curves: whether a joint's readings err by a curve of its angle.
         rivals: other explanations of an effect.
         held_out: what held-out logs say, where there are any.
+        pushes: stretches in which an outside force acted; channels are judged without them.
+        pushed_away: effects that explain nothing but these.
     """
     above = [name for name, c in channels.items() if not c.at_floor or c.worse]
     reasons = [f"{name}: {_above(channels[name])}" for name in above]
@@ -36,6 +41,10 @@ def verdict_of(
     reasons += held_out.against if held_out else ()
     if reasons:
         return "none_of_these", tuple(reasons)
+    if pushes and (pushed_away or not found):
+        names = [f"{one.effect.name} {one.effect.target}" for one in pushed_away]
+        explained = [f"{name}: explains nothing but outside forces" for name in names]
+        return "not_identifiable", (*explained, *(one.in_words() for one in pushes))
     if not found:
         return "no_residual", ()
     below = [why for one in found if (why := _below_floor(one.effect, channels))]

@@ -1,0 +1,74 @@
+"""The verdict's rules, on made-up levels."""
+
+import pytest
+
+from surefoot.models.attribution.held_out import HeldOutRuns
+from surefoot.models.attribution.levels import ChannelLevel
+from surefoot.models.attribution.outside_forces import Push
+from surefoot.models.attribution.search import Found
+from surefoot.models.attribution.verdict import verdict_of
+from surefoot.sim.effects import effect
+
+CALF = Found(effect("link_length", "FL_calf", 0.004), (0.003, 0.005))
+PUSH = Push(log=0, begin=4.0, end=5.0, force=21.0)
+
+
+def level(before, after, floor=1.0, highest=1.1):
+    return ChannelLevel(before, after, floor, "m/s", highest)
+
+
+def verdict(found, before, after, held_out=None, **more):
+    levels = {"leg_velocity": level(before, after)}
+    return verdict_of(found, levels, False, (), held_out, **more)
+
+
+def test_what_explains_the_residual_down_to_its_floor_is_attributed():
+    assert verdict([CALF], 2.0, 1.0) == ("attributed", ())
+    assert verdict([], 1.0, 1.0) == ("no_residual", ())
+
+
+def test_what_is_left_above_the_floor_is_a_reason():
+    name, (why,) = verdict([CALF], 4.0, 2.0)
+    assert name == "none_of_these"
+    assert why == "leg_velocity: 2 m/s is left, its noise floor is 1"
+
+
+def test_nothing_is_attributed_below_the_floor():
+    name, (why,) = verdict([CALF], 0.6, 0.5)
+    assert name == "not_identifiable"
+    assert why.startswith("link_length FL_calf: the noise floor lies above the residual")
+    # By no more than the floor's walks differ it does not; nor where one channel is above it.
+    assert verdict([CALF], 0.95, 0.9)[0] == "attributed"
+    levels = {"leg_velocity": level(0.6, 0.5), "base_wrench": level(1.5, 1.0)}
+    assert verdict_of([CALF], levels, False, (), None)[0] == "attributed"
+
+
+def test_a_size_at_its_bound_fails():
+    long = Found(effect("link_length", "FL_calf", 0.03), (0.02, 0.04))
+    name, (why,) = verdict([long], 2.0, 1.0)
+    assert name == "none_of_these"
+    assert why == "link_length FL_calf: its size is at its bound"
+
+
+def test_a_held_out_run_may_say_otherwise():
+    against = HeldOutRuns({}, (), ("held-out run 1: link_length FL_calf makes foot_height worse",))
+    name, reasons = verdict([CALF], 2.0, 1.0, against)
+    assert (name, reasons) == ("none_of_these", against.against)
+    assert verdict([CALF], 2.0, 1.0, HeldOutRuns({}, (), ()))[0] == "attributed"
+
+
+@pytest.mark.parametrize(
+    ("found", "away", "name"),
+    [
+        ([], [], "not_identifiable"),
+        ([], [CALF], "not_identifiable"),
+        ([CALF], [], "attributed"),
+    ],
+)
+def test_outside_forces_are_no_effect_of_the_robot(found, away, name):
+    said, reasons = verdict(found, 2.0, 1.0, pushes=[PUSH], pushed_away=away)
+    assert said == name
+    if not found:
+        assert reasons[-1] == "outside forces of up to 21 N from 4.0 to 5.0 s of run 1"
+    if away:
+        assert reasons[0] == "link_length FL_calf: explains nothing but outside forces"

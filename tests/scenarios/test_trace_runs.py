@@ -1,0 +1,108 @@
+"""Several runs of one machine, what has changed since effects were declared, and held-out runs."""
+
+import json
+from dataclasses import replace
+from functools import lru_cache
+
+import pytest
+from pendulum import swung
+
+from surefoot.scenarios.cli.main import main
+from surefoot.scenarios.trace.run import trace, trace_logs
+from surefoot.scenarios.trace.words import summary
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.effects import effect
+from surefoot.sim.effects.base import with_columns
+from surefoot.sim.effects.file import save_effects
+from surefoot.sim.robot.fixed_base import load_machine
+
+PENDULUM = load_machine("ak80_pendulum")
+ROTOR = effect("armature", "shoulder", 0.03)
+
+
+@lru_cache
+def run(seed, zero=0.0, **hidden):
+    """The pendulum of a seed, whose encoder reads `zero` [rad] too much."""
+    log = swung(seed=seed, seconds=8.0, **hidden)
+    column = log.frame["q_shoulder"].to_numpy() + zero
+    return replace(with_columns(log, {"q_shoulder": column}), name=f"run_{seed}")
+
+
+def names(found):
+    return [(e.name, e.target) for e in found.effects]
+
+
+def zeros(found):
+    return [{one.effect.name: one.effect.value for one in run.zeros} for run in found.runs]
+
+
+@pytest.fixture(scope="module")
+def of_two_runs():
+    logs = [run(0, 0.12, armature=0.03), run(1, -0.09, armature=0.03)]
+    return trace_logs(logs, PENDULUM, holdout=[run(2, 0.06, armature=0.03)])
+
+
+def test_two_runs_share_sizes_and_have_zeros_of_their_own(of_two_runs):
+    assert names(of_two_runs) == [("armature", "shoulder")]
+    # Noise of the rates, by which it multiplies, makes it a tenth too small.
+    assert of_two_runs.effects[0].value == pytest.approx(0.03, rel=0.15)
+    first, second = (one["encoder_offset"] for one in zeros(of_two_runs))
+    assert (first, second) == (pytest.approx(0.12, abs=0.02), pytest.approx(-0.09, abs=0.02))
+    said = of_two_runs.as_dict()
+    assert [e["name"] for e in said["effects"]] == ["armature"]
+    assert [[one["name"] for one in run] for run in said["runs"]] == [["encoder_offset"]] * 2
+    assert "run 2 has encoder_offset shoulder -" in summary(of_two_runs)
+
+
+def test_a_held_out_run_agrees_and_has_a_zero_of_its_own(of_two_runs):
+    held_out = of_two_runs.held_out
+    assert held_out.against == ()
+    torque = held_out.channels["joint_torque"]
+    assert torque.after < 0.75 * torque.before
+    (zero,) = held_out.runs[0].zeros
+    assert zero.effect.value == pytest.approx(0.06, abs=0.02)
+    assert set(of_two_runs.as_dict()["holdout"]) == {"channels", "runs", "against", "filters"}
+    assert "held-out logs" in summary(of_two_runs)
+
+
+def test_a_held_out_run_without_the_effect_says_so():
+    found = trace_logs([run(0, armature=0.03)], PENDULUM, holdout=[run(2)])
+    assert names(found) == [("armature", "shoulder")]
+    assert found.verdict != "attributed"
+    (why,) = found.held_out.against
+    assert why == "held-out run 1: armature shoulder makes joint_torque worse"
+    assert why in found.reasons
+
+
+@pytest.mark.parametrize("zero", [0.0, 0.1])
+def test_nothing_has_changed_but_a_zero(zero):
+    found = trace_logs([run(3, zero, armature=0.03)], PENDULUM, declared=[ROTOR])
+    assert found.effects == ()
+    assert found.verdict == "no_residual"
+    assert zeros(found)[0].get("encoder_offset", 0.0) == pytest.approx(zero, abs=0.02)
+
+
+def test_what_has_changed_is_named_and_what_was_declared_is_not():
+    found = trace_logs([run(3, armature=0.03, friction=0.3)], PENDULUM, declared=[ROTOR])
+    assert names(found)[0] == ("coulomb_friction", "shoulder")
+    assert "armature" not in [e.name for e in found.effects]
+
+
+def test_the_command_takes_declared_effects_and_held_out_logs(tmp_path, capsys):
+    for number, log in enumerate((run(0, armature=0.03), run(1, armature=0.03)), 1):
+        log.write(tmp_path / f"{number}.parquet")
+    save_effects(tmp_path / "effects.toml", [ROTOR])
+    first, second = (str(tmp_path / f"{n}.parquet") for n in (1, 2))
+    common = ["trace", first, "--declared", str(tmp_path / "effects.toml"), "-o"]
+    main([*common, str(tmp_path / "out"), "--holdout", second])
+    assert "no_residual" in capsys.readouterr().out
+    said = json.loads((tmp_path / "out" / "trace.json").read_text())
+    assert said["holdout"]["channels"]["joint_torque"]["noise_floor"] > 0
+    assert "Held-out logs" in (tmp_path / "out" / "report.html").read_text()
+    with pytest.raises(SystemExit, match="is also a log to fit on"):
+        main([*common, str(tmp_path / "same"), "--holdout", first])
+
+
+def test_a_held_out_log_is_no_log_to_fit_on(tmp_path):
+    with pytest.raises(SurefootError, match="is also a log to fit on"):
+        trace([run(0)], PENDULUM, tmp_path, holdout=[run(0)])

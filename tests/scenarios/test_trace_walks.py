@@ -1,0 +1,109 @@
+"""Friction, outside forces and filters of a trace, on short walks with known truth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surefoot.estimator.evaluation.trajectory import reference
+from surefoot.models.attribution.evidence import linearise, log_under_model
+from surefoot.models.attribution.friction import FootFriction, friction_of, slip_notes, slip_of
+from surefoot.models.attribution.outside_forces import outside_forces, pushed_bins
+from surefoot.models.attribution.settings import DEFAULT
+from surefoot.models.residuals.binning import BIN
+from surefoot.scenarios.trace.filters import dead_reckoned, drift
+from surefoot.sim.effects import effect
+from surefoot.sim.effects.base import with_columns
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
+
+ROBOT = Robot.load("spot_class")
+GROUND = Ground(0.8)
+ZIGZAG = (Segment(1.5, 0.4, lateral=0.15), Segment(1.5, 0.4, lateral=-0.15)) * 4
+
+
+@pytest.fixture(scope="module")
+def log():
+    return walk(Scenario("zigzag", ZIGZAG, GROUND), ROBOT, 0)
+
+
+@pytest.fixture(scope="module")
+def slipped():
+    lost = effect("foot_slip", "all", 0.85)
+    return walk(Scenario("zigzag", ZIGZAG, GROUND), ROBOT, 0, [lost], declared=False)
+
+
+def friction(log):
+    return friction_of([log_under_model(log, ROBOT)], np.random.default_rng(0))
+
+
+def test_feet_that_slide_show_how_much_friction_is_lost(slipped):
+    found = friction(slipped)
+    assert found.limit == pytest.approx(0.12, rel=0.1)
+    assert found.everywhere
+    (one,) = slip_of(found, DEFAULT)
+    assert (one.effect.name, one.effect.value) == ("foot_slip", pytest.approx(0.85, abs=0.02))
+    assert one.interval[0] - 0.01 < 0.85 < one.interval[1] + 0.01
+
+
+def test_feet_that_hold_show_only_how_much_friction_there_is_at_least(log):
+    found = friction(log)
+    assert (found.limit, slip_of(found, DEFAULT)) == (None, ())
+    assert 0.05 < found.held < 0.8
+    (note,) = slip_notes(found, True, DEFAULT)
+    assert f"friction of up to {found.held:.2f}" in note
+
+
+def test_slides_in_one_place_are_no_loss_all_over():
+    patched = FootFriction(0.12, (0.11, 0.13), slides=12, everywhere=False, held=0.2)
+    assert slip_of(patched, DEFAULT) == ()
+    assert "in places" in slip_notes(patched, True, DEFAULT)[0]
+
+
+def test_without_torques_friction_is_not_identifiable(log):
+    bare = log.frame.drop(columns=[c for c in log.frame if str(c).startswith("tau_")])
+    assert friction(replace(log, frame=bare)) is None
+    assert "need torques" in slip_notes(None, True, DEFAULT)[0]
+
+
+def pushed(log, spans, force):
+    """The log of a robot whose feet hold against a force [N], in I, and stand as they did."""
+    t = log.t - log.t[0]
+    on = np.any([(t > begin) & (t < end) for begin, end in spans], axis=0)
+    share = log.contact * on[:, None] / np.maximum(log.contact.sum(axis=1, keepdims=True), 1)
+    held = np.einsum("nlik,i->nlk", ROBOT.feet_jacobian_I(log.q), np.asarray(force))
+    tau = log.tau + (held * share[..., None]).reshape(log.tau.shape)
+    return with_columns(log, {f"tau_{j}": tau[:, i] for i, j in enumerate(log.joints)})
+
+
+def test_outside_forces_are_found_where_they_act(log):
+    for spans, there in (((), 0), (((4.0, 5.0), (10.0, 11.0)), 2)):
+        case = log_under_model(pushed(log, spans, (0.0, 25.0, -15.0)) if spans else log, ROBOT)
+        known = linearise([case], (), ())
+        found = outside_forces([case], known.table, known)
+        assert len(found) == there
+        for push, (begin, end) in zip(found, spans, strict=True):
+            assert push.force == pytest.approx(np.hypot(25.0, 15.0), rel=0.1)
+            assert (push.begin, push.end) == (
+                pytest.approx(begin, abs=0.2),
+                pytest.approx(end, abs=0.2),
+            )
+        near = pushed_bins([case], known, found).sum() * BIN
+        assert near == pytest.approx(there * 1.9, abs=0.3)
+
+
+def test_what_comes_with_every_stride_is_no_outside_force(log):
+    strong = effect("torque_scale", "thigh", -0.3).compensate(log, ROBOT)[0]
+    case = log_under_model(strong, ROBOT)
+    known = linearise([case], (), ())
+    assert np.nanstd(known.table[:, known.layout.of("base_wrench")[:3]]) > 5.0
+    assert outside_forces([case], known.table, known) == ()
+
+
+def test_dead_reckoning_by_the_legs_is_among_the_filters(log):
+    truth = reference(log)
+    right = drift(truth, dead_reckoned(log, ROBOT))
+    long_ago = effect("link_length", "thigh", 0.02).compensate(log, ROBOT)[1]
+    assert right < 0.02 < drift(truth, dead_reckoned(log, long_ago))
