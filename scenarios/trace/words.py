@@ -8,6 +8,7 @@ from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.models.attribution.search import Found
 from surefoot.scenarios.trace.filters import DEAD_RECKONING
 from surefoot.scenarios.trace.result import Filters, Trace
+from surefoot.sim.effects import Effect
 
 VERDICTS = {
     "attributed": "traced to what the model lacks; what is left is at the noise floor",
@@ -39,6 +40,8 @@ _MOTIONS = {
     "contact_delay": "change the gait's frequency and speed",
     "soft_ground": "walk on hard ground",
 }
+_SORTS = {"joint": "joints", "leg": "legs", "leg_link": "links", "leg_axis": "legs"}
+"""Sort of target -> several of them."""
 _SCALE = {"rad": (1e3, "mrad"), "m": (1e3, "mm"), "s": (1e3, "ms"), "ratio": (1e2, "%")}
 
 
@@ -54,9 +57,22 @@ def size_in_words(found: Found) -> str:
     factor, unit = _SCALE.get(one.unit, (1.0, one.unit))
     low, high = (factor * x for x in found.interval)
     return (
-        f"{one.name} {one.target} {factor * one.value:+.3g} {unit} "
+        f"{one.name} {target_in_words(one)} {factor * one.value:+.3g} {unit} "
         f"(95 % interval {low:+.3g} .. {high:+.3g})"
     )
+
+
+def target_in_words(one: Effect) -> str:
+    """A target as one would say it: a part by its name, 'calf' as 'of every calf', 'left' as 'of
+    the left legs'."""
+    sort = type(one).targets
+    if not type(one).groups or isinstance(sort, tuple):
+        return one.target
+    if one.target == "all":
+        return f"of all {_SORTS[sort]}"
+    if one.target in ("left", "right", "front", "rear"):
+        return f"of the {one.target} {_SORTS[sort]}"
+    return f"of every {one.target}" if one.target in ("hip", "thigh", "calf") else one.target
 
 
 def unexplained_in_words(found: Trace) -> list[str]:

@@ -7,9 +7,10 @@ from functools import lru_cache
 import pytest
 from pendulum import swung
 
+from surefoot.models.attribution.search import Found
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.trace.run import trace, trace_logs
-from surefoot.scenarios.trace.words import summary
+from surefoot.scenarios.trace.words import size_in_words, summary
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
 from surefoot.sim.effects.base import with_columns
@@ -101,6 +102,21 @@ def test_the_command_takes_declared_effects_and_held_out_logs(tmp_path, capsys):
     assert "Held-out logs" in (tmp_path / "out" / "report.html").read_text()
     with pytest.raises(SystemExit, match="is also a log to fit on"):
         main([*common, str(tmp_path / "same"), "--holdout", first])
+
+
+@pytest.mark.parametrize(
+    ("name", "target", "words"),
+    [
+        ("link_length", "calf", "link_length of every calf +6 mm"),
+        ("link_length", "FR_calf", "link_length FR_calf +6 mm"),
+        ("foot_rolling", "left", "foot_rolling of the left legs +6 mm"),
+        ("foot_rolling", "all", "foot_rolling of all legs +6 mm"),
+        ("foot_rolling", "FL", "foot_rolling FL +6 mm"),
+        ("payload", "all", "payload all +0.006 kg"),
+    ],
+)
+def test_targets_read_as_one_would_say_them(name, target, words):
+    assert size_in_words(Found(effect(name, target, 0.006), (0.0, 0.01))).startswith(words)
 
 
 def test_a_held_out_log_is_no_log_to_fit_on(tmp_path):
