@@ -63,17 +63,21 @@ class Import:
     force: Force = False
 
     def run(self) -> None:
-        from surefoot.sim.importing.bag import import_bag
-        from surefoot.sim.importing.csv_file import import_csv
+        from surefoot.sim.importing.bag import read_bag_recording
+        from surefoot.sim.importing.csv_file import read_csv_recording
+        from surefoot.sim.importing.report import import_lines
 
-        read = import_bag if self.kind == "bag" else import_csv
-        log = read(self.file, self.map)
+        read = read_bag_recording if self.kind == "bag" else read_csv_recording
+        recording = read(self.file, self.map)
+        log = recording.log()
         log.write(self.out, self.force)
         groups = [g for g in ("imu", "q", "dq", "tau", "contact", "reference") if log.has(g)]
         print(
             f"{self.out}: {len(log.t)} samples, {log.t[-1] - log.t[0]:.1f} s at {log.rate:.0f} Hz; "
             f"{', '.join(groups)}"
         )
+        for line in import_lines(log, recording.reference()):
+            print(line)
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """Columns of a recording become a Log, as an import map says (`sim.importing.map`)."""
 
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -7,36 +8,51 @@ import numpy as np
 import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.quaternion import matrix_from_quaternion, quaternion_from_matrix
 from surefoot.sim.importing.map import ImportMap
+from surefoot.sim.importing.reference import Columns, imu_poses, with_reference
 from surefoot.sim.log import Log, LogError, Meta
+from surefoot.sim.log.reference import Poses
 from surefoot.sim.log.schema import check_frame, joint_names, joint_prefix
 from surefoot.sim.sensors.contact import contact_from_force
 
-MAX_GAP = 0.05
-"""s. Over a longer gap in the reference, rows are interpolated and marked with ref_ok = 0."""
 _UNIT_TOLERANCE = 1e-2
 
-Columns = dict[str, np.ndarray]
 
+@dataclass(frozen=True)
+class RawRecording:
+    """A recording read by a map, before it is a log.
 
-def checked_log(main: Columns, reference: Columns | None, rules: ImportMap, path: Path) -> Log:
-    """The log of tables in SI units, every column checked. Raises LogError naming path and map."""
-    if "ref_q_w" in main:
-        unit_quaternions(path, main)
-    log = log_from_tables(main, reference, rules, path.stem)
-    try:
-        check_frame(log.frame, log.rate)
-    except SurefootError as error:
-        raise LogError(f"{path} as {rules.path}: {error}") from error
-    return log
-
-
-def log_from_tables(main: Columns, reference: Columns | None, rules: ImportMap, name: str) -> Log:
-    """Assemble a Log from tables of log columns in SI units, each (N,), one row a sample.
-
-    `main` has `t` unless the map gives a rate; `reference` has its own `t`, ref_p and ref_q.
+    main: log columns in SI units, each (N,), with `t` unless the map gives a rate; poses: of a
+    reference with a clock of its own, as recorded; rules: the map; path: the file.
     """
+
+    main: Columns
+    poses: Poses | None
+    rules: ImportMap
+    path: Path
+
+    @property
+    def name(self) -> str:
+        """What the recording is called: its file's name without the ending."""
+        return self.path.stem
+
+    def reference(self) -> Poses | None:
+        """Poses of the IMU frame on the log's clock; None without a reference of its own."""
+        return imu_poses(self.poses, self.rules, self.name) if self.poses else None
+
+    def log(self) -> Log:
+        """The log, every column checked. Raises LogError naming path and map."""
+        if "ref_q_w" in self.main:
+            unit_quaternions(self.path, self.main)
+        log = _log_from_tables(self.main, self.reference(), self.rules, self.name)
+        try:
+            check_frame(log.frame, log.rate)
+        except SurefootError as error:
+            raise LogError(f"{self.path} as {self.rules.path}: {error}") from error
+        return log
+
+
+def _log_from_tables(main: Columns, reference: Poses | None, rules: ImportMap, name: str) -> Log:
     main = dict(main)
     if rules.rate is not None:
         rows = len(next(iter(main.values())))
@@ -57,7 +73,7 @@ def log_from_tables(main: Columns, reference: Columns | None, rules: ImportMap, 
                 rules.contact.debounce,
             ).astype(float)
     if reference is not None:
-        main = _with_reference(main, reference, rules)
+        main = with_reference(main, reference, str(rules.path))
     joints = joint_names(main)
     law = _motor_law(rules, joints)
     torques = _torques_by_law(main, joints, law)
@@ -74,67 +90,6 @@ def log_from_tables(main: Columns, reference: Columns | None, rules: ImportMap, 
         model=rules.model,
     )
     return Log(frame, meta, name)
-
-
-def interpolate_reference(
-    t: np.ndarray, reference_t: np.ndarray, p: np.ndarray, q: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Poses at t (N,) from poses at reference_t (M,): p (M, 3) linearly, q (M, 4) by slerp.
-
-    Returns p (N, 3), unit q (N, 4) and ok (N,): False strictly inside a gap over MAX_GAP. All t
-    lie within the reference.
-    """
-    after = np.clip(np.searchsorted(reference_t, t, side="left"), 1, len(reference_t) - 1)
-    before = after - 1
-    gap = reference_t[after] - reference_t[before]
-    share = ((t - reference_t[before]) / gap)[:, None]
-    ok = (gap <= MAX_GAP) | (t == reference_t[before]) | (t == reference_t[after])
-    position = (1.0 - share) * p[before] + share * p[after]
-    start, end = q[before], q[after]
-    cosine = np.sum(start * end, axis=1, keepdims=True)
-    end = np.where(cosine < 0.0, -end, end)
-    # atan2 of half the chord keeps its digits where the angle is small.
-    angle = 2.0 * np.arctan2(
-        np.linalg.norm(end - start, axis=1), np.linalg.norm(end + start, axis=1)
-    )
-    angle = angle[:, None]
-    apart = angle > 1e-9
-    sine = np.sin(np.where(apart, angle, 1.0))
-    first = np.where(apart, np.sin((1.0 - share) * angle) / sine, 1.0 - share)
-    second = np.where(apart, np.sin(share * angle) / sine, share)
-    attitude = first * start + second * end
-    return position, attitude / np.linalg.norm(attitude, axis=1, keepdims=True), ok
-
-
-def _with_reference(main: Columns, reference: Columns, rules: ImportMap) -> Columns:
-    t = main["t"]
-    inside = (t >= reference["t"][0]) & (t <= reference["t"][-1])
-    if not inside.any():
-        raise SurefootError(
-            f"{rules.path}: the reference ({reference['t'][0]:.6g} to {reference['t'][-1]:.6g} s)"
-            f" and the recording ({t[0]:.6g} to {t[-1]:.6g} s) do not overlap"
-        )
-    main = {column: values[inside] for column, values in main.items()}
-    p, q, ok = interpolate_reference(
-        main["t"],
-        reference["t"],
-        np.column_stack([reference[f"ref_p_{axis}"] for axis in "xyz"]),
-        np.column_stack([reference[f"ref_q_{axis}"] for axis in "wxyz"]),
-    )
-    if rules.reference is not None and rules.reference.frame == "base":
-        p, q = _base_to_imu(p, q, rules)
-    main |= {f"ref_p_{axis}": p[:, i] for i, axis in enumerate("xyz")}
-    main |= {f"ref_q_{axis}": q[:, i] for i, axis in enumerate("wxyz")}
-    main["ref_ok"] = ok.astype(float)
-    return main
-
-
-def _base_to_imu(p: np.ndarray, q: np.ndarray, rules: ImportMap) -> tuple[np.ndarray, np.ndarray]:
-    if "p_BI" not in rules.model:
-        raise SurefootError(f'{rules.path}: [reference] frame "base" needs [robot] imu_position')
-    R_GB = matrix_from_quaternion(q)
-    R_BI = matrix_from_quaternion(np.array(rules.model.get("q_BI", [1.0, 0.0, 0.0, 0.0])))
-    return p + R_GB @ np.array(rules.model["p_BI"]), quaternion_from_matrix(R_GB @ R_BI)
 
 
 def check_rising(t: np.ndarray, path: Path, column: str, unit: str, first: int) -> None:

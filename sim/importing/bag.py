@@ -16,8 +16,9 @@ from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.typesys import Stores, get_typestore
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.importing.assemble import Columns, check_rising, checked_log, unit_quaternions
+from surefoot.sim.importing.assemble import RawRecording, check_rising, unit_quaternions
 from surefoot.sim.importing.map import ImportMap, MapColumn
+from surefoot.sim.importing.reference import Columns, poses_of
 from surefoot.sim.log import Log
 
 RECEIVED = "received"
@@ -33,6 +34,11 @@ def import_bag(path: str | Path, map_path: str | Path) -> Log:
     contacts hold their last value, and rows before or after any topic are cut. Raises
     SurefootError (LogError) in one line with file and column.
     """
+    return read_bag_recording(path, map_path).log()
+
+
+def read_bag_recording(path: str | Path, map_path: str | Path) -> RawRecording:
+    """What `import_bag` makes a log of, with all poses. Raises as it does."""
     rules, path = ImportMap.read(map_path), Path(path)
     for given, section in (
         (rules.file, "[source] file"),
@@ -47,15 +53,16 @@ def import_bag(path: str | Path, map_path: str | Path) -> Log:
     main = _on_clock(seen, rules.columns, path)
     truth = None
     if reference:
-        truth = _of_one_topic(seen, reference, path)
-        unit_quaternions(path, truth)
-    return checked_log(main, truth, rules, path)
+        table = _of_one_topic(seen, reference, path)
+        unit_quaternions(path, table)
+        truth = poses_of(table)
+    return RawRecording(main, truth, rules, path)
 
 
 def _on_clock(seen: dict[str, Stamped], columns: dict[str, MapColumn], path: Path) -> Columns:
     """Columns of several topics at the times of the topic that has `t`."""
     clock = columns["t"]
-    t = clock.scale * seen[clock.theirs][1]
+    t = clock.read(seen[clock.theirs][1])
     check_rising(t, path, clock.theirs, "message", 1)
     main = topic_of(clock.theirs)
     begin, end = t[0], t[-1]
@@ -74,11 +81,11 @@ def _on_clock(seen: dict[str, Stamped], columns: dict[str, MapColumn], path: Pat
     for name, column in columns.items():
         stamps, values = seen[column.theirs]
         if topic_of(column.theirs) == main:
-            table[name] = column.scale * values[inside]
+            table[name] = column.read(values[inside])
         elif name.startswith(("contact_", "ref_ok")):
-            table[name] = column.scale * values[np.searchsorted(stamps, t[inside], "right") - 1]
+            table[name] = column.read(values[np.searchsorted(stamps, t[inside], "right") - 1])
         else:
-            table[name] = column.scale * np.interp(t[inside], stamps, values)
+            table[name] = column.read(np.interp(t[inside], stamps, values))
     return table
 
 
@@ -86,7 +93,7 @@ def _of_one_topic(seen: dict[str, Stamped], columns: dict[str, MapColumn], path:
     topics = {topic_of(column.theirs) for column in columns.values()}
     if len(topics) > 1:
         raise SurefootError(f"{path}: [reference.columns] are of {' and '.join(sorted(topics))}")
-    table = {name: column.scale * seen[column.theirs][1] for name, column in columns.items()}
+    table = {name: column.read(seen[column.theirs][1]) for name, column in columns.items()}
     check_rising(table["t"], path, columns["t"].theirs, "message", 1)
     return table
 

@@ -9,8 +9,9 @@ import numpy as np
 import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.importing.assemble import Columns, check_rising, checked_log, unit_quaternions
-from surefoot.sim.importing.map import ImportMap, MapColumn
+from surefoot.sim.importing.assemble import RawRecording, check_rising, unit_quaternions
+from surefoot.sim.importing.map import STEM, ImportMap, MapColumn
+from surefoot.sim.importing.reference import Columns, poses_of
 from surefoot.sim.log import Log
 
 
@@ -20,6 +21,11 @@ def import_csv(path: str | Path, map_path: str | Path) -> Log:
     `map_path` is a map's file or the name of a bundled map. Rows outside the reference are cut.
     Raises SurefootError (LogError) in one line with file, column and line.
     """
+    return read_csv_recording(path, map_path).log()
+
+
+def read_csv_recording(path: str | Path, map_path: str | Path) -> RawRecording:
+    """What `import_csv` makes a log of, with all rows and poses. Raises as it does."""
     rules = ImportMap.read(map_path)
     path = Path(path)
     if path.is_dir():
@@ -31,15 +37,16 @@ def import_csv(path: str | Path, map_path: str | Path) -> Log:
     if rules.reference is not None:
         if rules.reference.file is None:
             raise SurefootError(f"{rules.path}: [reference] file is missing")
-        beside = path.parent / rules.reference.file
-        reference = _read_csv_table(beside, rules.reference.columns)
-        unit_quaternions(beside, reference)
-    return checked_log(main, reference, rules, path)
+        beside = path.parent / rules.reference.file.replace(STEM, path.stem)
+        table = _read_csv_table(beside, rules.reference.columns)
+        unit_quaternions(beside, table)
+        reference = poses_of(table)
+    return RawRecording(main, reference, rules, path)
 
 
 def _read_csv_table(path: Path, columns: dict[str, MapColumn]) -> Columns:
     cells = read_csv(path, sorted({column.theirs for column in columns.values()}))
-    table = {name: column.scale * cells[column.theirs] for name, column in columns.items()}
+    table = {name: column.read(cells[column.theirs]) for name, column in columns.items()}
     if "t" in table:
         check_rising(table["t"], path, columns["t"].theirs, "line", 2)
     return table

@@ -1,11 +1,14 @@
 """An import map: the TOML file that says what the columns of a recording are.
 
     [source]     file, rate (Hz, where there is no time column)
-    [columns]    <log column> = "their column" | { column, unit, sign }; a bag's columns are
-                 "topic:field.path" (`sim.importing.bag`), and the topic of t is the log's
-    clock
-    [reference]  file (not of a bag), frame ("imu" | "base"), and [reference.columns] as above, with
-                 a t of its own
+    [columns]    <log column> = "their column" | { column, unit, sign, offset }, the offset in SI
+                 and added last; a bag's columns are "topic:field.path" (`sim.importing.bag`), and
+                 the topic of t is the log's clock
+    [reference]  file (not of a bag; "{name}" in it is the recording's own name), frame ("imu" |
+                 "base"), offset (s, added to its stamps; a number, or a table by recording), p_IM
+                 (m) and q_IM (w, x, y, z) of the tracked body in the IMU frame, and
+                 [reference.columns] as above, with a t of its own; `surefoot align` finds the
+                 offset, p_IM and q_IM
     [robot]      name, imu_position (m, in B), imu_orientation (w, x, y, z of I in B), foot_radius,
                  joint_sign and joint_offset by joint: q = sign * theirs + offset. Without a
                  foot_radius the declared model has feet that do not roll: a map declares only
@@ -21,6 +24,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
 from surefoot.sim.common.toml import Name, NonNegative, Positive, read_typed
@@ -28,6 +33,8 @@ from surefoot.sim.log.schema import GROUPS, is_column, joint_prefix, leg_names
 
 BUNDLED_MAPS = bundled("surefoot.sim.importing", "maps")
 STANDARD_GRAVITY = 9.80665
+STEM = "{name}"
+"""In the name of a reference's file: the name of the recording's, without its ending."""
 DEGREE = 0.017453292519943295
 EVENNESS = 4e-3 / 3
 """m: DIN 18202, table 3, group 3 allows finished floors 4 mm between points a metre apart, here
@@ -47,19 +54,32 @@ _KINDS = {"q_des": "q", "dq_des": "dq", "tau_ff": "tau"}
 
 @dataclass(frozen=True)
 class MapColumn:
-    """Where a log column comes from: `theirs` times `scale` (unit and sign together) is SI."""
+    """Where a log column comes from: `theirs` times `scale` (unit and sign together), plus
+    `offset`, is SI."""
 
     theirs: str
     scale: float = 1.0
+    offset: float = 0.0
+
+    def read(self, values: np.ndarray) -> np.ndarray:
+        """The log's values (N,) of theirs."""
+        return self.scale * values + self.offset
 
 
 @dataclass(frozen=True)
 class MapReference:
-    """The reference's own file beside the main one (None in a bag), its columns, whose pose."""
+    """The reference's own file beside the main one (None in a bag), its columns, whose pose.
+
+    offset: s to add to its stamps, or by recording; p_IM (3,) [m] and q_IM (w, x, y, z): where the
+    tracked body M is in the IMU frame I, and how it is turned.
+    """
 
     file: str | None
     columns: dict[str, MapColumn]
     frame: str = "imu"
+    offset: float | dict[str, float] = 0.0
+    p_IM: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    q_IM: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -119,6 +139,7 @@ class _ColumnEntry:
     column: Name
     unit: str | None = None
     sign: float = 1.0
+    offset: float = 0.0
 
     def __post_init__(self):
         _check_sign("sign", self.sign)
@@ -138,6 +159,14 @@ class _ReferenceTable:
     columns: _Columns
     file: Name | None = None
     frame: Literal["imu", "base"] = "imu"
+    offset: float | dict[str, float] = 0.0
+    p_IM: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    q_IM: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self):
+        _check_unit("q_IM", self.q_IM)
+        if self.frame == "base" and (any(self.p_IM) or any(self.q_IM[1:])):
+            raise SurefootError('p_IM and q_IM go with frame "imu", which they replace')
 
 
 @dataclass(frozen=True)
@@ -150,9 +179,8 @@ class _Robot:
     joint_offset: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self):
-        q = self.imu_orientation
-        if q is not None and abs(sum(c * c for c in q) - 1.0) > 1e-5:
-            raise SurefootError("imu_orientation is not a unit quaternion (w, x, y, z)")
+        if self.imu_orientation is not None:
+            _check_unit("imu_orientation", self.imu_orientation)
         for joint, sign in self.joint_sign.items():
             _check_sign(f"joint_sign.{joint}", sign)
 
@@ -241,7 +269,7 @@ def _reference(table: _ReferenceTable) -> MapReference:
     for name in columns:
         if name not in needed:
             raise SurefootError(f"[reference.columns] {name}: only t, ref_p and ref_q go here")
-    return MapReference(table.file, columns, table.frame)
+    return MapReference(table.file, columns, table.frame, table.offset, table.p_IM, table.q_IM)
 
 
 def _columns(section: str, entries: _Columns) -> dict[str, MapColumn]:
@@ -261,7 +289,7 @@ def _columns(section: str, entries: _Columns) -> dict[str, MapColumn]:
             allowed = ", ".join(units) or "none: it is kept as given"
             raise SurefootError(f"[{section}.{name}] unit {entry.unit!r} (allowed: {allowed})")
         scale = entry.sign if entry.unit is None else entry.sign * units[entry.unit]
-        found[name] = MapColumn(entry.column, scale)
+        found[name] = MapColumn(entry.column, scale, entry.offset)
     return found
 
 
@@ -275,6 +303,11 @@ def _by_leg(key: str, value: float | dict[str, float], legs: tuple[str, ...]) ->
         if leg not in value:
             raise SurefootError(f"[contact.{key}] {leg} is missing")
     return value
+
+
+def _check_unit(key: str, q: tuple[float, ...]) -> None:
+    if abs(sum(c * c for c in q) - 1.0) > 1e-5:
+        raise SurefootError(f"{key} is not a unit quaternion (w, x, y, z)")
 
 
 def _check_sign(key: str, value: float) -> None:

@@ -21,9 +21,20 @@ def derivative(t: np.ndarray, x: np.ndarray, window: float, causal: bool) -> np.
     """Time derivative (N, D) of the samples x (N, D), whose unit it takes per second, at t (N,).
 
     Each row is the slope at t[k] of the least-squares quadratic through the rows within `window`
-    seconds: centred on t[k], or ending there if `causal`. A window has three rows at least where
-    the log has them; with two the fit is a line, and a row without a past (causal, k = 0) is at
-    rest.
+    seconds: centred on t[k], or ending there if `causal`.
+    """
+    return local_quadratic(t, x, window, causal)[1]
+
+
+def local_quadratic(
+    t: np.ndarray, x: np.ndarray, window: float, causal: bool = False
+) -> np.ndarray:
+    """Value, slope and second derivative (3, N, D) at t (N,) [s] of the least-squares quadratic
+    through the samples x (N, D) within `window` seconds: centred on t[k], or ending there if
+    `causal`.
+
+    A window has three rows at least where the log has them; with two the fit is a line, and a row
+    without a past (causal, k = 0) is at rest.
     """
     n = len(t)
     ahead = 0.0 if causal else 0.5 * window
@@ -38,12 +49,13 @@ def derivative(t: np.ndarray, x: np.ndarray, window: float, causal: bool) -> np.
         # A one-sided window of two rows at either end grows to three, to stay a quadratic.
         last = np.minimum(np.maximum(last, first + 2), n - 1)
         first = np.maximum(np.minimum(first, last - 2), 0)
-    return _slopes(t, np.ascontiguousarray(x, dtype=float), first, last, window)
+    return _quadratics(t, np.ascontiguousarray(x, dtype=float), first, last, window)
 
 
 @kernel
-def _slopes(t, x, first, last, scale):
-    """Slopes (N, D) of local quadratics, of lines through two rows, none through one.
+def _quadratics(t, x, first, last, scale):
+    """Values, slopes and second derivatives (3, N, D) of local quadratics; of lines through two
+    rows, constants through one.
 
     Args:
         t: (N,) [s].
@@ -52,7 +64,9 @@ def _slopes(t, x, first, last, scale):
         last: (N,), its last.
         scale: time [s] in units of which the fit is made.
     """
-    out = np.zeros(x.shape)
+    out = np.zeros((3, *x.shape))
+    out[0] = x
+    adjugate = np.zeros((3, 3))
     for k in range(len(t)):
         m1 = m2 = m3 = m4 = 0.0
         m0 = float(last[k] - first[k] + 1)
@@ -62,22 +76,33 @@ def _slopes(t, x, first, last, scale):
             m2 += tau**2
             m3 += tau**3
             m4 += tau**4
-        # The row of the inverse normal matrix that gives the slope.
-        a, b, c = 0.0, 0.0, 0.0
+        # The inverse of the normal matrix, times its determinant.
+        adjugate[:] = 0.0
         if m0 >= 3.0:
-            a, b, c = m2 * m3 - m1 * m4, m0 * m4 - m2 * m2, m1 * m2 - m0 * m3
-            scaled = m1 * a + m2 * b + m3 * c
+            adjugate[0, 0], adjugate[1, 1] = m2 * m4 - m3 * m3, m0 * m4 - m2 * m2
+            adjugate[2, 2] = m0 * m2 - m1 * m1
+            adjugate[0, 1] = adjugate[1, 0] = m2 * m3 - m1 * m4
+            adjugate[0, 2] = adjugate[2, 0] = m1 * m3 - m2 * m2
+            adjugate[1, 2] = adjugate[2, 1] = m1 * m2 - m0 * m3
+            scaled = m1 * adjugate[1, 0] + m2 * adjugate[1, 1] + m3 * adjugate[1, 2]
         elif m0 == 2.0:
-            a, b = -m1, m0
+            adjugate[0, 0], adjugate[1, 1] = m2, m0
+            adjugate[0, 1] = adjugate[1, 0] = -m1
             scaled = m0 * m2 - m1 * m1
         else:
             continue
         for row in range(first[k], last[k] + 1):
             tau = (t[row] - t[k]) / scale
-            share = (a + b * tau + c * tau**2) / (scaled * scale)
-            for d in range(x.shape[1]):
-                # Differences to the row itself keep the digits of a position far from the origin.
-                out[k, d] += share * (x[row, d] - x[k, d])
+            for power in range(3):
+                a, b, c = adjugate[power]
+                share = (a + b * tau + c * tau**2) / scaled
+                if power == 1:
+                    share /= scale
+                elif power == 2:
+                    share *= 2.0 / scale**2
+                for d in range(x.shape[1]):
+                    # Differences to the row itself keep a far position's digits.
+                    out[power, k, d] += share * (x[row, d] - x[k, d])
     return out
 
 

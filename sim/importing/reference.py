@@ -1,0 +1,117 @@
+"""The reference of a recording: poses of a tracked body on a clock of their own become the motion
+of the IMU frame at a log's rows."""
+
+import numpy as np
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.quaternion import matrix_from_quaternion, quaternion_from_matrix
+from surefoot.sim.importing.map import ImportMap, MapReference
+from surefoot.sim.log.reference import Poses
+
+MAX_GAP = 0.05
+"""s. Over a longer gap in the reference, rows are interpolated and marked with ref_ok = 0."""
+
+Columns = dict[str, np.ndarray]
+
+
+def poses_of(table: Columns) -> Poses:
+    """The poses of a reference's own table: t, ref_p and ref_q."""
+    p = np.column_stack([table[f"ref_p_{axis}"] for axis in "xyz"])
+    return Poses(table["t"], p, np.column_stack([table[f"ref_q_{axis}"] for axis in "wxyz"]))
+
+
+def imu_poses(poses: Poses, rules: ImportMap, name: str) -> Poses:
+    """Poses of the IMU frame on the log's clock, from those of the body that was tracked.
+
+    Args:
+        poses: as recorded.
+        rules: whose `[reference]` says which body that is, where it is and how late its clock.
+        name: of the recording, for an offset that differs from one to the next.
+
+    Raises SurefootError where the map has no offset for this recording, or no place of the IMU.
+    """
+    if rules.reference is None:
+        return poses
+    moved = Poses(poses.t + _offset(rules.reference, rules, name), poses.p, poses.q)
+    if rules.reference.frame == "base":
+        if "p_BI" not in rules.model:
+            raise SurefootError(
+                f'{rules.path}: [reference] frame "base" needs [robot] imu_position'
+            )
+        R_BI = matrix_from_quaternion(np.array(rules.model.get("q_BI", [1.0, 0.0, 0.0, 0.0])))
+        p_BI = np.array(rules.model["p_BI"])
+        return mounted(moved, -R_BI.T @ p_BI, R_BI.T)
+    R_IM = matrix_from_quaternion(np.array(rules.reference.q_IM))
+    return mounted(moved, np.array(rules.reference.p_IM), R_IM)
+
+
+def mounted(poses: Poses, p_IM: np.ndarray, R_IM: np.ndarray) -> Poses:
+    """Poses of the IMU frame I from those of a body M, at p_IM (3,) [m] in I, whose axes R_IM (3,
+    3) turns into those of I."""
+    if not np.any(p_IM) and np.array_equal(R_IM, np.eye(3)):
+        return poses
+    R_GI = poses.R @ R_IM.T
+    return Poses(poses.t, poses.p - R_GI @ p_IM, quaternion_from_matrix(R_GI))
+
+
+def with_reference(main: Columns, poses: Poses, source: str) -> Columns:
+    """The columns of the rows that lie within the reference, with ref_p, ref_q and ref_ok.
+
+    Args:
+        main: log columns with t.
+        poses: of the IMU frame, on the same clock.
+        source: who is at fault where they do not overlap, for the message.
+    """
+    t = main["t"]
+    inside = (t >= poses.t[0]) & (t <= poses.t[-1])
+    if not inside.any():
+        raise SurefootError(
+            f"{source}: the reference ({poses.t[0]:.6g} to {poses.t[-1]:.6g} s)"
+            f" and the recording ({t[0]:.6g} to {t[-1]:.6g} s) do not overlap"
+        )
+    main = {column: values[inside] for column, values in main.items()}
+    p, q, ok = interpolate_reference(main["t"], poses.t, poses.p, poses.q)
+    main |= {f"ref_p_{axis}": p[:, i] for i, axis in enumerate("xyz")}
+    main |= {f"ref_q_{axis}": q[:, i] for i, axis in enumerate("wxyz")}
+    return main | {"ref_ok": ok.astype(float)}
+
+
+def interpolate_reference(
+    t: np.ndarray, reference_t: np.ndarray, p: np.ndarray, q: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Poses at t (N,) from poses at reference_t (M,): p (M, 3) linearly, q (M, 4) by slerp.
+
+    Returns p (N, 3), unit q (N, 4) and ok (N,): False strictly inside a gap over MAX_GAP. All t
+    lie within the reference.
+    """
+    after = np.clip(np.searchsorted(reference_t, t, side="left"), 1, len(reference_t) - 1)
+    before = after - 1
+    gap = reference_t[after] - reference_t[before]
+    share = ((t - reference_t[before]) / gap)[:, None]
+    ok = (gap <= MAX_GAP) | (t == reference_t[before]) | (t == reference_t[after])
+    position = (1.0 - share) * p[before] + share * p[after]
+    start, end = q[before], q[after]
+    cosine = np.sum(start * end, axis=1, keepdims=True)
+    end = np.where(cosine < 0.0, -end, end)
+    # atan2 of half the chord keeps its digits where the angle is small.
+    angle = 2.0 * np.arctan2(
+        np.linalg.norm(end - start, axis=1), np.linalg.norm(end + start, axis=1)
+    )
+    angle = angle[:, None]
+    apart = angle > 1e-9
+    sine = np.sin(np.where(apart, angle, 1.0))
+    first = np.where(apart, np.sin((1.0 - share) * angle) / sine, 1.0 - share)
+    second = np.where(apart, np.sin(share * angle) / sine, share)
+    attitude = first * start + second * end
+    return position, attitude / np.linalg.norm(attitude, axis=1, keepdims=True), ok
+
+
+def _offset(reference: MapReference, rules: ImportMap, name: str) -> float:
+    if not isinstance(reference.offset, dict):
+        return reference.offset
+    if name not in reference.offset:
+        known = ", ".join(reference.offset)
+        raise SurefootError(
+            f"{rules.path}: [reference.offset] has none for {name!r} (known: {known})"
+        )
+    return reference.offset[name]

@@ -1,0 +1,145 @@
+"""Is a reference what it seems? Miscounted frames, jumps, held samples and gaps, by itself
+alone."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from surefoot.sim.importing.reference import MAX_GAP
+from surefoot.sim.log.reference import Poses
+
+_MISCOUNTED = (1 / 2, 2 / 3, 3 / 2, 2.0)
+"""Speed of a step over its neighbours', where its stamps count one frame too many or too few: one
+for two, two for three, three for two, two for one."""
+_NEAR = 0.12
+"""Share by which a ratio may differ from one of these: less than half of what lies between them."""
+_AROUND = 3
+"""Steps on either side whose median is the speed around a step: a step of gait is much longer."""
+_STEADY = 0.15
+"""Share by which speeds around may spread (median deviation) for a step to be judged by them."""
+_SLOWEST = 0.1
+"""m/s below which millimetres of noise change a speed by as much as a frame does."""
+_JUMP_ACCEL = 150.0
+"""m/s^2 from the speed around to that of a step: a body on legs is pushed by less than a third, a
+jump of 15 mm between samples at 100 Hz has as much."""
+_JUMP_TURN = 500.0
+"""rad/s^2, the same of the rate of turning: 3 degrees between samples at 100 Hz."""
+_OUTLYING = 8.0
+"""Times its usual change by which a speed must change in a jump: a noisy reference has no more."""
+
+
+@dataclass(frozen=True)
+class ReferenceCheck:
+    """What the samples of a reference say of themselves.
+
+    samples: how many; rate [Hz]; judged: steps at a steady speed, by which frames can be counted;
+    miscounted: those of them off by a frame; jumps, held: steps from sample to sample that jump,
+    or repeat the pose to the last digit while the body moves; gaps: intervals over MAX_GAP;
+    longest_gap [s].
+    """
+
+    samples: int
+    rate: float
+    judged: int
+    miscounted: int
+    jumps: int
+    held: int
+    gaps: int
+    longest_gap: float
+
+    @property
+    def doubtful(self) -> float:
+        """Share of the judged steps whose stamps are off by a frame."""
+        return self.miscounted / self.judged if self.judged else 0.0
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """In words, what there is and then what is wrong."""
+        said = [
+            f"reference: {self.samples} samples, {self.rate:.3g} Hz; longest gap "
+            f"{1e3 * self.longest_gap:.0f} ms, {self.gaps} over {1e3 * MAX_GAP:.0f} ms"
+        ]
+        if self.judged:
+            said.append(
+                f"reference: {100 * self.doubtful:.1f} % of stamps doubtful: so many of the "
+                f"{self.judged} steps at a steady speed have 1/2, 2/3, 3/2 or 2 times their "
+                "neighbours' (frames miscounted)"
+            )
+        if self.jumps:
+            said.append(f"reference: {self.jumps} jumps of position or attitude")
+        if self.held:
+            said.append(
+                f"reference: {self.held} samples repeat the one before while the body moves"
+            )
+        return tuple(said)
+
+
+def check_reference(poses: Poses) -> ReferenceCheck:
+    """Check the samples of a reference, K of them, by themselves."""
+    step = np.diff(poses.t)
+    if len(step) < 2 * _AROUND + 1:
+        return ReferenceCheck(len(poses.t), 0.0, 0, 0, 0, 0, 0, float(step.max(initial=0.0)))
+    miscounted, judged = miscounts(poses)
+    _, around = _speeds(poses)
+    same = np.all(np.diff(poses.p, axis=0) == 0, axis=1) & np.all(
+        np.diff(poses.q, axis=0) == 0, axis=1
+    )
+    return ReferenceCheck(
+        samples=len(poses.t),
+        rate=float(1.0 / np.median(step)),
+        judged=int(judged.sum()),
+        miscounted=int(miscounted.sum()),
+        jumps=int(jumps(poses).sum()),
+        held=int((same & (around > _SLOWEST)).sum()),
+        gaps=int((step > MAX_GAP).sum()),
+        longest_gap=float(step.max()),
+    )
+
+
+def miscounts(poses: Poses) -> tuple[np.ndarray, np.ndarray]:
+    """Steps (K - 1,) between samples that are off by a frame, and those that can be judged."""
+    speed, around = _speeds(poses)
+    spread = _median_around(np.abs(speed - around))
+    judged = (around > _SLOWEST) & (spread < _STEADY * around)
+    ratio = speed / np.maximum(around, _SLOWEST)
+    near = np.any([np.abs(ratio / one - 1.0) < _NEAR for one in _MISCOUNTED], axis=0)
+    return near & judged, judged
+
+
+def jumps(poses: Poses) -> np.ndarray:
+    """Steps (K - 1,) between samples over which position or attitude jumps."""
+    step = np.diff(poses.t)
+    R = Rotation.from_quat(poses.q, scalar_first=True)
+    turning = (R[:-1].inv() * R[1:]).magnitude() / step
+    found = np.zeros(len(step), dtype=bool)
+    for rate, limit in ((_speeds(poses)[0], _JUMP_ACCEL), (turning, _JUMP_TURN)):
+        change = rate - _median_around(rate)
+        usual = 1.4826 * np.median(np.abs(change))
+        found |= (change / step > limit) & (change > _OUTLYING * usual)
+    return found
+
+
+def without_jumps(poses: Poses, longest: float = 0.5) -> Poses:
+    """The poses but for those between a jump and one back, at most `longest` [s] later: a body that
+    was taken for another or turned about for some frames."""
+    at = np.flatnonzero(jumps(poses))
+    keep = np.ones(len(poses.t), dtype=bool)
+    for first, last in pairwise(at):
+        if poses.t[last] - poses.t[first] < longest:
+            keep[first + 1 : last + 1] = False
+    return poses.rows(keep)
+
+
+def _speeds(poses: Poses) -> tuple[np.ndarray, np.ndarray]:
+    """Speed (K - 1,) [m/s] of each step, and the median speed of the steps around it."""
+    speed = np.linalg.norm(np.diff(poses.p, axis=0), axis=1) / np.diff(poses.t)
+    return speed, _median_around(speed)
+
+
+def _median_around(x: np.ndarray) -> np.ndarray:
+    """Median (M,) of the _AROUND values on either side of each of x (M,), without itself."""
+    padded = np.pad(x, _AROUND, constant_values=np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * _AROUND + 1)
+    return np.nanmedian(np.delete(windows, _AROUND, axis=1), axis=1)

@@ -1,0 +1,194 @@
+"""How much each sample of a reference errs, by a smoother over IMU and poses.
+ Beside the IMU's integrals (`sim.log.dead_reckoning`) the path of a tracked point is slow: a start,
+a velocity, a force that drifts with tilt and bias, and a lever arm that turns with the body. What a
+sample has beyond them is the noise of its position, and its speed times the error of its stamp. A
+Kalman filter with the states (position, velocity, drift, lever arm) says how likely the samples are
+at given sizes of these; the likeliest sizes are taken, and a Rauch-Tung-Striebel smoother
+re-estimates every stamp (Bar-Shalom et al., Estimation with Applications to Tracking and
+Navigation, 2001, ch. 8).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+
+from surefoot.sim.common.kernels import kernel
+from surefoot.sim.log.dead_reckoning import BesideImu, beside_imu
+from surefoot.sim.log.derived import REFERENCE_WINDOW, derivative
+from surefoot.sim.log.reference import Poses
+
+FEWEST_SAMPLES = 100
+"""Samples below which no noise is estimated."""
+_LONGEST = 4000
+"""Samples, at the middle of a longer reference, that it is estimated from."""
+_LEVER = 0.3
+"""m, standard deviation of each coordinate of the lever arm before anything is known."""
+_DRIFT = 0.3
+"""m/s^2, of what bias and tilt do to the force, at the start."""
+_WANDER = 0.05
+"""m/s^2 over a root second, of how it wanders: the tilt of a walking body's attitude by a few
+tenths of a degree."""
+_START = (1e-3, 2e-3, 0.1)
+"""Position [m], stamp [s] and force [m/s^2/sqrt(Hz)] from which the likeliest sizes are
+searched."""
+_SMALLEST = np.array([1e-5, 1e-5, 1e-3])
+"""Sizes, in the same order, below which they say nothing."""
+
+
+@dataclass(frozen=True)
+class ReferenceNoise:
+    """Standard deviations of a sample's position [m], stamp [s] and attitude [rad]; of its
+    innovation, what a step from the sample before misses it by [m]; the root mean square of the
+    corrections of the stamps [s], re-estimated; and of the rest of IMU and model as a density of
+    force [m/s^2/sqrt(Hz)].
+    """
+
+    position: float
+    stamp: float
+    angle: float
+    innovation: float
+    correction: float
+    force: float
+
+    @property
+    def line(self) -> str:
+        """In words."""
+        return (
+            f"reference against the IMU: samples err by {1e3 * self.position:.2g} mm, "
+            f"{np.degrees(self.angle):.2g} deg and {1e3 * self.stamp:.2g} ms; a smoother over both "
+            f"corrects stamps by {1e3 * self.correction:.2g} ms, and foresees a sample to "
+            f"{1e3 * self.innovation:.2g} mm"
+        )
+
+
+def reference_noise(
+    t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, poses: Poses
+) -> ReferenceNoise | None:
+    """How much the samples of a reference err; None where there are too few.
+
+    Args:
+        t: (N,) of the IMU's rows [s].
+        gyro: (N, 3) [rad/s], mean over the step before each row.
+        accel: (N, 3) [m/s^2], the same.
+        poses: of the IMU frame, to the rotation; the tracked point may be elsewhere on the body.
+    """
+    poses = poses.rows((poses.t > t[1]) & (poses.t < t[-1]))
+    extra = max(len(poses.t) - _LONGEST, 0) // 2
+    poses = poses.rows(slice(extra, extra + _LONGEST))
+    if len(poses.t) < FEWEST_SAMPLES:
+        return None
+    beside = beside_imu(t, gyro, accel, poses)
+    velocity = derivative(poses.t, poses.p, REFERENCE_WINDOW, causal=False)
+    tables = (np.diff(poses.t, prepend=poses.t[0]), beside.path - beside.path[0])
+    tables += (np.ascontiguousarray(beside.R_GI), velocity)
+
+    def unlikely(log_sizes: np.ndarray) -> float:
+        return _filtered(*tables, *np.exp(log_sizes))[0]
+
+    enough = {"xatol": 0.03, "fatol": 0.1}
+    best = minimize(unlikely, np.log(_START), method="Nelder-Mead", options=enough)
+    position, stamp, force = np.maximum(np.exp(best.x), _SMALLEST)
+    _, innovation, states = _filtered(*tables, position, stamp, force)
+    rest = _smoothed_rest(*tables[:3], force, *states)
+    along = np.sum(rest * velocity, axis=1)
+    corrections = stamp**2 * along / (position**2 + stamp**2 * np.sum(velocity**2, axis=1))
+    return ReferenceNoise(
+        position=float(position),
+        stamp=float(stamp),
+        angle=_angle(beside, stamp),
+        innovation=float(np.sqrt(np.mean(innovation[1:] ** 2))),
+        correction=float(np.sqrt(np.mean(corrections**2))),
+        force=float(force),
+    )
+
+
+def _angle(beside: BesideImu, stamp: float) -> float:
+    """Standard deviation of a sample's attitude [rad], about each axis: of how its turn beside the
+    gyro changes from one to the next, less what the error of its stamp [s] does to it."""
+    square = np.sort(np.sum(np.diff(beside.turn, axis=0) ** 2, axis=1)) / 6.0
+    by_stamps = stamp**2 * np.mean(np.sum(beside.omega**2, axis=1)) / 3.0
+    # One sample in a hundred may be taken for another's.
+    most = square[: int(np.ceil(0.99 * len(square)))].mean()
+    return float(np.sqrt(max(most - by_stamps, 0.0)))
+
+
+@kernel
+def _transition(dt, force):
+    """Transition and process noise (12, 12) over dt [s]; `force` is the density of its white
+    part."""
+    F, Q = np.eye(12), np.zeros((12, 12))
+    for i in range(3):
+        F[i, 3 + i], F[i, 6 + i], F[3 + i, 6 + i] = dt, 0.5 * dt * dt, dt
+        Q[i, i], Q[3 + i, 3 + i] = force**2 * dt**3 / 3.0, force**2 * dt
+        Q[i, 3 + i] = Q[3 + i, i] = force**2 * dt**2 / 2.0
+        Q[6 + i, 6 + i] = _WANDER**2 * dt
+    return F, Q
+
+
+@kernel
+def _filtered(dt, path, R_GI, velocity, position, stamp, force):
+    """Minus the log-likelihood, innovations (K, 3) [m], and the states that a smoother needs: their
+    means (K, 12) and covariances (K, 12, 12), predicted and updated.
+
+    Args:
+        dt: (K,) since the sample before [s].
+        path: (K, 3) of the samples beside the IMU's [m].
+        R_GI: (K, 3, 3).
+        velocity: (K, 3) of the tracked point in G [m/s].
+        position: standard deviation of a sample [m].
+        stamp: of its time [s].
+        force: density of what else moves the path [m/s^2/sqrt(Hz)].
+    """
+    count = len(dt)
+    x, P = np.zeros(12), np.zeros((12, 12))
+    for i in range(3):
+        P[i, i], P[3 + i, 3 + i] = _LEVER**2, 1.0
+        P[6 + i, 6 + i], P[9 + i, 9 + i] = _DRIFT**2, _LEVER**2
+    means, covariances = np.empty((2, count, 12)), np.empty((2, count, 12, 12))
+    innovation = np.empty((count, 3))
+    H, unlikely = np.zeros((3, 12)), 0.0
+    H[:, :3] = np.eye(3)
+    for k in range(count):
+        F, Q = _transition(dt[k], force)
+        x = F @ x
+        P = F @ P @ F.T + Q
+        means[0, k], covariances[0, k] = x, P
+        H[:, 9:] = R_GI[k]
+        v = velocity[k]
+        N = position**2 * np.eye(3) + stamp**2 * np.outer(v, v)
+        S = H @ P @ H.T + N
+        e = path[k] - H @ x
+        gain = np.ascontiguousarray(np.linalg.solve(S, H @ P).T)
+        x = x + gain @ e
+        # Joseph's form, which rounding leaves positive.
+        keep = np.eye(12) - gain @ H
+        P = keep @ P @ keep.T + gain @ N @ gain.T
+        means[1, k], covariances[1, k] = x, P
+        innovation[k] = e
+        unlikely += 0.5 * (np.log(np.linalg.det(S)) + e @ np.linalg.solve(S, e))
+    return unlikely, innovation, (means, covariances)
+
+
+@kernel
+def _smoothed_rest(dt, path, R_GI, force, means, covariances):
+    """What the samples have beyond the smoothed path (K, 3) [m].
+
+    Args:
+        dt: (K,) since the sample before [s].
+        path: (K, 3) of the samples beside the IMU's [m].
+        R_GI: (K, 3, 3).
+        force: density of what else moves the path [m/s^2/sqrt(Hz)].
+        means: of the states, predicted and updated (2, K, 12).
+        covariances: of the states (2, K, 12, 12).
+    """
+    rest = np.empty_like(path)
+    x = means[1, -1].copy()
+    for back in range(len(dt)):
+        k = len(dt) - 1 - back
+        if back > 0:
+            F, _ = _transition(dt[k + 1], force)
+            gain = np.linalg.solve(covariances[0, k + 1], F @ covariances[1, k]).T
+            x = means[1, k] + np.ascontiguousarray(gain) @ (x - means[0, k + 1])
+        rest[k] = path[k] - x[:3] - np.ascontiguousarray(R_GI[k]) @ x[9:]
+    return rest

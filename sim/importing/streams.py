@@ -1,0 +1,146 @@
+"""Streams of a log that are not what their rows say: sampled slower and held, or late.
+
+A column is held where it repeats its value to the last digit although it moves by far more than its
+resolution: a slower sensor was read more often than it measures. A stream is late where another
+column of the log measures the same: rates against the change of their angles, the reference's
+velocity against its positions.
+"""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from surefoot.sim.log import Log
+from surefoot.sim.log.derived import JOINT_WINDOW, REFERENCE_WINDOW, derivative
+from surefoot.sim.log.schema import joint_prefix
+
+_MOVES = 20.0
+"""Resolutions that a column must move by within _MOVING seconds for a repeated value to be
+telling."""
+_MOVING = 0.05
+"""s: half a swing."""
+_HELD_SHARE = 0.15
+"""Share of repeated values from which a column is held: fewer are whole counts of a slow sensor, or
+single rows that were missed."""
+_MOVING_ROWS = 50
+"""Rows of motion below which nothing is said."""
+_LATEST = 0.05
+"""s up to which a delay is looked for, as of the effects of timing."""
+_LEAST_DELAY = 2e-3
+"""s below which a delay is not reported, nor below a quarter of a row."""
+_ALIKE = 0.5
+"""Correlation below which two columns do not measure the same, whatever their delay."""
+
+
+@dataclass(frozen=True)
+class HeldStream:
+    """Columns whose values change `rate` times a second [Hz] and are held in the rows between."""
+
+    columns: tuple[str, ...]
+    rate: float
+
+    @property
+    def line(self) -> str:
+        """In words."""
+        return (
+            f"held: {_names(self.columns)} are sampled at {self.rate:.0f} Hz and repeated between"
+        )
+
+
+@dataclass(frozen=True)
+class LateStream:
+    """Columns that come `delay` [s] after `witness`, which measures the same."""
+
+    columns: tuple[str, ...]
+    delay: float
+    witness: str
+
+    @property
+    def line(self) -> str:
+        """In words."""
+        which = "late" if self.delay > 0 else "early"
+        return (
+            f"{which}: {_names(self.columns)} by {1e3 * abs(self.delay):.1f} ms against "
+            f"{self.witness}"
+        )
+
+
+def held_streams(log: Log) -> tuple[HeldStream, ...]:
+    """Columns of a log that were sampled slower than its rows; those of one kind (gyro, q, ...) and
+    rate together."""
+    found: dict[tuple[str, int], list[str]] = defaultdict(list)
+    for name in map(str, log.frame):
+        if name == "t" or name.startswith(("ref_", "contact_", "slip_", "mu_")):
+            continue
+        share = _repeated(log.t, log.frame[name].to_numpy())
+        if share > _HELD_SHARE:
+            found[_kind(name), round(log.rate * (1.0 - share))].append(name)
+    return tuple(HeldStream(tuple(names), float(rate)) for (_, rate), names in found.items())
+
+
+def late_streams(log: Log) -> tuple[LateStream, ...]:
+    """Streams of a log that are late against what measures the same; negative where early."""
+    found = []
+    if log.has("q") and log.has("dq"):
+        lag = delay_between(log.t, log.dq, derivative(log.t, log.q, JOINT_WINDOW, causal=False))
+        found.append(LateStream(tuple(f"dq_{j}" for j in log.joints), lag, "the change of q"))
+    if log.has("ref_v"):
+        lag = delay_between(
+            log.t, log.ref_v, derivative(log.t, log.ref_p, REFERENCE_WINDOW, causal=False)
+        )
+        names = tuple(f"ref_v_{axis}" for axis in "xyz")
+        found.append(LateStream(names, lag, "the change of ref_p"))
+    least = max(_LEAST_DELAY, 0.25 / log.rate)
+    return tuple(one for one in found if abs(one.delay) > least)
+
+
+def delay_between(t: np.ndarray, late: np.ndarray, witness: np.ndarray) -> float:
+    """How much later [s] `late` (N, D) shows what `witness` (N, D) does, at the times t (N,) [s]:
+    where their correlation is largest, by a parabola through it. 0 where they are not alike."""
+    dt = float(np.median(np.diff(t)))
+    even = np.arange(t[0], t[-1], dt)
+    a, b = (_even(even, t, x) for x in (late, witness))
+    most = min(int(np.ceil(_LATEST / dt)) + 1, len(even) // 4)
+    inner = slice(most, len(even) - most)
+    size = np.sqrt(np.sum(a[inner] ** 2) * np.sum(b[inner] ** 2))
+    if most < 1 or size == 0.0:
+        return 0.0
+    shifts = np.arange(-most, most + 1)
+    alike = np.array([np.sum(np.roll(a, -k, axis=0)[inner] * b[inner]) for k in shifts]) / size
+    best = int(np.argmax(alike))
+    if alike[best] < _ALIKE or best in (0, len(shifts) - 1):
+        return 0.0
+    before, top, after = alike[best - 1 : best + 2]
+    bend = before - 2.0 * top + after
+    return dt * float(shifts[best] + (0.5 * (before - after) / bend if bend else 0.0))
+
+
+def _repeated(t: np.ndarray, x: np.ndarray) -> float:
+    """Share of the rows of x (N,) that repeat the one before, of those at which it moves."""
+    change = np.abs(np.diff(x))
+    if not change.any():
+        return 0.0
+    resolution = change[change > 0].min()
+    # What it travels within the window is far cheaper than its range, and as telling.
+    travelled = np.concatenate([[0.0], np.cumsum(change)])
+    ahead = np.interp(t[1:] + 0.5 * _MOVING, t, travelled)
+    behind = np.interp(t[1:] - 0.5 * _MOVING, t, travelled)
+    moving = ahead - behind > _MOVES * resolution
+    if moving.sum() < _MOVING_ROWS:
+        return 0.0
+    return float(np.mean(change[moving] == 0.0))
+
+
+def _even(even: np.ndarray, t: np.ndarray, x: np.ndarray) -> np.ndarray:
+    values = np.column_stack([np.interp(even, t, column) for column in x.T])
+    return values - values.mean(axis=0)
+
+
+def _kind(name: str) -> str:
+    return joint_prefix(name) or name.split("_")[0]
+
+
+def _names(columns: Sequence[str]) -> str:
+    return ", ".join(columns) if len(columns) <= 3 else f"{columns[0]} to {columns[-1]}"

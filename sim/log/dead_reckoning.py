@@ -1,0 +1,91 @@
+"""Poses of a reference beside what the IMU alone integrates to between them.
+ The gyro's integral gives the attitude but for a start and a drift; the specific force turned by
+it, with gravity, gives the path but for a start, a velocity and a drift. What poses have beside
+these two is slow where IMU and reference belong together: it shows a clock that is late, another
+place of the tracked point, a bias, and the noise of each sample.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from surefoot.sim.common.gravity import GRAVITY_G
+from surefoot.sim.common.kernels import kernel
+from surefoot.sim.log.derived import local_quadratic
+from surefoot.sim.log.reference import Poses
+
+_DRIFT = 0.5
+"""s over which the gyro is trusted beside the poses: its noise turns it by less than a
+hundredth of a degree in this time, the poses' own noise averages out."""
+
+
+@dataclass(frozen=True)
+class BesideImu:
+    """What K poses have beside the IMU's integrals, at their times t (K,) [s].
+
+    turn (K, 3): rotation vector [rad] in G from the integrated attitude to the pose's; drift
+    (K, 3): the slow part of it; path (K, 3): position minus the twice integrated specific force
+    [m]; R_GI (K, 3, 3): attitudes of the poses; omega (K, 3): angular rate in I [rad/s].
+    """
+
+    t: np.ndarray
+    turn: np.ndarray
+    drift: np.ndarray
+    path: np.ndarray
+    R_GI: np.ndarray
+    omega: np.ndarray
+
+
+def beside_imu(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, poses: Poses) -> BesideImu:
+    """Poses of the IMU frame, all within the times t (N,) [s] of the IMU's rows, beside the
+    integrals of gyro (N, 3) [rad/s] and accel (N, 3) [m/s^2], means over the step before each
+    row."""
+    dt = np.diff(t)
+    turned = _integrated(gyro[1:] * dt[:, None])
+    row = np.clip(np.searchsorted(t, poses.t, side="right") - 1, 0, len(t) - 2)
+    after = (poses.t - t[row])[:, None]
+    omega = gyro[row + 1]
+    R_GI = poses.R
+    at_poses = turned[row] @ Rotation.from_rotvec(omega * after).as_matrix()
+    correction = Rotation.from_matrix(R_GI @ np.swapaxes(at_poses, 1, 2))
+    mean = correction.mean()
+    turn = (correction * mean.inv()).as_rotvec()
+    drift = local_quadratic(poses.t, turn, _DRIFT)[0]
+    at_rows = np.column_stack([np.interp(t, poses.t, x) for x in drift.T])
+    R_rows = (Rotation.from_rotvec(at_rows) * mean).as_matrix() @ turned
+    midway = R_rows[:-1] @ Rotation.from_rotvec(0.5 * gyro[1:] * dt[:, None]).as_matrix()
+    force = np.einsum("nij,nj->ni", midway, accel[1:]) + GRAVITY_G
+    zero = np.zeros((1, 3))
+    velocity = np.concatenate([zero, np.cumsum(force * dt[:, None], axis=0)])
+    steps = velocity[:-1] * dt[:, None] + 0.5 * force * dt[:, None] ** 2
+    travelled = np.concatenate([zero, np.cumsum(steps, axis=0)])
+    travelled = travelled[row] + velocity[row] * after + 0.5 * force[row] * after**2
+    return BesideImu(poses.t, turn, drift, poses.p - travelled, R_GI, omega)
+
+
+@kernel
+def _integrated(turns):
+    """Attitudes (N + 1, 3, 3) after rotation vectors (N, 3) [rad] one after another, from I on."""
+    n = len(turns)
+    R = np.empty((n + 1, 3, 3))
+    # As a quaternion, which stays one: products of matrices would drift from orthogonal.
+    w, x, y, z = 1.0, 0.0, 0.0, 0.0
+    R[0] = np.eye(3)
+    for k in range(n):
+        a, b, c = turns[k]
+        half = 0.5 * np.sqrt(a * a + b * b + c * c)
+        share = 0.5 * (np.sin(half) / half if half > 1e-9 else 1.0)
+        d, a, b, c = np.cos(half), share * a, share * b, share * c
+        w, x, y, z = (
+            w * d - x * a - y * b - z * c,
+            w * a + x * d + y * c - z * b,
+            w * b - x * c + y * d + z * a,
+            w * c + x * b - y * a + z * d,
+        )
+        size = np.sqrt(w * w + x * x + y * y + z * z)
+        w, x, y, z = w / size, x / size, y / size, z / size
+        R[k + 1, 0] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+        R[k + 1, 1] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+        R[k + 1, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+    return R

@@ -1,0 +1,67 @@
+"""A reference as it was sampled: its own times and poses, not those of a log's rows.
+
+A log holds a pose a row, interpolated between the samples of a slower reference: positions along
+straight lines, attitudes at even rates. Such a path bends at the samples, so that they are found
+again.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from surefoot.sim.common.quaternion import matrix_from_quaternion, quaternion_from_matrix
+from surefoot.sim.log.log import Log
+
+_BEND = 1e-6
+"""m/s by which a velocity changes from row to row where two straight lines meet: rounding changes
+it by 1e-12."""
+_CURVED = 0.9
+"""Share of rows at which the path bends from which it has a sample a row."""
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Samples of a reference: t (K,) [s], rising; p (K, 3) [m]; q (K, 4) as w, x, y, z."""
+
+    t: np.ndarray
+    p: np.ndarray
+    q: np.ndarray
+
+    @property
+    def R(self) -> np.ndarray:
+        """Attitudes (K, 3, 3)."""
+        return matrix_from_quaternion(self.q)
+
+    def rows(self, which: np.ndarray) -> "Poses":
+        """Those of a mask (K,) or of indices."""
+        return Poses(self.t[which], self.p[which], self.q[which])
+
+
+def reference_poses(log: Log) -> Poses:
+    """The samples of a log's reference. Raises LogError where it has none.
+
+    Where the path bends at hardly any or at nearly every row, the samples are the rows that were
+    measured (`ref_ok`).
+    """
+    t, p, q = log.t, log.ref_p, log.ref_q
+    slope = np.diff(p, axis=0) / np.diff(t)[:, None]
+    bent = 1 + np.flatnonzero(np.linalg.norm(np.diff(slope, axis=0), axis=1) > _BEND)
+    if len(bent) < 3 or len(bent) > _CURVED * len(t):
+        ok = log.ref_ok
+        return Poses(t[ok], p[ok], q[ok])
+    groups = np.split(bent, np.flatnonzero(np.diff(bent) > 1) + 1)
+    first = np.array([one[0] for one in groups])
+    last = np.array([one[-1] for one in groups])
+    # The line before the first bend and the line behind the last meet at the sample; where several
+    # samples share a bend they are too close to be told apart, and stand for one.
+    before, behind = slope[first - 1], slope[last]
+    apart, turn = p[last] - p[first], behind - before
+    span = t[last] - t[first]
+    along = np.sum((behind * span[:, None] - apart) * turn, axis=1) / np.sum(turn**2, axis=1)
+    at = t[first] + np.clip(along, 0.0, span)
+    ahead = (at - t[first])[:, None]
+    R = Rotation.from_quat(q, scalar_first=True)
+    rate = (R[first - 1].inv() * R[first]).as_rotvec() / (t[first] - t[first - 1])[:, None]
+    turned = R[first] * Rotation.from_rotvec(rate * ahead)
+    return Poses(at, p[first] + before * ahead, quaternion_from_matrix(turned.as_matrix()))

@@ -1,0 +1,139 @@
+"""A reference is checked before it is used: frames, jumps, held samples, its noise by the IMU."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from motions import attitude, motion, position
+from scipy.spatial.transform import Rotation
+
+from surefoot.scenarios.cli.main import main
+from surefoot.sim.common.files import measured_folder
+from surefoot.sim.common.quaternion import quaternion_from_matrix
+from surefoot.sim.importing.reference import interpolate_reference
+from surefoot.sim.importing.reference_check import check_reference, jumps, without_jumps
+from surefoot.sim.importing.reference_noise import reference_noise
+from surefoot.sim.importing.report import reference_lines
+from surefoot.sim.log import Log, Meta
+from surefoot.sim.log.reference import Poses, reference_poses
+
+FRAME = 1 / 120
+RECORDING = measured_folder() / "go1_square"
+
+
+def poses(t, stamps=None, noise=0.0, rng=None):
+    """Samples of a known motion at t (K,), said to be at `stamps`."""
+    p = position(t)
+    if noise:
+        p = p + rng.normal(0.0, noise, p.shape)
+    return Poses(
+        t if stamps is None else stamps, p, quaternion_from_matrix(attitude(t).as_matrix())
+    )
+
+
+def dropped_frames(rng, seconds=18.0):
+    """Frames at 120 Hz, a third of them dropped: how many there are from one sample to the next."""
+    frames = np.flatnonzero(rng.random(round(seconds / FRAME)) > 0.33)
+    return frames[0], np.diff(frames)
+
+
+def test_frames_that_were_miscounted_are_found():
+    rng = np.random.default_rng(0)
+    first, steps = dropped_frames(rng)
+    t = 0.5 + FRAME * np.cumsum([first, *steps])
+    assert check_reference(poses(t)).doubtful < 0.005
+    wrong = rng.random(len(steps)) < 0.2
+    counted = np.where(wrong, np.where(steps == 1, 2, steps - 1), steps)
+    found = check_reference(poses(t, 0.5 + FRAME * np.cumsum([first, *counted])))
+    # Steps of four frames and more, taken for one less, are no longer told from speed.
+    assert 0.1 < found.doubtful < 0.25
+    assert found.jumps == 0
+
+
+def test_jumps_and_held_samples_and_gaps_are_counted():
+    t = 0.01 * np.arange(1000)
+    true = poses(t)
+    p, q = true.p.copy(), true.q.copy()
+    p[300:] += [0.03, 0.0, 0.0]
+    q[600:604] = quaternion_from_matrix(attitude(t[600:604] + 9.0).as_matrix())
+    p[800], q[800] = p[799], q[799]
+    keep = np.abs(t - 9.0) > 0.04
+    found = check_reference(Poses(t[keep], p[keep], q[keep]))
+    assert (found.jumps, found.held, found.gaps) == (3, 1, 1)
+    assert found.longest_gap == pytest.approx(0.1, abs=0.011)
+    np.testing.assert_array_equal(np.flatnonzero(jumps(Poses(t, p, q))), [299, 599, 603])
+    left = without_jumps(Poses(t, p, q))
+    np.testing.assert_array_equal(np.setdiff1d(t, left.t), t[600:604])
+
+
+def test_the_noise_of_samples_is_found_by_imu_and_poses():
+    """Position, stamp and attitude, of a point that is not the IMU."""
+    walk = motion(12.0, 400.0)
+    rng = np.random.default_rng(1)
+    t = np.arange(0.01, 11.9, 1 / 90)
+    true = t + rng.normal(0.0, 1.5e-3, len(t))
+    R = attitude(true).as_matrix()
+    p = position(true) + R @ [0.1, -0.05, 0.12] + rng.normal(0.0, 0.4e-3, (len(t), 3))
+    turned = attitude(true) * Rotation.from_rotvec(rng.normal(0.0, 2e-3, (len(t), 3)))
+    accel = walk.accel + np.array([0.05, -0.1, 0.08]) + rng.normal(0.0, 0.03, walk.accel.shape)
+    gyro = walk.gyro + 0.003 + rng.normal(0.0, 0.01, walk.gyro.shape)
+    seen = Poses(t, p, quaternion_from_matrix(turned.as_matrix()))
+    found = reference_noise(walk.t, gyro, accel, seen)
+    assert found is not None
+    assert found.position == pytest.approx(0.4e-3, rel=0.3)
+    assert found.stamp == pytest.approx(1.5e-3, rel=0.2)
+    assert found.angle == pytest.approx(2e-3, rel=0.2)
+    # Most of what is wrong with the stamps is corrected.
+    assert found.correction == pytest.approx(1.5e-3, rel=0.3)
+    assert reference_noise(walk.t, gyro, accel, seen.rows(slice(50))) is None
+
+
+def log_of(walk, seen):
+    """A log of a motion, its reference interpolated between samples."""
+    inside = (walk.t >= seen.t[0]) & (walk.t <= seen.t[-1])
+    p, q, ok = interpolate_reference(walk.t[inside], seen.t, seen.p, seen.q)
+    columns = {"t": walk.t[inside], "ref_ok": ok.astype(float)}
+    for i, axis in enumerate("xyz"):
+        columns |= {f"gyro_{axis}": walk.gyro[inside, i], f"accel_{axis}": walk.accel[inside, i]}
+        columns[f"ref_p_{axis}"] = p[:, i]
+    columns |= {f"ref_q_{axis}": q[:, i] for i, axis in enumerate("wxyz")}
+    return Log(pd.DataFrame(columns), Meta(400.0))
+
+
+def test_samples_are_found_again_in_a_log_to_the_last_digits():
+    rng = np.random.default_rng(2)
+    walk = motion(12.0, 400.0)
+    _, steps = dropped_frames(rng, 11.5)
+    seen = poses(0.1 + FRAME * np.cumsum(steps), noise=2e-4, rng=rng)
+    found = reference_poses(log_of(walk, seen))
+    # The path ends at the first and the last, so that it bends at neither.
+    inner = seen.rows(slice(1, -1))
+    assert len(found.t) == pytest.approx(len(inner.t), abs=2)
+    row = np.abs(found.t[:, None] - inner.t).argmin(axis=1)
+    np.testing.assert_allclose(found.t[1:-1], inner.t[row][1:-1], atol=1e-9)
+    np.testing.assert_allclose(found.p[1:-1], inner.p[row][1:-1], atol=1e-9)
+    np.testing.assert_allclose(np.abs(np.sum(found.q * inner.q[row], axis=1)), 1.0, atol=1e-9)
+
+
+def test_a_reference_that_turns_otherwise_is_said_to():
+    walk = motion(12.0, 400.0)
+    t = np.arange(0.1, 11.9, 0.01)
+    assert "samples err by" in reference_lines(log_of(walk, poses(t)))[-1]
+    elsewhere = poses(t, t + 0.25)
+    elsewhere = elsewhere.rows(elsewhere.t < 11.9)
+    assert "does not turn as the IMU does" in reference_lines(log_of(walk, elsewhere))[-1]
+
+
+@pytest.mark.skipif(not RECORDING.is_dir(), reason="the measured logs are not here")
+def test_import_reports_what_is_wrong_with_stamps(tmp_path, capsys):
+    """The Go1's reference as it was first rebuilt, a fifth of its gaps off by a frame, and as
+    recounted."""
+    (tmp_path / "imu_joints.csv").symlink_to(RECORDING / "imu_joints.csv")
+    (tmp_path / "reference_recounted.csv").symlink_to(RECORDING / "reference.csv")
+    said = {}
+    for name, folder in (("first", tmp_path), ("recounted", RECORDING)):
+        main(f"import csv {folder} --map go1_square -o {tmp_path / name}.parquet".split())
+        said[name] = capsys.readouterr().out
+    doubtful = {k: float(v.split(" % of stamps doubtful")[0].split()[-1]) for k, v in said.items()}
+    assert doubtful["first"] > 12.0
+    assert doubtful["recounted"] < 2.0
+    assert "held: accel_x, accel_y, accel_z" in said["recounted"]

@@ -1,0 +1,59 @@
+"""Streams that are held between slower samples, or late, are recognised."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from surefoot.sim.importing.streams import delay_between, held_streams, late_streams
+from surefoot.sim.log import Log, Meta
+
+T = np.arange(0.0, 8.0, 1 / 400)
+
+
+def log_of(**columns):
+    return Log(pd.DataFrame({"t": T} | columns), Meta(400.0))
+
+
+def angle(t, rng=None):
+    noise = 0.0 if rng is None else rng.normal(0.0, 1e-3, t.shape)
+    return 0.4 * np.sin(9.0 * t) + 0.1 * np.cos(23.0 * t) + noise
+
+
+def held(x, rate):
+    """x as a sensor of a lower rate has it, read at every row."""
+    return x[np.searchsorted(T, np.floor(T * rate + 1e-9) / rate - 1e-9)]
+
+
+@pytest.mark.parametrize("rate", [200.0, 100.0, 150.0])
+def test_a_slower_sensor_is_found_with_its_rate(rate):
+    rng = np.random.default_rng(0)
+    slow = {f"gyro_{axis}": held(angle(T, rng), rate) for axis in "xyz"}
+    fast = {f"accel_{axis}": angle(T, rng) for axis in "xyz"}
+    (found,) = held_streams(log_of(**slow, **fast))
+    assert found.columns == ("gyro_x", "gyro_y", "gyro_z")
+    assert found.rate == pytest.approx(rate, rel=0.02)
+
+
+def test_neither_whole_counts_nor_rest_are_held():
+    rng = np.random.default_rng(1)
+    counted = np.round(angle(T) / 4e-4) * 4e-4
+    still = np.where(T < 4.0, 0.0, angle(T, rng))
+    resting = np.where(T < 4.0, 0.3, angle(T, rng))
+    assert held_streams(log_of(q_knee=counted, x_a=still, x_b=resting)) == ()
+
+
+@pytest.mark.parametrize("late", [8e-3, -5e-3, 0.0])
+def test_rates_that_come_late_are_found(late):
+    h = 1e-4
+    rates = (angle(T - late + h) - angle(T - late - h)) / (2 * h)
+    found = late_streams(log_of(q_knee=angle(T), dq_knee=rates))
+    if late == 0.0:
+        assert found == ()
+    else:
+        assert found[0].delay == pytest.approx(late, abs=6e-4)
+        assert ("late" if late > 0 else "early") in found[0].line
+
+
+def test_what_is_not_alike_has_no_delay():
+    rng = np.random.default_rng(2)
+    assert delay_between(T, rng.normal(size=(len(T), 1)), rng.normal(size=(len(T), 1))) == 0.0
