@@ -38,6 +38,9 @@ from surefoot.sim.walking.truth import foot_truth
 __all__ = ["STEPS_PER_TICK", "Fallen", "Plan", "plan", "record", "simulate", "walk"]
 
 SETTLE = 3.0  # s of standing before the log begins: a robot is switched on at rest
+ELASTIC_DAMPING = 0.25
+"""Share of the damping of stance feet that a robot with springs in its legs gets: its motors turn
+against their rotors alone, a few tenths of the inertia that a rigid leg has, at the same 250 Hz."""
 
 
 @dataclass(frozen=True)
@@ -127,6 +130,8 @@ def plan(
         )
     start = SETTLE + scenario.stand
     gait = gait_for(robot, start, draw.period, draw.clearance, draw.gain, scenario.gait)
+    if world.springs.any():
+        gait = gait._replace(slide_damping=ELASTIC_DAMPING * gait.slide_damping)
     gait = irregular(gait, scenario.gait, course.t, np.random.default_rng(gait_seed))
     return Plan(
         scenario=scenario,
@@ -204,6 +209,7 @@ def _frame(
         "q": streams.q,
         "dq": streams.dq,
         "tau": streams.tau,
+        "tau_ff": streams.tau_ff,
         "contact": contact.astype(float),
         "force": streams.force,
         "ref_p": reference.p_GI,
@@ -216,7 +222,7 @@ def _frame(
     axes = ("_x", "_y", "_z")
     suffixes = {"t": ("",), "ref_q": ("_w", *axes)}
     suffixes |= dict.fromkeys(("gyro", "accel", "ref_p", "ref_v"), axes)
-    suffixes |= dict.fromkeys(("q", "dq", "tau"), joints)
+    suffixes |= dict.fromkeys(("q", "dq", "tau", "tau_ff"), joints)
     suffixes |= dict.fromkeys(("contact", "force", "slip", "mu"), legs)
     return pd.DataFrame(
         {

@@ -121,7 +121,7 @@ def all_keys(case: LogUnderModel) -> tuple[Key, ...]:
     for kind in known_effects().usable()[0].values():
         lacks = not any(c in there for c in kind.channels)
         lacks |= case.fixed and "reference" in kind.needs
-        if not kind.is_compensated() or lacks or not all(case.log.has(g) for g in kind.needs):
+        if not kind.is_compensated() or lacks or not kind.is_compensated_on(case.log):
             continue
         keys += [(kind.name, target) for target in kind.targets_on(case.robot.limbs)]
     return tuple(keys)
@@ -257,7 +257,6 @@ class _Linear:
         if rule == "readings":
             change = self._by_chain_rule(log, step) + self._of_others(log, robot, step)
         elif rule is not None:
-            assert isinstance(robot, Robot)
             change = wrt_robot(self.parts, self.robot, robot, step)
         else:
             change = self._by_difference(log, robot, step)

@@ -8,6 +8,7 @@
     joint_torque          measured torque minus inverse dynamics, of legs in swing or a fixed base
     base_wrench           what the standing feet give the base minus what its motion takes
     joint_rate            slope of a joint's measured angle minus its measured rate
+    command               measured torque minus the commanded one
     contact_timing        when a contact changes minus when the foot stopped or started to move
 
 Residuals are means over bins of 20 ms.
@@ -94,7 +95,7 @@ class LegVelocity(Channel):
         return leg_velocities(inputs.bins, inputs.robot)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
-        return sensors.velocity_noise * REACH * np.sqrt(3 / _rows(rate))
+        return sensors.velocity_noise * REACH * np.sqrt(3 / rows_of_bin(rate))
 
 
 class StanceVelocity(Channel):
@@ -122,7 +123,7 @@ class StanceVelocity(Channel):
         return stance_means(bins.t, v, bins.standing).reshape(len(v), -1)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
-        return sensors.velocity_noise * REACH * np.sqrt(3 / _rows(rate) / STANCE_BINS)
+        return sensors.velocity_noise * REACH * np.sqrt(3 / rows_of_bin(rate) / STANCE_BINS)
 
 
 class StanceDisplacement(Channel):
@@ -203,7 +204,7 @@ class JointTorque(Channel):
     chained = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
-        return _of_joints("torque", self.unit, limbs)
+        return per_joint("torque", self.unit, limbs)
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
         if inputs.inverse_dynamics is None:
@@ -211,7 +212,7 @@ class JointTorque(Channel):
         return torque_residual(inputs.steps, inputs.inverse_dynamics)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
-        return sensors.torque_noise / np.sqrt(_rows(rate))
+        return sensors.torque_noise / np.sqrt(rows_of_bin(rate))
 
 
 class BaseWrench(Channel):
@@ -233,7 +234,7 @@ class BaseWrench(Channel):
         return wrench_residual(inputs.steps, inputs.inverse_dynamics, inputs.robot)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
-        return sensors.torque_noise / np.sqrt(_rows(rate)) / REACH * np.sqrt(12)
+        return sensors.torque_noise / np.sqrt(rows_of_bin(rate)) / REACH * np.sqrt(12)
 
 
 class JointRate(Channel):
@@ -246,7 +247,7 @@ class JointRate(Channel):
     chained = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
-        return _of_joints("rate", self.unit, limbs)
+        return per_joint("rate", self.unit, limbs)
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
         if not (inputs.log.has("q") and inputs.log.has("dq")):
@@ -256,7 +257,7 @@ class JointRate(Channel):
         return rates
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
-        root = np.sqrt(_rows(rate))
+        root = np.sqrt(rows_of_bin(rate))
         return sensors.velocity_noise / root + sensors.encoder_step / BIN / root
 
 
@@ -297,7 +298,7 @@ def _of_axes(what: str, unit: str, limbs: Limbs) -> tuple[Column, ...]:
     return tuple(Column(f"{what}_{a}", unit, what, f"{what}_{a}") for a in AXES if limbs.legs)
 
 
-def _of_joints(what: str, unit: str, limbs: Limbs) -> tuple[Column, ...]:
+def per_joint(what: str, unit: str, limbs: Limbs) -> tuple[Column, ...]:
     """A column for each joint, of one noise with the same joint of other legs."""
     joints = enumerate(limbs.joints)
     return tuple(Column(f"{what}_{name}", unit, name, limbs.kind(i)) for i, name in joints)
@@ -307,6 +308,6 @@ def _stands(inputs: ResidualInputs) -> bool:
     return inputs.log.has("q") and bool(inputs.bins.standing.any())
 
 
-def _rows(rate: float) -> float:
+def rows_of_bin(rate: float) -> float:
     """Rows of a bin."""
     return max(1.0, BIN * rate)

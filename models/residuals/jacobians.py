@@ -192,7 +192,7 @@ def wrt_readings(
     return out
 
 
-def wrt_robot(parts: ResidualTable, robot: Machine, one: Robot, step: float) -> np.ndarray:
+def wrt_robot(parts: ResidualTable, robot: Machine, one: Machine, step: float) -> np.ndarray:
     """What a changed body does to the table (M, W), per unit, the model `one` having `step` more
     than `robot`: the channels computed again on the same means of readings.
 
@@ -200,15 +200,23 @@ def wrt_robot(parts: ResidualTable, robot: Machine, one: Robot, step: float) -> 
     less than a row.
     """
     inputs, needed = parts.inputs, parts.inputs.inverse_dynamics
-    if needed is not None and inputs.steps.steady.any():
-        if not np.array_equal(robot.legs.offset, one.legs.offset):
-            needed = inverse_dynamics(inputs.steps, one)
-        else:
+    if needed is not None:
+        if _same_bodies(robot, one):
             more = carried(inputs.steps, one) - carried(inputs.steps, robot)
             needed = replace(needed, wrench=needed.wrench + more)
+        else:
+            needed = inverse_dynamics(inputs.steps, one)
     again = [name for name, channel in channels().items() if not channel.of_events]
     table = filled(parts.layout, replace(inputs, robot=one, inverse_dynamics=needed), again)
     return (table - parts.table) / step
+
+
+def _same_bodies(robot: Machine, one: Machine) -> bool:
+    """Whether inverse dynamics has the same joints and links to deal with."""
+    if robot.extras.links != one.extras.links:
+        return False
+    legged = isinstance(robot, Robot) and isinstance(one, Robot)
+    return not legged or np.array_equal(robot.legs.offset, one.legs.offset)
 
 
 def sparse(change: np.ndarray, table: np.ndarray) -> Regressor:

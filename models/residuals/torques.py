@@ -96,7 +96,9 @@ def inverse_dynamics(s: Steps, robot: Machine, every: bool = False) -> InverseDy
     use = np.flatnonzero(dilate(s.swings.any(axis=1) | s.steady) | every)
     dynamics, shift = dynamics_of(robot.file, robot.joint_names), _shift(robot)
     wrench, torque = np.zeros((len(s.q), 6)), np.zeros_like(s.q)
-    wrench[use], torque[use] = dynamics.inverse(s.q[use], s.dq[use], s.ddq[use], s.base[use], shift)
+    wrench[use], torque[use] = dynamics.inverse(
+        s.q[use], s.dq[use], s.ddq[use], s.base[use], shift, robot.extras.links
+    )
     return InverseDynamics(wrench + carried(s, robot), torque)
 
 
@@ -106,7 +108,8 @@ def inverse_dynamics_jacobians(
     """Derivatives of an effort's wrench (3, J, M, 6) and torque (3, J, M, J), by each joint's
     angle, rate and acceleration: forward differences."""
     dynamics = dynamics_of(robot.file, robot.joint_names)
-    return dynamics.derivatives(s.q, s.dq, s.ddq, s.base, _shift(robot), step)
+    known = _shift(robot), step, robot.extras.links
+    return dynamics.derivatives(s.q, s.dq, s.ddq, s.base, *known)
 
 
 def _shift(robot: Machine) -> np.ndarray | None:

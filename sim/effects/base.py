@@ -152,6 +152,11 @@ class Effect:
         """Whether a model can know of the effect, so that `trace` has it as a candidate."""
         return cls.compensate is not Effect.compensate
 
+    @classmethod
+    def is_compensated_on(cls, log: Log) -> bool:
+        """Whether a log has what `compensate` needs."""
+        return all(log.has(group) for group in cls.needs)
+
     def as_dict(self) -> dict[str, Any]:
         return {"name": self.name, "target": self.target, "value": self.value, "unit": self.unit}
 

@@ -13,6 +13,7 @@ from surefoot.sim.effects.body import (
     ComOffset,
     FootRolling,
     HipOffset,
+    LegHeading,
     LinkLength,
     MountingRotation,
     Payload,
@@ -24,6 +25,7 @@ from surefoot.sim.effects.contact import (
     SoftGround,
     ViscousFriction,
 )
+from surefoot.sim.effects.elastic import FootElasticity, LegCompliance
 from surefoot.sim.effects.imu import (
     AccelBias,
     AccelScale,
@@ -38,16 +40,18 @@ from surefoot.sim.effects.joint import (
     Backlash,
     EncoderOffset,
     EncoderScale,
-    JointCompliance,
     TorqueBias,
     TorqueScale,
 )
+from surefoot.sim.effects.links import LinkCom, LinkInertia, LinkMass
 from surefoot.sim.effects.targets import Part
 from surefoot.sim.effects.timing import (
     ClockScale,
+    CommandDelay,
     ContactDelay,
     ImuDelay,
     JointDelay,
+    RateDelay,
     ReferenceDelay,
     TorqueDelay,
 )
@@ -69,14 +73,17 @@ __all__ = [
 ]
 
 GROUP = "surefoot.effects"
+RENAMED = {"joint_compliance": "leg_compliance"}
+"""Effects' names of 0.1.0, which files and logs may still have."""
 CATALOGUE: dict[str, type[Effect]] = {
     kind.name: kind
     for kind in (
         *(EncoderOffset, LinkLength, FootRolling, ImuRotation, GyroScale, JointDelay),
         *(GyroBias, AccelBias, AccelScale, ImuPosition, GyroGSensitivity, ImuDelay, ImuLowpass),
-        *(EncoderScale, JointCompliance, Backlash, HipOffset, MountingRotation),
+        *(EncoderScale, LegCompliance, FootElasticity, Backlash, HipOffset, MountingRotation),
         *(ViscousFriction, CoulombFriction, Armature, TorqueScale, TorqueBias, TorqueDelay),
         *(Payload, ComOffset, FootSlip, SoftGround, ContactDelay, ReferenceDelay, ClockScale),
+        *(LegHeading, RateDelay, CommandDelay, LinkMass, LinkCom, LinkInertia),
     )
 }
 
@@ -129,6 +136,7 @@ _EFFECTS = Registry(GROUP, CATALOGUE, check=_check_named)
 def effect(name: str, target: str, value: float) -> Effect:
     """The effect of that name. Raises SurefootError for an unknown name or target, or bad size."""
     known = known_effects()
+    name = RENAMED.get(name, name)
     if name not in known:
         raise SurefootError(f"unknown effect '{name}'; known: {', '.join(known)}")
     return known[name](target, float(value))

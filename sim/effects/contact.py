@@ -13,10 +13,8 @@ from surefoot.sim.effects.base import Effect, with_columns
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative
+from surefoot.sim.physics.leg_loads import STICKING
 from surefoot.sim.robot import Robot
-
-STICKING = 0.03
-"""rad/s. Below it dry friction takes what it gets: a few times the noise of a measured rate."""
 
 
 class ViscousFriction(Effect):

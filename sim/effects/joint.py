@@ -16,7 +16,7 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.streams import Streams
 
 TORQUE_WINDOW = 0.03
-"""s, over which a measured torque is averaged or differentiated before it says where a joint is."""
+"""s, over which a measured torque is averaged before it says where a joint is."""
 
 
 class EncoderOffset(Effect):
@@ -61,41 +61,6 @@ class EncoderScale(Effect):
         names = [name for name in both if name in log.frame]
         scaled = {name: log.frame[name].to_numpy() / (1 + self.value) for name in names}
         return with_columns(log, scaled), robot
-
-
-class JointCompliance(Effect):
-    """A spring between the encoder, on the motor's side, and the joint: q reads q + tau / k.
-
-    The size is 1 / k. The motor's own inertia is left out, so that its angle follows the torque at
-    once; the rate that is read is the derivative of the angle that is read.
-    """
-
-    name = "joint_compliance"
-    unit = "rad/(N m)"
-    bounds = (0.0, 0.02)
-    channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
-    targets = "joint"
-    groups = True
-    needs = ("tau",)
-    step = 2e-5
-    chain_rule = "readings"
-
-    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        wound = streams.tau * joint_sizes(self, robot.limbs)
-        rate = np.gradient(wound, streams.t, axis=0)
-        return replace(streams, q=streams.q + wound, dq=streams.dq + rate)
-
-    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        wound = {}
-        for joint in self.members(robot.limbs):
-            torque = log.frame[f"tau_{joint}"].to_numpy()
-            wound[f"q_{joint}"] = self.value * torque
-            if f"dq_{joint}" in log.frame:
-                # The torque's noise, differenced row by row, would drown the rate that is read.
-                slope = np.gradient(uniform_filter1d(torque, _window(log)), log.t)
-                wound[f"dq_{joint}"] = self.value * slope
-        columns = {name: log.frame[name].to_numpy() - wound[name] for name in wound}
-        return with_columns(log, columns), robot
 
 
 class Backlash(Effect):
@@ -149,7 +114,7 @@ class TorqueScale(Effect):
     name = "torque_scale"
     unit = "ratio"
     bounds = (-0.5, 0.5)
-    channels = ("joint_torque", "base_wrench")
+    channels = ("joint_torque", "base_wrench", "command")
     targets = "joint"
     groups = True
     step = 1e-2
@@ -170,7 +135,7 @@ class TorqueBias(Effect):
     name = "torque_bias"
     unit = "N m"
     bounds = (-20.0, 20.0)
-    channels = ("joint_torque", "base_wrench")
+    channels = ("joint_torque", "base_wrench", "command")
     targets = "joint"
     step = 0.1
     chain_rule = "readings"

@@ -4,9 +4,10 @@ from typing import Literal
 
 from surefoot.sim.robot.limbs import Limbs
 
-Part = Literal["joint", "leg", "leg_link", "leg_axis"]
-"""A joint, or the link that it moves; a leg; a link of a leg, named after the joint at its upper
-end; a leg along one of the base's axes, `<leg>_<axis>`."""
+Part = Literal["joint", "joint_axis", "leg", "leg_link", "leg_axis"]
+"""A joint, or the link that it moves; that link along one of its body's axes, `<joint>_<axis>`; a
+leg; a link of a leg, named after the joint at its upper end; a leg along one of the base's axes,
+`<leg>_<axis>`."""
 AXES = ("x", "y", "z")
 
 
@@ -14,6 +15,8 @@ def parts(part: Part, limbs: Limbs) -> tuple[str, ...]:
     """The parts of this sort that a machine with these limbs has."""
     if part == "joint":
         return limbs.joints
+    if part == "joint_axis":
+        return tuple(f"{joint}_{axis}" for joint in limbs.joints for axis in AXES)
     if part == "leg":
         return limbs.legs
     if part == "leg_link":

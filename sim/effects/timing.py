@@ -8,16 +8,20 @@ bound is wider, it was chosen.
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
+from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.quaternion import slerp
 from surefoot.sim.effects.base import Effect, with_columns
 from surefoot.sim.log import Log
+from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.contact import swings
-from surefoot.sim.sensors.streams import Reference, Streams
+from surefoot.sim.sensors.pad import begin_late, end_late
+from surefoot.sim.sensors.streams import Reference, Sensors, Streams
 
 STREAMS = {"imu": ("gyro", "accel"), "joints": ("q", "dq", "tau"), "feet": ("force",)}
 STREAM_COLUMNS = {**STREAMS, "feet": ("force", "contact"), "reference": ("ref",)}
@@ -68,7 +72,7 @@ class TorqueDelay(Effect):
     name = "torque_delay"
     unit = "s"
     bounds = (-0.05, 0.05)
-    channels = ("joint_torque", "base_wrench")
+    channels = ("joint_torque", "base_wrench", "command")
     targets = ("all",)
     step = 1e-3
     chain_rule = "readings"
@@ -80,12 +84,55 @@ class TorqueDelay(Effect):
         return _moved(log, ("tau",), log.t + self.value), robot
 
 
-class ContactDelay(Effect):
-    """The feet's contacts begin late, or end late, by a constant time.
+class RateDelay(Effect):
+    """Joint rates arrive late against the angles by a constant time, as those that a drive
+    differentiates and filters do."""
 
-    Thresholds, debouncing and filters of a foot's force make them; foam that springs back makes
-    them end late alone. An end that is reported early does no harm: an unloaded foot stands
-    still for a while.
+    name = "rate_delay"
+    unit = "s"
+    bounds = (-0.05, 0.05)
+    channels = ("joint_rate", "leg_velocity", "joint_torque", "base_wrench")
+    targets = ("all",)
+    needs = ("dq",)
+    # Longer than a row: noise must not be taken as the slope of rates.
+    step = 4e-3
+
+    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
+        return _late(streams, ("dq",), self.value)
+
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        return _moved(log, ("dq",), log.t + self.value), robot
+
+
+class CommandDelay(Effect):
+    """Motors give the torques that they are asked for late, by a constant time."""
+
+    name = "command_delay"
+    unit = "s"
+    bounds = (0.0, 0.05)
+    channels = ("command",)
+    targets = ("all",)
+    needs = ("tau",)
+    step = 1e-3
+    chain_rule = "mass"
+
+    def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
+        for motor in spec.actuators:
+            motor.delay = motor.delay + self.value
+            # Between the samples that it keeps a motor takes the line.
+            motor.nsample, motor.interp = int(np.ceil(motor.delay / TIMESTEP)) + 2, 1
+
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        late = robot.extras.command_late + self.value
+        return log, replace(robot, extras=replace(robot.extras, command_late=late))
+
+
+class ContactDelay(Effect):
+    """The feet's contacts begin late, or end late, by this time on the mean.
+
+    A foot's pad and its switch make them (`sim.sensors.pad`), such that the mean over all steps is
+    what the size says: each step differs with its load.
+    An end that is reported early does no harm: an unloaded foot stands still for a while.
     """
 
     name = "contact_delay"
@@ -98,19 +145,9 @@ class ContactDelay(Effect):
     step = 1e-3
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        late, stands = _late(streams, STREAMS["feet"], self.value), streams.force > 0
-        force = streams.force.copy()
-        for leg in range(force.shape[1]):
-            lifts, lands = swings(streams.t, stands[:, leg])
-            swung = (lifts + lands) // 2
-            stood = np.concatenate([[0], (lands[:-1] + lifts[1:]) // 2, [len(force)]])
-            # Of a foot that never swings there is no span, and `stood` is one longer.
-            if self.target == "touchdown":
-                spans = zip(swung, stood[1:], strict=False)
-            else:
-                spans = zip(stood[:-1], swung, strict=False)
-            for begin, end in spans:
-                force[begin:end, leg] = late.force[begin:end, leg]
+        threshold = Sensors().contact_threshold * robot.mass * GRAVITY
+        read = begin_late if self.target == "touchdown" else end_late
+        force = read(streams.t, streams.force, threshold, self.value)
         return replace(streams, force=force)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:

@@ -5,7 +5,7 @@ held at the origin with its axes along the world's, so that its force and moment
 """
 
 import ctypes
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
@@ -17,6 +17,7 @@ from llvmlite import binding
 from numba import types
 
 from surefoot.sim.common.kernels import kernel
+from surefoot.sim.physics.inertia import LinkChange, change_links
 from surefoot.sim.physics.stepper import mujoco_library
 
 _address = ctypes.cast(mujoco_library().mj_inverseSkip, ctypes.c_void_p).value
@@ -51,6 +52,7 @@ class Dynamics:
         ddq: np.ndarray,
         base: np.ndarray | None = None,
         shift: np.ndarray | None = None,
+        links: Sequence[LinkChange] = (),
     ) -> tuple[np.ndarray, np.ndarray]:
         """Wrench on the base (N, 6) [N, N m] in B about its origin, and joint torques (N, J) [N m].
 
@@ -58,11 +60,11 @@ class Dynamics:
         angular acceleration [rad/s^2] and specific force at the base's origin [m/s^2]; None where
         it stands still and level, or where there is none (then the wrench is zero). shift (J, 3)
         [m]: how far each joint, with all that hangs on it, is from where the file has it, in the
-        frame of the joint before.
+        frame of the joint before. links: what links weigh beyond the file.
         """
         motion = self._motion(q, dq, ddq, base)
         out = np.empty((len(q), self.model.nv))
-        with self._shifted(shift):
+        with self._changed(shift, links):
             _sweep(self._memory, *motion, out)
         return self._wrench(out), out[:, self.dof_adr]
 
@@ -74,6 +76,7 @@ class Dynamics:
         base: np.ndarray | None = None,
         shift: np.ndarray | None = None,
         step: float = 1e-5,
+        links: Sequence[LinkChange] = (),
     ) -> tuple[np.ndarray, np.ndarray]:
         """Forward differences of `inverse`: wrenches (3, J, N, 6) and torques (3, J, N, J), by each
         joint's angle, rate and acceleration.
@@ -85,10 +88,11 @@ class Dynamics:
             base: (N, 9) in B, as of `inverse`.
             shift: (J, 3) [m], as of `inverse`.
             step: of the differences [rad, rad/s, rad/s^2].
+            links: as of `inverse`.
         """
         motion = self._motion(q, dq, ddq, base)
         out = np.empty((3, len(self.dof_adr), len(q), self.model.nv))
-        with self._shifted(shift):
+        with self._changed(shift, links):
             _sweep_about(self._memory, *motion, self.qpos_adr, self.dof_adr, step, out)
         return self._wrench(out), out[..., self.dof_adr]
 
@@ -109,15 +113,19 @@ class Dynamics:
         return forces[..., :6] if self.floating else np.zeros((*forces.shape[:-1], 6))
 
     @contextmanager
-    def _shifted(self, shift: np.ndarray | None) -> Iterator[None]:
-        """The model with its joints moved, for a while."""
-        as_drawn = self.model.body_pos.copy()
+    def _changed(self, shift: np.ndarray | None, links: Sequence[LinkChange]) -> Iterator[None]:
+        """The model with its joints moved and its links changed, for a while."""
+        model = self.model
+        names = ("body_pos", "body_mass", "body_ipos", "body_iquat", "body_inertia")
+        as_drawn = {name: getattr(model, name).copy() for name in names}
         if shift is not None:
-            self.model.body_pos[self.hung] += shift
+            model.body_pos[self.hung] += shift
+        change_links(model, model.dof_jntid[self.dof_adr], links)
         try:
             yield
         finally:
-            self.model.body_pos[:] = as_drawn
+            for name, values in as_drawn.items():
+                getattr(model, name)[:] = values
 
     @property
     def _memory(self) -> tuple:

@@ -43,25 +43,31 @@ def momentum_balance(log: Log, robot: Robot) -> MomentumBalance:
     Raises LogError where the log lacks one of them.
     """
     log.require("imu", "q", "contact")
-    t, dq = log.t, joint_velocity(log)
+    wrench, needed = taken_by_motion(log, robot)
     smooth = LOADING * log.rate
+    # From nothing where a contact begins or ends to all of it within the stance.
+    standing = gaussian_filter1d(log.contact.astype(float), smooth, axis=0)
+    loaded = np.maximum(2 * standing - 1, 0) * log.contact
+    feet_B = robot.feet_I(log.q) @ robot.R_BI.T + robot.p_BI
+    force = _least_forces(wrench, feet_B, loaded, robot.leg_length)
+    J = np.einsum("ij,nljk->nlik", robot.R_BI, robot.feet_jacobian_I(log.q))
+    given = np.einsum("nlik,nli->nlk", J, force).reshape(needed.shape)
+    return MomentumBalance(gaussian_filter1d(needed - given, smooth, axis=0), force)
+
+
+def taken_by_motion(log: Log, robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+    """Wrench (N, 6) [N, N m] on the base, in B about its origin, and joint torques (N, J) [N m]
+    that the motion takes, feet in the air."""
+    t, dq = log.t, joint_velocity(log)
     omega, accel = (
-        gaussian_filter1d(x @ robot.R_BI.T, smooth, axis=0) for x in (log.gyro, log.accel)
+        gaussian_filter1d(x @ robot.R_BI.T, LOADING * log.rate, axis=0)
+        for x in (log.gyro, log.accel)
     )
     ddq, spin = (derivative(t, x, ACCELERATION_WINDOW, causal=False) for x in (dq, omega))
     p = robot.p_BI
     origin = accel - np.cross(spin, p) - np.cross(omega, np.cross(omega, p))
     dynamics = dynamics_of(robot.file, robot.joint_names)
-    base = np.hstack([omega, spin, origin])
-    wrench, needed = dynamics.inverse(log.q, dq, ddq, base)
-    # From nothing where a contact begins or ends to all of it within the stance.
-    standing = gaussian_filter1d(log.contact.astype(float), smooth, axis=0)
-    loaded = np.maximum(2 * standing - 1, 0) * log.contact
-    feet_B = robot.feet_I(log.q) @ robot.R_BI.T + p
-    force = _least_forces(wrench, feet_B, loaded, robot.leg_length)
-    J = np.einsum("ij,nljk->nlik", robot.R_BI, robot.feet_jacobian_I(log.q))
-    given = np.einsum("nlik,nli->nlk", J, force).reshape(needed.shape)
-    return MomentumBalance(gaussian_filter1d(needed - given, smooth, axis=0), force)
+    return dynamics.inverse(log.q, dq, ddq, np.hstack([omega, spin, origin]))
 
 
 def _least_forces(

@@ -10,6 +10,7 @@ from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.ground.height_map import HeightMap, surface
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.ground.tiles import add_ground
+from surefoot.sim.physics.springs import Springs, springs_of
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.legs import JOINTS, LEGS
 
@@ -26,6 +27,7 @@ class World:
     touch_adr: np.ndarray  # (4,) into sensordata
     start: np.ndarray  # (nq,) standing at the origin
     relief: HeightMap  # of the ground
+    springs: Springs  # of an elastic robot
 
 
 def robot_spec(robot: Robot) -> mujoco.MjSpec:
@@ -114,6 +116,7 @@ def build_world(robot: Robot, ground: Ground, spec: mujoco.MjSpec | None = None)
         touch_adr=np.array([model.sensor(f"touch_{leg}").adr[0] for leg in LEGS]),
         start=start,
         relief=relief,
+        springs=springs_of(model, robot.joint_names),
     )
 
 

@@ -27,7 +27,7 @@ from surefoot.sim.ground.height_map import height
 from surefoot.sim.physics.scene import TIMESTEP, World
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import BaseMotion
-from surefoot.sim.sensors.streams import Motion
+from surefoot.sim.sensors.streams import Give, Motion
 
 STEPS_PER_TICK = 2  # the controller runs at 250 Hz
 TICKS_AT_ONCE = 250  # between looks at the clock, the progress bar and Ctrl-C
@@ -76,7 +76,8 @@ class Recording(NamedTuple):
 
     qpos: np.ndarray  # (N + 1, nq)
     qvel: np.ndarray  # (N + 1, nv)
-    tau: np.ndarray  # (N, 12) N m
+    tau: np.ndarray  # (N, 12) N m, as the motors gave it
+    command: np.ndarray  # (N, 12) N m, as the controller asked for it
     force: np.ndarray  # (N, 4) N, as the touch sensors feel it
 
 
@@ -104,6 +105,7 @@ def recording_of(world: World, steps: int) -> Recording:
         qpos=np.empty((steps + 1, nq)),
         qvel=np.empty((steps + 1, nv)),
         tau=np.empty((steps, len(world.dof_adr))),
+        command=np.empty((steps, len(world.dof_adr))),
         force=np.empty((steps, len(world.touch_adr))),
     )
 
@@ -213,6 +215,7 @@ def _stepper(body, legs, controller, load, t, target, trace, ticks):
 def step(body, trace, k):
     """One timestep of MuJoCo, recorded as the k-th."""
     trace.qpos[k], trace.qvel[k] = body.qpos, body.qvel
+    trace.command[k] = body.ctrl
     _mj_step(body.model, body.data)
     trace.tau[k] = body.actuator_force
     for leg in range(4):
@@ -238,7 +241,17 @@ def has_fallen(gait, relief, p, R):
 
 def motion_of(world: World, trace: Recording) -> Motion:
     """The recorded states as a motion of the base and the joints in canonical order."""
-    qpos, qvel = trace.qpos, trace.qvel
+    qpos, qvel, springs = trace.qpos, trace.qvel, world.springs
+    give = None
+    if springs.any():
+        # Of a free base qpos has one number more than qvel.
+        q, dq, foot, foot_rate = (
+            states[:, at + more] * (at >= 0)
+            for at in (springs.joints, springs.feet)
+            for states, more in ((qpos, 1), (qvel, 0))
+        )
+        on_link = [np.einsum("lij,nlj->nli", springs.axes, x) for x in (foot, foot_rate)]
+        give = Give(q, dq, *on_link)
     return Motion(
         t=np.arange(len(qpos)) * TIMESTEP,
         p_GB=qpos[:, :3],
@@ -248,5 +261,7 @@ def motion_of(world: World, trace: Recording) -> Motion:
         q=qpos[:, world.qpos_adr],
         dq=qvel[:, world.dof_adr],
         tau=trace.tau,
+        command=trace.command,
         force=trace.force,
+        give=give,
     )

@@ -56,6 +56,7 @@ def _floating_base(model: mujoco.MjModel, name: str) -> int:
 def _last_hinges(model: mujoco.MjModel) -> list[int]:
     """Hinges with no hinge below them, one at the end of each leg."""
     hinges = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE)
+    hinges = [joint for joint in hinges if not _is_spring(model, joint)]
     above: set[int] = set()
     for joint in hinges:
         body = model.body_parentid[model.jnt_bodyid[joint]]
@@ -70,9 +71,19 @@ def _chain_to(model: mujoco.MjModel, last: int, base: int) -> list[int]:
     body = int(model.jnt_bodyid[last])
     while body not in (0, base):
         start, count = model.body_jntadr[body], model.body_jntnum[body]
-        chain = list(range(start, start + count)) + chain
+        own = [j for j in range(start, start + count) if not _is_spring(model, j)]
+        chain = own + chain
         body = int(model.body_parentid[body])
     return chain
+
+
+def _is_spring(model: mujoco.MjModel, joint: int) -> bool:
+    """Whether a joint gives where its leg does not turn: a slide, or a second hinge about the axis
+    of the one before it on its body."""
+    if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
+        return True
+    same = joint > 0 and model.jnt_bodyid[joint - 1] == model.jnt_bodyid[joint]
+    return bool(same and np.array_equal(model.jnt_axis[joint - 1], model.jnt_axis[joint]))
 
 
 def _order_by_place(

@@ -11,6 +11,7 @@ import numpy as np
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import matrix_from_quaternion
 from surefoot.sim.log import Log
+from surefoot.sim.physics.inertia import LinkChange
 from surefoot.sim.robot.catalog import robot_file
 from surefoot.sim.robot.home_pose import standing_joints, stands
 from surefoot.sim.robot.kinematics import Legs, feet
@@ -30,6 +31,8 @@ class DeclaredExtras:
     softness: float = 0.0  # s, what the ground takes longer to push back than hard ground
     touchdown_late: float = 0.0  # s, of a contact's delay what whole rows of a log cannot undo
     liftoff_late: float = 0.0  # s, the same where it ends
+    links: tuple[LinkChange, ...] = ()  # masses and inertias of links
+    command_late: float = 0.0  # s, of torques behind their commands
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """From the simulated motion to what the robot's sensors would read."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -67,9 +68,22 @@ class Sensors:
                 raise SurefootError(f"{name} is a share, from 0 to 1; is {getattr(self, name):g}")
 
 
+class Give(NamedTuple):
+    """How far springs are from rest: joints ahead of their motors, feet in the frames of the legs'
+    last links."""
+
+    q: np.ndarray  # (N, J) rad
+    dq: np.ndarray  # (N, J) rad/s
+    foot: np.ndarray  # (N, L, 3) m
+    foot_rate: np.ndarray  # (N, L, 3) m/s
+
+
 @dataclass(frozen=True)
 class Motion:
-    """A recorded motion: N + 1 states a timestep apart and what acted between them."""
+    """A recorded motion: N + 1 states a timestep apart and what acted between them.
+
+    Joints are where their motors are; springs add what they give.
+    """
 
     t: np.ndarray  # (N + 1,) s
     p_GB: np.ndarray  # (N + 1, 3) m
@@ -79,13 +93,17 @@ class Motion:
     q: np.ndarray  # (N + 1, 12) rad
     dq: np.ndarray  # (N + 1, 12) rad/s
     tau: np.ndarray  # (N, 12) N m, over each step
+    command: np.ndarray  # (N, 12) N m, that the motors were asked for
     force: np.ndarray  # (N, 4) N, normal foot force over each step
+    give: Give | None = None  # of a robot with springs
 
     def after(self, time: float) -> "Motion":
         """The motion from `time` [s] on, its clock starting there."""
         first = int(np.searchsorted(self.t, time))
-        parts = {f.name: getattr(self, f.name)[first:] for f in fields(self)}
-        return Motion(**parts | {"t": self.t[first:] - self.t[first]})
+        names = [f.name for f in fields(self) if f.name != "give"]
+        parts = {name: getattr(self, name)[first:] for name in names}
+        give = self.give and Give(*(part[first:] for part in self.give))
+        return Motion(**parts | {"t": self.t[first:] - self.t[first]}, give=give)
 
 
 @dataclass(frozen=True)
@@ -98,6 +116,7 @@ class Streams:
     q: np.ndarray  # (N, 12) rad
     dq: np.ndarray  # (N, 12) rad/s
     tau: np.ndarray  # (N, 12) N m
+    tau_ff: np.ndarray  # (N, 12) N m, commanded
     force: np.ndarray  # (N, 4) N
 
     @property
@@ -145,6 +164,7 @@ def ideal_streams(motion: Motion, robot: Robot) -> Streams:
         q=motion.q[1:],
         dq=motion.dq[1:],
         tau=motion.tau,
+        tau_ff=motion.command,
         force=motion.force,
     )
 
@@ -194,7 +214,7 @@ def corrupt(streams: Streams, sensors: Sensors, rng: np.random.Generator) -> Str
     q = streams.q + rng.normal(0.0, s.encoder_offset, streams.q.shape[1])
     if s.encoder_step:
         q = np.round(q / s.encoder_step) * s.encoder_step
-    return Streams(streams.t, gyro, accel, q, dq, tau, force)
+    return replace(streams, gyro=gyro, accel=accel, q=q, dq=dq, tau=tau, force=force)
 
 
 def sensed_contact(

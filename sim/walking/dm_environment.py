@@ -145,8 +145,8 @@ class WalkingEnvironment(dm_env.Environment):
         k, settled = self._k, SETTLING_PERIODS * STEPS_PER_TICK
         if k <= settled:
             raise SurefootError("the episode has no step yet: there is nothing to log")
-        qpos, qvel, tau, force = self._trace
-        trace = Recording(qpos[: k + 1], qvel[: k + 1], tau[:k], force[:k])
+        qpos, qvel, *between = self._trace
+        trace = Recording(qpos[: k + 1], qvel[: k + 1], *(part[:k] for part in between))
         log = record(self._plan, motion_of(self._plan.world, trace))
         if not self._by_position:
             return log

@@ -28,33 +28,48 @@ def foot_truth(motion: Motion, robot: Robot, ground: Ground) -> tuple[np.ndarray
     """
     bases = BaseMotion(motion.p_GB[1:], motion.R_GB[1:], motion.v_GB[1:], motion.w_B[1:])
     q, dq = motion.q[1:], motion.dq[1:]
-    slip, touching = _soles(robot.legs, ground.relief, robot.foot_radius, bases, q, dq)
+    slid, rate = np.zeros((2, 0, *robot.legs.foot.shape))
+    if motion.give is not None:
+        joints, joint_rates, slid, rate = (part[1:] for part in motion.give)
+        q, dq = q + joints, dq + joint_rates
+    own = robot.legs._replace(foot=robot.legs.foot.copy())
+    slip, touching = _soles(own, ground.relief, robot.foot_radius, bases, q, dq, slid, rate)
     slip[motion.force <= LOADED * robot.mass * GRAVITY] = 0.0
     return slip, ground.friction(touching[..., 0], touching[..., 1])
 
 
 @kernel(nogil=True)
-def _soles(legs, relief, radius, bases, q, dq):
+def _soles(legs, relief, radius, bases, q, dq, slid, slid_rate):
     """Speeds (N, 4) along the ground of the feet's contact points, and these points (N, 4, 2).
 
     Args:
-        legs, relief, radius: of the robot and the ground, radius (4,) [m].
+        legs, relief, radius: of the robot and the ground, radius (4,) [m]; legs.foot is scratch.
         bases: a BaseMotion of N rows.
         q, dq: (N, 12) rad, rad/s.
+        slid, slid_rate: (N, 4, 3) m, m/s: how far feet are from their places on their links, in
+            the links' frames; no row where they are fixed.
     """
     p, R, v, w = bases
     n = len(p)
     speed, touching = np.empty((n, 4)), np.empty((n, 4, 2))
     foot, J, axes, jacobian = np.empty(3), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     place, velocity, spin, up = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    sole_v = np.empty(3)
+    sole_v, on_link, ahead = np.empty(3), legs.foot.copy(), np.empty(3)
     motion = FootMotion(place, velocity, jacobian, spin)
     for k in range(n):
         base = BaseMotion(p[k], R[k], v[k], w[k])
         for leg in range(4):
             own = slice(3 * leg, 3 * leg + 3)
+            if len(slid):
+                # A foot's place in B is linear in that on its link.
+                legs.foot[leg] = on_link[leg] + slid[k, leg] + slid_rate[k, leg]
+                leg_forward(legs, leg, q[k, own], ahead, J, axes)
+                legs.foot[leg] = on_link[leg] + slid[k, leg]
             leg_forward(legs, leg, q[k, own], foot, J, axes)
             foot_motion(base, dq[k, own], foot, J, axes, motion)
+            if len(slid):
+                ahead -= foot
+                velocity += R[k] @ ahead
             up[0], up[1], up[2] = normal(relief, place[0], place[1])
             # The contact point lies below the centre along the ground's normal, not along gravity.
             sole_motion(velocity, spin, radius[leg], up, sole_v)

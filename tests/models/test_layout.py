@@ -25,6 +25,7 @@ def test_a_biped_has_columns_for_its_two_legs_and_six_joints():
         "base_wrench": 6,
         "joint_rate": 6,
         "contact_timing": 4,
+        "command": 6,
     }
     assert layout.by_leg("leg_velocity").tolist() == [[6, 7, 8], [9, 10, 11]]
     torque = layout.of("joint_torque")
@@ -34,9 +35,10 @@ def test_a_biped_has_columns_for_its_two_legs_and_six_joints():
 
 def test_an_arm_has_its_joints_channels_alone_and_each_joint_noise_of_its_own():
     layout = layout_of(ARM.joints)
-    assert list(layout.channels) == ["joint_torque", "joint_rate"]
-    assert layout.names == ("torque_shoulder", "torque_elbow", "rate_shoulder", "rate_elbow")
-    assert layout.alike == ([0], [1], [2], [3])
+    assert list(layout.channels) == ["joint_torque", "joint_rate", "command"]
+    kinds = ("torque", "rate", "command")
+    assert layout.names == tuple(f"{kind}_{joint}" for kind in kinds for joint in ARM.joints)
+    assert layout.alike == tuple([k] for k in range(6))
     assert layout.by_leg("leg_velocity").shape == (0,)
 
 

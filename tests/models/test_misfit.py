@@ -35,7 +35,7 @@ def test_a_curve_is_told_from_the_line_that_comes_nearest():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "size"), [("encoder_scale", 0.03), ("joint_compliance", 1e-3)])
+@pytest.mark.parametrize(("name", "size"), [("encoder_scale", 0.03), ("leg_compliance", 1e-3)])
 def test_what_the_catalogue_has_is_no_curve(name, size):
     result, bent = found(effect(name, "FL_thigh", size))
     assert [f.effect.name for f in result.found] == [name]

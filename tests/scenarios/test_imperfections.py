@@ -32,7 +32,7 @@ def test_sizes_follow_the_law_of_the_file():
     turns = Imperfection("imu_rotation", ("x", "y", "z"), "uniform", 0.006, "")
     drawn = np.array([[e.value for e in turns.drawn(k, QUADRUPED)] for k in range(400)])
     assert 0.0059 < np.abs(drawn).max() <= 0.006
-    compliance = Imperfection("joint_compliance", QUADRUPED.joints[:3], "fixed", 1e-4, "")
+    compliance = Imperfection("leg_compliance", QUADRUPED.joints[:3], "fixed", 1e-4, "")
     assert {e.value for e in compliance.drawn(3, QUADRUPED)} == {1e-4}
 
 

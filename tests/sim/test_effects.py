@@ -45,6 +45,7 @@ def streams():
         q=smooth,
         dq=2 * smooth,
         tau=3 * smooth,
+        tau_ff=3 * smooth,
         force=np.ones((500, 4)),
     )
 
@@ -125,7 +126,7 @@ def test_joint_delay_is_a_delay(robot, streams):
 )
 def test_explain_undoes_what_was_done_to_the_streams(robot, log, name, target, value):
     one = effect(name, target, value)
-    ideal = Streams(log.t, log.gyro, log.accel, log.q, log.dq, log.tau, log.force)
+    ideal = Streams(log.t, log.gyro, log.accel, log.q, log.dq, log.tau, log.tau_ff, log.force)
     altered = one.alter_streams(ideal, robot)
     frame = log.frame.copy()
     for kind, names in (("gyro", "xyz"), ("accel", "xyz"), ("q", JOINTS), ("dq", JOINTS)):

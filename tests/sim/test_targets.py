@@ -9,7 +9,8 @@ from numpy.testing import assert_allclose
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import CATALOGUE, effect
 from surefoot.sim.effects.catalogue import add
-from surefoot.sim.effects.joint import EncoderOffset, JointCompliance
+from surefoot.sim.effects.elastic import LegCompliance
+from surefoot.sim.effects.joint import EncoderOffset
 from surefoot.sim.effects.targets import groups, parts
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.physics.scene import robot_spec
@@ -57,9 +58,9 @@ def test_other_machines_have_the_groups_that_they_can():
 
 
 def test_a_target_is_of_the_machine_that_it_is_asked_of():
-    assert JointCompliance.members_of("calf", QUADRUPED)[0] == "FL_calf"
+    assert LegCompliance.members_of("calf", QUADRUPED)[0] == "FL_calf"
     with pytest.raises(SurefootError, match="unknown target 'calf'; known: waist"):
-        JointCompliance.members_of("calf", BIPED)
+        LegCompliance.members_of("calf", BIPED)
     # Zeros of encoders are each joint's own: one for all makes no sense.
     with pytest.raises(SurefootError, match="encoder_offset: unknown target 'calf'"):
         EncoderOffset.members_of("calf", QUADRUPED)
@@ -72,7 +73,7 @@ def test_a_sort_of_part_that_there_is_not_is_refused():
         name = "typo"
         targets = "joints"  # pyright: ignore[reportAssignmentType]
 
-    with pytest.raises(SurefootError, match="a tuple of words or one of joint, leg"):
+    with pytest.raises(SurefootError, match="a tuple of words or one of joint, joint_axis, leg"):
         add(Typo)
     assert "typo" not in CATALOGUE
 
@@ -112,7 +113,7 @@ def test_a_group_is_its_members_one_after_the_other(log, name, group):
         assert_allclose(a, b, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["joint_compliance", "torque_scale", "backlash"])
+@pytest.mark.parametrize("name", ["torque_scale", "backlash"])
 def test_a_group_of_readings_is_on_its_members_alone(name):
     made = walk(SCENARIO, SPOT, 1, [effect(name, "thigh", 0.01)], declared=False)
     plain = walk(SCENARIO, SPOT, 1)

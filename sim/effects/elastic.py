@@ -1,0 +1,117 @@
+"""Effects of legs that give: springs between motors and joints, and between feet and their links.
+
+What a spring gives is its load times its compliance. The simulation has rotor, spring and damping
+(`sim.physics.springs`); a model that knows of a spring takes the load from the log.
+"""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from surefoot.sim.effects.base import Effect, with_columns
+from surefoot.sim.log import Log
+from surefoot.sim.physics.leg_loads import foot_loads_B, joint_loads, knows_loads
+from surefoot.sim.physics.springs import add_foot_springs, add_joint_spring
+from surefoot.sim.robot import Robot
+
+LOAD_WINDOW = 0.03
+"""s, over which a load is averaged before its slope says at which rate a spring gives."""
+
+
+class LegCompliance(Effect):
+    """A spring between the encoder, on the motor's side, and what hangs on it: q reads q + tau / k.
+
+    The size is 1 / k: of one joint, of those of a kind (legs are built alike), or of all. Harmonic
+    drives have 5e3 to 5e4 N m/rad by their catalogues; legs of plastic and belts a tenth of it.
+    """
+
+    name = "leg_compliance"
+    unit = "rad/(N m)"
+    bounds = (0.0, 0.02)
+    channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
+    targets = "joint"
+    groups = True
+    needs = ("q",)
+    step = 2e-5
+    chain_rule = "readings"
+
+    def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
+        for joint in self.members(robot.limbs):
+            add_joint_spring(spec, robot.joint_names[robot.limbs.joints.index(joint)], self.value)
+
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        given = -self.value * joint_loads(log, robot)
+        return _moved(log, given, self.members(robot.limbs)), robot
+
+    @classmethod
+    def is_compensated_on(cls, log: Log) -> bool:
+        return log.has("q") and knows_loads(log)
+
+
+class FootElasticity(Effect):
+    """Feet give under their load, along the vertical or across it as the robot stands at home.
+
+    Feet of rubber or foam have 1e4 to 1e5 N/m.
+    """
+
+    name = "foot_elasticity"
+    unit = "m/N"
+    bounds = (0.0, 3e-4)
+    channels = ("leg_velocity", "foot_height", "base_wrench")
+    targets = ("normal", "tangential")
+    needs = ("q", "contact")
+    step = 1e-6
+    chain_rule = "readings"
+
+    def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
+        for leg in range(len(robot.limbs.legs)):
+            add_foot_springs(spec, robot, leg, self._axes(), self.value)
+
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        force_B, along = foot_loads_B(log, robot), np.eye(3)[list(self._axes())]
+        # The springs turn with the last link; their axes are the base's when it stands at home.
+        axes_B = _last_links_B(robot, log.q) @ np.swapaxes(
+            _last_links_B(robot, robot.q_home[None]), 2, 3
+        )
+        axes_B = axes_B @ along.T
+        given_B = np.einsum("nlia,nlja,nlj->nli", axes_B, axes_B, self.value * force_B)
+        # As the joints would move the foot there: the leg's angles are what a model reads.
+        J_I = robot.feet_jacobian_I(log.q)
+        turned = np.linalg.solve(J_I, np.einsum("ji,nlj->nli", robot.R_BI, given_B)[..., None])
+        return _moved(log, turned.reshape(len(log.t), -1), log.joints), robot
+
+    @classmethod
+    def is_compensated_on(cls, log: Log) -> bool:
+        return log.has("q") and log.has("contact") and knows_loads(log)
+
+    def _axes(self) -> tuple[int, ...]:
+        return (2,) if self.target == "normal" else (0, 1)
+
+
+def _last_links_B(robot: Robot, q: np.ndarray) -> np.ndarray:
+    """Rotations (N, L, 3, 3) of the links that carry the feet, in B, at angles q (N, J) [rad]."""
+    own, at_origin = robot.legs, replace(robot, R_BI=np.eye(3))
+    feet = at_origin.feet_I(q)
+    # A foot's place in B is linear in its place on its link.
+    columns = [
+        replace(at_origin, legs=own._replace(foot=own.foot + one)).feet_I(q) - feet
+        for one in np.eye(3)
+    ]
+    return np.stack(columns, axis=3)
+
+
+def _moved(log: Log, by: np.ndarray, joints: tuple[str, ...]) -> Log:
+    """The log with the angles of some joints moved by their columns of (N, J) [rad], and the rates
+    by the slope."""
+    rows = max(1, round(LOAD_WINDOW * log.rate))
+    columns = {}
+    for joint in joints:
+        own = by[:, log.joints.index(joint)]
+        columns[f"q_{joint}"] = log.frame[f"q_{joint}"].to_numpy() + own
+        if f"dq_{joint}" in log.frame:
+            # The load's noise, differenced row by row, would drown the rate that is read.
+            slope = np.gradient(uniform_filter1d(own, rows), log.t)
+            columns[f"dq_{joint}"] = log.frame[f"dq_{joint}"].to_numpy() + slope
+    return with_columns(log, columns)

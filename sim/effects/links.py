@@ -1,0 +1,109 @@
+"""Effects of the links' masses: of arms and pendulums on fixed bases, and of legs.
+
+A link is the body that a joint moves, and is named after it. The bounds are wide: models that are
+drawn, not weighed, miss cables, screws and covers, a tenth to a half of a link's mass.
+"""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from surefoot.sim.effects.base import AXES, Effect
+from surefoot.sim.log import Log
+from surefoot.sim.physics.inertia import LinkChange, with_own_inertia
+from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.limbs import Limbs
+
+
+class LinkMass(Effect):
+    """A link is heavier than the model says, its centre of mass where the model has it."""
+
+    name = "link_mass"
+    unit = "kg"
+    bounds = (-0.5, 5.0)
+    channels = ("joint_torque", "base_wrench")
+    targets = "joint"
+    groups = True
+    step = 1e-2
+    chain_rule = "mass"
+
+    def edit_spec(self, spec: mujoco.MjSpec, robot: Machine) -> None:
+        for joint in self.members(robot.limbs):
+            body = _link(spec, robot, joint)
+            body.mass = body.mass + self.value
+
+    def compensate(self, log: Log, robot: Machine) -> tuple[Log, Machine]:
+        changes = [LinkChange(j, mass=self.value) for j in _joints(self, robot)]
+        return log, _changed(robot, changes)
+
+
+class LinkCom(Effect):
+    """A link's centre of mass lies further along an axis of its body, `<joint>_<axis>`."""
+
+    name = "link_com"
+    unit = "m"
+    bounds = (-0.1, 0.1)
+    channels = ("joint_torque", "base_wrench")
+    targets = "joint_axis"
+    step = 1e-3
+    chain_rule = "mass"
+
+    def edit_spec(self, spec: mujoco.MjSpec, robot: Machine) -> None:
+        joint, axis = self._place()
+        body = _link(spec, robot, joint)
+        body.ipos = body.ipos + self.value * np.eye(3)[AXES.index(axis)]
+
+    def compensate(self, log: Log, robot: Machine) -> tuple[Log, Machine]:
+        joint, axis = self._place()
+        along = self.value * np.eye(3)[AXES.index(axis)]
+        change = LinkChange(robot.limbs.joints.index(joint), com=tuple(along))
+        return log, _changed(robot, [change])
+
+    def _place(self) -> tuple[str, str]:
+        joint, axis = self.target.rsplit("_", 1)
+        return joint, axis
+
+
+class LinkInertia(Effect):
+    """A link has more inertia than the model says, about every axis through its centre of mass.
+
+    That of a fixed base's first link is no effect of its own: no motion tells it from `armature`.
+    """
+
+    name = "link_inertia"
+    unit = "kg m^2"
+    bounds = (0.0, 0.5)
+    channels = ("joint_torque", "base_wrench")
+    targets = "joint"
+    groups = True
+    step = 1e-3
+    chain_rule = "mass"
+
+    @classmethod
+    def single_targets(cls, limbs: Limbs) -> tuple[str, ...]:
+        return limbs.joints if limbs.legs else limbs.joints[1:]
+
+    def edit_spec(self, spec: mujoco.MjSpec, robot: Machine) -> None:
+        for joint in self.members(robot.limbs):
+            body = _link(spec, robot, joint)
+            body.inertia = body.inertia + self.value
+
+    def compensate(self, log: Log, robot: Machine) -> tuple[Log, Machine]:
+        changes = [LinkChange(j, inertia=self.value) for j in _joints(self, robot)]
+        return log, _changed(robot, changes)
+
+
+def _joints(one: Effect, robot: Machine) -> list[int]:
+    return [robot.limbs.joints.index(joint) for joint in one.members(robot.limbs)]
+
+
+def _link(spec: mujoco.MjSpec, robot: Machine, joint: str) -> mujoco.MjsBody:
+    """The body that a joint moves, its inertia as numbers of its own."""
+    name = robot.joint_names[robot.limbs.joints.index(joint)]
+    return with_own_inertia(spec, spec.joint(name).parent.name)
+
+
+def _changed(robot: Machine, changes: list[LinkChange]) -> Machine:
+    known = replace(robot.extras, links=(*robot.extras.links, *changes))
+    return replace(robot, extras=known)

@@ -1,0 +1,52 @@
+"""What a robot's joints and feet carry, row by row, from its motors' torques or from its motion."""
+
+import numpy as np
+
+from surefoot.sim.log import Log, joint_velocity
+from surefoot.sim.log.derived import derivative
+from surefoot.sim.physics.inverse_dynamics import dynamics_of
+from surefoot.sim.physics.momentum_balance import (
+    ACCELERATION_WINDOW,
+    momentum_balance,
+    taken_by_motion,
+)
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.fixed_base import Machine
+
+STICKING = 0.03
+"""rad/s. Below it dry friction takes what it gets: a few times the noise of a measured rate."""
+
+
+def knows_loads(log: Log) -> bool:
+    """Whether a log says what joints and feet carry: by torques, or by its motion."""
+    return log.has("tau") or (log.has("imu") and log.has("contact"))
+
+
+def joint_loads(log: Log, robot: Machine) -> np.ndarray:
+    """Torque (N, J) [N m] that each motor passes on to what hangs on it: its own, as logged or
+    else from the balance of momentum, less what its rotor and its declared friction take."""
+    if log.has("tau") or not isinstance(robot, Robot):
+        torque = log.tau
+    else:
+        torque = momentum_balance(log, robot).torque
+    dynamics, dq = dynamics_of(robot.file, robot.joint_names), joint_velocity(log)
+    rotor, viscous, dry = (
+        getattr(dynamics.model, name)[dynamics.dof_adr]
+        for name in ("dof_armature", "dof_damping", "dof_frictionloss")
+    )
+    ddq = derivative(log.t, dq, ACCELERATION_WINDOW, causal=False)
+    return torque - rotor * ddq - viscous * dq - dry * np.tanh(dq / STICKING)
+
+
+def foot_loads_B(log: Log, robot: Robot) -> np.ndarray:
+    """Force (N, L, 3) [N], in B, of the ground on each foot that stands; zero in the air.
+
+    Of logged torques J^T f = inverse dynamics - torque, else from the balance of momentum.
+    """
+    if not log.has("tau"):
+        return momentum_balance(log, robot).force
+    _, needed = taken_by_motion(log, robot)
+    J = np.einsum("ij,nljk->nlik", robot.R_BI, robot.feet_jacobian_I(log.q))
+    taken = (needed - log.tau).reshape(*J.shape[:2], J.shape[3])
+    force = np.linalg.solve(np.swapaxes(J, 2, 3), taken[..., None])[..., 0]
+    return np.where(log.contact[:, :, None], force, 0.0)

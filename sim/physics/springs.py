@@ -1,0 +1,173 @@
+"""Springs that a robot's model lacks: between motors and joints, and between feet and their links.
+
+A motor keeps its joint's name, its rotor (the joint's armature) and its encoder; what hangs on it
+follows by a second hinge about the same axis, a spring with damping. A foot becomes a body of its
+own that slides against its link on springs.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from surefoot.sim.physics.inertia import with_own_inertia
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.legs import LEGS
+
+RELAXATION = 0.001
+"""s, damping over stiffness: at 20 Hz the loss factor is 0.13, as of rubber and gear trains."""
+INERTIA = 0.002**2
+"""s^2, inertia that resists a spring's own motion, over its stiffness: the timestep squared. MuJoCo
+integrates stiffness explicitly, and without it the stiffer springs would ring against their ends
+until they diverge. At 10 Hz it takes 2 % of the spring's force."""
+ROTOR_SHARE = 0.05
+"""Armature of a motor whose file has none, as a share of the inertia that its joint moves. Without
+inertia a motor would follow its torque at once, and its rate would be as rough as the torque."""
+FOOT_SHARE = 0.02
+"""Mass of a foot that slides on springs, as a share of its leg's as felt at the foot: of a light
+pad, which comes on top of what the link weighs."""
+
+
+class Springs(NamedTuple):
+    """Where springs are among a model's degrees of freedom: joints (J,), feet (L, 3) along x, y, z
+    of the base as the robot stands at home; -1 where there is none. axes (L, 3, 3): those three in
+    the frame of the leg's last link."""
+
+    joints: np.ndarray
+    feet: np.ndarray
+    axes: np.ndarray
+
+    def any(self) -> bool:
+        return bool((self.joints >= 0).any() or (self.feet >= 0).any())
+
+
+def add_joint_spring(spec: mujoco.MjSpec, joint: str, compliance: float) -> None:
+    """Put a spring of `compliance` [rad/(N m)] between a joint's motor and what hangs on it; with
+    one that is there already it is in series."""
+    if not compliance:
+        return
+    spring, motor = spec.joint(f"{joint}_spring"), spec.joint(joint)
+    if spring is None:
+        if not motor.armature:
+            model = spec.compile()
+            moved = 1.0 / model.dof_invweight0[model.joint(joint).dofadr[0]]
+            motor.armature = ROTOR_SHARE * moved
+        hinge = mujoco.mjtJoint.mjJNT_HINGE
+        spring = _plain_joint(motor.parent, f"{joint}_spring", hinge, motor.axis, motor.pos)
+    _soften(spring, compliance)
+
+
+def add_foot_springs(
+    spec: mujoco.MjSpec, robot: Robot, leg: int, axes: Sequence[int], compliance: float
+) -> None:
+    """Let a foot slide on springs of `compliance` [m/N].
+
+    Args:
+        spec: of the robot, edited.
+        robot: as declared.
+        leg: index of the foot.
+        axes: of the base as the robot stands at home: 0 to 2 for x, y, z.
+        compliance: of each, in series with one that is there already.
+    """
+    if not compliance:
+        return
+    body = spec.body(f"{LEGS[leg]}_sliding_foot") or _sliding_foot(spec, robot, leg)
+    for axis in axes:
+        name = _foot_spring(leg, axis)
+        spring = spec.joint(name)
+        if spring is None:
+            slide = mujoco.mjtJoint.mjJNT_SLIDE
+            spring = _plain_joint(body, name, slide, np.eye(3)[axis], np.zeros(3))
+        _soften(spring, compliance)
+
+
+def springs_of(model: mujoco.MjModel, joint_names: Sequence[str]) -> Springs:
+    """The springs that a compiled model has."""
+
+    joints = {model.joint(j).name: int(model.jnt_dofadr[j]) for j in range(model.njnt)}
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    axes = np.tile(np.eye(3), (len(LEGS), 1, 1))
+    for leg, name in enumerate(LEGS):
+        foot = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, f"{name}_sliding_foot")
+        if foot >= 0:
+            link = int(model.joint(joint_names[3 * leg + 2]).bodyid[0])
+            axes[leg] = data.xmat[link].reshape(3, 3).T @ data.xmat[foot].reshape(3, 3)
+    feet = [[joints.get(_foot_spring(leg, a), -1) for a in range(3)] for leg in range(len(LEGS))]
+    return Springs(
+        joints=np.array([joints.get(f"{joint}_spring", -1) for joint in joint_names]),
+        feet=np.array(feet),
+        axes=axes,
+    )
+
+
+def foot_parts(spec: mujoco.MjSpec, leg: str) -> tuple[mujoco.MjsGeom, mujoco.MjsSite]:
+    """The sphere that is a foot, and its touch sensor's site, which goes where the foot goes."""
+    site = spec.site(f"sole_{leg}")
+    spheres = [g for g in site.parent.geoms if g.type == mujoco.mjtGeom.mjGEOM_SPHERE]
+    return min(spheres, key=lambda g: float(np.linalg.norm(g.pos - site.pos))), site
+
+
+def _foot_spring(leg: int, axis: int) -> str:
+    return f"{LEGS[leg]}_foot_spring_{'xyz'[axis]}"
+
+
+def _sliding_foot(spec: mujoco.MjSpec, robot: Robot, leg: int) -> mujoco.MjsBody:
+    """A foot's sphere and its site, moved to a body of their own."""
+    geom, site = foot_parts(spec, LEGS[leg])
+    link, model = site.parent, spec.compile()
+    data = mujoco.MjData(model)
+    for name, angle in zip(robot.joint_names, robot.q_home, strict=True):
+        data.qpos[model.joint(name).qposadr[0]] = angle
+    mujoco.mj_kinematics(model, data)
+    base, own = (data.body(name).xmat.reshape(3, 3) for name in (robot.base_name, link.name))
+    quat = np.empty(4)
+    mujoco.mju_mat2Quat(quat, (own.T @ base).ravel())
+    foot = link.add_body(name=f"{LEGS[leg]}_sliding_foot", pos=geom.pos, quat=quat)
+    mass, radius = FOOT_SHARE * robot.inertial[3], geom.size[0]
+    with_own_inertia(spec, link.name)
+    # By its own inertia or by its geom's, as the file asks for.
+    foot.explicitinertial, foot.mass = True, mass
+    foot.inertia = np.full(3, 0.4 * mass * radius**2)
+    sphere = foot.add_geom(**{name: getattr(geom, name) for name in _OF_GEOM}, mass=mass)
+    place = foot.add_site(**{name: getattr(site, name) for name in _OF_SITE})
+    names = geom.name, site.name
+    for part in (geom, site):
+        spec.delete(part)
+    sphere.name, place.name = names
+    return foot
+
+
+_OF_GEOM = (
+    *("type", "size", "contype", "conaffinity", "condim", "priority", "friction", "solmix"),
+    *("solref", "solimp", "margin", "gap", "group", "rgba", "material"),
+)
+_OF_SITE = ("type", "size", "group", "rgba")
+
+
+def _plain_joint(
+    body: mujoco.MjsBody, name: str, kind: mujoco.mjtJoint, axis: np.ndarray, place: np.ndarray
+) -> mujoco.MjsJoint:
+    """A joint with nothing of the file's defaults but that it is there.
+
+    Args:
+        body: that it moves.
+        name: of the joint.
+        kind: hinge or slide.
+        axis: in the body's frame.
+        place: its anchor in the body's frame [m].
+    """
+    joint = body.add_joint(name=name, type=kind, axis=axis, pos=place)
+    joint.limited = joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
+    joint.armature = joint.frictionloss = 0.0
+    joint.stiffness[:], joint.damping[:] = 0.0, 0.0
+    return joint
+
+
+def _soften(spring: mujoco.MjsJoint, compliance: float) -> None:
+    """Add `compliance` [rad/(N m) or m/N] to a spring, in series."""
+    before = 1.0 / spring.stiffness[0] if spring.stiffness[0] else 0.0
+    spring.stiffness[0] = 1.0 / (before + compliance)
+    spring.damping[0] = RELAXATION * spring.stiffness[0]
+    spring.armature = INERTIA * spring.stiffness[0]

@@ -1,0 +1,131 @@
+"""Legs that give: what springs do in MuJoCo, against what a model makes of the log."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from surefoot.sim.effects import effect
+from surefoot.sim.effects.elastic import _last_links_B
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.physics.leg_loads import foot_loads_B, joint_loads
+from surefoot.sim.physics.scene import robot_spec
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.legs import find_legs
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.sensors.stances import inside_stances
+from surefoot.sim.walk import SETTLE, plan, record, simulate
+
+GO1 = Robot.load("go1")
+COURSE = Scenario("short", (Segment(3.0, 0.4, turn=0.3),), Ground(0.8), stand=0.3)
+
+
+def walked(*one):
+    """The log of a walk with an effect, and the motion behind it, row by row."""
+    made = plan(COURSE, GO1, 3, [effect(*one)] if one else [])
+    motion = simulate(made.world, GO1, made.gait, made.course)
+    return record(made, motion), motion.after(SETTLE)
+
+
+def rms(x):
+    return np.sqrt(np.mean(x**2, axis=0))
+
+
+@pytest.fixture(scope="module")
+def calves():
+    return walked("leg_compliance", "calf", 2e-3)
+
+
+def test_a_spring_gives_by_its_load_and_the_encoder_stays_with_the_motor(calves):
+    log, motion = calves
+    load, given = joint_loads(log, GO1)[:, 2::3], motion.give.q[1:, 2::3]
+    sizes = -np.sum(load * given, axis=0) / np.sum(load**2, axis=0)
+    assert_allclose(sizes, 2e-3, rtol=0.02)
+    assert rms(given + 2e-3 * load).max() < 0.3 * rms(given).min()
+    assert not motion.give.q[:, [0, 1]].any()
+    assert_allclose(log.q[:, 2::3], motion.q[1:, 2::3], atol=4e-4)
+
+
+@pytest.mark.parametrize("torques", [True, False])
+def test_a_model_that_knows_the_spring_has_the_joints_angles_again(calves, torques):
+    """Also by the balance of momentum alone, of a log without torques."""
+    log, motion = calves
+    if not torques:
+        kept = [name for name in log.frame if not str(name).startswith("tau_")]
+        log = replace(log, frame=log.frame[kept])
+    known, _ = effect("leg_compliance", "calf", 2e-3).compensate(log, GO1)
+    truth = motion.q[1:] + motion.give.q[1:]
+    before, after = rms(log.q - truth), rms(known.q - truth)
+    assert (after[2::3] < (0.25 if torques else 0.35) * before[2::3]).all()
+    assert_allclose(known.q[:, :2], log.q[:, :2])
+
+
+def test_rotor_and_damping_keep_the_rates_smooth(calves):
+    """A massless motor would read q + tau / k: its rate is as rough as the torque's slope."""
+    log, _ = calves
+    massless = 2e-3 * np.diff(log.tau[:, 2::3], axis=0) * log.rate
+    steps = np.diff(log.dq[:, 2::3], axis=0)
+    assert np.sqrt(np.mean(steps**2)) < 0.5 * np.sqrt(np.mean(np.diff(massless, axis=0) ** 2))
+    rigid, _ = walked()
+    assert np.sqrt(np.mean(steps**2)) < 1.5 * np.sqrt(
+        np.mean(np.diff(rigid.dq[:, 2::3], axis=0) ** 2)
+    )
+
+
+def test_truth_knows_that_elastic_legs_stand(calves):
+    """Feet that only follow their springs do not slip."""
+    log, _ = calves
+    slips = np.mean(log.frame[[f"slip_{leg}" for leg in log.legs]].to_numpy() > 0.05)
+    assert slips < 0.01
+
+
+def test_a_foot_gives_along_the_axes_that_it_says_and_by_its_load():
+    log, motion = walked("foot_elasticity", "normal", 2e-5)
+    inside = inside_stances(log.t, log.contact, 0.03)
+    R = _last_links_B(GO1, motion.q[1:])
+    given_B = np.einsum("nlij,nlj->nli", R, motion.give.foot[1:])
+    known, _ = effect("foot_elasticity", "normal", 2e-5).compensate(log, GO1)
+    moved_B = (GO1.feet_I(known.q) - GO1.feet_I(log.q)) @ GO1.R_BI.T
+    along, taken = given_B[inside][:, 2], moved_B[inside][:, 2]
+    assert np.sum(along * taken) / np.sum(taken**2) == pytest.approx(1.0, abs=0.1)
+    assert rms(along - taken) < 0.3 * rms(along)
+    # Upwards, by twenty millionths of a metre a newton.
+    load = foot_loads_B(log, GO1)[inside][:, 2]
+    assert np.sum(along * load) / np.sum(load**2) == pytest.approx(2e-5, rel=0.1)
+
+
+def test_springs_in_series_add_up():
+    spec = robot_spec(GO1)
+    for target in ("FL_calf", "calf", "all"):
+        effect("leg_compliance", target, 1e-3).edit_spec(spec, GO1)
+    for _ in range(2):
+        effect("foot_elasticity", "normal", 1e-5).edit_spec(spec, GO1)
+    model = spec.compile()
+    stiffness = [
+        float(model.joint(f"{n}_joint_spring").stiffness[0]) for n in ("FL_calf", "FR_calf")
+    ]
+    assert_allclose(stiffness, [1 / 3e-3, 1 / 2e-3])
+    assert float(model.joint("FL_foot_spring_z").stiffness[0]) == pytest.approx(5e4)
+    legs = find_legs(model, "go1").constants
+    assert_allclose(legs.offset, GO1.legs.offset, atol=1e-12)
+    assert_allclose(legs.foot, GO1.legs.foot, atol=1e-12)
+
+
+def test_a_foot_on_springs_has_the_sphere_of_its_file():
+    bare, spec = robot_spec(GO1).compile(), robot_spec(GO1)
+    effect("foot_elasticity", "tangential", 1e-5).edit_spec(spec, GO1)
+    model = spec.compile()
+    assert model.ngeom == bare.ngeom
+    assert (model.geom_contype > 0).sum() == (bare.geom_contype > 0).sum()
+    places = []
+    for one in (bare, model):
+        data = mujoco.MjData(one)
+        mujoco.mj_kinematics(one, data)
+        places.append(data.site("sole_FL").xpos.copy())
+    assert_allclose(places[1], places[0], atol=1e-12)
+
+
+def test_the_old_name_is_the_same_effect():
+    assert effect("joint_compliance", "FL_calf", 1e-3) == effect("leg_compliance", "FL_calf", 1e-3)

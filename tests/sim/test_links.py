@@ -1,0 +1,79 @@
+"""Links that are not as their file says: MuJoCo's edited bodies against what a model knows."""
+
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from surefoot.sim.effects import effect
+from surefoot.sim.physics.inverse_dynamics import dynamics_of
+from surefoot.sim.physics.scene import robot_spec
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.kinematics import feet
+from surefoot.sim.robot.legs import find_legs
+
+SPOT = Robot.load("spot_class")
+LOG = SimpleNamespace()
+
+
+def torques(model, motion):
+    """MuJoCo's inverse dynamics (N, 18) of an edited model, the base in free fall upwards."""
+    data, out = mujoco.MjData(model), []
+    flags = mujoco.mjtDisableBit
+    model.opt.disableflags |= flags.mjDSBL_CONTACT | flags.mjDSBL_LIMIT
+    at = [model.joint(name).qposadr[0] for name in SPOT.joint_names]
+    for q, dq, ddq in zip(*motion, strict=True):
+        data.qpos[:] = model.qpos0
+        data.qpos[:7] = [0, 0, 0, 1, 0, 0, 0]
+        data.qpos[at] = q
+        data.qvel[6:], data.qacc[6:] = dq, ddq
+        data.qvel[:6] = data.qacc[:6] = 0.0
+        mujoco.mj_inverse(model, data)
+        out.append(data.qfrc_inverse.copy())
+    return np.array(out)
+
+
+@pytest.mark.parametrize(
+    ("name", "target", "value"),
+    [
+        ("link_mass", "FL_calf", 0.2),
+        ("link_mass", "thigh", -0.3),
+        ("link_com", "RR_thigh_z", -0.03),
+        ("link_com", "FR_hip_y", 0.02),
+        ("link_inertia", "RL_calf", 0.02),
+    ],
+)
+def test_what_a_link_weighs_more_is_in_the_inverse_dynamics(name, target, value):
+    rng = np.random.default_rng(0)
+    motion = (
+        SPOT.q_home + rng.normal(0, 0.3, (6, 12)),
+        rng.normal(0, 3, (6, 12)),
+        rng.normal(0, 40, (6, 12)),
+    )
+    spec = robot_spec(SPOT)
+    bare = torques(spec.compile(), motion)
+    one = effect(name, target, value)
+    one.edit_spec(spec, SPOT)
+    edited = torques(spec.compile(), motion)
+    dynamics = dynamics_of(SPOT.file, SPOT.joint_names)
+    plain = dynamics.inverse(*motion)
+    _, known = one.compensate(LOG, SPOT)
+    changed = dynamics.inverse(*motion, links=known.extras.links)
+    assert np.abs(edited - bare).max() > 0.05
+    assert_allclose(changed[1] - plain[1], (edited - bare)[:, 6:], atol=1e-9)
+    assert_allclose(changed[0] - plain[0], (edited - bare)[:, :6], atol=1e-9)
+    # The model is as it was again.
+    assert_allclose(dynamics.inverse(*motion)[1], plain[1], atol=0)
+
+
+@pytest.mark.parametrize("target", ["FL_z", "RR_x", "FR_y"])
+def test_a_turned_leg_has_the_feet_of_the_compiled_model(target):
+    spec, one = robot_spec(SPOT), effect("leg_heading", target, 0.05)
+    one.edit_spec(spec, SPOT)
+    q = SPOT.q_home + np.random.default_rng(1).normal(0, 0.3, (20, 12))
+    simulated = feet(find_legs(spec.compile(), "spot").constants, q, SPOT.R_BI, SPOT.p_BI)[0]
+    _, known = one.compensate(LOG, SPOT)
+    assert_allclose(known.feet_I(q), simulated, atol=1e-9)
+    assert np.abs(simulated - SPOT.feet_I(q)).max() > 5e-3
