@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from surefoot.scenarios.estimate.run import run_filter
     from surefoot.scenarios.trace.run import trace
     from surefoot.sim.log import Log
-    from surefoot.sim.robot import Robot
+    from surefoot.sim.robot.robot import Robot
     from surefoot.sim.scenario import Scenario
     from surefoot.sim.walk import walk
 
