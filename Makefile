@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo test check docs readme study study-observer study-trace study-hardware suites \
+.PHONY: setup demo test check docs readme study study-observer study-trace study-hardware study-bounds suites \
 	tune tune-vision60 tune-spot lock clean
 
 setup: .venv/.ready
@@ -53,6 +53,16 @@ study-trace: setup
 study-hardware: setup
 	$(BIN)/python -m surefoot.scenarios.studies.hardware.study -o out/hardware --force \
 		--data docs/data/hardware --page docs/results/hardware.md
+
+# Where bounds hold: calibrated on one course of vision60, judged on the others and on shifted ones.
+study-bounds: OUT = out/bounds
+study-bounds: setup
+	$(BIN)/surefoot simulate $(addprefix vision60/,3cc3ccw room_scan 2cc2ccw 2ccw2cc 3ccw3cc slipped stroll) \
+		$(addprefix shift/,flat ice rough sideways slope) --workers 2 -o $(OUT)/logs
+	$(BIN)/surefoot train $(OUT)/logs/3CC3CCW_0.parquet --force -o $(OUT)/observer.pt
+	$(BIN)/surefoot calibrate $(OUT)/observer.pt $(OUT)/logs/RoomScan_0.parquet --force \
+		-o $(OUT)/bounds.json --report $(OUT)/report --page docs/results/bounds.md \
+		--on $$(ls $(OUT)/logs/*_0.parquet | grep -v RoomScan)
 
 # The paper's two tables on three seeds, about half an hour on two idle cores; killed, it goes on.
 suites: setup

@@ -87,6 +87,8 @@ class Calibrate:
     """Folder for a report: mixing curve, methods, and coverage on the walks of --on."""
     on: tuple[Path, ...] = ()
     """Logs on which the report evaluates the bounds."""
+    page: Path | None = None
+    """Page of results to write beside the report, such as docs/results/bounds.md."""
     force: Force = False
 
     def run(self) -> None:
@@ -97,8 +99,9 @@ class Calibrate:
         from surefoot.sim.common.files import refuse_overwrite
 
         refuse_overwrite(self.out, self.force)
-        if self.on and not self.report:
-            raise SurefootError("--on: these logs are for the report; give --report DIR too")
+        for name in ("on", "page"):
+            if getattr(self, name) and not self.report:
+                raise SurefootError(f"--{name}: it is for the report; give --report DIR too")
         recorded = read_logs((self.log, *self.on)) if self.report else []
         if self.report:
             prepare_folder(self.report, self.force)
@@ -121,7 +124,7 @@ class Calibrate:
             )
         if self.report:
             write_calibration_report(
-                self.report, observer, bounds, recorded[0], recorded[1:], self.force
+                self.report, observer, bounds, recorded[0], recorded[1:], self.force, self.page
             )
             print(f"report: {self.report / 'report.html'}")
 

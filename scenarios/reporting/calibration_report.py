@@ -21,6 +21,7 @@ from surefoot.scenarios.reporting.html import Picture, Section, save_picture, wr
 from surefoot.scenarios.reporting.observer_errors import error_section
 from surefoot.scenarios.reporting.observer_figures import mixing_curve
 from surefoot.scenarios.reporting.tables import to_csv, to_markdown
+from surefoot.scenarios.studies.pages import origin_of, write_page
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.log import Log
@@ -32,7 +33,8 @@ def write_calibration_report(
     bounds: Bounds,
     calibration: Log,
     logs: Sequence[Log],
-    force=False,
+    force: bool = False,
+    page: Path | None = None,
 ) -> list[Section]:
     """Write report.html, its tables (.md, .csv) and the mixing curve into a folder.
 
@@ -46,6 +48,7 @@ def write_calibration_report(
         logs: walks, as recorded, to judge the bounds by; for one without a reference there is the
             alarm alone.
         force: whether files may be replaced.
+        page: page of results (Markdown) to write as well.
     """
     with tqdm([calibration, *logs], desc="walks", unit=" log") as bar:
         first, *others = [evaluate_walk(observer, bounds, log, log is calibration) for log in bar]
@@ -64,6 +67,8 @@ def write_calibration_report(
     sections = _sections(observer, first, others, tables, pictures)
     title = f"Bounds calibrated on {calibration.name}, and where they hold"
     write_report(out / "report.html", title, sections, force)
+    if page:
+        write_page(page, title, sections, origin_of(__name__, "make study-bounds"))
     return sections
 
 

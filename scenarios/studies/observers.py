@@ -65,6 +65,8 @@ class ObserverStudy:
     steps: int = Schedule.steps
     """Steps of training, the same for all."""
     loss: str = "mse"
+    inputs: tuple[str, ...] = ("q,dq,tau", "tau,feet")
+    """What networks read, each compared: the paper's, and leg odometry of the robot's drawing."""
     data: Path | None = None
     """Folder of finished trainings; `trainings` in the output where left out."""
     page: Path | None = None
@@ -79,23 +81,26 @@ def observer_study(options: ObserverStudy) -> pd.DataFrame:
         for name, own in logs.items()
     }
     tasks = [
-        (suite, model, seed)
+        (suite, inputs, model, seed)
         for seed in range(options.seeds)
         for suite in SUITE_WALKS
+        for inputs in options.inputs
         for model in ARCHITECTURES
     ]
     rows = []
-    for suite, model, seed in tqdm(tasks, desc="architectures", unit="training"):
-        inputs = {"suite": suite, "model": model, "seed": seed}
+    for suite, read, model, seed in tqdm(tasks, desc="architectures", unit="training"):
+        inputs = {"suite": suite, "inputs": read, "model": model, "seed": seed}
         inputs |= {"loss": options.loss, "steps": options.steps}
         row = finished_case(
             options.data or options.out / "trainings",
             "_".join(map(str, inputs.values())),
             inputs | {"logs": digests[suite], "code": code_digest(ARCHITECTURES[model])},
             _MODULE,
-            partial(_trained_and_tested, logs[suite], SUITE_WALKS[suite], model, seed, options),
+            partial(
+                _trained_and_tested, logs[suite], SUITE_WALKS[suite], read, model, seed, options
+            ),
         )
-        rows.append({"suite": suite, "model": model} | row)
+        rows.append({"suite": suite, "inputs": read, "model": model} | row)
     table = mean_and_spread(pd.DataFrame(rows))
     section = Section("Errors on two courses that no network was trained on", PROSE, table)
     write_results(options.out, _TITLE, [section], {"table": table}, force=True)
@@ -105,11 +110,11 @@ def observer_study(options: ObserverStudy) -> pd.DataFrame:
 
 
 def mean_and_spread(rows: pd.DataFrame) -> pd.DataFrame:
-    """A row a suite and network: mean over the seeds and, after ±, their standard deviation."""
+    """A row a suite, inputs and network: mean over the seeds and, after ±, their spread."""
     found = []
-    for suite, model in rows[["suite", "model"]].drop_duplicates().itertuples(index=False):
-        group = rows[(rows["suite"] == suite) & (rows["model"] == model)]
-        cells: dict[str, object] = {"suite": suite, "model": model, "sees": _sees(model)}
+    for (suite, inputs, model), group in rows.groupby(["suite", "inputs", "model"], sort=False):
+        cells: dict[str, object] = {"suite": suite, "inputs": inputs, "model": model}
+        cells["sees"] = _sees(str(model))
         cells["parameters"] = int(group["parameters"].iloc[0])
         cells["CPU [s]"] = f"{group['cpu'].mean():.0f}"
         for axis in DIRECTIONS:
@@ -134,13 +139,19 @@ def _logs(suite: SuiteWalks, out: Path) -> dict[str, Log]:
 
 
 def _trained_and_tested(
-    logs: dict[str, Log], suite: SuiteWalks, model: str, seed: int, options: ObserverStudy
+    logs: dict[str, Log],
+    suite: SuiteWalks,
+    inputs: str,
+    model: str,
+    seed: int,
+    options: ObserverStudy,
 ) -> dict[str, object]:
     """One observer's row: size, CPU time and RMSE on the tests.
 
     Args:
         logs: by name.
         suite: names of the logs to train and test on.
+        inputs: what the network reads.
         model: name of the architecture.
         seed: of weights and windows.
         options: loss and steps.
@@ -148,7 +159,12 @@ def _trained_and_tested(
     started = process_time()
     schedule = Schedule(steps=options.steps)
     observer = train(
-        logs[suite.train], loss=options.loss, seed=seed, schedule=schedule, model=model
+        logs[suite.train],
+        inputs=inputs,
+        loss=options.loss,
+        seed=seed,
+        schedule=schedule,
+        model=model,
     )
     cpu = process_time() - started
     row: dict[str, object] = {"seed": seed, "parameters": observer.network.size, "cpu": cpu}

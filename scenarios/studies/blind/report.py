@@ -15,8 +15,11 @@ from surefoot.scenarios.reporting.palette import AFTER, INK
 from surefoot.scenarios.reporting.palette import OUTSIDE as MISSED
 from surefoot.scenarios.reporting.plotting import new_figure, set_title
 from surefoot.scenarios.studies.blind.outside_effects import OUTSIDE_EFFECTS
+from surefoot.scenarios.studies.blind.study import PLAN, cases
 from surefoot.scenarios.studies.pages import origin_of, write_page, write_results
+from surefoot.sim.common.toml import read_toml
 from surefoot.sim.effects import CATALOGUE
+from surefoot.sim.robot.limbs import QUADRUPED
 
 Record = Mapping[str, Any]
 Rows = list[dict[str, Any]]
@@ -29,7 +32,59 @@ def write_report_of(out: Path, records: Sequence[Record], page: Path | None = No
     """Write report.html, table.md and cases.csv, and the page; returns the tables as text."""
     walked = [r for r in records if "fell" not in r]
     of = {kind: [r for r in walked if r["kind"] == kind] for kind in CASE_KINDS}
+    plan = read_toml(PLAN, "study")
     sections = [
+        Section("The plan", plan_prose(plan, len(records)), plan_table(plan)),
+        *(results(of, records) if of["single"] else ()),
+    ]
+    title = "What trace finds: the blind study"
+    if page:
+        write_page(page, title, sections, origin_of(__name__, "make study-trace"))
+    every = Section("Every case", table=[_row(r) for r in records])
+    return write_results(out, title, [*sections, every], {"cases": every.table or []}, force=True)
+
+
+def plan_prose(plan: Mapping[str, Any], finished: int) -> str:
+    """What the plan draws, and how much of it is done."""
+    planned = cases(plan)
+    count = Counter(case.kind for case in planned)
+    robots, seeds = plan["walk"]["robots"], plan["walk"]["seeds"]
+    grouped = sum(
+        case.effects[0].target not in type(case.effects[0]).single_targets(QUADRUPED)
+        for case in planned
+        if case.kind == "single"
+    )
+    return (
+        f"{len(planned)} cases, all drawn from seed {plan['seed']} before the first was run: "
+        f"{count['single']} logs with one undeclared effect ({grouped} of them on a group of "
+        f"parts), {count['clean']} without any, {count['outside']} with an effect that is in no "
+        f"catalogue, {count['together']} with two at once, {count['twins']} of a robot that stands "
+        f"with an effect that standing cannot tell from its twin. {' and '.join(robots)} on "
+        f"courses {seeds[0]} to {seeds[-1]}, robots and courses that no trace had met. Sizes are "
+        "log-uniform between the ends below. "
+        f"Finished so far: {finished} of {len(planned)}."
+    )
+
+
+def plan_table(plan: Mapping[str, Any]) -> Rows:
+    """A row an effect: the ends between which its size is drawn."""
+    kinds = {**CATALOGUE, **OUTSIDE_EFFECTS}
+    return [
+        {
+            "effect": name,
+            "in the catalogue": known,
+            "from": low,
+            "to": high,
+            "unit": kinds[name].unit,
+        }
+        for known, key in ((True, "sizes"), (False, "outside_sizes"))
+        for name, (low, high) in plan[key].items()
+    ]
+
+
+def results(of: Mapping[str, Sequence[Record]], records: Sequence[Record]) -> list[Section]:
+    """What came of the cases that are finished."""
+    return [
         Section("Rules and results", RULES_PROSE, rules(records)),
         Section(
             "By effect",
@@ -57,11 +112,6 @@ def write_report_of(out: Path, records: Sequence[Record], page: Path | None = No
         ),
         *(Section(heading, table=rows) for heading, rows in details(of).items() if rows),
     ]
-    title = "What trace finds: the blind study"
-    if page:
-        write_page(page, title, sections, origin_of(__name__, "make study-trace"))
-    every = Section("Every case", table=[_row(r) for r in records])
-    return write_results(out, title, [*sections, every], {"cases": every.table or []}, force=True)
 
 
 RULES_PROSE = (
@@ -165,24 +215,34 @@ def rules(records: Sequence[Record]) -> Rows:
     fits = [fit for fit in map(sized, single) if fit is not None]
     lines = [
         ("right effect and target first", ">= 90 %", share([points(r) for r in single])),
-        ("... of effects above the log's floor", "", share([points(r) for r in above])),
+        ("... of effects above the log's floor", ">= 95 %", share([points(r) for r in above])),
         ("its size within a tenth or its interval", "", share(fits)),
-        ("a false name on a clean log", "<= 5 %", share([bool(named(r)) for r in clean])),
+        ("a false name on a clean log", "none", share([bool(named(r)) for r in clean])),
         (
             "none_of_these with the right channel, effect in no catalogue",
-            ">= 80 %",
+            ">= 90 %",
             share([right_channel(r) for r in outside]),
         ),
-        ("two effects at once, both found", ">= 70 %", share([names_all(r) for r in together])),
+        ("two effects at once, both found", ">= 75 %", share([names_all(r) for r in together])),
         ("... both above the log's floor", "", share([names_all(r) for r in clear])),
         (
             "twins of a standing robot: confounded, both named",
             "",
             share([names_both_twins(r) for r in twins]),
         ),
+        ("a channel worse by a tenth with what was named", "none", share(made_worse(walked))),
         ("the robot fell, no log", "", f"{len(records) - len(walked)} of {len(records)}"),
     ]
     return [{"rule": a, "asked": b, "measured": c} for a, b, c in lines]
+
+
+def made_worse(walked: Sequence[Record]) -> list[bool]:
+    """Of the logs in which effects were named: whether they leave more of some channel."""
+    return [
+        any(c["after"] > 1.1 * c["before"] for c in r["channels"].values())
+        for r in walked
+        if named(r)
+    ]
 
 
 def named_first(record: Record) -> str:

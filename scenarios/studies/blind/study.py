@@ -32,6 +32,7 @@ from surefoot.sim.walk import walk
 from surefoot.sim.walking.batch import known_robot
 
 PLAN = bundled("surefoot.scenarios.studies.blind", "study.toml")
+ROBOTS = bundled("surefoot.scenarios.studies.blind", "robots")
 _MODULE = "surefoot.scenarios.studies.blind.study"
 STAND = 20.0
 """s that a robot stands whose log has an effect that standing does not distinguish from another."""
@@ -64,7 +65,7 @@ def cases(plan: dict[str, Any]) -> list[Case]:
     # Turn by turn, so that a study that is stopped early has seen as much of each.
     for turn in range(plan["each"]):
         for name in known:
-            add("single", [_drawn(name, plan["sizes"][name], rng)])
+            add("single", [_drawn(name, plan["sizes"][name], rng, turn in plan["group_turns"])])
         for _ in range(_share(plan["clean"], turn, plan["each"])):
             add("clean")
         for k in range(_share(plan["outside"] * len(OUTSIDE_EFFECTS), turn, plan["each"])):
@@ -86,11 +87,22 @@ def _share(count: int, turn: int, turns: int) -> int:
     return count * (turn + 1) // turns - count * turn // turns
 
 
-def _drawn(name: str, size: Sequence[float], rng: np.random.Generator) -> Effect:
+def _drawn(
+    name: str, size: Sequence[float], rng: np.random.Generator, of_group: bool = False
+) -> Effect:
+    """An effect of a drawn size, sign and target; on a group of parts, where it has any, if asked.
+
+    Args:
+        name: of the effect.
+        size: the ends of its range.
+        rng: draws.
+        of_group: whether the target is a group.
+    """
     kind = CATALOGUE[name] if name in CATALOGUE else OUTSIDE_EFFECTS[name]
     value = float(np.exp(rng.uniform(*np.log(size))))
     sign = rng.choice([-1.0, 1.0])
-    target = str(rng.choice(kind.single_targets(QUADRUPED)))
+    several = tuple(kind.group_targets(QUADRUPED)) if of_group else ()
+    target = str(rng.choice(several or kind.single_targets(QUADRUPED)))
     # No delay is negative.
     both = kind.bounds[0] < 0 and not name.endswith("_delay")
     return kind(target, sign * value if both else value)
@@ -118,6 +130,12 @@ def ground_and_course(seed: int, standing: bool) -> Scenario:
     return Scenario("study", segments, Ground(rng.uniform(*w["mu"]), patches))
 
 
+def study_robot(name: str) -> Robot:
+    """A robot of the study alone, or a known one."""
+    own = ROBOTS / f"{name}.xml"
+    return known_robot(str(own) if own.is_file() else name)
+
+
 def run_case(case: Case) -> dict[str, Any]:
     """Walk and trace one case: what was put in, and the verdict, effects and channels found."""
     record: dict[str, Any] = {
@@ -128,7 +146,7 @@ def run_case(case: Case) -> dict[str, Any]:
         "effects": [e.as_dict() for e in case.effects],
         "twin": case.twin,
     }
-    robot = Robot.load(case.robot)
+    robot = study_robot(case.robot)
     scenario = ground_and_course(case.seed, case.standing)
     try:
         log = walk(scenario, robot, case.seed, case.effects, declared=False)
@@ -167,18 +185,21 @@ def over_floor(found: Diagnosis, one: Effect) -> float | None:
 def run_blind_study(
     folder: Path, workers: int = 1, at_most: int | None = None
 ) -> list[dict[str, Any]]:
-    """The records of all cases, those run that are not in `folder`.
+    """The records of the finished cases of the plan, after at most so many more were run.
 
-    A walk's cases are run by one worker, for they share its noise floor.
+    Each finished case is a file of `folder`, so that a study that was stopped goes on. A walk's
+    cases are run by one worker, for they share its noise floor.
     """
     plan = read_toml(PLAN, "study")
     groups: dict[tuple, list[Case]] = {}
     records: dict[int, dict[str, Any]] = {}
-    for case in cases(plan)[:at_most]:
+    left = float("inf") if at_most is None else at_most
+    for case in cases(plan):
         row = read_case(folder, _name(case), _inputs(case, plan), _MODULE)
         if row is not None:
             records[case.number] = row
-        else:
+        elif left > 0:
+            left -= 1
             # Groups of a few turns: a study that is stopped early has seen as much of each effect.
             key = case.number // 80, case.robot, case.seed
             groups.setdefault(key, []).append(case)
@@ -205,7 +226,7 @@ def _name(case: Case) -> str:
 def _inputs(case: Case, plan: dict[str, Any]) -> dict[str, Any]:
     effects = [e.as_dict() for e in case.effects]
     drawn = {"kind": case.kind, "robot": case.robot, "seed": case.seed, "effects": effects}
-    known = {"candidates": candidates_code(), "model": known_robot(case.robot).digest}
+    known = {"candidates": candidates_code(), "model": study_robot(case.robot).digest}
     return drawn | known | {"standing": case.standing, "walk": plan["walk"]}
 
 
@@ -219,7 +240,7 @@ class BlindStudy:
     """Folder of finished cases; `cases` in the output where left out."""
     workers: int = 2
     at_most: int | None = None
-    """Of the plan's cases, the first so many."""
+    """Cases to run in this sitting, of those that are not finished; 0 for the report alone."""
     page: Path | None = None
     """Page of results to write as well, such as docs/results/blind.md."""
 
