@@ -4,6 +4,7 @@ import pytest
 
 from surefoot.scenarios.studies.blind import study
 from surefoot.scenarios.studies.blind.outside_effects import OUTSIDE_EFFECTS
+from surefoot.scenarios.studies.blind.plan import PLAN, cases
 from surefoot.scenarios.studies.blind.report import (
     names_both_twins,
     points,
@@ -13,8 +14,6 @@ from surefoot.scenarios.studies.blind.report import (
     write_report_of,
 )
 from surefoot.scenarios.studies.blind.study import (
-    PLAN,
-    cases,
     ground_and_course,
     run_blind_study,
     standing_part,

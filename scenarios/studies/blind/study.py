@@ -18,94 +18,19 @@ from surefoot.models.attribution.evidence import candidates_code
 from surefoot.scenarios.cache import finished_case, read_case
 from surefoot.scenarios.cli.options import Out
 from surefoot.scenarios.stages import processes, stage
-from surefoot.scenarios.studies.blind.outside_effects import OUTSIDE_EFFECTS
+from surefoot.scenarios.studies.blind.plan import PLAN, Case, cases, study_robot
+from surefoot.scenarios.studies.blind.report import write_report_of
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import bundled
 from surefoot.sim.common.toml import read_toml
-from surefoot.sim.effects import CATALOGUE, Effect, effect
+from surefoot.sim.effects import Effect
 from surefoot.sim.ground.terrain import Ground, Patch
 from surefoot.sim.log import Log
-from surefoot.sim.robot import Robot
-from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
-from surefoot.sim.walking.batch import known_robot
 
-PLAN = bundled("surefoot.scenarios.studies.blind", "study.toml")
-ROBOTS = bundled("surefoot.scenarios.studies.blind", "robots")
 _MODULE = "surefoot.scenarios.studies.blind.study"
 STAND = 20.0
 """s that a robot stands whose log has an effect that standing does not distinguish from another."""
-
-
-@dataclass(frozen=True)
-class Case:
-    """One log: what kind of case, on which walk, with which undeclared effects."""
-
-    number: int
-    kind: str  # single, clean, outside, together, twins
-    robot: str
-    seed: int
-    effects: tuple[Effect, ...] = ()
-    twin: str = ""
-    standing: bool = False
-
-
-def cases(plan: dict[str, Any]) -> list[Case]:
-    """Every case of a plan, drawn from its seed."""
-    rng = np.random.default_rng(plan["seed"])
-    walks = [(r, s) for s in plan["walk"]["seeds"] for r in plan["walk"]["robots"]]
-    known = [name for name in CATALOGUE if name in plan["sizes"]]
-    found: list[Case] = []
-
-    def add(kind: str, effects: Sequence[Effect] = (), **more) -> None:
-        robot, seed = walks[len(found) % len(walks)]
-        found.append(Case(len(found), kind, robot, seed, tuple(effects), **more))
-
-    # Turn by turn, so that a study that is stopped early has seen as much of each.
-    for turn in range(plan["each"]):
-        for name in known:
-            add("single", [_drawn(name, plan["sizes"][name], rng, turn in plan["group_turns"])])
-        for _ in range(_share(plan["clean"], turn, plan["each"])):
-            add("clean")
-        for k in range(_share(plan["outside"] * len(OUTSIDE_EFFECTS), turn, plan["each"])):
-            name = list(OUTSIDE_EFFECTS)[(turn + k) % len(OUTSIDE_EFFECTS)]
-            add("outside", [_drawn(name, plan["outside_sizes"][name], rng)])
-        for _ in range(_share(plan["together"], turn, plan["each"])):
-            first, second = rng.choice(known, 2, replace=False)
-            add("together", [_drawn(n, plan["sizes"][n], rng) for n in (first, second)])
-        for k in range(_share(plan["confounded"], turn, plan["each"])):
-            pair = plan["twins"][(turn + k) % len(plan["twins"])]
-            name, target = pair["of"][0].split()
-            one = effect(name, target, np.exp(rng.uniform(*np.log(pair["size"]))))
-            add("twins", [one], twin=pair["of"][1], standing=True)
-    return found
-
-
-def _share(count: int, turn: int, turns: int) -> int:
-    """How many of `count` fall to this turn."""
-    return count * (turn + 1) // turns - count * turn // turns
-
-
-def _drawn(
-    name: str, size: Sequence[float], rng: np.random.Generator, of_group: bool = False
-) -> Effect:
-    """An effect of a drawn size, sign and target; on a group of parts, where it has any, if asked.
-
-    Args:
-        name: of the effect.
-        size: the ends of its range.
-        rng: draws.
-        of_group: whether the target is a group.
-    """
-    kind = CATALOGUE[name] if name in CATALOGUE else OUTSIDE_EFFECTS[name]
-    value = float(np.exp(rng.uniform(*np.log(size))))
-    sign = rng.choice([-1.0, 1.0])
-    several = tuple(kind.group_targets(QUADRUPED)) if of_group else ()
-    target = str(rng.choice(several or kind.single_targets(QUADRUPED)))
-    # No delay is negative.
-    both = kind.bounds[0] < 0 and not name.endswith("_delay")
-    return kind(target, sign * value if both else value)
 
 
 @lru_cache(maxsize=8)
@@ -128,12 +53,6 @@ def ground_and_course(seed: int, standing: bool) -> Scenario:
     places = rng.uniform(-3.0, 6.0, (w["patches"], 2))
     patches = tuple(Patch(x, y, 1.0, 1.0, rng.uniform(0.15, 0.3)) for x, y in places)
     return Scenario("study", segments, Ground(rng.uniform(*w["mu"]), patches))
-
-
-def study_robot(name: str) -> Robot:
-    """A robot of the study alone, or a known one."""
-    own = ROBOTS / f"{name}.xml"
-    return known_robot(str(own) if own.is_file() else name)
 
 
 def run_case(case: Case) -> dict[str, Any]:
@@ -245,8 +164,6 @@ class BlindStudy:
     """Page of results to write as well, such as docs/results/blind.md."""
 
     def run(self) -> None:
-        from surefoot.scenarios.studies.blind.report import write_report_of
-
         records = run_blind_study(self.data or self.out / "cases", self.workers, self.at_most)
         print(write_report_of(self.out, records, self.page))
 

@@ -1,0 +1,93 @@
+"""The plan of the blind study, `study.toml`, as the cases that it draws."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from surefoot.scenarios.studies.blind.outside_effects import OUTSIDE_EFFECTS
+from surefoot.sim.common.files import bundled
+from surefoot.sim.effects import CATALOGUE, Effect, effect
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.limbs import QUADRUPED
+from surefoot.sim.walking.batch import known_robot
+
+PLAN = bundled("surefoot.scenarios.studies.blind", "study.toml")
+ROBOTS = bundled("surefoot.scenarios.studies.blind", "robots")
+
+
+@dataclass(frozen=True)
+class Case:
+    """One log: what kind of case, on which walk, with which undeclared effects."""
+
+    number: int
+    kind: str  # single, clean, outside, together, twins
+    robot: str
+    seed: int
+    effects: tuple[Effect, ...] = ()
+    twin: str = ""
+    standing: bool = False
+
+
+def cases(plan: dict[str, Any]) -> list[Case]:
+    """Every case of a plan, drawn from its seed."""
+    rng = np.random.default_rng(plan["seed"])
+    walks = [(r, s) for s in plan["walk"]["seeds"] for r in plan["walk"]["robots"]]
+    known = [name for name in CATALOGUE if name in plan["sizes"]]
+    found: list[Case] = []
+
+    def add(kind: str, effects: Sequence[Effect] = (), **more) -> None:
+        robot, seed = walks[len(found) % len(walks)]
+        found.append(Case(len(found), kind, robot, seed, tuple(effects), **more))
+
+    # Turn by turn, so that a study that is stopped early has seen as much of each.
+    for turn in range(plan["each"]):
+        for name in known:
+            add("single", [_drawn(name, plan["sizes"][name], rng, turn in plan["group_turns"])])
+        for _ in range(_share(plan["clean"], turn, plan["each"])):
+            add("clean")
+        for k in range(_share(plan["outside"] * len(OUTSIDE_EFFECTS), turn, plan["each"])):
+            name = list(OUTSIDE_EFFECTS)[(turn + k) % len(OUTSIDE_EFFECTS)]
+            add("outside", [_drawn(name, plan["outside_sizes"][name], rng)])
+        for _ in range(_share(plan["together"], turn, plan["each"])):
+            first, second = rng.choice(known, 2, replace=False)
+            add("together", [_drawn(n, plan["sizes"][n], rng) for n in (first, second)])
+        for k in range(_share(plan["confounded"], turn, plan["each"])):
+            pair = plan["twins"][(turn + k) % len(plan["twins"])]
+            name, target = pair["of"][0].split()
+            one = effect(name, target, np.exp(rng.uniform(*np.log(pair["size"]))))
+            add("twins", [one], twin=pair["of"][1], standing=True)
+    return found
+
+
+def _share(count: int, turn: int, turns: int) -> int:
+    """How many of `count` fall to this turn."""
+    return count * (turn + 1) // turns - count * turn // turns
+
+
+def _drawn(
+    name: str, size: Sequence[float], rng: np.random.Generator, of_group: bool = False
+) -> Effect:
+    """An effect of a drawn size, sign and target; on a group of parts, where it has any, if asked.
+
+    Args:
+        name: of the effect.
+        size: the ends of its range.
+        rng: draws.
+        of_group: whether the target is a group.
+    """
+    kind = CATALOGUE[name] if name in CATALOGUE else OUTSIDE_EFFECTS[name]
+    value = float(np.exp(rng.uniform(*np.log(size))))
+    sign = rng.choice([-1.0, 1.0])
+    several = tuple(kind.group_targets(QUADRUPED)) if of_group else ()
+    target = str(rng.choice(several or kind.single_targets(QUADRUPED)))
+    # No delay is negative.
+    both = kind.bounds[0] < 0 and not name.endswith("_delay")
+    return kind(target, sign * value if both else value)
+
+
+def study_robot(name: str) -> Robot:
+    """A robot of the study alone, or a known one."""
+    own = ROBOTS / f"{name}.xml"
+    return known_robot(str(own) if own.is_file() else name)
