@@ -84,6 +84,10 @@ class LinkInertia(Effect):
     def single_targets(cls, limbs: Limbs) -> tuple[str, ...]:
         return limbs.joints if limbs.legs else limbs.joints[1:]
 
+    @classmethod
+    def group_targets(cls, limbs: Limbs) -> dict[str, tuple[str, ...]]:
+        return super().group_targets(limbs) if limbs.legs else {}
+
     def edit_spec(self, spec: mujoco.MjSpec, robot: Machine) -> None:
         for joint in self.members(robot.limbs):
             body = _link(spec, robot, joint)
