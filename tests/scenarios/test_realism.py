@@ -1,0 +1,101 @@
+"""The realism card as a command: a log beside simulated walks in its manner, as files."""
+
+import json
+from dataclasses import replace
+
+import pandas as pd
+import pytest
+
+from surefoot.models.realism.card import DRAWS, tolerances
+from surefoot.scenarios.cli.main import main
+from surefoot.scenarios.experiments.as_walked import load_as_walked
+from surefoot.scenarios.trace import realism as module
+from surefoot.scenarios.trace.realism import compare_walks, seen_as
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.effects import effect
+from surefoot.sim.gait.options import GaitOptions
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.sensors.streams import Sensors
+from surefoot.sim.walk import walk
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return Robot.load("spot_class")
+
+
+@pytest.fixture(scope="module")
+def measured(robot):
+    """A walk with a long duty factor and jitter, logged at 400 Hz."""
+    gait = GaitOptions(duty=0.72, unloading=0.05, period_jitter=0.04)
+    course = (Segment(4.0, 0.4), Segment(4.0, 0.7, 0.0, 0.2))
+    scenario = Scenario(
+        "own", course, Ground(0.8), "spot_class", gait=gait, sensors=Sensors(rate=400.0)
+    )
+    return walk(scenario, robot, 7)
+
+
+@pytest.fixture(autouse=True)
+def one_walk(monkeypatch):
+    monkeypatch.setattr(module, "WALKS", 1)
+
+
+def test_the_command_writes_the_card_and_the_pictures(measured, tmp_path, capsys):
+    measured.write(tmp_path / "own.parquet")
+    main(f"realism {tmp_path}/own.parquet -o {tmp_path}/out --page {tmp_path}/realism.md".split())
+    said = capsys.readouterr().out
+    assert "| duty factor" in said
+    card = json.loads((tmp_path / "out" / "realism.json").read_text())["as drawn"]
+    rows = {row["quantity"]: row for row in card["rows"]}
+    assert set(rows) | set(card["missing"]) == set(tolerances())
+    assert rows["stride period"]["verdict"] == "like"
+    assert rows["duty factor"]["verdict"] == "unlike"
+    assert rows["duty factor"]["difference"] < -0.05
+    table = pd.read_csv(tmp_path / "out" / "realism.csv")
+    assert list(table["quantity"]) == list(rows)
+    report = (tmp_path / "out" / "report.html").read_text()
+    assert report.count("data:image/png") == 5
+    page = (tmp_path / "realism.md").read_text()
+    assert "| digest | `" in page
+    with pytest.raises(SystemExit, match="exists already"):
+        main(f"realism {tmp_path}/own.parquet -o {tmp_path}/out".split())
+    assert DRAWS > 100
+
+
+def test_a_robot_that_walks_as_the_measured_one_is_more_like_it(measured, robot):
+    drawn = compare_walks(measured, robot, "as drawn")
+    gait = GaitOptions(duty=0.72, unloading=0.05, period_jitter=0.04)
+    walked = replace(load_as_walked(), gait=gait, sensors={}, size=())
+    alike = compare_walks(measured, robot, "as walked", walked=walked)
+    verdicts = [{r.quantity: r.verdict for r in c.card.rows} for c in (drawn, alike)]
+    assert verdicts[0]["duty factor"] == "unlike"
+    assert verdicts[1]["duty factor"] == "like"
+    assert alike.card.counts["unlike"] < drawn.card.counts["unlike"]
+
+
+def test_a_simulated_log_is_seen_with_the_measured_ones_columns(measured, robot):
+    lacking = measured.frame.drop(
+        columns=[c for c in measured.frame if str(c).startswith(("dq_", "tau_", "ref_v_"))]
+    )
+    seen = seen_as(measured, replace(measured, frame=lacking), [0])
+    assert not any(seen.has(group) for group in ("dq", "tau", "ref_v"))
+    assert seen.has("force")
+
+
+def test_a_fall_is_one_clear_line(measured, robot):
+    """A robot that nothing holds level, with a load before its feet."""
+    soft = [effect("payload", "all", 30.0), effect("com_offset", "x", 0.2)]
+    heavy = replace(load_as_walked(), gait=GaitOptions(level=0.0, duty=0.4), size=())
+    with pytest.raises(SurefootError, match="spot_class falls in the manner of the log") as caught:
+        compare_walks(measured, robot, "falling", soft, heavy)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_column_is_one_clear_line(measured, tmp_path):
+    contacts = [c for c in measured.frame if str(c).startswith("contact_")]
+    replace(measured, frame=measured.frame.drop(columns=contacts)).write(tmp_path / "bare.parquet")
+    with pytest.raises(SystemExit, match="bare: the log lacks contact"):
+        main(f"realism {tmp_path}/bare.parquet -o {tmp_path}/out".split())
+    assert not (tmp_path / "out").exists()
