@@ -12,11 +12,24 @@ from surefoot.models.realism.walk_view import WalkView
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
 from surefoot.sim.common.toml import Positive, read_typed
+from surefoot.sim.effects.carry import BodyScale, growth
 
 DRAWS = 400
 """Of the stride bootstrap."""
 INTERVAL = (2.5, 97.5)
 """Percentiles of a 95 % interval."""
+
+DIMENSIONS = {
+    "share": (0, 0, 0),
+    "ratio": (0, 0, 0),
+    "m": (0, 1, 0),
+    "s": (0, 0, 1),
+    "m/s": (0, 1, -1),
+    "m/s^2": (0, 1, -2),
+    "rad/s": (0, 0, -1),
+    "Hz": (0, 0, -1),
+}
+"""Unit of a quantity -> powers of weight, leg length and stride period that it grows by."""
 
 Verdict = Literal["like", "unlike", "undecided"]
 
@@ -81,13 +94,25 @@ class Card:
 
 
 def realism_card(
-    measured: WalkView, simulated: Sequence[WalkView], rng: np.random.Generator
+    measured: WalkView,
+    simulated: Sequence[WalkView],
+    rng: np.random.Generator,
+    scales: tuple[BodyScale, BodyScale] | None = None,
 ) -> Card:
-    """The card of a measured walk beside simulated ones, whose strides are taken together."""
+    """The card of a measured walk beside simulated ones, whose strides are taken together.
+
+    Args:
+        measured: the walk of the log.
+        simulated: walks in its manner.
+        rng: draws strides anew.
+        scales: of the measured robot and of the simulated one where it is another; what was
+            measured, and the tolerances, are carried to it (`sim.effects.carry`).
+    """
     rows, missing = [], {}
     for quantity in QUANTITIES:
+        grown = growth(DIMENSIONS[quantity.unit], *scales) if scales else 1.0
         try:
-            rows.append(_row(quantity, measured, simulated, rng))
+            rows.append(_row(quantity, measured, simulated, rng, grown))
         except SurefootError as error:
             missing[quantity.name] = str(error)
     return Card(tuple(rows), missing)
@@ -98,11 +123,22 @@ def _row(
     measured: WalkView,
     simulated: Sequence[WalkView],
     rng: np.random.Generator,
+    grown: float,
 ) -> Row:
+    """A row, what was measured and its absolute tolerance times `grown`.
+
+    Args:
+        quantity: of the row.
+        measured: the walk of the log.
+        simulated: walks in its manner.
+        rng: draws strides anew.
+        grown: by how much the quantity is larger on the simulated robot.
+    """
     real, real_draws = estimate(quantity, [measured], rng)
+    real, real_draws = grown * real, grown * real_draws
     made, made_draws = estimate(quantity, simulated, rng)
     one = tolerances()[quantity.name]
-    within = one.within * (abs(real) if one.relative else 1.0)
+    within = one.within * (abs(real) if one.relative else grown)
     low, high = np.percentile(made_draws - real_draws, INTERVAL)
     return Row(
         quantity.name,

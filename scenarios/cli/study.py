@@ -121,6 +121,8 @@ class Realism:
     as_walked: bool = False
     """Let it walk a second time as robots were measured to, in gait, sensors and effects (those of
     --effects where given)."""
+    walker: str | None = None
+    """Another robot that walks in simulation: what was measured is carried to its size."""
     seed: int = 0
     """Of the walks and the intervals."""
     page: Path | None = None
@@ -146,6 +148,7 @@ class Realism:
                 self.out,
                 effects,
                 load_as_walked() if self.as_walked else None,
+                Robot.load(self.walker) if self.walker else None,
                 seed=self.seed,
                 page=self.page,
                 force=self.force,

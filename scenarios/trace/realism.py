@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.models.attribution.coarse_reference import as_coarse, coarseness
-from surefoot.models.realism.card import Card, realism_card
+from surefoot.models.realism.card import DIMENSIONS, Card, realism_card
+from surefoot.models.realism.quantities import period
 from surefoot.models.realism.walk_view import WalkView
 from surefoot.scenarios.experiments.as_walked import AsWalked
 from surefoot.scenarios.reporting.html import Section
@@ -18,12 +19,13 @@ from surefoot.scenarios.trace.realism_figures import pictures
 from surefoot.sim.common.errors import SurefootError, check_seed
 from surefoot.sim.common.files import refuse_overwrite, whole_file
 from surefoot.sim.effects import Effect
+from surefoot.sim.effects.carry import carried, growth, scale_of
 from surefoot.sim.log import Log
 from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario
 from surefoot.sim.walk import Fallen, walk
-from surefoot.sim.walking.imitation import replica, slower, walking_style
+from surefoot.sim.walking.imitation import replica, slower, style_of, walking_style
 
 WALKS = 3
 """Simulated walks, each with a seed of its own."""
@@ -54,6 +56,7 @@ def realism(
     out: Path | str,
     effects: Sequence[Effect] = (),
     walked: AsWalked | None = None,
+    walker: Robot | None = None,
     seed: int = 0,
     page: Path | None = None,
     force: bool = False,
@@ -69,6 +72,7 @@ def realism(
         out: folder.
         effects: that the simulated robot has; those of `walked` where left out.
         walked: gait, sensors and effects that were measured of a robot's walk.
+        walker: another robot that walks in simulation; what was measured is carried to it.
         seed: of the walks and of the intervals.
         page: page of results (Markdown) to write as well.
         force: overwrite the files.
@@ -82,13 +86,15 @@ def realism(
     for name in OUTPUTS:
         refuse_overwrite(out / name, force)
     report = progress or (lambda share: None)
-    found = [compare_walks(log, robot, "as drawn", seed=seed, progress=lambda s: report(0.5 * s))]
+    found = [
+        compare_walks(log, robot, "as drawn", (), None, walker, seed, lambda s: report(0.5 * s))
+    ]
     if effects or walked:
 
         def second(share: float) -> None:
             report(0.5 + 0.5 * share)
 
-        found.append(compare_walks(log, robot, "as walked", effects, walked, seed, second))
+        found.append(compare_walks(log, robot, "as walked", effects, walked, walker, seed, second))
     parts = sections(found)
     tables = {"realism": [{"walk": c.words, **r.as_dict()} for c in found for r in c.card.rows]}
     write_results(out, TITLE, parts, tables, force)
@@ -105,6 +111,7 @@ def compare_walks(
     words: str,
     effects: Sequence[Effect] = (),
     walked: AsWalked | None = None,
+    walker: Robot | None = None,
     seed: int = 0,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Comparison:
@@ -116,24 +123,33 @@ def compare_walks(
         words: what the simulated robot is.
         effects: that it has; those of `walked` where left out.
         walked: how it walks, and with what sensors; as drawn where left out.
+        walker: another robot that walks in simulation; what was measured is carried to it.
         seed: of the walks and of the intervals.
         progress: called with the share done.
     """
     measured = WalkView(log, robot)
-    world = world_of(robot)
-    scenario, poised = replica(walking_style(log, robot), world, "replica")
+    world, style, seen, scales = world_of(robot), walking_style(log, robot), robot, None
+    if walker:
+        stride = float(np.median(period(measured)[0]))
+        scales = scale_of(robot, stride), scale_of(walker)
+        faster = [growth(DIMENSIONS[unit], *scales) for unit in ("m/s", "rad/s")]
+        world, style = walker, style_of(style, walker, *faster)
+        effects = carried(effects, *scales)
+        # Seen with feet as points where the measured robot's are declared so.
+        seen = replace(walker, foot_radius=walker.foot_radius * (robot.foot_radius.max() > 0.0))
+    scenario, poised = replica(style, world, "replica")
     rate = min(log.rate, 1.0 / TIMESTEP)
     scenario = replace(scenario, sensors=replace(scenario.sensors, rate=rate))
-    own = bodily(effects, robot, world)
+    own = bodily(effects, seen, world)
     if walked:
         scenario = walked.scenario(scenario)
         own = own or walked.effects_on(world)
     logs, pace = _walks(scenario, poised, own, seed, progress)
     simulated = tuple(
-        WalkView(seen_as(replace(one, name=f"{words} {k}"), log, [seed, k]), robot)
+        WalkView(seen_as(replace(one, name=f"{words} {k}"), log, [seed, k]), seen)
         for k, one in enumerate(logs)
     )
-    card = realism_card(measured, simulated, np.random.default_rng(seed))
+    card = realism_card(measured, simulated, np.random.default_rng(seed), scales)
     return Comparison(words, measured, simulated, card, pace)
 
 
@@ -189,11 +205,17 @@ def sections(found: Sequence[Comparison]) -> list[Section]:
         counts = ", ".join(f"{n} {word}" for word, n in card.counts.items())
         words = (
             f"{log.name}, {len(one.measured.clock)} strides, beside {len(one.simulated)} simulated "
-            f"walks of {one.measured.robot.name} at {100 * one.pace:.0f} % of its velocities, with "
-            f"columns, rate and reference as the log's. Rows: {counts}. Intervals are of 95 %, by "
-            "drawing strides anew; `like` means that all of the difference's interval is within "
-            "the tolerance, `unlike` that none is. Tolerances were set before any comparison."
+            f"walks of {one.simulated[0].robot.name} at {100 * one.pace:.0f} % of its velocities, "
+            f"with columns, rate and reference as the log's. Rows: {counts}. Intervals of 95 % "
+            "are from drawing strides anew; `like` means that all of the difference's interval is "
+            "within the tolerance, `unlike` that none is. Tolerances were set before any walk."
         )
+        if one.simulated[0].robot.name != one.measured.robot.name:
+            words += (
+                "\n\nThe simulated robot is another than the measured one: what was measured, and "
+                "tolerances, are carried to it by leg length and stride period, and it walks at "
+                "velocities carried so."
+            )
         if card.missing:
             words += "\n\nMissing: " + "; ".join(f"{n} ({why})" for n, why in card.missing.items())
             words += "."

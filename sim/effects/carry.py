@@ -58,6 +58,15 @@ def scale_of(robot: Robot, period: float | None = None) -> BodyScale:
     )
 
 
+def growth(dimension: tuple[int, int, int], measured: BodyScale, to: BodyScale) -> float:
+    """Factor by which a size grows from one robot to another, of these powers of weight, leg length
+    and stride period."""
+    weight, length, time = dimension
+    factor = (to.weight / measured.weight) ** weight
+    factor *= (to.leg_length / measured.leg_length) ** length
+    return factor * (to.period / measured.period) ** time
+
+
 def carried(effects: Sequence[Effect], measured: BodyScale, to: BodyScale) -> tuple[Effect, ...]:
     """The effects of a robot of scale `measured` as one of scale `to` would have them, cut at the
     bounds of each. Raises SurefootError for a unit that the rule does not know."""
@@ -65,13 +74,9 @@ def carried(effects: Sequence[Effect], measured: BodyScale, to: BodyScale) -> tu
     for one in effects:
         if one.unit not in DIMENSIONS:
             raise SurefootError(f"effect {one.name}: no rule carries '{one.unit}' to another robot")
-        w, length, time = DIMENSIONS[one.unit]
-        foot = one.name in ON_FEET
-        lengths = (
-            to.foot_radius / measured.foot_radius if foot else to.leg_length / measured.leg_length
-        )
-        factor = (to.weight / measured.weight) ** w * lengths**length
-        factor *= (to.period / measured.period) ** time
+        factor = growth(DIMENSIONS[one.unit], measured, to)
+        if one.name in ON_FEET:
+            factor = to.foot_radius / measured.foot_radius
         low, high = known_effects()[one.name].bounds
         found.append(effect(one.name, one.target, min(max(factor * one.value, low), high)))
     return tuple(found)

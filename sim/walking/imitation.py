@@ -80,6 +80,18 @@ def walking_style(log: Log, robot: Robot) -> WalkingStyle:
     )
 
 
+def style_of(style: WalkingStyle, robot: Robot, speed: float, turn: float) -> WalkingStyle:
+    """The style for another robot, in its own period and posture.
+
+    Args:
+        style: of the measured walk.
+        robot: that is to walk so.
+        speed: factor on the velocities, for longer legs and strides.
+        turn: factor on the rates of turning.
+    """
+    return WalkingStyle(style.twists * (speed, speed, turn), 1.0, style.clearance, robot.q_home)
+
+
 def replica(style: WalkingStyle, robot: Robot, name: str) -> tuple[Scenario, Robot]:
     """A walk in the style of a measured one, piece by piece in its own order, nothing varied.
 

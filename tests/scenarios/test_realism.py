@@ -13,6 +13,7 @@ from surefoot.scenarios.trace import realism as module
 from surefoot.scenarios.trace.realism import compare_walks, seen_as
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
+from surefoot.sim.gait.controller import gait_for
 from surefoot.sim.gait.options import GaitOptions
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
@@ -73,6 +74,25 @@ def test_a_robot_that_walks_as_the_measured_one_is_more_like_it(measured, robot)
     assert verdicts[0]["duty factor"] == "unlike"
     assert verdicts[1]["duty factor"] == "like"
     assert alike.card.counts["unlike"] < drawn.card.counts["unlike"]
+
+
+def test_another_robot_is_judged_by_what_is_carried_to_its_size(measured, robot):
+    walker = Robot.load("v60_class")
+    found = compare_walks(measured, robot, "as drawn", walker=walker)
+    own = compare_walks(measured, robot, "as drawn")
+    assert {one.robot.name for one in found.simulated} == {"v60_class"}
+    rows, plain = ({r.quantity: r for r in c.card.rows} for c in (found, own))
+    longer = walker.leg_length / robot.leg_length
+    slower = gait_for(walker, 0.0).period / plain["stride period"].measured
+    for name, factor in (
+        ("stride period", slower),
+        ("foothold jitter, forward", longer),
+        ("forward speed", longer / slower),
+        ("duty factor", 1.0),
+    ):
+        assert rows[name].measured == pytest.approx(factor * plain[name].measured)
+        assert rows[name].tolerance == pytest.approx(factor * plain[name].tolerance)
+    assert rows["forward speed"].simulated == pytest.approx(rows["forward speed"].measured, rel=0.2)
 
 
 def test_a_simulated_log_is_seen_with_the_measured_ones_columns(measured, robot):
