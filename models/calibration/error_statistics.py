@@ -15,7 +15,7 @@ from scipy.stats import kurtosis, kurtosistest, norm, normaltest, skew, skewtest
 from surefoot.models.calibration.mixing import mixing
 from surefoot.sim.common.errors import SurefootError
 
-FEWEST = 20
+FEWEST_ERRORS = 20
 """Independent errors that the tests take: D'Agostino's approximations are good from there on."""
 
 
@@ -52,10 +52,10 @@ def error_statistics(errors: np.ndarray, K: int | None = None) -> tuple[AxisErro
     Raises SurefootError where fewer than FEWEST independent errors are left.
     """
     K = mixing(errors).K if K is None else K
-    if len(errors) // K < FEWEST:
+    if len(errors) // K < FEWEST_ERRORS:
         raise SurefootError(
             f"{len(errors)} errors, {K} apart, are {len(errors) // K} independent ones; statistics "
-            f"take {FEWEST}"
+            f"take {FEWEST_ERRORS}"
         )
     return tuple(_axis(e, K) for e in errors.T)
 

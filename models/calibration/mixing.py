@@ -23,7 +23,7 @@ import numpy as np
 
 THRESHOLD = 0.05
 """The paper's: K is chosen where beta comes down to about this."""
-FARTHEST = 200
+LONGEST_LAG = 200
 """Longest lag looked at, in samples of 10 ms."""
 
 
@@ -53,7 +53,7 @@ class Mixing:
         return np.sqrt(np.maximum(self.beta**2 - self.floor**2, 0.0))
 
 
-def mixing(errors: np.ndarray, farthest: int = FARTHEST, threshold: float = THRESHOLD) -> Mixing:
+def mixing(errors: np.ndarray, farthest: int = LONGEST_LAG, threshold: float = THRESHOLD) -> Mixing:
     """The mixing curve of errors (n, D), each axis by itself, and the spacing K it asks for.
 
     K is the first lag at which no axis depends on itself by more than `threshold`. Lags go up to

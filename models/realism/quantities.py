@@ -23,13 +23,13 @@ LINES = (20.0, 45.0)
 _RINGING = slice(int(LINES[0]) - 1, int(LINES[1]))
 POWER = 0.95
 """Share of a spectrum's power that lies below its bandwidth."""
-PIECE = 6.0
+MEAN_PIECE = 6.0
 """s, the pieces of which the mixing time is taken: a dozen strides."""
 SPACING = 0.01
 """s between errors whose mixing time is taken: the rate of observers."""
 PARTS = {"landing": (0.0, 0.2), "middle": (0.2, 0.8), "lift-off": (0.8, 1.0)}
 """Shares of a stance."""
-AXES = ("forward", "outward", "up")
+DIRECTIONS_OF_FEET = ("forward", "outward", "up")
 WEIGHED = (0.8, 1.25)
 """Mean of all forces as a share of the weight within which they count as newton."""
 
@@ -111,7 +111,7 @@ def standing_speed(walk: WalkView, part: str, axis: int) -> Values:
     return _known(np.concatenate(means), np.concatenate(times))
 
 
-def stance_means(walk: WalkView) -> Values:
+def walk_stance_means(walk: WalkView) -> Values:
     """Forward speed [m/s] of the base in each stance, and what the leg misses of it, (K, 2)."""
     found, times = [], []
     for leg, (first, end) in enumerate(walk.stances):
@@ -221,10 +221,10 @@ def mixing_time(walk: WalkView) -> Values:
     t = walk.log.t[rows]
     every = np.arange(t[0], t[-1], SPACING)
     error = np.column_stack([np.interp(every, t, e) for e in error.T])
-    n = round(PIECE / SPACING)
+    n = round(MEAN_PIECE / SPACING)
     starts = range(0, len(every) - n + 1, n // 2)
     if not starts:
-        raise SurefootError(f"less than {PIECE:g} s of walk")
+        raise SurefootError(f"less than {MEAN_PIECE:g} s of walk")
     times = np.array([mixing(error[i : i + n]).K * SPACING for i in starts])
     return times, every[list(starts)]
 
@@ -269,7 +269,7 @@ def _quantities() -> tuple[Quantity, ...]:
             "all feet down", "share", lambda w: feet_down(w, lambda n: n == len(w.strides)), _mean
         ),
     ]
-    for axis, name in enumerate(AXES[:2]):
+    for axis, name in enumerate(DIRECTIONS_OF_FEET[:2]):
         found.append(
             Quantity(
                 f"foothold jitter, {name}",
@@ -279,7 +279,7 @@ def _quantities() -> tuple[Quantity, ...]:
             )
         )
     for part in PARTS:
-        for axis, name in enumerate(AXES):
+        for axis, name in enumerate(DIRECTIONS_OF_FEET):
             found.append(
                 Quantity(
                     f"standing foot, {part}, {name}",
@@ -289,8 +289,8 @@ def _quantities() -> tuple[Quantity, ...]:
                 )
             )
     found += [
-        Quantity("speed missed by standing legs", "share", stance_means, missed_share),
-        Quantity("the same, stance to stance", "m/s", stance_means, missed_spread),
+        Quantity("speed missed by standing legs", "share", walk_stance_means, missed_share),
+        Quantity("the same, stance to stance", "m/s", walk_stance_means, missed_spread),
         Quantity("foot force, peak to middle", "ratio", force_peak, _median),
         Quantity("foot force, peak to weight", "ratio", force_weight, _median),
         Quantity("foot force, threshold to middle", "ratio", force_threshold, _median),

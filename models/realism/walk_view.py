@@ -12,7 +12,7 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.stances import stance_phase, stances_between_swings
 from surefoot.sim.walking.imitation import moving, strides
 
-FEWEST = 8
+FEWEST_STANCES = 8
 """Strides of a foot below which a log is no walk: a stride bootstrap has nothing to draw from."""
 
 
@@ -29,10 +29,10 @@ class WalkView:
 
     def __post_init__(self):
         self.log.require("imu", "q", "contact", "reference")
-        if len(self.clock) < FEWEST:
+        if len(self.clock) < FEWEST_STANCES:
             raise SurefootError(
                 f"{self.log.name}: no foot makes more than {len(self.clock)} strides; "
-                f"a walk has {FEWEST} at least"
+                f"a walk has {FEWEST_STANCES} at least"
             )
 
     @cached_property

@@ -16,13 +16,13 @@ from surefoot.models.residuals.stance_motion import stance_means
 from surefoot.models.residuals.torques import (
     InverseDynamics,
     Steps,
-    carried,
     dilate,
     given_by_feet,
     inverse_dynamics,
     inverse_dynamics_jacobians,
     slope,
     smooth_121,
+    torque_carried,
 )
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
@@ -202,7 +202,7 @@ def wrt_robot(parts: ResidualTable, robot: Machine, one: Machine, step: float) -
     inputs, needed = parts.inputs, parts.inputs.inverse_dynamics
     if needed is not None:
         if _same_bodies(robot, one):
-            more = carried(inputs.steps, one) - carried(inputs.steps, robot)
+            more = torque_carried(inputs.steps, one) - torque_carried(inputs.steps, robot)
             needed = replace(needed, wrench=needed.wrench + more)
         else:
             needed = inverse_dynamics(inputs.steps, one)

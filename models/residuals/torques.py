@@ -99,7 +99,7 @@ def inverse_dynamics(s: Steps, robot: Machine, every: bool = False) -> InverseDy
     wrench[use], torque[use] = dynamics.inverse(
         s.q[use], s.dq[use], s.ddq[use], s.base[use], shift, robot.extras.links
     )
-    return InverseDynamics(wrench + carried(s, robot), torque)
+    return InverseDynamics(wrench + torque_carried(s, robot), torque)
 
 
 def inverse_dynamics_jacobians(
@@ -119,7 +119,7 @@ def _shift(robot: Machine) -> np.ndarray | None:
     return (robot.legs.offset - declared(robot.file).legs.offset).reshape(-1, 3)
 
 
-def carried(s: Steps, robot: Machine) -> np.ndarray:
+def torque_carried(s: Steps, robot: Machine) -> np.ndarray:
     """Wrench (M, 6) that the known payload and the shift of the base's centre of mass take."""
     wrench = np.zeros((len(s.q), 6))
     if not isinstance(robot, Robot) or not (robot.extras.payload or robot.extras.com_shift.any()):

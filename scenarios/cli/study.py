@@ -133,7 +133,7 @@ class Realism:
         from surefoot.scenarios.experiments.as_walked import load_as_walked
         from surefoot.scenarios.reporting.progress import percent_bar
         from surefoot.scenarios.reporting.tables import to_markdown
-        from surefoot.scenarios.trace.realism import realism, table
+        from surefoot.scenarios.trace.realism import card_table, realism
         from surefoot.sim.effects.file import load_effects
         from surefoot.sim.log import Log
         from surefoot.sim.robot import Robot
@@ -155,7 +155,7 @@ class Realism:
                 progress=bar,
             )
         for one in found:
-            print(f"\n{one.words}\n\n{to_markdown(table(one.card))}")
+            print(f"\n{one.words}\n\n{to_markdown(card_table(one.card))}")
             for name, why in one.card.missing.items():
                 print(f"missing: {name}: {why}")
         print(f"\nreport: {self.out / 'report.html'}")

@@ -39,7 +39,7 @@ from surefoot.sim.walking.imitation import WalkingStyle, imitation, slower, walk
 PACES = (1.0, 0.8, 0.6, 0.4)
 """Shares of the measured velocities that are tried until the robot does not fall."""
 RECIPE = "recipe.json"
-MODULE = "surefoot.scenarios.trace.loop"
+_MODULE = "surefoot.scenarios.trace.loop"
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def loop(
     recipe = {
         "log": contents_digest(log),
         "robot": [robot.name, robot.digest],
-        "code": [sources_digest(MODULE), candidates_code()],
+        "code": [sources_digest(_MODULE), candidates_code()],
         "seed": seed,
         "declared": None if declared is None else [e.as_dict() for e in declared],
         "holdout": [contents_digest(one) for one in holdout],

@@ -27,17 +27,17 @@ from surefoot.sim.scenario import Scenario
 from surefoot.sim.walk import Fallen, walk
 from surefoot.sim.walking.imitation import replica, slower, style_of, walking_style
 
-WALKS = 3
+WALKS_EACH = 3
 """Simulated walks, each with a seed of its own."""
-PACES = (1.0, 0.9, 0.8, 0.7)
+REALISM_PACES = (1.0, 0.9, 0.8, 0.7)
 """Shares of the measured velocities that are tried until the robot does not fall."""
-MODULE = "surefoot.scenarios.trace.realism"
+_MODULE = "surefoot.scenarios.trace.realism"
 TITLE = "Realism: a measured walk beside simulated ones in its manner"
-OUTPUTS = ("realism.json", "realism.csv", "table.md", "report.html")
+REALISM_FILES = ("realism.json", "realism.csv", "table.md", "report.html")
 
 
 @dataclass(frozen=True)
-class Comparison:
+class WalkComparison:
     """A measured walk, simulated ones and the card of the two.
 
     pace: share of the measured speed at which the simulated robot walks; words: what it was.
@@ -61,7 +61,7 @@ def realism(
     page: Path | None = None,
     force: bool = False,
     progress: Callable[[float], None] | None = None,
-) -> tuple[Comparison, ...]:
+) -> tuple[WalkComparison, ...]:
     """Compare and write realism.json, realism.csv, table.md and report.html into `out`.
 
     The simulated robot as drawn comes first; where effects or `walked` are given, with them second.
@@ -83,7 +83,7 @@ def realism(
     """
     out = Path(out)
     check_seed(seed)
-    for name in OUTPUTS:
+    for name in REALISM_FILES:
         refuse_overwrite(out / name, force)
     report = progress or (lambda share: None)
     found = [
@@ -95,13 +95,13 @@ def realism(
             report(0.5 + 0.5 * share)
 
         found.append(compare_walks(log, robot, "as walked", effects, walked, walker, seed, second))
-    parts = sections(found)
+    parts = card_sections(found)
     tables = {"realism": [{"walk": c.words, **r.as_dict()} for c in found for r in c.card.rows]}
     write_results(out, TITLE, parts, tables, force)
     with whole_file(out / "realism.json", force) as temporary:
         temporary.write_text(json.dumps(_json(found), indent=2) + "\n", encoding="utf-8")
     if page:
-        write_page(page, TITLE, parts, origin_of(MODULE, "surefoot realism"))
+        write_page(page, TITLE, parts, origin_of(_MODULE, "surefoot realism"))
     return tuple(found)
 
 
@@ -114,7 +114,7 @@ def compare_walks(
     walker: Robot | None = None,
     seed: int = 0,
     progress: Callable[[float], None] = lambda share: None,
-) -> Comparison:
+) -> WalkComparison:
     """`realism` of one simulated robot, without the files.
 
     Args:
@@ -150,7 +150,7 @@ def compare_walks(
         for k, one in enumerate(logs)
     )
     card = realism_card(measured, simulated, np.random.default_rng(seed), scales)
-    return Comparison(words, measured, simulated, card, pace)
+    return WalkComparison(words, measured, simulated, card, pace)
 
 
 def seen_as(log: Log, measured: Log, seed: Sequence[int]) -> Log:
@@ -182,22 +182,22 @@ def _walks(
         progress: called with the share of the walks done at a pace.
     """
     fallen = None
-    for pace in PACES:
+    for pace in REALISM_PACES:
         logs: list[Log] = []
         try:
-            for k in range(WALKS):
+            for k in range(WALKS_EACH):
                 logs.append(walk(slower(scenario, pace), robot, seed + k, effects))
-                progress((k + 1) / WALKS)
+                progress((k + 1) / WALKS_EACH)
             return logs, pace
         except Fallen as fall:
             fallen = fall
     raise SurefootError(
         f"realism: in simulation {robot.name} falls in the manner of the log, even at "
-        f"{100 * PACES[-1]:.0f} % of its speed ({fallen})"
+        f"{100 * REALISM_PACES[-1]:.0f} % of its speed ({fallen})"
     )
 
 
-def sections(found: Sequence[Comparison]) -> list[Section]:
+def card_sections(found: Sequence[WalkComparison]) -> list[Section]:
     """The report's parts."""
     parts = []
     for one in found:
@@ -219,7 +219,7 @@ def sections(found: Sequence[Comparison]) -> list[Section]:
         if card.missing:
             words += "\n\nMissing: " + "; ".join(f"{n} ({why})" for n, why in card.missing.items())
             words += "."
-        parts.append(Section(f"{one.words[:1].upper()}{one.words[1:]}", words, table(card)))
+        parts.append(Section(f"{one.words[:1].upper()}{one.words[1:]}", words, card_table(card)))
     parts.append(Section("Pictures", pictures=tuple(pictures(found))))
     reasons = [
         {"quantity": r.quantity, "tolerance": r.tolerance, "unit": r.unit, "reason": r.reason}
@@ -228,7 +228,7 @@ def sections(found: Sequence[Comparison]) -> list[Section]:
     return [*parts, Section("Tolerances", table=reasons)]
 
 
-def table(card: Card) -> list[dict[str, str | float]]:
+def card_table(card: Card) -> list[dict[str, str | float]]:
     """The card's rows as a reader wants them."""
     return [
         {
@@ -244,7 +244,7 @@ def table(card: Card) -> list[dict[str, str | float]]:
     ]
 
 
-def _json(found: Sequence[Comparison]) -> dict:
+def _json(found: Sequence[WalkComparison]) -> dict:
     return {
         one.words: {
             "pace": one.pace,

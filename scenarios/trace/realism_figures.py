@@ -7,13 +7,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from surefoot.models.realism.quantities import (
-    AXES,
+    DIRECTIONS_OF_FEET,
     FREQUENCIES,
     duty,
     missed_share,
     period,
     spectra,
-    stance_means,
+    walk_stance_means,
 )
 from surefoot.models.realism.walk_view import WalkView
 from surefoot.scenarios.reporting.html import Picture
@@ -21,14 +21,14 @@ from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK, OUTSIDE
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
 
 if TYPE_CHECKING:
-    from surefoot.scenarios.trace.realism import Comparison
+    from surefoot.scenarios.trace.realism import WalkComparison
 
 PHASES = 20
 """Bins of the phase of stance."""
 _COLORS = (BEFORE, AFTER)
 
 
-def pictures(found: Sequence["Comparison"]) -> Iterator[Picture]:
+def pictures(found: Sequence["WalkComparison"]) -> Iterator[Picture]:
     """The card's figures with their captions."""
     walks = [("measured", OUTSIDE, [found[0].measured])]
     walks += [(f"simulated, {c.words}", _COLORS[k % 2], c.simulated) for k, c in enumerate(found)]
@@ -62,7 +62,7 @@ def _standing_speed(walks: Sequence[tuple[str, str, Sequence[WalkView]]]) -> Fig
         ax.axhline(0.0, color=INK, linewidth=0.8)
         ax.set_xlabel("phase of stance")
         ax.set_ylabel("m/s")
-        set_title(ax, AXES[a])
+        set_title(ax, DIRECTIONS_OF_FEET[a])
     legend_below(figure, axes[0, 0])
     return figure
 
@@ -92,7 +92,7 @@ def _by_speed(walks: Sequence[tuple[str, str, Sequence[WalkView]]]) -> Figure:
     figure, axes = new_figure(1, 1, size=(7.5, 4.0))
     ax = axes[0, 0]
     for label, color, group in walks:
-        values = np.concatenate([stance_means(w)[0] for w in group])
+        values = np.concatenate([walk_stance_means(w)[0] for w in group])
         ax.scatter(values[:, 0], values[:, 1], s=6, color=color, alpha=0.35, linewidth=0)
         speed = np.array([0.0, values[:, 0].max()])
         ax.plot(speed, missed_share(values) * speed, color=color, label=label)

@@ -12,7 +12,7 @@ import numpy as np
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.gait.irregular import stride_at
-from surefoot.sim.gait.options import PLAIN, GaitOptions
+from surefoot.sim.gait.options import PLAIN_GAIT, GaitOptions
 from surefoot.sim.gait.stance_control import stiffen, support
 from surefoot.sim.gait.state import REACHING, STANCE, SWING, Command, Feet, Gait, LegMemory
 from surefoot.sim.gait.swing import swing
@@ -38,7 +38,7 @@ def gait_for(
     period: float = 1.0,
     clearance: float = 1.0,
     gain: float = 1.0,
-    options: GaitOptions = PLAIN,
+    options: GaitOptions = PLAIN_GAIT,
 ) -> Gait:
     """The trot of a robot.
 

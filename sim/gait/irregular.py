@@ -8,7 +8,7 @@ from surefoot.sim.gait.options import GaitOptions
 from surefoot.sim.gait.state import Gait
 from surefoot.sim.robot.kinematics import BaseMotion
 
-FARTHEST = 2.5
+FARTHEST_DRAW = 2.5
 """Standard deviations at which drawn periods and footholds are cut: legs reach only so far."""
 
 
@@ -17,7 +17,7 @@ def irregular(gait: Gait, options: GaitOptions, t: np.ndarray, rng: np.random.Ge
     strides = int((t[-1] - gait.start) / gait.period * 1.5) + 4
 
     def cut(size: float, shape: int | tuple[int, ...]) -> np.ndarray:
-        return size * np.clip(rng.standard_normal(shape), -FARTHEST, FARTHEST)
+        return size * np.clip(rng.standard_normal(shape), -FARTHEST_DRAW, FARTHEST_DRAW)
 
     drawn: dict[str, np.ndarray] = {}
     if options.period_jitter:
@@ -35,7 +35,7 @@ def irregular(gait: Gait, options: GaitOptions, t: np.ndarray, rng: np.random.Ge
 
 
 @kernel
-def estimated(gait, base, tick):
+def estimated_base(gait, base, tick):
     """The BaseMotion that the controller believes in at a tick (its number): the true one, or one
     with the errors that were drawn in its velocity and attitude, in B."""
     p, R, v, w = base

@@ -45,5 +45,5 @@ class GaitOptions:
             raise SurefootError("noise_time must be positive")
 
 
-PLAIN = GaitOptions()
+PLAIN_GAIT = GaitOptions()
 """The plainest trot."""

@@ -6,7 +6,7 @@ from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.gait.state import STANCE
 
-FARTHEST = 0.3
+FARTHEST_FROM_BASE = 0.3
 """rad, of a joint's error that its PD answers: a foot held fast does not pull the body down."""
 
 
@@ -130,5 +130,5 @@ def stiffen(controller, state, command, feet, torque):
         error = J.T @ np.linalg.solve(H, wanted_B - r_B)
         error_rate = J.T @ np.linalg.solve(H, rate_B) - dq[own]
         for j in range(3):
-            pull = gait.stiffness * min(max(error[j], -FARTHEST), FARTHEST)
+            pull = gait.stiffness * min(max(error[j], -FARTHEST_FROM_BASE), FARTHEST_FROM_BASE)
             torque[3 * leg + j] += pull + gait.damping * error_rate[j]

@@ -21,7 +21,7 @@ from surefoot.sim.common.kernels import kernel
 from surefoot.sim.common.quaternion import matrix_from_quaternion
 from surefoot.sim.gait.controller import Controller, tick
 from surefoot.sim.gait.course import Course
-from surefoot.sim.gait.irregular import estimated
+from surefoot.sim.gait.irregular import estimated_base
 from surefoot.sim.gait.state import Gait, RobotState, standing
 from surefoot.sim.ground.height_map import height
 from surefoot.sim.physics.scene import TIMESTEP, World
@@ -201,7 +201,7 @@ def _stepper(body, legs, controller, load, t, target, trace, ticks):
         if has_fallen(controller.gait, controller.relief, qpos, R) or body.unstable.any():
             return i
         base = BaseMotion(qpos[:3].copy(), R, qvel[:3].copy(), qvel[3:6].copy())
-        base = estimated(controller.gait, base, i)
+        base = estimated_base(controller.gait, base, i)
         tick(legs, controller, RobotState(t[i], base, q, dq, load), target[i], torque)
         body.ctrl[:] = torque
         for _ in range(STEPS_PER_TICK):

@@ -7,8 +7,8 @@ import pytest
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.gait.controller import gait_for
-from surefoot.sim.gait.irregular import estimated, irregular, stride_at
-from surefoot.sim.gait.options import PLAIN, GaitOptions
+from surefoot.sim.gait.irregular import estimated_base, irregular, stride_at
+from surefoot.sim.gait.options import PLAIN_GAIT, GaitOptions
 from surefoot.sim.ground.terrain import Ground, Patch
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import BaseMotion
@@ -59,7 +59,7 @@ def landing_speed(motion):
 def test_a_plain_gait_is_not_irregular_and_draws_nothing():
     gait = gait_for(SPOT, 4.0)
     generator = rng()
-    assert irregular(gait, PLAIN, TICKS, generator) == gait
+    assert irregular(gait, PLAIN_GAIT, TICKS, generator) == gait
     assert generator.random() == rng().random()
 
 
@@ -83,7 +83,7 @@ def test_the_estimate_errs_by_what_was_asked_for_and_stays_a_rotation():
     options = GaitOptions(velocity_noise=0.05, attitude_noise=0.02)
     gait = irregular(gait_for(SPOT, 4.0), options, TICKS, rng())
     base = BaseMotion(np.zeros(3), np.eye(3), np.array([0.5, 0.0, 0.0]), np.zeros(3))
-    found = [estimated(gait, base, k) for k in range(0, len(TICKS), 10)]
+    found = [estimated_base(gait, base, k) for k in range(0, len(TICKS), 10)]
     v = np.array([one.v for one in found]) - base.v
     assert v.std() == pytest.approx(0.05, rel=0.2)
     R = np.array([one.R for one in found])
