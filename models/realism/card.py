@@ -19,7 +19,7 @@ DRAWS = 400
 INTERVAL = (2.5, 97.5)
 """Percentiles of a 95 % interval."""
 
-DIMENSIONS = {
+CARD_DIMENSIONS = {
     "share": (0, 0, 0),
     "ratio": (0, 0, 0),
     "m": (0, 1, 0),
@@ -110,7 +110,7 @@ def realism_card(
     """
     rows, missing = [], {}
     for quantity in QUANTITIES:
-        grown = growth(DIMENSIONS[quantity.unit], *scales) if scales else 1.0
+        grown = growth(CARD_DIMENSIONS[quantity.unit], *scales) if scales else 1.0
         try:
             rows.append(_row(quantity, measured, simulated, rng, grown))
         except SurefootError as error:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.models.attribution.coarse_reference import as_coarse, coarseness
-from surefoot.models.realism.card import DIMENSIONS, Card, realism_card
+from surefoot.models.realism.card import CARD_DIMENSIONS, Card, realism_card
 from surefoot.models.realism.quantities import period
 from surefoot.models.realism.walk_view import WalkView
 from surefoot.scenarios.experiments.as_walked import AsWalked
@@ -132,7 +132,7 @@ def compare_walks(
     if walker:
         stride = float(np.median(period(measured)[0]))
         scales = scale_of(robot, stride), scale_of(walker)
-        faster = [growth(DIMENSIONS[unit], *scales) for unit in ("m/s", "rad/s")]
+        faster = [growth(CARD_DIMENSIONS[unit], *scales) for unit in ("m/s", "rad/s")]
         world, style = walker, style_of(style, walker, *faster)
         effects = carried(effects, *scales)
         # Seen with feet as points where the measured robot's are declared so.

@@ -99,6 +99,9 @@ def known_effects() -> Registry:
 def add(kind: K) -> K:
     """Put a class of one's own into the catalogue of this process: `@add` above the class.
 
+    Processes that are spawned, `--workers` of experiments and of a cluster, do not run the script
+    that adds it and do not know it: what they shall know is a package with an entry point.
+
     Raises SurefootError where it lacks an attribute that every effect has, or where its name is
     taken by another.
     """

@@ -102,7 +102,9 @@ def write_study(
     for name, picture in pictures.items():
         save_picture(picture, out / "figures" / f"{name}.png", force)
     if page:
-        write_page(page, _TITLE, sections, origin_of(__name__, "surefoot montecarlo"))
+        whole = results.study.trials == load_study().trials
+        command = "surefoot montecarlo" + ("" if whole else f" --trials {results.study.trials}")
+        write_page(page, _TITLE, sections, origin_of(__name__, command))
     tables = {
         "runtime": runtime_table(runtime),
         "table": numbers_table(results.paper),
