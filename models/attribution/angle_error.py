@@ -52,7 +52,8 @@ def angle_errors(
     keys = [(e.name, e.target) for e in found]
     joints = [joint for joint in kind if kind[joint] in {kind[one] for one in at}]
     evidence = _with_curves(cases, result, joints)
-    whole, sigma = design(evidence), result.floor.counted(result.robust_weights.sigma)
+    robust, whole = result.robust_weights, design(evidence)
+    sigma = result.floor.counted(robust.sigma, robust.alike)
     data = normal_equations(whole, sigma, result.robust_weights.weight, split.part)
     seen, unseen = data.rows(data.part == FIT), data.rows(data.part == SELECT)
     plain = fit(seen, keys, errors=False).vector

@@ -28,11 +28,13 @@ class ChannelLevel:
     """The most that walks of the floor have: of those walked, and as far again as they differ. Of
     noise alone, the most that so few bins reach by chance."""
     settings: TraceSettings = DEFAULT
+    judges: bool = False
+    """Whether no fit sees it: it need not come to its floor, but must not get worse."""
 
     @property
     def at_floor(self) -> bool:
         """Whether what is left is what the declared model leaves by itself."""
-        return self.after <= self.settings.at_floor * self.highest
+        return self.judges or self.after <= self.settings.at_floor * self.highest
 
     @property
     def below_floor(self) -> bool:
@@ -93,6 +95,7 @@ def channel_levels(
             unit=channel.unit,
             highest=most,
             settings=known.settings,
+            judges=channel.judges,
         )
     return levels
 

@@ -84,11 +84,18 @@ class NoiseFloor:
         """How far the ground of the walks is from a plane, m."""
         return self.plan.evenness if self.plan else 0.0
 
-    def counted(self, sigma: np.ndarray) -> np.ndarray:
-        """The noise sigma (W,) as it counts in a fit: what is not white is less informative."""
+    def counted(self, sigma: np.ndarray, alike: np.ndarray | float = 1.0) -> np.ndarray:
+        """Noise sigma (W,) as it counts in a fit: what is not white is less informative.
+
+        Two parts, each with its own correlation: what the declared model leaves, which resembles
+        the candidates as far as its contacts do, and what the log has beyond it, of which `alike`
+        (W,) entries in a row are worth one.
+        """
         if not self.repeats:
             return sigma
-        return sigma * np.sqrt(np.mean([one.variance_inflation for one in self.repeats], axis=0))
+        least = np.minimum(self.sigma, sigma) ** 2
+        faked = np.mean([one.variance_inflation for one in self.repeats], axis=0)
+        return np.sqrt(least * faked + (sigma**2 - least) * alike)
 
     def sizes(self, chosen: Sequence[Key], key: Key) -> tuple[float, float]:
         """Mean and spread of the size that `key`, fitted along with `chosen`, has where it is not.

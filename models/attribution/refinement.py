@@ -39,7 +39,7 @@ class Data:
         evidence = self.evidence.only(keys)
         if list(chosen) != list(self.explained):
             evidence = linearise(self.cases, chosen, keys, evidence)
-        sigma = self.floor.counted(self.robust_weights.sigma)
+        sigma = self.floor.counted(self.robust_weights.sigma, self.robust_weights.alike)
         return normal_equations(design(evidence), sigma, self.robust_weights.weight, self.part)
 
 

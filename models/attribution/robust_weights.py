@@ -14,16 +14,21 @@ from surefoot.models.attribution.fit import Design
 from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.layout import Layout
 
+FARTHEST = 15
+"""Entries over which a residual is asked how long it resembles itself: those of a stance."""
+
 
 @dataclass(frozen=True)
 class RobustWeights:
     """sigma (W,): noise of each column in the residual's unit; weight (M, W) in 0..1, zero where
-    missing or masked; masked (M, legs): foot bins so masked, of which share is the share."""
+    missing or masked; masked (M, legs): foot bins so masked, of which share is the share; alike
+    (W,): how many entries of a column that follow each other are worth one of white noise."""
 
     sigma: np.ndarray
     weight: np.ndarray
     masked: np.ndarray
     share: float
+    alike: np.ndarray
 
 
 def robust_weights(data: Design, floor: np.ndarray) -> RobustWeights:
@@ -44,7 +49,28 @@ def robust_weights(data: Design, floor: np.ndarray) -> RobustWeights:
             slid, elsewhere = slips(data, left)
             masked, spoiled = slid | elsewhere, _spoiled(layout, slid, elsewhere)
     standing = there[:, feet[:, 0]].sum() if legged else 0
-    return RobustWeights(sigma, weight, masked, float(masked.sum() / max(standing, 1)))
+    share = float(masked.sum() / max(standing, 1))
+    z = np.clip(left / sigma, -settings.outlier, settings.outlier)
+    alike = correlated_entries(layout, np.where(weight > 0, z, np.nan))
+    return RobustWeights(sigma, weight, masked, share, alike)
+
+
+def correlated_entries(layout: Layout, z: np.ndarray) -> np.ndarray:
+    """How many entries (W,) that follow each other are worth one of white noise: one and twice the
+    sum of the autocorrelations of z (M, W) until they vanish, of columns that are alike together.
+    Entries that are missing are skipped, so that stances follow each other."""
+    worth = np.ones(layout.width)
+    for columns in layout.alike:
+        products = np.zeros(FARTHEST + 1)
+        for c in columns:
+            own = z[np.isfinite(z[:, c]), c]
+            if len(own) > FARTHEST:
+                own = own - np.mean(own)
+                products += [own[k:] @ own[: len(own) - k] for k in range(FARTHEST + 1)]
+        shares = products / max(products[0], 1e-300)
+        vanished = int(np.argmax(np.append(shares, -1.0) < 0.0))
+        worth[columns] = max(1.0, 1.0 + 2.0 * float(shares[1:vanished].sum()))
+    return worth
 
 
 def _spoiled(layout: Layout, slid: np.ndarray, elsewhere: np.ndarray) -> np.ndarray:

@@ -78,7 +78,8 @@ def attribute(
         if progress:
             progress(len(rounds) / (settings.most_effects + 1))
         evidence, whole, weights, chosen = _settled(cases, chosen, keys, evidence, floor, split)
-        data = normal_equations(whole, floor.counted(weights.sigma), weights.weight, split.part)
+        sigma = floor.counted(weights.sigma, weights.alike)
+        data = normal_equations(whole, sigma, weights.weight, split.part)
         candidates = judge(data, floor, [_key(e) for e in chosen], explained, rng)
         rounds.append(candidates)
         best = candidates[0] if candidates and candidates[0].earned else None

@@ -180,9 +180,10 @@ def test_a_stance_on_something_else_than_the_others_is_masked_by_its_height():
     one, rng = evidence(), np.random.default_rng(1)
     table = one.table.copy()
     standing = np.isfinite(table[:, 6:18:3])
-    table[:, 18:22] = np.where(standing, rng.normal(0.0, 1e-4, standing.shape), np.nan)
+    heights = one.layout.of("foot_height")
+    table[:, heights] = np.where(standing, rng.normal(0.0, 1e-4, standing.shape), np.nan)
     first = np.flatnonzero(standing[:, 1])[:12]
-    table[first, 19] += 0.003
+    table[first, heights[1]] += 0.003
     assert not robust_weights(design(replace(one, table=one.table)), NOISE).masked.any()
     masked = robust_weights(design(replace(one, table=table)), NOISE).masked
     assert masked[first, 1].all()

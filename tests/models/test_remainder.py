@@ -30,7 +30,9 @@ def formed(signal=None, column=1):
     if signal:
         names, values = regressor_library([case()])
         left[:, column] += 2e-3 * values[:, names.index(signal)]
-    trusted = RobustWeights(np.ones(52), np.ones((bins, 52)), np.zeros((bins, 4), bool), 0.0)
+    trusted = RobustWeights(
+        np.ones(52), np.ones((bins, 52)), np.zeros((bins, 4), bool), 0.0, np.ones(52)
+    )
     seen = (case().frame.t // 2).astype(int) % 2 == 0
     return sparse_regression([case()], left, trusted, ["imu_gyro"], seen, ~seen)
 

@@ -11,6 +11,7 @@ from surefoot.models.attribution.evidence import linearise, log_under_model
 from surefoot.models.residuals.binning import binned
 from surefoot.models.residuals.foot_loads import foot_loads
 from surefoot.models.residuals.jacobians import Regressor, explained_share
+from surefoot.models.residuals.layout import layout_of
 from surefoot.models.residuals.residual import residual
 from surefoot.models.residuals.soft_ground import _follow, swept
 from surefoot.models.residuals.torques import steps_of
@@ -18,7 +19,7 @@ from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.ground.tiles import SOLIMP
-from surefoot.sim.log import Log
+from surefoot.sim.log import JOINTS, Log
 from surefoot.sim.physics.scene import build_world
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
@@ -121,8 +122,9 @@ def test_a_model_that_knows_of_soft_ground_finds_the_feet_where_they_are(on_soft
         size: residual(log, knowing(robot, size), frame).table
         for size in (0.0, 0.9 * SOFT, SOFT, 1.1 * SOFT)
     }
-    height = {size: typical(table[:, 18:22]) for size, table in left.items()}
-    speed = {size: typical(table[:, 6:18]) for size, table in left.items()}
+    layout = layout_of(JOINTS)
+    height = {size: typical(table[:, layout.of("foot_height")]) for size, table in left.items()}
+    speed = {size: typical(table[:, layout.of("leg_velocity")]) for size, table in left.items()}
     assert height[SOFT] < (0.1 if torques else 0.5) * height[0.0]
     assert speed[SOFT] < 0.6 * speed[0.0]
     if torques:
@@ -141,7 +143,8 @@ def test_a_model_of_hard_ground_says_what_it_said(on_soft_ground):
     robot, log = on_soft_ground
     frame = replace(log_under_model(log, robot).frame, level=True)
     hard, nearly = (residual(log, knowing(robot, size), frame).table for size in (0.0, 1e-6))
-    assert_allclose(nearly[:, :22], hard[:, :22], atol=1e-5)
+    legs = layout_of(JOINTS).of("imu_gyro", "imu_accel", "leg_velocity", "foot_height")
+    assert_allclose(nearly[:, legs], hard[:, legs], atol=1e-5)
 
 
 def test_derivatives_by_readings_know_of_the_depth(on_soft_ground):
@@ -151,10 +154,11 @@ def test_derivatives_by_readings_know_of_the_depth(on_soft_ground):
     case = log_under_model(log, knowing(robot, SOFT))
     case = replace(case, frame=replace(case.frame, level=True))
     (one,) = linearise([case], (), [("encoder_offset", "FL_calf")]).X
-    heights = one.values[:, np.searchsorted(one.columns, 18)]
-    assert one.columns[np.searchsorted(one.columns, 18)] == 18
+    own, *others = layout_of(JOINTS).of("foot_height")
+    assert own in one.columns
+    heights = one.values[:, np.searchsorted(one.columns, own)]
     assert np.abs(heights).max() < robot.leg_length
-    assert not np.isin([19, 20, 21], one.columns).any()
+    assert not np.isin(others, one.columns).any()
 
 
 @pytest.mark.parametrize("size", [0.012, 0.06])

@@ -106,8 +106,8 @@ def test_the_same_trace_of_a_log_that_tells_nothing_of_itself(tmp_path):
     said = json.loads(texts[0])
     assert said["effects"][0]["unit"] == "rad"
     assert set(said["channels"]) == {
-        *("imu_gyro", "imu_accel", "leg_velocity", "foot_height"),
-        *("joint_torque", "base_wrench", "joint_rate", "contact_timing"),
+        *("imu_gyro", "imu_accel", "leg_velocity", "stance_velocity", "stance_displacement"),
+        *("foot_height", "joint_torque", "base_wrench", "joint_rate", "contact_timing"),
     }
     assert set(said["filters"]["leg"]) == {"before", "after"}
     for name in OUTPUTS:
