@@ -1,0 +1,98 @@
+"""What stances say of legs, against a slow version, and how noise of real legs counts."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from known_evidence import QUADRUPED
+from numpy.testing import assert_allclose
+
+from surefoot.models.attribution.noise_floor import NoiseFloor
+from surefoot.models.attribution.robust_weights import correlated_entries
+from surefoot.models.residuals.binning import BIN, reference_motion
+from surefoot.models.residuals.leg_velocity import leg_velocity
+from surefoot.models.residuals.stance_motion import FEWEST, stance_displacement, stance_means
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.sensors.stances import stances
+from surefoot.sim.walk import walk
+
+ROBOT = Robot.load("spot_class")
+
+
+@pytest.fixture(scope="module")
+def log():
+    return walk(Scenario("turn", (Segment(3.0, 0.5, turn=0.4),), Ground(0.8)), ROBOT, seed=4)
+
+
+def test_a_mean_stands_in_the_middle_of_its_stance():
+    rng = np.random.default_rng(0)
+    t = BIN * np.arange(40.0)
+    there = np.zeros((40, 2), dtype=bool)
+    there[3:10, 0] = there[20:29, 0] = there[12 : 12 + FEWEST - 1, 1] = True
+    t[20:] += 1.0
+    values = np.where(there[..., None], rng.standard_normal((40, 2, 3)), np.nan)
+    means = stance_means(t, values, there)
+    assert np.flatnonzero(np.isfinite(means[:, 0, 0])).tolist() == [6, 24]
+    assert_allclose(means[6, 0], values[3:10, 0].mean(axis=0))
+    assert_allclose(means[24, 0], values[20:29, 0].mean(axis=0))
+    assert np.isnan(means[:, 1]).all(), "a stance of too few bins says nothing"
+
+
+def test_feet_that_roll_move_over_the_ground_of_a_model_that_lacks_it(log):
+    """Against a sum over the rows of every stance, in each row's own heading."""
+    frame = reference_motion(log)
+    points = replace(ROBOT, foot_radius=np.zeros(4))
+    v = leg_velocity(points, log.q, log.dq, log.gyro, frame.up_I, log.contact) - frame.v_I[:, None]
+    found = stance_displacement(log, points, frame)
+    rolling = stance_displacement(log, ROBOT, frame)
+    for leg in range(4):
+        wanted = []
+        for first, end in zip(*stances(log.contact[:, leg]), strict=True):
+            if first == 0 or end == len(log.t) or end - first < 60:
+                continue
+            moved = np.zeros(2)
+            for row in range(first, end):
+                ahead = frame.R_GI[row, :2, 0] / np.linalg.norm(frame.R_GI[row, :2, 0])
+                v_G = frame.R_GI[row] @ v[row, leg]
+                moved += (
+                    np.array([ahead @ v_G[:2], ahead[0] * v_G[1] - ahead[1] * v_G[0]]) / log.rate
+                )
+            wanted.append(moved)
+        columns = found[:, 2 * leg : 2 * leg + 2]
+        assert_allclose(columns[np.isfinite(columns[:, 0])], wanted, atol=1e-5)
+        typical = [np.nanmedian(np.abs(one[:, 2 * leg])) for one in (found, rolling)]
+        assert typical[0] > 0.004 > 4 * typical[1]
+
+
+def test_contacts_known_to_end_late_are_that_much_shorter(log):
+    """A foot that is taken for standing 2 ms too long moves that much less."""
+    frame = reference_motion(log)
+    late = replace(ROBOT.extras, liftoff_late=0.002)
+    points = replace(ROBOT, foot_radius=np.zeros(4))
+    before = stance_displacement(log, points, frame)
+    after = stance_displacement(log, replace(points, extras=late), frame)
+    v = leg_velocity(points, log.q, log.dq, log.gyro, frame.up_I, log.contact) - frame.v_I[:, None]
+    _, end = stances(log.contact[:, 0])
+    use = np.isfinite(before[:, 0])
+    last = [np.linalg.norm(v[row - 1, 0, :2]) for row in end if row < len(log.t)][-use.sum() :]
+    change = np.linalg.norm((after - before)[use, :2], axis=1)
+    assert_allclose(change, 0.002 * np.array(last), rtol=0.2, atol=2e-5)
+
+
+@pytest.mark.parametrize(("share", "worth"), [(0.0, 1.0), (0.5, 3.0)])
+def test_entries_that_resemble_their_neighbours_are_worth_fewer(share, worth):
+    rng = np.random.default_rng(3)
+    z = rng.standard_normal((6000, QUADRUPED.width))
+    for k in range(1, len(z)):
+        z[k] = share * z[k - 1] + np.sqrt(1 - share**2) * z[k]
+    assert_allclose(correlated_entries(QUADRUPED, z), worth, rtol=0.2)
+
+
+def test_only_the_floor_own_noise_counts_as_what_contacts_fake():
+    faked = SimpleNamespace(variance_inflation=np.full(2, 100.0))
+    floor = NoiseFloor(np.array([1.0, 1.0]), (faked,), "")  # type: ignore[arg-type]
+    alike = np.array([4.0, 4.0])
+    assert_allclose(floor.counted(np.array([1.0, 20.0]), alike) ** 2, [100.0, 100 + 399 * 4.0])
