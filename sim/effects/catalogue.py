@@ -99,8 +99,8 @@ def known_effects() -> Registry:
 def add(kind: K) -> K:
     """Put a class of one's own into the catalogue of this process: `@add` above the class.
 
-    Processes that are spawned, `--workers` of experiments and of a cluster, do not run the script
-    that adds it and do not know it: what they shall know is a package with an entry point.
+    Processes that the script spawns run its top level again and know the effect too. Those of a
+    cluster do not: there it takes a package with an entry point.
 
     Raises SurefootError where it lacks an attribute that every effect has, or where its name is
     taken by another.

@@ -2,6 +2,8 @@
 enough to write a class, and with the class the same log is attributed. Of the log the IMU is kept,
 so that it is quick."""
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -99,3 +101,31 @@ def test_a_class_that_says_too_little_or_takes_a_name_is_not_added(catalogue):
     with pytest.raises(SurefootError, match="gyro_bias: the catalogue has one of that name"):
         add(Taken)
     assert not any(k.__qualname__.endswith(("Nameless", "Taken")) for k in CATALOGUE.values())
+
+
+ADDED = """
+from surefoot.scenarios.stages import processes, stage
+from surefoot.sim.effects import add, effect
+from surefoot.sim.effects.imu import GyroBias
+
+
+@add
+class Own(GyroBias):
+    name = "own"
+
+
+def known(_):
+    return effect("own", "x", 0.1).name
+
+
+if __name__ == "__main__":
+    with processes(2) as pool:
+        print(stage(pool, "", {1: (known, 1)}))
+"""
+
+
+def test_an_effect_that_a_script_adds_is_known_to_processes_that_it_spawns(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(ADDED)
+    ran = subprocess.run([sys.executable, str(script)], capture_output=True, text=True)
+    assert ran.stdout.strip() == "{1: 'own'}", ran.stderr
