@@ -3,10 +3,12 @@
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import ndtri
 
 from surefoot.estimator.core.checks import numbers, spd, spd_3, vector
 from surefoot.estimator.core.propagation import propagate, propagate_checked
 from surefoot.estimator.core.state import EXTRA, FilterNoise, NavState
+from surefoot.estimator.evaluation.innovation_sums import empty_sums, windows_of
 from surefoot.estimator.evaluation.trajectory import Trajectory, UpdateRecord
 from surefoot.estimator.run import (
     NO_VELOCITIES,
@@ -29,8 +31,9 @@ from surefoot.estimator.updates.bias_states import (
     update_velocity_persistent,
 )
 from surefoot.estimator.updates.coverage import update_coverage_within
-from surefoot.estimator.updates.outliers import UNLIMITED, fresh_counts
+from surefoot.estimator.updates.outliers import REJECTED, UNLIMITED, fresh_counts
 from surefoot.estimator.updates.velocity import update_velocity, update_velocity_checked
+from surefoot.estimator.updates.velocity_output import add_velocity, note_velocity
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import kernel
 
@@ -214,7 +217,13 @@ class InvariantFilter:
             self._mean, self._covariance, self._columns, self._rotation_columns, self._counts
         )
         model, persistent = self._persistent or NOT_PERSISTENT, self._persistent is not None
-        _run(imu, velocities, settings, memory, self._noise, model, persistent, self.t, found, pi)
+        window = windows_of(imu.t)
+        sums = empty_sums(window, 1)
+        share = _deviation_share(settings.gamma, model.window)
+        _run(
+            imu, velocities, settings, memory, self._noise, model, persistent, self.t, found, pi,
+            window, sums.sums, share,
+        )  # fmt: skip
         self.t = float(imu.t[-1])
         done, updates = np.isfinite(pi), None
         t, v_I, epsilon = imu.t[velocities.rows], velocities.v_I, velocities.epsilon
@@ -223,7 +232,7 @@ class InvariantFilter:
             updates = UpdateRecord(t[done], v_I[done], epsilon[done], pi[done], active)
         elif len(v_I):
             updates = UpdateRecord(t, v_I, None, None, done)
-        return trajectory(imu.t, found, updates)
+        return trajectory(imu.t, found, updates, sums)
 
     @property
     def state(self) -> NavState:
@@ -244,7 +253,10 @@ class InvariantFilter:
 
 
 @kernel
-def _run(imu, velocities, settings, memory, noise, model, persistent, before, found, values):
+def _run(
+    imu, velocities, settings, memory, noise, model, persistent, before, found, values, window, sums,
+    share,
+):  # fmt: skip
     """A filter over rows of a log; values (M,) receive what each update returns.
 
     Args:
@@ -258,11 +270,17 @@ def _run(imu, velocities, settings, memory, noise, model, persistent, before, fo
         before: stamp of the row before the first [s], nan where there is none.
         found: Estimates to fill.
         values: pi of coverage updates, squared distances of Gaussian ones.
+        window: which window a row is in (N,).
+        sums: of the updates in each window, to fill (W, 1, 10).
+        share: deviation of a measurement as a share of its bound, of `_deviation_share`.
     """
     mean, P, counts = memory.mean, memory.covariance, memory.counts
     columns, rotation_columns = memory.columns, memory.rotation_columns
-    m = out = 0
+    note, R = np.empty((7, 3)), np.zeros((3, 3))
+    m = out = w = 0
     for k in range(imu.t.shape[0]):
+        if k > 0 and window[k] != window[k - 1]:
+            w += 1
         if not np.isnan(before):
             dt = imu.t[k] - before
             propagate(mean, P, imu.gyro[k], imu.accel[k], dt, noise, columns, rotation_columns)
@@ -271,12 +289,16 @@ def _run(imu, velocities, settings, memory, noise, model, persistent, before, fo
         before = imu.t[k]
         if m < velocities.rows.shape[0] and velocities.rows[m] == k:
             v_I = velocities.v_I[m]
+            rejected = counts[REJECTED]
             if velocities.epsilon.shape[0] > 0:
                 epsilon, gamma, iterations = (
                     velocities.epsilon[m],
                     settings.gamma,
                     settings.iterations,
                 )
+                for i in range(3):
+                    R[i, i] = (share * epsilon[i]) ** 2
+                note_velocity(mean, P, 0, v_I, R, note)
                 if persistent:
                     values[m] = update_coverage_persistent(
                         mean, P, v_I, epsilon, gamma, iterations, model, counts
@@ -285,17 +307,32 @@ def _run(imu, velocities, settings, memory, noise, model, persistent, before, fo
                     values[m] = update_coverage_within(
                         mean, P, 0, v_I, epsilon, gamma, iterations, settings.max_error, counts
                     )
-            elif persistent:
-                values[m] = update_velocity_persistent(
-                    mean, P, v_I, velocities.cov[m], model, counts
-                )
             else:
-                values[m] = update_velocity(mean, P, 0, v_I, velocities.cov[m])
+                note_velocity(mean, P, 0, v_I, velocities.cov[m], note)
+                if persistent:
+                    values[m] = update_velocity_persistent(
+                        mean, P, v_I, velocities.cov[m], model, counts
+                    )
+                else:
+                    values[m] = update_velocity(mean, P, 0, v_I, velocities.cov[m])
+            # An outlier after too many in a row is used, and counted all the same.
+            add_velocity(sums[w, 0], note, counts[REJECTED] <= rejected)
             m += 1
         if out < found.rows.shape[0] and found.rows[out] == k:
             found.mean[out] = mean[:7]
             found.covariance[out] = P[:15, :15]
             out += 1
+
+
+def _deviation_share(gamma: float, window: int) -> float:
+    """Standard deviation of a measurement as a share of its bound, for the record of innovations.
+
+    A Gaussian error keeps within its bound on each axis with the probability gamma^(1/3). Bounds of
+    a mean over a window are those of errors sqrt(window) times as large, were these independent.
+    """
+    if gamma == 0.0:
+        return 0.0
+    return float(np.sqrt(window) / ndtri(0.5 + 0.5 * gamma ** (1 / 3)))
 
 
 def coverage_settings(

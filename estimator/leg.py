@@ -7,6 +7,7 @@ import numpy as np
 
 from surefoot.estimator.core.checks import numbers, spd, spd_3, vector
 from surefoot.estimator.core.state import EXTRA, FilterNoise, NavState
+from surefoot.estimator.evaluation.innovation_sums import empty_sums, windows_of
 from surefoot.estimator.evaluation.trajectory import Trajectory
 from surefoot.estimator.run import (
     NO_VELOCITIES,
@@ -25,6 +26,7 @@ from surefoot.estimator.updates.contact import (
     update_contacts,
 )
 from surefoot.estimator.updates.velocity import update_velocity
+from surefoot.estimator.updates.velocity_output import add_velocity, note_velocity
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import kernel
 
@@ -70,8 +72,9 @@ class LegFilter:
     state, covariance (15, 15) as `InvariantFilter`; noise: LegNoise. foot_radius [m]: 0 for point
     feet, or one value a foot (K,); `feet` is K. slip_gate, where given, is the squared Mahalanobis
     distance (3 degrees of freedom; 16.27 is passed by chance once in 1000) of an innovation, or of
-    their running mean, beyond which a foot slips and is left out (`leg_slip`). Raises
-    SurefootError on bad input.
+    their running mean, beyond which a foot slips and is left out (`leg_slip`); where all feet fail
+    for long, the filter takes back what it claims and lets them in again. Raises SurefootError on
+    bad input.
     """
 
     def __init__(
@@ -189,9 +192,11 @@ class LegFilter:
         found = empty_estimates(every_row(imu.t, None) if rows is None else rows)
         if len(legs.contact) != len(imu.t):
             raise SurefootError(f"feet_I: {len(legs.contact)} rows where t has {len(imu.t)}")
-        _run(imu, legs, velocities, self._memory, self._model, self.t, found)
+        window = windows_of(imu.t)
+        sums = empty_sums(window, len(self._model.radius) + 1)
+        _run(imu, legs, velocities, self._memory, self._model, self.t, found, window, sums.sums)
         self.t = float(imu.t[-1])
-        return trajectory(imu.t, found)
+        return trajectory(imu.t, found, innovations=sums)
 
 
 def run_leg(
@@ -242,7 +247,7 @@ def run_leg(
 
 
 @kernel
-def _run(imu, legs, velocities, memory, model, before, found):
+def _run(imu, legs, velocities, memory, model, before, found, window, sums):
     """A leg filter over rows of a log.
 
     Args:
@@ -253,24 +258,34 @@ def _run(imu, legs, velocities, memory, model, before, found):
         model: ContactModel.
         before: stamp of the row before the first [s], nan where there is none.
         found: Estimates to fill.
+        window: which window of `sums` a row is in (N,).
+        sums: sums to fill (W, K+1, 10).
     """
     feet = model.radius.shape[0]
-    m = out = 0
+    note = np.empty((7, 3))
+    m = out = w = 0
     for k in range(imu.t.shape[0]):
+        if k > 0 and window[k] != window[k - 1]:
+            sums[w] = memory.sums
+            memory.sums[:] = 0.0
+            w += 1
         if not np.isnan(before):
             dt = imu.t[k] - before
             propagate_contacts(memory, model, imu.gyro[k], imu.accel[k], dt, legs.rates_I[k])
         before = imu.t[k]
         update_contacts(memory, model.gate, legs.feet_I[k], legs.contact[k], legs.covariance[k])
         if m < velocities.rows.shape[0] and velocities.rows[m] == k:
-            update_velocity(
-                memory.mean, memory.covariance, feet, velocities.v_I[m], velocities.cov[m]
-            )
+            v_I, cov = velocities.v_I[m], velocities.cov[m]
+            note_velocity(memory.mean, memory.covariance, feet, v_I, cov, note)
+            update_velocity(memory.mean, memory.covariance, feet, v_I, cov)
+            add_velocity(memory.sums[feet], note, True)
             m += 1
         if out < found.rows.shape[0] and found.rows[out] == k:
             found.mean[out] = memory.mean[:7]
             found.covariance[out] = memory.covariance[:15, :15]
             out += 1
+    sums[w] = memory.sums
+    memory.sums[:] = 0.0
 
 
 def encoder_covariance(jacobian_I: np.ndarray, encoder: float, kinematics: float) -> np.ndarray:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from surefoot.estimator.core.checks import numbers, row_indices
+from surefoot.estimator.evaluation.innovation_sums import InnovationSums
 from surefoot.estimator.evaluation.trajectory import Trajectory, UpdateRecord
 from surefoot.sim.common.errors import SurefootError
 
@@ -109,11 +110,23 @@ def empty_estimates(rows: np.ndarray) -> Estimates:
     return Estimates(rows, np.empty((len(rows), 7, 3)), np.empty((len(rows), 15, 15)))
 
 
-def trajectory(t: np.ndarray, found: Estimates, updates: UpdateRecord | None = None) -> Trajectory:
-    """The trajectory of estimates at rows of t. Raises SurefootError where a filter diverged."""
+def trajectory(
+    t: np.ndarray,
+    found: Estimates,
+    updates: UpdateRecord | None = None,
+    innovations: InnovationSums | None = None,
+) -> Trajectory:
+    """The trajectory of estimates at rows of t, up to the first that is not finite.
+
+    Args:
+        t: stamps (N,) [s] of all rows.
+        found: the estimates at some of them.
+        updates: their record.
+        innovations: their sums.
+    """
     t, mean = t[found.rows], found.mean
-    bad = np.flatnonzero(~np.isfinite(mean).all(axis=(1, 2)))
-    if len(bad):
-        raise SurefootError(f"filter: the estimate is not finite from t = {t[bad[0]]:.3f} s on")
+    good = np.isfinite(mean).all(axis=(1, 2)) & np.isfinite(found.covariance).all(axis=(1, 2))
+    end = len(t) if good.all() else int(np.argmin(good))
+    t, mean, covariance = t[:end], mean[:end], found.covariance[:end]
     R, v, p, b_a, b_g = mean[:, :3], mean[:, 3], mean[:, 4], mean[:, 5], mean[:, 6]
-    return Trajectory(t, R, v, p, b_a, b_g, found.covariance, updates)
+    return Trajectory(t, R, v, p, b_a, b_g, covariance, updates, innovations)

@@ -11,6 +11,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from surefoot.estimator.evaluation.innovation_sums import InnovationSums
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.common.quaternion import matrix_from_quaternion, quaternion_from_matrix
@@ -59,7 +60,9 @@ class Trajectory:
 
     R_GI (N, 3, 3); v_GI (N, 3) [m/s] and p_GI (N, 3) [m] in G; b_a (N, 3) [m/s^2] and b_g (N, 3)
     [rad/s] in I; covariance (N, 15, 15) of the right-invariant error (rotation, velocity, position,
-    b_a, b_g), None where nothing is claimed (a reference).
+    b_a, b_g), None where nothing is claimed (a reference). updates, what each velocity update did;
+    innovations, what all updates found, which no file keeps. The estimates of a filter that
+    diverged end where they were last finite.
     """
 
     t: np.ndarray
@@ -70,6 +73,7 @@ class Trajectory:
     b_g: np.ndarray
     covariance: np.ndarray | None = None
     updates: UpdateRecord | None = None
+    innovations: InnovationSums | None = None
 
     def __post_init__(self):
         n = len(self.t)

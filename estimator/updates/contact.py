@@ -21,14 +21,32 @@ from surefoot.estimator.core.propagation import (
     propagate_covariance,
     propagate_mean,
 )
-from surefoot.estimator.core.state import B_G, EXTRA, P
+from surefoot.estimator.core.state import B_A, B_G, EXTRA, P, V
+from surefoot.estimator.evaluation.innovation_sums import (
+    RESTARTED,
+    add_innovation,
+    add_rejected,
+    no_sums,
+)
 from surefoot.estimator.updates.velocity import gaussian_update
 from surefoot.sim.common.kernels import kernel
 
-NEWEST = 0.1
-"""Weight of the newest innovation in the running mean: about 20 updates, 40 ms at 500 Hz."""
-HOLD = 50
-"""Updates for which a foot that slipped is left out, 0.1 s at 500 Hz."""
+AVERAGED = 0.02
+"""s, the time constant of the running mean of innovations: a slip of 0.5 m/s moves a foot by 1 cm
+in it, five deviations of a foot's place."""
+HOLD = 0.1
+"""s for which a foot that slipped is left out: a third of a stance."""
+PROVEN = 0.05
+"""s for which a foot must pass its test to be believed: short against any stance, long against
+AVERAGED, so that a foot that slides has failed by then."""
+WAY_BACK = 1.0
+"""s in which feet claim to stand and none is believed, after which the estimate is not. Every foot
+has then landed anew and failed, twice in most gaits; meanwhile a tilt of 0.02 rad has made 0.2
+m/s."""
+REOPENED = np.array([0.05, 1.0, 0.1, 5e-3])
+"""Deviations that tilt [rad], velocity [m/s] and biases [m/s^2, rad/s] have then, tilt and velocity
+on top of what the filter claims: those of a start from gravity alone
+(`surefoot.estimator.initial`), but of velocity the speed of a walk."""
 
 
 class ContactModel(NamedTuple):
@@ -51,9 +69,11 @@ class ContactMemory(NamedTuple):
 
     mean (7+K, 3) and covariance (15+3K, 15+3K) of `surefoot.estimator.core.state`; columns
     (15+3K, 6) and rotation_columns (3K, 3), work space; standing (K,) bool, which feet are in the
-    state; drift (K, 3), running means of their whitened innovations; held (K,), updates for which a
-    foot that slipped still stays out; rates (K, 3) [rad/s] of the feet at the last prediction, NaN
-    before the first.
+    state; drift (K, 3), running means of their whitened innovations; held (K,) [s] for which a foot
+    that slipped still stays out; passed (K,) [s] for which a foot has passed its test; clock (2,)
+    [s], the places SINCE the last update and UNPROVEN, in which feet claimed to stand and none was
+    believed; rates (K, 3) [rad/s] of the feet at the last prediction, NaN before the first; biases (2, 3), b_a and b_g at the start; sums
+    (K+1, 10) of `surefoot.estimator.evaluation.innovation_sums`, of the feet and of velocities.
     """
 
     mean: np.ndarray
@@ -63,7 +83,15 @@ class ContactMemory(NamedTuple):
     standing: np.ndarray
     drift: np.ndarray
     held: np.ndarray
+    passed: np.ndarray
+    clock: np.ndarray
     rates: np.ndarray
+    biases: np.ndarray
+    sums: np.ndarray
+
+
+SINCE, UNPROVEN = 0, 1
+"""Places in the clock of a ContactMemory."""
 
 
 def contact_memory(mean: np.ndarray, covariance: np.ndarray) -> ContactMemory:
@@ -76,8 +104,12 @@ def contact_memory(mean: np.ndarray, covariance: np.ndarray) -> ContactMemory:
         rotation_columns=np.zeros((3 * feet, 3)),
         standing=np.zeros(feet, dtype=np.bool_),
         drift=np.zeros((feet, 3)),
-        held=np.zeros(feet, dtype=np.int64),
+        held=np.zeros(feet),
+        passed=np.zeros(feet),
+        clock=np.zeros(2),
         rates=np.full((feet, 3), np.nan),
+        biases=mean[[B_A, B_G]],
+        sums=no_sums(feet + 1),
     )
 
 
@@ -134,14 +166,16 @@ def propagate_contacts(memory, model, gyro, accel, dt: float, rates):
                 at = 15 + 3 * k + i
                 covariance[at, at] += (model.contact_noise[i] + roll) * dt
     memory.rates[:] = rates
+    memory.clock[SINCE] += dt
 
 
 @kernel
 def update_contacts(memory, gate: float, feet_I, in_contact, measurement_cov):
     """Contacts leave, correct the state and enter, in this order, in place.
 
-    A foot found slipping (see `_slips`) leaves the state and stays out for HOLD updates, or until
-    it lifts off.
+    A foot found slipping (see `_slips`) leaves the state and stays out for HOLD, or until it lifts
+    off. Where for WAY_BACK no foot that claims to stand is believed, it is the estimate that fails
+    the test, and what it claims to know is taken back (see `_reopen`).
 
     Args:
         memory: ContactMemory.
@@ -151,45 +185,106 @@ def update_contacts(memory, gate: float, feet_I, in_contact, measurement_cov):
         measurement_cov: of feet_I (K, 3, 3) [m^2].
     """
     mean, covariance, standing = memory.mean, memory.covariance, memory.standing
-    drift, held, feet = memory.drift, memory.held, memory.standing.shape[0]
+    held, passed, feet = memory.held, memory.passed, memory.standing.shape[0]
     n = covariance.shape[0]
     PHt, S, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
+    since = memory.clock[SINCE]
+    memory.clock[SINCE] = 0.0
     for k in range(feet):
-        held[k] = max(held[k] - 1, 0) if in_contact[k] else 0
+        held[k] -= since
+        if held[k] < 0.5 * since or not in_contact[k]:
+            held[k] = 0.0
         if standing[k] and not in_contact[k]:
             _remove(mean, covariance, k)
             standing[k] = False
+    claimed = believed = False
     for k in range(feet):
+        claimed |= in_contact[k]
         if not standing[k]:
             continue
         contact_output(mean, covariance, k, feet_I[k], PHt, S, residual)
-        if np.isfinite(gate) and _slips(S, measurement_cov[k], residual, gate, drift[k]):
+        if np.isfinite(gate) and _slips(
+            S, measurement_cov[k], residual, gate, min(since / AVERAGED, 1.0), memory.drift[k]
+        ):
             _remove(mean, covariance, k)
             standing[k] = False
             held[k] = HOLD
         else:
-            gaussian_update(mean, covariance, feet, PHt, S, residual, measurement_cov[k])
+            distance = gaussian_update(
+                mean, covariance, feet, PHt, S, residual, measurement_cov[k]
+            )
+            add_innovation(memory.sums[k], distance, residual, S, measurement_cov[k])
+            passed[k] += since
+            believed |= passed[k] > PROVEN
+    if believed:
+        memory.clock[UNPROVEN] = 0.0
+    elif claimed:
+        memory.clock[UNPROVEN] += since
+    if memory.clock[UNPROVEN] > WAY_BACK and np.any(held > 0.0):
+        memory.clock[UNPROVEN] = 0.0
+        for k in range(feet):
+            memory.sums[k, RESTARTED] += in_contact[k]
+            held[k] = 0.0
+            if standing[k]:
+                _remove(mean, covariance, k)
+                standing[k] = False
+        _reopen(mean, covariance, memory.biases)
     for k in range(feet):
-        if in_contact[k] and not standing[k] and held[k] == 0:
+        if held[k] > 0.0:
+            add_rejected(memory.sums[k])
+        elif in_contact[k] and not standing[k]:
             _insert(mean, covariance, k, feet_I[k], measurement_cov[k])
             standing[k] = True
+            passed[k] = 0.0
             for i in range(3):
-                drift[k, i] = 0.0
+                memory.drift[k, i] = 0.0
 
 
 @kernel
-def _slips(S, measurement_cov, residual, gate: float, drift) -> bool:
+def _reopen(mean, covariance, biases):
+    """Take back what is claimed of tilt, velocity and biases, in place; no foot is in the state.
+
+    Biases begin anew, for what made them fail may have driven them anywhere. Independent errors d of
+    tilt in G add (d, [v]x d, [p]x d) to the right-invariant error, as
+    `surefoot.estimator.initial.start_covariance` has it; position and yaw keep their covariance.
+
+    Args:
+        mean: (7+K, 3), the packed mean.
+        covariance: (15+3K, 15+3K).
+        biases: b_a [m/s^2] and b_g [rad/s] at the start (2, 3).
+    """
+    mean[B_A], mean[B_G] = biases[0], biases[1]
+    covariance[9:15, :] = 0.0
+    covariance[:, 9:15] = 0.0
+    for axis in range(2):
+        direction = np.zeros(9)
+        direction[axis] = 1.0
+        for at, row in ((3, V), (6, P)):  # [x]x e_axis
+            direction[at + (axis + 1) % 3] = mean[row, (axis + 2) % 3]
+            direction[at + (axis + 2) % 3] = -mean[row, (axis + 1) % 3]
+        for i in range(9):
+            for j in range(9):
+                covariance[i, j] += REOPENED[0] ** 2 * direction[i] * direction[j]
+    for i in range(3):
+        covariance[3 + i, 3 + i] += REOPENED[1] ** 2
+        covariance[9 + i, 9 + i] += REOPENED[2] ** 2
+        covariance[12 + i, 12 + i] += REOPENED[3] ** 2
+
+
+@kernel
+def _slips(S, measurement_cov, residual, gate: float, newest: float, drift) -> bool:
     """Chi-square test (3 degrees of freedom) of one innovation and of their running mean.
 
     Innovations of a consistent filter are white with covariance S + R. A slip of half a metre a
     second moves a foot by only a millimetre an update, which no single innovation shows; it does
-    show in the exponential mean `drift` of the whitened ones, of variance NEWEST / (2 - NEWEST).
+    show in the exponential mean `drift` of the whitened ones, of variance newest / (2 - newest).
 
     Args:
         S: (3, 3) [m^2], H Sigma H^T.
         measurement_cov: (3, 3) [m^2], of the measured foot position.
         residual: (3,) [m] in I, the innovation.
         gate: threshold of chi-square.
+        newest: weight of this innovation in the running mean, > 0.
         drift: (3,), the running mean of whitened innovations, in place.
     """
     L = np.zeros((3, 3))
@@ -206,10 +301,10 @@ def _slips(S, measurement_cov, residual, gate: float, drift) -> bool:
             if j < i:
                 white[i] -= L[i, j] * white[j]
         white[i] /= L[i, i]
-        drift[i] += NEWEST * (white[i] - drift[i])
+        drift[i] += newest * (white[i] - drift[i])
         single += white[i] ** 2
-        running += drift[i] ** 2 * (2.0 - NEWEST) / NEWEST
-    return max(single, running) > gate
+        running += drift[i] ** 2 * (2.0 - newest)
+    return max(single, running / newest) > gate if newest > 0.0 else single > gate
 
 
 @kernel

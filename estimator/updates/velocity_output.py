@@ -11,6 +11,7 @@ part of an observer's error, kept as three more states.
 import numpy as np
 
 from surefoot.estimator.core.state import EXTRA, V, retract
+from surefoot.estimator.evaluation.innovation_sums import add_innovation, add_rejected
 from surefoot.sim.common.kernels import kernel
 
 
@@ -54,6 +55,60 @@ def velocity_output(mean, covariance, contacts: int, v_I, PHt, S, residual):
     for j in range(3):
         for k in range(j):
             S[j, k] = S[k, j] = 0.5 * (S[j, k] + S[k, j])
+
+
+@kernel
+def note_velocity(mean, covariance, contacts: int, v_I, measurement_cov, note):
+    """The innovation of a velocity measurement before its update, for the record of innovations.
+
+    Args:
+        mean: (7+E, 3), the packed mean.
+        covariance: (n, n), n = 15+3E.
+        contacts: number of contact points in the state.
+        v_I: (3,) [m/s], measured velocity of the IMU in I.
+        measurement_cov: (3, 3) [m^2/s^2], its covariance R.
+        note: (7, 3), filled with the residual, S and R, in rows 0, 1 to 3 and 4 to 6.
+    """
+    persistent = EXTRA + contacts < mean.shape[0]
+    at = 15 + 3 * contacts
+    residual, S = note[0], note[1:4]
+    for j in range(3):
+        residual[j] = v_I[j] - (mean[EXTRA + contacts, j] if persistent else 0.0)
+        for m in range(3):
+            residual[j] -= mean[m, j] * mean[V, m]
+        for k in range(3):
+            total = covariance[at + j, at + k] if persistent else 0.0
+            for m in range(3):
+                row = 0.0
+                for n in range(3):
+                    row += covariance[3 + m, 3 + n] * mean[n, k]
+                total += mean[m, j] * row
+                if persistent:
+                    total += mean[m, j] * covariance[3 + m, at + k]
+                    total += covariance[at + j, 3 + m] * mean[m, k]
+            S[j, k] = total
+            note[4 + j, k] = measurement_cov[j, k]
+
+
+@kernel
+def add_velocity(sums, note, used: bool):
+    """The innovation of `note_velocity` joins its sensor's sums (10,), in place.
+
+    used: False where the update was rejected.
+    """
+    if not used:
+        add_rejected(sums)
+        return
+    work = np.empty((2, 3, 3))
+    for i in range(3):
+        for j in range(3):
+            work[0, i, j] = note[1 + i, j] + note[4 + i, j]
+    inverse_3(work[0], work[1])
+    distance = 0.0
+    for i in range(3):
+        for j in range(3):
+            distance += note[0, i] * work[1, i, j] * note[0, j]
+    add_innovation(sums, distance, note[0], note[1:4], note[4:7])
 
 
 @kernel

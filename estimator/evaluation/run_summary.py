@@ -1,0 +1,118 @@
+"""A run in windows of a second: all that is kept of it to say afterwards whether to believe it."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from surefoot.estimator.evaluation.innovation_sums import WINDOW, windows_of
+from surefoot.estimator.evaluation.trajectory import Trajectory
+from surefoot.sim.common.gravity import GRAVITY, GRAVITY_G
+from surefoot.sim.log import Log
+
+ACCEL_NOISE = 0.03
+"""m/s^2/sqrt(Hz), the largest density of an accelerometer's noise that a bundled filter takes."""
+
+
+@dataclass(frozen=True)
+class RunSummary:
+    """What a filter did in each window (W,) of WINDOW that begins at start [s].
+
+    sums (W, S, 10), of `surefoot.estimator.evaluation.innovation_sums`, S = 0 for a filter that
+    keeps none. bias (W, 6), b_a [m/s^2] and b_g [rad/s] at the window's end; speed (W,) [m/s], the
+    highest; pushed (W,) [m/s], how far the updates moved the velocity from where the IMU took it,
+    all in all, and push_claimed (W,), the deviation of an axis of it that the claimed errors of tilt
+    and accelerometer explain; definite (W,) bool, whether all its covariances have variances > 0. prior (6,), the
+    biases' claimed deviations at the first estimate, and first (6,), the biases there; end [s], the
+    last estimate, and until [s], the last that there would be.
+    """
+
+    start: np.ndarray
+    sums: np.ndarray
+    bias: np.ndarray
+    speed: np.ndarray
+    pushed: np.ndarray
+    push_claimed: np.ndarray
+    definite: np.ndarray
+    first: np.ndarray
+    prior: np.ndarray
+    end: float
+    until: float
+
+
+def summary(estimate: Trajectory, log: Log) -> RunSummary:
+    """The summary of an estimate of a log, or of a piece of one."""
+    windows = windows_of(estimate.t)
+    at = np.flatnonzero(np.r_[True, np.diff(windows) != 0])
+    bias = np.concatenate([estimate.b_a, estimate.b_g], axis=1)
+    P = estimate.covariance
+    variances = np.zeros((len(estimate.t), 15)) if P is None else P.diagonal(axis1=1, axis2=2)
+    start = windows[at] * WINDOW
+    sums = np.zeros((len(at), 0, 10))
+    if estimate.innovations is not None:
+        known = estimate.innovations
+        sums = np.zeros((len(at), known.sums.shape[1], 10))
+        mine = np.searchsorted(known.start, start - 0.5 * WINDOW)
+        sums[:] = known.sums[mine]
+    return RunSummary(
+        start,
+        sums,
+        bias[np.r_[at[1:] - 1, len(bias) - 1]],
+        np.maximum.reduceat(np.linalg.norm(estimate.v_GI, axis=1), at),
+        np.linalg.norm(np.add.reduceat(_pushes(estimate, log), at), axis=1),
+        np.sqrt(np.maximum.reduceat(_push_variance(variances), at)),
+        np.logical_and.reduceat((variances > 0).all(axis=1), at),
+        bias[0],
+        np.sqrt(variances[0, 9:]),
+        float(estimate.t[-1]),
+        float(log.t[-1]),
+    )
+
+
+def _pushes(estimate: Trajectory, log: Log) -> np.ndarray:
+    """Velocity (L, 3) [m/s] in G that updates added up to each estimate since the one before."""
+    rows = np.searchsorted(log.t, estimate.t - 1e-9)
+    dt = np.diff(log.t, prepend=log.t[0])
+    force = np.cumsum(log.accel * dt[:, None], axis=0)
+    R = 0.5 * (estimate.R_GI[1:] + estimate.R_GI[:-1])
+    elapsed = np.diff(estimate.t)[:, None]
+    force_I = np.diff(force[rows], axis=0) - 0.5 * elapsed * (estimate.b_a[1:] + estimate.b_a[:-1])
+    moved = np.einsum("nij,nj->ni", R, force_I) + GRAVITY_G * elapsed
+    return np.concatenate([np.zeros((1, 3)), np.diff(estimate.v_GI, axis=0) - moved])
+
+
+def _push_variance(variances: np.ndarray) -> np.ndarray:
+    """Variance (L,) [m^2/s^2] of what an axis of the velocity is moved by in a window.
+
+    Variances (L, 15) of the error state: a wrong tilt and a wrong bias pull all the time, and the
+    velocity itself is unknown at either end.
+    """
+    tilt, velocity, b_a = (variances[:, at].max(axis=1) for at in ([0, 1], [3, 4, 5], [9, 10, 11]))
+    return WINDOW**2 * (GRAVITY**2 * tilt + b_a) + 2.0 * velocity + ACCEL_NOISE**2 * WINDOW
+
+
+def whole(parts: Iterable[RunSummary]) -> RunSummary:
+    """The summaries of pieces that follow each other as one; a window may lie in two of them."""
+    parts = list(parts)
+    joint = {f.name: getattr(parts[0], f.name) for f in fields(RunSummary)}
+    for part in parts[1:]:
+        same = joint["start"][-1] == part.start[0]
+        for name, merge in _MERGE.items():
+            before, after = joint[name], getattr(part, name)
+            if same:
+                before = np.concatenate([before[:-1], merge(before[-1:], after[:1])])
+            joint[name] = np.concatenate([before, after[int(same) :]])
+        joint |= {"end": part.end, "until": part.until}
+    return RunSummary(**joint)
+
+
+_MERGE = {
+    "start": lambda a, b: a,
+    "sums": np.add,
+    "bias": lambda a, b: b,
+    "speed": np.maximum,
+    "pushed": np.add,
+    "push_claimed": np.maximum,
+    "definite": np.logical_and,
+}
+"""How a window's two halves become one."""
