@@ -254,8 +254,8 @@ class InvariantFilter:
 
 @kernel
 def _run(
-    imu, velocities, settings, memory, noise, model, persistent, before, found, values, window, sums,
-    share,
+    imu, velocities, settings, memory, noise, model, persistent, before, found, values, window,
+    sums, share,
 ):  # fmt: skip
     """A filter over rows of a log; values (M,) receive what each update returns.
 

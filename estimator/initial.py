@@ -15,6 +15,8 @@ STILL_WINDOW = 0.5
 says more."""
 STILL_GYRO, STILL_ACCEL = 0.03, 0.5
 """rad/s and m/s^2. A robot whose readings spread by more over that window is not standing still."""
+INDEPENDENT = 0.02
+"""s between readings of a gyro at rest that are taken as independent."""
 STILL_BIAS = 3e-4
 """rad/s. Least deviation of a gyro bias found standing: legs give a little, and slowly."""
 
@@ -26,7 +28,8 @@ class InitialStd:
     tilt is about the horizontal axes of G, yaw about the vertical. b_a [m/s^2] covers the offset of
     a factory-calibrated MEMS accelerometer (10 mg), b_g [rad/s] that of its gyro (0.3 deg/s).
     Position and yaw are unobservable and aligned before any metric: their values are the
-    reference's, and their deviations only keep the covariance definite.
+    reference's, and their deviations only keep the covariance definite. height [m], where given, is
+    that of the vertical position, which a start on known ground does observe.
     """
 
     tilt: float = 0.02
@@ -35,6 +38,7 @@ class InitialStd:
     position: float = 1e-3
     b_a: float = 0.1
     b_g: float = 5e-3
+    height: float | None = None
 
 
 REFERENCE_STD = InitialStd()
@@ -76,8 +80,8 @@ def still_gyro_bias(log: Log, std: InitialStd) -> tuple[np.ndarray, InitialStd]:
     """Gyro bias (3,) [rad/s] where the log starts standing still, else zero; `std` with its own.
 
     The mean of the first 0.5 s, if its two halves agree: a robot that is standing up turns slowly
-    but steadily. Its deviation is that of the mean, taking ten neighbouring samples for one
-    independent one, and STILL_BIAS at least.
+    but steadily. Its deviation is that of the mean, taking readings of every INDEPENDENT for one,
+    and STILL_BIAS at least.
     """
     if not log.has("imu"):
         return np.zeros(3), std
@@ -90,7 +94,8 @@ def still_gyro_bias(log: Log, std: InitialStd) -> tuple[np.ndarray, InitialStd]:
     turned = np.abs(first.mean(axis=0) - second.mean(axis=0)).max()
     if turned > 3.0 * (STILL_BIAS + spread * np.sqrt(4.0 / len(gyro))):
         return np.zeros(3), std
-    deviation = max(STILL_BIAS, spread / np.sqrt(max(len(gyro) / 10, 1.0)))
+    count = min(len(gyro) / (INDEPENDENT * log.rate), float(len(gyro)))
+    deviation = max(STILL_BIAS, spread / np.sqrt(max(count, 1.0)))
     return gyro.mean(axis=0), replace(std, b_g=min(deviation, std.b_g))
 
 
@@ -112,6 +117,8 @@ def start_covariance(state: NavState, std: InitialStd) -> np.ndarray:
     """
     plain = np.repeat([0.0, std.velocity, std.position, std.b_a, std.b_g], 3)
     plain[:3] = std.tilt, std.tilt, std.yaw
+    if std.height is not None:
+        plain[8] = std.height
     if not (np.all(np.isfinite(plain)) and np.all(plain > 0)):
         raise SurefootError("initial std: every deviation must be a finite number > 0")
     T = np.eye(15)

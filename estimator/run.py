@@ -129,4 +129,6 @@ def trajectory(
     end = len(t) if good.all() else int(np.argmin(good))
     t, mean, covariance = t[:end], mean[:end], found.covariance[:end]
     R, v, p, b_a, b_g = mean[:, :3], mean[:, 3], mean[:, 4], mean[:, 5], mean[:, 6]
-    return Trajectory(t, R, v, p, b_a, b_g, covariance, updates, innovations)
+    return Trajectory(
+        t, R, v, p, b_a, b_g, covariance, updates, innovations, diverged=end < len(found.rows)
+    )

@@ -192,11 +192,13 @@ def search_filter(
         declared += declared_effects(log)
         walks.append(declared_model(log, Robot.for_log(log, robot_name)))
     entry = tuned(walks[0][1])
-    start = entry.of(estimator)
+    declared_ones = {each.name for each in estimator.parameters if each.declared}
+    every = entry.of(estimator)
+    start = {name: value for name, value in every.items() if name not in declared_ones}
 
     def judged(values: Parameters) -> list[Metrics]:
         return [
-            evaluate(reference(log), estimated(estimator, log, robot, learnt, values))
+            evaluate(reference(log), estimated(estimator, log, robot, learnt, {**every, **values}))
             for log, robot in walks
         ]
 
@@ -214,7 +216,7 @@ def search_filter(
     inputs = {
         "filter": name,
         "estimator": estimator_code(name),
-        "start": start,
+        "start": every,
         "mounting": entry.mounting,
         "budget": budget,
         "longest": longest,

@@ -1,10 +1,11 @@
-"""Whether an estimate is to be believed, from what the filter saw and claimed; no reference is used.
+"""Whether an estimate is to be believed, from what the filter saw and claimed; no reference is
+used.
 
 A filter whose model holds has innovations of the covariance that it claims, white, and biases that
 stay within their priors. Real ones are tuned by hand and miss this by some factor, which is told
-(`Health.table`) and is no reason for alarm. What is: that a filter which claims deviations TOLERATED
-times too small would still do this less than once in as many runs as FALSE_ALARM says. Each test
-says when it failed first.
+(`Health.table`) and is no reason for alarm. What is: that a filter which claims deviations
+TOLERATED times too small would still do this less than once in as many runs as RUN_ALARM says.
+Each test says when it failed first.
 
 - Innovations. Over a window the sum of white innovations r has the variance sum W, axis by axis, so
   that (sum r)^2 / sum W over three axes is chi-square with 3 degrees of freedom, whatever the
@@ -28,24 +29,25 @@ from scipy.special import chdtri, ndtri
 
 from surefoot.estimator.evaluation.innovation_sums import (
     COUNT,
-    REJECTED,
+    LEFT_OUT,
     RESTARTED,
     SQUARED,
     SUM,
+    SUM_WINDOW,
     VARIANCE,
-    WINDOW,
 )
 from surefoot.estimator.evaluation.run_summary import RunSummary
 
-FALSE_ALARM = 1e-4
+RUN_ALARM = 1e-4
 """Chance that one of the tests fails on a run of a filter whose model holds."""
 TOLERATED = 3.0
-"""Factor by which claimed deviations may be too small: three of the filter's deviations are then one
-of the truth's. A filter beyond it has the wrong noise or has lost its way."""
+"""Factor by which claimed deviations may be too small: three of the filter's deviations are then
+one of the truth's. A filter beyond it has the wrong noise or has lost its way."""
 FASTEST = 13.0
 """m/s: no robot on legs has run faster (Boston Dynamics' Cheetah, 12.7 m/s in 2012)."""
-MOST_REJECTED = 0.5
-"""Share of a sensor's measurements."""
+BREAKDOWN = 0.5
+"""Share of a sensor's measurements that may be rejected: half is where any robust estimate breaks
+down."""
 
 
 @dataclass(frozen=True)
@@ -58,10 +60,11 @@ class Doubt:
 
 @dataclass(frozen=True)
 class SensorHealth:
-    """Of one sensor's updates: how many were used, the share of measurements rejected; nis, the mean
-    of r^T W^-1 r (3 where the claimed covariance W is right); whiteness, the variance of the sum of
-    a window's innovations over the sum of their variances, each as measured (1 where they are white,
-    more where they hang together); drift, the same over the claimed variances (1 where both hold).
+    """Of one sensor's updates: how many were used, the share of measurements rejected; nis, the
+    mean of r^T W^-1 r (3 where the claimed covariance W is right); whiteness, the variance of the
+    sum of a window's innovations over the sum of their variances, each as measured (1 where they
+    are white, more where they hang together); drift, the same over the claimed variances (1 where
+    both hold).
     """
 
     name: str
@@ -152,14 +155,14 @@ def _sensor(total: np.ndarray, windows: np.ndarray, name: str) -> SensorHealth:
     used = total[COUNT]
     nis = total[SQUARED] / used if used else np.nan
     drift = float(_drifts(windows)[windows[:, COUNT] > 0].mean() / 3.0) if used else np.nan
-    rejected = total[REJECTED] / (used + total[REJECTED])
+    rejected = total[LEFT_OUT] / (used + total[LEFT_OUT])
     whiteness = 3.0 * drift / nis if nis > 0 else np.nan
     return SensorHealth(name, int(used), float(rejected), float(nis), float(whiteness), drift)
 
 
 def _ends(run: RunSummary) -> Iterator[Doubt]:
-    if run.until - run.end > WINDOW:
-        yield Doubt("its estimates are no longer finite", run.end)
+    if run.diverged:
+        yield Doubt("its estimates are no longer finite", run.start[-1])
     bad = np.flatnonzero(~run.definite)
     if len(bad):
         yield Doubt("it claims variances that are not positive", run.start[bad[0]])
@@ -172,7 +175,7 @@ def _innovations(run: RunSummary, names: Sequence[str]) -> Iterator[Doubt]:
     drifts = _drifts(run.sums)
     if not drifts.size:
         return
-    limit = TOLERATED**2 * chdtri(3, FALSE_ALARM / drifts.size)
+    limit = TOLERATED**2 * chdtri(3, RUN_ALARM / drifts.size)
     for k in np.flatnonzero((drifts > limit).any(axis=0)):
         factor = np.sqrt(drifts[:, k].max() / 3.0)
         since = run.start[np.argmax(drifts[:, k] > limit)]
@@ -187,15 +190,15 @@ def _rejected(run: RunSummary, names: Sequence[str]) -> Iterator[Doubt]:
         text = f"no foot passed the test of slipping for long, {times}"
         yield Doubt(text, run.start[np.argmax(again > 0)])
     for k, name in enumerate(names):
-        used, rejected = run.sums[:, k, COUNT], run.sums[:, k, REJECTED]
+        used, rejected = run.sums[:, k, COUNT], run.sums[:, k, LEFT_OUT]
         share = rejected.sum() / max(used.sum() + rejected.sum(), 1.0)
-        if share > MOST_REJECTED:
+        if share > BREAKDOWN:
             first = np.argmax(rejected > used)
             yield Doubt(f"{100 * share:.0f} % of {name}'s updates were rejected", run.start[first])
 
 
 def _corrections(run: RunSummary) -> Iterator[Doubt]:
-    limit = TOLERATED * np.sqrt(chdtri(3, FALSE_ALARM / len(run.pushed)))
+    limit = TOLERATED * np.sqrt(chdtri(3, RUN_ALARM / len(run.pushed)))
     ratio = np.divide(run.pushed, run.push_claimed, where=run.push_claimed > 0, out=0 * run.pushed)
     wrong = np.flatnonzero(ratio > limit)
     if len(wrong):
@@ -206,14 +209,14 @@ def _corrections(run: RunSummary) -> Iterator[Doubt]:
 
 def _bias_deviations(run: RunSummary, walk: tuple[float, float]) -> np.ndarray:
     """Of the biases (W, 6) from the first, in deviations of prior and walk."""
-    elapsed = np.maximum(run.start - run.start[0], 0.0)[:, None] + WINDOW
+    elapsed = np.maximum(run.start - run.start[0], 0.0)[:, None] + SUM_WINDOW
     variance = run.prior**2 + np.repeat(walk, 3) ** 2 * elapsed
     moved = np.abs(run.bias - run.first)
     return np.divide(moved, np.sqrt(variance), where=variance > 0, out=np.zeros_like(moved))
 
 
 def _biases(run: RunSummary, deviations: np.ndarray) -> Iterator[Doubt]:
-    limit = -ndtri(FALSE_ALARM / (2 * 6))
+    limit = -ndtri(RUN_ALARM / (2 * 6))
     for name, unit, at in (("accelerometer", "m/s^2", 0), ("gyro", "rad/s", 3)):
         mine = deviations[:, at : at + 3]
         if mine.max() > limit:

@@ -5,15 +5,15 @@ right. If they are white besides, the variance of their sum is the sum of their 
 axis: what it is more says for how long they hang together. Neither needs more than sums.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from surefoot.sim.common.kernels import kernel
 
-WINDOW = 1.0
+SUM_WINDOW = 1.0
 """s, about two strides."""
-COUNT, REJECTED, SQUARED, SUM, VARIANCE, RESTARTED = 0, 1, 2, 3, 6, 9
+COUNT, LEFT_OUT, SQUARED, SUM, VARIANCE, RESTARTED = 0, 1, 2, 3, 6, 9
 """Columns (10) of a sensor's sums: updates used, those left out (of a foot that slipped, as long as
 it is held out), r^T W^-1 r, of I's axes r (3) and the diagonal of W (3), and how often the filter
 took back what it claimed because no foot passed its test."""
@@ -23,21 +23,13 @@ took back what it claimed because no foot passed its test."""
 class InnovationSums:
     """Sums of the updates of some sensors.
 
-    start (W,) [s], when each window of WINDOW begins, multiples of it; sums (W, S, 10), the columns
+    start (W,) [s], when each window of SUM_WINDOW begins, multiples of it; sums (W, S, 10), the columns
     COUNT to RESTARTED of each sensor. Sensors are the feet of a leg filter, in the log's order, and
     then the velocities.
     """
 
     start: np.ndarray
     sums: np.ndarray
-
-    def then(self, later: "InnovationSums") -> "InnovationSums":
-        """These and those of the rows that follow, whose first window may be the last of these."""
-        same = len(self.start) > 0 and len(later.start) > 0 and self.start[-1] == later.start[0]
-        sums = np.concatenate([self.sums, later.sums[int(same) :]])
-        if same:
-            sums[len(self.start) - 1] += later.sums[0]
-        return replace(self, start=np.concatenate([self.start, later.start[int(same) :]]), sums=sums)
 
 
 def no_sums(sensors: int) -> np.ndarray:
@@ -46,20 +38,20 @@ def no_sums(sensors: int) -> np.ndarray:
 
 
 def windows_of(t: np.ndarray) -> np.ndarray:
-    """Which window each stamp (N,) [s] is in, as a whole number of WINDOW."""
-    return np.floor(t / WINDOW).astype(np.int64)
+    """Which window each stamp (N,) [s] is in, as a whole number of SUM_WINDOW."""
+    return np.floor(t / SUM_WINDOW).astype(np.int64)
 
 
 def empty_sums(window: np.ndarray, sensors: int) -> InnovationSums:
     """Sums to fill, for the windows of successive rows (N,)."""
     start = window[np.r_[True, np.diff(window) != 0]] if len(window) else window
-    return InnovationSums(start * WINDOW, np.zeros((len(start), sensors, 10)))
+    return InnovationSums(start * SUM_WINDOW, np.zeros((len(start), sensors, 10)))
 
 
 @kernel
 def add_rejected(sums):
     """One update more that was rejected."""
-    sums[REJECTED] += 1.0
+    sums[LEFT_OUT] += 1.0
 
 
 @kernel

@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from surefoot.estimator.evaluation.innovation_sums import WINDOW, windows_of
+from surefoot.estimator.evaluation.innovation_sums import SUM_WINDOW, windows_of
 from surefoot.estimator.evaluation.trajectory import Trajectory
 from surefoot.sim.common.gravity import GRAVITY, GRAVITY_G
 from surefoot.sim.log import Log
@@ -16,15 +16,15 @@ ACCEL_NOISE = 0.03
 
 @dataclass(frozen=True)
 class RunSummary:
-    """What a filter did in each window (W,) of WINDOW that begins at start [s].
+    """What a filter did in each window (W,) of SUM_WINDOW that begins at start [s].
 
     sums (W, S, 10), of `surefoot.estimator.evaluation.innovation_sums`, S = 0 for a filter that
     keeps none. bias (W, 6), b_a [m/s^2] and b_g [rad/s] at the window's end; speed (W,) [m/s], the
     highest; pushed (W,) [m/s], how far the updates moved the velocity from where the IMU took it,
-    all in all, and push_claimed (W,), the deviation of an axis of it that the claimed errors of tilt
-    and accelerometer explain; definite (W,) bool, whether all its covariances have variances > 0. prior (6,), the
-    biases' claimed deviations at the first estimate, and first (6,), the biases there; end [s], the
-    last estimate, and until [s], the last that there would be.
+    all in all, and push_claimed (W,), the deviation of an axis of it that the claimed errors of
+    tilt and accelerometer explain; definite (W,) bool, whether all its covariances have variances >
+    0. prior (6,), the biases' claimed deviations at the first estimate, and first (6,), the biases
+    there; diverged, whether the estimates end because they were no longer finite.
     """
 
     start: np.ndarray
@@ -36,23 +36,29 @@ class RunSummary:
     definite: np.ndarray
     first: np.ndarray
     prior: np.ndarray
-    end: float
-    until: float
+    diverged: bool
 
 
-def summary(estimate: Trajectory, log: Log) -> RunSummary:
+def summary_of_run(estimate: Trajectory, log: Log) -> RunSummary:
     """The summary of an estimate of a log, or of a piece of one."""
+    if not len(estimate.t):
+        none = np.zeros(0)
+        sums, bias, flags = np.zeros((0, 0, 10)), np.zeros((0, 6)), np.zeros(0, dtype=bool)
+        first = np.zeros(6)
+        return RunSummary(
+            none, sums, bias, none, none, none, flags, first, first, estimate.diverged
+        )
     windows = windows_of(estimate.t)
     at = np.flatnonzero(np.r_[True, np.diff(windows) != 0])
     bias = np.concatenate([estimate.b_a, estimate.b_g], axis=1)
     P = estimate.covariance
     variances = np.zeros((len(estimate.t), 15)) if P is None else P.diagonal(axis1=1, axis2=2)
-    start = windows[at] * WINDOW
+    start = windows[at] * SUM_WINDOW
     sums = np.zeros((len(at), 0, 10))
     if estimate.innovations is not None:
         known = estimate.innovations
         sums = np.zeros((len(at), known.sums.shape[1], 10))
-        mine = np.searchsorted(known.start, start - 0.5 * WINDOW)
+        mine = np.searchsorted(known.start, start - 0.5 * SUM_WINDOW)
         sums[:] = known.sums[mine]
     return RunSummary(
         start,
@@ -64,8 +70,7 @@ def summary(estimate: Trajectory, log: Log) -> RunSummary:
         np.logical_and.reduceat((variances > 0).all(axis=1), at),
         bias[0],
         np.sqrt(variances[0, 9:]),
-        float(estimate.t[-1]),
-        float(log.t[-1]),
+        estimate.diverged,
     )
 
 
@@ -88,21 +93,23 @@ def _push_variance(variances: np.ndarray) -> np.ndarray:
     velocity itself is unknown at either end.
     """
     tilt, velocity, b_a = (variances[:, at].max(axis=1) for at in ([0, 1], [3, 4, 5], [9, 10, 11]))
-    return WINDOW**2 * (GRAVITY**2 * tilt + b_a) + 2.0 * velocity + ACCEL_NOISE**2 * WINDOW
+    return SUM_WINDOW**2 * (GRAVITY**2 * tilt + b_a) + 2.0 * velocity + ACCEL_NOISE**2 * SUM_WINDOW
 
 
-def whole(parts: Iterable[RunSummary]) -> RunSummary:
+def joined_summary(parts: Iterable[RunSummary]) -> RunSummary:
     """The summaries of pieces that follow each other as one; a window may lie in two of them."""
     parts = list(parts)
     joint = {f.name: getattr(parts[0], f.name) for f in fields(RunSummary)}
     for part in parts[1:]:
+        joint["diverged"] = part.diverged
+        if not len(part.start):
+            continue
         same = joint["start"][-1] == part.start[0]
         for name, merge in _MERGE.items():
             before, after = joint[name], getattr(part, name)
             if same:
                 before = np.concatenate([before[:-1], merge(before[-1:], after[:1])])
             joint[name] = np.concatenate([before, after[int(same) :]])
-        joint |= {"end": part.end, "until": part.until}
     return RunSummary(**joint)
 
 

@@ -61,8 +61,8 @@ class Trajectory:
     R_GI (N, 3, 3); v_GI (N, 3) [m/s] and p_GI (N, 3) [m] in G; b_a (N, 3) [m/s^2] and b_g (N, 3)
     [rad/s] in I; covariance (N, 15, 15) of the right-invariant error (rotation, velocity, position,
     b_a, b_g), None where nothing is claimed (a reference). updates, what each velocity update did;
-    innovations, what all updates found, which no file keeps. The estimates of a filter that
-    diverged end where they were last finite.
+    innovations, what all updates found; diverged, whether the estimates that followed were not
+    finite and are left out. No file keeps the last two.
     """
 
     t: np.ndarray
@@ -74,6 +74,7 @@ class Trajectory:
     covariance: np.ndarray | None = None
     updates: UpdateRecord | None = None
     innovations: InnovationSums | None = None
+    diverged: bool = False
 
     def __post_init__(self):
         n = len(self.t)

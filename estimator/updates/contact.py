@@ -67,13 +67,14 @@ class ContactModel(NamedTuple):
 class ContactMemory(NamedTuple):
     """What is carried from sample to sample, changed in place.
 
-    mean (7+K, 3) and covariance (15+3K, 15+3K) of `surefoot.estimator.core.state`; columns
-    (15+3K, 6) and rotation_columns (3K, 3), work space; standing (K,) bool, which feet are in the
-    state; drift (K, 3), running means of their whitened innovations; held (K,) [s] for which a foot
-    that slipped still stays out; passed (K,) [s] for which a foot has passed its test; clock (2,)
-    [s], the places SINCE the last update and UNPROVEN, in which feet claimed to stand and none was
-    believed; rates (K, 3) [rad/s] of the feet at the last prediction, NaN before the first; biases (2, 3), b_a and b_g at the start; sums
-    (K+1, 10) of `surefoot.estimator.evaluation.innovation_sums`, of the feet and of velocities.
+    mean (7+K, 3) and covariance (15+3K, 15+3K) of `surefoot.estimator.core.state`; columns (15+3K,
+    6) and rotation_columns (3K, 3), work space; standing (K,) bool, which feet are in the state;
+    drift (K, 3), running means of their whitened innovations; held (K,) [s] for which a foot that
+    slipped still stays out; passed (K,) [s] for which a foot has passed its test; clock (2,) [s],
+    the places SINCE the last update and UNPROVEN, in which feet claimed to stand and none was
+    believed; rates (K, 3) [rad/s] of the feet at the last prediction, NaN before the first; biases
+    (2, 3), b_a and b_g at the start; sums (K+1, 10) of
+    `surefoot.estimator.evaluation.innovation_sums`, of the feet and of velocities.
     """
 
     mean: np.ndarray
@@ -210,9 +211,7 @@ def update_contacts(memory, gate: float, feet_I, in_contact, measurement_cov):
             standing[k] = False
             held[k] = HOLD
         else:
-            distance = gaussian_update(
-                mean, covariance, feet, PHt, S, residual, measurement_cov[k]
-            )
+            distance = gaussian_update(mean, covariance, feet, PHt, S, residual, measurement_cov[k])
             add_innovation(memory.sums[k], distance, residual, S, measurement_cov[k])
             passed[k] += since
             believed |= passed[k] > PROVEN
@@ -244,8 +243,8 @@ def update_contacts(memory, gate: float, feet_I, in_contact, measurement_cov):
 def _reopen(mean, covariance, biases):
     """Take back what is claimed of tilt, velocity and biases, in place; no foot is in the state.
 
-    Biases begin anew, for what made them fail may have driven them anywhere. Independent errors d of
-    tilt in G add (d, [v]x d, [p]x d) to the right-invariant error, as
+    Biases begin anew, for what made them fail may have driven them anywhere. Independent errors d
+    of tilt in G add (d, [v]x d, [p]x d) to the right-invariant error, as
     `surefoot.estimator.initial.start_covariance` has it; position and yaw keep their covariance.
 
     Args:

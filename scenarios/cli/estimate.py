@@ -1,5 +1,6 @@
 """Commands that learn from logs and estimate them."""
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -13,6 +14,8 @@ from surefoot.scenarios.cli.options import (
     Observers,
     Out,
     RobotName,
+    SettingLines,
+    SettingsFile,
     learnt_from,
     one_of,
     read_as_declared,
@@ -20,6 +23,9 @@ from surefoot.scenarios.cli.options import (
 )
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
 from surefoot.sim.common.errors import SurefootError
+
+NOT_TRUSTED = 3
+"""Exit code of an estimate that is not to be trusted; bad input is 1, bad options are 2."""
 
 
 def _labels(default: str) -> str:
@@ -131,7 +137,10 @@ class Calibrate:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Run one filter over a log; prints metrics where the log has a reference."""
+    """Run one filter over a log; prints metrics where the log has a reference.
+
+    Exit code 3: the trajectory is written, but is not to be trusted; the last line says why.
+    """
 
     log: Positional[Path]
     filter: Annotated[str, arg(help=f"One of {', '.join(ESTIMATORS)}.")]
@@ -140,10 +149,13 @@ class Estimate:
     bounds: BoundsFiles = ()
     out: Annotated[Path | None, arg(aliases=["-o"])] = None
     """Trajectory with covariances (.parquet); a .tum file is written beside it."""
+    settings: SettingsFile = None
+    set_lines: SettingLines = ()
     force: Force = False
 
     def run(self) -> None:
         from surefoot.scenarios.estimate.long_logs import estimate_file
+        from surefoot.scenarios.estimate.settings import read_settings
         from surefoot.scenarios.reporting.tables import metrics_row, to_markdown
         from surefoot.sim.common.files import refuse_overwrite
         from surefoot.sim.log import LogReader
@@ -155,11 +167,40 @@ class Estimate:
             refuse_overwrite(self.out, self.force)
             refuse_overwrite(self.out.with_suffix(".tum"), self.force)
         learnt = learnt_from(self.observer, self.bounds)
-        found = estimate_file(self.filter, reader, self.robot, learnt, self.out, self.force)
-        if found is None:
-            print(f"{self.log.stem}: {reader.rows} samples estimated; no reference to compare with")
-        else:
+        settings = read_settings(self.settings, self.set_lines)
+        found, health = estimate_file(
+            self.filter, reader, self.robot, learnt, self.out, self.force, settings
+        )
+        if found is not None:
             print(to_markdown([metrics_row(found)]))
+        elif not health.lost:
+            print(f"{self.log.stem}: {reader.rows} samples estimated; no reference to compare with")
+        if health.sensors:
+            print("\n" + to_markdown(health.table()))
+        b_a, b_g = health.biases[:3].max(), health.biases[3:].max()
+        print(
+            f"\nbiases moved by {b_a:.1f} (accelerometer) and {b_g:.1f} (gyro) deviations at most"
+        )
+        if health.lost:
+            print(health.sentence(self.filter), file=sys.stderr)
+            sys.exit(NOT_TRUSTED)
+
+
+@dataclass(frozen=True)
+class NoiseCommand:
+    """Noise of a log's sensors where the robot rests, as settings that the filters take."""
+
+    log: Positional[Path]
+    """A log that rests somewhere, for a minute or more if walks of biases are to be seen."""
+    out: Annotated[Path | None, arg(aliases=["-o"])] = None
+    """Settings (.toml) for --settings; the Allan deviations are drawn in a .png beside it."""
+    force: Force = False
+
+    def run(self) -> None:
+        from surefoot.scenarios.noise import noise
+        from surefoot.sim.log import Log
+
+        print(noise(Log.read(self.log), self.out, self.force))
 
 
 @dataclass(frozen=True)
@@ -171,6 +212,8 @@ class Compare:
     observer: Observers = ()
     bounds: BoundsFiles = ()
     robot: RobotName = None
+    settings: SettingsFile = None
+    set_lines: SettingLines = ()
     force: Force = False
 
     def run(self) -> None:
@@ -179,6 +222,7 @@ class Compare:
             prepare_folder,
             write_comparison,
         )
+        from surefoot.scenarios.estimate.settings import read_settings
         from surefoot.scenarios.reporting.tables import to_markdown
         from surefoot.sim.robot import Robot
 
@@ -188,11 +232,17 @@ class Compare:
         for path, name in zip(self.logs, names, strict=True):
             if names.count(name) > 1:
                 raise SurefootError(f"{path}: another log has the same name; give each its own")
+        settings = read_settings(self.settings, self.set_lines)
         prepare_folder(self.out, self.force)
-        found = [compare_log(log, Robot.for_log(log, self.robot), learnt) for log in logs]
+        found = [
+            compare_log(log, Robot.for_log(log, self.robot), learnt, settings=settings)
+            for log in logs
+        ]
         results = write_comparison(found, self.out, "Filters compared", force=self.force)
         print("\n" + to_markdown(results))
         for comparison in found:
             for name, why in comparison.left_out.items():
                 print(f"left out on {comparison.log.name}: {name} ({why})")
+            for words in comparison.doubts:
+                print(f"{comparison.log.name}: {words}")
         print(f"\nreport: {self.out / 'report.html'}")

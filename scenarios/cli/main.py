@@ -8,7 +8,7 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
 
 from surefoot.scenarios.cli.data import Import, Robots, Simulate, View
-from surefoot.scenarios.cli.estimate import Calibrate, Compare, Estimate, Train
+from surefoot.scenarios.cli.estimate import Calibrate, Compare, Estimate, NoiseCommand, Train
 from surefoot.scenarios.cli.study import (
     Bench,
     Demo,
@@ -30,6 +30,7 @@ COMMANDS: dict[str, type] = {
     "calibrate": Calibrate,
     "estimate": Estimate,
     "compare": Compare,
+    "noise": NoiseCommand,
     "experiment": ExperimentCommand,
     "suite": Suite,
     "trace": TraceCommand,

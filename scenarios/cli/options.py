@@ -32,6 +32,13 @@ Observers = Annotated[
 BoundsFiles = Annotated[
     UseAppendAction[tuple[Path, ...]], arg(help="Bounds; each belongs to one observer.")
 ]
+SettingsFile = Annotated[
+    Path | None, arg(help="Noise, priors and start of the filters (TOML), as `noise` writes it.")
+]
+SettingLines = Annotated[
+    UseAppendAction[tuple[str, ...]],
+    arg(name="set", help="A line of such a file, as noise.gyro=1e-3; may be given several times."),
+]
 Workers = Annotated[int, arg(help="How much runs at once on this machine.")]
 Cluster = Annotated[
     str | None, arg(help="Address of a Dask scheduler to run on, such as tcp://127.0.0.1:8786.")

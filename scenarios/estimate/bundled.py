@@ -38,13 +38,6 @@ if TYPE_CHECKING:
     from surefoot.models.calibration.bounds import Bounds
     from surefoot.models.observer.observer import Observer
 
-ENCODER = 2e-3
-"""rad, of a joint angle: encoder step, calibration and what a loaded drive gives."""
-KINEMATICS = 2e-3
-"""m, of a foot's place: links, mounts and the foot's shape."""
-GYRO_WALK, ACCEL_WALK = 1e-5, 1e-4
-"""rad/s^2/sqrt(Hz) and m/s^3/sqrt(Hz), the same for all filters."""
-
 
 def _imu_parameters(accel: float) -> tuple[Parameter, ...]:
     # Beside velocities the accelerometer's noise is larger: their errors are correlated over long
@@ -52,6 +45,8 @@ def _imu_parameters(accel: float) -> tuple[Parameter, ...]:
     return (
         Parameter("accel", accel, "m/s^2/sqrt(Hz)", "noise density of the accelerometer"),
         Parameter("gyro", 3e-4, "rad/s/sqrt(Hz)", "noise density of the gyro"),
+        Parameter("accel_walk", 1e-4, "m/s^3/sqrt(Hz)", "walk of the accelerometer's bias", True),
+        Parameter("gyro_walk", 1e-5, "rad/s^2/sqrt(Hz)", "walk of the gyro's bias", True),
     )
 
 
@@ -63,6 +58,10 @@ PERSISTENT = (
 LEG = (
     *_imu_parameters(0.01),
     Parameter("contact", 0.02, "m/s/sqrt(Hz)", "velocity noise density of a standing foot"),
+    Parameter(
+        "encoder", 2e-3, "rad", "of a joint angle: step, zero, what a loaded drive gives", True
+    ),
+    Parameter("kinematics", 2e-3, "m", "of a foot's place: links, mounts and its shape", True),
 )
 LEG_SLIP = (
     *LEG,
@@ -245,7 +244,8 @@ class Imu:
 
 def imu_noise(parameters: Mapping[str, float]) -> FilterNoise:
     """Noise of the IMU with these parameters."""
-    return FilterNoise(parameters["gyro"], parameters["accel"], GYRO_WALK, ACCEL_WALK)
+    names = ("gyro", "accel", "gyro_walk", "accel_walk")
+    return FilterNoise(*(parameters[name] for name in names))
 
 
 def persistent_error(part: BiasModel, factor: float) -> PersistentError:
@@ -397,6 +397,7 @@ class LegStream:
     def __init__(self, robot: Robot, beginning: Beginning, parameters: Mapping[str, float]):
         noise = LegNoise(imu_noise(parameters), parameters["contact"])
         self._robot, self._inflation = robot, parameters.get("radar")
+        self._kinematics = parameters["encoder"], parameters["kinematics"]
         self._rates = CausalDerivative()
         self.filter = LegFilter(
             beginning.state,
@@ -420,7 +421,7 @@ class LegStream:
     def _legs(self, t, q, dq):
         """Foot centres, their covariances and the feet's rates at rows that follow."""
         dq = self._rates(t, q) if dq is None else dq
-        cov = encoder_covariance(self._robot.feet_jacobian_I(q), ENCODER, KINEMATICS)
+        cov = encoder_covariance(self._robot.feet_jacobian_I(q), *self._kinematics)
         return self._robot.feet_I(q), cov, self._robot.foot_rates_I(q, dq)
 
     def step(self, sample: Sample) -> Update | None:

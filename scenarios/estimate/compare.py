@@ -22,6 +22,7 @@ from surefoot.scenarios.estimate.run import (
     declared_model,
     run_all,
 )
+from surefoot.scenarios.estimate.settings import FilterSettings
 from surefoot.scenarios.reporting.figures import (
     height_figure,
     position_error,
@@ -38,6 +39,7 @@ from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.walking.truth import SLIPPING
 
+LOST_FROM = "not to be trusted from [s]"
 MEANINGS = {
     "APE_trans [m]": "position RMSE after aligning position and yaw at the first sample",
     "APE_rot [deg]": "attitude RMSE after the same alignment",
@@ -48,6 +50,7 @@ MEANINGS = {
     "NEES_pos": "mean normalised squared position error; 3 is consistent, more is overconfident",
     "NEES_vel": "the same of velocity",
     "NEES_att": "the same of attitude",
+    LOST_FROM: "when innovations, biases or rejected measurements showed that the filter was lost",
     "step [us]": "time of one IMU sample, observer and legs included (varies by machine)",
 }
 
@@ -64,18 +67,35 @@ class Comparison:
     bounds: Bounds | None
     held: dict[str, EmpiricalCoverage]  # filter -> empirical coverage of its bounds
 
+    @property
+    def doubts(self) -> list[str]:
+        """A sentence for each filter that is not to be trusted."""
+        return [r.health.sentence(r.filter) for r in self.results if r.health.lost]
+
 
 def compare_log(
-    log: Log, robot: Robot, learnt: Learnt, names: Sequence[str] | None = None
+    log: Log,
+    robot: Robot,
+    learnt: Learnt,
+    names: Sequence[str] | None = None,
+    settings: FilterSettings | None = None,
 ) -> Comparison:
-    """Run every filter that can run on `log`; a bar shows which."""
+    """Run every filter that can run on `log`; a bar shows which.
+
+    Args:
+        log: to estimate.
+        robot: of the log.
+        learnt: observers and bounds.
+        names: of the filters; all where left out.
+        settings: noise, priors and start; those tuned for the robot where left out.
+    """
     with tqdm(total=None, desc=f"filters on {log.name}", unit=" filter") as bar:
 
         def progress(name: str) -> None:
             bar.set_postfix_str(name)
             bar.update()
 
-        results, left_out = run_all(log, robot, learnt, names, progress)
+        results, left_out = run_all(log, robot, learnt, names, progress, settings)
     known, model = declared_model(log, robot)  # as the filters see it
     prediction, bounds = None, None
     held: dict[str, EmpiricalCoverage] = {}
@@ -100,9 +120,13 @@ def table(comparisons: Sequence[Comparison]) -> pd.DataFrame:
                 held = comparison.held.get(result.filter)
                 values |= metrics_row(result.metrics)
                 values["coverage [%]"] = _with_interval(held) if held else None
+            if result.health.lost:
+                values[LOST_FROM] = result.health.since
             row: dict[str, object] = {"log": result.log, "filter": result.filter}
             rows.append(row | {name: values[name] for name in MEANINGS if name in values})
-    return pd.DataFrame(rows)
+    found = pd.DataFrame(rows)
+    # The first row may lack what later ones have.
+    return found[[name for name in ("log", "filter", *MEANINGS) if name in found]]
 
 
 def write_comparison(
@@ -180,6 +204,7 @@ def _summary_sections(comparisons: Sequence[Comparison], found: pd.DataFrame) ->
         for comparison in comparisons
         for name, why in comparison.left_out.items()
     ]
+    left_out += [f"On {c.log.name}, {words}." for c in comparisons for words in c.doubts]
     ran = dict.fromkeys(result.filter for c in comparisons for result in c.results)
     glossary = [{"": name, "means": estimator_named(name).description} for name in ran]
     glossary += [{"": n, "means": text} for n, text in MEANINGS.items() if n in found.columns]

@@ -33,12 +33,14 @@ if TYPE_CHECKING:  # what legs and IMU need comes without a network's library, w
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number that tunes an estimator, > 0: its default, unit and meaning."""
+    """One number that tunes an estimator, > 0: its default, unit and meaning; `declared` for one
+    that describes a sensor and that `surefoot tune` leaves alone."""
 
     name: str
     default: float
     unit: str
     meaning: str
+    declared: bool = False
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,8 @@ ERRORS_RATE = 5.0
 
 
 def estimate_facts(log: Log, robot: Robot, result: Result, learnt: Learnt) -> dict[str, Any]:
-    """Metrics of an estimate, its time a step, and of the velocities it used their mean error (3,),
-    its spread (3,), and how often the bounds held.
+    """Metrics of an estimate, its time a step, when and why it is not to be trusted, and of the
+    velocities it used their mean error (3,), its spread (3,), and how often the bounds held.
 
     Bounds on anything but a velocity itself, such as the mean of a window beside a persistent part
     that the filter estimates, are not judged here.
@@ -30,6 +30,8 @@ def estimate_facts(log: Log, robot: Robot, result: Result, learnt: Learnt) -> di
     facts: dict[str, Any] = {"step_us": 1e6 * result.step_time}
     if result.metrics is not None:
         facts |= asdict(result.metrics)
+    if result.health.lost:
+        facts |= {"lost_from": result.health.since, "lost": result.health.sentence(result.filter)}
     updates = result.trajectory.updates
     if updates is None or not log.has("reference"):
         return facts

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from surefoot.estimator.evaluation.health import Health
+from surefoot.estimator.evaluation.run_summary import RunSummary, summary_of_run
 from surefoot.estimator.evaluation.trajectory import (
     Trajectory,
     TrajectoryError,
@@ -18,7 +20,13 @@ from surefoot.estimator.metrics import Metrics, evaluate, matched
 from surefoot.estimator.run import OUTPUT_PERIOD
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.estimators import estimator_named
-from surefoot.scenarios.estimate.run import estimated_in_chunks, joined_trajectory, run_filter
+from surefoot.scenarios.estimate.run import (
+    estimated_in_chunks,
+    health_of,
+    joined_trajectory,
+    run_filter,
+)
+from surefoot.scenarios.estimate.settings import FilterSettings
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.log import Log, LogReader
@@ -39,8 +47,10 @@ def estimate_file(
     learnt: Learnt,
     out: Path | None,
     force: bool = False,
-) -> Metrics | None:
-    """Estimate a log with one filter; its metrics, None where it has no reference.
+    settings: FilterSettings | None = None,
+) -> tuple[Metrics | None, Health]:
+    """Estimate a log with one filter: its metrics, None where it has no reference or the filter
+    diverged, and whether to believe it.
 
     A log longer than LONG goes in pieces, in the memory of one, unless it declares effects, whose
     compensation takes the whole log.
@@ -52,18 +62,19 @@ def estimate_file(
         learnt: observers and bounds.
         out: file for the trajectory (.parquet), with a .tum beside it; none is written for None.
         force: whether to overwrite them.
+        settings: noise, priors and start.
 
     Raises SurefootError saying what is missing or wrong.
     """
     if reader.rows / reader.meta.rate <= LONG or reader.meta.effects:
         (log,) = reader.chunks()
-        result = run_filter(name, log, Robot.for_log(log, robot_name), learnt)
+        result = run_filter(name, log, Robot.for_log(log, robot_name), learnt, settings)
         if out:
             result.trajectory.write(out, force)
             result.trajectory.write_tum(out.with_suffix(".tum"), force)
-        return result.metrics
+        return result.metrics, result.health
     try:
-        return _in_pieces(name, reader, robot_name, learnt, out, force)
+        return _in_pieces(name, reader, robot_name, learnt, out, force, settings)
     except SurefootError as error:
         raise SurefootError(f"filter {name}: {error}") from None
 
@@ -75,8 +86,9 @@ def _in_pieces(
     learnt: Learnt,
     out: Path | None,
     force: bool,
-) -> Metrics | None:
-    """One filter over a log read piece by piece; its metrics, or None without a reference.
+    settings: FilterSettings | None,
+) -> tuple[Metrics | None, Health]:
+    """One filter over a log read piece by piece, as `estimate_file`.
 
     Args:
         name: of the filter.
@@ -85,35 +97,40 @@ def _in_pieces(
         learnt: observers and bounds.
         out: folder for the estimate, or None.
         force: whether its file may be replaced.
+        settings: noise, priors and start.
     """
     every = int(np.ceil(reader.rows / reader.meta.rate / OUTPUT_PERIOD / JUDGED))
-    waiting: deque[Trajectory] = deque()  # references of pieces that were read but not estimated
+    waiting: deque[Log] = deque()  # pieces that were read but not estimated
+    parts: list[RunSummary] = []
     judged: list[tuple[Trajectory, Trajectory]] = []
 
     def pieces() -> Iterator[Log]:
         for log in reader.chunks(LOG_PIECE):
-            if log.has("reference"):
-                waiting.append(reference(log))
+            waiting.append(log)
             yield log
 
-    robot = Robot.for_log(next(reader.chunks(LOG_PIECE)), robot_name)
+    first = next(reader.chunks(LOG_PIECE))
+    robot, estimator = Robot.for_log(first, robot_name), estimator_named(name)
     with ExitStack() as files:
         table, lines = None, None
         if out:
             table = files.enter_context(TrajectoryWriter(out, force))
             path = files.enter_context(whole_file(out.with_suffix(".tum"), force))
             lines = files.enter_context(path.open("w"))
-        for part in estimated_in_chunks(estimator_named(name), pieces(), robot, learnt):
+        for part in estimated_in_chunks(estimator, pieces(), robot, learnt, None, settings):
             if table is not None and lines is not None:
                 table.write(part)
                 part.append_tum(lines)
-            if waiting:
+            log = waiting.popleft()
+            parts.append(summary_of_run(part, log))
+            if log.has("reference"):
                 with suppress(TrajectoryError):  # no reference was measured during this piece
-                    judged.append(matched(waiting.popleft(), _thinned(part, every)))
-    if not judged:
-        return None
+                    judged.append(matched(reference(log), _thinned(part, every)))
+    found = health_of(parts, estimator, robot, first, settings)
+    if not judged or parts[-1].diverged:
+        return None, found
     truths, estimates = zip(*judged, strict=True)
-    return evaluate(joined_trajectory(truths), joined_trajectory(estimates))
+    return evaluate(joined_trajectory(truths), joined_trajectory(estimates)), found
 
 
 def _thinned(part: Trajectory, every: int) -> Trajectory:

@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.estimator.core.state import NavState
+from surefoot.estimator.core.state import FilterNoise, NavState
+from surefoot.estimator.evaluation.health import Health, health
 from surefoot.estimator.evaluation.mounting_tolerance import with_mounting
+from surefoot.estimator.evaluation.run_summary import RunSummary, joined_summary, summary_of_run
 from surefoot.estimator.evaluation.trajectory import Trajectory, UpdateRecord, reference
-from surefoot.estimator.initial import initial_state
 from surefoot.estimator.metrics import Metrics, evaluate
 from surefoot.estimator.run import output_stride
 from surefoot.scenarios.estimate.contract import (
@@ -25,6 +26,7 @@ from surefoot.scenarios.estimate.contract import (
     samples,
 )
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
+from surefoot.scenarios.estimate.settings import FilterSettings
 from surefoot.scenarios.estimate.tuned import Parameters, tuned
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import compensate_all, declared_effects
@@ -39,14 +41,30 @@ class Result:
     filter: str
     log: str
     trajectory: Trajectory
-    metrics: Metrics | None  # None where the log has no reference
+    metrics: Metrics | None  # None where the log has no reference, or the filter diverged
     step_time: float  # s a sample, the observer's and the legs' share included
+    health: Health  # whether to believe it
 
 
-def run_filter(name: str, log: Log, robot: Robot, learnt: Learnt | None = None) -> Result:
-    """Estimate a log with one filter. Raises SurefootError saying what it lacks.
+def run_filter(
+    name: str,
+    log: Log,
+    robot: Robot,
+    learnt: Learnt | None = None,
+    settings: FilterSettings | None = None,
+) -> Result:
+    """Estimate a log with one filter; `Result.health` says whether to believe it.
 
     The filter's model is the declared one: what the log says of its effects is compensated first.
+
+    Args:
+        name: of the filter.
+        log: to estimate.
+        robot: of the log.
+        learnt: observers and bounds.
+        settings: noise, priors and start; those tuned for the robot where left out.
+
+    Raises SurefootError saying what it lacks.
     """
     estimator = estimator_named(name)
     log.require("imu")
@@ -58,12 +76,48 @@ def run_filter(name: str, log: Log, robot: Robot, learnt: Learnt | None = None) 
                 estimated(estimator, log.rows(slice(0, 64)), robot, learnt)
             _compiled.add(name)
         started = perf_counter()
-        trajectory = estimated(estimator, log, robot, learnt)
+        (trajectory,) = estimated_in_chunks(estimator, [log], robot, learnt, None, settings)
         elapsed = perf_counter() - started
     except SurefootError as error:
         raise SurefootError(f"filter {name}: {error}") from None
-    judged = evaluate(reference(log), trajectory) if log.has("reference") else None
-    return Result(name, log.name, trajectory, judged, elapsed / len(log.t))
+    found = health_of([summary_of_run(trajectory, log)], estimator, robot, log, settings)
+    compared = log.has("reference") and not trajectory.diverged
+    judged = evaluate(reference(log), trajectory) if compared else None
+    return Result(name, log.name, trajectory, judged, elapsed / len(log.t), found)
+
+
+def health_of(
+    parts: Sequence[RunSummary],
+    estimator: Estimator,
+    robot: Robot,
+    log: Log,
+    settings: FilterSettings | None = None,
+) -> Health:
+    """Whether to believe what an estimator made of a log, or of one in pieces of which `log` is
+    one.
+
+    Args:
+        parts: summaries of the estimates.
+        estimator: whose they are.
+        robot: of the log.
+        log: names its feet.
+        settings: with which it ran.
+    """
+    legs = log.legs if log.has("contact") else ()
+    values, usual = parameters_of(estimator, robot, settings), FilterNoise()
+    walk = (
+        values.get("accel_walk", float(usual.accel_walk)),
+        values.get("gyro_walk", float(usual.gyro_walk)),
+    )
+    return health(joined_summary(parts), legs, walk)
+
+
+def parameters_of(
+    estimator: Estimator, robot: Robot, settings: FilterSettings | None = None
+) -> dict[str, float]:
+    """An estimator's parameters for a robot: what `settings` say, else what it is tuned to."""
+    values = tuned(robot).of(estimator)
+    return values if settings is None else settings.parameters(estimator, values)
 
 
 _compiled: set[str] = set()
@@ -80,6 +134,7 @@ def run_all(
     learnt: Learnt,
     names: Sequence[str] | None = None,
     progress: Callable[[str], None] | None = None,
+    settings: FilterSettings | None = None,
 ) -> tuple[list[Result], dict[str, str]]:
     """Every filter that the log and what was learnt allow, and why each other was left out.
 
@@ -89,6 +144,7 @@ def run_all(
         learnt: observers and bounds.
         names: of the filters; all where left out.
         progress: called with the name of each before it runs.
+        settings: as of `run_filter`.
     """
     results: list[Result] = []
     left_out: dict[str, str] = {}
@@ -96,7 +152,7 @@ def run_all(
         if progress:
             progress(name)
         try:
-            results.append(run_filter(name, log, robot, learnt))
+            results.append(run_filter(name, log, robot, learnt, settings))
         except SurefootError as error:
             left_out[name] = str(error).removeprefix(f"filter {name}: ")
     return results, left_out
@@ -118,10 +174,12 @@ def estimated(
         learnt: observers and bounds.
         parameters: its own by name; those tuned for the robot where left out.
 
-    Raises SurefootError saying what it lacks.
+    Raises SurefootError saying what it lacks, or that it diverged.
     """
-    (whole,) = estimated_in_chunks(estimator, [log], robot, learnt, parameters)
-    return whole
+    (found,) = estimated_in_chunks(estimator, [log], robot, learnt, parameters)
+    if found.diverged:
+        raise SurefootError(f"filter: the estimate is not finite after t = {found.t[-1]:.3f} s")
+    return found
 
 
 def estimated_in_chunks(
@@ -130,20 +188,24 @@ def estimated_in_chunks(
     robot: Robot,
     learnt: Learnt,
     parameters: Parameters | None = None,
+    settings: FilterSettings | None = None,
 ) -> Iterator[Trajectory]:
     """`estimated` over a log that comes in pieces, each of which may be forgotten after its own.
+
+    It ends where a filter diverged.
 
     Args:
         estimator: which one.
         chunks: a log's rows, in turn.
         robot: of the log.
         learnt: observers and bounds.
-        parameters: its own by name; those tuned for the robot where left out.
+        parameters: its own by name; those of `parameters_of` where left out.
+        settings: as of `run_filter`.
 
     Raises SurefootError saying what it lacks, or that it takes whole logs alone.
     """
-    entry = tuned(robot)
-    values = entry.of(estimator) if parameters is None else parameters
+    mounting = tuned(robot).mounting
+    values = parameters_of(estimator, robot, settings) if parameters is None else parameters
     remaining = iter(chunks)
     log, following = next(remaining, None), next(remaining, None)
     stream: Stream | None = None
@@ -153,12 +215,15 @@ def estimated_in_chunks(
         more = following is not None
         log = _prepared(estimator, log, robot, more or stream is not None)
         if stream is None:
-            state, covariance = initial_state(log)
+            state, covariance = (settings or FilterSettings()).beginning(log)
             joints = log.joints if log.has("q") else ()
             at = Beginning(state, covariance, log.rate, joints, log.meta.derived)
             stream, stride = estimator.start(robot, learnt, values, at), output_stride(log.t)
         rows = np.arange(-seen % stride, len(log.t), stride)
-        yield with_mounting(_advanced(stream, log, rows, more), entry.mounting)
+        part = _advanced(stream, log, rows, more)
+        yield with_mounting(part, mounting)
+        if part.diverged:
+            return
         seen += len(log.t)
         log, following = following, next(remaining, None)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from surefoot.models.calibration.empirical_coverage import binomial_interval
-from surefoot.scenarios.estimate.compare import MEANINGS
+from surefoot.scenarios.estimate.compare import LOST_FROM, MEANINGS
 from surefoot.scenarios.experiments.file import SUITES_FOLDER, Experiment
 from surefoot.scenarios.experiments.run import Outcome
 from surefoot.scenarios.reporting.tables import METRICS
@@ -17,6 +17,7 @@ from surefoot.sim.common.toml import read_toml
 
 PUBLISHED = SUITES_FOLDER / "published.toml"
 TABLE_METRICS = {**METRICS, "step [us]": "step_us"}
+LOST = "lost walks"
 """Columns of the tables and the facts of an estimate that they show."""
 SHARE = "APE [% of path]"
 HELD = "coverage [%]"
@@ -28,6 +29,7 @@ TABLE_MEANINGS = {
     HELD: "share of velocity errors jointly inside the bounds, with a 95 % interval; not given "
     "for filters whose bounds are on something else",
     SHARE: "APE_trans over the length of the walk",
+    LOST: "walks on which innovations, biases or rejected measurements show a filter to be lost",
     "±": "standard deviation over seeds; each seed is a robot, its walks and its observers",
 }
 
@@ -52,6 +54,7 @@ def tidy(outcome: Outcome) -> pd.DataFrame:
         for one in ran:
             facts = one.product.facts
             values = {name: facts.get(key, np.nan) for name, key in TABLE_METRICS.items()}
+            values[LOST_FROM] = facts.get("lost_from", np.nan)
             values[SHARE] = 100.0 * facts.get("ape_trans", np.nan) / walk.facts["length"]
             for name in ("coverage", "coverage_low", "coverage_high"):
                 values[f"{name} [%]"] = 100.0 * facts.get(name, np.nan)
@@ -80,10 +83,10 @@ def averages(rows: pd.DataFrame) -> pd.DataFrame:
         by_seed = part.groupby("seed")[[*TABLE_METRICS, SHARE]].mean()
         row: dict[str, object] = {"condition": condition, "robot": robot, "filter": name}
         row |= {column: with_spread(by_seed[column]) for column in [*TABLE_METRICS, SHARE]}
-        row[HELD] = _held(part)
+        row |= {HELD: _held(part), LOST: _lost(part)}
         found.append(row)
     order = ["condition", "robot", "filter", *SHOWN_COLUMNS]
-    return pd.DataFrame(found, columns=order) if found else pd.DataFrame(columns=order)
+    return _marked(found, order) if found else pd.DataFrame(columns=order)
 
 
 def per_sequence(rows: pd.DataFrame) -> pd.DataFrame:
@@ -96,9 +99,9 @@ def per_sequence(rows: pd.DataFrame) -> pd.DataFrame:
             "filter": filter_name,
         }
         row |= {column: with_spread(part[column]) for column in [*TABLE_METRICS, SHARE]}
-        row[HELD] = _held(part)
+        row |= {HELD: _held(part), LOST: _lost(part)}
         found.append(row)
-    return pd.DataFrame(found, columns=["sequence", "path", "filter", *SHOWN_COLUMNS])
+    return _marked(found, ["sequence", "path", "filter", *SHOWN_COLUMNS])
 
 
 def sweep(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
@@ -154,6 +157,18 @@ def with_spread(values: pd.Series) -> str | None:
 def _rounded(value: float, scale: float) -> str:
     digits = 3 if abs(scale) < 10 else 2 if abs(scale) < 100 else 1 if abs(scale) < 1000 else 0
     return f"{value:.{digits}f}"
+
+
+def _lost(part: pd.DataFrame) -> str | None:
+    """On how many of these walks the filter is not to be trusted; None where on none."""
+    lost = int(part[LOST_FROM].notna().sum())
+    return f"{lost} of {len(part)}" if lost else None
+
+
+def _marked(found: list[dict[str, object]], order: list[str]) -> pd.DataFrame:
+    """The rows in this order, with the column of lost walks where there are any."""
+    lost = any(row[LOST] for row in found)
+    return pd.DataFrame(found, columns=[*order, LOST] if lost else order)
 
 
 def _held(part: pd.DataFrame) -> str | None:

@@ -1,0 +1,1 @@
+"""Noise of sensors, from a log in which the robot rests."""

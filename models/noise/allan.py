@@ -1,0 +1,93 @@
+"""Allan deviation of a resting sensor, and the noise densities that explain it.
+
+A reading x = white noise of density N [unit/sqrt(Hz)] + a bias that walks with the density K
+[unit/s/sqrt(Hz)] has, averaged over tau, the Allan variance (IEEE Std 952-1997, annex C)
+
+    sigma^2(tau) = N^2 / tau + K^2 tau / 3.
+
+Both squares are fitted to the overlapping Allan variance at octaves of tau, weighted by its degrees
+of freedom (Riley, NIST Special Publication 1065, table 5: the fewer of white and of random walk
+frequency noise), neither below zero.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+
+from surefoot.sim.common.errors import SurefootError
+
+LONGEST = 1 / 5
+"""Of the stretch, the longest tau: beyond it a variance rests on a handful of differences."""
+SHORTEST_REST = 64
+"""Samples: fewer give no octave whose variance is known to a third."""
+Z = 1.96
+"""Deviations of a 95 % interval."""
+
+
+@dataclass(frozen=True)
+class AllanCurve:
+    """Allan deviations sigma (M,) [unit] at averaging times tau (M,) [s], with the degrees of
+    freedom (M,) of their squares."""
+
+    tau: np.ndarray
+    sigma: np.ndarray
+    freedom: np.ndarray
+
+
+@dataclass(frozen=True)
+class Density:
+    """A noise density with its 95 % interval; from zero where the data do not show it."""
+
+    value: float
+    low: float
+    high: float
+
+    @property
+    def resolved(self) -> bool:
+        """Whether the data show that it is not zero."""
+        return self.low > 0.0
+
+
+@dataclass(frozen=True)
+class AxisNoise:
+    """Of one axis of a sensor: its Allan deviation, white noise [unit/sqrt(Hz)] and the walk of its
+    bias [unit/s/sqrt(Hz)]."""
+
+    curve: AllanCurve
+    white: Density
+    walk: Density
+
+
+def allan_curve(x: np.ndarray, rate: float) -> AllanCurve:
+    """Overlapping Allan deviation of readings x (N,) at `rate` [Hz]. Raises SurefootError where
+    they are too few."""
+    n = len(x)
+    if n < SHORTEST_REST:
+        raise SurefootError(f"noise: {n} samples at rest, at least {SHORTEST_REST} are needed")
+    total = np.concatenate([[0.0], np.cumsum(x - np.mean(x))]) / rate
+    m = 2 ** np.arange(int(np.log2(LONGEST * n)) + 1)
+    tau = m / rate
+    steps = [total[2 * k :] - 2.0 * total[k:-k] + total[: -2 * k] for k in m]
+    sigma = np.array([np.sqrt(np.mean(d**2) / 2.0) for d in steps]) / tau
+    white = (1.5 * (n - 1) / m - 2.0 * (n - 2) / n) * 4.0 * m**2 / (4.0 * m**2 + 5.0)
+    return AllanCurve(tau, sigma, np.maximum(np.minimum(white, n / m - 1.0), 1.0))
+
+
+def axis_noise(x: np.ndarray, rate: float) -> AxisNoise:
+    """White noise and bias walk of readings x (N,) at `rate` [Hz] of a sensor at rest."""
+    curve = allan_curve(x, rate)
+    A = np.column_stack([1.0 / curve.tau, curve.tau / 3.0])
+    fitted = measured = curve.sigma**2
+    for _ in range(5):  # the variance of a variance goes with its own size
+        weight = np.sqrt(0.5 * curve.freedom) / np.maximum(fitted, 1e-12 * measured.max())
+        squares, _ = nnls(A * weight[:, None], measured * weight)
+        fitted = A @ squares
+    std = np.sqrt(np.linalg.inv((A * weight[:, None]).T @ (A * weight[:, None])).diagonal())
+    white, walk = (_density(square, spread) for square, spread in zip(squares, std, strict=True))
+    return AxisNoise(curve, white, walk)
+
+
+def _density(square: float, std: float) -> Density:
+    low, high = max(square - Z * std, 0.0), square + Z * std
+    return Density(float(np.sqrt(square)), float(np.sqrt(low)), float(np.sqrt(high)))

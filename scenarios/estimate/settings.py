@@ -1,0 +1,174 @@
+"""What a user says of noise, priors and the start, instead of what the filters are tuned to.
+
+A TOML file, all of it optional, that `estimate` and `compare` take with --settings and that
+`surefoot noise` writes; --set takes single lines of it.
+
+    [noise]                  # of every filter that has the parameter
+    gyro = 3e-4              # rad/s/sqrt(Hz), and gyro_walk, rad/s^2/sqrt(Hz)
+    accel = 0.01             # m/s^2/sqrt(Hz), and accel_walk, m/s^3/sqrt(Hz)
+    encoder = 2e-3           # rad, of a joint angle
+    kinematics = 2e-3        # m, of a foot's place
+    contact = 0.02           # m/s/sqrt(Hz), of a standing foot
+
+    [start]                  # standard deviations of the first state, in G
+    tilt = 0.02              # rad, and yaw
+    velocity = 0.05          # m/s
+    position = 1e-3          # m, and height, the vertical's where that is known better or worse
+    b_a = 0.1                # m/s^2
+    b_g = 5e-3               # rad/s
+
+    [state]                  # the first state, instead of the reference's or gravity's
+    p_GI = [0.0, 0.0, 0.3]   # m, and v_GI [m/s], b_a [m/s^2], b_g [rad/s]
+    q_GI = [1.0, 0.0, 0.0, 0.0]
+
+    [filters.leg]            # parameters of one filter, before those of [noise]
+    contact = 0.01
+"""
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from surefoot.estimator.core.state import NavState
+from surefoot.estimator.initial import (
+    GRAVITY_STD,
+    REFERENCE_STD,
+    initial_state,
+    start_covariance,
+    still_gyro_bias,
+)
+from surefoot.scenarios.estimate.contract import Estimator
+from surefoot.scenarios.estimate.estimators import ESTIMATORS
+from surefoot.scenarios.estimate.tuned import Parameters
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.quaternion import matrix_from_quaternion
+from surefoot.sim.common.toml import Positive, read_toml, typed
+from surefoot.sim.log import Log
+
+Three = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class NoiseSettings:
+    """Densities and deviations of sensors; the module says in which units. None leaves a
+    filter's."""
+
+    gyro: Positive | None = None
+    gyro_walk: Positive | None = None
+    accel: Positive | None = None
+    accel_walk: Positive | None = None
+    encoder: Positive | None = None
+    kinematics: Positive | None = None
+    contact: Positive | None = None
+
+
+@dataclass(frozen=True)
+class StartSettings:
+    """Standard deviations of `surefoot.estimator.initial.InitialStd`; None leaves its own."""
+
+    tilt: Positive | None = None
+    yaw: Positive | None = None
+    velocity: Positive | None = None
+    position: Positive | None = None
+    height: Positive | None = None
+    b_a: Positive | None = None
+    b_g: Positive | None = None
+
+
+@dataclass(frozen=True)
+class StateSettings:
+    """Parts of the first state; None leaves what the log says."""
+
+    p_GI: Three | None = None
+    v_GI: Three | None = None
+    q_GI: tuple[float, float, float, float] | None = None
+    b_a: Three | None = None
+    b_g: Three | None = None
+
+    def __post_init__(self):
+        if self.q_GI is not None and abs(np.linalg.norm(self.q_GI) - 1.0) > 1e-3:
+            raise SurefootError("q_GI is no unit quaternion")
+
+
+@dataclass(frozen=True)
+class FilterSettings:
+    """A file of settings; see the module."""
+
+    noise: NoiseSettings = field(default_factory=NoiseSettings)
+    start: StartSettings = field(default_factory=StartSettings)
+    state: StateSettings = field(default_factory=StateSettings)
+    filters: dict[str, dict[str, Positive]] = field(default_factory=dict)
+
+    def __post_init__(self):
+        for name in self.filters:
+            if name not in ESTIMATORS:
+                raise SurefootError(f"[filters.{name}]: choose {' | '.join(ESTIMATORS)}")
+
+    def parameters(self, estimator: Estimator, values: Parameters) -> dict[str, float]:
+        """An estimator's parameters, these instead of `values` where they are given.
+
+        Raises SurefootError for one that it has not.
+        """
+        own = self.filters.get(estimator.name, {})
+        for name in own:
+            if name not in values:
+                known = ", ".join(values)
+                raise SurefootError(
+                    f"[filters.{estimator.name}]: unknown parameter '{name}'; known: {known}"
+                )
+        given = {name: value for name, value in _given(self.noise).items() if name in values}
+        return {**values, **given, **own}
+
+    def beginning(self, log: Log) -> tuple[NavState, np.ndarray]:
+        """`surefoot.estimator.initial.initial_state` of a log, with what is given here instead."""
+        start, state = _given(self.start), _given(self.state)
+        if not start and not state:
+            return initial_state(log)
+        std = replace(REFERENCE_STD if log.has("reference") else GRAVITY_STD, **start)
+        found, _ = initial_state(log, std)
+        # A deviation that is given, or that of a bias that is, is not that of having stood still.
+        if not {"b_g"} & (start.keys() | state.keys()):
+            _, std = still_gyro_bias(log, std)
+        if "q_GI" in state:
+            q = np.asarray(state.pop("q_GI"))
+            state["R_GI"] = matrix_from_quaternion((q / np.linalg.norm(q))[None])[0]
+        found = replace(found, **{name: np.asarray(value) for name, value in state.items()})
+        return found, start_covariance(found, std)
+
+
+def read_settings(path: Path | None, lines: Sequence[str] = ()) -> FilterSettings:
+    """The settings of a file, and of single lines `noise.gyro=1e-3` that go before it.
+
+    Raises SurefootError, one line that names the file or the option, for what is wrong.
+    """
+    table = read_toml(path, "settings") if path else {}
+    where = f"settings {path}" if path else "--set"
+    try:
+        typed(table, FilterSettings)
+    except SurefootError as error:
+        raise SurefootError(f"{where}: {error}") from None
+    for line in lines:
+        try:
+            _merge(table, tomllib.loads(line))
+            typed(table, FilterSettings)
+        except tomllib.TOMLDecodeError:
+            raise SurefootError(f"--set {line}: write it as noise.gyro=1e-3") from None
+        except SurefootError as error:
+            raise SurefootError(f"--set {line}: {error}") from None
+    return typed(table, FilterSettings)
+
+
+def _given(settings: NoiseSettings | StartSettings | StateSettings) -> dict[str, Any]:
+    return {name: value for name, value in vars(settings).items() if value is not None}
+
+
+def _merge(table: dict[str, Any], more: Mapping[str, Any]) -> None:
+    for key, value in more.items():
+        if isinstance(value, dict) and isinstance(table.get(key), dict):
+            _merge(table[key], value)
+        else:
+            table[key] = value

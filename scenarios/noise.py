@@ -1,0 +1,102 @@
+"""`surefoot noise`: where covariances come from, as a file that the filters take."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from surefoot.models.noise.allan import AxisNoise, Density
+from surefoot.models.noise.rest import RestNoise, rest_noise
+from surefoot.scenarios.reporting.plotting import new_figure, save_png, set_title
+from surefoot.scenarios.reporting.tables import to_markdown
+from surefoot.sim.common.files import refuse_overwrite, whole_file
+from surefoot.sim.log import Log
+
+COLORS = ("#D55E00", "#009E73", "#2F86D1")
+SENSORS = (("gyro", "rad/s"), ("accel", "m/s²"))
+
+
+def noise(log: Log, out: Path | None, force: bool = False) -> str:
+    """The noise of a log at rest: a table as text, and with `out` the settings and a figure.
+
+    out: TOML file of `surefoot.scenarios.estimate.settings`; a .png of the same name goes beside.
+    Raises SurefootError where the log rests nowhere, or a file is there and `force` is not given.
+    """
+    figure = None if out is None else out.with_suffix(".png")
+    for path in (out, figure):
+        if path is not None:
+            refuse_overwrite(path, force)
+    found = rest_noise(log)
+    if out is not None and figure is not None:
+        with whole_file(out, force) as temporary:
+            temporary.write_text(settings_text(log.name, found), encoding="utf-8")
+        save_png(allan_figure(found), figure, force)
+    rows = [
+        {
+            "sensor": f"{name} {axis}",
+            "white noise": f"{one.white.value:.2e}",
+            "95 %": _interval(one.white),
+            "walk of the bias": f"{one.walk.value:.2e}" if one.walk.resolved else "not resolved",
+            "95 % ": _interval(one.walk),
+            "unit": f"{unit}/√Hz, {unit}/s/√Hz",
+        }
+        for name, unit in SENSORS
+        for axis, one in zip("xyz", getattr(found, name), strict=True)
+    ]
+    text = f"{log.name}: at rest from {found.begin:.2f} to {found.end:.2f} s\n\n{to_markdown(rows)}"
+    if len(found.encoder):
+        text += f"\n\njoint readings: {_spread(found.encoder)} rad at rest"
+        if np.isfinite(found.stance).any():
+            text += f", {_spread(found.stance[np.isfinite(found.stance)])} rad of standing legs"
+    return text
+
+
+def settings_text(name: str, found: RestNoise) -> str:
+    """The worst axis of each as settings; what the rest is too short to show is a comment."""
+    lines = [
+        f"# Noise of {name} at rest from {found.begin:.2f} to {found.end:.2f} s; the worst axis.",
+        "# A sensor at rest: walking adds impacts and misalignment, so that filters want more.",
+        "[noise]",
+    ]
+    for sensor, unit in SENSORS:
+        axes: tuple[AxisNoise, ...] = getattr(found, sensor)
+        for key, kind, per in ((sensor, "white", ""), (f"{sensor}_walk", "walk", "/s")):
+            each: list[Density] = [getattr(one, kind) for one in axes]
+            worst = max(each, key=lambda one: one.value)
+            unit_words = f"{unit.replace('²', '^2')}{per}/sqrt(Hz)"
+            if worst.resolved:
+                lines.append(f"{key} = {worst.value:.3g}  # {unit_words}, {_interval(worst)}")
+            else:
+                limit = max(one.high for one in each)
+                lines.append(f"# {key} is below {limit:.2g} {unit_words}: the rest is too short")
+    if len(found.encoder):
+        own = np.concatenate([found.encoder, found.stance])
+        lines.append(
+            f"# joint readings have {np.nanmax(own):.2g} rad of white noise; `encoder` and "
+            "`kinematics`\n# of a filter are for what is wrong besides: zeros, links, elasticity"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def allan_figure(found: RestNoise) -> Figure:
+    """Allan deviations of gyro and accelerometer with what was fitted."""
+    figure, axes = new_figure(1, 2, (8.0, 3.6))
+    for ax, (name, unit) in zip(axes[0], SENSORS, strict=True):
+        for one, axis, color in zip(getattr(found, name), "xyz", COLORS, strict=True):
+            tau = one.curve.tau
+            fitted = np.sqrt(one.white.value**2 / tau + one.walk.value**2 * tau / 3.0)
+            spread = one.curve.sigma / np.sqrt(2.0 * one.curve.freedom)
+            ax.errorbar(tau, one.curve.sigma, 1.96 * spread, fmt=".", color=color, label=axis)
+            ax.plot(tau, fitted, color=color)
+        ax.set(xscale="log", yscale="log", xlabel="averaging time [s]", ylabel=f"[{unit}]")
+        set_title(ax, f"{'Gyro' if name == 'gyro' else 'Accelerometer'}: Allan deviation")
+        ax.legend(frameon=False)
+    return figure
+
+
+def _interval(one: Density) -> str:
+    return f"{one.low:.2e} to {one.high:.2e}"
+
+
+def _spread(values: np.ndarray) -> str:
+    return f"{values.min():.1e} to {values.max():.1e}"

@@ -1,0 +1,196 @@
+"""A filter that is lost says so, without a reference; one that is right does not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from motions import feet, motion
+from numpy.testing import assert_allclose
+
+from surefoot.estimator.core.state import FilterNoise, retract
+from surefoot.estimator.evaluation.health import health
+from surefoot.estimator.evaluation.run_summary import joined_summary, summary_of_run
+from surefoot.estimator.filter import InvariantFilter
+from surefoot.estimator.leg import LegFilter, LegNoise
+from surefoot.estimator.metrics import evaluate
+from surefoot.estimator.run import (
+    Estimates,
+    bounded_velocities,
+    gaussian_velocities,
+    imu_samples,
+    trajectory,
+)
+from surefoot.sim.log import Log, Meta
+
+LEGS = ("FL", "FR", "RL", "RR")
+NOISE = FilterNoise(2e-3, 1e-2, 1e-4, 1e-3)
+LEG_NOISE = LegNoise(NOISE, contact=1e-2, rolling=0.0)
+STD = 2e-3
+
+
+@pytest.fixture(scope="module")
+def walk():
+    return motion(16.0, 250.0)
+
+
+@pytest.fixture(scope="module")
+def legs(walk):
+    return feet(walk)
+
+
+def log_of(walk, gyro, accel):
+    frame = pd.DataFrame({"t": walk.t})
+    for k, axis in enumerate("xyz"):
+        frame[f"gyro_{axis}"], frame[f"accel_{axis}"] = gyro[:, k], accel[:, k]
+    return Log(frame, Meta(rate=250.0))
+
+
+def sensed(walk, rng, bias=0.0):
+    """Gyro and accelerometer with the noise that the filter is told."""
+    size, rate = walk.gyro.shape, 250.0
+    gyro = walk.gyro + bias + rng.normal(size=size) * NOISE.gyro * np.sqrt(rate)
+    return gyro, walk.accel + rng.normal(size=size) * NOISE.accel * np.sqrt(rate)
+
+
+def leg_run(walk, legs, bias=0.0, contact=None, gate=None, seed=3, cuts=()):
+    """Estimate and health of the leg filter, its model true but for what is given."""
+    rng = np.random.default_rng(seed)
+    gyro, accel = sensed(walk, rng, bias)
+    state, P = walk.start(b_g=1e-3)
+    start = state.pack()
+    retract(start, rng.multivariate_normal(np.zeros(15), P), 0)
+    n = len(walk.t)
+    creep = np.cumsum(rng.normal(size=(n, 4, 3)) * 1e-2 / np.sqrt(250.0), axis=0)
+    moved = np.einsum("nji,nkj->nki", walk.R, creep)
+    measured = legs.feet_I + moved + rng.normal(size=(n, 4, 3)) * STD
+    contact = legs.contact if contact is None else contact
+    one = LegFilter(state, P, LEG_NOISE, slip_gate=gate)
+    cov = np.broadcast_to(np.eye(3) * STD**2, (n, 4, 3, 3))
+    log, parts, found = log_of(walk, gyro, accel), [], []
+    for piece in np.split(np.arange(n), cuts):
+        imu = imu_samples(walk.t[piece], gyro[piece], accel[piece], after=one.t)
+        some = one.legs(measured[piece], contact[piece], cov[piece])
+        rows = np.flatnonzero(piece % 2 == 0)
+        found.append(one.run(imu, some, rows=rows))
+        parts.append(summary_of_run(found[-1], log.rows(piece)))
+    return found, health(joined_summary(parts), LEGS, (NOISE.accel_walk, NOISE.gyro_walk))
+
+
+def test_a_right_filter_is_consistent_and_believed(walk, legs):
+    for seed in range(3):
+        _, found = leg_run(walk, legs, gate=16.27, seed=seed)
+        assert not found.lost, found.sentence("leg_slip")
+        assert [one.name for one in found.sensors] == [f"foot {leg}" for leg in LEGS]
+        for one in found.sensors:
+            assert one.nis / 3 == pytest.approx(1.0, abs=0.15)
+            # Chi-square of 48 degrees of freedom over 48: deviation 0.2.
+            assert one.drift == pytest.approx(1.0, abs=0.7)
+            assert one.rejected < 0.05
+    assert found.sentence("leg") == ""
+
+
+def test_a_gyro_beyond_its_prior_is_named(walk, legs):
+    _, found = leg_run(walk, legs, bias=0.03)
+    assert found.lost
+    assert "bias of the gyro" in found.sentence("leg")
+    assert found.biases[3:].max() > 5
+
+
+def test_inverted_contacts_are_found_where_they_begin(walk, legs):
+    wrong = (walk.t > 6.0) & (walk.t < 9.0)
+    contact = np.where(wrong[:, None], ~legs.contact, legs.contact)
+    for gate in (None, 16.27):
+        _, found = leg_run(walk, legs, contact=contact, gate=gate)
+        assert found.lost
+        assert 5.9 <= found.since <= 8.0
+        assert found.sentence("leg").startswith("leg is not to be trusted: ")
+
+
+def test_all_feet_rejected_have_a_way_back(walk, legs):
+    """A gyro far beyond its prior locks all feet out: the filter once went kilometres away."""
+    (estimate,), found = leg_run(walk, legs, bias=0.1, gate=16.27)
+    assert evaluate(walk.reference(), estimate).ape_trans < 2.0
+    assert "no foot passed the test of slipping" in found.sentence("leg_slip")
+
+
+def test_pieces_give_the_health_of_the_whole(walk, legs):
+    _, one = leg_run(walk, legs, bias=0.03)
+    _, other = leg_run(walk, legs, bias=0.03, cuts=(1130, 1131, 2777))
+    assert [d.reason for d in one.doubts] == [d.reason for d in other.doubts]
+    for a, b in zip(one.sensors, other.sensors, strict=True):
+        assert (a.used, a.rejected) == (b.used, b.rejected)
+        assert_allclose((a.nis, a.whiteness, a.drift), (b.nis, b.whiteness, b.drift), rtol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["gaussian", "bounds"])
+def test_velocities(walk, kind):
+    """Right ones are believed; ones that are off by ten deviations for a while are not."""
+    rng = np.random.default_rng(5)
+    gyro, accel = sensed(walk, rng)
+    rows = np.arange(5, len(walk.t), 5)
+    v_I = walk.v_I[rows] + rng.normal(size=(len(rows), 3)) * 0.05
+    off = np.where((walk.t[rows] > 8.0)[:, None], 0.5, 0.0)
+    for error, lost in ((0.0, False), (off, True)):
+        one = InvariantFilter(*walk.start(), NOISE)
+        imu = imu_samples(walk.t, gyro, accel)
+        if kind == "gaussian":
+            measured = gaussian_velocities(rows, v_I + error, np.eye(3) * 0.05**2, len(walk.t))
+            estimate = one.run(imu, measured)
+        else:
+            from surefoot.estimator.filter import CoverageSettings
+
+            bounds = np.full(3, 0.05 * 1.8)  # holds 93 % of each axis, 80 % of all three
+            measured = bounded_velocities(rows, v_I + error, bounds, len(walk.t))
+            estimate = one.run(imu, measured, settings=CoverageSettings(0.8))
+        found = health(summary_of_run(estimate, log_of(walk, gyro, accel)), (), (1e-3, 1e-4))
+        assert found.lost == lost, found.sentence(kind)
+        if not lost:
+            assert found.sensors[0].nis / 3 == pytest.approx(1.0, abs=0.2)
+        else:
+            assert 7.9 <= found.since <= 10.0
+
+
+def test_an_estimate_without_innovations_is_judged_by_the_imu(walk, legs):
+    """A user's own filter keeps no sums: a velocity that jumps is seen all the same."""
+    (estimate,), _ = leg_run(walk, legs)
+    bare = replace(estimate, innovations=None)
+    gyro, accel = sensed(walk, np.random.default_rng(3))
+    log = log_of(walk, gyro, accel)
+    assert not health(summary_of_run(bare, log), LEGS, (1e-3, 1e-4)).lost
+    jumping = replace(bare, v_GI=bare.v_GI + np.where(bare.t[:, None] > 10.0, 4.0, 0.0))
+    found = health(summary_of_run(jumping, log), LEGS, (1e-3, 1e-4))
+    assert "contradict the IMU" in found.sentence("own")
+    assert found.since == 10.0
+    racing = replace(bare, v_GI=bare.v_GI + 50.0)
+    assert "m/s" in health(summary_of_run(racing, log), LEGS, (1e-3, 1e-4)).sentence("own")
+
+
+def test_what_is_not_finite_ends_the_estimate(walk):
+    mean = np.tile(walk.start()[0].pack(), (100, 1, 1))
+    mean[60:, 3] = np.nan
+    found = Estimates(np.arange(100), mean, np.tile(np.eye(15), (100, 1, 1)))
+    estimate = trajectory(walk.t, found)
+    assert estimate.diverged
+    assert len(estimate.t) == 60
+    log = log_of(walk, walk.gyro, walk.accel)
+    judged = health(summary_of_run(estimate, log), (), (0.0, 0.0))
+    assert "no longer finite" in judged.sentence("leg")
+
+
+def test_the_same_at_100_250_and_500_hz():
+    """A foot that slides is left out for the same time, whatever the rate, and so is the error."""
+    out, errors = [], []
+    for rate in (100.0, 250.0, 500.0):
+        walk = motion(8.0, rate)
+        legs = feet(walk, slip=0.6)
+        one = LegFilter(*walk.start(), slip_gate=16.27)
+        cov = np.broadcast_to(np.eye(3) * 1e-6, (*legs.contact.shape, 3, 3))
+        imu = imu_samples(walk.t, walk.gyro, walk.accel)
+        found = one.run(imu, one.legs(legs.feet_I, legs.contact, cov))
+        rejected = found.innovations.sums[:, :, 1].sum(axis=0) / rate
+        assert rejected[1:].max() == 0.0
+        out.append(rejected[0])
+        errors.append(evaluate(walk.reference(), found).ape_trans)
+    assert_allclose(out, out[-1], rtol=0.15)
+    assert max(errors) < 1.5 * min(errors)

@@ -1,0 +1,114 @@
+"""Noise, priors and the start from a file and from single lines, and exit code 3."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from surefoot.estimator.evaluation.trajectory import Trajectory
+from surefoot.estimator.initial import initial_state
+from surefoot.scenarios.cli.main import main
+from surefoot.scenarios.estimate.estimators import estimator_named
+from surefoot.scenarios.estimate.run import parameters_of, run_filter
+from surefoot.scenarios.estimate.settings import FilterSettings, read_settings
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario
+from surefoot.sim.walk import walk as walked
+
+FILE = """
+[noise]
+gyro = 1e-3
+encoder = 4e-3
+[start]
+tilt = 0.1
+height = 0.5
+[state]
+b_g = [0.0, 0.0, 0.01]
+[filters.leg]
+gyro = 2e-3
+"""
+COURSE = """
+name = "short"
+robot = "spot_class"
+[[segment]]
+duration = 5.0
+forward = 0.5
+"""
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    path = tmp_path_factory.mktemp("short") / "short.toml"
+    path.write_text(COURSE)
+    return walked(Scenario.load(path), Robot.load("spot_class"), seed=0)
+
+
+@pytest.fixture
+def settings(tmp_path):
+    path = tmp_path / "settings.toml"
+    path.write_text(FILE)
+    return path
+
+
+def test_parameters(settings):
+    robot, found = Robot.load("spot_class"), read_settings(settings, ("noise.gyro=5e-3",))
+    leg, imu = (estimator_named(name) for name in ("leg", "imu"))
+    assert parameters_of(leg, robot, found)["gyro"] == 2e-3
+    assert parameters_of(imu, robot, found)["gyro"] == 5e-3
+    assert parameters_of(leg, robot, found)["encoder"] == 4e-3
+    assert "encoder" not in parameters_of(imu, robot, found)
+    assert parameters_of(leg, robot, FilterSettings()) == parameters_of(leg, robot)
+
+
+def test_the_start(log, settings):
+    state, P = read_settings(settings).beginning(log)
+    assert_allclose(state.b_g, [0.0, 0.0, 0.01])
+    std = np.sqrt(P.diagonal())
+    assert_allclose(std[:2], 0.1)
+    assert std[8] >= 0.5 > std[5]
+    assert_allclose(std[12:], 5e-3)  # of a bias that is given, not that of having stood still
+    plain, usual = FilterSettings().beginning(log), initial_state(log)
+    assert_allclose(plain[0].pack(), usual[0].pack())
+    assert_allclose(plain[1], usual[1])
+    turned, _ = read_settings(None, ("state.q_GI=[0, 0, 0, 1]",)).beginning(log)
+    assert_allclose(turned.R_GI, np.diag([-1.0, -1.0, 1.0]), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("noise.gyro=-1", "gyro must be a number >"),
+        ("noise.gyr=1", "unknown key 'gyr'"),
+        ("noise.gyro", "write it as noise.gyro=1e-3"),
+        ("start.tilt='x'", "tilt must be a number"),
+        ("state.q_GI=[1, 1, 0, 0]", "no unit quaternion"),
+        ("filters.lag.gyro=1e-3", "choose"),
+    ],
+)
+def test_a_mistake_is_one_line(line, words):
+    with pytest.raises(SurefootError) as error:
+        read_settings(None, (line,))
+    assert words in str(error.value)
+    assert line in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_an_unknown_parameter_is_one_line(log):
+    wrong = read_settings(None, ("filters.leg.gravity=1.0",))
+    with pytest.raises(SurefootError, match=r"\[filters\.leg\]: unknown parameter 'gravity'"):
+        run_filter("leg", log, Robot.load("spot_class"), settings=wrong)
+
+
+def test_a_lost_filter_ends_with_code_3_and_its_trajectory(log, tmp_path, capsys):
+    path, out = tmp_path / "short.parquet", tmp_path / "leg.parquet"
+    log.write(path)
+    main(f"estimate {path} --filter leg".split())
+    assert "whiteness" in capsys.readouterr().out
+    wrong = ["--set", "state.b_g=[0.05, 0, 0]", "--set", "start.b_g=1e-4"]
+    with pytest.raises(SystemExit) as stop:
+        main([*f"estimate {path} --filter leg -o {out}".split(), *wrong])
+    assert stop.value.code == 3
+    assert "leg is not to be trusted: " in capsys.readouterr().err
+    assert len(Trajectory.read(out).t) > 100
+    main([*f"compare {path} -o {tmp_path / 'all'}".split(), *wrong])
+    assert "not to be trusted from" in (tmp_path / "all" / "table.md").read_text()
