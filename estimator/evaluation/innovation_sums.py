@@ -23,9 +23,9 @@ took back what it claimed because no foot passed its test."""
 class InnovationSums:
     """Sums of the updates of some sensors.
 
-    start (W,) [s], when each window of SUM_WINDOW begins, multiples of it; sums (W, S, 10), the columns
-    COUNT to RESTARTED of each sensor. Sensors are the feet of a leg filter, in the log's order, and
-    then the velocities.
+    start (W,) [s], when each window of SUM_WINDOW begins, multiples of it; sums (W, S, 10), the
+    columns COUNT to RESTARTED of each sensor. Sensors are the feet of a leg filter, in the log's
+    order, and then the velocities.
     """
 
     start: np.ndarray
