@@ -21,6 +21,9 @@ LONGEST = 1 / 5
 """Of the stretch, the longest tau: beyond it a variance rests on a handful of differences."""
 SHORTEST_REST = 64
 """Samples: fewer give no octave whose variance is known to a third."""
+NEIGHBOURS = 0.53, 0.88
+"""Correlation of the overlapping variances at neighbouring octaves, of white noise and of a random
+walk: of 1500 simulated records of 4096 samples each. Farther ones have its powers, or less."""
 Z = 1.96
 """Deviations of a 95 % interval."""
 
@@ -83,11 +86,17 @@ def axis_noise(x: np.ndarray, rate: float) -> AxisNoise:
         weight = np.sqrt(0.5 * curve.freedom) / np.maximum(fitted, 1e-12 * measured.max())
         squares, _ = nnls(A * weight[:, None], measured * weight)
         fitted = A @ squares
-    std = np.sqrt(np.linalg.inv((A * weight[:, None]).T @ (A * weight[:, None])).diagonal())
+    gain = np.linalg.pinv(A * weight[:, None])
+    apart = np.abs(np.subtract.outer(np.arange(len(weight)), np.arange(len(weight))))
+    std = [np.sqrt(g @ rho**apart @ g) for g, rho in zip(gain, NEIGHBOURS, strict=True)]
     white, walk = (_density(square, spread) for square, spread in zip(squares, std, strict=True))
     return AxisNoise(curve, white, walk)
 
 
 def _density(square: float, std: float) -> Density:
-    low, high = max(square - Z * std, 0.0), square + Z * std
-    return Density(float(np.sqrt(square)), float(np.sqrt(low)), float(np.sqrt(high)))
+    """From the square and its deviation, which goes with the square: the interval is of its logarithm
+    where it is resolved."""
+    if square > Z * std:
+        factor = np.exp(0.5 * Z * std / square)
+        return Density(*(float(np.sqrt(square) * f) for f in (1.0, 1.0 / factor, factor)))
+    return Density(float(np.sqrt(square)), 0.0, float(np.sqrt(square + Z * std)))
