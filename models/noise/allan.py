@@ -94,8 +94,8 @@ def axis_noise(x: np.ndarray, rate: float) -> AxisNoise:
 
 
 def _density(square: float, std: float) -> Density:
-    """From the square and its deviation, which goes with the square: the interval is of its logarithm
-    where it is resolved."""
+    """From the square and its deviation, which goes with the square: where it is resolved, the
+    interval is of its logarithm."""
     if square > Z * std:
         factor = np.exp(0.5 * Z * std / square)
         return Density(*(float(np.sqrt(square) * f) for f in (1.0, 1.0 / factor, factor)))

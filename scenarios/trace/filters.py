@@ -6,11 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
+from surefoot.estimator.evaluation.run_summary import summary_of_run
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.estimator.metrics import Metrics, align_first, evaluate, matched, path_length
 from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named, traits
-from surefoot.scenarios.estimate.run import Learnt, estimated
+from surefoot.scenarios.estimate.run import Learnt, estimated_in_chunks, health_of
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect, compensate_all
 from surefoot.sim.log import Log, joint_velocity
@@ -35,6 +36,7 @@ class BeforeAfter:
     """One filter on one stretch of a log, declared model and with the effects explained.
 
     drift: how far off the last position is, over the length of the path [m/m], before and after.
+    lost: why the estimate is not to be trusted, before and after; empty where it is.
     """
 
     filter: str
@@ -43,6 +45,7 @@ class BeforeAfter:
     after: Trajectory
     metrics: tuple[Metrics, Metrics]
     drift: tuple[float, float]
+    lost: tuple[str, str] = ("", "")
 
 
 def before_and_after(
@@ -73,7 +76,8 @@ def before_and_after(
             after = filtered(name, other, informed, learnt) if effects else before
         except SurefootError:  # the log, or what was learnt, lacks what this filter takes
             continue
-        done.append(_compared(name, part, truth, before, after))
+        lost = doubts(name, part, robot, before), doubts(name, other, informed, after)
+        done.append(replace(_compared(name, part, truth, before, after), lost=lost))
     # Those of the legs first: a model of the legs serves them.
     own = {one.filter: traits(one.filter) for one in done}
     done.sort(key=lambda one: own[one.filter].variant or not own[one.filter].of_legs)
@@ -124,9 +128,16 @@ def dead_reckoned(log: Log, robot: Robot) -> Trajectory:
 
 
 def filtered(name: str, log: Log, robot: Robot, learnt: Learnt) -> Trajectory:
-    """One filter over a log. Raises SurefootError saying what it lacks."""
+    """One filter over a log, up to where it diverged. Raises SurefootError saying what it lacks."""
     robot = replace(robot, foot_radius=np.maximum(robot.foot_radius, 0.0))
-    return estimated(estimator_named(name), log, robot, learnt)
+    (found,) = estimated_in_chunks(estimator_named(name), [log], robot, learnt)
+    return found
+
+
+def doubts(name: str, log: Log, robot: Robot, estimate: Trajectory) -> str:
+    """Why a filter's estimate of a log is not to be trusted; empty where it is."""
+    run = [summary_of_run(estimate, log)]
+    return health_of(run, estimator_named(name), robot, log).sentence(name)
 
 
 def stretch(log: Log, begin: float, end: float) -> Log | None:

@@ -6,7 +6,7 @@ from typing import Any
 
 from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.models.attribution.search import Found
-from surefoot.scenarios.trace.filters import DEAD_RECKONING
+from surefoot.scenarios.trace.filters import DEAD_RECKONING, BeforeAfter
 from surefoot.scenarios.trace.result import Filters, Trace
 from surefoot.sim.effects import Effect
 
@@ -108,6 +108,7 @@ def summary(found: Trace) -> str:
     if found.channels:
         lines.append("residual on the part that no fit has seen (root mean square of 20 ms means):")
         lines += _channel_lines(found.channels) + _filter_lines(found.filters)
+        lines += _lost_lines(found.stretches)
     if found.held_out:
         lines.append("on held-out logs, of which no fit has seen anything:")
         lines += _channel_lines(found.held_out.channels) + _filter_lines(found.unseen_filters)
@@ -117,6 +118,16 @@ def summary(found: Trace) -> str:
         lines.append(f"noise floor: {found.floor}")
     lines += [f"note: {note}" for note in found.notes]
     return "\n".join(lines)
+
+
+def _lost_lines(stretches: Sequence[BeforeAfter]) -> list[str]:
+    """A line for each estimate that is not to be trusted."""
+    return [
+        f"  {one.log.name} {side}: {why}"
+        for one in stretches
+        for side, why in zip(("before", "after"), one.lost, strict=True)
+        if why
+    ]
 
 
 def _channel_lines(channels: Mapping[str, ChannelLevel]) -> list[str]:
