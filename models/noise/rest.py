@@ -8,11 +8,11 @@ from surefoot.models.noise.allan import AxisNoise, axis_noise
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import Log
 
-QUIET_WINDOW = 0.5
-"""s of a window that is looked at."""
+QUIET_WINDOW, QUIET_BLOCKS = 0.5, 10
+"""s of a window that is looked at, and the means that it is divided into: 50 ms take white noise
+off, and leave what a robot does."""
 QUIET_GYRO, QUIET_ACCEL = 0.03, 0.5
-"""rad/s and m/s^2: a robot whose readings spread by more in a window does not stand still. MEMS
-sensors read at 500 Hz have a tenth of it, motors that hold a robot up the rest."""
+"""rad/s and m/s^2: a robot whose means spread by more in a window does not stand still."""
 TURNED = 0.01
 """rad/s, and times gravity m/s^2: windows whose means differ by more are not of one rest."""
 
@@ -38,20 +38,24 @@ class RestNoise:
 def rest_of(log: Log) -> np.ndarray:
     """Rows of the longest stretch of a log in which its IMU shows that it rests.
 
-    Windows of half a second are quiet where neither gyro nor accelerometer spreads by more than a
+    Windows of half a second are quiet where neither gyro nor accelerometer moves by more than a
     robot that stands does; neighbours belong together if their means
     agree. Raises SurefootError where no window is quiet.
     """
     log.require("imu")
-    size = max(round(QUIET_WINDOW * log.rate), 2)
+    block = max(round(QUIET_WINDOW * log.rate / QUIET_BLOCKS), 1)
+    size = block * QUIET_BLOCKS
     count = len(log.t) // size
-    gyro, accel = (x[: count * size].reshape(count, size, 3) for x in (log.gyro, log.accel))
+    gyro, accel = (
+        x[: count * size].reshape(count, QUIET_BLOCKS, block, 3).mean(axis=2)
+        for x in (log.gyro, log.accel)
+    )
     quiet = (gyro.std(axis=1).max(axis=1) < QUIET_GYRO) & (
         accel.std(axis=1).max(axis=1) < QUIET_ACCEL
     )
     if not quiet.any():
         raise SurefootError(
-            f"{log.name}: nowhere at rest: no {QUIET_WINDOW} s in which the gyro spreads by less "
+            f"{log.name}: nowhere at rest: no {QUIET_WINDOW} s in which the gyro moves by less "
             f"than {QUIET_GYRO} rad/s and the accelerometer by less than {QUIET_ACCEL} m/s^2"
         )
     turned = np.abs(np.diff(gyro.mean(axis=1), axis=0)).max(axis=1) > TURNED

@@ -13,6 +13,7 @@ from surefoot.sim.log import Log, Meta
 
 RATE = 200.0
 N, K = 2e-3, 5e-4
+GYRO = 5e-4
 
 
 def readings(rng, seconds, white=N, walk=K):
@@ -55,7 +56,7 @@ def resting_log(seconds=60.0):
     columns = {"t": t}
     for k, axis in enumerate("xyz"):
         swing = moving * np.sin(12.0 * t + k)
-        columns[f"gyro_{axis}"] = swing + readings(rng, seconds + 10.0)
+        columns[f"gyro_{axis}"] = swing + readings(rng, seconds + 10.0, GYRO, GYRO / 5)
         columns[f"accel_{axis}"] = 9.81 * (k == 2) + 5 * swing + readings(rng, seconds + 10.0, 0.01)
     for joint in ("a", "b"):
         columns[f"q_{joint}"] = 0.3 * moving * np.sin(6.0 * t) + rng.normal(size=len(t)) * 1e-4
@@ -69,7 +70,7 @@ def test_the_rest_is_found_and_its_noise():
     assert log.t[rows[-1]] == pytest.approx(65.0, abs=0.51)
     found = rest_noise(log)
     for one in found.gyro:
-        assert one.white.value == pytest.approx(N, rel=0.1)
+        assert one.white.value == pytest.approx(GYRO, rel=0.1)
     assert found.encoder == pytest.approx(1e-4, rel=0.05)
     walking = log.rows(log.t < 4.5)
     with pytest.raises(SurefootError, match="nowhere at rest"):
@@ -88,7 +89,7 @@ def test_the_command_writes_settings_that_filters_take(tmp_path, capsys):
     main(f"noise {path} -o {out}".split())
     assert "at rest from" in capsys.readouterr().out
     settings = read_settings(out)
-    assert settings.noise.gyro == pytest.approx(N, rel=0.15)
+    assert settings.noise.gyro == pytest.approx(GYRO, rel=0.15)
     assert settings.noise.accel == pytest.approx(0.01, rel=0.15)
     assert out.with_suffix(".png").stat().st_size > 10_000
     with pytest.raises(SystemExit, match=r"noise\.toml"):
