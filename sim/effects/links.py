@@ -1,6 +1,7 @@
 """Effects of the links' masses: of arms and pendulums on fixed bases, and of legs.
 
-A link is the body that a joint moves, and is named after it. The bounds are wide: models that are
+A link is the body that a joint moves, and is named after it; a machine on a fixed base may stand for
+the robot. The bounds are wide: models that are
 drawn, not weighed, miss cables, screws and covers, a tenth to a half of a link's mass.
 """
 
@@ -12,7 +13,7 @@ import numpy as np
 from surefoot.sim.effects.base import AXES, Effect
 from surefoot.sim.log import Log
 from surefoot.sim.physics.inertia import LinkChange, with_own_inertia
-from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot import Robot
 from surefoot.sim.robot.limbs import Limbs
 
 
@@ -28,12 +29,12 @@ class LinkMass(Effect):
     step = 1e-2
     chain_rule = "mass"
 
-    def edit_spec(self, spec: mujoco.MjSpec, robot: Machine) -> None:
+    def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         for joint in self.members(robot.limbs):
             body = _link(spec, robot, joint)
             body.mass = body.mass + self.value
 
-    def compensate(self, log: Log, robot: Machine) -> tuple[Log, Machine]:
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         changes = [LinkChange(j, mass=self.value) for j in _joints(self, robot)]
         return log, _changed(robot, changes)
 
@@ -49,12 +50,12 @@ class LinkCom(Effect):
     step = 1e-3
     chain_rule = "mass"
 
-    def edit_spec(self, spec: mujoco.MjSpec, robot: Machine) -> None:
+    def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         joint, axis = self._place()
         body = _link(spec, robot, joint)
         body.ipos = body.ipos + self.value * np.eye(3)[AXES.index(axis)]
 
-    def compensate(self, log: Log, robot: Machine) -> tuple[Log, Machine]:
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         joint, axis = self._place()
         along = self.value * np.eye(3)[AXES.index(axis)]
         change = LinkChange(robot.limbs.joints.index(joint), com=tuple(along))
@@ -88,26 +89,26 @@ class LinkInertia(Effect):
     def group_targets(cls, limbs: Limbs) -> dict[str, tuple[str, ...]]:
         return super().group_targets(limbs) if limbs.legs else {}
 
-    def edit_spec(self, spec: mujoco.MjSpec, robot: Machine) -> None:
+    def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         for joint in self.members(robot.limbs):
             body = _link(spec, robot, joint)
             body.inertia = body.inertia + self.value
 
-    def compensate(self, log: Log, robot: Machine) -> tuple[Log, Machine]:
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         changes = [LinkChange(j, inertia=self.value) for j in _joints(self, robot)]
         return log, _changed(robot, changes)
 
 
-def _joints(one: Effect, robot: Machine) -> list[int]:
+def _joints(one: Effect, robot: Robot) -> list[int]:
     return [robot.limbs.joints.index(joint) for joint in one.members(robot.limbs)]
 
 
-def _link(spec: mujoco.MjSpec, robot: Machine, joint: str) -> mujoco.MjsBody:
+def _link(spec: mujoco.MjSpec, robot: Robot, joint: str) -> mujoco.MjsBody:
     """The body that a joint moves, its inertia as numbers of its own."""
     name = robot.joint_names[robot.limbs.joints.index(joint)]
     return with_own_inertia(spec, spec.joint(name).parent.name)
 
 
-def _changed(robot: Machine, changes: list[LinkChange]) -> Machine:
+def _changed(robot: Robot, changes: list[LinkChange]) -> Robot:
     known = replace(robot.extras, links=(*robot.extras.links, *changes))
     return replace(robot, extras=known)
