@@ -85,6 +85,9 @@ def slip_of(friction: FootFriction | None, settings: TraceSettings) -> tuple[Fou
     dry, (low, high) = settings.floor_friction, friction.interval
     if high >= settings.dry * dry:
         return ()
+    # Feet that hold with more have that friction: what moves then is the leg, on its springs.
+    if friction.held > settings.holds_more * friction.limit:
+        return ()
     lost = effect("foot_slip", "all", float(np.clip(1.0 - friction.limit / dry, 0.0, 0.95)))
     return (Found(lost, (1.0 - high / dry, 1.0 - low / dry)),)
 

@@ -57,6 +57,9 @@ class TraceSettings:
     """s over which these forces and velocities are averaged."""
     fewest_slides: int = 10
     """Slides from which their friction is known."""
+    holds_more: float = 1.5
+    """Times the friction at which feet seem to slide that feet at rest use at most: 1.1 on slippery
+    ground by the noise of forces, 3.3 on legs that give (walks of the Go1's model)."""
     slides_everywhere: float = 0.5
     """Share of a walk's blocks with a slide from which it is not patches that are slippery."""
     dry: float = 0.75

@@ -1,8 +1,8 @@
 """Effects of the links' masses: of arms and pendulums on fixed bases, and of legs.
 
-A link is the body that a joint moves, and is named after it; a machine on a fixed base may stand for
-the robot. The bounds are wide: models that are
-drawn, not weighed, miss cables, screws and covers, a tenth to a half of a link's mass.
+A link is the body that a joint moves, and is named after it; a machine on a fixed base may stand
+for the robot. The bounds are wide: models that are drawn, not weighed, miss cables, screws and
+covers, a tenth to a half of a link's mass.
 """
 
 from dataclasses import replace

@@ -62,6 +62,13 @@ def test_slides_in_one_place_are_no_loss_all_over():
     assert "in places" in slip_notes(patched, True, DEFAULT)[0]
 
 
+def test_feet_that_hold_with_more_do_not_slide():
+    """What elastic legs make of a walk of the Go1's model: feet that seem to slide at nothing."""
+    elastic = FootFriction(0.041, (0.038, 0.044), slides=140, everywhere=True, held=0.136)
+    assert slip_of(elastic, DEFAULT) == ()
+    assert slip_of(replace(elastic, held=0.045), DEFAULT) != ()
+
+
 def test_without_torques_friction_is_not_identifiable(log):
     bare = log.frame.drop(columns=[c for c in log.frame if str(c).startswith("tau_")])
     assert friction(replace(log, frame=bare)) is None
