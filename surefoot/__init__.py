@@ -10,6 +10,7 @@ __version__ = "0.2.0.dev0"
 
 if TYPE_CHECKING:
     from surefoot.estimator.metrics import evaluate
+    from surefoot.models.alignment.alignment import align
     from surefoot.models.calibration.bounds import Bounds
     from surefoot.models.calibration.calibrate import calibrate
     from surefoot.models.observer.observer import Observer
@@ -31,6 +32,7 @@ __all__ = [
     "Robot",
     "Scenario",
     "__version__",
+    "align",
     "calibrate",
     "compare",
     "evaluate",
@@ -47,6 +49,7 @@ _HOMES = {
     "Observer": "surefoot.models.observer.observer:Observer",
     "Robot": "surefoot.sim.robot.robot:Robot",
     "Scenario": "surefoot.sim.scenario:Scenario",
+    "align": "surefoot.models.alignment.alignment:align",
     "calibrate": "surefoot.models.calibration.calibrate:calibrate",
     "compare": "surefoot.scenarios.estimate.compare:compare_log",
     "evaluate": "surefoot.estimator.metrics:evaluate",

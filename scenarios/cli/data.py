@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from surefoot.scenarios.cli.options import Cluster, Force, Out
+from surefoot.scenarios.cli.options import Cluster, Force, Out, RobotName
 from surefoot.sim.scenario_catalog import bundled_scenarios
 
 SCENARIOS = f"Scenario files (TOML), or names of bundled ones: {', '.join(bundled_scenarios())}."
@@ -77,6 +77,30 @@ class Import:
             f"{', '.join(groups)}"
         )
         for line in import_lines(log, recording.reference()):
+            print(line)
+
+
+@dataclass(frozen=True)
+class Align:
+    """Find clock, place and rotation of a reference from IMU and reference alone."""
+
+    file: Positional[Path]
+    """A log; or with --map a recording, all of whose poses are then used, as `import` reads it."""
+    out: Out
+    """Folder for alignment.json, alignment.png and aligned.parquet."""
+    map: str | None = None
+    """Map of the recording (TOML), or the name of a bundled one."""
+    bag: bool = False
+    """The recording is a bag, not a CSV file."""
+    robot: RobotName = None
+    most: float = 10.0
+    """Largest offset of the clock that is looked for [s]."""
+    force: Force = False
+
+    def run(self) -> None:
+        from surefoot.scenarios.align import align_file
+
+        for line in align_file(**vars(self)):
             print(line)
 
 

@@ -7,7 +7,7 @@ from typing import Annotated, Union
 import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
 
-from surefoot.scenarios.cli.data import Import, Robots, Simulate, View
+from surefoot.scenarios.cli.data import Align, Import, Robots, Simulate, View
 from surefoot.scenarios.cli.estimate import Calibrate, Compare, Estimate, NoiseCommand, Train
 from surefoot.scenarios.cli.study import (
     Bench,
@@ -38,6 +38,7 @@ COMMANDS: dict[str, type] = {
     "realism": Realism,
     "montecarlo": Montecarlo,
     "import": Import,
+    "align": Align,
     "view": View,
     "robots": Robots,
     "walking": Walking,

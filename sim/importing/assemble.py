@@ -1,6 +1,6 @@
 """Columns of a recording become a Log, as an import map says (`sim.importing.map`)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -39,6 +39,10 @@ class RawRecording:
     def reference(self) -> Poses | None:
         """Poses of the IMU frame on the log's clock; None without a reference of its own."""
         return imu_poses(self.poses, self.rules, self.name) if self.poses else None
+
+    def without_reference(self) -> "RawRecording":
+        """All its rows, none of its poses."""
+        return replace(self, poses=None, rules=replace(self.rules, reference=None))
 
     def log(self) -> Log:
         """The log, every column checked. Raises LogError naming path and map."""

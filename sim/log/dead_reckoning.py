@@ -26,7 +26,8 @@ class BesideImu:
 
     turn (K, 3): rotation vector [rad] in G from the integrated attitude to the pose's; drift
     (K, 3): the slow part of it; path (K, 3): position minus the twice integrated specific force
-    [m]; R_GI (K, 3, 3): attitudes of the poses; omega (K, 3): angular rate in I [rad/s].
+    [m]; R_GI (K, 3, 3): attitudes by the gyro but for the drift, which have none of the poses'
+    noise from one to the next; omega (K, 3): angular rate in I [rad/s].
     """
 
     t: np.ndarray
@@ -46,12 +47,12 @@ def beside_imu(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, poses: Poses)
     row = np.clip(np.searchsorted(t, poses.t, side="right") - 1, 0, len(t) - 2)
     after = (poses.t - t[row])[:, None]
     omega = gyro[row + 1]
-    R_GI = poses.R
     at_poses = turned[row] @ Rotation.from_rotvec(omega * after).as_matrix()
-    correction = Rotation.from_matrix(R_GI @ np.swapaxes(at_poses, 1, 2))
+    correction = Rotation.from_matrix(poses.R @ np.swapaxes(at_poses, 1, 2))
     mean = correction.mean()
     turn = (correction * mean.inv()).as_rotvec()
     drift = local_quadratic(poses.t, turn, _DRIFT)[0]
+    R_GI = (Rotation.from_rotvec(drift) * mean).as_matrix() @ at_poses
     at_rows = np.column_stack([np.interp(t, poses.t, x) for x in drift.T])
     R_rows = (Rotation.from_rotvec(at_rows) * mean).as_matrix() @ turned
     midway = R_rows[:-1] @ Rotation.from_rotvec(0.5 * gyro[1:] * dt[:, None]).as_matrix()

@@ -1,0 +1,210 @@
+"""Clock, place and rotation of a measured reference against a log's IMU, before legs are looked
+at."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from surefoot.models.alignment.least_squares import (
+    Fitted,
+    Placement,
+    Readings,
+    felt_and_moved,
+    fit_placement,
+)
+from surefoot.models.alignment.turning import guess_by_turning
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.quaternion import quaternion_from_matrix
+from surefoot.sim.importing.reference import mounted, with_reference
+from surefoot.sim.importing.reference_check import without_jumps
+from surefoot.sim.log import Log
+from surefoot.sim.log.reference import Poses, reference_poses
+
+LARGEST_OFFSET = 10.0
+"""s up to which a clock is looked for: two programs that are started by hand."""
+HALVES_AGREE = 5e-3
+"""s by which the clocks of both halves of a log may differ: half a sample at 100 Hz."""
+TURN_MISSED = 0.15
+"""Share of the gyro's turning that may not be the tracked body's: what gyros that are read at 100
+Hz miss of a walk stays below a tenth; a body that wobbles or another one's is above."""
+_FORCE_SHIFT = 5.0
+"""m/s^2, half of gravity, by which an accelerometer's mean may differ from the force that the
+reference implies: no bias is so large, a rotation that is a first guess hides less, gravity of the
+wrong sign is more."""
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """How a tracked body M was placed against the IMU I; half widths are of 95 % intervals. offset
+    [s]: to add to the reference's stamps; halves (2,) [s]: by each half of the log; p_IM (3,) [m]:
+    M's origin in I; R_IM (3, 3): from M's axes to I's, its half width [rad]; bias_gyro [rad/s],
+    bias_accel [m/s^2] (3,); tilt (2,) [rad]: by which the reference's vertical leans to x and y;
+    turn_missed: share of the gyro's turning that is not the body's; accel_sign, accel_offset (3,)
+    [m/s^2]: what the accelerometer must be multiplied by, and what be added, to be a specific
+    force; samples: of the reference; fitted: residuals; faults: what should not be believed, in
+    words.
+    """
+
+    offset: float
+    offset_half_width: float
+    halves: np.ndarray
+    p_IM: np.ndarray
+    p_IM_half_width: np.ndarray
+    R_IM: np.ndarray
+    R_IM_half_width: np.ndarray
+    bias_gyro: np.ndarray
+    bias_accel: np.ndarray
+    tilt: np.ndarray
+    turn_missed: float
+    accel_sign: np.ndarray
+    accel_offset: np.ndarray
+    samples: int
+    fitted: Fitted
+    faults: tuple[str, ...]
+
+    @property
+    def q_IM(self) -> np.ndarray:
+        """R_IM as w, x, y, z."""
+        return quaternion_from_matrix(self.R_IM)
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """In words, faults last."""
+        angles = np.degrees(Rotation.from_matrix(self.R_IM).as_rotvec())
+        first, second = 1e3 * self.halves
+        return (
+            f"clock: add {self.offset:.4f} s to the reference's stamps "
+            f"(+-{1e3 * self.offset_half_width:.2g} ms); the log's halves say "
+            f"{first:.1f} and {second:.1f} ms",
+            f"place: the tracked point is at ({_numbers(1e3 * self.p_IM, 0)}) mm in the IMU frame "
+            f"(+-{_numbers(1e3 * self.p_IM_half_width, 0)})",
+            f"rotation: ({_numbers(angles, 1)}) deg from the tracked body's axes to the IMU's "
+            f"(+-{_numbers(np.degrees(self.R_IM_half_width), 1)})",
+            f"turning: {100 * self.turn_missed:.1f} % of the gyro's is not the tracked body's; "
+            f"gyro bias ({_numbers(1e3 * self.bias_gyro, 1)}) mrad/s",
+            *(f"doubtful: {fault}" for fault in self.faults),
+        )
+
+    @property
+    def map_lines(self) -> tuple[str, ...]:
+        """What an import map needs to do the same."""
+        return (
+            "[reference]",
+            f"offset = {self.offset:.5f} # s",
+            f"p_IM = [{_numbers(self.p_IM, 4)}] # m, of the tracked body in the IMU frame",
+            f"q_IM = [{_numbers(self.q_IM, 6)}] # w, x, y, z",
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON: every number in SI."""
+        numbers = {k: v for k, v in vars(self).items() if k not in ("fitted", "faults", "R_IM")}
+        values = {name: np.asarray(x).tolist() for name, x in numbers.items()}
+        return {**values, "q_IM": self.q_IM.tolist(), "faults": list(self.faults)}
+
+
+def align(
+    log: Log, poses: Poses | None = None, most: float = LARGEST_OFFSET, seed: int = 0
+) -> Alignment:
+    """Find clock, place and rotation of a reference from IMU and reference alone.
+
+    Args:
+        log: with an IMU.
+        poses: of the tracked body, on its own clock; the log's own reference where left out.
+        most: largest offset of the clock that is looked for [s].
+        seed: of the bootstrap that intervals come from.
+
+    Raises SurefootError where the log has no IMU, or no reference, or they share too little.
+    """
+    log.require("imu")
+    poses = without_jumps(reference_poses(log) if poses is None else poses)
+    t, gyro, accel = log.t, log.gyro, log.accel
+    guess = guess_by_turning(t, gyro, poses, most)
+    if guess is None:
+        raise SurefootError(f"{log.name}: IMU and reference share too little to be aligned")
+    none = np.zeros(3)
+    start = Placement(guess.offset, guess.R_IM, guess.bias, none, none, np.zeros(2))
+    readings = Readings(t, gyro, accel, poses)
+    sign, shift = _accelerometer(readings, start)
+    readings = replace(readings, accel=accel * sign + shift)
+    fitted = fit_placement(readings, start, np.random.default_rng(seed))
+    found, width = fitted.placement, fitted.half_width
+    halves = found.offset + fitted.halves[:, 0]
+    turning = np.sum(np.var(readings.gyro, axis=0))
+    # The median of the rest: impacts that an IMU's filter smears are no other body.
+    missed = 3.0 * (1.4826 * np.median(np.abs(fitted.rates))) ** 2 / turning
+    return Alignment(
+        offset=found.offset,
+        offset_half_width=float(width[0]),
+        halves=halves,
+        p_IM=found.p_IM,
+        p_IM_half_width=width[10:13],
+        R_IM=found.R_IM,
+        R_IM_half_width=width[1:4],
+        bias_gyro=found.bias_gyro,
+        bias_accel=found.bias_accel,
+        tilt=found.tilt,
+        turn_missed=float(missed),
+        accel_sign=sign,
+        accel_offset=shift,
+        samples=len(fitted.t),
+        fitted=fitted,
+        faults=_faults(float(missed), halves, sign, shift),
+    )
+
+
+def aligned_log(log: Log, alignment: Alignment, poses: Poses | None = None) -> Log:
+    """The log with ref_p and ref_q of the IMU frame on the IMU's clock; its metadata say what was
+    done. `poses` are those that were aligned; rows outside them are cut."""
+    poses = reference_poses(log) if poses is None else poses
+    late = Poses(poses.t + alignment.offset, poses.p, poses.q)
+    at_imu = mounted(late, alignment.p_IM, alignment.R_IM)
+    columns = {str(n): x.to_numpy() for n, x in log.frame.items() if not str(n).startswith("ref_")}
+    columns = with_reference(columns, at_imu, log.name)
+    done = {k: alignment.as_dict()[k] for k in ("offset", "p_IM", "q_IM")}
+    derived = (*log.meta.derived, "reference (aligned with the IMU)")
+    model = {**log.meta.model, "reference_alignment": done}
+    frame = log.frame.iloc[:0].reindex(columns=list(columns)).assign(**columns)
+    return replace(log, frame=frame, meta=replace(log.meta, derived=derived, model=model))
+
+
+def _accelerometer(readings: Readings, guess: Placement) -> tuple[np.ndarray, np.ndarray]:
+    """Sign (3,) of each axis of the accelerometer, and what to add to it (3,) [m/s^2], as far as
+    its readings are no specific force: conventions differ."""
+    felt, moved, lever = felt_and_moved(readings, guess)
+    sign, shift = np.ones(3), np.zeros(3)
+    for axis in range(3):
+        columns = np.column_stack([moved[:, axis], lever[:, axis], np.ones(len(felt))])
+        slope = np.linalg.lstsq(columns, felt[:, axis], rcond=None)[0][0]
+        sign[axis] = -1.0 if slope < -0.3 else 1.0
+        difference = float(np.mean(moved[:, axis] - sign[axis] * felt[:, axis]))
+        if abs(difference) > _FORCE_SHIFT:
+            shift[axis] = round(difference, 2)
+    return sign, shift
+
+
+def _faults(
+    missed: float, halves: np.ndarray, sign: np.ndarray, shift: np.ndarray
+) -> tuple[str, ...]:
+    found = []
+    if missed > TURN_MISSED:
+        found.append(
+            f"the tracked body does not turn as the IMU does: {100 * missed:.0f} % of the gyro's "
+            "turning is not its own (another body, a loose one, or no common motion)"
+        )
+    if abs(halves[1] - halves[0]) > HALVES_AGREE:
+        found.append(
+            f"the halves of the log disagree by {1e3 * abs(halves[1] - halves[0]):.0f} ms: a clock "
+            "that drifts or jumps"
+        )
+    for axis, s, d in zip("xyz", sign, shift, strict=True):
+        if s < 0 or d:
+            found.append(
+                f"accel_{axis} is no specific force; in the map: sign = {s:.0f}, offset = {d:.2f}"
+            )
+    return tuple(found)
+
+
+def _numbers(values: np.ndarray, digits: int) -> str:
+    return ", ".join(f"{value:.{digits}f}" for value in values)

@@ -1,0 +1,202 @@
+"""Clock, place and rotation of a tracked body together, by least squares over smoothed poses.
+ At every sample of the reference a quadratic is fitted to those around it: to the turn that poses
+have beside the gyro's integral, whose slope is a rate, and to the path that they have beside the
+twice integrated specific force, whose second derivative is an acceleration. Both sides go through
+the same samples and the same fit, so that smoothing and gaps cancel. Where clock, rotation, place
+and biases are right, nothing but noise is left.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.stats import t as student
+
+from surefoot.models.bootstrap import block_draws
+from surefoot.sim.common.gravity import GRAVITY, GRAVITY_G
+from surefoot.sim.common.quaternion import quaternion_from_matrix
+from surefoot.sim.log.dead_reckoning import beside_imu
+from surefoot.sim.log.derived import local_quadratic
+from surefoot.sim.log.reference import Poses
+
+_TURN_WINDOW = 0.08
+"""s of the fits to turns."""
+_PATH_WINDOW = 0.1
+"""s of the fits to paths: they smooth positions as a Gaussian of 20 ms does."""
+_FEWEST = 5
+"""Samples in a window: one of a sparser reference is longer."""
+_PRIOR = {"bias_gyro": 0.05, "bias_accel": 0.3, "p_IM": 1.0, "tilt": 0.02}
+"""Standard deviations [rad/s, m/s^2, m, rad] of what a log may not tell: biases of uncalibrated
+MEMS sensors, a body's size, and a motion capture's floor that was levelled by eye."""
+_OUTLIER = 2.0
+"""Standard deviations beyond which a row loses weight (Huber)."""
+_BLOCK = 1.0
+"""s of the blocks of the bootstrap: some strides, which hardly resemble the next."""
+_ROUNDS = 12
+"""Gauss-Newton steps at most."""
+_CLOSE = 1e-6
+"""s by which the clock still moves when it has converged."""
+_STEPS = np.array([1e-3] + [1e-3] * 3 + [1e-3] * 3)
+"""Steps of the differences by clock [s], rotation [rad] and gyro bias [rad/s]: far below what
+bends."""
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Seconds to add to the reference's stamps; R_IM (3, 3) from the tracked body M to the IMU I;
+    biases (3,) of gyro [rad/s] and accelerometer [m/s^2]; p_IM (3,) [m], M's origin in I; tilt (2,)
+    [rad] by which the reference's vertical leans to x and y."""
+
+    offset: float
+    R_IM: np.ndarray
+    bias_gyro: np.ndarray
+    bias_accel: np.ndarray
+    p_IM: np.ndarray
+    tilt: np.ndarray
+
+    def moved(self, step: np.ndarray) -> "Placement":
+        """This and a step (15,): clock, rotation about axes of M, biases, place, tilt."""
+        return Placement(
+            self.offset + float(step[0]),
+            self.R_IM @ Rotation.from_rotvec(step[1:4]).as_matrix(),
+            self.bias_gyro + step[4:7],
+            self.bias_accel + step[7:10],
+            self.p_IM + step[10:13],
+            self.tilt + step[13:15],
+        )
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """The placement; half the width (15,) of 95 % intervals, in the order of `Placement.moved`; the
+    steps (2, 15) that each half of the log would go from it; residuals at the samples' times
+    t (K,) [s] of the IMU: rates (K, 3) [rad/s] and accelerations (K, 3) [m/s^2], in I; lever
+    (K, 3, 3): what these are larger by, per metre of p_IM, with the point taken for the IMU."""
+
+    placement: Placement
+    half_width: np.ndarray
+    halves: np.ndarray
+    t: np.ndarray
+    rates: np.ndarray
+    accelerations: np.ndarray
+    lever: np.ndarray
+
+
+@dataclass(frozen=True)
+class Readings:
+    """An IMU's t (N,) [s], gyro and accel (N, 3), and the poses of a tracked body on its own
+    clock."""
+
+    t: np.ndarray
+    gyro: np.ndarray
+    accel: np.ndarray
+    poses: Poses
+
+    def within(self, offset: float) -> "Readings":
+        """Those poses that lie within the IMU's times where their clock is late by `offset` [s],
+        with a margin for the clock to move."""
+        at = self.poses.t + offset
+        inside = (at > self.t[1] + 0.05) & (at < self.t[-1] - 0.05)
+        return replace(self, poses=self.poses.rows(inside))
+
+
+def placement_residual(readings: Readings, at: Placement) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rates [rad/s] and accelerations [m/s^2] (K, 6), in I, that samples have beside the IMU under
+    a placement; what these change by per metre of p_IM (K, 3, 3) and the attitudes R_GI (K, 3,
+    3)."""
+    poses = readings.poses
+    q_GI = quaternion_from_matrix(poses.R @ at.R_IM.T)
+    mounted = Poses(poses.t + at.offset, poses.p, q_GI)
+    gyro, accel = readings.gyro - at.bias_gyro, readings.accel - at.bias_accel
+    beside = beside_imu(readings.t, gyro, accel, mounted)
+    R_GI = beside.R_GI
+    sparse = _FEWEST * float(np.median(np.diff(poses.t)))
+    _, rate, _ = local_quadratic(mounted.t, beside.turn, max(_TURN_WINDOW, sparse))
+    path = np.hstack([beside.path, R_GI.reshape(-1, 9)])
+    _, _, bend = local_quadratic(mounted.t, path, max(_PATH_WINDOW, sparse))
+    lever = bend[:, 3:].reshape(-1, 3, 3)
+    gravity = GRAVITY * np.append(at.tilt, 0.0)
+    acceleration = bend[:, :3] - lever @ at.p_IM - gravity
+    turned = np.swapaxes(R_GI, 1, 2)
+    both = np.stack([rate, acceleration], axis=1) @ R_GI
+    return both.reshape(-1, 6), -turned @ lever, R_GI
+
+
+def felt_and_moved(readings: Readings, at: Placement) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Specific forces (K, 3) [m/s^2] in I: as the accelerometer has them, and as the motion of the
+    tracked point implies them; what these change by per metre of p_IM (K, 3, 3). All smoothed
+    alike.
+    """
+    inside = readings.within(at.offset)
+    rows, lever, R_GI = placement_residual(inside, at)
+    t = inside.poses.t
+    sparse = _FEWEST * float(np.median(np.diff(t)))
+    bend = local_quadratic(t, inside.poses.p, max(_PATH_WINDOW, sparse))[2] - GRAVITY_G
+    moved = np.einsum("kji,kj->ki", R_GI, bend)
+    around = (t > t[0] + _PATH_WINDOW) & (t < t[-1] - _PATH_WINDOW)
+    return (moved - rows[:, 3:])[around], moved[around], lever[around]
+
+
+def fit_placement(readings: Readings, start: Placement, rng: np.random.Generator) -> Fitted:
+    """The likeliest placement, from one that is right to a stride's fraction."""
+    prior = np.concatenate([np.zeros(4), *(np.full(n, _PRIOR[k] ** -2.0) for k, n in _PRIORS)])
+    now = start
+    for _ in range(_ROUNDS):
+        inside = readings.within(now.offset)
+        rows, columns, t = _linearised(inside, now)
+        sums, against = _normal_equations(rows, columns)
+        known = np.concatenate([np.zeros(4), now.bias_gyro, now.bias_accel, now.p_IM, now.tilt])
+        pull = prior * known
+        step = np.linalg.solve(sums.sum(axis=0) + np.diag(prior), against.sum(axis=0) - pull)
+        if abs(step[0]) < _CLOSE:
+            break
+        now = now.moved(step)
+    block = np.floor((t - t[0]) / _BLOCK).astype(int)
+    count = int(block[-1]) + 1
+    of_blocks = np.zeros((count, 15, 16))
+    np.add.at(of_blocks, block, np.concatenate([sums, against[:, :, None]], axis=2))
+
+    def solved(total: np.ndarray) -> np.ndarray:
+        return np.linalg.solve(total[:, :15] + np.diag(prior), total[:, 15] - pull)
+
+    draws = np.tensordot(block_draws(count, rng, 400), of_blocks, axes=1)
+    spread = np.std([solved(one) for one in draws], axis=0)
+    first = np.arange(count) < count / 2
+    halves = np.array([solved(of_blocks[half].sum(axis=0)) for half in (first, ~first)])
+    width = student.ppf(0.975, max(count - 1, 1)) * spread
+    lever = -columns[:, 3:, 10:13]
+    return Fitted(now, width, halves, t, rows[:, :3], rows[:, 3:], lever)
+
+
+_PRIORS = (("bias_gyro", 3), ("bias_accel", 3), ("p_IM", 3), ("tilt", 2))
+
+
+def _linearised(readings: Readings, at: Placement) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Residuals (K, 6), their derivatives (K, 6, 15) and the times (K,) [s] of the samples that
+    have enough others around."""
+    rows, lever, R_GI = placement_residual(readings, at)
+    columns = np.zeros((len(rows), 6, 15))
+    for k, size in enumerate(_STEPS):
+        step = np.zeros(15)
+        step[k] = size
+        columns[:, :, k] = (placement_residual(readings, at.moved(step))[0] - rows) / size
+    columns[:, 3:, 7:10] = np.eye(3)
+    columns[:, 3:, 10:13] = lever
+    columns[:, 3:, 13:15] = -GRAVITY * np.swapaxes(R_GI, 1, 2)[:, :, :2]
+    t = readings.poses.t
+    window = max(_PATH_WINDOW, _FEWEST * float(np.median(np.diff(t))))
+    around = [np.searchsorted(t, t + sign * window / 2) for sign in (-1, 1)]
+    enough = around[1] - around[0] >= _FEWEST - 1
+    enough &= (t > t[0] + window) & (t < t[-1] - window)
+    return rows[enough], columns[enough], t[enough] + at.offset
+
+
+def _normal_equations(rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of each sample, J'WJ (K, 15, 15) and -J'We (K, 15): each kind of row by its own spread."""
+    weight = np.empty_like(rows)
+    for part in (slice(0, 3), slice(3, 6)):
+        spread = 1.4826 * np.median(np.abs(rows[:, part])) + 1e-12
+        size = np.linalg.norm(rows[:, part], axis=1) / (np.sqrt(3.0) * spread)
+        weight[:, part] = (np.minimum(1.0, _OUTLIER / np.maximum(size, 1e-12)) / spread**2)[:, None]
+    weighted = np.swapaxes(columns, 1, 2) * weight[:, None]
+    return weighted @ columns, -np.einsum("kij,kj->ki", weighted, rows)

@@ -1,0 +1,111 @@
+"""A first guess of clock and rotation: what turns how fast, and about which axes.
+ The speed of turning does not depend on axes, so that its correlation over all offsets finds the
+clock to a sample. Walking is periodic: several peaks are kept, and the rates themselves, turned by
+the rotation that fits them best (Kabsch, Acta Crystallographica A 32, 1976), tell them apart.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import cumulative_trapezoid
+from scipy.signal import fftconvolve
+from scipy.spatial.transform import Rotation
+
+from surefoot.sim.log.reference import Poses
+
+_STEP = 0.005
+"""s between the offsets that are tried: a fraction of a sample of motion capture."""
+_SMOOTH = 0.06
+"""s over which rates are averaged: a sample dropped or a stamp off by a frame hardly matters."""
+_OVERLAP = 3.0
+"""s that IMU and reference share at least: some strides."""
+_PEAKS = 12
+"""Offsets whose rates are compared: strides of a walk within ten seconds."""
+
+
+@dataclass(frozen=True)
+class Turning:
+    """A guess: seconds to add to the reference's stamps; R_IM (3, 3) from the tracked body M to the
+    IMU I; the gyro's bias (3,) [rad/s]; the share of its turning that is not the reference's."""
+
+    offset: float
+    R_IM: np.ndarray
+    bias: np.ndarray
+    missed: float
+
+
+def guess_by_turning(t: np.ndarray, gyro: np.ndarray, poses: Poses, most: float) -> Turning | None:
+    """The best guess within offsets of +-`most` [s]; None where none has _OVERLAP.
+
+    t (N,) [s] and gyro (N, 3) [rad/s] are the IMU's.
+    """
+    middle, rates = rates_of(poses)
+    # A body that is taken for another, or turned about, for some frames has impossible rates.
+    fastest = 1.5 * np.linalg.norm(gyro, axis=1).max()
+    size = np.maximum(np.linalg.norm(rates, axis=1), 1e-12)
+    rates = rates * np.minimum(1.0, fastest / size)[:, None]
+    here, there = (np.arange(x[0], x[-1], _STEP) for x in (t, middle))
+    a, b = smoothed(here, t, gyro), smoothed(there, middle, rates)
+    shift = there[0] - here[0]
+    scores = _correlations(np.linalg.norm(a, axis=1), np.linalg.norm(b, axis=1))
+    lags = _STEP * (np.arange(len(scores)) - len(b) + 1) - shift
+    scores = np.where(np.abs(lags) <= most + _STEP, scores, -np.inf)
+    peak = np.flatnonzero((scores[1:-1] >= scores[:-2]) & (scores[1:-1] > scores[2:])) + 1
+    peak = peak[np.isfinite(scores[peak])]
+    best = peak[np.argsort(-scores[peak], kind="stable")[:_PEAKS]]
+    tried = [_compared(here, a, there, b, lags[k] + n * _STEP) for k in best for n in range(-6, 7)]
+    return min((one for one in tried if one), key=lambda one: one.missed, default=None)
+
+
+def rates_of(poses: Poses) -> tuple[np.ndarray, np.ndarray]:
+    """Angular rates (K - 1, 3) [rad/s] of the tracked body, in it, and the times (K - 1,)
+    midway."""
+    R = Rotation.from_quat(poses.q, scalar_first=True)
+    rates = (R[:-1].inv() * R[1:]).as_rotvec() / np.diff(poses.t)[:, None]
+    return 0.5 * (poses.t[1:] + poses.t[:-1]), rates
+
+
+def smoothed(at: np.ndarray, t: np.ndarray, rates: np.ndarray) -> np.ndarray:
+    """Means (M, 3) over _SMOOTH seconds about the times `at` (M,) of rates (K, 3) at t (K,)."""
+    turned = cumulative_trapezoid(rates, t, axis=0, initial=0.0)
+    low, high = np.clip(at - _SMOOTH / 2, t[0], t[-1]), np.clip(at + _SMOOTH / 2, t[0], t[-1])
+    change = [np.interp(high, t, x) - np.interp(low, t, x) for x in turned.T]
+    return np.column_stack(change) / (high - low)[:, None]
+
+
+def _correlations(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Correlation of a (A,) with b (B,) at every shift (A + B - 1,), over what they share; minus
+    infinity where that is less than _OVERLAP."""
+    back, one_a, one_b = b[::-1], np.ones_like(a), np.ones_like(b)
+    count = np.round(fftconvolve(one_a, one_b))
+    sum_a, sum_b = fftconvolve(a, one_b), fftconvolve(one_a, back)
+    both = fftconvolve(a, back) - sum_a * sum_b / count
+    var_a = fftconvolve(a**2, one_b) - sum_a**2 / count
+    var_b = fftconvolve(one_a, back**2) - sum_b**2 / count
+    size = np.sqrt(np.maximum(var_a * var_b, 1e-18))
+    return np.where(count * _STEP >= _OVERLAP, both / size, -np.inf)
+
+
+def _compared(
+    here: np.ndarray, a: np.ndarray, there: np.ndarray, b: np.ndarray, offset: float
+) -> Turning | None:
+    """How well rates b, at the times `there` plus `offset`, can be turned into rates a at `here`.
+
+    Args:
+        here: (A,) times of the IMU [s].
+        a: (A, 3) its rates.
+        there: (B,) times of the reference [s].
+        b: (B, 3) its rates.
+        offset: to add to these times [s].
+    """
+    inside = (here - offset >= there[0]) & (here - offset <= there[-1])
+    if _STEP * inside.sum() < _OVERLAP:
+        return None
+    a = a[inside]
+    b = np.column_stack([np.interp(here[inside] - offset, there, x) for x in b.T])
+    mean_a, mean_b = a.mean(axis=0), b.mean(axis=0)
+    a, b = a - mean_a, b - mean_b
+    U, _, Vt = np.linalg.svd(a.T @ b)
+    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    missed = float(np.sum((a - b @ R.T) ** 2) / np.sum(a**2))
+    return Turning(float(offset), R, mean_a - R @ mean_b, missed)

@@ -1,0 +1,122 @@
+"""Align a reference with the IMU of its log: some lines, numbers, a figure, and the aligned log."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from surefoot.models.alignment.alignment import Alignment, align, aligned_log
+from surefoot.models.alignment.turning import rates_of, smoothed
+from surefoot.scenarios.reporting.palette import AFTER, OUTSIDE, TRUTH
+from surefoot.scenarios.reporting.plotting import legend_below, new_figure, save_png, set_title
+from surefoot.sim.common.files import refuse_overwrite, whole_file
+from surefoot.sim.importing.assemble import RawRecording
+from surefoot.sim.importing.bag import read_bag_recording
+from surefoot.sim.importing.csv_file import read_csv_recording
+from surefoot.sim.log import Log
+from surefoot.sim.log.reference import Poses, reference_poses
+from surefoot.sim.robot import Robot
+
+_OUTPUTS = ("alignment.json", "alignment.png", "aligned.parquet")
+_SHOWN = 4.0
+"""s of the walk that are drawn: some strides."""
+
+
+def align_file(
+    file: Path,
+    out: Path,
+    map: str | None = None,
+    bag: bool = False,
+    robot: str | None = None,
+    most: float = 10.0,
+    force: bool = False,
+) -> tuple[str, ...]:
+    """Align a log, or a recording with its map; what to print.
+
+    Args:
+        file: a log (.parquet), or with `map` a recording.
+        out: folder for _OUTPUTS.
+        map: of the recording.
+        bag: whether the recording is a bag.
+        robot: in whose base frame the tracked point is given too.
+        most: largest offset of the clock that is looked for [s].
+        force: overwrite such files.
+
+    Raises SurefootError where a file exists (no `force`), or IMU or reference are missing.
+    """
+    for name in _OUTPUTS:
+        refuse_overwrite(Path(out) / name, force)
+    log, poses = _read(file, map, bag)
+    found = align(log, poses, most)
+    with whole_file(Path(out) / "alignment.json", force) as temporary:
+        temporary.write_text(json.dumps(found.as_dict(), indent=1) + "\n")
+    save_png(figure(log, poses, found), Path(out) / "alignment.png", force)
+    aligned_log(log, found, poses).write(Path(out) / "aligned.parquet", force)
+    said = list(found.lines)
+    if robot:
+        at = Robot.for_log(log, robot)
+        x, y, z = 1e3 * (at.p_BI + at.R_BI @ found.p_IM)
+        said.insert(2, f"       at ({x:.0f}, {y:.0f}, {z:.0f}) mm in the base of {robot}")
+    return (*said, "", "for the import map:", *found.map_lines)
+
+
+def figure(log: Log, poses: Poses, found: Alignment) -> Figure:
+    """The gyro against the turning of the tracked body, before and after; and what its place
+    explains of the accelerometer."""
+    t, gyro = log.t, log.gyro
+    fitted = found.fitted
+    begin = _busiest(fitted.t, gyro, t)
+    at = np.arange(begin, begin + _SHOWN, 0.01)
+    seen = smoothed(at, t, gyro)
+    middle, rates = rates_of(poses)
+    before = smoothed(at, middle, rates)
+    after = smoothed(at, middle + found.offset, rates @ found.R_IM.T) + found.bias_gyro
+    drawn, axes = new_figure(4, 2, size=(9.0, 8.0))
+    for column, (other, title, color) in enumerate(
+        ((before, "As recorded", OUTSIDE), (after, "Aligned", AFTER))
+    ):
+        set_title(axes[0, column], title)
+        for row, axis in enumerate("xyz"):
+            ax = axes[row, column]
+            ax.plot(at, seen[:, row], color=TRUTH, linewidth=2.5, label="gyro")
+            ax.plot(at, other[:, row], color=color, linewidth=1.2, label="reference")
+            ax.set_ylabel(f"{axis} [rad/s]")
+    lever = fitted.lever @ found.p_IM
+    shown = (fitted.t >= begin) & (fitted.t <= at[-1])
+    for column, (rest, color, title) in enumerate(
+        (
+            (fitted.accelerations + lever, OUTSIDE, "Tracked point taken for the IMU"),
+            (fitted.accelerations, AFTER, "Tracked point at its place"),
+        )
+    ):
+        ax = axes[3, column]
+        set_title(ax, title, 9.0)
+        ax.plot(fitted.t[shown], np.linalg.norm(rest[shown], axis=1), color=color, linewidth=1.0)
+        ax.set_ylabel("acceleration left [m/s²]")
+        ax.set_xlabel("time [s]")
+        ax.set_ylim(0.0, 1.05 * np.linalg.norm(fitted.accelerations + lever, axis=1)[shown].max())
+    legend_below(drawn, axes[0, 1])
+    return drawn
+
+
+def _read(file: Path, map: str | None, bag: bool) -> tuple[Log, Poses]:
+    if map is None:
+        log = Log.read(file)
+        log.require("imu", "reference")
+        return log, reference_poses(log)
+    read = read_bag_recording if bag else read_csv_recording
+    recording: RawRecording = read(file, map)
+    if recording.poses is None:
+        log = recording.log()
+        log.require("imu", "reference")
+        return log, reference_poses(log)
+    return recording.without_reference().log(), recording.poses
+
+
+def _busiest(shared: np.ndarray, gyro: np.ndarray, t: np.ndarray) -> float:
+    """Where, within the times that are shared, the IMU turns most over _SHOWN seconds."""
+    starts = np.arange(shared[0], max(shared[-1] - _SHOWN, shared[0] + 0.1), 0.5)
+    turned = np.cumsum(np.sum(gyro**2, axis=1))
+    within = np.interp(starts + _SHOWN, t, turned) - np.interp(starts, t, turned)
+    return float(starts[np.argmax(within)])

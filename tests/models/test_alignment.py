@@ -1,0 +1,116 @@
+"""Clock, place and rotation of a tracked body: planted, and found within their intervals."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.integrate import cumulative_trapezoid
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation, Slerp
+
+from surefoot.models.alignment.alignment import align, aligned_log
+from surefoot.models.alignment.least_squares import Placement, Readings, placement_residual
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.quaternion import quaternion_from_matrix
+from surefoot.sim.effects.base import with_columns
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.log import Log, Meta
+from surefoot.sim.log.reference import Poses
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
+
+P_IM = np.array([0.04, 0.06, 0.11])
+R_IM = Rotation.from_euler("zyx", [0.5, -0.2, 0.1])
+
+
+@pytest.fixture(scope="module")
+def log():
+    course = (Segment(5.0, 0.5), Segment(5.0, 0.4, turn=0.5), Segment(4.0, 0.5, turn=-0.4))
+    return walk(Scenario("seen", course, Ground(0.8)), Robot.load("spot_class"), 4)
+
+
+def tracked(log, offset, wobble=0.0, seed=0):
+    """Poses of a body that is somewhere on the robot, at 90 Hz with dropped samples and noise, on a
+    clock that is behind by `offset` [s]."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(log.t[0] + 0.01, log.t[-1] - 0.01, 1 / 90)
+    t = t[rng.random(len(t)) > 0.1]
+    R_GI = Slerp(log.t, Rotation.from_matrix(log.ref_R_GI))(t)
+    # A simulator that steps positions by the velocity at the step's end is half a step ahead.
+    path = cumulative_trapezoid(log.ref_v, log.t, axis=0, initial=0.0) + log.ref_p[0]
+    p = CubicSpline(log.t, path)(t) + R_GI.apply(P_IM) + rng.normal(0.0, 2e-4, (len(t), 3))
+    R_GM = R_GI * R_IM * Rotation.from_rotvec(rng.normal(0.0, 1e-3, (len(t), 3)))
+    if wobble:
+        beats = np.sin(np.outer(t, [7.0, 9.0, 11.0]) + rng.uniform(0, 6, 3))
+        R_GM = R_GM * Rotation.from_rotvec(wobble * beats)
+    return Poses(t - offset, p, quaternion_from_matrix(R_GM.as_matrix()))
+
+
+@pytest.mark.parametrize("offset", [3.7, 0.004, -9.6])
+def test_what_was_planted_is_found_within_its_interval(log, offset):
+    found = align(log, tracked(log, offset))
+    assert found.offset == pytest.approx(offset, abs=max(found.offset_half_width, 2e-4))
+    assert found.offset_half_width < 2e-3
+    np.testing.assert_allclose(found.halves, offset, atol=2e-3)
+    # Three coordinates of a place: now and then one is just outside its interval.
+    assert np.all(np.abs(found.p_IM - P_IM) < 1.5 * found.p_IM_half_width)
+    assert np.all(found.p_IM_half_width < 0.02)
+    turned = (Rotation.from_matrix(found.R_IM).inv() * R_IM).as_rotvec()
+    assert np.all(np.abs(turned) < 1.5 * found.R_IM_half_width)
+    assert found.faults == ()
+    assert "offset = " in found.map_lines[1]
+
+
+def test_an_aligned_log_has_the_motion_of_the_imu(log):
+    poses = tracked(log, 0.5)
+    found = aligned_log(log, align(log, poses), poses)
+    row = np.searchsorted(log.t, found.t)
+    np.testing.assert_allclose(found.ref_p, log.ref_p[row], atol=0.012)
+    turned = np.swapaxes(found.ref_R_GI, 1, 2) @ log.ref_R_GI[row]
+    assert np.degrees(np.quantile(Rotation.from_matrix(turned).magnitude(), 0.95)) < 1.0
+    assert found.meta.model["reference_alignment"]["offset"] == pytest.approx(0.5, abs=2e-3)
+    assert not found.has("ref_v")
+    again = align(found)
+    assert abs(again.offset) < 1e-3
+    np.testing.assert_allclose(again.p_IM, 0.0, atol=0.01)
+
+
+def test_another_body_is_reported(log):
+    found = align(log, tracked(log, 0.2, wobble=0.15))
+    assert any("does not turn as the IMU does" in fault for fault in found.faults)
+
+
+def test_an_accelerometer_of_another_convention_is_named_and_does_no_harm(log):
+    """Gravity of the wrong sign, as one public recording has it, and an axis turned about."""
+    odd = with_columns(
+        log,
+        {"accel_z": log.frame["accel_z"] - 19.62, "accel_y": -log.frame["accel_y"]},
+    )
+    found = align(odd, tracked(log, 0.3))
+    np.testing.assert_array_equal(found.accel_sign, [1.0, -1.0, 1.0])
+    assert found.accel_offset[2] == pytest.approx(19.62, abs=0.5)
+    assert found.offset == pytest.approx(0.3, abs=1e-3)
+    np.testing.assert_allclose(found.p_IM, P_IM, atol=0.01)
+    assert sum("no specific force" in fault for fault in found.faults) == 2
+
+
+def test_residuals_vanish_where_the_placement_is_right(log):
+    """And their derivatives by the place are those of differences."""
+    zero = np.zeros(3)
+    at = Placement(0.2, R_IM.as_matrix(), zero, zero, P_IM, np.zeros(2))
+    readings = Readings(log.t, log.gyro, log.accel, tracked(log, 0.2)).within(0.2)
+    rows, lever, _ = placement_residual(readings, at)
+    wrong, _, _ = placement_residual(readings, replace(at, p_IM=P_IM + np.array([0.0, 0.3, 0.0])))
+    assert np.sum(rows[:, 3:] ** 2) < 0.5 * np.sum(wrong[:, 3:] ** 2)
+    np.testing.assert_allclose(wrong[:, 3:] - rows[:, 3:], 0.3 * lever[:, :, 1], atol=1e-8)
+
+
+def test_too_little_in_common_is_one_line():
+    t = np.arange(0.0, 2.0, 0.01)
+    still = {f"{name}_{axis}": np.zeros(200) for name in ("gyro", "accel") for axis in "xyz"}
+    short = Log(pd.DataFrame({"t": t} | still), Meta(100.0), "short")
+    poses = Poses(t, np.zeros((200, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (200, 1)))
+    with pytest.raises(SurefootError, match="short: IMU and reference share too little"):
+        align(short, poses)
