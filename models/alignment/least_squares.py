@@ -100,7 +100,9 @@ class Readings:
         return replace(self, poses=self.poses.rows(inside))
 
 
-def placement_residual(readings: Readings, at: Placement) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def placement_residual(
+    readings: Readings, at: Placement
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rates [rad/s] and accelerations [m/s^2] (K, 6), in I, that samples have beside the IMU under
     a placement; what these change by per metre of p_IM (K, 3, 3) and the attitudes R_GI (K, 3,
     3)."""

@@ -1,56 +1,62 @@
 """How coarse a measured reference is, and a walk of the model seen by one that is as coarse.
 
-Poses between two samples of a reference are interpolated, which bends at every sample: that shows
-when those were. How much they err follows from the IMU, whose turns and gains of velocity between
-samples hardly do. Simulated references have a sample a row.
+A log's reference is interpolated between its samples, which are found again (`sim.log.reference`);
+how much they and their stamps err follows from the IMU (`sim.importing.reference_noise`). Simulated
+references have a sample a row and no error.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation, Slerp
 
+from surefoot.models.alignment.alignment import align
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
-from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.effects.base import with_columns
+from surefoot.sim.importing.reference_check import check_reference
+from surefoot.sim.importing.reference_noise import reference_noise
 from surefoot.sim.log import Log
+from surefoot.sim.log.reference import reference_poses
 
 
 @dataclass(frozen=True)
 class Coarse:
-    """Times between samples of a reference (K,) [s], and the standard deviations of a sample's
-    position [m] and attitude [rad], an error of its stamp included."""
+    """Times between samples of a reference (K,) [s], none where there is one a row; standard
+    deviations of a sample's position [m], attitude [rad] and stamp [s]."""
 
     intervals: tuple[float, ...]
     position: float
     angle: float
+    stamp: float = 0.0
 
 
 def coarseness(log: Log, settings: TraceSettings = DEFAULT) -> Coarse | None:
-    """How coarse the reference of a log is; None where it has a sample a row, or too few."""
-    at = _samples(log, settings.bend)
-    if len(at) < settings.coarse_samples or len(at) > settings.coarse_share * len(log.t):
+    """How coarse the reference of a log is; None where it has too few samples, or one a row and a
+    velocity of its own, as simulated ones have."""
+    poses = reference_poses(log)
+    every_row = len(poses.t) > settings.coarse_share * len(log.t)
+    if len(poses.t) < settings.coarse_samples or (every_row and log.has("ref_v")):
         return None
-    t = np.interp(at, np.arange(len(log.t)), log.t)
-    intervals = np.diff(t)
-    angle = position = 0.0
-    if log.has("imu"):
-        angle, position = _noise(log, t)
-    return Coarse(tuple(np.round(intervals, 6)), position, angle)
+    intervals = () if every_row else tuple(np.round(np.diff(poses.t), 6))
+    noise = reference_noise(log.t, log.gyro, log.accel, poses) if log.has("imu") else None
+    if noise is None:
+        return None if every_row else Coarse(intervals, 0.0, 0.0)
+    return Coarse(intervals, noise.position, noise.angle, noise.stamp)
 
 
 def as_coarse(log: Log, coarse: Coarse, rng: np.random.Generator) -> Log:
     """The log with its reference sampled, in error and interpolated as in `coarse`."""
-    t = log.t
-    repeats = int(np.ceil((t[-1] - t[0]) / sum(coarse.intervals)))
-    then = t[0] + np.cumsum(np.tile(coarse.intervals, repeats))
-    then = np.concatenate([t[:1], then[then < t[-1]], t[-1:]])
-    p_GI = _at(then, t, log.ref_p)
+    t = then = log.t
+    if coarse.intervals:
+        repeats = int(np.ceil((t[-1] - t[0]) / sum(coarse.intervals)))
+        then = t[0] + np.cumsum(np.tile(coarse.intervals, repeats))
+        then = np.concatenate([t[:1], then[then < t[-1]], t[-1:]])
+    seen = np.clip(then + rng.normal(0.0, coarse.stamp, len(then)), t[0], t[-1])
+    p_GI = _at(seen, t, log.ref_p)
     p_GI += rng.normal(0.0, coarse.position, p_GI.shape)
     turned = Rotation.from_rotvec(rng.normal(0.0, coarse.angle, p_GI.shape))
-    R_GI = Slerp(t, Rotation.from_matrix(log.ref_R_GI))(then) * turned
+    R_GI = Slerp(t, Rotation.from_matrix(log.ref_R_GI))(seen) * turned
     q_GI = quaternion_from_matrix(Slerp(then, R_GI)(t).as_matrix())
     path = _at(t, then, p_GI)
     columns = {f"ref_p_{a}": path[:, i] for i, a in enumerate("xyz")}
@@ -58,40 +64,38 @@ def as_coarse(log: Log, coarse: Coarse, rng: np.random.Generator) -> Log:
     return with_columns(log, columns)
 
 
-def _samples(log: Log, bend: float) -> np.ndarray:
-    """Rows (K,), between two of them, at which the reference's path bends."""
-    slope = np.diff(log.ref_p, axis=0) / np.diff(log.t)[:, None]
-    bent = 1 + np.flatnonzero(np.linalg.norm(np.diff(slope, axis=0), axis=1) > bend)
-    bends = np.split(bent, np.flatnonzero(np.diff(bent) > 1) + 1)
-    return np.array([np.mean(one) for one in bends if len(one)])
+def reference_notes(log: Log, coarse: Coarse | None) -> tuple[str, ...]:
+    """What a trace's reader should know of a measured reference: wrong samples, how much they err,
+    and a clock or place that IMU and reference alone say is another, before legs are asked."""
+    if coarse is None:
+        return ()
+    notes = list(check_reference(reference_poses(log)).faults)
+    if not log.has("imu"):
+        return tuple(notes)
+    notes.append(
+        f"reference: its samples err by {1e3 * coarse.position:.2g} mm, "
+        f"{np.degrees(coarse.angle):.2g} deg and {1e3 * coarse.stamp:.2g} ms, which the floor has"
+    )
+    found = align(log, most=_MOST)
+    late, far = abs(found.offset), float(np.linalg.norm(found.p_IM))
+    if late > max(_LATE, found.offset_half_width):
+        notes.append(
+            f"reference: by the IMU alone, {1e3 * found.offset:.1f} ms (+-"
+            f"{1e3 * found.offset_half_width:.1f}) must be added to its stamps: try surefoot align"
+        )
+    if far > max(_FAR, float(np.linalg.norm(found.p_IM_half_width))):
+        notes.append(
+            f"reference: the tracked point is {1e3 * far:.0f} mm from the IMU: try surefoot align"
+        )
+    return (*notes, *(f"reference: {fault}" for fault in found.faults))
 
 
-def _noise(log: Log, t: np.ndarray) -> tuple[float, float]:
-    """Standard deviations of a sample's attitude [rad] and position [m], at the times t (K,) [s],
-    by what the reference does between samples less what the IMU measures."""
-    step = np.diff(t)[:, None]
-    R_GI = Slerp(log.t, Rotation.from_matrix(log.ref_R_GI))(t)
-    turn = (R_GI[:-1].inv() * R_GI[1:]).as_rotvec()
-    turn -= np.diff(_at(t, log.t, _integral(log.gyro, log.t)), axis=0)
-    force = np.einsum("nij,nj->ni", log.ref_R_GI, log.accel) + GRAVITY_G
-    travelled = _integral(_integral(force, log.t), log.t)
-    left = _at(t, log.t, log.ref_p - travelled)
-    bend = np.diff(np.diff(left, axis=0) / step, axis=0)
-    # What errors of one size at three samples do to the change of slope between them.
-    spread = np.sqrt(1 / step[1:] ** 2 + 1 / step[:-1] ** 2 + (1 / step[1:] + 1 / step[:-1]) ** 2)
-    return _level(turn) / np.sqrt(2.0), _level(bend / spread)
+_MOST = 0.25
+"""s of offset that a reference in a log may still have: half a stride."""
+_LATE, _FAR = 1e-3, 0.02
+"""s and m of clock and place below which a trace hardly differs."""
 
 
 def _at(then: np.ndarray, t: np.ndarray, values: np.ndarray) -> np.ndarray:
     """values (N, 3), of the times t (N,), at the times `then` (K,)."""
     return np.column_stack([np.interp(then, t, x) for x in values.T])
-
-
-def _integral(values: np.ndarray, t: np.ndarray) -> np.ndarray:
-    return cumulative_trapezoid(values, t, axis=0, initial=0.0)
-
-
-def _level(values: np.ndarray) -> float:
-    """Root mean square of all but the largest hundredth, less their mean."""
-    square = np.sort(((values - values.mean(axis=0)) ** 2).ravel())
-    return float(np.sqrt(square[: round(0.99 * len(square))].mean()))

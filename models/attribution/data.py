@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from surefoot.models.attribution.coarse_reference import reference_notes
 from surefoot.models.attribution.evidence import LogUnderModel, all_keys, channels_of
 from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
@@ -87,6 +88,8 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
         notes.append("without a reference the base is taken to be held still and level")
     elif not all(case.log.has("ref_v") for case in cases):
         notes.append("the reference's velocity is derived from its positions, which smooths it")
+        coarse = floor.plan.coarse if floor.plan else None
+        notes += [note for case in cases for note in reference_notes(case.log, coarse)]
     if not floor.repeats and not cases[0].fixed:
         notes.append("the model does not walk in simulation: the floor is sensor noise alone")
     if floor.evenness and "foot_height" in there:

@@ -96,8 +96,6 @@ class TraceSettings:
     """Share of rows with a sample of its own below which a reference is coarse."""
     coarse_samples: int = 100
     """Samples of a reference below which its noise cannot be estimated."""
-    bend: float = 1e-6
-    """m/s by which a velocity changes from row to row where two straight lines meet."""
 
     above_floor: float = 5.0
     """How many times its size on walks that lack it an effect must have."""

@@ -26,6 +26,8 @@ _JUMP_ACCEL = 150.0
 jump of 15 mm between samples at 100 Hz has as much."""
 _JUMP_TURN = 500.0
 """rad/s^2, the same of the rate of turning: 3 degrees between samples at 100 Hz."""
+_FEW_DOUBTFUL = 0.03
+"""Share of doubtful stamps below which chance, and gait, explain them."""
 _OUTLYING = 8.0
 """Times its usual change by which a speed must change in a jump: a noisy reference has no more."""
 
@@ -61,12 +63,26 @@ class ReferenceCheck:
             f"reference: {self.samples} samples, {self.rate:.3g} Hz; longest gap "
             f"{1e3 * self.longest_gap:.0f} ms, {self.gaps} over {1e3 * MAX_GAP:.0f} ms"
         ]
-        if self.judged:
+        return (*said, *self._counted(0.0), *self._events)
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """In words, only what is wrong."""
+        return (*self._counted(_FEW_DOUBTFUL), *self._events)
+
+    def _counted(self, least: float) -> tuple[str, ...]:
+        said = []
+        if self.judged and self.doubtful >= least:
             said.append(
                 f"reference: {100 * self.doubtful:.1f} % of stamps doubtful: so many of the "
                 f"{self.judged} steps at a steady speed have 1/2, 2/3, 3/2 or 2 times their "
                 "neighbours' (frames miscounted)"
             )
+        return tuple(said)
+
+    @property
+    def _events(self) -> tuple[str, ...]:
+        said = []
         if self.jumps:
             said.append(f"reference: {self.jumps} jumps of position or attitude")
         if self.held:

@@ -35,6 +35,12 @@ searched."""
 _SMALLEST = np.array([1e-5, 1e-5, 1e-3])
 """Sizes, in the same order, below which they say nothing."""
 
+_TURN_WINDOW = 0.08
+"""s over which rates of turning are compared: short against a stride, some samples long."""
+UNLIKE_TURNING = 0.5
+"""Share of the gyro's turning that a reference may miss before it is another body's, or another
+clock's: noise of a walking robot's motion capture leaves a few hundredths."""
+
 
 @dataclass(frozen=True)
 class ReferenceNoise:
@@ -65,7 +71,8 @@ class ReferenceNoise:
 def reference_noise(
     t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, poses: Poses
 ) -> ReferenceNoise | None:
-    """How much the samples of a reference err; None where there are too few.
+    """How much the samples of a reference err; None where there are too few, or where it does not
+    turn as the IMU does.
 
     Args:
         t: (N,) of the IMU's rows [s].
@@ -79,6 +86,8 @@ def reference_noise(
     if len(poses.t) < FEWEST_SAMPLES:
         return None
     beside = beside_imu(t, gyro, accel, poses)
+    if turning_missed(beside) > UNLIKE_TURNING:
+        return None
     velocity = derivative(poses.t, poses.p, REFERENCE_WINDOW, causal=False)
     tables = (np.diff(poses.t, prepend=poses.t[0]), beside.path - beside.path[0])
     tables += (np.ascontiguousarray(beside.R_GI), velocity)
@@ -101,6 +110,13 @@ def reference_noise(
         correction=float(np.sqrt(np.mean(corrections**2))),
         force=float(force),
     )
+
+
+def turning_missed(beside: BesideImu) -> float:
+    """Share of the gyro's turning that is not the reference's; over 1 where it is another's."""
+    other = derivative(beside.t, beside.turn, _TURN_WINDOW, causal=False)
+    turning = np.sum(np.var(beside.omega, axis=0))
+    return float(np.sum(np.var(other, axis=0)) / max(turning, 1e-12))
 
 
 def _angle(beside: BesideImu, stamp: float) -> float:

@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from surefoot.models.attribution.coarse_reference import Coarse, as_coarse, coarseness
+from surefoot.models.attribution.coarse_reference import (
+    Coarse,
+    as_coarse,
+    coarseness,
+    reference_notes,
+)
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
@@ -24,13 +29,13 @@ def test_a_reference_with_a_sample_a_row_is_not_coarse(log):
 def test_samples_and_their_noise_are_found_again(log):
     rng = np.random.default_rng(0)
     intervals = tuple(rng.choice([0.0083, 0.0167, 0.025], 1000))
-    true = Coarse(intervals, 0.8e-3, 1.5e-3)
+    true = Coarse(intervals, 0.8e-3, 1.5e-3, 2e-3)
     found = coarseness(as_coarse(log, true, rng))
     assert found is not None
-    # Whole rows of 2 ms say when a sample was to half of one, and two may share a bend.
     seen = np.sum(np.cumsum(intervals) < log.t[-1] - log.t[0])
-    assert len(found.intervals) == pytest.approx(seen, rel=0.03)
-    assert_allclose(np.median(found.intervals), np.median(intervals), atol=1.1e-3)
+    assert len(found.intervals) == pytest.approx(seen, rel=0.01)
+    assert_allclose(np.median(found.intervals), np.median(intervals), atol=1e-6)
+    assert found.stamp == pytest.approx(true.stamp, rel=0.25)
     assert found.angle == pytest.approx(true.angle, rel=0.25)
     assert found.position == pytest.approx(true.position, rel=0.25)
 
@@ -49,3 +54,18 @@ def test_a_reference_without_error_keeps_the_motion(log):
     seen = as_coarse(log, Coarse((0.01,), 0.0, 0.0), np.random.default_rng(2))
     assert_allclose(seen.ref_p, log.ref_p, atol=5e-4)
     assert_allclose(seen.ref_R_GI, log.ref_R_GI, atol=4e-3)
+
+
+def test_a_reference_with_a_noisy_sample_a_row_is_seen_by_the_floor(log):
+    """As motion capture logged with an IMU is; a simulated one, with velocities, is not."""
+    slow = log.rows(slice(None, None, 5))
+    noisy = as_coarse(slow, Coarse((), 0.6e-3, 1e-3, 1e-3), np.random.default_rng(3))
+    names = [n for n in noisy.frame if str(n).startswith("ref_v")]
+    measured = type(noisy)(noisy.frame.drop(columns=names), noisy.meta, noisy.name)
+    found = coarseness(measured)
+    assert found is not None
+    assert found.intervals == ()
+    assert found.position == pytest.approx(0.6e-3, rel=0.35)
+    assert coarseness(noisy) is None
+    assert any("samples err by" in note for note in reference_notes(measured, found))
+    assert reference_notes(noisy, None) == ()
