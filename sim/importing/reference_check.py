@@ -17,7 +17,7 @@ _NEAR = 0.12
 """Share by which a ratio may differ from one of these: less than half of what lies between them."""
 _AROUND = 3
 """Steps on either side whose median is the speed around a step: a step of gait is much longer."""
-_STEADY = 0.15
+_STEADY = 0.1
 """Share by which speeds around may spread (median deviation) for a step to be judged by them."""
 _SLOWEST = 0.1
 """m/s below which millimetres of noise change a speed by as much as a frame does."""

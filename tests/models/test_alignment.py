@@ -12,15 +12,18 @@ from scipy.spatial.transform import Rotation, Slerp
 from surefoot.models.alignment.alignment import align, aligned_log
 from surefoot.models.alignment.least_squares import Placement, Readings, placement_residual
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import measured_folder
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.effects.base import with_columns
 from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.importing.csv_file import read_csv_recording
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.log.reference import Poses
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 
+SCALER = measured_folder() / "scaler_trot"
 P_IM = np.array([0.04, 0.06, 0.11])
 R_IM = Rotation.from_euler("zyx", [0.5, -0.2, 0.1])
 
@@ -114,3 +117,15 @@ def test_too_little_in_common_is_one_line():
     poses = Poses(t, np.zeros((200, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (200, 1)))
     with pytest.raises(SurefootError, match="short: IMU and reference share too little"):
         align(short, poses)
+
+
+@pytest.mark.skipif(not SCALER.is_dir(), reason="the measured logs are not here")
+@pytest.mark.parametrize("name", ["06", "12", "17"])
+def test_clocks_that_were_started_apart_are_found(name):
+    """Of three recording days, one with poses that are turned about for some frames."""
+    recording = read_csv_recording(SCALER / "logs" / f"scaler_{name}.csv", "scaler_trot")
+    found = align(recording.without_reference().log(), recording.poses)
+    assert 3.0 < -found.offset < 7.0
+    assert abs(np.diff(found.halves)[0]) < 5e-3
+    assert found.offset_half_width < 2e-3
+    assert found.faults == ()
