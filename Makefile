@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo test check docs readme study study-observer study-trace study-hardware study-bounds suites \
+.PHONY: setup demo test check docs readme study study-observer study-trace study-hardware study-bounds study-montecarlo suites \
 	tune tune-vision60 tune-spot lock clean
 
 setup: .venv/.ready
@@ -53,6 +53,11 @@ study-trace: setup
 study-hardware: setup
 	$(BIN)/python -m surefoot.scenarios.studies.hardware.study -o out/hardware --force \
 		--data docs/data/hardware --page docs/results/hardware.md
+
+# The paper's Monte-Carlo tables, some minutes on two idle cores; finished regimes are kept.
+study-montecarlo: setup
+	$(BIN)/surefoot montecarlo -o out/montecarlo --force --data docs/data/montecarlo \
+		--page docs/results/montecarlo.md
 
 # Where bounds hold: calibrated on one course of vision60, judged on the others and on shifted ones.
 study-bounds: OUT = out/bounds
