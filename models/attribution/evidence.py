@@ -25,7 +25,7 @@ from surefoot.models.residuals.jacobians import (
     wrt_readings,
     wrt_robot,
 )
-from surefoot.models.residuals.layout import Layout, layout_of
+from surefoot.models.residuals.layout import Layout, layout_for
 from surefoot.models.residuals.registry import channels
 from surefoot.models.residuals.residual import (
     ResidualTable,
@@ -100,13 +100,13 @@ def log_under_model(log: Log, robot: Machine, settings: TraceSettings = DEFAULT)
     stands = log.has("contact") and log.contact.any()
     hung = not log.has("reference") and not stands and log.has("q")
     fixed = not isinstance(robot, Robot) or hung
-    frame = reference_motion(log, fixed)
+    frame = reference_motion(log, robot.limbs, fixed)
     return LogUnderModel(log, robot, with_ground(frame, log, robot), fixed, settings)
 
 
 def channels_of(case: LogUnderModel) -> tuple[str, ...]:
     """The channels that a log can fill at all."""
-    layout = layout_of(case.log.joints)
+    layout = layout_for(case.robot.limbs)
     return tuple(
         name
         for name, channel in channels().items()
@@ -214,7 +214,7 @@ def _parts(
     log, robot = compensate_all(chosen, case.log, case.robot)
     frame = case.frame
     if log is not case.log and _moves_frame(changed_columns(case.log, log)):
-        frame = replace(reference_motion(log, case.fixed), level=case.frame.level)
+        frame = replace(reference_motion(log, robot.limbs, case.fixed), level=case.frame.level)
     return log, robot, residual(log, robot, frame), frame
 
 
@@ -294,7 +294,7 @@ class _Linear:
     def _by_difference(self, log: Log, robot: Machine, step: float) -> np.ndarray:
         frame = self.frame
         if log is not self.log:
-            frame = replace(reference_motion(log, self.case.fixed), level=frame.level)
+            frame = replace(reference_motion(log, robot.limbs, self.case.fixed), level=frame.level)
         return (residual(log, robot, frame).table - self.parts.table) / step
 
     def free(self) -> list[tuple[Regressor, float, Key | None]]:

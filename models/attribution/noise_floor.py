@@ -21,14 +21,14 @@ from surefoot.models.attribution.robust_weights import RobustWeights, robust_wei
 from surefoot.models.attribution.sensor_noise import reading_noise, sheet_noise
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.attribution.whiteness import variance_inflation
-from surefoot.models.residuals.layout import Layout, layout_of
+from surefoot.models.residuals.layout import Layout, layout_for
 from surefoot.models.residuals.registry import channels
 from surefoot.models.residuals.torques import declared
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect, known_effects
 from surefoot.sim.ground.terrain import Ground, Strip
 from surefoot.sim.log import Log
-from surefoot.sim.robot.limbs import Limbs
+from surefoot.sim.robot.limbs import QUADRUPED, Limbs
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 from surefoot.sim.walking.imitation import PIECE, body_twists
@@ -164,10 +164,11 @@ def noise_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect] = ()) -
         source = "how the readings differ from one row to the next"
         return NoiseFloor(reading_noise(cases), (), source, readings=tuple(cases))
     known = ("imu", "q", "dq", "tau", "contact", "ref_v")
+    walks = first.robot.limbs == QUADRUPED
     evenness = max(float(case.log.meta.model.get("ground_evenness", 0.0)) for case in cases)
     plan = FloorPlan(
         file=first.robot.file,
-        courses=tuple(courses([case.log for case in cases], first.settings)),
+        courses=tuple(courses([case.log for case in cases], first.settings)) if walks else (),
         groups=tuple(g for g in known if all(case.log.has(g) for case in cases)),
         evenness=evenness,
         coarse=coarseness(first.log, first.settings),
@@ -177,7 +178,7 @@ def noise_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect] = ()) -
     floor = _floor(plan, ())
     if floor.repeats:
         return floor
-    sigma = sheet_noise(first.log.rate, layout_of(first.log.joints), evenness)
+    sigma = sheet_noise(first.log.rate, layout_for(first.robot.limbs), evenness)
     return NoiseFloor(sigma, (), "data sheets of the declared sensors")
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from surefoot.models.attribution.evidence import LogUnderModel
 from surefoot.models.attribution.robust_weights import RobustWeights
 from surefoot.models.attribution.settings import TraceSettings
-from surefoot.models.residuals.layout import layout_of
+from surefoot.models.residuals.layout import layout_for
 from surefoot.sim.effects.contact import STICKING
 from surefoot.sim.log import joint_velocity
 
@@ -48,7 +48,7 @@ def sparse_regression(
         unseen: (M,) bool, bins on which shares are computed.
     """
     names, values = regressor_library(cases)
-    layout = layout_of(cases[0].log.joints)
+    layout = layout_for(cases[0].robot.limbs)
     found = []
     for place, channel in enumerate(channels):
         columns = range(*layout.channels[channel].indices(layout.width))

@@ -185,7 +185,7 @@ def observer_inputs(inputs: tuple[str, ...], known: Kinematics | None, x: np.nda
     """
     if known is None:
         return x
-    joints = known.legs.q_zero.size
+    joints = x.shape[1] // len(signals(inputs))
     q, dq = x[:, :joints], x[:, joints : 2 * joints]
     own = x if "q" in inputs else x[:, 2 * joints :]
     return np.concatenate((own, contact_points(known, q, dq)), axis=1)
@@ -246,13 +246,11 @@ def _from_plain(values: dict[str, Any]) -> Observer:
             raise ValueError(f"{name} is not a {kind.__name__}")
     if not 0 < known["width"] <= WIDEST:
         raise ValueError(f"width is not within 1 and {WIDEST}")
-    # Of a leg's three joints come the position and the velocity of its contact point.
-    joints = len(known["joints"])
-    channels = sum(2 * joints if name == "feet" else joints for name in known["inputs"])
+    joints, legs = len(known["joints"]), len(known["legs"].get("radius", ()))
+    # Of a leg come the position and the velocity of its contact point.
+    channels = sum(6 * legs if name == "feet" else joints for name in known["inputs"])
     if "feet" in known["inputs"]:
-        if joints % 3:
-            raise ValueError("feet of legs that have not three joints each")
-        check_leg_geometry(known["legs"], joints // 3)
+        check_leg_geometry(known["legs"], joints)
     elif known["legs"]:
         raise ValueError("legs without feet among the inputs")
     shapes = {"input_mean": (channels,), "input_scale": (channels,), "R_BI": (3, 3)}

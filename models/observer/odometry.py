@@ -23,39 +23,53 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import Legs, leg_forward
-from surefoot.sim.robot.legs import JOINTS
 
 LegGeometry = dict[str, torch.Tensor]
 """The fields of surefoot.sim.robot.kinematics.Legs, and `radius` (L,) in m of the feet: what a
-checkpoint keeps of a robot with L legs of three joints."""
+checkpoint keeps of a robot with L legs. Those of 0.1.0, of three joints a leg, have no `joints` and
+no `count`."""
 
 
 def leg_geometry(robot: Mounted, joints: tuple[str, ...]) -> LegGeometry:
     """What `contact_points` needs of a robot's declared model.
 
-    Raises SurefootError where it, or a log's joints, are not a quadruped's.
+    Raises SurefootError where it has no legs, or a log's joints are not its own.
     """
-    if not isinstance(robot, Robot) or joints != JOINTS:
+    if not isinstance(robot, Robot) or joints != robot.limbs.joints:
         raise SurefootError(
-            f"--inputs feet: {robot.name} is not known as a quadruped, its feet cannot be computed"
+            f"--inputs feet: the log's joints are not known as those of {robot.name}, its feet "
+            "cannot be computed"
         )
     values = robot.legs._asdict() | {"radius": robot.foot_radius}
     return {name: torch.from_numpy(np.array(value, dtype=float)) for name, value in values.items()}
 
 
-def check_leg_geometry(geometry: LegGeometry, legs: int) -> LegGeometry:
-    """The same. Raises ValueError where it is not of this many legs of three joints."""
-    shapes = {"rotation": (legs, 3, 3, 3), "q_zero": (legs, 3), "foot": (legs, 3)}
-    shapes |= dict.fromkeys(("offset", "axis", "anchor"), (legs, 3, 3)) | {"radius": (legs,)}
-    if set(geometry) != set(shapes):
-        raise ValueError(f"legs is not the geometry of {legs} legs")
+def complete_geometry(geometry: LegGeometry) -> LegGeometry:
+    """The same with `joints` and `count`: three joints a leg, in turn, where it has neither."""
+    legs = len(geometry.get("radius", ()))
+    in_turn = torch.arange(3 * legs, dtype=torch.float64).reshape(legs, 3)
+    return {"joints": in_turn, "count": torch.full((legs,), 3.0).double()} | geometry
+
+
+def check_leg_geometry(geometry: LegGeometry, joints: int) -> None:
+    """Raise ValueError where it is not the geometry of a robot's legs with so many joints."""
+    geometry = complete_geometry(geometry)
+    legs = len(geometry.get("radius", ()))
+    per = geometry["q_zero"].shape[-1] if "q_zero" in geometry else 3
+    shapes = {"rotation": (legs, per, 3, 3), "foot": (legs, 3), "radius": (legs,), "count": (legs,)}
+    shapes |= dict.fromkeys(("offset", "axis", "anchor"), (legs, per, 3))
+    shapes |= dict.fromkeys(("q_zero", "joints"), (legs, per))
+    if set(geometry) != set(shapes) or not legs:
+        raise ValueError("legs is not the geometry of legs")
     for name, shape in shapes.items():
         value = geometry[name]
         if tuple(value.shape) != shape or value.dtype != torch.float64:
             raise ValueError(f"legs: {name} is not of shape {shape} and float64")
         if not bool(torch.isfinite(value).all()):
             raise ValueError(f"legs: {name} is not finite")
-    return geometry
+    order, count = geometry["joints"], geometry["count"]
+    if not bool(((order >= 0) & (order < joints)).all() and ((count >= 1) & (count <= per)).all()):
+        raise ValueError(f"legs: joints are not within the robot's {joints}")
 
 
 class Kinematics(NamedTuple):
@@ -68,7 +82,9 @@ class Kinematics(NamedTuple):
 
     @classmethod
     def of(cls, geometry: LegGeometry, mounting: Mounted) -> Kinematics:
-        values = {name: np.ascontiguousarray(value) for name, value in geometry.items()}
+        whole = complete_geometry(geometry)
+        values = {name: np.ascontiguousarray(value) for name, value in whole.items()}
+        values |= {name: values[name].astype(np.int64) for name in ("joints", "count")}
         R_BI, p_BI = (np.array(x, dtype=float) for x in (mounting.R_BI, mounting.p_BI))
         return cls(radius=values.pop("radius"), R_BI=R_BI, p_BI=p_BI, legs=Legs(**values))
 
@@ -76,7 +92,7 @@ class Kinematics(NamedTuple):
 def contact_points(known: Kinematics, q: np.ndarray, dq: np.ndarray) -> np.ndarray:
     """Positions s and velocities u (N, 6 L) of the contact points relative to the base, in I.
 
-    First those of all legs in m, then these in m/s; q and dq (N, 3 L) in rad and rad/s. The contact
+    First those of all legs in m, then these in m/s; q and dq (N, J) in rad and rad/s. The contact
     point is that of the foot's link which lies the foot's radius below its centre, along the base's
     vertical: of a foot that rolls it is at rest, not the centre.
     """
@@ -88,19 +104,25 @@ def _contact_points(known, q, dq):
     legs, radius, R_BI, p_BI = known
     first = 3 * len(radius)
     found = np.empty((len(q), 2 * first))
-    foot, J, axes = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
-    velocity = np.empty(3)
+    most = legs.q_zero.shape[1]
+    foot, J, axes = np.empty(3), np.empty((3, most)), np.empty((3, most))
+    velocity, spin = np.empty(3), np.empty(2)
     for k in range(len(q)):
         for leg in range(len(radius)):
             j = 3 * leg
-            leg_forward(legs, leg, q[k, j : j + 3], foot, J, axes)
-            a, b, c = dq[k, j], dq[k, j + 1], dq[k, j + 2]
+            leg_forward(legs, leg, q[k], foot, J, axes)
+            velocity[:], spin[:] = 0.0, 0.0
+            for m in range(legs.count[leg]):
+                rate = dq[k, legs.joints[leg, m]]
+                for i in range(3):
+                    velocity[i] += J[i, m] * rate
+                for i in range(2):
+                    spin[i] += axes[i, m] * rate
             for i in range(3):
-                velocity[i] = J[i, 0] * a + J[i, 1] * b + J[i, 2] * c
                 foot[i] -= p_BI[i]
             # The link's angular velocity times the lever arm (0, 0, -radius).
-            velocity[0] -= radius[leg] * (axes[1, 0] * a + axes[1, 1] * b + axes[1, 2] * c)
-            velocity[1] += radius[leg] * (axes[0, 0] * a + axes[0, 1] * b + axes[0, 2] * c)
+            velocity[0] -= radius[leg] * spin[1]
+            velocity[1] += radius[leg] * spin[0]
             foot[2] -= radius[leg]
             for i in range(3):
                 found[k, j + i] = found[k, first + j + i] = 0.0

@@ -11,7 +11,7 @@ from surefoot.sim.common.low_pass import low_pass
 from surefoot.sim.log import Log, joint_velocity, reference_velocity
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
-from surefoot.sim.robot.limbs import limbs_of
+from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.sensors.stances import inside_stances
 from surefoot.sim.sensors.streams import between_states
 
@@ -90,16 +90,16 @@ class Bins:
     v_sole: np.ndarray | None = None
 
 
-def reference_motion(log: Log, fixed: bool = False) -> ReferenceMotion:
-    """The reference, stances and bins of a log. Raises LogError where it has no reference, unless
-    its base is `fixed`."""
+def reference_motion(log: Log, limbs: Limbs, fixed: bool = False) -> ReferenceMotion:
+    """The reference, stances and bins of a log of a machine with these legs. Raises LogError where
+    it has no reference, unless its base is `fixed`."""
     t = log.t
     number = np.floor((t - t[0]) / BIN + 1e-6).astype(int)
     first = np.flatnonzero(np.diff(number, prepend=-1))
     count = np.diff(np.append(first, len(t)))
     bins = {"first": first, "count": count, "t": np.add.reduceat(t, first) / count}
     none = np.zeros((len(t), 3))
-    legs = len(limbs_of(log.joints).legs)
+    legs = len(limbs.legs)
     if fixed:
         every, feet = np.ones(len(t), dtype=bool), np.zeros((len(t), legs), dtype=bool)
         still = np.broadcast_to(np.eye(3), (len(t), 3, 3))

@@ -225,6 +225,8 @@ class BaseWrench(Channel):
     chained = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
+        if not limbs.point_feet:  # a flat foot gives moments too
+            return ()
         return (*_of_axes("force", "N", limbs), *_of_axes("moment", "N m", limbs))
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:

@@ -16,8 +16,8 @@ def foot_loads(
 ) -> np.ndarray:
     """Force (N, legs) [N] along the ground's normal on each foot that stands, zero on the others.
 
-    J^T f = inverse dynamics - measured torque, the former as means over bins. A log without torques
-    has the weight shared evenly by the feet that stand.
+    J^T f = inverse dynamics - measured torque, the former as means over bins. Without torques, or
+    with legs of other than three joints, the feet that stand share the weight evenly.
 
     Args:
         log: the measured log.
@@ -27,7 +27,7 @@ def foot_loads(
         steps: motion at the bins for inverse dynamics.
     """
     stands = log.contact
-    if not np.isfinite(bins.tau).any():
+    if not np.isfinite(bins.tau).any() or not robot.limbs.point_feet:
         weight = -GRAVITY_G[2] * (robot.mass + robot.extras.payload)
         return weight * stands / np.maximum(stands.sum(axis=1, keepdims=True), 1)
     taken = inverse_dynamics(steps, robot, every=True).torque
@@ -48,7 +48,7 @@ def normal_forces(legs, q, up, stands, torque):
         for leg in range(stands.shape[1]):
             if not stands[k, leg]:
                 continue
-            leg_forward(legs, leg, q[k, 3 * leg : 3 * leg + 3], foot, J, axes)
+            leg_forward(legs, leg, q[k], foot, J, axes)
             # n . f = torque . J^-1 n, by Cramer's rule.
             volume, along = 0.0, 0.0
             for j in range(3):
@@ -56,7 +56,7 @@ def normal_forces(legs, q, up, stands, torque):
                 for a in range(3):
                     b, c = (a + 1) % 3, (a + 2) % 3
                     normal = J[b, one] * J[c, two] - J[c, one] * J[b, two]
-                    along += torque[k, 3 * leg + j] * normal * up[k, a]
+                    along += torque[k, legs.joints[leg, j]] * normal * up[k, a]
                     if j == 0:
                         volume += J[a, 0] * normal
             if volume != 0.0:  # a leg so straight that its torques do not depend on its load

@@ -48,7 +48,8 @@ class ResidualJacobians:
 
     Of legs, by the rate of the IMU (M, 3 L, 3) and by the leg's own joints' angles and rates
     (M, L, 3, P); of heights, by the own joints' angles (M, L, P); of torques and wrench together
-    (J, M, J + 6), by each joint's angle, rate, acceleration and torque.
+    (J, M, J + 6), by each joint's angle, rate, acceleration and torque. The place of a joint in its
+    leg is that in `Limbs.chains`.
     """
 
     leg_omega: np.ndarray
@@ -65,8 +66,8 @@ def residual_jacobians(parts: ResidualTable, robot: Machine) -> ResidualJacobian
     """Every derivative that a change of readings can ask for."""
     layout, bins = parts.layout, parts.inputs.bins
     m, joints = bins.q.shape
-    legs = len(layout.limbs.legs)
-    per = joints // max(legs, 1)
+    legs, chains = len(layout.limbs.legs), layout.limbs.chains
+    per = max(map(len, chains), default=0)
     leg_omega, leg = np.zeros((m, 3 * legs, 3)), np.zeros((2, m, legs, 3, per))
     height_q = np.zeros((m, legs, per))
     velocities = parts.table[:, layout.of("leg_velocity")]
@@ -82,7 +83,8 @@ def residual_jacobians(parts: ResidualTable, robot: Machine) -> ResidualJacobian
         heights = parts.table[:, layout.of("foot_height")]
         for j in range(per):
             # One joint of every leg at once: a leg's columns change by its own joints alone.
-            all_legs = DIFFERENCE_STEP * np.tile(np.eye(per)[j], legs)
+            all_legs = np.zeros(joints)
+            all_legs[[chain[j] for chain in chains if j < len(chain)]] = DIFFERENCE_STEP
             leg[0, ..., j] = by(q=bins.q + all_legs).reshape(m, legs, 3)
             leg[1, ..., j] = by(dq=bins.dq + all_legs).reshape(m, legs, 3)
             if np.isfinite(heights).any():
@@ -106,7 +108,7 @@ def _by_effort(parts: ResidualTable, needed: InverseDynamics, robot: Machine) ->
     out[:3, :, use, :joints], out[:3, :, use, joints:] = -torque, -wrench
     for j in range(joints):
         out[3, j, use, j] = 1.0
-    if isinstance(robot, Robot) and s.steady.any():
+    if isinstance(robot, Robot) and s.steady.any() and robot.limbs.point_feet:
         out[:, :, use, joints:] += _by_feet(s, needed.torque[use], torque, robot)
     return out
 
@@ -119,23 +121,19 @@ def _by_feet(s: Steps, needed: np.ndarray, torque: np.ndarray, robot: Robot) -> 
     needed (M, J), torque (3, J, M, J): what the motion takes, and its derivatives.
     """
     bins, joints = needed.shape
-    count = s.standing.shape[1]
-    legs, per = np.arange(count), joints // count
+    chains = np.array(robot.limbs.chains)
     out = np.zeros((4, joints, bins, 6))
     plain = given_by_feet(s, s.q, needed - s.tau, robot)
-    for j in range(per):
-        at = per * legs + j
+    for at in chains.T:
         moved = np.zeros(joints)
         moved[at] = 1.0
         for kind in range(4):
             if kind == 3:
                 step, gained = 1.0, -moved
             else:
-                own = torque[kind, at].reshape(count, bins, count, per)[legs, :, legs]
-                step, gained = (
-                    DIFFERENCE_STEP,
-                    DIFFERENCE_STEP * np.moveaxis(own, 0, 1).reshape(bins, joints),
-                )
+                step, gained = DIFFERENCE_STEP, np.zeros((bins, joints))
+                for joint, chain in zip(at, chains, strict=True):
+                    gained[:, chain] = DIFFERENCE_STEP * torque[kind, joint][:, chain]
             q = s.q + DIFFERENCE_STEP * moved if kind == 0 else s.q
             given = given_by_feet(s, q, needed - s.tau + gained, robot)
             out[kind, at] = np.moveaxis(given - plain, 1, 0) / step
@@ -149,11 +147,10 @@ def wrt_readings(
     each place (axis or joint), its means over bins (M,); of "omega", gyro at the rows' times; of
     "q_step" and "dq_step", at those of torques; of "ddq" what the rate gains over them."""
     out, layout = np.zeros(parts.table.shape), parts.layout
-    joints = parts.inputs.bins.q.shape[1]
+    joints, leg_of = parts.inputs.bins.q.shape[1], layout.limbs.leg_of
     gyro, accel, legs = (layout.of(n) for n in ("imu_gyro", "imu_accel", "leg_velocity"))
     velocity, height = layout.by_leg("leg_velocity"), layout.by_leg("foot_height")
     torque, wrench, rate = (layout.of(n) for n in ("joint_torque", "base_wrench", "joint_rate"))
-    per = joints // max(len(layout.limbs.legs), 1)
     forces = np.zeros((len(out), joints + 6))
     for axis, x in change.get("gyro", {}).items():
         out[:, gyro[axis]] += x
@@ -162,14 +159,16 @@ def wrt_readings(
     for axis, x in change.get("accel", {}).items():
         out[:, accel[axis]] += x
     for joint, x in change.get("q", {}).items():
-        if len(legs):
-            leg, j = divmod(joint, per)
+        leg = leg_of[joint]
+        if leg is not None:
+            j = layout.limbs.chains[leg].index(joint)
             out[:, velocity[leg]] += known.leg_q[:, leg, :, j] * x[:, None]
             out[:, height[leg, 0]] += known.height_q[:, leg, j] * x
         out[:, rate[joint]] += slope(x)
     for joint, x in change.get("dq", {}).items():
-        if len(legs):
-            leg, j = divmod(joint, per)
+        leg = leg_of[joint]
+        if leg is not None:
+            j = layout.limbs.chains[leg].index(joint)
             out[:, velocity[leg]] += known.leg_dq[:, leg, :, j] * x[:, None]
         out[:, rate[joint]] -= smooth_121(x)
     if len(legs):

@@ -7,7 +7,7 @@ import numpy as np
 
 from surefoot.models.residuals.channel import Column
 from surefoot.models.residuals.registry import channels
-from surefoot.sim.robot.limbs import Limbs, limbs_of
+from surefoot.sim.robot.limbs import Limbs
 
 
 @dataclass(frozen=True)
@@ -72,11 +72,6 @@ class Layout:
             for c in range(columns.start, columns.stop):
                 found.setdefault((name, getattr(self.columns[c], what)), []).append(c)
         return tuple(found.values())
-
-
-def layout_of(joints: tuple[str, ...]) -> Layout:
-    """The table of a log with these joints: a quadruped's, or that of a fixed base."""
-    return layout_for(limbs_of(joints))
 
 
 @lru_cache

@@ -39,14 +39,15 @@ def _leg_velocity(legs, radius, R_BI, p_BI, q, dq, omega, up, standing):
         radius: (L,) [m], of the feet.
         R_BI: (3, 3), mounting of the IMU.
         p_BI: (3,) [m], its origin in B.
-        q: (M, 3 L) [rad].
-        dq: (M, 3 L) [rad/s].
+        q: (M, J) [rad].
+        dq: (M, J) [rad/s].
         omega: (M, 3) [rad/s] in I.
         up: (M, 3), the ground's normal in I.
         standing: (M, L) bool.
     """
     out = np.full((len(q), standing.shape[1], 3), np.nan)
-    foot, J, axes = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    most = legs.q_zero.shape[1]
+    foot, J, axes = np.empty(3), np.empty((3, most)), np.empty((3, most))
     sole, spin, step = np.empty(3), np.empty(3), np.empty(3)
     for k in range(len(q)):
         # In B from here on, where the legs are; the result is turned back into I.
@@ -56,8 +57,7 @@ def _leg_velocity(legs, radius, R_BI, p_BI, q, dq, omega, up, standing):
         for leg in range(standing.shape[1]):
             if not standing[k, leg]:
                 continue
-            leg_forward(legs, leg, q[k, 3 * leg : 3 * leg + 3], foot, J, axes)
-            rate = dq[k, 3 * leg : 3 * leg + 3]
+            leg_forward(legs, leg, q[k], foot, J, axes)
             r = radius[leg]
             for a in range(3):
                 b, c = (a + 1) % 3, (a + 2) % 3
@@ -65,9 +65,9 @@ def _leg_velocity(legs, radius, R_BI, p_BI, q, dq, omega, up, standing):
                 # omega x (r n - (foot - p_BI)), then omega_foot x r n and J dq, joint by joint
                 v += spin[b] * (r * sole[c] - foot[c] + p_BI[c])
                 v -= spin[c] * (r * sole[b] - foot[b] + p_BI[b])
-                for j in range(3):
+                for j in range(legs.count[leg]):
                     roll = r * (axes[b, j] * sole[c] - axes[c, j] * sole[b])
-                    v += rate[j] * (roll - J[a, j])
+                    v += dq[k, legs.joints[leg, j]] * (roll - J[a, j])
                 step[a] = v
             for a in range(3):
                 out[k, leg, a] = R_BI[0, a] * step[0] + R_BI[1, a] * step[1] + R_BI[2, a] * step[2]

@@ -9,7 +9,7 @@ from surefoot.models.residuals.binning import ReferenceMotion, binned
 from surefoot.models.residuals.channel import ResidualInputs
 from surefoot.models.residuals.feet import HALFWAY, level_ground
 from surefoot.models.residuals.foot_loads import foot_loads
-from surefoot.models.residuals.layout import Layout, layout_of
+from surefoot.models.residuals.layout import Layout, layout_for
 from surefoot.models.residuals.registry import channels
 from surefoot.models.residuals.soft_ground import foot_sinking
 from surefoot.models.residuals.torques import inverse_dynamics, steps_of
@@ -34,7 +34,7 @@ class ResidualTable:
 
 def residual(log: Log, robot: Machine, motion: ReferenceMotion) -> ResidualTable:
     """Residuals of the log's readings under the declared model `robot`."""
-    layout, inputs = layout_of(log.joints), residual_inputs(log, robot, motion)
+    layout, inputs = layout_for(robot.limbs), residual_inputs(log, robot, motion)
     return ResidualTable(layout, inputs, filled(layout, inputs))
 
 

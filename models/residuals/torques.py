@@ -50,7 +50,10 @@ def steps_of(bins: Bins, robot: Machine) -> Steps:
     up_B = np.zeros((len(bins.t), 3))
     if isinstance(robot, Robot):
         up_B = bins.R_GI[:, 2] @ robot.R_BI.T
-        swings = np.repeat(lifted, bins.q.shape[1] // lifted.shape[1], axis=1)
+        # Of joints of no leg, no foot's load is above them.
+        swings = np.ones_like(bins.q, dtype=bool)
+        for leg, chain in enumerate(robot.limbs.chains):
+            swings[:, chain] = lifted[:, [leg]]
         steady = (stays | lifted).all(axis=1) & stays.any(axis=1)
     else:
         swings, steady = np.ones_like(bins.q, dtype=bool), np.zeros(len(bins.t), dtype=bool)
@@ -116,7 +119,10 @@ def _shift(robot: Machine) -> np.ndarray | None:
     """How far each joint (J, 3) [m] is from where the robot's file has it."""
     if not isinstance(robot, Robot):
         return None
-    return (robot.legs.offset - declared(robot.file).legs.offset).reshape(-1, 3)
+    shift = np.zeros((len(robot.limbs.joints), 3))
+    for leg, chain in enumerate(robot.limbs.chains):
+        shift[list(chain)] = (robot.legs.offset - robot.drawn_offset)[leg, : len(chain)]
+    return shift
 
 
 def torque_carried(s: Steps, robot: Machine) -> np.ndarray:
@@ -170,15 +176,16 @@ def given_by_feet(s: Steps, q: np.ndarray, taken: np.ndarray, robot: Robot) -> n
 
 @kernel
 def feet_wrenches(legs, radius, q, up, standing, taken):
-    """Force and moment (M, L, 6) [N, N m] of each standing foot on the base, in B about its origin.
+    """Force and moment (M, L, 6) [N, N m] of each standing foot on the base, in B about its origin,
+    by legs of three joints.
 
     Args:
         legs: geometry of the legs, as of `leg_forward`.
         radius: (M, L) [m], of the feet.
-        q: (M, 3 L) [rad].
+        q: (M, J) [rad].
         up: (M, 3), the ground's normal in B.
         standing: (M, L) bool.
-        taken: (M, 3 L) [N m], J^T f.
+        taken: (M, J) [N m], J^T f.
     """
     out = np.zeros((len(q), standing.shape[1], 6))
     foot, f, J, axes = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty((3, 3))
@@ -186,7 +193,7 @@ def feet_wrenches(legs, radius, q, up, standing, taken):
         for leg in range(standing.shape[1]):
             if not standing[k, leg]:
                 continue
-            leg_forward(legs, leg, q[k, 3 * leg : 3 * leg + 3], foot, J, axes)
+            leg_forward(legs, leg, q[k], foot, J, axes)
             # At the point that touches, below the sphere's centre.
             for a in range(3):
                 foot[a] -= radius[k, leg] * up[k, a]
@@ -201,7 +208,7 @@ def feet_wrenches(legs, radius, q, up, standing, taken):
                 for a in range(3):
                     b, c = (a + 1) % 3, (a + 2) % 3
                     normal = J[b, m] * J[c, n] - J[c, m] * J[b, n]
-                    f[a] += taken[k, 3 * leg + j] * normal
+                    f[a] += taken[k, legs.joints[leg, j]] * normal
                     if j == 0:
                         volume += J[a, 0] * normal
             for a in range(3):

@@ -20,7 +20,7 @@ def parts(part: Part, limbs: Limbs) -> tuple[str, ...]:
     if part == "leg":
         return limbs.legs
     if part == "leg_link":
-        return tuple(limbs.joints[joint] for chain in limbs.chains for joint in chain[1:])
+        return limbs.links
     return tuple(f"{leg}_{axis}" for leg in limbs.legs for axis in AXES)
 
 

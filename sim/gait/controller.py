@@ -117,7 +117,7 @@ def tick(legs, controller, state, target, torque):
     loaded = 0.04 * gait.mass * GRAVITY
     for leg in range(4):
         own = slice(3 * leg, 3 * leg + 3)
-        leg_forward(legs, leg, q[own], foot, J, axes)
+        leg_forward(legs, leg, q, foot, J, axes)
         place = feet.place[leg]
         motion = FootMotion(place, feet.velocity[leg], feet.jacobian[leg], spin)
         foot_motion(base, dq[own], foot, J, axes, motion)

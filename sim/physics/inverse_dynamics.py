@@ -19,6 +19,7 @@ from numba import types
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.physics.inertia import LinkChange, change_links
 from surefoot.sim.physics.stepper import mujoco_library
+from surefoot.sim.robot.model_file import compiled_model
 
 _address = ctypes.cast(mujoco_library().mj_inverseSkip, ctypes.c_void_p).value
 binding.add_symbol("mj_inverseSkip", _address)
@@ -137,7 +138,7 @@ class Dynamics:
 @lru_cache(maxsize=16)
 def dynamics_of(file: Path, joint_names: tuple[str, ...]) -> Dynamics:
     """The dynamics of an MJCF file as it is, seen at these joints."""
-    model = mujoco.MjModel.from_xml_path(str(file))
+    model = compiled_model(file)
     flags = mujoco.mjtDisableBit
     model.opt.disableflags |= flags.mjDSBL_CONTACT | flags.mjDSBL_LIMIT
     joints = [model.joint(name) for name in joint_names]

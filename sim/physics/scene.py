@@ -13,6 +13,7 @@ from surefoot.sim.ground.tiles import add_ground
 from surefoot.sim.physics.springs import Springs, springs_of
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.legs import JOINTS, LEGS
+from surefoot.sim.robot.limbs import QUADRUPED
 
 TIMESTEP = 0.002  # s
 
@@ -32,6 +33,17 @@ class World:
 
 def robot_spec(robot: Robot) -> mujoco.MjSpec:
     """The robot with a torque motor a joint and a touch sensor a foot, whatever its file had."""
+    if robot.limbs != QUADRUPED:
+        raise SurefootError(
+            f"robot {robot.name}: only quadrupeds of three hinges a leg walk in simulation, this "
+            f"one has legs of {', '.join(str(len(chain)) for chain in robot.limbs.chains)} hinges "
+            f"and {len(robot.limbs.joints)} joints in all"
+        )
+    for joint, limit in zip(robot.joint_names, robot.torque_limit, strict=True):
+        if not np.isfinite(limit):
+            raise SurefootError(
+                f"robot {robot.name}: no torque limit for joint {joint}; give its motor a ctrlrange"
+            )
     spec = robot.spec()
     for part in (*spec.sensors, *spec.actuators, *spec.keys):
         spec.delete(part)

@@ -20,7 +20,7 @@ def known_robots() -> dict[str, Path]:
 
 
 def robot_file(name_or_path: str | Path) -> Path:
-    """The MJCF file of a known name, one of robot_descriptions', or a path.
+    """The file of a known name, one of robot_descriptions', or a path of an MJCF or URDF.
 
     Raises SurefootError, naming what is known.
     """
@@ -31,12 +31,14 @@ def robot_file(name_or_path: str | Path) -> Path:
     if described:
         return described
     path = Path(name_or_path)
-    if path.suffix == ".xml":
+    if path.suffix in (".xml", ".urdf"):
         if path.is_file():
             return path
-        raise SurefootError(f"robot {path}: no such MJCF file")
+        raise SurefootError(
+            f"robot {path}: no such {'MJCF' if path.suffix == '.xml' else 'URDF'} file"
+        )
     raise SurefootError(
-        f"unknown robot '{name_or_path}': give a path to an .xml (MJCF), or one of "
+        f"unknown robot '{name_or_path}': give a path to an .xml (MJCF) or .urdf, or one of "
         f"{', '.join((*known, *downloadable_robots()))}"
     )
 

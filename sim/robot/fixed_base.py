@@ -1,5 +1,6 @@
 """A machine whose base does not move: a pendulum, an arm, any MJCF without a free joint."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from surefoot.sim.common.files import bundled
 from surefoot.sim.log import Log
 from surefoot.sim.robot.catalog import robot_file
 from surefoot.sim.robot.limbs import Limbs
+from surefoot.sim.robot.model_file import compiled_model
 from surefoot.sim.robot.robot import DeclaredExtras, Robot
 
 BUNDLED_MACHINES = bundled("surefoot.sim.robot", "machines")
@@ -33,17 +35,18 @@ class FixedBase:
 Machine = Robot | FixedBase
 
 
-def load_machine(name_or_path: str | Path) -> Machine:
-    """A quadruped, or a fixed base where the model has no free joint. Raises SurefootError."""
+def load_machine(name_or_path: str | Path, feet: Mapping[str, str] | None = None) -> Machine:
+    """A robot with legs, or a fixed base where the model has no free joint, or is a URDF without
+    legs. Raises SurefootError. feet: as of `Robot.load`."""
     bundled = BUNDLED_MACHINES / f"{name_or_path}.xml"
     file = bundled if bundled.is_file() else robot_file(name_or_path)
-    try:
-        model = mujoco.MjModel.from_xml_path(str(file))
-    except ValueError as error:
-        reason = str(error).strip().splitlines()[0]
-        raise SurefootError(f"robot {file}: MuJoCo cannot read it: {reason}") from None
+    model = compiled_model(file)
     if (model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any():
-        return Robot.load(name_or_path)
+        try:
+            return Robot.load(name_or_path, feet)
+        except SurefootError:
+            if file.suffix != ".urdf":
+                raise
     moves = {int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)}
     single = [model.joint(j).name for j in range(model.njnt) if int(model.jnt_type[j]) in moves]
     if not single:
@@ -59,7 +62,7 @@ def machine_for_log(log: Log, name: str | Path | None = None) -> Machine:
     chosen = name or log.meta.robot
     if not chosen:
         raise SurefootError("the log names no robot: say which with --robot")
-    machine = load_machine(chosen)
+    machine = load_machine(chosen, log.meta.model.get("feet"))
     if isinstance(machine, Robot):
         return Robot.for_log(log, chosen)
     if not log.has("q"):

@@ -18,7 +18,7 @@ def stands(legs: Legs, q: np.ndarray) -> bool:
     foot, J, axes = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     drops = np.empty(4)
     for leg in range(4):
-        leg_forward(legs, leg, q[3 * leg : 3 * leg + 3], foot, J, axes)
+        leg_forward(legs, leg, q, foot, J, axes)
         hip, straight = _thigh_joint(legs, leg), _straight(legs, leg)
         drops[leg] = (hip[2] - foot[2]) / straight
         if drops[leg] < LOWEST or abs(foot[0] - hip[0]) > ASKEW * straight:
@@ -42,7 +42,9 @@ def standing_joints(legs: Legs, joint_range: np.ndarray) -> np.ndarray:
         target = thigh - np.array([0.0, 0.0, CROUCH * _straight(legs, leg)])
 
         def miss(q: np.ndarray, leg: int = leg, target: np.ndarray = target) -> np.ndarray:
-            leg_forward(legs, leg, q, foot, J, axes)
+            whole = np.zeros(12)
+            whole[3 * leg : 3 * leg + 3] = q
+            leg_forward(legs, leg, whole, foot, J, axes)
             return foot - target
 
         best, best_cost = middle, np.inf

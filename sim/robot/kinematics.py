@@ -1,4 +1,4 @@
-"""Leg kinematics, compiled: three hinges in series from the base to a foot, and its motion.
+"""Leg kinematics, compiled: hinges in series from the base to a foot, and its motion.
 
 Nothing is allocated a leg, as these run at every step.
 """
@@ -11,19 +11,23 @@ from surefoot.sim.common.kernels import kernel
 
 
 class Legs(NamedTuple):
-    """Constants of four three-joint legs, read from a model; everything in m and rad.
+    """Constants of L legs of up to P joints, read from a model; everything in m and rad.
 
-    A leg is walked from the base B outwards: `offset` and `rotation` take the frame of the
-    previous link to that of joint j's link at q = q_zero, `axis` and `anchor` are the
-    hinge in that link's own frame, and `foot` is the foot's centre in the last link's frame.
+    Of the J joints of a robot, `joints` are those of each leg, its first `count`; what stands
+    behind them in a shorter leg is not read. A leg is walked from the base B outwards: `offset` and
+    `rotation` take the frame of the previous link to that of joint j's link at q = q_zero, `axis`
+    and `anchor` are the hinge in that link's own frame, and `foot` is the foot's centre, or the
+    middle of a flat sole, in the last link's frame.
     """
 
-    offset: np.ndarray  # (4, 3, 3)
-    rotation: np.ndarray  # (4, 3, 3, 3)
-    axis: np.ndarray  # (4, 3, 3)
-    anchor: np.ndarray  # (4, 3, 3)
-    q_zero: np.ndarray  # (4, 3)
-    foot: np.ndarray  # (4, 3)
+    offset: np.ndarray  # (L, P, 3)
+    rotation: np.ndarray  # (L, P, 3, 3)
+    axis: np.ndarray  # (L, P, 3)
+    anchor: np.ndarray  # (L, P, 3)
+    q_zero: np.ndarray  # (L, P)
+    foot: np.ndarray  # (L, 3)
+    joints: np.ndarray  # (L, P), whole numbers
+    count: np.ndarray  # (L,), whole numbers
 
 
 @kernel
@@ -33,15 +37,16 @@ def leg_forward(legs, leg, q, foot, jacobian, axes):
     Args:
         legs: geometry of the legs.
         leg: its index.
-        q: (3,) [rad], its joints.
+        q: (J,) [rad], all joints of the robot.
         foot: (3,) [m], filled with the foot's centre.
-        jacobian: (3, 3) [m/rad], filled with its Jacobian.
-        axes: (3, 3), filled with the joint axes as columns.
+        jacobian: (3, P) [m/rad], filled with its Jacobian by the leg's joints.
+        axes: (3, P), filled with the joint axes as columns.
     """
     # Rotations are tuples of nine numbers, row by row: arrays would be allocated at every step.
     R = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
     x, y, z = 0.0, 0.0, 0.0
-    for j in range(3):
+    count = legs.count[leg]
+    for j in range(count):
         dx, dy, dz = _apply(R, legs.offset[leg, j])
         R = _times(R, _numbers(legs.rotation[leg, j]))
         ax, ay, az = _apply(R, legs.anchor[leg, j])
@@ -49,17 +54,21 @@ def leg_forward(legs, leg, q, foot, jacobian, axes):
         x, y, z = x + dx + ax, y + dy + ay, z + dz + az
         jacobian[0, j], jacobian[1, j], jacobian[2, j] = x, y, z
         axes[0, j], axes[1, j], axes[2, j] = _apply(R, legs.axis[leg, j])
-        R = _times(R, axis_rotation(legs.axis[leg, j], q[j] - legs.q_zero[leg, j]))
+        angle = q[legs.joints[leg, j]] - legs.q_zero[leg, j]
+        R = _times(R, axis_rotation(legs.axis[leg, j], angle))
         ax, ay, az = _apply(R, legs.anchor[leg, j])
         x, y, z = x - ax, y - ay, z - az
     dx, dy, dz = _apply(R, legs.foot[leg])
     foot[0], foot[1], foot[2] = x + dx, y + dy, z + dz
-    for j in range(3):
+    for j in range(count):
         ax, ay, az = axes[0, j], axes[1, j], axes[2, j]
         lx, ly, lz = foot[0] - jacobian[0, j], foot[1] - jacobian[1, j], foot[2] - jacobian[2, j]
         jacobian[0, j] = ay * lz - az * ly
         jacobian[1, j] = az * lx - ax * lz
         jacobian[2, j] = ax * ly - ay * lx
+    for j in range(count, jacobian.shape[1]):
+        for a in range(3):
+            jacobian[a, j] = axes[a, j] = 0.0
 
 
 class BaseMotion(NamedTuple):
@@ -170,24 +179,24 @@ def _numbers(M):
 
 @kernel
 def feet(legs, q, R_BI, p_BI):
-    """Of q (N, 12), in I: foot centres (N, 4, 3), Jacobians and joint axes (both (N, 4, 3, 3))."""
-    n = q.shape[0]
-    position = np.empty((n, 4, 3))
-    jacobian = np.empty((n, 4, 3, 3))
-    axes = np.empty((n, 4, 3, 3))
+    """Of q (N, J), in I: foot centres (N, L, 3), Jacobians and joint axes (both (N, L, 3, P))."""
+    n, (count, per) = q.shape[0], legs.q_zero.shape
+    position = np.empty((n, count, 3))
+    jacobian = np.empty((n, count, 3, per))
+    axes = np.empty((n, count, 3, per))
     R_IB = _numbers(R_BI.T)
-    foot, J, Z = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    foot, J, Z = np.empty(3), np.empty((3, per)), np.empty((3, per))
     for k in range(n):
-        for leg in range(4):
-            leg_forward(legs, leg, q[k, 3 * leg : 3 * leg + 3], foot, J, Z)
+        for leg in range(count):
+            leg_forward(legs, leg, q[k], foot, J, Z)
             for a in range(3):
                 foot[a] -= p_BI[a]
             place = _apply(R_IB, foot)
             for a in range(3):
                 position[k, leg, a] = place[a]
-            for j in range(3):
-                column = _apply(R_IB, J[:, j])
-                axis = _apply(R_IB, Z[:, j])
+            for j in range(per):
+                column = _apply(R_IB, (J[0, j], J[1, j], J[2, j]))
+                axis = _apply(R_IB, (Z[0, j], Z[1, j], Z[2, j]))
                 for a in range(3):
                     jacobian[k, leg, a, j] = column[a]
                     axes[k, leg, a, j] = axis[a]

@@ -1,5 +1,9 @@
-"""Finds the four legs of any 12-joint quadruped by its kinematic tree, not by its names."""
+"""Finds the legs of a robot by its kinematic tree: chains of hinges that end in a foot to stand on.
 
+A foot is a colliding sphere that rolls, or the flat underside of colliding boxes and meshes.
+"""
+
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import mujoco
@@ -8,41 +12,82 @@ import numpy as np
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log.schema import JOINTS, LEGS
 from surefoot.sim.robot.kinematics import Legs
+from surefoot.sim.robot.limbs import QUADRUPED, Limbs
 
 __all__ = ["JOINTS", "LEGS", "LegTree", "find_legs"]
+
+STANDING = 0.3
+"""Share of the base's height up to which the end of a chain, in the model's home pose, is a foot:
+hands and heads are higher."""
+SOLE_LEVEL = 0.01
+"""m. Shapes of a foot whose lowest points are this near to each other stand on it together."""
+SHORTEST_LINK = 0.01
+"""m. Hinges that are nearer to each other are one joint of several axes, without a link between."""
+FLAT = (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_MESH)
+_CORNERS = np.array(np.meshgrid(*3 * [[-1.0, 1.0]])).reshape(3, -1).T
 
 
 @dataclass(frozen=True)
 class LegTree:
-    """The legs of one model in the order FL, FR, RL, RR; joints hip, thigh, calf."""
+    """The legs, and the joints of no leg, of one model, in the order of `limbs`."""
 
+    limbs: Limbs
     base_body: int
-    joint_ids: np.ndarray  # (4, 3)
-    foot_geoms: np.ndarray  # (4,)
-    foot_radius: np.ndarray  # (4,) m
+    joint_ids: np.ndarray  # (J,)
+    foot_bodies: np.ndarray  # (L,)
+    foot_places: np.ndarray  # (L, 3) m in that body: a sphere's centre, or the middle of a sole
+    foot_radius: np.ndarray  # (L,) m, zero of flat feet
+    sole: np.ndarray  # (L, 2) m, half lengths of a flat sole, fore and aft and sideways; else zero
     constants: Legs
 
 
-def find_legs(model: mujoco.MjModel, name: str) -> LegTree:
-    """Legs, feet and their constants. Raises SurefootError saying what could not be found."""
+@dataclass(frozen=True)
+class _Foot:
+    body: int
+    place: np.ndarray
+    radius: float = 0.0
+    sole: tuple[float, float] = (0.0, 0.0)
+    bottom: float = np.inf  # m, height of its lowest point in the home pose
+
+
+def find_legs(model: mujoco.MjModel, name: str, feet: Mapping[str, str] | None = None) -> LegTree:
+    """Legs, feet and their constants. Raises SurefootError saying what could not be found.
+
+    Args:
+        model: compiled, with one floating base.
+        name: of the robot, for messages.
+        feet: name of each leg, and of the body or site that is its foot; by default every chain
+            that ends in a shape to stand on is a leg, named after its place.
+    """
     base = _floating_base(model, name)
-    chains = [_chain_to(model, joint, base) for joint in _last_hinges(model)]
-    if len(chains) != 4 or any(len(chain) != 3 for chain in chains):
-        lengths = [len(chain) for chain in chains]
+    data = _home_pose(model)
+    if feet:
+        found = [_named_foot(model, data, base, foot, name) for foot in feet.values()]
+        chains = [_chain_to(model, foot.body, base) for foot in found]
+        legs = tuple(feet)
+        for leg, chain in zip(legs, chains, strict=True):
+            if not chain:
+                raise SurefootError(f"robot {name}: no hinge between the base and foot {leg}")
+    else:
+        chains, found = _standing_chains(model, data, base, name)
+        order, legs = _named_by_place(model, base, chains, name)
+        chains, found = [chains[i] for i in order], [found[i] for i in order]
+    joints = [joint for chain in chains for joint in chain]
+    if len(set(joints)) < len(joints):
         raise SurefootError(
-            f"robot {name}: expected four legs of three hinges each below the floating base, "
-            f"found chains of {lengths} hinges"
+            f"robot {name}: two legs share a hinge; the floating base must be the body that they "
+            "both hang from"
         )
-    ordered = _order_by_place(model, base, chains, name)
-    feet = [
-        _foot_geom(model, chain[-1], leg, name) for chain, leg in zip(ordered, LEGS, strict=True)
-    ]
+    joints += [j for j in _other_joints(model, base) if j not in joints]
     return LegTree(
+        limbs=_limbs(model, legs, chains, joints, found, name),
         base_body=base,
-        joint_ids=np.array(ordered),
-        foot_geoms=np.array(feet),
-        foot_radius=model.geom_size[feet, 0].copy(),
-        constants=_constants(model, base, ordered, feet),
+        joint_ids=np.array(joints),
+        foot_bodies=np.array([foot.body for foot in found]),
+        foot_places=np.array([foot.place for foot in found]),
+        foot_radius=np.array([foot.radius for foot in found]),
+        sole=np.array([foot.sole for foot in found]),
+        constants=_constants(model, base, chains, found),
     )
 
 
@@ -53,8 +98,41 @@ def _floating_base(model: mujoco.MjModel, name: str) -> int:
     return int(model.jnt_bodyid[free[0]])
 
 
+def _home_pose(model: mujoco.MjModel) -> mujoco.MjData:
+    data = mujoco.MjData(model)
+    key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
+    if key >= 0:
+        data.qpos[:] = model.key_qpos[key]
+    mujoco.mj_kinematics(model, data)
+    return data
+
+
+def _standing_chains(
+    model: mujoco.MjModel, data: mujoco.MjData, base: int, name: str
+) -> tuple[list[list[int]], list[_Foot]]:
+    """The chains that end in a foot, and their feet."""
+    chains = [_chain_to(model, int(model.jnt_bodyid[j]), base) for j in _last_hinges(model)]
+    feet = [_foot_of(model, data, base, chain) for chain in chains]
+    soles = _sole_frames(model, data) if not any(feet) else []
+    if soles:  # a description without shapes
+        return [_chain_to(model, foot.body, base) for foot in soles], soles
+    pairs = [(c, f) for c, f in zip(chains, feet, strict=True) if f is not None]
+    quadruped = len(pairs) == 4 and all(len(chain) == 3 for chain, _ in pairs)
+    if pairs and not quadruped:
+        lowest = min(foot.bottom for _, foot in pairs)
+        highest = lowest + STANDING * max(float(data.xpos[base][2]) - lowest, 0.0)
+        pairs = [(chain, foot) for chain, foot in pairs if foot.bottom <= max(highest, lowest)]
+    if not pairs:
+        raise SurefootError(
+            f"robot {name}: none of its {len(chains)} chains of hinges ends in a colliding sphere, "
+            "box or mesh for a foot; add a sphere geom at the end of each leg, or name the feet in "
+            "the map"
+        )
+    return [chain for chain, _ in pairs], [foot for _, foot in pairs]
+
+
 def _last_hinges(model: mujoco.MjModel) -> list[int]:
-    """Hinges with no hinge below them, one at the end of each leg."""
+    """Hinges with no hinge below them, one at the end of each chain."""
     hinges = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE)
     hinges = [joint for joint in hinges if not _is_spring(model, joint)]
     above: set[int] = set()
@@ -63,12 +141,14 @@ def _last_hinges(model: mujoco.MjModel) -> list[int]:
         while body > 0:
             above.add(int(body))
             body = model.body_parentid[body]
-    return [int(j) for j in hinges if int(model.jnt_bodyid[j]) not in above]
+    last = [int(j) for j in hinges if int(model.jnt_bodyid[j]) not in above]
+    # Of several hinges on one body the last is at its end.
+    return [j for j in last if j + 1 not in last or model.jnt_bodyid[j] != model.jnt_bodyid[j + 1]]
 
 
-def _chain_to(model: mujoco.MjModel, last: int, base: int) -> list[int]:
+def _chain_to(model: mujoco.MjModel, body: int, base: int) -> list[int]:
+    """The joints between the base and a body, from the base outwards."""
     chain: list[int] = []
-    body = int(model.jnt_bodyid[last])
     while body not in (0, base):
         start, count = model.body_jntadr[body], model.body_jntnum[body]
         own = [j for j in range(start, start + count) if not _is_spring(model, j)]
@@ -86,15 +166,121 @@ def _is_spring(model: mujoco.MjModel, joint: int) -> bool:
     return bool(same and np.array_equal(model.jnt_axis[joint - 1], model.jnt_axis[joint]))
 
 
-def _order_by_place(
+def _other_joints(model: mujoco.MjModel, base: int) -> list[int]:
+    """Hinges of the robot: those below its base."""
+    hinges, root = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE), model.body_rootid
+    own = [int(j) for j in hinges if root[model.jnt_bodyid[j]] == root[base]]
+    return [joint for joint in own if not _is_spring(model, joint)]
+
+
+def _foot_of(
+    model: mujoco.MjModel, data: mujoco.MjData, base: int, chain: list[int]
+) -> _Foot | None:
+    """What the last link of a chain can stand on: the sphere farthest from its hinge, unless flat
+    shapes or other spheres reach as low; then the underside of all of these."""
+    link = int(model.jnt_bodyid[chain[-1]])
+    collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    shapes = [
+        g for g in np.flatnonzero(collides) if _is_fixed_to(model, model.geom_bodyid[g], link)
+    ]
+    spheres = [g for g in shapes if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_SPHERE]
+    flat = [g for g in shapes if model.geom_type[g] in FLAT]
+    if not spheres + flat:
+        return None
+    lowest = {g: _corners_G(model, data, g)[:, 2].min() for g in spheres + flat}
+    if spheres:
+        hinge = data.xanchor[chain[-1]]
+        ball = max(spheres, key=lambda g: float(np.linalg.norm(data.geom_xpos[g] - hinge)))
+        rivals = [g for g in lowest if g != ball and lowest[g] < lowest[ball] + SOLE_LEVEL]
+        # Three hinges place a point and cannot lay a sole flat.
+        if not rivals or len(chain) <= 3:
+            place, radius = model.geom_pos[ball].copy(), float(model.geom_size[ball, 0])
+            return _Foot(int(model.geom_bodyid[ball]), place, radius, bottom=lowest[ball])
+    floor = min(lowest.values())
+    return _sole(model, data, base, [g for g in lowest if lowest[g] < floor + SOLE_LEVEL])
+
+
+def _sole(model: mujoco.MjModel, data: mujoco.MjData, base: int, shapes: list[int]) -> _Foot:
+    """The underside of some shapes of one link: of the box about them along the lowest's axes."""
+    points_G = np.concatenate([_corners_G(model, data, g) for g in shapes])
+    first = min(shapes, key=lambda g: float(_corners_G(model, data, g)[:, 2].min()))
+    axes_G = data.geom_xmat[first].reshape(3, 3)
+    down = int(np.argmax(np.abs(axes_G[2])))
+    along = points_G @ axes_G
+    low, high = along.min(axis=0), along.max(axis=0)
+    middle = 0.5 * (low + high)
+    middle[down] = low[down] if axes_G[2, down] > 0 else high[down]
+    forward_G = data.xmat[base].reshape(3, 3)[:, 0]
+    sides = [a for a in range(3) if a != down]
+    sides.sort(key=lambda a: -abs(float(axes_G[:, a] @ forward_G)))
+    half = 0.5 * (high - low)[sides]
+    body = int(model.geom_bodyid[first])
+    place = data.xmat[body].reshape(3, 3).T @ (axes_G @ middle - data.xpos[body])
+    return _Foot(body, place, 0.0, (float(half[0]), float(half[1])), float(points_G[:, 2].min()))
+
+
+def _named_foot(
+    model: mujoco.MjModel, data: mujoco.MjData, base: int, named: str, name: str
+) -> _Foot:
+    """The foot that a map names: a site's place, a body's shapes, or a bare body's origin.
+
+    Args:
+        model: compiled.
+        data: in its home pose.
+        base: the floating body.
+        named: the body or site.
+        name: of the robot, for messages.
+    """
+    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, named)
+    if site >= 0:
+        return _Foot(int(model.site_bodyid[site]), model.site_pos[site].copy())
+    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, named)
+    if body < 0:
+        raise SurefootError(f"robot {name}: has no body or site '{named}' for a foot")
+    chain = _chain_to(model, body, base)
+    ends = chain and _is_fixed_to(model, body, int(model.jnt_bodyid[chain[-1]]))
+    shaped = _foot_of(model, data, base, chain) if ends else None
+    return shaped if shaped and shaped.body == body else _Foot(body, np.zeros(3))
+
+
+def _sole_frames(model: mujoco.MjModel, data: mujoco.MjData) -> list[_Foot]:
+    """Bodies that are named as a sole: `l_sole`, as descriptions of humanoids have them."""
+    names = [model.body(b).name for b in range(model.nbody)]
+    soles = [b for b, one in enumerate(names) if one.lower().endswith("_sole")]
+    return [_Foot(b, np.zeros(3), bottom=float(data.xpos[b][2])) for b in soles]
+
+
+def _is_fixed_to(model: mujoco.MjModel, body: int, link: int) -> bool:
+    """Whether a body is this link, or hangs on it without a joint."""
+    while body > link and not model.body_jntnum[body]:
+        body = int(model.body_parentid[body])
+    return int(body) == link
+
+
+def _corners_G(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> np.ndarray:
+    """Corners (8, 3) [m] in G of the box about a shape, along the shape's own axes."""
+    middle, half = np.split(model.geom_aabb[geom], 2)
+    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE:  # as low however it is turned
+        return data.geom_xpos[geom] + half * _CORNERS
+    return data.geom_xpos[geom] + (middle + half * _CORNERS) @ data.geom_xmat[geom].reshape(3, 3).T
+
+
+def _named_by_place(
     model: mujoco.MjModel, base: int, chains: list[list[int]], name: str
-) -> list[list[int]]:
-    """FL, FR, RL, RR by where each leg's thigh joint sits about the four legs' centre."""
+) -> tuple[list[int], tuple[str, ...]]:
+    """Order and names of legs: four are FL, FR, RL, RR, two left, right; others are named after
+    their first body. The place of a leg is that of its second hinge."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     R = data.xmat[base].reshape(3, 3)
-    places = np.array([R.T @ (data.xanchor[chain[1]] - data.xpos[base]) for chain in chains])
+    hips = [data.xanchor[chain[min(1, len(chain) - 1)]] for chain in chains]
+    places = np.array([R.T @ (hip - data.xpos[base]) for hip in hips])
     centred = places - places.mean(axis=0)
+    if len(chains) == 2 and (sides := _two_sides(model, chains, centred[:, 1])):
+        return sides, ("left", "right")
+    if len(chains) != 4:
+        firsts = [model.body(int(model.jnt_bodyid[chain[0]])).name for chain in chains]
+        return list(range(len(chains))), tuple(firsts)
     ordered = []
     for front, left in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
         match = np.flatnonzero((front * centred[:, 0] > 0) & (left * centred[:, 1] > 0))
@@ -103,54 +289,87 @@ def _order_by_place(
                 f"robot {name}: cannot distinguish front, rear, left and right legs; the base's x "
                 "axis must point forward and y left"
             )
-        ordered.append(chains[match[0]])
-    return ordered
+        ordered.append(int(match[0]))
+    return ordered, LEGS
 
 
-def _foot_geom(model: mujoco.MjModel, last_joint: int, leg: str, name: str) -> int:
-    """The colliding sphere farthest from the knee, on the last link or a body fixed to it."""
-    knee_body = int(model.jnt_bodyid[last_joint])
+def _two_sides(model: mujoco.MjModel, chains: list[list[int]], y: np.ndarray) -> list[int]:
+    """The left leg and the right: as their joints are named, since not every base's x axis points
+    forward, else by their place; none where neither says."""
+    marks = []
+    for chain in chains:
+        words = {w for j in chain for w in model.joint(j).name.lower().split("_")}
+        marks.append((bool(words & {"left", "l"}), bool(words & {"right", "r"})))
+    if marks in ([(True, False), (False, True)], [(False, True), (True, False)]):
+        return [0, 1] if marks[0][0] else [1, 0]
+    if abs(y[0] - y[1]) < SHORTEST_LINK:
+        return []
+    return [0, 1] if y[0] > y[1] else [1, 0]
+
+
+def _limbs(
+    model: mujoco.MjModel,
+    legs: tuple[str, ...],
+    chains: list[list[int]],
+    joints: list[int],
+    feet: list[_Foot],
+    name: str,
+) -> Limbs:
+    """Names and order of the joints: a quadruped's own where there are four legs of three hinges,
+    else the model's.
+
+    Args:
+        model: compiled.
+        legs: their names.
+        chains: MuJoCo's joints of each leg.
+        joints: all of the robot's, those of the legs first.
+        feet: of the legs.
+        name: of the robot, for messages.
+    """
+    names = [model.joint(j).name for j in joints]
+    if "" in names:
+        body = model.body(int(model.jnt_bodyid[joints[names.index("")]])).name
+        raise SurefootError(f"robot {name}: a joint of body '{body}' has no name")
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    knee = data.xanchor[last_joint]
-    best, reach = -1, 0.0
-    for geom in range(model.ngeom):
-        body = int(model.geom_bodyid[geom])
-        while body > knee_body:
-            body = int(model.body_parentid[body])
-        sphere = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE
-        collides = model.geom_contype[geom] or model.geom_conaffinity[geom]
-        distance = float(np.linalg.norm(data.geom_xpos[geom] - knee))
-        if body == knee_body and sphere and collides and distance > reach:
-            best, reach = geom, distance
-    if best < 0:
-        raise SurefootError(
-            f"robot {name}: leg {leg} has no colliding sphere for a foot; add a sphere geom at its "
-            "end"
-        )
-    return best
+    if legs == LEGS and all(len(chain) == 3 for chain in chains):
+        names[:12] = JOINTS
+        if len(joints) == 12:
+            return QUADRUPED
+    links = []
+    for chain, foot in zip(chains, feet, strict=True):
+        R, at = data.xmat[foot.body].reshape(3, 3), data.xpos[foot.body]
+        ends = [*(data.xanchor[j] for j in chain[1:]), at + R @ foot.place]
+        for joint, end in list(zip(chain, ends, strict=True))[1:]:
+            if np.linalg.norm(end - data.xanchor[joint]) > SHORTEST_LINK:
+                links.append(names[joints.index(joint)])
+    at = {joint: i for i, joint in enumerate(joints)}
+    chained = tuple(tuple(at[j] for j in chain) for chain in chains)
+    return Limbs(legs, tuple(names), chained, tuple(links))
 
 
-def _constants(model: mujoco.MjModel, base: int, chains: list[list[int]], feet: list[int]) -> Legs:
-    offset, rotation = np.zeros((4, 3, 3)), np.zeros((4, 3, 3, 3))
-    foot = np.zeros((4, 3))
+def _constants(
+    model: mujoco.MjModel, base: int, chains: list[list[int]], feet: list[_Foot]
+) -> Legs:
+    count, most = len(chains), max(len(chain) for chain in chains)
+    offset, rotation = np.zeros((count, most, 3)), np.zeros((count, most, 3, 3))
+    axis, anchor = np.zeros((count, most, 3)), np.zeros((count, most, 3))
+    q_zero, foot = np.zeros((count, most)), np.zeros((count, 3))
+    joints, first = np.zeros((count, most), np.int64), 0
     for leg, chain in enumerate(chains):
         previous = base
         for j, joint in enumerate(chain):
             body = int(model.jnt_bodyid[joint])
             rotation[leg, j], offset[leg, j] = _between(model, previous, body)
+            axis[leg, j], anchor[leg, j] = model.jnt_axis[joint], model.jnt_pos[joint]
+            q_zero[leg, j] = model.qpos0[model.jnt_qposadr[joint]]
+            joints[leg, j] = first + j
             previous = body
-        R, p = _between(model, previous, int(model.geom_bodyid[feet[leg]]))
-        foot[leg] = p + R @ model.geom_pos[feet[leg]]
-    joints = np.array(chains)
-    return Legs(
-        offset=offset,
-        rotation=rotation,
-        axis=model.jnt_axis[joints].copy(),
-        anchor=model.jnt_pos[joints].copy(),
-        q_zero=model.qpos0[model.jnt_qposadr[joints]].copy(),
-        foot=foot,
-    )
+        first += len(chain)
+        R, p = _between(model, previous, feet[leg].body)
+        foot[leg] = p + R @ feet[leg].place
+    lengths = np.array([len(chain) for chain in chains])
+    return Legs(offset, rotation, axis, anchor, q_zero, foot, joints, lengths)
 
 
 def _between(model: mujoco.MjModel, ancestor: int, body: int) -> tuple[np.ndarray, np.ndarray]:

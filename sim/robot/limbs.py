@@ -12,12 +12,14 @@ class Limbs:
     """Names of a machine's legs and of its joints.
 
     chains: of each leg, its joints as indices, from the body to the foot. Joints of no leg (of arms
-    or a torso, or of a machine without legs) are in none.
+    or a torso, or of a machine without legs) are in none. links: the legs' links of some length,
+    but for the first of each, by the joint at the upper end.
     """
 
     legs: tuple[str, ...]
     joints: tuple[str, ...]
     chains: tuple[tuple[int, ...], ...]
+    links: tuple[str, ...] = ()
 
     @cached_property
     def leg_of(self) -> tuple[int | None, ...]:
@@ -30,6 +32,11 @@ class Limbs:
         return self._kinds[joint]
 
     @cached_property
+    def point_feet(self) -> bool:
+        """Whether every leg has the three joints whose torques give the force on a foot's point."""
+        return bool(self.chains) and all(len(chain) == 3 for chain in self.chains)
+
+    @cached_property
     def kinds(self) -> dict[str, tuple[str, ...]]:
         """The joints of each kind that several legs have, from the body outwards."""
         found: dict[str, list[str]] = {}
@@ -40,13 +47,14 @@ class Limbs:
 
     @cached_property
     def sides(self) -> dict[str, tuple[int, ...]]:
-        """The legs of each side, as indices, by the names that legs get from their place."""
+        """The legs of each side, as indices, by their names: `FL`, or `left`, or `l`."""
         marks = {"front": ("F", 0), "rear": ("R", 0), "left": ("L", 1), "right": ("R", 1)}
         found = {
             side: tuple(
                 i
                 for i, leg in enumerate(self.legs)
-                if leg == side or (len(leg) == 2 and leg[at] == mark)
+                if (len(leg) == 2 and leg[at] == mark)
+                or (side in ("left", "right") and leg.lower() in (side, side[0]))
             )
             for side, (mark, at) in marks.items()
         }
@@ -77,13 +85,9 @@ def limbs_by_name(legs: tuple[str, ...], joints: tuple[str, ...]) -> Limbs:
     chains = (
         tuple(i for i, joint in enumerate(joints) if joint.startswith(f"{leg}_")) for leg in legs
     )
-    return Limbs(legs, joints, tuple(chains))
+    chains = tuple(chains)
+    return Limbs(legs, joints, chains, tuple(joints[j] for chain in chains for j in chain[1:]))
 
 
 QUADRUPED = limbs_by_name(LEGS, JOINTS)
 """Four legs of three joints each."""
-
-
-def limbs_of(joints: tuple[str, ...]) -> Limbs:
-    """Those of a log with these joints: a quadruped's, or a machine's on a fixed base."""
-    return QUADRUPED if joints in ((), JOINTS) else Limbs((), joints, ())

@@ -1,6 +1,7 @@
-"""A 12-joint quadruped read from its MJCF: legs, feet, IMU and limits, in canonical order."""
+"""A robot with legs read from its MJCF or URDF: legs, feet, IMU and limits."""
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,9 +16,12 @@ from surefoot.sim.physics.inertia import LinkChange
 from surefoot.sim.robot.catalog import robot_file
 from surefoot.sim.robot.home_pose import standing_joints, stands
 from surefoot.sim.robot.kinematics import Legs, feet
-from surefoot.sim.robot.legs import JOINTS, find_legs
-from surefoot.sim.robot.limbs import QUADRUPED, Limbs
+from surefoot.sim.robot.legs import JOINTS, LegTree, find_legs
+from surefoot.sim.robot.limbs import Limbs
+from surefoot.sim.robot.model_file import compiled_model, model_spec
 
+_OF_JOINTS = ("joint_range", "torque_limit", "q_home")
+_OF_LEGS = ("foot_radius", "sole", "foot_places", "drawn_offset")
 IMU_SITES = ("imu", "imu_site", "IMU", "trunk_imu")
 
 
@@ -37,11 +41,14 @@ class DeclaredExtras:
 
 @dataclass(frozen=True)
 class Robot:
-    """A quadruped's declared model. Legs FL, FR, RL, RR; joints hip, thigh, calf.
+    """The declared model of a robot with L legs and J joints, those of its legs first.
 
-    The base frame B is that of the body with the free joint, the IMU frame I that of the site that
-    carries a gyro or is named "imu" (the base frame where the model has none). `foot_radius` is
-    what the declared model says of rolling feet: zero means feet are points.
+    The legs of a quadruped are FL, FR, RL, RR, and of three hinges each they are hip, thigh and
+    calf; two legs are left and right, others are named after their first body, and their joints as
+    in the model. The base frame B is that of the body with the free joint, the IMU frame I that of
+    the site that carries a gyro or is named "imu" (the base frame where the model has none).
+    `foot_radius` is what the declared model says of rolling feet: zero means feet are points, or
+    flat.
     """
 
     name: str
@@ -50,24 +57,31 @@ class Robot:
     imu: str | None  # its site; None: the model has none, and the base frame stands for it
     p_BI: np.ndarray  # (3,) m, the IMU's origin in B
     R_BI: np.ndarray  # (3, 3), maps I to B
-    foot_radius: np.ndarray  # (4,) m
-    joint_range: np.ndarray  # (12, 2) rad
-    torque_limit: np.ndarray  # (12,) N m
-    q_home: np.ndarray  # (12,) rad, standing
+    foot_radius: np.ndarray  # (L,) m
+    sole: np.ndarray  # (L, 2) m, half lengths of flat feet, fore and aft and sideways; else zero
+    joint_range: np.ndarray  # (J, 2) rad
+    torque_limit: np.ndarray  # (J,) N m, infinite where the model has none
+    q_home: np.ndarray  # (J,) rad, standing
+    limbs: Limbs  # names of legs and joints
     legs: Legs
+    drawn_offset: np.ndarray  # (L, P, 3) m, `legs.offset` as the file has it
     base_name: str
-    joint_names: tuple[str, ...]  # the model's own names, in canonical order
-    foot_bodies: tuple[str, ...]  # name of the body that carries each foot's sphere
-    foot_places: np.ndarray  # (4, 3) m, the sphere's centre in that body
+    joint_names: tuple[str, ...]  # the model's own names, in the order of `limbs`
+    foot_bodies: tuple[str, ...]  # name of the body that carries each foot
+    foot_places: np.ndarray  # (L, 3) m in that body: a sphere's centre, or the middle of a sole
     extras: DeclaredExtras = field(default_factory=DeclaredExtras)
 
     @classmethod
-    def load(cls, name_or_path: str | Path) -> "Robot":
-        """The robot of a known name or an MJCF file. Raises SurefootError in one clear line."""
+    def load(cls, name_or_path: str | Path, feet: Mapping[str, str] | None = None) -> "Robot":
+        """The robot of a known name, or an MJCF or URDF file. Raises SurefootError in one line.
+
+        feet: name of each leg, and of the body or site that is its foot, where they are not to be
+        found by the shapes that the chains end in.
+        """
         file = robot_file(name_or_path)
-        model = _compile(file)
-        tree = find_legs(model, file.stem)
-        joints = tree.joint_ids.ravel()
+        model = compiled_model(file)
+        tree = find_legs(model, file.stem, feet)
+        joints = tree.joint_ids
         imu = _imu_site(model, tree.base_body)
         p_BI, R_BI = _imu_mounting(model, imu)
         return cls(
@@ -78,14 +92,17 @@ class Robot:
             p_BI=p_BI,
             R_BI=R_BI,
             foot_radius=tree.foot_radius,
+            sole=tree.sole,
             joint_range=_ranges(model, joints),
-            torque_limit=_torque_limits(model, joints, file.stem),
-            q_home=_home(model, joints, tree.constants),
+            torque_limit=_torque_limits(model, joints),
+            q_home=_home(model, joints, tree),
+            limbs=tree.limbs,
             legs=tree.constants,
+            drawn_offset=tree.constants.offset,
             base_name=model.body(tree.base_body).name,
             joint_names=tuple(model.joint(j).name for j in joints),
-            foot_bodies=tuple(model.body(b).name for b in model.geom_bodyid[tree.foot_geoms]),
-            foot_places=model.geom_pos[tree.foot_geoms].copy(),
+            foot_bodies=tuple(model.body(b).name for b in tree.foot_bodies),
+            foot_places=tree.foot_places,
         )
 
     @classmethod
@@ -94,12 +111,8 @@ class Robot:
         chosen = name or log.meta.robot
         if not chosen:
             raise SurefootError("the log names no robot: say which with --robot")
-        robot = cls.load(chosen)
-        if log.has("q") and log.joints != JOINTS:
-            raise SurefootError(
-                f"{log.name}: its joints are not a quadruped's twelve ({JOINTS[0]} to {JOINTS[-1]})"
-            )
         mapped = log.meta.model
+        robot = cls.load(chosen, mapped.get("feet")).in_order_of(log)
         if "p_BI" in mapped:
             robot = replace(robot, p_BI=np.array(mapped["p_BI"], dtype=float))
         if "q_BI" in mapped:
@@ -107,31 +120,70 @@ class Robot:
                 robot, R_BI=matrix_from_quaternion(np.array(mapped["q_BI"], dtype=float))
             )
         if "foot_radius" in mapped:
-            radius = np.broadcast_to(mapped["foot_radius"], (4,)).astype(float)
+            radius = np.broadcast_to(mapped["foot_radius"], len(robot.foot_radius)).astype(float)
             robot = replace(robot, foot_radius=radius)
         return robot
 
-    @property
-    def limbs(self) -> Limbs:
-        """Names of its legs and joints."""
-        return QUADRUPED
+    def in_order_of(self, log: Log) -> "Robot":
+        """The robot with the joints and legs that a log has, in its order.
+
+        Joints of no leg that the log lacks stay where the model has them. Raises SurefootError
+        where it lacks one of a leg, or has a joint or leg that the robot does not.
+        """
+        own, joints = self.limbs, log.joints if log.has("q") else self.limbs.joints
+        legs = log.legs or own.legs
+        for what, there, known in (("joint", joints, own.joints), ("leg", legs, own.legs)):
+            for one in there:
+                if one not in known:
+                    raise SurefootError(
+                        f"{log.name}: {what} {one} is not one of {self.name}'s: {', '.join(known)}"
+                    )
+        needed = [own.joints[joint] for chain in own.chains for joint in chain]
+        lacking = [f"q_{n}" for n in needed if n not in joints] or [
+            f"contact_{leg}" for leg in own.legs if leg not in legs
+        ]
+        if lacking:
+            raise SurefootError(f"{log.name}: the log of {self.name} lacks {', '.join(lacking)}")
+        if joints == own.joints and legs == own.legs:
+            return self
+        at = {own.joints.index(name): place for place, name in enumerate(joints)}
+        kept, order = list(at), [own.legs.index(leg) for leg in legs]
+        chains = tuple(tuple(at[joint] for joint in own.chains[leg]) for leg in order)
+        constants = Legs(*(values[order] for values in self.legs))
+        for leg, chain in enumerate(chains):
+            constants.joints[leg, : len(chain)] = chain
+        return replace(
+            self,
+            limbs=Limbs(legs, joints, chains, own.links),
+            legs=constants,
+            joint_names=tuple(self.joint_names[j] for j in kept),
+            foot_bodies=tuple(self.foot_bodies[leg] for leg in order),
+            **{n: getattr(self, n)[kept] for n in ("joint_range", "torque_limit", "q_home")},
+            **{
+                n: getattr(self, n)[order]
+                for n in ("foot_radius", "sole", "foot_places", "drawn_offset")
+            },
+        )
 
     def feet_I(self, q: np.ndarray) -> np.ndarray:
-        """Foot centres (N, 4, 3) in I [m] of joint angles q (N, 12) [rad]."""
+        """Foot centres, or middles of flat soles, (N, L, 3) in I [m] of angles q (N, J) [rad]."""
         return self._feet(q)[0]
 
     def feet_jacobian_I(self, q: np.ndarray) -> np.ndarray:
-        """d foot / d (own leg's joints), (N, 4, 3, 3) in I [m/rad], of q (N, 12) [rad]."""
+        """d foot / d (own leg's joints), (N, L, 3, P) in I [m/rad], of q (N, J) [rad].
+
+        P is the number of joints of the longest leg; columns beyond a leg's own are zero.
+        """
         return self._feet(q)[1]
 
     def foot_rates_I(self, q: np.ndarray, dq: np.ndarray) -> np.ndarray:
-        """Angular velocity (N, 4, 3) of each foot's link relative to the base, in I [rad/s]."""
+        """Angular velocity (N, L, 3) of each foot's link relative to the base, in I [rad/s]."""
         axes = self._feet(q)[2]
-        return np.einsum("nlij,nlj->nli", axes, np.asarray(dq, dtype=float).reshape(-1, 4, 3))
+        return np.einsum("nlij,nlj->nli", axes, np.asarray(dq, dtype=float)[:, self.legs.joints])
 
     def spec(self) -> mujoco.MjSpec:
         """A fresh MjSpec of the file, for composing with a scene."""
-        return mujoco.MjSpec.from_file(str(self.file))
+        return model_spec(self.file)
 
     @cached_property
     def leg_length(self) -> float:
@@ -149,7 +201,7 @@ class Robot:
     def digest(self) -> str:
         """SHA-256 of the model: its file, what that includes as MuJoCo compiles it, and the
         mounting and feet that are declared."""
-        model = _compile(self.file)
+        model = compiled_model(self.file)
         compiled = np.empty(mujoco.mj_sizeModel(model), np.uint8)
         mujoco.mj_saveModel(model, None, compiled)
         digest = hashlib.sha256(self.file.read_bytes())
@@ -159,8 +211,8 @@ class Robot:
 
     def _feet(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         q = np.ascontiguousarray(q, dtype=float)
-        if q.ndim != 2 or q.shape[1] != 12:
-            raise ValueError(f"q must be (N, 12), is {q.shape}")
+        if q.ndim != 2 or q.shape[1] != len(self.limbs.joints):
+            raise ValueError(f"q must be (N, {len(self.limbs.joints)}), is {q.shape}")
         return feet(self.legs, q, self.R_BI, self.p_BI)
 
 
@@ -182,14 +234,6 @@ def _inertial(robot: Robot) -> tuple[float, np.ndarray, np.ndarray, float]:
     J_inv = np.linalg.inv(J)
     felt = J_inv.T @ M[np.ix_(joints, joints)] @ J_inv
     return robot.mass, com.copy(), about_origin - shift, float(np.trace(felt) / 3)
-
-
-def _compile(file: Path) -> mujoco.MjModel:
-    try:
-        return mujoco.MjModel.from_xml_path(str(file))
-    except ValueError as error:
-        reason = str(error).strip().splitlines()[0]
-        raise SurefootError(f"robot {file}: MuJoCo cannot read it: {reason}") from None
 
 
 def _imu_site(model: mujoco.MjModel, base: int) -> int:
@@ -215,8 +259,11 @@ def _ranges(model: mujoco.MjModel, joints: np.ndarray) -> np.ndarray:
     return np.where(limited, model.jnt_range[joints], [-np.pi, np.pi])
 
 
-def _torque_limits(model: mujoco.MjModel, joints: np.ndarray, name: str) -> np.ndarray:
-    """From the joint's motor (control or force range), else from the joint itself."""
+def _torque_limits(model: mujoco.MjModel, joints: np.ndarray) -> np.ndarray:
+    """The least of what motor and joint allow; infinite where they do not say.
+
+    The control range of a plain motor is one of torque; of a servo it is one of angles or rates.
+    """
     limits = np.full(len(joints), np.inf)
     for i, joint in enumerate(joints):
         driven = (model.actuator_trnid[:, 0] == joint) & (
@@ -224,25 +271,25 @@ def _torque_limits(model: mujoco.MjModel, joints: np.ndarray, name: str) -> np.n
         )
         for actuator in np.flatnonzero(driven):
             gear = abs(model.actuator_gear[actuator, 0])
-            if model.actuator_ctrllimited[actuator]:
-                limits[i] = min(limits[i], gear * model.actuator_ctrlrange[actuator, 1])
-            if model.actuator_forcelimited[actuator]:
-                limits[i] = min(limits[i], gear * model.actuator_forcerange[actuator, 1])
+            gain = abs(model.actuator_gainprm[actuator, 0])
+            plain = model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE
+            ranges = [(model.actuator_forcelimited, model.actuator_forcerange, gear)]
+            ranges += [(model.actuator_ctrllimited, model.actuator_ctrlrange, gear * gain)] * plain
+            for limited, allowed, factor in ranges:
+                if limited[actuator]:
+                    limits[i] = min(limits[i], factor * np.abs(allowed[actuator]).max())
         if model.jnt_actfrclimited[joint]:
-            limits[i] = min(limits[i], model.jnt_actfrcrange[joint, 1])
-    if not np.isfinite(limits).all():
-        joint = model.joint(joints[int(np.argmax(~np.isfinite(limits)))]).name
-        raise SurefootError(
-            f"robot {name}: no torque limit for joint {joint}; give its motor a ctrlrange"
-        )
+            limits[i] = min(limits[i], np.abs(model.jnt_actfrcrange[joint]).max())
     return limits
 
 
-def _home(model: mujoco.MjModel, joints: np.ndarray, legs: Legs) -> np.ndarray:
-    """The keyframe "home" if it stands, else knees bent with feet below the hips."""
+def _home(model: mujoco.MjModel, joints: np.ndarray, tree: LegTree) -> np.ndarray:
+    """The keyframe "home", or the joints' zeros; of a quadruped where that does not stand, knees
+    bent with feet below the hips."""
     key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
-    if key >= 0:
-        q_home = model.key_qpos[key, model.jnt_qposadr[joints]].copy()
-        if stands(legs, q_home):
-            return q_home
-    return standing_joints(legs, _ranges(model, joints))
+    pose = model.key_qpos[key] if key >= 0 else model.qpos0
+    q_home = pose[model.jnt_qposadr[joints]].copy()
+    if tree.limbs.joints[:12] != JOINTS or (key >= 0 and stands(tree.constants, q_home)):
+        return q_home
+    q_home[:12] = standing_joints(tree.constants, _ranges(model, joints))
+    return q_home

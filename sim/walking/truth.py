@@ -63,9 +63,9 @@ def _soles(legs, relief, radius, bases, q, dq, slid, slid_rate):
             if len(slid):
                 # A foot's place in B is linear in that on its link.
                 legs.foot[leg] = on_link[leg] + slid[k, leg] + slid_rate[k, leg]
-                leg_forward(legs, leg, q[k, own], ahead, J, axes)
+                leg_forward(legs, leg, q[k], ahead, J, axes)
                 legs.foot[leg] = on_link[leg] + slid[k, leg]
-            leg_forward(legs, leg, q[k, own], foot, J, axes)
+            leg_forward(legs, leg, q[k], foot, J, axes)
             foot_motion(base, dq[k, own], foot, J, axes, motion)
             if len(slid):
                 ahead -= foot

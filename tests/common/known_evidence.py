@@ -4,10 +4,10 @@ import numpy as np
 
 from surefoot.models.attribution.evidence import Evidence
 from surefoot.models.residuals.jacobians import sparse
-from surefoot.models.residuals.layout import layout_of
-from surefoot.sim.log import JOINTS
+from surefoot.models.residuals.layout import layout_for
+from surefoot.sim.robot import limbs
 
-QUADRUPED = layout_of(JOINTS)
+QUADRUPED = layout_for(limbs.QUADRUPED)
 KEYS = (
     ("encoder_offset", "FL_hip"),
     ("encoder_offset", "FL_thigh"),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from surefoot.models.residuals.layout import layout_for, layout_of
+from surefoot.models.residuals.layout import layout_for
 from surefoot.models.residuals.registry import channels
 from surefoot.sim.robot.limbs import QUADRUPED, limbs_by_name
 
@@ -34,7 +34,7 @@ def test_a_biped_has_columns_for_its_two_legs_and_six_joints():
 
 
 def test_an_arm_has_its_joints_channels_alone_and_each_joint_noise_of_its_own():
-    layout = layout_of(ARM.joints)
+    layout = layout_for(ARM)
     assert list(layout.channels) == ["joint_torque", "joint_rate", "command"]
     kinds = ("torque", "rate", "command")
     assert layout.names == tuple(f"{kind}_{joint}" for kind in kinds for joint in ARM.joints)

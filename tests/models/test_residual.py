@@ -8,13 +8,14 @@ import pytest
 from numpy.testing import assert_allclose
 
 from surefoot.models.residuals.binning import EDGE, reference_motion
-from surefoot.models.residuals.layout import layout_of
+from surefoot.models.residuals.layout import layout_for
 from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.models.residuals.residual import ResidualTable, residual
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.log import JOINTS, LogError
+from surefoot.sim.log import LogError
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.sensors.stances import inside_stances
 from surefoot.sim.sensors.streams import Sensors
@@ -60,7 +61,7 @@ class Left:
 
 
 def residual_of(log, robot=ROBOT, explained=()):
-    frame = reference_motion(log)
+    frame = reference_motion(log, ROBOT.limbs)
     for one in explained:
         log, robot = one.compensate(log, robot)
     return Left(residual(log, robot, frame))
@@ -159,7 +160,7 @@ def test_without_a_reference_there_is_no_residual():
     log = log_with()
     names = [n for n in log.frame if not str(n).startswith("ref_")]
     with pytest.raises(LogError, match="reference"):
-        reference_motion(replace(log, frame=log.frame[names]))
+        reference_motion(replace(log, frame=log.frame[names]), ROBOT.limbs)
 
 
 def test_without_noise_the_torques_are_those_of_the_motion():
@@ -168,6 +169,9 @@ def test_without_noise_the_torques_are_those_of_the_motion():
     quiet = Sensors(**{part.name: 0.0 for part in fields(Sensors) if part.name.endswith(ends)})
     scenario = Scenario("turns", COURSE[:2], Ground(0.8), sensors=quiet, stand=0.5)
     log = walk(scenario, ROBOT, seed=5)
-    left = residual(log, ROBOT, reference_motion(log)).table
-    assert np.sqrt(np.nanmean(left[:, layout_of(JOINTS).channels["joint_torque"]] ** 2)) < 0.15
-    assert np.sqrt(np.nanmean(left[:, layout_of(JOINTS).channels["base_wrench"]][:, :3] ** 2)) < 0.4
+    left = residual(log, ROBOT, reference_motion(log, ROBOT.limbs)).table
+    assert np.sqrt(np.nanmean(left[:, layout_for(QUADRUPED).channels["joint_torque"]] ** 2)) < 0.15
+    assert (
+        np.sqrt(np.nanmean(left[:, layout_for(QUADRUPED).channels["base_wrench"]][:, :3] ** 2))
+        < 0.4
+    )

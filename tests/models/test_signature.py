@@ -12,11 +12,10 @@ from surefoot.models.attribution.evidence import (
     log_under_model,
     table_of,
 )
-from surefoot.models.residuals.layout import layout_of
+from surefoot.models.residuals.layout import layout_for
 from surefoot.sim.effects import CATALOGUE, add, effect
 from surefoot.sim.effects.base import Effect, with_columns
 from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.log import JOINTS
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.scenario import Scenario, Segment
@@ -77,7 +76,7 @@ def test_a_regressor_by_the_chain_rule_is_the_slope_of_the_residual(case, key):
     step = kind.step_of(key[1]) * (1.0 if kind.unit == "s" else 1e-2)
     slope = slope_of(case, key, step)
     whole = written_out(_Linear(case, ()).regressor(key), slope)
-    for name, columns in layout_of(JOINTS).channels.items():
+    for name, columns in layout_for(QUADRUPED).channels.items():
         # What is left of two changes that cancel; and when feet move, which is for delays to say.
         if name in ("joint_rate", "contact_timing", "stance_displacement"):
             continue

@@ -103,10 +103,9 @@ def test_names_and_order_in_the_file_do_not_matter(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (odd_robot(CORNERS[:3]), "four legs"),
+        (MODEL.format(legs="", actuators=""), "none of its 0 chains"),
         (odd_robot([(0.1, 0.1), (0.2, 0.1), (0.3, 0.1), (0.4, 0.1)]), "front, rear"),
-        (odd_robot(CORNERS, foot="box"), "foot"),
-        (odd_robot(CORNERS, motors=False), "torque limit"),
+        (odd_robot(CORNERS, foot="capsule"), "for a foot"),
         ("<mujoco", "cannot read"),
     ],
 )

@@ -26,6 +26,7 @@ BIPED = Limbs(
     ("left", "right"),
     ("waist", "l_hip_yaw", "l_knee", "r_hip_yaw", "r_knee"),
     ((1, 2), (3, 4)),
+    ("l_knee", "r_knee"),
 )
 
 

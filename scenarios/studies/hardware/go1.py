@@ -16,7 +16,7 @@ from surefoot.estimator.metrics import align_first, evaluate
 from surefoot.models.attribution.evidence import log_under_model, table_of
 from surefoot.models.attribution.split import split_of
 from surefoot.models.bootstrap import block_draws
-from surefoot.models.residuals.layout import layout_of
+from surefoot.models.residuals.layout import layout_for
 from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
@@ -71,7 +71,7 @@ def shares_table(log: Log, robot: Robot, found: Trace, seed: int = 0) -> pd.Data
     case = log_under_model(log, robot)
     late = split_of([case]).report
     block = np.floor(case.frame.t / BLOCK).astype(int)[late]
-    velocity = layout_of(log.joints).channels["leg_velocity"]
+    velocity = layout_for(robot.limbs).channels["leg_velocity"]
 
     def squares(chosen: Sequence[Effect]) -> tuple[np.ndarray, np.ndarray]:
         left = table_of(case, chosen)[late][:, velocity] ** 2

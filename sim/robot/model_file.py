@@ -1,0 +1,60 @@
+"""Reads a robot's model: MJCF as it is, URDF with a floating base and without its meshes."""
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import mujoco
+
+from surefoot.sim.common.errors import SurefootError
+
+
+def model_spec(file: Path) -> mujoco.MjSpec:
+    """A fresh MjSpec of an MJCF or URDF file. Raises SurefootError in one clear line.
+
+    MuJoCo welds the root link of a URDF to the world and leaves its mass out: here it floats,
+    unless it is called `world`. Links that are fixed to others stay bodies of their own, so that a
+    sole or a sensor's frame is found by its name.
+    """
+    try:
+        if file.suffix == ".urdf":
+            return mujoco.MjSpec.from_string(_floating(file))
+        return mujoco.MjSpec.from_file(str(file))
+    except (ValueError, OSError, ElementTree.ParseError) as error:
+        raise _unreadable(file, error) from None
+
+
+def compiled_model(file: Path) -> mujoco.MjModel:
+    """The compiled model of an MJCF or URDF file. Raises SurefootError in one clear line."""
+    try:
+        if file.suffix == ".urdf":
+            return model_spec(file).compile()
+        return mujoco.MjModel.from_xml_path(str(file))
+    except ValueError as error:
+        raise _unreadable(file, error) from None
+
+
+def _unreadable(file: Path, error: Exception) -> SurefootError:
+    reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
+    return SurefootError(f"robot {file}: MuJoCo cannot read it: {reason}")
+
+
+def _floating(file: Path) -> str:
+    """The URDF's text with a floating root and no meshes."""
+    robot = ElementTree.parse(file).getroot()
+    for link in robot.findall("link"):
+        for shape in (*link.findall("visual"), *link.findall("collision")):
+            if shape.find("geometry/mesh") is not None:
+                link.remove(shape)
+    children = {joint.find("child").attrib["link"] for joint in robot.findall("joint")}
+    (root,) = (n for link in robot.findall("link") if (n := link.attrib["name"]) not in children)
+    if root != "world":
+        ElementTree.SubElement(robot, "link", name="world")
+        joint = ElementTree.SubElement(robot, "joint", name="floating_base", type="floating")
+        ElementTree.SubElement(joint, "parent", link="world")
+        ElementTree.SubElement(joint, "child", link=root)
+    options = robot.find("mujoco")
+    options = ElementTree.SubElement(robot, "mujoco") if options is None else options
+    compiler = options.find("compiler")
+    compiler = ElementTree.SubElement(options, "compiler") if compiler is None else compiler
+    compiler.set("fusestatic", "false")
+    return ElementTree.tostring(robot, encoding="unicode")
