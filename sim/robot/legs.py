@@ -23,7 +23,7 @@ SOLE_LEVEL = 0.01
 """m. Shapes of a foot whose lowest points are this near to each other stand on it together."""
 SHORTEST_LINK = 0.01
 """m. Hinges that are nearer to each other are one joint of several axes, without a link between."""
-FLAT = (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_MESH)
+FLAT = (int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_MESH))
 _CORNERS = np.array(np.meshgrid(*3 * [[-1.0, 1.0]])).reshape(3, -1).T
 
 
@@ -251,8 +251,12 @@ def _sole_frames(model: mujoco.MjModel, data: mujoco.MjData) -> list[_Foot]:
 
 
 def _is_fixed_to(model: mujoco.MjModel, body: int, link: int) -> bool:
-    """Whether a body is this link, or hangs on it without a joint."""
-    while body > link and not model.body_jntnum[body]:
+    """Whether a body is this link, or hangs on it without a joint but springs."""
+    while body > link:
+        first = int(model.body_jntadr[body])
+        own = range(first, first + int(model.body_jntnum[body]))
+        if not all(_is_spring(model, joint) for joint in own):
+            return False
         body = int(model.body_parentid[body])
     return int(body) == link
 

@@ -6,17 +6,15 @@ from numpy.testing import assert_allclose
 
 from surefoot.models.attribution.evidence import linearise, log_under_model, table_of
 from surefoot.models.residuals.contact_timing import MOVES, moments
-from surefoot.models.residuals.layout import layout_for
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 
 ROBOT = Robot.load("spot_class")
 COURSE = (Segment(4.0, 0.5), Segment(4.0, 0.4, turn=0.4))
-TIMING = layout_of(JOINTS).channels["contact_timing"]
+TIMING = layout_for(QUADRUPED).channels["contact_timing"]
 TOUCHDOWN, LIFTOFF = (slice(TIMING.start + k, TIMING.start + k + 4) for k in (0, 4))
 
 

@@ -123,7 +123,7 @@ def test_it_carries_over_to_another_speed():
 
 
 def test_robots_without_known_feet_are_refused(walks):
-    with pytest.raises(SurefootError, match=r"--inputs feet: analytic is not known as a quadruped"):
+    with pytest.raises(SurefootError, match=r"joints are not known as those of analytic"):
         train(walks["fit"], Body(), "feet", schedule=PLAN)
 
 
