@@ -79,8 +79,14 @@ class FootElasticity(Effect):
         given_B = np.einsum("nlia,nlja,nlj->nli", axes_B, axes_B, self.value * force_B)
         # As the joints would move the foot there: the leg's angles are what a model reads.
         J_I = robot.feet_jacobian_I(log.q)
-        turned = np.linalg.solve(J_I, np.einsum("ji,nlj->nli", robot.R_BI, given_B)[..., None])
-        return _moved(log, turned.reshape(len(log.t), -1), log.joints), robot
+        given_I = np.einsum("ji,nlj->nli", robot.R_BI, given_B)[..., None]
+        # Of more joints than three a leg takes the least turn that does it.
+        three = robot.limbs.point_feet
+        by_leg = (np.linalg.solve(J_I, given_I) if three else np.linalg.pinv(J_I) @ given_I)[..., 0]
+        turned = np.zeros_like(log.q)
+        for leg, chain in enumerate(robot.limbs.chains):
+            turned[:, chain] = by_leg[:, leg, : len(chain)]
+        return _moved(log, turned, log.joints), robot
 
     @classmethod
     def is_compensated_on(cls, log: Log) -> bool:

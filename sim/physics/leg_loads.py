@@ -41,12 +41,13 @@ def joint_loads(log: Log, robot: Machine) -> np.ndarray:
 def foot_loads_B(log: Log, robot: Robot) -> np.ndarray:
     """Force (N, L, 3) [N], in B, of the ground on each foot that stands; zero in the air.
 
-    Of logged torques J^T f = inverse dynamics - torque, else from the balance of momentum.
+    Of logged torques, by legs of three joints, J^T f = inverse dynamics - torque, else from the
+    balance of momentum.
     """
-    if not log.has("tau"):
+    if not log.has("tau") or not robot.limbs.point_feet:
         return momentum_balance(log, robot).force
     _, needed = taken_by_motion(log, robot)
     J = np.einsum("ij,nljk->nlik", robot.R_BI, robot.feet_jacobian_I(log.q))
-    taken = (needed - log.tau).reshape(*J.shape[:2], J.shape[3])
+    taken = (needed - log.tau)[:, robot.legs.joints]
     force = np.linalg.solve(np.swapaxes(J, 2, 3), taken[..., None])[..., 0]
     return np.where(log.contact[:, :, None], force, 0.0)

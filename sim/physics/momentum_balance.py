@@ -51,7 +51,9 @@ def momentum_balance(log: Log, robot: Robot) -> MomentumBalance:
     feet_B = robot.feet_I(log.q) @ robot.R_BI.T + robot.p_BI
     force = _least_forces(wrench, feet_B, loaded, robot.leg_length)
     J = np.einsum("ij,nljk->nlik", robot.R_BI, robot.feet_jacobian_I(log.q))
-    given = np.einsum("nlik,nli->nlk", J, force).reshape(needed.shape)
+    by_leg, given = np.einsum("nlik,nli->nlk", J, force), np.zeros_like(needed)
+    for leg, chain in enumerate(robot.limbs.chains):
+        given[:, chain] = by_leg[:, leg, : len(chain)]
     return MomentumBalance(gaussian_filter1d(needed - given, smooth, axis=0), force)
 
 

@@ -6,9 +6,11 @@ from numpy.testing import assert_allclose
 
 from surefoot.models.attribution.evidence import linearise, log_under_model, table_of
 from surefoot.models.residuals.contact_timing import MOVES, moments
+from surefoot.models.residuals.layout import layout_for
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 
