@@ -98,7 +98,8 @@ def replica(style: WalkingStyle, robot: Robot, name: str) -> tuple[Scenario, Rob
     Returns the scenario and the robot that stands in the measured posture.
     """
     segments = tuple(Segment(PIECE, *map(float, twist)) for twist in style.twists)
-    as_measured = Ranges(period=(style.period,) * 2, clearance=(style.clearance,) * 2)
+    period, clearance = style.period, style.clearance
+    as_measured = Ranges(period=(period, period), clearance=(clearance, clearance))
     scenario = Scenario(name, segments, Ground(0.8), robot.name, ranges=as_measured)
     return scenario, replace(robot, q_home=style.q_stance)
 
