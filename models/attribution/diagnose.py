@@ -123,10 +123,19 @@ def diagnose(
     progress(0.02)
     friction = friction_of(cases, np.random.default_rng(seed))
     slip = slip_of(friction, settings)
-    floor = noise_floor(cases, [one.effect for one in slip])
-    progress(0.4)
-    rng = np.random.default_rng(seed)
-    result = attribute(cases, floor, split, rng, lambda share: progress(0.4 + 0.5 * share))
+    while True:
+        floor = noise_floor(cases, [one.effect for one in slip])
+        progress(0.4)
+        rng = np.random.default_rng(seed)
+        result = attribute(cases, floor, split, rng, lambda share: progress(0.4 + 0.5 * share))
+        if not slip:
+            break
+        # Feet slide by the model with what was found, too, or did not.
+        explained = cases_of(logs, robot, (*model, *(f.effect for f in result.found)), settings)
+        friction = friction_of(explained, np.random.default_rng(seed))
+        slip = slip_of(friction, settings)
+        if slip:
+            break
     several = len(cases) > 1 or declared is not None
     own = [f.effect for f in result.found if several and of_each_run(f.effect.name)]
     found = (*(f for f in result.found if f.effect not in own), *slip)

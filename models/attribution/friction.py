@@ -41,6 +41,15 @@ class FootFriction:
     everywhere: bool
     held: float
 
+    def consistent(self, settings: TraceSettings) -> bool:
+        """Whether slides are at one friction, and feet that hold use nearly all of it and no more:
+        otherwise a delay, or a leg on its springs, looks like a slide."""
+        if self.limit is None:
+            return False
+        low, high = settings.held_share
+        one = self.interval[1] - self.interval[0] < settings.slide_spread * self.limit
+        return one and low < self.held / self.limit < high
+
 
 def friction_of(cases: Sequence[LogUnderModel], rng: np.random.Generator) -> FootFriction | None:
     """The friction of the feet of these logs; None where no log has what it takes: torques, IMU,
@@ -83,10 +92,7 @@ def slip_of(friction: FootFriction | None, settings: TraceSettings) -> tuple[Fou
     if friction is None or friction.limit is None or not friction.everywhere:
         return ()
     dry, (low, high) = settings.floor_friction, friction.interval
-    if high >= settings.dry * dry:
-        return ()
-    # Feet that hold with more have that friction: what moves then is the leg, on its springs.
-    if friction.held > settings.holds_more * friction.limit:
+    if high >= settings.dry * dry or not friction.consistent(settings):
         return ()
     lost = effect("foot_slip", "all", float(np.clip(1.0 - friction.limit / dry, 0.0, 0.95)))
     return (Found(lost, (1.0 - high / dry, 1.0 - low / dry)),)
@@ -116,6 +122,8 @@ def slip_notes(
         )
     low, high = friction.interval
     where = "all along the way" if friction.everywhere else "in places"
+    if not friction.consistent(settings):
+        where += ", or do not: feet that hold say otherwise"
     size = f"{friction.limit:.2f} ({low:.2f} to {high:.2f})"
     return (f"friction: feet slid at {size}, {where}; {many}",)
 

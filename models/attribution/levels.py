@@ -75,7 +75,7 @@ def channel_levels(
         if not np.isfinite(before[:, columns]).any():
             continue
         channel = channels()[name]
-        least = channel.least_noise if channel.on_level_ground else 0.0
+        least = channel.least_noise if channel.on_level_ground or channel.judges else 0.0
         level = [
             max(_rms(part[:, columns]), least)
             for part in (ahead if channel.on_level_ground else floors)
@@ -83,6 +83,9 @@ def channel_levels(
         ]
         own = float(np.sqrt(np.mean(np.square(level)))) if level else None
         most = 2.0 * max(level) - min(level) if level else np.inf
+        if channel.of_events and level:
+            known_values = np.concatenate([part[:, columns].ravel() for part in floors])
+            most *= 1.0 + 2.0 * scatter_of_rms(known_values, np.isfinite(after[:, columns]).sum())
         if own is None and not floor.repeats:
             own = float(np.sqrt(np.mean(floor.sigma[columns] ** 2)))
             # Neighbours share noise, so that a level of n bins is known to one part in sqrt(n).
@@ -114,6 +117,17 @@ def _ahead(one: Repeat) -> np.ndarray:
     t = one.evidence.t
     use = t < t[0] + (1.0 - one.evidence.settings.ahead) * (t[-1] - t[0])
     return without_bias(one.evidence, one.robust_weights, use)[~use]
+
+
+def scatter_of_rms(values: np.ndarray, count: int) -> float:
+    """Standard deviation, as a share of it, of the root mean square of `count` independent draws
+    from what `values` are drawn from: sqrt((kurtosis - 1) / (4 count)).
+
+    A log has few contacts that change, and some of them are out by far.
+    """
+    square = values[np.isfinite(values)] ** 2
+    kurtosis = np.mean(square**2) / max(np.mean(square) ** 2, 1e-300)
+    return float(np.sqrt(max(kurtosis - 1.0, 0.0) / (4.0 * max(count, 1))))
 
 
 def _rms(values: np.ndarray) -> float:

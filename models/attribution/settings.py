@@ -57,11 +57,13 @@ class TraceSettings:
     """s over which these forces and velocities are averaged."""
     fewest_slides: int = 10
     """Slides from which their friction is known."""
-    holds_more: float = 1.5
-    """Times the friction at which feet seem to slide that feet at rest use at most: 1.1 on slippery
-    ground by the noise of forces, 3.3 on legs that give (walks of the Go1's model)."""
     slides_everywhere: float = 0.5
     """Share of a walk's blocks with a slide from which it is not patches that are slippery."""
+    held_share: tuple[float, float] = (0.7, 1.1)
+    """Of the friction at which feet slide, what feet that hold use at most: nearly all of it on
+    slippery ground, 3.3 times as much on legs that give (walks of the Go1's model)."""
+    slide_spread: float = 0.4
+    """Share of the friction by which its interval may be wide."""
     dry: float = 0.75
     """Share of the declared friction that dry floors have at least: 0.6 of 0.8."""
     push_outlier: float = 6.0

@@ -60,12 +60,39 @@ def write_loop(log: Log, robot: Robot, sides: Sequence[Side], out: Path) -> pd.D
     write_recording(out / "loop.rrd", log, robot, shown, *seen, force=True)
     sections = [
         Section("Before and after", _prose(found, sides, rmse), table),
+        *_of_trace(found),
         *_pictures(log, sides, shown),
     ]
     write_report(
         out / "report.html", "The loop: what the model lacked, put into it", sections, True
     )
     return table
+
+
+def _of_trace(found: dict[str, Any]) -> list[Section]:
+    """What a trace.json says of its channels, as sections of the loop's report."""
+    words = "".join(f"Since {why}.\n\n" for why in found["reasons"])
+    words += "On the end of the log, which no fit has seen. All of the trace: trace/report.html."
+    parts = [Section("The trace: residuals", words, _channel_rows(found["channels"]))]
+    if held_out := found.get("holdout"):
+        words = "".join(f"{one}.\n\n" for one in held_out["against"])
+        words += "Logs of which no fit has seen anything."
+        rows = _channel_rows(held_out["channels"])
+        parts.append(Section("The trace: held-out logs", words, rows))
+    return [part for part in parts if part.table]
+
+
+def _channel_rows(channels: dict[str, Any]) -> list[dict[str, Any]]:
+    return [
+        {
+            "channel": name,
+            "before": c["before"],
+            "after": c["after"],
+            "noise floor": c["noise_floor"],
+            "unit": c["unit"],
+        }
+        for name, c in channels.items()
+    ]
 
 
 def _rows(sides: Sequence[Side]) -> list[dict[str, Any]]:
@@ -125,7 +152,8 @@ def _prose(
     found: dict[str, Any], sides: Sequence[Side], rmse: dict[str, dict[str, list[float]]]
 ) -> str:
     form = "{name} of {target}, {value:.4g} {unit}"
-    added = [form.format(**effect) for effect in found["effects"]]
+    zeros = [one for run in found["runs"] for one in run if one["compensated"]]
+    added = [form.format(**effect) for effect in (*found["effects"], *zeros)]
     text = f"The trace's verdict: {found['verdict']}. "
     text += f"Put into the simulation: {'; '.join(added)}." if added else "Nothing to add."
     if warned := caution(found):

@@ -91,11 +91,9 @@ class Armature(Effect):
 class FootSlip(Effect):
     """The feet hold less than the ground's friction says: every coefficient loses this share.
 
-    It cannot be identified from a log, so it is not compensated: below its limit friction leaves no
-    trace, and a trot at 0.3 to 0.7 m/s on level ground seldom reaches it. With a third of the
-    friction gone (0.82 to 0.55) feet slid on 0.1 to 1.3 % of their stance, on walks that lacked
-    nothing on 0.1 to 1 %; with four fifths gone (0.17) on 7 %, which patches of little friction on
-    the way do as well. `trace` masks what slides and says how much that was.
+    No model compensates it: below its limit friction leaves no trace. Where feet slide under load
+    they do so at their friction, which `trace` estimates (`models.attribution.friction`); stances
+    that slide are masked.
     """
 
     name = "foot_slip"

@@ -1,8 +1,9 @@
 """When a channel is at its floor, and when what was added to the model does harm to it."""
 
+import numpy as np
 import pytest
 
-from surefoot.models.attribution.levels import ChannelLevel
+from surefoot.models.attribution.levels import ChannelLevel, scatter_of_rms
 
 
 @pytest.mark.parametrize(
@@ -29,3 +30,10 @@ def test_without_a_floor_any_more_is_harm():
 def test_a_channel_is_at_its_floor_up_to_what_walks_reach():
     assert ChannelLevel(3.0, 1.25, 1.0, "m", 1.2).at_floor
     assert not ChannelLevel(3.0, 1.3, 1.0, "m", 1.2).at_floor
+
+
+def test_the_level_of_a_few_events_scatters_as_drawn_ones_do():
+    rng = np.random.default_rng(0)
+    for values in (rng.normal(size=4000), rng.standard_t(6, size=4000)):
+        drawn = np.sqrt(np.mean(rng.choice(values, (3000, 60)) ** 2, axis=1))
+        assert scatter_of_rms(values, 60) == pytest.approx(drawn.std() / drawn.mean(), rel=0.1)

@@ -69,6 +69,23 @@ def test_feet_that_hold_with_more_do_not_slide():
     assert slip_of(replace(elastic, held=0.045), DEFAULT) != ()
 
 
+@pytest.mark.parametrize(("held", "interval"), [(0.3, (0.11, 0.13)), (0.12, (0.09, 0.2))])
+def test_slides_that_feet_that_hold_gainsay_are_none(held, interval):
+    """As a delay makes them: feet seem to move while they push, at any share of their force."""
+    odd = FootFriction(0.12, interval, slides=40, everywhere=True, held=held)
+    assert slip_of(odd, DEFAULT) == ()
+    assert "say otherwise" in slip_notes(odd, True, DEFAULT)[0]
+
+
+@pytest.mark.parametrize(
+    "one", [("joint_delay", "all", -0.015), ("foot_rolling", "all", 0.05)], ids=["late", "rolls"]
+)
+def test_another_effect_is_not_taken_for_lost_friction(log, one):
+    altered, known = effect(*one).compensate(log, ROBOT)
+    found = friction_of([log_under_model(altered, known)], np.random.default_rng(0))
+    assert slip_of(found, DEFAULT) == ()
+
+
 def test_without_torques_friction_is_not_identifiable(log):
     bare = log.frame.drop(columns=[c for c in log.frame if str(c).startswith("tau_")])
     assert friction(replace(log, frame=bare)) is None
