@@ -1,7 +1,7 @@
 """Which effect does the model of a robot lack? From logs to the verdict."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -114,6 +114,8 @@ def diagnose(
     """
     check_seed(seed)
     model = declared or ()
+    several = len(logs) > 1 or declared is not None
+    settings = replace(settings, own_zeros=several)
     cases = cases_of(logs, robot, model, settings)
     split = split_of(cases)
     cannot = cannot_tell(cases, split)
@@ -136,7 +138,6 @@ def diagnose(
         slip = slip_of(friction, settings)
         if slip:
             break
-    several = len(cases) > 1 or declared is not None
     own = [f.effect for f in result.found if several and of_each_run(f.effect.name)]
     found = (*(f for f in result.found if f.effect not in own), *slip)
     effects = [one.effect for one in found]

@@ -120,7 +120,8 @@ def rerank(data: Data, few: Sequence[Candidate]) -> tuple[Candidate, list[Effect
     def left(one: tuple[Candidate, list[Effect]]) -> float:
         # All have the same effects but their last one.
         newest = one[1][-1]
-        return best_near(fair, one[1], REPORT)[1] + surprise(newest.name, newest.value)
+        doubt = one[0].surprise if one[0].surprise < 0 else surprise(newest.name, newest.value)
+        return best_near(fair, one[1], REPORT)[1] + doubt
 
     return min(tried, key=left)
 

@@ -9,6 +9,7 @@ from surefoot.models.attribution.evidence import Key
 from surefoot.models.attribution.fit import NormalEquations, fit, loss
 from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.attribution.priors import surprise
+from surefoot.models.attribution.run_offsets import of_each_run
 from surefoot.models.attribution.split import FIT, SELECT
 from surefoot.models.bootstrap import block_draws
 from surefoot.sim.effects import known_effects
@@ -93,8 +94,11 @@ def judge(
         share = gain / max(float(before.sum()), 1e-300)
         clear = most / max(float(np.hypot(spread, error)), 1e-300)
         plain_to_see = clear > s.clear and share > s.large
-        doubt = sum(surprise(key[0], float(one)) for one in sizes)
         price = len(sizes) * per_size + chance
+        doubt = sum(surprise(key[0], float(one)) for one in sizes)
+        if s.own_zeros and of_each_run(key[0]):
+            # It is another in every run anyway: nothing is a surprise, and its price is paid.
+            doubt = -price
         earned = (
             low > 0
             and np.isfinite(error)

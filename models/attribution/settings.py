@@ -99,6 +99,8 @@ class TraceSettings:
     coarse_samples: int = 100
     """Samples of a reference below which its noise cannot be estimated."""
 
+    own_zeros: bool = False
+    """Whether zeros and clocks are each run's: of several runs, and where effects are declared."""
     above_floor: float = 5.0
     """How many times its size on walks that lack it an effect must have."""
     faked_share: float = 0.7
