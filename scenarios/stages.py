@@ -1,7 +1,7 @@
 """Work in stages, each spread over processes of this machine and shown by a bar."""
 
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from multiprocessing import get_context
 from typing import Any
@@ -19,7 +19,7 @@ def processes(workers: int) -> Iterator[ProcessPoolExecutor | None]:
         yield pool
 
 
-def stage(pool: ProcessPoolExecutor | None, label: str, tasks: dict[Any, tuple]) -> dict[Any, Any]:
+def stage(pool: Executor | None, label: str, tasks: dict[Any, tuple]) -> dict[Any, Any]:
     """What the tasks (a function and its arguments each) return, made in the pool.
 
     An error ends the stage; the tasks keep what they have done.

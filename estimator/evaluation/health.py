@@ -162,13 +162,13 @@ def _sensor(total: np.ndarray, windows: np.ndarray, name: str) -> SensorHealth:
 
 def _ends(run: RunSummary) -> Iterator[Doubt]:
     if run.diverged:
-        yield Doubt("its estimates are no longer finite", run.start[-1])
+        yield Doubt("its estimates are no longer finite", float(run.start[-1]))
     bad = np.flatnonzero(~run.definite)
     if len(bad):
-        yield Doubt("it claims variances that are not positive", run.start[bad[0]])
+        yield Doubt("it claims variances that are not positive", float(run.start[bad[0]]))
     fast = np.flatnonzero(run.speed > FASTEST)
     if len(fast):
-        yield Doubt(f"it runs at {run.speed.max():.0f} m/s", run.start[fast[0]])
+        yield Doubt(f"it runs at {run.speed.max():.0f} m/s", float(run.start[fast[0]]))
 
 
 def _innovations(run: RunSummary, names: Sequence[str]) -> Iterator[Doubt]:
@@ -176,9 +176,9 @@ def _innovations(run: RunSummary, names: Sequence[str]) -> Iterator[Doubt]:
     if not drifts.size:
         return
     limit = TOLERATED**2 * chdtri(3, RUN_ALARM / drifts.size)
-    for k in np.flatnonzero((drifts > limit).any(axis=0)):
+    for k in np.flatnonzero((drifts > limit).any(axis=0)).tolist():
         factor = np.sqrt(drifts[:, k].max() / 3.0)
-        since = run.start[np.argmax(drifts[:, k] > limit)]
+        since = float(run.start[np.argmax(drifts[:, k] > limit)])
         text = f"innovations of {names[k]} drift by up to {factor:.0f} of their claimed deviations"
         yield Doubt(text, since)
 
@@ -188,13 +188,13 @@ def _rejected(run: RunSummary, names: Sequence[str]) -> Iterator[Doubt]:
     if again.any():
         times = f"{again.sum():.0f} times" if again.sum() > 1 else "once"
         text = f"no foot passed the test of slipping for long, {times}"
-        yield Doubt(text, run.start[np.argmax(again > 0)])
+        yield Doubt(text, float(run.start[np.argmax(again > 0)]))
     for k, name in enumerate(names):
         used, rejected = run.sums[:, k, COUNT], run.sums[:, k, LEFT_OUT]
         share = rejected.sum() / max(used.sum() + rejected.sum(), 1.0)
         if share > BREAKDOWN:
-            first = np.argmax(rejected > used)
-            yield Doubt(f"{100 * share:.0f} % of {name}'s updates were rejected", run.start[first])
+            first = float(run.start[np.argmax(rejected > used)])
+            yield Doubt(f"{100 * share:.0f} % of {name}'s updates were rejected", first)
 
 
 def _corrections(run: RunSummary) -> Iterator[Doubt]:
@@ -204,7 +204,7 @@ def _corrections(run: RunSummary) -> Iterator[Doubt]:
     if len(wrong):
         most = run.pushed[wrong].max()
         text = f"its updates contradict the IMU by {most:.1f} m/s in a second"
-        yield Doubt(text, run.start[wrong[0]])
+        yield Doubt(text, float(run.start[wrong[0]]))
 
 
 def _bias_deviations(run: RunSummary, walk: tuple[float, float]) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
 import numpy as np
 import pandas as pd
@@ -146,10 +146,13 @@ class Trajectory:
             covariance = np.empty((len(states), 15, 15))
             for i, j in _UPPER:
                 covariance[:, i, j] = covariance[:, j, i] = states[f"cov_{i}_{j}"]
+        vectors: dict[str, Any] = {
+            name: _gather(states, short, "xyz") for name, short in _POSE.items()
+        }
         return cls(
             t=states["t"].to_numpy(),
             R_GI=matrix_from_quaternion(q),
-            **{name: _gather(states, short, "xyz") for name, short in _POSE.items()},
+            **vectors,
             covariance=covariance,
             updates=_read_updates(frame),
         )

@@ -142,8 +142,8 @@ def felt_and_moved(readings: Readings, at: Placement) -> tuple[np.ndarray, np.nd
 def fit_placement(readings: Readings, start: Placement, rng: np.random.Generator) -> Fitted:
     """The likeliest placement, from one that is right to a stride's fraction."""
     prior = np.concatenate([np.zeros(4), *(np.full(n, _PRIOR[k] ** -2.0) for k, n in _PRIORS)])
-    now = start
-    for _ in range(_ROUNDS):
+    now, rounds = start, 0
+    while True:
         inside = readings.within(now.offset)
         rows, columns, t = _linearised(inside, now)
         sums, against = _normal_equations(rows, columns)
@@ -152,7 +152,9 @@ def fit_placement(readings: Readings, start: Placement, rng: np.random.Generator
         step = np.linalg.solve(sums.sum(axis=0) + np.diag(prior), against.sum(axis=0) - pull)
         if abs(step[0]) < _CLOSE:
             break
-        now = now.moved(step)
+        now, rounds = now.moved(step), rounds + 1
+        if rounds == _ROUNDS:
+            break
     block = np.floor((t - t[0]) / _BLOCK).astype(int)
     count = int(block[-1]) + 1
     of_blocks = np.zeros((count, 15, 16))

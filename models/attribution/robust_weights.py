@@ -39,8 +39,8 @@ def robust_weights(data: Design, floor: np.ndarray) -> RobustWeights:
     masked = np.zeros((len(there), len(feet)), dtype=bool)
     spoiled = np.zeros(there.shape, dtype=bool)
     sigma, weight = np.where(floor > 0, floor, 1e-12), there.astype(float)
+    left = data.y
     for last in (False, True) if legged else (True,):
-        left = data.y
         for _ in range(settings.weight_rounds):
             left = np.where(there, data.y - _explained(data, sigma, weight), np.nan)
             sigma = np.maximum(floor, _pooled(layout, np.where(spoiled, np.nan, left)))

@@ -81,11 +81,15 @@ def axis_noise(x: np.ndarray, rate: float) -> AxisNoise:
     """White noise and bias walk of readings x (N,) at `rate` [Hz] of a sensor at rest."""
     curve = allan_curve(x, rate)
     A = np.column_stack([1.0 / curve.tau, curve.tau / 3.0])
-    fitted = measured = curve.sigma**2
-    for _ in range(5):  # the variance of a variance goes with its own size
-        weight = np.sqrt(0.5 * curve.freedom) / np.maximum(fitted, 1e-12 * measured.max())
-        squares, _ = nnls(A * weight[:, None], measured * weight)
-        fitted = A @ squares
+    measured = curve.sigma**2
+
+    def solved(variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        weight = np.sqrt(0.5 * curve.freedom) / np.maximum(variance, 1e-12 * measured.max())
+        return nnls(A * weight[:, None], measured * weight)[0], weight
+
+    squares, weight = solved(measured)
+    for _ in range(4):  # the variance of a variance goes with its own size
+        squares, weight = solved(A @ squares)
     gain = np.linalg.pinv(A * weight[:, None])
     apart = np.abs(np.subtract.outer(np.arange(len(weight)), np.arange(len(weight))))
     std = [np.sqrt(g @ rho**apart @ g) for g, rho in zip(gain, NEIGHBOURS, strict=True)]

@@ -74,15 +74,15 @@ def rest_noise(log: Log) -> RestNoise:
     """
     rows = rest_of(log)
     t = log.t[rows]
-    imu = [
+    gyro, accel = (
         tuple(axis_noise(x[rows, axis], log.rate) for axis in range(3))
         for x in (log.gyro, log.accel)
-    ]
+    )
     encoder = stance = np.zeros(0)
     if log.has("q"):
         encoder = encoder_noise(log.q[rows])
         stance = _stance_noise(log)
-    return RestNoise(float(t[0]), float(t[-1]), *imu, encoder, stance)
+    return RestNoise(float(t[0]), float(t[-1]), gyro, accel, encoder, stance)
 
 
 def encoder_noise(q: np.ndarray) -> np.ndarray:

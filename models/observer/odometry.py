@@ -45,10 +45,10 @@ def leg_geometry(robot: Mounted, joints: tuple[str, ...]) -> LegGeometry:
 
 
 def complete_geometry(geometry: LegGeometry) -> LegGeometry:
-    """The same with `joints` and `count`: three joints a leg, in turn, where it has neither."""
+    """The same with `joints` and `joint_count`: where it has neither, three a leg, in turn."""
     legs = len(geometry.get("radius", ()))
     in_turn = torch.arange(3 * legs, dtype=torch.float64).reshape(legs, 3)
-    return {"joints": in_turn, "count": torch.full((legs,), 3.0).double()} | geometry
+    return {"joints": in_turn, "joint_count": torch.full((legs,), 3.0).double()} | geometry
 
 
 def check_leg_geometry(geometry: LegGeometry, joints: int) -> None:
@@ -56,7 +56,12 @@ def check_leg_geometry(geometry: LegGeometry, joints: int) -> None:
     geometry = complete_geometry(geometry)
     legs = len(geometry.get("radius", ()))
     per = geometry["q_zero"].shape[-1] if "q_zero" in geometry else 3
-    shapes = {"rotation": (legs, per, 3, 3), "foot": (legs, 3), "radius": (legs,), "count": (legs,)}
+    shapes = {
+        "rotation": (legs, per, 3, 3),
+        "foot": (legs, 3),
+        "radius": (legs,),
+        "joint_count": (legs,),
+    }
     shapes |= dict.fromkeys(("offset", "axis", "anchor"), (legs, per, 3))
     shapes |= dict.fromkeys(("q_zero", "joints"), (legs, per))
     if set(geometry) != set(shapes) or not legs:
@@ -67,7 +72,7 @@ def check_leg_geometry(geometry: LegGeometry, joints: int) -> None:
             raise ValueError(f"legs: {name} is not of shape {shape} and float64")
         if not bool(torch.isfinite(value).all()):
             raise ValueError(f"legs: {name} is not finite")
-    order, count = geometry["joints"], geometry["count"]
+    order, count = geometry["joints"], geometry["joint_count"]
     if not bool(((order >= 0) & (order < joints)).all() and ((count >= 1) & (count <= per)).all()):
         raise ValueError(f"legs: joints are not within the robot's {joints}")
 
@@ -84,7 +89,7 @@ class Kinematics(NamedTuple):
     def of(cls, geometry: LegGeometry, mounting: Mounted) -> Kinematics:
         whole = complete_geometry(geometry)
         values = {name: np.ascontiguousarray(value) for name, value in whole.items()}
-        values |= {name: values[name].astype(np.int64) for name in ("joints", "count")}
+        values |= {name: values[name].astype(np.int64) for name in ("joints", "joint_count")}
         R_BI, p_BI = (np.array(x, dtype=float) for x in (mounting.R_BI, mounting.p_BI))
         return cls(radius=values.pop("radius"), R_BI=R_BI, p_BI=p_BI, legs=Legs(**values))
 
@@ -112,7 +117,7 @@ def _contact_points(known, q, dq):
             j = 3 * leg
             leg_forward(legs, leg, q[k], foot, J, axes)
             velocity[:], spin[:] = 0.0, 0.0
-            for m in range(legs.count[leg]):
+            for m in range(legs.joint_count[leg]):
                 rate = dq[k, legs.joints[leg, m]]
                 for i in range(3):
                     velocity[i] += J[i, m] * rate

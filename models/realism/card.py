@@ -139,21 +139,26 @@ def _row(
     made, made_draws = estimate(quantity, simulated, rng)
     one = tolerances()[quantity.name]
     within = one.within * (abs(real) if one.relative else grown)
-    low, high = np.percentile(made_draws - real_draws, INTERVAL)
+    low, high = _interval(made_draws - real_draws)
     return Row(
         quantity.name,
         quantity.unit,
         real,
-        *map(float, np.percentile(real_draws, INTERVAL)),
+        *_interval(real_draws),
         made,
-        *map(float, np.percentile(made_draws, INTERVAL)),
+        *_interval(made_draws),
         made - real,
-        float(low),
-        float(high),
+        low,
+        high,
         within,
-        _verdict(float(low), float(high), within),
+        _verdict(low, high, within),
         one.reason,
     )
+
+
+def _interval(draws: np.ndarray) -> tuple[float, float]:
+    low, high = np.percentile(draws, INTERVAL)
+    return float(low), float(high)
 
 
 def estimate(

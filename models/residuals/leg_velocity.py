@@ -65,7 +65,7 @@ def _leg_velocity(legs, radius, R_BI, p_BI, q, dq, omega, up, standing):
                 # omega x (r n - (foot - p_BI)), then omega_foot x r n and J dq, joint by joint
                 v += spin[b] * (r * sole[c] - foot[c] + p_BI[c])
                 v -= spin[c] * (r * sole[b] - foot[b] + p_BI[b])
-                for j in range(legs.count[leg]):
+                for j in range(legs.joint_count[leg]):
                     roll = r * (axes[b, j] * sole[c] - axes[c, j] * sole[b])
                     v += dq[k, legs.joints[leg, j]] * (roll - J[a, j])
                 step[a] = v

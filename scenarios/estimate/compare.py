@@ -124,9 +124,11 @@ def table(comparisons: Sequence[Comparison]) -> pd.DataFrame:
                 values[LOST_FROM] = result.health.since
             row: dict[str, object] = {"log": result.log, "filter": result.filter}
             rows.append(row | {name: values[name] for name in MEANINGS if name in values})
-    found = pd.DataFrame(rows)
     # The first row may lack what later ones have.
-    return found[[name for name in ("log", "filter", *MEANINGS) if name in found]]
+    known = {name for row in rows for name in row}
+    return pd.DataFrame(
+        rows, columns=[name for name in ("log", "filter", *MEANINGS) if name in known]
+    )
 
 
 def write_comparison(

@@ -260,7 +260,7 @@ def stepped(stream: Stream, log: Log, rows: np.ndarray) -> Trajectory:
             covariances.append(stream.covariance)
     names = ("R_GI", "v_GI", "p_GI", "b_a", "b_g")
     shapes = ((-1, 3, 3), (-1, 3), (-1, 3), (-1, 3), (-1, 3))
-    arrays = {
+    arrays: dict[str, Any] = {
         name: np.array([getattr(state, name) for state in states]).reshape(shape)
         for name, shape in zip(names, shapes, strict=True)
     }

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from time import process_time
-from typing import Annotated
+from typing import Annotated, cast
 
 import numpy as np
 import pandas as pd
@@ -112,9 +112,10 @@ def observer_study(options: ObserverStudy) -> pd.DataFrame:
 def mean_and_spread(rows: pd.DataFrame) -> pd.DataFrame:
     """A row a suite, inputs and network: mean over the seeds and, after ±, their spread."""
     found = []
-    for (suite, inputs, model), group in rows.groupby(["suite", "inputs", "model"], sort=False):
+    for key, group in rows.groupby(["suite", "inputs", "model"], sort=False):
+        suite, inputs, model = cast("tuple[str, str, str]", key)
         cells: dict[str, object] = {"suite": suite, "inputs": inputs, "model": model}
-        cells["sees"] = _sees(str(model))
+        cells["sees"] = _sees(model)
         cells["parameters"] = int(group["parameters"].iloc[0])
         cells["CPU [s]"] = f"{group['cpu'].mean():.0f}"
         for axis in DIRECTIONS:

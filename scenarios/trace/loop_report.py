@@ -73,13 +73,12 @@ def _of_trace(found: dict[str, Any]) -> list[Section]:
     """What a trace.json says of its channels, as sections of the loop's report."""
     words = "".join(f"Since {why}.\n\n" for why in found["reasons"])
     words += "On the end of the log, which no fit has seen. All of the trace: trace/report.html."
-    parts = [Section("The trace: residuals", words, _channel_rows(found["channels"]))]
+    parts = [("The trace: residuals", words, found["channels"])]
     if held_out := found.get("holdout"):
         words = "".join(f"{one}.\n\n" for one in held_out["against"])
         words += "Logs of which no fit has seen anything."
-        rows = _channel_rows(held_out["channels"])
-        parts.append(Section("The trace: held-out logs", words, rows))
-    return [part for part in parts if part.table]
+        parts.append(("The trace: held-out logs", words, held_out["channels"]))
+    return [Section(title, prose, _channel_rows(c)) for title, prose, c in parts if c]
 
 
 def _channel_rows(channels: dict[str, Any]) -> list[dict[str, Any]]:

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from surefoot.scenarios.reporting.html import Section
 from surefoot.scenarios.studies.pages import origin_of, write_page, write_results
 from surefoot.scenarios.trace.loop import bodily, world_of
 from surefoot.scenarios.trace.realism_figures import pictures
+from surefoot.scenarios.trace.walk_comparison import WalkComparison
 from surefoot.sim.common.errors import SurefootError, check_seed
 from surefoot.sim.common.files import refuse_overwrite, whole_file
 from surefoot.sim.effects import Effect
@@ -34,20 +35,6 @@ REALISM_PACES = (1.0, 0.9, 0.8, 0.7)
 _MODULE = "surefoot.scenarios.trace.realism"
 TITLE = "Realism: a measured walk beside simulated ones in its manner"
 REALISM_FILES = ("realism.json", "realism.csv", "table.md", "report.html")
-
-
-@dataclass(frozen=True)
-class WalkComparison:
-    """A measured walk, simulated ones and the card of the two.
-
-    pace: share of the measured speed at which the simulated robot walks; words: what it was.
-    """
-
-    words: str
-    measured: WalkView
-    simulated: tuple[WalkView, ...]
-    card: Card
-    pace: float
 
 
 def realism(

@@ -1,7 +1,6 @@
 """Figures of a realism card: the measured walk and the simulated ones in the same axes."""
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -19,16 +18,14 @@ from surefoot.models.realism.walk_view import WalkView
 from surefoot.scenarios.reporting.html import Picture
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK, OUTSIDE
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
-
-if TYPE_CHECKING:
-    from surefoot.scenarios.trace.realism import WalkComparison
+from surefoot.scenarios.trace.walk_comparison import WalkComparison
 
 PHASES = 20
 """Bins of the phase of stance."""
 _COLORS = (BEFORE, AFTER)
 
 
-def pictures(found: Sequence["WalkComparison"]) -> Iterator[Picture]:
+def pictures(found: Sequence[WalkComparison]) -> Iterator[Picture]:
     """The card's figures with their captions."""
     walks = [("measured", OUTSIDE, [found[0].measured])]
     walks += [(f"simulated, {c.words}", _COLORS[k % 2], c.simulated) for k, c in enumerate(found)]

@@ -80,8 +80,9 @@ class Effect:
 
         None where `groups` is not set, or where the machine has no two parts of the sort.
         """
-        alone = not cls.groups or isinstance(cls.targets, tuple)
-        return {} if alone else groups(cls.targets, limbs)
+        if not cls.groups or isinstance(cls.targets, tuple):
+            return {}
+        return groups(cls.targets, limbs)
 
     @classmethod
     def targets_on(cls, limbs: Limbs) -> tuple[str, ...]:

@@ -33,8 +33,8 @@ class Poses:
         """Attitudes (K, 3, 3)."""
         return matrix_from_quaternion(self.q)
 
-    def rows(self, which: np.ndarray) -> "Poses":
-        """Those of a mask (K,) or of indices."""
+    def rows(self, which: slice | np.ndarray) -> "Poses":
+        """Those of a slice, of a mask (K,) or of indices."""
         return Poses(self.t[which], self.p[which], self.q[which])
 
 
@@ -61,7 +61,7 @@ def reference_poses(log: Log) -> Poses:
     along = np.sum((behind * span[:, None] - apart) * turn, axis=1) / np.sum(turn**2, axis=1)
     at = t[first] + np.clip(along, 0.0, span)
     ahead = (at - t[first])[:, None]
-    R = Rotation.from_quat(q, scalar_first=True)
-    rate = (R[first - 1].inv() * R[first]).as_rotvec() / (t[first] - t[first - 1])[:, None]
-    turned = R[first] * Rotation.from_rotvec(rate * ahead)
+    earlier, R = (Rotation.from_quat(q[rows], scalar_first=True) for rows in (first - 1, first))
+    rate = (earlier.inv() * R).as_rotvec() / (t[first] - t[first - 1])[:, None]
+    turned = R * Rotation.from_rotvec(rate * ahead)
     return Poses(at, p[first] + before * ahead, quaternion_from_matrix(turned.as_matrix()))

@@ -13,7 +13,7 @@ from surefoot.sim.common.kernels import kernel
 class Legs(NamedTuple):
     """Constants of L legs of up to P joints, read from a model; everything in m and rad.
 
-    Of the J joints of a robot, `joints` are those of each leg, its first `count`; what stands
+    Of the J joints of a robot, `joints` are those of each leg, its first `joint_count`; what stands
     behind them in a shorter leg is not read. A leg is walked from the base B outwards: `offset` and
     `rotation` take the frame of the previous link to that of joint j's link at q = q_zero, `axis`
     and `anchor` are the hinge in that link's own frame, and `foot` is the foot's centre, or the
@@ -27,7 +27,7 @@ class Legs(NamedTuple):
     q_zero: np.ndarray  # (L, P)
     foot: np.ndarray  # (L, 3)
     joints: np.ndarray  # (L, P), whole numbers
-    count: np.ndarray  # (L,), whole numbers
+    joint_count: np.ndarray  # (L,), whole numbers
 
 
 @kernel
@@ -45,7 +45,7 @@ def leg_forward(legs, leg, q, foot, jacobian, axes):
     # Rotations are tuples of nine numbers, row by row: arrays would be allocated at every step.
     R = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
     x, y, z = 0.0, 0.0, 0.0
-    count = legs.count[leg]
+    count = legs.joint_count[leg]
     for j in range(count):
         dx, dy, dz = _apply(R, legs.offset[leg, j])
         R = _times(R, _numbers(legs.rotation[leg, j]))

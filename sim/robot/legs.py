@@ -133,7 +133,7 @@ def _standing_chains(
 
 def _last_hinges(model: mujoco.MjModel) -> list[int]:
     """Hinges with no hinge below them, one at the end of each chain."""
-    hinges = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE)
+    hinges = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE).tolist()
     hinges = [joint for joint in hinges if not _is_spring(model, joint)]
     above: set[int] = set()
     for joint in hinges:
@@ -141,7 +141,7 @@ def _last_hinges(model: mujoco.MjModel) -> list[int]:
         while body > 0:
             above.add(int(body))
             body = model.body_parentid[body]
-    last = [int(j) for j in hinges if int(model.jnt_bodyid[j]) not in above]
+    last = [j for j in hinges if int(model.jnt_bodyid[j]) not in above]
     # Of several hinges on one body the last is at its end.
     return [j for j in last if j + 1 not in last or model.jnt_bodyid[j] != model.jnt_bodyid[j + 1]]
 
@@ -180,9 +180,8 @@ def _foot_of(
     shapes or other spheres reach as low; then the underside of all of these."""
     link = int(model.jnt_bodyid[chain[-1]])
     collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    shapes = [
-        g for g in np.flatnonzero(collides) if _is_fixed_to(model, model.geom_bodyid[g], link)
-    ]
+    solid = np.flatnonzero(collides).tolist()
+    shapes = [g for g in solid if _is_fixed_to(model, model.geom_bodyid[g], link)]
     spheres = [g for g in shapes if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_SPHERE]
     flat = [g for g in shapes if model.geom_type[g] in FLAT]
     if not spheres + flat:

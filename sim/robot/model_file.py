@@ -45,7 +45,7 @@ def _floating(file: Path) -> str:
         for shape in (*link.findall("visual"), *link.findall("collision")):
             if shape.find("geometry/mesh") is not None:
                 link.remove(shape)
-    children = {joint.find("child").attrib["link"] for joint in robot.findall("joint")}
+    children = {child.attrib["link"] for child in robot.findall("joint/child")}
     (root,) = (n for link in robot.findall("link") if (n := link.attrib["name"]) not in children)
     if root != "world":
         ElementTree.SubElement(robot, "link", name="world")

@@ -1,6 +1,6 @@
 """The plan of the blind study, `study.toml`, as the cases that it draws."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,7 +30,7 @@ class Case:
     standing: bool = False
 
 
-def cases(plan: dict[str, Any]) -> list[Case]:
+def cases(plan: Mapping[str, Any]) -> list[Case]:
     """Every case of a plan, drawn from its seed."""
     rng = np.random.default_rng(plan["seed"])
     walks = [(r, s) for s in plan["walk"]["seeds"] for r in plan["walk"]["robots"]]
