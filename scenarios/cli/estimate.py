@@ -222,9 +222,9 @@ class Compare:
             prepare_folder,
             write_comparison,
         )
+        from surefoot.scenarios.estimate.run import robot_of
         from surefoot.scenarios.estimate.settings import read_settings
         from surefoot.scenarios.reporting.tables import to_markdown
-        from surefoot.sim.robot import Robot
 
         learnt = learnt_from(self.observer, self.bounds)
         logs = read_logs(self.logs)
@@ -235,8 +235,7 @@ class Compare:
         settings = read_settings(self.settings, self.set_lines)
         prepare_folder(self.out, self.force)
         found = [
-            compare_log(log, Robot.for_log(log, self.robot), learnt, settings=settings)
-            for log in logs
+            compare_log(log, robot_of(log, self.robot), learnt, settings=settings) for log in logs
         ]
         results = write_comparison(found, self.out, "Filters compared", force=self.force)
         print("\n" + to_markdown(results))

@@ -29,9 +29,10 @@ from surefoot.scenarios.estimate.contract import (
     measured,
 )
 from surefoot.scenarios.estimate.radar_velocity import radar_of, with_radar
+from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import Log
 from surefoot.sim.log.derived import CausalDerivative
-from surefoot.sim.robot import Robot
+from surefoot.sim.robot.robot import NO_ROBOT, Robot
 
 if TYPE_CHECKING:
     from surefoot.models.calibration.bias_model import BiasModel
@@ -183,12 +184,16 @@ class Leg:
 
     name, label, color, line = "leg", "Leg IEKF", "#2F86D1", "-"
     description = "Contact-aided leg IEKF (Hartley)."
-    needs = Needs(log=("imu", "q", "contact"))
+    needs = Needs(log=("imu", "contact"), robot=False, feet=True)
     parameters = LEG
     of_legs = True
 
     def start(
-        self, robot: Robot, learnt: Learnt, parameters: Mapping[str, float], beginning: Beginning
+        self,
+        robot: Robot | None,
+        learnt: Learnt,
+        parameters: Mapping[str, float],
+        beginning: Beginning,
     ) -> LegStream:
         """A stream; see `surefoot.scenarios.estimate.contract.Estimator`."""
         return LegStream(robot, beginning, parameters)
@@ -218,6 +223,7 @@ class RadarLeg(Leg):
         *LEG_SLIP,
         Parameter("radar", 16.0, "1", "factor of the covariance of a radar frame"),
     )
+    needs = Needs(log=("imu", "contact"), feet=True)
     variant = perceptive = True
 
     def prepare(self, log: Log, robot: Robot) -> Log:
@@ -230,13 +236,17 @@ class Imu:
 
     name, label, color, line = "imu", "IMU alone", "#CC79A7", "-"
     description = "IMU alone: the floor."
-    needs = Needs()
+    needs = Needs(robot=False)
     parameters = _imu_parameters(0.01)
     floor = True
     drawn = False  # it leaves every picture within seconds and would hide the others
 
     def start(
-        self, robot: Robot, learnt: Learnt, parameters: Mapping[str, float], beginning: Beginning
+        self,
+        robot: Robot | None,
+        learnt: Learnt,
+        parameters: Mapping[str, float],
+        beginning: Beginning,
     ) -> ImuStream:
         """A stream; see `surefoot.scenarios.estimate.contract.Estimator`."""
         return ImuStream(beginning, imu_noise(parameters))
@@ -392,10 +402,19 @@ class ObserverFusion(ImuStream):
 
 
 class LegStream:
-    """The leg filter with the kinematics of a robot's legs, and a radar's velocities if any."""
+    """The leg filter with the kinematics of a robot's legs, and a radar's velocities if any.
 
-    def __init__(self, robot: Robot, beginning: Beginning, parameters: Mapping[str, float]):
+    Feet whose positions the samples give, and not the joints, need no robot: they are points, as
+    nothing says how they turn while they roll.
+    """
+
+    def __init__(self, robot: Robot | None, beginning: Beginning, parameters: Mapping[str, float]):
         noise = LegNoise(imu_noise(parameters), parameters["contact"])
+        if beginning.feet:
+            robot = None
+        elif robot is None:
+            raise SurefootError(NO_ROBOT)
+        radius = np.zeros(len(beginning.feet)) if robot is None else robot.foot_radius
         self._robot, self._inflation = robot, parameters.get("radar")
         self._kinematics = parameters["encoder"], parameters["kinematics"]
         self._rates = CausalDerivative()
@@ -403,8 +422,8 @@ class LegStream:
             beginning.state,
             beginning.covariance,
             noise,
-            robot.foot_radius,
-            len(robot.foot_radius),
+            radius,
+            len(radius),
             parameters.get("slip_gate"),
         )
 
@@ -418,19 +437,39 @@ class LegStream:
         """Covariance (15, 15) of its error, without the contacts."""
         return self.filter.covariance
 
-    def _legs(self, t, q, dq):
-        """Foot centres, their covariances and the feet's rates at rows that follow."""
+    def _given(self, feet_I):
+        """Foot centres (N, K, 3) [m], their covariances, and no rates.
+
+        No joint's arm is known: an error of the angles acts through that from the IMU to the foot.
+        """
+        arm = np.linalg.norm(feet_I, axis=-1)[..., None, None] * np.eye(3)
+        return feet_I, encoder_covariance(arm, *self._kinematics), None
+
+    def _by_joints(self, robot: Robot, t, q, dq):
+        """Foot centres, their covariances and the feet's rates at rows that follow.
+
+        Args:
+            robot: whose legs they are.
+            t: (N,) [s].
+            q: (N, J) [rad].
+            dq: (N, J) [rad/s], or None where it is to be derived.
+        """
         dq = self._rates(t, q) if dq is None else dq
-        cov = encoder_covariance(self._robot.feet_jacobian_I(q), *self._kinematics)
-        return self._robot.feet_I(q), cov, self._robot.foot_rates_I(q, dq)
+        cov = encoder_covariance(robot.feet_jacobian_I(q), *self._kinematics)
+        return robot.feet_I(q), cov, robot.foot_rates_I(q, dq)
 
     def step(self, sample: Sample) -> Update | None:
         """Predict, and update with the contacts."""
-        q, contact = measured(sample, "q", "contact")
-        dq = None if sample.dq is None else sample.dq[None]
-        feet_I, cov, rates = self._legs(np.array([sample.t]), q[None], dq)
+        if self._robot is None:
+            foot_I, contact = measured(sample, "foot_I", "contact")
+            feet_I, cov, rates = self._given(foot_I[None])
+        else:
+            q, contact = measured(sample, "q", "contact")
+            dq = None if sample.dq is None else sample.dq[None]
+            feet_I, cov, rates = self._by_joints(self._robot, np.array([sample.t]), q[None], dq)
         if not np.isnan(self.filter.t):
-            self.filter.predict(sample.gyro, sample.accel, sample.t - self.filter.t, rates[0])
+            now = None if rates is None else rates[0]
+            self.filter.predict(sample.gyro, sample.accel, sample.t - self.filter.t, now)
         self.filter.t = sample.t
         self.filter.update_contacts(feet_I[0], contact, cov[0])
         if self._inflation is not None and sample.extra is not None:
@@ -442,7 +481,11 @@ class LegStream:
     def run(self, log: Log, rows: np.ndarray, more: bool = False) -> Trajectory:
         """Predict and update over the rows of a log; the estimates at `rows` of them."""
         imu = imu_samples(log.t, log.gyro, log.accel, self.filter.t)
-        feet_I, cov, rates = self._legs(imu.t, log.q, log.dq if log.has("dq") else None)
+        if self._robot is None:
+            feet_I, cov, rates = self._given(log.foot_I)
+        else:
+            dq = log.dq if log.has("dq") else None
+            feet_I, cov, rates = self._by_joints(self._robot, imu.t, log.q, dq)
         velocities = NO_VELOCITIES
         if self._inflation is not None:
             at, v_I, v_cov = radar_of(log.frame)

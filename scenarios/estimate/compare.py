@@ -60,7 +60,7 @@ class Comparison:
     """All filters on one log."""
 
     log: Log
-    robot: Robot
+    robot: Robot | None
     results: tuple[Result, ...]
     left_out: dict[str, str]  # filter -> why
     prediction: Prediction | None
@@ -72,10 +72,15 @@ class Comparison:
         """A sentence for each filter that is not to be trusted."""
         return [r.health.sentence(r.filter) for r in self.results if r.health.lost]
 
+    @property
+    def drawn(self) -> Robot | None:
+        """The robot that a recording draws along the reference; None without one, or its joints."""
+        return self.robot if self.log.has("reference") and self.log.has("q") else None
+
 
 def compare_log(
     log: Log,
-    robot: Robot,
+    robot: Robot | None,
     learnt: Learnt,
     names: Sequence[str] | None = None,
     settings: FilterSettings | None = None,
@@ -84,7 +89,7 @@ def compare_log(
 
     Args:
         log: to estimate.
-        robot: of the log.
+        robot: of the log; without one run those filters that need none.
         learnt: observers and bounds.
         names: of the filters; all where left out.
         settings: noise, priors and start; those tuned for the robot where left out.
@@ -167,11 +172,11 @@ def write_comparison(
                 tuple(pictures.values()),
             )
         )
-        if comparison.log.has("reference"):
+        if (robot := comparison.drawn) is not None:
             write_recording(
                 out / f"{comparison.log.name}.rrd",
                 comparison.log,
-                comparison.robot,
+                robot,
                 {r.filter: r.trajectory for r in comparison.results if traits(r.filter).drawn},
                 comparison.prediction,
                 comparison.bounds,
@@ -218,7 +223,8 @@ def _summary_sections(comparisons: Sequence[Comparison], found: pd.DataFrame) ->
 
 def _walk_prose(comparison: Comparison) -> str:
     log = comparison.log
-    text = f"{comparison.robot.name}, {log.t[-1] - log.t[0]:.1f} s"
+    name = comparison.robot.name if comparison.robot else "A robot that is not named"
+    text = f"{name}, {log.t[-1] - log.t[0]:.1f} s"
     if log.has("reference"):
         text += f", {path_length(log.t, log.ref_p):.1f} m"
     if log.has("truth"):
@@ -230,6 +236,8 @@ def _walk_prose(comparison: Comparison) -> str:
     if comparison.bounds is not None:
         x, y, z = comparison.bounds.epsilon
         text += f". Bounds on the observer's velocity: {x:.3f}, {y:.3f}, {z:.3f} m/s"
+    if log.has("reference") and comparison.drawn is None:
+        text += ". No recording: it would draw the joints of a robot that is known"
     return text + "."
 
 
@@ -256,10 +264,10 @@ def _pictures(comparison: Comparison, patches: Sequence) -> dict[str, Picture]:
             "Distance from the truth, and the three sigma each filter claims for itself.",
         ),
     }
-    if comparison.prediction is not None and comparison.bounds is not None:
-        epsilon = comparison.bounds.epsilon_at(comparison.robot.R_BI)
+    prediction, bounds, robot = comparison.prediction, comparison.bounds, comparison.robot
+    if prediction is not None and bounds is not None and robot is not None:
         pictures["velocity"] = Picture(
-            velocity_figure(comparison.log, comparison.prediction, epsilon),
+            velocity_figure(comparison.log, prediction, bounds.epsilon_at(robot.R_BI)),
             "Body velocity: the observer's prediction, its calibrated bounds, and the truth.",
         )
     return pictures

@@ -24,7 +24,8 @@ import numpy as np
 from surefoot.estimator.core.state import NavState
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import Log
-from surefoot.sim.robot import Robot
+from surefoot.sim.log.schema import group_columns
+from surefoot.sim.robot.robot import NO_ROBOT, Robot
 
 if TYPE_CHECKING:  # what legs and IMU need comes without a network's library, which is slow to load
     from surefoot.models.calibration.bounds import Bounds
@@ -47,11 +48,27 @@ class Parameter:
 class Needs:
     """What an estimator reads: groups of a log's columns (`Log.require`), and of what was learnt
     "observers", "bounds", or of these "persistent", the persistent part alone, which is the same
-    at every gamma.
+    at every gamma. `robot`: the declared model. `feet`: where the feet are, which joint angles and
+    the declared model say, or else a log's own columns.
     """
 
     log: tuple[str, ...] = ("imu",)
     learnt: tuple[str, ...] = ()
+    robot: bool = True
+    feet: bool = False
+
+    def check(self, log: Log, robot: Robot | None) -> None:
+        """Raise SurefootError where the log lacks a column, or where no robot is known."""
+        log.require(*self.log)
+        by_joints = self.feet and not log.has("foot")
+        if by_joints and not log.has("q"):
+            columns = group_columns("foot", (), log.legs)
+            raise SurefootError(
+                f"{log.name}: the log lacks foot ({columns[0]}, ...) and q (q_<joint>): one of "
+                "them says where the feet are"
+            )
+        if robot is None and (self.robot or by_joints):
+            raise SurefootError(NO_ROBOT)
 
 
 @dataclass(frozen=True)
@@ -94,7 +111,8 @@ class Beginning:
     """Where a stream begins: the state and its covariance (15, 15) at the first sample.
 
     rate [Hz] of the samples; joints, their names in the order of q; derived, which of the log's
-    columns were derived and how (`Meta.derived`), empty on a robot.
+    columns were derived and how (`Meta.derived`), empty on a robot; feet, the legs in the order of
+    foot_I, empty where the samples have none and q says where they are.
     """
 
     state: NavState
@@ -102,6 +120,7 @@ class Beginning:
     rate: float
     joints: tuple[str, ...] = ()
     derived: tuple[str, ...] = ()
+    feet: tuple[str, ...] = ()
 
 
 class Sample(NamedTuple):
@@ -109,7 +128,7 @@ class Sample(NamedTuple):
 
     t [s]; gyro (3,) [rad/s] and accel (3,) [m/s^2] in I, means since the last sample; q, dq, tau
     (J,) [rad, rad/s, N m] of the joints and contact (K,) bool of the feet, now; extra: the columns
-    `x_<name>` of a log by their names.
+    `x_<name>` of a log by their names; foot_I (K, 3) [m]: where the feet are now, in I.
     """
 
     t: float
@@ -120,6 +139,7 @@ class Sample(NamedTuple):
     tau: np.ndarray | None = None
     contact: np.ndarray | None = None
     extra: Mapping[str, float] | None = None
+    foot_I: np.ndarray | None = None
 
 
 class Update(NamedTuple):
@@ -179,7 +199,7 @@ class Estimator(Protocol):
         """A stream that begins here. Raises SurefootError saying what it lacks.
 
         Args:
-            robot: the declared model.
+            robot: the declared model; None may come where `needs` say that none is needed.
             learnt: observers and bounds.
             parameters: value of each parameter by name.
             beginning: state, covariance and rate of the samples.
@@ -198,11 +218,11 @@ def measured(sample: Sample, *groups: str) -> list[np.ndarray]:
 def samples(log: Log) -> Iterator[Sample]:
     """The rows of a log one by one, with what it has of each group."""
     t, gyro, accel = log.t, log.gyro, log.accel
-    groups = ("q", "dq", "tau", "contact")
-    others = [getattr(log, name) if log.has(name) else None for name in groups]
+    groups = {"q": "q", "dq": "dq", "tau": "tau", "contact": "contact", "foot": "foot_I"}
+    others = [getattr(log, name) if log.has(group) else None for group, name in groups.items()]
     names = [name for name in log.frame.columns if str(name).startswith("x_")]
     extra = log.frame.loc[:, names].to_dict(orient="records") if names else None
     for k in range(len(log.frame)):
-        q, dq, tau, contact = (None if values is None else values[k] for values in others)
+        q, dq, tau, contact, foot_I = (None if values is None else values[k] for values in others)
         more = {str(name): x for name, x in extra[k].items()} if extra else None
-        yield Sample(t[k], gyro[k], accel[k], q, dq, tau, contact, more)
+        yield Sample(t[k], gyro[k], accel[k], q, dq, tau, contact, more, foot_I)

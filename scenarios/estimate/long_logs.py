@@ -24,13 +24,13 @@ from surefoot.scenarios.estimate.run import (
     estimated_in_chunks,
     health_of,
     joined_trajectory,
+    robot_of,
     run_filter,
 )
 from surefoot.scenarios.estimate.settings import FilterSettings
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.log import Log, LogReader
-from surefoot.sim.robot import Robot
 
 LONG = 1800.0
 """s. A longer log is estimated in pieces: its trajectory alone would take gigabytes."""
@@ -68,7 +68,7 @@ def estimate_file(
     """
     if reader.rows / reader.meta.rate <= LONG or reader.meta.effects:
         (log,) = reader.chunks()
-        result = run_filter(name, log, Robot.for_log(log, robot_name), learnt, settings)
+        result = run_filter(name, log, robot_of(log, robot_name), learnt, settings)
         if out:
             result.trajectory.write(out, force)
             result.trajectory.write_tum(out.with_suffix(".tum"), force)
@@ -110,7 +110,7 @@ def _in_pieces(
             yield log
 
     first = next(reader.chunks(LOG_PIECE))
-    robot, estimator = Robot.for_log(first, robot_name), estimator_named(name)
+    robot, estimator = robot_of(first, robot_name), estimator_named(name)
     with ExitStack() as files:
         table, lines = None, None
         if out:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from time import perf_counter
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -31,7 +31,9 @@ from surefoot.scenarios.estimate.tuned import Parameters, tuned
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import compensate_all, declared_effects
 from surefoot.sim.log import Log
-from surefoot.sim.robot import Robot
+from surefoot.sim.robot.robot import NO_ROBOT, Robot
+
+_R = TypeVar("_R", Robot, Robot | None)
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,7 @@ class Result:
 def run_filter(
     name: str,
     log: Log,
-    robot: Robot,
+    robot: Robot | None,
     learnt: Learnt | None = None,
     settings: FilterSettings | None = None,
 ) -> Result:
@@ -60,7 +62,7 @@ def run_filter(
     Args:
         name: of the filter.
         log: to estimate.
-        robot: of the log.
+        robot: of the log, as of `robot_of`.
         learnt: observers and bounds.
         settings: noise, priors and start; those tuned for the robot where left out.
 
@@ -89,7 +91,7 @@ def run_filter(
 def health_of(
     parts: Sequence[RunSummary],
     estimator: Estimator,
-    robot: Robot,
+    robot: Robot | None,
     log: Log,
     settings: FilterSettings | None = None,
 ) -> Health:
@@ -113,7 +115,7 @@ def health_of(
 
 
 def parameters_of(
-    estimator: Estimator, robot: Robot, settings: FilterSettings | None = None
+    estimator: Estimator, robot: Robot | None, settings: FilterSettings | None = None
 ) -> dict[str, float]:
     """An estimator's parameters for a robot: what `settings` say, else what it is tuned to."""
     values = tuned(robot).of(estimator)
@@ -123,14 +125,25 @@ def parameters_of(
 _compiled: set[str] = set()
 
 
-def declared_model(log: Log, robot: Robot) -> tuple[Log, Robot]:
-    """The log and robot with the effects that the log declares compensated."""
-    return compensate_all(declared_effects(log), log, robot)
+def robot_of(log: Log, name: str | None = None) -> Robot | None:
+    """The robot `name`, or else the log's own (`Robot.for_log`); None where neither says one."""
+    return Robot.for_log(log, name) if name or log.meta.robot else None
+
+
+def declared_model(log: Log, robot: _R) -> tuple[Log, _R]:
+    """The log and robot with the effects that the log declares compensated.
+
+    Raises SurefootError where it declares effects and no robot is known.
+    """
+    effects = declared_effects(log)
+    if effects and robot is None:
+        raise SurefootError(f"{NO_ROBOT}, whose effects it declares")
+    return compensate_all(effects, log, robot)
 
 
 def run_all(
     log: Log,
-    robot: Robot,
+    robot: Robot | None,
     learnt: Learnt,
     names: Sequence[str] | None = None,
     progress: Callable[[str], None] | None = None,
@@ -161,7 +174,7 @@ def run_all(
 def estimated(
     estimator: Estimator,
     log: Log,
-    robot: Robot,
+    robot: Robot | None,
     learnt: Learnt,
     parameters: Parameters | None = None,
 ) -> Trajectory:
@@ -185,7 +198,7 @@ def estimated(
 def estimated_in_chunks(
     estimator: Estimator,
     chunks: Iterable[Log],
-    robot: Robot,
+    robot: Robot | None,
     learnt: Learnt,
     parameters: Parameters | None = None,
     settings: FilterSettings | None = None,
@@ -211,14 +224,17 @@ def estimated_in_chunks(
     stream: Stream | None = None
     seen = stride = 0
     while log is not None:
-        log.require(*estimator.needs.log)
+        estimator.needs.check(log, robot)
         more = following is not None
         log = _prepared(estimator, log, robot, more or stream is not None)
         if stream is None:
             state, covariance = (settings or FilterSettings()).beginning(log)
             joints = log.joints if log.has("q") else ()
-            at = Beginning(state, covariance, log.rate, joints, log.meta.derived)
-            stream, stride = estimator.start(robot, learnt, values, at), output_stride(log.t)
+            by_joints = robot is not None and log.has("q")  # they say how feet roll, too
+            feet = log.legs if log.has("foot") and not by_joints else ()
+            at = Beginning(state, covariance, log.rate, joints, log.meta.derived, feet)
+            known = cast(Robot, robot)  # None for those alone whose needs say that it may be
+            stream, stride = estimator.start(known, learnt, values, at), output_stride(log.t)
         rows = np.arange(-seen % stride, len(log.t), stride)
         part = _advanced(stream, log, rows, more)
         yield with_mounting(part, mounting)
@@ -228,7 +244,7 @@ def estimated_in_chunks(
         log, following = following, next(remaining, None)
 
 
-def _prepared(estimator: Estimator, log: Log, robot: Robot, in_chunks: bool) -> Log:
+def _prepared(estimator: Estimator, log: Log, robot: Robot | None, in_chunks: bool) -> Log:
     """The log with what an estimator computes of it as a whole."""
     prepare: Any = getattr(estimator, "prepare", None)
     prepared = log if prepare is None else prepare(log, robot)

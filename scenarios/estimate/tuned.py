@@ -43,10 +43,10 @@ class Tuned:
         return values | own
 
 
-def tuned(robot: Robot) -> Tuned:
+def tuned(robot: Robot | None) -> Tuned:
     """What this robot's estimators are tuned to: the entry of its name, else [default]."""
     every = read_tuned(tuned_file())
-    return every.get(robot.name, every["default"])
+    return every["default"] if robot is None else every.get(robot.name, every["default"])
 
 
 def tuned_file() -> Path:

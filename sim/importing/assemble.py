@@ -176,7 +176,7 @@ def _torques_by_law(
     }
 
 
-_ORDER = ("t", "gyro", "accel", "q_", "dq_", "tau_", "contact", "force", "ref", "x_")
+_ORDER = ("t", "gyro", "accel", "q_", "dq_", "tau_", "contact", "force", "foot", "ref", "x_")
 
 
 def _column_order(column: str) -> int:

@@ -10,9 +10,9 @@
                  [reference.columns] as above, with a t of its own; `surefoot align` finds the
                  offset, p_IM and q_IM
     [robot]      name, imu_position (m, in B), imu_orientation (w, x, y, z of I in B), foot_radius,
-                 joint_sign and joint_offset by joint: q = sign * theirs + offset. Without a
-                 foot_radius the declared model has feet that do not roll: a map declares only
-                 what it says
+                 feet (by leg, the body or site that is its foot), joint_sign and joint_offset by
+                 joint: q = sign * theirs + offset. Without a foot_radius the declared model has
+                 feet that do not roll: a map declares only what it says
     [ground]     evenness: standard deviation (m) of its height about a plane, EVENNESS if left out
     [contact]    offset by leg, on, off (raw), debounce (s): contact_<leg> from force_<leg>
     [motor_law]  kp (N m/rad), kd (N m s/rad): a number, or a table by joint
@@ -29,7 +29,7 @@ import numpy as np
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
 from surefoot.sim.common.toml import Name, NonNegative, Positive, read_typed
-from surefoot.sim.log.schema import GROUPS, is_column, joint_prefix, leg_names
+from surefoot.sim.log.schema import GROUPS, foot_vector, is_column, joint_prefix, leg_names
 
 BUNDLED_MAPS = bundled("surefoot.sim.importing", "maps")
 STANDARD_GRAVITY = 9.80665
@@ -46,6 +46,8 @@ _UNITS: dict[str, dict[str, float]] = {
     "q": {"rad": 1.0, "deg": DEGREE},
     "dq": {"rad/s": 1.0, "deg/s": DEGREE, "rpm": 6.0 * DEGREE},
     "tau": {"N m": 1.0, "mN m": 1e-3},
+    "foot": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
+    "force_xyz": {"N": 1.0, "kN": 1e3},
     "ref_p": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
     "ref_v": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
 }
@@ -175,6 +177,7 @@ class _Robot:
     imu_position: tuple[float, float, float] | None = None
     imu_orientation: tuple[float, float, float, float] | None = None
     foot_radius: NonNegative = 0.0
+    feet: dict[str, Name] | None = None
     joint_sign: dict[str, float] = field(default_factory=dict)
     joint_offset: dict[str, float] = field(default_factory=dict)
 
@@ -187,7 +190,8 @@ class _Robot:
     def model(self) -> dict[str, Any]:
         given = {"p_BI": self.imu_position, "q_BI": self.imu_orientation}
         poses = {key: list(value) for key, value in given.items() if value is not None}
-        return {"foot_radius": self.foot_radius, **poses}
+        named = {} if self.feet is None else {"feet": self.feet}
+        return {"foot_radius": self.foot_radius, **poses, **named}
 
 
 @dataclass(frozen=True)
@@ -283,7 +287,7 @@ def _columns(section: str, entries: _Columns) -> dict[str, MapColumn]:
             found[name] = MapColumn(entry)
             continue
         prefix = joint_prefix(name)
-        kind = prefix[:-1] if prefix else name.rsplit("_", 1)[0]
+        kind = prefix[:-1] if prefix else foot_vector(name) or name.rsplit("_", 1)[0]
         units = _UNITS.get(_KINDS.get(kind, kind), {})
         if entry.unit is not None and entry.unit not in units:
             allowed = ", ".join(units) or "none: it is kept as given"

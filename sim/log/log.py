@@ -99,7 +99,7 @@ class Log:
         """Raise LogError naming the groups and columns that are missing.
 
         Groups: imu, q, dq, tau, commands (or q_des, dq_des, tau_ff one by one), contact, force,
-        reference, ref_v, truth; a column `x_<name>` is a group by itself.
+        foot, force_xyz, reference, ref_v, truth; a column `x_<name>` is a group by itself.
         """
         missing = {group: self._missing(group) for group in groups}
         lacking = [f"{group} ({_shorten(names)})" for group, names in missing.items() if names]
@@ -124,6 +124,10 @@ class Log:
 
     def _leg_array(self, group: str, prefix: str) -> np.ndarray:
         return self._array(group, [f"{prefix}_{leg}" for leg in self.legs])
+
+    def _leg_vectors(self, group: str, prefix: str) -> np.ndarray:
+        names = [f"{prefix}_{leg}_{axis}" for leg in self.legs for axis in "xyz"]
+        return self._array(group, names).reshape(-1, len(self.legs), 3)
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
@@ -195,6 +199,16 @@ class Log:
     def force(self) -> np.ndarray:
         """Foot force (N, L), raw, in the sensor's own unit."""
         return self._leg_array("force", "force")
+
+    @property
+    def foot_I(self) -> np.ndarray:
+        """Foot positions (N, L, 3) in I, m, where the robot gives them."""
+        return self._leg_vectors("foot", "foot")
+
+    @property
+    def force_I(self) -> np.ndarray:
+        """Forces (N, L, 3) of the ground on the feet in I, N."""
+        return self._leg_vectors("force_xyz", "force")
 
     @property
     def ref_p(self) -> np.ndarray:

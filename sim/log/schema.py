@@ -22,8 +22,6 @@ LEGS = ("FL", "FR", "RL", "RR")
 """A quadruped's legs, in the order of every array."""
 JOINTS = tuple(f"{leg}_{joint}" for leg in LEGS for joint in ("hip", "thigh", "calf"))
 """A quadruped's joints, in the order of every array."""
-_JOINT_PREFIXES = ("q_des_", "dq_des_", "tau_ff_", "q_", "dq_", "tau_")
-_LEG_PREFIXES = ("contact_", "force_", "slip_", "mu_")
 _BINARY_PREFIXES = ("contact_", "ref_ok")
 _UNIT_TOLERANCE = 1e-5
 
@@ -43,12 +41,22 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "commands": ("q_des_<joint>", "dq_des_<joint>", "tau_ff_<joint>"),
     "contact": ("contact_<leg>",),
     "force": ("force_<leg>",),
+    "foot": _axes("foot_<leg>"),
+    "force_xyz": _axes("force_<leg>"),
     "reference": _axes("ref_p") + _axes("ref_q", "wxyz"),
     "ref_v": _axes("ref_v"),
     "truth": ("slip_<leg>", "mu_<leg>"),
 }
 """Columns by group; one with <joint> or <leg> stands for a column of each."""
 _PLAIN = {name for names in GROUPS.values() for name in names if "<" not in name} | {"t", "ref_ok"}
+
+
+def _of_each(placeholder: str) -> tuple[str, ...]:
+    names = (name for names in GROUPS.values() for name in names if placeholder in name)
+    return tuple(dict.fromkeys(names))
+
+
+_OF_JOINTS, _OF_LEGS = _of_each("<joint>"), _of_each("<leg>")
 
 
 def group_columns(group: str, joints: Sequence[str], legs: Sequence[str]) -> list[str]:
@@ -66,7 +74,14 @@ def group_columns(group: str, joints: Sequence[str], legs: Sequence[str]) -> lis
 
 def joint_prefix(column: str) -> str | None:
     """`q_`, `dq_des_`, ... of a joint's column; None for any other column."""
-    return _prefix(column, _JOINT_PREFIXES)
+    found = _pattern(column, _OF_JOINTS)
+    return found[0].removesuffix("<joint>") if found else None
+
+
+def foot_vector(column: str) -> str | None:
+    """The group, foot or force_xyz, of a leg's column along an axis; None for any other column."""
+    found = _pattern(column, _OF_LEGS)
+    return next((g for g in ("foot", "force_xyz") if found and found[0] in GROUPS[g]), None)
 
 
 def is_column(name: str) -> bool:
@@ -74,7 +89,7 @@ def is_column(name: str) -> bool:
     return (
         name in _PLAIN
         or name.startswith("x_")
-        or _prefix(name, (*_JOINT_PREFIXES, *_LEG_PREFIXES)) is not None
+        or _pattern(name, (*_OF_JOINTS, *_OF_LEGS)) is not None
     )
 
 
@@ -84,21 +99,25 @@ def joint_names(columns: Iterable[str]) -> tuple[str, ...]:
 
 
 def leg_names(columns: Iterable[str]) -> tuple[str, ...]:
-    """The legs that have a contact, or else a force, or else a truth: a quadruped's in the order of
-    LEGS, else in the order of the columns."""
-    names = list(columns)
-    for prefix in _LEG_PREFIXES:
-        legs = tuple(n.removeprefix(prefix) for n in names if _prefix(n, _LEG_PREFIXES) == prefix)
+    """The legs that have a contact, or else a force, a position or a truth: a quadruped's in the
+    order of LEGS, else in the order of the columns."""
+    found = [_pattern(name, _OF_LEGS) for name in columns]
+    for pattern in _OF_LEGS:
+        legs = tuple(one[1] for one in found if one and one[0] == pattern)
         if legs:
             return LEGS if set(legs) <= set(LEGS) else legs
     return ()
 
 
-def _prefix(column: str, prefixes: tuple[str, ...]) -> str | None:
-    for prefix in prefixes:
-        if column.startswith(prefix) and len(column) > len(prefix):
-            return prefix
-    return None
+def _pattern(column: str, patterns: tuple[str, ...]) -> tuple[str, str] | None:
+    """Which pattern, and the joint or leg: of force_FL_x force_<leg>_x, which says most, and FL."""
+    found: tuple[str, str] | None = None
+    for pattern in patterns:
+        start, end = pattern.split("<")[0], pattern.split(">")[1]
+        fits = column.startswith(start) and column.endswith(end)
+        if fits and len(column) > len(start + end) and (not found or len(pattern) > len(found[0])):
+            found = pattern, column[len(start) : len(column) - len(end)]
+    return found
 
 
 @dataclass(frozen=True)
@@ -107,8 +126,8 @@ class Meta:
 
     `rate` is in Hz. `effects` are the declared ones, each a dict of name, target, value, unit.
     `motor_law` is {"kp": (J,), "kd": (J,)} in N m/rad and N m s/rad. `model` is what an import map
-    says of the robot (p_BI in m, q_BI as w, x, y, z, foot_radius in m), which overrides the MJCF,
-    and of its ground (ground_evenness in m).
+    says of the robot (p_BI in m, q_BI as w, x, y, z, foot_radius in m, feet: body or site by leg),
+    which overrides the MJCF, and of its ground (ground_evenness in m).
     """
 
     rate: float
@@ -137,6 +156,7 @@ class _Model:
     q_BI: tuple[float, float, float, float] | None = None
     foot_radius: float | tuple[float, ...] | None = None
     ground_evenness: float | None = None
+    feet: dict[str, str] | None = None
 
     def __post_init__(self):
         if self.q_BI and abs(np.linalg.norm(self.q_BI) - 1.0) > _UNIT_TOLERANCE:
@@ -249,24 +269,32 @@ def _check_columns(names: list[str]) -> None:
             raise SurefootError(f"column {missing[0]} is missing")
     if seen & {"ref_ok", *GROUPS["ref_v"]} and "ref_p_x" not in seen:
         raise SurefootError("column ref_p_x is missing beside the other reference columns")
-    _check_each(names, _JOINT_PREFIXES, joint_names(names), "q_")
+    _check_each(names, _OF_JOINTS, joint_names(names), "q_<joint>")
     legs = leg_names(names)
-    first = next((p for p in _LEG_PREFIXES if legs and f"{p}{legs[0]}" in seen), "contact_")
-    _check_each(names, _LEG_PREFIXES, legs, first)
+    first = (p for p in _OF_LEGS if legs and p.replace("<leg>", legs[0]) in seen)
+    _check_each(names, _OF_LEGS, legs, next(first, "contact_<leg>"))
+    for group in ("foot", "force_xyz"):
+        wanted = group_columns(group, (), legs)
+        missing = [name for name in wanted if name not in seen]
+        if missing and len(missing) < len(wanted):
+            raise SurefootError(f"column {missing[0]} is missing")
 
 
 def _check_each(
-    names: list[str], prefixes: tuple[str, ...], parts: tuple[str, ...], first: str
+    names: list[str], patterns: tuple[str, ...], parts: tuple[str, ...], first: str
 ) -> None:
     """Raise unless what one joint or leg has all have: `parts` are those that have `first`."""
-    for prefix in prefixes:
-        own = [name.removeprefix(prefix) for name in names if _prefix(name, prefixes) == prefix]
+    found = [_pattern(name, patterns) for name in names]
+    for pattern in patterns:
+        start, end = pattern.split("<")[0], pattern.split(">")[1]
+        own = [one[1] for one in found if one and one[0] == pattern]
         for part in own:
             if part not in parts:
-                raise SurefootError(f"column {first}{part} is missing beside {prefix}{part}")
+                needed = f"{first.split('<')[0]}{part}{first.split('>')[1]}"
+                raise SurefootError(f"column {needed} is missing beside {start}{part}{end}")
         for part in parts:
             if own and part not in own:
-                raise SurefootError(f"column {prefix}{part} is missing")
+                raise SurefootError(f"column {start}{part}{end} is missing")
 
 
 def _check_finite(name: str, values: np.ndarray, first_row: int) -> None:

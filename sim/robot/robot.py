@@ -22,6 +22,7 @@ from surefoot.sim.robot.model_file import compiled_model, model_spec
 
 _OF_JOINTS = ("joint_range", "torque_limit", "q_home")
 _OF_LEGS = ("foot_radius", "sole", "foot_places", "drawn_offset")
+NO_ROBOT = "the log names no robot: say which with --robot"
 IMU_SITES = ("imu", "imu_site", "IMU", "trunk_imu")
 
 
@@ -110,7 +111,7 @@ class Robot:
         """The robot `name`, or else the one the log names, with what the log's map says of it."""
         chosen = name or log.meta.robot
         if not chosen:
-            raise SurefootError("the log names no robot: say which with --robot")
+            raise SurefootError(NO_ROBOT)
         mapped = log.meta.model
         robot = cls.load(chosen, mapped.get("feet")).in_order_of(log)
         if "p_BI" in mapped:

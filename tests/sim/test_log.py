@@ -148,7 +148,7 @@ def without_rates(log: Log, joints: tuple[str, ...]) -> Log:
         ("force_right", "column force_right is missing"),
         ("contact_right", "column contact_right is missing beside force_right"),
         ("dq_left_knee", "column dq_left_knee is missing"),
-        ("q_left_knee", "column q_left_knee is missing beside q_des_left_knee"),
+        ("q_left_knee", "column q_left_knee is missing beside dq_left_knee"),
     ],
 )
 def test_a_biped_lacks_nothing_of_one_side(tmp_path, drop, said):

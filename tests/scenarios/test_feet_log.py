@@ -1,0 +1,212 @@
+"""A log that says where its feet are needs neither joint angles nor a robot."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from surefoot.estimator.evaluation.mounting_tolerance import with_mounting
+from surefoot.estimator.evaluation.trajectory import Trajectory
+from surefoot.estimator.initial import initial_state
+from surefoot.estimator.run import every_row
+from surefoot.scenarios.cli.estimate import NOT_TRUSTED
+from surefoot.scenarios.cli.main import main
+from surefoot.scenarios.estimate.contract import Beginning, Learnt
+from surefoot.scenarios.estimate.estimators import estimator_named
+from surefoot.scenarios.estimate.run import (
+    estimated,
+    estimated_in_chunks,
+    joined_trajectory,
+    run_all,
+    run_filter,
+    stepped,
+)
+from surefoot.scenarios.estimate.tuned import tuned
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import measured_folder
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.importing.csv_file import import_csv, read_csv_recording
+from surefoot.sim.importing.map import ImportMap
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
+
+SCALER = measured_folder() / "scaler_trot"
+NAMES = {"FL": "a", "FR": "b", "RL": "c_1", "RR": "d"}
+
+
+def stopped(*arguments: str) -> object:
+    """The exit code or message of a command; None where all is well."""
+    try:
+        return main(list(arguments))
+    except SystemExit as stop:
+        return stop.code
+
+
+@pytest.fixture(scope="module")
+def robot():
+    """Its feet are points: nothing in foot positions says how a foot turns while it rolls."""
+    return replace(Robot.load("spot_class"), foot_radius=np.zeros(4))
+
+
+@pytest.fixture(scope="module")
+def log():
+    course = Scenario("short", (Segment(4.0, 0.5, turn=0.3),), Ground(0.8))
+    return walk(course, Robot.load("spot_class"), seed=0)
+
+
+@pytest.fixture(scope="module")
+def feet(log, robot) -> Log:
+    """The walk as a robot of legs a, b, c_1 and d would log it that hides its joints."""
+    places = robot.feet_I(log.q)
+    others = [c for c in log.frame if c == "t" or c.startswith(("gyro", "accel", "contact", "ref"))]
+    frame = log.frame[others].rename(
+        columns={f"contact_{leg}": f"contact_{NAMES[leg]}" for leg in NAMES}
+    )
+    columns = {
+        f"foot_{name}_{axis}": places[:, leg, k]
+        for leg, name in enumerate(NAMES.values())
+        for k, axis in enumerate("xyz")
+    }
+    frame = pd.concat([frame, pd.DataFrame(columns)], axis=1)
+    return Log(frame, replace(log.meta, robot=None, scenario=None, effects=()), "feet")
+
+
+@pytest.mark.parametrize("name", ["leg", "leg_slip"])
+def test_foot_positions_say_what_joint_angles_do(name, log, feet, robot):
+    """Where the error of a foot does not come from its joints, whose arms only the angles tell."""
+    one = estimator_named(name)
+    values = tuned(None).of(one) | {"encoder": 1e-9}
+    plain = replace(log, meta=replace(log.meta, effects=()))
+    by_joints = estimated(one, plain, robot, Learnt(), values)
+    by_feet = estimated(one, feet, None, Learnt(), values)
+    for field in ("R_GI", "v_GI", "p_GI", "b_a", "b_g"):
+        np.testing.assert_allclose(getattr(by_feet, field), getattr(by_joints, field), atol=1e-9)
+    assert np.abs(np.subtract(by_feet.covariance, by_joints.covariance)).max() < 1e-9
+
+
+def test_with_the_usual_errors_both_estimate_as_well(log, feet, robot):
+    by_joints = run_filter("leg", log, robot).metrics
+    by_feet = run_filter("leg", feet, None).metrics
+    assert by_joints is not None
+    assert by_feet is not None
+    assert by_feet.ape_trans < 1.5 * by_joints.ape_trans + 0.01
+
+
+def test_a_sample_at_a_time_and_pieces_give_the_same_numbers(feet):
+    one = estimator_named("leg_slip")
+    whole = estimated(one, feet, None, Learnt())
+    cut = [feet.rows(slice(0, 501)), feet.rows(slice(501, len(feet.t)))]
+    joined = joined_trajectory(estimated_in_chunks(one, cut, None, Learnt()))
+    at = Beginning(*initial_state(feet), feet.rate, feet=feet.legs)
+    stream = one.start(None, Learnt(), tuned(None).of(one), at)  # pyright: ignore[reportArgumentType]
+    steps = with_mounting(stepped(stream, feet, every_row(feet.t, None)), tuned(None).mounting)
+    for other in (joined, steps):
+        np.testing.assert_allclose(other.p_GI, whole.p_GI, rtol=0, atol=1e-9)
+        assert np.abs(np.subtract(other.covariance, whole.covariance)).max() < 1e-9
+
+
+def test_joint_angles_of_a_known_robot_come_first(log, feet, robot):
+    """Foot positions that somebody adds to a log do not change what is estimated."""
+    wrong = feet.frame.filter(like="foot_").rename(
+        columns={f"foot_{b}_{x}": f"foot_{a}_{x}" for a, b in NAMES.items() for x in "xyz"}
+    )
+    more = replace(log, frame=pd.concat([log.frame, 2.0 * wrong], axis=1))
+    same, as_it_was = (run_filter("leg", one, robot).trajectory for one in (more, log))
+    np.testing.assert_array_equal(same.p_GI, as_it_was.p_GI)
+
+
+def test_three_legs_are_three(feet):
+    frame = feet.frame.drop(columns=["contact_d", *(f"foot_d_{axis}" for axis in "xyz")])
+    three = replace(feet, frame=frame)
+    assert three.legs == ("a", "b", "c_1")
+    assert three.foot_I.shape == (len(feet.t), 3, 3)
+    metrics = run_filter("leg", three, None).metrics
+    assert metrics is not None
+    assert metrics.ape_trans < 0.3
+
+
+def test_commands_run_without_a_robot_and_say_what_needs_one(tmp_path, capsys, feet):
+    path = tmp_path / "feet.parquet"
+    feet.write(path)
+    for name in ("leg", "leg_slip", "imu"):
+        assert stopped("estimate", str(path), "--filter", name) in (None, NOT_TRUSTED)
+    capsys.readouterr()
+    assert stopped("compare", str(path), "-o", str(tmp_path / "compared")) is None
+    assert "radar_leg (the log names no robot: say which with --robot)" in capsys.readouterr().out
+    assert "No recording" in (tmp_path / "compared" / "report.html").read_text()
+    results, left_out = run_all(feet, None, Learnt())
+    assert {result.filter for result in results} == {"leg", "leg_slip", "imu"}
+    assert "radar_leg" in left_out
+
+
+def test_what_is_missing_is_one_line(tmp_path, feet):
+    without = replace(feet, frame=feet.frame[[c for c in feet.frame if not c.startswith("foot")]])
+    with pytest.raises(SurefootError, match=r"lacks foot \(foot_a_x, .*\) and q \(q_<joint>\)"):
+        run_filter("leg", without, None)
+    declared = ({"name": "gyro_bias", "target": "x", "value": 0.01, "unit": "rad/s"},)
+    told = replace(feet, meta=replace(feet.meta, effects=declared))
+    with pytest.raises(SurefootError, match="--robot, whose effects it declares"):
+        run_filter("leg", told, None)
+    path = tmp_path / "feet.parquet"
+    names = {f"contact_{name}": f"contact_{leg}" for leg, name in NAMES.items()}
+    names |= {f"foot_{b}_{x}": f"foot_{a}_{x}" for a, b in NAMES.items() for x in "xyz"}
+    known = replace(feet.meta, robot="spot_class")
+    replace(feet, frame=feet.frame.rename(columns=names), meta=known).write(path)
+    said = str(stopped("train", str(path), "-o", str(tmp_path / "observer")))
+    assert "lacks q (q_" in said
+    assert "\n" not in said
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda f: f.drop(columns="foot_b_y"), "column foot_b_y is missing"),
+        (
+            lambda f: f.drop(columns=[c for c in f if c.startswith("foot") and c[-1] == "z"]),
+            "column foot_a_z is missing",
+        ),
+        (lambda f: f.assign(foot_b_y=f.foot_b_y.where(f.t < 1.0)), "column foot_b_y, row .*NaN"),
+        (lambda f: f.assign(foot_e_x=0.0), "column contact_e is missing beside foot_e_x"),
+        (lambda f: f.assign(force_a_x=0.0), "column force_b_x is missing"),
+        (lambda f: f.assign(foot_a=0.0), "unknown column foot_a"),
+    ],
+)
+def test_bad_columns_of_feet_are_named(tmp_path, feet, change, said):
+    with pytest.raises(SurefootError, match=said) as caught:
+        replace(feet, frame=change(feet.frame)).write(tmp_path / "bad.parquet")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_map_takes_feet_in_millimetres_and_says_which_bodies_they_are(tmp_path):
+    rows = pd.DataFrame({"t": [0.0, 0.01, 0.02], "p": [100.0, 110.0, 120.0], "n": [1.0, 2.0, 3.0]})
+    rows.to_csv(tmp_path / "robot.csv", index=False)
+    feet = "".join(f'foot_left_{x} = {{ column = "p", unit = "mm" }}\n' for x in "xyz")
+    force = "".join(f'force_left_{x} = {{ column = "n", unit = "kN" }}\n' for x in "xyz")
+    text = f'[columns]\nt = "t"\n{feet}{force}[robot]\nname = "mine"\nfeet = {{ left = "sole" }}\n'
+    (tmp_path / "map.toml").write_text(text)
+    log = import_csv(tmp_path / "robot.csv", tmp_path / "map.toml")
+    assert log.legs == ("left",)
+    np.testing.assert_allclose(log.foot_I[:, 0, 1], [0.10, 0.11, 0.12])
+    np.testing.assert_allclose(log.force_I[:, 0, 2], [1e3, 2e3, 3e3])
+    log.write(tmp_path / "log.parquet")
+    assert Log.read(tmp_path / "log.parquet").meta.model["feet"] == {"left": "sole"}
+    (tmp_path / "map.toml").write_text(text.replace('"mm"', '"in"', 1))
+    with pytest.raises(SurefootError, match=r"columns.foot_left_x\] unit 'in'"):
+        ImportMap.read(tmp_path / "map.toml")
+
+
+@pytest.mark.skipif(not SCALER.is_dir(), reason=f"the measured walks are not here ({SCALER})")
+def test_the_leg_filter_runs_on_a_measured_walk_of_five_bar_legs(tmp_path):
+    """Whose clock and axes are not those of its motion capture, so that this is left out."""
+    recording = read_csv_recording(SCALER / "logs" / "scaler_06.csv", "scaler_trot")
+    log = recording.without_reference().log()
+    assert log.foot_I.shape == (len(log.t), 4, 3)
+    assert log.meta.robot is None
+    log.write(tmp_path / "scaler.parquet")
+    options = ["--filter", "leg", "-o", str(tmp_path / "estimate.parquet")]
+    assert stopped("estimate", str(tmp_path / "scaler.parquet"), *options) in (None, NOT_TRUSTED)
+    path = Trajectory.read(tmp_path / "estimate.parquet").p_GI
+    assert 1.0 < np.linalg.norm(path[-1, :2] - path[0, :2]) < 3.0
