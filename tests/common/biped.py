@@ -120,7 +120,7 @@ def _reached(robot: Robot, leg: int, goal: np.ndarray, level: np.ndarray) -> np.
     """Angles (N, 6) [rad] that put a leg's sole at `goal` (N, 3) [m] in B, turned as `level`
     (N, 3, 3), by Newton's method."""
     q = np.zeros((len(goal), len(robot.limbs.joints)))
-    chain = list(robot.limbs.chains[leg])
+    chain, missed = list(robot.limbs.chains[leg]), np.full((len(goal), 6), np.inf)
     q[:, chain] = [0.0, 0.0, -0.4, 0.8, -0.4, 0.0]
     for _ in range(8):
         feet_B, J, axes = feet(robot.legs, q, np.eye(3), np.zeros(3))

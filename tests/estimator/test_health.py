@@ -24,7 +24,8 @@ from surefoot.estimator.run import (
 from surefoot.sim.log import Log, Meta
 
 LEGS = ("FL", "FR", "RL", "RR")
-NOISE = FilterNoise(2e-3, 1e-2, 1e-4, 1e-3)
+ACCEL_WALK, GYRO_WALK = 1e-3, 1e-4
+NOISE = FilterNoise(2e-3, 1e-2, GYRO_WALK, ACCEL_WALK)
 LEG_NOISE = LegNoise(NOISE, contact=1e-2, rolling=0.0)
 STD = 2e-3
 
@@ -74,7 +75,7 @@ def leg_run(walk, legs, bias=0.0, contact=None, gate=None, seed=3, cuts=()):
         rows = np.flatnonzero(piece % 2 == 0)
         found.append(one.run(imu, some, rows=rows))
         parts.append(summary_of_run(found[-1], log.rows(piece)))
-    return found, health(joined_summary(parts), LEGS, (NOISE.accel_walk, NOISE.gyro_walk))
+    return found, health(joined_summary(parts), LEGS, (ACCEL_WALK, GYRO_WALK))
 
 
 def test_a_right_filter_is_consistent_and_believed(walk, legs):
@@ -88,7 +89,7 @@ def test_a_right_filter_is_consistent_and_believed(walk, legs):
             assert one.drift == pytest.approx(1.0, abs=0.7)
             # One update in a thousand fails each of two tests, and keeps its foot out for 25.
             assert one.rejected < 0.15
-    assert found.sentence("leg") == ""
+        assert found.sentence("leg") == ""
 
 
 def test_a_gyro_beyond_its_prior_is_named(walk, legs):
@@ -133,7 +134,7 @@ def test_velocities(walk, kind):
     v_I = walk.v_I[rows] + rng.normal(size=(len(rows), 3)) * 0.05
     off = np.where((walk.t[rows] > 8.0)[:, None], 0.5, 0.0)
     for error, lost in ((0.0, False), (off, True))[: 2 if kind == "gaussian" else 1]:
-        one = InvariantFilter(*walk.start(), NOISE)
+        one = InvariantFilter(*walk.start(), noise=NOISE)
         imu = imu_samples(walk.t, gyro, accel)
         if kind == "gaussian":
             measured = gaussian_velocities(rows, v_I + error, np.eye(3) * 0.05**2, len(walk.t))
@@ -189,6 +190,7 @@ def test_the_same_at_100_250_and_500_hz():
         cov = np.broadcast_to(np.eye(3) * 1e-6, (*legs.contact.shape, 3, 3))
         imu = imu_samples(walk.t, walk.gyro, walk.accel)
         found = one.run(imu, one.legs(legs.feet_I, legs.contact, cov))
+        assert found.innovations is not None
         rejected = found.innovations.sums[:, :, 1].sum(axis=0) / rate
         assert rejected[1:].max() == 0.0
         out.append(rejected[0])

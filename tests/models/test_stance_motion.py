@@ -43,7 +43,7 @@ def test_a_mean_stands_in_the_middle_of_its_stance():
 
 def test_feet_that_roll_move_over_the_ground_of_a_model_that_lacks_it(log):
     """Against a sum over the rows of every stance, in each row's own heading."""
-    frame = reference_motion(log)
+    frame = reference_motion(log, ROBOT.limbs)
     points = replace(ROBOT, foot_radius=np.zeros(4))
     v = leg_velocity(points, log.q, log.dq, log.gyro, frame.up_I, log.contact) - frame.v_I[:, None]
     found = stance_displacement(log, points, frame)
@@ -69,7 +69,7 @@ def test_feet_that_roll_move_over_the_ground_of_a_model_that_lacks_it(log):
 
 def test_contacts_known_to_end_late_are_that_much_shorter(log):
     """A foot that is taken for standing 2 ms too long moves that much less."""
-    frame = reference_motion(log)
+    frame = reference_motion(log, ROBOT.limbs)
     late = replace(ROBOT.extras, liftoff_late=0.002)
     points = replace(ROBOT, foot_radius=np.zeros(4))
     before = stance_displacement(log, points, frame)

@@ -44,6 +44,7 @@ def test_a_walk_has_the_gait_the_sensors_and_the_sizes_carried_to_its_robot(tmp_
     condition = next(c for c in suite.conditions if c.name == "as walked")
     slipped = next(s for s in suite.scenarios if s.name == "Slipped")
     job = walk_to_make(slipped, "v60_class", condition, 1)
+    assert condition.walked is not None
     assert job.scenario.gait == condition.walked.gait
     mine = walked.scenario(slipped)
     assert (mine.gait.duty, mine.sensors.contact_threshold) == (0.7, 0.2)

@@ -23,7 +23,9 @@ DT, SUBSTEPS = 0.002, 5
 def arm(tmp_path_factory) -> FixedBase:
     file = tmp_path_factory.mktemp("arm") / "arm.xml"
     file.write_text(ARM)
-    return load_machine(file)
+    machine = load_machine(file)
+    assert isinstance(machine, FixedBase)
+    return machine
 
 
 def swung(machine: FixedBase, effects, seconds: float = 10.0) -> Log:
@@ -81,6 +83,7 @@ def test_mass_and_place_of_one_link_are_told_apart_where_it_moves_fast(arm):
 def test_a_heavier_pendulum_is_named_and_no_encoder_scale_stands_in_for_it():
     """A torque scale nearly can: what a pendulum's mass weighs and what it resists grow alike."""
     pendulum = load_machine("ak80_pendulum")
+    assert isinstance(pendulum, FixedBase)
     found = trace_logs([swung(pendulum, [effect("link_mass", "shoulder", 0.1)])], pendulum)
     assert [e.name for e in found.effects] == ["link_mass"]
     assert found.effects[0].value == pytest.approx(0.1, rel=0.02)

@@ -70,6 +70,7 @@ def test_a_held_out_run_without_the_effect_says_so():
     found = trace_logs([run(0, armature=0.03)], PENDULUM, holdout=[run(2)])
     assert names(found) == [("armature", "shoulder")]
     assert found.verdict != "attributed"
+    assert found.held_out is not None
     (why,) = found.held_out.against
     assert why == "held-out run 1: armature shoulder makes joint_torque worse"
     assert why in found.reasons

@@ -41,6 +41,7 @@ def friction(log):
 
 def test_feet_that_slide_show_how_much_friction_is_lost(slipped):
     found = friction(slipped)
+    assert found is not None
     assert found.limit == pytest.approx(0.12, rel=0.1)
     assert found.everywhere
     (one,) = slip_of(found, DEFAULT)
@@ -50,6 +51,7 @@ def test_feet_that_slide_show_how_much_friction_is_lost(slipped):
 
 def test_feet_that_hold_show_only_how_much_friction_there_is_at_least(log):
     found = friction(log)
+    assert found is not None
     assert (found.limit, slip_of(found, DEFAULT)) == (None, ())
     assert 0.05 < found.held < 0.8
     (note,) = slip_notes(found, True, DEFAULT)

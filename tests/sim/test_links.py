@@ -1,6 +1,7 @@
 """Links that are not as their file says: MuJoCo's edited bodies against what a model knows."""
 
 from types import SimpleNamespace
+from typing import cast
 
 import mujoco
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from surefoot.sim.effects import effect
+from surefoot.sim.log import Log
 from surefoot.sim.physics.inverse_dynamics import dynamics_of
 from surefoot.sim.physics.scene import robot_spec
 from surefoot.sim.robot import Robot
@@ -15,7 +17,8 @@ from surefoot.sim.robot.kinematics import feet
 from surefoot.sim.robot.legs import find_legs
 
 SPOT = Robot.load("spot_class")
-LOG = SimpleNamespace()
+LOG = cast(Log, SimpleNamespace())
+"""These effects are of the robot alone and read no log."""
 
 
 def torques(model, motion):

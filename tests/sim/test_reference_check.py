@@ -23,7 +23,7 @@ RECORDING = measured_folder() / "go1_square"
 def poses(t, stamps=None, noise=0.0, rng=None):
     """Samples of a known motion at t (K,), said to be at `stamps`."""
     p = position(t)
-    if noise:
+    if rng is not None:
         p = p + rng.normal(0.0, noise, p.shape)
     return Poses(
         t if stamps is None else stamps, p, quaternion_from_matrix(attitude(t).as_matrix())

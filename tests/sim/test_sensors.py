@@ -26,6 +26,7 @@ def streams():
         q=still,
         dq=still,
         tau=still,
+        tau_ff=still,
         force=np.where(stands, 0.5 * WEIGHT, 0.0),
     )
 
