@@ -41,7 +41,7 @@ def measured(robot):
 
 @pytest.fixture(autouse=True)
 def one_walk(monkeypatch):
-    monkeypatch.setattr(module, "WALKS", 1)
+    monkeypatch.setattr(module, "WALKS_EACH", 1)
     monkeypatch.setattr(card, "DRAWS", 60)
 
 
