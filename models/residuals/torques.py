@@ -52,8 +52,9 @@ def steps_of(bins: Bins, robot: Machine) -> Steps:
         up_B = bins.R_GI[:, 2] @ robot.R_BI.T
         # Of joints of no leg, no foot's load is above them.
         swings = np.ones_like(bins.q, dtype=bool)
-        for leg, chain in enumerate(robot.limbs.chains):
-            swings[:, chain] = lifted[:, [leg]]
+        if bins.q.shape[1] == len(robot.limbs.joints):  # else the log has no angles
+            for leg, chain in enumerate(robot.limbs.chains):
+                swings[:, chain] = lifted[:, [leg]]
         steady = (stays | lifted).all(axis=1) & stays.any(axis=1)
     else:
         swings, steady = np.ones_like(bins.q, dtype=bool), np.zeros(len(bins.t), dtype=bool)

@@ -11,7 +11,7 @@ from surefoot.models.attribution.evidence import linearise, log_under_model
 from surefoot.models.residuals.binning import binned
 from surefoot.models.residuals.foot_loads import foot_loads
 from surefoot.models.residuals.jacobians import Regressor, explained_share
-from surefoot.models.residuals.layout import layout_of
+from surefoot.models.residuals.layout import layout_for
 from surefoot.models.residuals.residual import residual
 from surefoot.models.residuals.soft_ground import _follow, swept
 from surefoot.models.residuals.torques import steps_of
@@ -19,7 +19,7 @@ from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.ground.tiles import SOLIMP
-from surefoot.sim.log import JOINTS, Log
+from surefoot.sim.log import Log
 from surefoot.sim.physics.scene import build_world
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
@@ -122,7 +122,7 @@ def test_a_model_that_knows_of_soft_ground_finds_the_feet_where_they_are(on_soft
         size: residual(log, knowing(robot, size), frame).table
         for size in (0.0, 0.9 * SOFT, SOFT, 1.1 * SOFT)
     }
-    layout = layout_of(JOINTS)
+    layout = layout_for(robot.limbs)
     height = {size: typical(table[:, layout.of("foot_height")]) for size, table in left.items()}
     speed = {size: typical(table[:, layout.of("leg_velocity")]) for size, table in left.items()}
     assert height[SOFT] < (0.1 if torques else 0.5) * height[0.0]
@@ -143,7 +143,7 @@ def test_a_model_of_hard_ground_says_what_it_said(on_soft_ground):
     robot, log = on_soft_ground
     frame = replace(log_under_model(log, robot).frame, level=True)
     hard, nearly = (residual(log, knowing(robot, size), frame).table for size in (0.0, 1e-6))
-    legs = layout_of(JOINTS).of("imu_gyro", "imu_accel", "leg_velocity", "foot_height")
+    legs = layout_for(robot.limbs).of("imu_gyro", "imu_accel", "leg_velocity", "foot_height")
     assert_allclose(nearly[:, legs], hard[:, legs], atol=1e-5)
 
 
@@ -154,7 +154,7 @@ def test_derivatives_by_readings_know_of_the_depth(on_soft_ground):
     case = log_under_model(log, knowing(robot, SOFT))
     case = replace(case, frame=replace(case.frame, level=True))
     (one,) = linearise([case], (), [("encoder_offset", "FL_calf")]).X
-    own, *others = layout_of(JOINTS).of("foot_height")
+    own, *others = layout_for(robot.limbs).of("foot_height")
     assert own in one.columns
     heights = one.values[:, np.searchsorted(one.columns, own)]
     assert np.abs(heights).max() < robot.leg_length

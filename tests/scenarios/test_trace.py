@@ -108,6 +108,7 @@ def test_the_same_trace_of_a_log_that_tells_nothing_of_itself(tmp_path):
     assert set(said["channels"]) == {
         *("imu_gyro", "imu_accel", "leg_velocity", "stance_velocity", "stance_displacement"),
         *("foot_height", "joint_torque", "base_wrench", "joint_rate", "contact_timing"),
+        "command",
     }
     assert set(said["filters"]["leg"]) == {"before", "after"}
     for name in OUTPUTS:
