@@ -169,12 +169,12 @@ def standing(seconds: float, rate: float = 500.0) -> Log:
     return Log(pd.DataFrame(columns), Meta(rate=rate, robot="spot_class"), "standing")
 
 
-def lost_in_the_end(arguments):
-    """An IMU alone drifts in minutes beyond what legs can do: the trajectory is written all the
-    same, and the exit says that it is not to be trusted."""
-    with pytest.raises(SystemExit) as stopped:
+def exit_code(arguments) -> int:
+    try:
         main(arguments)
-    assert stopped.value.code == 3
+    except SystemExit as stopped:
+        return int(stopped.code or 0)
+    return 0
 
 
 def test_a_long_log_is_estimated_in_the_memory_of_a_piece(tmp_path, monkeypatch, robot, capsys):
@@ -187,7 +187,8 @@ def test_a_long_log_is_estimated_in_the_memory_of_a_piece(tmp_path, monkeypatch,
         standing(seconds).write(path)
         monkeypatch.setattr(long_logs, "LONG", 0.0)
         monkeypatch.setattr(long_logs, "JUDGED", 1000)
-        lost_in_the_end(["estimate", str(path), *main_run])
+        # In four minutes an IMU alone comes to speeds that no legs have: written, but not trusted.
+        assert exit_code(["estimate", str(path), *main_run]) == (3 if seconds > 100 else 0)
         tracemalloc.start()
         long_logs.estimate_file(
             "imu", LogReader(path), None, Learnt(), tmp_path / "out.parquet", True
@@ -199,7 +200,7 @@ def test_a_long_log_is_estimated_in_the_memory_of_a_piece(tmp_path, monkeypatch,
     in_pieces = Trajectory.read(tmp_path / "out.parquet")
     lines = (tmp_path / "out.tum").read_text()
     monkeypatch.setattr(long_logs, "LONG", np.inf)
-    lost_in_the_end(["estimate", str(path), *main_run])
+    assert exit_code(["estimate", str(path), *main_run]) == 3
     assert_same(in_pieces, Trajectory.read(tmp_path / "out.parquet"), 0.0)
     assert lines == (tmp_path / "out.tum").read_text()
     assert "APE_trans" in capsys.readouterr().out
