@@ -28,6 +28,7 @@ def found(one):
     return result, angle_errors([case], result, split, rng)
 
 
+@pytest.mark.long
 def test_a_curve_is_told_from_the_line_that_comes_nearest():
     result, bent = found(OUTSIDE_EFFECTS["encoder_eccentricity"]("FL_thigh", 0.03))
     assert result.found, "something of the catalogue comes near"

@@ -125,6 +125,7 @@ def test_a_declared_effect_is_part_of_the_model():
     assert found.verdict == "no_residual"
 
 
+@pytest.mark.long
 def test_a_leg_is_measured_on_a_floor_that_is_no_more_even_than_floors_are():
     """Its map says so; the model then walks on such a floor too, and 2 mm of a calf are seen."""
     ground = ground_of(COURSE, EVENNESS)
@@ -208,6 +209,7 @@ def test_what_was_found_beside_a_rest_is_put_to_use_with_caution():
     assert caution({**found, "verdict": "attributed"}) == ""
 
 
+@pytest.mark.long
 def test_a_size_that_rounding_takes_to_its_bound_is_walked_within_it():
     floor = noise_floor([log_under_model(log_with(), ROBOT)])
     assert noise_floor_with(floor, [effect("link_length", "RL_thigh", 0.02996)]).repeats
