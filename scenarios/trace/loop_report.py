@@ -183,9 +183,10 @@ def _pictures(log: Log, sides: Sequence[Side], shown: dict[str, Trajectory]) -> 
     sections = [Section("Where each estimate went", pictures=paths)]
     for side in sides:
         seen, bounds = side.comparison.prediction, side.comparison.bounds
-        if seen is None or bounds is None:
+        robot = side.comparison.robot
+        if seen is None or bounds is None or robot is None:
             continue
-        epsilon = bounds.epsilon_at(side.comparison.robot.R_BI)
+        epsilon = bounds.epsilon_at(robot.R_BI)
         picture = Picture(
             velocity_figure(log, seen, epsilon),
             "Body velocity: the observer's prediction, its bounds, and the reference.",

@@ -84,6 +84,8 @@ def test_foot_positions_say_what_joint_angles_do(name, log, feet, robot):
     by_feet = estimated(one, feet, None, Learnt(), values)
     for field in ("R_GI", "v_GI", "p_GI", "b_a", "b_g"):
         np.testing.assert_allclose(getattr(by_feet, field), getattr(by_joints, field), atol=1e-9)
+    assert by_feet.covariance is not None
+    assert by_joints.covariance is not None
     assert np.abs(np.subtract(by_feet.covariance, by_joints.covariance)).max() < 1e-9
 
 
@@ -105,6 +107,8 @@ def test_a_sample_at_a_time_and_pieces_give_the_same_numbers(feet):
     steps = with_mounting(stepped(stream, feet, every_row(feet.t, None)), tuned(None).mounting)
     for other in (joined, steps):
         np.testing.assert_allclose(other.p_GI, whole.p_GI, rtol=0, atol=1e-9)
+        assert other.covariance is not None
+        assert whole.covariance is not None
         assert np.abs(np.subtract(other.covariance, whole.covariance)).max() < 1e-9
 
 
