@@ -82,11 +82,7 @@ class LegVelocity(Channel):
     chained = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
-        return tuple(
-            Column(f"leg_{leg}_{axis}", self.unit, leg, axis, i)
-            for i, leg in enumerate(limbs.legs)
-            for axis in AXES
-        )
+        return _of_legs("leg", self.unit, limbs)
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
         if not _stands(inputs):
@@ -108,11 +104,7 @@ class StanceVelocity(Channel):
     chained = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
-        return tuple(
-            Column(f"stance_{leg}_{axis}", self.unit, leg, axis, i)
-            for i, leg in enumerate(limbs.legs)
-            for axis in AXES
-        )
+        return _of_legs("stance", self.unit, limbs)
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
         if not _stands(inputs):
@@ -146,11 +138,7 @@ class StanceDisplacement(Channel):
     judges = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
-        return tuple(
-            Column(f"moved_{leg}_{axis}", self.unit, leg, axis, i)
-            for i, leg in enumerate(limbs.legs)
-            for axis in AXES[:2]
-        )
+        return _of_legs("moved", self.unit, limbs, AXES[:2])
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
         if not _stands(inputs):
@@ -299,6 +287,15 @@ class ContactTiming(Channel):
 def _of_axes(what: str, unit: str, limbs: Limbs) -> tuple[Column, ...]:
     """A column for each axis of a vector, of a machine that walks."""
     return tuple(Column(f"{what}_{a}", unit, what, f"{what}_{a}") for a in AXES if limbs.legs)
+
+
+def _of_legs(what: str, unit: str, limbs: Limbs, axes: Sequence[str] = AXES) -> tuple[Column, ...]:
+    """A column for each axis of each foot, of one noise along an axis."""
+    return tuple(
+        Column(f"{what}_{leg}_{axis}", unit, leg, axis, i)
+        for i, leg in enumerate(limbs.legs)
+        for axis in axes
+    )
 
 
 def per_joint(what: str, unit: str, limbs: Limbs) -> tuple[Column, ...]:

@@ -89,14 +89,8 @@ class HipOffset(Effect):
     chain_rule = "legs"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
-        leg, axis = leg_and_axis(self, robot)
-        model = spec.compile()
-        data = mujoco.MjData(model)
-        mujoco.mj_kinematics(model, data)
-        along_G = data.xmat[model.body(robot.base_name).id].reshape(3, 3)[:, axis]
-        moved = spec.joint(robot.joint_names[robot.limbs.chains[leg][0]]).parent
-        parent = model.body_parentid[model.body(moved.name).id]
-        moved.pos = moved.pos + _in_frame(data, parent, along_G) * self.value
+        hinge, _, along = _hip(self, spec, robot)
+        hinge.parent.pos = hinge.parent.pos + along * self.value
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         offset = robot.legs.offset.copy()
@@ -121,14 +115,9 @@ class LegHeading(Effect):
     chain_rule = "legs"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
-        leg, axis = leg_and_axis(self, robot)
-        hinge, model = spec.joint(robot.joint_names[robot.limbs.chains[leg][0]]), spec.compile()
-        data = mujoco.MjData(model)
-        mujoco.mj_kinematics(model, data)
+        hinge, model, along = _hip(self, spec, robot)
         moved, joint = model.body(hinge.parent.name), model.joint(hinge.name)
-        along_G = data.xmat[model.body(robot.base_name).id].reshape(3, 3)[:, axis]
         turn, quat = np.empty(4), np.empty(4)
-        along = _in_frame(data, int(moved.parentid[0]), along_G)
         mujoco.mju_axisAngle2Quat(turn, along, self.value)
         mujoco.mju_mulQuat(quat, turn, moved.quat)
         # The hinge's anchor stays where it is.
@@ -145,6 +134,17 @@ class LegHeading(Effect):
         rotation[leg, 0] = turn @ legs.rotation[leg, 0]
         offset[leg, 0] += (legs.rotation[leg, 0] - rotation[leg, 0]) @ legs.anchor[leg, 0]
         return log, replace(robot, legs=legs._replace(offset=offset, rotation=rotation))
+
+
+def _hip(one: Effect, spec: mujoco.MjSpec, robot: Robot):
+    """First hinge of an effect's leg, the compiled model, and the effect's axis of the base (3,) in
+    the frame in which the hip's body is placed."""
+    leg, axis = leg_and_axis(one, robot)
+    hinge, model = spec.joint(robot.joint_names[robot.limbs.chains[leg][0]]), spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    along_G = data.xmat[model.body(robot.base_name).id].reshape(3, 3)[:, axis]
+    return hinge, model, _in_frame(data, int(model.body(hinge.parent.name).parentid[0]), along_G)
 
 
 def leg_and_axis(one: Effect, robot: Robot) -> tuple[int, int]:

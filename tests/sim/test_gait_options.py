@@ -109,24 +109,14 @@ def test_a_hard_touch_down_is_harder(plain):
 
 
 def test_footholds_and_periods_vary_and_the_robot_walks_on():
-    motion, made = walked(
-        period_jitter=0.03,
-        foothold_jitter=0.02,
-        braking=0.3,
-        stiffness=0.4,
-        velocity_noise=0.05,
-        attitude_noise=0.01,
-    )
+    options = {
+        **{"period_jitter": 0.03, "foothold_jitter": 0.02, "braking": 0.3, "stiffness": 0.4},
+        **{"velocity_noise": 0.05, "attitude_noise": 0.01},
+    }
+    motion, made = walked(**options)
     assert motion.p_GB[-1, 0] == pytest.approx(made.course.pose[-1, 0], abs=0.2)
     assert made.gait.footholds.std() == pytest.approx(0.02 * SPOT.leg_length, rel=0.3)
-    again, _ = walked(
-        period_jitter=0.03,
-        foothold_jitter=0.02,
-        braking=0.3,
-        stiffness=0.4,
-        velocity_noise=0.05,
-        attitude_noise=0.01,
-    )
+    again, _ = walked(**options)
     np.testing.assert_array_equal(motion.p_GB, again.p_GB)
 
 
