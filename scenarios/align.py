@@ -43,19 +43,20 @@ def align_file(
         most: largest offset of the clock that is looked for [s].
         force: overwrite such files.
 
-    Raises SurefootError where a file exists (no `force`), or IMU or reference are missing.
+    Raises SurefootError where a file exists (no `force`), IMU or reference are missing or share too
+    little, or the robot is not known.
     """
     for name in _OUTPUTS:
         refuse_overwrite(Path(out) / name, force)
     log, poses = _read(file, map, bag)
+    at = Robot.for_log(log, robot) if robot else None
     found = align(log, poses, most)
     with whole_file(Path(out) / "alignment.json", force) as temporary:
         temporary.write_text(json.dumps(found.as_dict(), indent=1) + "\n")
     save_png(figure(log, poses, found), Path(out) / "alignment.png", force)
     aligned_log(log, found, poses).write(Path(out) / "aligned.parquet", force)
     said = list(found.lines)
-    if robot:
-        at = Robot.for_log(log, robot)
+    if at:
         x, y, z = 1e3 * (at.p_BI + at.R_BI @ found.p_IM)
         said.insert(2, f"       at ({x:.0f}, {y:.0f}, {z:.0f}) mm in the base of {robot}")
     return (*said, "", "for the import map:", *found.map_lines)
@@ -73,14 +74,12 @@ def figure(log: Log, poses: Poses, found: Alignment) -> Figure:
     before = smoothed(at, middle, rates)
     after = smoothed(at, middle + found.offset, rates @ found.R_IM.T) + found.bias_gyro
     drawn, axes = new_figure(4, 2, size=(9.0, 8.0))
-    for column, (other, title, color) in enumerate(
-        ((before, "As recorded", OUTSIDE), (after, "Aligned", AFTER))
-    ):
+    for column, (other, title) in enumerate(((before, "As recorded"), (after, "Aligned"))):
         set_title(axes[0, column], title)
         for row, axis in enumerate("xyz"):
             ax = axes[row, column]
             ax.plot(at, seen[:, row], color=TRUTH, linewidth=2.5, label="gyro")
-            ax.plot(at, other[:, row], color=color, linewidth=1.2, label="reference")
+            ax.plot(at, other[:, row], color=AFTER, linewidth=1.2, label="reference")
             ax.set_ylabel(f"{axis} [rad/s]")
     lever = fitted.lever @ found.p_IM
     shown = (fitted.t >= begin) & (fitted.t <= at[-1])

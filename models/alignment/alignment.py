@@ -24,6 +24,8 @@ from surefoot.sim.log.reference import Poses, reference_poses
 
 LARGEST_OFFSET = 10.0
 """s up to which a clock is looked for: two programs that are started by hand."""
+_FEWEST_SAMPLES = 15
+"""Samples of the reference without which there is no fit: as many as it has unknowns."""
 HALVES_AGREE = 5e-3
 """s by which the clocks of both halves of a log may differ: half a sample at 100 Hz."""
 TURN_MISSED = 0.15
@@ -120,13 +122,17 @@ def align(
     log.require("imu")
     poses = without_jumps(reference_poses(log) if poses is None else poses)
     t, gyro, accel = log.t, log.gyro, log.accel
+    too_little = SurefootError(f"{log.name}: IMU and reference share too little to be aligned")
     guess = guess_by_turning(t, gyro, poses, most)
     if guess is None:
-        raise SurefootError(f"{log.name}: IMU and reference share too little to be aligned")
+        raise too_little
     none = np.zeros(3)
     start = Placement(guess.offset, guess.R_IM, guess.bias, none, none, np.zeros(2))
     readings = Readings(t, gyro, accel, poses)
-    sign, shift = _accelerometer(readings, start)
+    felt, moved, lever = felt_and_moved(readings, start)
+    if len(felt) < _FEWEST_SAMPLES:
+        raise too_little
+    sign, shift = _accelerometer(felt, moved, lever)
     readings = replace(readings, accel=accel * sign + shift)
     fitted = fit_placement(readings, start, np.random.default_rng(seed))
     found, width = fitted.placement, fitted.half_width
@@ -169,10 +175,12 @@ def aligned_log(log: Log, alignment: Alignment, poses: Poses | None = None) -> L
     return replace(log, frame=frame, meta=replace(log.meta, derived=derived, model=model))
 
 
-def _accelerometer(readings: Readings, guess: Placement) -> tuple[np.ndarray, np.ndarray]:
+def _accelerometer(
+    felt: np.ndarray, moved: np.ndarray, lever: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Sign (3,) of each axis of the accelerometer, and what to add to it (3,) [m/s^2], as far as
-    its readings are no specific force: conventions differ."""
-    felt, moved, lever = felt_and_moved(readings, guess)
+    its readings are no specific force: conventions differ. The arguments are as of
+    `felt_and_moved`."""
     sign, shift = np.ones(3), np.zeros(3)
     for axis in range(3):
         columns = np.column_stack([moved[:, axis], lever[:, axis], np.ones(len(felt))])

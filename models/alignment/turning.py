@@ -107,5 +107,8 @@ def _compared(
     a, b = a - mean_a, b - mean_b
     U, _, Vt = np.linalg.svd(a.T @ b)
     R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-    missed = float(np.sum((a - b @ R.T) ** 2) / np.sum(a**2))
+    turned = np.sum(a**2)
+    if turned == 0.0:
+        return None
+    missed = float(np.sum((a - b @ R.T) ** 2) / turned)
     return Turning(float(offset), R, mean_a - R @ mean_b, missed)

@@ -16,8 +16,9 @@ from surefoot.sim.log.log import Log
 _BEND = 1e-6
 """m/s by which a velocity changes from row to row where two straight lines meet: rounding changes
 it by 1e-12."""
-_CURVED = 0.9
-"""Share of rows at which the path bends from which it has a sample a row."""
+_RUN = 10
+"""Consecutive rows at which a path bends only if it has a sample a row: that of a slower reference
+bends at two rows a sample, and is straight between. At rest neither bends."""
 
 
 @dataclass(frozen=True)
@@ -41,16 +42,17 @@ class Poses:
 def reference_poses(log: Log) -> Poses:
     """The samples of a log's reference. Raises LogError where it has none.
 
-    Where the path bends at hardly any or at nearly every row, the samples are the rows that were
-    measured (`ref_ok`).
+    Where the path bends at hardly any row, or mostly in runs of more than _RUN rows, the samples
+    are the rows that were measured (`ref_ok`).
     """
     t, p, q = log.t, log.ref_p, log.ref_q
     slope = np.diff(p, axis=0) / np.diff(t)[:, None]
     bent = 1 + np.flatnonzero(np.linalg.norm(np.diff(slope, axis=0), axis=1) > _BEND)
-    if len(bent) < 3 or len(bent) > _CURVED * len(t):
+    groups = np.split(bent, np.flatnonzero(np.diff(bent) > 1) + 1)
+    in_runs = sum(len(one) for one in groups if len(one) > _RUN)
+    if len(bent) < 3 or in_runs > 0.5 * len(bent):
         ok = log.ref_ok
         return Poses(t[ok], p[ok], q[ok])
-    groups = np.split(bent, np.flatnonzero(np.diff(bent) > 1) + 1)
     first = np.array([one[0] for one in groups])
     last = np.array([one[-1] for one in groups])
     # The line before the first bend and the line behind the last meet at the sample; where several

@@ -18,7 +18,7 @@ from surefoot.sim.effects.base import with_columns
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.importing.csv_file import read_csv_recording
 from surefoot.sim.log import Log, Meta
-from surefoot.sim.log.reference import Poses
+from surefoot.sim.log.reference import Poses, reference_poses
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
@@ -117,6 +117,17 @@ def test_too_little_in_common_is_one_line():
     poses = Poses(t, np.zeros((200, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (200, 1)))
     with pytest.raises(SurefootError, match="short: IMU and reference share too little"):
         align(short, poses)
+
+
+def test_a_pose_a_second_is_too_few_and_one_line(log):
+    with pytest.raises(SurefootError, match="share too little to be aligned"):
+        align(log, reference_poses(log).rows(slice(None, None, 500)))
+
+
+def test_a_gyro_that_never_turns_is_one_line(log):
+    still = with_columns(log, {f"gyro_{axis}": np.zeros(len(log.t)) for axis in "xyz"})
+    with pytest.raises(SurefootError, match="share too little to be aligned"):
+        align(still)
 
 
 @pytest.mark.skipif(not SCALER.is_dir(), reason="the measured logs are not here")

@@ -114,6 +114,17 @@ def test_samples_are_found_again_in_a_log_to_the_last_digits():
     np.testing.assert_allclose(np.abs(np.sum(found.q * inner.q[row], axis=1)), 1.0, atol=1e-9)
 
 
+def test_a_sample_a_row_stays_so_where_the_body_rests_first():
+    """At rest no path bends: that makes no slower reference of it."""
+    walk = motion(8.0, 400.0)
+    moves = poses(walk.t)
+    rests = np.maximum(np.arange(len(walk.t)) - 1200, 0)  # its first pose for three seconds
+    log = log_of(walk, Poses(walk.t, moves.p[rests], moves.q[rests]))
+    found = reference_poses(log)
+    np.testing.assert_array_equal(found.t, log.t[log.ref_ok])
+    np.testing.assert_array_equal(found.p, log.ref_p[log.ref_ok])
+
+
 def test_a_reference_that_turns_otherwise_is_said_to():
     walk = motion(12.0, 400.0)
     t = np.arange(0.1, 11.9, 0.01)
