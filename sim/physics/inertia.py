@@ -6,6 +6,9 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.quaternion import matrix_from_quaternion
+
 
 class LinkChange(NamedTuple):
     """What the link that a joint moves has beyond its file."""
@@ -32,6 +35,31 @@ def with_own_inertia(spec: mujoco.MjSpec, body: str) -> mujoco.MjsBody:
     return part
 
 
+def take_off_ball(body: mujoco.MjsBody, mass: float, place: np.ndarray, radius: float) -> None:
+    """Take a ball of `mass` [kg] and `radius` [m] at `place` (3,) [m] off a body whose inertia is
+    given by numbers, by the parallel-axis theorem.
+
+    Raises SurefootError where the body has not that much.
+    """
+    R = matrix_from_quaternion(body.iquat)
+    about = R @ np.diag(body.inertia) @ R.T + body.mass * _of_point(body.ipos)
+    about -= mass * (_of_point(place) + 0.4 * radius**2 * np.eye(3))
+    left = body.mass - mass
+    center = (body.mass * body.ipos - mass * place) / max(left, 1e-9)
+    inertia, axes = np.linalg.eigh(about - left * _of_point(center))
+    # Of any body the largest is less than the sum of the others.
+    if left <= 0 or inertia[0] <= 0 or inertia[2] > inertia[0] + inertia[1]:
+        raise SurefootError(f"body {body.name}: too light to give a foot of {mass:.2g} kg")
+    quat = np.empty(4)
+    mujoco.mju_mat2Quat(quat, (axes * np.sign(np.linalg.det(axes))).ravel())
+    body.mass, body.ipos, body.iquat, body.inertia = left, center, quat, inertia
+
+
+def _of_point(place: np.ndarray) -> np.ndarray:
+    """Inertia (3, 3) about the origin of a unit mass at a place (3,)."""
+    return place @ place * np.eye(3) - np.outer(place, place)
+
+
 def change_links(
     model: mujoco.MjModel, joint_ids: np.ndarray, changes: Sequence[LinkChange]
 ) -> None:
@@ -46,4 +74,6 @@ def change_links(
         body = model.jnt_bodyid[joint_ids[change.joint]]
         model.body_mass[body] += change.mass
         model.body_ipos[body] += change.com
+        # MuJoCo would not look at the place of a centre of mass that was the body's origin.
+        model.body_sameframe[body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
         model.body_inertia[body] += change.inertia

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from surefoot.sim.physics.inertia import with_own_inertia
+from surefoot.sim.physics.inertia import take_off_ball, with_own_inertia
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.legs import LEGS
 
@@ -26,7 +26,7 @@ ROTOR_SHARE = 0.05
 inertia a motor would follow its torque at once, and its rate would be as rough as the torque."""
 FOOT_SHARE = 0.02
 """Mass of a foot that slides on springs, as a share of its leg's as felt at the foot: of a light
-pad, which comes on top of what the link weighs."""
+pad, which the link that carries it weighs less."""
 
 
 class Springs(NamedTuple):
@@ -126,10 +126,17 @@ def _sliding_foot(spec: mujoco.MjSpec, robot: Robot, leg: int) -> mujoco.MjsBody
     mujoco.mju_mat2Quat(quat, (own.T @ base).ravel())
     foot = link.add_body(name=f"{LEGS[leg]}_sliding_foot", pos=geom.pos, quat=quat)
     mass, radius = FOOT_SHARE * robot.inertial[3], geom.size[0]
-    with_own_inertia(spec, link.name)
+    # Of what the last joint moves: in many files the foot is a shell without a joint or much mass.
+    lower = spec.joint(robot.joint_names[robot.limbs.chains[leg][-1]]).parent
+    place_G = data.body(link.name).xpos + data.body(link.name).xmat.reshape(3, 3) @ geom.pos
+    moved = data.body(lower.name)
+    place = moved.xmat.reshape(3, 3).T @ (place_G - moved.xpos)
+    take_off_ball(with_own_inertia(spec, lower.name), mass, place, radius)
     # By its own inertia or by its geom's, as the file asks for.
     foot.explicitinertial, foot.mass = True, mass
     foot.inertia = np.full(3, 0.4 * mass * radius**2)
+    # Left alone they would be the body's own place and turn once more.
+    foot.ipos, foot.iquat = np.zeros(3), [1.0, 0.0, 0.0, 0.0]
     sphere = foot.add_geom(**{name: getattr(geom, name) for name in _OF_GEOM}, mass=mass)
     place = foot.add_site(**{name: getattr(site, name) for name in _OF_SITE})
     names = geom.name, site.name

@@ -114,18 +114,24 @@ def test_springs_in_series_add_up():
     assert_allclose(legs.foot, GO1.legs.foot, atol=1e-12)
 
 
-def test_a_foot_on_springs_has_the_sphere_of_its_file():
-    bare, spec = robot_spec(GO1).compile(), robot_spec(GO1)
-    effect("foot_elasticity", "tangential", 1e-5).edit_spec(spec, GO1)
+@pytest.mark.parametrize("robot", [GO1, Robot.load("spot_class")])
+def test_a_foot_on_springs_has_sphere_and_mass_of_its_file(robot):
+    bare, spec = robot_spec(robot).compile(), robot_spec(robot)
+    effect("foot_elasticity", "tangential", 1e-5).edit_spec(spec, robot)
     model = spec.compile()
     assert model.ngeom == bare.ngeom
     assert (model.geom_contype > 0).sum() == (bare.geom_contype > 0).sum()
-    places = []
+    found = []
     for one in (bare, model):
-        data = mujoco.MjData(one)
-        mujoco.mj_kinematics(one, data)
-        places.append(data.site("sole_FL").xpos.copy())
-    assert_allclose(places[1], places[0], atol=1e-12)
+        data, M = mujoco.MjData(one), np.zeros((one.nv, one.nv))
+        mujoco.mj_forward(one, data)
+        mujoco.mj_fullM(one, data, M)
+        of_joints = [one.joint(name).dofadr[0] for name in robot.joint_names]
+        rigid = np.ix_([*range(6), *of_joints], [*range(6), *of_joints])
+        found.append((data.site("sole_FL").xpos.copy(), M[rigid]))
+    # It is where it was, and the leg weighs what it weighed.
+    assert_allclose(found[1][0], found[0][0], atol=1e-12)
+    assert_allclose(found[1][1], found[0][1], atol=1e-9)
 
 
 def test_the_old_name_is_the_same_effect():
