@@ -214,8 +214,10 @@ def _same_bodies(robot: Machine, one: Machine) -> bool:
     """Whether inverse dynamics has the same joints and links to deal with."""
     if robot.extras.links != one.extras.links:
         return False
-    legged = isinstance(robot, Robot) and isinstance(one, Robot)
-    return not legged or np.array_equal(robot.legs.offset, one.legs.offset)
+    if not (isinstance(robot, Robot) and isinstance(one, Robot)):
+        return True
+    own, other = robot.legs, one.legs
+    return np.array_equal(own.offset, other.offset) and np.array_equal(own.rotation, other.rotation)
 
 
 def sparse(change: np.ndarray, table: np.ndarray) -> Regressor:

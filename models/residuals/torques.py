@@ -13,7 +13,7 @@ import numpy as np
 
 from surefoot.models.residuals.binning import BIN, Bins
 from surefoot.sim.common.kernels import kernel
-from surefoot.sim.physics.inverse_dynamics import dynamics_of
+from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
 from surefoot.sim.robot.kinematics import leg_forward
@@ -98,10 +98,10 @@ def inverse_dynamics(s: Steps, robot: Machine, every: bool = False) -> InverseDy
     """Inverse dynamics of the declared model and of what it knows of its masses; of bins that no
     residual is asked for, zero, unless it is wanted of `every` one."""
     use = np.flatnonzero(dilate(s.swings.any(axis=1) | s.steady) | every)
-    dynamics, shift = dynamics_of(robot.file, robot.joint_names), _shift(robot)
+    dynamics = dynamics_of(robot.file, robot.joint_names)
     wrench, torque = np.zeros((len(s.q), 6)), np.zeros_like(s.q)
     wrench[use], torque[use] = dynamics.inverse(
-        s.q[use], s.dq[use], s.ddq[use], s.base[use], shift, robot.extras.links
+        s.q[use], s.dq[use], s.ddq[use], s.base[use], body_changes(robot)
     )
     return InverseDynamics(wrench + torque_carried(s, robot), torque)
 
@@ -112,18 +112,7 @@ def inverse_dynamics_jacobians(
     """Derivatives of an effort's wrench (3, J, M, 6) and torque (3, J, M, J), by each joint's
     angle, rate and acceleration: forward differences."""
     dynamics = dynamics_of(robot.file, robot.joint_names)
-    known = _shift(robot), step, robot.extras.links
-    return dynamics.derivatives(s.q, s.dq, s.ddq, s.base, *known)
-
-
-def _shift(robot: Machine) -> np.ndarray | None:
-    """How far each joint (J, 3) [m] is from where the robot's file has it."""
-    if not isinstance(robot, Robot):
-        return None
-    shift = np.zeros((len(robot.limbs.joints), 3))
-    for leg, chain in enumerate(robot.limbs.chains):
-        shift[list(chain)] = (robot.legs.offset - robot.drawn_offset)[leg, : len(chain)]
-    return shift
+    return dynamics.derivatives(s.q, s.dq, s.ddq, s.base, body_changes(robot), step)
 
 
 def torque_carried(s: Steps, robot: Machine) -> np.ndarray:

@@ -5,11 +5,12 @@ held at the origin with its axes along the world's, so that its force and moment
 """
 
 import ctypes
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -19,6 +20,8 @@ from numba import types
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.physics.inertia import LinkChange, change_links
 from surefoot.sim.physics.stepper import mujoco_library
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.fixed_base import Machine
 from surefoot.sim.robot.model_file import compiled_model
 
 _address = ctypes.cast(mujoco_library().mj_inverseSkip, ctypes.c_void_p).value
@@ -30,6 +33,47 @@ _mj_inverse = types.ExternalFunction(
 _ALL = int(mujoco.mjtStage.mjSTAGE_NONE)
 _SAME_PLACES = int(mujoco.mjtStage.mjSTAGE_POS)
 _SAME_RATES = int(mujoco.mjtStage.mjSTAGE_VEL)
+_CHANGED = (
+    *("body_pos", "body_quat", "body_mass"),
+    *("body_ipos", "body_iquat", "body_inertia", "body_sameframe"),
+)
+"""Arrays of a model that `BodyChanges` change."""
+
+
+class BodyChanges(NamedTuple):
+    """How a robot differs from its file: where its joints are, each with all that hangs on it, and
+    what its links weigh beyond the file.
+
+    drawn, placed (J, 3) [m]: each joint's frame as the file has it and as it is; turn (J, 3, 3):
+    how that is turned. All in the frame of the joint before, or of the base; None where as drawn.
+    """
+
+    drawn: np.ndarray | None = None
+    placed: np.ndarray | None = None
+    turn: np.ndarray | None = None
+    links: tuple[LinkChange, ...] = ()
+
+
+AS_DRAWN = BodyChanges()
+
+
+def body_changes(robot: Machine) -> BodyChanges:
+    """How a machine as a model knows it differs from its file."""
+    links = robot.extras.links
+    if not isinstance(robot, Robot) or (
+        np.array_equal(robot.legs.offset, robot.drawn.offset)
+        and np.array_equal(robot.legs.rotation, robot.drawn.rotation)
+    ):
+        return BodyChanges(links=links)
+    joints = len(robot.limbs.joints)
+    drawn, placed = np.zeros((2, joints, 3))
+    turn = np.tile(np.eye(3), (joints, 1, 1))
+    for leg, chain in enumerate(robot.limbs.chains):
+        there, here = robot.drawn, robot.legs
+        for j, joint in enumerate(chain):
+            drawn[joint], placed[joint] = there.offset[leg, j], here.offset[leg, j]
+            turn[joint] = here.rotation[leg, j] @ there.rotation[leg, j].T
+    return BodyChanges(drawn, placed, turn, links)
 
 
 @dataclass(frozen=True)
@@ -52,20 +96,18 @@ class Dynamics:
         dq: np.ndarray,
         ddq: np.ndarray,
         base: np.ndarray | None = None,
-        shift: np.ndarray | None = None,
-        links: Sequence[LinkChange] = (),
+        changes: BodyChanges = AS_DRAWN,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Wrench on the base (N, 6) [N, N m] in B about its origin, and joint torques (N, J) [N m].
 
         q, dq, ddq (N, J) in rad, rad/s, rad/s^2; base (N, 9), in B: angular velocity [rad/s],
         angular acceleration [rad/s^2] and specific force at the base's origin [m/s^2]; None where
-        it stands still and level, or where there is none (then the wrench is zero). shift (J, 3)
-        [m]: how far each joint, with all that hangs on it, is from where the file has it, in the
-        frame of the joint before. links: what links weigh beyond the file.
+        it stands still and level, or where there is none (then the wrench is zero). changes: of the
+        file.
         """
         motion = self._motion(q, dq, ddq, base)
         out = np.empty((len(q), self.model.nv))
-        with self._changed(shift, links):
+        with self._changed(changes):
             _sweep(self._memory, *motion, out)
         return self._wrench(out), out[:, self.dof_adr]
 
@@ -75,9 +117,8 @@ class Dynamics:
         dq: np.ndarray,
         ddq: np.ndarray,
         base: np.ndarray | None = None,
-        shift: np.ndarray | None = None,
+        changes: BodyChanges = AS_DRAWN,
         step: float = 1e-5,
-        links: Sequence[LinkChange] = (),
     ) -> tuple[np.ndarray, np.ndarray]:
         """Forward differences of `inverse`: wrenches (3, J, N, 6) and torques (3, J, N, J), by each
         joint's angle, rate and acceleration.
@@ -87,13 +128,12 @@ class Dynamics:
             dq: (N, J) [rad/s].
             ddq: (N, J) [rad/s^2].
             base: (N, 9) in B, as of `inverse`.
-            shift: (J, 3) [m], as of `inverse`.
+            changes: as of `inverse`.
             step: of the differences [rad, rad/s, rad/s^2].
-            links: as of `inverse`.
         """
         motion = self._motion(q, dq, ddq, base)
         out = np.empty((3, len(self.dof_adr), len(q), self.model.nv))
-        with self._changed(shift, links):
+        with self._changed(changes):
             _sweep_about(self._memory, *motion, self.qpos_adr, self.dof_adr, step, out)
         return self._wrench(out), out[..., self.dof_adr]
 
@@ -114,14 +154,18 @@ class Dynamics:
         return forces[..., :6] if self.floating else np.zeros((*forces.shape[:-1], 6))
 
     @contextmanager
-    def _changed(self, shift: np.ndarray | None, links: Sequence[LinkChange]) -> Iterator[None]:
-        """The model with its joints moved and its links changed, for a while."""
+    def _changed(self, changes: BodyChanges) -> Iterator[None]:
+        """The model with its joints moved and turned and its links changed, for a while."""
         model = self.model
-        names = ("body_pos", "body_mass", "body_ipos", "body_iquat", "body_inertia")
-        as_drawn = {name: getattr(model, name).copy() for name in names}
-        if shift is not None:
-            model.body_pos[self.hung] += shift
-        change_links(model, model.dof_jntid[self.dof_adr], links)
+        as_drawn = {name: getattr(model, name).copy() for name in _CHANGED}
+        if changes.turn is not None:
+            for body, drawn, placed, turn in zip(self.hung, *changes[:3], strict=True):
+                # What is between this body and the joint's turns with it.
+                model.body_pos[body] = placed - turn @ (drawn - model.body_pos[body])
+                quat, before = np.empty(4), model.body_quat[body].copy()
+                mujoco.mju_mat2Quat(quat, turn.ravel())
+                mujoco.mju_mulQuat(model.body_quat[body], quat, before)
+        change_links(model, model.dof_jntid[self.dof_adr], changes.links)
         try:
             yield
         finally:

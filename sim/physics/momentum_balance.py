@@ -17,7 +17,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from surefoot.sim.log import Log, joint_velocity
 from surefoot.sim.log.derived import derivative
-from surefoot.sim.physics.inverse_dynamics import dynamics_of
+from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
 from surefoot.sim.robot import Robot
 
 ACCELERATION_WINDOW = 0.04
@@ -69,7 +69,8 @@ def taken_by_motion(log: Log, robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     p = robot.p_BI
     origin = accel - np.cross(spin, p) - np.cross(omega, np.cross(omega, p))
     dynamics = dynamics_of(robot.file, robot.joint_names)
-    return dynamics.inverse(log.q, dq, ddq, np.hstack([omega, spin, origin]))
+    base = np.hstack([omega, spin, origin])
+    return dynamics.inverse(log.q, dq, ddq, base, body_changes(robot))
 
 
 def _least_forces(

@@ -21,7 +21,7 @@ from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.robot.model_file import compiled_model, model_spec
 
 _OF_JOINTS = ("joint_range", "torque_limit", "q_home")
-_OF_LEGS = ("foot_radius", "sole", "foot_places", "drawn_offset")
+_OF_LEGS = ("foot_radius", "sole", "foot_places")
 NO_ROBOT = "the log names no robot: say which with --robot"
 IMU_SITES = ("imu", "imu_site", "IMU", "trunk_imu")
 
@@ -65,7 +65,7 @@ class Robot:
     q_home: np.ndarray  # (J,) rad, standing
     limbs: Limbs  # names of legs and joints
     legs: Legs
-    drawn_offset: np.ndarray  # (L, P, 3) m, `legs.offset` as the file has it
+    drawn: Legs  # `legs` as the file has them
     base_name: str
     joint_names: tuple[str, ...]  # the model's own names, in the order of `limbs`
     foot_bodies: tuple[str, ...]  # name of the body that carries each foot
@@ -99,7 +99,7 @@ class Robot:
             q_home=_home(model, joints, tree),
             limbs=tree.limbs,
             legs=tree.constants,
-            drawn_offset=tree.constants.offset,
+            drawn=tree.constants,
             base_name=model.body(tree.base_body).name,
             joint_names=tuple(model.joint(j).name for j in joints),
             foot_bodies=tuple(model.body(b).name for b in tree.foot_bodies),
@@ -150,20 +150,18 @@ class Robot:
         at = {own.joints.index(name): place for place, name in enumerate(joints)}
         kept, order = list(at), [own.legs.index(leg) for leg in legs]
         chains = tuple(tuple(at[joint] for joint in own.chains[leg]) for leg in order)
-        constants = Legs(*(values[order] for values in self.legs))
+        constants, drawn = (Legs(*(x[order] for x in own)) for own in (self.legs, self.drawn))
         for leg, chain in enumerate(chains):
-            constants.joints[leg, : len(chain)] = chain
+            constants.joints[leg, : len(chain)] = drawn.joints[leg, : len(chain)] = chain
         return replace(
             self,
             limbs=Limbs(legs, joints, chains, own.links),
             legs=constants,
+            drawn=drawn,
             joint_names=tuple(self.joint_names[j] for j in kept),
             foot_bodies=tuple(self.foot_bodies[leg] for leg in order),
-            **{n: getattr(self, n)[kept] for n in ("joint_range", "torque_limit", "q_home")},
-            **{
-                n: getattr(self, n)[order]
-                for n in ("foot_radius", "sole", "foot_places", "drawn_offset")
-            },
+            **{n: getattr(self, n)[kept] for n in _OF_JOINTS},
+            **{n: getattr(self, n)[order] for n in _OF_LEGS},
         )
 
     def feet_I(self, q: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Inverse dynamics of a robot whose joints are not where its file has them."""
+"""Inverse dynamics of a robot whose legs are not where, or turned as, its file has them."""
 
 import mujoco
 import numpy as np
@@ -6,22 +6,25 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from surefoot.sim.effects import effect
-from surefoot.sim.physics.inverse_dynamics import dynamics_of
+from surefoot.sim.physics.inverse_dynamics import BodyChanges, body_changes, dynamics_of
 from surefoot.sim.robot import Robot
 
 
 @pytest.mark.parametrize(("joint", "name", "target"), [
     (3, "hip_offset", "FR_y"), (6, "hip_offset", "RL_z"), (2, "link_length", "FL_thigh"),
+    (0, "leg_heading", "FL_z"), (9, "leg_heading", "RR_x"),
 ])  # fmt: skip
-def test_a_shifted_leg_takes_its_masses_along(joint, name, target):
+def test_a_leg_takes_its_masses_along(joint, name, target):
     robot = Robot.load("spot_class")
     one = effect(name, target, 0.02)
     spec = robot.spec()
     one.edit_spec(spec, robot)
     edited = spec.compile()
-    legs = one.compensate(None, robot)[1].legs  # type: ignore[arg-type]
-    shift = (legs.offset - robot.legs.offset).reshape(12, 3)
-    assert np.flatnonzero(np.abs(shift).sum(axis=1)).tolist() == [joint]
+    known = one.compensate(None, robot)[1]  # type: ignore[arg-type]
+    moved = np.abs(known.legs.offset - robot.legs.offset).sum(axis=2)
+    moved += np.abs(known.legs.rotation - robot.legs.rotation).sum(axis=(2, 3))
+    assert np.flatnonzero(moved).tolist() == [joint]
+    changes = body_changes(known)
 
     rng = np.random.default_rng(3)
     q = robot.q_home + 0.3 * rng.standard_normal((4, 12))
@@ -30,7 +33,7 @@ def test_a_shifted_leg_takes_its_masses_along(joint, name, target):
     base[:, 8] += 9.8
     dynamics = dynamics_of(robot.file, robot.joint_names)
     before = dynamics.inverse(q, dq, ddq, base)
-    wrench, torque = dynamics.inverse(q, dq, ddq, base, shift)
+    wrench, torque = dynamics.inverse(q, dq, ddq, base, changes)
 
     data = mujoco.MjData(edited)
     edited.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
@@ -53,7 +56,8 @@ def test_slopes_skip_work_and_nothing_else():
     robot, rng, step = Robot.load("spot_class"), np.random.default_rng(5), 1e-5
     dynamics = dynamics_of(robot.file, robot.joint_names)
     motion = list(rng.standard_normal((3, 6, 12)))
-    base, shift = rng.standard_normal((6, 9)), 0.01 * rng.standard_normal((12, 3))
+    base, turn = rng.standard_normal((6, 9)), np.tile(np.eye(3), (12, 1, 1))
+    shift = BodyChanges(np.zeros((12, 3)), 0.01 * rng.standard_normal((12, 3)), turn)
     before = dynamics.inverse(motion[0], motion[1], motion[2], base, shift)
     slopes = dynamics.derivatives(motion[0], motion[1], motion[2], base, shift, step)
     for kind in range(3):

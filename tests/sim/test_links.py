@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from surefoot.sim.effects import effect
 from surefoot.sim.log import Log
-from surefoot.sim.physics.inverse_dynamics import dynamics_of
+from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
 from surefoot.sim.physics.scene import robot_spec
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import feet
@@ -63,7 +63,7 @@ def test_what_a_link_weighs_more_is_in_the_inverse_dynamics(name, target, value)
     dynamics = dynamics_of(SPOT.file, SPOT.joint_names)
     plain = dynamics.inverse(*motion)
     _, known = one.compensate(LOG, SPOT)
-    changed = dynamics.inverse(*motion, links=known.extras.links)
+    changed = dynamics.inverse(*motion, changes=body_changes(known))
     assert np.abs(edited - bare).max() > 0.05
     assert_allclose(changed[1] - plain[1], (edited - bare)[:, 6:], atol=1e-9)
     assert_allclose(changed[0] - plain[0], (edited - bare)[:, :6], atol=1e-9)
