@@ -11,9 +11,7 @@ from surefoot.models.alignment.turning import rates_of, smoothed
 from surefoot.scenarios.reporting.palette import AFTER, OUTSIDE, TRUTH
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, save_png, set_title
 from surefoot.sim.common.files import refuse_overwrite, whole_file
-from surefoot.sim.importing.assemble import RawRecording
-from surefoot.sim.importing.bag import read_bag_recording
-from surefoot.sim.importing.csv_file import read_csv_recording
+from surefoot.sim.importing.recording import read_recording
 from surefoot.sim.log import Log
 from surefoot.sim.log.reference import Poses, reference_poses
 from surefoot.sim.robot import Robot
@@ -27,7 +25,6 @@ def align_file(
     file: Path,
     out: Path,
     map: str | None = None,
-    bag: bool = False,
     robot: str | None = None,
     most: float = 10.0,
     force: bool = False,
@@ -38,7 +35,6 @@ def align_file(
         file: a log (.parquet), or with `map` a recording.
         out: folder for _OUTPUTS.
         map: of the recording.
-        bag: whether the recording is a bag.
         robot: in whose base frame the tracked point is given too.
         most: largest offset of the clock that is looked for [s].
         force: overwrite such files.
@@ -48,7 +44,7 @@ def align_file(
     """
     for name in _OUTPUTS:
         refuse_overwrite(Path(out) / name, force)
-    log, poses = _read(file, map, bag)
+    log, poses = _read(file, map)
     at = Robot.for_log(log, robot) if robot else None
     found = align(log, poses, most)
     with whole_file(Path(out) / "alignment.json", force) as temporary:
@@ -99,13 +95,12 @@ def figure(log: Log, poses: Poses, found: Alignment) -> Figure:
     return drawn
 
 
-def _read(file: Path, map: str | None, bag: bool) -> tuple[Log, Poses]:
+def _read(file: Path, map: str | None) -> tuple[Log, Poses]:
     if map is None:
         log = Log.read(file)
         log.require("imu", "reference")
         return log, reference_poses(log)
-    read = read_bag_recording if bag else read_csv_recording
-    recording: RawRecording = read(file, map)
+    recording = read_recording(file, map)
     if recording.poses is None:
         log = recording.log()
         log.require("imu", "reference")

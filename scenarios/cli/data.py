@@ -3,11 +3,12 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from tyro.conf import Positional, arg
 
 from surefoot.scenarios.cli.options import Cluster, Force, Out, RobotName
+from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.scenario_catalog import bundled_scenarios
 
 SCENARIOS = f"Scenario files (TOML), or names of bundled ones: {', '.join(bundled_scenarios())}."
@@ -51,33 +52,63 @@ class Simulate:
 
 @dataclass(frozen=True)
 class Import:
-    """Convert a measured log, by a map from its columns to those of a Log."""
+    """Convert a measured log, by a map from its columns to those of a Log.
 
-    kind: Positional[Literal["csv", "bag"]]
-    file: Positional[Path]
-    """The CSV file, or the folder that holds it; a ROS 1, ROS 2 or MCAP bag."""
-    map: str
+    CSV and other text, JSON, NPZ, MAT, HDF5, Parquet, ROS 1, ROS 2 and MCAP, by the files' endings.
+    """
+
+    files: Positional[tuple[str, ...]]
+    """The main file, or the folder that holds it, and further files that the map does not name. A
+    `csv` or `bag` before them is passed over."""
+    map: str | None = None
     """Map file (TOML), or the name of a bundled one."""
-    out: Out
-    """File for the log (.parquet)."""
+    out: Annotated[Path | None, arg(aliases=["-o"])] = None
+    """File for the log (.parquet), or with --guess for the map (.toml)."""
+    guess: bool = False
+    """Draft a map of the files instead, with a question for each doubt; printed without -o."""
+    robot: RobotName = None
     force: Force = False
 
     def run(self) -> None:
-        from surefoot.sim.importing.bag import read_bag_recording
-        from surefoot.sim.importing.csv_file import read_csv_recording
+        from surefoot.sim.importing.recording import read_recording
         from surefoot.sim.importing.report import import_lines
 
-        read = read_bag_recording if self.kind == "bag" else read_csv_recording
-        recording = read(self.file, self.map)
+        files = self.files[1:] if self.files[:1] in (("csv",), ("bag",)) else self.files
+        if not files:
+            raise SurefootError("give the recording's file")
+        if self.guess:
+            self._draft(files)
+            return
+        for name in ("map", "out"):
+            if getattr(self, name) is None:
+                raise SurefootError(f"--{name} is missing (or --guess, to draft a map)")
+        if self.robot:
+            raise SurefootError("--robot goes with --guess; the map's [robot] names it")
+        recording = read_recording(files, self.map)
         log = recording.log()
         log.write(self.out, self.force)
-        groups = [g for g in ("imu", "q", "dq", "tau", "contact", "reference") if log.has(g)]
+        groups = ("imu", "q", "dq", "tau", "foot", "contact", "reference")
+        there = [g for g in groups if log.has(g)]
         print(
             f"{self.out}: {len(log.t)} samples, {log.t[-1] - log.t[0]:.1f} s at {log.rate:.0f} Hz; "
-            f"{', '.join(groups)}"
+            f"{', '.join(there)}"
         )
-        for line in import_lines(log, recording.reference()):
+        for line in import_lines(log, recording.reference(), recording.notes):
             print(line)
+
+    def _draft(self, files: tuple[str, ...]) -> None:
+        from surefoot.sim.common.files import whole_file
+        from surefoot.sim.importing.guess import guess_map
+
+        text = guess_map(files, self.robot).text
+        if self.out is None:
+            print(text, end="")
+            return
+        with whole_file(self.out, self.force) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+        print(
+            f"{self.out}: {text.count('# ?')} questions in it; answer them, then import with --map"
+        )
 
 
 @dataclass(frozen=True)
@@ -90,8 +121,6 @@ class Align:
     """Folder for alignment.json, alignment.png and aligned.parquet."""
     map: str | None = None
     """Map of the recording (TOML), or the name of a bundled one."""
-    bag: bool = False
-    """The recording is a bag, not a CSV file."""
     robot: RobotName = None
     most: float = 10.0
     """Largest offset of the clock that is looked for [s]."""

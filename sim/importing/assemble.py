@@ -8,11 +8,14 @@ import numpy as np
 import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.importing.clock import Columns, column_kind, evened, without_holds
+from surefoot.sim.importing.contacts import feet_that_stand
 from surefoot.sim.importing.map import ImportMap
-from surefoot.sim.importing.reference import Columns, imu_poses, with_reference
+from surefoot.sim.importing.reference import imu_poses, with_reference
+from surefoot.sim.importing.sections import EvenTable
 from surefoot.sim.log import Log, LogError, Meta
 from surefoot.sim.log.reference import Poses
-from surefoot.sim.log.schema import check_frame, joint_names, joint_prefix
+from surefoot.sim.log.schema import check_frame, joint_names, joint_prefix, leg_names
 from surefoot.sim.sensors.contact import contact_from_force
 
 _UNIT_TOLERANCE = 1e-2
@@ -22,14 +25,16 @@ _UNIT_TOLERANCE = 1e-2
 class RawRecording:
     """A recording read by a map, before it is a log.
 
-    main: log columns in SI units, each (N,), with `t` unless the map gives a rate; poses: of a
-    reference with a clock of its own, as recorded; rules: the map; path: the file.
+    main: log columns in SI units, each (N,), with `t`; poses: of a
+    reference with a clock of its own, as recorded; rules: the map; path: the file; notes: what to
+    say of how it was read.
     """
 
     main: Columns
     poses: Poses | None
     rules: ImportMap
     path: Path
+    notes: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -57,24 +62,16 @@ class RawRecording:
 
 
 def _log_from_tables(main: Columns, reference: Poses | None, rules: ImportMap, name: str) -> Log:
-    main = dict(main)
-    if rules.rate is not None:
-        rows = len(next(iter(main.values())))
-        main = {"t": np.arange(rows) / rules.rate, **main}
-        rate = rules.rate
-    else:
-        rate = float(f"{1.0 / np.median(np.diff(main['t'])):.6g}") if len(main["t"]) > 1 else 1.0
+    main, derived = dict(main), []
     _apply_joints(main, rules)
-    derived = []
-    if rules.contact is not None:
+    if rules.even is not None:
+        main, said = _made_even(main, rules.even)
+        derived += said
+    if rules.contact is not None and rules.contact.of == "force":
         derived.append("contact from force")
-        for leg in rules.contact.on:
+        for leg, (offset, on, off) in rules.contact.by_leg(leg_names(main)).items():
             main[f"contact_{leg}"] = contact_from_force(
-                main["t"],
-                main[f"force_{leg}"] - rules.contact.offset[leg],
-                rules.contact.on[leg],
-                rules.contact.off[leg],
-                rules.contact.debounce,
+                main["t"], main[f"force_{leg}"] - offset, on, off, rules.contact.debounce
             ).astype(float)
     if reference is not None:
         main = with_reference(main, reference, str(rules.path))
@@ -86,44 +83,47 @@ def _log_from_tables(main: Columns, reference: Poses | None, rules: ImportMap, n
         derived.append("tau (motor law)")
     frame = pd.DataFrame({column: main[column] for column in sorted(main, key=_column_order)})
     meta = Meta(
-        rate=rate,
+        rate=rules.source.rate or _rate(main["t"]),
         robot=rules.robot,
         motor_law=law,
         derived=tuple(derived),
         versions=_versions(),
         model=rules.model,
     )
-    return Log(frame, meta, name)
+    log = Log(frame, meta, name)
+    if rules.contact is not None and rules.contact.of != "force":
+        return feet_that_stand(log, rules.contact)
+    return log
 
 
-def check_rising(t: np.ndarray, path: Path, column: str, unit: str, first: int) -> None:
-    """Raise LogError at the first time that does not come after the one before it.
-
-    Args:
-        t: (N,) [s].
-        path: of the file, for the message.
-        column: its column, for the message.
-        unit: name of a row in the message: "line", "message".
-        first: number of the first row.
-    """
-    bad = np.flatnonzero(np.diff(t) <= 0.0)
-    if bad.size:
-        row = int(bad[0]) + 1
-        how = "duplicate stamp" if t[row] == t[row - 1] else "jumps back"
-        raise LogError(
-            f"{path}: column {column!r}, {unit} {row + first}: {how},"
-            f" {t[row - 1]:.9g} s then {t[row]:.9g} s"
-        )
+def _rate(t: np.ndarray) -> float:
+    return float(f"{1.0 / np.median(np.diff(t)):.6g}") if len(t) > 1 else 1.0
 
 
-def unit_quaternions(path: Path, table: Columns) -> None:
-    """Normalise decimals to unit length; raise where they were never a rotation."""
+def _made_even(main: Columns, even: EvenTable) -> tuple[Columns, list[str]]:
+    """The columns without holds and at an even rate, and what was derived."""
+    kinds = {column_kind(name) for name in main}
+    for kind in even.held:
+        if kind not in kinds:
+            raise SurefootError(
+                f"[even] held: no column of kind {kind!r}; there are {', '.join(sorted(kinds))}"
+            )
+    said = [f"{kind} (between held readings)" for kind in even.held]
+    rate = even.rate or _rate(main["t"])
+    return evened(without_holds(main, even.held), rate), [*said, f"rows at {rate:g} Hz"]
+
+
+def unit_quaternions(path: Path, table: Columns, unit: str = "row", first: int = 1) -> None:
+    """Normalise decimals to unit length; raise where they were never a rotation, naming the row,
+    a `unit` that is counted from `first`."""
     q = np.column_stack([table[f"ref_q_{axis}"] for axis in "wxyz"])
     norm = np.linalg.norm(q, axis=1)
     bad = np.flatnonzero(np.abs(norm - 1.0) > _UNIT_TOLERANCE)
     if bad.size:
         row = int(bad[0])
-        raise LogError(f"{path}: line {row + 2}: not a unit quaternion (norm {norm[row]:.6g})")
+        raise LogError(
+            f"{path}: {unit} {row + first}: not a unit quaternion (norm {norm[row]:.6g})"
+        )
     for i, axis in enumerate("wxyz"):
         table[f"ref_q_{axis}"] = q[:, i] / norm
 

@@ -1,4 +1,4 @@
-"""A ROS bag (ROS 1, ROS 2, MCAP) becomes a Log, as an import map says (`sim.importing.map`).
+"""Readings of a ROS bag: ROS 1, ROS 2 or MCAP.
 
 A column is named `topic:path`: `/imu/data:angular_velocity.x`, `/joint_states:position[FL_hip]`
 (the place is that of `FL_hip` in the message's `name`; a number counts from 0),
@@ -7,7 +7,8 @@ A column is named `topic:path`: `/imu/data:angular_velocity.x`, `/joint_states:p
 
 import re
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,86 +17,12 @@ from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.typesys import Stores, get_typestore
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.importing.assemble import RawRecording, check_rising, unit_quaternions
-from surefoot.sim.importing.map import ImportMap, MapColumn
-from surefoot.sim.importing.reference import Columns, poses_of
-from surefoot.sim.log import Log
+from surefoot.sim.importing.clock import Stamped
 
 RECEIVED = "received"
+_MOST_PLACES = 64
+"""Of an array in a message whose places may be columns: more are a picture or a scan."""
 _PART = re.compile(r"(\w+)(?:\[([^\]]+)\])?$")
-Stamped = tuple[np.ndarray, np.ndarray]
-"""Stamps [s since the bag began] and values, both (N,)."""
-
-
-def import_bag(path: str | Path, map_path: str | Path) -> Log:
-    """The log of a ROS bag: a ROS 1 file, a ROS 2 folder, or an MCAP file.
-
-    The topic of the map's `t` is the log's clock. Readings of other topics are interpolated to it,
-    contacts hold their last value, and rows before or after any topic are cut. Raises
-    SurefootError (LogError) in one line with file and column.
-    """
-    return read_bag_recording(path, map_path).log()
-
-
-def read_bag_recording(path: str | Path, map_path: str | Path) -> RawRecording:
-    """What `import_bag` makes a log of, with all poses. Raises as it does."""
-    rules, path = ImportMap.read(map_path), Path(path)
-    for given, section in (
-        (rules.file, "[source] file"),
-        (rules.rate, "[source] rate"),
-        (rules.reference and rules.reference.file, "[reference] file"),
-    ):
-        if given is not None:
-            raise SurefootError(f"{rules.path}: {section} does not go with a bag")
-    columns = [*rules.columns.values()]
-    reference = rules.reference.columns if rules.reference else {}
-    seen = read_bag(path, sorted({c.theirs for c in (*columns, *reference.values())}))
-    main = _on_clock(seen, rules.columns, path)
-    truth = None
-    if reference:
-        table = _of_one_topic(seen, reference, path)
-        unit_quaternions(path, table)
-        truth = poses_of(table)
-    return RawRecording(main, truth, rules, path)
-
-
-def _on_clock(seen: dict[str, Stamped], columns: dict[str, MapColumn], path: Path) -> Columns:
-    """Columns of several topics at the times of the topic that has `t`."""
-    clock = columns["t"]
-    t = clock.read(seen[clock.theirs][1])
-    check_rising(t, path, clock.theirs, "message", 1)
-    main = topic_of(clock.theirs)
-    begin, end = t[0], t[-1]
-    for name, column in columns.items():
-        stamps = seen[column.theirs][0]
-        if topic_of(column.theirs) == main:
-            continue
-        if name.startswith("ref_q_"):
-            raise SurefootError(f"{path}: {name} is of another topic than t: give a [reference]")
-        check_rising(stamps, path, column.theirs, "message", 1)
-        begin, end = max(begin, stamps[0]), min(end, stamps[-1])
-    inside = (t >= begin) & (t <= end)
-    if not inside.any():
-        raise SurefootError(f"{path}: the topics of the map do not overlap in time")
-    table = {}
-    for name, column in columns.items():
-        stamps, values = seen[column.theirs]
-        if topic_of(column.theirs) == main:
-            table[name] = column.read(values[inside])
-        elif name.startswith(("contact_", "ref_ok")):
-            table[name] = column.read(values[np.searchsorted(stamps, t[inside], "right") - 1])
-        else:
-            table[name] = column.read(np.interp(t[inside], stamps, values))
-    return table
-
-
-def _of_one_topic(seen: dict[str, Stamped], columns: dict[str, MapColumn], path: Path) -> Columns:
-    topics = {topic_of(column.theirs) for column in columns.values()}
-    if len(topics) > 1:
-        raise SurefootError(f"{path}: [reference.columns] are of {' and '.join(sorted(topics))}")
-    table = {name: column.read(seen[column.theirs][1]) for name, column in columns.items()}
-    check_rising(table["t"], path, columns["t"].theirs, "message", 1)
-    return table
 
 
 def read_bag(path: str | Path, columns: Sequence[str]) -> dict[str, Stamped]:
@@ -110,17 +37,50 @@ def read_bag(path: str | Path, columns: Sequence[str]) -> dict[str, Stamped]:
     wanted: dict[str, list[str]] = defaultdict(list)
     for column in columns:
         wanted[topic_of(column)].append(column)
+    with _opened(path) as bag:
+        return _read(bag, path, wanted)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[AnyReader]:
     if not path.exists():
         raise SurefootError(f"{path}: no such file")
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
-            return _read(bag, path, wanted)
+            yield bag
     except SurefootError:
         raise
     except (AnyReaderError, OSError) as error:
         raise SurefootError(f"{path}: {' '.join(str(error).split())}") from None
     except Exception as error:  # the parsers of broken bags raise whatever they stumble on
         raise SurefootError(f"{path}: not a readable bag ({type(error).__name__})") from error
+
+
+def bag_fields(path: Path) -> list[str]:
+    """Every column of numbers of a bag, as a map names it, by the first message of each topic."""
+    found: list[str] = []
+    with _opened(path) as bag:
+        for connection in bag.connections:
+            for _, _, raw in bag.messages(connections=[connection]):
+                message = bag.deserialize(raw, connection.msgtype)
+                found += [f"{connection.topic}:{field}" for field in _fields(message, "")]
+                break
+    return list(dict.fromkeys(found))
+
+
+def _fields(message: Any, place: str) -> Iterator[str]:
+    names = [str(one) for one in getattr(message, "name", None) or ()]
+    for field in getattr(message, "__dataclass_fields__", {}):
+        value, path = getattr(message, field), f"{place}{field}"
+        if field.startswith("__") or "covariance" in field:
+            continue
+        if _nanoseconds(value) is not None or isinstance(value, int | float | np.number):
+            yield path
+        elif isinstance(value, np.ndarray) and value.ndim == 1 and len(value) <= _MOST_PLACES:
+            places = names if len(names) == len(value) else range(len(value))
+            yield from (f"{path}[{one}]" for one in places)
+        elif hasattr(value, "__dataclass_fields__"):
+            yield from _fields(value, f"{path}.")
 
 
 def topic_of(column: str) -> str:

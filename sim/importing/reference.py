@@ -2,22 +2,29 @@
 of the IMU frame at a log's rows."""
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import matrix_from_quaternion, quaternion_from_matrix
-from surefoot.sim.importing.map import ImportMap, MapReference
+from surefoot.sim.importing.clock import Columns
+from surefoot.sim.importing.map import ImportMap
+from surefoot.sim.importing.sections import ReferenceTable
 from surefoot.sim.log.reference import Poses
 
 MAX_GAP = 0.05
 """s. Over a longer gap in the reference, rows are interpolated and marked with ref_ok = 0."""
-
-Columns = dict[str, np.ndarray]
 
 
 def poses_of(table: Columns) -> Poses:
     """The poses of a reference's own table: t, ref_p and ref_q."""
     p = np.column_stack([table[f"ref_p_{axis}"] for axis in "xyz"])
     return Poses(table["t"], p, np.column_stack([table[f"ref_q_{axis}"] for axis in "wxyz"]))
+
+
+def quaternions_of(angles: np.ndarray) -> Columns:
+    """Columns ref_q of roll, pitch and yaw (N, 3) [rad]: R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    q = Rotation.from_euler("ZYX", angles[:, ::-1]).as_quat(scalar_first=True)
+    return {f"ref_q_{axis}": q[:, i] for i, axis in enumerate("wxyz")}
 
 
 def imu_poses(poses: Poses, rules: ImportMap, name: str) -> Poses:
@@ -32,7 +39,12 @@ def imu_poses(poses: Poses, rules: ImportMap, name: str) -> Poses:
     """
     if rules.reference is None:
         return poses
-    moved = Poses(poses.t + _offset(rules.reference, rules, name), poses.p, poses.q)
+    R_WM = poses.R.swapaxes(1, 2) if rules.reference.inverse else poses.R
+    R_GW = matrix_from_quaternion(np.array(rules.reference.q_GW))
+    turned = rules.reference.inverse or not np.array_equal(R_GW, np.eye(3))
+    q = quaternion_from_matrix(R_GW @ R_WM) if turned else poses.q
+    p = poses.p @ R_GW.T if turned else poses.p
+    moved = Poses(poses.t + _offset(rules.reference, rules, name), p, q)
     if rules.reference.frame == "base":
         if "p_BI" not in rules.model:
             raise SurefootError(
@@ -106,7 +118,7 @@ def interpolate_reference(
     return position, attitude / np.linalg.norm(attitude, axis=1, keepdims=True), ok
 
 
-def _offset(reference: MapReference, rules: ImportMap, name: str) -> float:
+def _offset(reference: ReferenceTable, rules: ImportMap, name: str) -> float:
     if not isinstance(reference.offset, dict):
         return reference.offset
     if name not in reference.offset:

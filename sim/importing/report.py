@@ -1,11 +1,14 @@
 """What a reader should know of a recording before its numbers: reference, clocks, held streams."""
 
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.importing.clock import jitter_line
 from surefoot.sim.importing.reference_check import check_reference, without_jumps
 from surefoot.sim.importing.reference_noise import FEWEST_SAMPLES, reference_noise, turning_missed
 from surefoot.sim.importing.streams import held_streams, late_streams
 from surefoot.sim.log import Log
 from surefoot.sim.log.dead_reckoning import beside_imu
 from surefoot.sim.log.reference import Poses, reference_poses
+from surefoot.sim.robot import Robot
 
 
 def reference_lines(log: Log, poses: Poses | None = None) -> tuple[str, ...]:
@@ -35,7 +38,31 @@ def reference_lines(log: Log, poses: Poses | None = None) -> tuple[str, ...]:
     )
 
 
-def import_lines(log: Log, poses: Poses | None = None) -> tuple[str, ...]:
-    """`reference_lines`, and the streams that are held or late."""
+def import_lines(
+    log: Log, poses: Poses | None = None, notes: tuple[str, ...] = ()
+) -> tuple[str, ...]:
+    """What to say of a log that was imported: `notes` of how it was read, the radius of its feet,
+    its stamps, its reference, and the streams that are held or late."""
+    jitter = jitter_line(log.t)
     streams = (*held_streams(log), *late_streams(log))
-    return (*reference_lines(log, poses), *(one.line for one in streams))
+    return (
+        *notes,
+        *_feet_lines(log),
+        *([jitter] if jitter else ()),
+        *reference_lines(log, poses),
+        *(one.line for one in streams),
+    )
+
+
+def _feet_lines(log: Log) -> tuple[str, ...]:
+    """At which radius the feet of the log's robot roll, where its map does not say it."""
+    if log.meta.robot is None or "foot_radius" in log.meta.model or not log.has("q"):
+        return ()
+    try:
+        radius = 1e3 * Robot.for_log(log).foot_radius
+    except SurefootError as error:
+        return (f"robot: {error}",)
+    sizes = " and ".join(f"{one:.3g}" for one in sorted(set(radius.round(3))))
+    return (
+        f"feet: a radius of {sizes} mm, of the robot's file; the map has no [robot] foot_radius",
+    )

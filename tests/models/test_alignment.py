@@ -16,7 +16,7 @@ from surefoot.sim.common.files import measured_folder
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.effects.base import with_columns
 from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.importing.csv_file import read_csv_recording
+from surefoot.sim.importing.recording import read_recording
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.log.reference import Poses, reference_poses
 from surefoot.sim.robot import Robot
@@ -134,7 +134,7 @@ def test_a_gyro_that_never_turns_is_one_line(log):
 @pytest.mark.parametrize("name", ["06", "12", "17"])
 def test_clocks_that_were_started_apart_are_found(name):
     """Of three recording days, one with poses that are turned about for some frames."""
-    recording = read_csv_recording(SCALER / "logs" / f"scaler_{name}.csv", "scaler_trot")
+    recording = read_recording(SCALER / "logs" / f"scaler_{name}.csv", "scaler_trot")
     found = align(recording.without_reference().log(), recording.poses)
     assert 3.0 < -found.offset < 7.0
     assert abs(np.diff(found.halves)[0]) < 5e-3

@@ -26,8 +26,8 @@ from surefoot.scenarios.estimate.tuned import tuned
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import measured_folder
 from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.importing.csv_file import import_csv, read_csv_recording
 from surefoot.sim.importing.map import ImportMap
+from surefoot.sim.importing.recording import import_log, read_recording
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
@@ -191,7 +191,7 @@ def test_a_map_takes_feet_in_millimetres_and_says_which_bodies_they_are(tmp_path
     force = "".join(f'force_left_{x} = {{ column = "n", unit = "kN" }}\n' for x in "xyz")
     text = f'[columns]\nt = "t"\n{feet}{force}[robot]\nname = "mine"\nfeet = {{ left = "sole" }}\n'
     (tmp_path / "map.toml").write_text(text)
-    log = import_csv(tmp_path / "robot.csv", tmp_path / "map.toml")
+    log = import_log(tmp_path / "robot.csv", tmp_path / "map.toml")
     assert log.legs == ("left",)
     np.testing.assert_allclose(log.foot_I[:, 0, 1], [0.10, 0.11, 0.12])
     np.testing.assert_allclose(log.force_I[:, 0, 2], [1e3, 2e3, 3e3])
@@ -205,7 +205,7 @@ def test_a_map_takes_feet_in_millimetres_and_says_which_bodies_they_are(tmp_path
 @pytest.mark.skipif(not SCALER.is_dir(), reason=f"the measured walks are not here ({SCALER})")
 def test_the_leg_filter_runs_on_a_measured_walk_of_five_bar_legs(tmp_path):
     """Whose clock and axes are not those of its motion capture, so that this is left out."""
-    recording = read_csv_recording(SCALER / "logs" / "scaler_06.csv", "scaler_trot")
+    recording = read_recording(SCALER / "logs" / "scaler_06.csv", "scaler_trot")
     log = recording.without_reference().log()
     assert log.foot_I.shape == (len(log.t), 4, 3)
     assert log.meta.robot is None

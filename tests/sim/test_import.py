@@ -11,9 +11,11 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled, measured_folder
-from surefoot.sim.importing.csv_file import import_csv, read_csv
-from surefoot.sim.importing.map import EVENNESS, ImportMap
+from surefoot.sim.importing.map import ImportMap
+from surefoot.sim.importing.recording import import_log
 from surefoot.sim.importing.reference import interpolate_reference
+from surefoot.sim.importing.sections import EVENNESS
+from surefoot.sim.importing.text_file import read_csv
 from surefoot.sim.log import JOINTS, Log
 from surefoot.sim.sensors.contact import contact_from_force
 
@@ -103,13 +105,13 @@ def edited(folder: Path, file: str, old: str, new: str) -> None:
 
 def fault(folder: Path) -> str:
     with pytest.raises(SurefootError) as caught:
-        import_csv(folder, folder / "map.toml")
+        import_log(folder, folder / "map.toml")
     assert "\n" not in str(caught.value)
     return str(caught.value)
 
 
 def test_units_signs_and_offsets(folder):
-    log = import_csv(folder, folder / "map.toml")
+    log = import_log(folder, folder / "map.toml")
     raw = pd.read_csv(folder / "robot.csv").iloc[50:451].reset_index(drop=True)
     assert log.rate == 500.0
     np.testing.assert_allclose(log.t, 1e-3 * raw["ms"])
@@ -129,11 +131,11 @@ def test_units_signs_and_offsets(folder):
 
 def test_a_map_may_say_how_even_the_ground_is(folder):
     edited(folder, "map.toml", "[contact]", "[ground]\nevenness = 0.0\n\n[contact]")
-    assert import_csv(folder, folder / "map.toml").meta.model["ground_evenness"] == 0.0
+    assert import_log(folder, folder / "map.toml").meta.model["ground_evenness"] == 0.0
 
 
 def test_a_base_reference_is_composed_with_the_mounting(folder):
-    log = import_csv(folder, folder / "map.toml")
+    log = import_log(folder, folder / "map.toml")
     # The base is at (t, 0, 0.3), yawed by t; the IMU sits 0.1 m ahead, turned by 180 degrees.
     expected = np.column_stack(
         [log.t + 0.1 * np.cos(log.t), 0.1 * np.sin(log.t), np.full(len(log.t), 0.3)]
@@ -147,7 +149,7 @@ def test_a_base_reference_is_composed_with_the_mounting(folder):
 
 
 def test_rows_outside_are_cut_and_gaps_are_marked(folder):
-    log = import_csv(folder, folder / "map.toml")
+    log = import_log(folder, folder / "map.toml")
     assert log.t[0] == pytest.approx(0.1)
     assert log.t[-1] == pytest.approx(0.9)
     inside_gap = (log.t > 0.5 + 1e-9) & (log.t < 0.58 - 1e-9)
@@ -155,7 +157,7 @@ def test_rows_outside_are_cut_and_gaps_are_marked(folder):
 
 
 def test_the_main_file_works_like_its_folder_and_the_log_is_readable(folder):
-    log = import_csv(folder / "robot.csv", folder / "map.toml")
+    log = import_log(folder / "robot.csv", folder / "map.toml")
     log.write(folder / "log.parquet")
     pd.testing.assert_frame_equal(Log.read(folder / "log.parquet").frame, log.frame)
 
@@ -253,9 +255,9 @@ def test_faults_are_one_line_with_file_and_place(folder, file, old, new, said):
 
 def test_no_file_no_map_no_overlap(folder):
     with pytest.raises(SurefootError, match="no such file"):
-        import_csv(folder / "nowhere.csv", folder / "map.toml")
+        import_log(folder / "nowhere.csv", folder / "map.toml")
     with pytest.raises(SurefootError, match=r"no such import map \(bundled: .*go1_square"):
-        import_csv(folder, "go7_square")
+        import_log(folder, "go7_square")
     mocap = pd.read_csv(folder / "mocap.csv")
     mocap.assign(time=mocap["time"] + 50.0).to_csv(folder / "mocap.csv", index=False)
     assert "do not overlap" in fault(folder)
@@ -264,7 +266,7 @@ def test_no_file_no_map_no_overlap(folder):
 def test_a_recording_without_stamps_takes_the_rate_of_its_map(tmp_path):
     (tmp_path / "a.csv").write_text("knee\n1\n2\n3\n")
     (tmp_path / "a.toml").write_text('[source]\nrate = 200\n[columns]\nq_knee = "knee"\n')
-    log = import_csv(tmp_path / "a.csv", tmp_path / "a.toml")
+    log = import_log(tmp_path / "a.csv", tmp_path / "a.toml")
     np.testing.assert_allclose(log.t, [0.0, 0.005, 0.01])
     assert log.rate == 200.0
 
@@ -339,7 +341,7 @@ def toml(value) -> str:
 
 @needs_measured
 def test_the_go1_recording_comes_in_whole():
-    log = import_csv(MEASURED / "go1_square", "go1_square")
+    log = import_log(MEASURED / "go1_square", "go1_square")
     assert log.rate == 400.0
     assert log.joints == JOINTS
     assert log.meta.robot == "go1"
@@ -365,14 +367,14 @@ def test_the_go1_recording_comes_in_whole():
 @needs_measured
 def test_the_go1_folder_and_its_main_file_are_the_same():
     folder = MEASURED / "go1_square"
-    by_folder = import_csv(folder, bundled("surefoot.sim.importing", "maps") / "go1_square.toml")
-    by_file = import_csv(folder / "imu_joints.csv", "go1_square")
+    by_folder = import_log(folder, bundled("surefoot.sim.importing", "maps") / "go1_square.toml")
+    by_file = import_log(folder / "imu_joints.csv", "go1_square")
     pd.testing.assert_frame_equal(by_folder.frame, by_file.frame)
 
 
 @needs_measured
 def test_a_recording_without_imu_feet_or_stamps_is_a_log_too():
-    log = import_csv(MEASURED / "go2_in_air", "go2_in_air")
+    log = import_log(MEASURED / "go2_in_air", "go2_in_air")
     assert log.joints == JOINTS
     assert log.rate == 200.0
     assert not log.has("imu")
@@ -384,7 +386,7 @@ def test_a_recording_without_imu_feet_or_stamps_is_a_log_too():
 @needs_measured
 def test_a_pendulum_log_has_one_joint():
     file = MEASURED / "ak80_pendulum" / "pd_measured.csv"
-    log = import_csv(file, "ak80_pendulum")
+    log = import_log(file, "ak80_pendulum")
     assert log.joints == ("shoulder",)
     assert log.has("tau")
     assert log.rate == pytest.approx(300.0, rel=1e-3)
@@ -392,7 +394,7 @@ def test_a_pendulum_log_has_one_joint():
 
 def test_a_tracked_body_elsewhere_on_another_clock_is_moved_to_the_imu(folder):
     """A map says what `surefoot align` found: the offset by recording, the place, the rotation."""
-    at_imu = import_csv(folder, folder / "map.toml")
+    at_imu = import_log(folder, folder / "map.toml")
     q_IM, p_IM = np.array([0.8, 0.0, 0.6, 0.0]), np.array([0.1, -0.2, 0.3])
     R_IM = Rotation.from_quat(q_IM, scalar_first=True)
     mocap = pd.read_csv(folder / "mocap.csv")
@@ -407,7 +409,7 @@ def test_a_tracked_body_elsewhere_on_another_clock_is_moved_to_the_imu(folder):
     edited(folder, "map.toml", 'frame = "base"', moved)
     edited(folder, "map.toml", "mocap.csv", "{name}_mocap.csv")
     (folder / "mocap.csv").rename(folder / "robot_mocap.csv")
-    log = import_csv(folder, folder / "map.toml")
+    log = import_log(folder, folder / "map.toml")
     # Rounding may put the first or last row outside.
     assert len(log.t) > len(at_imu.t) - 3
     both = np.isin(at_imu.t, log.t)
@@ -415,13 +417,13 @@ def test_a_tracked_body_elsewhere_on_another_clock_is_moved_to_the_imu(folder):
     np.testing.assert_allclose(log.ref_R_GI, at_imu.ref_R_GI[both], atol=1e-9)
     edited(folder, "map.toml", "robot = 2.5", "walk = 2.5")
     with pytest.raises(SurefootError, match=r"offset.* has none for 'robot' \(known: walk\)"):
-        import_csv(folder, folder / "map.toml")
+        import_log(folder, folder / "map.toml")
 
 
 def test_a_column_takes_an_offset(folder):
-    before = import_csv(folder, folder / "map.toml")
+    before = import_log(folder, folder / "map.toml")
     edited(folder, "map.toml", 'accel_z = "az"', 'accel_z = { column = "az", offset = 19.62 }')
-    after = import_csv(folder, folder / "map.toml")
+    after = import_log(folder, folder / "map.toml")
     np.testing.assert_allclose(after.accel[:, 2], before.accel[:, 2] + 19.62)
 
 

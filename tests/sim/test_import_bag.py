@@ -11,7 +11,7 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.importing.bag import import_bag
+from surefoot.sim.importing.recording import import_log
 from surefoot.sim.log import Log
 
 MAP = """
@@ -111,7 +111,7 @@ def map_file(tmp_path):
 
 @pytest.mark.parametrize("kind", ["ros1", "sqlite3", "mcap"])
 def test_every_kind_of_bag_gives_the_readings_that_went_in(tmp_path, map_file, kind):
-    log = import_bag(write_bag(tmp_path / "run", kind), map_file)
+    log = import_log(write_bag(tmp_path / "run", kind), map_file)
     log.write(tmp_path / "log.parquet")
     log = Log.read(tmp_path / "log.parquet")
     # From the second IMU sample, the first after a joint reading, to the last pose.
@@ -137,7 +137,8 @@ def test_every_kind_of_bag_gives_the_readings_that_went_in(tmp_path, map_file, k
         ("/joints:position[knee]", "/joints:position", "is not a number"),
         ("/joints:position[knee]", "position", "topic:field.path"),
         ("/joints:position[knee]", "/joints:a b", "cannot read the path"),
-        ("[reference]\n", '[reference]\nfile = "x.csv"\n', "does not go with a bag"),
+        ("[reference]\n", '[reference]\nfile = "x.csv"\n', "x.csv: no such file"),
+        ("[columns]\n", "[source]\nrate = 100\n[columns]\n", "must be given, and not both"),
         ("ref_q_z = ", 'ref_q_z = "/imu:orientation.z" #', "are of /imu and /mocap"),
         ("/mocap:received", "/mocap:header.stamp", "duplicate stamp"),
     ],
@@ -147,17 +148,17 @@ def test_a_fault_is_one_line_that_names_it(tmp_path, old, new, said):
     map_file.write_text(MAP.replace(old, new))
     bag = write_bag(tmp_path / "run", "sqlite3")
     with pytest.raises(SurefootError) as caught:
-        import_bag(bag, map_file)
+        import_log(bag, map_file)
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
 def test_what_is_no_bag_is_said_in_one_line(tmp_path, map_file):
     with pytest.raises(SurefootError, match="no such file"):
-        import_bag(tmp_path / "nothing.bag", map_file)
+        import_log(tmp_path / "nothing.bag", map_file)
     for name in ("noise.bag", "noise.mcap", "noise.db3"):
         (tmp_path / name).write_bytes(b"noise" * 100)
         with pytest.raises(SurefootError) as caught:
-            import_bag(tmp_path / name, map_file)
+            import_log(tmp_path / name, map_file)
         assert name in str(caught.value)
         assert "\n" not in str(caught.value)

@@ -28,7 +28,7 @@ from surefoot.scenarios.trace.run import trace
 from surefoot.scenarios.trace.words import summary
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import measured_folder, refuse_overwrite
-from surefoot.sim.importing.csv_file import import_csv
+from surefoot.sim.importing.recording import import_log
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.catalog import known_robots
 from surefoot.sim.robot.fixed_base import load_machine, machine_for_log
@@ -70,7 +70,7 @@ class Chapter:
 def ak80_pendulum(folder: Path, options: HardwareStudy) -> Chapter:
     """One drive: each run held out once."""
     logs = {
-        run: replace(import_csv(folder / f"{run}_measured.csv", "ak80_pendulum"), name=run)
+        run: replace(import_log(folder / f"{run}_measured.csv", "ak80_pendulum"), name=run)
         for run in RUNS
     }
     done = pendulum.held_out_runs(logs, load_machine("ak80_pendulum"))
@@ -94,7 +94,7 @@ def ak80_pendulum(folder: Path, options: HardwareStudy) -> Chapter:
 
 def go2_in_air(folder: Path, options: HardwareStudy) -> Chapter:
     """Twelve drives: how long a row is, and what they lack."""
-    log, machine = import_csv(folder, "go2_in_air"), _known("go2")
+    log, machine = import_log(folder, "go2_in_air"), _known("go2")
     times = go2.clock(log)
     found = {period: go2.drives(log, machine, period) for period in go2.ROW_PERIODS}
     tables = {
@@ -120,7 +120,7 @@ def go2_in_air(folder: Path, options: HardwareStudy) -> Chapter:
 
 def go1_square(folder: Path, options: HardwareStudy) -> Chapter:
     """Legs against motion capture: alignment, trace, and the leg filter."""
-    log = import_csv(folder, "go1_square")
+    log = import_log(folder, "go1_square")
     robot = machine_for_log(log, _known("go1").name)
     assert isinstance(robot, Robot)
     late = lags(log, robot)

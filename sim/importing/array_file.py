@@ -1,0 +1,144 @@
+"""Tables in files of arrays: NumPy, MATLAB and HDF5. Nothing in a file is run, and one that
+says that it is larger than a log is not read."""
+
+import struct
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import h5py
+import numpy as np
+import scipy.io
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.importing.table import RecordedTable
+
+LARGEST = 1 << 31
+"""Bytes of a file's arrays together: some hours of a log of 100 columns at 500 Hz."""
+_MAT_HEADER, _MAT_COMPRESSED = 128, 15
+"""Bytes of the header of MATLAB's version 5, and the type of a compressed element (MAT-File Format,
+MathWorks)."""
+_CHUNK = 1 << 20
+
+
+def read_npz(path: Path) -> RecordedTable:
+    """Arrays of a .npz, or the one of a .npy, called `array`. Raises SurefootError."""
+    with _one_line(path):
+        if path.suffix == ".npy":
+            found = np.load(path, mmap_mode="r", allow_pickle=False)
+            _bounded(path, found.size * found.dtype.itemsize)
+            return RecordedTable(path, _arrays({"array": np.array(found)}))
+        with np.load(path, allow_pickle=False) as file:
+            members = file.zip.infolist()
+            _bounded(path, sum(one.file_size for one in members))
+            return RecordedTable(path, _arrays({name: file[name] for name in file.files}))
+
+
+def read_mat(path: Path) -> RecordedTable:
+    """Arrays of a MATLAB file of any version; a field of a struct is `struct.field`."""
+    if h5py.is_hdf5(path):
+        return read_hdf5(path)
+    with _one_line(path):
+        _bounded(path, _inflated(path))
+        found = scipy.io.loadmat(path, squeeze_me=True)
+        return RecordedTable(
+            path, _arrays({n: v for n, v in found.items() if not n.startswith("__")})
+        )
+
+
+def read_hdf5(path: Path) -> RecordedTable:
+    """Datasets of an HDF5 file, by their path; MATLAB's are turned to have their rows first.
+
+    Links to other files are not followed.
+    """
+    cells: dict[str, np.ndarray] = {}
+    with _one_line(path), h5py.File(path, "r") as file:
+        found: list[tuple[str, h5py.Dataset]] = []
+
+        def visit(name: str, node: object) -> None:
+            if isinstance(node, h5py.Dataset) and not name.startswith("#") and node.shape:
+                found.append((name, node))
+
+        file.visititems(visit)
+        _bounded(path, sum(node.size * node.dtype.itemsize for _, node in found))
+        for name, node in found:
+            if node.is_virtual or node.external:
+                raise SurefootError(f"{path}: {name} lies in another file, which is not read")
+            if node.dtype.kind in "fiub" or node.dtype.names:
+                values = node[()]
+                cells |= _arrays({name: values.T if "MATLAB_class" in node.attrs else values})
+        cells |= _matlab_strings(file)
+    return RecordedTable(path, cells)
+
+
+def _matlab_strings(file: h5py.File) -> dict[str, np.ndarray]:
+    """The array of strings of a MATLAB 7.3 file that has one. They lie apart, in 64-bit words: a
+    version, the number of dimensions, these, the length of each string, and the letters."""
+    named = [n for n, v in file.items() if v.attrs.get("MATLAB_class") == b"string"]
+    apart = [v for v in file.get("#refs#", {}).values() if v.attrs.get("MATLAB_class") == b"uint64"]
+    if len(named) != 1 or len(apart) != 1:
+        return {}
+    words = apart[0][()].T.ravel()
+    if len(words) < 4 or words[0] != 1 or words[1] != 2:
+        return {}
+    count = int(words[2] * words[3])
+    lengths = words[4 : 4 + count].astype(int)
+    letters = words[4 + count :].tobytes().decode("utf-16-le", errors="replace")
+    ends = np.cumsum(lengths)
+    return {
+        named[0]: np.array([letters[end - n : end] for n, end in zip(lengths, ends, strict=True)])
+    }
+
+
+def _arrays(found: dict[str, object]) -> dict[str, np.ndarray]:
+    """Columns (N,) and (N, K) of what a file holds; fields of structs by their own names."""
+    cells: dict[str, np.ndarray] = {}
+    for name, value in found.items():
+        if not isinstance(value, np.ndarray | np.void):
+            continue
+        if value.dtype.names:
+            inner = value[()] if value.ndim == 0 else value
+            cells |= _arrays({f"{name}.{f}": np.asarray(inner[f]) for f in value.dtype.names})
+        elif value.dtype.kind == "O" and value.ndim == 0:
+            cells |= _arrays({name: value.item()})
+        elif value.dtype.kind in "fiubU" and value.ndim in (1, 2) and value.size:
+            cells[name] = value
+    return cells
+
+
+def _inflated(path: Path) -> int:
+    """Bytes of a MATLAB file of version 5 once it is unpacked, or more than LARGEST."""
+    content = path.read_bytes()
+    order = "<" if content[126:128] == b"IM" else ">"
+    at, total = _MAT_HEADER, len(content)
+    while at + 8 <= len(content) and total <= LARGEST:
+        kind, size = struct.unpack_from(f"{order}II", content, at)
+        if kind == _MAT_COMPRESSED:
+            unpacking, rest = zlib.decompressobj(), content[at + 8 : at + 8 + size]
+            while rest and total <= LARGEST:
+                total += len(unpacking.decompress(rest, _CHUNK))
+                rest = unpacking.unconsumed_tail
+        at += 8 + size
+    return total
+
+
+def _bounded(path: Path, size: float) -> None:
+    if size > LARGEST:
+        raise SurefootError(
+            f"{path}: {size / 1e9:.1f} GB of arrays, more than {LARGEST / 1e9:.1f} GB: cut it"
+        )
+
+
+@contextmanager
+def _one_line(path: Path) -> Iterator[None]:
+    """Whatever the parsers of broken files raise, in one line."""
+    if not path.is_file():
+        raise SurefootError(f"{path}: no such file")
+    try:
+        yield
+    except SurefootError:
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split())[:120]
+        raise SurefootError(f"{path}: not readable ({type(error).__name__}: {reason})") from error

@@ -1,0 +1,157 @@
+"""Readings of several files and topics, each at its own times, on the rows of one log."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.log import LogError
+from surefoot.sim.log.schema import joint_prefix
+
+Stamped = tuple[np.ndarray, np.ndarray]
+"""Times [s], rising, and values, both (N,)."""
+Columns = dict[str, np.ndarray]
+LONG_GAP = 0.1
+"""s without a reading from which interpolation is said: two steps of a stream at 20 Hz."""
+_GAP = 3.0
+"""Times the usual interval that such a gap has at least."""
+_FASTER = 1.5
+"""Times the log's rate from which an IMU is averaged over a row, rather than interpolated."""
+
+
+def is_event(name: str) -> bool:
+    """Whether a column holds its value until the next reading: contacts, and flags."""
+    return name.startswith(("contact_", "ref_ok"))
+
+
+def on_clock(t: np.ndarray, streams: Mapping[str, Stamped], where: str) -> Columns:
+    """Columns at the times t (N,) [s], those before or after any stream cut; with `t`.
+
+    Streams that have these very times are taken as they are. Of others, events hold their last
+    value, readings are interpolated, and gyro and accel that come faster than the rows are averaged
+    over the time since the row before: what the log says that they are.
+
+    Raises SurefootError, beginning with `where`, where they do not overlap in time.
+    """
+    begin, end = t[0], t[-1]
+    for name, (stamps, _) in streams.items():
+        begin = max(begin, stamps[0])
+        if not is_event(name):
+            end = min(end, stamps[-1])
+    inside = (t >= begin) & (t <= end)
+    if not inside.any():
+        raise SurefootError(f"{where}: the topics and files of the map do not overlap in time")
+    table = {"t": t[inside]}
+    for name, (stamps, values) in streams.items():
+        if len(stamps) == len(t) and np.array_equal(stamps, t):
+            table[name] = values[inside]
+        elif is_event(name):
+            table[name] = values[np.searchsorted(stamps, t[inside], "right") - 1]
+        elif name.startswith(("gyro_", "accel_")) and _rate(stamps) > _FASTER * _rate(t):
+            table[name] = means(t[inside], stamps, values)
+        else:
+            table[name] = np.interp(t[inside], stamps, values)
+    return table
+
+
+def means(t: np.ndarray, stamps: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Mean of readings over (t[k-1], t[k]] at each of t (N,), the first over as long as the second.
+
+    A reading is itself the mean over the time since the reading before, as an IMU's is.
+    """
+    total = np.concatenate([[0.0], np.cumsum(values[1:] * np.diff(stamps))])
+    edges = np.concatenate([[2.0 * t[0] - t[1] if len(t) > 1 else stamps[0]], t])
+    edges = np.clip(edges, stamps[0], stamps[-1])
+    span = np.diff(edges)
+    at = np.interp(edges, stamps, total)
+    single = np.interp(t, stamps, values)
+    return np.where(span > 0.0, np.diff(at) / np.where(span > 0.0, span, 1.0), single)
+
+
+def gap_lines(t: np.ndarray, streams: Mapping[str, Stamped]) -> tuple[str, ...]:
+    """Gaps over LONG_GAP of streams with other times than the rows t (N,) [s], in words; those of
+    one file or topic together."""
+    found: dict[tuple[int, float, float], list[str]] = {}
+    for name, (stamps, _) in streams.items():
+        step = np.diff(stamps)
+        if is_event(name) or not len(step) or np.array_equal(stamps, t):
+            continue
+        long = step > max(LONG_GAP, _GAP * float(np.median(step)))
+        if long.any():
+            worst = int(np.argmax(step))
+            found.setdefault((int(long.sum()), step[worst], stamps[worst]), []).append(name)
+    return tuple(
+        f"gaps: {count} over {1e3 * LONG_GAP:.0f} ms in {names[0]}"
+        + (f" and {len(names) - 1} more" if len(names) > 1 else "")
+        + f", the longest {longest:.2f} s at {at:.2f} s: interpolated"
+        for (count, longest, at), names in found.items()
+    )
+
+
+def jitter_line(t: np.ndarray) -> str | None:
+    """How uneven the stamps t (N,) [s] are, in words; None where they are even to a hundredth."""
+    step = np.diff(t)
+    if not len(step):
+        return None
+    usual = float(np.median(step))
+    spread = np.sqrt(np.mean((np.clip(step, 0.0, _GAP * usual) - usual) ** 2))
+    if spread < 0.01 * usual:
+        return None
+    return (
+        f"stamps: {1e3 * usual:.3g} ms apart, uneven by {1e3 * spread:.2g} ms (root mean square),"
+        f" at most {1e3 * step.max():.3g} ms; [even] in the map makes rows even"
+    )
+
+
+def evened(table: Columns, rate: float) -> Columns:
+    """The rows of a table with `t` at an even rate [Hz] over the same time."""
+    t = table["t"]
+    even = np.arange(t[0], t[-1] + 1e-9, 1.0 / rate)
+    streams = {name: (t, values) for name, values in table.items() if name != "t"}
+    found = on_clock(even, streams, "the log")
+    for name in ("gyro_", "accel_"):
+        for axis in "xyz":
+            if name + axis in table:
+                found[name + axis] = means(found["t"], t, table[name + axis])
+    return found
+
+
+def without_holds(table: Columns, kinds: tuple[str, ...]) -> Columns:
+    """The table with the held columns of these kinds on straight lines between their readings."""
+    found, t = dict(table), table["t"]
+    for name, values in table.items():
+        if column_kind(name) not in kinds:
+            continue
+        read = np.concatenate([[True], np.diff(values) != 0.0])
+        found[name] = np.interp(t, t[read], values[read])
+    return found
+
+
+def column_kind(name: str) -> str:
+    """q, dq, gyro, foot, ...: what a column is of, as [even] held names it."""
+    prefix = joint_prefix(name)
+    return prefix[:-1] if prefix else name.split("_")[0]
+
+
+def check_rising(t: np.ndarray, path: object, column: str, unit: str, rows: np.ndarray) -> None:
+    """Raise LogError at the first time that does not come after the one before it.
+
+    Args:
+        t: (N,) [s].
+        path: of the file, for the message.
+        column: its column, for the message.
+        unit: name of a row in the message: "line", "message".
+        rows: (N,) their numbers in the file.
+    """
+    bad = np.flatnonzero(np.diff(t) <= 0.0)
+    if bad.size:
+        row = int(bad[0]) + 1
+        how = "duplicate stamp" if t[row] == t[row - 1] else "jumps back"
+        raise LogError(
+            f"{path}: column {column!r}, {unit} {rows[row]}: {how},"
+            f" {t[row - 1]:.9g} s then {t[row]:.9g} s"
+        )
+
+
+def _rate(t: np.ndarray) -> float:
+    return 1.0 / float(np.median(np.diff(t))) if len(t) > 1 else 1.0

@@ -1,0 +1,128 @@
+"""Where a column of the log comes from, and how its readings become SI."""
+
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.toml import Name, Positive
+from surefoot.sim.log.schema import foot_vector, is_column, joint_prefix
+
+STANDARD_GRAVITY = 9.80665
+DEGREE = pi / 180.0
+_ANGLE = {"rad": 1.0, "mrad": 1e-3, "deg": DEGREE, "turn": 2.0 * pi}
+_RATE = {"rad/s": 1.0, "deg/s": DEGREE, "mdeg/s": 1e-3 * DEGREE, "rpm": 6.0 * DEGREE}
+_LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+UNITS: dict[str, dict[str, float]] = {
+    "t": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "gyro": _RATE,
+    "accel": {"m/s^2": 1.0, "g": STANDARD_GRAVITY},
+    "q": _ANGLE,
+    "dq": _RATE | {"turn/s": 2.0 * pi},
+    "tau": {"N m": 1.0, "mN m": 1e-3, "N cm": 1e-2},
+    "foot": _LENGTH,
+    "force_xyz": {"N": 1.0, "kN": 1e3},
+    "ref_p": _LENGTH,
+    "ref_v": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
+    "ref_euler": _ANGLE,
+}
+"""Factor to SI of each unit, by the kind of column; a column of another kind is kept as given."""
+EULER = ("ref_roll", "ref_pitch", "ref_yaw")
+"""An attitude as angles: R_GM = Rz(yaw) Ry(pitch) Rx(roll)."""
+_KINDS = {"q_des": "q", "dq_des": "dq", "tau_ff": "tau"} | dict.fromkeys(EULER, "ref_euler")
+
+
+@dataclass(frozen=True)
+class MapColumn:
+    """A column of the log: what it is made of, and how.
+
+    theirs: name in the recording; source: of the further file that has it, None of the main one;
+    scale and offset: SI is scale times theirs, plus offset; wrap: their value that a turn has,
+    where they jump back by it; word: text that is one where anything else is zero.
+    """
+
+    theirs: str
+    scale: float = 1.0
+    offset: float = 0.0
+    wrap: float | None = None
+    word: str | None = None
+    source: str | None = None
+
+    def read(self, values: np.ndarray) -> np.ndarray:
+        """The log's values (N,) of theirs."""
+        if self.wrap is not None:
+            values = np.unwrap(values, period=self.wrap)
+        return self.scale * values + self.offset
+
+
+@dataclass(frozen=True)
+class ColumnEntry:
+    """A column in a map: SI = sign * gain * unit * theirs + offset.
+
+    column: their name; "name[3]" is a place in a list or a column of an array, "file:name" is of
+    the further file [sources.file]; unit: theirs, SI where left out; sign: 1 or -1; gain: factor
+    beside the unit, as of a sensor's counts; offset: added last, in SI; wrap: what a turn has in
+    their unit, of angles that jump back by it; word: text that means 1, anything else is 0.
+    """
+
+    column: Name
+    unit: str | None = None
+    sign: float = 1.0
+    gain: float = 1.0
+    offset: float = 0.0
+    wrap: Positive | None = None
+    word: Name | None = None
+
+    def __post_init__(self):
+        check_sign("sign", self.sign)
+        if self.gain == 0.0:
+            raise SurefootError("gain is 0")
+
+
+Entries = dict[str, Name | ColumnEntry]
+
+
+def read_columns(section: str, entries: Entries, sources: tuple[str, ...]) -> dict[str, MapColumn]:
+    """The columns of a section of a map, by name of the log's.
+
+    `sources` are the further files. Raises SurefootError naming section and column.
+    """
+    found = {}
+    for name, entry in entries.items():
+        if not is_column(name) and name not in EULER:
+            raise SurefootError(
+                f"[{section}] {name}: not a column of the log (one of your own is x_<name>)"
+            )
+        found[name] = read_column(f"{section}.{name}", name, entry, sources)
+    return found
+
+
+def read_column(
+    place: str, name: str, entry: Name | ColumnEntry, sources: tuple[str, ...]
+) -> MapColumn:
+    """One column; `place` is that of its entry in the map, for messages."""
+    entry = ColumnEntry(entry) if isinstance(entry, str) else entry
+    units = UNITS.get(kind_of(name), {})
+    if entry.unit is not None and entry.unit not in units:
+        allowed = ", ".join(units) or "none: it is kept as given"
+        raise SurefootError(f"[{place}] unit {entry.unit!r} (allowed: {allowed})")
+    scale = entry.sign * entry.gain * (1.0 if entry.unit is None else units[entry.unit])
+    source, colon, theirs = entry.column.partition(":")
+    if not colon or source not in sources:
+        source, theirs = None, entry.column
+    return MapColumn(theirs, scale, entry.offset, entry.wrap, entry.word, source)
+
+
+def kind_of(name: str) -> str:
+    """The kind of a column of the log, as UNITS has it: gyro, q, ref_p, ..."""
+    prefix = joint_prefix(name)
+    kind = prefix[:-1] if prefix else foot_vector(name) or name
+    kind = _KINDS.get(kind, kind)
+    return kind if kind in UNITS else kind.rsplit("_", 1)[0]
+
+
+def check_sign(key: str, value: float) -> None:
+    """Raise SurefootError unless it is 1 or -1."""
+    if value not in (1.0, -1.0):
+        raise SurefootError(f"{key} is {value:g}, not 1 or -1")

@@ -1,0 +1,95 @@
+"""Which feet stand, of a log that does not say it: by its joints' torques or by its kinematics."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.kernels import kernel
+from surefoot.sim.importing.sections import ContactTable
+from surefoot.sim.log import Log
+from surefoot.sim.log.derived import JOINT_WINDOW, derivative
+from surefoot.sim.robot import Robot
+from surefoot.sim.sensors.contact import contact_from_force
+
+_LEVELLED = 4.0
+"""s over which the accelerometer levels the gyro's attitude: some strides, over which a walking
+body's own acceleration averages out. A gyro's bias of 1 mrad/s tilts it by 4 mrad."""
+
+
+def feet_that_stand(log: Log, rule: ContactTable) -> Log:
+    """The log with contact_<leg> by a rule of torque or kinematics.
+
+    Raises SurefootError where the log lacks what the rule needs.
+    """
+    given = rule.of == "kinematics" and log.has("foot")
+    try:
+        log.require("imu", *(() if given else ("q",)), *(("tau",) if rule.of == "torque" else ()))
+        robot = None if given else Robot.for_log(log)
+    except SurefootError as error:
+        raise SurefootError(f"[contact] of {rule.of}: {error}") from None
+    legs = log.legs if robot is None else robot.limbs.legs
+    up = up_in_imu(log.t, log.gyro, log.accel)
+    if rule.of == "kinematics":
+        feet_I = log.foot_I if robot is None else robot.feet_I(log.q)
+        load = -speeds_beside_lowest(log.t, feet_I, log.gyro, up)
+    else:
+        assert robot is not None
+        load = upward_forces(log, robot, up)
+    stands = {}
+    for leg, (offset, on, off) in rule.by_leg(legs).items():
+        own = load[:, legs.index(leg)] - offset
+        stands[f"contact_{leg}"] = contact_from_force(log.t, own, on, off, rule.debounce)
+    frame = log.frame.assign(**{name: one.astype(float) for name, one in stands.items()})
+    meta = replace(log.meta, derived=(*log.meta.derived, f"contact from {rule.of}"))
+    return replace(log, frame=frame, meta=meta)
+
+
+def speeds_beside_lowest(
+    t: np.ndarray, feet_I: np.ndarray, gyro: np.ndarray, up: np.ndarray
+) -> np.ndarray:
+    """How fast (N, L) [m/s] each foot moves beside the lowest one: feet that stand do not.
+
+    Args:
+        t: (N,) [s].
+        feet_I: (N, L, 3) [m].
+        gyro: (N, 3) [rad/s].
+        up: (N, 3) upward direction in I.
+    """
+    rows = np.arange(len(t))
+    v_I = derivative(t, feet_I.reshape(len(t), -1), JOINT_WINDOW, causal=False)
+    v_I = v_I.reshape(feet_I.shape) + np.cross(gyro[:, None], feet_I)
+    lowest = np.einsum("nli,ni->nl", feet_I, up).argmin(axis=1)
+    return np.linalg.norm(v_I - v_I[rows, lowest][:, None], axis=2)
+
+
+def upward_forces(log: Log, robot: Robot, up: np.ndarray) -> np.ndarray:
+    """Force (N, L) [N] of the ground on each foot along up (N, 3) in I that the torques of its own
+    joints hold up, the leg's mass left out: J^T f = -tau, by least squares."""
+    J = robot.feet_jacobian_I(log.q)
+    tau = log.tau[:, robot.legs.joints] * (np.abs(J).sum(axis=2) > 0.0)
+    force = -np.einsum("nlij,nlj->nli", np.linalg.pinv(np.swapaxes(J, 2, 3)), tau)
+    return np.einsum("nli,ni->nl", force, up)
+
+
+@kernel
+def _levelled(t, gyro, accel, settled):
+    up = np.empty_like(accel)
+    u = accel[:settled].sum(axis=0)
+    u /= np.sqrt(np.sum(u**2))
+    for k in range(len(t)):
+        dt = t[k] - t[k - 1] if k else 0.0
+        u = u - np.cross(gyro[k], u) * dt
+        size = np.sqrt(np.sum(accel[k] ** 2))
+        if size > 0.0:
+            u = u + dt / _LEVELLED * (accel[k] / size - u)
+        u = u / np.sqrt(np.sum(u**2))
+        up[k] = u
+    return up
+
+
+def up_in_imu(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray) -> np.ndarray:
+    """The upward direction (N, 3) in I, of unit length: turned by gyro (N, 3) [rad/s] and drawn to
+    the accelerometer's (N, 3) [m/s^2] with a time constant of _LEVELLED, at t (N,) [s]."""
+    settled = max(int(np.searchsorted(t, t[0] + _LEVELLED)), 1)
+    return _levelled(t, gyro, accel, settled)

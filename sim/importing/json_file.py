@@ -1,0 +1,64 @@
+"""A table in JSON: a list of records, records a line, or lists by name."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.importing.table import RecordedTable
+
+_DEEPEST = 20
+
+
+def read_json(path: Path) -> RecordedTable:
+    """The table of a .json, .jsonl or .ndjson file; a record's fields are `a.b`, a place in a list
+    `a[0]`; a record without a field has an empty cell. Raises SurefootError."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+        if path.suffix == ".json":
+            found = json.loads(text)
+        else:
+            found = [json.loads(line) for line in text.splitlines() if line.strip()]
+    except FileNotFoundError:
+        raise SurefootError(f"{path}: no such file") from None
+    except (OSError, ValueError, RecursionError) as error:
+        raise SurefootError(f"{path}: not JSON ({' '.join(str(error).split())[:80]})") from error
+    cells: dict[str, np.ndarray] = {}
+    _collect(found, "", cells, _DEEPEST)
+    if not cells:
+        raise SurefootError(f"{path}: no records and no lists in it")
+    return RecordedTable(path, cells)
+
+
+def _collect(node: object, name: str, cells: dict[str, np.ndarray], deeper: int) -> None:
+    if isinstance(node, dict) and deeper:
+        for key, value in node.items():
+            _collect(value, f"{name}.{key}" if name else key, cells, deeper - 1)
+    elif isinstance(node, list) and node:
+        if all(isinstance(one, dict) for one in node):
+            records = [_flat(one, name, deeper) for one in node]
+            for key in dict.fromkeys(key for one in records for key in one):
+                cells[key] = _array([one.get(key) for one in records])
+        else:
+            cells[name or "array"] = _array(node)
+
+
+def _flat(record: dict, name: str, deeper: int) -> dict[str, object]:
+    found: dict[str, object] = {}
+    for key, value in record.items():
+        path = f"{name}.{key}" if name else key
+        found |= (
+            _flat(value, path, deeper - 1) if isinstance(value, dict) and deeper else {path: value}
+        )
+    return found
+
+
+def _array(values: list) -> np.ndarray:
+    """(N,) or (N, K) of numbers where they are; else (N,) of anything."""
+    if all(isinstance(one, int | float) for one in values):
+        return np.array(values, dtype=float)
+    found = np.empty(len(values), dtype=object)
+    for k, one in enumerate(values):  # at once NumPy would make lists a matrix
+        found[k] = one
+    return found

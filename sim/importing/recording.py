@@ -1,0 +1,246 @@
+"""A recording of any files becomes a Log, by an import map (`sim.importing.map`)."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.importing.array_file import read_hdf5, read_mat, read_npz
+from surefoot.sim.importing.assemble import RawRecording, unit_quaternions
+from surefoot.sim.importing.bag import read_bag, topic_of
+from surefoot.sim.importing.clock import Columns, Stamped, check_rising, gap_lines, on_clock
+from surefoot.sim.importing.columns import EULER, MapColumn
+from surefoot.sim.importing.json_file import read_json
+from surefoot.sim.importing.map import ImportMap
+from surefoot.sim.importing.reference import poses_of, quaternions_of
+from surefoot.sim.importing.sections import Source
+from surefoot.sim.importing.table import RecordedTable, column_readings
+from surefoot.sim.importing.text_file import read_text
+from surefoot.sim.log import Log
+
+Files = str | Path | Sequence[str | Path]
+STEM = "{name}"
+"""In the name of a further file: the name of the main one, without its ending."""
+BAGS = (".bag", ".mcap", ".db3")
+_READERS = {
+    ".json": read_json,
+    ".jsonl": read_json,
+    ".ndjson": read_json,
+    ".npz": read_npz,
+    ".npy": read_npz,
+    ".mat": read_mat,
+    ".h5": read_hdf5,
+    ".hdf5": read_hdf5,
+}
+"""By the ending of a file; any other is a text."""
+
+
+def import_log(files: Files, map_path: str | Path) -> Log:
+    """The log of a recording: its main file or the folder that holds it, and further files that the
+    map does not name, in the map's order. `map_path` is a map's file or the name of a bundled map.
+
+    Rows outside the reference are cut. Raises SurefootError (LogError) in one line with file,
+    column and row.
+    """
+    return read_recording(files, map_path).log()
+
+
+def read_recording(files: Files, map_path: str | Path) -> RawRecording:
+    """What `import_log` makes a log of, with all rows and poses. Raises as it does."""
+    rules = ImportMap.read(map_path)
+    paths = [Path(files)] if isinstance(files, str | Path) else [Path(one) for one in files]
+    main = _main_file(paths[0], rules)
+    further = iter(paths[1:])
+    streams, clock, notes = _streams(main, rules.source, rules, None)
+    for name, source in rules.sources.items():
+        path = _beside(main, source, further, f"{rules.path}: [sources.{name}]")
+        found, _, _ = _streams(path, source, rules, name)
+        streams |= found
+    poses = None
+    if rules.reference is not None:
+        has_own = rules.reference.file is not None
+        path = _beside(main, rules.reference, further, "") if has_own else next(further, main)
+        poses = poses_of(_reference(path, rules))
+    if (extra := next(further, None)) is not None:
+        raise SurefootError(f"{extra}: {rules.path} has no use for this file")
+    shared = on_clock(clock, streams, str(main))
+    rules = replace(rules, robot=_robot_file(rules, main))
+    kept = {name: shared[name] for name in ("t", *rules.columns) if name in shared}
+    return RawRecording(kept, poses, rules, main, (*notes, *gap_lines(clock, streams)))
+
+
+def _robot_file(rules: ImportMap, main: Path) -> str | None:
+    """The robot's name; of a file beside the map or the recording, its whole path."""
+    for folder in (rules.path.parent, main.parent):
+        if rules.robot and Path(rules.robot).suffix and (folder / rules.robot).is_file():
+            return str((folder / rules.robot).resolve())
+    return rules.robot
+
+
+def read_table(path: Path, source: Source) -> RecordedTable:
+    """The table of a file of any kind but a bag's. Raises SurefootError."""
+    reader = _READERS.get(path.suffix.lower())
+    if path.suffix.lower() == ".parquet":
+        return _parquet(path)
+    return reader(path) if reader else read_text(path, source)
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is that of a ROS 1, ROS 2 or MCAP bag, by its name."""
+    return path.suffix.lower() in BAGS or (path / "metadata.yaml").is_file()
+
+
+def _main_file(path: Path, rules: ImportMap) -> Path:
+    if is_bag(path) or not path.is_dir():
+        return path
+    if rules.source.file is None:
+        raise SurefootError(f"{path}: is a folder, and {rules.path} has no [source] file")
+    return path / rules.source.file
+
+
+def _beside(main: Path, source: Source, further: Iterator[Path], who: str) -> Path:
+    if source.file is not None:
+        return main.parent / source.file.replace(STEM, main.stem)
+    path = next(further, None)
+    if path is None:
+        raise SurefootError(f"{who} has no file, and none is given")
+    return path
+
+
+def _streams(
+    path: Path, source: Source, rules: ImportMap, name: str | None
+) -> tuple[dict[str, Stamped], np.ndarray, tuple[str, ...]]:
+    """Readings of the columns of a file, by the log's names, in SI; the times of its rows; what to
+    say."""
+    columns = {n: c for n, c in rules.columns.items() if c.source == name and n != "t"}
+    clock = rules.columns.get("t") if name is None else rules.clocks.get(name)
+    if is_bag(path):
+        return _of_bag(path, source, columns, clock if name is None else None, rules)
+    table = read_table(path, source)
+    if clock is None and source.rate is None:
+        raise SurefootError(f"{rules.path}: [sources.{name}] t or rate is missing")
+    found: dict[str, Stamped] = {}
+    times = _times(table, clock, source)
+    apart = source.sparse or source.long is not None
+    if not apart and clock is not None:
+        check_rising(times, path, clock.theirs, table.row, table.first + np.arange(len(times)))
+    for log_name, column in columns.items():
+        rows, values = column_readings(table, column.theirs, source, column.word)
+        if len(rows) and rows[-1] >= len(times):
+            raise SurefootError(
+                f"{path}: column {column.theirs!r} has {rows[-1] + 1} rows, the times {len(times)}"
+            )
+        if apart:
+            check_rising(times[rows], path, column.theirs, table.row, rows + table.first)
+        elif len(rows) != len(times):
+            raise SurefootError(
+                f"{path}: column {column.theirs!r} has {len(rows)} rows, the times {len(times)}"
+            )
+        found[log_name] = times[rows], column.read(values)
+    if not apart or not found:
+        return found, times, ()
+    # The clock of a file whose columns come at times of their own is that of the most frequent.
+    first = max(found, key=lambda n: len(found[n][0]))
+    return found, found[first][0], (f"rows: at the readings of {first}",)
+
+
+def _times(table: RecordedTable, clock: MapColumn | None, source: Source) -> np.ndarray:
+    if clock is None:
+        rows = max(len(one) if one.ndim == 1 else max(one.shape) for one in table.cells.values())
+        return np.arange(rows) / (source.rate or 1.0)
+    plain = Source(names=source.names)
+    return clock.read(column_readings(table, clock.theirs, plain)[1])
+
+
+def _of_bag(
+    path: Path,
+    source: Source,
+    columns: dict[str, MapColumn],
+    clock: MapColumn | None,
+    rules: ImportMap,
+) -> tuple[dict[str, Stamped], np.ndarray, tuple[str, ...]]:
+    """What `_streams` says, of a bag.
+
+    Args:
+        path: of the bag.
+        source: as the map describes it.
+        columns: that are read of it.
+        clock: its column of times, if its rows are the log's.
+        rules: the map, for messages.
+    """
+    if source.rate is not None:
+        raise SurefootError(f"{rules.path}: [source] rate does not go with a bag")
+    wanted = {c.theirs for c in (*columns.values(), *([clock] if clock else []))}
+    seen = read_bag(path, sorted(wanted))
+    found: dict[str, Stamped] = {}
+    t = clock.read(seen[clock.theirs][1]) if clock else np.zeros(0)
+    if clock:
+        check_rising(t, path, clock.theirs, "message", 1 + np.arange(len(t)))
+    for name, column in columns.items():
+        stamps, values = seen[column.theirs]
+        if clock and topic_of(column.theirs) == topic_of(clock.theirs):
+            stamps = t
+        elif name.startswith("ref_q_"):
+            raise SurefootError(f"{path}: {name} is of another topic than t: give a [reference]")
+        else:
+            check_rising(stamps, path, column.theirs, "message", 1 + np.arange(len(stamps)))
+        found[name] = stamps, column.read(values)
+    return found, t, ()
+
+
+def _reference(path: Path, rules: ImportMap) -> Columns:
+    """Columns t, ref_p and ref_q of the reference's own rows."""
+    columns, source = rules.reference_columns, rules.reference
+    assert source is not None
+    if is_bag(path):
+        topics = {topic_of(column.theirs) for column in columns.values()}
+        if len(topics) > 1:
+            raise SurefootError(
+                f"{path}: [reference.columns] are of {' and '.join(sorted(topics))}"
+            )
+        seen = read_bag(path, sorted({column.theirs for column in columns.values()}))
+        table = {name: column.read(seen[column.theirs][1]) for name, column in columns.items()}
+        check_rising(
+            table["t"], path, columns["t"].theirs, "message", 1 + np.arange(len(table["t"]))
+        )
+        first, row = 1, "message"
+    else:
+        read = read_table(path, source)
+        table, rows = {}, np.zeros(0, int)
+        for name, column in columns.items():
+            if name != "t":
+                rows, values = column_readings(read, column.theirs, source, column.word)
+                table[name] = column.read(values)
+        times = _times(read, columns.get("t"), source)
+        lengths = {name: len(values) for name, values in table.items()}
+        if len(set(lengths.values())) > 1:
+            raise SurefootError(
+                f"{path}: [reference.columns] have {sorted(set(lengths.values()))} rows"
+            )
+        if len(rows) > len(times) or (len(rows) and rows[-1] >= len(times)):
+            raise SurefootError(
+                f"{path}: the reference has {rows[-1] + 1} rows, its times {len(times)}"
+            )
+        table["t"] = times[rows]
+        first, row = read.first, read.row
+        if "t" in columns:
+            check_rising(table["t"], path, columns["t"].theirs, row, first + rows)
+    if EULER[0] in table:
+        angles = np.column_stack([table.pop(name) for name in EULER])
+        table |= quaternions_of(angles)
+    else:
+        unit_quaternions(path, table, row, first)
+    return table
+
+
+def _parquet(path: Path) -> RecordedTable:
+    try:
+        frame = pd.read_parquet(path)
+    except (OSError, ValueError) as error:
+        raise SurefootError(
+            f"{path}: not a Parquet file ({' '.join(str(error).split())[:80]})"
+        ) from error
+    return RecordedTable(path, {str(name): frame[name].to_numpy() for name in frame})

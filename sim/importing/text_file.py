@@ -1,0 +1,104 @@
+"""A table as text: CSV and its relatives."""
+
+import csv
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.importing.sections import Source
+from surefoot.sim.importing.table import RecordedTable, column_readings
+
+_SPACES = r"\s+"
+
+
+def read_csv(path: str | Path, columns: Sequence[str]) -> dict[str, np.ndarray]:
+    """The named columns of a CSV file with a header, each (N,) float64 and finite.
+
+    Lines are counted from 1, the header included. Raises SurefootError for a file that is not
+    there or not text, a missing or doubled column, a line of the wrong length, and a cell that is
+    empty, not a number, or not finite.
+    """
+    table = read_text(Path(path), Source())
+    return {name: column_readings(table, name, Source())[1] for name in columns}
+
+
+def read_text(path: Path, source: Source) -> RecordedTable:
+    """The table of a text file. Raises SurefootError in one line with file and line."""
+    if not path.is_file():
+        raise SurefootError(f"{path}: no such file")
+    try:
+        header, separator = _first_line(path, source)
+        with warnings.catch_warnings():
+            # Too long a first line is a warning in pandas, and shifts the columns.
+            warnings.simplefilter("error", pd.errors.ParserWarning)
+            frame = pd.read_csv(
+                path,
+                sep=separator,
+                header=0 if source.header else None,
+                skiprows=source.skip,
+                comment=source.comment,
+                decimal=source.decimal,
+                index_col=False,
+                encoding="utf-8-sig",
+                skipinitialspace=True,
+                skip_blank_lines=False,
+                low_memory=False,
+            )
+    except UnicodeDecodeError as error:
+        raise SurefootError(f"{path}: not a text file ({error.reason})") from error
+    except (pd.errors.ParserError, pd.errors.ParserWarning, csv.Error, OSError) as error:
+        raise SurefootError(f"{path}: {_one_line(error)}") from error
+    frame.columns = header
+    empty = frame.isna().all(axis=1).to_numpy()
+    rows = len(empty) - int(np.argmin(empty[::-1])) if not empty.all() else 0
+    if rows == 0:
+        raise SurefootError(f"{path}: no rows under the header")
+    cells = {name: frame[name].to_numpy()[:rows] for name in header if header.count(name) == 1}
+    return RecordedTable(
+        path, _Columns(path, header, cells), "line", source.skip + 1 + source.header
+    )
+
+
+class _Columns(dict):
+    """Columns by name, of which a doubled one is an error only if it is asked for."""
+
+    def __init__(self, path: Path, header: list[str], cells: dict[str, np.ndarray]):
+        super().__init__(cells)
+        self._path, self._header = path, header
+
+    def get(self, name, default=None):
+        if self._header.count(name) > 1:
+            raise SurefootError(f"{self._path}: column {name!r} is there more than once")
+        return super().get(name, default)
+
+
+def _first_line(path: Path, source: Source) -> tuple[list[str], str]:
+    """Names of the columns, and what separates them."""
+    with path.open(newline="", encoding="utf-8-sig") as stream:
+        for _ in range(source.skip):
+            stream.readline()
+        line = stream.readline()
+    separator = source.separator or _separator(line)
+    if separator == _SPACES:
+        names = line.split()
+    else:
+        names = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+    if not any(names):
+        raise SurefootError(f"{path}: line {source.skip + 1}: no header")
+    return (names if source.header else [str(k) for k in range(len(names))]), separator
+
+
+def _separator(line: str) -> str:
+    """The one that there is most of; of none, spaces if it has any."""
+    most = max(",;\t|", key=line.count)
+    if line.count(most):
+        return most
+    return _SPACES if " " in line.strip() else ","
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split()).removeprefix("Error tokenizing data. C error: ")

@@ -1,0 +1,355 @@
+"""One recording in many forms gives one log: files, clocks, layouts and conventions."""
+
+import json
+import pickle
+
+import h5py
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.io
+from scipy.spatial.transform import Rotation
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import measured_folder
+from surefoot.sim.importing import array_file
+from surefoot.sim.importing.recording import import_log, read_recording
+from surefoot.sim.importing.report import import_lines
+from surefoot.sim.log import Log
+
+MEASURED = measured_folder()
+ROWS = 60
+T = 0.01 * np.arange(ROWS)
+READINGS = {
+    "t": T,
+    "gyro_x": np.sin(3.0 * T),
+    "gyro_y": np.cos(2.0 * T),
+    "gyro_z": 0.1 * T,
+    "accel_x": 0.2 * T,
+    "accel_y": -0.1 * T,
+    "accel_z": 9.81 + 0.1 * np.sin(T),
+    "q_knee": 0.5 + T,
+}
+PLAIN = "[columns]\n" + "".join(f'{name} = "{name}"\n' for name in READINGS)
+LISTS = '[columns]\nt = "t"\nq_knee = "q[0]"\n' + "".join(
+    f'{kind}_{axis} = "{kind}[{k}]"\n' for kind in ("gyro", "accel") for k, axis in enumerate("xyz")
+)
+
+
+def vectors(kind: str) -> np.ndarray:
+    return np.column_stack([READINGS[f"{kind}_{axis}"] for axis in "xyz"])
+
+
+def lists() -> dict[str, np.ndarray]:
+    q = READINGS["q_knee"][:, None]
+    return {"t": T, "gyro": vectors("gyro"), "accel": vectors("accel"), "q": q}
+
+
+def text(folder, separator=",", header=True, decimal="."):
+    path = folder / "run.csv"
+    pd.DataFrame(READINGS).to_csv(path, sep=separator, header=header, index=False, decimal=decimal)
+    return path
+
+
+def write_json(folder, values):
+    path = folder / "run.json"
+    path.write_text(json.dumps(values))
+    return path
+
+
+def lines(folder):
+    path = folder / "run.jsonl"
+    table = {name: values.tolist() for name, values in lists().items()}
+    rows = [dict(zip(table, row, strict=True)) for row in zip(*table.values(), strict=True)]
+    path.write_text("\n".join(json.dumps({"robot": row}) for row in rows))
+    return path
+
+
+def npz(folder):
+    np.savez(folder / "run.npz", **lists())
+    return folder / "run.npz"
+
+
+def mat(folder):
+    scipy.io.savemat(folder / "run.mat", {"log": {**lists(), "name": "walk"}, "version": 3})
+    return folder / "run.mat"
+
+
+def hdf5(folder):
+    with h5py.File(folder / "run.h5", "w") as file:
+        for name, values in lists().items():
+            file[f"robot/{name}"] = values
+    return folder / "run.h5"
+
+
+def matlab_7_3(folder):
+    with h5py.File(folder / "run.mat", "w") as file:
+        for name, values in lists().items():
+            file[name] = np.atleast_2d(values.T)
+            file[name].attrs["MATLAB_class"] = np.bytes_("double")
+    return folder / "run.mat"
+
+
+def cells_of_lists(folder):
+    table = {name: values.tolist() for name, values in lists().items()}
+    pd.DataFrame(table).to_csv(folder / "run.csv", index=False)
+    return folder / "run.csv"
+
+
+def long(folder):
+    each = [pd.DataFrame({"t": T, "what": n, "value": v}) for n, v in READINGS.items() if n != "t"]
+    pd.concat(each).sort_values("t", kind="stable").to_csv(folder / "run.csv", index=False)
+    return folder / "run.csv"
+
+
+def parquet(folder):
+    pd.DataFrame(READINGS).to_parquet(folder / "run.parquet")
+    return folder / "run.parquet"
+
+
+NUMBERED = "[columns]\n" + "".join(f'{name} = "{k}"\n' for k, name in enumerate(READINGS))
+SOME = {name: values.tolist() for name, values in lists().items()}
+FORMS = {
+    "csv": (text, PLAIN),
+    "semicolons": (lambda f: text(f, ";", decimal=","), f'[source]\ndecimal = ","\n{PLAIN}'),
+    "spaces": (lambda f: text(f, " "), PLAIN),
+    "tabs": (lambda f: text(f, "\t"), PLAIN),
+    "no header": (lambda f: text(f, header=False), f"[source]\nheader = false\n{NUMBERED}"),
+    "lists": (cells_of_lists, LISTS),
+    "long": (long, f'[source]\nlong = {{ name = "what", value = "value" }}\n{PLAIN}'),
+    "json lists": (lambda f: write_json(f, SOME), LISTS),
+    "json lines": (lines, LISTS.replace('= "', '= "robot.')),
+    "npz": (npz, LISTS),
+    "mat": (mat, LISTS.replace('= "', '= "log.')),
+    "mat 7.3": (matlab_7_3, LISTS),
+    "hdf5": (hdf5, LISTS.replace('= "', '= "robot/')),
+    "parquet": (parquet, PLAIN),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_every_form_gives_the_readings_that_went_in(tmp_path, form):
+    write, rules = FORMS[form]
+    (tmp_path / "map.toml").write_text(rules)
+    log = import_log(write(tmp_path), tmp_path / "map.toml")
+    for name, values in READINGS.items():
+        np.testing.assert_allclose(log.frame[name], values, atol=1e-12)
+    log.write(tmp_path / "log.parquet")
+    pd.testing.assert_frame_equal(Log.read(tmp_path / "log.parquet").frame, log.frame)
+
+
+SEVERAL = """
+[columns]
+t = { column = "ms", unit = "ms" }
+gyro_x = "imu:wx"
+gyro_y = "imu:wx"
+gyro_z = "imu:wx"
+accel_x = "imu:wx"
+accel_y = "imu:wx"
+accel_z = { column = "imu:az", unit = "g" }
+q_knee = { column = "counts", gain = 0.00153398078788564, wrap = 4096.0, offset = -0.5 }
+contact_left = { column = "events:left", word = "down" }
+contact_right = { column = "events:right", word = "down" }
+[sources.imu]
+file = "imu.txt"
+t = { column = "stamp", unit = "us", offset = -100.0 }
+[sources.events]
+file = "events.csv"
+t = "time"
+long = { name = "foot", value = "state" }
+"""
+
+
+def test_files_of_other_rates_and_clocks_come_onto_the_rows_of_the_first(tmp_path):
+    (tmp_path / "map.toml").write_text(SEVERAL)
+    t = 0.01 * np.arange(500)
+    angle = 3.0 * np.sin(2.0 * t)
+    counts = np.round((angle + 0.5) / (2.0 * np.pi) * 4096.0) % 4096
+    pd.DataFrame({"ms": 1e3 * t, "counts": counts}).to_csv(tmp_path / "robot.csv", index=False)
+    fast = np.arange(-0.1, 5.1, 0.0025)
+    rate = np.cos(2.0 * np.pi * 5.0 * fast)
+    imu = pd.DataFrame({"stamp": 1e6 * (fast + 100.0), "wx": rate, "az": 1.0})
+    imu.to_csv(tmp_path / "imu.txt", sep=" ", index=False)
+    (tmp_path / "events.csv").write_text(
+        "time,foot,state\n-1,left,down\n-1,right,up\n1.234,left,up\n1.234,right,down\n3.0,left,down\n"
+    )
+    log = import_log(tmp_path / "robot.csv", tmp_path / "map.toml")
+    assert log.rate == 100.0
+    # Jumps by a turn are undone: the angle passes half a turn on either side.
+    np.testing.assert_allclose(log.q[:, 0], angle, atol=1e-3)
+    np.testing.assert_allclose(log.accel[:, 2], 9.80665)
+    # A faster IMU is averaged over the row, which is its integral from row to row.
+    turned = np.diff(np.sin(2.0 * np.pi * 5.0 * t) / (2.0 * np.pi * 5.0)) / 0.01
+    np.testing.assert_allclose(log.gyro[1:, 0], turned, atol=0.05)
+    assert np.abs(log.gyro[1:, 0] - np.cos(2.0 * np.pi * 5.0 * t[1:])).max() > 0.1
+    np.testing.assert_array_equal(log.contact[:, 0], (log.t < 1.234) | (log.t >= 3.0))
+    np.testing.assert_array_equal(log.contact[:, 1], log.t >= 1.234)
+
+
+def test_further_files_may_be_named_on_the_command_line_and_none_is_left_over(tmp_path):
+    rules = SEVERAL.replace('file = "imu.txt"\n', "").replace('file = "events.csv"\n', "")
+    (tmp_path / "map.toml").write_text(rules)
+    (tmp_path / "a.csv").write_text("ms,counts\n0,1\n10,2\n20,3\n")
+    (tmp_path / "b.csv").write_text("stamp,wx,az\n99e6,0,1\n101e6,0,1\n")
+    (tmp_path / "c.csv").write_text("time,foot,state\n-1,left,up\n-1,right,up\n")
+    files = [tmp_path / f"{name}.csv" for name in "abc"]
+    assert len(import_log(files, tmp_path / "map.toml").t) == 3
+    with pytest.raises(SurefootError, match=r"sources.events\] has no file"):
+        import_log(files[:2], tmp_path / "map.toml")
+    with pytest.raises(SurefootError, match=r"c.csv: .* has no use for this file"):
+        import_log([*files, files[2]], tmp_path / "map.toml")
+
+
+def test_a_reference_may_be_angles_in_a_world_with_y_up_and_from_world_to_body(tmp_path):
+    t = 0.01 * np.arange(100)
+    angles = np.column_stack([0.3 * np.sin(t), 0.2 * np.cos(t), t])
+    R_GM = Rotation.from_euler("ZYX", angles[:, ::-1])
+    p_G = np.column_stack([t, 0.5 * t, 0.3 + 0.0 * t])
+    frame = pd.DataFrame({"t": t, "q_knee": t, "x": p_G[:, 0], "y": p_G[:, 1], "z": p_G[:, 2]})
+    for k, name in enumerate(("roll", "pitch", "yaw")):
+        frame[name] = np.degrees(angles[:, k])
+    turned = Rotation.from_quat([np.sqrt(0.5), np.sqrt(0.5), 0, 0], scalar_first=True)
+    p_W = turned.inv().apply(p_G)
+    frame[["X", "Y", "Z"]] = p_W
+    np.testing.assert_allclose(p_W[:, 1], 0.3)  # y is up
+    q_MW = (turned.inv() * R_GM).inv().as_quat(scalar_first=True)
+    frame[["qw", "qx", "qy", "qz"]] = q_MW
+    frame.to_csv(tmp_path / "run.csv", index=False)
+    columns = '[columns]\nt = "t"\nq_knee = "q_knee"\n[reference]\n{0}[reference.columns]\n'
+    columns += 't = "t"\n'
+    places = "".join(f'ref_p_{a} = "{{{a}}}"\n' for a in "xyz")
+    euler = "".join(
+        f'ref_{n} = {{{{ column = "{n}", unit = "deg" }}}}\n' for n in ("roll", "pitch", "yaw")
+    )
+    quaternion = "".join(f'ref_q_{a} = "q{a}"\n' for a in "wxyz")
+    for text_of_map in (
+        columns.format("") + (places + euler).format(x="x", y="y", z="z"),
+        columns.format("q_GW = [0.7071, 0.7071, 0.0, 0.0]\ninverse = true\n")
+        + places.format(x="X", y="Y", z="Z")
+        + quaternion,
+    ):
+        (tmp_path / "map.toml").write_text(text_of_map)
+        log = import_log(tmp_path / "run.csv", tmp_path / "map.toml")
+        np.testing.assert_allclose(log.ref_p, p_G, atol=1e-12)
+        np.testing.assert_allclose(log.ref_R_GI, R_GM.as_matrix(), atol=1e-12)
+
+
+def test_uneven_stamps_and_held_readings_are_said_and_made_even_on_demand(tmp_path):
+    rng = np.random.default_rng(0)
+    t = np.sort(0.002 * np.arange(1500) + 3e-4 * rng.normal(size=1500))
+    read = np.floor(t / 0.01) * 0.01  # the joint is read at 100 Hz and held
+    pd.DataFrame({"t": t, "knee": np.sin(4.0 * read), "flag": 1.0}).to_csv(
+        tmp_path / "run.csv", index=False
+    )
+    rules = '[columns]\nt = "t"\nq_knee = "knee"\ncontact_left = "flag"\n'
+    (tmp_path / "map.toml").write_text(rules)
+    recording = read_recording(tmp_path / "run.csv", tmp_path / "map.toml")
+    said = "\n".join(import_lines(recording.log(), None, recording.notes))
+    assert "stamps: 2 ms apart, uneven by 0.4" in said
+    assert "held: q_knee" in said
+    (tmp_path / "map.toml").write_text(rules + '[even]\nheld = ["q"]\n')
+    log = import_log(tmp_path / "run.csv", tmp_path / "map.toml")
+    np.testing.assert_allclose(np.diff(log.t), 1.0 / log.rate, atol=1e-9)
+    inner = slice(20, -20)
+    assert np.abs(log.q[:, 0] - np.sin(4.0 * (log.t - 0.001)))[inner].max() < 0.01
+    assert "q (between held readings)" in log.meta.derived
+    assert log.contact.all()
+    (tmp_path / "map.toml").write_text(rules + '[even]\nheld = ["tau"]\n')
+    with pytest.raises(SurefootError, match="no column of kind 'tau'"):
+        import_log(tmp_path / "run.csv", tmp_path / "map.toml")
+
+
+def test_without_a_radius_in_the_map_the_robots_own_counts_and_is_said(tmp_path):
+    from surefoot.sim.robot import Robot
+
+    robot = Robot.load("spot_class")
+    frame = pd.DataFrame({f"q_{joint}": np.zeros(5) for joint in robot.limbs.joints})
+    frame.insert(0, "t", 0.01 * np.arange(5))
+    frame.to_csv(tmp_path / "run.csv", index=False)
+    rules = (
+        "[columns]\n" + "".join(f'{n} = "{n}"\n' for n in frame) + '[robot]\nname = "spot_class"\n'
+    )
+    for given, radius in (("", robot.foot_radius), ("foot_radius = 0.0\n", 0.0)):
+        (tmp_path / "map.toml").write_text(rules + given)
+        log = import_log(tmp_path / "run.csv", tmp_path / "map.toml")
+        np.testing.assert_allclose(Robot.for_log(log).foot_radius, radius)
+        said = "\n".join(import_lines(log))
+        assert ("of the robot's file; the map has no [robot] foot_radius" in said) == (not given)
+
+
+@pytest.mark.parametrize("of", ["torque", "kinematics"])
+def test_contacts_follow_from_torques_and_from_kinematics(tmp_path, of):
+    from surefoot.sim.ground.terrain import Ground
+    from surefoot.sim.robot import Robot
+    from surefoot.sim.scenario import Scenario, Segment
+    from surefoot.sim.walk import walk
+
+    log = walk(Scenario("short", (Segment(4.0, 0.4),), Ground(0.8)), Robot.load("spot_class"), 0)
+    starts = ("t", "gyro", "accel", "q_", "tau_")
+    kept = [c for c in log.frame if c.startswith(starts) and "_des" not in c and "_ff" not in c]
+    log.frame[kept].to_csv(tmp_path / "run.csv", index=False)
+    rules = "[columns]\n" + "".join(f'{name} = "{name}"\n' for name in kept)
+    sizes = {"torque": "on = 85\noff = 85", "kinematics": "on = 0.3\noff = 0.3"}[of]
+    rules += f'[robot]\nname = "spot_class"\n[contact]\nof = "{of}"\n{sizes}\n'
+    (tmp_path / "map.toml").write_text(rules)
+    found = import_log(tmp_path / "run.csv", tmp_path / "map.toml")
+    assert f"contact from {of}" in found.meta.derived
+    assert found.legs == log.legs
+    # Rules of thumb: an early swing is slow, and a leg that swings has torque of its own.
+    assert np.mean(found.contact == log.contact) > {"torque": 0.85, "kinematics": 0.9}[of]
+
+
+HOSTILE = 'q_knee = "q"\n'
+
+
+def test_nothing_in_a_file_is_run_and_nothing_larger_than_a_log_is_read(tmp_path, monkeypatch):
+    (tmp_path / "map.toml").write_text('[columns]\nt = "t"\n' + HOSTILE)
+
+    def refused(path) -> str:
+        with pytest.raises(SurefootError) as caught:
+            import_log(path, tmp_path / "map.toml")
+        assert "\n" not in str(caught.value)
+        assert path.name in str(caught.value)
+        return str(caught.value)
+
+    pickled = np.array([{"a": 1}], dtype=object)
+    np.savez(tmp_path / "pickled.npz", t=T, q=pickled)
+    assert "allow_pickle" in refused(tmp_path / "pickled.npz")
+    (tmp_path / "plain.npz").write_bytes(pickle.dumps({"t": 1}))
+    refused(tmp_path / "plain.npz")
+    for name in ("a.json", "a.jsonl", "a.npz", "a.npy", "a.mat", "a.h5", "a.parquet", "a.csv"):
+        (tmp_path / name).write_bytes(b"\x00noise" * 50)
+        refused(tmp_path / name)
+    (tmp_path / "deep.json").write_text("[" * 100_000)
+    refused(tmp_path / "deep.json")
+    monkeypatch.setattr(array_file, "LARGEST", 1000)
+    for write in (npz, mat, hdf5):
+        assert "cut it" in refused(write(tmp_path))
+    monkeypatch.undo()
+    np.save(tmp_path / "other.npy", T)
+    with h5py.File(tmp_path / "linked.h5", "w") as file:
+        file["t"] = T
+        file["q"] = h5py.ExternalLink("run.h5", "/robot/q")
+    assert "column 'q' is missing" in refused(tmp_path / "linked.h5")
+
+
+@pytest.mark.skipif(not MEASURED.is_dir(), reason=f"the measured logs are not here ({MEASURED})")
+@pytest.mark.parametrize(
+    ("recording", "rules", "rows", "joints"),
+    [
+        ("icub_biped/walking.mat", "icub_biped", 1188, 26),
+        ("icub_biped/com_sinusoid.mat", "icub_biped", 2004, 26),
+        ("so101/prbs_excitation", "so101", 6000, 6),
+        ("ricmonk/swings/r06_s3.csv", "ricmonk_swing", None, 3),
+    ],
+)
+def test_measured_recordings_come_in_as_they_are(recording, rules, rows, joints):
+    log = import_log(MEASURED / recording, rules)
+    assert len(log.joints) == joints
+    assert rows in (None, len(log.t))
+    if log.has("imu"):
+        assert np.linalg.norm(log.accel[:50].mean(axis=0)) == pytest.approx(9.8, abs=0.3)
+        assert log.legs == ("left", "right")
+        # A pelvis' IMU in its own axes: they turn with the pelvis that Vicon sees.
+        up = np.einsum("nji,j->ni", log.ref_R_GI, [0.0, 0.0, 1.0])
+        assert up[:50].mean(axis=0) @ log.accel[:50].mean(axis=0) > 9.6
