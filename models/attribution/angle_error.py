@@ -113,11 +113,11 @@ def angle_error_basis(
 ) -> list[dict[str, np.ndarray]]:
     """Changes of a joint's angle [rad] and rate [rad/s], each (N,): curves of its angle, alone and
     times its torque where the log has one."""
-    q = log.frame[f"q_{joint}"].to_numpy()
+    q = log.columns[f"q_{joint}"]
     weights = [(np.ones_like(q), settings.curve_degrees)]
     if f"tau_{joint}" in log.frame:
         rows = max(1, round(settings.torque_window * log.rate))
-        torque = uniform_filter1d(log.frame[f"tau_{joint}"].to_numpy(), rows)
+        torque = uniform_filter1d(log.columns[f"tau_{joint}"], rows)
         weights.append((torque, settings.loaded_degrees))
     changes = []
     for weight, degrees in weights:

@@ -16,6 +16,7 @@ from surefoot.models.residuals.binning import (
     mean_rate_of_change,
     reference_motion,
 )
+from surefoot.models.residuals.channel import ResidualInputs
 from surefoot.models.residuals.jacobians import (
     Regressor,
     ResidualJacobians,
@@ -31,7 +32,6 @@ from surefoot.models.residuals.residual import (
     ResidualTable,
     filled,
     residual,
-    residual_inputs,
     with_ground,
 )
 from surefoot.sim.common.sources import code_digest
@@ -100,6 +100,7 @@ def log_under_model(log: Log, robot: Machine, settings: TraceSettings = DEFAULT)
     stands = log.has("contact") and log.contact.any()
     hung = not log.has("reference") and not stands and log.has("q")
     fixed = not isinstance(robot, Robot) or hung
+    log = log.keeping()
     frame = reference_motion(log, robot.limbs, fixed)
     return LogUnderModel(log, robot, with_ground(frame, log, robot), fixed, settings)
 
@@ -138,14 +139,16 @@ def linearise(
     chosen: Sequence[Effect],
     keys: Sequence[Key],
     before: Evidence | None = None,
+    judged: bool = True,
 ) -> Evidence:
     """Residuals once `chosen` are explained, and their derivatives by the sizes of `keys`.
 
     A key among the chosen is varied about its value, by central differences of the true residual;
     any other about zero, by the chain rule. Derivatives by the latter change by no more than a
     chosen effect's own share of what is read: those of an evidence `before` may serve again.
+    Channels that only judge have no numbers where nothing is `judged`, as in a fit.
     """
-    parts = [_Linear(case, chosen) for case in cases]
+    parts = [_Linear(case, chosen, judged) for case in cases]
     tables = [p.parts.table for p in parts]
     starts = np.cumsum([0] + [len(table) for table in tables])
     if before is not None and len(before.t) == starts[-1]:
@@ -203,27 +206,29 @@ def wrt_columns(
     return [linear.by_columns(columns) for columns in altered(linear.log)]
 
 
-def table_of(case: LogUnderModel, chosen: Sequence[Effect]) -> np.ndarray:
-    """Residual table (M, W) of a case once `chosen` are explained."""
-    return _parts(case, chosen)[2].table
+def table_of(case: LogUnderModel, chosen: Sequence[Effect], judged: bool = True) -> np.ndarray:
+    """Residual table (M, W) of a case once `chosen` are explained; channels that only judge have
+    no numbers in it where nothing is `judged`."""
+    return _parts(case, chosen, judged)[2].table
 
 
 def _parts(
-    case: LogUnderModel, chosen: Sequence[Effect]
+    case: LogUnderModel, chosen: Sequence[Effect], judged: bool = True
 ) -> tuple[Log, Machine, ResidualTable, ReferenceMotion]:
     log, robot = compensate_all(chosen, case.log, case.robot)
     frame = case.frame
     if log is not case.log and _moves_frame(changed_columns(case.log, log)):
         frame = replace(reference_motion(log, robot.limbs, case.fixed), level=case.frame.level)
-    return log, robot, residual(log, robot, frame), frame
+    names = [name for name, channel in channels().items() if judged or not channel.judges]
+    return log, robot, residual(log, robot, frame, names), frame
 
 
 class _Linear:
     """One log's residual with the chosen effects explained, and its derivatives."""
 
-    def __init__(self, case: LogUnderModel, chosen: Sequence[Effect]):
-        self.case, self.chosen = case, list(chosen)
-        self.log, self.robot, self.parts, self.frame = _parts(case, chosen)
+    def __init__(self, case: LogUnderModel, chosen: Sequence[Effect], judged: bool = True):
+        self.case, self.chosen, self.judged = case, list(chosen), judged
+        self.log, self.robot, self.parts, self.frame = _parts(case, chosen, judged)
         self.joints = self.log.joints
         self._known: dict[Key, Regressor] = {}
 
@@ -265,10 +270,10 @@ class _Linear:
 
     def by_columns(self, added: Mapping[str, np.ndarray]) -> Regressor:
         """What these additions (N,) to the readings add to the table."""
-        columns = {name: self.log.frame[name].to_numpy() + x for name, x in added.items()}
+        columns = {name: self.log.columns[name] + x for name, x in added.items()}
         change = self._by_chain_rule(with_columns(self.log, columns), 1.0)
         share = self.case.settings.small_change
-        small = {n: self.log.frame[n].to_numpy() + share * x for n, x in added.items()}
+        small = {n: self.log.columns[n] + share * x for n, x in added.items()}
         others = self._of_others(with_columns(self.log, small), self.robot, share)
         return sparse(change + others, self.parts.table)
 
@@ -283,12 +288,14 @@ class _Linear:
         others = [name for name in layout.channels if not channels()[name].chained]
         if not others:
             return np.zeros(table.shape)
-        moved = filled(layout, residual_inputs(log, robot, self.frame), others)
+        moved = filled(layout, ResidualInputs(log, robot, self.frame), others)
         return np.nan_to_num(moved - table) / step
 
     def _about_its_value(self, key: Key) -> Regressor:
         step = known_effects()[key[0]].step_of(key[1])
-        ahead, behind = (table_of(self.case, _moved(self.chosen, key, s)) for s in (step, -step))
+        ahead, behind = (
+            table_of(self.case, _moved(self.chosen, key, s), self.judged) for s in (step, -step)
+        )
         return sparse((behind - ahead) / (2 * step), self.parts.table)
 
     def _by_difference(self, log: Log, robot: Machine, step: float) -> np.ndarray:
@@ -348,7 +355,7 @@ def _change(
             place = joints.index(what)
         else:
             continue
-        rows = new.frame[name].to_numpy() - old.frame[name].to_numpy()
+        rows = new.columns[name] - old.columns[name]
         means = {stream: mean(rows)}
         if stream == "gyro":
             means["omega"] = mean(at_rows(rows))

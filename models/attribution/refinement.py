@@ -38,7 +38,7 @@ class Data:
         keys = [(e.name, e.target) for e in chosen]
         evidence = self.evidence.only(keys)
         if list(chosen) != list(self.explained):
-            evidence = linearise(self.cases, chosen, keys, evidence)
+            evidence = linearise(self.cases, chosen, keys, evidence, judged=False)
         sigma = self.floor.counted(self.robust_weights.sigma, self.robust_weights.alike)
         return normal_equations(design(evidence), sigma, self.robust_weights.weight, self.part)
 

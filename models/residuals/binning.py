@@ -2,6 +2,7 @@
 long against a sample."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -54,6 +55,18 @@ class ReferenceMotion:
     def up_I(self) -> np.ndarray:
         """The world's vertical (N, 3) in I."""
         return self.R_GI[:, 2]
+
+    @cached_property
+    def means(self) -> dict[str, np.ndarray]:
+        """What `Bins` have of the motion and the stances alone."""
+        mean = bin_mean(self)
+        return {
+            "v_I": mean(self.v_I),
+            "p_GI": mean(self.p_GI),
+            "R_GI": mean(self.R_GI),
+            "standing": mean(self.standing.astype(float)) >= 0.5,
+            "lifted": mean(self.lifted.astype(float)) >= 0.999,
+        }
 
 
 @dataclass(frozen=True)
@@ -134,7 +147,7 @@ def binned(log: Log, robot: Machine, frame: ReferenceMotion) -> Bins:
     none = np.full((n, max(joints, 1)), np.nan)
     q = log.q if log.has("q") else none
     dq = joint_velocity(log) if log.has("q") else none
-    tau = log.tau if log.has("tau") else none
+    mean, angles, rates = bin_mean(frame), log.columns_of("q"), log.columns_of("q", "dq")
     gyro = accel = np.full((n, 3), np.nan)
     omega = frame.gyro
     if log.has("imu") and isinstance(robot, Robot):
@@ -144,33 +157,37 @@ def binned(log: Log, robot: Machine, frame: ReferenceMotion) -> Bins:
         accel = np.where(
             frame.moved[:, None], log.accel - low_pass(frame.accel, slow, log.rate), accel
         )
-    base = np.zeros((n, 9))
-    if isinstance(robot, Robot):
-        # A reference without velocities is too coarse for accelerations of the base.
-        known = log.has("ref_v") or not log.has("imu")
-        base = base_motion(
-            log.t, *((frame.gyro, frame.accel) if known else (omega, log.accel)), robot
-        )
-    omega = at_rows(omega)
-    mean = bin_mean(frame)
+    # A reference without velocities is too coarse for accelerations of the base.
+    known = log.has("ref_v") or not log.has("imu")
+
+    def base() -> np.ndarray:
+        if not isinstance(robot, Robot):
+            return np.zeros((len(frame.t), 9))
+        motion = (frame.gyro, frame.accel) if known else (omega, log.accel)
+        return mean(base_motion(log.t, *motion, robot))
+
+    def tau() -> np.ndarray:
+        return mean(log.tau if log.has("tau") else none)
+
+    def lag() -> np.ndarray:
+        return mean(q - cumulative_trapezoid(dq, log.t, axis=0, initial=0.0))
+
+    of_base = ("t",) if known else log.columns_of("imu")
+    mounted = (robot.R_BI, robot.p_BI) if isinstance(robot, Robot) else ()
     return Bins(
         t=frame.t,
-        q=mean(q),
-        dq=mean(dq),
-        tau=mean(tau),
+        q=log.once("binned q", angles, lambda: mean(q)),
+        dq=log.once("binned dq", rates, lambda: mean(dq)),
+        tau=log.once("binned tau", log.columns_of("tau"), tau),
         gyro=_where_most(gyro, frame),
         accel=_where_most(accel, frame),
-        omega=mean(omega),
-        base=mean(base),
-        v_I=mean(frame.v_I),
-        p_GI=mean(frame.p_GI),
-        R_GI=mean(frame.R_GI),
-        standing=mean(frame.standing.astype(float)) >= 0.5,
-        lifted=mean(frame.lifted.astype(float)) >= 0.999,
-        lag=mean(q - cumulative_trapezoid(dq, log.t, axis=0, initial=0.0)),
-        q_step=mean(at_torques(q, frame)),
-        dq_step=mean(at_torques(dq, frame)),
-        ddq=mean_rate_of_change(dq, log.t, frame),
+        omega=log.once("binned omega", log.columns_of("imu"), lambda: mean(at_rows(omega)), frame),
+        base=log.once("binned base", of_base, base, frame, *mounted),
+        **frame.means,
+        lag=log.once("binned lag", rates, lag),
+        q_step=log.once("binned q_step", angles, lambda: mean(at_torques(q, frame)), frame),
+        dq_step=log.once("binned dq_step", rates, lambda: mean(at_torques(dq, frame)), frame),
+        ddq=log.once("ddq", rates, lambda: mean_rate_of_change(dq, log.t, frame), frame),
     )
 
 

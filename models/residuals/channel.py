@@ -16,14 +16,19 @@ and figures, beside those that come with surefoot.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 
-from surefoot.models.residuals.binning import Bins, ReferenceMotion
-from surefoot.models.residuals.torques import InverseDynamics, Steps
+from surefoot.models.residuals.binning import Bins, ReferenceMotion, binned
+from surefoot.models.residuals.feet import HALFWAY, leg_velocities
+from surefoot.models.residuals.foot_loads import foot_loads
+from surefoot.models.residuals.soft_ground import foot_sinking
+from surefoot.models.residuals.torques import InverseDynamics, Steps, inverse_dynamics, steps_of
 from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.sensors.streams import Sensors
@@ -53,16 +58,54 @@ class Column:
 class ResidualInputs:
     """What residuals are computed from: a log under a model.
 
-    motion: what readings are compared with; bins: means of readings over bins; steps, and
-    inverse_dynamics at them where the log has torques.
+    motion: what readings are compared with. All else is computed when it is first asked for.
     """
 
     log: Log
     robot: Machine
     motion: ReferenceMotion
-    bins: Bins
-    steps: Steps
-    inverse_dynamics: InverseDynamics | None
+
+    @cached_property
+    def bins(self) -> Bins:
+        """Means of readings over bins, and how deep feet are in ground that gives."""
+        bins, stands = self._readings, self.log.has("q") and self._readings.standing.any()
+        if not (isinstance(self.robot, Robot) and stands and self.robot.extras.softness):
+            return bins
+        known = self.log, self.robot, self.motion, bins
+        load = foot_loads(*known, steps_of(bins, self.robot))
+        depth, v_sole = foot_sinking(*known, load)
+        return replace(bins, depth=depth, v_sole=v_sole)
+
+    @cached_property
+    def steps(self) -> Steps:
+        """What inverse dynamics takes."""
+        steps, depth = steps_of(self.bins, self.robot), self.bins.depth
+        return steps if depth is None else replace(steps, sunk=HALFWAY * depth)
+
+    @cached_property
+    def inverse_dynamics(self) -> InverseDynamics | None:
+        """What the motion takes, where the log has torques."""
+        return inverse_dynamics(self.steps, self.robot) if self.log.has("tau") else None
+
+    @cached_property
+    def leg_velocities(self) -> np.ndarray | None:
+        """Velocity of the body by each standing foot minus the reference's (M, 3 L) [m/s] in I;
+        None where no foot stands, or the log has no angles."""
+        if not (self.log.has("q") and self.bins.standing.any()):
+            return None
+        assert isinstance(self.robot, Robot)
+        return leg_velocities(self.bins, self.robot)
+
+    @cached_property
+    def _readings(self) -> Bins:
+        return binned(self.log, self.robot, self.motion)
+
+    def of_body(self, robot: Machine, needed: InverseDynamics | None) -> "ResidualInputs":
+        """The same means of readings under a model of another body, whose inverse dynamics are
+        known."""
+        other = replace(self, robot=robot)
+        vars(other).update(bins=self.bins, steps=self.steps, inverse_dynamics=needed)
+        return other
 
 
 class Channel:

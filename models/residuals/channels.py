@@ -21,7 +21,7 @@ import numpy as np
 from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.channel import Channel, Column, ResidualInputs
 from surefoot.models.residuals.contact_timing import contact_timing
-from surefoot.models.residuals.feet import foot_heights, leg_velocities
+from surefoot.models.residuals.feet import foot_heights
 from surefoot.models.residuals.stance_motion import stance_displacement, stance_means
 from surefoot.models.residuals.torques import slope, torque_residual, wrench_residual
 from surefoot.sim.effects.base import AXES
@@ -85,10 +85,7 @@ class LegVelocity(Channel):
         return _of_legs("leg", self.unit, limbs)
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
-        if not _stands(inputs):
-            return None
-        assert isinstance(inputs.robot, Robot)
-        return leg_velocities(inputs.bins, inputs.robot)
+        return inputs.leg_velocities
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
         return sensors.velocity_noise * REACH * np.sqrt(3 / rows_of_bin(rate))
@@ -107,12 +104,11 @@ class StanceVelocity(Channel):
         return _of_legs("stance", self.unit, limbs)
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
-        if not _stands(inputs):
+        v, bins = inputs.leg_velocities, inputs.bins
+        if v is None:
             return None
-        assert isinstance(inputs.robot, Robot)
-        bins = inputs.bins
-        v = leg_velocities(bins, inputs.robot).reshape(len(bins.t), -1, 3)
-        return stance_means(bins.t, v, bins.standing).reshape(len(v), -1)
+        by_leg = v.reshape(len(v), -1, 3)
+        return stance_means(bins.t, by_leg, bins.standing).reshape(v.shape)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
         return sensors.velocity_noise * REACH * np.sqrt(3 / rows_of_bin(rate) / STANCE_BINS)

@@ -205,9 +205,23 @@ def wrt_robot(parts: ResidualTable, robot: Machine, one: Machine, step: float) -
             needed = replace(needed, wrench=needed.wrench + more)
         else:
             needed = inverse_dynamics(inputs.steps, one)
-    again = [name for name, channel in channels().items() if not channel.of_events]
-    table = filled(parts.layout, replace(inputs, robot=one, inverse_dynamics=needed), again)
+    same = _unchanged(robot, one)
+    again = [n for n, channel in channels().items() if not (channel.of_events or n in same)]
+    table = filled(parts.layout, inputs.of_body(one, needed), again)
     return (table - parts.table) / step
+
+
+def _unchanged(robot: Machine, one: Machine) -> tuple[str, ...]:
+    """Channels, of those that come with surefoot, that are the same under both models with the same
+    means of readings."""
+    same = ["imu_gyro", "imu_accel", "joint_rate"]
+    if robot.extras.command_late == one.extras.command_late:
+        same.append("command")
+    if isinstance(robot, Robot) and isinstance(one, Robot):
+        legs = ("legs", "foot_radius", "R_BI", "p_BI")
+        if all(getattr(robot, name) is getattr(one, name) for name in legs):
+            same += ["leg_velocity", "stance_velocity", "foot_height"]
+    return tuple(same)
 
 
 def _same_bodies(robot: Machine, one: Machine) -> bool:

@@ -7,7 +7,7 @@ difference of the residual; `chain_rule` names a shortcut.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import mujoco
@@ -174,14 +174,14 @@ def turn_about(axis: str, angle: float) -> np.ndarray:
 
 def with_columns(log: Log, columns: Mapping[str, np.ndarray]) -> Log:
     """The log with some columns replaced."""
-    return replace(log, frame=log.frame.assign(**columns))
+    return log.with_columns(columns)
 
 
 def changed_columns(before: Log, after: Log) -> tuple[str, ...]:
     """The columns of `after` whose numbers are not those of `before`, or that it lacks."""
-    old, new = before.frame, after.frame
+    old = before.columns
     return tuple(
-        str(name)
-        for name in new
-        if name not in old or not np.array_equal(old[name].to_numpy(), new[name].to_numpy())
+        name
+        for name, x in after.columns.items()
+        if name not in old or not (old[name] is x or np.array_equal(old[name], x))
     )

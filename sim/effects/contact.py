@@ -140,7 +140,7 @@ class SoftGround(Effect):
 def _rate(log: Log, joint: str) -> np.ndarray:
     """A joint's rate (N,) [rad/s]: logged, else derived."""
     if f"dq_{joint}" in log.frame:
-        return log.frame[f"dq_{joint}"].to_numpy()
+        return log.columns[f"dq_{joint}"]
     return derivative(log.t, log.frame[[f"q_{joint}"]].to_numpy(), JOINT_WINDOW, causal=False)[:, 0]
 
 
@@ -150,7 +150,7 @@ def _less_torque(
     """The log with the torque less what the drives take, by their rates (N,) and unit of size."""
     columns = {}
     for joint in one.members(robot.limbs):
-        torque = log.frame[f"tau_{joint}"].to_numpy()
+        torque = log.columns[f"tau_{joint}"]
         columns[f"tau_{joint}"] = torque - one.value * taken(_rate(log, joint))
     return with_columns(log, columns)
 

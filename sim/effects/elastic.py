@@ -115,9 +115,9 @@ def _moved(log: Log, by: np.ndarray, joints: tuple[str, ...]) -> Log:
     columns = {}
     for joint in joints:
         own = by[:, log.joints.index(joint)]
-        columns[f"q_{joint}"] = log.frame[f"q_{joint}"].to_numpy() + own
+        columns[f"q_{joint}"] = log.columns[f"q_{joint}"] + own
         if f"dq_{joint}" in log.frame:
             # The load's noise, differenced row by row, would drown the rate that is read.
             slope = np.gradient(uniform_filter1d(own, rows), log.t)
-            columns[f"dq_{joint}"] = log.frame[f"dq_{joint}"].to_numpy() + slope
+            columns[f"dq_{joint}"] = log.columns[f"dq_{joint}"] + slope
     return with_columns(log, columns)

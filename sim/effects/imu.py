@@ -65,7 +65,7 @@ class GyroScale(Effect):
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         column = f"gyro_{self.target}"
-        return with_columns(log, {column: log.frame[column].to_numpy() / (1 + self.value)}), robot
+        return with_columns(log, {column: log.columns[column] / (1 + self.value)}), robot
 
 
 class AccelScale(Effect):
@@ -90,7 +90,7 @@ class AccelScale(Effect):
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         column = f"accel_{self.target}"
-        return with_columns(log, {column: log.frame[column].to_numpy() / (1 + self.value)}), robot
+        return with_columns(log, {column: log.columns[column] / (1 + self.value)}), robot
 
 
 class GyroBias(Effect):
@@ -113,7 +113,7 @@ class GyroBias(Effect):
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         column = f"gyro_{self.target}"
-        return with_columns(log, {column: log.frame[column].to_numpy() - self.value}), robot
+        return with_columns(log, {column: log.columns[column] - self.value}), robot
 
 
 class AccelBias(Effect):
@@ -136,7 +136,7 @@ class AccelBias(Effect):
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         column = f"accel_{self.target}"
-        return with_columns(log, {column: log.frame[column].to_numpy() - self.value}), robot
+        return with_columns(log, {column: log.columns[column] - self.value}), robot
 
 
 class GyroGSensitivity(Effect):
@@ -159,7 +159,7 @@ class GyroGSensitivity(Effect):
         return replace(streams, gyro=streams.gyro + felt)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        rate, force = (log.frame[f"{kind}_{self.target}"].to_numpy() for kind in ("gyro", "accel"))
+        rate, force = (log.columns[f"{kind}_{self.target}"] for kind in ("gyro", "accel"))
         return with_columns(log, {f"gyro_{self.target}": rate - self.value * force}), robot
 
 

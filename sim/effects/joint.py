@@ -38,7 +38,7 @@ class EncoderOffset(Effect):
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         names = [f"q_{joint}" for joint in self.members(robot.limbs)]
-        return with_columns(log, {n: log.frame[n].to_numpy() - self.value for n in names}), robot
+        return with_columns(log, {n: log.columns[n] - self.value for n in names}), robot
 
 
 class EncoderScale(Effect):
@@ -59,7 +59,7 @@ class EncoderScale(Effect):
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         both = [f"{kind}_{joint}" for joint in self.members(robot.limbs) for kind in ("q", "dq")]
         names = [name for name in both if name in log.frame]
-        scaled = {name: log.frame[name].to_numpy() / (1 + self.value) for name in names}
+        scaled = {name: log.columns[name] / (1 + self.value) for name in names}
         return with_columns(log, scaled), robot
 
 
@@ -95,10 +95,10 @@ class Backlash(Effect):
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         columns = {}
         for joint in self.members(robot.limbs):
-            torque = log.frame[f"tau_{joint}"].to_numpy()
+            torque = log.columns[f"tau_{joint}"]
             # A noisy torque near zero would jump from side to side: a mean of some rows does less.
             side = np.sign(uniform_filter1d(torque, max(1, _window(log) // 4)))
-            q = log.frame[f"q_{joint}"].to_numpy()
+            q = log.columns[f"q_{joint}"]
             columns[f"q_{joint}"] = q - 0.5 * self.value * side
         return with_columns(log, columns), robot
 
@@ -125,7 +125,7 @@ class TorqueScale(Effect):
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         names = [f"tau_{joint}" for joint in self.members(robot.limbs)]
-        scaled = {n: log.frame[n].to_numpy() / (1 + self.value) for n in names}
+        scaled = {n: log.columns[n] / (1 + self.value) for n in names}
         return with_columns(log, scaled), robot
 
 
@@ -145,7 +145,7 @@ class TorqueBias(Effect):
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         names = [f"tau_{joint}" for joint in self.members(robot.limbs)]
-        return with_columns(log, {n: log.frame[n].to_numpy() - self.value for n in names}), robot
+        return with_columns(log, {n: log.columns[n] - self.value for n in names}), robot
 
 
 def _window(log: Log) -> int:

@@ -151,7 +151,7 @@ class ContactDelay(Effect):
         return replace(streams, force=force)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        rows, contact = int(self.value * log.rate), log.contact
+        rows, contact = int(self.value * log.rate), log.contact.copy()
         for leg in range(contact.shape[1]):
             lifts, lands = swings(log.t, log.contact[:, leg])
             for edge in lands if self.target == "touchdown" else lifts:
@@ -268,10 +268,10 @@ def _moved(log: Log, kinds: tuple[str, ...], then: np.ndarray) -> Log:
     smooth = [n for n in names if n not in flags and n not in turns]
     columns = {}
     if smooth:
-        rows = np.column_stack([log.frame[name].to_numpy() for name in smooth])
+        rows = np.column_stack([log.columns[name] for name in smooth])
         values = CubicSpline(t, rows)(then)
         columns |= {name: values[:, i] for i, name in enumerate(smooth)}
-    columns |= {name: log.frame[name].to_numpy()[_nearest(t, then)] for name in flags}
+    columns |= {name: log.columns[name][_nearest(t, then)] for name in flags}
     if turns:
         values = slerp(t, log.ref_q, then)
         columns |= {f"ref_q_{axis}": values[:, i] for i, axis in enumerate("wxyz")}

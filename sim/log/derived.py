@@ -137,7 +137,11 @@ def joint_velocity(log: Log, causal: bool = False) -> np.ndarray:
     if log.has("dq"):
         return log.dq
     log.require("q")
-    return derivative(log.t, log.q, JOINT_WINDOW, causal)
+
+    def made() -> np.ndarray:
+        return derivative(log.t, log.q, JOINT_WINDOW, causal)
+
+    return log.once(f"joint velocity {causal}", log.columns_of("q"), made)
 
 
 def reference_velocity(log: Log, causal: bool = False) -> np.ndarray:
@@ -148,7 +152,11 @@ def reference_velocity(log: Log, causal: bool = False) -> np.ndarray:
     if log.has("ref_v"):
         return log.ref_v
     log.require("reference")
-    return derivative(log.t, log.ref_p, REFERENCE_WINDOW, causal)
+
+    def made() -> np.ndarray:
+        return derivative(log.t, log.ref_p, REFERENCE_WINDOW, causal)
+
+    return log.once(f"reference velocity {causal}", log.columns_of("reference"), made)
 
 
 def with_velocities(log: Log, causal: bool = False) -> Log:

@@ -7,12 +7,12 @@ t[k]: a filter predicts over row k, then updates with row k. `sim.log.schema` sa
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -35,6 +35,7 @@ from surefoot.sim.log.schema import (
     read_metadata,
 )
 
+T = TypeVar("T")
 ROW_GROUP = 1 << 15
 """Rows of a file's row group: a minute at 500 Hz."""
 
@@ -47,14 +48,17 @@ class LogError(SurefootError):
 class Log:
     """One walk: `frame` has a float64 column each (`t`, `gyro_x`, `q_FL_hip` ...), a row a sample.
 
-    The properties give fresh contiguous arrays in SI units; each raises LogError where its columns
-    are missing. J joints and L legs are those that the columns name. A quadruped's are in canonical
-    order (leg-major over FL, FR, RL, RR), so that its `q.reshape(N, 4, 3)` is (row, leg, joint).
+    The properties give fresh contiguous arrays in SI units, unless the log keeps them (`keeping`);
+    each raises LogError where its columns are missing. J joints and L legs are those that the
+    columns name. A quadruped's are in canonical order (leg-major over FL, FR, RL, RR), so that its
+    `q.reshape(N, 4, 3)` is (row, leg, joint).
     """
 
     frame: pd.DataFrame
     meta: Meta
     name: str = "log"
+    _kept: ClassVar[dict[str, tuple[frozenset[str], tuple[Any, ...], Any]] | None] = None
+    """What was made once, by its name: the columns and objects that it is made from, and itself."""
 
     @classmethod
     def read(cls, path: str | Path) -> Log:
@@ -84,6 +88,43 @@ class Log:
                 )
         except SurefootError as error:
             raise LogError(str(error)) from error
+
+    def keeping(self) -> Log:
+        """The same log, whose arrays are made once and shared: they must not be written to."""
+        log = replace(self)
+        object.__setattr__(log, "_kept", {})
+        return log
+
+    def with_columns(self, columns: Mapping[str, np.ndarray]) -> Log:
+        """The log with some columns replaced. What it keeps of the others is kept on."""
+        log = replace(self, frame=self.frame.assign(**columns))
+        # The columns that stay are the same arrays, so that nobody compares their numbers.
+        vars(log)["columns"] = self.columns | {n: np.asarray(x) for n, x in columns.items()}
+        if self._kept is not None:
+            kept = {k: v for k, v in self._kept.items() if v[0].isdisjoint(columns)}
+            object.__setattr__(log, "_kept", kept)
+        return log
+
+    def once(self, what: str, columns: Iterable[str], make: Callable[[], T], *given: Any) -> T:
+        """What is made from some columns: of a log that keeps its arrays, the one made before.
+
+        Args:
+            what: its name, unlike that of anything else made from this log.
+            columns: all that it is made from.
+            make: makes it.
+            given: what else it is made from; made again where these are other objects.
+        """
+        if self._kept is None:
+            return make()
+        known = self._kept.get(what)
+        if known is None or not all(a is b for a, b in zip(known[1], given, strict=True)):
+            self._kept[what] = known = frozenset(columns), given, make()
+        return known[2]
+
+    def columns_of(self, *groups: str) -> tuple[str, ...]:
+        """The columns of these groups (see `require`) and of time, for `once`."""
+        names = (group_columns(group, self.joints, self.legs) for group in groups)
+        return ("t", *(name for own in names for name in own))
 
     def rows(self, which: slice | np.ndarray) -> Log:
         """The log of some rows: a slice (a step divides the rate), a mask (N,) or row indices."""
@@ -115,9 +156,12 @@ class Log:
         return [name for name in names if name not in self.frame]
 
     def _array(self, group: str, names: Sequence[str]) -> np.ndarray:
-        self.require(group)
-        # Column by column: pandas takes several times as long to select them together.
-        return np.column_stack([self.frame[name].to_numpy(dtype=float) for name in names])
+        def stacked() -> np.ndarray:
+            self.require(group)
+            # Column by column: pandas takes several times as long to select them together.
+            return np.column_stack([np.asarray(self.columns[n], dtype=float) for n in names])
+
+        return self.once(names[0] if names else group, names, stacked)
 
     def _joint_array(self, prefix: str) -> np.ndarray:
         return self._array(prefix, [f"{prefix}_{joint}" for joint in self.joints])
@@ -128,6 +172,11 @@ class Log:
     def _leg_vectors(self, group: str, prefix: str) -> np.ndarray:
         names = [f"{prefix}_{leg}_{axis}" for leg in self.legs for axis in "xyz"]
         return self._array(group, names).reshape(-1, len(self.legs), 3)
+
+    @cached_property
+    def columns(self) -> dict[str, np.ndarray]:
+        """The frame's columns (N,) by name, not to be written to."""
+        return {str(name): self.frame[name].to_numpy() for name in self.frame}
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
@@ -148,7 +197,7 @@ class Log:
     @property
     def t(self) -> np.ndarray:
         """Time (N,), s, strictly increasing."""
-        return np.array(self.frame["t"], dtype=float)
+        return self.once("t", ["t"], lambda: np.array(self.frame["t"], dtype=float))
 
     @property
     def gyro(self) -> np.ndarray:
@@ -193,7 +242,8 @@ class Log:
     @property
     def contact(self) -> np.ndarray:
         """Feet in contact (N, L), bool, as the robot senses it."""
-        return self._leg_array("contact", "contact") > 0.5
+        names = self.columns_of("contact")
+        return self.once("contact", names, lambda: self._leg_array("contact", "contact") > 0.5)
 
     @property
     def force(self) -> np.ndarray:
@@ -223,7 +273,8 @@ class Log:
     @property
     def ref_R_GI(self) -> np.ndarray:
         """Reference attitude (N, 3, 3)."""
-        return matrix_from_quaternion(self.ref_q)
+        names = self.columns_of("reference")
+        return self.once("ref_R_GI", names, lambda: matrix_from_quaternion(self.ref_q))
 
     @property
     def ref_v(self) -> np.ndarray:

@@ -25,6 +25,12 @@ def knows_loads(log: Log) -> bool:
 def joint_loads(log: Log, robot: Machine) -> np.ndarray:
     """Torque (N, J) [N m] that each motor passes on to what hangs on it: its own, as logged or
     else from the balance of momentum, less what its rotor and its declared friction take."""
+    columns = log.columns_of("q", "dq", "tau", "imu", "contact")
+    given = (robot.legs, robot.R_BI, robot.p_BI) if isinstance(robot, Robot) else ()
+    return log.once("joint loads", columns, lambda: _joint_loads(log, robot), *given)
+
+
+def _joint_loads(log: Log, robot: Machine) -> np.ndarray:
     if log.has("tau") or not isinstance(robot, Robot):
         torque = log.tau
     else:
@@ -44,6 +50,12 @@ def foot_loads_B(log: Log, robot: Robot) -> np.ndarray:
     Of logged torques, by legs of three joints, J^T f = inverse dynamics - torque, else from the
     balance of momentum.
     """
+    columns = log.columns_of("q", "dq", "tau", "imu", "contact")
+    given = robot.legs, robot.R_BI, robot.p_BI
+    return log.once("foot loads", columns, lambda: _foot_loads_B(log, robot), *given)
+
+
+def _foot_loads_B(log: Log, robot: Robot) -> np.ndarray:
     if not log.has("tau") or not robot.limbs.point_feet:
         return momentum_balance(log, robot).force
     _, needed = taken_by_motion(log, robot)

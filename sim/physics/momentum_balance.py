@@ -43,6 +43,12 @@ def momentum_balance(log: Log, robot: Robot) -> MomentumBalance:
     Raises LogError where the log lacks one of them.
     """
     log.require("imu", "q", "contact")
+    columns = log.columns_of("q", "dq", "imu", "contact")
+    given = robot.legs, robot.R_BI, robot.p_BI
+    return log.once("balance of momentum", columns, lambda: _balanced(log, robot), *given)
+
+
+def _balanced(log: Log, robot: Robot) -> MomentumBalance:
     wrench, needed = taken_by_motion(log, robot)
     smooth = LOADING * log.rate
     # From nothing where a contact begins or ends to all of it within the stance.
