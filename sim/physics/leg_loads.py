@@ -8,6 +8,7 @@ from surefoot.sim.physics.inverse_dynamics import dynamics_of
 from surefoot.sim.physics.momentum_balance import (
     ACCELERATION_WINDOW,
     momentum_balance,
+    parts_of,
     taken_by_motion,
 )
 from surefoot.sim.robot import Robot
@@ -26,8 +27,7 @@ def joint_loads(log: Log, robot: Machine) -> np.ndarray:
     """Torque (N, J) [N m] that each motor passes on to what hangs on it: its own, as logged or
     else from the balance of momentum, less what its rotor and its declared friction take."""
     columns = log.columns_of("q", "dq", "tau", "imu", "contact")
-    given = (robot.legs, robot.R_BI, robot.p_BI) if isinstance(robot, Robot) else ()
-    return log.once("joint loads", columns, lambda: _joint_loads(log, robot), *given)
+    return log.once("joint loads", columns, lambda: _joint_loads(log, robot), *parts_of(robot))
 
 
 def _joint_loads(log: Log, robot: Machine) -> np.ndarray:
@@ -51,8 +51,7 @@ def foot_loads_B(log: Log, robot: Robot) -> np.ndarray:
     balance of momentum.
     """
     columns = log.columns_of("q", "dq", "tau", "imu", "contact")
-    given = robot.legs, robot.R_BI, robot.p_BI
-    return log.once("foot loads", columns, lambda: _foot_loads_B(log, robot), *given)
+    return log.once("foot loads", columns, lambda: _foot_loads_B(log, robot), *parts_of(robot))
 
 
 def _foot_loads_B(log: Log, robot: Robot) -> np.ndarray:

@@ -10,7 +10,7 @@ each in the measure of its contact, which comes and goes over a few hundredths o
 torques that press feet against each other do not show in a motion, and are not found.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -19,6 +19,7 @@ from surefoot.sim.log import Log, joint_velocity
 from surefoot.sim.log.derived import derivative
 from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.fixed_base import Machine
 
 ACCELERATION_WINDOW = 0.04
 """s, over which rates are differentiated: passes 25 Hz, with which a foot's load comes and goes."""
@@ -44,8 +45,14 @@ def momentum_balance(log: Log, robot: Robot) -> MomentumBalance:
     """
     log.require("imu", "q", "contact")
     columns = log.columns_of("q", "dq", "imu", "contact")
-    given = robot.legs, robot.R_BI, robot.p_BI
-    return log.once("balance of momentum", columns, lambda: _balanced(log, robot), *given)
+    return log.once("balance of momentum", columns, lambda: _balanced(log, robot), *parts_of(robot))
+
+
+def parts_of(robot: Machine) -> tuple[Any, ...]:
+    """The parts of a model that loads depend on: objects that are the same until they change."""
+    if not isinstance(robot, Robot):
+        return (robot.extras.links,)
+    return robot.legs, robot.R_BI, robot.p_BI, robot.extras.links
 
 
 def _balanced(log: Log, robot: Robot) -> MomentumBalance:
