@@ -4,7 +4,7 @@ Everything is computed from sums of products over blocks of two seconds, so that
 combinations of candidates costs no more passes over the data.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -30,6 +30,17 @@ class Design:
     def size(self) -> int:
         """Candidates and free parts."""
         return len(self.evidence.X) + len(self.evidence.Z)
+
+    @cached_property
+    def singles(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+        """Of each column X (n, k) and `which` (k,) without groups, which could say nothing that
+        their members do not."""
+        single = self.evidence.single
+        own = (single[which] for which in self.which)
+        return tuple(
+            (X, which) if one.all() else (np.ascontiguousarray(X[:, one]), which[one])
+            for X, which, one in zip(self.X, self.which, own, strict=True)
+        )
 
     def explained(self, sizes: np.ndarray) -> np.ndarray:
         """X sizes (M, W), sizes (C + B,) of candidates and free parts."""
@@ -162,8 +173,14 @@ class Fit:
     vector: np.ndarray
 
 
-def fit(data: NormalEquations, keys: Sequence[Key], errors: bool = True) -> Fit:
-    """Least squares of these keys and the free parts within their limits.
+def fit(
+    data: NormalEquations,
+    keys: Sequence[Key],
+    errors: bool = True,
+    given: Mapping[Key, float] | None = None,
+) -> Fit:
+    """Least squares of these keys and the free parts within their limits, others being at the sizes
+    `given`.
 
     A free part whose candidate is among the keys gives way to it. A column that the data do not
     excite at all gets size zero and infinite variance. Errors are the sandwich's over blocks.
@@ -174,7 +191,8 @@ def fit(data: NormalEquations, keys: Sequence[Key], errors: bool = True) -> Fit:
     free = data.free(keys)
     vector = np.zeros(len(G))
     vector[0] = 1.0
-    held: list[int] = []
+    held = [1 + data.keys.index(key) for key in given or ()]
+    vector[held] = [-size for size in (given or {}).values()]
     while True:
         use = own + [f for f in free if f not in held]
         sizes, inverse, dead = _solve(G, vector, use, held)

@@ -132,16 +132,16 @@ def stance_bins(t: np.ndarray, log: np.ndarray, there: np.ndarray) -> list[np.nd
 
 def _explained(data: Design, sigma: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Best joint fit (M, W) of every candidate and free part, in the table's unit."""
-    # A group could say nothing that its members do not.
     size, single = data.size, data.evidence.single
     normal, right = np.zeros((size, size)), np.zeros(size)
     for column in data.evidence.layout.fitted:
-        rows, X, which = data.rows[column], data.X[column], data.which[column]
+        rows, (X, which) = data.rows[column], data.singles[column]
         if not len(which) or not len(rows):
             continue
-        A = X * (weight[rows, column, None] / sigma[column] ** 2)
-        normal[np.ix_(which, which)] += A.T @ X
-        right[which] += A.T @ data.y[rows, column]
+        root = np.sqrt(weight[rows, column]) / sigma[column]
+        A = X * root[:, None]
+        normal[np.ix_(which, which)] += A.T @ A
+        right[which] += A.T @ (root * data.y[rows, column])
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     # A ridge far below the data keeps twins apart and moves nothing that they determine.
     normal = normal / scale / scale[:, None] + 1e-9 * np.eye(size)

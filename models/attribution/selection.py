@@ -1,7 +1,7 @@
 """What each candidate is worth beside those chosen before it, and whether it earns its place."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -67,7 +67,7 @@ def judge(
     # for each log as many times as it has sizes.
     per_size, chance = np.log(max(2, len(seen.G))), 2.0 * np.log(len(data.keys))
     judged = []
-    for at, key in enumerate(data.keys):
+    for key in data.keys:
         if key in chosen:
             continue
         fitted = fit(seen, [*chosen, key])
@@ -76,7 +76,7 @@ def judge(
         size -= offset
         before, before_seen = plainly
         if offset:
-            faked = _without(seen, at, offset, chosen)
+            faked = fit(seen, chosen, errors=False, given={key: offset}).vector
             before, before_seen = loss(unseen, faked), loss(seen, faked)
         blocks = before - loss(unseen, fitted.vector)
         gain = float(blocks.sum())
@@ -142,15 +142,3 @@ def distinct(
         kept.append(min(as_good, key=lambda c: len(parts[c.key])))
         left = [c for c in left if c not in alike]
     return tuple(kept)
-
-
-def _without(seen: NormalEquations, at: int, offset: float, chosen: Sequence[Key]) -> np.ndarray:
-    """The vector (P,) of a fit with the candidate `at` held at the floor's own size."""
-    held = seen.total()
-    G = held.G.copy()
-    G[0, 0] -= offset * G[0, 1 + at]
-    G[0, :, 0] -= offset * G[0, :, 1 + at]
-    G[0, 0, 1:] = G[0, 1:, 0]
-    vector = fit(replace(held, G=G), chosen, errors=False).vector.copy()
-    vector[1 + at] = -offset
-    return vector

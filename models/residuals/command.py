@@ -26,9 +26,10 @@ class CommandedTorque(Channel):
         asked = commanded_torque(log)
         if asked is None or not log.has("tau"):
             return None
-        then = log.t - inputs.robot.extras.command_late
-        late = np.column_stack([np.interp(then, log.t, column) for column in asked.T])
-        return bin_mean(inputs.motion)(log.tau - late)
+        if late := inputs.robot.extras.command_late:
+            then = log.t - late
+            asked = np.column_stack([np.interp(then, log.t, column) for column in asked.T])
+        return bin_mean(inputs.motion)(log.tau - asked)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
         return sensors.torque_noise / np.sqrt(rows_of_bin(rate))

@@ -32,7 +32,12 @@ def contact_timing(log: Log, robot: Robot, frame: ReferenceMotion) -> np.ndarray
     """
     rows = max(1, round(CHANGE_WINDOW * log.rate))
     turns = [changes(stands) for stands in log.contact.T]
-    speed = over_ground(log, robot, frame, near_changes(turns, frame, rows))
+    speed = log.once(
+        "speed of touching points",
+        log.columns_of("q", "dq", "imu", "contact", "reference", "ref_v"),
+        lambda: over_ground(log, robot, frame, near_changes(turns, frame, rows)),
+        *(frame, robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI),
+    )
     late = np.full((len(frame.first), 2 * len(turns)), np.nan)
     usual = (USUAL[0] + robot.extras.touchdown_late, USUAL[1] + robot.extras.liftoff_late)
     for leg, change in enumerate(turns):

@@ -171,7 +171,7 @@ def wrt_readings(
             j = layout.limbs.chains[leg].index(joint)
             out[:, velocity[leg]] += known.leg_dq[:, leg, :, j] * x[:, None]
         out[:, rate[joint]] -= smooth_121(x)
-    if len(legs):
+    if len(legs) and any(change.get(stream) for stream in ("omega", "q", "dq")):
         by_leg = out[:, velocity]
         stands = np.isfinite(parts.table[:, velocity[:, 0]])
         means = stance_means(parts.t, by_leg, stands)
@@ -184,10 +184,11 @@ def wrt_readings(
         forces += known.effort_ddq[joint] * x[:, None]
     for joint, x in change.get("tau", {}).items():
         forces += known.effort_tau[joint] * x[:, None]
-    forces = smooth_121(forces)
-    out[:, torque] += forces[:, :joints]
-    if len(wrench):
-        out[:, wrench] += forces[:, joints:]
+    if any(change.get(stream) for stream in ("q_step", "dq_step", "ddq", "tau")):
+        forces = smooth_121(forces)
+        out[:, torque] += forces[:, :joints]
+        if len(wrench):
+            out[:, wrench] += forces[:, joints:]
     return out
 
 

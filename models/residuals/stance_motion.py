@@ -50,11 +50,11 @@ def stance_displacement(log: Log, robot: Robot, frame: ReferenceMotion) -> np.nd
     # A row more on either side, for contacts that the model knows to be late by a part of one.
     around = maximum_filter1d(log.contact, 3, axis=0) & frame.ok[:, None]
     v_I = leg_velocity(robot, log.q, joint_velocity(log), omega, frame.up_I, around)
-    v_G = np.einsum("nij,nlj->nli", frame.R_GI, v_I - frame.v_I[:, None])
     ahead = frame.R_GI[:, :2, 0]
     ahead = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
-    forward = np.einsum("nj,nlj->nl", ahead, v_G[..., :2])
-    lateral = np.einsum("nj,nlj->nl", ahead, v_G[..., 1::-1] * [1.0, -1.0])
+    # The heading's axes, level in G, as seen in I.
+    axes_I = np.stack([ahead, ahead[:, ::-1] * [-1.0, 1.0]], axis=1) @ frame.R_GI[:, :2]
+    forward, lateral = np.moveaxis((v_I - frame.v_I[:, None]) @ np.swapaxes(axes_I, 1, 2), 2, 0)
     half = 0.5 * np.gradient(log.t)
     edges = np.append(log.t - half, log.t[-1] + half[-1])
     moved = np.nan_to_num(np.stack([forward, lateral], axis=2)) * (2 * half)[:, None, None]

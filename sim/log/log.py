@@ -100,6 +100,8 @@ class Log:
         log = replace(self, frame=self.frame.assign(**columns))
         # The columns that stay are the same arrays, so that nobody compares their numbers.
         vars(log)["columns"] = self.columns | {n: np.asarray(x) for n, x in columns.items()}
+        if self.columns.keys() >= columns.keys():
+            vars(log).update(joints=self.joints, legs=self.legs)
         if self._kept is not None:
             kept = {k: v for k, v in self._kept.items() if v[0].isdisjoint(columns)}
             object.__setattr__(log, "_kept", kept)
@@ -149,11 +151,11 @@ class Log:
 
     def _missing(self, group: str) -> list[str]:
         if group.startswith("x_"):
-            return [] if group in self.frame else [group]
+            return [] if group in self.columns else [group]
         if group not in GROUPS:
             raise KeyError(f"no log group {group!r}; groups are {', '.join(GROUPS)}")
         names = group_columns(group, self.joints, self.legs)
-        return [name for name in names if name not in self.frame]
+        return [name for name in names if name not in self.columns]
 
     def _array(self, group: str, names: Sequence[str]) -> np.ndarray:
         def stacked() -> np.ndarray:
