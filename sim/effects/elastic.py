@@ -8,16 +8,18 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from surefoot.sim.effects.base import Effect, with_columns
 from surefoot.sim.log import Log
+from surefoot.sim.log.derived import local_quadratic
 from surefoot.sim.physics.leg_loads import foot_loads_B, joint_loads, knows_loads
 from surefoot.sim.physics.springs import add_foot_springs, add_joint_spring
 from surefoot.sim.robot import Robot
 
-LOAD_WINDOW = 0.03
-"""s, over which a load is averaged before its slope says at which rate a spring gives."""
+LOAD_WINDOW = 0.05
+"""s, over which quadratics are fitted to a load before its slope says at which rate a spring gives.
+They pass 98 % at 10 Hz and 76 % at 20 Hz, between which a foot takes its load; a mean over 0.03 s,
+with three quarters of their noise, passes 86 % and 50 %, and springs would seem softer."""
 
 
 class LegCompliance(Effect):
@@ -111,13 +113,12 @@ def _last_links_B(robot: Robot, q: np.ndarray) -> np.ndarray:
 def _moved(log: Log, by: np.ndarray, joints: tuple[str, ...]) -> Log:
     """The log with the angles of some joints moved by their columns of (N, J) [rad], and the rates
     by the slope."""
-    rows = max(1, round(LOAD_WINDOW * log.rate))
-    columns = {}
+    columns, smooth = {}, local_quadratic(log.t, by, LOAD_WINDOW)[0]
     for joint in joints:
-        own = by[:, log.joints.index(joint)]
-        columns[f"q_{joint}"] = log.columns[f"q_{joint}"] + own
+        at = log.joints.index(joint)
+        columns[f"q_{joint}"] = log.columns[f"q_{joint}"] + by[:, at]
         if f"dq_{joint}" in log.frame:
             # The load's noise, differenced row by row, would drown the rate that is read.
-            slope = np.gradient(uniform_filter1d(own, rows), log.t)
+            slope = np.gradient(smooth[:, at], log.t)
             columns[f"dq_{joint}"] = log.columns[f"dq_{joint}"] + slope
     return with_columns(log, columns)

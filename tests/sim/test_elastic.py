@@ -4,12 +4,14 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
+import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
 
 from surefoot.sim.effects import effect
-from surefoot.sim.effects.elastic import _last_links_B
+from surefoot.sim.effects.elastic import _last_links_B, _moved
 from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.log import Log, Meta
 from surefoot.sim.physics.leg_loads import foot_loads_B, joint_loads
 from surefoot.sim.physics.scene import robot_spec
 from surefoot.sim.robot import Robot
@@ -60,6 +62,16 @@ def test_a_model_that_knows_the_spring_has_the_joints_angles_again(calves, torqu
     before, after = rms(log.q - truth), rms(known.q - truth)
     assert (after[2::3] < (0.25 if torques else 0.35) * before[2::3]).all()
     assert_allclose(known.q[:, :2], log.q[:, :2])
+
+
+def test_how_fast_a_spring_gives_is_not_smoothed_away():
+    """Of rates that a model adds too little of, springs would seem softer than they are."""
+    t, w = 0.002 * np.arange(1000), 2 * np.pi * 10.0
+    still = pd.DataFrame({"t": t, "q_joint": 0.0, "dq_joint": 0.0})
+    moved = _moved(Log(still, Meta(500.0)), np.sin(w * t)[:, None], ("joint",))
+    assert_allclose(moved.q[:, 0], np.sin(w * t))
+    amplitude = 2 * np.mean(moved.dq[50:-50, 0] * np.cos(w * t[50:-50]))
+    assert amplitude == pytest.approx(w, rel=0.03)  # a mean over 0.03 s leaves 0.86 of it
 
 
 def test_rotor_and_damping_keep_the_rates_smooth(calves):
