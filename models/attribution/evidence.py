@@ -250,7 +250,7 @@ class _Linear:
         if members != (key[1],):
             # One size for all: to first order each adds what it would alone.
             return summed_regressor([self.regressor((key[0], member)) for member in members])
-        tried = [self._from_zero(key, size) for size in kind.starts or (kind.step_of(key[1]),)]
+        tried = [self._from_zero(key, size) for size in kind.starts_on(key[1], self.log)]
         if len(tried) == 1:
             return tried[0]
         return max(tried, key=lambda one: explained_share(one, self.parts.table))

@@ -143,6 +143,11 @@ class Effect:
         return cls.step
 
     @classmethod
+    def starts_on(cls, target: str, log: Log) -> tuple[float, ...]:
+        """Sizes to begin a search from on a log: `starts`, or else a small one."""
+        return cls.starts or (cls.step_of(target),)
+
+    @classmethod
     def inside(cls, target: str) -> tuple[float, float]:
         """Bounds between which a size can still be varied by its step to either side."""
         (low, high), step = cls.bounds, cls.step_of(target)

@@ -11,6 +11,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.signal import correlate, correlation_lags
 from scipy.spatial.transform import Rotation, Slerp
 
 from surefoot.sim.common.gravity import GRAVITY
@@ -23,6 +24,8 @@ from surefoot.sim.sensors.contact import swings
 from surefoot.sim.sensors.pad import begin_late, end_late
 from surefoot.sim.sensors.streams import Reference, Sensors, Streams
 
+NONLINEAR = 0.008
+"""s. A walk shakes its body at 10 Hz and more, a sine of which is linear over an eighth of it."""
 STREAMS = {"imu": ("gyro", "accel"), "joints": ("q", "dq", "tau"), "feet": ("force",)}
 STREAM_COLUMNS = {**STREAMS, "feet": ("force", "contact"), "reference": ("ref",)}
 """A log's columns of each stream: contacts are derived from the feet's forces."""
@@ -64,6 +67,11 @@ class ImuDelay(Effect):
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         return _moved(log, ("gyro", "accel"), log.t + self.value), robot
+
+    @classmethod
+    def starts_on(cls, target: str, log: Log) -> tuple[float, ...]:
+        here = log.has("imu") and log.has("reference")
+        return _starts(cls, -reference_lag(log, cls.bounds[1])) if here else (cls.step,)
 
 
 class TorqueDelay(Effect):
@@ -179,6 +187,29 @@ class ReferenceDelay(Effect):
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         return _moved(log, ("ref",), log.t + self.value), robot
+
+    @classmethod
+    def starts_on(cls, target: str, log: Log) -> tuple[float, ...]:
+        return _starts(cls, reference_lag(log, cls.bounds[1])) if log.has("imu") else (cls.step,)
+
+
+def _starts(kind: type[Effect], late: float) -> tuple[float, ...]:
+    """Sizes to search a delay from: a small one, and `late` [s] where it is far from linear."""
+    return (kind.step, late) if abs(late) > NONLINEAR else (kind.step,)
+
+
+def reference_lag(log: Log, most: float) -> float:
+    """By how much [s], up to `most`, the reference's turning is late against the gyro: where their
+    correlation is largest, to the row."""
+    turning = Rotation.from_quat(log.ref_q, scalar_first=True)
+    row = float(np.mean(np.diff(log.t)))
+    turned = (turning[:-1].inv() * turning[1:]).as_rotvec() / np.diff(log.t)[:, None]
+    gyro = 0.5 * (log.gyro[1:] + log.gyro[:-1])
+    both = [x - x.mean(axis=0) for x in (turned, gyro)]
+    shared = sum(correlate(a, b) for a, b in zip(both[0].T, both[1].T, strict=True))
+    lags = correlation_lags(len(turned), len(gyro)) * row
+    near = np.abs(lags) <= most
+    return float(lags[near][np.argmax(shared[near])])
 
 
 class ClockScale(Effect):

@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import CATALOGUE, effect
 from surefoot.sim.effects.file import load_effects, save_effects, to_toml
+from surefoot.sim.effects.timing import reference_lag
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.physics.scene import robot_spec
 from surefoot.sim.robot import Robot
@@ -223,3 +224,14 @@ def test_text_of_a_file():
 def test_contact_delay_leaves_a_foot_that_never_swings(robot, streams, target):
     late = effect("contact_delay", target, 0.03).alter_streams(streams, robot)
     assert_array_equal(late.force, streams.force)
+
+
+@pytest.mark.parametrize("late", [-0.03, 0.0, 0.028])
+def test_a_search_for_a_delay_begins_where_gyro_and_reference_turn_alike(log, robot, late):
+    """Shaking is far from linear in 28 ms; that the two agree elsewhere is seen at once."""
+    moved, _ = effect("reference_delay", "all", -late).compensate(log, robot)
+    assert reference_lag(moved, 0.2) == pytest.approx(late, abs=1.5 / log.rate)
+    found = {n: CATALOGUE[n].starts_on("all", moved) for n in ("reference_delay", "imu_delay")}
+    assert len(found["imu_delay"]) == len(found["reference_delay"]) == (2 if late else 1)
+    if late:
+        assert found["imu_delay"][1] == -found["reference_delay"][1]
