@@ -13,22 +13,27 @@ from surefoot.sim.effects import Effect, known_effects
 
 @dataclass(frozen=True)
 class Prior:
-    """within: the size, in the effect's unit, that 19 of 20 machines stay below; source: of it."""
+    """within: the size, in the effect's unit, that 19 of 20 machines stay below; source: of it;
+    most: beyond which no such part is known, so that the effect stands for another one."""
 
     within: float
     source: str
+    most: float = np.inf
 
 
+NO_SUCH_SCALE = 3.0
+"""Times what its data sheet allows: no scale of a sensor that is not broken is as far off."""
 UNPUBLISHED = "no published figure found: as wide as the bounds"
 _MPU = "MPU-6050 Product Specification"
 _SOCCER = "Haarnoja et al., Science Robotics 2024"
 _ROBIO = "Zhao et al., ROBIO 2022: feet 14 mm off before calibration"
-_LATENCY = "Tan et al., RSS 2018: latencies of 0 to 40 ms"
+_TAN = "Tan et al., RSS 2018"
+_LATENCY = f"{_TAN}: latencies of 0 to 40 ms"
 _WALK = "Margolis and Agrawal, CoRL 2022, public code"
 
 PRIORS: dict[str, Prior] = {
-    "gyro_scale": Prior(0.03, f"{_MPU}: 3 %"),
-    "accel_scale": Prior(0.03, f"{_MPU}: 3 %"),
+    "gyro_scale": Prior(0.03, f"{_MPU}: 3 %", most=NO_SUCH_SCALE * 0.03),
+    "accel_scale": Prior(0.03, f"{_MPU}: 3 %", most=NO_SUCH_SCALE * 0.03),
     "gyro_bias": Prior(0.35, f"{_MPU}: 20 deg/s"),
     "accel_bias": Prior(0.8, f"{_MPU}: 50 mg along x and y, 80 mg along z"),
     "gyro_g_sensitivity": Prior(1e-3, f"{_MPU}: 1.8e-4 is typical, no maximum given"),
@@ -45,7 +50,28 @@ PRIORS: dict[str, Prior] = {
         0.025,
         "a turn of an encoder is a turn, and gears have whole teeth: what is left is the slope of "
         "its non-linearity, 1.41 degrees over a turn (ams AS5050 data sheet)",
+        most=NO_SUCH_SCALE * 0.025,
     ),
+    "backlash": Prior(0.035, "maxon catalogue: planetary gearheads of 0.5 to 2 degrees"),
+    "leg_compliance": Prior(
+        0.005,
+        "Harmonic Drive catalogue: gears of 5e3 N m/rad and more; belts, brackets and links of "
+        "plastic are taken to give up to 25 times as much",
+    ),
+    "foot_elasticity": Prior(
+        1e-4, "no figure of a robot's foot found: rubber and foam of 1e4 N/m, a centimetre at 100 N"
+    ),
+    "leg_heading": Prior(
+        0.05, "no figure found: 2 mm over a seat of 40 mm, of printed parts; machined, a tenth"
+    ),
+    "contact_delay": Prior(
+        0.08, "no figure found: filters of 10 Hz, debouncing and foam that springs back"
+    ),
+    "link_mass": Prior(0.6, f"{_TAN}: masses of 80 to 120 %, of links up to 3 kg"),
+    "link_com": Prior(
+        0.05, "no figure found: a quarter of a link of 0.2 m, as drawn and not weighed"
+    ),
+    "link_inertia": Prior(0.02, f"{_TAN}: inertias of 50 to 150 %, of links up to 0.04 kg m^2"),
     "link_length": Prior(0.014, _ROBIO),
     "hip_offset": Prior(0.014, _ROBIO),
     "foot_rolling": Prior(0.04, "radii of feet in the models of quadrupeds: 2 to 4 cm"),

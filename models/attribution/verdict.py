@@ -2,9 +2,12 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from surefoot.models.attribution.held_out import HeldOutRuns
 from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.models.attribution.outside_forces import Push
+from surefoot.models.attribution.priors import prior_of
 from surefoot.models.attribution.search import Found
 from surefoot.sim.effects import Effect
 
@@ -38,6 +41,7 @@ def verdict_of(
         for one in found
         if _at_bound(one.effect)
     ]
+    reasons += [why for one in found if (why := _implausible(one))]
     reasons += held_out.against if held_out else ()
     if reasons:
         return "none_of_these", tuple(reasons)
@@ -64,6 +68,15 @@ def _at_bound(one: Effect) -> bool:
         return False
     low, high = type(one).inside(one.target)
     return not low < one.value < high
+
+
+def _implausible(one: Found) -> str:
+    """Why an effect of this size stands for another: no such part is known."""
+    most, least = prior_of(type(one.effect)).most, min(np.abs(one.interval))
+    if one.interval[0] < 0 < one.interval[1] or least <= most:
+        return ""
+    name, unit = f"{one.effect.name} {one.effect.target}", one.effect.unit
+    return f"{name}: no part is off by {one.effect.value:.2g} {unit}, {most:.2g} at most"
 
 
 def _below_floor(one: Effect, channels: dict[str, ChannelLevel]) -> str:

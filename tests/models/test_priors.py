@@ -19,6 +19,7 @@ def test_every_prior_is_of_an_effect_within_its_bounds_and_has_a_source():
         prior = prior_of(kind)
         assert 0 < prior.within <= np.max(np.abs(kind.bounds))
         assert len(prior.source) > 10
+        assert prior.within < prior.most
     assert len(set(PRIORS) & set(known)) > 15
 
 

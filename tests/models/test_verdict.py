@@ -50,6 +50,18 @@ def test_a_size_at_its_bound_fails():
     assert why == "link_length FL_calf: its size is at its bound"
 
 
+def test_a_scale_that_no_sensor_has_stands_for_another_effect():
+    def of(size, half):
+        one = Found(effect("encoder_scale", "FL_hip", size), (size - half, size + half))
+        return verdict([one], 2.0, 1.0)
+
+    assert of(0.05, 0.01)[0] == "attributed"
+    assert of(-0.08, 0.01)[0] == "attributed"  # or 7 %
+    name, (why,) = of(-0.096, 0.01)
+    assert name == "none_of_these"
+    assert why == "encoder_scale FL_hip: no part is off by -0.096 ratio, 0.075 at most"
+
+
 def test_a_held_out_run_may_say_otherwise():
     against = HeldOutRuns({}, (), ("held-out run 1: link_length FL_calf makes foot_height worse",))
     name, reasons = verdict([CALF], 2.0, 1.0, against)
