@@ -30,6 +30,8 @@ class ChannelLevel:
     settings: TraceSettings = DEFAULT
     judges: bool = False
     """Whether no fit sees it: it need not come to its floor, but must not get worse."""
+    by_chance: bool = False
+    """Whether what is left is more than before by no more than so few events differ by chance."""
 
     @property
     def at_floor(self) -> bool:
@@ -48,6 +50,8 @@ class ChannelLevel:
     def worse(self) -> bool:
         """Whether what was added to the model does harm on data that no fit has seen: it leaves
         more than before and than the floor's own walks do, by more than those differ."""
+        if self.by_chance:
+            return False
         if self.noise_floor is None:
             return self.after > self.settings.worse * self.before
         more = self.after > max(self.settings.worse * self.before, self.noise_floor)
@@ -75,7 +79,7 @@ def channel_levels(
         if not np.isfinite(before[:, columns]).any():
             continue
         channel = channels()[name]
-        least = channel.least_noise if channel.on_level_ground or channel.judges else 0.0
+        least = channel.least_noise if channel.on_level_ground else 0.0
         level = [
             max(_rms(part[:, columns]), least)
             for part in (ahead if channel.on_level_ground else floors)
@@ -99,8 +103,17 @@ def channel_levels(
             highest=most,
             settings=known.settings,
             judges=channel.judges,
+            by_chance=channel.of_events and _by_chance(before[:, columns], after[:, columns]),
         )
     return levels
+
+
+def _by_chance(before: np.ndarray, after: np.ndarray) -> bool:
+    """Whether events, each its own before and after, are not worse on the mean by two standard
+    errors: a few that land badly are most of a level."""
+    more = after**2 - before**2
+    more = more[np.isfinite(more)]
+    return bool(np.mean(more) <= 2.0 * np.std(more) / np.sqrt(len(more))) if len(more) else True
 
 
 def without_bias(evidence: Evidence, weights: RobustWeights, use: np.ndarray) -> np.ndarray:

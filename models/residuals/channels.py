@@ -126,9 +126,6 @@ class StanceDisplacement(Channel):
     unit = "m"
     needs = ("q", "contact", "reference")
     masked_by = ("slid", "elsewhere")
-    least_noise = 1e-3
-    """m, what the finest reference resolves: simulated feet differ by tenths of it from one course
-    to the next."""
     chained = True
     of_events = True
     judges = True

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from surefoot.models.attribution.levels import ChannelLevel, scatter_of_rms
+from surefoot.models.attribution.levels import ChannelLevel, _by_chance, scatter_of_rms
 
 
 @pytest.mark.parametrize(
@@ -37,3 +37,14 @@ def test_the_level_of_a_few_events_scatters_as_drawn_ones_do():
     for values in (rng.normal(size=4000), rng.standard_t(6, size=4000)):
         drawn = np.sqrt(np.mean(rng.choice(values, (3000, 60)) ** 2, axis=1))
         assert scatter_of_rms(values, 60) == pytest.approx(drawn.std() / drawn.mean(), rel=0.1)
+
+
+def test_a_few_events_are_worse_only_by_more_than_chance():
+    rng = np.random.default_rng(1)
+    before = rng.normal(size=(40, 2))
+    one_off = before.copy()
+    one_off[7, 0] = 5.0
+    assert _by_chance(before, one_off)
+    assert _by_chance(before, 0.9 * before)
+    assert not _by_chance(before, 1.3 * before)
+    assert _by_chance(np.full((3, 1), np.nan), np.ones((3, 1)))
