@@ -19,7 +19,7 @@ from surefoot.sim.robot import Robot
 
 def readings(log: Log, settings: TraceSettings = DEFAULT) -> Log:
     """The log without anything that a measured one could not have, nor contacts that cannot be."""
-    known = ("gyro_", "accel_", "q_", "dq_", "tau_", "contact_", "force_", "ref_")
+    known = ("gyro_", "accel_", "q_", "dq_", "tau_", "contact_", "force_", "foot_", "ref_")
     if dead_contacts(log, settings):
         known = tuple(name for name in known if name != "contact_")
     read_by = (*channels().values(), *known_effects().usable()[0].values())
@@ -47,9 +47,11 @@ def dead_contacts(log: Log, settings: TraceSettings = DEFAULT) -> str:
 def cannot_tell(cases: Sequence[LogUnderModel], split: Split) -> str:
     """Why these logs cannot be traced, in a line; "" where they can."""
     if not any(all_keys(case) for case in cases):
+        groups = ("imu", "q", "contact", "tau", "reference")
+        lacking = [g for g in groups if not all(case.log.has(g) for case in cases)]
         return (
-            "no channel: needs gyro and accel, or q and contact, beside the reference; or q and "
-            "tau of a fixed base"
+            f"no channel: the log lacks {', '.join(lacking)}; needs imu, or q and contact, beside "
+            "the reference; or q and tau of a fixed base"
         )
     s = cases[0].settings
     longest = max(case.frame.t[-1] - case.frame.t[0] for case in cases)
@@ -80,6 +82,8 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
             notes.append(f"{name}: not used, the log lacks {' and '.join(lacking)}")
         elif channel.on_level_ground:
             notes.append(f"{name}: not used, the ground is not level")
+    if any(case.log.has("foot") and not case.log.has("q") for case in cases):
+        notes.append("legs: not traced, places of feet show no joint; the log lacks q")
     if "joint_torque" not in there and all(case.log.has("q_des") for case in cases):
         notes.append(
             "tracking: commanded angles need a motor law to give torques; add one to the map"
