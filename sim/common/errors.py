@@ -9,3 +9,5 @@ def check_seed(seed: int) -> None:
     """Raise SurefootError for a seed that no generator takes."""
     if seed < 0:
         raise SurefootError(f"--seed {seed}: must not be negative")
+    if seed > 2**53:
+        raise SurefootError("--seed: must not be beyond 2^53")

@@ -18,6 +18,12 @@ def quaternion_from_matrix(R: np.ndarray) -> np.ndarray:
     return q.reshape(*R.shape[:-2], 4)
 
 
+def check_rotation(R: np.ndarray) -> None:
+    """Raise ValueError for a matrix (3, 3) that is no rotation: stretched, skewed or a mirror."""
+    if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0:
+        raise ValueError("R_BI is not a rotation")
+
+
 def slerp(t: np.ndarray, q: np.ndarray, then: np.ndarray) -> np.ndarray:
     """Attitudes (M, 4), w >= 0, at times `then` (M,) [s] of a body that turns evenly, the short way
     round, from one of q (N, 4) at t (N,) [s] to the next (Shoemake 1985)."""

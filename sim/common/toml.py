@@ -7,6 +7,7 @@ raises SurefootError.
 """
 
 import re
+import reprlib
 import tomllib
 from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
@@ -17,13 +18,17 @@ import msgspec
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.limits import check_limit, check_toml_keys, read_text
 
 T = TypeVar("T")
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0)]
 Level = Annotated[float, msgspec.Meta(gt=0, lt=1)]
-Count = Annotated[int, msgspec.Meta(ge=1)]
-Name = Annotated[str, msgspec.Meta(min_length=1)]
+Count = Annotated[int, msgspec.Meta(ge=1, le=2**53)]
+Name = Annotated[str, msgspec.Meta(min_length=1, max_length=1000)]
+FileName = Annotated[str, msgspec.Meta(pattern=r"^\w[\w .+=(),-]{0,99}$")]
+"""A name that becomes part of a file's: letters, digits and a few signs, so no path."""
+Seed = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
 
 _Place = tuple[str | int, ...]  # keys, and the indices of tables in their arrays
 _WORDS = {
@@ -39,11 +44,13 @@ _WORDS = {
 def read_toml(path: str | Path, what: str = "") -> dict[str, Any]:
     """The tables of a TOML file. Raises SurefootError, one line that starts with `what`, path."""
     name = f"{what} {path}".lstrip()
+    text = read_text(path, what)
     try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SurefootError(f"{name}: {error.strerror or error}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        check_toml_keys(text)
+        return tomllib.loads(text)
+    except RecursionError:
+        raise SurefootError(f"{name}: not valid TOML: nested too deeply") from None
+    except ValueError as error:  # of TOML, of a key, or of digits beyond what Python converts
         raise SurefootError(f"{name}: not valid TOML: {' '.join(str(error).split())}") from None
 
 
@@ -75,6 +82,7 @@ def _typed(value: Any, kind: Any, place: _Place) -> Any:
         if isinstance(value, dict) and get_origin(arm) is dict:
             return {name: _typed(item, inner[1], (*place, name)) for name, item in value.items()}
         if isinstance(value, list) and get_origin(arm) is tuple and inner[1:] == (...,):
+            check_limit("items", len(value), f"{_key(place)} has too many entries")
             return tuple(
                 _typed(item, inner[0], _element(place, index, item))
                 for index, item in enumerate(value)
@@ -107,11 +115,22 @@ def _leaf(value: Any, kind: Any, arms: tuple[Any, ...], place: _Place) -> Any:
         found = msgspec.convert(value, kind)
     except msgspec.ValidationError as error:
         expected = _expected(str(error), arms)
-        raise SurefootError(f"{_key(place)} must be {expected}, is {value!r}") from None
+        raise SurefootError(f"{_key(place)} must be {expected}, is {_shown(value)}") from None
     # TOML has NaN and infinity; no file of ours means them.
     if any(isinstance(v, float) and not np.isfinite(v) for v in np.atleast_1d(found)):
-        raise SurefootError(f"{_key(place)} must be a number, is {value!r}")
+        raise SurefootError(f"{_key(place)} must be a number, is {_shown(value)}")
     return found
+
+
+def _shown(value: Any) -> str:
+    """A value as an error shows it, its middle left out where it is long."""
+    if isinstance(value, int) and abs(value) >= 2**63:
+        return f"a number of {value.bit_length()} bits"
+    return reprlib.repr(value) if isinstance(value, list | dict) else _short(repr(value))
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 80 else f"{text[:50]}...{text[-10:]}"
 
 
 def _expected(error: str, arms: tuple[Any, ...]) -> str:
@@ -119,6 +138,10 @@ def _expected(error: str, arms: tuple[Any, ...]) -> str:
     choices = [str(c) for arm in arms if get_origin(arm) is Literal for c in get_args(arm)]
     if choices:
         return f"one of {', '.join(choices)}"
+    if "out of range" in error:
+        return "a number of fewer digits"
+    if "regex" in error:
+        return "a name of 1 to 100 letters, digits, spaces or . _ + = ( ) , - and no path"
     types, limit = re.findall(r"`([^`]*)`([^,`]*)", error)[0]
     names = [str(_WORDS.get(name, name)) for name in types.split(" | ") if name != "null"]
     if any(get_origin(arm) is tuple and is_dataclass(get_args(arm)[0]) for arm in arms):

@@ -14,8 +14,11 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.limits import check_limit
 from surefoot.sim.ground.height_map import LATTICE, HeightMap
 
+COARSEST = 100.0
+"""m, largest grain: bumps of a hundred metres are slopes."""
 Extent = tuple[float, float, float, float]  # x0, x1, y0, y1 [m]
 
 
@@ -68,6 +71,12 @@ class Strip:
             raise SurefootError(f"width must be positive, is {self.width}")
         if self.steps < 0 or self.steps != round(self.steps):
             raise SurefootError(f"steps must be a whole number, is {self.steps}")
+        (x0, x1, y0, y1), bumpy = self.rectangle, float(self.rough > 0)
+        points = bumpy * (abs(x1 - x0) / LATTICE + 1) * (abs(y1 - y0) / LATTICE + 1)
+        check_limit("cells", points, "points of a rough strip")
+        check_limit("bodies", self.steps, "steps")
+        if self.grain > COARSEST:
+            raise SurefootError(f"grain must not exceed {COARSEST:g} m, is {self.grain:g}")
         if self.steps and self.rough:
             raise SurefootError("a strip cannot have both steps and rough")
         if self.rough < 0 or self.grain < 2 * LATTICE:

@@ -21,8 +21,10 @@ import pyarrow.parquet as pq
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
+from surefoot.sim.common.limits import admitted, check_limit
 from surefoot.sim.common.quaternion import matrix_from_quaternion
 from surefoot.sim.log.schema import (
+    DIGEST_KEY,
     GROUPS,
     JOINTS,
     KEY,
@@ -32,10 +34,12 @@ from surefoot.sim.log.schema import (
     group_columns,
     joint_names,
     leg_names,
+    metadata_digest,
     read_metadata,
 )
 
 T = TypeVar("T")
+MAGIC = b"PAR1"
 ROW_GROUP = 1 << 15
 """Rows of a file's row group: a minute at 500 Hz."""
 
@@ -76,7 +80,8 @@ class Log:
         except (SurefootError, TypeError, ValueError) as error:
             raise LogError(f"{path}: not written, {error}") from error
         columns = {str(name): pa.array(self.frame[name].to_numpy()) for name in self.frame}
-        table = pa.table(columns).replace_schema_metadata({KEY: text.encode()})
+        about = {KEY: text.encode(), DIGEST_KEY: metadata_digest(text.encode())}
+        table = pa.table(columns).replace_schema_metadata(about)
         try:
             with whole_file(path, force) as temporary:
                 pq.write_table(
@@ -310,14 +315,24 @@ class LogReader:
 
     def __init__(self, path: str | Path):
         """Raises LogError, one line, where the file, its columns' types or its metadata are bad."""
-        self.path = Path(path)
-        if not self.path.is_file():
-            raise LogError(f"{path}: {'is a folder' if self.path.is_dir() else 'no such file'}")
+        try:
+            self.path = admitted(path, "recording")
+        except SurefootError as error:
+            raise LogError(str(error)) from None
+        with self.path.open("rb") as stream:
+            if stream.read(len(MAGIC)) != MAGIC:  # Arrow looks at the last four bytes alone
+                raise LogError(f"{path}: not a whole Parquet file, damaged in its first bytes")
         with self._opened() as file:
             self.rows = file.metadata.num_rows
             self.columns: tuple[str, ...] = tuple(file.schema_arrow.names)
+            check_limit("rows", self.rows, "rows")
+            check_limit("columns", len(self.columns), "columns")
             check_table(file.schema_arrow)
             self.meta = read_metadata(file.schema_arrow.metadata)
+            check_limit("items", file.num_row_groups, "row groups")
+            sizes = [file.metadata.row_group(k).num_rows for k in range(file.num_row_groups)]
+            most = 8.0 * len(self.columns) * max(sizes, default=0)
+            check_limit("piece", most, "bytes of a row group in memory")
 
     def chunks(self, seconds: float = np.inf) -> Iterator[Log]:
         """The log's rows in turn, each in one log of about `seconds` at its rate; the last one has
@@ -326,6 +341,10 @@ class LogReader:
         Raises LogError, one line with file, column and row, at the first fault.
         """
         size = max(1, round(min(seconds * self.meta.rate, self.rows)))
+        try:
+            check_limit("memory", 8.0 * size * len(self.columns), "bytes in memory")
+        except SurefootError as error:
+            raise LogError(f"{self.path}: {error}") from None
         row, before = 0, -np.inf
         with self._opened() as file:
             for table in _tables(file, size):

@@ -4,7 +4,7 @@ The messages name column and row (counted from 0); `sim.log.log` puts the file i
 legs are those that the columns name: a quadruped's, a biped's, an arm's.
 """
 
-import json
+import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
@@ -14,10 +14,13 @@ import pandas as pd
 import pyarrow as pa
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.limits import limits, parse_json
 from surefoot.sim.common.toml import Count, Positive, typed
 
 SCHEMA = 1
 KEY = b"surefoot"
+DIGEST_KEY = b"surefoot.sha256"
+"""Of a log's metadata; the pages of numbers have checksums of their own."""
 LEGS = ("FL", "FR", "RL", "RR")
 """A quadruped's legs, in the order of every array."""
 JOINTS = tuple(f"{leg}_{joint}" for leg in LEGS for joint in ("hip", "thigh", "calf"))
@@ -192,17 +195,25 @@ def check_table(schema: pa.Schema) -> None:
             raise SurefootError(f"column {column.name} has type {column.type}, not float64")
 
 
+def metadata_digest(text: bytes) -> bytes:
+    """SHA-256 of a log's metadata, as hexadecimal digits."""
+    return hashlib.sha256(text).hexdigest().encode()
+
+
 def read_metadata(metadata: dict[bytes, bytes] | None) -> Meta:
     """What a Parquet schema's metadata say, of a log schema no newer than SCHEMA.
 
-    Raises SurefootError, one line with the key.
+    Raises SurefootError, one line with the key, also where they do not fit their digest.
     """
     if not metadata or KEY not in metadata:
         raise SurefootError(f"no {KEY.decode()!r} metadata in the Parquet schema; not a log")
+    digest = metadata.get(DIGEST_KEY)
+    if digest and digest != metadata_digest(metadata[KEY]):
+        raise SurefootError("damaged: the metadata do not match their digest")
     try:
-        values = json.loads(metadata[KEY])
-    except ValueError as error:
-        raise SurefootError(f"the metadata is not JSON ({error})") from error
+        values = parse_json(metadata[KEY])
+    except SurefootError as error:
+        raise SurefootError(f"the metadata is {error}") from error
     if not isinstance(values, dict):
         raise SurefootError("the metadata is not a JSON object")
     version = values.get("schema")
@@ -300,6 +311,12 @@ def _check_each(
 def _check_finite(name: str, values: np.ndarray, first_row: int) -> None:
     bad = ~np.isfinite(values)
     if not bad.any():
+        most = np.inf if name.startswith("x_") else limits().magnitude
+        if len(values) and max(values.max(), -values.min()) > most:
+            row = int(np.argmax(np.abs(values) > most))
+            raise SurefootError(
+                f"column {name}, row {first_row + row}: {values[row]:.3g} is beyond {most:g}"
+            )
         return
     row = int(np.argmax(bad))
     after = bad[row:]

@@ -283,7 +283,7 @@ def test_a_log_stripped_of_its_story_is_still_a_log(tmp_path):
 
 
 def test_files_that_are_no_logs(tmp_path):
-    assert "no such file" in fault(tmp_path / "nowhere.parquet")
+    assert "No such file" in fault(tmp_path / "nowhere.parquet")
     assert "is a folder" in fault(tmp_path)
     (tmp_path / "text.parquet").write_text("t,gyro_x\n0,1\n")
     assert "not a whole Parquet file" in fault(tmp_path / "text.parquet")
@@ -391,7 +391,7 @@ def test_a_fault_is_found_across_chunks_with_its_row_in_the_log(tmp_path, row, c
 
 def test_a_reader_refuses_what_read_refuses(tmp_path):
     for name in ("nowhere.parquet", "."):
-        with pytest.raises(LogError, match=r"no such file|is a folder"):
+        with pytest.raises(LogError, match=r"No such file|is a folder"):
             LogReader(tmp_path / name)
     with pytest.raises(LogError, match="metadata: rate is missing"):
         LogReader(written(make_log(), tmp_path / "bad.parquet", {"schema": SCHEMA}))
