@@ -10,7 +10,7 @@ from surefoot.models.alignment.alignment import Alignment, align, aligned_log
 from surefoot.models.alignment.turning import rates_of, smoothed
 from surefoot.scenarios.reporting.palette import AFTER, OUTSIDE, TRUTH
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, save_png, set_title
-from surefoot.sim.common.files import refuse_overwrite, whole_file
+from surefoot.sim.common.files import refuse_overwrite, whole_file, whole_folder
 from surefoot.sim.importing.recording import read_recording
 from surefoot.sim.log import Log
 from surefoot.sim.log.reference import Poses, reference_poses
@@ -47,10 +47,11 @@ def align_file(
     log, poses = _read(file, map)
     at = Robot.for_log(log, robot) if robot else None
     found = align(log, poses, most)
-    with whole_file(Path(out) / "alignment.json", force) as temporary:
-        temporary.write_text(json.dumps(found.as_dict(), indent=1) + "\n")
-    save_png(figure(log, poses, found), Path(out) / "alignment.png", force)
-    aligned_log(log, found, poses).write(Path(out) / "aligned.parquet", force)
+    with whole_folder(out, force) as folder:
+        with whole_file(folder / "alignment.json") as temporary:
+            temporary.write_text(json.dumps(found.as_dict(), indent=1) + "\n")
+        save_png(figure(log, poses, found), folder / "alignment.png")
+        aligned_log(log, found, poses).write(folder / "aligned.parquet")
     said = list(found.lines)
     if at:
         x, y, z = 1e3 * (at.p_BI + at.R_BI @ found.p_IM)

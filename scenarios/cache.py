@@ -10,6 +10,7 @@ bits again invalidates nothing further down.
 
 import hashlib
 import json
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ from typing import Any
 
 import pandas as pd
 
-from surefoot.sim.common.files import whole_file
+from surefoot.sim.common.files import file_digest, kept_file, private_folder
 from surefoot.sim.common.sources import sources_digest
 from surefoot.sim.log import Log
 
@@ -51,17 +52,19 @@ def product(
         make: writes the file at the path it is given and returns the facts.
     """
     key = product_key(kind, inputs, code)
+    private_folder(folder)
     path = folder / kind / f"{key}{suffix}"
     card = path.with_name(f"{key}.json") if suffix != ".json" else path.with_suffix(".card")
     found = _read(card, path)
     if found:
         return found
-    with whole_file(path, force=True) as temporary:
+    with kept_file(path) as temporary:
         facts = make(temporary)
         digest = file_digest(temporary)
     # The card comes last: a file without one is one that a kill left, and is made again.
-    with whole_file(card, force=True) as temporary:
+    with kept_file(card) as temporary:
         values = {"inputs": dict(inputs), "digest": digest, "facts": facts}
+        values["card"] = _json_digest(values)
         temporary.write_text(json.dumps(values, indent=1), encoding="utf-8")
     return Product(path, digest, facts)
 
@@ -72,12 +75,6 @@ def product_key(kind: str, inputs: Mapping[str, Any], code: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
-def file_digest(path: Path) -> str:
-    """SHA-256 of a file's content, as hexadecimal digits."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
 def contents_digest(log: Log) -> str:
     """SHA-256 of all that a log holds: its columns, and what it says of itself."""
     about = json.dumps([list(log.frame), asdict(log.meta)], sort_keys=True, default=repr)
@@ -86,12 +83,24 @@ def contents_digest(log: Log) -> str:
 
 
 def _read(card: Path, path: Path) -> Product | None:
+    """The product that a card names, None where either is missing or not as it was written."""
     try:
         values = json.loads(card.read_text(encoding="utf-8"))
         found = Product(path, values["digest"], values["facts"])
-    except (OSError, ValueError, KeyError, TypeError):
+        if values.pop("card") == _json_digest(values) and file_digest(path) == found.digest:
+            return found
+        print(f"note: {path}: damaged since it was made, made again", file=sys.stderr)
+    except FileNotFoundError:
         return None
-    return found if path.exists() else None
+    except (OSError, ValueError, KeyError, TypeError):
+        print(f"note: {card}: cannot be read, made again", file=sys.stderr)
+    return None
+
+
+def _json_digest(values: Any) -> str:
+    """SHA-256 of plain JSON."""
+    text = json.dumps(values, sort_keys=True, default=float)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def finished_case(
@@ -114,7 +123,8 @@ def finished_case(
     if row is None:
         row = dict(make())
         values = {"code": sources_digest(module), "inputs": inputs, "row": row}
-        with whole_file(folder / f"{name}.json", force=True) as temporary:
+        values["sha256"] = _json_digest(row)
+        with kept_file(folder / f"{name}.json") as temporary:
             temporary.write_text(json.dumps(values, indent=1, default=float), encoding="utf-8")
     return json.loads(json.dumps(row, default=float))
 
@@ -122,10 +132,16 @@ def finished_case(
 def read_case(
     folder: Path, name: str, inputs: Mapping[str, Any], module: str
 ) -> dict[str, Any] | None:
-    """The row of a case that the same code finished, None where there is none."""
+    """The row of a case that the same code finished, None where there is none, or a damaged one."""
     try:
         values = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
     current = sources_digest(module), json.loads(json.dumps(inputs, default=float))
-    return values["row"] if (values.get("code"), values.get("inputs")) == current else None
+    if not isinstance(values, dict) or "row" not in values:
+        return None
+    if (values.get("code"), values.get("inputs")) != current:
+        return None
+    # Rows of surefoot 0.1.0 have no digest.
+    whole = values.get("sha256") in (None, _json_digest(values["row"]))
+    return values["row"] if whole else None

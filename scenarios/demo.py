@@ -11,7 +11,7 @@ from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.empirical_coverage import coverage
 from surefoot.models.observer.observer import Observer
 from surefoot.models.observer.predict import prediction_errors
-from surefoot.scenarios.estimate.compare import compare_log, prepare_folder, write_comparison
+from surefoot.scenarios.estimate.compare import compare_log, write_comparison
 from surefoot.scenarios.estimate.learning import learn
 from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.reporting.html import Picture, Section, save_picture
@@ -24,6 +24,7 @@ from surefoot.scenarios.trace.result import Trace
 from surefoot.scenarios.trace.run import trace
 from surefoot.scenarios.trace.words import summary
 from surefoot.sim.common.errors import SurefootError, check_seed
+from surefoot.sim.common.files import refuse_full, whole_folder
 from surefoot.sim.effects import Effect, effect
 from surefoot.sim.effects.file import save_effects
 from surefoot.sim.log import Log
@@ -51,19 +52,9 @@ def demo(out: Path, seed: int = 0, force: bool = False) -> pd.DataFrame:
     """
     started = perf_counter()
     check_seed(seed)
-    prepare_folder(out, force)
-    robot = Robot.load("spot_class")
-    logs = {role: _walk(role, robot, _seed(role, seed), out, force) for role in WALKS}
-    print("training two observers on one walk: mean squared error, Gaussian likelihood")
-    learnt = learn([logs["train"]], logs["calibrate"], out, seed, force=force)
-    print("\nevery filter, on a walk that nothing was trained on")
-    comparison = compare_log(logs["walk"], robot, learnt)
-    found, hidden = _trace(robot, seed, out, force)
-    # The ground as this seed laid it, not as the file has it before patches and mu are drawn.
-    ground = plan(_scenario("walk"), robot, _seed("walk", seed)).draw.scenario.ground
-    extra = [*_observer_sections(logs, learnt, out, force), *_loop_sections(found, hidden)]
-    title = "surefoot demo: a walk on slippery ground, estimated by proprioception"
-    results = write_comparison([comparison], out, title, ground, extra=extra, force=force)
+    refuse_full(out, force)
+    with whole_folder(out, force) as folder:
+        results, found, hidden = _run(folder, seed)
     print("\n" + to_markdown(results))
     print(f"\n{summary(found)}\nThe effect was: {_in_words(hidden)}.")
     print(
@@ -71,6 +62,23 @@ def demo(out: Path, seed: int = 0, force: bool = False) -> pd.DataFrame:
         f"See the walk: surefoot view {out / 'walk.rrd'}"
     )
     return results
+
+
+def _run(out: Path, seed: int) -> tuple[pd.DataFrame, Trace, Effect]:
+    """The table, and what the trace found of which effect; all files are in `out`."""
+    robot = Robot.load("spot_class")
+    logs = {role: _walk(role, robot, _seed(role, seed), out) for role in WALKS}
+    print("training two observers on one walk: mean squared error, Gaussian likelihood")
+    learnt = learn([logs["train"]], logs["calibrate"], out, seed)
+    print("\nevery filter, on a walk that nothing was trained on")
+    comparison = compare_log(logs["walk"], robot, learnt)
+    found, hidden = _trace(robot, seed, out)
+    # The ground as this seed laid it, not as the file has it before patches and mu are drawn.
+    ground = plan(_scenario("walk"), robot, _seed("walk", seed)).draw.scenario.ground
+    extra = [*_observer_sections(logs, learnt, out), *_loop_sections(found, hidden)]
+    title = "surefoot demo: a walk on slippery ground, estimated by proprioception"
+    results = write_comparison([comparison], out, title, ground, extra=extra)
+    return results, found, hidden
 
 
 def _scenario(role: str) -> Scenario:
@@ -82,24 +90,16 @@ def _seed(role: str, seed: int) -> int:
     return 4 * seed + WALKS.index(role)
 
 
-def _walk(role: str, robot: Robot, seed: int, out: Path, force: bool) -> Log:
-    """Walk one of the demo's scenarios and write its log.
-
-    Args:
-        role: name of the scenario and of the log.
-        robot: that walks.
-        seed: of the walk.
-        out: folder of the demo.
-        force: whether the log may be replaced.
-    """
+def _walk(role: str, robot: Robot, seed: int, out: Path) -> Log:
+    """Walk the scenario of that name and write its log under it."""
     with percent_bar(f"walking: {role}") as progress:
         log = walk(_scenario(role), robot, seed, progress=progress)
     path = out / "logs" / f"{role}.parquet"
-    log.write(path, force)
+    log.write(path)
     return Log.read(path)
 
 
-def _trace(robot: Robot, seed: int, out: Path, force: bool) -> tuple[Trace, Effect]:
+def _trace(robot: Robot, seed: int, out: Path) -> tuple[Trace, Effect]:
     """Walk once more with an undeclared effect, and find it from the log alone."""
     rng = np.random.default_rng([seed, 4])
     name, targets, (low, high) = UNDECLARED[rng.integers(len(UNDECLARED))]
@@ -111,10 +111,10 @@ def _trace(robot: Robot, seed: int, out: Path, force: bool) -> tuple[Trace, Effe
             _scenario("walk"), robot, 4 * seed + 3, [hidden], declared=False, progress=progress
         )
     log = replace(log, name="undeclared")
-    log.write(out / "logs" / "undeclared.parquet", force)
-    save_effects(out / "truth.toml", [hidden], force)
+    log.write(out / "logs" / "undeclared.parquet")
+    save_effects(out / "truth.toml", [hidden])
     with percent_bar("trace") as progress:
-        return trace([log], robot, out / "trace", seed, progress, force), hidden
+        return trace([log], robot, out / "trace", seed, progress), hidden
 
 
 def _in_words(hidden: Effect) -> str:
@@ -130,9 +130,7 @@ def _loop_sections(found: Trace, hidden: Effect) -> list[Section]:
     return [hidden_effect, *trace_sections(found)]
 
 
-def _observer_sections(
-    logs: dict[str, Log], learnt: Learnt, out: Path, force: bool
-) -> list[Section]:
+def _observer_sections(logs: dict[str, Log], learnt: Learnt, out: Path) -> list[Section]:
     observer, bounds = learnt.bounded("mse")
     test_errors = prediction_errors(observer, logs["walk"])[1]
     held = coverage(test_errors, bounds)
@@ -140,7 +138,7 @@ def _observer_sections(
     if bounds.mixing is not None:
         caption = "Correlation of errors over time: calibration samples are taken K steps apart."
         pictures = (Picture(mixing_curve(bounds.mixing), caption),)
-        save_picture(pictures[0], out / "figures" / "observer_mixing.png", force)
+        save_picture(pictures[0], out / "figures" / "observer_mixing.png")
     learning = Section(
         "The observer and its bounds",
         f"Trained on one walk; calibrated on another at joint level {bounds.gamma:g} with "
@@ -157,7 +155,7 @@ def _observer_sections(
     except SurefootError as few:  # errors correlated for too long for statistics
         return [learning, Section("The observer's errors", str(few))]
     for k, picture in enumerate(errors.pictures):
-        save_picture(picture, out / "figures" / f"observer_errors_{k + 1}.png", force)
+        save_picture(picture, out / "figures" / f"observer_errors_{k + 1}.png")
     return [learning, errors]
 
 

@@ -30,7 +30,7 @@ def noise(log: Log, out: Path | None, force: bool = False) -> str:
     if out is not None and figure is not None:
         with whole_file(out, force) as temporary:
             temporary.write_text(settings_text(log.name, found), encoding="utf-8")
-        save_png(allan_figure(found), figure, force)
+            save_png(allan_figure(found), figure, force)
     rows = [
         {
             "sensor": f"{name} {axis}",

@@ -23,7 +23,7 @@ import numpy as np
 
 from surefoot.estimator.evaluation.trajectory import reference
 from surefoot.estimator.metrics import Metrics, evaluate
-from surefoot.scenarios.cache import file_digest, finished_case
+from surefoot.scenarios.cache import finished_case
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_code, estimator_named
 from surefoot.scenarios.estimate.run import declared_model, estimated
@@ -31,7 +31,7 @@ from surefoot.scenarios.estimate.tuned import Parameters, Tuned, read_tuned, tun
 from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.scenarios.stages import processes, stage
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import refuse_overwrite, whole_file
+from surefoot.sim.common.files import file_digest, refuse_overwrite, whole_file, whole_folder
 from surefoot.sim.common.sources import code_digest
 from surefoot.sim.effects import declared_effects
 from surefoot.sim.log import Log
@@ -154,10 +154,11 @@ def tune(
         reason = f"surefoot tune, budget {budget}, {len(of_robot[known])} logs"
         own = before.filters | {name: result["search"]["best"]}
         entries[known] = replace(before, filters=own, reason=reason)
-    write_tuned(out / "tuned.toml", entries, force)
     text = "\n\n".join(lines) + "\n"
-    with whole_file(out / "tuned.md", force) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    with whole_folder(out, force) as folder:
+        write_tuned(folder / "tuned.toml", entries)
+        with whole_file(folder / "tuned.md") as temporary:
+            temporary.write_text(text, encoding="utf-8")
     return text
 
 

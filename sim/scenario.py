@@ -10,7 +10,9 @@ import msgspec
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.toml import Count, NonNegative, Positive, read_typed
+from surefoot.sim.common.files import protect
+from surefoot.sim.common.limits import check_limit
+from surefoot.sim.common.toml import Count, FileName, Name, NonNegative, Positive, read_typed
 from surefoot.sim.gait.options import GaitOptions
 from surefoot.sim.ground.terrain import Ground, Patch, Strip
 from surefoot.sim.scenario_catalog import scenario_file
@@ -19,6 +21,10 @@ from surefoot.sim.sensors.streams import Sensors
 Role = Literal["train", "calibrate", "test"]
 ROLES: tuple[Role, ...] = get_args(Role)
 Friction = Annotated[float, msgspec.Meta(ge=0.01, le=3.0)]
+Factor = Annotated[float, msgspec.Meta(ge=0.01, le=100.0)]
+Speed = Annotated[float, msgspec.Meta(ge=-20.0, le=20.0)]
+"""m/s or rad/s: twice as fast as anything with legs."""
+Length = Annotated[float, msgspec.Meta(gt=0.0, le=1e5)]
 
 
 @dataclass(frozen=True)
@@ -38,13 +44,13 @@ class Ranges:
     The bumps of rough strips are always drawn.
     """
 
-    mu: tuple[float, float] = (1.0, 1.0)  # factor on every friction coefficient
-    speed: tuple[float, float] = (1.0, 1.0)  # factor on each segment's velocities
-    period: tuple[float, float] = (1.0, 1.0)  # factor on the gait's period
-    clearance: tuple[float, float] = (1.0, 1.0)  # factor on the swing foot's height
-    patch_shift: float = 0.0  # m, largest shift of a patch along x and y
-    rough: tuple[float, float] = (1.0, 1.0)  # factor on the height of bumps
-    gain: tuple[float, float] = (1.0, 1.0)  # factor on the controller's course and level gains
+    mu: tuple[Factor, Factor] = (1.0, 1.0)  # factor on every friction coefficient
+    speed: tuple[Factor, Factor] = (1.0, 1.0)  # factor on each segment's velocities
+    period: tuple[Factor, Factor] = (1.0, 1.0)  # factor on the gait's period
+    clearance: tuple[Factor, Factor] = (1.0, 1.0)  # factor on the swing foot's height
+    patch_shift: Annotated[float, msgspec.Meta(ge=0.0, le=1e3)] = 0.0  # m, of a patch along x and y
+    rough: tuple[NonNegative, NonNegative] = (1.0, 1.0)  # factor on the height of bumps
+    gain: tuple[Factor, Factor] = (1.0, 1.0)  # factor on the controller's course and level gains
     payload: tuple[float, float] = (0.0, 0.0)  # kg on the base that the controller ignores
 
     def __post_init__(self):
@@ -52,6 +58,8 @@ class Ranges:
             low, high = getattr(self, name)
             if low > high:
                 raise SurefootError(f"{name} must be [low, high], is [{low:g}, {high:g}]")
+        if max(map(abs, self.payload)) > 1e3 or self.rough[1] > 100.0:
+            raise SurefootError("payload must lie within 1000 kg, rough within 100")
 
 
 @dataclass(frozen=True)
@@ -76,6 +84,7 @@ class Scenario:
         Raises SurefootError naming the file and the key at fault.
         """
         path = scenario_file(name_or_path)
+        protect(path)
         file = read_typed(path, _File, "scenario")
         return cls(
             name=path.stem if file.name is None else file.name,
@@ -146,12 +155,12 @@ def _drawn_strip(strip: Strip, mu: float, rough: float, rng: np.random.Generator
 class _SegmentEntry:
     """A segment as a file has it, by time, length or angle; or `repeat` rounds of others."""
 
-    duration: Positive | None = None  # s
-    distance: Positive | None = None  # m
-    angle: Positive | None = None  # rad
-    forward: float = 0.0
-    lateral: float = 0.0
-    turn: float = 0.0
+    duration: Length | None = None  # s
+    distance: Length | None = None  # m
+    angle: Length | None = None  # rad
+    forward: Speed = 0.0
+    lateral: Speed = 0.0
+    turn: Speed = 0.0
     repeat: Count | None = None
     segment: tuple["_SegmentEntry", ...] = ()
 
@@ -167,6 +176,12 @@ class _SegmentEntry:
             raise SurefootError("distance needs a speed other than zero")
         elif self.angle and not self.turn:
             raise SurefootError("angle needs a speed other than zero")
+        check_limit("items", self.count, "repeat makes too many segments")
+
+    @property
+    def count(self) -> int:
+        """How many segments it stands for."""
+        return (self.repeat or 0) * sum(one.count for one in self.segment) or 1
 
     def segments(self) -> Iterator[Segment]:
         if self.repeat is not None:
@@ -197,9 +212,13 @@ class _StripEntry(Strip):
 @dataclass(frozen=True)
 class _GroundTable:
     mu: Friction = 0.8
-    half_size: Positive = 100.0
+    half_size: Length = 100.0
     patch: tuple[_PatchEntry, ...] = ()
     strip: tuple[_StripEntry, ...] = ()
+
+    def __post_init__(self):
+        pieces = sum(max(strip.steps, 1) for strip in self.strip) + 1
+        check_limit("bodies", pieces * (len(self.patch) + 1), "pieces of ground, cut by patches")
 
     def ground(self) -> Ground:
         return Ground(
@@ -212,8 +231,8 @@ class _GroundTable:
 
 @dataclass(frozen=True)
 class _File:
-    name: str | None = None
-    robot: str | None = None
+    name: FileName | None = None
+    robot: Name | None = None
     role: Role | None = None
     stand: NonNegative = 1.0
     laps: Count = 1
@@ -226,3 +245,8 @@ class _File:
     def __post_init__(self):
         if not self.segment:
             raise SurefootError("needs at least one [[segment]]")
+        count = self.laps * sum(entry.count for entry in self.segment)
+        check_limit("items", count, "laps make too many segments")
+        seconds = sum(one.duration for entry in self.segment for one in entry.segments())
+        longest = self.stand + self.laps * seconds / self.ranges.speed[0]
+        check_limit("walk", longest, "the walk takes too many seconds")

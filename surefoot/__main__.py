@@ -1,6 +1,6 @@
 """`python -m surefoot` is the command line."""
 
-from surefoot.scenarios.cli.main import main
+from surefoot.scenarios.cli.start import main
 
 if __name__ == "__main__":
     main()

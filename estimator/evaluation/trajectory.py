@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 from surefoot.estimator.evaluation.innovation_sums import InnovationSums
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
+from surefoot.sim.common.limits import admitted
 from surefoot.sim.common.quaternion import matrix_from_quaternion, quaternion_from_matrix
 from surefoot.sim.log import Log, reference_velocity
 
@@ -124,9 +125,11 @@ class Trajectory:
     @classmethod
     def read(cls, path: str | Path) -> Trajectory:
         """The trajectory at `path`. Raises TrajectoryError, one line naming the file and column."""
-        path = Path(path)
         try:
-            table = pq.read_table(path)
+            path = admitted(path, "recording")
+            table = pq.read_table(path, page_checksum_verification=True)
+        except SurefootError as error:
+            raise TrajectoryError(str(error)) from None
         except (OSError, pa.ArrowException) as error:
             raise TrajectoryError(f"{path}: cannot be read as a trajectory ({error})") from None
         if (table.schema.metadata or {}).get(_KEY) != _SCHEMA:
@@ -194,11 +197,16 @@ class TrajectoryWriter:
 
     def __enter__(self) -> TrajectoryWriter:
         temporary = self._file.__enter__()
-        self._writer = pq.ParquetWriter(temporary, self._schema, compression="zstd")
+        self._writer = pq.ParquetWriter(
+            temporary, self._schema, compression="zstd", write_page_checksum=True
+        )
         return self
 
     def __exit__(self, *error) -> bool | None:
-        self._writer.close()
+        try:
+            self._writer.close()
+        except OSError as full:
+            error = (type(full), full, full.__traceback__)
         return self._file.__exit__(*error)
 
     def write(self, piece: Trajectory) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -13,10 +14,14 @@ from surefoot.models.calibration.bias_model import BiasModel
 from surefoot.models.calibration.conformal import BoundsError
 from surefoot.models.calibration.mixing import Mixing
 from surefoot.models.observer.observer import Observer
+from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
+from surefoot.sim.common.limits import read_json
+from surefoot.sim.common.quaternion import check_rotation
 
 BOUNDS_FORMAT = "surefoot bounds"
-BOUNDS_SCHEMA = 1
+BOUNDS_SCHEMA = 2
+"""2: with a digest of what they say. Those of surefoot 0.1.0 are of schema 1, without one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,28 +79,34 @@ class Bounds:
         if self.persistent is not None:
             values["persistent"] = self.persistent.plain()
         text = json.dumps(values, indent=1, default=lambda array: array.tolist(), allow_nan=False)
+        text = json.dumps({"digest": _digest(json.loads(text))} | json.loads(text), indent=1)
         with whole_file(path, force) as temporary:
             temporary.write_text(text + "\n")
 
     @classmethod
     def load(cls, path: str | Path) -> Bounds:
         """The bounds at `path`. Raises BoundsError, one line, where it holds no valid ones."""
-        path = Path(path)
         try:
-            values = json.loads(path.read_text())
-        except OSError as error:
-            raise BoundsError(f"{path}: cannot be read ({error.strerror})") from error
-        except ValueError as error:
-            raise BoundsError(f"{path}: not JSON, truncated? ({error})") from error
-        if not isinstance(values, dict) or values.pop("format", None) != BOUNDS_FORMAT:
+            values = read_json(path)
+        except SurefootError as error:
+            raise BoundsError(str(error)) from None
+        if not isinstance(values, dict) or values.get("format") != BOUNDS_FORMAT:
             raise BoundsError(f"{path}: not surefoot bounds")
-        schema = values.pop("schema", None)
-        if schema != BOUNDS_SCHEMA:
+        schema, digest = values.get("schema"), values.pop("digest", None)
+        if schema not in (1, BOUNDS_SCHEMA):
             raise BoundsError(f"{path}: schema {schema}, this surefoot reads {BOUNDS_SCHEMA}")
+        if (schema > 1 or digest is not None) and digest != _digest(values):
+            raise BoundsError(f"{path}: were changed since they were calibrated; calibrate again")
+        del values["format"], values["schema"]
         try:
             return _checked(values)
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise BoundsError(f"{path}: not whole surefoot bounds ({error})") from error
+
+
+def _digest(values: dict[str, Any]) -> str:
+    """SHA-256 of what bounds say, the order of their keys aside."""
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 
 def _checked(values: dict[str, Any]) -> Bounds:
@@ -112,10 +123,7 @@ def _checked(values: dict[str, Any]) -> Bounds:
         raise ValueError("epsilon is not three positive numbers")
     if not np.all(np.isfinite(bounds.epsilon)):
         raise ValueError("epsilon is not finite")
-    if bounds.R_BI.shape != (3, 3) or not np.allclose(
-        bounds.R_BI @ bounds.R_BI.T, np.eye(3), atol=1e-6
-    ):
-        raise ValueError("R_BI is not a rotation")
+    check_rotation(bounds.R_BI)
     if not (0 < bounds.gamma < 1 and 0 < bounds.level_per_axis < 1):
         raise ValueError("gamma and level_per_axis must lie between 0 and 1")
     if not all(isinstance(count, int) and count > 0 for count in (bounds.K, bounds.n)):

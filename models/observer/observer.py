@@ -11,6 +11,7 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,8 @@ from surefoot.models.observer.odometry import (
 from surefoot.models.registry import ARCHITECTURES, LOSSES
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
+from surefoot.sim.common.limits import admitted
+from surefoot.sim.common.quaternion import check_rotation
 from surefoot.sim.log import Log
 
 OBSERVER_FORMAT = "surefoot observer"
@@ -127,19 +130,17 @@ class Observer:
 
     def save(self, path: str | Path, force: bool = False) -> None:
         """Write the checkpoint, whole or not at all. Raises SurefootError where `path` exists."""
+        about = {"format": OBSERVER_FORMAT, "schema": OBSERVER_SCHEMA, "hash": self.hash}
         with whole_file(path, force) as temporary:
-            torch.save(
-                {"format": OBSERVER_FORMAT, "schema": OBSERVER_SCHEMA, "hash": self.hash}
-                | _plain(self),
-                temporary,
-            )
+            temporary.write_bytes(torch_bytes(about | _plain(self)))
 
     @classmethod
     def load(cls, path: str | Path) -> Observer:
         """The observer at `path`. Raises ObserverError, one line, where it is none or damaged."""
-        path = Path(path)
-        if not path.is_file():
-            raise ObserverError(f"{path}: {'is a folder' if path.is_dir() else 'no such file'}")
+        try:
+            path = admitted(path, "piece")
+        except SurefootError as error:
+            raise ObserverError(str(error)) from None
         try:
             values: Any = torch.load(path, map_location="cpu", weights_only=True)
         except Exception as error:
@@ -205,6 +206,24 @@ def check_model(model: str) -> str:
     return model
 
 
+def torch_bytes(values: dict[str, Any]) -> bytes:
+    """A torch file of plain values; equal ones give equal bytes, by whatever way they were made."""
+
+    def own(value: Any) -> Any:
+        """With tensors that share no memory and objects that are each there once."""
+        if isinstance(value, torch.Tensor):
+            return value.detach().clone(memory_format=torch.contiguous_format)
+        if isinstance(value, dict):
+            return {key: own(item) for key, item in value.items()}
+        if isinstance(value, list | tuple):
+            return type(value)(own(item) for item in value)
+        return value
+
+    stream = BytesIO()  # given a path, torch writes the path's name into the file
+    torch.save(own(values), stream)
+    return stream.getvalue()
+
+
 def log_digest(log: Log) -> str:
     """SHA-256 of a log's time and joint positions: the same walk under any name has the same."""
     digest = hashlib.sha256(",".join(log.joints).encode())
@@ -261,6 +280,7 @@ def _from_plain(values: dict[str, Any]) -> Observer:
             raise ValueError(f"{name} is not of shape {shape}")
         if not np.all(np.isfinite(known[name])):
             raise ValueError(f"{name} is not finite")
+    check_rotation(known["R_BI"])
     if min(known["input_scale"].min(), known["output_scale"].min()) <= 0:
         raise ValueError("a scale is not positive")
     for name, weight in known["weights"].items():

@@ -34,10 +34,11 @@ from surefoot.models.observer.observer import (
     check_loss,
     check_model,
     log_digest,
+    torch_bytes,
 )
 from surefoot.models.registry import ARCHITECTURES
 from surefoot.sim.common.errors import check_seed
-from surefoot.sim.common.files import whole_file
+from surefoot.sim.common.files import kept_file
 from surefoot.sim.log import Log
 
 WARM_UP = 25
@@ -169,8 +170,8 @@ class Training:
             "rmse": self.rmse.tolist(),
             "since": self.since,
         }
-        with whole_file(path, force=True) as temporary:
-            torch.save(values, temporary)
+        with kept_file(path) as temporary:
+            temporary.write_bytes(torch_bytes(values))
 
     def restore(self, path: Path, task: str) -> bool:
         """Go on from the state at `path`; False where there is none or it is another task's.

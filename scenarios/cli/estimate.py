@@ -100,9 +100,8 @@ class Calibrate:
     def run(self) -> None:
         from surefoot.models.calibration.calibrate import calibrate
         from surefoot.models.observer.observer import Observer
-        from surefoot.scenarios.estimate.compare import prepare_folder
         from surefoot.scenarios.reporting.calibration_report import write_calibration_report
-        from surefoot.sim.common.files import refuse_overwrite
+        from surefoot.sim.common.files import refuse_full, refuse_overwrite, whole_folder
 
         refuse_overwrite(self.out, self.force)
         for name in ("on", "page"):
@@ -110,13 +109,20 @@ class Calibrate:
                 raise SurefootError(f"--{name}: it is for the report; give --report DIR too")
         recorded = read_logs((self.log, *self.on)) if self.report else []
         if self.report:
-            prepare_folder(self.report, self.force)
+            refuse_full(self.report, self.force)
         observer = Observer.load(self.observer)
         (log,) = read_as_declared((self.log,))
         bounds = calibrate(
             observer, log, self.gamma, self.method, K=self.K, confidence=self.confidence
         )
-        bounds.save(self.out, self.force)
+        if self.report:
+            with whole_folder(self.report, self.force) as folder:
+                write_calibration_report(
+                    folder, observer, bounds, recorded[0], recorded[1:], page=self.page
+                )
+                bounds.save(self.out, self.force)
+        else:
+            bounds.save(self.out, self.force)
         x, y, z = bounds.epsilon
         print(
             f"{self.out}: |error| <= {x:.4f}, {y:.4f}, {z:.4f} m/s jointly at gamma "
@@ -129,9 +135,6 @@ class Calibrate:
                 "on fewer independent samples than they count"
             )
         if self.report:
-            write_calibration_report(
-                self.report, observer, bounds, recorded[0], recorded[1:], self.force, self.page
-            )
             print(f"report: {self.report / 'report.html'}")
 
 
@@ -217,15 +220,13 @@ class Compare:
     force: Force = False
 
     def run(self) -> None:
-        from surefoot.scenarios.estimate.compare import (
-            compare_log,
-            prepare_folder,
-            write_comparison,
-        )
+        from surefoot.scenarios.estimate.compare import compare_log, write_comparison
         from surefoot.scenarios.estimate.run import robot_of
         from surefoot.scenarios.estimate.settings import read_settings
         from surefoot.scenarios.reporting.tables import to_markdown
+        from surefoot.sim.common.files import refuse_full, whole_folder
 
+        refuse_full(self.out, self.force)
         learnt = learnt_from(self.observer, self.bounds)
         logs = read_logs(self.logs)
         names = [log.name for log in logs]
@@ -233,11 +234,11 @@ class Compare:
             if names.count(name) > 1:
                 raise SurefootError(f"{path}: another log has the same name; give each its own")
         settings = read_settings(self.settings, self.set_lines)
-        prepare_folder(self.out, self.force)
         found = [
             compare_log(log, robot_of(log, self.robot), learnt, settings=settings) for log in logs
         ]
-        results = write_comparison(found, self.out, "Filters compared", force=self.force)
+        with whole_folder(self.out, self.force) as folder:
+            results = write_comparison(found, folder, "Filters compared")
         print("\n" + to_markdown(results))
         for comparison in found:
             for name, why in comparison.left_out.items():

@@ -1,5 +1,7 @@
 """The command line: `surefoot COMMAND`. Each command is a dataclass; its fields are its options."""
 
+import os
+import signal
 import sys
 from collections.abc import Sequence
 from typing import Annotated, Union
@@ -9,6 +11,13 @@ from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
 
 from surefoot.scenarios.cli.data import Align, Import, Robots, Simulate, View
 from surefoot.scenarios.cli.estimate import Calibrate, Compare, Estimate, NoiseCommand, Train
+from surefoot.scenarios.cli.runs import (
+    guarded,
+    how_to_go_on,
+    interruptions,
+    one_line,
+    plain_terminals,
+)
 from surefoot.scenarios.cli.study import (
     Bench,
     Demo,
@@ -48,17 +57,35 @@ COMMANDS: dict[str, type] = {
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run one command; bad input is one line on stderr and exit code 1, bad options exit code 2."""
+    """Run one command; bad input is one line on stderr and exit code 1, bad options exit code 2,
+    an interruption the code of its signal and 128."""
+    name = ""
+    plain_terminals()
     try:
-        choices = tuple(Annotated[c, subcommand(n, prefix_name=False)] for n, c in COMMANDS.items())
-        command = tyro.cli(
-            Union[choices],  # noqa: UP007  a union made at run time  # pyright: ignore
-            prog="surefoot",
-            args=arguments,
-            config=(FlagCreatePairsOff, OmitArgPrefixes),
-        )
-        command.run()
+        with interruptions():
+            choices = tuple(
+                Annotated[c, subcommand(n, prefix_name=False)] for n, c in COMMANDS.items()
+            )
+            command = tyro.cli(
+                Union[choices],  # noqa: UP007  a union made at run time  # pyright: ignore
+                prog="surefoot",
+                args=arguments,
+                config=(FlagCreatePairsOff, OmitArgPrefixes),
+            )
+            name = next(n for n, kind in COMMANDS.items() if type(command) is kind)
+            with guarded(name, command):
+                command.run()
+            sys.stdout.flush()
     except SurefootError as error:
-        sys.exit(f"surefoot: {error}")
-    except KeyboardInterrupt:
-        sys.exit("surefoot: interrupted")
+        sys.exit(f"surefoot: {one_line(error)}")
+    except KeyboardInterrupt as stop:
+        print(f"\nsurefoot: {how_to_go_on(name)}", file=sys.stderr)
+        sys.exit(128 + getattr(stop, "number", signal.SIGINT))
+    except BrokenPipeError:
+        # Whoever read the output has gone; Python would complain once more at its end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+    except MemoryError:
+        sys.exit(f"surefoot: {name}: more memory was asked for than there is")
+    except OSError as error:
+        sys.exit(f"surefoot: {name}: {one_line(error)}")

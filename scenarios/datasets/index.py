@@ -17,10 +17,9 @@ import numpy as np
 import pandas as pd
 
 from surefoot.estimator.metrics import path_length
-from surefoot.scenarios.cache import file_digest
 from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import whole_file
+from surefoot.sim.common.files import file_digest, whole_file
 from surefoot.sim.common.sources import code_digest, sources_digest
 from surefoot.sim.log import Log
 from surefoot.sim.walk import Plan

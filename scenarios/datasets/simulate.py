@@ -15,8 +15,9 @@ from surefoot.scenarios.datasets.index import (
     write_index,
 )
 from surefoot.scenarios.reporting.progress import percent_bar
-from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import clear_debris, refuse_overwrite, whole_file
+from surefoot.sim.common.errors import SurefootError, check_seed
+from surefoot.sim.common.files import check_space, clear_debris, refuse_overwrite, whole_file
+from surefoot.sim.common.limits import check_limit
 from surefoot.sim.common.sources import code_digest
 from surefoot.sim.effects import Effect
 from surefoot.sim.effects.file import load_effects, to_toml
@@ -24,6 +25,9 @@ from surefoot.sim.log import Log
 from surefoot.sim.scenario import Scenario
 from surefoot.sim.walk import plan
 from surefoot.sim.walking.batch import Job, Walked, known_robot, walk_batch
+
+BYTES_PER_SECOND = 150e3
+"""Of a log's file for each s of walking: 500 rows of some 80 columns, compressed by a half."""
 
 
 def simulate_all(
@@ -68,7 +72,11 @@ def simulate_all(
             )
     journal = Journal(out)
     _guard_truth(out, chosen if undeclared else (), journal, force)
+    for name in {log_name(job) for job in jobs} if force else ():
+        refuse_overwrite(out / f"{name}.parquet", force)
     todo = jobs if force else [job for job in jobs if not _done(journal, job)]
+    seconds = sum(job.scenario.laps * s.duration for job in todo for s in job.scenario.segments)
+    check_space(out, BYTES_PER_SECOND * seconds)
     names = {f".{log_name(job)}.parquet" for job in todo}
     clear_debris(p for p in out.glob(".*.tmp") if p.stem.rpartition(".")[0] in names)
     with percent_bar("simulate") as progress:
@@ -120,6 +128,7 @@ def _jobs(
     if not scenarios:
         raise SurefootError("give at least one scenario: a file, or a bundled name")
     jobs = []
+    check_limit("walks", len(seeds) * len(scenarios), "walks")
     for path in scenarios:
         scenario = Scenario.load(path)
         name = robot or scenario.robot
@@ -178,7 +187,7 @@ def _done(journal: Journal, job: Job) -> bool:
 
 def seed_range(text: str) -> range:
     """`5` or `0:8` as a range. Raises SurefootError for anything else."""
-    first, _, last = text.partition(":")
+    first, _, last = text[:50].partition(":")
     try:
         start = int(first)
         end = int(last) if last else start + 1
@@ -186,4 +195,6 @@ def seed_range(text: str) -> range:
         raise SurefootError(f"--seeds {text}: give a number, or a range such as 0:8") from None
     if start < 0 or end <= start:
         raise SurefootError(f"--seeds {text}: the range is empty or negative")
+    check_seed(end)
+    check_limit("walks", end - start, f"--seeds {text}: walks")
     return range(start, end)

@@ -32,7 +32,6 @@ from surefoot.scenarios.reporting.figures import (
 from surefoot.scenarios.reporting.html import Picture, Section, save_picture, write_report
 from surefoot.scenarios.reporting.tables import metrics_row, to_csv, to_markdown
 from surefoot.scenarios.viewer.recording import write_recording
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
@@ -156,9 +155,9 @@ def write_comparison(
     """
     found = table(comparisons)
     with whole_file(out / "table.md", force) as path:
-        path.write_text(to_markdown(found) + "\n")
+        path.write_text(to_markdown(found) + "\n", encoding="utf-8")
     with whole_file(out / "table.csv", force) as path:
-        path.write_text(to_csv(found))
+        path.write_text(to_csv(found), encoding="utf-8")
     sections = _summary_sections(comparisons, found)
     for comparison in comparisons:
         pictures = _pictures(comparison, ground.patches if ground else ())
@@ -185,18 +184,6 @@ def write_comparison(
             )
     write_report(out / "report.html", title, [*sections, *extra], force)
     return found
-
-
-def prepare_folder(out: Path, force: bool) -> None:
-    """Make `out`; raises SurefootError where it holds something and `force` is not given."""
-    if out.exists() and not out.is_dir():
-        raise SurefootError(f"-o {out}: is a file, not a folder")
-    if out.is_dir() and any(out.iterdir()) and not force:
-        raise SurefootError(f"-o {out}: is not empty; give --force to overwrite what is in it")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise SurefootError(f"-o {out}: {error.strerror}") from None
 
 
 def _with_interval(held: EmpiricalCoverage) -> str:

@@ -1,8 +1,6 @@
 """Both observers of some walks, and bounds for both: what the learnt filters need."""
 
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 
 from surefoot.models.calibration.bounds import Bounds
@@ -11,6 +9,7 @@ from surefoot.models.observer.observer import Observer
 from surefoot.models.observer.training import DEFAULT_SCHEDULE, Schedule, train
 from surefoot.models.registry import LOSSES
 from surefoot.scenarios.estimate.run import Learnt
+from surefoot.scenarios.stages import processes, submitted
 from surefoot.sim.log import Log
 
 
@@ -36,11 +35,10 @@ def learn(
         force: whether files may be replaced.
         schedule: how long and how fast to train.
     """
-    with ProcessPoolExecutor(len(LOSSES), mp_context=get_context("spawn")) as pool:
-        jobs = [
-            pool.submit(_train, list(training), loss, seed, inputs, schedule) for loss in LOSSES
-        ]
-        observers = tuple(job.result() for job in jobs)
+    with processes(len(LOSSES)) as pool:
+        assert pool is not None
+        tasks = [(_train, list(training), loss, seed, inputs, schedule) for loss in LOSSES]
+        observers = tuple(job.result() for job in [submitted(pool, task) for task in tasks])
     bounds = []
     for observer in observers:
         observer.save(out / f"observer_{observer.loss}.pt", force)

@@ -70,8 +70,9 @@ def estimate_file(
         (log,) = reader.chunks()
         result = run_filter(name, log, robot_of(log, robot_name), learnt, settings)
         if out:
-            result.trajectory.write(out, force)
-            result.trajectory.write_tum(out.with_suffix(".tum"), force)
+            with whole_file(out, force) as temporary:
+                result.trajectory.write(temporary)
+                result.trajectory.write_tum(out.with_suffix(".tum"), force)
         return result.metrics, result.health
     try:
         return _in_pieces(name, reader, robot_name, learnt, out, force, settings)

@@ -15,8 +15,9 @@ from surefoot.scenarios.estimate.estimators import ESTIMATORS
 from surefoot.scenarios.experiments.as_walked import AsWalked, load_as_walked
 from surefoot.scenarios.experiments.imperfections import Imperfection, load_imperfections
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import bundled
-from surefoot.sim.common.toml import Count, Level, Name, read_toml, typed
+from surefoot.sim.common.files import bundled, protect
+from surefoot.sim.common.limits import check_limit
+from surefoot.sim.common.toml import FileName, Level, Name, Seed, read_toml, typed
 from surefoot.sim.effects import Effect
 from surefoot.sim.effects.file import load_effects
 from surefoot.sim.robot import Robot
@@ -27,8 +28,7 @@ from surefoot.sim.walking.batch import Job, known_robot
 
 SUITES_FOLDER = bundled("surefoot.scenarios.experiments", "suites")
 SUITES = ("spot", "vision60")
-
-Seed = Annotated[int, msgspec.Meta(ge=0)]
+Steps = Annotated[int, msgspec.Meta(ge=1, le=10**6)]
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Learning:
 
     losses: tuple[str, ...] = LOSSES
     inputs: str = "q,dq,tau"
-    steps: Count = DEFAULT_SCHEDULE.steps
+    steps: Steps = DEFAULT_SCHEDULE.steps
     model: str = "gru"
     method: str = "conformal"
 
@@ -120,6 +120,7 @@ class Experiment:
             path = SUITES_FOLDER / f"{name_or_path}.toml"
         elif not path.is_file():
             raise SurefootError(f"experiment {path}: No such file; bundled are {', '.join(SUITES)}")
+        protect(path)
         table = read_toml(path, "experiment")
         try:
             return _experiment(typed(table, _File), path)
@@ -158,7 +159,7 @@ def walk_to_make(scenario: Scenario, robot: str, condition: Condition, seed: int
 
 @dataclass(frozen=True)
 class _ConditionTable:
-    name: Name
+    name: FileName
     words: str = ""
     effects: str | None = None
     declared: bool = False
@@ -189,7 +190,7 @@ class _ConditionTable:
 @dataclass(frozen=True)
 class _File:
     scenarios: tuple[str, ...]
-    title: str | None = None
+    title: Name | None = None
     robots: tuple[str, ...] | None = None
     seeds: tuple[Seed, ...] = (0,)
     gammas: tuple[Level, ...] = (0.8,)
@@ -249,6 +250,9 @@ def _experiment(file: _File, path: Path) -> Experiment:
 
 
 def _check(found: Experiment) -> None:
+    walks = sum(len(found.robots_of(s)) for s in found.scenarios)
+    walks *= len(found.seeds) * len(found.conditions)
+    check_limit("walks", walks * len(found.gammas), "walks times gammas")
     for name in (names := [c.name for c in found.conditions]):
         if names.count(name) > 1:
             raise SurefootError(f"two conditions are named {name}")

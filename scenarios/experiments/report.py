@@ -42,7 +42,7 @@ from surefoot.scenarios.reporting.html import (
 from surefoot.scenarios.reporting.tables import to_csv, to_markdown
 from surefoot.scenarios.studies.pages import origin_of, write_page
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import clear_debris, whole_file
+from surefoot.sim.common.files import clear_debris, refuse_overwrite, whole_file, whole_folder
 
 
 def experiment(
@@ -78,19 +78,21 @@ def experiment(
         found = found.with_seeds(tuple(seed_range(seeds)))
     if (out / "report.html").exists() and not force:
         raise SurefootError(f"-o {out}: holds a finished run; give --force to write it again")
+    for name in ("results.csv", "results.parquet", "averages.csv", "report.md", "report.html"):
+        refuse_overwrite(out / name, force=True)
     folder = cache or out / "cache"
     clear_debris(folder.glob("*/.*.tmp"))
     outcome = run(found, folder, workers, recordings)
     rows = tidy(outcome)
-    write_tables(rows, found, out)
-    for name, recording in outcome.recordings.items():
-        with whole_file(out / "recordings" / f"{name}.rrd", force=True) as temporary:
-            copyfile(recording.path, temporary)
-    pages = report_sections(rows, outcome, found, out)
-    with whole_file(out / "report.md", force=True) as temporary:
-        temporary.write_text(markdown_report(found.title, pages), encoding="utf-8")
-    # The page comes last: where it is, everything else is whole.
-    write_report(out / "report.html", found.title, pages, force=True)
+    with whole_folder(out, force=True) as made:
+        write_tables(rows, found, made)
+        for name, recording in outcome.recordings.items():
+            with whole_file(made / "recordings" / f"{name}.rrd") as temporary:
+                copyfile(recording.path, temporary)
+        pages = report_sections(rows, outcome, found, made)
+        with whole_file(made / "report.md") as temporary:
+            temporary.write_text(markdown_report(found.title, pages), encoding="utf-8")
+        write_report(made / "report.html", found.title, pages)
     if page:
         command = f"surefoot {'suite' if file in SUITES else 'experiment'} {file}"
         write_page(page, found.title, pages, origin_of(__name__, command))
@@ -106,7 +108,7 @@ def experiment(
 
 def write_tables(rows: pd.DataFrame, found: Experiment, out: Path) -> None:
     """results.csv and .parquet hold every row, the others what the report shows."""
-    with whole_file(out / "results.parquet", force=True) as temporary:
+    with whole_file(out / "results.parquet") as temporary:
         rows.to_parquet(temporary, index=False)
     main = at_gamma(rows, found.gammas[0])
     tables = {"results": rows, "averages": averages(main), "sweep": sweep(rows, found)}
@@ -114,10 +116,10 @@ def write_tables(rows: pd.DataFrame, found: Experiment, out: Path) -> None:
         part = main[main["condition"] == condition.name]
         tables[f"sequences_{_slug(condition.name)}"] = per_sequence(part)
     for name, table in tables.items():
-        with whole_file(out / f"{name}.csv", force=True) as temporary:
+        with whole_file(out / f"{name}.csv") as temporary:
             temporary.write_text(to_csv(table), encoding="utf-8")
         if name != "results" and len(table):
-            with whole_file(out / f"{name}.md", force=True) as temporary:
+            with whole_file(out / f"{name}.md") as temporary:
                 temporary.write_text(to_markdown(table) + "\n", encoding="utf-8")
 
 
@@ -133,7 +135,7 @@ def report_sections(
         pages += _published(found.published)
     pictures = _pictures(main, found.gammas[0])
     for name, picture in pictures.items():
-        save_picture(picture, out / "figures" / f"{name}.png", force=True)
+        save_picture(picture, out / "figures" / f"{name}.png")
     pages.append(Section("Errors and consistency by sequence", "", None, tuple(pictures.values())))
     swept = sweep(rows, found)
     if len(found.gammas) + len(found.sweep.gammas) > 1 and len(swept):
@@ -141,7 +143,7 @@ def report_sections(
             gamma_sweep(swept, "How much γ matters, on average over the test sequences"),
             "Each gamma has bounds calibrated for it; filters that use no bounds do not change.",
         )
-        save_picture(picture, out / "figures" / "gamma.png", force=True)
+        save_picture(picture, out / "figures" / "gamma.png")
         pages.append(Section("The level γ", "", swept, (picture,)))
     pages += _walks(outcome, found, out)
     for condition in found.conditions:
@@ -223,14 +225,14 @@ def _walks(outcome: Outcome, found: Experiment, out: Path) -> list[Section]:
                 paths(by_filter, f"{name}, {condition.name}"),
                 f"{name}, seed {found.seeds[0]}: truth and estimates, aligned at the start.",
             )
-            save_picture(picture, out / "figures" / f"{name}_{_slug(condition.name)}.png", True)
+            save_picture(picture, out / "figures" / f"{name}_{_slug(condition.name)}.png")
             pictures.append(picture)
         if series:
             title = (
                 f"Distance from the truth, dashed: the filter's own three sigma; {condition.name}"
             )
             picture = Picture(errors_figure(series, title), "Errors over time.")
-            save_picture(picture, out / "figures" / f"errors_{_slug(condition.name)}.png", True)
+            save_picture(picture, out / "figures" / f"errors_{_slug(condition.name)}.png")
             pages.append(Section(f"Paths: {condition.name}", "", None, (picture, *pictures)))
     return pages
 

@@ -22,7 +22,8 @@ from surefoot.scenarios.reporting.html import (
     write_report,
 )
 from surefoot.scenarios.reporting.tables import Table, to_csv, to_markdown
-from surefoot.sim.common.files import whole_file
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import kept_file, refuse_input, whole_file
 from surefoot.sim.common.sources import sources_digest
 
 
@@ -81,7 +82,11 @@ def write_results(
 
 
 def write_page(path: Path, title: str, sections: Sequence[Section], origin: Origin) -> None:
-    """Write a page of results in Markdown, its pictures beside it as PNG; replaces an older one."""
+    """Write a page of results in Markdown, its pictures beside it as PNG; replaces an older one.
+
+    Raises SurefootError where another file than a page of results is in its place.
+    """
+    check_page(path)
     parts = [f"# {title}", "\n".join(["| | |", "| --- | --- |", *_header(origin)])]
     for number, section in enumerate(sections, 1):
         parts += [f"## {section.heading}", section.prose.strip()]
@@ -89,15 +94,23 @@ def write_page(path: Path, title: str, sections: Sequence[Section], origin: Orig
             parts.append(to_markdown(section.table))
         for place, picture in enumerate(section.pictures, 1):
             name = f"{path.stem}_{number}_{place}.png"
-            save_picture(picture, path.with_name(name), force=True)
+            with kept_file(path.with_name(name)) as temporary:
+                save_picture(picture, temporary)
             parts += [f"![{section.heading}]({name})", picture.caption]
-    with whole_file(path, force=True) as temporary:
+    with kept_file(path) as temporary:
         temporary.write_text("\n\n".join(p for p in parts if p) + "\n", encoding="utf-8")
+
+
+def check_page(path: Path) -> None:
+    """Raise SurefootError where a file that is no page of results has the path of one."""
+    refuse_input(path)
+    if path.exists() and read_origin(path) == Origin():
+        raise SurefootError(f"--page {path}: is no page of results; move it away")
 
 
 def read_origin(path: Path) -> Origin:
     """The header of a page of results; all of it is empty where the page has none."""
-    text = path.read_text(encoding="utf-8")
+    text = path.read_text(encoding="utf-8", errors="replace")
     found = {
         name: match.group(1)
         for name in asdict(Origin())

@@ -18,7 +18,7 @@ import pandas as pd
 from surefoot.models.attribution.evidence import candidates_code
 from surefoot.models.observer.training import DEFAULT_SCHEDULE, Schedule
 from surefoot.scenarios.cache import contents_digest
-from surefoot.scenarios.estimate.compare import compare_log, prepare_folder
+from surefoot.scenarios.estimate.compare import compare_log
 from surefoot.scenarios.estimate.learning import learn, learnt_in
 from surefoot.scenarios.estimate.run import Learnt, declared_model
 from surefoot.scenarios.reporting.progress import percent_bar
@@ -26,7 +26,7 @@ from surefoot.scenarios.trace.loop_report import Side, write_loop
 from surefoot.scenarios.trace.run import trace
 from surefoot.scenarios.trace.words import caution, summary
 from surefoot.sim.common.errors import SurefootError, check_seed
-from surefoot.sim.common.files import whole_file
+from surefoot.sim.common.files import refuse_full, whole_file
 from surefoot.sim.common.sources import sources_digest
 from surefoot.sim.effects import Effect, declared_effects, effect
 from surefoot.sim.effects.file import load_effects
@@ -92,7 +92,7 @@ def loop(
         "lesson": asdict(plan),
     }
     if force or not _same(out, recipe):
-        prepare_folder(out, force)
+        refuse_full(out, force)
         with whole_file(out / RECIPE, True) as path:
             path.write_text(json.dumps(recipe, indent=2) + "\n", encoding="utf-8")
         for stale in ("trace/trace.json", "before/done", "after/done"):

@@ -18,7 +18,7 @@ from surefoot.scenarios.trace.loop import bodily, world_of
 from surefoot.scenarios.trace.realism_figures import pictures
 from surefoot.scenarios.trace.walk_comparison import WalkComparison
 from surefoot.sim.common.errors import SurefootError, check_seed
-from surefoot.sim.common.files import refuse_overwrite, whole_file
+from surefoot.sim.common.files import refuse_overwrite, whole_file, whole_folder
 from surefoot.sim.effects import Effect
 from surefoot.sim.effects.carry import carried, growth, scale_of
 from surefoot.sim.log import Log
@@ -84,9 +84,10 @@ def realism(
         found.append(compare_walks(log, robot, "as walked", effects, walked, walker, seed, second))
     parts = card_sections(found)
     tables = {"realism": [{"walk": c.words, **r.as_dict()} for c in found for r in c.card.rows]}
-    write_results(out, TITLE, parts, tables, force)
-    with whole_file(out / "realism.json", force) as temporary:
-        temporary.write_text(json.dumps(_json(found), indent=2) + "\n", encoding="utf-8")
+    with whole_folder(out, force) as folder:
+        write_results(folder, TITLE, parts, tables)
+        with whole_file(folder / "realism.json") as temporary:
+            temporary.write_text(json.dumps(_json(found), indent=2) + "\n", encoding="utf-8")
     if page:
         write_page(page, TITLE, parts, origin_of(_MODULE, "surefoot realism"))
     return tuple(found)

@@ -32,8 +32,8 @@ _METRICS = {
 """Metric -> heading of its two columns."""
 
 
-def write_outputs(found: Trace, robot: Machine, out: Path, force: bool = False) -> None:
-    """Write the trace's files, trace.json last: where it is, the others are whole too."""
+def write_outputs(found: Trace, robot: Machine, out: Path) -> None:
+    """Write the trace's files into an empty folder."""
     effects = found.effects
     if found.stretches and found.stretches[0].log.has("q"):
         shown = found.stretches[0]
@@ -41,10 +41,10 @@ def write_outputs(found: Trace, robot: Machine, out: Path, force: bool = False) 
         if effects:
             names[f"{shown.filter} (effect added)"] = shown.after
         assert isinstance(robot, Robot)
-        write_recording(out / "trace.rrd", shown.log, robot, names, force=force)
-    write_report(out / "report.html", "Trace: what does the model lack?", sections(found), force)
-    save_effects(out / "effects.toml", effects, force)
-    with whole_file(out / "trace.json", force) as temporary:
+        write_recording(out / "trace.rrd", shown.log, robot, names)
+    write_report(out / "report.html", "Trace: what does the model lack?", sections(found))
+    save_effects(out / "effects.toml", effects)
+    with whole_file(out / "trace.json") as temporary:
         text = json.dumps(found.as_dict(), indent=2, allow_nan=False) + "\n"
         temporary.write_text(text, encoding="utf-8")
 

@@ -14,6 +14,7 @@ from surefoot.scenarios.trace.report import write_outputs
 from surefoot.scenarios.trace.result import Filters, Trace
 from surefoot.scenarios.trace.words import motion_to_distinguish
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import refuse_overwrite, whole_folder
 from surefoot.sim.effects import Effect
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
@@ -59,13 +60,12 @@ def trace(
     for log in holdout:
         if contents_digest(log) in seen:
             raise SurefootError(f"--holdout {log.name}: is also a log to fit on")
-    if not force:
-        for name in OUTPUTS:
-            if (out / name).exists():
-                raise SurefootError(f"{out / name}: exists already; give --force to overwrite it")
+    for name in OUTPUTS:
+        refuse_overwrite(out / name, force)
     settings = settings or DEFAULT
     found = trace_logs(logs, robot, seed, progress, declared, learnt, settings, holdout)
-    write_outputs(found, robot, out, force)
+    with whole_folder(out, force) as folder:
+        write_outputs(found, robot, folder)
     return found
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from errno import ENOSPC
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from surefoot.models.calibration.bounds import Bounds
     from surefoot.models.observer.predict import Prediction
 
+_LAST = b"RRF2FOOT"  # in the last bytes of every recording that was written to its end
 _ERROR_RATE = 20.0  # Hz; errors and paths change over seconds, not over milliseconds
 
 
@@ -95,6 +97,15 @@ def write_recording(
         for name, record in records.items():
             write_update(stream, name, record, None if bounds is None else bounds.gamma)
         stream.disconnect()
+        _check_whole(temporary)
+
+
+def _check_whole(recording: Path) -> None:
+    """Raise OSError for a recording without its end: rerun drops what it cannot write."""
+    with recording.open("rb") as file:
+        file.seek(max(0, recording.stat().st_size - 64))
+        if _LAST not in file.read():
+            raise OSError(ENOSPC, "was cut short, no space left?")
 
 
 def _check_name(path: str | Path) -> None:

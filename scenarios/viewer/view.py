@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import check_unchanged
 
 _MAGIC = (b"RRF2", b"RRIO")  # the first bytes of every .rrd since rerun 0.2
 
@@ -38,4 +39,5 @@ def recording_file(path: str | Path) -> Path:
         start = stream.read(4)
     if start not in _MAGIC:
         raise SurefootError(f"{file}: named .rrd, but is not a rerun recording")
+    check_unchanged(file)
     return file

@@ -1,8 +1,18 @@
-"""Files that are either whole or not there: every writer of the product goes through here."""
+"""Files that are either whole or not there: every writer of the product goes through here.
 
+What a command writes is listed in a manifest, `.surefoot.jsonl`, in the folder it is written to.
+`--force` replaces what the manifest lists for that command, as it was written, and nothing else;
+what a command reads is never written over.
+"""
+
+import hashlib
+import json
 import os
+import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
+from glob import escape
 from importlib.resources import files
 from pathlib import Path
 
@@ -10,12 +20,36 @@ from platformdirs import user_cache_path
 
 from surefoot.sim.common.errors import SurefootError
 
+MANIFEST = ".surefoot.jsonl"
+
 
 def cache_folder() -> Path:
     """Where compiled kernels and long studies keep their files: $SUREFOOT_CACHE, or else the
-    user's cache folder."""
+    user's cache folder.
+
+    Kernels are machine code: raises SurefootError for a folder that others can write to.
+    """
     chosen = os.environ.get("SUREFOOT_CACHE")
-    return Path(chosen) if chosen else user_cache_path("surefoot", appauthor=False)
+    folder = Path(chosen) if chosen else user_cache_path("surefoot", appauthor=False)
+    private_folder(folder)
+    return folder
+
+
+def private_folder(folder: Path) -> None:
+    """Make a cache's folder, which others can read at most.
+
+    Raises SurefootError where somebody else owns it or can write to it.
+    """
+    try:
+        folder.mkdir(mode=0o755, parents=True, exist_ok=True)
+        found = folder.stat()
+    except OSError:
+        return  # nothing can be kept there, which who wants to says
+    if os.name == "posix" and (found.st_mode & 0o022 or found.st_uid not in (0, os.geteuid())):
+        raise SurefootError(
+            f"{folder}: others can write to this cache, which holds code; chmod go-w it, or name "
+            "another by SUREFOOT_CACHE"
+        )
 
 
 def bundled(package: str, name: str) -> Path:
@@ -31,22 +65,166 @@ def measured_folder() -> Path:
     return Path(chosen) if chosen else checkout.parent / "shared" / "measured"
 
 
+@dataclass
+class _Run:
+    """A command of the command line under way, and the files and folders that it reads."""
+
+    command: str
+    inputs: dict[tuple[int, int], Path] = field(default_factory=dict)
+
+
+_run: _Run | None = None
+
+
+@contextmanager
+def run_of(command: str, inputs: Iterable[Path] = ()) -> Iterator[None]:
+    """While it lasts, files are written as those of `command`, and never over its inputs."""
+    global _run
+    before, _run = _run, _Run(command)
+    try:
+        for path in inputs:
+            protect(path)
+        yield
+    finally:
+        _run = before
+
+
+def protect(path: str | Path) -> None:
+    """Let the command under way never write over a file, or one in a folder, that it reads."""
+    identity = _identity(Path(path))
+    if _run is not None and identity is not None:
+        _run.inputs[identity] = Path(path)
+
+
 def refuse_overwrite(path: str | Path, force: bool) -> None:
-    """Raises SurefootError where `path` exists, unless `force`: called before long work starts."""
-    if Path(path).exists() and not force:
+    """Raise SurefootError where `path` may not be written: called before long work starts.
+
+    That is where it exists, unless `force`; and of a command, where it is one of its inputs, or
+    with `force` something else than what the same command wrote there.
+    """
+    path = Path(path)
+    refuse_input(path)
+    if path.is_dir():
+        raise SurefootError(f"{path}: is a folder, not a file to write")
+    if not path.exists():
+        return
+    if not force:
         raise SurefootError(f"{path}: exists already; give --force (force=True) to overwrite it")
+    if _run is not None:
+        _check_made(path, _run.command)
+
+
+def refuse_input(path: Path) -> None:
+    """Raise SurefootError where nothing can be written at a path, or a command reads what is there,
+    by whatever name."""
+    identity = _identity(path)
+    if identity is None:
+        _check_place(path)
+    elif _run is not None and identity in _run.inputs:
+        raise SurefootError(f"{path}: is an input of this command ({_run.inputs[identity]})")
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    """Device and number of a file, links followed; None where there is none."""
+    try:
+        found = path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise SurefootError(f"{_short(path)}: {reason}") from None
+    return found.st_dev, found.st_ino
+
+
+def _short(path: Path) -> str:
+    text = str(path)
+    return text if len(text) <= 120 else f"{text[:80]}...{text[-20:]}"
+
+
+def _check_place(path: Path) -> None:
+    """Raise SurefootError where nothing can be written at a path that does not exist."""
+    if path.is_symlink():
+        raise SurefootError(f"{path}: is a link to nothing")
+    for parent in path.absolute().parents:
+        if parent.is_dir():
+            if not os.access(parent, os.W_OK | os.X_OK):
+                raise SurefootError(f"{_short(path)}: {parent} is not writable")
+            return
+        if parent.exists():
+            raise SurefootError(f"{_short(path)}: {parent} is a file, not a folder")
+
+
+def manifest_entries(folder: Path) -> dict[str, dict[str, str]]:
+    """File, relative to the folder -> digest of each content written there -> command."""
+    found: dict[str, dict[str, str]] = {}
+    try:
+        lines = (folder / MANIFEST).read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return {}
+    for line in lines:
+        try:
+            entry = json.loads(line)
+            found.setdefault(entry["file"], {})[entry["sha256"]] = entry["command"]
+        except (ValueError, KeyError, TypeError):  # a line that a kill cut short
+            continue
+    return found
+
+
+def _entries_of(path: Path) -> dict[str, str]:
+    """Digest -> command of what was written at a path, by the manifest of any folder above it."""
+    whole = Path(os.path.abspath(path))
+    found: dict[str, str] = {}
+    for folder in whole.parents:
+        if (folder / MANIFEST).is_file():
+            found |= manifest_entries(folder).get(whole.relative_to(folder).as_posix(), {})
+    return found
+
+
+def _check_made(path: Path, command: str) -> None:
+    made = _entries_of(path)
+    if command not in made.values():
+        who = f"surefoot {sorted(made.values())[0]}" if made else "no command of surefoot"
+        raise SurefootError(f"{path}: not overwritten, {who} made it; move it away")
+    if path.is_file() and made.get(file_digest(path)) != command:
+        raise SurefootError(f"{path}: not overwritten, was changed since it was made; move it away")
+
+
+def check_unchanged(path: str | Path) -> None:
+    """Raise SurefootError where a manifest lists a file with other contents than it has."""
+    made = _entries_of(Path(path))
+    if made and file_digest(path) not in made:
+        raise SurefootError(f"{path}: was changed or damaged since it was made")
+
+
+def file_digest(path: str | Path) -> str:
+    """SHA-256 of a file's content, as hexadecimal digits."""
+    with Path(path).open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def check_space(path: Path, needed: float) -> None:
+    """Raise SurefootError where the disk of a path has less than `needed` bytes free."""
+    there = next(folder for folder in (path, *path.absolute().parents) if folder.is_dir())
+    free = shutil.disk_usage(there).free
+    if free < needed:
+        raise SurefootError(
+            f"{path}: needs about {needed / 1e6:.0f} MB, its disk has {free / 1e6:.0f} MB free"
+        )
 
 
 def clear_debris(paths: Iterable[Path]) -> None:
-    """Remove those `.tmp` of `whole_file` whose writer was killed; what a live one writes stays."""
+    """Remove those `.tmp` whose writer was killed; what a live one writes stays."""
     for path in paths:
         number = path.stem.rpartition(".")[2]
         if path.suffix != ".tmp" or not number.isdigit():
             continue
         try:
             os.kill(int(number), 0)
-        except ProcessLookupError:
-            path.unlink(missing_ok=True)
+        except (ProcessLookupError, OverflowError):
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                path.unlink(missing_ok=True)
         except OSError:
             continue
 
@@ -56,12 +234,26 @@ def whole_file(path: str | Path, force: bool = False) -> Iterator[Path]:
     """Yield a temporary path beside `path`; on success it is synced and takes its place at once.
 
     A reader never sees half a file, and a killed writer leaves at most a hidden `.tmp` behind.
-    Raises SurefootError where `path` exists and `force` is not given, or cannot be written.
+    Raises SurefootError where `refuse_overwrite` does, or where it cannot be written.
     """
     path = Path(path)
-    if path.is_dir():
-        raise SurefootError(f"{path}: is a folder, not a file to write")
     refuse_overwrite(path, force)
+    with _replaced(path) as temporary:
+        yield temporary
+        if _run is not None and not _is_temporary(path):
+            # Listed before it takes its place: a kill in between leaves no file without a line.
+            _list(path.parent, _run.command, {path.name: file_digest(temporary)})
+
+
+@contextmanager
+def kept_file(path: Path) -> Iterator[Path]:
+    """`whole_file` of a cache or of a state to go on from: replaces an older one, is not listed."""
+    with _replaced(path) as temporary:
+        yield temporary
+
+
+@contextmanager
+def _replaced(path: Path) -> Iterator[Path]:
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -70,6 +262,106 @@ def whole_file(path: str | Path, force: bool = False) -> Iterator[Path]:
             os.fsync(stream.fileno())
         os.replace(temporary, path)
     except OSError as error:
-        raise SurefootError(f"{path}: cannot be written ({error.strerror or error})") from error
+        raise SurefootError(f"{_short(path)}: cannot be written ({_reason(error)})") from error
     finally:
-        temporary.unlink(missing_ok=True)
+        _remove(temporary)
+
+
+@contextmanager
+def whole_folder(out: str | Path, force: bool = False) -> Iterator[Path]:
+    """Yield a temporary folder beside `out`; on success what is in it goes to `out`, and with
+    `force` takes the place of all that the same command wrote there.
+
+    Where it fails, `out` stays as it was. Raises SurefootError where a file of `out` is in the way.
+    """
+    out = Path(os.path.realpath(out))
+    staging = out.with_name(f".{out.name}.{os.getpid()}.tmp")
+    clear_debris(out.parent.glob(f".{escape(out.name)}.*.tmp"))
+    try:
+        staging.mkdir(parents=True)
+        yield staging
+        _publish(staging, out, force)
+    except OSError as error:
+        raise SurefootError(f"{_short(out)}: cannot be written ({_reason(error)})") from error
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+
+
+def _publish(staging: Path, out: Path, force: bool) -> None:
+    made = {p.relative_to(staging).as_posix(): p for p in staging.rglob("*") if p.is_file()}
+    for name in made:
+        refuse_overwrite(out / name, force)
+    digests = {name: file_digest(path) for name, path in made.items()}
+    stale: list[str] = []
+    if force and _run is not None:
+        before = manifest_entries(out)
+        stale = [name for name, e in before.items() if _run.command in e.values()]
+        stale = [name for name in stale if name not in made and _as_made(out / name, before[name])]
+    fresh = not out.exists() or not any(out.iterdir())
+    if _run is not None and not _is_temporary(out):
+        _list(staging if fresh else out, _run.command, digests)
+    if fresh:
+        os.rename(staging, out)
+        return
+    for name in stale:
+        (out / name).unlink(missing_ok=True)
+    for name, path in sorted(made.items(), key=lambda item: item[0] in ("report.html",)):
+        (out / name).parent.mkdir(parents=True, exist_ok=True)
+        os.replace(path, out / name)
+
+
+def _as_made(path: Path, digests: dict[str, str]) -> bool:
+    return path.is_file() and not path.is_symlink() and file_digest(path) in digests
+
+
+def refuse_full(out: Path, force: bool) -> None:
+    """Raise SurefootError where `out` is a file, or a folder that holds something.
+
+    With `force` it may hold what the same command wrote there, and files of other names.
+    """
+    if _identity(out) is None:
+        _check_place(out)
+        return
+    if not out.is_dir():
+        raise SurefootError(f"-o {out}: is a file, not a folder")
+    if not any(path.name != MANIFEST for path in out.iterdir()):
+        return
+    if not force:
+        raise SurefootError(f"-o {out}: is not empty; give --force to overwrite what is in it")
+    if _run is None:
+        return
+    own = [n for n, e in manifest_entries(out).items() if _run.command in e.values()]
+    if not own:
+        raise SurefootError(
+            f"-o {out}: --force replaces what surefoot {_run.command} made, and it made nothing "
+            "here; give another folder"
+        )
+    for name in own:
+        if (out / name).exists():
+            refuse_overwrite(out / name, force)
+
+
+def _list(folder: Path, command: str, digests: dict[str, str]) -> None:
+    """Append files, relative to the folder, to its manifest."""
+    folder.mkdir(parents=True, exist_ok=True)
+    entries = ({"file": n, "sha256": d, "command": command} for n, d in digests.items())
+    path = folder / MANIFEST
+    torn = path.is_file() and path.stat().st_size and not path.read_bytes().endswith(b"\n")
+    with path.open("a", encoding="utf-8") as stream:
+        stream.write("\n" * bool(torn) + "".join(f"{json.dumps(entry)}\n" for entry in entries))
+
+
+def _is_temporary(path: Path) -> bool:
+    """Whether a path is itself to be renamed, or lies in a folder that is."""
+    return any(part.startswith(".") and part.endswith(".tmp") for part in path.parts)
+
+
+def _remove(path: Path) -> None:
+    try:
+        path.unlink(missing_ok=True)
+    except OSError:
+        return  # a name that is too long, a folder that is no longer there
+
+
+def _reason(error: OSError) -> str:
+    return " ".join(str(error.strerror or error).split())

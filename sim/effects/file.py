@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import whole_file
+from surefoot.sim.common.files import protect, whole_file
 from surefoot.sim.common.toml import read_typed
 from surefoot.sim.effects.catalogue import Effect, effect
 
@@ -32,14 +32,15 @@ class _File:
     effect: tuple[_Entry, ...] = ()
 
     def __post_init__(self):
-        first = [(e.name, e.target) for e in self.effect]
-        for number, key in enumerate(first, 1):
-            if key in first[: number - 1]:
+        seen: set[tuple[str, str]] = set()
+        for number, key in enumerate(((e.name, e.target) for e in self.effect), 1):
+            if key in seen or seen.add(key):
                 raise SurefootError(f"[[effect]] {number} {key[0]} of {key[1]} is there twice")
 
 
 def load_effects(path: str | Path) -> tuple[Effect, ...]:
     """The effects of a file. Raises SurefootError, one line with file, entry and key, if bad."""
+    protect(path)
     return tuple(entry.effect for entry in read_typed(path, _File, "effects").effect)
 
 

@@ -6,6 +6,7 @@ from xml.etree import ElementTree
 import mujoco
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.robot.model_gate import check_model, check_model_file
 
 
 def model_spec(file: Path) -> mujoco.MjSpec:
@@ -15,26 +16,33 @@ def model_spec(file: Path) -> mujoco.MjSpec:
     unless it is called `world`. Links that are fixed to others stay bodies of their own, so that a
     sole or a sensor's frame is found by its name.
     """
+    check_model_file(file)
     try:
         if file.suffix == ".urdf":
             return mujoco.MjSpec.from_string(_floating(file))
         return mujoco.MjSpec.from_file(str(file))
-    except (ValueError, OSError, ElementTree.ParseError) as error:
+    except (ValueError, OSError, ElementTree.ParseError, mujoco.FatalError) as error:
         raise _unreadable(file, error) from None
 
 
 def compiled_model(file: Path) -> mujoco.MjModel:
     """The compiled model of an MJCF or URDF file. Raises SurefootError in one clear line."""
+    check_model_file(file)
     try:
         if file.suffix == ".urdf":
-            return model_spec(file).compile()
-        return mujoco.MjModel.from_xml_path(str(file))
-    except ValueError as error:
+            model = model_spec(file).compile()
+        else:
+            model = mujoco.MjModel.from_xml_path(str(file))
+    except (ValueError, mujoco.FatalError, MemoryError) as error:
         raise _unreadable(file, error) from None
+    check_model(file, model)
+    return model
 
 
 def _unreadable(file: Path, error: Exception) -> SurefootError:
-    reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
+    if isinstance(error, SurefootError):
+        return error
+    reason = "; ".join(str(error).strip().splitlines()[:2]) or type(error).__name__
     return SurefootError(f"robot {file}: MuJoCo cannot read it: {reason}")
 
 
@@ -45,8 +53,12 @@ def _floating(file: Path) -> str:
         for shape in (*link.findall("visual"), *link.findall("collision")):
             if shape.find("geometry/mesh") is not None:
                 link.remove(shape)
-    children = {child.attrib["link"] for child in robot.findall("joint/child")}
-    (root,) = (n for link in robot.findall("link") if (n := link.attrib["name"]) not in children)
+    children = {child.get("link") for child in robot.findall("joint/child")}
+    names = [link.get("name", "") for link in robot.findall("link")]
+    roots = [name for name in names if name not in children]
+    if len(roots) != 1:
+        raise ValueError(f"a URDF has one root link, this one {len(roots)}: {roots[:5]}")
+    (root,) = roots
     if root != "world":
         ElementTree.SubElement(robot, "link", name="world")
         joint = ElementTree.SubElement(robot, "joint", name="floating_base", type="floating")

@@ -15,7 +15,7 @@ import pandas as pd
 import tyro
 from matplotlib.figure import Figure
 
-from surefoot.scenarios.cache import file_digest, finished_case
+from surefoot.scenarios.cache import finished_case
 from surefoot.scenarios.reporting.html import Picture, Section
 from surefoot.scenarios.reporting.plotting import save_png
 from surefoot.scenarios.reporting.progress import percent_bar
@@ -27,7 +27,7 @@ from surefoot.scenarios.studies.pages import origin_of, write_page, write_result
 from surefoot.scenarios.trace.run import trace
 from surefoot.scenarios.trace.words import summary
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import measured_folder, refuse_overwrite
+from surefoot.sim.common.files import file_digest, measured_folder, refuse_overwrite
 from surefoot.sim.importing.recording import import_log
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.catalog import known_robots

@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 
 from surefoot.models.calibration.bias_model import BOUNDED_MEAN
-from surefoot.scenarios.estimate.compare import prepare_folder
 from surefoot.scenarios.reporting.html import Picture, Section, save_picture
 from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.scenarios.studies.montecarlo.figures import (
@@ -30,6 +29,7 @@ from surefoot.scenarios.studies.montecarlo.study import (
 from surefoot.scenarios.studies.montecarlo.update import iteration_table, update_illustration
 from surefoot.scenarios.studies.pages import origin_of, write_page, write_results
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import refuse_full, whole_folder
 
 _TITLE = "The Monte-Carlo study of the coverage update"
 
@@ -73,7 +73,8 @@ def montecarlo(
             raise SurefootError("--seed: must be 0 or more")
         study = replace(study, seed=seed)
     killed = out.is_dir() and [path.name for path in out.iterdir()] == ["cases"]
-    prepare_folder(out, force or killed)
+    if not killed:
+        refuse_full(out, force)
     with percent_bar("box moments") as progress:
         rng = np.random.default_rng([study.seed, 1000])
         runtime = runtime_accuracy(rng, progress=progress)
@@ -99,8 +100,6 @@ def write_study(
     """
     pictures = study_pictures(results, runtime)
     sections = study_sections(results, runtime, pictures)
-    for name, picture in pictures.items():
-        save_picture(picture, out / "figures" / f"{name}.png", force)
     if page:
         whole = results.study.trials == load_study().trials
         command = "surefoot montecarlo" + ("" if whole else f" --trials {results.study.trials}")
@@ -111,7 +110,10 @@ def write_study(
         "beyond": numbers_table(results.beyond),
         "iterations": iteration_table(results.iterated),
     }
-    return write_results(out, _TITLE, sections, tables, force)
+    with whole_folder(out, force) as folder:
+        for name, picture in pictures.items():
+            save_picture(picture, folder / "figures" / f"{name}.png")
+        return write_results(folder, _TITLE, sections, tables)
 
 
 def study_pictures(results: Results, runtime: Sequence[Accuracy]) -> dict[str, Picture]:

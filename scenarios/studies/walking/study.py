@@ -21,7 +21,7 @@ from surefoot.scenarios.studies.bench.walking import COURSE, Replay
 from surefoot.scenarios.studies.pages import origin_of, write_page
 from surefoot.scenarios.studies.walking.grounds import grounds_for
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import bundled, refuse_overwrite, whole_file
+from surefoot.sim.common.files import bundled, refuse_overwrite, whole_file, whole_folder
 from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.physics.stepper import STEPS_PER_TICK
 from surefoot.sim.robot.catalog import known_robots
@@ -114,10 +114,11 @@ def walking_study(
     with percent_bar("walking") as progress:
         walks = list(on_threads(jobs, row_of, workers, progress))
     walks.sort(key=lambda w: order[w.robot, w.walk, w.seed])
-    with whole_file(rows, force=True) as temporary:
-        temporary.write_text(to_csv([asdict(w) for w in walks]), encoding="utf-8")
-    with whole_file(table, force=True) as temporary:
-        temporary.write_text(report(walks), encoding="utf-8")
+    with whole_folder(out, force) as made:
+        with whole_file(made / rows.name) as temporary:
+            temporary.write_text(to_csv([asdict(w) for w in walks]), encoding="utf-8")
+        with whole_file(made / table.name) as temporary:
+            temporary.write_text(report(walks), encoding="utf-8")
     if page:
         section = Section("Means over the seeds", LEGEND, _lines(walks))
         write_page(page, _TITLE, [section], origin_of(_MODULE, "surefoot walking"))

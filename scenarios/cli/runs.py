@@ -1,0 +1,166 @@
+"""What every run of a command has: inputs that it never writes over, an output of its own, and one
+line when it is interrupted."""
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import fields
+from glob import escape
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import cache_folder, check_space, clear_debris, refuse_input, run_of
+from surefoot.sim.common.limits import check_limit
+
+try:
+    import fcntl
+except ImportError:  # where it is missing, two runs into one folder are not told apart
+    fcntl = None
+
+LISTED = ("out", "report")
+KEPT = ("page", "data", "cache")
+"""Options that name what a command writes; every other path is one that it reads."""
+BOUNDED = {"workers": "workers", "seeds": "walks", "trials": "items", "rounds": "items"}
+"""Options that are counts -> the limit that they have."""
+GOES_ON = {"simulate", "train", "experiment", "suite", "loop", "montecarlo", "walking", "tune"}
+"""Commands that keep what is done when they are ended, and go on from there."""
+SPACE = 4_000_000
+"""bytes that must be free for a command to start: reports and figures have as many."""
+
+
+@contextmanager
+def guarded(name: str, command: Any) -> Iterator[None]:
+    """While it lasts, the command has its output to itself and never writes over what it reads.
+
+    Raises SurefootError where its output is an input or another run is writing it, where the disk
+    is full, or where others can write to the cache.
+    """
+    given = {f.name: getattr(command, f.name) for f in fields(command)}
+    listed, kept = ([given[n] for n in ns if given.get(n) is not None] for ns in (LISTED, KEPT))
+    inputs = [path for n, v in given.items() if n not in LISTED + KEPT for path in _paths(v)]
+    cache_folder()
+    for option, limit in BOUNDED.items():
+        if isinstance(given.get(option), int):
+            check_limit(limit, given[option], f"--{option}")
+    with ExitStack() as stack:
+        stack.enter_context(run_of(name, inputs))
+        for path in (*listed, *kept):
+            refuse_input(path)
+        if given.get("page"):
+            from surefoot.scenarios.studies.pages import check_page
+
+            check_page(given["page"])
+        for path in listed:
+            stack.enter_context(_alone(path))
+        yield
+
+
+def _paths(value: Any) -> list[Path]:
+    """The files and folders that an option names."""
+    found = []
+    for one in value if isinstance(value, tuple) else (value,):
+        try:
+            if isinstance(one, str | Path) and str(one) and Path(one).exists():
+                found.append(Path(one))
+        except (OSError, ValueError):  # no file's name, so none of a file
+            continue
+    return found
+
+
+@contextmanager
+def _alone(out: Path) -> Iterator[None]:
+    """While it lasts, no other run can write to `out`; folders made for it that stay empty go."""
+    out = Path(os.path.realpath(out))
+    missing = [folder for folder in out.parents if not folder.exists()]
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        check_space(out.parent, SPACE)
+        clear_debris(out.parent.glob(f".{escape(out.name)}.*.tmp"))
+        with _locked(out.with_name(f".{out.name}.lock"), out):
+            yield
+    except OSError as error:
+        raise SurefootError(f"-o {str(out)[:120]}: {error.strerror or error}") from error
+    finally:
+        for folder in missing:
+            try:
+                folder.rmdir()
+            except OSError:
+                break
+
+
+@contextmanager
+def _locked(lock: Path, out: Path) -> Iterator[None]:
+    if fcntl is None:
+        yield
+        return
+    while True:
+        stream = lock.open("a")
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            stream.close()
+            raise SurefootError(f"-o {out}: another run is writing there; wait for it") from None
+        # The run before may have removed the file between opening and locking it.
+        if lock.exists() and os.path.samestat(os.fstat(stream.fileno()), lock.stat()):
+            break
+        stream.close()
+    try:
+        yield
+    finally:
+        lock.unlink(missing_ok=True)
+        stream.close()
+
+
+class Interrupted(KeyboardInterrupt):
+    """A signal to end, from the keyboard or from another process."""
+
+    def __init__(self, number: int):
+        super().__init__()
+        self.number = number
+
+
+@contextmanager
+def interruptions() -> Iterator[None]:
+    """While it lasts, SIGINT, SIGTERM and SIGHUP raise Interrupted; a second one ends at once."""
+    names = [n for n in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, n)]
+    numbers = [getattr(signal, name) for name in names]
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(number: int, _frame: FrameType | None) -> None:
+        for one in numbers:
+            signal.signal(one, signal.SIG_DFL)
+        raise Interrupted(number)
+
+    before = {number: signal.signal(number, stop) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def how_to_go_on(name: str) -> str:
+    """What an interrupted command says."""
+    if name in GOES_ON:
+        return "interrupted; the same command goes on from what is done"
+    return "interrupted; nothing was written, the same command begins anew"
+
+
+def plain_terminals() -> None:
+    """Let signs that a terminal does not know become question marks, not errors."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")
+
+
+def one_line(text: object) -> str:
+    """A message as one line without control characters, however it was made."""
+    line = "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in str(text))
+    return line if len(line) <= 2000 else f"{line[:1500]} ... {line[-100:]}"

@@ -1,0 +1,167 @@
+"""What a robot's XML may ask for, looked at before MuJoCo allocates or opens anything.
+
+MuJoCo itself repeats a body a billion times where the file says so, and reads any file that an
+include names.
+"""
+
+import math
+from pathlib import Path
+from typing import NoReturn
+from xml.parsers import expat
+
+import mujoco
+import numpy as np
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import protect
+from surefoot.sim.common.limits import admitted, check_limit
+
+DEEPEST = 100
+"""Elements within each other; a centipede of fifty segments has some."""
+INCLUDES = 100
+"""Files that a model is made of, includes in includes counted each time."""
+_PARTS = {
+    "flexcomp",
+    "composite",
+    "body",
+    "geom",
+    "site",
+    "joint",
+    "freejoint",
+    "link",
+    "visual",
+    "collision",
+    "light",
+}
+_FOLDERS = ("meshdir", "texturedir", "assetdir")
+_SIZES = {"": 1, "k": 2**10, "m": 2**20, "g": 2**30, "t": 2**40, "p": 2**50, "e": 2**60}
+_NAMES = {"name", "class", "childclass", "file", "model", "joint", "body", "link", "site"}
+_NUMBERS = {"mass", "density", "pos", "size", "friction", "diaginertia", "fullinertia", "armature"}
+
+
+def check_model_file(file: Path) -> None:
+    """Raise SurefootError, one line with the file, for a model that is too large, names files
+    outside of its folder, has entities, or numbers that are none."""
+    try:
+        _Scan(file).read(file, 1)
+    except expat.ExpatError as error:
+        raise SurefootError(f"robot {file}: cannot read it, not XML: {error}") from None
+
+
+def check_model(file: Path, model: mujoco.MjModel) -> None:
+    """Raise SurefootError for a compiled model whose masses, places or friction are not physical.
+
+    Args:
+        file: named in the message.
+        model: as MuJoCo compiled it.
+    """
+    checked = "body_mass", "body_inertia", "body_pos", "body_quat", "geom_size", "geom_friction"
+    for name in checked:
+        values = np.asarray(getattr(model, name))
+        if not np.isfinite(values).all():
+            raise SurefootError(f"robot {file}: {name} is not finite")
+        if name not in ("body_pos", "body_quat") and (values < 0).any():
+            raise SurefootError(f"robot {file}: {name} is negative")
+
+
+class _Scan:
+    """One look at a model and all that it includes."""
+
+    def __init__(self, file: Path):
+        self.file = file
+        self.folder = file.resolve().parent
+        self.elements, self.files = 0, 0
+        self.parts = 0.0
+
+    def read(self, file: Path, times: float) -> None:
+        """Look at one of its files, whose contents count `times`."""
+        self.files += 1
+        if self.files > INCLUDES:
+            self.refuse(f"includes more than {INCLUDES} files, or itself")
+        admitted(file, "text", "robot")
+        protect(file)
+        counts, folders, waiting = [times], dict[str, str](), list[tuple[str, str, float]]()
+
+        def start(tag: str, values: dict[str, str]) -> None:
+            self.elements += 1
+            check_limit("items", self.elements, f"robot {self.file}: elements")
+            if len(counts) > DEEPEST:
+                self.refuse(f"elements are nested deeper than {DEEPEST}")
+            count = counts[-1] * self.repeated(tag, values)
+            counts.append(count)
+            self.parts += count if tag in _PARTS else 0.0
+            check_limit("bodies", self.parts, f"robot {self.file}: bodies and shapes")
+            if tag == "compiler":
+                folders.update({k: v for k, v in values.items() if k in _FOLDERS})
+            self.check_values(tag, values)
+            if "file" in values and file.suffix != ".urdf":
+                waiting.append((tag, values["file"], count))
+
+        parser = expat.ParserCreate()
+        parser.StartElementHandler = start
+        parser.EndElementHandler = lambda tag: counts.pop()
+        parser.StartDoctypeDeclHandler = lambda *_: self.refuse("has a DOCTYPE, so entities")
+        with file.open("rb") as stream:
+            parser.ParseFile(stream)
+        for tag, name, count in waiting:
+            inside = self.inside(file, tag, name, folders)
+            if tag == "include" or (tag == "model" and inside.suffix == ".xml"):
+                self.read(inside, count)
+            elif inside.exists():
+                admitted(inside, "piece", "robot")
+
+    def inside(self, file: Path, tag: str, name: str, folders: dict[str, str]) -> Path:
+        """The path of a file that the model names; it must lie in the model's folder."""
+        own = {"mesh": "meshdir", "skin": "meshdir", "hfield": "meshdir", "texture": "texturedir"}
+        folder = folders.get(own.get(tag, ""), folders.get("assetdir", "") if tag in own else "")
+        path = (file.parent / folder / name).resolve()
+        if not path.is_relative_to(self.folder) and not _installed(self.file):
+            self.refuse(f"{tag} file '{name}' lies outside of the model's folder")
+        return path
+
+    def repeated(self, tag: str, values: dict[str, str]) -> float:
+        """How often an element stands for what is in it."""
+        if tag not in ("replicate", "composite", "flexcomp"):
+            return 1.0
+        product = 1.0
+        for count in values.get("count", "1").split()[:3]:
+            product *= max(1.0, self.number(tag, "count", count))
+        return product
+
+    def check_values(self, tag: str, values: dict[str, str]) -> None:
+        """Raise for numbers that are none, and sizes that MuJoCo would allocate."""
+        for key, text in values.items():
+            if key not in _NAMES and "nan" in text.lower().split():
+                self.refuse(f"{tag} {key} is nan")
+        for key in _NUMBERS & values.keys():
+            for number in values[key].split():
+                if not math.isfinite(self.number(tag, key, number)):
+                    self.refuse(f"{tag} {key} is {number}")
+        if tag == "size":
+            for key, text in values.items():
+                unit = text[-1:].lower() if text[-1:].isalpha() else ""
+                amount = self.number(tag, key, text[: len(text) - len(unit)])
+                check_limit("arena", amount * _SIZES.get(unit, 1), f"robot {self.file}: size {key}")
+        for rows, columns in (("nrow", "ncol"), ("height", "width")):
+            if tag in ("hfield", "texture") and rows in values and columns in values:
+                points = self.number(tag, rows, values[rows])
+                points *= self.number(tag, columns, values[columns])
+                check_limit("cells", points, f"robot {self.file}: points of {tag}")
+
+    def number(self, tag: str, key: str, text: str) -> float:
+        """A number of the file."""
+        try:
+            return float(text)
+        except ValueError:
+            self.refuse(f"{tag} {key} must be a number, is '{text[:40]}'")
+
+    def refuse(self, why: str) -> NoReturn:
+        """Raise SurefootError with the model's file."""
+        raise SurefootError(f"robot {self.file}: {why}")
+
+
+def _installed(file: Path) -> bool:
+    """Whether a model came with a package, whose folders may lie beside each other."""
+    return bool({"site-packages", "dist-packages"} & set(file.parts)) or (
+        Path.home() / ".cache" / "robot_descriptions" in file.parents
+    )

@@ -1,0 +1,134 @@
+"""What a command writes: whole, listed, replaced only where the same command made it, and never
+over what it reads."""
+
+import json
+import os
+from contextlib import suppress
+
+import pytest
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import (
+    MANIFEST,
+    cache_folder,
+    check_unchanged,
+    manifest_entries,
+    refuse_full,
+    run_of,
+    whole_file,
+    whole_folder,
+)
+
+
+def write(path, text, command="make", inputs=(), force=True):
+    with run_of(command, inputs), whole_file(path, force) as temporary:
+        temporary.write_text(text)
+
+
+def fill(folder, texts, command="make", force=True):
+    with run_of(command), whole_folder(folder, force) as made:
+        for name, text in texts.items():
+            (made / name).parent.mkdir(exist_ok=True)
+            (made / name).write_text(text)
+
+
+def test_force_replaces_what_the_same_command_made(tmp_path):
+    path = tmp_path / "a.txt"
+    write(path, "one")
+    write(path, "two")
+    assert path.read_text() == "two"
+    with pytest.raises(SurefootError, match="give --force"):
+        write(path, "three", force=False)
+    with pytest.raises(SurefootError, match="surefoot make made it"):
+        write(path, "three", command="other")
+    path.write_text("edited")
+    with pytest.raises(SurefootError, match="was changed since it was made"):
+        write(path, "three")
+    assert path.read_text() == "edited"
+    assert sorted(p.name for p in tmp_path.iterdir()) == [MANIFEST, "a.txt"]
+
+
+def test_force_leaves_what_nobody_listed(tmp_path):
+    (tmp_path / "mine.txt").write_text("mine")
+    with pytest.raises(SurefootError, match="no command of surefoot made it"):
+        write(tmp_path / "mine.txt", "theirs")
+    assert (tmp_path / "mine.txt").read_text() == "mine"
+    # From Python, outside of any command, force is what it says.
+    with whole_file(tmp_path / "mine.txt", force=True) as temporary:
+        temporary.write_text("ours")
+    assert (tmp_path / "mine.txt").read_text() == "ours"
+
+
+@pytest.mark.parametrize("name", ["log", "link", "hard", "folder/log", "sub/../log"])
+def test_an_output_is_no_input_by_whatever_name(tmp_path, name):
+    log = tmp_path / "log"
+    write(log, "log")
+    (tmp_path / "link").symlink_to(log)
+    os.link(log, tmp_path / "hard")
+    (tmp_path / "folder").symlink_to(tmp_path)
+    (tmp_path / "sub").mkdir()
+    with pytest.raises(SurefootError, match="is an input of this command"):
+        write(tmp_path / name, "new", inputs=[log])
+    assert log.read_text() == "log"
+
+
+def test_a_folder_is_replaced_as_a_whole(tmp_path):
+    out = tmp_path / "out"
+    fill(out, {"report.html": "1", "figures/a.png": "1", "figures/b.png": "1"})
+    (out / "notes.txt").write_text("mine")
+    fill(out, {"report.html": "2", "figures/a.png": "2"})
+    left = {str(p.relative_to(out)): p.read_text() for p in out.rglob("*") if p.is_file()}
+    del left[MANIFEST]
+    assert left == {"report.html": "2", "figures/a.png": "2", "notes.txt": "mine"}
+    (out / "figures" / "a.png").write_text("mine now")
+    with run_of("make"), pytest.raises(SurefootError, match=r"a\.png: not overwritten"):
+        refuse_full(out, force=True)
+    with pytest.raises(SurefootError, match=r"a\.png: not overwritten"):
+        fill(out, {"report.html": "3", "figures/a.png": "3"})
+    assert (out / "report.html").read_text() == "2"
+    with run_of("other"), pytest.raises(SurefootError, match="made nothing here"):
+        refuse_full(out, force=True)
+
+
+def test_a_failed_run_leaves_nothing(tmp_path):
+    with suppress(RuntimeError), whole_folder(tmp_path / "a" / "out") as made:
+        (made / "half").write_text("half")
+        raise RuntimeError
+    with suppress(RuntimeError), whole_file(tmp_path / "half") as temporary:
+        temporary.write_text("half")
+        raise RuntimeError
+    assert [p for p in tmp_path.rglob("*") if p.is_file()] == []
+
+
+def test_debris_of_a_killed_run_goes_with_the_next(tmp_path):
+    dead = tmp_path / ".out.4194303.tmp"
+    (dead / "figures").mkdir(parents=True)
+    fill(tmp_path / "out", {"report.html": "1"})
+    assert not dead.exists()
+
+
+def test_a_line_cut_short_by_a_kill_is_skipped(tmp_path):
+    write(tmp_path / "a", "1")
+    with (tmp_path / MANIFEST).open("a") as stream:
+        stream.write('{"file": "b", "sha')
+    write(tmp_path / "c", "1")
+    assert set(manifest_entries(tmp_path)) == {"a", "c"}
+    lines = (tmp_path / MANIFEST).read_text().splitlines()
+    assert json.loads(lines[0])["command"] == "make"
+
+
+def test_a_flipped_byte_is_noticed(tmp_path):
+    path = tmp_path / "walk.rrd"
+    write(path, "recording")
+    check_unchanged(path)
+    path.write_text("recorder.")
+    with pytest.raises(SurefootError, match="changed or damaged"):
+        check_unchanged(path)
+
+
+def test_a_cache_that_others_can_write_to_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setenv("SUREFOOT_CACHE", str(tmp_path / "cache"))
+    assert cache_folder() == tmp_path / "cache"
+    (tmp_path / "cache").chmod(0o777)
+    with pytest.raises(SurefootError, match="others can write to this cache"):
+        cache_folder()
