@@ -18,6 +18,7 @@ PAGES = {
     "README.md": "index.md",
     "CONTRIBUTING.md": "contributing.md",
     "CHANGELOG.md": "changelog.md",
+    "SECURITY.md": "security.md",
 }
 ELSEWHERE = re.compile(r"\[([^\]]+)\]\((?:LICENSE|CITATION\.cff|Makefile)\)")
 

@@ -1,0 +1,142 @@
+"""Commands run in forked children of this process, warmed by its imports, under limits of their
+own: a case takes milliseconds, and one that eats memory or time ends alone."""
+
+import os
+import resource
+import shutil
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+MEMORY = 1_000_000_000
+"""bytes that a command may take beyond what this process has."""
+SECONDS = 10
+"""s of processor time."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a command ended: exit code (negative: by that signal), what it printed, seconds of
+    processor time, the files that it left, made or changed, and bytes beyond this process's."""
+
+    code: int
+    out: str
+    err: str
+    seconds: float
+    changed: tuple[str, ...]
+    memory: float
+
+    @property
+    def refused(self) -> bool:
+        """Whether it ended in one line of error, and changed nothing."""
+        lines = [line for line in self.err.splitlines() if line.strip()]
+        said = bool(lines) and lines[-1].startswith("surefoot: ")
+        bad_option = self.code == 2 and "Traceback" not in self.err
+        return ((self.code == 1 and said) or bad_option) and not self.changed and not self.traceback
+
+    @property
+    def traceback(self) -> bool:
+        """Whether a user would see Python's insides."""
+        return "Traceback (most recent call last)" in self.err
+
+    def __str__(self) -> str:
+        text = f"exit {self.code} in {self.seconds:.1f} s; changed: {', '.join(self.changed)}"
+        return f"{text}\n{self.out[-500:]}\n{self.err[-2000:]}"
+
+
+def run_forked(command: list[str], folder: Path, memory: int = MEMORY) -> Outcome:
+    """The command of the command line, run in `folder`."""
+    from surefoot.scenarios.cli.main import main
+
+    before = contents(folder)
+    out, err = folder.parent / "stdout", folder.parent / "stderr"
+    sys.stdout.flush()
+    sys.stderr.flush()
+    own = _resident()
+    child = os.fork()
+    if child == 0:
+        try:
+            os.chdir(folder)
+            for number, path in ((1, out), (2, err)):
+                os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
+            sys.stdout, sys.stderr = os.fdopen(1, "w"), os.fdopen(2, "w")
+            _limit(memory)
+            code = _code(main, command)
+            sys.stdout.flush()
+            sys.stderr.flush()
+        finally:
+            os._exit(code if "code" in locals() else 99)
+    _, status, used = os.wait4(child, 0)
+    after = contents(folder)
+    changed = sorted(n for n in before.keys() | after.keys() if before.get(n) != after.get(n))
+    texts = (path.read_text(errors="replace") for path in (out, err))
+    return Outcome(
+        os.waitstatus_to_exitcode(status),
+        *texts,
+        used.ru_utime + used.ru_stime,
+        tuple(changed),
+        max(0.0, 1024.0 * used.ru_maxrss - own),
+    )
+
+
+def contents(folder: Path) -> dict[str, bytes | str]:
+    """Files of a folder and what is in them, links and folders by what they are."""
+    found: dict[str, bytes | str] = {}
+    for path in sorted(folder.rglob("*")):
+        name = str(path.relative_to(folder))
+        if path.is_symlink():
+            found[name] = f"link to {os.readlink(path)}"
+        elif path.is_file():
+            found[name] = path.read_bytes() if path.stat().st_size < 1e8 else "large"
+        elif path.is_dir():
+            found[name] = "folder"
+    return found
+
+
+def copied(folder: Path, to: Path) -> Path:
+    """A fresh copy of a folder: links stay links, files of two names have two, pipes are pipes."""
+    shutil.rmtree(to, ignore_errors=True)
+    names: dict[int, Path] = {}
+    for path in sorted(folder.rglob("*"), key=lambda path: len(path.parts)):
+        target = to / path.relative_to(folder)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_symlink():
+            target.symlink_to(os.readlink(path))
+        elif path.is_fifo():
+            os.mkfifo(target)
+        elif path.is_dir():
+            target.mkdir(exist_ok=True)
+        elif path.stat().st_ino in names:
+            os.link(names[path.stat().st_ino], target)
+        else:
+            names[path.stat().st_ino] = Path(shutil.copyfile(path, target))
+    return to
+
+
+def _resident() -> float:
+    """bytes of this process in memory."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * float(resource.getpagesize())
+
+
+def _limit(memory: int) -> None:
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    most = pages * resource.getpagesize() + memory
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS + 1))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def _code(main, command: list[str]) -> int:
+    import traceback
+
+    try:
+        main(command)
+    except SystemExit as end:
+        if isinstance(end.code, str):
+            print(end.code, file=sys.stderr)
+            return 1
+        return end.code or 0
+    except BaseException:
+        traceback.print_exc()
+        return 98
+    return 0

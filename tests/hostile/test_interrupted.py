@@ -1,0 +1,211 @@
+"""Commands that are ended at random moments, or run out of disk: what is there is whole, what goes
+on ends with the same bytes, nothing runs on, and one line says how to go on."""
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from forked import contents, copied
+from synthetic import synthetic_walk
+
+from surefoot.models.observer.observer import Observer
+from surefoot.sim.common.files import MANIFEST
+
+WALK = """
+name = "{name}"
+robot = "spot_class"
+role = "{role}"
+[[segment]]
+duration = 8.0
+forward = 0.5
+"""
+GRID = """
+scenarios = ["a.toml", "b.toml", "c.toml"]
+seeds = [0, 1]
+filters = ["leg", "imu", "coverage"]
+[observer]
+losses = ["mse"]
+steps = 50
+inputs = "q,dq"
+"""
+COMMANDS = {
+    "simulate": ("simulate a.toml --seeds 0:4 --workers 2 -o out", "*.parquet"),
+    "train": ("train walk.parquet --inputs q,dq --model mlp -o out/o.pt", "o.pt"),
+    "experiment": ("experiment grid.toml --workers 2 --no-recordings -o out", "cache/*/*.parquet"),
+    "compare": ("compare walk.parquet -o out", "*.none"),
+    "estimate": ("estimate walk.parquet --filter leg -o out/leg.parquet", "leg.*"),
+}
+"""Command, and those of its files whose bytes depend on nothing but its input."""
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("interrupted") / "inputs"
+    folder.mkdir()
+    for name, role in (("a", "train"), ("b", "calibrate"), ("c", "test")):
+        (folder / f"{name}.toml").write_text(WALK.format(name=name, role=role))
+    (folder / "grid.toml").write_text(GRID)
+    synthetic_walk(0, 30.0, noise=0.1, robot="spot_class").write(folder / "walk.parquet")
+    return folder
+
+
+def started(command: str, folder: Path, **more) -> subprocess.Popen:
+    """A command in a process group of its own, as a terminal has one for each."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "surefoot", *command.split()],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        **more,
+    )
+
+
+def running(group: int) -> list[int]:
+    """Processes of a group that are neither gone nor defunct."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, _, of_group = stat.read_text().rpartition(") ")[2].split()[:3]
+        except (OSError, ValueError):
+            continue
+        if int(of_group) == group and state != "Z":
+            found.append(int(stat.parent.name))
+    return found
+
+
+def finished(command: str, folder: Path) -> tuple[float, str]:
+    began = time.monotonic()
+    process = started(command, folder)
+    _, err = process.communicate(timeout=300)
+    assert process.returncode == 0, err[-3000:]
+    return time.monotonic() - began, err
+
+
+def same_bytes(one: Path, other: Path, pattern: str) -> None:
+    names = sorted(p.relative_to(one) for p in one.glob(pattern))
+    assert names == sorted(p.relative_to(other) for p in other.glob(pattern))
+    for name in names:
+        assert (one / name).read_bytes() == (other / name).read_bytes(), name
+
+
+def interrupted_once(command: str, folder: Path, number: int, after: float) -> bool:
+    """End a command after some seconds; whether it was still running, and then ended well."""
+    process = started(command, folder)
+    time.sleep(after)
+    if process.poll() is not None:
+        process.communicate()
+        return False
+    # From a keyboard a signal reaches all processes of the terminal.
+    send = os.killpg if number == signal.SIGINT else os.kill
+    send(process.pid, number)
+    _, err = process.communicate(timeout=60)
+    if number != signal.SIGKILL and process.returncode != 0:
+        assert "Traceback" not in err, err[-3000:]
+        assert process.returncode == 128 + number, err[-3000:]
+        assert "surefoot: interrupted" in err
+    waiting_until = time.monotonic() + 5.0
+    while running(process.pid) and time.monotonic() < waiting_until:
+        time.sleep(0.05)
+    assert not running(process.pid), "processes run on"
+    return True
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", COMMANDS)
+def test_ended_at_random_moments(name, inputs, tmp_path):
+    command, pattern = COMMANDS[name]
+    whole = copied(inputs, tmp_path / "whole")
+    finished(command, whole)  # compiles what is compiled once
+    whole = copied(inputs, tmp_path / "whole")
+    seconds, _ = finished(command, whole)
+    rng = np.random.default_rng(sum(name.encode()))
+    folder = copied(inputs, tmp_path / "ended")
+    for number in SIGNALS * 2:
+        interrupted_once(command, folder, number, rng.uniform(0.3, 0.9) * seconds)
+        left = list(folder.rglob("*.tmp")) if number != signal.SIGKILL else []
+        assert not left, left
+        if (folder / "out").exists() and not any((folder / "out").glob("*.html")):
+            continue
+    if list((folder / "out").glob("report.html")) or list((folder / "out").glob("leg.parquet")):
+        command += " --force"  # the last one was done before it was ended
+    if (folder / "out" / "o.pt").exists():
+        command += " --force"
+    finished(command, folder)
+    same_bytes(whole / "out", folder / "out", pattern)
+    assert not list(folder.rglob("*.tmp")), "debris"
+    assert not list(folder.rglob("*.lock")), "locks"
+
+
+@pytest.mark.long
+def test_a_resumed_observer_is_the_same_file(inputs, tmp_path):
+    """Twelve kills, evenly over the training: the file is that of one that was not killed."""
+    command, _ = COMMANDS["train"]
+    whole = copied(inputs, tmp_path / "whole")
+    seconds, _ = finished(command, whole)
+    folder = copied(inputs, tmp_path / "killed")
+    for _ in range(12):
+        if not interrupted_once(command, folder, signal.SIGKILL, 0.6 * seconds):
+            break
+        if (folder / "out" / "o.pt").exists():
+            break
+    if not (folder / "out" / "o.pt").exists():
+        finished(command, folder)
+    same_bytes(whole / "out", folder / "out", "o.pt")
+    assert Observer.load(folder / "out" / "o.pt").hash
+    assert {p.name for p in (folder / "out").iterdir()} == {"o.pt", MANIFEST}
+
+
+def test_two_runs_into_one_folder(inputs, tmp_path):
+    """The second is refused, and the first goes on."""
+    folder = copied(inputs, tmp_path / "two")
+    command = "train walk.parquet --inputs q,dq --model mlp -o out/o.pt"
+    first = started(command, folder)
+    lock = folder / "out" / ".o.pt.lock"
+    until = time.monotonic() + 60.0
+    while not lock.exists() and time.monotonic() < until:
+        time.sleep(0.02)
+    second = started(command, folder)
+    _, err = second.communicate(timeout=60)
+    assert second.returncode == 1
+    assert "another run is writing there" in err
+    first.terminate()
+    _, err = first.communicate(timeout=60)
+    assert first.returncode == 128 + signal.SIGTERM, err[-2000:]
+    assert "the same command goes on from what is done" in err
+    assert "Traceback" not in err
+    assert not lock.exists()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("most", [0, 1_000, 20_000, 200_000])
+def test_a_full_disk(name, most, inputs, tmp_path):
+    """No file may be longer than `most` bytes: one line, and nothing that looks whole."""
+    folder = copied(inputs, tmp_path / "full")
+    before = contents(folder)
+    command, _ = COMMANDS[name]
+
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+
+    process = started(command, folder, preexec_fn=limit)
+    _, err = process.communicate(timeout=300)
+    if process.returncode == 0:
+        return  # all of its files are shorter
+    assert "Traceback" not in err, err[-3000:]
+    last = [line for line in err.splitlines() if line.strip()][-1]
+    assert last.startswith("surefoot: "), err[-2000:]
+    left = {n for n, what in contents(folder).items() if what != "folder" and n not in before}
+    # What goes on later is kept; a result is not.
+    assert not [n for n in left if n.endswith((".html", ".pt", ".rrd", "leg.parquet", ".tmp"))], (
+        left
+    )

@@ -1,0 +1,39 @@
+"""Names of logs, filters and scenarios are words of a report, never its code."""
+
+from html.parser import HTMLParser
+
+from surefoot.scenarios.reporting.html import Section, html_report
+from surefoot.scenarios.reporting.tables import to_html
+
+EVIL = (
+    *("<script>alert(1)</script>", "<img src=x onerror=alert(1)>", '"><svg onload=alert(1)>'),
+    *("javascript:alert(1)", "</title><script>", "<!--", "&lt;script&gt;", "'onmouseover='x"),
+)
+
+
+class Seen(HTMLParser):
+    """The elements and attributes that a browser would see."""
+
+    def __init__(self):
+        super().__init__()
+        self.tags: set[str] = set()
+        self.attributes: set[str] = set()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.add(tag)
+        self.attributes |= {name for name, _ in attrs}
+
+
+def test_no_word_is_code():
+    plain = Seen()
+    rows = [{"log": "a", "filter": "b"}]
+    sections = [Section("a", "b\n\nc", rows)] * 3
+    plain.feed(html_report("t", sections))
+    hostile = Seen()
+    rows = [{evil: evil, "filter": evil} for evil in EVIL]
+    page = html_report(EVIL[4], [Section(evil, f"{evil}\n\n{evil}", rows) for evil in EVIL])
+    hostile.feed(page)
+    assert hostile.tags == plain.tags
+    assert hostile.attributes == plain.attributes
+    assert "<script" not in page.lower()
+    assert "<script" not in to_html(rows).lower()

@@ -1,0 +1,215 @@
+"""Hostile input is refused: one line that names what is at fault, nothing written, no traceback, no
+more than 1 GB and 10 s. `make test` runs every tenth case, `.ci/run` all of them."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import bases
+import command_cases
+import log_cases
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import text_cases
+import torch
+from forked import copied, run_forked
+
+READERS = {
+    "SCENARIO": ("scenario.toml", "simulate scenario.toml -o new"),
+    "EFFECTS": ("effects.toml", "simulate scenario.toml --effects effects.toml -o new"),
+    "MAP": ("map.toml", "import csv data.csv --map map.toml -o new.parquet"),
+    "CSV": ("data.csv", "import csv data.csv --map map.toml -o new.parquet"),
+    "ROBOT": ("robot.xml", "trace walk.parquet --robot robot.xml -o new"),
+    "URDF": ("robot.urdf", "trace walk.parquet --robot robot.urdf -o new"),
+    "EXPERIMENT": ("experiment.toml", "experiment experiment.toml -o new"),
+    "SETTINGS": ("settings.toml", "estimate walk.parquet --filter imu --settings settings.toml"),
+}
+"""Table of cases -> the file that they change, and the command that reads it."""
+LEARNT = "estimate walk.parquet --filter coverage --observer observer.pt --bounds bounds.json"
+SHARES = (0.0, 0.001, 0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 0.999)
+"""Places in a file, where it is cut short or a byte is flipped."""
+
+
+def replaced(name: str, old: str, new: str | bytes) -> Callable[[Path], None]:
+    """Replace a text of a good file, or where `old` is empty all of it."""
+
+    def change(folder: Path) -> None:
+        path = folder / name
+        if isinstance(new, bytes):
+            path.write_bytes(new)
+        else:
+            path.write_text(path.read_text().replace(old, new, 1) if old else new)
+
+    return change
+
+
+def written_log(alter: Callable) -> Callable[[Path], None]:
+    """Write the good log anew, its columns and metadata altered."""
+
+    def change(folder: Path) -> None:
+        table = pq.read_table(folder / "walk.parquet")
+        columns = {name: table[name].to_numpy() for name in table.column_names}
+        about = json.loads(table.schema.metadata[b"surefoot"])
+        alter(columns, about)
+        altered = pa.table(columns).replace_schema_metadata({b"surefoot": json.dumps(about)})
+        pq.write_table(altered, folder / "walk.parquet")
+
+    return change
+
+
+def edited_json(name: str, alter: Callable) -> Callable[[Path], None]:
+    """Edit a file of JSON by hand; what is edited becomes bounds.json."""
+
+    def change(folder: Path) -> None:
+        values = json.loads((folder / name).read_text())
+        alter(values)
+        (folder / "bounds.json").write_text(json.dumps(values))
+
+    return change
+
+
+def edited_observer(alter: Callable) -> Callable[[Path], None]:
+    def change(folder: Path) -> None:
+        values = torch.load(folder / "observer.pt", weights_only=True)
+        alter(values)
+        torch.save(values, folder / "observer.pt")
+
+    return change
+
+
+def cut(name: str, share: float) -> Callable[[Path], None]:
+    def change(folder: Path) -> None:
+        whole = (folder / name).read_bytes()
+        (folder / name).write_bytes(whole[: int(share * (len(whole) - 1))])
+
+    return change
+
+
+def flipped(name: str, share: float) -> Callable[[Path], None]:
+    def change(folder: Path) -> None:
+        whole = bytearray((folder / name).read_bytes())
+        whole[int(share * (len(whole) - 1))] ^= 0x55
+        (folder / name).write_bytes(bytes(whole))
+
+    return change
+
+
+def many_rows(folder: Path) -> None:
+    """A hundred million rows of forty columns, in a file of a few megabytes."""
+    about = pq.read_schema(folder / "walk.parquet").metadata
+    names = ["t", *(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")]
+    names += [f"x_{k}" for k in range(33)]
+    schema = pa.schema([(name, pa.float64()) for name in names]).with_metadata(about)
+    column = pa.array(np.zeros(1_000_000))
+    group = pa.table([column] * len(names), schema=schema)
+    with pq.ParquetWriter(folder / "walk.parquet", schema, compression="zstd") as writer:
+        for _ in range(100):
+            writer.write_table(group)
+
+
+def one_group(folder: Path) -> None:
+    """Thirty million rows in one row group, which would be decoded at once."""
+    about = pq.read_schema(folder / "walk.parquet").metadata
+    names = ["t", *(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")]
+    names += [f"x_{k}" for k in range(33)]
+    schema = pa.schema([(name, pa.float64()) for name in names]).with_metadata(about)
+    group = pa.table([pa.array(np.zeros(4_000_000))] * len(names), schema=schema)
+    pq.write_table(group, folder / "walk.parquet", row_group_size=10**9)
+
+
+def untouched(folder: Path) -> None:
+    """For a command that is at fault itself."""
+
+
+def _cases() -> list[tuple[str, Callable[[Path], None], str, str]]:
+    """What it is, the change to the good files, the command, and a word of its error."""
+    found = []
+    for table, (file, command) in READERS.items():
+        for what, old, new, word in getattr(text_cases, table):
+            found.append((f"{table.lower()}: {what}", replaced(file, old, new), command, word))
+    estimate = "estimate walk.parquet --filter leg"
+    for what, alter, word in log_cases.LOG:
+        found.append((f"log: {what}", written_log(alter), estimate, word))
+    found.append(("log: a hundred million rows", many_rows, estimate, "time stops"))
+    found.append(("log: a group of rows", one_group, estimate, "row group"))
+    for what, alter in log_cases.BOUNDS:
+        change = edited_json("bounds.json", alter)
+        found.append((f"bounds: {what}", change, LEARNT, "changed"))
+    for what, alter, word in log_cases.OLD_BOUNDS:
+        change = edited_json("old_bounds.json", alter)
+        found.append((f"bounds of 0.1.0: {what}", change, LEARNT, word))
+    for what, alter, word in log_cases.OBSERVER:
+        found.append((f"observer: {what}", edited_observer(alter), LEARNT, word))
+    for name, command in (
+        *(("walk.parquet", estimate), ("observer.pt", LEARNT), ("bounds.json", LEARNT)),
+        *(("robot.xml", READERS["ROBOT"][1]), ("old_bounds.json", "")),
+    ):
+        for share in SHARES if command else ():
+            found.append((f"{name}: cut at {share}", cut(name, share), command, ""))
+            if name != "robot.xml":
+                found.append((f"{name}: a bit at {share}", flipped(name, share), command, ""))
+    for group in ("OPTIONS", "OUTPUTS"):
+        for what, command, word in getattr(command_cases, group):
+            found.append((f"{group.lower()}: {what}", untouched, command, word))
+    return found
+
+
+CASES = _cases()
+SAMPLE = 10
+"""Every so many cases are run by `make test`."""
+
+
+def _marked(number: int, case: tuple) -> object:
+    marks = () if number % SAMPLE == 0 else (pytest.mark.long,)
+    return pytest.param(*case[1:], id=case[0], marks=marks)
+
+
+@pytest.mark.parametrize(
+    ("change", "command", "word"), [_marked(number, case) for number, case in enumerate(CASES)]
+)
+def test_refused(change, command, word, good, tmp_path):
+    folder = copied(good, tmp_path / "case")
+    change(folder)
+    found = run_forked(command.split(), folder)
+    said = found.err.splitlines()
+    faults = {
+        "not refused": not found.refused,
+        f"does not say {word!r}": word.lower() not in (found.err + found.out).lower(),
+        "more than one line": sum(line.startswith("surefoot: ") for line in said) > 1,
+        "a long line": any(len(line) > 3000 for line in said),
+    }
+    if wrong := [what for what, is_so in faults.items() if is_so]:
+        pytest.fail(f"{', '.join(wrong)}: {found}", pytrace=False)
+
+
+def test_there_are_as_many_cases_as_the_page_says():
+    names = [case[0] for case in CASES]
+    assert len(set(names)) == len(names) >= 400
+    for name in bases.__dict__:
+        if name.isupper() and name != "SCENARIO":
+            assert getattr(bases, name)
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_the_good_files_are_read(reader, good, tmp_path):
+    """Else every case could pass for another reason: what fails below is none of the good file."""
+    import surefoot.sim.scenario as scenario
+    from surefoot.scenarios.estimate.settings import read_settings
+    from surefoot.scenarios.experiments.file import Experiment
+    from surefoot.sim.effects.file import load_effects
+    from surefoot.sim.importing.recording import import_log
+    from surefoot.sim.robot.fixed_base import load_machine
+
+    read = {
+        "SCENARIO": scenario.Scenario.load,
+        "EFFECTS": load_effects,
+        "MAP": lambda path: import_log(path.parent / "data.csv", path),
+        "CSV": lambda path: import_log(path, path.parent / "map.toml"),
+        "ROBOT": load_machine,
+        "URDF": load_machine,
+        "EXPERIMENT": Experiment.load,
+        "SETTINGS": lambda path: read_settings(path, ()),
+    }
+    read[reader](good / READERS[reader][0])
