@@ -1,6 +1,6 @@
 """`python -m surefoot` is the command line."""
 
-from surefoot.scenarios.cli.start import main
+from surefoot.scenarios.cli.start import entry_point
 
 if __name__ == "__main__":
-    main()
+    entry_point()

@@ -16,7 +16,7 @@ from surefoot.models.calibration.mixing import Mixing
 from surefoot.models.observer.observer import Observer
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
-from surefoot.sim.common.limits import read_json
+from surefoot.sim.common.limits import bounded_json
 from surefoot.sim.common.quaternion import check_rotation
 
 BOUNDS_FORMAT = "surefoot bounds"
@@ -87,7 +87,7 @@ class Bounds:
     def load(cls, path: str | Path) -> Bounds:
         """The bounds at `path`. Raises BoundsError, one line, where it holds no valid ones."""
         try:
-            values = read_json(path)
+            values = bounded_json(path)
         except SurefootError as error:
             raise BoundsError(str(error)) from None
         if not isinstance(values, dict) or values.get("format") != BOUNDS_FORMAT:

@@ -14,7 +14,13 @@ from types import FrameType
 from typing import Any
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import cache_folder, check_space, clear_debris, refuse_input, run_of
+from surefoot.sim.common.files import (
+    cache_folder,
+    check_space,
+    clear_debris,
+    command_run,
+    refuse_input,
+)
 from surefoot.sim.common.limits import check_limit
 
 try:
@@ -48,7 +54,7 @@ def guarded(name: str, command: Any) -> Iterator[None]:
         if isinstance(given.get(option), int):
             check_limit(limit, given[option], f"--{option}")
     with ExitStack() as stack:
-        stack.enter_context(run_of(name, inputs))
+        stack.enter_context(command_run(name, inputs))
         for path in (*listed, *kept):
             refuse_input(path)
         if given.get("page"):

@@ -11,10 +11,10 @@ def _leave(number: int, _frame: FrameType | None) -> None:
     os._exit(128 + number)
 
 
-def main() -> None:
+def entry_point() -> None:
     """The command line of the process: imports take a second, in which nothing is to be undone."""
     for name in ("SIGINT", "SIGTERM"):
         signal.signal(getattr(signal, name), _leave)
-    from surefoot.scenarios.cli.main import main as run
+    from surefoot.scenarios.cli.main import main
 
-    run()
+    main()

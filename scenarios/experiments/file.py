@@ -28,7 +28,7 @@ from surefoot.sim.walking.batch import Job, known_robot
 
 SUITES_FOLDER = bundled("surefoot.scenarios.experiments", "suites")
 SUITES = ("spot", "vision60")
-Steps = Annotated[int, msgspec.Meta(ge=1, le=10**6)]
+TrainingSteps = Annotated[int, msgspec.Meta(ge=1, le=10**6)]
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Learning:
 
     losses: tuple[str, ...] = LOSSES
     inputs: str = "q,dq,tau"
-    steps: Steps = DEFAULT_SCHEDULE.steps
+    steps: TrainingSteps = DEFAULT_SCHEDULE.steps
     model: str = "gru"
     method: str = "conformal"
 

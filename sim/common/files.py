@@ -77,7 +77,7 @@ _run: _Run | None = None
 
 
 @contextmanager
-def run_of(command: str, inputs: Iterable[Path] = ()) -> Iterator[None]:
+def command_run(command: str, inputs: Iterable[Path] = ()) -> Iterator[None]:
     """While it lasts, files are written as those of `command`, and never over its inputs."""
     global _run
     before, _run = _run, _Run(command)

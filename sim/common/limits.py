@@ -86,13 +86,6 @@ def check_limit(name: str, amount: float, what: str) -> None:
         raise SurefootError(f"{what}: {amount:.4g} is more than {most:.4g} ({VARIABLE}: {name})")
 
 
-def check_table(rows: int, columns: int, what: str) -> None:
-    """Raise SurefootError where a table of float64 would not go into the memory allowed."""
-    check_limit("rows", rows, f"{what}: rows")
-    check_limit("columns", columns, f"{what}: columns")
-    check_limit("memory", 8.0 * rows * columns, f"{what}: bytes of {rows} rows in memory")
-
-
 def admitted(path: str | Path, limit: str = "text", what: str = "") -> Path:
     """The path of a regular file no larger than a limit, links followed.
 
@@ -112,7 +105,7 @@ def admitted(path: str | Path, limit: str = "text", what: str = "") -> Path:
     return Path(path)
 
 
-def read_text(path: str | Path, what: str = "") -> str:
+def bounded_text(path: str | Path, what: str = "") -> str:
     """The text of a UTF-8 file of bounded size. Raises SurefootError as `admitted` does."""
     name = f"{what} {path}".lstrip()
     try:
@@ -123,13 +116,13 @@ def read_text(path: str | Path, what: str = "") -> str:
         raise SurefootError(f"{name}: {error.strerror or error}") from None
 
 
-def read_json(path: str | Path, what: str = "") -> Any:
+def bounded_json(path: str | Path, what: str = "") -> Any:
     """What a JSON file of bounded size and depth holds.
 
     Raises SurefootError, one line that starts with `what` and the path.
     """
     try:
-        return parse_json(read_text(path, what))
+        return parse_json(bounded_text(path, what))
     except _NotJson as error:
         raise SurefootError(f"{what} {path}: {error}".lstrip()) from None
 

@@ -18,7 +18,7 @@ import msgspec
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.limits import check_limit, check_toml_keys, read_text
+from surefoot.sim.common.limits import bounded_text, check_limit, check_toml_keys
 
 T = TypeVar("T")
 Positive = Annotated[float, msgspec.Meta(gt=0)]
@@ -44,7 +44,7 @@ _WORDS = {
 def read_toml(path: str | Path, what: str = "") -> dict[str, Any]:
     """The tables of a TOML file. Raises SurefootError, one line that starts with `what`, path."""
     name = f"{what} {path}".lstrip()
-    text = read_text(path, what)
+    text = bounded_text(path, what)
     try:
         check_toml_keys(text)
         return tomllib.loads(text)

@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 import mujoco
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.robot.model_gate import check_model, check_model_file
+from surefoot.sim.robot.model_gate import check_compiled, check_model_file
 
 
 def model_spec(file: Path) -> mujoco.MjSpec:
@@ -35,7 +35,7 @@ def compiled_model(file: Path) -> mujoco.MjModel:
             model = mujoco.MjModel.from_xml_path(str(file))
     except (ValueError, mujoco.FatalError, MemoryError) as error:
         raise _unreadable(file, error) from None
-    check_model(file, model)
+    check_compiled(file, model)
     return model
 
 

@@ -48,7 +48,7 @@ def check_model_file(file: Path) -> None:
         raise SurefootError(f"robot {file}: cannot read it, not XML: {error}") from None
 
 
-def check_model(file: Path, model: mujoco.MjModel) -> None:
+def check_compiled(file: Path, model: mujoco.MjModel) -> None:
     """Raise SurefootError for a compiled model whose masses, places or friction are not physical.
 
     Args:

@@ -14,9 +14,9 @@ from surefoot.sim.robot import Robot
 
 SLOWEST = 20.0
 """Hz, below which a log does not show a stride."""
-FASTEST = 1e4
+FASTEST_LOG = 1e4
 """Hz, beyond which no sensor of a robot is read."""
-LARGEST = 1e6
+LARGEST_ERROR = 1e6
 """Of any size of a sensor's errors, in SI units: far beyond any sensor."""
 
 
@@ -65,12 +65,12 @@ class Sensors:
         for name in (part.name for part in fields(self)):
             if not getattr(self, name) >= 0.0:
                 raise SurefootError(f"{name} must not be negative, is {getattr(self, name):g}")
-            if not getattr(self, name) <= LARGEST:
-                raise SurefootError(f"{name} must not exceed {LARGEST:g}")
+            if not getattr(self, name) <= LARGEST_ERROR:
+                raise SurefootError(f"{name} must not exceed {LARGEST_ERROR:g}")
         if self.instability_time == 0.0:
             raise SurefootError("instability_time must be positive")
-        if self.rate > FASTEST:
-            raise SurefootError(f"rate must be {FASTEST:g} Hz at most, is {self.rate:g}")
+        if self.rate > FASTEST_LOG:
+            raise SurefootError(f"rate must be {FASTEST_LOG:g} Hz at most, is {self.rate:g}")
         if 0.0 < self.rate < SLOWEST:
             raise SurefootError(f"rate must be {SLOWEST:g} Hz at least, is {self.rate:g}")
         for name in ("contact_missed", "contact_false"):

@@ -12,21 +12,21 @@ from surefoot.sim.common.files import (
     MANIFEST,
     cache_folder,
     check_unchanged,
+    command_run,
     manifest_entries,
     refuse_full,
-    run_of,
     whole_file,
     whole_folder,
 )
 
 
 def write(path, text, command="make", inputs=(), force=True):
-    with run_of(command, inputs), whole_file(path, force) as temporary:
+    with command_run(command, inputs), whole_file(path, force) as temporary:
         temporary.write_text(text)
 
 
 def fill(folder, texts, command="make", force=True):
-    with run_of(command), whole_folder(folder, force) as made:
+    with command_run(command), whole_folder(folder, force) as made:
         for name, text in texts.items():
             (made / name).parent.mkdir(exist_ok=True)
             (made / name).write_text(text)
@@ -81,12 +81,12 @@ def test_a_folder_is_replaced_as_a_whole(tmp_path):
     del left[MANIFEST]
     assert left == {"report.html": "2", "figures/a.png": "2", "notes.txt": "mine"}
     (out / "figures" / "a.png").write_text("mine now")
-    with run_of("make"), pytest.raises(SurefootError, match=r"a\.png: not overwritten"):
+    with command_run("make"), pytest.raises(SurefootError, match=r"a\.png: not overwritten"):
         refuse_full(out, force=True)
     with pytest.raises(SurefootError, match=r"a\.png: not overwritten"):
         fill(out, {"report.html": "3", "figures/a.png": "3"})
     assert (out / "report.html").read_text() == "2"
-    with run_of("other"), pytest.raises(SurefootError, match="made nothing here"):
+    with command_run("other"), pytest.raises(SurefootError, match="made nothing here"):
         refuse_full(out, force=True)
 
 
