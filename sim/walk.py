@@ -129,7 +129,9 @@ def plan(
             "give [ground] a larger half_size"
         )
     start = SETTLE + scenario.stand
-    gait = gait_for(robot, start, draw.period, draw.clearance, draw.gain, scenario.gait)
+    # Feet of another radius are put down as such: a controller feels the ground that they stand on.
+    standing_on = replace(robot, foot_radius=find_legs(world.model, robot.name).foot_radius)
+    gait = gait_for(standing_on, start, draw.period, draw.clearance, draw.gain, scenario.gait)
     if world.springs.any():
         gait = gait._replace(slide_damping=ELASTIC_DAMPING * gait.slide_damping)
     gait = irregular(gait, scenario.gait, course.t, np.random.default_rng(gait_seed))
@@ -155,10 +157,11 @@ def record(made: Plan, motion: Motion) -> Log:
     for effect in made.effects:
         mounted = effect.alter_mounting(mounted)
         reference = effect.alter_reference(reference)
+    sensors, rng = made.scenario.sensors, np.random.default_rng(made.sensor_seed)
     streams = ideal_streams(motion, mounted)
+    streams = replace(streams, contact_threshold=sensors.contact_threshold)
     for effect in made.effects:
         streams = effect.alter_streams(streams, robot)
-    sensors, rng = made.scenario.sensors, np.random.default_rng(made.sensor_seed)
     streams = corrupt(streams, sensors, rng)
     contact = sensed_contact(streams, robot.mass * GRAVITY, sensors, rng)
     truth = foot_truth(motion, _walked(made), made.ground)

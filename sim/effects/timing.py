@@ -22,7 +22,7 @@ from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.contact import swings
 from surefoot.sim.sensors.pad import begin_late, end_late
-from surefoot.sim.sensors.streams import Reference, Sensors, Streams
+from surefoot.sim.sensors.streams import Reference, Streams
 
 NONLINEAR = 0.008
 """s. A walk shakes its body at 10 Hz and more, a sine of which is linear over an eighth of it."""
@@ -153,7 +153,7 @@ class ContactDelay(Effect):
     step = 1e-3
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        threshold = Sensors().contact_threshold * robot.mass * GRAVITY
+        threshold = streams.contact_threshold * robot.mass * GRAVITY
         read = begin_late if self.target == "touchdown" else end_late
         force = read(streams.t, streams.force, threshold, self.value)
         return replace(streams, force=force)

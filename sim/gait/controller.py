@@ -21,7 +21,8 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import FootMotion, foot_motion, leg_forward, sole_motion
 
 STEEPEST = 0.6  # slope that the body follows at most
-SLIDING = 0.2  # m/s over the ground from which a standing foot is felt to slide
+SLIDING = 0.2  # m/s over the ground from which the way of a loaded foot counts
+SLID = 0.02  # of the leg's length, such a way of all feet on the mean from which they slide
 
 
 class Controller(NamedTuple):
@@ -71,8 +72,9 @@ def gait_for(
         friction_clamp=0.6,
         capture=0.75 * np.sqrt(length / GRAVITY),
         course_gain=gain * 4.0,
-        level_gain=options.level * gain * 180.0,
-        level_damping=options.level * 32.0,
+        level=options.level,
+        level_gain=gain * 180.0,
+        level_damping=32.0,
         slide_damping=80.0 * foot_mass,
         unloading=options.unloading,
         touchdown_speed=options.touchdown_speed * np.sqrt(GRAVITY * length),
@@ -148,7 +150,7 @@ def tick(legs, controller, state, target, torque):
                 memory.bump[leg] = 0.0
         memory.mode[leg] = SWING if feet.mode[leg] == SWING else STANCE
     if gait.slip_care > 0.0:
-        _take_care(controller, t, base, command, feet)
+        take_care(controller, state, loaded, command, feet)
     swing(controller, base, command, feet, torque)
     support(controller, ground, base, command, feet, torque)
     if gait.stiffness > 0.0:
@@ -169,31 +171,42 @@ def _command(base, yaw, target):
 
 
 @kernel
-def _take_care(controller, t, base, command, feet):
+def take_care(controller, state, loaded, command, feet):
     """Wants less of the velocity that feet which slide cannot give: their mean lack over a stride.
 
-    Averaged, it leaves the answer to swaying as it is. It comes back within a stride or two once no
-    foot slides.
+    Averaged, it leaves the answer to swaying as it is. No more is given up than was wanted: a robot
+    that slides slows down and stops, it does not turn back. It comes back within a stride or two
+    once no foot slides.
 
     Args:
         controller: a Controller, which remembers what is given up.
-        t: s.
-        base: a BaseMotion.
+        state: a RobotState.
+        loaded: force from which a foot bears on the ground [N]; one that bounces does not slide.
         command: a Command, changed.
         feet: Feet.
     """
     gait, memory = controller.gait, controller.memory
+    t, base, _, _, load = state
+    dt = t - memory.slid[1]
+    memory.slid[1] = t
     for leg in range(4):
         v, up = feet.sole_velocity[leg], feet.normal[leg]
         across = v - (v @ up) * up
-        inside = 0.1 < feet.progress[leg] < 0.9
-        if feet.mode[leg] == STANCE and inside and across @ across > SLIDING * SLIDING:
-            memory.slid[0] = t
-    part = min((t - memory.slid[1]) / gait.period, 1.0)
-    memory.slid[1] = t
+        speed = np.sqrt(across @ across)
+        if feet.mode[leg] == STANCE and feet.progress[leg] < 0.75:
+            # Before a quarter of the stance the leg is still being loaded, and gives.
+            if feet.progress[leg] < 0.25:
+                memory.way[leg] = 0.0
+            elif speed > SLIDING and load[leg] > loaded:
+                memory.way[leg] = min(memory.way[leg] + speed * dt, 3.0 * SLID * gait.leg_length)
+    # One foot that slips off an edge is no slippery ground.
+    if memory.way.mean() > SLID * gait.leg_length:
+        memory.slid[0] = t
+    part = min(dt / gait.period, 1.0)
     slides = t - memory.slid[0] < gait.period
     for a in range(2):
         lack = gait.slip_care * (command.v[a] - base.v[a]) if slides else 0.0
+        lack = min(max(lack, min(command.v[a], 0.0)), max(command.v[a], 0.0))
         memory.given_up[a] += part * (lack - memory.given_up[a])
         command.v[a] -= memory.given_up[a]
 

@@ -21,7 +21,7 @@ class GaitOptions:
     foothold_jitter: float = 0.0  # standard deviation of a foothold along each axis / leg length
     touchdown_speed: float = 0.0  # of the foot towards the ground / sqrt(gravity * leg length)
     braking: float = 0.0  # share of the body's velocity that a landing foot still has
-    level: float = 1.0  # factor on the gains that hold the base level
+    level: float = 1.0  # factor on the gains that hold the base level, while it nearly is
     slip_care: float = 0.0  # share of the velocity that sliding feet lack which is given up
     stiffness: float = 0.0  # of the joints of standing legs / (m g L per rad); 0: no joint PD
     damping: float = 0.025  # s, rate gain of the joint PD over its stiffness

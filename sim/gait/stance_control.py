@@ -6,6 +6,8 @@ from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.gait.state import STANCE
 
+FIRM_TILT = 0.1
+"""rad, from the plane of the ground, from which the base is held level with the full moment."""
 FARTHEST_FROM_BASE = 0.3
 """rad, of a joint's error that its PD answers: a foot held fast does not pull the body down."""
 
@@ -62,9 +64,12 @@ def support(controller, ground, base, command, feet, torque):
     up_B = R.T @ np.array([-slope_x / steep, -slope_y / steep, 1.0 / steep])
     error_B = np.array([-up_B[1], up_B[0], 0.0])
     spin = command.turn * R[2] - w
+    # Held loosely a robot sways; held as firmly as any once it tilts, it does not fall for that.
+    tilt = np.sqrt(error_B @ error_B) / FIRM_TILT
+    held = gait.level + (1.0 - gait.level) * min(tilt * tilt, 1.0)
     moment_B = np.empty(3)
     for a in range(3):
-        moment_B[a] = gait.inertia[a] * (
+        moment_B[a] = (held * gait.inertia[a]) * (
             gait.level_gain * error_B[a] + gait.level_damping * spin[a]
         )
     wrench[3:] = R @ moment_B

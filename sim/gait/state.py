@@ -30,6 +30,7 @@ class Gait(NamedTuple):
     friction_clamp: float  # tangential over normal foot force
     capture: float  # s, foothold per velocity error
     course_gain: float  # 1/s, force per velocity error and mass
+    level: float  # share of the moment that holds the base level while it is nearly so
     level_gain: float  # 1/s^2, moment per tilt and inertia
     level_damping: float  # 1/s
     slide_damping: float  # N s/m, on a stance foot that slides
@@ -57,6 +58,7 @@ class LegMemory(NamedTuple):
     planted: np.ndarray  # (4, 3) m, in B, where a foot's centre was when it began to stand
     since: np.ndarray  # (4,) s, when that was; NaN while it does not stand
     slid: np.ndarray  # (2,) s, when a standing foot was last felt to slide, and of the last tick
+    way: np.ndarray  # (4,) m, that each foot has slid in the middle of its last stance
     given_up: np.ndarray  # (2,) m/s, in G, of the wanted velocity, because feet slide
 
 
@@ -71,6 +73,7 @@ def standing() -> LegMemory:
         planted=np.zeros((4, 3)),
         since=np.full(4, np.nan),
         slid=np.array([-np.inf, 0.0]),
+        way=np.zeros(4),
         given_up=np.zeros(2),
     )
 

@@ -128,6 +128,7 @@ class Streams:
     tau: np.ndarray  # (N, 12) N m
     tau_ff: np.ndarray  # (N, 12) N m, commanded
     force: np.ndarray  # (N, 4) N
+    contact_threshold: float = Sensors.contact_threshold  # of the robot's weight, on one foot
 
     @property
     def rate(self) -> float:

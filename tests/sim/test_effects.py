@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.effects import CATALOGUE, effect
 from surefoot.sim.effects.file import load_effects, save_effects, to_toml
 from surefoot.sim.effects.timing import reference_lag
@@ -235,3 +236,18 @@ def test_a_search_for_a_delay_begins_where_gyro_and_reference_turn_alike(log, ro
     assert len(found["imu_delay"]) == len(found["reference_delay"]) == (2 if late else 1)
     if late:
         assert found["imu_delay"][1] == -found["reference_delay"][1]
+
+
+def test_contact_delay_is_late_by_its_size_whatever_the_threshold(robot, streams):
+    """Loads that fall off within 0.1 s, four steps a second, all feet alike."""
+    step = np.clip(np.arange(125) - 20.0, 0.0, 30.0) - np.clip(np.arange(125) - 60.0, 0.0, 30.0)
+    weight = robot.mass * GRAVITY
+    force = np.repeat(np.tile(step / 30.0, 4)[:, None], 4, axis=1) * weight
+    for share in (0.08, 0.4):
+        own = replace(streams, force=force, contact_threshold=share)
+        late = effect("contact_delay", "liftoff", 0.02).alter_streams(own, robot)
+        ends = [
+            np.flatnonzero(np.diff((f > share * weight)[:, 0].astype(int)) < 0)
+            for f in (force, late.force)
+        ]
+        assert np.diff(streams.t[ends], axis=0).mean() == pytest.approx(0.02, abs=0.002)

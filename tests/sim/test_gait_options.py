@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.gait.controller import gait_for
+from surefoot.sim.gait.controller import SLID, Controller, gait_for, take_care
 from surefoot.sim.gait.irregular import estimated_base, irregular, stride_at
 from surefoot.sim.gait.options import PLAIN_GAIT, GaitOptions
+from surefoot.sim.gait.state import STANCE, Command, Feet, RobotState, standing
 from surefoot.sim.ground.terrain import Ground, Patch
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import BaseMotion
@@ -158,6 +159,29 @@ def test_what_an_imu_samples_folds_back_and_what_it_averages_does_not():
     power = {a: np.var(sampled(tone, 100.0, averages=a)["accel_x"]) for a in (True, False)}
     assert power[False] > 0.4  # a tone of 10 Hz, as large
     assert power[True] < 0.02
+
+
+def test_care_stops_a_robot_and_never_turns_it_back():
+    """Pushed backwards over ice, and none of it where a single foot slides."""
+    gait = gait_for(SPOT, 0.0, options=GaitOptions(slip_care=1.0))
+    feet = Feet(
+        *np.zeros((3, 4, 3)),
+        np.zeros((4, 3, 3)),
+        np.tile([0.0, 0.0, 1.0], (4, 1)),
+        np.full(4, STANCE),
+        np.full(4, 0.5),
+        np.zeros(4, np.int64),
+    )
+    base = BaseMotion(np.zeros(3), np.eye(3), np.array([-1.0, 0.0, 0.0]), np.zeros(3))
+    for sliding, wanted in (([1.0] * 4, 0.0), ([3.0, 0.0, 0.0, 0.0], 0.5)):
+        controller = Controller(gait, plan(COURSE, SPOT, 0).world.relief, standing())
+        controller.memory.way[:] = np.array(sliding) * 1.1 * SLID * gait.leg_length
+        for t in np.arange(1.0, 6.0, 0.004):
+            state = RobotState(t, base, np.zeros(12), np.zeros(12), np.full(4, 100.0))
+            command = Command(np.array([0.5, 0.0, 0.0]), 0.0)
+            take_care(controller, state, 10.0, command, feet)
+            assert command.v[0] >= -1e-12
+        assert command.v[0] == pytest.approx(wanted, abs=0.01)
 
 
 def test_with_care_a_robot_walks_on_where_its_feet_slide_by_centimetres():

@@ -15,6 +15,7 @@ from surefoot.sim.walking.imitation import (
     WalkingStyle,
     body_twists,
     imitation,
+    replica,
     slower,
     walking_style,
 )
@@ -71,6 +72,12 @@ def test_stretches_change_order_and_nothing_else(robot):
     assert sorted(s.forward for s in drawn[0]) == list(range(12))
     half = slower(imitation(read, robot, "x", 12.0, np.random.default_rng(0))[0], 0.5)
     assert [s.forward for s in half.segments] == [0.5 * s.forward for s in drawn[0]]
+
+
+def test_a_replica_walks_from_the_first_step_to_the_last(robot):
+    forward = [0.0, 0.01, 0.4, 0.0, 0.6, 0.0]
+    read = WalkingStyle(np.outer(forward, [1.0, 0.0, 0.0]), 1.0, 1.0, robot.q_home)
+    assert [s.forward for s in replica(read, robot, "x")[0].segments] == [0.4, 0.0, 0.6]
 
 
 def test_without_contacts_the_gait_is_the_controllers_own(robot, shown):

@@ -16,7 +16,7 @@ from surefoot.sim.physics.scene import TIMESTEP, build_world
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Ranges, Scenario, Segment
 from surefoot.sim.sensors.streams import Sensors, ideal_streams, imu_motion
-from surefoot.sim.walk import STEPS_PER_TICK, Fallen, simulate, walk
+from surefoot.sim.walk import STEPS_PER_TICK, Fallen, plan, simulate, walk
 
 SPOT = Robot.load("spot_class")
 # Nothing between the simulation and the log but the rounding of the IMU.
@@ -50,6 +50,14 @@ def log():
 @pytest.fixture(scope="module")
 def perfect():
     return walk(Scenario("perfect", SCENARIO.segments, TERRAIN, sensors=PERFECT), SPOT, 3)
+
+
+def test_the_controller_stands_on_the_feet_that_the_world_has():
+    as_drawn, larger = (
+        plan(SCENARIO, SPOT, 3, [effect("foot_rolling", "all", size)]).gait for size in (0.0, 0.012)
+    )
+    np.testing.assert_allclose(larger.foot_radius - as_drawn.foot_radius, 0.012, atol=1e-9)
+    assert larger.height - as_drawn.height == pytest.approx(0.012)
 
 
 def test_the_same_seed_gives_the_same_log_bit_for_bit(log):
