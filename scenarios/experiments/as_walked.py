@@ -14,8 +14,6 @@ from surefoot.sim.scenario import Scenario
 from surefoot.sim.sensors.streams import Sensors
 
 BUNDLED = bundled("surefoot.scenarios.experiments", "suites") / "as_walked.toml"
-SHEET = 0.3
-"""Friction below which a patch is a slippery sheet."""
 
 
 @dataclass(frozen=True)
@@ -35,24 +33,26 @@ class Size:
 class AsWalked:
     """What was measured on the walk of `robot`.
 
-    period: of its stride there [s]; gait: options, without dimension but for the noise of the
-    estimate; sensors: names of `sim.sensors.streams.Sensors` and what they are; sheets: factor on
-    the friction of patches below SHEET; source: of gait, sensors and sheets.
+    period: of its stride there [s]; source: of gait and sensors; gait: options, without dimension
+    but for the noise of the estimate; on_steps: names of `GaitOptions` and what they are instead on
+    courses with steps, where nothing was measured; sensors: names of
+    `sim.sensors.streams.Sensors` and what they are.
     """
 
     robot: str
     period: Positive
     source: str
     gait: GaitOptions = field(default_factory=GaitOptions)
+    on_steps: dict[str, float] = field(default_factory=dict)
     sensors: dict[str, float] = field(default_factory=dict)
-    sheets: Positive = 1.0
     size: tuple[Size, ...] = ()
 
     def __post_init__(self):
-        try:
-            typed(self.sensors, Sensors)
-        except SurefootError as error:
-            raise SurefootError(f"sensors: {error}") from None
+        for name, kind in (("sensors", Sensors), ("on_steps", GaitOptions)):
+            try:
+                typed(getattr(self, name), kind)
+            except SurefootError as error:
+                raise SurefootError(f"{name}: {error}") from None
 
     def effects_on(self, robot: Robot) -> tuple[Effect, ...]:
         """The measured effects as `robot` would have them."""
@@ -61,17 +61,11 @@ class AsWalked:
         return carried(sizes, scale_of(measured, self.period), scale_of(robot))
 
     def scenario(self, scenario: Scenario) -> Scenario:
-        """The scenario in this gait, with these sensors, its sheets as slippery as these."""
-        ground = scenario.ground
-        patches = tuple(
-            replace(p, mu=p.mu * self.sheets) if p.mu < SHEET else p for p in ground.patches
-        )
-        return replace(
-            scenario,
-            gait=self.gait,
-            sensors=replace(scenario.sensors, **self.sensors),
-            ground=replace(ground, patches=patches),
-        )
+        """The scenario in this gait, with these sensors."""
+        steps = any(strip.steps for strip in scenario.ground.strips)
+        gait = replace(self.gait, **self.on_steps) if steps else self.gait
+        sensors = replace(scenario.sensors, **self.sensors)
+        return replace(scenario, gait=gait, sensors=sensors)
 
 
 def load_as_walked(path: str | Path = BUNDLED) -> AsWalked:

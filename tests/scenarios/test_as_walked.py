@@ -1,22 +1,26 @@
 """A robot as it walks: what was measured of one walk, put into the suites' walks by one rule."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from surefoot.scenarios.experiments.as_walked import SHEET, load_as_walked
+from surefoot.scenarios.experiments.as_walked import load_as_walked
 from surefoot.scenarios.experiments.file import Experiment, walk_to_make
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
 from surefoot.sim.effects.carry import carried, scale_of
+from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario
+from surefoot.sim.walking.batch import walk_job
 
 FILE = """robot = "spot_class"
 period = 0.5
 source = "a test"
-sheets = 0.5
 [gait]
 duty = 0.7
+[on_steps]
+level = 0.9
 [sensors]
 contact_threshold = 0.2
 [[size]]
@@ -48,9 +52,9 @@ def test_a_walk_has_the_gait_the_sensors_and_the_sizes_carried_to_its_robot(tmp_
     assert job.scenario.gait == condition.walked.gait
     mine = walked.scenario(slipped)
     assert (mine.gait.duty, mine.sensors.contact_threshold) == (0.7, 0.2)
-    for was, now in zip(slipped.ground.patches, mine.ground.patches, strict=True):
-        assert was.mu < SHEET
-        assert now.mu == pytest.approx(0.5 * was.mu)
+    assert mine.ground == slipped.ground
+    stairs = next(s for s in Experiment.load("spot").scenarios if s.name == "Upstair")
+    assert [walked.scenario(s).gait.level for s in (slipped, stairs)] == [1.0, 0.9]
     robots = [Robot.load(name) for name in ("spot_class", "v60_class")]
     scales = scale_of(robots[0], 0.5), scale_of(robots[1])
     (expected,) = carried([effect("joint_compliance", "all", 1e-3)], *scales)
@@ -64,6 +68,7 @@ def test_a_walk_has_the_gait_the_sensors_and_the_sizes_carried_to_its_robot(tmp_
         ("spot_class", "wings", "walked.toml"),
         ('target = "all"', 'target = "tail"\nunknown = 1', "unknown key 'unknown'"),
         ("duty = 0.7", "duty = 7", r"\[gait\] duty must lie between"),
+        ("level = 0.9", "levels = 0.9", "on_steps: unknown key 'levels'"),
         ("contact_threshold = 0.2", "smell = 1", "sensors: unknown key 'smell'"),
         ("value = 1e-3", "value = 1e3", "must lie between"),
     ],
@@ -75,9 +80,13 @@ def test_bad_files_are_one_clear_line(tmp_path, was, now, said):
     assert "\n" not in str(caught.value)
 
 
-def test_ground_without_sheets_stays():
-    dry = Scenario.load("vision60/2cc2ccw")
-    walked = load_as_walked()
-    patches = zip(dry.ground.patches, walked.scenario(dry).ground.patches, strict=True)
-    assert all(a == b for a, b in patches if a.mu >= SHEET)
-    assert walked.scenario(dry).ground.mu == dry.ground.mu
+@pytest.mark.parametrize("course", ["Upstair", "Downstair"])
+def test_a_robot_walks_a_flight_of_stairs_as_walked(course):
+    suite = Experiment.load("spot")
+    condition = next(c for c in suite.conditions if c.name == "as walked")
+    whole = next(s for s in suite.scenarios if s.name == course)
+    flight = replace(whole, segments=whole.segments[:3], laps=1)
+    walked = walk_job(walk_to_make(flight, "spot_class", condition, 0)).log
+    assert isinstance(walked, Log)
+    # Ten steps of 12 cm.
+    assert np.ptp(walked.ref_p[:, 2]) == pytest.approx(1.2, abs=0.15)
