@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo test check docs readme study study-observer study-trace study-hardware study-bounds study-montecarlo suites \
+.PHONY: setup demo test check docs readme study study-observer study-trace study-hardware study-bounds study-montecarlo study-realism suites \
 	tune tune-vision60 tune-spot lock clean
 
 setup: .venv/.ready
@@ -58,6 +58,17 @@ study-hardware: setup
 study-montecarlo: setup
 	$(BIN)/surefoot montecarlo -o out/montecarlo --force --data docs/data/montecarlo \
 		--page docs/results/montecarlo.md
+
+# The Go1's measured walk beside simulated ones: of the same robot, and of the suites' robots with what
+# was measured carried to them. Also whether the leg filter drifts as much on the simulated Go1.
+study-realism: OUT = out/realism
+study-realism: MEASURED = $(or $(SUREFOOT_MEASURED),../shared/measured)
+study-realism: setup
+	$(BIN)/surefoot import csv $(MEASURED)/go1_square --map go1_square --force -o $(OUT)/go1_square.parquet
+	$(BIN)/surefoot realism $(OUT)/go1_square.parquet --as-walked --force -o $(OUT)/go1 \
+		--page docs/results/realism.md
+	for robot in spot_class v60_class; do $(BIN)/surefoot realism $(OUT)/go1_square.parquet --as-walked \
+		--walker $$robot --force -o $(OUT)/$$robot --page docs/results/realism_$$robot.md || exit 1; done
 
 # Where bounds hold: calibrated on one course of vision60, judged on the others and on shifted ones.
 study-bounds: OUT = out/bounds

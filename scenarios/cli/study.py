@@ -114,7 +114,7 @@ class Realism:
     log: Positional[Path]
     """A log with IMU, joint angles, contacts and reference."""
     out: Out
-    """Folder for realism.json, realism.csv, table.md and report.html."""
+    """Folder for realism.json, realism.csv, drift.csv, table.md and report.html."""
     robot: RobotName = None
     effects: Path | None = None
     """File of effects (TOML) that the simulated robot has."""

@@ -15,6 +15,7 @@ from surefoot.scenarios.experiments.as_walked import AsWalked
 from surefoot.scenarios.reporting.html import Section
 from surefoot.scenarios.studies.pages import origin_of, write_page, write_results
 from surefoot.scenarios.trace.loop import bodily, world_of
+from surefoot.scenarios.trace.realism_drift import FILTER, drift_table
 from surefoot.scenarios.trace.realism_figures import pictures
 from surefoot.scenarios.trace.walk_comparison import WalkComparison
 from surefoot.sim.common.errors import SurefootError, check_seed
@@ -34,7 +35,12 @@ REALISM_PACES = (1.0, 0.9, 0.8, 0.7)
 """Shares of the measured velocities that are tried until the robot does not fall."""
 _MODULE = "surefoot.scenarios.trace.realism"
 TITLE = "Realism: a measured walk beside simulated ones in its manner"
-REALISM_FILES = ("realism.json", "realism.csv", "table.md", "report.html")
+REALISM_FILES = ("realism.json", "realism.csv", "drift.csv", "table.md", "report.html")
+DRIFT_WORDS = (
+    "RPE over 1 m [m/m] on the measured walk and on the simulated ones, by a model that knows "
+    "nothing of what the simulated robot has. A robot that walks like the measured one is as hard "
+    "for it."
+)
 
 
 def realism(
@@ -49,7 +55,7 @@ def realism(
     force: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[WalkComparison, ...]:
-    """Compare and write realism.json, realism.csv, table.md and report.html into `out`.
+    """Compare and write realism.json, realism.csv, drift.csv, table.md and report.html into `out`.
 
     The simulated robot as drawn comes first; where effects or `walked` are given, with them second.
 
@@ -83,11 +89,17 @@ def realism(
 
         found.append(compare_walks(log, robot, "as walked", effects, walked, walker, seed, second))
     parts = card_sections(found)
-    tables = {"realism": [{"walk": c.words, **r.as_dict()} for c in found for r in c.card.rows]}
+    drifts = drift_table(found)
+    parts.insert(0, Section(f"Drift of the `{FILTER}` filter", DRIFT_WORDS, drifts))
+    tables = {
+        "realism": [{"walk": c.words, **r.as_dict()} for c in found for r in c.card.rows],
+        "drift": drifts,
+    }
     with whole_folder(out, force) as folder:
         write_results(folder, TITLE, parts, tables)
         with whole_file(folder / "realism.json") as temporary:
-            temporary.write_text(json.dumps(_json(found), indent=2) + "\n", encoding="utf-8")
+            text = json.dumps(_json(found) | {"drift": drifts}, indent=2)
+            temporary.write_text(text + "\n", encoding="utf-8")
     if page:
         write_page(page, TITLE, parts, origin_of(_MODULE, "surefoot realism"))
     return tuple(found)
@@ -174,7 +186,9 @@ def _walks(
         logs: list[Log] = []
         try:
             for k in range(WALKS_EACH):
-                logs.append(walk(slower(scenario, pace), robot, seed + k, effects))
+                # The effects stay untold: all is seen by the declared model, as the log is.
+                shown = slower(scenario, pace)
+                logs.append(walk(shown, robot, seed + k, effects, declared=False))
                 progress((k + 1) / WALKS_EACH)
             return logs, pace
         except Fallen as fall:

@@ -93,11 +93,15 @@ def style_of(style: WalkingStyle, robot: Robot, speed: float, turn: float) -> Wa
 
 
 def replica(style: WalkingStyle, robot: Robot, name: str) -> tuple[Scenario, Robot]:
-    """A walk in the style of a measured one, piece by piece in its own order, nothing varied.
+    """A walk in the style of a measured one, piece by piece in its own order, nothing varied, from
+    the first piece in which it moves to the last: a measured robot stands before and after, the
+    simulated one would step in place.
 
     Returns the scenario and the robot that stands in the measured posture.
     """
-    segments = tuple(Segment(PIECE, *map(float, twist)) for twist in style.twists)
+    moves = np.flatnonzero(np.hypot(*style.twists[:, :2].T) > MOVING)
+    walks = style.twists[moves[0] : moves[-1] + 1] if len(moves) else style.twists
+    segments = tuple(Segment(PIECE, *map(float, twist)) for twist in walks)
     period, clearance = style.period, style.clearance
     as_measured = Ranges(period=(period, period), clearance=(clearance, clearance))
     scenario = Scenario(name, segments, Ground(0.8), robot.name, ranges=as_measured)

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -12,6 +13,7 @@ from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.experiments.as_walked import load_as_walked
 from surefoot.scenarios.trace import realism as module
 from surefoot.scenarios.trace.realism import compare_walks, seen_as
+from surefoot.scenarios.trace.realism_drift import Drift, leg_drifts
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
 from surefoot.sim.gait.controller import gait_for
@@ -60,6 +62,11 @@ def test_the_command_writes_the_card_and_the_pictures(measured, tmp_path, capsys
     assert list(table["quantity"]) == list(rows)
     report = (tmp_path / "out" / "report.html").read_text()
     assert report.count("data:image/png") == 5
+    drift = pd.read_csv(tmp_path / "out" / "drift.csv")
+    assert list(drift["simulated robot"]) == ["as drawn"]
+    assert drift["ratio"][0] == pytest.approx(
+        drift["simulated"][0] / drift["measured"][0], rel=1e-3
+    )
     page = (tmp_path / "realism.md").read_text()
     assert "| digest | `" in page
     with pytest.raises(SystemExit, match="exists already"):
@@ -75,6 +82,21 @@ def test_a_robot_that_walks_as_the_measured_one_is_more_like_it(measured, robot)
     assert verdicts[0]["duty factor"] == "unlike"
     assert verdicts[1]["duty factor"] == "like"
     assert alike.card.counts["unlike"] < drawn.card.counts["unlike"]
+
+
+def test_the_drift_of_the_leg_filter_tells_what_the_legs_lack(measured, robot):
+    """By a model with points for feet, and by the file's; on feet that roll less than it says."""
+    points = replace(robot, foot_radius=np.zeros(4))
+    alike, less = (
+        leg_drifts(compare_walks(measured, points, "simulated", effects))
+        for effects in ((), (effect("foot_rolling", "all", robot.foot_radius.mean() - 0.01),))
+    )
+    assert [one.measured for one in alike] == [one.measured for one in less]
+    assert alike[0].measured > 5.0 * alike[1].measured
+    assert alike[0].ratio == pytest.approx(1.0, abs=0.15)
+    assert less[0].ratio < 0.8 * alike[0].ratio
+    assert Drift("points", 0.1, (0.105, 0.115)).alike
+    assert not Drift("points", 0.1, (0.115, 0.135)).alike
 
 
 def test_another_robot_is_judged_by_what_is_carried_to_its_size(measured, robot):

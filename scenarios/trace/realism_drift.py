@@ -1,0 +1,82 @@
+"""Whether a simulated robot is as hard for the leg filter as the measured one: its drift on both.
+
+No size of a simulated robot is chosen by it: sizes come from `trace` and from the realism card, and
+this is what they are judged by.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from surefoot.scenarios.estimate.run import run_filter
+from surefoot.scenarios.trace.walk_comparison import WalkComparison
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
+
+FILTER = "leg"
+WITHIN = 0.15
+"""Share of the measured drift by which the simulated one may differ, set before comparing any."""
+
+
+@dataclass(frozen=True)
+class Drift:
+    """The filter's RPE [m/m] with one model of the feet; NaN where it diverged or is not judged."""
+
+    feet: str  # what the model takes them for
+    measured: float
+    simulated: tuple[float, ...]  # of each walk
+
+    @property
+    def ratio(self) -> float:
+        """Mean of the simulated walks over the measured one."""
+        return float(np.mean(self.simulated)) / self.measured
+
+    @property
+    def alike(self) -> bool:
+        return abs(self.ratio - 1.0) <= WITHIN
+
+
+def leg_drifts(found: WalkComparison) -> tuple[Drift, ...]:
+    """Of feet as the measured log declares them and, where that is another, of the radius that the
+    robot's file gives them."""
+    views = (found.measured, *found.simulated)
+    drifts = []
+    for feet in ("as declared", "as in the robot's file"):
+        robots = [v.robot if feet == "as declared" else with_own_feet(v.robot) for v in views]
+        rpe = [_drift(v.log, robot) for v, robot in zip(views, robots, strict=True)]
+        radii = 1e3 * robots[0].foot_radius.mean(), 1e3 * robots[1].foot_radius.mean()
+        words = f"{feet}: {radii[0]:.0f} mm" + (
+            "" if radii[0] == radii[1] else f", {radii[1]:.0f} mm in simulation"
+        )
+        drifts.append(Drift(words, rpe[0], tuple(rpe[1:])))
+        if np.allclose(with_own_feet(robots[0]).foot_radius, robots[0].foot_radius):
+            break
+    return tuple(drifts)
+
+
+def with_own_feet(robot: Robot) -> Robot:
+    """The robot with feet of the radius that its file gives them."""
+    return replace(robot, foot_radius=Robot.load(robot.file).foot_radius)
+
+
+def drift_table(found: Sequence[WalkComparison]) -> list[dict[str, str | float]]:
+    """A row for each simulated robot and model of the feet."""
+    return [
+        {
+            "simulated robot": one.words,
+            "model of the feet": drift.feet,
+            "measured": drift.measured,
+            "simulated": float(np.mean(drift.simulated)),
+            "each walk": ", ".join(f"{x:.3f}" for x in drift.simulated),
+            "ratio": drift.ratio,
+            f"within {100 * WITHIN:.0f} %": "yes" if drift.alike else "no",
+        }
+        for one in found
+        for drift in leg_drifts(one)
+    ]
+
+
+def _drift(log: Log, robot: Robot) -> float:
+    metrics = run_filter(FILTER, log, robot).metrics
+    return metrics.rpe_trans if metrics else np.nan
