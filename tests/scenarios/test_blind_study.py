@@ -59,6 +59,18 @@ def test_the_plan_has_the_whole_catalogue_and_the_kinds_it_must():
     assert planned == cases(read_toml(PLAN, "study"))
 
 
+def test_the_pilot_draws_alike_and_shares_nothing_with_the_study():
+    study_plan, pilot = (
+        read_toml(PLAN.with_name(n), "study") for n in ("study.toml", "pilot.toml")
+    )
+    for key in ("sizes", "outside_sizes", "twins"):
+        assert pilot[key] == study_plan[key]
+    for key in ("robots", "seeds"):
+        assert not set(pilot["walk"][key]) & set(study_plan["walk"][key])
+    assert pilot["seed"] != study_plan["seed"]
+    assert {c.kind for c in cases(pilot)} >= {"single", "clean", "outside", "together"}
+
+
 def test_half_a_point_for_the_truth_among_two():
     right = ("encoder_offset", "FL_hip", 0.0205)
     other = ("hip_offset", "FL_y", 0.01)
@@ -115,9 +127,9 @@ def test_the_report_is_written_from_what_was_run(tmp_path):
 
 
 def test_a_study_that_was_stopped_goes_on_where_it_was(tmp_path, monkeypatch):
-    monkeypatch.setattr(study, "run_case", lambda case: {"number": case.number})
+    monkeypatch.setattr(study, "run_case", lambda case, plan: {"number": case.number})
     assert run_blind_study(tmp_path, at_most=3) == [{"number": 0}, {"number": 1}, {"number": 2}]
-    monkeypatch.setattr(study, "run_case", lambda case: {"number": -case.number})
+    monkeypatch.setattr(study, "run_case", lambda case, plan: {"number": -case.number})
     assert run_blind_study(tmp_path, at_most=1)[1:] == [
         {"number": 1},
         {"number": 2},

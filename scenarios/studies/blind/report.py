@@ -28,13 +28,16 @@ NOT_NAMED = ("nothing", "another target", "confounded")
 """Columns of the confusion matrix beside the effects."""
 
 
-def write_report_of(out: Path, records: Sequence[Record], page: Path | None = None) -> str:
-    """Write report.html, table.md and cases.csv, and the page; returns the tables as text."""
+def write_report_of(
+    out: Path, records: Sequence[Record], page: Path | None = None, plan: Path = PLAN
+) -> str:
+    """Write report.html, table.md and cases.csv of a plan, and the page; returns the tables as
+    text."""
     walked = [r for r in records if "fell" not in r]
     of = {kind: [r for r in walked if r["kind"] == kind] for kind in CASE_KINDS}
-    plan = read_toml(PLAN, "study")
+    drawn = read_toml(plan, "study")
     sections = [
-        Section("The plan", plan_prose(plan, len(records)), plan_table(plan)),
+        Section("The plan", plan_prose(drawn, len(records)), plan_table(drawn)),
         *(results(of, records) if of["single"] else ()),
     ]
     title = "What trace finds: the blind study"
@@ -60,7 +63,8 @@ def plan_prose(plan: Mapping[str, Any], finished: int) -> str:
         f"parts), {count['clean']} without any, {count['outside']} with an effect that is in no "
         f"catalogue, {count['together']} with two at once, {count['twins']} of a robot that stands "
         f"with an effect that standing cannot tell from its twin. {' and '.join(robots)} on "
-        f"courses {seeds[0]} to {seeds[-1]}, robots and courses that no trace had met. Sizes are "
+        f"courses {seeds[0]} to {seeds[-1]}, robots and courses that "
+        f"{'development knows' if plan.get('pilot') else 'no trace had met'}. Sizes are "
         "log-uniform between the ends below. "
         f"Finished so far: {finished} of {len(planned)}."
     )

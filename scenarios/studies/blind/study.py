@@ -34,9 +34,9 @@ STAND = 20.0
 
 
 @lru_cache(maxsize=8)
-def ground_and_course(seed: int, standing: bool) -> Scenario:
+def ground_and_course(seed: int, standing: bool, plan: Path = PLAN) -> Scenario:
     """The walk of a seed: some stretches, and patches of little friction on the way."""
-    w = read_toml(PLAN, "study")["walk"]
+    w = read_toml(plan, "study")["walk"]
     if standing:
         # A last step or two, since a walk without any is none; `standing_part` cuts them off.
         return Scenario("stand", (Segment(0.5),), Ground(0.8), stand=STAND)
@@ -55,8 +55,9 @@ def ground_and_course(seed: int, standing: bool) -> Scenario:
     return Scenario("study", segments, Ground(rng.uniform(*w["mu"]), patches))
 
 
-def run_case(case: Case) -> dict[str, Any]:
-    """Walk and trace one case: what was put in, and the verdict, effects and channels found."""
+def run_case(case: Case, plan: Path = PLAN) -> dict[str, Any]:
+    """Walk and trace one case of a plan: what was put in, and the verdict, effects and channels
+    found."""
     record: dict[str, Any] = {
         "number": case.number,
         "kind": case.kind,
@@ -66,7 +67,7 @@ def run_case(case: Case) -> dict[str, Any]:
         "twin": case.twin,
     }
     robot = study_robot(case.robot)
-    scenario = ground_and_course(case.seed, case.standing)
+    scenario = ground_and_course(case.seed, case.standing, plan)
     try:
         log = walk(scenario, robot, case.seed, case.effects, declared=False)
     except SurefootError as fell:
@@ -102,19 +103,19 @@ def over_floor(found: Diagnosis, one: Effect) -> float | None:
 
 
 def run_blind_study(
-    folder: Path, workers: int = 1, at_most: int | None = None
+    folder: Path, workers: int = 1, at_most: int | None = None, plan: Path = PLAN
 ) -> list[dict[str, Any]]:
-    """The records of the finished cases of the plan, after at most so many more were run.
+    """The records of the finished cases of a plan, after at most so many more were run.
 
     Each finished case is a file of `folder`, so that a study that was stopped goes on. A walk's
     cases are run by one worker, for they share its noise floor.
     """
-    plan = read_toml(PLAN, "study")
+    drawn = read_toml(plan, "study")
     groups: dict[tuple, list[Case]] = {}
     records: dict[int, dict[str, Any]] = {}
     left = float("inf") if at_most is None else at_most
-    for case in cases(plan):
-        row = read_case(folder, _name(case), _inputs(case, plan), _MODULE)
+    for case in cases(drawn):
+        row = read_case(folder, _name(case), _inputs(case, drawn), _MODULE)
         if row is not None:
             records[case.number] = row
         elif left > 0:
@@ -129,10 +130,15 @@ def run_blind_study(
     return [records[number] for number in sorted(records)]
 
 
-def _run_group(group: Sequence[Case], folder: Path, plan: dict) -> dict[int, dict[str, Any]]:
+def _run_group(group: Sequence[Case], folder: Path, plan: Path) -> dict[int, dict[str, Any]]:
+    drawn = read_toml(plan, "study")
     return {
         case.number: finished_case(
-            folder, _name(case), _inputs(case, plan), _MODULE, lambda case=case: run_case(case)
+            folder,
+            _name(case),
+            _inputs(case, drawn),
+            _MODULE,
+            lambda case=case: run_case(case, plan),
         )
         for case in group
     }
@@ -162,10 +168,13 @@ class BlindStudy:
     """Cases to run in this sitting, of those that are not finished; 0 for the report alone."""
     page: Path | None = None
     """Page of results to write as well, such as docs/results/blind.md."""
+    plan: Path = PLAN
+    """Other draws, courses and robots than the study's: `pilot.toml` is for development."""
 
     def run(self) -> None:
-        records = run_blind_study(self.data or self.out / "cases", self.workers, self.at_most)
-        print(write_report_of(self.out, records, self.page))
+        folder = self.data or self.out / "cases"
+        records = run_blind_study(folder, self.workers, self.at_most, self.plan)
+        print(write_report_of(self.out, records, self.page, self.plan))
 
 
 if __name__ == "__main__":
