@@ -23,6 +23,7 @@ from surefoot.models.residuals.jacobians import (
     explained_share,
     residual_jacobians,
     sparse,
+    unchanged_channels,
     wrt_readings,
     wrt_robot,
 )
@@ -30,7 +31,6 @@ from surefoot.models.residuals.layout import Layout, layout_for
 from surefoot.models.residuals.registry import channels
 from surefoot.models.residuals.residual import (
     ResidualTable,
-    filled,
     residual,
     with_ground,
 )
@@ -285,11 +285,13 @@ class _Linear:
     def _of_others(self, log: Log, robot: Machine, step: float) -> np.ndarray:
         """The same (M, W) in the channels that the chain rule does not know, by a difference."""
         layout, table = self.parts.layout, self.parts.table
-        others = [name for name in layout.channels if not channels()[name].chained]
-        if not others:
-            return np.zeros(table.shape)
-        moved = filled(layout, ResidualInputs(log, robot, self.frame), others)
-        return np.nan_to_num(moved - table) / step
+        inputs, change = ResidualInputs(log, robot, self.frame), np.zeros(table.shape)
+        for name, columns in layout.channels.items():
+            if not channels()[name].chained:
+                values = channels()[name].residual(inputs)
+                if values is not None:
+                    change[:, columns] = np.nan_to_num(values - table[:, columns]) / step
+        return change
 
     def _about_its_value(self, key: Key) -> Regressor:
         step = known_effects()[key[0]].step_of(key[1])
@@ -299,10 +301,13 @@ class _Linear:
         return sparse((behind - ahead) / (2 * step), self.parts.table)
 
     def _by_difference(self, log: Log, robot: Machine, step: float) -> np.ndarray:
-        frame = self.frame
-        if log is not self.log:
+        frame, same = self.frame, ()
+        if log is self.log:
+            same = unchanged_channels(self.robot, robot)
+        elif _moves_frame(changed_columns(self.log, log)):
             frame = replace(reference_motion(log, robot.limbs, self.case.fixed), level=frame.level)
-        return (residual(log, robot, frame).table - self.parts.table) / step
+        again = [name for name in self.parts.names if name not in same]
+        return (residual(log, robot, frame, again).table - self.parts.table) / step
 
     def free(self) -> list[tuple[Regressor, float, Key | None]]:
         """What may be free in a log, its limit, and the candidate that stands for it."""

@@ -5,12 +5,13 @@ for all effects and are computed once a log.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 import numpy as np
 
 from surefoot.models.residuals.feet import foot_heights, leg_velocities
-from surefoot.models.residuals.registry import channels
+from surefoot.models.residuals.registry import BUNDLED_CHANNELS, channels
 from surefoot.models.residuals.residual import ResidualTable, filled
 from surefoot.models.residuals.stance_motion import stance_means
 from surefoot.models.residuals.torques import (
@@ -30,6 +31,18 @@ from surefoot.sim.robot.fixed_base import Machine
 DIFFERENCE_STEP = 1e-5  # rad, rad/s
 
 
+ON_LEGS = ("leg_velocity", "stance_velocity", "foot_height")
+ON_CONTACTS = ("contact_timing", "stance_displacement")
+ON_TORQUES = ("joint_torque", "base_wrench")
+TOUCHES = {
+    **dict.fromkeys(("legs", "foot_radius"), (*ON_LEGS, *ON_CONTACTS, *ON_TORQUES)),
+    **dict.fromkeys(("payload", "com_shift", "links"), ON_TORQUES),
+    **dict.fromkeys(("touchdown_late", "liftoff_late"), ON_CONTACTS),
+    "softness": (*ON_LEGS, *ON_TORQUES),
+    "imu_lowpass": ("imu_gyro", "imu_accel"),
+    "command_late": ("command",),
+}
+"""Part of a robot, or of what a model knows beyond it, -> channels that it may change."""
 OUTLYING = 4.0
 """Standard deviations of a column's bulk beyond which an entry counts no more."""
 
@@ -47,23 +60,30 @@ class ResidualJacobians:
     """Derivatives of a table's columns at each bin; L legs of P joints, J joints in all.
 
     Of legs, by the rate of the IMU (M, 3 L, 3) and by the leg's own joints' angles and rates
-    (M, L, 3, P); of heights, by the own joints' angles (M, L, P); of torques and wrench together
-    (J, M, J + 6), by each joint's angle, rate, acceleration and torque. The place of a joint in its
-    leg is that in `Limbs.chains`.
+    (M, L, 3, P); of heights, by the own joints' angles (M, L, P). The place of a joint in its leg
+    is that in `Limbs.chains`.
     """
 
+    parts: ResidualTable
+    robot: Machine
     leg_omega: np.ndarray
     leg_q: np.ndarray
     leg_dq: np.ndarray
     height_q: np.ndarray
-    effort_q: np.ndarray
-    effort_dq: np.ndarray
-    effort_ddq: np.ndarray
-    effort_tau: np.ndarray
+
+    @cached_property
+    def effort(self) -> np.ndarray:
+        """Of torques and wrench together (4, J, M, J + 6), by each joint's angle, rate,
+        acceleration and torque: most of the work, and for nothing where only an IMU changes."""
+        _, joints = self.parts.inputs.bins.q.shape
+        needed = self.parts.inputs.inverse_dynamics
+        if needed is None:
+            return np.zeros((4, joints, len(self.parts.t), joints + 6))
+        return _by_effort(self.parts, needed, self.robot)
 
 
 def residual_jacobians(parts: ResidualTable, robot: Machine) -> ResidualJacobians:
-    """Every derivative that a change of readings can ask for."""
+    """The derivatives that a change of readings can ask for."""
     layout, bins = parts.layout, parts.inputs.bins
     m, joints = bins.q.shape
     legs, chains = len(layout.limbs.legs), layout.limbs.chains
@@ -90,10 +110,7 @@ def residual_jacobians(parts: ResidualTable, robot: Machine) -> ResidualJacobian
             if np.isfinite(heights).any():
                 rise = foot_heights(replace(bins, q=bins.q + all_legs), robot)
                 height_q[:, :, j] = np.nan_to_num(rise - heights) / DIFFERENCE_STEP
-    by_effort = np.zeros((4, joints, m, joints + 6))
-    if parts.inputs.inverse_dynamics is not None:
-        by_effort = _by_effort(parts, parts.inputs.inverse_dynamics, robot)
-    return ResidualJacobians(leg_omega, leg[0], leg[1], height_q, *by_effort)
+    return ResidualJacobians(parts, robot, leg_omega, *leg, height_q)
 
 
 def _by_effort(parts: ResidualTable, needed: InverseDynamics, robot: Machine) -> np.ndarray:
@@ -177,13 +194,13 @@ def wrt_readings(
         means = stance_means(parts.t, by_leg, stands)
         out[:, layout.by_leg("stance_velocity")] = np.nan_to_num(means)
     for joint, x in change.get("q_step", {}).items():
-        forces += known.effort_q[joint] * x[:, None]
+        forces += known.effort[0, joint] * x[:, None]
     for joint, x in change.get("dq_step", {}).items():
-        forces += known.effort_dq[joint] * x[:, None]
+        forces += known.effort[1, joint] * x[:, None]
     for joint, x in change.get("ddq", {}).items():
-        forces += known.effort_ddq[joint] * x[:, None]
+        forces += known.effort[2, joint] * x[:, None]
     for joint, x in change.get("tau", {}).items():
-        forces += known.effort_tau[joint] * x[:, None]
+        forces += known.effort[3, joint] * x[:, None]
     if any(change.get(stream) for stream in ("q_step", "dq_step", "ddq", "tau")):
         forces = smooth_121(forces)
         out[:, torque] += forces[:, :joints]
@@ -206,23 +223,26 @@ def wrt_robot(parts: ResidualTable, robot: Machine, one: Machine, step: float) -
             needed = replace(needed, wrench=needed.wrench + more)
         else:
             needed = inverse_dynamics(inputs.steps, one)
-    same = _unchanged(robot, one)
+    same = unchanged_channels(robot, one)
     again = [n for n, channel in channels().items() if not (channel.of_events or n in same)]
     table = filled(parts.layout, inputs.of_body(one, needed), again)
     return (table - parts.table) / step
 
 
-def _unchanged(robot: Machine, one: Machine) -> tuple[str, ...]:
+def unchanged_channels(robot: Machine, one: Machine) -> tuple[str, ...]:
     """Channels, of those that come with surefoot, that are the same under both models with the same
-    means of readings."""
-    same = ["imu_gyro", "imu_accel", "joint_rate"]
-    if robot.extras.command_late == one.extras.command_late:
-        same.append("command")
-    if isinstance(robot, Robot) and isinstance(one, Robot):
-        legs = ("legs", "foot_radius", "R_BI", "p_BI")
-        if all(getattr(robot, name) is getattr(one, name) for name in legs):
-            same += ["leg_velocity", "stance_velocity", "foot_height"]
-    return tuple(same)
+    readings: none where they differ in what is not known to leave any as it is."""
+    if type(robot) is not type(one):
+        return ()
+    pairs = {f.name: (robot, one) for f in fields(robot) if f.name != "extras"}
+    pairs |= {f.name: (robot.extras, one.extras) for f in fields(robot.extras)}
+    moved = [n for n, (a, b) in pairs.items() if getattr(a, n) is not getattr(b, n)]
+    if any(name not in TOUCHES for name in moved):
+        return ()
+    touched = {name for n in moved for name in TOUCHES[n]}
+    if one.extras.softness and touched & set(ON_TORQUES):
+        touched |= set(ON_LEGS)  # loads say how deep feet are
+    return tuple(kind.name for kind in BUNDLED_CHANNELS if kind.name not in touched)
 
 
 def _same_bodies(robot: Machine, one: Machine) -> bool:
@@ -238,8 +258,8 @@ def _same_bodies(robot: Machine, one: Machine) -> bool:
 def sparse(change: np.ndarray, table: np.ndarray) -> Regressor:
     """The columns that change at all, zero where the table has nothing."""
     touched = np.flatnonzero(change.any(axis=0))
-    change, there = change[:, touched], np.isfinite(table[:, touched])
-    change = np.where(there, np.nan_to_num(change), 0.0)
+    change = change[:, touched]
+    change = np.where(np.isfinite(table[:, touched]) & np.isfinite(change), change, 0.0)
     large = np.abs(change).max(axis=0) > 1e-9
     return Regressor(touched[large], np.ascontiguousarray(change[:, large]))
 

@@ -17,11 +17,13 @@ from surefoot.sim.robot.fixed_base import Machine
 
 @dataclass(frozen=True)
 class ResidualTable:
-    """A log's residuals (M, W), and what they were computed from: what derivatives need again."""
+    """A log's residuals (M, W), of the channels of these names, and what they were computed from:
+    what derivatives need again."""
 
     layout: Layout
     inputs: ResidualInputs
     table: np.ndarray
+    names: tuple[str, ...]
 
     @property
     def t(self) -> np.ndarray:
@@ -35,16 +37,15 @@ def residual(
     """Residuals of the log's readings under the declared model `robot`, of the channels of these
     names, of all where none are given."""
     layout, inputs = layout_for(robot.limbs), ResidualInputs(log, robot, motion)
-    return ResidualTable(layout, inputs, filled(layout, inputs, names))
+    asked = tuple(layout.channels if names is None else names)
+    return ResidualTable(layout, inputs, filled(layout, inputs, asked), asked)
 
 
-def filled(
-    layout: Layout, inputs: ResidualInputs, names: Collection[str] | None = None
-) -> np.ndarray:
-    """The table (M, W) with the residuals of these channels, of all where none are named."""
+def filled(layout: Layout, inputs: ResidualInputs, names: Collection[str]) -> np.ndarray:
+    """The table (M, W) with the residuals of these channels."""
     table = np.full((len(inputs.motion.t), layout.width), np.nan)
     for name, columns in layout.channels.items():
-        if names is None or name in names:
+        if name in names:
             values = channels()[name].residual(inputs)
             if values is not None:
                 table[:, columns] = values

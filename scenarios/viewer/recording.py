@@ -11,7 +11,6 @@ import numpy as np
 import rerun as rr
 
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
-from surefoot.models.observer.predict import predict
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
 from surefoot.scenarios.estimate.estimators import traits
 from surefoot.scenarios.estimate.run import Learnt, declared_model, run_all
@@ -175,6 +174,9 @@ def record_walk(path: Path, log: Log, job: Job, learnt: Learnt, filters: Sequenc
     results, _ = run_all(log, robot, learnt, [name for name in filters if traits(name).drawn])
     prediction, bounds = None, None
     if learnt.bounds:
+        # Its import takes seconds, for nothing where no observer is shown.
+        from surefoot.models.observer.predict import predict
+
         observer, bounds = learnt.bounded()
         prediction = predict(observer, *declared_model(log, robot))
     write_recording(

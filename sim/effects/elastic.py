@@ -74,10 +74,11 @@ class FootElasticity(Effect):
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         force_B, along = foot_loads_B(log, robot), np.eye(3)[list(self._axes())]
         # The springs turn with the last link; their axes are the base's when it stands at home.
-        axes_B = _last_links_B(robot, log.q) @ np.swapaxes(
-            _last_links_B(robot, robot.q_home[None]), 2, 3
+        links_B = log.once(
+            "last links", log.columns_of("q"), lambda: _last_links_B(robot, log.q), robot.legs
         )
-        axes_B = axes_B @ along.T
+        at_home = _last_links_B(robot, robot.q_home[None])
+        axes_B = links_B @ np.swapaxes(at_home, 2, 3) @ along.T
         given_B = np.einsum("nlia,nlja,nlj->nli", axes_B, axes_B, self.value * force_B)
         # As the joints would move the foot there: the leg's angles are what a model reads.
         J_I = robot.feet_jacobian_I(log.q)

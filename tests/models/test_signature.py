@@ -85,6 +85,22 @@ def test_a_regressor_by_the_chain_rule_is_the_slope_of_the_residual(case, key):
         assert apart <= 0.03 * np.linalg.norm(slope[:, columns]) + 1e-6 * np.linalg.norm(slope)
 
 
+DIFFERENCED = [
+    (kind.name, kind.single_targets(QUADRUPED)[-1])
+    for kind in CATALOGUE.values()
+    if kind.is_compensated() and not kind.chain_rule and not kind.starts
+]
+
+
+@pytest.mark.parametrize("key", DIFFERENCED, ids=" ".join)
+def test_what_is_not_computed_again_is_the_same(case, key):
+    """Channels that a change leaves as they are, and means of readings that a log keeps."""
+    forgets = replace(case, log=replace(case.log))
+    slope = slope_of(forgets, key, CATALOGUE[key[0]].step_of(key[1]))
+    whole = written_out(_Linear(case, ()).regressor(key), slope)
+    np.testing.assert_allclose(whole, slope, rtol=1e-9, atol=1e-9 * np.abs(slope).max())
+
+
 class ThickBoots(Effect):
     """Boots thicken every foot, and turn one calf's encoder by the angle they were zeroed at."""
 
