@@ -1,0 +1,100 @@
+"""Contacts against what the feet do: dead, stuck and inverted ones."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from surefoot.sim.plausibility.finding import Finding
+from surefoot.sim.plausibility.view import LogView
+
+FARTHEST_STILL = 0.3
+"""m that a body which stands sways or is lowered; beyond it, it walks (or is carried)."""
+FEWEST = 6
+"""Changes of other contacts, each, during which one must change: three strides."""
+LONGEST = 1.0
+"""s, two strides: contacts that bounce change often in a shorter time."""
+HIGHER = 0.005
+"""m by which feet in contact are higher than lifted ones: trotting robots lift by 30 to 80 mm."""
+_CLEAR = 0.3
+"""Correlation of contact with height from which on it is inverted: clean walks have -0.4 to -0.9,
+stairs and slopes too, as heights are taken against the body."""
+
+
+def dead(view: LogView) -> Iterator[Finding]:
+    """A foot of a robot that walks touches down and lifts."""
+    log = view.log
+    if not log.has("contact") or len(log.legs) < 2 or not view.comparable:
+        return
+    contact = log.contact
+    changes = np.abs(np.diff(contact.astype(int), axis=0))
+    count = changes.sum(axis=0)
+    still = np.flatnonzero(count == 0)
+    walks = int(np.sum(count >= FEWEST)) >= 2
+    if len(still) == len(log.legs) and log.has("reference"):
+        walks = float(np.ptp(log.ref_p[:, :2], axis=0).max()) > FARTHEST_STILL
+        walks = walks and _legs_swing(view)
+    if walks and still.size:
+        for state, words in ((True, "always 1"), (False, "always 0")):
+            columns = tuple(f"contact_{log.legs[i]}" for i in still if contact[0, i] == state)
+            if columns:
+                told = f"{words} although the robot walks"
+                yield Finding(columns, told, "a dead sensor, or a wrong threshold")
+    for i in np.flatnonzero(count > 0):
+        first, last = _longest(np.flatnonzero(changes[:, i]), len(contact))
+        if view.t[last - 1] - view.t[first] < LONGEST:
+            continue
+        others = [changes[first:last, k].sum() for k in range(len(log.legs)) if k != i]
+        if np.median(others) >= 2 * FEWEST:
+            told = (
+                f"no change from {view.t[first]:.2f} to {view.t[last - 1]:.2f} s, while the others "
+                f"change {np.median(others):.0f} times"
+            )
+            yield Finding((f"contact_{log.legs[i]}",), told, "a sensor that hangs")
+
+
+def _legs_swing(view: LogView) -> bool:
+    """Whether feet move about under the body as those of a robot that walks."""
+    if view.stance is None:
+        return True
+    return bool(np.median(np.ptp(view.stance.foot[:, :, :2], axis=0)) > 0.05)
+
+
+def _longest(at: np.ndarray, rows: int) -> tuple[int, int]:
+    edges = np.concatenate([[0], at + 1, [rows]])
+    k = int(np.argmax(np.diff(edges)))
+    return int(edges[k]), int(edges[k + 1])
+
+
+def inverted(view: LogView) -> Iterator[Finding]:
+    """Feet in contact are lower than lifted ones."""
+    heights = contact_heights(view)
+    if heights is None:
+        return
+    difference, alike = heights
+    wrong = np.flatnonzero((np.diag(difference) > HIGHER) & (np.diag(alike) > _CLEAR))
+    if wrong.size:
+        columns = tuple(f"contact_{view.log.legs[i]}" for i in wrong)
+        higher = 1e3 * np.diag(difference)[wrong].mean()
+        told = f"feet are {higher:.0f} mm higher in contact than lifted"
+        cause = "inverted: 1 means lifted" if len(wrong) > 1 else "inverted, or another leg's"
+        yield Finding(columns, told, cause)
+
+
+def contact_heights(view: LogView) -> tuple[np.ndarray, np.ndarray] | None:
+    """By how much foot i is higher while contact k is on (L, L) [m], and their correlation."""
+    legs, up = view.stance, view.up_by_body
+    if legs is None or up is None:
+        return None
+    # Slow changes are those of terrain and posture.
+    height = legs.foot @ up
+    on = legs.contact.astype(float)
+    moves = on.std(axis=0)
+    if not (moves > 0.05).any():
+        return None
+    difference, alike = np.zeros((2, len(moves), len(moves)))
+    h = height - height.mean(axis=0)
+    for k in np.flatnonzero(moves > 0.05):
+        c = on[:, k] - on[:, k].mean()
+        difference[:, k] = (c @ h) / (c @ c)
+        alike[:, k] = (c @ h) / np.maximum(np.linalg.norm(c) * np.linalg.norm(h, axis=0), 1e-12)
+    return difference, alike

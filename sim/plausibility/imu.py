@@ -1,0 +1,236 @@
+"""Gyro and accelerometer: gravity, units by magnitude, axes and signs against what else turns."""
+
+from collections.abc import Iterator
+from itertools import permutations, product
+
+import numpy as np
+
+from surefoot.sim.common.gravity import GRAVITY, GRAVITY_G
+from surefoot.sim.plausibility.axes import AXES, AxesMatch, match_axes
+from surefoot.sim.plausibility.finding import Finding
+from surefoot.sim.plausibility.view import LogView
+
+ZERO_G = 0.8
+"""m/s^2 that an accelerometer's mean may differ from gravity: InvenSense MPU-6050 product
+specification, zero-g output, +-80 mg on z; better sensors have a quarter of it."""
+UPRIGHT = 45.0
+"""deg between the mean specific force and what is up: stairs and ramps for legs lean by 35."""
+LEANING = 0.75
+"""Share of gravity that is left in the mean of a robot that turns about on a slope of 35 deg, less
+ZERO_G."""
+ZERO_RATE = 0.35
+"""rad/s that a gyro's mean may differ from what turns: MPU-6050, zero-rate output, +-20 deg/s."""
+TUMBLING = 6.0
+"""rad/s, root mean square of a gyro: a turn a second for as long as the log lasts."""
+SCALED = 0.15
+"""Share by which a gyro's or reference's size may be off: data sheets give 3 % at worst, averages
+over a stride blur some per cent."""
+SCALED_ACCEL = 0.7
+"""The same of accelerations, which impacts and filters blur more: 0.6 to 1.2 in clean walks."""
+_AXES_P = tuple(f"ref_p_{a}" for a in AXES)
+_AXES_GYRO = tuple(f"gyro_{a}" for a in AXES)
+_AXES_ACCEL = tuple(f"accel_{a}" for a in AXES)
+_DEGREE = 180.0 / np.pi
+_IN_DEGREES = 'gyro_x, gyro_y, gyro_z = { ..., unit = "deg/s" }'
+
+
+def gravity(view: LogView) -> Iterator[Finding]:
+    """The mean specific force of a body that stays near the ground is gravity, upwards."""
+    if not view.log.has("imu") or not view.comparable:
+        return
+    mean = view.log.accel.mean(axis=0)
+    size = float(np.linalg.norm(mean))
+    up, whose = _up(view)
+    told = f"mean ({_numbers(mean)}) m/s^2, {size:.3g} in size where gravity is {GRAVITY}"
+    unit = _unit_of_accel(size, float(view.log.accel.std(axis=0).max()))
+    if unit is not None:
+        cause, line = unit
+        yield Finding(_AXES_ACCEL, told, cause, line)
+        return
+    if up is None:
+        if not LEANING * GRAVITY < size < GRAVITY + ZERO_G:
+            yield Finding(_AXES_ACCEL, told, "scaled, or a bias")
+        return
+    lean = float(np.degrees(np.arccos(np.clip(mean @ up / max(size, 1e-9), -1.0, 1.0))))
+    if lean > UPRIGHT:
+        told = f"{told}, {lean:.0f} deg from up by {whose}"
+        yield _turned_over(view, mean, up, told)
+    elif not LEANING * GRAVITY < size < GRAVITY + ZERO_G:
+        yield Finding(_AXES_ACCEL, told, f"scaled by {size / GRAVITY:.3g}, or a bias")
+
+
+def _unit_of_accel(size: float, spread: float) -> tuple[str, str] | None:
+    """Cause and map line where the size is gravity in another unit."""
+    if 0.7 < size < 1.3:
+        return "in g, not m/s^2", 'accel_x, accel_y, accel_z = { ..., unit = "g" }'
+    if 700.0 < size < 1300.0:
+        return "in mg, not m/s^2", ""
+    if 7e3 < size < 1.3e4:
+        return "in mm/s^2, not m/s^2", ""
+    if 0.8 < size / GRAVITY**2 < 1.2:
+        return "multiplied by gravity twice", ""
+    if size < 0.2 * GRAVITY and spread > 0.0:
+        return (
+            "gravity was taken off: an acceleration, not the specific force that filters need",
+            "",
+        )
+    return None
+
+
+def _turned_over(view: LogView, mean: np.ndarray, up: np.ndarray, told: str) -> Finding:
+    """Why the mean specific force points elsewhere than up."""
+    axis = int(np.argmax(np.abs(up)))
+    found = int(np.argmax(np.abs(mean)))
+    if found != axis:
+        cause = f"swapped axes: gravity is on {AXES[found]}, up is {AXES[axis]}"
+        return Finding((f"accel_{AXES[axis]}", f"accel_{AXES[found]}"), told, cause)
+    column = f"accel_{AXES[axis]}"
+    moved = (
+        match_axes(view.accel[view.ok], view.felt[view.ok]).own if view.trusts_reference else None
+    )
+    if moved is not None and moved[axis] > 0.5:
+        shift = round(2.0 * np.sign(up[axis]) * GRAVITY, 2)
+        cause = "gravity has the wrong sign, the motion the right one"
+        return Finding((column,), told, cause, f"{column} = {{ ..., offset = {shift} }}")
+    flipped = [f"accel_{AXES[i]}" for i in range(3) if moved is not None and moved[i] < -0.5]
+    columns = tuple(flipped) or (column,)
+    if moved is None:
+        shift = round(2.0 * np.sign(up[axis]) * GRAVITY, 2)
+        line = f"{column} = {{ ..., sign = -1 }}, or offset = {shift} where only gravity is wrong"
+        return Finding(columns, told, "wrong sign, of the axis or of gravity alone", line)
+    cause = "wrong sign" + (
+        ": gravity was logged for specific force" if len(columns) == 3 else " (z down?)"
+    )
+    return Finding(columns, told, cause, f"{', '.join(columns)} = {{ ..., sign = -1 }}")
+
+
+def _up(view: LogView) -> tuple[np.ndarray | None, str]:
+    """What is up in I (3,), and by what: the body, else the reference."""
+    if view.up_by_body is not None:
+        return view.up_by_body, "the body"
+    if view.log.has("reference"):
+        up = view.R_GI.inv().apply([0.0, 0.0, 1.0]).mean(axis=0)
+        return up / max(float(np.linalg.norm(up)), 1e-9), "the reference"
+    return None, ""
+
+
+def accelerometer(view: LogView) -> Iterator[Finding]:
+    """The specific force is what the motion of the reference implies; else either is wrong."""
+    if not view.trusts_reference:
+        return
+    accel, felt = view.accel[view.ok], view.felt[view.ok]
+    in_body = match_axes(accel, felt)
+    in_world = match_axes(view.ref_a[view.ok], view.R_GI[view.ok].apply(accel) + GRAVITY_G)
+    # Gravity tells that z is upright, so that the reference's is not.
+    if in_world.wrong and (in_world.best.mean() >= in_body.best.mean() or in_world.wrong == (2,)):
+        columns = tuple(f"ref_p_{AXES[i]}" for i in in_world.wrong)
+        told = f"correlation with the accelerometer {_of(in_world, in_world.own)}"
+        down = "z is down (north-east-down): " if in_world.sign[2] < 0 else ""
+        lines = _lines("ref_p", in_world)
+        yield Finding(columns, told, f"{down}{in_world.words}", lines)
+    elif in_body.wrong:
+        columns = tuple(_AXES_ACCEL[i] for i in in_body.wrong)
+        told = f"correlation with the reference's motion {_of(in_body, in_body.own)}"
+        yield Finding(columns, told, in_body.words, _lines("accel", in_body))
+    elif abs(np.log(in_world.scaled)) > np.log1p(SCALED_ACCEL):
+        told = f"accelerates {in_world.scaled:.3g} times as fast as the accelerometer"
+        cause = "scaled, another unit, or stamps at a wrong rate"
+        yield Finding(_AXES_P, told, cause)
+    else:
+        apart = accel.mean(axis=0) - felt.mean(axis=0)
+        for i in np.flatnonzero(np.abs(apart) > ZERO_G):
+            told = f"mean {apart[i]:.2f} m/s^2 off what the reference's motion implies"
+            cause = "a bias, or a leaning mount"
+            yield Finding((_AXES_ACCEL[i],), told, cause)
+
+
+def gyro_unit(view: LogView) -> Iterator[Finding]:
+    """A gyro turns, and not like a top."""
+    if not view.log.has("imu") or not view.comparable:
+        return
+    rms = float(np.sqrt(np.mean(np.sum(view.log.gyro**2, axis=1))))
+    if rms == 0.0:
+        told, cause = "0 rad/s in every row", "not connected, or not logged"
+        yield Finding(_AXES_GYRO, told, cause)
+    elif rms > TUMBLING:
+        told = f"root mean square {rms:.3g} rad/s"
+        yield Finding(_AXES_GYRO, told, "in deg/s, not rad/s", _IN_DEGREES)
+
+
+def gyro(view: LogView) -> Iterator[Finding]:
+    """A gyro turns about the axes, and as fast, as the reference."""
+    if not view.compares_turning:
+        return
+    match = view.gyro_match
+    if match.wrong:
+        columns = tuple(_AXES_GYRO[i] for i in match.wrong)
+        told = f"correlation with the reference's turning {_of(match, match.own)}"
+        accel = match_axes(view.accel[view.ok], view.felt[view.ok])
+        both = accel.wrong and accel.order == match.order and np.all(accel.sign == match.sign)
+        if both:
+            columns += tuple(_AXES_ACCEL[i] for i in match.wrong)
+            cause = f"the IMU is turned in the body, or the tracked body is: {match.words}"
+            line = "[robot] imu_orientation, or [reference] q_IM; surefoot align finds it"
+            yield Finding(columns, told, cause, line)
+        else:
+            yield Finding(columns, told, match.words, _lines("gyro", match))
+        return
+    if not match.alike:
+        told = f"correlation of turning {_numbers(match.own)} about x, y, z"
+        cause = "another body, other axes or another clock; try surefoot align"
+        yield Finding((*_AXES_GYRO, "ref_q"), told, cause)
+        return
+    factor = match.scaled
+    if abs(factor - 1.0) > SCALED:
+        told = f"{factor:.3g} times as fast as the reference turns"
+        if abs(factor / _DEGREE - 1.0) < 0.2:
+            yield Finding(_AXES_GYRO, told, "in deg/s, not rad/s", _IN_DEGREES)
+        else:
+            yield Finding(_AXES_GYRO, told, "scaled")
+    apart = view.gyro[view.ok].mean(axis=0) - view.turning[view.ok].mean(axis=0)
+    for i in np.flatnonzero(np.abs(apart) > ZERO_RATE):
+        told = f"mean {apart[i]:.2f} rad/s off the reference's turning"
+        yield Finding((_AXES_GYRO[i],), told, "a bias")
+
+
+def turning_of_legs(view: LogView) -> Iterator[Finding]:
+    """Without a reference: a gyro turns as lines between standing feet see the body turn."""
+    legs = view.stance
+    if legs is None or not view.log.has("imu") or view.log.has("reference"):
+        return
+    gyro = view.gyro[legs.which]
+    as_is = legs.turning_fits(gyro)
+    if as_is > 0.2:
+        return
+    best = (as_is, (0, 1, 2), (1.0, 1.0, 1.0))
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            other = np.empty_like(gyro)
+            other[:, list(order)] = gyro * np.array(signs)
+            best = max(best, (legs.turning_fits(other), order, signs))
+    fits, order, signs = best
+    if fits < 0.4 or fits < as_is + 0.3:
+        return
+    wrong = [i for i in range(3) if order[i] != i or signs[i] < 0]
+    columns = tuple(_AXES_GYRO[i] for i in wrong)
+    words = ", ".join(f"{AXES[i]} is {'-' * (signs[i] < 0)}{AXES[order[i]]}" for i in wrong)
+    told = f"correlation with the turning that standing feet see {as_is:.2f}, put right {fits:.2f}"
+    yield Finding(columns, told, words)
+
+
+def _of(match: AxesMatch, values: np.ndarray) -> str:
+    return ", ".join(f"{AXES[i]} {values[i]:.2f}" for i in match.wrong)
+
+
+def _lines(kind: str, match: AxesMatch) -> str:
+    """Map lines that put each wrong axis where it belongs."""
+    lines = []
+    for i in match.wrong:
+        sign = ", sign = -1" if match.sign[i] < 0 else ""
+        column = f"their column of {kind}_{AXES[i]}"
+        lines.append(f"{kind}_{AXES[match.order[i]]} = {{ column = <{column}>{sign} }}")
+    return "; ".join(lines)
+
+
+def _numbers(values: np.ndarray) -> str:
+    return ", ".join(f"{x:.2f}" for x in values)

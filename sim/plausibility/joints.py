@@ -1,0 +1,164 @@
+"""Joints: rates against angles, ranges and torques of the robot, units by magnitude."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from surefoot.sim.plausibility.finding import Finding
+from surefoot.sim.plausibility.view import LogView
+
+DEGREE = 180.0 / np.pi
+RATE_OFF = 0.1
+"""Share by which joint rates may differ from the change of angles over the same time: 0.01 in clean
+walks, and what filters of drives take from a swing."""
+RATE_ALIKE = 0.5
+"""Correlation of a rate with the change of its angle below which it is another's: 0.9 and more in
+clean logs, 0.7 with a delay of a tenth of a swing."""
+BEYOND = 0.1
+"""rad beyond its stops: encoder zeros are set to some degrees, links bend by less."""
+BEYOND_SHARE = 0.02
+"""Share of rows beyond the stops: landings touch them for an instant."""
+TURNS = 2.0 * np.pi
+"""rad: a joint of a leg does not turn about; in degrees even a still leg is beyond it."""
+TOO_STRONG = 1.5
+"""Times the largest torque of the model, 99 % of the time: peak torques are rated for seconds."""
+_MOVES = 0.2
+"""rad/s, root mean square, below which a joint does not move enough to be compared."""
+
+
+def rates(view: LogView) -> Iterator[Finding]:
+    """A joint's rate is the change of its angle."""
+    log = view.log
+    if not (view.comparable and log.has("q") and log.has("dq")):
+        return
+    logged, moved = view.means(log.dq), view.changes(log.q)  # the same whatever moves, if right
+    size = np.sqrt(np.mean(moved**2, axis=0))
+    moves = np.flatnonzero((size > _MOVES) & (logged.std(axis=0) > 0.0))
+    if not moves.size:
+        return
+    # Centred, as a bias is no other joint.
+    a, b = (x[:, moves] - x[:, moves].mean(axis=0) for x in (logged, moved))
+    a, b = (x / np.linalg.norm(x, axis=0) for x in (a, b))
+    alike = a.T @ b
+    own = np.diag(alike)
+    slope = logged[:, moves].std(axis=0) / moved[:, moves].std(axis=0)
+    names = [log.joints[j] for j in moves]
+    bad = np.flatnonzero(own < RATE_ALIKE)
+    said: set[int] = set()
+    flipped = [i for i in bad if own[i] < -RATE_ALIKE]
+    if flipped:
+        said |= set(flipped)
+        columns = tuple(f"dq_{names[i]}" for i in flipped)
+        told = f"correlation with the change of q {own[flipped].max():.2f} at best"
+        cause = "wrong sign" if len(flipped) < len(names) else "wrong sign, or time runs backwards"
+        line = f"{', '.join(columns)} = {{ ..., sign = -1 }}"
+        yield Finding(columns, told, cause, line)
+    for i in bad:
+        other = int(np.argmax(np.abs(alike[i])))
+        if i in said:
+            continue
+        told = f"correlation with the change of q_{names[i]} {own[i]:.2f}"
+        if alike[i, other] > 0.8:
+            told += f", of q_{names[other]} {alike[i, other]:.2f}"
+            cause = f"it is the rate of {names[other]}: swapped"
+            line = f"dq_{names[other]} = <their column of dq_{names[i]}>"
+            yield Finding((f"dq_{names[i]}",), told, cause, line)
+        else:
+            cause = "no rate of this joint: shuffled rows, another clock, or a broken sensor"
+            yield Finding((f"dq_{names[i]}",), told, cause)
+    good = own > 0.8
+    if not good.any():
+        return
+    typical = float(np.median(slope[good]))
+    columns = tuple(f"dq_{n}" for n, g in zip(names, good, strict=True) if g)
+    told = f"{typical:.3g} times the change of q"
+    if abs(typical - 1.0) > RATE_OFF:
+        yield _scaled_rates(columns, typical, told)
+        return
+    for i in np.flatnonzero(good & (np.abs(slope - 1.0) > 2.0 * RATE_OFF)):
+        told = f"{slope[i]:.3g} times the change of q"
+        yield Finding((f"dq_{names[i]}",), told, "scaled, or its angle is")
+
+
+def _scaled_rates(columns: tuple[str, ...], typical: float, told: str) -> Finding:
+    angles = tuple(f"q_{c[3:]}" for c in columns)
+    for factor, unit in ((DEGREE, "deg/s"), (60.0 / (2.0 * np.pi), "rpm")):
+        if abs(typical / factor - 1.0) < 0.2:
+            line = f'{columns[0]}, ... = {{ ..., unit = "{unit}" }}'
+            return Finding(columns, told, f"in {unit}, not rad/s", line)
+    if abs(typical * DEGREE - 1.0) < 0.2:
+        line = f'{angles[0]}, ... = {{ ..., unit = "deg" }}'
+        return Finding(angles, told, "angles in deg, not rad", line)
+    return Finding(columns, told, "scaled, or stamps at a wrong rate")
+
+
+def units(view: LogView) -> Iterator[Finding]:
+    """Angles of legs are in radians."""
+    log = view.log
+    if not log.has("q") or view.robot is None:
+        return
+    q = log.q
+    turned = [j for j, x in zip(log.joints, q.T, strict=True) if np.median(np.abs(x)) > TURNS]
+    if turned:
+        worst = float(np.abs(q).max())
+        columns = tuple(f"q_{j}" for j in turned)
+        line = f'{columns[0]}, ... = {{ ..., unit = "deg" }}'
+        told = f"up to {worst:.4g} rad"
+        yield Finding(columns, told, "in deg, not rad, or not unwrapped", line)
+
+
+def ranges(view: LogView) -> Iterator[Finding]:
+    """Angles are within the stops of the robot's joints."""
+    log = view.log
+    if not log.has("q") or view.robot is None:
+        return
+    q = log.q
+    low, high = view.robot.joint_range.T
+    beyond = np.maximum(low - q, q - high)
+    share = np.mean(beyond > BEYOND, axis=0)
+    over = np.flatnonzero(share > BEYOND_SHARE)
+    if not over.size:
+        return
+    worst = over[np.argmax(share[over])]
+    told = (
+        f"{log.joints[worst]} is beyond {low[worst]:.2f} to {high[worst]:.2f} rad of "
+        f"{view.robot.name} in {100 * share[worst]:.0f} % of rows, median "
+        f"{np.median(q[:, worst]):.2f} rad"
+    )
+    within = np.mean(np.maximum(low + q, -q - high) > BEYOND, axis=0) < BEYOND_SHARE
+    names = [log.joints[j] for j in over]
+    cause, line = "wrong zero, swapped joints, or another robot", ""
+    if within[over].all():
+        cause = "wrong sign, swapped joints, or another robot"
+        line = "; ".join(f"[robot.joint_sign] {name} = -1" for name in names)
+    yield Finding(tuple(f"q_{name}" for name in names), told, cause, line)
+
+
+def torques(view: LogView) -> Iterator[Finding]:
+    """Torques are below what the robot's drives can give."""
+    if view.robot is None or not view.log.has("tau"):
+        return
+    limit = view.robot.torque_limit
+    strong = np.quantile(np.abs(view.log.tau), 0.99, axis=0)
+    over = np.flatnonzero(strong > TOO_STRONG * limit)
+    if over.size:
+        j = over[np.argmax(strong[over] / limit[over])]
+        told = f"{strong[j]:.3g} N m, where the drive gives {limit[j]:.3g}"
+        columns = tuple(f"tau_{view.log.joints[k]}" for k in over)
+        thousand = np.median(strong[over] / limit[over]) > 30.0
+        line = f'{columns[0]}, ... = {{ ..., unit = "mN m" }}' if thousand else ""
+        cause = "in mN m, not N m" if thousand else "another unit, or another robot"
+        yield Finding(columns, told, cause, line)
+
+
+def commands(view: LogView) -> Iterator[Finding]:
+    """Commanded angles are in the unit of the measured ones."""
+    log = view.log
+    if not (log.has("q") and log.has("q_des")):
+        return
+    size = np.median(np.abs(log.q_des)) / max(float(np.median(np.abs(log.q))), 1e-6)
+    if size > 10.0:
+        columns = tuple(f"q_des_{j}" for j in log.joints)
+        line = f'{columns[0]}, ... = {{ ..., unit = "deg" }}'
+        told = f"{size:.3g} times the measured angles"
+        yield Finding(columns, told, "in deg, not rad", line)

@@ -1,0 +1,344 @@
+"""Leg kinematics against the body's motion: swapped legs and joints, signs, sizes, clocks."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import permutations, product
+
+import numpy as np
+
+from surefoot.sim.common.gravity import GRAVITY
+from surefoot.sim.plausibility.attitude import LATE
+from surefoot.sim.plausibility.finding import Finding
+from surefoot.sim.plausibility.stance import Stance
+from surefoot.sim.plausibility.view import STEP, LogView
+from surefoot.sim.robot.robot import Robot
+
+MISFIT = 0.01
+"""Mean square of the velocity that standing feet have, over that of the body, their worst tenth
+left out: 0.006 in clean simulated walks, 0.03 to 0.1 on a measured Go1. Below it nothing is
+asked."""
+MENDED = 0.6
+"""Share of it that is left under a better reading of legs or contacts: on clean walks and the
+measured Go1, each wrong one has 1.66 times as much as the right one at least."""
+MENDED_JOINTS = 0.5
+"""The same of signs and order of joints, of which there are more to choose from: 2.2 times."""
+CLEARER = 0.9
+"""Share by which a reading must better one with fewer legs exchanged, which is tried first."""
+STANDING = 0.48
+"""Share of time that feet stand on average: half of it and more in walks and trots."""
+HOPELESS = 0.6
+"""Of the misfit: from here on legs do not say how the body moves, and no reading mends it."""
+SIZE = (0.65, 1.5)
+"""Velocity by the legs over that of the body: rolling and giving legs have 0.76 to 1.05."""
+_TURNING = 0.5
+"""Quantile of the gyro above which rows are looked at: legs differ where the body turns."""
+LATEST_LEGS = 1.0
+"""s up to which late legs are looked for: two strides."""
+_MOVES = 0.1
+"""m/s below which the body's velocity says nothing."""
+_FEWEST = 50
+"""Feet in contact, at some times, below which nothing is said."""
+_TRIED = 600
+"""Times at which readings of joints are tried."""
+SUPPORT = (0.5, 1.7)
+"""Weight that torques of standing legs carry, over the model's: payloads add a third, single legs
+of a stride carry twice."""
+
+
+@dataclass(frozen=True)
+class Moving:
+    """What legs are compared with: gyro (K, 3) [rad/s]; the body's velocity (K, 3) [m/s] in I by
+    the reference, None where it is not trusted; used (K,), bool."""
+
+    gyro: np.ndarray
+    truth: np.ndarray | None
+    used: np.ndarray
+
+    def rows(self, some: np.ndarray) -> "Moving":
+        """Of some of the K times."""
+        truth = None if self.truth is None else self.truth[some]
+        return Moving(self.gyro[some], truth, self.used[some])
+
+    def misfit(self, u: np.ndarray, contact: np.ndarray) -> float:
+        """Mean square by which legs in contact miss the body's velocity, their worst tenth left
+        out, over that of the velocity; NaN where too few do.
+
+        u: (K, L, 3) velocity of the body by each leg [m/s]; contact: (K, L), bool. Without a truth
+        the mean of the legs in contact stands for it.
+        """
+        on = contact & self.used[:, None]
+        truth = self.truth
+        if truth is None:
+            on = on & (on.sum(axis=1, keepdims=True) > 1)
+            count = np.maximum(on.sum(axis=1, keepdims=True), 1)
+            truth = np.sum(np.where(on[:, :, None], u, 0.0), axis=1) / count
+        on = on & (np.linalg.norm(truth, axis=1) > _MOVES)[:, None]
+        if on.sum() < _FEWEST:
+            return float("nan")
+        missed = np.sort(np.sum((u - truth[:, None]) ** 2, axis=2)[on])[: int(0.9 * on.sum())]
+        size = np.broadcast_to(np.sum(truth**2, axis=1)[:, None], on.shape)[on]
+        return float(missed.mean() / size.mean())
+
+
+def kinematics(view: LogView) -> Iterator[Finding]:
+    """Feet in contact stand: all legs and the reference say the same of the body's velocity."""
+    legs = view.stance
+    if legs is None or not view.log.has("imu") or len(view.log.legs) < 2:
+        return
+    gyro = view.gyro[legs.which]
+    used = view.ok[legs.which] if view.log.has("reference") else np.ones(len(gyro), bool)
+    truth = view.v_I[legs.which] if view.trusts_reference else None
+    rate = np.linalg.norm(gyro, axis=1)
+    turning = rate > np.quantile(rate, _TURNING)
+    moving = Moving(gyro, truth, used & turning)
+    u = legs.body_velocity(gyro)
+    base = moving.misfit(u, legs.contact)
+    if not base > MISFIT:
+        return
+    late = None if truth is None else _late(legs, Moving(gyro, truth, used))
+    found = [late] if late else _put_right(view, legs, moving, base)
+    yield from found
+    if found or truth is None:
+        return
+    size, alike = _size(u, legs.contact, moving)
+    if alike > 0.6 and not SIZE[0] < size < SIZE[1]:
+        told = f"legs move the body {size:.2f} times as fast as the reference"
+        cause = "another robot's log (its legs have another length), or units of positions"
+        yield Finding(("q", "ref_p"), told, cause)
+    elif base > HOPELESS:
+        told = f"standing feet have {100 * base:.0f} % of the body's velocity, squared"
+        cause = "wrong joints, contacts or robot; or it slides"
+        yield Finding(("q", "contact"), told, cause)
+
+
+def _late(legs: Stance, moving: Moving) -> Finding | None:
+    """Joints and contacts that come later, or earlier, than gyro and reference together."""
+    assert moving.truth is not None
+    step = float(np.median(np.diff(legs.which))) * STEP
+    rows = np.arange(len(legs.which))
+
+    def left(late: float) -> float:
+        there = np.clip(np.round(rows - late / step).astype(int), 0, len(rows) - 1)
+        shifted = moving.rows(there)
+        return shifted.misfit(legs.body_velocity(shifted.gyro), legs.contact)
+
+    base = left(0.0)
+    tried = np.arange(-LATEST_LEGS, LATEST_LEGS + 0.5 * step, step)
+    misfits = [left(late) for late in tried]
+    best = int(np.nanargmin(misfits)) if np.isfinite(misfits).any() else 0
+    late = float(tried[best])
+    if abs(late) < 2.0 * LATE or not misfits[best] < MENDED * base:
+        return None
+    which = "after" if late > 0 else "before"
+    told = f"move {abs(late):.2f} s {which} the reference and the IMU"
+    return Finding(("q", "contact"), told, "another clock, or lost rows")
+
+
+def _put_right(view: LogView, legs: Stance, moving: Moving, base: float) -> list[Finding]:
+    """What mends the legs best: other legs, or other signs and orders of joints."""
+    gain, found = _swapped(view, legs, moving, base)
+    if view.robot is not None and moving.truth is not None and not view.log.has("foot"):
+        more, misread = _misread(view, view.robot, legs, moving)
+        if more > gain:
+            return misread
+    return found
+
+
+def _swapped(
+    view: LogView, legs: Stance, moving: Moving, base: float
+) -> tuple[float, list[Finding]]:
+    """Legs whose joints, contacts or both are another's, or contacts that are inverted; and how
+    much less (squared) standing feet move when put right."""
+    names = view.log.legs
+    own = list(range(len(names)))
+    u = _by_each_leg(view, legs, moving.gyro)
+    best: tuple[float, list[int], str] = (base, own, "")
+    for order in sorted(permutations(own), key=lambda one: sum(i != j for i, j in enumerate(one))):
+        pick = list(order)
+        ways = [("contact_", u[:, own, own], legs.contact[:, pick])]
+        if not view.log.has("foot"):
+            ways += [
+                ("q_", u[:, own, pick], legs.contact),
+                ("", u[:, own, pick], legs.contact[:, pick]),
+            ]
+        for what, moved, contact in ways if pick != own else ():
+            left = moving.misfit(moved, contact)
+            if left < CLEARER * best[0]:
+                best = (left, pick, what)
+    left, order, what = best
+    if moving.truth is not None and legs.contact.mean() < STANDING:
+        # In a trot the other diagonal stands while this one is lifted: both readings fit.
+        inverted = moving.misfit(u[:, own, own], ~legs.contact)
+        if inverted < MENDED * base and inverted < 3.0 * left:
+            told = f"standing feet move {base / inverted:.1f} times less (squared) when put right"
+            columns = tuple(f"contact_{leg}" for leg in names)
+            finding = Finding(columns, told, "inverted: 1 means lifted")
+            return base / inverted, [finding]
+    if left > MENDED * base:
+        return 1.0, []
+    told = f"standing feet move {base / left:.1f} times less (squared) when put right"
+    wrong = [(names[i], names[j]) for i, j in enumerate(order) if i != j]
+    columns = tuple(f"{p}{i}" for p in ((what,) if what else ("q_", "contact_")) for i, _ in wrong)
+    pairs = ", ".join(f"{i} is {j}" for i, j in wrong)
+    parts = {"q_": "joints", "contact_": "contacts", "": "joints and contacts"}[what]
+    return base / left, [Finding(columns, told, f"swapped legs ({parts}): {pairs}")]
+
+
+def _by_each_leg(view: LogView, legs: Stance, gyro: np.ndarray) -> np.ndarray:
+    """Velocity (K, L, L, 3) of the body by leg i if it had the joints of leg j."""
+    count = len(view.log.legs)
+    k = np.arange(count)
+    out = np.empty((len(gyro), count, count, 3))
+    out[:, k, k] = legs.body_velocity(gyro)
+    robot = view.robot
+    if view.log.has("foot") or robot is None:
+        return out
+    q, chains = view.log.q, robot.limbs.chains
+    for shift in range(1, count):
+        order = (k + shift) % count
+        if any(len(chains[i]) != len(chains[j]) for i, j in zip(k, order, strict=True)):
+            out[:, k, order] = np.inf
+            continue
+        columns = np.arange(q.shape[1])
+        for i, j in zip(k, order, strict=True):
+            columns[list(chains[i])] = chains[j]
+        moved = legs.with_joints(robot, q, columns, np.ones(q.shape[1]))
+        out[:, k, order] = moved.body_velocity(gyro)
+    return out
+
+
+def _misread(
+    view: LogView, robot: Robot, legs: Stance, moving: Moving
+) -> tuple[float, list[Finding]]:
+    """Joints within a leg that are swapped, or have the wrong sign; and how much less (squared)
+    standing feet move when put right."""
+    chains = robot.limbs.chains
+    size = len(chains[0])
+    if any(len(chain) != size for chain in chains) or size > 3:
+        return 1.0, []
+    used = np.flatnonzero(moving.used)
+    some = used[np.unique(np.linspace(0, len(used) - 1, _TRIED).astype(int))]
+    few, moving, q = legs.at(some), moving.rows(some), view.log.q
+
+    def missed(moved: Stance) -> np.ndarray:
+        u = moved.body_velocity(moving.gyro)
+        each = range(len(chains))
+        return np.array([moving.misfit(u[:, [i]], few.contact[:, [i]]) for i in each])
+
+    base = missed(few)
+    bad = np.flatnonzero(base > MISFIT)
+    best = [(float(x), (), ()) for x in base]
+    for order in permutations(range(size)) if bad.size else ():
+        for signs in product((1.0, -1.0), repeat=size):
+            columns, sign = np.arange(q.shape[1]), np.ones(q.shape[1])
+            for chain in chains:
+                columns[list(chain)] = [chain[k] for k in order]
+                sign[list(chain)] = signs
+            left = missed(few.with_joints(robot, q, columns, sign))
+            for i in bad:
+                if left[i] < best[i][0]:
+                    best[i] = (float(left[i]), order, signs)
+    found: dict[tuple[tuple[int, ...], tuple[float, ...]], list[int]] = {}
+    for i in bad:
+        left, order, signs = best[i]
+        if order and left < MENDED_JOINTS * base[i]:
+            found.setdefault((order, signs), []).append(int(i))
+    mended = base.copy()
+    for which in found.values():
+        mended[which] = [best[i][0] for i in which]
+    return float(np.nansum(base) / max(np.nansum(mended), 1e-12)), [
+        _misread_finding(view.log.joints, chains, which, order, signs, base, best)
+        for (order, signs), which in found.items()
+    ]
+
+
+def _misread_finding(
+    joints: Sequence[str],
+    chains: Sequence[Sequence[int]],
+    which: Sequence[int],
+    order: tuple[int, ...],
+    signs: tuple[float, ...],
+    base: np.ndarray,
+    best: list,
+) -> Finding:
+    """In words.
+
+    Args:
+        joints: names.
+        chains: joints of each leg.
+        which: legs it is about.
+        order: of a leg's joints, as it should be.
+        signs: of its joints, after that.
+        base: (L,) misfit as read.
+        best: misfit as it should be, first of each.
+    """
+    swapped = [k for k, other in enumerate(order) if k != other]
+    flipped = [k for k, sign in enumerate(signs) if sign < 0]
+    columns = tuple(
+        f"q_{joints[chains[i][k]]}" for i in which for k in sorted({*swapped, *flipped})
+    )
+    gain = float(np.median([base[i] / best[i][0] for i in which]))
+    told = f"standing feet move {gain:.0f} times less (squared) when put right"
+    one = chains[which[0]]
+    causes = []
+    if swapped:
+        pairs = ", ".join(f"{joints[one[k]]} is {joints[one[order[k]]]}" for k in swapped)
+        causes.append(f"swapped joints ({pairs})")
+    line = ""
+    if flipped:
+        causes.append("wrong sign")
+        line = "; ".join(
+            f"[robot.joint_sign] {joints[chains[i][k]]} = -1" for i in which for k in flipped
+        )
+    return Finding(columns, told, " and ".join(causes), line)
+
+
+def _size(u: np.ndarray, contact: np.ndarray, moving: Moving) -> tuple[float, float]:
+    """Slope of the legs' velocity over the body's, and their correlation, in the plane."""
+    truth = moving.truth
+    assert truth is not None
+    on = contact & (moving.used & (np.linalg.norm(truth, axis=1) > _MOVES))[:, None]
+    if on.sum() < _FEWEST:
+        return 1.0, 0.0
+    a = u[on][:, :2]
+    b = np.broadcast_to(truth[:, None], u.shape)[on][:, :2]
+    size = np.sum(a**2, axis=1)
+    keep = size < np.quantile(size, 0.9)
+    a, b = a[keep], b[keep]
+    both = float(np.sum(a * b))
+    return both / float(np.sum(b**2)), both / float(np.sqrt(np.sum(a**2) * np.sum(b**2)))
+
+
+def support(view: LogView) -> Iterator[Finding]:
+    """Torques of standing legs carry the robot's weight."""
+    legs, robot, log = view.stance, view.robot, view.log
+    if legs is None or robot is None or not log.has("tau") or not log.has("imu"):
+        return
+    if not log.has("q") or any(len(c) != 3 for c in robot.limbs.chains):
+        return
+    rows = legs.rows[1][:: max(1, len(legs.which) // _TRIED)]
+    contact = log.contact[rows]
+    J = robot.feet_jacobian_I(log.q[rows])
+    tau = log.tau[rows][:, np.array(robot.limbs.chains)]
+    up = view.up_by_body
+    usable = np.abs(np.linalg.det(J)) > 1e-4
+    if up is None or not usable.any():
+        return
+    pushed = -np.linalg.solve(
+        np.where(usable[..., None, None], np.swapaxes(J, 2, 3), np.eye(3)), tau[..., None]
+    )[..., 0]
+    carried = np.sum(pushed * (contact & usable)[:, :, None], axis=1)
+    share = float(np.median(carried[contact.any(axis=1)] @ up)) / (robot.mass * GRAVITY)
+    told = f"legs in contact carry {share:.2f} times the weight of {robot.name}"
+    columns = tuple(f"tau_{joint}" for joint in log.joints)
+    if SUPPORT[0] < share < SUPPORT[1] or contact.mean() < 0.2:
+        return
+    if -SUPPORT[1] < share < -SUPPORT[0]:
+        line = f"{columns[0]}, ... = {{ ..., sign = -1 }}"
+        yield Finding(columns, told, "wrong sign", line)
+    elif share > 100.0:
+        line = f'{columns[0]}, ... = {{ ..., unit = "mN m" }}'
+        yield Finding(columns, told, "in mN m, not N m", line)
+    else:
+        cause = "swapped joints, another unit, a motor's side of the gear, or another robot"
+        yield Finding(columns, told, cause)

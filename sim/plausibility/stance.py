@@ -1,0 +1,103 @@
+"""Feet as joints or the log place them, at some times: what the legs say of the body's motion."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from surefoot.sim.log import Log
+from surefoot.sim.robot.robot import Robot
+
+MOST_TIMES = 3000
+"""Times at which legs are looked at: a minute; a longer log is looked at less densely."""
+_WINDOW = 0.03
+"""s over which the velocity of a foot is taken: a tenth of a stance."""
+
+
+@dataclass(frozen=True)
+class Stance:
+    """Feet of L legs at K times of a log.
+
+    which (K,): of the view's times; rows (3, K): rows of the log before, at and after them, span
+    (K,) [s] from the first to the last; foot (K, L, 3) [m] and rate (K, L, 3) [m/s] in I; contact
+    (K, L), bool.
+    """
+
+    which: np.ndarray
+    rows: np.ndarray
+    span: np.ndarray
+    foot: np.ndarray
+    rate: np.ndarray
+    contact: np.ndarray
+
+    def body_velocity(self, gyro: np.ndarray) -> np.ndarray:
+        """Velocity (K, L, 3) [m/s] in I that the body has by each leg if its foot stands, by its
+        gyro (K, 3) [rad/s]."""
+        return -(self.rate + np.cross(gyro[:, None], self.foot))
+
+    def at(self, some: np.ndarray) -> "Stance":
+        """At some of the K times."""
+        return Stance(
+            self.which[some], self.rows[:, some], self.span[some], self.foot[some],
+            self.rate[some], self.contact[some],
+        )  # fmt: skip
+
+    def with_joints(
+        self, robot: Robot, q: np.ndarray, columns: np.ndarray, sign: np.ndarray
+    ) -> "Stance":
+        """The feet if the angles q (N, J) were read from other columns (J,), with signs (J,)."""
+
+        def feet(rows: np.ndarray) -> np.ndarray:
+            return robot.feet_I(q[np.ix_(rows, columns)] * sign)
+
+        return replace(self, foot=feet(self.rows[1]), rate=foot_rates(feet, self.rows, self.span))
+
+    def turning_fits(self, gyro: np.ndarray) -> float:
+        """Correlation of the turning of lines between standing feet with that by a gyro (K, 3)."""
+        count = self.foot.shape[1]
+        moved, by_gyro = [], []
+        for i in range(count):
+            for j in range(i):
+                on = self.contact[:, i] & self.contact[:, j]
+                moved.append(self.rate[on, i] - self.rate[on, j])
+                by_gyro.append(np.cross(self.foot[on, i] - self.foot[on, j], gyro[on]))
+        a, b = np.concatenate(moved), np.concatenate(by_gyro)
+        if len(a) < 50:
+            return 0.0
+        # Feet that slip or bounce would outweigh all others.
+        size = np.sum(a**2, axis=1)
+        keep = size < np.quantile(size, 0.8)
+        a, b = a[keep], b[keep]
+        return float(np.sum(a * b) / np.sqrt(max(np.sum(a**2) * np.sum(b**2), 1e-18)))
+
+
+def stance_of(log: Log, robot: Robot | None, at: np.ndarray) -> Stance | None:
+    """The feet of a log about the times `at` (M,) [s]; None where they are not known."""
+    if log.has("foot"):
+        feet: Callable[[np.ndarray], np.ndarray] = log.foot_I.__getitem__
+    elif robot is not None and log.has("q"):
+        q = log.q
+
+        def feet(rows: np.ndarray) -> np.ndarray:
+            return robot.feet_I(q[rows])
+    else:
+        return None
+    which = np.unique(np.linspace(0, len(at) - 1, min(len(at), MOST_TIMES)).astype(int))
+    t = log.t
+    times = at[which]
+    rows = np.stack(
+        [np.searchsorted(t, times + after) for after in (-0.5 * _WINDOW, 0.0, 0.5 * _WINDOW)]
+    )
+    rows = np.clip(rows, 0, len(t) - 1)
+    span = t[rows[2]] - t[rows[0]]
+    keep = span > 0
+    which, rows, span = which[keep], rows[:, keep], span[keep]
+    foot = feet(rows[1])
+    return Stance(which, rows, span, foot, foot_rates(feet, rows, span), log.contact[rows[1]])
+
+
+def foot_rates(
+    feet: Callable[[np.ndarray], np.ndarray], rows: np.ndarray, span: np.ndarray
+) -> np.ndarray:
+    """Velocities (K, L, 3) [m/s] of feet from before to after: rows (3, K), span (K,) [s]."""
+    return (feet(rows[2]) - feet(rows[0])) / span[:, None, None]

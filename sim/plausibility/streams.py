@@ -1,0 +1,260 @@
+"""Streams by themselves: frozen, held, late, saturated, spiking, dropped to zero, copied or derived
+from another column."""
+
+from collections import defaultdict
+from collections.abc import Iterator
+
+import numpy as np
+
+from surefoot.sim.importing.streams import LateStream, held_streams, late_streams
+from surefoot.sim.log.derived import JOINT_WINDOW, REFERENCE_WINDOW, derivative
+from surefoot.sim.log.schema import joint_prefix
+from surefoot.sim.plausibility.attitude import LATE
+from surefoot.sim.plausibility.finding import Finding
+from surefoot.sim.plausibility.view import LogView
+
+LATE_RATE = 4e-3
+"""s by which joint rates may come after the change of their angles: two samples at 500 Hz."""
+FROZEN = 0.2
+"""s without a change while its siblings move: half a swing."""
+LIMITED = 0.5
+"""s, the same of torques, which drives hold at their limit for a while."""
+_SENSORS = ("gyro", "accel", "q", "dq", "tau", "ref_p", "ref_q", "foot")
+_ALIVE = 0.25
+"""Share of its usual spread by which a sibling moves meanwhile."""
+CLIPPED = 5
+"""Rows at exactly the largest reading from which on a sensor is saturated; and three times as many
+as lie in the three hundredths of its span below."""
+SPIKE = 12.0
+"""Times the deviation from the median of five rows that one row in a hundred has."""
+SPIKES = {
+    "gyro": 2.0,
+    "accel": 150.0,
+    "q": 0.15,
+    "dq": 8.0,
+    "ref_p": 0.1,
+    "foot": 0.05,
+}
+"""Least size of a spike, by kind: rad/s, m/s^2 (landings reach 70), rad, rad/s, m, m: within a row
+of 2 to 10 ms no body or joint does it and undoes it."""
+DROPS = 5
+"""Rows that read exactly 0 between rows that do not, from which on they are drop-outs."""
+SLOWER = 0.75
+"""Of the rows' rate: a coarse reading repeats itself by chance at a sixth of the rows."""
+COMMANDS = ("q_des_", "dq_des_", "tau_ff_", "x_")
+"""Columns that are no sensor's: a controller is slower than its log."""
+_SAME = 1e-9
+"""Share of its mean square that a copy differs by: rounding. A sensor of its own has noise."""
+_LEAST_DISTINCT = 20
+"""Different values below which a column is a state or a command, not a reading."""
+
+
+def frozen(view: LogView) -> Iterator[Finding]:
+    """A sensor changes while what moves with it does."""
+    found: dict[str, list[str]] = defaultdict(list)
+    for kind, columns in _kinds(view, _SENSORS).items():
+        if kind in ("q", "dq", "tau") and view.robot is None:
+            continue  # the joints of an arm do rest one by one
+        for name in columns:
+            run = _longest_hold(view.log.frame[name].to_numpy())
+            first, last = run
+            if view.t[last] - view.t[first] < (LIMITED if kind == "tau" else FROZEN):
+                continue
+            if _others_move(view, name, kind, columns, first, last):
+                whole = last - first >= len(view.t) - 1
+                told = (
+                    "one value in every row"
+                    if whole
+                    else f"no change from {view.t[first]:.2f} to {view.t[last]:.2f} s"
+                )
+                found[told].append(name)
+    for told, names in found.items():
+        yield Finding(tuple(names), f"{told} while others move", "a sensor that hangs")
+
+
+def _others_move(
+    view: LogView, name: str, kind: str, siblings: list[str], first: int, last: int
+) -> bool:
+    """Whether what moves with a column moves between two rows: its rate or angle, its siblings."""
+    frame = view.log.frame
+    twin = {"q": f"dq_{name[2:]}", "dq": f"q_{name[3:]}"}.get(kind)
+    if twin in frame and np.ptp(frame[twin].to_numpy()[first : last + 1]) > 0.0:
+        return _moves(frame[twin].to_numpy(), first, last)
+    others = [s for s in siblings if s != name]
+    moving = [s for s in others if _moves(frame[s].to_numpy(), first, last)]
+    if len(moving) >= max(1, 0.5 * len(others)):
+        return True
+    elsewhere = [s for k, c in _kinds(view, ("gyro", "q", "ref_p")).items() if k != kind for s in c]
+    moving = [s for s in elsewhere if _moves(frame[s].to_numpy(), first, last)]
+    return len(elsewhere) > 2 and len(moving) > 0.7 * len(elsewhere)
+
+
+def _moves(x: np.ndarray, first: int, last: int) -> bool:
+    """Whether a column moves all the time between two rows: in both halves."""
+    low, high = np.quantile(x, (0.05, 0.95))
+    middle = (first + last) // 2
+    least = min(np.ptp(x[first : middle + 1]), np.ptp(x[middle : last + 1]))
+    return bool(high > low) and float(least) > _ALIVE * float(high - low)
+
+
+def held(view: LogView) -> Iterator[Finding]:
+    """A column that is sampled slower than its rows."""
+    rate = view.log.rate
+    slow = [one for one in held_streams(view.log) if one.rate < SLOWER * rate]
+    slow = [one for one in slow if not one.columns[0].startswith(COMMANDS)]
+    if slow:
+        known = [str(name) for name in view.log.frame]
+        columns = sorted((c for one in slow for c in one.columns), key=known.index)
+        low, high = (pick(one.rate for one in slow) for pick in (min, max))
+        rates = f"{low:.0f}" if low == high else f"{low:.0f} to {high:.0f}"
+        told = f"{len(columns)} columns sampled at {rates} Hz and repeated, rows at {rate:.0f} Hz"
+        yield Finding(tuple(columns), told, "a slower sensor, read more often than it measures")
+
+
+def late(view: LogView) -> Iterator[Finding]:
+    """A column that lags what measures the same."""
+    for one in late_streams(view.log):
+        rates = one.columns[0].startswith("dq")
+        if abs(one.delay) < (LATE_RATE if rates else LATE) or not _explains(view, one):
+            continue
+        which = "late" if one.delay > 0 else "early"
+        told = f"{1e3 * abs(one.delay):.1f} ms {which} against {one.witness}"
+        yield Finding(one.columns, told, "a filter, or stamps of another clock")
+
+
+def _explains(view: LogView, late: LateStream) -> bool:
+    """Whether the delay leaves half of what the stream differs by from what it measures."""
+    log = view.log
+    if late.columns[0].startswith("dq"):
+        x, witness = log.dq, derivative(view.t, log.q, JOINT_WINDOW, causal=False)
+    else:
+        x, witness = log.ref_v, derivative(view.t, log.ref_p, REFERENCE_WINDOW, causal=False)
+    shifted = np.column_stack([np.interp(view.t + late.delay, view.t, one) for one in x.T])
+    return float(np.sum((shifted - witness) ** 2)) < 0.5 * float(np.sum((x - witness) ** 2))
+
+
+def saturated(view: LogView) -> Iterator[Finding]:
+    """Readings do not pile up at their largest."""
+    for columns in _kinds(view, ("gyro", "accel", "dq")).values():
+        for name in columns:
+            x = view.log.frame[name].to_numpy()
+            for side, y in (("largest", x), ("smallest", -x)):
+                top = float(y.max())
+                span = top - float(np.median(y))
+                at_top = int(np.sum(y == top))
+                below = int(np.sum((y < top) & (y > top - 0.03 * span)))
+                times = int(np.sum(np.diff((y == top).astype(int)) > 0))
+                if (
+                    span > 0
+                    and at_top >= CLIPPED
+                    and times > 1
+                    and at_top > 3 * below
+                    and _varied(x)
+                ):
+                    told = f"{at_top} rows at exactly {x[np.argmax(y)]:.4g}, its {side}"
+                    yield Finding((name,), told, "the sensor's range, or a clip")
+
+
+def spikes(view: LogView) -> Iterator[Finding]:
+    """Nothing leaps for a row and back."""
+    for kind, columns in _kinds(view, tuple(SPIKES)).items():
+        dropped, leaping, most, first = [], [], 0.0, len(view.t)
+        for name in columns:
+            x = view.log.frame[name].to_numpy()
+            if len(x) < 50 or not np.ptp(x):
+                continue
+            off = np.abs(x - _median5(x))
+            if _drop_outs(x) >= DROPS:
+                dropped.append((name, _drop_outs(x)))
+                continue
+            rows = np.flatnonzero(off > max(SPIKES[kind], SPIKE * float(np.quantile(off, 0.99))))
+            if rows.size:
+                leaping.append(name)
+                most, first = max(most, float(off.max())), min(first, int(rows[0]))
+        if dropped:
+            told = f"{max(n for _, n in dropped)} rows read exactly 0 between rows that do not"
+            names = tuple(name for name, _ in dropped)
+            yield Finding(names, told, "drop-outs filled with zeros")
+        if leaping:
+            told = f"leaps by up to {most:.3g} and back, first at {view.t[first]:.2f} s"
+            yield Finding(tuple(leaping), told, "readings garbled on their way")
+
+
+def copies(view: LogView) -> Iterator[Finding]:
+    """Two sensors do not read the same to the last digit."""
+    for kind, columns in _kinds(view, ("gyro", "accel", "q", "dq", "tau", "force", "foot")).items():
+        varied = [c for c in columns if _varied(view.log.frame[c].to_numpy())]
+        if len(varied) < 2:
+            continue
+        x = np.column_stack([view.log.frame[c].to_numpy() for c in varied])
+        x = x - x.mean(axis=0)
+        x = x / np.linalg.norm(x, axis=0)
+        alike = x.T @ x
+        for i in range(len(varied)):
+            for j in range(i):
+                missed = float(np.sum((x[:, i] - np.sign(alike[i, j]) * x[:, j]) ** 2))
+                if abs(alike[i, j]) > 0.999 and missed < _SAME:
+                    told = f"{varied[i]} is {varied[j]} to 1 part in 1e9 of its mean square"
+                    cause = f"one of two {kind} columns was read twice"
+                    yield Finding((varied[j], varied[i]), told, cause)
+
+
+def derived(view: LogView) -> Iterator[Finding]:
+    """A column that follows from others to the last digit is no measurement."""
+    log = view.log
+    if log.has("q") and log.has("dq") and not any(d.startswith("dq") for d in log.meta.derived):
+        dq, step = log.dq, np.diff(view.t)[:, None]
+        change = np.diff(log.q, axis=0) / step
+        central = np.gradient(log.q, view.t, axis=0)
+        for made, rows in ((change, dq[1:]), (change, dq[:-1]), (central, dq)):
+            if np.any(dq) and np.sum((made - rows) ** 2) < 1e-8 * np.sum(dq**2):
+                told = "the difference of q from row to row, to 1e-4 of its size"
+                columns = tuple(f"dq_{j}" for j in log.joints)
+                yield Finding(columns, told, "computed from q, not measured")
+                break
+    law = log.meta.motor_law
+    if law and log.has("tau") and log.has("q") and log.has("q_des") and log.has("dq"):
+        commanded = np.asarray(law["kp"]) * (log.q_des - log.q) - np.asarray(law["kd"]) * log.dq
+        if np.any(log.tau) and np.sum((commanded - log.tau) ** 2) < 1e-8 * np.sum(log.tau**2):
+            columns = tuple(f"tau_{j}" for j in log.joints)
+            told = "the motor law of q_des, q and dq, to 1e-4 of its size"
+            yield Finding(columns, told, "commanded, not measured")
+
+
+def _kinds(view: LogView, wanted: tuple[str, ...]) -> dict[str, list[str]]:
+    """Columns of a log by kind: gyro, accel, q, dq, tau, force, foot, ref_p, ref_q."""
+    found: dict[str, list[str]] = {}
+    for name in map(str, view.log.frame):
+        prefix = joint_prefix(name)
+        kind = prefix[:-1] if prefix else name.rsplit("_", 1)[0]
+        kind = kind.split("_")[0] if kind.startswith(("foot", "force")) else kind
+        if kind in wanted:
+            found.setdefault(kind, []).append(name)
+    return found
+
+
+def _longest_hold(x: np.ndarray) -> tuple[int, int]:
+    """First and last row of the longest stretch without a change."""
+    change = np.flatnonzero(np.diff(x) != 0.0)
+    edges = np.concatenate([[-1], change, [len(x) - 1]])
+    k = int(np.argmax(np.diff(edges)))
+    return int(edges[k]) + 1, int(edges[k + 1])
+
+
+def _varied(x: np.ndarray) -> bool:
+    return len(np.unique(x[: 20 * _LEAST_DISTINCT])) > _LEAST_DISTINCT or (
+        len(np.unique(x)) > _LEAST_DISTINCT
+    )
+
+
+def _median5(x: np.ndarray) -> np.ndarray:
+    padded = np.pad(x, 2, mode="edge")
+    return np.median(np.stack([padded[i : i + len(x)] for i in range(5)]), axis=0)
+
+
+def _drop_outs(x: np.ndarray) -> int:
+    """Rows that are exactly 0 while the median around them is far from it."""
+    if np.mean(x == 0.0) > 0.5:
+        return 0
+    usual = np.quantile(np.abs(np.diff(x)), 0.9)
+    return int(np.sum((x == 0.0) & (np.abs(_median5(x)) > 3.0 * usual)))

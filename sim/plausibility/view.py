@@ -1,0 +1,186 @@
+"""A log as the rules of plausibility look at it: what several of them need is computed once."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.integrate import cumulative_trapezoid
+from scipy.spatial.transform import Rotation
+
+from surefoot.sim.common.gravity import GRAVITY_G
+from surefoot.sim.log import Log
+from surefoot.sim.plausibility.attitude import AttitudeFault, attitude_fault
+from surefoot.sim.plausibility.axes import AxesMatch, match_axes
+from surefoot.sim.plausibility.stance import Stance, stance_of
+from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.robot import Robot
+
+STEP = 0.02
+"""s between the times at which streams are compared: some tens a stride."""
+MEAN = 0.06
+"""s over which they are averaged there: impacts, and noise that a derivative has, hardly matter."""
+SHORTEST = 1.0
+"""s below which streams are not compared: two strides."""
+_STILL = 0.02
+"""rad/s of turning, root mean square, below which a body is as good as at rest: a gyro's bias and
+noise are compared with nothing."""
+
+
+@dataclass(frozen=True)
+class LogView:
+    """A log with the machine it is of, None where that is not known.
+
+    Streams that are compared with each other are means over MEAN seconds at the M times `at`.
+    """
+
+    log: Log
+    machine: Machine | None = None
+
+    @cached_property
+    def t(self) -> np.ndarray:
+        """(N,) [s]."""
+        return self.log.t
+
+    @cached_property
+    def at(self) -> np.ndarray:
+        """(M,) [s]."""
+        return np.arange(self.t[0] + MEAN, self.t[-1] - MEAN, STEP)
+
+    @property
+    def comparable(self) -> bool:
+        """Whether the log is long enough for streams to be compared."""
+        return len(self.at) * STEP >= SHORTEST and len(self.t) > 20
+
+    @property
+    def robot(self) -> Robot | None:
+        """The machine, where it has legs."""
+        return self.machine if isinstance(self.machine, Robot) else None
+
+    def means(self, x: np.ndarray) -> np.ndarray:
+        """Means (M, D) of a stream x (N, D) about the times `at`."""
+        total = cumulative_trapezoid(x, self.t, axis=0, initial=0.0)
+        return (self._after(total, 0.5 * MEAN) - self._after(total, -0.5 * MEAN)) / MEAN
+
+    def changes(self, x: np.ndarray) -> np.ndarray:
+        """Rates of change (M, D) of x (N, D) over MEAN seconds about the times `at`."""
+        return (self._after(x, 0.5 * MEAN) - self._after(x, -0.5 * MEAN)) / MEAN
+
+    def _after(self, x: np.ndarray, seconds: float) -> np.ndarray:
+        return np.column_stack([np.interp(self.at + seconds, self.t, one) for one in x.T])
+
+    @cached_property
+    def ok(self) -> np.ndarray:
+        """Times (M,), bool, about which the reference was measured."""
+        return self.means(self.log.ref_ok[:, None].astype(float))[:, 0] > 0.999
+
+    @cached_property
+    def gyro(self) -> np.ndarray:
+        """(M, 3) [rad/s] in I."""
+        return self.means(self.log.gyro)
+
+    @cached_property
+    def accel(self) -> np.ndarray:
+        """(M, 3) [m/s^2] in I."""
+        return self.means(self.log.accel)
+
+    def attitudes(self, after: float) -> Rotation:
+        """Attitudes (M,) of the reference, `after` seconds from the times `at`."""
+        q = self.log.ref_q
+        # Neighbours on the same side of the sphere, so that they can be averaged.
+        flips = np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0))
+        return Rotation.from_quat(
+            self._after(q * np.concatenate([[1.0], flips])[:, None], after), scalar_first=True
+        )
+
+    @cached_property
+    def R_GI(self) -> Rotation:
+        """Attitudes (M,) of the reference."""
+        return self.attitudes(0.0)
+
+    @cached_property
+    def turning(self) -> np.ndarray:
+        """Angular rate (M, 3) [rad/s] in I of the reference's attitudes."""
+        begin, end = self.attitudes(-0.5 * MEAN), self.attitudes(0.5 * MEAN)
+        return (begin.inv() * end).as_rotvec() / MEAN
+
+    @property
+    def compares_turning(self) -> bool:
+        """Whether gyro and reference are there and turn for long enough to be compared."""
+        if not (self.comparable and self.log.has("imu") and self.log.has("reference")):
+            return False
+        moves = max(self.gyro.std(axis=0).max(), self.turning.std(axis=0).max()) > _STILL
+        return bool(moves) and int(self.ok.sum()) * STEP >= SHORTEST
+
+    @cached_property
+    def gyro_match(self) -> AxesMatch:
+        """The gyro's axes against the reference's turning."""
+        return match_axes(self.gyro[self.ok], self.turning[self.ok])
+
+    @cached_property
+    def attitude(self) -> AttitudeFault | None:
+        """What is wrong with the reference's attitudes, as far as IMU and body tell."""
+        if not self.compares_turning:
+            return None
+        force = self.log.accel.mean(axis=0)
+        up = None if self.robot is None else self.robot.R_BI[2]
+        if up is not None and force @ up < 0.5 * np.linalg.norm(force):
+            force = np.zeros(3)  # the accelerometer is what leans
+        begin, end = self.attitudes(-0.5 * MEAN)[self.ok], self.attitudes(0.5 * MEAN)[self.ok]
+        return attitude_fault(begin, end, self.gyro[self.ok], force, STEP, self._fits_gyro)
+
+    def _fits_gyro(self, put_right: np.ndarray) -> bool:
+        """Whether the gyro as it is, rather than put right (M', 3) where the reference is `ok`,
+        fits legs; or where they tell nothing, whether the accelerometer, too, contradicts the
+        reference."""
+        if self.stance is not None:
+            other = self.gyro.copy()
+            other[self.ok] = put_right
+            as_is, else_ = (
+                self.stance.turning_fits(x[self.stance.which]) for x in (self.gyro, other)
+            )
+            if max(as_is, else_) > 0.2:
+                return as_is > else_
+        return bool(match_axes(self.accel[self.ok], self.felt[self.ok]).wrong)
+
+    @property
+    def trusts_reference(self) -> bool:
+        """Whether the reference's attitudes are those of the IMU, as far as can be told."""
+        return self.compares_turning and self.attitude is None and self.gyro_match.alike
+
+    @cached_property
+    def ref_v(self) -> np.ndarray:
+        """Velocity (M, 3) [m/s] in G, of the reference's positions."""
+        return self.changes(self.log.ref_p)
+
+    @cached_property
+    def ref_a(self) -> np.ndarray:
+        """Acceleration (M, 3) [m/s^2] in G, of the reference's positions."""
+        return np.gradient(self.ref_v, STEP, axis=0)
+
+    @cached_property
+    def felt(self) -> np.ndarray:
+        """Specific force (M, 3) [m/s^2] in I that the motion of the reference implies."""
+        return self.R_GI.inv().apply(self.ref_a - GRAVITY_G)
+
+    @cached_property
+    def v_I(self) -> np.ndarray:
+        """Velocity (M, 3) [m/s] of the reference, in I."""
+        return self.R_GI.inv().apply(self.ref_v)
+
+    @cached_property
+    def up_by_body(self) -> np.ndarray | None:
+        """What is up in I (3,) by the body: the robot's z, else where its feet are not. None where
+        neither is known."""
+        if self.robot is not None:
+            return self.robot.R_BI[2]
+        if self.stance is None:
+            return None
+        below = self.stance.foot.mean(axis=(0, 1))
+        return -below / max(float(np.linalg.norm(below)), 1e-9)
+
+    @cached_property
+    def stance(self) -> Stance | None:
+        """The legs' motion, where feet and contacts are known."""
+        if not self.comparable or not self.log.has("contact"):
+            return None
+        return stance_of(self.log, self.robot, self.at)

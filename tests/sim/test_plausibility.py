@@ -1,0 +1,366 @@
+"""One short walk, made nonsense in many ways: each is noticed, by the right rule and name."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.log import Log
+from surefoot.sim.plausibility import RULES, check_log
+from surefoot.sim.plausibility.axes import lag_of, match_axes
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
+
+SPOT = Robot.load("spot_class")
+COURSE = (Segment(2.5, 0.7), Segment(3.0, 0.5, turn=0.6), Segment(2.5, 0.7, turn=-0.4))
+GYRO, ACCEL = ([f"{kind}_{a}" for a in "xyz"] for kind in ("gyro", "accel"))
+DEGREE = 180.0 / np.pi
+NED = Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))
+
+
+@pytest.fixture(scope="module")
+def log() -> Log:
+    return walk(Scenario("plain", COURSE, Ground(0.8)), SPOT, 5)
+
+
+def found_in(log: Log, robot: Robot | None = SPOT) -> list[str]:
+    return [f"{one.rule}: {one.line}" for one in check_log(log, robot)]
+
+
+def test_a_clean_walk_is_plausible_with_and_without_its_robot(log):
+    assert found_in(log) == []
+    assert found_in(log, None) == []
+
+
+def test_a_clean_walk_without_a_reference_is_plausible(log):
+    assert found_in(without(log, "ref_")) == []
+
+
+# What is done to a log.
+
+
+def edited(log: Log, **columns) -> Log:
+    return replace(log, frame=log.frame.assign(**columns))
+
+
+def without(log: Log, *prefixes: str) -> Log:
+    kept = [c for c in log.frame if not str(c).startswith(prefixes)]
+    return replace(log, frame=log.frame[kept])
+
+
+def columns_of(log: Log, *prefixes: str) -> list[str]:
+    commands = ("q_des", "dq_des", "tau_ff")
+    named = [str(c) for c in log.frame if str(c).startswith(prefixes)]
+    return [c for c in named if not c.startswith(commands)]
+
+
+def times(factor: float, *prefixes: str, ends: str = "") -> Callable[[Log], Log]:
+    def change(log: Log) -> Log:
+        names = [c for c in columns_of(log, *prefixes) if c.endswith(ends)]
+        assert names
+        return edited(log, **{c: factor * log.frame[c] for c in names})
+
+    return change
+
+
+def plus(amount: float, column: str) -> Callable[[Log], Log]:
+    return lambda log: edited(log, **{column: log.frame[column] + amount})
+
+
+def constant(value: float, *prefixes: str) -> Callable[[Log], Log]:
+    return lambda log: edited(log, **dict.fromkeys(columns_of(log, *prefixes), value))
+
+
+def exchanged(*pairs: tuple[str, str]) -> Callable[[Log], Log]:
+    """Columns exchanged, whole families of them by a part of their name."""
+
+    def change(log: Log) -> Log:
+        values = {}
+        for a, b in pairs:
+            for c in map(str, log.frame):
+                if a in c and not c.startswith(("slip", "mu")):
+                    other = c.replace(a, b)
+                    values |= {c: log.frame[other], other: log.frame[c]}
+        assert values
+        return edited(log, **values)
+
+    return change
+
+
+def inverted(*legs: str) -> Callable[[Log], Log]:
+    return lambda log: edited(
+        log, **{f"contact_{x}": 1.0 - log.frame[f"contact_{x}"] for x in legs}
+    )
+
+
+def attitude(read: Callable[[Rotation], Rotation]) -> Callable[[Log], Log]:
+    def change(log: Log) -> Log:
+        q = read(Rotation.from_quat(log.ref_q, scalar_first=True)).as_quat(scalar_first=True)
+        return edited(log, **{f"ref_q_{a}": q[:, i] for i, a in enumerate("wxyz")})
+
+    return change
+
+
+def imu_turned(R: Rotation) -> Callable[[Log], Log]:
+    def change(log: Log) -> Log:
+        gyro, accel = R.apply(log.gyro), R.apply(log.accel)
+        both = {n: x[:, i] for ns, x in ((GYRO, gyro), (ACCEL, accel)) for i, n in enumerate(ns)}
+        return edited(log, **both)
+
+    return change
+
+
+def both(*changes: Callable[[Log], Log]) -> Callable[[Log], Log]:
+    def change(log: Log) -> Log:
+        for one in changes:
+            log = one(log)
+        return log
+
+    return change
+
+
+def late(seconds: float, *prefixes: str) -> Callable[[Log], Log]:
+    def change(log: Log) -> Log:
+        rows, names = round(seconds * log.rate), columns_of(log, *prefixes)
+        frame = log.frame.iloc[rows:].reset_index(drop=True)
+        frame[names] = log.frame[names].iloc[: len(frame)].to_numpy()
+        return replace(log, frame=frame)
+
+    return change
+
+
+def frozen(*prefixes: str) -> Callable[[Log], Log]:
+    def change(log: Log) -> Log:
+        frame, first, last = log.frame.copy(), len(log.t) // 3, len(log.t) // 2
+        names = columns_of(log, *prefixes)
+        frame.loc[first:last, names] = frame.loc[first, names].to_numpy()
+        return replace(log, frame=frame)
+
+    return change
+
+
+def dropped(rows: slice | int, restamped: bool = False) -> Callable[[Log], Log]:
+    def change(log: Log) -> Log:
+        gone = np.zeros(len(log.t), dtype=bool)
+        gone[rows if isinstance(rows, slice) else np.arange(7, len(log.t), rows)] = True
+        found = log.rows(~gone)
+        return edited(found, t=np.arange(len(found.t)) / log.rate) if restamped else found
+
+    return change
+
+
+def clipped(column: str) -> Callable[[Log], Log]:
+    def change(log: Log) -> Log:
+        x = log.frame[column]
+        return edited(log, **{column: x.clip(x.quantile(0.1), x.quantile(0.9))})
+
+    return change
+
+
+def leaping(size: float, column: str) -> Callable[[Log], Log]:
+    def change(log: Log) -> Log:
+        x = log.frame[column].to_numpy().copy()
+        x[100::500] += size
+        return edited(log, **{column: x})
+
+    return change
+
+
+def zeroed(*prefixes: str) -> Callable[[Log], Log]:
+    def change(log: Log) -> Log:
+        frame = log.frame.copy()
+        frame.loc[50::200, columns_of(log, *prefixes)] = 0.0
+        return replace(log, frame=frame)
+
+    return change
+
+
+def stretched(factor: float) -> Callable[[Log], Log]:
+    def change(log: Log) -> Log:
+        meta = replace(log.meta, rate=log.rate / factor)
+        return replace(edited(log, t=factor * log.t), meta=meta)
+
+    return change
+
+
+def in_body(log: Log) -> Log:
+    v = np.einsum("nji,nj->ni", log.ref_R_GI, log.ref_v)
+    return edited(log, **{f"ref_v_{a}": v[:, i] for i, a in enumerate("xyz")})
+
+
+def no_gravity(log: Log) -> Log:
+    up = 9.81 * log.ref_R_GI[:, 2]
+    return edited(log, **{a: log.frame[a] - up[:, i] for i, a in enumerate(ACCEL)})
+
+
+def differenced(log: Log) -> Log:
+    names = columns_of(log, "dq_")
+    return edited(log, **{c: np.gradient(log.frame[c[1:]], log.t) for c in names})
+
+
+def reversed_in_time(log: Log) -> Log:
+    return replace(log, frame=log.frame.iloc[::-1].reset_index(drop=True).assign(t=log.t))
+
+
+z_down = both(times(-1, "ref_p_y", "ref_v_y"), times(-1, "ref_p_z", "ref_v_z"))
+
+CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
+    # what is done to the log; the rule that notices it; what its line says, in part
+    "gyro in deg/s": (times(DEGREE, "gyro"), "gyro's unit", 'unit = "deg/s"'),
+    "gyro all zero": (constant(0.0, "gyro"), "frozen", "gyro_x, gyro_y, gyro_z"),
+    "gyro with x and y swapped": (exchanged(("gyro_x", "gyro_y")), "gyro", "x is y, y is x"),
+    "gyro with z of the wrong sign": (times(-1, "gyro_z"), "gyro", "gyro_z: z is -z"),
+    "gyro negated": (times(-1, "gyro"), "gyro", "x is -x, y is -y, z is -z"),
+    "gyro scaled": (times(1.4, "gyro"), "gyro", "1.4 times as fast"),
+    "gyro biased": (plus(0.8, "gyro_z"), "gyro", "gyro_z: a bias"),
+    "accelerometer in g": (times(1 / 9.80665, "accel"), "gravity", 'unit = "g"'),
+    "accelerometer in mm/s^2": (times(1e3, "accel"), "gravity", "in mm/s^2"),
+    "accelerometer negated": (times(-1, "accel"), "gravity", "gravity was logged"),
+    "accelerometer's z negated": (times(-1, "accel_z"), "gravity", "accel_z: wrong sign"),
+    "gravity of the wrong sign": (plus(-19.62, "accel_z"), "gravity", "offset = 19.62"),
+    "gravity taken off": (no_gravity, "gravity", "gravity was taken off"),
+    "accelerometer scaled": (times(1.2, "accel"), "gravity", "scaled by 1.2"),
+    "accelerometer's y and z swapped": (
+        exchanged(("accel_y", "accel_z")), "gravity", "gravity is on y, up is z"),
+    "accelerometer's x and y swapped": (
+        exchanged(("accel_x", "accel_y")), "accelerometer", "x is y, y is x"),
+    "IMU turned about z": (
+        imu_turned(Rotation.from_euler("z", 90, degrees=True)), "gyro", "the IMU is turned"),
+    "IMU with z down": (imu_turned(NED), "gravity", "accel_z"),
+    "angles in deg": (times(DEGREE, "q_"), "joints' unit", 'unit = "deg"'),
+    "angles and rates in deg": (times(DEGREE, "q_", "dq_"), "joints' unit", 'unit = "deg"'),
+    "rates in deg/s": (times(DEGREE, "dq_"), "joint rates", 'unit = "deg/s"'),
+    "a rate of the wrong sign": (
+        times(-1, "dq_FL_calf"), "joint rates", "dq_FL_calf: wrong sign"),
+    "rates swapped": (
+        exchanged(("dq_FL_thigh", "dq_FL_calf")), "joint rates", "the rate of FL_calf"),
+    "rates from differences": (differenced, "derived", "computed from q"),
+    "rates late": (late(0.02, "dq_"), "late", "ms late against the change of q"),
+    "torques in mN m": (times(1e3, "tau_"), "torque", 'unit = "mN m"'),
+    "torques negated": (times(-1, "tau_"), "support", "wrong sign"),
+    "torques of the motor": (times(1 / 8, "tau_"), "support", "a motor's side"),
+    "positions in mm": (times(1e3, "ref_p"), "reference's unit", 'unit = "mm"'),
+    "velocities in mm/s": (times(1e3, "ref_v"), "reference's velocity", 'unit = "mm/s"'),
+    "velocities in the body": (in_body, "reference's velocity", "in the body's axes"),
+    "quaternions x, y, z, w": (
+        attitude(lambda R: Rotation.from_quat(R.as_quat(), scalar_first=True)),
+        "reference's attitude", "order is x, y, z, w"),
+    "quaternions of the inverse": (
+        attitude(Rotation.inv), "reference's attitude", "turns the world to the body"),
+    "north-east-down": (
+        both(attitude(lambda R: NED * R * NED), z_down), "reference's attitude", "z down"),
+    "the world's z down": (
+        both(attitude(lambda R: NED * R), z_down), "reference's attitude", "z down"),
+    "positions with z down": (
+        times(-1, "ref_p_z", "ref_v_z"), "accelerometer", "ref_p_z: z is down"),
+    "positions with x and y swapped": (
+        exchanged(("ref_p_x", "ref_p_y"), ("ref_v_x", "ref_v_y")), "accelerometer", "x is y"),
+    "reference 0.3 s late": (late(0.3, "ref_"), "reference's attitude", "offset = -0.29"),
+    "reference 0.05 s late": (late(0.05, "ref_"), "reference's attitude", "is late"),
+    "IMU late": (late(0.2, "gyro", "accel"), "reference's attitude", "is early"),
+    "joints late": (late(0.2, "q_", "dq_", "tau_", "contact"), "legs", "move 0.20 s after"),
+    "legs swapped, left and right": (
+        exchanged(("_FL", "_FR"), ("_RL", "_RR")), "legs", "FL is FR, FR is FL, RL is RR"),
+    "legs swapped, front and rear": (
+        exchanged(("_FL", "_RL"), ("_FR", "_RR")), "legs", "FL is RL, FR is RR"),
+    "two legs swapped": (exchanged(("_FL", "_FR")), "legs", "FL is FR, FR is FL"),
+    "joints of two legs swapped": (
+        exchanged(("q_FL", "q_FR"), ("tau_FL", "tau_FR")), "legs", "swapped legs (joints)"),
+    "contacts of two legs swapped": (
+        exchanged(("contact_FL", "contact_FR")), "legs", "swapped legs (contacts)"),
+    "hips and thighs swapped": (exchanged(("_hip", "_thigh")), "legs", "FL_hip is FL_thigh"),
+    "thighs and calves swapped": (exchanged(("_thigh", "_calf")), "legs", "FL_thigh is FL_calf"),
+    "calves of the wrong sign": (
+        times(-1, "q_", "dq_", "tau_", ends="_calf"), "legs", "FL_calf = -1"),
+    "hips of the wrong sign": (times(-1, "q_", "dq_", "tau_", ends="_hip"), "legs", "FL_hip = -1"),
+    "right hips mirrored": (
+        times(-1, "q_", "dq_", "tau_", ends="R_hip"), "legs", "q_FR_hip, q_RR_hip: wrong sign"),
+    "contacts inverted": (inverted("FL", "FR", "RL", "RR"), "legs", "inverted: 1 means lifted"),
+    "one contact inverted": (inverted("RL"), "contact heights", "contact_RL"),
+    "a contact always on": (constant(1.0, "contact_FL"), "contacts", "contact_FL: a dead sensor"),
+    "contacts always off": (constant(0.0, "contact_"), "contacts", "always 0"),
+    "a contact stuck for a while": (frozen("contact_RR"), "contacts", "contact_RR"),
+    "an axis frozen": (frozen("gyro_y"), "frozen", "gyro_y: a sensor that hangs"),
+    "a joint frozen": (frozen("q_FL_calf"), "frozen", "q_FL_calf"),
+    "a joint and its rate frozen": (frozen("q_FL_calf", "dq_FL_calf"), "frozen", "dq_FL_calf"),
+    "reference frozen": (frozen("ref_"), "frozen", "ref_p_x to ref_q_z"),
+    "gyro saturated": (clipped("gyro_x"), "saturated", "gyro_x"),
+    "accelerometer saturated": (clipped("accel_z"), "saturated", "accel_z"),
+    "a second lost": (dropped(slice(1000, 1500)), "rows", "500 rows missing"),
+    "every twentieth row lost": (dropped(20), "rows", "lost rows"),
+    "rows lost behind even stamps": (
+        dropped(slice(1000, 1240), restamped=True), "jumps", "behind even stamps"),
+    "time at half its speed": (stretched(2.0), "speed of time", "2 times the change"),
+    "time at 1.25 of its speed": (stretched(0.8), "speed of time", "stamps at a wrong rate"),
+    "time reversed": (reversed_in_time, "speed of time", "time runs backwards"),
+    "another rate in the metadata": (
+        lambda log: replace(log, meta=replace(log.meta, rate=400.0)), "rows", "says 400 Hz"),
+    "spikes in a joint": (leaping(1.0, "q_FL_calf"), "spikes", "q_FL_calf"),
+    "spikes in the gyro": (leaping(20.0, "gyro_x"), "spikes", "gyro_x"),
+    "spikes in the reference": (leaping(1.0, "ref_p_x"), "spikes", "ref_p_x"),
+    "joints dropped to zero": (zeroed("q_"), "spikes", "drop-outs"),
+    "accelerometer dropped to zero": (zeroed("accel"), "spikes", "drop-outs"),
+    "an axis read twice": (
+        lambda log: edited(log, gyro_y=log.frame["gyro_x"]), "copied", "gyro_x, gyro_y"),
+    "a joint read twice": (
+        lambda log: edited(log, q_FR_calf=log.frame["q_FL_calf"]), "copied", "q_FR_calf"),
+    "gyro held": (
+        lambda log: edited(
+            log, **{c: np.repeat(log.frame[c].to_numpy()[::4], 4)[: len(log.t)] for c in GYRO}
+        ), "held", "gyro_x"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_nonsense_is_noticed_by_the_right_name(log, name):
+    change, rule, words = CASES[name]
+    found = found_in(change(log))
+    assert any(line.startswith(f"{rule}: ") and words in line for line in found), found
+    assert len(found) <= 3, "a rule is not asked about what an earlier one doubts"
+
+
+@pytest.mark.parametrize("name", ["go1", "mini_cheetah"])
+def test_the_log_of_another_robot_is_noticed(log, name):
+    found = found_in(log, Robot.load(name))
+    assert any("another robot" in line or "joint_sign" in line for line in found), found
+
+
+@pytest.mark.parametrize("change", ["gyro_x", "gyro_y", "gyro_z"])
+def test_without_a_reference_legs_see_an_axis_that_is_not_the_gyros(log, change):
+    others = {"gyro_x": "gyro_z", "gyro_y": "gyro_x", "gyro_z": "gyro_y"}
+    swapped = exchanged((change, others[change]))(without(log, "ref_"))
+    assert [one.rule for one in check_log(swapped, SPOT)] == ["gyro and legs"]
+
+
+def test_axes_are_matched_whatever_their_order_sign_and_size():
+    rng = np.random.default_rng(0)
+    b = rng.normal(size=(400, 3)) * [1.0, 0.1, 3.0]
+    a = np.column_stack([2.0 * b[:, 2], 0.5 * b[:, 1], -b[:, 0]]) + 5.0
+    match = match_axes(a + 0.01 * rng.normal(size=a.shape), b)
+    assert match.order == (2, 1, 0)
+    assert match.wrong == (0, 2)
+    assert match.words == "x is z, z is -x"
+    np.testing.assert_allclose(match.scale, [2.0, 0.5, 1.0], rtol=0.02)
+    assert match_axes(b, b).wrong == ()
+
+
+@pytest.mark.parametrize("late", [-0.314, 0.0, 0.127])
+def test_a_lag_is_found_between_samples(late):
+    t = np.arange(0.0, 30.0, 0.02)
+
+    def motion(at):
+        return np.column_stack([np.sin(2 * at) + np.sin(3.1 * at), np.cos(1.3 * at)])
+
+    found, alike = lag_of(motion(t - late), motion(t), 0.02, 1.0)
+    assert found == pytest.approx(late, abs=2e-3)
+    assert alike > 0.98
+
+
+def test_every_rule_says_why():
+    assert len({rule.name for rule in RULES}) == len(RULES)
+    for rule in RULES:
+        assert min(map(len, (rule.compares, rule.threshold, rule.reason, rule.remedy))) > 5
