@@ -1,7 +1,8 @@
 """Hooks of MkDocs: pages that stand at the root of the repository, and pages made from the code.
 
 README.md becomes the site's first page and CONTRIBUTING.md and CHANGELOG.md pages of it, so that
-each text exists once. The page of commands holds what `surefoot COMMAND --help` prints.
+each text exists once. The page of commands holds what `surefoot COMMAND --help` prints, that of
+plausibility the rules of `sim.plausibility`.
 """
 
 import os
@@ -28,6 +29,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for source, page in PAGES.items():
         files.append(File.generated(config, page, content=_moved(source)))
     files.append(File.generated(config, "reference/commands.md", content=_commands()))
+    files.append(File.generated(config, "reference/plausibility.md", content=_plausibility()))
     files.append(File.generated(config, "results/index.md", content=_results()))
     return files
 
@@ -58,6 +60,30 @@ def _results() -> str:
         title = page.read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
         rows.append(f"| [{title}]({row['page']}) | `{row['commit']}` | {row['state']} |")
     return "\n\n".join(lines) + "\n" + "\n".join(rows) + "\n"
+
+
+def _plausibility() -> str:
+    """The rules by which a log's numbers are judged."""
+    sys.path.insert(0, str(ROOT))
+    from surefoot.scenarios.reporting.tables import to_markdown
+    from surefoot.sim.plausibility import rules, rules_table
+
+    return (
+        "\n\n".join(
+            [
+                "# What is plausible",
+                "`import`, `info`, `estimate`, `compare`, `train`, `calibrate` and `trace` look at "
+                "their logs before they use them, and warn of numbers that cannot be, or hardly. "
+                "`--strict` stops there. An imported log, a trajectory, an observer, bounds and the "
+                "reports keep what was warned of. `from surefoot.sim.plausibility import check_log` "
+                "gives the same in Python: for each finding its columns, evidence, likely cause and, "
+                "where there is one, the line of the import map that mends it.",
+                str(rules.__doc__).partition("\n\n")[2].strip(),
+                to_markdown(rules_table()),
+            ]
+        )
+        + "\n"
+    )
 
 
 def _commands() -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TextIO
@@ -99,9 +101,10 @@ class Trajectory:
         covariance = None if self.covariance is None else self.covariance[which]
         return replace(self, **arrays, covariance=covariance)
 
-    def write(self, path: str | Path, force: bool = False) -> None:
-        """Write one Parquet file, whole or not at all; refuses to overwrite without `force`."""
-        with TrajectoryWriter(path, force, tuple(self._columns())) as file:
+    def write(self, path: str | Path, force: bool = False, warnings: Sequence[str] = ()) -> None:
+        """Write one Parquet file, whole or not at all; refuses to overwrite without `force`. Its
+        metadata keep `warnings`: what in its log was not plausible."""
+        with TrajectoryWriter(path, force, tuple(self._columns()), warnings) as file:
             file.write(self)
 
     def _columns(self) -> dict[str, np.ndarray]:
@@ -182,7 +185,11 @@ class TrajectoryWriter:
     """
 
     def __init__(
-        self, path: str | Path, force: bool = False, columns: tuple[str, ...] | None = None
+        self,
+        path: str | Path,
+        force: bool = False,
+        columns: tuple[str, ...] | None = None,
+        warnings: Sequence[str] = (),
     ):
         """Nothing is written yet.
 
@@ -190,10 +197,12 @@ class TrajectoryWriter:
             path: of the file.
             force: whether to overwrite one that is there; SurefootError otherwise.
             columns: of the file; all where left out, NaN where a piece has none of them.
+            warnings: what in its log was not plausible, kept in the file's metadata.
         """
         self._file = whole_file(path, force)
         schema = pa.schema([(name, pa.float64()) for name in columns or _COLUMNS])
-        self._schema = schema.with_metadata({_KEY: _SCHEMA})
+        kept = {b"warnings": json.dumps(list(warnings)).encode()} if warnings else {}
+        self._schema = schema.with_metadata({_KEY: _SCHEMA} | kept)
 
     def __enter__(self) -> TrajectoryWriter:
         temporary = self._file.__enter__()

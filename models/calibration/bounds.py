@@ -35,7 +35,7 @@ class Bounds:
     hold for. `mixing` is the curve behind K, None where K was given; `confidence` is that of
     `scenario` bounds over calibrations, None where the statement is about the mean of them.
     `persistent` is the persistent part of the errors, None of a log too short for it and in files
-    from before it was estimated.
+    from before it was estimated. `warnings` are what in the log was not plausible.
     """
 
     epsilon: np.ndarray
@@ -50,6 +50,7 @@ class Bounds:
     mixing: Mixing | None = None
     confidence: float | None = None
     persistent: BiasModel | None = None
+    warnings: tuple[str, ...] = ()
 
     def check_observer(self, observer: Observer) -> None:
         """Raise BoundsError where these bounds were calibrated for another observer."""
@@ -117,7 +118,8 @@ def _checked(values: dict[str, Any]) -> Bounds:
     arrays: dict[str, Any] = {k: np.array(values[k], dtype=float) for k in ("epsilon", "R_BI")}
     part: Any = values.get("persistent")
     part = None if part is None else BiasModel.from_plain(part)
-    values = values | arrays | {"mixing": curve, "persistent": part}
+    warnings = tuple(map(str, values.get("warnings", ())))
+    values = values | arrays | {"mixing": curve, "persistent": part, "warnings": warnings}
     bounds = Bounds(**values)
     if bounds.epsilon.shape != (3,) or not np.all(bounds.epsilon > 0):
         raise ValueError("epsilon is not three positive numbers")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from io import BytesIO
 from pathlib import Path
@@ -49,10 +49,17 @@ class ObserverError(SurefootError):
 
 @dataclass(frozen=True)
 class TrainingLog:
-    """A log an observer has seen: its name and the digest of its samples."""
+    """A log an observer has seen: its name, the digest of its samples, and what in it was not
+    plausible."""
 
     name: str
     sha256: str
+    warnings: tuple[str, ...] = ()
+
+    def plain(self) -> dict[str, Any]:
+        """Plain values: the same digest as before there were warnings, where there are none."""
+        warned = {"warnings": list(self.warnings)} if self.warnings else {}
+        return {"name": self.name, "sha256": self.sha256, **warned}
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,7 +247,7 @@ def _plain(observer: Observer) -> dict[str, Any]:
         if isinstance(value, np.ndarray):
             value = torch.from_numpy(np.array(value, dtype=float))
         elif name == "logs":
-            value = [asdict(log) for log in value]
+            value = [log.plain() for log in value]
         elif isinstance(value, tuple):
             value = list(value)
         values[name] = value
@@ -254,7 +261,10 @@ def _from_plain(values: dict[str, Any]) -> Observer:
     for name, value in known.items():
         if isinstance(value, torch.Tensor):
             known[name] = value.numpy()
-    known["logs"] = tuple(TrainingLog(**log) for log in known["logs"])
+    known["logs"] = tuple(
+        TrainingLog(log["name"], log["sha256"], tuple(log.get("warnings", ())))
+        for log in known["logs"]
+    )
     known["inputs"] = check_inputs(tuple(known["inputs"]))
     known["joints"] = tuple(known["joints"])
     known["loss"] = check_loss(known["loss"])

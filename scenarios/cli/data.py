@@ -1,15 +1,26 @@
 """Commands that make, fetch and show data."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
-from surefoot.scenarios.cli.options import Cluster, Force, Out, RobotName
+from surefoot.scenarios.cli.options import (
+    Cluster,
+    Force,
+    Out,
+    RobotName,
+    Strict,
+    not_plausible,
+    read_logs,
+)
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.scenario_catalog import bundled_scenarios
+
+if TYPE_CHECKING:
+    from surefoot.sim.log import Log
 
 SCENARIOS = f"Scenario files (TOML), or names of bundled ones: {', '.join(bundled_scenarios())}."
 
@@ -67,6 +78,7 @@ class Import:
     guess: bool = False
     """Draft a map of the files instead, with a question for each doubt; printed without -o."""
     robot: RobotName = None
+    strict: Strict = False
     force: Force = False
 
     def run(self) -> None:
@@ -86,13 +98,10 @@ class Import:
             raise SurefootError("--robot goes with --guess; the map's [robot] names it")
         recording = read_recording(files, self.map)
         log = recording.log()
+        warnings = not_plausible([log], strict=self.strict).get(log.name, ())
+        log = replace(log, meta=replace(log.meta, warnings=warnings))
         log.write(self.out, self.force)
-        groups = ("imu", "q", "dq", "tau", "foot", "contact", "reference")
-        there = [g for g in groups if log.has(g)]
-        print(
-            f"{self.out}: {len(log.t)} samples, {log.t[-1] - log.t[0]:.1f} s at {log.rate:.0f} Hz; "
-            f"{', '.join(there)}"
-        )
+        print(_summary(str(self.out), log))
         for line in import_lines(log, recording.reference(), recording.notes):
             print(line)
 
@@ -109,6 +118,40 @@ class Import:
         print(
             f"{self.out}: {text.count('# ?')} questions in it; answer them, then import with --map"
         )
+
+
+@dataclass(frozen=True)
+class Info:
+    """What a log holds, how good its reference is, and what in it is not plausible."""
+
+    logs: Positional[tuple[Path, ...]]
+    robot: RobotName = None
+    strict: Strict = False
+
+    def run(self) -> None:
+        from surefoot.sim.importing.report import import_lines
+
+        logs = read_logs(self.logs)
+        for path, log in zip(self.logs, logs, strict=True):
+            print(_summary(str(path), log))
+            known = {
+                "robot": log.meta.robot,
+                "effects": ", ".join(str(e["name"]) for e in log.meta.effects),
+                "derived": ", ".join(log.meta.derived),
+            }
+            for what, words in known.items():
+                if words:
+                    print(f"{what}: {words}")
+            for line in import_lines(log):
+                print(line)
+        not_plausible(logs, self.robot, self.strict)
+
+
+def _summary(name: str, log: "Log") -> str:
+    groups = ("imu", "q", "dq", "tau", "foot", "contact", "reference")
+    there = ", ".join(g for g in groups if log.has(g))
+    seconds = log.t[-1] - log.t[0]
+    return f"{name}: {len(log.t)} samples, {seconds:.1f} s at {log.rate:.0f} Hz; {there}"
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Commands that learn from logs and estimate them."""
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -16,9 +16,11 @@ from surefoot.scenarios.cli.options import (
     RobotName,
     SettingLines,
     SettingsFile,
+    Strict,
+    as_declared,
     learnt_from,
+    not_plausible,
     one_of,
-    read_as_declared,
     read_logs,
 )
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
@@ -52,6 +54,7 @@ class Train:
     model: one_of(ARCHITECTURES) = "gru"  # pyright: ignore[reportInvalidTypeForm]
     """The network; a bigru reads a log from both ends, so it serves whole logs alone."""
     seed: int = 0
+    strict: Strict = False
     force: Force = False
 
     def run(self) -> None:
@@ -59,11 +62,15 @@ class Train:
         from surefoot.sim.common.files import refuse_overwrite
 
         refuse_overwrite(self.out, self.force)
-        logs = read_as_declared(self.logs)
+        recorded = read_logs(self.logs)
+        warnings = not_plausible(recorded, strict=self.strict)
+        logs = as_declared(recorded)
         partial = partial_path(self.out)
         observer = train(
             logs, None, self.inputs, self.loss, self.seed, True, model=self.model, partial=partial
         )
+        seen = [replace(one, warnings=warnings.get(one.name, ())) for one in observer.logs]
+        observer = replace(observer, logs=tuple(seen))
         observer.save(self.out, self.force)
         partial.unlink(missing_ok=True)
         x, y, z = observer.rmse
@@ -95,6 +102,7 @@ class Calibrate:
     """Logs on which the report evaluates the bounds."""
     page: Path | None = None
     """Page of results to write beside the report, such as docs/results/bounds.md."""
+    strict: Strict = False
     force: Force = False
 
     def run(self) -> None:
@@ -111,10 +119,13 @@ class Calibrate:
         if self.report:
             refuse_full(self.report, self.force)
         observer = Observer.load(self.observer)
-        (log,) = read_as_declared((self.log,))
+        log = recorded[0] if recorded else read_logs((self.log,))[0]
+        warnings = not_plausible([log], strict=self.strict).get(log.name, ())
+        (log,) = as_declared([log])
         bounds = calibrate(
             observer, log, self.gamma, self.method, K=self.K, confidence=self.confidence
         )
+        bounds = replace(bounds, warnings=warnings)
         if self.report:
             with whole_folder(self.report, self.force) as folder:
                 write_calibration_report(
@@ -154,10 +165,11 @@ class Estimate:
     """Trajectory with covariances (.parquet); a .tum file is written beside it."""
     settings: SettingsFile = None
     set_lines: SettingLines = ()
+    strict: Strict = False
     force: Force = False
 
     def run(self) -> None:
-        from surefoot.scenarios.estimate.long_logs import estimate_file
+        from surefoot.scenarios.estimate.long_logs import estimate_file, first_minutes
         from surefoot.scenarios.estimate.settings import read_settings
         from surefoot.scenarios.reporting.tables import metrics_row, to_markdown
         from surefoot.sim.common.files import refuse_overwrite
@@ -171,9 +183,11 @@ class Estimate:
             refuse_overwrite(self.out.with_suffix(".tum"), self.force)
         learnt = learnt_from(self.observer, self.bounds)
         settings = read_settings(self.settings, self.set_lines)
+        warnings = not_plausible([first_minutes(reader)], self.robot, self.strict)
         found, health = estimate_file(
-            self.filter, reader, self.robot, learnt, self.out, self.force, settings
-        )
+            self.filter, reader, self.robot, learnt, self.out, self.force, settings,
+            warnings.get(self.log.stem, ()),
+        )  # fmt: skip
         if found is not None:
             print(to_markdown([metrics_row(found)]))
         elif not health.lost:
@@ -217,6 +231,7 @@ class Compare:
     robot: RobotName = None
     settings: SettingsFile = None
     set_lines: SettingLines = ()
+    strict: Strict = False
     force: Force = False
 
     def run(self) -> None:
@@ -234,9 +249,11 @@ class Compare:
             if names.count(name) > 1:
                 raise SurefootError(f"{path}: another log has the same name; give each its own")
         settings = read_settings(self.settings, self.set_lines)
+        warnings = not_plausible(logs, self.robot, self.strict)
         found = [
             compare_log(log, robot_of(log, self.robot), learnt, settings=settings) for log in logs
         ]
+        found = [replace(one, warnings=warnings.get(one.log.name, ())) for one in found]
         with whole_folder(self.out, self.force) as folder:
             results = write_comparison(found, folder, "Filters compared")
         print("\n" + to_markdown(results))

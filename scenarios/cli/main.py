@@ -9,7 +9,7 @@ from typing import Annotated, Union
 import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
 
-from surefoot.scenarios.cli.data import Align, Import, Robots, Simulate, View
+from surefoot.scenarios.cli.data import Align, Import, Info, Robots, Simulate, View
 from surefoot.scenarios.cli.estimate import Calibrate, Compare, Estimate, NoiseCommand, Train
 from surefoot.scenarios.cli.runs import (
     guarded,
@@ -47,6 +47,7 @@ COMMANDS: dict[str, type] = {
     "realism": Realism,
     "montecarlo": Montecarlo,
     "import": Import,
+    "info": Info,
     "align": Align,
     "view": View,
     "robots": Robots,

@@ -1,13 +1,17 @@
 """What several commands of the command line share."""
 
-from collections.abc import Iterable
+import sys
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import UseAppendAction, arg
 from tyro.extras import literal_type_from_choices
 
 from surefoot.sim.common.errors import SurefootError
+
+if TYPE_CHECKING:
+    from surefoot.sim.log import Log
 
 Out = Annotated[Path, arg(aliases=["-o"])]
 Force = Annotated[bool, arg(help="Overwrite what is there.")]
@@ -40,6 +44,9 @@ SettingLines = Annotated[
     arg(name="set", help="A line of such a file, as noise.gyro=1e-3; may be given several times."),
 ]
 Workers = Annotated[int, arg(help="How much runs at once on this machine.")]
+Strict = Annotated[
+    bool, arg(help="Stop where a log's numbers are not plausible, instead of warning.")
+]
 Cluster = Annotated[
     str | None, arg(help="Address of a Dask scheduler to run on, such as tcp://127.0.0.1:8786.")
 ]
@@ -59,12 +66,39 @@ def read_logs(paths: tuple[Path, ...]) -> list:
     return [Log.read(path) for path in paths]
 
 
-def read_as_declared(paths: tuple[Path, ...]) -> list:
+def not_plausible(
+    logs: Sequence["Log"], robot: str | Path | None = None, strict: bool = False
+) -> dict[str, tuple[str, ...]]:
+    """What in these logs cannot be, or hardly: lines by the log's name, each also on stderr.
+
+    The robot is the logs' own where it is None. Raises SurefootError where `strict` and there are
+    any.
+    """
+    from surefoot.sim.plausibility import check_log
+    from surefoot.sim.robot.fixed_base import machine_for_log
+
+    found: dict[str, tuple[str, ...]] = {}
+    for log in logs:
+        try:
+            machine = machine_for_log(log, robot)
+        except SurefootError:  # whoever needs the robot says why there is none
+            machine = None
+        if lines := tuple(one.line for one in check_log(log, machine)):
+            found[log.name] = lines
+        for line in lines:
+            print(f"{'error' if strict else 'warning'}: {log.name}: {line}", file=sys.stderr)
+    if strict and found:
+        count = sum(map(len, found.values()))
+        raise SurefootError(f"--strict: {count} things in {', '.join(found)} are not plausible")
+    return found
+
+
+def as_declared(logs: Sequence["Log"]) -> list:
     """The logs as the filters see them: the effects that they declare undone."""
     from surefoot.scenarios.estimate.run import declared_model
     from surefoot.sim.robot import Robot
 
-    return [declared_model(log, Robot.for_log(log))[0] for log in read_logs(paths)]
+    return [declared_model(log, Robot.for_log(log))[0] for log in logs]
 
 
 def learnt_from(observers: tuple[Path, ...], bounds: tuple[Path, ...]):

@@ -15,8 +15,10 @@ from surefoot.scenarios.cli.options import (
     Observers,
     Out,
     RobotName,
+    Strict,
     Workers,
     learnt_from,
+    not_plausible,
     read_logs,
 )
 from surefoot.sim.common.errors import SurefootError
@@ -50,6 +52,7 @@ class TraceCommand:
     holdout: Holdout = ()
     seed: int = 0
     """Of the bootstrap that intervals come from."""
+    strict: Strict = False
     force: Force = False
 
     def run(self) -> None:
@@ -68,8 +71,16 @@ class TraceCommand:
                 f"the logs are of {' and '.join(others)}: trace one robot at a time"
             )
         robot = machine_for_log(logs[0], self.robot)
+        warnings = not_plausible([*logs, *held_out], self.robot, self.strict)
+        # A trace does not know its logs by their names.
+        several = len(logs) + len(held_out) > 1
+        notes = tuple(
+            f"log {k + 1}: {line}" if several else line
+            for k, log in enumerate([*logs, *held_out])
+            for line in warnings.get(log.name, ())
+        )
         with percent_bar("trace") as progress:
-            more = {"declared": declared, "holdout": held_out}
+            more = {"declared": declared, "holdout": held_out, "warnings": notes}
             found = trace(logs, robot, self.out, self.seed, progress, self.force, **more)
         print(summary(found))
         print(f"\nreport: {self.out / 'report.html'}")

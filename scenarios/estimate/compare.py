@@ -65,6 +65,7 @@ class Comparison:
     prediction: Prediction | None
     bounds: Bounds | None
     held: dict[str, EmpiricalCoverage]  # filter -> empirical coverage of its bounds
+    warnings: tuple[str, ...] = ()  # what in the log is not plausible
 
     @property
     def doubts(self) -> list[str]:
@@ -199,6 +200,9 @@ def _summary_sections(comparisons: Sequence[Comparison], found: pd.DataFrame) ->
         for name, why in comparison.left_out.items()
     ]
     left_out += [f"On {c.log.name}, {words}." for c in comparisons for words in c.doubts]
+    left_out += [
+        f"Not plausible in {c.log.name}: {words}." for c in comparisons for words in c.warnings
+    ]
     ran = dict.fromkeys(result.filter for c in comparisons for result in c.results)
     glossary = [{"": name, "means": estimator_named(name).description} for name in ran]
     glossary += [{"": n, "means": text} for n, text in MEANINGS.items() if n in found.columns]

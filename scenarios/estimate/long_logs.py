@@ -1,7 +1,7 @@
 """Estimating the file of a log: as a whole, or piece by piece where it is long."""
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -36,6 +36,8 @@ LONG = 1800.0
 """s. A longer log is estimated in pieces: its trajectory alone would take gigabytes."""
 LOG_PIECE = 60.0
 """s of a piece."""
+CHECKED = 600.0
+"""s of a long log that are looked at before it is estimated: some seconds of work."""
 JUDGED = 100_000
 """Estimates at most that the metrics of a long log are taken from, evenly spread: 180 MB."""
 
@@ -48,6 +50,7 @@ def estimate_file(
     out: Path | None,
     force: bool = False,
     settings: FilterSettings | None = None,
+    warnings: Sequence[str] = (),
 ) -> tuple[Metrics | None, Health]:
     """Estimate a log with one filter: its metrics, None where it has no reference or the filter
     diverged, and whether to believe it.
@@ -63,6 +66,7 @@ def estimate_file(
         out: file for the trajectory (.parquet), with a .tum beside it; none is written for None.
         force: whether to overwrite them.
         settings: noise, priors and start.
+        warnings: what in the log was not plausible, kept in the trajectory's metadata.
 
     Raises SurefootError saying what is missing or wrong.
     """
@@ -71,13 +75,19 @@ def estimate_file(
         result = run_filter(name, log, robot_of(log, robot_name), learnt, settings)
         if out:
             with whole_file(out, force) as temporary:
-                result.trajectory.write(temporary)
+                result.trajectory.write(temporary, warnings=warnings)
                 result.trajectory.write_tum(out.with_suffix(".tum"), force)
         return result.metrics, result.health
     try:
-        return _in_pieces(name, reader, robot_name, learnt, out, force, settings)
+        return _in_pieces(name, reader, robot_name, learnt, out, force, settings, warnings)
     except SurefootError as error:
         raise SurefootError(f"filter {name}: {error}") from None
+
+
+def first_minutes(reader: LogReader) -> Log:
+    """The log, or the first CHECKED seconds of a long one, to look at what it holds."""
+    long = reader.rows / reader.meta.rate > LONG
+    return next(reader.chunks(CHECKED if long else np.inf))
 
 
 def _in_pieces(
@@ -88,6 +98,7 @@ def _in_pieces(
     out: Path | None,
     force: bool,
     settings: FilterSettings | None,
+    warnings: Sequence[str],
 ) -> tuple[Metrics | None, Health]:
     """One filter over a log read piece by piece, as `estimate_file`.
 
@@ -99,6 +110,7 @@ def _in_pieces(
         out: folder for the estimate, or None.
         force: whether its file may be replaced.
         settings: noise, priors and start.
+        warnings: what in the log was not plausible.
     """
     every = int(np.ceil(reader.rows / reader.meta.rate / OUTPUT_PERIOD / JUDGED))
     waiting: deque[Log] = deque()  # pieces that were read but not estimated
@@ -115,7 +127,7 @@ def _in_pieces(
     with ExitStack() as files:
         table, lines = None, None
         if out:
-            table = files.enter_context(TrajectoryWriter(out, force))
+            table = files.enter_context(TrajectoryWriter(out, force, None, warnings))
             path = files.enter_context(whole_file(out.with_suffix(".tum"), force))
             lines = files.enter_context(path.open("w"))
         for part in estimated_in_chunks(estimator, pieces(), robot, learnt, None, settings):

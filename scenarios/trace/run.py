@@ -34,6 +34,7 @@ def trace(
     learnt: Learnt | None = None,
     settings: TraceSettings | None = None,
     holdout: Sequence[Log] = (),
+    warnings: Sequence[str] = (),
 ) -> Trace:
     """Find which effect `robot` lacks as a model of the logs, and what adding it changes.
 
@@ -49,6 +50,7 @@ def trace(
         learnt: observers and bounds for the filters that need them.
         settings: thresholds and constants; the defaults where left out.
         holdout: logs of the same machine that judge what was found and that no fit sees.
+        warnings: what in the logs is not plausible, kept among the notes.
 
     Raises SurefootError where `out` has such files (no `force`) or a held-out log is also one to
     fit on, and LogError where a log has no reference.
@@ -64,6 +66,7 @@ def trace(
         refuse_overwrite(out / name, force)
     settings = settings or DEFAULT
     found = trace_logs(logs, robot, seed, progress, declared, learnt, settings, holdout)
+    found = replace(found, notes=(*warnings, *found.notes))
     with whole_folder(out, force) as folder:
         write_outputs(found, robot, folder)
     return found

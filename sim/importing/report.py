@@ -1,10 +1,9 @@
-"""What a reader should know of a recording before its numbers: reference, clocks, held streams."""
+"""What a reader should know of a recording before its numbers: feet, stamps, reference."""
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.importing.clock import jitter_line
 from surefoot.sim.importing.reference_check import check_reference, without_jumps
 from surefoot.sim.importing.reference_noise import FEWEST_SAMPLES, reference_noise, turning_missed
-from surefoot.sim.importing.streams import held_streams, late_streams
 from surefoot.sim.log import Log
 from surefoot.sim.log.dead_reckoning import beside_imu
 from surefoot.sim.log.reference import Poses, reference_poses
@@ -42,15 +41,13 @@ def import_lines(
     log: Log, poses: Poses | None = None, notes: tuple[str, ...] = ()
 ) -> tuple[str, ...]:
     """What to say of a log that was imported: `notes` of how it was read, the radius of its feet,
-    its stamps, its reference, and the streams that are held or late."""
+    its stamps, its reference. What is not plausible is `sim.plausibility`'s to say."""
     jitter = jitter_line(log.t)
-    streams = (*held_streams(log), *late_streams(log))
     return (
         *notes,
         *_feet_lines(log),
         *([jitter] if jitter else ()),
         *reference_lines(log, poses),
-        *(one.line for one in streams),
     )
 
 

@@ -130,7 +130,8 @@ class Meta:
     `rate` is in Hz. `effects` are the declared ones, each a dict of name, target, value, unit.
     `motor_law` is {"kp": (J,), "kd": (J,)} in N m/rad and N m s/rad. `model` is what an import map
     says of the robot (p_BI in m, q_BI as w, x, y, z, foot_radius in m, feet: body or site by leg),
-    which overrides the MJCF, and of its ground (ground_evenness in m).
+    which overrides the MJCF, and of its ground (ground_evenness in m). `warnings` are what was not
+    plausible when it was imported, a line each (`sim.plausibility`).
     """
 
     rate: float
@@ -143,6 +144,7 @@ class Meta:
     derived: tuple[str, ...] = ()
     versions: dict[str, str] = field(default_factory=dict)
     model: dict[str, Any] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -180,6 +182,7 @@ class _Metadata:
     derived: tuple[str, ...] = ()
     versions: dict[str, Any] = field(default_factory=dict)
     model: dict[str, Any] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
 
     def __post_init__(self):
         known = {f.name for f in fields(_Model)}
@@ -225,7 +228,9 @@ def read_metadata(metadata: dict[bytes, bytes] | None) -> Meta:
         typed(values, _Metadata)
     except SurefootError as error:
         raise SurefootError(f"metadata: {error}") from None
-    lists: dict[str, Any] = {n: tuple(values.get(n, ())) for n in ("effects", "derived")}
+    lists: dict[str, Any] = {
+        n: tuple(values.get(n, ())) for n in ("effects", "derived", "warnings")
+    }
     return Meta(**{**values, **lists})
 
 

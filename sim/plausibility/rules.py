@@ -4,7 +4,6 @@ A rule is asked only where none before it doubts what it compares: one fault giv
 a log with two faults shows the second when the first is mended.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 from surefoot.sim.common.gravity import GRAVITY
@@ -321,8 +320,8 @@ def check_log(log: Log, machine: Machine | None = None) -> tuple[Finding, ...]:
     return tuple(found)
 
 
-def rules_table(rules: Sequence[Rule] = RULES) -> list[dict[str, str]]:
+def rules_table() -> list[dict[str, str]]:
     """The rules as rows of a table."""
     names = ("name", "compares", "threshold", "reason", "remedy")
     heads = ("rule", "compares", "speaks from", "because", "what to do")
-    return [{h: getattr(r, n) for h, n in zip(heads, names, strict=True)} for r in rules]
+    return [{h: getattr(r, n) for h, n in zip(heads, names, strict=True)} for r in RULES]

@@ -108,7 +108,12 @@ def held(view: LogView) -> Iterator[Finding]:
         low, high = (pick(one.rate for one in slow) for pick in (min, max))
         rates = f"{low:.0f}" if low == high else f"{low:.0f} to {high:.0f}"
         told = f"{len(columns)} columns sampled at {rates} Hz and repeated, rows at {rate:.0f} Hz"
-        yield Finding(tuple(columns), told, "a slower sensor, read more often than it measures")
+        cause = "a slower sensor, read more often than it measures"
+        kinds = dict.fromkeys(
+            kind for c in columns for kind in _kinds(view, _SENSORS) if c.startswith(kind)
+        )
+        line = f"[even] held = {[*kinds]}".replace("'", '"')
+        yield Finding(tuple(columns), told, cause, line)
 
 
 def late(view: LogView) -> Iterator[Finding]:

@@ -143,8 +143,12 @@ def test_import_reports_what_is_wrong_with_stamps(tmp_path, capsys):
     said = {}
     for name, folder in (("first", tmp_path), ("recounted", RECORDING)):
         main(f"import csv {folder} --map go1_square -o {tmp_path / name}.parquet".split())
-        said[name] = capsys.readouterr().out
+        printed = capsys.readouterr()
+        said[name] = printed.out
     doubtful = {k: float(v.split(" % of stamps doubtful")[0].split()[-1]) for k, v in said.items()}
     assert doubtful["first"] > 12.0
     assert doubtful["recounted"] < 2.0
-    assert "held: accel_x, accel_y, accel_z" in said["recounted"]
+    assert "accel_x, accel_y, accel_z: a slower sensor" in printed.err
+    assert any(
+        "a slower sensor" in one for one in Log.read(tmp_path / "recounted.parquet").meta.warnings
+    )

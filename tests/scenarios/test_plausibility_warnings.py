@@ -1,0 +1,59 @@
+"""What is not plausible in a log is said by every command that reads it, and kept."""
+
+import json
+from contextlib import suppress
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+
+from surefoot.scenarios.cli.main import main
+from surefoot.sim.log import Log, Meta
+
+WORDS = "accel_x, accel_y, accel_z: in g, not m/s^2"
+
+
+@pytest.fixture
+def in_g(tmp_path):
+    """A file of an IMU at rest for four seconds that reads g, and its map."""
+    rng = np.random.default_rng(0)
+    t = 0.005 * np.arange(800)
+    accel = rng.normal(size=(800, 3)) * 1e-3 + [0.0, 0.0, 1.0]
+    gyro = rng.normal(size=(800, 3)) * 1e-3
+    names = [f"gyro_{a}" for a in "xyz"] + [f"accel_{a}" for a in "xyz"]
+    frame = pd.DataFrame(np.column_stack([t, gyro, accel]), columns=["t", *names])
+    frame.to_csv(tmp_path / "run.csv", index=False)
+    (tmp_path / "map.toml").write_text("[columns]\n" + "".join(f'{n} = "{n}"\n' for n in frame))
+    Log(frame, Meta(rate=200.0)).write(tmp_path / "log.parquet")
+    return tmp_path
+
+
+def test_import_warns_and_the_log_keeps_it(in_g, capsys):
+    main(f"import {in_g}/run.csv --map {in_g}/map.toml -o {in_g}/made.parquet".split())
+    assert f"warning: run: {WORDS}" in capsys.readouterr().err
+    assert any(WORDS in line for line in Log.read(in_g / "made.parquet").meta.warnings)
+
+
+def test_strict_refuses_with_a_line_each_and_writes_nothing(in_g, capsys):
+    with pytest.raises(SystemExit, match="--strict: 1 things in run are not plausible"):
+        main(f"import {in_g}/run.csv --map {in_g}/map.toml -o {in_g}/made.parquet --strict".split())
+    assert f"error: run: {WORDS}" in capsys.readouterr().err
+    assert not (in_g / "made.parquet").exists()
+
+
+def test_info_says_what_a_log_holds_and_what_is_wrong(in_g, capsys):
+    main(f"info {in_g}/log.parquet".split())
+    said = capsys.readouterr()
+    assert "800 samples, 4.0 s at 200 Hz; imu" in said.out
+    assert WORDS in said.err
+
+
+def test_an_estimate_keeps_what_its_log_was_warned_of(in_g, capsys):
+    with pytest.raises(SystemExit):  # that no filter follows this is another test's
+        main(f"estimate {in_g}/log.parquet --filter imu --strict".split())
+    assert WORDS in capsys.readouterr().err
+    with suppress(SystemExit):
+        main(f"estimate {in_g}/log.parquet --filter imu -o {in_g}/out.parquet".split())
+    kept = pq.read_schema(in_g / "out.parquet").metadata[b"warnings"]
+    assert WORDS in json.loads(kept)[0]
