@@ -68,22 +68,14 @@ def _plausibility() -> str:
     from surefoot.scenarios.reporting.tables import to_markdown
     from surefoot.sim.plausibility import rules, rules_table
 
-    return (
-        "\n\n".join(
-            [
-                "# What is plausible",
-                "`import`, `info`, `estimate`, `compare`, `train`, `calibrate` and `trace` look at "
-                "their logs before they use them, and warn of numbers that cannot be, or hardly. "
-                "`--strict` stops there. An imported log, a trajectory, an observer, bounds and the "
-                "reports keep what was warned of. `from surefoot.sim.plausibility import check_log` "
-                "gives the same in Python: for each finding its columns, evidence, likely cause and, "
-                "where there is one, the line of the import map that mends it.",
-                str(rules.__doc__).partition("\n\n")[2].strip(),
-                to_markdown(rules_table()),
-            ]
-        )
-        + "\n"
-    )
+    intro = """`import`, `info`, `estimate`, `compare`, `train`, `calibrate` and `trace` look at
+their logs before they use them, and warn of numbers that cannot be, or hardly. `--strict` stops there. An
+imported log, a trajectory, an observer, bounds and the reports keep what was warned of. In Python,
+`surefoot.sim.plausibility.check_log` gives the same: columns, evidence, likely cause and, where
+there is one, the line of the import map that mends it."""
+    order = str(rules.__doc__).partition("\n\n")[2].strip()
+    parts = ["# What is plausible", intro, order, to_markdown(rules_table())]
+    return "\n\n".join(parts) + "\n"
 
 
 def _commands() -> str:

@@ -41,7 +41,7 @@ def _rolled(R: Rotation) -> Rotation:
     return Rotation.from_quat(R.as_quat(scalar_first=True))
 
 
-READINGS = (
+OTHER_READINGS = (
     Reading(
         "the quaternion's order is x, y, z, w",
         "give ref_q_w their last number, ref_q_x their first",
@@ -130,7 +130,8 @@ def attitude_fault(
     if not match.wrong and own > 0.5 and lean < TILT:
         return None
     tried = [
-        (float(match_axes(gyro, turned(r.read)).own.mean()), leaning(r.read), r) for r in READINGS
+        (float(match_axes(gyro, turned(r.read)).own.mean()), leaning(r.read), r)
+        for r in OTHER_READINGS
     ]
     fitting = [one for one in tried if one[1] < _UPRIGHT and one[0] > _ALIKE]
     if not fitting:

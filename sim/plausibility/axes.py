@@ -5,7 +5,7 @@ from itertools import permutations
 
 import numpy as np
 
-AXES = "xyz"
+AXIS_NAMES = "xyz"
 OTHER = 0.7
 """Correlation with another axis from which on that one is measured: that of clean walks with their
 own axis is 0.8 (accelerometers) to 1, with others below 0.6 (roll and sway go together)."""
@@ -43,7 +43,8 @@ class AxesMatch:
         """What the wrong axes are, as "x is -y"."""
         signs = {1.0: "", -1.0: "-"}
         return ", ".join(
-            f"{AXES[i]} is {signs[float(self.sign[i])]}{AXES[self.order[i]]}" for i in self.wrong
+            f"{AXIS_NAMES[i]} is {signs[float(self.sign[i])]}{AXIS_NAMES[self.order[i]]}"
+            for i in self.wrong
         )
 
     @property

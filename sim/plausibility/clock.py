@@ -7,10 +7,10 @@ import numpy as np
 from surefoot.sim.plausibility.finding import Finding
 from surefoot.sim.plausibility.view import LogView
 
-RATE_OFF = 0.02
+STEP_OFF = 0.02
 """Share by which the median step may differ from the metadata's rate: a computer's clock is good
 to 1e-4; loops that wait a whole time slice are 1 % slow (10.1 ms instead of 10)."""
-LOST = 0.03
+MISSING_ROWS = 0.03
 """Share of rows that may be missing: loops that share a computer are late for some per cent, and
 filters bridge single rows."""
 LONGEST_GAP = 0.05
@@ -18,7 +18,7 @@ LONGEST_GAP = 0.05
 gap)."""
 SPEED_OFF = 0.1
 """Share by which rates may differ from changes: each blurs some per cent."""
-TOGETHER = 0.1
+SAME_CLOCK = 0.1
 """Share by which streams may differ in that and still say the same of the clock."""
 _JUMP = 5.0
 """Times the change between rows that its fastest hundredth exceeds, in a jump."""
@@ -35,14 +35,14 @@ def stamps(view: LogView) -> Iterator[Finding]:
     usual = float(np.median(step))
     actual = 1.0 / usual
     mean = (len(t) - 1) / (t[-1] - t[0])
-    if abs(actual / rate - 1.0) > RATE_OFF and abs(mean / rate - 1.0) > RATE_OFF:
+    if abs(actual / rate - 1.0) > STEP_OFF and abs(mean / rate - 1.0) > STEP_OFF:
         told = f"rows at {actual:.4g} Hz, the log says {rate:.4g} Hz"
         yield Finding(("t",), told, "wrong rate, or wrong unit of time")
     missing = np.maximum(np.round(step / usual) - 1.0, 0.0)
     share = float(missing.sum() / (len(t) + missing.sum()))
     longest = float(step.max())
     # At low rates a single late row is no gap.
-    if share > LOST or (longest > LONGEST_GAP and longest > 3.0 * usual):
+    if share > MISSING_ROWS or (longest > LONGEST_GAP and longest > 3.0 * usual):
         told = (
             f"{missing.sum():.0f} rows missing ({100 * share:.1f} %), longest gap "
             f"{1e3 * longest:.0f} ms after {t[int(np.argmax(step))]:.2f} s"
@@ -69,7 +69,7 @@ def speed(view: LogView) -> Iterator[Finding]:
         if size == 0.0 or abs(both) < 0.8 * np.sqrt(np.sum(rate**2) * size):
             return
         factors.append(float(both / size))
-    if len(factors) < 2 or max(abs(f / factors[0] - 1.0) for f in factors) > TOGETHER:
+    if len(factors) < 2 or max(abs(f / factors[0] - 1.0) for f in factors) > SAME_CLOCK:
         return
     factor = float(np.median(factors))
     if abs(factor - 1.0) > SPEED_OFF:
@@ -78,7 +78,7 @@ def speed(view: LogView) -> Iterator[Finding]:
         yield Finding(("t",), told, cause)
 
 
-def jumps(view: LogView) -> Iterator[Finding]:
+def leaps(view: LogView) -> Iterator[Finding]:
     """No joint and no body jumps between two rows, least of all together."""
     log = view.log
     streams = [log.q] if log.has("q") else []

@@ -9,9 +9,9 @@ from surefoot.sim.plausibility.view import LogView
 
 FARTHEST_STILL = 0.3
 """m that a body which stands sways or is lowered; beyond it, it walks (or is carried)."""
-FEWEST = 6
+OTHERS_CHANGE = 6
 """Changes of other contacts, each, during which one must change: three strides."""
-LONGEST = 1.0
+UNCHANGED = 1.0
 """s, two strides: contacts that bounce change often in a shorter time."""
 HIGHER = 0.005
 """m by which feet in contact are higher than lifted ones: trotting robots lift by 30 to 80 mm."""
@@ -29,7 +29,7 @@ def dead(view: LogView) -> Iterator[Finding]:
     changes = np.abs(np.diff(contact.astype(int), axis=0))
     count = changes.sum(axis=0)
     still = np.flatnonzero(count == 0)
-    walks = int(np.sum(count >= FEWEST)) >= 2
+    walks = int(np.sum(count >= OTHERS_CHANGE)) >= 2
     if len(still) == len(log.legs) and log.has("reference"):
         walks = float(np.ptp(log.ref_p[:, :2], axis=0).max()) > FARTHEST_STILL
         walks = walks and _legs_swing(view)
@@ -41,10 +41,10 @@ def dead(view: LogView) -> Iterator[Finding]:
                 yield Finding(columns, told, "a dead sensor, or a wrong threshold")
     for i in np.flatnonzero(count > 0):
         first, last = _longest(np.flatnonzero(changes[:, i]), len(contact))
-        if view.t[last - 1] - view.t[first] < LONGEST:
+        if view.t[last - 1] - view.t[first] < UNCHANGED:
             continue
         others = [changes[first:last, k].sum() for k in range(len(log.legs)) if k != i]
-        if np.median(others) >= 2 * FEWEST:
+        if np.median(others) >= 2 * OTHERS_CHANGE:
             told = (
                 f"no change from {view.t[first]:.2f} to {view.t[last - 1]:.2f} s, while the others "
                 f"change {np.median(others):.0f} times"

@@ -6,7 +6,7 @@ from itertools import permutations, product
 import numpy as np
 
 from surefoot.sim.common.gravity import GRAVITY, GRAVITY_G
-from surefoot.sim.plausibility.axes import AXES, AxesMatch, match_axes
+from surefoot.sim.plausibility.axes import AXIS_NAMES, AxesMatch, match_axes
 from surefoot.sim.plausibility.finding import Finding
 from surefoot.sim.plausibility.view import LogView
 
@@ -22,14 +22,14 @@ ZERO_RATE = 0.35
 """rad/s that a gyro's mean may differ from what turns: MPU-6050, zero-rate output, +-20 deg/s."""
 TUMBLING = 6.0
 """rad/s, root mean square of a gyro: a turn a second for as long as the log lasts."""
-SCALED = 0.15
+GYRO_SCALED = 0.15
 """Share by which a gyro's or reference's size may be off: data sheets give 3 % at worst, averages
 over a stride blur some per cent."""
 SCALED_ACCEL = 0.7
 """The same of accelerations, which impacts and filters blur more: 0.6 to 1.2 in clean walks."""
-_AXES_P = tuple(f"ref_p_{a}" for a in AXES)
-_AXES_GYRO = tuple(f"gyro_{a}" for a in AXES)
-_AXES_ACCEL = tuple(f"accel_{a}" for a in AXES)
+_AXES_P = tuple(f"ref_p_{a}" for a in AXIS_NAMES)
+_AXES_GYRO = tuple(f"gyro_{a}" for a in AXIS_NAMES)
+_AXES_ACCEL = tuple(f"accel_{a}" for a in AXIS_NAMES)
 _DEGREE = 180.0 / np.pi
 _IN_DEGREES = 'gyro_x, gyro_y, gyro_z = { ..., unit = "deg/s" }'
 
@@ -82,9 +82,9 @@ def _turned_over(view: LogView, mean: np.ndarray, up: np.ndarray, told: str) -> 
     axis = int(np.argmax(np.abs(up)))
     found = int(np.argmax(np.abs(mean)))
     if found != axis:
-        cause = f"swapped axes: gravity is on {AXES[found]}, up is {AXES[axis]}"
-        return Finding((f"accel_{AXES[axis]}", f"accel_{AXES[found]}"), told, cause)
-    column = f"accel_{AXES[axis]}"
+        cause = f"swapped axes: gravity is on {AXIS_NAMES[found]}, up is {AXIS_NAMES[axis]}"
+        return Finding((f"accel_{AXIS_NAMES[axis]}", f"accel_{AXIS_NAMES[found]}"), told, cause)
+    column = f"accel_{AXIS_NAMES[axis]}"
     moved = (
         match_axes(view.accel[view.ok], view.felt[view.ok]).own if view.trusts_reference else None
     )
@@ -92,7 +92,7 @@ def _turned_over(view: LogView, mean: np.ndarray, up: np.ndarray, told: str) -> 
         shift = round(2.0 * np.sign(up[axis]) * GRAVITY, 2)
         cause = "gravity has the wrong sign, the motion the right one"
         return Finding((column,), told, cause, f"{column} = {{ ..., offset = {shift} }}")
-    flipped = [f"accel_{AXES[i]}" for i in range(3) if moved is not None and moved[i] < -0.5]
+    flipped = [f"accel_{AXIS_NAMES[i]}" for i in range(3) if moved is not None and moved[i] < -0.5]
     columns = tuple(flipped) or (column,)
     if moved is None:
         shift = round(2.0 * np.sign(up[axis]) * GRAVITY, 2)
@@ -123,7 +123,7 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
     in_world = match_axes(view.ref_a[view.ok], view.R_GI[view.ok].apply(accel) + GRAVITY_G)
     # Gravity tells that z is upright, so that the reference's is not.
     if in_world.wrong and (in_world.best.mean() >= in_body.best.mean() or in_world.wrong == (2,)):
-        columns = tuple(f"ref_p_{AXES[i]}" for i in in_world.wrong)
+        columns = tuple(f"ref_p_{AXIS_NAMES[i]}" for i in in_world.wrong)
         told = f"correlation with the accelerometer {_of(in_world, in_world.own)}"
         down = "z is down (north-east-down): " if in_world.sign[2] < 0 else ""
         lines = _lines("ref_p", in_world)
@@ -181,7 +181,7 @@ def gyro(view: LogView) -> Iterator[Finding]:
         yield Finding((*_AXES_GYRO, "ref_q"), told, cause)
         return
     factor = match.scaled
-    if abs(factor - 1.0) > SCALED:
+    if abs(factor - 1.0) > GYRO_SCALED:
         told = f"{factor:.3g} times as fast as the reference turns"
         if abs(factor / _DEGREE - 1.0) < 0.2:
             yield Finding(_AXES_GYRO, told, "in deg/s, not rad/s", _IN_DEGREES)
@@ -213,13 +213,15 @@ def turning_of_legs(view: LogView) -> Iterator[Finding]:
         return
     wrong = [i for i in range(3) if order[i] != i or signs[i] < 0]
     columns = tuple(_AXES_GYRO[i] for i in wrong)
-    words = ", ".join(f"{AXES[i]} is {'-' * (signs[i] < 0)}{AXES[order[i]]}" for i in wrong)
+    words = ", ".join(
+        f"{AXIS_NAMES[i]} is {'-' * (signs[i] < 0)}{AXIS_NAMES[order[i]]}" for i in wrong
+    )
     told = f"correlation with the turning that standing feet see {as_is:.2f}, put right {fits:.2f}"
     yield Finding(columns, told, words)
 
 
 def _of(match: AxesMatch, values: np.ndarray) -> str:
-    return ", ".join(f"{AXES[i]} {values[i]:.2f}" for i in match.wrong)
+    return ", ".join(f"{AXIS_NAMES[i]} {values[i]:.2f}" for i in match.wrong)
 
 
 def _lines(kind: str, match: AxesMatch) -> str:
@@ -227,8 +229,8 @@ def _lines(kind: str, match: AxesMatch) -> str:
     lines = []
     for i in match.wrong:
         sign = ", sign = -1" if match.sign[i] < 0 else ""
-        column = f"their column of {kind}_{AXES[i]}"
-        lines.append(f"{kind}_{AXES[match.order[i]]} = {{ column = <{column}>{sign} }}")
+        column = f"their column of {kind}_{AXIS_NAMES[i]}"
+        lines.append(f"{kind}_{AXIS_NAMES[match.order[i]]} = {{ column = <{column}>{sign} }}")
     return "; ".join(lines)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from surefoot.sim.plausibility.finding import Finding
 from surefoot.sim.plausibility.view import LogView
 
-DEGREE = 180.0 / np.pi
+_DEGREE = 180.0 / np.pi
 RATE_OFF = 0.1
 """Share by which joint rates may differ from the change of angles over the same time: 0.01 in clean
 walks, and what filters of drives take from a swing."""
@@ -82,11 +82,11 @@ def rates(view: LogView) -> Iterator[Finding]:
 
 def _scaled_rates(columns: tuple[str, ...], typical: float, told: str) -> Finding:
     angles = tuple(f"q_{c[3:]}" for c in columns)
-    for factor, unit in ((DEGREE, "deg/s"), (60.0 / (2.0 * np.pi), "rpm")):
+    for factor, unit in ((_DEGREE, "deg/s"), (60.0 / (2.0 * np.pi), "rpm")):
         if abs(typical / factor - 1.0) < 0.2:
             line = f'{columns[0]}, ... = {{ ..., unit = "{unit}" }}'
             return Finding(columns, told, f"in {unit}, not rad/s", line)
-    if abs(typical * DEGREE - 1.0) < 0.2:
+    if abs(typical * _DEGREE - 1.0) < 0.2:
         line = f'{angles[0]}, ... = {{ ..., unit = "deg" }}'
         return Finding(angles, told, "angles in deg, not rad", line)
     return Finding(columns, told, "scaled, or stamps at a wrong rate")
@@ -107,7 +107,7 @@ def units(view: LogView) -> Iterator[Finding]:
         yield Finding(columns, told, "in deg, not rad, or not unwrapped", line)
 
 
-def ranges(view: LogView) -> Iterator[Finding]:
+def stops(view: LogView) -> Iterator[Finding]:
     """Angles are within the stops of the robot's joints."""
     log = view.log
     if not log.has("q") or view.robot is None:

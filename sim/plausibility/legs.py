@@ -24,7 +24,7 @@ MENDED_JOINTS = 0.5
 """The same of signs and order of joints, of which there are more to choose from: 2.2 times."""
 CLEARER = 0.9
 """Share by which a reading must better one with fewer legs exchanged, which is tried first."""
-STANDING = 0.48
+DUTY = 0.48
 """Share of time that feet stand on average: half of it and more in walks and trots."""
 HOPELESS = 0.6
 """Of the misfit: from here on legs do not say how the body moves, and no reading mends it."""
@@ -166,7 +166,7 @@ def _swapped(
             if left < CLEARER * best[0]:
                 best = (left, pick, what)
     left, order, what = best
-    if moving.truth is not None and legs.contact.mean() < STANDING:
+    if moving.truth is not None and legs.contact.mean() < DUTY:
         # In a trot the other diagonal stands while this one is lifted: both readings fit.
         inverted = moving.misfit(u[:, own, own], ~legs.contact)
         if inverted < MENDED * base and inverted < 3.0 * left:
@@ -309,7 +309,7 @@ def _size(u: np.ndarray, contact: np.ndarray, moving: Moving) -> tuple[float, fl
     return both / float(np.sum(b**2)), both / float(np.sqrt(np.sum(a**2) * np.sum(b**2)))
 
 
-def support(view: LogView) -> Iterator[Finding]:
+def weight_carried(view: LogView) -> Iterator[Finding]:
     """Torques of standing legs carry the robot's weight."""
     legs, robot, log = view.stance, view.robot, view.log
     if legs is None or robot is None or not log.has("tau") or not log.has("imu"):

@@ -6,22 +6,22 @@ import numpy as np
 
 from surefoot.sim.importing.reference_check import check_reference
 from surefoot.sim.log.reference import reference_poses
-from surefoot.sim.plausibility.axes import AXES, match_axes
+from surefoot.sim.plausibility.axes import AXIS_NAMES, match_axes
 from surefoot.sim.plausibility.finding import Finding
 from surefoot.sim.plausibility.view import LogView
 
-FASTEST = 12.0
+FASTEST_LEGS = 12.0
 """m/s: no robot on legs ran as fast (WildCat, 8.9 m/s, Boston Dynamics 2013)."""
-SCALED = 0.15
+VELOCITY_OFF = 0.15
 """Share by which velocities may differ from the change of positions, or accelerations from the
 accelerometer's: averages over a stride and a lever arm blur several per cent."""
 _UNITS = {1e3: "mm", 1e2: "cm", 1.0 / 0.3048: "feet"}
-_P = tuple(f"ref_p_{a}" for a in AXES)
-_V = tuple(f"ref_v_{a}" for a in AXES)
+_P = tuple(f"ref_p_{a}" for a in AXIS_NAMES)
+_V = tuple(f"ref_v_{a}" for a in AXIS_NAMES)
 _Q = tuple(f"ref_q_{a}" for a in "wxyz")
 
 
-def samples(view: LogView) -> Iterator[Finding]:
+def even_samples(view: LogView) -> Iterator[Finding]:
     """A reference's samples come evenly, one after another, without a leap."""
     if not view.log.has("reference"):
         return
@@ -44,7 +44,7 @@ def position(view: LogView) -> Iterator[Finding]:
     if not view.comparable or not view.log.has("reference") or not view.ok.any():
         return
     speed = float(np.median(np.linalg.norm(view.ref_v[view.ok], axis=1)))
-    if speed > FASTEST:
+    if speed > FASTEST_LEGS:
         unit = _unit(speed)
         told = f"median speed {speed:.4g} m/s"
         yield Finding(_P, told, f"in {unit}, not m", _unit_line(_P, unit))
@@ -60,10 +60,10 @@ def velocity(view: LogView) -> Iterator[Finding]:
         return
     size = float(np.sqrt(np.sum(logged**2) / max(np.sum(moved**2), 1e-12)))
     missed = float(np.sum((logged - moved) ** 2) / max(np.sum(moved**2), 1e-12))
-    if missed < SCALED:
+    if missed < VELOCITY_OFF:
         return
     told = f"{size:.3g} times the change of positions"
-    if abs(np.log(size)) > np.log1p(SCALED):
+    if abs(np.log(size)) > np.log1p(VELOCITY_OFF):
         unit = _unit(size)
         cause = f"in {unit}/s, not m/s" if unit else "scaled, or positions are"
         line = _unit_line(_V, f"{unit}/s" if unit else "")
@@ -84,7 +84,7 @@ def _unit(factor: float) -> str:
     """The unit of lengths whose numbers are about `factor` times those in metres; "" for none."""
     return next((u for f, u in _UNITS.items() if abs(np.log(factor / f)) < 0.1), "") or (
         # Of a speed: walks go at 0.1 to 3 m/s.
-        ("mm" if factor > 90.0 else "cm") if factor > FASTEST else ""
+        ("mm" if factor > 90.0 else "cm") if factor > FASTEST_LEGS else ""
     )
 
 

@@ -27,8 +27,8 @@ RULES = (
     Rule(
         "rows",
         "steps of t with each other and with the log's rate",
-        f"{clock.RATE_OFF:.0%} of the rate; {clock.LOST:.1%} of the rows missing, or a gap of "
-        f"{clock.LONGEST_GAP:g} s",
+        f"{clock.STEP_OFF:.0%} of the rate; {clock.MISSING_ROWS:.0%} of the rows missing, or a gap "
+        f"of {clock.LONGEST_GAP:g} s",
         "loops that wait whole time slices are 1 % slow; filters bridge single rows, nothing can "
         "be interpolated over a tenth of a stride",
         "state the rate that the rows have; record again, or cut the log at the gap",
@@ -87,7 +87,7 @@ RULES = (
     Rule(
         "reference's unit",
         "the median speed of ref_p",
-        f"{reference.FASTEST:g} m/s",
+        f"{reference.FASTEST_LEGS:g} m/s",
         "the fastest robot on legs ran at 8.9 m/s (WildCat, Boston Dynamics, 2013)",
         'unit = "mm"',
         ("t", "ref"),
@@ -128,7 +128,7 @@ RULES = (
         "rows are missing there, although stamps are even",
         "record again, with the sensor's own stamps",
         ("t", "q", "foot"),
-        clock.jumps,
+        clock.leaps,
     ),
     Rule(
         "reference's samples",
@@ -137,7 +137,7 @@ RULES = (
         "a body on legs is pushed by less than 150 m/s² and 500 rad/s²; cameras count frames",
         "stamps of the tracker itself; frames in which it lost the body are to be left out",
         ("t", "ref"),
-        reference.samples,
+        reference.even_samples,
     ),
     Rule(
         "reference's attitude",
@@ -155,7 +155,7 @@ RULES = (
         "gyro",
         "the gyro with the turning of ref_q, axis by axis",
         f"correlation above {axes.OTHER:g} with another axis or its negative, {axes.GAIN:g} more "
-        f"than with its own; a factor off by {imu.SCALED:.0%}; a mean {imu.ZERO_RATE:g} rad/s "
+        f"than with its own; a factor off by {imu.GYRO_SCALED:.0%}; a mean {imu.ZERO_RATE:g} rad/s "
         "off",
         "gyros are true to 3 %, and read 20 deg/s at rest at worst (MPU-6050)",
         "order, sign or unit of the axes; where the accelerometer says the same, imu_orientation",
@@ -174,7 +174,7 @@ RULES = (
     Rule(
         "reference's velocity",
         "ref_v with the change of ref_p",
-        f"{reference.SCALED:.0%} of its size, or of its mean square",
+        f"{reference.VELOCITY_OFF:.0%} of its size, or of its mean square",
         "equal by definition, in the axes of the world",
         "unit or order of the axes; leave ref_v out, it is derived then",
         ("t", "ref"),
@@ -193,8 +193,8 @@ RULES = (
     Rule(
         "contacts",
         "contacts with each other over time",
-        f"none changes, or one does not for {contacts.LONGEST:g} s in which the others change "
-        f"{contacts.FEWEST} times and more, although the robot walks",
+        f"none changes, or one does not for {contacts.UNCHANGED:g} s in which the others change "
+        f"{contacts.OTHERS_CHANGE} times and more, although the robot walks",
         "a foot of a robot that walks lifts at every stride",
         "the threshold of [contact]; leave a dead contact out",
         ("contact",),
@@ -222,7 +222,7 @@ RULES = (
         "zeros are set to some degrees, links bend by less; landings touch stops for an instant",
         "joint_sign, joint_offset, the order of the columns, the robot's name",
         ("q",),
-        joints.ranges,
+        joints.stops,
     ),
     Rule(
         "contact heights",
@@ -249,7 +249,7 @@ RULES = (
         "on average a robot carries itself; payloads add a third",
         "sign, unit or order of tau; torques of the output, not of the motor; the robot's name",
         ("q", "contact", "tau", "accel", "foot"),
-        legs.support,
+        legs.weight_carried,
     ),
     Rule(
         "commands",

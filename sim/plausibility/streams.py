@@ -41,7 +41,7 @@ DROPS = 5
 """Rows that read exactly 0 between rows that do not, from which on they are drop-outs."""
 SLOWER = 0.75
 """Of the rows' rate: a coarse reading repeats itself by chance at a sixth of the rows."""
-COMMANDS = ("q_des_", "dq_des_", "tau_ff_", "x_")
+_COMMANDS = ("q_des_", "dq_des_", "tau_ff_", "x_")
 """Columns that are no sensor's: a controller is slower than its log."""
 _SAME = 1e-9
 """Share of its mean square that a copy differs by: rounding. A sensor of its own has noise."""
@@ -75,7 +75,16 @@ def frozen(view: LogView) -> Iterator[Finding]:
 def _others_move(
     view: LogView, name: str, kind: str, siblings: list[str], first: int, last: int
 ) -> bool:
-    """Whether what moves with a column moves between two rows: its rate or angle, its siblings."""
+    """Whether what moves with a column moves between two rows: its rate or angle, its siblings.
+
+    Args:
+        view: of the log.
+        name: of the column.
+        kind: of it and its siblings.
+        siblings: columns of that kind.
+        first: row.
+        last: row.
+    """
     frame = view.log.frame
     twin = {"q": f"dq_{name[2:]}", "dq": f"q_{name[3:]}"}.get(kind)
     if twin in frame and np.ptp(frame[twin].to_numpy()[first : last + 1]) > 0.0:
@@ -101,7 +110,7 @@ def held(view: LogView) -> Iterator[Finding]:
     """A column that is sampled slower than its rows."""
     rate = view.log.rate
     slow = [one for one in held_streams(view.log) if one.rate < SLOWER * rate]
-    slow = [one for one in slow if not one.columns[0].startswith(COMMANDS)]
+    slow = [one for one in slow if not one.columns[0].startswith(_COMMANDS)]
     if slow:
         known = [str(name) for name in view.log.frame]
         columns = sorted((c for one in slow for c in one.columns), key=known.index)

@@ -19,7 +19,7 @@ STEP = 0.02
 """s between the times at which streams are compared: some tens a stride."""
 MEAN = 0.06
 """s over which they are averaged there: impacts, and noise that a derivative has, hardly matter."""
-SHORTEST = 1.0
+SHORTEST_LOG = 1.0
 """s below which streams are not compared: two strides."""
 _STILL = 0.02
 """rad/s of turning, root mean square, below which a body is as good as at rest: a gyro's bias and
@@ -49,7 +49,7 @@ class LogView:
     @property
     def comparable(self) -> bool:
         """Whether the log is long enough for streams to be compared."""
-        return len(self.at) * STEP >= SHORTEST and len(self.t) > 20
+        return len(self.at) * STEP >= SHORTEST_LOG and len(self.t) > 20
 
     @property
     def robot(self) -> Robot | None:
@@ -109,7 +109,7 @@ class LogView:
         if not (self.comparable and self.log.has("imu") and self.log.has("reference")):
             return False
         moves = max(self.gyro.std(axis=0).max(), self.turning.std(axis=0).max()) > _STILL
-        return bool(moves) and int(self.ok.sum()) * STEP >= SHORTEST
+        return bool(moves) and int(self.ok.sum()) * STEP >= SHORTEST_LOG
 
     @cached_property
     def gyro_match(self) -> AxesMatch:
