@@ -69,8 +69,9 @@ def _plausibility() -> str:
     from surefoot.sim.plausibility import rules, rules_table
 
     intro = """`import`, `info`, `estimate`, `compare`, `train`, `calibrate` and `trace` look at
-their logs before they use them, and warn of numbers that cannot be, or hardly. `--strict` stops there. An
-imported log, a trajectory, an observer, bounds and the reports keep what was warned of. In Python,
+their logs before they use them, and warn of numbers that cannot be, or hardly. `--strict` stops
+there. An imported log, a trajectory, an observer, bounds and the reports keep what was warned of.
+In Python,
 `surefoot.sim.plausibility.check_log` gives the same: columns, evidence, likely cause and, where
 there is one, the line of the import map that mends it."""
     order = str(rules.__doc__).partition("\n\n")[2].strip()
