@@ -16,7 +16,8 @@ from tqdm import tqdm
 def processes(workers: int) -> Iterator[ProcessPoolExecutor | None]:
     """A pool of processes; one worker is this process itself.
 
-    They end with this process however it ends, and at once where the block is left by an error.
+    They end with this process however it ends, at once where it is interrupted; after an error
+    those at work finish what they have begun.
     """
     if workers == 1:
         yield None
@@ -25,8 +26,11 @@ def processes(workers: int) -> Iterator[ProcessPoolExecutor | None]:
     pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_end_with_parent)
     try:
         yield pool
+    except Exception:
+        pool.shutdown(cancel_futures=True)
+        raise
     except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
+        # Nothing is cancelled here: the pool's own thread fails on such tasks.
         for process in multiprocessing.active_children():
             process.terminate()
         raise
@@ -78,8 +82,9 @@ def stage(pool: ProcessPoolExecutor | None, label: str, tasks: dict[Any, tuple])
             for future in as_completed(futures):
                 results[futures[future]] = future.result()
                 bar.update()
-        finally:
+        except Exception:
             for future in futures:
                 future.cancel()
+            raise
     # In the tasks' order, whatever finished first.
     return {key: results[key] for key in tasks}

@@ -52,7 +52,7 @@ def run_forked(command: list[str], folder: Path, memory: int = MEMORY) -> Outcom
     out, err = folder.parent / "stdout", folder.parent / "stderr"
     sys.stdout.flush()
     sys.stderr.flush()
-    own = _resident()
+    own, code = _resident(), 99
     child = os.fork()
     if child == 0:
         try:
@@ -65,14 +65,14 @@ def run_forked(command: list[str], folder: Path, memory: int = MEMORY) -> Outcom
             sys.stdout.flush()
             sys.stderr.flush()
         finally:
-            os._exit(code if "code" in locals() else 99)
+            os._exit(code)
     _, status, used = os.wait4(child, 0)
     after = contents(folder)
     changed = sorted(n for n in before.keys() | after.keys() if before.get(n) != after.get(n))
-    texts = (path.read_text(errors="replace") for path in (out, err))
     return Outcome(
         os.waitstatus_to_exitcode(status),
-        *texts,
+        out.read_text(errors="replace"),
+        err.read_text(errors="replace"),
         used.ru_utime + used.ru_stime,
         tuple(changed),
         max(0.0, 1024.0 * used.ru_maxrss - own),

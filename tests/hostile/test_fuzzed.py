@@ -94,7 +94,7 @@ def _fuzz(name: str, good: Path, folder: Path, count: int) -> None:
 
 @pytest.mark.parametrize("name", READERS)
 def test_a_reader_takes_any_bytes(name, good, tmp_path):
-    _fuzz(name, good, tmp_path, 8)
+    _fuzz(name, good, tmp_path, 4)
 
 
 @pytest.mark.long

@@ -164,6 +164,7 @@ def test_a_resumed_observer_is_the_same_file(inputs, tmp_path):
     assert {p.name for p in (folder / "out").iterdir()} == {"o.pt", MANIFEST}
 
 
+@pytest.mark.long
 def test_two_runs_into_one_folder(inputs, tmp_path):
     """The second is refused, and the first goes on."""
     folder = copied(inputs, tmp_path / "two")
