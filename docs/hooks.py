@@ -31,7 +31,62 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     files.append(File.generated(config, "reference/commands.md", content=_commands()))
     files.append(File.generated(config, "reference/plausibility.md", content=_plausibility()))
     files.append(File.generated(config, "results/index.md", content=_results()))
+    files.append(File.generated(config, "reference/maps.md", content=_maps()))
+    files.append(File.generated(config, "reference/scenario_files.md", content=_scenario_files()))
     return files
+
+
+def _maps() -> str:
+    """Every key of an import map."""
+    sys.path[:0] = [str(ROOT), str(ROOT / "docs")]
+    from keys import keys_page
+
+    from surefoot.sim.importing import columns, map, sections
+
+    words = """
+    An [import map](../guides/own_log.md) is a TOML file that says what the files and columns of a
+    recording are. A key that is not listed is an error. Units by kind of column:
+
+    """ + "\n".join(f"    - `{kind}`: {', '.join(units)}" for kind, units in columns.UNITS.items())
+    tables = [
+        ("The file", map.MapFile),
+        ("A column", columns.ColumnEntry),
+        ("[source] and [sources.NAME]", sections.Source),
+        ("A table with one reading a row", sections.Long),
+        ("[reference]", sections.ReferenceTable),
+        ("[robot]", sections.RobotTable),
+        ("[contact]", sections.ContactTable),
+        ("[ground]", sections.GroundTable),
+        ("[motor_law]", sections.MotorLaw),
+        ("[even]", sections.EvenTable),
+    ]
+    return keys_page("Import maps", words, tables)
+
+
+def _scenario_files() -> str:
+    """Every key of a scenario's file."""
+    sys.path[:0] = [str(ROOT), str(ROOT / "docs")]
+    from keys import keys_page
+
+    from surefoot.sim import scenario
+    from surefoot.sim.gait.options import GaitOptions
+    from surefoot.sim.sensors.streams import Sensors
+
+    words = """
+    A [scenario](../guides/own_scenario.md) is a TOML file: a course, its ground, and what a seed
+    may vary. A key that is not listed is an error.
+    """
+    tables = [
+        ("The file", scenario._File),
+        ("[[segment]]", scenario._SegmentEntry),
+        ("[ground]", scenario._GroundTable),
+        ("[[ground.patch]]", scenario._PatchEntry),
+        ("[[ground.strip]]", scenario._StripEntry),
+        ("[ranges]", scenario.Ranges),
+        ("[gait]", GaitOptions),
+        ("[sensors]", Sensors),
+    ]
+    return keys_page("Scenario files", words, tables)
 
 
 def _moved(source: str) -> str:

@@ -1,4 +1,4 @@
-"""Trajectory metrics, each defined where it is computed (DESIGN, "Metrics").
+"""Trajectory metrics, each defined where it is computed.
 
 All are RMSE over poses or pairs at 100 Hz. The estimate is aligned to the reference in position and
 yaw at the first common sample, which proprioception cannot observe; SE(3)-aligned figures carry

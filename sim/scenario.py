@@ -158,11 +158,11 @@ class _SegmentEntry:
     duration: Length | None = None  # s
     distance: Length | None = None  # m
     angle: Length | None = None  # rad
-    forward: Speed = 0.0
-    lateral: Speed = 0.0
-    turn: Speed = 0.0
-    repeat: Count | None = None
-    segment: tuple["_SegmentEntry", ...] = ()
+    forward: Speed = 0.0  # m/s
+    lateral: Speed = 0.0  # m/s, positive to the left
+    turn: Speed = 0.0  # rad/s, positive to the left
+    repeat: Count | None = None  # rounds of the segments below it
+    segment: tuple["_SegmentEntry", ...] = ()  # what is repeated, [[segment.segment]]
 
     def __post_init__(self):
         lasts = [self.duration, self.distance, self.angle]
@@ -199,22 +199,28 @@ class _SegmentEntry:
 
 @dataclass(frozen=True)
 class _PatchEntry:
-    center: tuple[float, float]
-    size: tuple[Positive, Positive]
-    mu: Friction
+    """A rectangle of another friction."""
+
+    center: tuple[float, float]  # m
+    size: tuple[Positive, Positive]  # m, along x and y
+    mu: Friction  # friction coefficient
 
 
 @dataclass(frozen=True)
 class _StripEntry(Strip):
-    mu: Friction | None = None
+    """A straight stretch of ground of its own height: level, a ramp, stairs, or rough."""
+
+    mu: Friction | None = None  # friction coefficient; the ground's where left out
 
 
 @dataclass(frozen=True)
 class _GroundTable:
-    mu: Friction = 0.8
-    half_size: Length = 100.0
-    patch: tuple[_PatchEntry, ...] = ()
-    strip: tuple[_StripEntry, ...] = ()
+    """The floor."""
+
+    mu: Friction = 0.8  # friction coefficient
+    half_size: Length = 100.0  # m, from the centre to the edge of the floor
+    patch: tuple[_PatchEntry, ...] = ()  # [[ground.patch]], of another friction
+    strip: tuple[_StripEntry, ...] = ()  # [[ground.strip]], of another height
 
     def __post_init__(self):
         pieces = sum(max(strip.steps, 1) for strip in self.strip) + 1
@@ -231,16 +237,18 @@ class _GroundTable:
 
 @dataclass(frozen=True)
 class _File:
-    name: FileName | None = None
-    robot: Name | None = None
-    role: Role | None = None
-    stand: NonNegative = 1.0
-    laps: Count = 1
-    segment: tuple[_SegmentEntry, ...] = ()
-    ground: _GroundTable = field(default_factory=_GroundTable)
-    ranges: Ranges = field(default_factory=Ranges)
-    sensors: Sensors = field(default_factory=Sensors)
-    gait: GaitOptions = field(default_factory=GaitOptions)
+    """What is at the top of the file."""
+
+    name: FileName | None = None  # the file's own where left out
+    robot: Name | None = None  # that walks; another may be given on the command line
+    role: Role | None = None  # of the walk, in a suite
+    stand: NonNegative = 1.0  # s, standing still before the first step
+    laps: Count = 1  # times that the course is walked
+    segment: tuple[_SegmentEntry, ...] = ()  # [[segment]], one after another; one at least
+    ground: _GroundTable = field(default_factory=_GroundTable)  # [ground]
+    ranges: Ranges = field(default_factory=Ranges)  # [ranges], which the seed draws from
+    sensors: Sensors = field(default_factory=Sensors)  # [sensors], their errors
+    gait: GaitOptions = field(default_factory=GaitOptions)  # [gait]
 
     def __post_init__(self):
         if not self.segment:

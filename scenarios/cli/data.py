@@ -115,9 +115,25 @@ class Import:
             return
         with whole_file(self.out, self.force) as temporary:
             temporary.write_text(text, encoding="utf-8")
-        print(
-            f"{self.out}: {text.count('# ?')} questions in it; answer them, then import with --map"
-        )
+        asked = sum("# ?" in line for line in text.splitlines()[2:])
+        print(f"{self.out}: {asked} questions in it; answer them, then import with --map")
+
+
+@dataclass(frozen=True)
+class Export:
+    """Write a log or an estimate for other tools: TUM, CSV or MCAP, by the ending of --out."""
+
+    file: Positional[Path]
+    """A log, or an estimate as `estimate` writes it."""
+    out: Out
+    """File to write: .tum (poses; of a log, its reference), .csv (every column), .mcap (ROS 2 and
+    Foxglove messages)."""
+    force: Force = False
+
+    def run(self) -> None:
+        from surefoot.scenarios.export import export
+
+        print(export(self.file, self.out, self.force))
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Annotated, Union
 import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
 
-from surefoot.scenarios.cli.data import Align, Import, Info, Robots, Simulate, View
+from surefoot.scenarios.cli.data import Align, Export, Import, Info, Robots, Simulate, View
 from surefoot.scenarios.cli.estimate import Calibrate, Compare, Estimate, NoiseCommand, Train
 from surefoot.scenarios.cli.runs import (
     guarded,
@@ -48,6 +48,7 @@ COMMANDS: dict[str, type] = {
     "montecarlo": Montecarlo,
     "import": Import,
     "info": Info,
+    "export": Export,
     "align": Align,
     "view": View,
     "robots": Robots,

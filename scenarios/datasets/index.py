@@ -1,7 +1,8 @@
 """A folder of simulated logs: one row an attempted walk, an index (Parquet) and a card (markdown).
 
-Everything but the logs lies in `dataset/`, so that `*.parquet` in the folder means the logs. The
-journal gains a line as each walk ends; it is what a killed run goes on from.
+Everything but the logs lies in `_dataset/`: `*.parquet` in the folder means the logs, and so does
+the folder for `pd.read_parquet`, which passes over names that begin with an underscore. The journal
+gains a line as each walk ends; it is what a killed run goes on from.
 """
 
 import hashlib
@@ -26,6 +27,7 @@ from surefoot.sim.walk import Plan
 from surefoot.sim.walking.batch import Job, Walked, known_robot
 from surefoot.sim.walking.truth import SLIPPING
 
+INDEX_FOLDER = "_dataset"
 DRY = 0.5  # friction coefficient from which ground counts as dry
 
 
@@ -143,7 +145,7 @@ class Journal:
 
     def __init__(self, folder: Path):
         self.folder = folder
-        self.path = folder / "dataset" / "journal.jsonl"
+        self.path = folder / INDEX_FOLDER / "journal.jsonl"
         self.rows: dict[tuple[str, str, int], IndexRow] = {}
         text = self.path.read_text(encoding="utf-8") if self.path.exists() else ""
         for line in text.splitlines():
@@ -183,9 +185,9 @@ def _parsed(line: str) -> IndexRow | None:
 
 
 def write_index(folder: Path, rows: Sequence[IndexRow]) -> Path:
-    """Write `dataset/index.parquet` and `dataset/README.md`, each whole; returns the index."""
+    """Write `_dataset/index.parquet` and `_dataset/README.md`, each whole; returns the index."""
     frame = pd.DataFrame([asdict(row) for row in rows], columns=[f.name for f in fields(IndexRow)])
-    path = folder / "dataset" / "index.parquet"
+    path = folder / INDEX_FOLDER / "index.parquet"
     with whole_file(path, force=True) as temporary:
         frame.to_parquet(temporary, index=False)
     with whole_file(path.with_name("README.md"), force=True) as temporary:
@@ -195,7 +197,7 @@ def write_index(folder: Path, rows: Sequence[IndexRow]) -> Path:
 
 def read_index(folder: Path) -> pd.DataFrame:
     """The index of a folder of logs. Raises SurefootError where there is none."""
-    path = folder / "dataset" / "index.parquet"
+    path = folder / INDEX_FOLDER / "index.parquet"
     if not path.exists():
         raise SurefootError(f"{path}: no such file; `surefoot simulate -o {folder}` writes it")
     return pd.read_parquet(path)

@@ -43,7 +43,7 @@ def simulate_all(
 ) -> list[IndexRow]:
     """Walk every scenario with every seed into `out`/<scenario>_<seed>.parquet; returns the rows.
 
-    A fall is a row without a file; `dataset/` holds the index.
+    A fall is a row without a file; `_dataset/` holds the index.
 
     Args:
         scenarios: files, or names of bundled ones.

@@ -57,10 +57,10 @@ class Strip:
     end: tuple[float, float]  # m
     width: float  # m
     heights: tuple[float, float] = (0.0, 0.0)  # m, at start and end
-    steps: int = 0
+    steps: int = 0  # risers from one height to the other; none: a plane
     rough: float = 0.0  # m, height of the highest bump
     grain: float = 0.4  # m, distance between bumps
-    mu: float | None = None
+    mu: float | None = None  # friction coefficient, the floor's where left out
     bumps: np.ndarray | None = field(default=None, compare=False, repr=False)  # (nx, ny) m
 
     def __post_init__(self):

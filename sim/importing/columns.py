@@ -58,21 +58,24 @@ class MapColumn:
 
 @dataclass(frozen=True)
 class ColumnEntry:
-    """A column in a map: SI = sign * gain * unit * theirs + offset.
-
-    column: their name; "name[3]" is a place in a list or a column of an array, "file:name" is of
-    the further file [sources.file]; unit: theirs, SI where left out; sign: 1 or -1; gain: factor
-    beside the unit, as of a sensor's counts; offset: added last, in SI; wrap: what a turn has in
-    their unit, of angles that jump back by it; word: text that means 1, anything else is 0.
-    """
+    """A column in a map: SI = sign * gain * unit * theirs + offset. "name" alone is short for
+    { column = "name" }."""
 
     column: Name
+    """Their name; "name[3]" is a place in a list or a column of an array, counted from 0,
+    "file:name" is of the further file [sources.file], "/topic:field.path[joint]" of a bag."""
     unit: str | None = None
+    """Theirs; SI where left out."""
     sign: float = 1.0
+    """1 or -1."""
     gain: float = 1.0
+    """Factor beside the unit, as of a sensor's counts."""
     offset: float = 0.0
+    """Added last, in SI."""
     wrap: Positive | None = None
+    """What a turn has in their unit, of angles that jump back by it."""
     word: Name | None = None
+    """Text that means 1; anything else is 0."""
 
     def __post_init__(self):
         check_sign("sign", self.sign)

@@ -5,6 +5,7 @@ against the turning of gravity), gravity's axis and sign from the accelerometer'
 right from the strides in turns. What is not certain carries its doubt, a question in the draft.
 """
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.importing.bag import bag_fields, read_bag
-from surefoot.sim.importing.columns import DEGREE, STANDARD_GRAVITY, UNITS
+from surefoot.sim.importing.columns import DEGREE, STANDARD_GRAVITY, UNITS, kind_of
 from surefoot.sim.importing.names import Named, read_name
 from surefoot.sim.importing.recording import is_bag, read_table
 from surefoot.sim.importing.sections import Source
@@ -55,8 +56,6 @@ class Entry:
     @property
     def scale(self) -> float:
         """SI over theirs."""
-        from surefoot.sim.importing.columns import kind_of
-
         units = UNITS.get(kind_of(self.name), {})
         return self.sign * self.gain * (units[self.unit] if self.unit else 1.0)
 
@@ -87,10 +86,10 @@ class Draft:
         lines = [
             "# A draft by `surefoot import --guess`. A line with a # ? is a question: answer it by",
             "# what you know of the robot, then delete it. No log tells the signs of joints.",
-            *(f"# ? {note}" for note in self.notes),
+            *(f"# ? {' '.join(note.split())}" for note in self.notes),
             "",
             "[source]",
-            f'file = "{self.files[0].name}"',
+            f"file = {_text(self.files[0].name)}",
         ]
         lines += [] if self.header else ["header = false"]
         lines += [f"rate = {self.rate:.6g} # ? no times found"] if self.rate else []
@@ -98,27 +97,27 @@ class Draft:
             lines += [
                 "",
                 f"[sources.{name}]",
-                f'file = "{path.name}"',
+                f"file = {_text(path.name)}",
                 _line(replace(clock, name="t")),
             ]
         lines += ["", "[columns]", *_lines(self.main)]
         if self.reference:
             lines += ["", "[reference]"]
             if self.reference_file is not None and self.reference_file != self.files[0]:
-                lines.append(f'file = "{self.reference_file.name}"')
+                lines.append(f"file = {_text(self.reference_file.name)}")
             lines += [
                 'frame = "imu" # ? whose pose is it, and on which clock: try surefoot align',
                 "",
                 "[reference.columns]",
                 *_lines(self.reference),
             ]
-        lines += ["", "[robot]", f'name = "{self.robot}"'] if self.robot else []
+        lines += ["", "[robot]", f"name = {_text(self.robot)}"] if self.robot else []
         if self.contact:
             on, off = self.contact
             lines += ["", "[contact] # ? half way between swing and stance", f"on = {on:.4g}"]
             lines += [f"off = {off:.4g}"]
         if self.unused:
-            lines += ["", f"# not used: {', '.join(self.unused)}"]
+            lines += ["", f"# not used: {' '.join(', '.join(self.unused).split())}"]
         return "\n".join(lines) + "\n"
 
 
@@ -195,7 +194,7 @@ def _lists_beside(path: Path) -> dict[str, tuple[str, ...]]:
 
 
 def _parts(path: Path) -> list[Path]:
-    """The files of a folder that is no bag; names of its joints are read apart."""
+    """A file or bag itself; the tables in a folder."""
     if path.is_dir() and not is_bag(path):
         return sorted(one for one in path.iterdir() if one.suffix in (".csv", ".json", ".mat"))
     return [path]
@@ -661,14 +660,14 @@ def _lines(entries: Sequence[Entry]) -> list[str]:
     lines, above = [], ""
     for entry in entries:
         if entry.doubt and entry.doubt != above:
-            lines.append(f"# ? {entry.doubt}")
+            lines.append(f"# ? {' '.join(entry.doubt.split())}")
         above = entry.doubt
         lines.append(_line(entry))
     return lines
 
 
 def _line(entry: Entry) -> str:
-    keys = [f'column = "{entry.theirs}"']
+    keys = [f"column = {_text(entry.theirs)}"]
     keys += [f'unit = "{entry.unit}"'] if entry.unit else []
     keys += [f"sign = {entry.sign:g}"] if entry.sign != 1.0 else []
     keys += [f"gain = {entry.gain:g}"] if entry.gain != 1.0 else []
@@ -678,4 +677,9 @@ def _line(entry: Entry) -> str:
 
 def _key(name: str) -> str:
     plain = all(c.isalnum() or c in "_-" for c in name)
-    return name if plain else f'"{name}"'
+    return name if plain else _text(name)
+
+
+def _text(text: str) -> str:
+    """A text in TOML, whose basic strings escape as JSON's do."""
+    return json.dumps(text, ensure_ascii=False)

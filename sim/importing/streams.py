@@ -68,16 +68,19 @@ class LateStream:
 
 
 def held_streams(log: Log) -> tuple[HeldStream, ...]:
-    """Columns of a log that were sampled slower than its rows; those of one kind (gyro, q, ...) and
-    rate together."""
-    found: dict[tuple[str, int], list[str]] = defaultdict(list)
+    """Columns of a log that were sampled slower than its rows; those of one kind (gyro, q, ...)
+    together, at their median rate."""
+    found: dict[str, dict[str, float]] = defaultdict(dict)
     for name in map(str, log.frame):
         if name == "t" or name.startswith(("ref_", "contact_", "slip_", "mu_")):
             continue
         share = _repeated(log.t, log.frame[name].to_numpy())
         if share > _HELD_SHARE:
-            found[_kind(name), round(log.rate * (1.0 - share))].append(name)
-    return tuple(HeldStream(tuple(names), float(rate)) for (_, rate), names in found.items())
+            found[_kind(name)][name] = log.rate * (1.0 - share)
+    return tuple(
+        HeldStream(tuple(rates), float(np.round(np.median(list(rates.values())))))
+        for rates in found.values()
+    )
 
 
 def late_streams(log: Log) -> tuple[LateStream, ...]:

@@ -67,7 +67,9 @@ def test_the_index_says_what_was_drawn_and_what_happened(folder, capsys):
         assert row.duration == log.t[-1]
         assert 0.2 < row.length < 0.9
         assert row.creep < 2e-3
-    card = (folder / "walks" / "dataset" / "README.md").read_text()
+    every = pd.read_parquet(folder / "walks")
+    assert len(every) == sum(len(Log.read(folder / "walks" / name).t) for name in walked.file)
+    card = (folder / "walks" / "_dataset" / "README.md").read_text()
     assert "2 logs" in card
     assert "| cliff" in card
 
@@ -78,7 +80,7 @@ def test_another_run_adds_and_makes_nothing_twice(folder):
     simulate_all([Path("short.toml"), Path("cliff.toml")], Path("walks"), seeds="0:3", workers=2)
     assert {p: p.stat().st_mtime_ns for p in before} == before
     assert len(read_index(Path("walks"))) == 6
-    lines = Path("walks/dataset/journal.jsonl").read_text().splitlines()
+    lines = Path("walks/_dataset/journal.jsonl").read_text().splitlines()
     assert len(lines) == 6  # falls, too, are not walked again
 
 
@@ -118,7 +120,7 @@ def test_a_log_that_a_kill_parted_from_its_row_is_kept(folder):
     """Killed between the log and its line in the journal, or within the line."""
     simulate_all([Path("short.toml")], Path("walks"), seeds="0:2")
     index = read_index(Path("walks"))
-    journal = Path("walks/dataset/journal.jsonl")
+    journal = Path("walks/_dataset/journal.jsonl")
     journal.write_text(journal.read_text()[:-200])
     before = {p: p.stat().st_mtime_ns for p in Path("walks").glob("*.parquet")}
     simulate_all([Path("short.toml")], Path("walks"), seeds="0:2")

@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from surefoot.scenarios.cli.main import main
 from surefoot.sim.common.files import measured_folder
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.importing.guess import Draft, guess_map, stride_in_turns
@@ -217,3 +218,18 @@ def test_a_text_without_a_header_and_without_names_is_asked_about(tmp_path):
     assert "header = false" in draft.text
     assert [(e.name, e.theirs, bool(e.doubt)) for e in draft.main] == [("t", "0", True)]
     assert "not used: 1" in draft.text
+
+
+def test_the_command_prints_a_draft_or_writes_it(tmp_path, capsys):
+    t = 0.01 * np.arange(200)
+    pd.DataFrame({"time": t, "angle_knee": np.sin(t)}).to_csv(tmp_path / "run.csv", index=False)
+    main(["import", "--guess", str(tmp_path / "run.csv")])
+    assert 'q_knee = { column = "angle_knee", unit = "rad" }' in capsys.readouterr().out
+    main(["import", "--guess", str(tmp_path / "run.csv"), "-o", str(tmp_path / "map.toml")])
+    assert "0 questions" in capsys.readouterr().out
+    out = tmp_path / "log.parquet"
+    main(["import", str(tmp_path / "run.csv"), "--map", str(tmp_path / "map.toml"), "-o", str(out)])
+    assert Log.read(out).joints == ("knee",)
+    for words in (["import", "run.csv"], ["import", "csv"]):
+        with pytest.raises(SystemExit, match="surefoot: "):
+            main(words)

@@ -1,0 +1,53 @@
+"""Pages that list the keys of maps and scenarios: every key is there, with its meaning."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from surefoot.sim import scenario
+from surefoot.sim.gait.options import GaitOptions
+from surefoot.sim.importing import columns, map, sections
+from surefoot.sim.sensors.streams import Sensors
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "docs"))
+from keys import keys, keys_page
+
+KINDS = [
+    map.MapFile,
+    columns.ColumnEntry,
+    sections.Source,
+    sections.Long,
+    sections.ReferenceTable,
+    sections.RobotTable,
+    sections.ContactTable,
+    sections.GroundTable,
+    sections.MotorLaw,
+    sections.EvenTable,
+    scenario._File,
+    scenario._SegmentEntry,
+    scenario._GroundTable,
+    scenario._PatchEntry,
+    scenario._StripEntry,
+    scenario.Ranges,
+    GaitOptions,
+    Sensors,
+]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_key_is_listed_with_its_meaning(kind):
+    found = keys(kind)
+    assert {key for key, *_ in found} == set(kind.__dataclass_fields__) - {"bumps"}
+    assert all(len(meaning) >= 1 for *_, meaning in found), found
+    page = keys_page("Title", "Words.", [("[table]", kind)])
+    assert page.count("\n| `") == len(found)
+
+
+def test_values_and_defaults_are_in_the_words_of_a_file():
+    table = {key: rest for key, *rest in keys(sections.ContactTable)}
+    assert table["of"][:2] == ["`force`, `torque`, `kinematics`", '`"force"`']
+    assert table["on"][0] == "number or table of number"
+    assert table["on"][1] == "required"
+    assert {k: v for k, v, *_ in keys(sections.RobotTable)}["imu_position"] == "3 numbers"
+    assert {k: v for k, v, *_ in keys(map.MapFile)}["sources"] == "table"

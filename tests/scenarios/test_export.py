@@ -1,0 +1,119 @@
+"""What is exported is read back: by pandas, by evo's format of poses, and as a bag by a map."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from rosbags.highlevel import AnyReader
+
+from surefoot.estimator.evaluation.trajectory import Trajectory, reference
+from surefoot.scenarios.cli.main import main
+from surefoot.scenarios.estimate.run import run_filter
+from surefoot.scenarios.export import export
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.importing.recording import import_log
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """A log of a second, at 100 Hz, and an estimate of it."""
+    folder, robot = tmp_path_factory.mktemp("export"), Robot.load("spot_class")
+    log = walk(Scenario("short", (Segment(1.0, 0.3),), Ground(0.8)), robot, 0)
+    log = log.rows(slice(0, 500, 5))
+    log.write(folder / "log.parquet")
+    run_filter("imu", log, robot).trajectory.write(folder / "imu.parquet")
+    return folder
+
+
+MAP = """[columns]
+t = "/imu:header.stamp"
+gyro_x = "/imu:angular_velocity.x"
+gyro_y = "/imu:angular_velocity.y"
+gyro_z = "/imu:angular_velocity.z"
+accel_x = "/imu:linear_acceleration.x"
+accel_y = "/imu:linear_acceleration.y"
+accel_z = "/imu:linear_acceleration.z"
+q_FL_hip = "/joint_states:position[FL_hip]"
+tau_FL_hip = "/joint_states:effort[FL_hip]"
+contact_FL = "/contact/FL:data"
+contact_FR = "/contact/FR:data"
+contact_RL = "/contact/RL:data"
+contact_RR = "/contact/RR:data"
+[reference.columns]
+t = "/reference:timestamp"
+ref_p_x = "/reference:pose.position.x"
+ref_p_y = "/reference:pose.position.y"
+ref_p_z = "/reference:pose.position.z"
+ref_q_w = "/reference:pose.orientation.w"
+ref_q_x = "/reference:pose.orientation.x"
+ref_q_y = "/reference:pose.orientation.y"
+ref_q_z = "/reference:pose.orientation.z"
+"""
+
+
+def test_a_log_comes_back_from_mcap_by_a_map(files, capsys):
+    main(f"export {files / 'log.parquet'} -o {files / 'log.mcap'}".split())
+    assert "messages" in capsys.readouterr().out
+    text = MAP.split("[reference.columns]")
+    (files / "map.toml").write_text(f"{text[0]}[reference]\n[reference.columns]{text[1]}")
+    from surefoot.sim.log import Log
+
+    log, back = Log.read(files / "log.parquet"), import_log(files / "log.mcap", files / "map.toml")
+    np.testing.assert_allclose(back.gyro, log.gyro[-len(back.t) :], atol=1e-12)
+    np.testing.assert_allclose(back.q[:, 0], log.q[-len(back.t) :, 0], atol=1e-12)
+    np.testing.assert_allclose(back.tau[:, 0], log.tau[-len(back.t) :, 0], atol=1e-12)
+    np.testing.assert_array_equal(back.contact[:, 0], log.contact[-len(back.t) :, 0])
+    np.testing.assert_allclose(back.ref_p, log.ref_p[-len(back.t) :], atol=1e-8)
+    np.testing.assert_allclose(back.ref_R_GI, log.ref_R_GI[-len(back.t) :], atol=1e-8)
+
+
+def test_poses_have_foxgloves_published_fields_in_the_file_itself(files):
+    export(files / "imu.parquet", files / "imu.mcap")
+    published = {
+        "foxglove_msgs/msg/PoseInFrame": ["timestamp", "frame_id", "pose"],
+        "foxglove_msgs/msg/FrameTransform": [
+            "timestamp",
+            "parent_frame_id",
+            "child_frame_id",
+            "translation",
+            "rotation",
+        ],
+    }
+    with AnyReader([files / "imu.mcap"]) as bag:  # knows no types but those of the file
+        kinds = {one.topic: one.msgtype for one in bag.connections}
+        assert kinds["/imu"] == "foxglove_msgs/msg/PoseInFrame"
+        assert kinds["/tf"] == "foxglove_msgs/msg/FrameTransform"
+        places = []
+        for connection, _, raw in bag.messages():
+            message = bag.deserialize(raw, connection.msgtype)
+            if connection.msgtype in published:
+                own = [name for name in message.__dataclass_fields__ if not name.startswith("_")]
+                assert own == published[connection.msgtype]
+            if connection.topic == "/imu":
+                p = message.pose.position
+                places.append((p.x, p.y, p.z))
+    np.testing.assert_array_equal(places, Trajectory.read(files / "imu.parquet").p_GI)
+
+
+def test_text_keeps_every_digit_and_nothing_is_overwritten(files):
+    from surefoot.sim.log import Log
+
+    log = Log.read(files / "log.parquet")
+    export(files / "log.parquet", files / "log.csv")
+    pd.testing.assert_frame_equal(
+        pd.read_csv(files / "log.csv", float_precision="round_trip"), log.frame
+    )
+    export(files / "log.parquet", files / "log.tum")
+    table = np.loadtxt(files / "log.tum")
+    np.testing.assert_allclose(table[:, 1:4], reference(log).p_GI, atol=1e-12)
+    export(files / "imu.parquet", files / "imu.csv")
+    assert "cov_0_0" in pd.read_csv(files / "imu.csv")
+    with pytest.raises(SurefootError, match="exists already"):
+        export(files / "log.parquet", files / "log.csv")
+    with pytest.raises(SurefootError, match="the ending says the format"):
+        export(files / "log.parquet", files / "log.txt")
+    with pytest.raises(SurefootError, match="not a whole Parquet file"):
+        export(files / "log.csv", files / "other.csv")
