@@ -322,12 +322,10 @@ class _Columns:
         legs = {n.leg for n in found.values() if n.leg}
         leg = _leg(one.leg, legs)
         if leg:
-            part = one.part or (
-                ("hip", "thigh", "calf")[one.place % 3] if one.place is not None else ""
-            )
-            return f"{leg}_{part}".rstrip(
-                "_"
-            ), "" if one.part else f"which joint of {leg} is {name}?"
+            places = ("hip", "thigh", "calf")
+            part = one.part or ("" if one.place is None else places[one.place % 3])
+            joint = f"{leg if leg in LEGS else one.written}_{part}".rstrip("_")
+            return joint, "" if one.part else f"which joint of {leg} is {name}?"
         if one.part:
             return one.part, ""
         alike = [n for n in found.values() if n.kind == one.kind and n.commanded == one.commanded]

@@ -3,6 +3,8 @@
 import re
 from dataclasses import dataclass
 
+from surefoot.sim.log.schema import LEGS
+
 
 def _words(text: str) -> frozenset[str]:
     return frozenset(text.split())
@@ -35,7 +37,7 @@ _LEGS = {
     **dict.fromkeys(("left", "l"), "left"),
     **dict.fromkeys(("right", "r"), "right"),
 }
-_PARTS = {
+_OF_A_LEG = {
     **dict.fromkeys(("hip", "haa", "abad", "abduction", "hipx"), "hip"),
     **dict.fromkeys(("thigh", "hfe", "hipy"), "thigh"),
     **dict.fromkeys(("calf", "knee", "kfe", "shank"), "calf"),
@@ -58,12 +60,14 @@ class Named:
     """What a name says; None or "" where it says nothing.
 
     kind: of the log's column, `euler` for an angle of an attitude, `foot` for a foot's place; leg:
-    FL, FR, RL, RR, left or right; part: hip, thigh, calf or another word; place: in a list; axis;
-    unit: as written; commanded: a command; reference: of a tracked body.
+    FL, FR, RL, RR, left or right; written: as the name has it; part: the joint's name beside the
+    leg's, of FL to RR hip, thigh or calf; place: in a list; axis; unit: as written; commanded: a
+    command; reference: of a tracked body.
     """
 
     kind: str = ""
     leg: str = ""
+    written: str = ""
     part: str = ""
     place: int | None = None
     axis: str = ""
@@ -81,7 +85,7 @@ def words_of(name: str) -> list[str]:
 def read_name(name: str) -> Named:
     """What a name says by itself."""
     words = words_of(name)
-    kind, leg, axis, unit, place = "", "", "", "", None
+    kind, leg, written, axis, unit, place = "", "", "", "", "", None
     part: list[str] = []
     for word in words:
         letters, digits = re.fullmatch(r"([a-z]*)([0-9]*).*", word).groups()  # pyright: ignore
@@ -91,9 +95,7 @@ def read_name(name: str) -> Named:
         if word.isdigit():
             place = int(word)
         elif word in _LEGS and not leg and len(words) > 1:
-            leg = _LEGS[word]
-        elif word in _PARTS and _PARTS[word] not in part:
-            part.append(_PARTS[word])
+            leg, written = _LEGS[word], word
         elif word in _FEET:
             kind = kind or "foot"
         elif (word in "xyz" or (word == "w" and kind == "ref_q")) and len(words) > 1:
@@ -122,7 +124,8 @@ def read_name(name: str) -> Named:
     return Named(
         kind=kind,
         leg=leg,
-        part="_".join(part),
+        part=_OF_A_LEG.get("_".join(part), "_".join(part)) if leg in LEGS else "_".join(part),
+        written=written,
         place=place,
         axis=axis,
         unit=unit,

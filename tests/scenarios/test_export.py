@@ -104,7 +104,7 @@ def test_text_keeps_every_digit_and_nothing_is_overwritten(files):
     log = Log.read(files / "log.parquet")
     export(files / "log.parquet", files / "log.csv")
     pd.testing.assert_frame_equal(
-        pd.read_csv(files / "log.csv", float_precision="round_trip"), log.frame
+        pd.read_csv(files / "log.csv", float_precision="round_trip", dtype=float), log.frame
     )
     export(files / "log.parquet", files / "log.tum")
     table = np.loadtxt(files / "log.tum")

@@ -93,7 +93,7 @@ def test_nine_entries_of_ten_are_right_on_measured_logs(capsys):
         assert not [name for name in silent if name in truth], said[-1]
         rights, totals = rights + right, totals + total
     with capsys.disabled():
-        print("\n".join(["", *said, f"all: {rights} of {totals}, {100 * rights / totals:.0f} %"]))
+        print("\n".join(["", *said, f"all: {rights} of {totals}, {100 * rights / totals:.1f} %"]))
     assert rights >= ENOUGH * totals
 
 
@@ -230,6 +230,10 @@ def test_the_command_prints_a_draft_or_writes_it(tmp_path, capsys):
     out = tmp_path / "log.parquet"
     main(["import", str(tmp_path / "run.csv"), "--map", str(tmp_path / "map.toml"), "-o", str(out)])
     assert Log.read(out).joints == ("knee",)
+    frame = pd.DataFrame({"time": t, "q_l_hip_pitch": np.sin(t), "q_r_hip_pitch": np.cos(t)})
+    frame.to_csv(tmp_path / "biped.csv", index=False)
+    main(["import", "--guess", str(tmp_path / "biped.csv")])
+    assert "q_l_hip_pitch = " in capsys.readouterr().out
     for words in (["import", "run.csv"], ["import", "csv"]):
         with pytest.raises(SystemExit, match="surefoot: "):
             main(words)
