@@ -20,7 +20,7 @@ from surefoot.sim.importing.recording import is_bag, read_table
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.table import columns_of
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative
-from surefoot.sim.log.schema import JOINTS
+from surefoot.sim.log.schema import JOINTS, LEGS
 from surefoot.sim.robot import Robot
 
 _RATES = (8.0, 5000.0)
