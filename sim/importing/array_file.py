@@ -12,10 +12,9 @@ import numpy as np
 import scipy.io
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.limits import check_limit, limits
 from surefoot.sim.importing.table import RecordedTable
 
-LARGEST = 1 << 31
-"""Bytes of a file's arrays together: some hours of a log of 100 columns at 500 Hz."""
 _MAT_HEADER, _MAT_COMPRESSED = 128, 15
 """Bytes of the header of MATLAB's version 5, and the type of a compressed element (MAT-File Format,
 MathWorks)."""
@@ -108,15 +107,15 @@ def _arrays(found: dict[str, object]) -> dict[str, np.ndarray]:
 
 
 def _inflated(path: Path) -> int:
-    """Bytes of a MATLAB file of version 5 once it is unpacked, or more than LARGEST."""
+    """Bytes of a MATLAB file of version 5 once it is unpacked, or more than is allowed."""
     content = path.read_bytes()
     order = "<" if content[126:128] == b"IM" else ">"
-    at, total = _MAT_HEADER, len(content)
-    while at + 8 <= len(content) and total <= LARGEST:
+    at, total, most = _MAT_HEADER, len(content), limits().memory
+    while at + 8 <= len(content) and total <= most:
         kind, size = struct.unpack_from(f"{order}II", content, at)
         if kind == _MAT_COMPRESSED:
             unpacking, rest = zlib.decompressobj(), content[at + 8 : at + 8 + size]
-            while rest and total <= LARGEST:
+            while rest and total <= most:
                 total += len(unpacking.decompress(rest, _CHUNK))
                 rest = unpacking.unconsumed_tail
         at += 8 + size
@@ -124,10 +123,7 @@ def _inflated(path: Path) -> int:
 
 
 def _bounded(path: Path, size: float) -> None:
-    if size > LARGEST:
-        raise SurefootError(
-            f"{path}: {size / 1e9:.1f} GB of arrays, more than {LARGEST / 1e9:.1f} GB: cut it"
-        )
+    check_limit("memory", size, f"{path}: bytes of arrays")
 
 
 @contextmanager

@@ -8,7 +8,8 @@ import numpy as np
 import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.importing.array_file import LARGEST, read_hdf5, read_mat, read_npz
+from surefoot.sim.common.limits import admitted
+from surefoot.sim.importing.array_file import read_hdf5, read_mat, read_npz
 from surefoot.sim.importing.assemble import RawRecording, unit_quaternions
 from surefoot.sim.importing.bag import read_bag, topic_of
 from surefoot.sim.importing.clock import Columns, Stamped, check_rising, gap_lines, on_clock
@@ -82,8 +83,8 @@ def _robot_file(rules: ImportMap, main: Path) -> str | None:
 
 def read_table(path: Path, source: Source) -> RecordedTable:
     """The table of a file of any kind but a bag's. Raises SurefootError."""
-    if path.is_file() and path.stat().st_size > LARGEST:
-        raise SurefootError(f"{path}: is larger than {LARGEST / 1e9:.1f} GB: cut it")
+    if path.exists():
+        admitted(path, "recording")
     reader = _READERS.get(path.suffix.lower())
     if path.suffix.lower() == ".parquet":
         return _parquet(path)

@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import measured_folder
-from surefoot.sim.importing import array_file
 from surefoot.sim.importing.recording import import_log, read_recording
 from surefoot.sim.importing.report import import_lines
 from surefoot.sim.importing.streams import held_streams
@@ -323,9 +322,9 @@ def test_nothing_in_a_file_is_run_and_nothing_larger_than_a_log_is_read(tmp_path
         refused(tmp_path / name)
     (tmp_path / "deep.json").write_text("[" * 100_000)
     refused(tmp_path / "deep.json")
-    monkeypatch.setattr(array_file, "LARGEST", 1000)
+    monkeypatch.setenv("SUREFOOT_LIMITS", "memory=1000")
     for write in (npz, mat, hdf5):
-        assert "cut it" in refused(write(tmp_path))
+        assert "bytes of arrays" in refused(write(tmp_path))
     monkeypatch.undo()
     np.save(tmp_path / "other.npy", T)
     with h5py.File(tmp_path / "linked.h5", "w") as file:
