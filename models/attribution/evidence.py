@@ -250,10 +250,13 @@ class _Linear:
         if members != (key[1],):
             # One size for all: to first order each adds what it would alone.
             return summed_regressor([self.regressor((key[0], member)) for member in members])
-        tried = [self._from_zero(key, size) for size in kind.starts_on(key[1], self.log)]
+        sizes = kind.starts_on(key[1], self.log)
+        tried = [self._from_zero(key, size) for size in sizes]
         if len(tried) == 1:
             return tried[0]
-        return max(tried, key=lambda one: explained_share(one, self.parts.table))
+        # Each start for sizes of its own sign.
+        shares = [explained_share(one, self.parts.table) for one in tried]
+        return tried[int(np.argmax(np.sign(sizes) * shares))]
 
     def _from_zero(self, key: Key, step: float) -> Regressor:
         """By a difference of the residual, or by the chain rule that the effect declares."""
