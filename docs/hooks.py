@@ -43,11 +43,12 @@ def _maps() -> str:
 
     from surefoot.sim.importing import columns, map, sections
 
-    words = """
-    An [import map](../guides/own_log.md) is a TOML file that says what the files and columns of a
-    recording are. A key that is not listed is an error. Units by kind of column:
-
-    """ + "\n".join(f"    - `{kind}`: {', '.join(units)}" for kind, units in columns.UNITS.items())
+    units = "\n".join(f"- `{kind}`: {', '.join(one)}" for kind, one in columns.UNITS.items())
+    words = (
+        "An [import map](../guides/own_log.md) is a TOML file that says what the files and columns"
+        " of a recording are. A key that is not listed is an error. Units by kind of column:\n\n"
+        + units
+    )
     tables = [
         ("The file", map.MapFile),
         ("A column", columns.ColumnEntry),
