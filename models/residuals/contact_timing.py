@@ -39,7 +39,9 @@ def contact_timing(log: Log, robot: Robot, frame: ReferenceMotion) -> np.ndarray
         *(frame, robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI),
     )
     late = np.full((len(frame.first), 2 * len(turns)), np.nan)
-    usual = (USUAL[0] + robot.extras.touchdown_late, USUAL[1] + robot.extras.liftoff_late)
+    # A contact that must last for a time before it counts begins late by that.
+    begins = USUAL[0] + log.meta.model.get("contact_debounce", 0.0) + robot.extras.touchdown_late
+    usual = (begins, USUAL[1] + robot.extras.liftoff_late)
     for leg, change in enumerate(turns):
         at, when, lifts = moments(log.t, log.contact[:, leg], speed[:, leg], change, rows)
         behind = 0.5 * (log.t[change] + log.t[change - 1]) - when

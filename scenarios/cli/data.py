@@ -102,7 +102,7 @@ class Import:
         log = replace(log, meta=replace(log.meta, warnings=warnings))
         log.write(self.out, self.force)
         print(_summary(str(self.out), log))
-        for line in import_lines(log, recording.reference(), recording.notes):
+        for line in import_lines(log, *recording.reference(), notes=recording.notes):
             print(line)
 
     def _draft(self, files: tuple[str, ...]) -> None:

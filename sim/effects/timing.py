@@ -14,6 +14,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import correlate, correlation_lags
 from scipy.spatial.transform import Rotation, Slerp
 
+from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.quaternion import slerp
 from surefoot.sim.effects.base import Effect, with_columns
@@ -21,7 +22,7 @@ from surefoot.sim.log import Log
 from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.contact import swings
-from surefoot.sim.sensors.pad import begin_late, end_late
+from surefoot.sim.sensors.pad import begin_early, begin_late, end_late
 from surefoot.sim.sensors.streams import Reference, Streams
 
 NONLINEAR = 0.008
@@ -136,39 +137,60 @@ class CommandDelay(Effect):
 
 
 class ContactDelay(Effect):
-    """The feet's contacts begin late, or end late, by this time on the mean.
+    """The feet's contacts begin late, or end late, by this time on the mean; below zero, they begin
+    early.
 
     A foot's pad and its switch make them (`sim.sensors.pad`), such that the mean over all steps is
-    what the size says: each step differs with its load.
-    An end that is reported early does no harm: an unloaded foot stands still for a while.
+    what the size says: each late step differs with its load. A long, soft pad touches before the
+    foot stands. An end that is reported early does no harm: an unloaded foot stands still for a
+    while.
     """
 
     name = "contact_delay"
     unit = "s"
-    bounds = (0.0, 0.15)
+    bounds = (-0.05, 0.15)
     channels = ("contact_timing",)
     targets = ("touchdown", "liftoff")
     needs = ("contact", "q", "reference")
     # Less than a row: of contacts that bounce, some appear and some vanish with every row.
     step = 1e-3
 
+    def __post_init__(self):
+        super().__post_init__()
+        if self.target == "liftoff" and self.value < 0.0:
+            raise SurefootError(
+                f"effect {self.name}: a liftoff is not early, is {self.value:g} {self.unit}"
+            )
+
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         threshold = streams.contact_threshold * robot.mass * GRAVITY
         read = begin_late if self.target == "touchdown" else end_late
-        force = read(streams.t, streams.force, threshold, self.value)
+        if self.value < 0.0:
+            read = begin_early
+        force = read(streams.t, streams.force, threshold, abs(self.value))
         return replace(streams, force=force)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        rows, contact = int(self.value * log.rate), log.contact.copy()
+        late = self.value
+        if late < 0.0:
+            # What the debouncing of contacts takes off their beginnings need not be taken again.
+            late = min(late + log.meta.model.get("contact_debounce", 0.0), 0.0)
+        rows, contact = int(late * log.rate), log.contact.copy()
         for leg in range(contact.shape[1]):
             lifts, lands = swings(log.t, log.contact[:, leg])
             for edge in lands if self.target == "touchdown" else lifts:
-                contact[max(edge - rows, 0) : edge, leg] = self.target == "touchdown"
+                begin, end = max(edge - max(rows, 0), 0), edge + max(-rows, 0)
+                contact[begin:end, leg] = self.target == "touchdown" and rows > 0
         columns = {f"contact_{leg}": contact[:, i].astype(float) for i, leg in enumerate(log.legs)}
         # Less than a row cannot be undone in the log: it goes into the declared model.
         name, rest = f"{self.target}_late", self.value - rows / log.rate
         known = replace(robot.extras, **{name: getattr(robot.extras, name) + rest})
         return with_columns(log, columns), replace(robot, extras=known)
+
+    @classmethod
+    def inside(cls, target: str) -> tuple[float, float]:
+        low, high = super().inside(target)
+        return (low if target == "touchdown" else 1.1 * cls.step), high
 
 
 class ReferenceDelay(Effect):

@@ -12,6 +12,7 @@ from surefoot.sim.importing.clock import Columns, column_kind, evened, without_h
 from surefoot.sim.importing.contacts import feet_that_stand
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.reference import imu_poses, with_reference
+from surefoot.sim.importing.reference_contradictions import contradicted
 from surefoot.sim.importing.sections import EvenTable
 from surefoot.sim.log import Log, LogError, Meta
 from surefoot.sim.log.reference import Poses
@@ -41,9 +42,17 @@ class RawRecording:
         """What the recording is called: its file's name without the ending."""
         return self.path.stem
 
-    def reference(self) -> Poses | None:
-        """Poses of the IMU frame on the log's clock; None without a reference of its own."""
-        return imu_poses(self.poses, self.rules, self.name) if self.poses else None
+    def reference(self) -> tuple[Poses, np.ndarray] | tuple[None, None]:
+        """Poses of the IMU frame on the log's clock, and which of them (K,) the IMU contradicts,
+        so that the log does without; None without a reference of its own."""
+        if self.poses is None:
+            return None, None
+        poses = imu_poses(self.poses, self.rules, self.name)
+        imu = [f"{what}_{axis}" for what in ("gyro", "accel") for axis in "xyz"]
+        if not {"t", *imu} <= set(self.main):
+            return poses, np.zeros(len(poses.t), dtype=bool)
+        columns = np.column_stack([self.main[name] for name in imu])
+        return poses, contradicted(self.main["t"], columns[:, :3], columns[:, 3:], poses)
 
     def without_reference(self) -> "RawRecording":
         """All its rows, none of its poses."""
@@ -53,7 +62,9 @@ class RawRecording:
         """The log, every column checked. Raises LogError naming path and map."""
         if "ref_q_w" in self.main:
             unit_quaternions(self.path, self.main)
-        log = _log_from_tables(self.main, self.reference(), self.rules, self.name)
+        poses, wrong = self.reference()
+        poses = poses.rows(~wrong) if poses is not None else None
+        log = _log_from_tables(self.main, poses, self.rules, self.name)
         try:
             check_frame(log.frame, log.rate)
         except SurefootError as error:

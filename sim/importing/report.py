@@ -1,5 +1,7 @@
 """What a reader should know of a recording before its numbers: feet, stamps, reference."""
 
+import numpy as np
+
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.importing.clock import jitter_line
 from surefoot.sim.importing.reference_check import check_reference, without_jumps
@@ -38,16 +40,21 @@ def reference_lines(log: Log, poses: Poses | None = None) -> tuple[str, ...]:
 
 
 def import_lines(
-    log: Log, poses: Poses | None = None, notes: tuple[str, ...] = ()
+    log: Log,
+    poses: Poses | None = None,
+    wrong: np.ndarray | None = None,
+    notes: tuple[str, ...] = (),
 ) -> tuple[str, ...]:
     """What to say of a log that was imported: `notes` of how it was read, the radius of its feet,
-    its stamps, its reference. What is not plausible is `sim.plausibility`'s to say."""
+    its stamps, its reference, and which of the `poses` the log does without since the IMU
+    contradicts them (`wrong`, (K,) bool). What is not plausible is `sim.plausibility`'s to say."""
     jitter = jitter_line(log.t)
     return (
         *notes,
         *_feet_lines(log),
         *([jitter] if jitter else ()),
         *reference_lines(log, poses),
+        *_contradictions(poses, wrong),
     )
 
 
@@ -63,3 +70,12 @@ def _feet_lines(log: Log) -> tuple[str, ...]:
     return (
         f"feet: a radius of {sizes} mm, of the robot's file; the map has no [robot] foot_radius",
     )
+
+
+def _contradictions(poses: Poses | None, wrong: np.ndarray | None) -> tuple[str, ...]:
+    if poses is None or wrong is None or not wrong.any():
+        return ()
+    edges = np.flatnonzero(np.diff(wrong.astype(int), prepend=0, append=0)).reshape(-1, 2)
+    when = ", ".join(f"{poses.t[a]:.2f} to {poses.t[b - 1]:.2f} s" for a, b in edges)
+    left = f"reference: {wrong.sum()} samples left out, the accelerometer contradicts them: {when}"
+    return (left,)

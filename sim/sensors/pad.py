@@ -1,8 +1,9 @@
-"""A foot's pad and its switch: contacts that are sensed late, each step by its own time.
+"""A foot's pad and its switch: contacts that are sensed late, each step by its own time, or early.
 
 A pad must be squeezed before its switch closes: a contact begins when the load has given it an
 impulse. Unloaded, it springs back slowly: the reading falls with a lag of first order, and a
-contact ends when it has come down to the threshold.
+contact ends when it has come down to the threshold. A pad that is long and soft touches the ground
+before the foot carries anything.
 """
 
 from collections.abc import Callable
@@ -12,6 +13,8 @@ import numpy as np
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.sensors.contact import swings
 
+TOUCHING = 1.5
+"""Times its threshold, load on a pad that is only touched."""
 RECOVERY = 0.03
 """s, time constant with which a squeezed pad comes back in the air: within any swing."""
 
@@ -33,6 +36,16 @@ def begin_late(t: np.ndarray, force: np.ndarray, threshold: float, late: float) 
 
     most = dt * float(force.max(initial=0.0)) * len(t)
     return _read_late(read, most, t, force > threshold, threshold, late, True)
+
+
+def begin_early(t: np.ndarray, force: np.ndarray, threshold: float, early: float) -> np.ndarray:
+    """What is read (N, L) [N] by feet whose contacts begin early, as of `begin_late`."""
+    read, rows = force.copy(), round(early / float(np.median(np.diff(t))))
+    for leg, stands in enumerate((force > threshold).T):
+        for land in swings(t, stands)[1]:
+            before = slice(max(land - rows, 0), land)
+            read[before, leg] = np.maximum(read[before, leg], TOUCHING * threshold)
+    return read
 
 
 def end_late(t: np.ndarray, force: np.ndarray, threshold: float, late: float) -> np.ndarray:

@@ -1,0 +1,67 @@
+"""Samples of a reference that the IMU contradicts: stamps far off, a body taken for another."""
+
+import numpy as np
+
+from surefoot.sim.importing.reference_noise import (
+    FEWEST_SAMPLES,
+    UNLIKE_TURNING,
+    turning_missed,
+)
+from surefoot.sim.log.dead_reckoning import beside_imu
+from surefoot.sim.log.derived import derivative
+from surefoot.sim.log.reference import Poses
+
+_WINDOW = 0.1
+"""s over which the reference's velocity is compared with the accelerometer's integral: some
+samples of motion capture, and so short that bias and tilt change it by centimetres a second."""
+_LEAST = 0.25
+"""m/s of a change that no reference of a legged robot has by noise: 25 mm in the window."""
+_OUTLYING = 8.0
+"""Times the usual change from which one is no noise."""
+_MOST = 0.05
+"""Share of samples above which reference and IMU do not belong together at all: another clock,
+other axes or another place, which `surefoot align` solves."""
+_SHORTEST = 1.0
+"""s of reference between two contradictions, or at an end, below which it is left out with them."""
+
+
+def contradicted(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, poses: Poses) -> np.ndarray:
+    """Samples (K,) bool around which the reference changes its velocity as the IMU did not.
+
+    None where the reference as a whole does not move with the IMU, or has too few samples.
+
+    Args:
+        t: (N,) of the IMU's rows [s].
+        gyro: (N, 3) [rad/s], mean over the step before each row.
+        accel: (N, 3) [m/s^2], the same.
+        poses: K, of the IMU frame.
+    """
+    found = np.zeros(len(poses.t), dtype=bool)
+    known = np.flatnonzero((poses.t > t[1]) & (poses.t < t[-1]))
+    if len(known) < FEWEST_SAMPLES:
+        return found
+    beside = beside_imu(t, gyro, accel, poses.rows(known))
+    if turning_missed(beside) > UNLIKE_TURNING:
+        return found
+    half = max(0.5 * _WINDOW, 2.0 * float(np.median(np.diff(beside.t))))
+    v = derivative(beside.t, beside.path, 0.5 * _WINDOW, causal=False)
+    before = np.searchsorted(beside.t, beside.t - half)
+    after = np.searchsorted(beside.t, beside.t + half, side="right") - 1
+    change = np.linalg.norm(v[after] - v[before], axis=1)
+    bad = change > max(_LEAST, _OUTLYING * float(np.median(change)))
+    if not bad.any() or bad.mean() > _MOST:
+        return found
+    found[known] = _closed(beside.t, bad)
+    found[: known[0]] = found[known[0]]
+    found[known[-1] + 1 :] = found[known[-1]]
+    return found
+
+
+def _closed(t: np.ndarray, bad: np.ndarray) -> np.ndarray:
+    """The flags (K,), with the good pieces that are too short to be of use set as well."""
+    out = bad.copy()
+    edges = np.flatnonzero(np.diff(bad.astype(int), prepend=1, append=1))
+    for first, end in edges.reshape(-1, 2):
+        if t[min(end, len(t) - 1)] - t[max(first - 1, 0)] < _SHORTEST:
+            out[first:end] = True
+    return out

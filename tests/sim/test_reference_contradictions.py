@@ -1,0 +1,66 @@
+"""Samples of a reference that do not move as the IMU does are left out of a log."""
+
+import numpy as np
+import pytest
+from motions import attitude, motion, position
+
+from surefoot.sim.common.files import measured_folder
+from surefoot.sim.common.quaternion import quaternion_from_matrix
+from surefoot.sim.importing.csv_file import read_csv_recording
+from surefoot.sim.importing.reference_contradictions import contradicted
+from surefoot.sim.importing.report import import_lines
+from surefoot.sim.log.reference import Poses
+
+RECORDING = measured_folder() / "go1_square"
+WALK = motion(12.0, 400.0)
+
+
+def poses(t, stamps=None, noise=3e-4):
+    """Samples of the motion at t (K,), of a point beside the IMU, said to be at `stamps`."""
+    R = attitude(t).as_matrix()
+    p = position(t) + R @ [0.03, 0.05, 0.1]
+    p = p + np.random.default_rng(0).normal(0.0, noise, p.shape)
+    return Poses(t if stamps is None else stamps, p, quaternion_from_matrix(R))
+
+
+def found(these):
+    return contradicted(WALK.t, WALK.gyro, WALK.accel, these)
+
+
+def test_a_reference_that_moves_with_the_imu_is_kept():
+    t = np.arange(-0.2, 12.2, 1 / 90)
+    assert not found(poses(t)).any()
+    # Late by half a second all along: a clock, which is solved and not cut out.
+    assert not found(poses(t, t + 0.5)).any()
+
+
+def test_stamps_that_are_far_off_at_an_end_are_left_out_with_what_comes_before():
+    t = np.arange(-0.2, 12.2, 1 / 90)
+    # Frames were lost without being counted: what was before them comes too late by 0.3 s.
+    stamps = np.where(t < 0.5, t + 0.3, t)
+    keep = np.r_[True, np.diff(np.maximum.accumulate(stamps)) > 0]
+    out = found(poses(t[keep], stamps[keep]))
+    gone = stamps[keep][out]
+    assert out[0]
+    assert np.all(np.diff(np.flatnonzero(out)) == 1)
+    assert 0.75 < gone[-1] < 0.95
+
+
+def test_a_jump_between_is_left_out_with_its_surroundings():
+    t = np.arange(0.0, 12.0, 1 / 90)
+    these = poses(t)
+    moved = these.p + np.where(t[:, None] > 6.0, [0.1, 0.0, 0.0], 0.0)
+    gone = t[found(Poses(t, moved, these.q))]
+    assert 5.85 < gone[0] < 6.0 < gone[-1] < 6.15
+
+
+@pytest.mark.skipif(not RECORDING.is_dir(), reason=f"no measured logs at {RECORDING}")
+def test_the_go1_stands_up_slower_than_its_stamps_say():
+    recording = read_csv_recording(RECORDING, "go1_square")
+    known, wrong = recording.reference()
+    assert known is not None
+    assert wrong.sum() < 0.06 * len(wrong)
+    assert known.t[wrong][-1] - known.t[0] < 0.7
+    log = recording.log()
+    assert log.t[0] > known.t[wrong][-1]
+    assert any("accelerometer contradicts them" in line for line in import_lines(log, known, wrong))
