@@ -14,7 +14,6 @@ from surefoot.models.residuals.binning import (
     at_torques,
     bin_mean,
     mean_rate_of_change,
-    reference_motion,
 )
 from surefoot.models.residuals.channel import ResidualInputs
 from surefoot.models.residuals.jacobians import (
@@ -31,6 +30,7 @@ from surefoot.models.residuals.layout import Layout, layout_for
 from surefoot.models.residuals.registry import channels
 from surefoot.models.residuals.residual import (
     ResidualTable,
+    motion_under_model,
     residual,
     with_ground,
 )
@@ -101,7 +101,7 @@ def log_under_model(log: Log, robot: Machine, settings: TraceSettings = DEFAULT)
     hung = not log.has("reference") and not stands and log.has("q")
     fixed = not isinstance(robot, Robot) or hung
     log = log.keeping()
-    frame = reference_motion(log, robot.limbs, fixed)
+    frame = motion_under_model(log, robot, fixed)
     return LogUnderModel(log, robot, with_ground(frame, log, robot), fixed, settings)
 
 
@@ -151,7 +151,10 @@ def linearise(
     parts = [_Linear(case, chosen, judged) for case in cases]
     tables = [p.parts.table for p in parts]
     starts = np.cumsum([0] + [len(table) for table in tables])
-    if before is not None and len(before.t) == starts[-1]:
+    there = before is not None and np.array_equal(
+        np.isfinite(before.table), np.isfinite(np.concatenate(tables))
+    )
+    if before is not None and there:
         own = {(e.name, e.target) for e in chosen}
         X = tuple(
             joined_regressor([p.regressor(key) for p in parts], starts) if key in own else one
@@ -218,7 +221,7 @@ def _parts(
     log, robot = compensate_all(chosen, case.log, case.robot)
     frame = case.frame
     if log is not case.log and _moves_frame(changed_columns(case.log, log)):
-        frame = replace(reference_motion(log, robot.limbs, case.fixed), level=case.frame.level)
+        frame = replace(motion_under_model(log, robot, case.fixed), level=case.frame.level)
     names = [name for name, channel in channels().items() if judged or not channel.judges]
     return log, robot, residual(log, robot, frame, names), frame
 
@@ -308,7 +311,7 @@ class _Linear:
         if log is self.log:
             same = unchanged_channels(self.robot, robot)
         elif _moves_frame(changed_columns(self.log, log)):
-            frame = replace(reference_motion(log, robot.limbs, self.case.fixed), level=frame.level)
+            frame = replace(motion_under_model(log, robot, self.case.fixed), level=frame.level)
         again = [name for name in self.parts.names if name not in same]
         return (residual(log, robot, frame, again).table - self.parts.table) / step
 

@@ -126,7 +126,7 @@ def reference_motion(log: Log, limbs: Limbs, fixed: bool = False) -> ReferenceMo
     whole = np.concatenate([[False], dt < 1.5 * np.median(dt)])
     feet = np.zeros((2, len(t), legs), dtype=bool)
     if log.has("contact"):
-        feet = np.stack([inside_stances(t, c, EDGE) for c in (log.contact, ~log.contact)])
+        feet = np.stack([inside_stances(t, c, EDGE, EDGE) for c in (log.contact, ~log.contact)])
     return ReferenceMotion(
         gyro=gyro,
         accel=accel,

@@ -6,18 +6,24 @@ before it moves, and is sensed as lifted then.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from surefoot.models.residuals.binning import ReferenceMotion
+from surefoot.models.residuals.binning import EDGE, ReferenceMotion
 from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.log import Log, joint_velocity
 from surefoot.sim.robot import Robot
-from surefoot.sim.sensors.stances import changes
+from surefoot.sim.sensors.stances import changes, inside_stances
 
 MOVES = 0.2
 """m/s over the ground from which a foot does not stand: a tenth of what one swings at."""
+OUTSIDE = 0.01
+"""s by which contacts are late or early that have more than a foot's landing and lifting in them:
+half a bin, and ten times what they vary by on simulated walks."""
+FEWEST_CHANGES = 8
+"""Changes of contact whose median is known."""
 CHANGE_WINDOW = 0.08
 """s on either side of a change of contact in which the foot is looked at."""
 USUAL = (-0.0005, -0.018)
@@ -50,6 +56,25 @@ def contact_timing(log: Log, robot: Robot, frame: ReferenceMotion) -> np.ndarray
         column = leg + len(turns) * lifts[known]
         late[bins, column] = (behind - np.where(lifts, *usual[::-1]))[known]
     return late
+
+
+def within_windows(frame: ReferenceMotion, log: Log, robot: Robot) -> ReferenceMotion:
+    """The reference motion, whose feet stand only while they do by their own motion.
+
+    Where contacts end late, or begin early, by the legs' kinematics, that much more is left out at
+    the ends of every stance. What the foot does there as it leaves is a hundred times the noise of
+    one that stands, and a foot's radius or a spring in its leg would be fitted to it.
+    """
+    timing = contact_timing(log, robot, frame)
+    legs = timing.shape[1] // 2
+    begins, ends = timing[:, :legs], timing[:, legs:]
+    known = [one[np.isfinite(one)] for one in (begins, ends)]
+    early, late = (float(np.median(x)) if len(x) >= FEWEST_CHANGES else 0.0 for x in known)
+    early = max(-early - log.meta.model.get("contact_debounce", 0.0), 0.0)
+    if max(early, late) < OUTSIDE:
+        return frame
+    inside = inside_stances(log.t, log.contact, EDGE + early, EDGE + max(late, 0.0))
+    return replace(frame, standing=inside & frame.ok[:, None])
 
 
 def near_changes(turns: Sequence[np.ndarray], frame: ReferenceMotion, rows: int) -> np.ndarray:

@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from surefoot.models.residuals.binning import ReferenceMotion, binned
+from surefoot.models.residuals.binning import ReferenceMotion, binned, reference_motion
 from surefoot.models.residuals.channel import ResidualInputs
+from surefoot.models.residuals.contact_timing import within_windows
 from surefoot.models.residuals.feet import level_ground
 from surefoot.models.residuals.layout import Layout, layout_for
 from surefoot.models.residuals.registry import channels
@@ -50,6 +51,15 @@ def filled(layout: Layout, inputs: ResidualInputs, names: Collection[str]) -> np
             if values is not None:
                 table[:, columns] = values
     return table
+
+
+def motion_under_model(log: Log, robot: Machine, fixed: bool) -> ReferenceMotion:
+    """The reference motion of a log, and the rows in which its feet stand by this model. Raises
+    LogError where it has no reference, unless its base is `fixed`."""
+    motion = reference_motion(log, robot.limbs, fixed)
+    if fixed or not isinstance(robot, Robot) or not (log.has("q") and motion.standing.any()):
+        return motion
+    return within_windows(motion, log, robot)
 
 
 def with_ground(motion: ReferenceMotion, log: Log, robot: Machine) -> ReferenceMotion:

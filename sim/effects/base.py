@@ -59,6 +59,10 @@ class Effect:
     leg geometry and foot radius), "mass" (what its base carries). None: the derivative is a
     difference of the residual itself, which holds for any effect."""
 
+    takes_loads: ClassVar[bool] = False
+    """Whether `compensate` takes the loads of joints or feet from the log, which is to be as all
+    other effects leave it."""
+
     def __post_init__(self):
         if isinstance(self.targets, tuple) and self.target not in self.targets:
             raise SurefootError(self._unknown(self.target, self.targets))

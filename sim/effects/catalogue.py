@@ -153,11 +153,12 @@ def declared_effects(log: Log) -> list[Effect]:
 def compensate_all(effects: Iterable[Effect], log: Log, robot: M) -> tuple[Log, M]:
     """The log and robot as a model sees them that compensates all `effects`.
 
-    Those that no model can compensate (`Effect.is_compensated`) stay in the log. A machine on a
-    fixed base may stand for the robot where no effect changes its body.
+    Those that no model can compensate (`Effect.is_compensated`) stay in the log; those that take
+    loads from the log come last (`Effect.takes_loads`). A machine on a fixed base may stand for the
+    robot where no effect changes its body.
     """
     known: Any = robot
-    for one in effects:
+    for one in sorted(effects, key=lambda e: e.takes_loads):
         if one.is_compensated():
             log, known = one.compensate(log, known)
     return log, known

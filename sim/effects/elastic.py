@@ -38,6 +38,7 @@ class LegCompliance(Effect):
     needs = ("q",)
     step = 2e-5
     chain_rule = "readings"
+    takes_loads = True
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         for joint in self.members(robot.limbs):
@@ -66,6 +67,7 @@ class FootElasticity(Effect):
     needs = ("q", "contact")
     step = 1e-6
     chain_rule = "readings"
+    takes_loads = True
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         for leg in range(len(robot.limbs.legs)):

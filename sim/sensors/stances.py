@@ -24,18 +24,19 @@ def stances_between_swings(t: np.ndarray, stands: np.ndarray) -> tuple[np.ndarra
     return first[np.insert(swung, 0, True)[: len(first)]], end[np.append(swung, True)[: len(end)]]
 
 
-def inside_stances(t: np.ndarray, contact: np.ndarray, margin: float) -> np.ndarray:
-    """Rows and feet (N, L) that stand, farther than `margin` [s] from either end of the stance.
+def inside_stances(t: np.ndarray, contact: np.ndarray, begin: float, end: float) -> np.ndarray:
+    """Rows and feet (N, L) that stand, farther than `begin` and `end` [s] from those of the stance.
 
     t (N,) [s]; contact (N, L) bool.
     """
     inside = contact.copy()
     for leg in range(contact.shape[1]):
         change = changes(contact[:, leg])
-        middle = 0.5 * (t[change - 1] + t[change])
+        middle, lands = 0.5 * (t[change - 1] + t[change]), contact[change, leg]
         edges = np.zeros(len(t) + 1, dtype=int)
-        np.add.at(edges, np.searchsorted(t, middle - margin), 1)
-        np.add.at(edges, np.searchsorted(t, middle + margin, side="right"), -1)
+        np.add.at(edges, np.searchsorted(t, middle - np.where(lands, 0.0, end)), 1)
+        behind = middle + np.where(lands, begin, 0.0)
+        np.add.at(edges, np.searchsorted(t, behind, side="right"), -1)
         inside[np.cumsum(edges[:-1]) > 0, leg] = False
     return inside
 

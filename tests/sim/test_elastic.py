@@ -95,7 +95,7 @@ def test_truth_knows_that_elastic_legs_stand(calves):
 
 def test_a_foot_gives_along_the_axes_that_it_says_and_by_its_load():
     log, motion = walked("foot_elasticity", "normal", 2e-5)
-    inside = inside_stances(log.t, log.contact, 0.03)
+    inside = inside_stances(log.t, log.contact, 0.03, 0.03)
     R = _last_links_B(GO1, motion.q[1:])
     assert motion.give is not None
     given_B = np.einsum("nlij,nlj->nli", R, motion.give.foot[1:])

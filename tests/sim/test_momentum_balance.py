@@ -38,7 +38,7 @@ def log(tmp_path_factory, robot):
 def test_torques_are_those_of_the_motors(log, robot):
     """Of loaded joints, but for what feet press against each other and the edges of a stance."""
     found = momentum_balance(log, robot).torque
-    stands = inside_stances(log.t, log.contact, 0.05)
+    stands = inside_stances(log.t, log.contact, 0.05, 0.05)
     rows = log.t - log.t[0] > 1.0
     for leg in range(4):
         use, joints = rows & stands[:, leg], slice(3 * leg, 3 * leg + 3)
