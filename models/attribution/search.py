@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t
 
+from surefoot.models.attribution.drift import adds_drift
 from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel, all_keys, linearise
 from surefoot.models.attribution.fit import (
     Design,
@@ -36,7 +37,8 @@ class Found:
 @dataclass(frozen=True)
 class Attribution:
     """What was found: effects, strongest first; candidates by round; rivals of any effect;
-    robust weights of the final evidence; floor: that of the model with the effects."""
+    robust weights of the final evidence; floor: that of the model with the effects; refuted: the
+    effects that explain a channel and make the drift of the legs worse."""
 
     found: tuple[Found, ...]
     rounds: tuple[tuple[Candidate, ...], ...]
@@ -44,6 +46,7 @@ class Attribution:
     robust_weights: RobustWeights
     evidence: Evidence
     floor: NoiseFloor
+    refuted: tuple[Key, ...] = ()
 
 
 def attribute(
@@ -70,24 +73,30 @@ def attribute(
     keys = tuple(dict.fromkeys(key for case in cases for key in all_keys(case)))
     settings = cases[0].settings
     chosen: list[Effect] = []
+    refuted: list[Key] = []
     rounds: list[tuple[Candidate, ...]] = []
     rivals: tuple[tuple[Key, float], ...] = ()
     explained = 0.0
     evidence = None
     while True:
         if progress:
-            progress(len(rounds) / (settings.most_effects + 1))
+            progress(min(len(rounds) / (settings.most_effects + 1), 1.0))
         evidence, whole, weights, chosen = _settled(cases, chosen, keys, evidence, floor, split)
         sigma = floor.counted(weights.sigma, weights.alike)
         data = normal_equations(whole, sigma, weights.weight, split.part)
-        candidates = judge(data, floor, [_key(e) for e in chosen], explained, rng)
+        limbs = evidence.layout.limbs
+        candidates = judge(data, floor, [_key(e) for e in chosen], explained, limbs, rng)
         rounds.append(candidates)
+        candidates = tuple(c for c in candidates if c.key not in refuted)
         best = candidates[0] if candidates and candidates[0].earned else None
         if best is None or len(chosen) == settings.most_effects:
             break
         known = Data(cases, floor, evidence, chosen, weights, split.part)
-        others = distinct(data, candidates, evidence.layout.limbs)
+        others = distinct(data, candidates, limbs)
         best, chosen_with = rerank(known, contenders(data, others, [*map(_key, chosen)]))
+        if adds_drift(cases, chosen, chosen_with, split.fit | split.select):
+            refuted.append(best.key)
+            continue
         rivals += _rivals(data, best, others, [_key(e) for e in chosen], rng)
         explained += best.gain
         chosen = chosen_with
@@ -95,7 +104,7 @@ def attribute(
     found = _with_intervals(data, chosen, floor)
     # What was found beside an effect is no other explanation of it.
     rivals = tuple(rival for rival in rivals if rival[0] not in [_key(e) for e in chosen])
-    return Attribution(found, tuple(rounds), rivals, weights, evidence, floor)
+    return Attribution(found, tuple(rounds), rivals, weights, evidence, floor, tuple(refuted))
 
 
 def _settled(

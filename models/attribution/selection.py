@@ -48,6 +48,7 @@ def judge(
     floor: NoiseFloor,
     chosen: Sequence[Key],
     explained: float,
+    limbs: Limbs,
     rng: np.random.Generator,
 ) -> tuple[Candidate, ...]:
     """Every candidate that is not chosen yet, those that earn a place first, by score.
@@ -57,6 +58,7 @@ def judge(
         floor: noise floor.
         chosen: keys of the effects found so far.
         explained: sum of their gains on unseen blocks.
+        limbs: of the machine.
         rng: draws the bootstrap's blocks.
     """
     s, seen, unseen = data.settings, data.rows(data.part == FIT), data.rows(data.part == SELECT)
@@ -95,7 +97,7 @@ def judge(
         clear = most / max(float(np.hypot(spread, error)), 1e-300)
         plain_to_see = clear > s.clear and share > s.large
         price = len(sizes) * per_size + chance
-        doubt = sum(surprise(key[0], float(one)) for one in sizes)
+        doubt = sum(surprise(*key, float(one), limbs) for one in sizes)
         if s.own_zeros and of_each_run(key[0]):
             # It is another in every run anyway: nothing is a surprise, and its price is paid.
             doubt = -price

@@ -113,7 +113,7 @@ class TraceSettings:
     a very large effect even a large one is little."""
     large: float = 0.2
     """Share of all that is left that makes an effect a large one."""
-    most_effects: int = 4
+    most_effects: int = 8
     """Effects that one trace may name."""
     twin_overlap: float = 0.95
     """Overlap (cosine) from which two regressors are hard to distinguish."""

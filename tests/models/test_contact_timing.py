@@ -1,5 +1,7 @@
 """When contacts are told to change, against when feet stop and start to move."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -7,11 +9,14 @@ from numpy.testing import assert_allclose
 from surefoot.models.attribution.evidence import linearise, log_under_model, table_of
 from surefoot.models.residuals.contact_timing import MOVES, moments
 from surefoot.models.residuals.layout import layout_for
+from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
+from surefoot.sim.effects.base import with_columns
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.sensors.contact import contact_from_force
 from surefoot.sim.walk import walk
 
 ROBOT = Robot.load("spot_class")
@@ -59,6 +64,48 @@ def test_a_late_contact_shows_by_its_delay_and_is_explained(plain, target, colum
     others = np.setdiff1d(np.r_[TIMING], np.r_[columns])
     assert_allclose(left[others], 0.0, atol=2e-3)
     assert np.mean(left[columns]) == pytest.approx(0.0, abs=2e-3)
+
+
+def test_feet_that_already_move_are_not_asked_where_contacts_end_late(plain):
+    """Rows in which a foot counts as standing are those of the log whose contacts are not late, and
+    the residual of its velocity is as there."""
+    late = case_with(effect("contact_delay", "liftoff", 0.04))
+    rows = late.frame.standing
+    # Each step is late by its own time.
+    assert (rows & ~plain.frame.standing).sum() < 0.08 * rows.sum()
+    assert rows.sum() > 0.9 * plain.frame.standing.sum()
+    velocities = layout_for(QUADRUPED).channels["leg_velocity"]
+    worst = [np.nanmax(np.abs(table_of(case, ())[:, velocities])) for case in (plain, late)]
+    assert worst[1] < 1.5 * worst[0]
+
+
+def test_contacts_that_begin_early_are_found_and_cut(plain):
+    one = effect("contact_delay", "touchdown", -0.02)
+    early = case_with(one)
+    before = np.nanmedian(table_of(plain, ()), axis=0)
+    seen = np.nanmedian(table_of(early, ()), axis=0) - before
+    assert np.mean(seen[TOUCHDOWN]) == pytest.approx(-0.02, abs=2e-3)
+    left = np.nanmedian(table_of(early, [one]), axis=0) - before
+    assert np.mean(left[TOUCHDOWN]) == pytest.approx(0.0, abs=2e-3)
+    known, _ = one.compensate(early.log, ROBOT)
+    assert (known.contact != plain.log.contact).mean() < 0.01
+    with pytest.raises(SurefootError, match="a liftoff is not early"):
+        effect("contact_delay", "liftoff", -0.01)
+
+
+def test_a_contact_that_must_last_before_it_counts_is_not_late(plain):
+    """A log says for how long, and the residual knows."""
+    log = plain.log
+    columns = {}
+    for i, leg in enumerate(log.legs):
+        force = np.where(log.contact[:, i], 1.0, 0.0)
+        columns[f"contact_{leg}"] = contact_from_force(log.t, force, 0.5, 0.5, 0.04).astype(float)
+    model = {**log.meta.model, "contact_debounce": 0.04}
+    debounced = replace(with_columns(log, columns), meta=replace(log.meta, model=model))
+    left = np.nanmedian(table_of(log_under_model(debounced, ROBOT), ()), axis=0)
+    before = np.nanmedian(table_of(plain, ()), axis=0)
+    # But for feet that bounce as they land.
+    assert_allclose(left[TOUCHDOWN], before[TOUCHDOWN], atol=0.015)
 
 
 def test_a_delay_adds_its_size_and_a_clock_the_time_that_it_is_off(plain):
