@@ -85,9 +85,9 @@ PRIORS: dict[str, Prior] = {
 """Name -> prior; of all others of the catalogue no figure is published (see `prior_of`)."""
 
 
-ALIKE: dict[str, float] = {"leg_compliance": 0.3}
+ALIKE: dict[str, float] = {"leg_compliance": 0.3, "foot_rolling": 0.3}
 """Name -> share of their size by which the parts of one kind differ, 19 times of 20. No published
-figure was found; catalogues of gears give stiffnesses as typical values."""
+figure was found; catalogues of gears give stiffnesses as typical values, and feet wear."""
 
 
 def prior_of(kind: type[Effect]) -> Prior:
@@ -119,8 +119,8 @@ def surprise(name: str, target: str, size: float, limbs: Limbs) -> float:
 
 def _whole_kinds(members: Sequence[str], limbs: Limbs) -> bool:
     """Whether of every kind of part that is among the members, joints or legs, all are."""
-    if not set(members) <= set(limbs.joints):
-        return True
+    if set(members) <= set(limbs.legs):
+        return len(members) == len(limbs.legs)
     kinds = [limbs.kind(i) for i in range(len(limbs.joints))]
     touched = {kinds[limbs.joints.index(one)] for one in members}
     return len(members) == sum(kind in touched for kind in kinds)

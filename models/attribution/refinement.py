@@ -16,9 +16,9 @@ from surefoot.models.attribution.fit import NormalEquations, design, fit, loss, 
 from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.attribution.priors import surprise
 from surefoot.models.attribution.robust_weights import RobustWeights
-from surefoot.models.attribution.selection import Candidate
-from surefoot.models.attribution.split import FIT, REPORT, SELECT
-from surefoot.sim.effects import Effect, effect
+from surefoot.models.attribution.selection import Candidate, left_unseen
+from surefoot.models.attribution.split import REPORT
+from surefoot.sim.effects import Effect, effect, known_effects
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,11 @@ def contenders(
     data: NormalEquations, candidates: Sequence[Candidate], chosen: Sequence[Key]
 ) -> list[Candidate]:
     """The few that might be the best, by score: of those that earn a place, and of those that
-    explain what the first of them does, and more, but are too small to earn one alone."""
+    explain what the first of them does, and more, but are too small to earn one alone. One that
+    explains other channels than the first is no rival: its turn comes."""
+    earned = [c for c in candidates if c.earned]
+    channels = {c.key: set(known_effects()[c.key[0]].channels) for c in candidates}
+    candidates = [c for c in candidates if earned and channels[c.key] & channels[earned[0].key]]
     earned = [c for c in candidates if c.earned]
     near = [c for c in earned if c.score > data.settings.close_behind * earned[0].score]
     near += [c for c in candidates if earned and _outdoes(data, c, earned[0], chosen)]
@@ -97,9 +101,8 @@ def _outdoes(data: NormalEquations, one: Candidate, best: Candidate, chosen: Seq
     sized = abs(one.size) > data.settings.contender_size * np.hypot(one.error, one.floor)
     if one.earned or one.at_bound or not sized or one.interval[0] <= best.gain:
         return False
-    seen, unseen = data.rows(data.part == FIT), data.rows(data.part == SELECT)
     alone, both = (
-        float(loss(unseen, fit(seen, [*chosen, *keys], errors=False).vector).sum())
+        float(left_unseen(data, [*chosen, *keys]).sum())
         for keys in ((one.key,), (one.key, best.key))
     )
     return alone - both < data.settings.same_share * best.gain

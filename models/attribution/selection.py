@@ -21,7 +21,7 @@ class Candidate:
     """One candidate, fitted with what was chosen before it.
 
     size and error [its unit], less the size it has on walks that lack it; floor: how far that
-    varies [its unit]; gain: squared error it takes off the unseen blocks, in units of noise, with
+    varies [its unit]; gain: squared error it takes off unseen blocks, in units of noise, with
     its 95 % interval; share: the same as a share of what there is to explain; surprise: what its
     prior takes off the gain (`priors.surprise`).
     """
@@ -53,6 +53,9 @@ def judge(
 ) -> tuple[Candidate, ...]:
     """Every candidate that is not chosen yet, those that earn a place first, by score.
 
+    What a candidate gains is cross-validated: sizes fitted on the blocks of FIT are judged on those
+    of SELECT, and the other way round. Its size and error are from both.
+
     Args:
         data: normal equations of the blocks.
         floor: noise floor.
@@ -61,29 +64,31 @@ def judge(
         limbs: of the machine.
         rng: draws the bootstrap's blocks.
     """
-    s, seen, unseen = data.settings, data.rows(data.part == FIT), data.rows(data.part == SELECT)
-    counts = block_draws(len(unseen.G), rng)
-    plain = fit(seen, chosen, errors=False).vector
-    plainly = loss(unseen, plain), loss(seen, plain)
+    s, used = data.settings, data.rows((data.part == FIT) | (data.part == SELECT))
+    counts = block_draws(len(used.G), rng)
+    plain, plain_used = (
+        left_unseen(data, chosen),
+        loss(used, fit(used, chosen, errors=False).vector),
+    )
     # Chen and Chen 2008, extended BIC: one of many costs more than one alone, and one with a size
     # for each log as many times as it has sizes.
-    per_size, chance = np.log(max(2, len(seen.G))), 2.0 * np.log(len(data.keys))
+    per_size, chance = np.log(max(2, len(used.G))), 2.0 * np.log(len(data.keys))
     judged = []
     for key in data.keys:
         if key in chosen:
             continue
-        fitted = fit(seen, [*chosen, key])
-        size, error = float(fitted.sizes[-1]), float(np.sqrt(fitted.covariance[-1, -1]))
         offset, spread = floor.sizes(chosen, key)
-        size -= offset
-        before, before_seen = plainly
-        if offset:
-            faked = fit(seen, chosen, errors=False, given={key: offset}).vector
-            before, before_seen = loss(unseen, faked), loss(seen, faked)
-        blocks = before - loss(unseen, fitted.vector)
+        faked = {key: offset} if offset else {}
+        before = left_unseen(data, chosen, faked) if offset else plain
+        blocks = before - left_unseen(data, [*chosen, key])
         gain = float(blocks.sum())
         low, high = np.percentile(counts @ blocks, [2.5, 97.5])
-        at_seen = float(np.sum(before_seen - loss(seen, fitted.vector)))
+        fitted = fit(used, [*chosen, key])
+        size, error = float(fitted.sizes[-1]) - offset, float(np.sqrt(fitted.covariance[-1, -1]))
+        plainly = plain_used
+        if offset:
+            plainly = loss(used, fit(used, chosen, errors=False, given=faked).vector)
+        at_seen = float(np.sum(plainly - loss(used, fitted.vector)))
         # Of one with a size for each log the largest counts, which one log alone determines.
         sizes = size + data.by_run(key, fitted.vector)
         most, error = float(np.max(np.abs(sizes))), error * np.sqrt(len(sizes))
@@ -104,7 +109,7 @@ def judge(
         earned = (
             low > 0
             and np.isfinite(error)
-            and clear > s.above_floor
+            and most > max(s.above_floor * spread, s.above_error * error)
             and not at_bound
             and (gain > s.worth * explained or plain_to_see)
             and min(at_seen, gain) - doubt > price
@@ -144,3 +149,15 @@ def distinct(
         kept.append(min(as_good, key=lambda c: len(parts[c.key])))
         left = [c for c in left if c not in alike]
     return tuple(kept)
+
+
+def left_unseen(
+    data: NormalEquations, keys: Sequence[Key], given: Mapping[Key, float] | None = None
+) -> np.ndarray:
+    """Squared error (K,) that these keys, with the sizes of others `given`, leave of the blocks of
+    FIT and SELECT, in units of noise, at the sizes that the other of the two parts gives them."""
+    left = []
+    for seen, unseen in ((FIT, SELECT), (SELECT, FIT)):
+        known, other = data.rows(data.part == seen), data.rows(data.part == unseen)
+        left.append(loss(other, fit(known, keys, errors=False, given=given or {}).vector))
+    return np.concatenate(left)

@@ -128,7 +128,7 @@ def test_stance_edges_are_left_out():
     contact = np.zeros((100, 4), bool)
     contact[20:60, 0] = True
     contact[:, 1] = True
-    inside = inside_stances(t, contact, EDGE)
+    inside = inside_stances(t, contact, EDGE, EDGE)
     assert np.flatnonzero(inside[:, 0]).tolist() == list(range(23, 57))
     assert inside[:, 1].all()
     assert not inside[:, 2:].any()

@@ -1,0 +1,39 @@
+"""An effect that makes the drift of the legs worse is refuted, whatever else it explains."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surefoot.models.attribution.drift import adds_drift
+from surefoot.models.attribution.evidence import log_under_model
+from surefoot.sim.effects import effect
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
+
+ROBOT = Robot.load("spot_class")
+POINTS = replace(ROBOT, foot_radius=np.zeros(4))
+
+
+@pytest.fixture(scope="module")
+def case():
+    """A walk of a robot whose feet roll, under a model that takes them for points."""
+    course = (Segment(5.0, 0.6), Segment(4.0, 0.5, turn=0.4))
+    return log_under_model(walk(Scenario("drift", course, Ground(0.8)), ROBOT, seed=2), POINTS)
+
+
+def test_rolling_takes_drift_away_and_too_much_of_it_adds(case):
+    radius, every = float(ROBOT.foot_radius[0]), np.ones(len(case.frame.t), dtype=bool)
+    right, far = (effect("foot_rolling", "all", k * radius) for k in (1.0, 1.6))
+    assert not adds_drift([case], [], [right], every)
+    assert adds_drift([case], [right], [far], every)
+    assert adds_drift([case], [right], [], every)
+    # What is not looked at says nothing.
+    assert not adds_drift([case], [right], [far], ~every)
+
+
+def test_an_effect_of_the_imu_alone_adds_none(case):
+    every = np.ones(len(case.frame.t), dtype=bool)
+    assert not adds_drift([case], [], [effect("accel_bias", "x", 0.3)], every)
