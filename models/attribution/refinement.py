@@ -18,6 +18,7 @@ from surefoot.models.attribution.priors import surprise
 from surefoot.models.attribution.robust_weights import RobustWeights
 from surefoot.models.attribution.selection import Candidate, left_unseen
 from surefoot.models.attribution.split import REPORT
+from surefoot.models.residuals.binning import BIN
 from surefoot.sim.effects import Effect, effect, known_effects
 
 
@@ -108,24 +109,36 @@ def _outdoes(data: NormalEquations, one: Candidate, best: Candidate, chosen: Seq
     return alone - both < data.settings.same_share * best.gain
 
 
-def rerank(data: Data, few: Sequence[Candidate]) -> tuple[Candidate, list[Effect]]:
-    """The candidate that leaves least of the true residual, and all effects at their sizes with it.
+def rerank(
+    data: Data, few: Sequence[tuple[Candidate, ...]]
+) -> tuple[tuple[Candidate, ...], list[Effect]]:
+    """The candidates, one or a pair, that leave least of the true residual, and all effects at
+    their sizes with them; each pays for its parameters.
 
     For the choice an IMU counts as far as its readings are known between rows.
     """
     before = list(data.explained)
-    tried = [(c, refined(data, [*before, effect(*c.key, c.size)], REPORT)) for c in few]
+    tried = [
+        (these, refined(data, [*before, *(effect(*c.key, c.size) for c in these)], REPORT))
+        for these in few
+    ]
     if len(tried) == 1:
         return tried[0]
     weight = data.robust_weights.weight * known_between_rows(data)
     fair = replace(data, robust_weights=replace(data.robust_weights, weight=weight))
+    # As of `selection.judge`: for each parameter, and for having been one of many.
+    price = np.log(max(2, np.count_nonzero(data.part >= 0) * BIN / data.evidence.settings.block))
+    price += 2.0 * np.log(max(2, len(data.evidence.keys)))
 
-    def left(one: tuple[Candidate, list[Effect]]) -> float:
-        # All have the same effects but their last one.
-        newest, doubt = one[1][-1], one[0].surprise
-        if doubt >= 0.0:
-            doubt = surprise(newest.name, newest.target, newest.value, data.evidence.layout.limbs)
-        return best_near(fair, one[1], REPORT)[1] + doubt
+    def left(one: tuple[tuple[Candidate, ...], list[Effect]]) -> float:
+        these, effects = one
+        doubts = [
+            c.surprise
+            if c.surprise < 0
+            else surprise(e.name, e.target, e.value, data.evidence.layout.limbs)
+            for c, e in zip(these, effects[len(before) :], strict=True)
+        ]
+        return best_near(fair, effects, REPORT)[1] + sum(doubts) + price * len(these)
 
     return min(tried, key=left)
 

@@ -17,12 +17,14 @@ from surefoot.models.attribution.fit import (
     overlap,
 )
 from surefoot.models.attribution.noise_floor import NoiseFloor, noise_floor_with
+from surefoot.models.attribution.pairs import joint_pairs
 from surefoot.models.attribution.refinement import Data, contenders, refined, rerank
 from surefoot.models.attribution.robust_weights import RobustWeights, robust_weights
 from surefoot.models.attribution.selection import Candidate, distinct, judge, left_unseen
 from surefoot.models.attribution.split import REPORT, Split
 from surefoot.models.bootstrap import block_draws
-from surefoot.sim.effects import Effect
+from surefoot.models.residuals.registry import channels
+from surefoot.sim.effects import Effect, known_effects
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,8 @@ def attribute(
     rng: np.random.Generator,
     progress: Callable[[float], None] | None = None,
 ) -> Attribution:
-    """Greedy search: add the candidate that gains most on unseen blocks while one earns its place.
+    """Greedy search: add the candidate, or the pair, that gains most on unseen blocks while one
+    earns its place.
 
     A candidate earns it if its gain's interval lies above zero, its size stands ABOVE_FLOOR times
     above the one it has on walks of the declared model, it is not at its bound, it adds a share
@@ -72,7 +75,7 @@ def attribute(
     keys = tuple(dict.fromkeys(key for case in cases for key in all_keys(case)))
     settings = cases[0].settings
     chosen: list[Effect] = []
-    refuted: list[Key] = []
+    refuted: list[tuple[Key, ...]] = []
     rounds: list[tuple[Candidate, ...]] = []
     rivals: tuple[tuple[Key, float], ...] = ()
     explained = 0.0
@@ -81,29 +84,70 @@ def attribute(
         if progress:
             progress(min(len(rounds) / (settings.most_effects + 1), 1.0))
         evidence, whole, weights, chosen = _settled(cases, chosen, keys, evidence, floor, split)
+        limbs, found = evidence.layout.limbs, [_key(e) for e in chosen]
         sigma = floor.counted(weights.sigma, weights.alike)
         data = normal_equations(whole, sigma, weights.weight, split.part)
-        limbs = evidence.layout.limbs
-        candidates = judge(data, floor, [_key(e) for e in chosen], explained, limbs, rng)
+        candidates = judge(data, floor, found, explained, limbs, rng)
         rounds.append(candidates)
-        candidates = tuple(c for c in candidates if c.key not in refuted)
-        best = candidates[0] if candidates and candidates[0].earned else None
-        if best is None or len(chosen) == settings.most_effects:
-            break
         known = Data(cases, floor, evidence, chosen, weights, split.part)
+        best, with_best = _next(known, data, candidates, refuted, split.fit | split.select)
+        if not best or len(chosen) >= settings.most_effects:
+            break
+        added = [c.key for c in best]
         others = distinct(data, candidates, limbs)
-        best, chosen_with = rerank(known, contenders(data, others, [*map(_key, chosen)]))
-        if adds_drift(cases, chosen, chosen_with, split.fit | split.select):
-            refuted.append(best.key)
-            continue
-        rivals += _rivals(data, best, others, [_key(e) for e in chosen], rng)
-        explained += best.gain
-        chosen = chosen_with
+        for one in best:
+            beside = [*found, *(key for key in added if key != one.key)]
+            rivals += _rivals(data, one, others, beside, rng)
+        gained = left_unseen(data, found) - left_unseen(data, [*found, *added])
+        explained += float(np.sum(gained))
+        chosen = with_best
         floor = noise_floor_with(floor, chosen)
-    found = _with_intervals(data, chosen, floor)
     # What was found beside an effect is no other explanation of it.
-    rivals = tuple(rival for rival in rivals if rival[0] not in [_key(e) for e in chosen])
-    return Attribution(found, tuple(rounds), rivals, weights, evidence, floor, tuple(refuted))
+    rivals = tuple(rival for rival in rivals if rival[0] not in found)
+    out = tuple(key for keys in refuted for key in keys)
+    sized = _with_intervals(data, chosen, floor)
+    return Attribution(sized, tuple(rounds), rivals, weights, evidence, floor, out)
+
+
+def _next(
+    known: Data,
+    data: NormalEquations,
+    candidates: Sequence[Candidate],
+    refuted: list[tuple[Key, ...]],
+    use: np.ndarray,
+) -> tuple[tuple[Candidate, ...], list[Effect]]:
+    """The candidates, one or a pair, that are added next, and all effects at their sizes with them;
+    none where none earns a place.
+
+    Args:
+        known: what sizes are refined on.
+        data: normal equations of the blocks.
+        candidates: of this round.
+        refuted: keys of what made the drift of the legs worse, which grows.
+        use: bins (M,) that fit and select.
+    """
+    found, limbs = [_key(e) for e in known.explained], known.evidence.layout.limbs
+    while True:
+        left = [c for c in candidates if (c.key,) not in refuted]
+        if not left or not left[0].earned:
+            return (), list(known.explained)
+        # Contacts say which samples are of a stance: they come before what is fitted to these.
+        timing = [c for c in left if c.earned and _of_events(c.key)]
+        few = [(c,) for c in contenders(data, distinct(data, left, limbs), found)]
+        pairs = joint_pairs(data, known.floor, left, found, limbs)
+        few += [pair for pair in pairs if tuple(c.key for c in pair) not in refuted][
+            : data.settings.pairs
+        ]
+        best, with_best = rerank(known, [(timing[0],)] if timing else few)
+        if not adds_drift(known.cases, known.explained, with_best, use):
+            return best, with_best
+        refuted.append(tuple(c.key for c in best))
+
+
+def _of_events(key: Key) -> bool:
+    """Whether an effect shows only in the times of contacts."""
+    kind = known_effects()[key[0]]
+    return all(name in channels() and channels()[name].of_events for name in kind.channels)
 
 
 def _settled(

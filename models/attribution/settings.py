@@ -130,6 +130,10 @@ class TraceSettings:
     """Share of its size by which an effect may still move when Gauss-Newton has converged."""
     close_behind: float = 0.3
     """Share of the best gain from which a candidate might be better than linear regressors show."""
+    pair_pool: int = 16
+    """Candidates of which all pairs are fitted."""
+    pairs: int = 2
+    """Pairs that are refined on the residual itself in a round."""
     contenders: int = 3
     """Candidates that are refined on the residual itself in a round."""
     same_share: float = 0.5

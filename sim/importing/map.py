@@ -122,8 +122,8 @@ class MapFile:
         model = self.robot.model() if self.robot else {}
         if self.reference is not None or referenced:
             model["ground_evenness"] = self.ground.evenness
-        if contact is not None:
-            model["contact_debounce"] = contact.debounce
+        if self.contact is not None:
+            model["contact_debounce"] = self.contact.debounce
         return ImportMap(
             path=path,
             columns=columns,

@@ -6,7 +6,7 @@ from motions import attitude, motion, position
 
 from surefoot.sim.common.files import measured_folder
 from surefoot.sim.common.quaternion import quaternion_from_matrix
-from surefoot.sim.importing.csv_file import read_csv_recording
+from surefoot.sim.importing.recording import read_recording
 from surefoot.sim.importing.reference_contradictions import contradicted
 from surefoot.sim.importing.report import import_lines
 from surefoot.sim.log.reference import Poses
@@ -56,7 +56,7 @@ def test_a_jump_between_is_left_out_with_its_surroundings():
 
 @pytest.mark.skipif(not RECORDING.is_dir(), reason=f"no measured logs at {RECORDING}")
 def test_the_go1_stands_up_slower_than_its_stamps_say():
-    recording = read_csv_recording(RECORDING, "go1_square")
+    recording = read_recording((RECORDING,), "go1_square")
     known, wrong = recording.reference()
     assert known is not None
     assert wrong.sum() < 0.06 * len(wrong)
