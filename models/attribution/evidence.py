@@ -38,6 +38,7 @@ from surefoot.sim.common.sources import code_digest
 from surefoot.sim.effects import Effect, compensate_all, effect, known_effects
 from surefoot.sim.effects.base import changed_columns, with_columns
 from surefoot.sim.log import Log
+from surefoot.sim.log.derived import JOINT_WINDOW, derivative
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
 from surefoot.sim.sensors.streams import Sensors
@@ -151,10 +152,7 @@ def linearise(
     parts = [_Linear(case, chosen, judged) for case in cases]
     tables = [p.parts.table for p in parts]
     starts = np.cumsum([0] + [len(table) for table in tables])
-    there = before is not None and np.array_equal(
-        np.isfinite(before.table), np.isfinite(np.concatenate(tables))
-    )
-    if before is not None and there:
+    if before is not None and _same_bins(before, np.concatenate(tables)):
         own = {(e.name, e.target) for e in chosen}
         X = tuple(
             joined_regressor([p.regressor(key) for p in parts], starts) if key in own else one
@@ -371,12 +369,33 @@ def _change(
         if stream == "gyro":
             means["omega"] = mean(at_rows(rows))
         elif stream in ("q", "dq"):
-            means[f"{stream}_step"] = mean(at_torques(rows, frame))
-        if stream == "dq":
-            means["ddq"] = mean_rate_of_change(rows, old.t, frame)
+            means |= _of_joint(stream, rows, old.t, frame)
+        if stream == "q" and not old.has("dq"):
+            # Rates that were not logged are those of the angles.
+            rates = derivative(old.t, rows[:, None], JOINT_WINDOW, causal=False)[:, 0]
+            means |= {"dq": mean(rates), **_of_joint("dq", rates, old.t, frame)}
         for kind, values in means.items():
             change.setdefault(kind, {})[place] = values / step
     return change
+
+
+def _of_joint(
+    stream: str, rows: np.ndarray, t: np.ndarray, frame: ReferenceMotion
+) -> dict[str, np.ndarray]:
+    """Means over the times of torques of a change of angle or rate (N,), and how fast a rate
+    changes."""
+    means = {f"{stream}_step": bin_mean(frame)(at_torques(rows, frame))}
+    if stream == "dq":
+        means["ddq"] = mean_rate_of_change(rows, t, frame)
+    return means
+
+
+def _same_bins(before: Evidence, table: np.ndarray) -> bool:
+    """Whether a table (M, W) has numbers where the evidence has, of the channels that are
+    fitted: other contacts are other stances."""
+    fitted = before.layout.fitted
+    there = np.isfinite(before.table[:, fitted])
+    return there.shape[0] == len(table) and np.array_equal(there, np.isfinite(table[:, fitted]))
 
 
 def summed_regressor(parts: Sequence[Regressor]) -> Regressor:

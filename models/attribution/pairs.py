@@ -86,8 +86,7 @@ def _stands(
         data: has the settings.
     """
     offset, spread = floor.sizes(beside, key)
-    least = np.hypot(spread, data.settings.faked_share * offset)
+    doubt = np.sqrt(spread**2 + (data.settings.faked_share * offset) ** 2 + error**2)
     low, high = known_effects()[key[0]].inside(key[1])
     size = size - offset
-    large = abs(size) > max(data.settings.above_floor * least, data.settings.above_error * error)
-    return bool(large and low < size < high)
+    return bool(abs(size) > data.settings.above_floor * doubt and low < size < high)

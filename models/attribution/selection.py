@@ -1,6 +1,6 @@
 """What each candidate is worth beside those chosen before it, and whether it earns its place."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -109,7 +109,7 @@ def judge(
         earned = (
             low > 0
             and np.isfinite(error)
-            and most > max(s.above_floor * spread, s.above_error * error)
+            and clear > s.above_floor
             and not at_bound
             and (gain > s.worth * explained or plain_to_see)
             and min(at_seen, gain) - doubt > price

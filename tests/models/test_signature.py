@@ -103,6 +103,21 @@ def test_what_is_not_computed_again_is_the_same(case, key):
     assert min(apart) < 1e-9
 
 
+@pytest.mark.parametrize(
+    "key", [("encoder_scale", "FL_thigh"), ("leg_compliance", "RR_calf"), ("leg_compliance", "all")]
+)
+def test_rates_that_were_not_logged_change_with_the_angles(case, key):
+    log = case.log
+    names = [name for name in log.frame if str(name).startswith(("dq_", "tau_"))]
+    without = log_under_model(replace(log, frame=log.frame.drop(columns=names)), SPOT)
+    slope = slope_of(without, key, 1e-2 * CATALOGUE[key[0]].step_of(key[1]))
+    whole = written_out(_Linear(without, ()).regressor(key), slope)
+    for name in ("leg_velocity", "stance_velocity", "foot_height"):
+        columns = layout_for(QUADRUPED).channels[name]
+        apart = np.linalg.norm(whole[:, columns] - slope[:, columns])
+        assert apart <= 0.05 * np.linalg.norm(slope[:, columns])
+
+
 class ThickBoots(Effect):
     """Boots thicken every foot, and turn one calf's encoder by the angle they were zeroed at."""
 
