@@ -269,7 +269,7 @@ class _Linear:
             change = wrt_robot(self.parts, self.robot, robot, step)
         else:
             change = self._by_difference(log, robot, step)
-        one = sparse(change, self.parts.table)
+        one = self._own(key, sparse(change, self.parts.table))
         return Regressor(one.columns, -one.values)
 
     def by_columns(self, added: Mapping[str, np.ndarray]) -> Regressor:
@@ -302,7 +302,16 @@ class _Linear:
         ahead, behind = (
             table_of(self.case, _moved(self.chosen, key, s), self.judged) for s in (step, -step)
         )
-        return sparse((behind - ahead) / (2 * step), self.parts.table)
+        return self._own(key, sparse((behind - ahead) / (2 * step), self.parts.table))
+
+    def _own(self, key: Key, one: Regressor) -> Regressor:
+        """The regressor of an effect that shows only in the times of events, without what more or
+        fewer samples of a stance do to other channels."""
+        names = known_effects()[key[0]].channels
+        if not all(name in channels() and channels()[name].of_events for name in names):
+            return one
+        own = np.isin(one.columns, self.parts.layout.of(*names))
+        return Regressor(one.columns[own], one.values[:, own])
 
     def _by_difference(self, log: Log, robot: Machine, step: float) -> np.ndarray:
         frame, same = self.frame, ()

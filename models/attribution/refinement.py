@@ -11,7 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel, linearise
+from surefoot.models.attribution.evidence import (
+    Evidence,
+    Key,
+    LogUnderModel,
+    linearise,
+    table_of,
+)
 from surefoot.models.attribution.fit import NormalEquations, design, fit, loss, normal_equations
 from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.attribution.priors import surprise
@@ -112,8 +118,9 @@ def _outdoes(data: NormalEquations, one: Candidate, best: Candidate, chosen: Seq
 def rerank(
     data: Data, few: Sequence[tuple[Candidate, ...]]
 ) -> tuple[tuple[Candidate, ...], list[Effect]]:
-    """The candidates, one or a pair, that leave least of the true residual, and all effects at
-    their sizes with them; each pays for its parameters.
+    """The candidates, one or a pair, that leave least of the true residual and of the way that
+    feet move while they stand, and all effects at their sizes with them; each pays for its
+    parameters.
 
     For the choice an IMU counts as far as its readings are known between rows.
     """
@@ -138,9 +145,19 @@ def rerank(
             else surprise(e.name, e.target, e.value, data.evidence.layout.limbs)
             for c, e in zip(these, effects[len(before) :], strict=True)
         ]
-        return best_near(fair, effects, REPORT)[1] + sum(doubts) + price * len(these)
+        left = best_near(fair, effects, REPORT)[1] + displaced(data, effects, REPORT)
+        return left + sum(doubts) + price * len(these)
 
     return min(tried, key=left)
+
+
+def displaced(data: Data, chosen: Sequence[Effect], report: int) -> float:
+    """The weighted squared displacement of standing feet, which no fit sees, that is left with the
+    effects, of all bins but those of the part `report`."""
+    columns = data.evidence.layout.of("stance_displacement")
+    table = np.concatenate([table_of(case, chosen)[:, columns] for case in data.cases])
+    z = table[data.part != report] / data.robust_weights.sigma[columns]
+    return float(np.nansum(z**2))
 
 
 def known_between_rows(data: Data) -> np.ndarray:

@@ -50,6 +50,10 @@ class ReferenceMotion:
     t: np.ndarray
     level: bool = False
     """Whether the ground is level, so that heights of feet depend on the robot alone."""
+    early: float = 0.0
+    """s that feet still move after their contacts begin."""
+    late: float = 0.0
+    """s that feet already move before their contacts end."""
 
     @property
     def up_I(self) -> np.ndarray:

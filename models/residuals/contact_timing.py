@@ -73,8 +73,9 @@ def within_windows(frame: ReferenceMotion, log: Log, robot: Robot) -> ReferenceM
     early = max(-early - log.meta.model.get("contact_debounce", 0.0), 0.0)
     if max(early, late) < OUTSIDE:
         return frame
-    inside = inside_stances(log.t, log.contact, EDGE + early, EDGE + max(late, 0.0))
-    return replace(frame, standing=inside & frame.ok[:, None])
+    late = max(late, 0.0)
+    inside = inside_stances(log.t, log.contact, EDGE + early, EDGE + late)
+    return replace(frame, standing=inside & frame.ok[:, None], early=early, late=late)
 
 
 def near_changes(turns: Sequence[np.ndarray], frame: ReferenceMotion, rows: int) -> np.ndarray:

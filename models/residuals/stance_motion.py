@@ -44,7 +44,8 @@ def stance_displacement(log: Log, robot: Robot, frame: ReferenceMotion) -> np.nd
     its contacts, by its leg and the reference: against the heading's forward and lateral axis, as
     the body seems to have moved too far. In the bin in which the contact is half over.
 
-    Contacts are as long as the model's extras, which know of late ones, leave them.
+    Contacts are as long as the feet stand by their own motion, and as the model's extras, which
+    know of late ones, leave them.
     """
     omega = log.gyro if log.has("imu") else frame.gyro
     # A row more on either side, for contacts that the model knows to be late by a part of one.
@@ -62,8 +63,8 @@ def stance_displacement(log: Log, robot: Robot, frame: ReferenceMotion) -> np.nd
     out = np.full((len(frame.first), *around.shape[1:], 2), np.nan)
     for leg in range(around.shape[1]):
         first, end = stances(log.contact[:, leg])
-        begin = edges[first] - max(robot.extras.touchdown_late, 0.0)
-        until = edges[end] - robot.extras.liftoff_late
+        begin = edges[first] - max(robot.extras.touchdown_late, 0.0) + frame.early
+        until = edges[end] - robot.extras.liftoff_late - frame.late
         use = (until - begin > SHORTEST) & (lost[end] == lost[first])
         use &= (first > 0) & (end < len(log.t))
         bins = np.searchsorted(frame.first, (first + end) // 2, side="right") - 1

@@ -61,7 +61,7 @@ class FootElasticity(Effect):
 
     name = "foot_elasticity"
     unit = "m/N"
-    bounds = (0.0, 3e-4)
+    bounds = (0.0, 1e-4)
     channels = ("leg_velocity", "foot_height", "base_wrench")
     targets = ("normal", "tangential")
     needs = ("q", "contact")
