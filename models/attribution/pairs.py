@@ -14,7 +14,7 @@ from surefoot.models.attribution.evidence import Key
 from surefoot.models.attribution.fit import NormalEquations, fit
 from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.attribution.priors import surprise
-from surefoot.models.attribution.selection import Candidate, left_unseen
+from surefoot.models.attribution.selection import Candidate, faked_share, left_unseen
 from surefoot.models.attribution.split import REPORT
 from surefoot.sim.effects import known_effects
 from surefoot.sim.robot.limbs import Limbs
@@ -86,7 +86,7 @@ def _stands(
         data: has the settings.
     """
     offset, spread = floor.sizes(beside, key)
-    doubt = np.sqrt(spread**2 + (data.settings.faked_share * offset) ** 2 + error**2)
+    doubt = np.sqrt(spread**2 + (faked_share(key, data.settings) * offset) ** 2 + error**2)
     low, high = known_effects()[key[0]].inside(key[1])
     size = size - offset
     return bool(abs(size) > data.settings.above_floor * doubt and low < size < high)

@@ -4,7 +4,6 @@ One table for the catalogue; an effect of a user's own says it by a class attrib
 its unit, and one that says nothing may have any size within its bounds.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,7 +84,7 @@ PRIORS: dict[str, Prior] = {
 """Name -> prior; of all others of the catalogue no figure is published (see `prior_of`)."""
 
 
-ALIKE: dict[str, float] = {"leg_compliance": 0.3, "foot_rolling": 0.3}
+ALIKE: dict[str, float] = {"leg_compliance": 0.1, "foot_rolling": 0.1}
 """Name -> share of their size by which the parts of one kind differ, 19 times of 20. No published
 figure was found; catalogues of gears give stiffnesses as typical values, and feet wear."""
 
@@ -112,15 +111,20 @@ def surprise(name: str, target: str, size: float, limbs: Limbs) -> float:
     """
     kind = known_effects()[name]
     doubt = (1.96 * size / prior_of(kind).within) ** 2
-    if name in ALIKE and not _whole_kinds(kind.members_of(target, limbs), limbs):
+    if name in ALIKE and not is_common(name, target, limbs):
         doubt += (1.96 / ALIKE[name]) ** 2
     return float(doubt)
 
 
-def _whole_kinds(members: Sequence[str], limbs: Limbs) -> bool:
-    """Whether of every kind of part that is among the members, joints or legs, all are."""
-    if set(members) <= set(limbs.legs):
-        return len(members) == len(limbs.legs)
+def is_common(name: str, target: str, limbs: Limbs) -> bool:
+    """Whether an effect is on no part of a machine that it has others like: on every joint of a
+    kind, on every leg, or on what it has one of."""
+    kind = known_effects()[name]
+    if isinstance(kind.targets, tuple):
+        return True
+    members = kind.members_of(target, limbs)
+    if kind.targets != "joint":
+        return len(members) >= len(limbs.legs)
     kinds = [limbs.kind(i) for i in range(len(limbs.joints))]
     touched = {kinds[limbs.joints.index(one)] for one in members}
     return len(members) == sum(kind in touched for kind in kinds)

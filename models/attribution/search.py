@@ -18,13 +18,21 @@ from surefoot.models.attribution.fit import (
 )
 from surefoot.models.attribution.noise_floor import NoiseFloor, noise_floor_with
 from surefoot.models.attribution.pairs import joint_pairs
+from surefoot.models.attribution.priors import is_common
 from surefoot.models.attribution.refinement import Data, contenders, refined, rerank
 from surefoot.models.attribution.robust_weights import RobustWeights, robust_weights
-from surefoot.models.attribution.selection import Candidate, distinct, judge, left_unseen
+from surefoot.models.attribution.selection import (
+    Candidate,
+    distinct,
+    faked_share,
+    judge,
+    left_unseen,
+    of_events,
+)
 from surefoot.models.attribution.split import REPORT, Split
 from surefoot.models.bootstrap import block_draws
-from surefoot.models.residuals.registry import channels
-from surefoot.sim.effects import Effect, known_effects
+from surefoot.sim.effects import Effect
+from surefoot.sim.robot.limbs import Limbs
 
 
 @dataclass(frozen=True)
@@ -131,8 +139,9 @@ def _next(
         left = [c for c in candidates if (c.key,) not in refuted]
         if not left or not left[0].earned:
             return (), list(known.explained)
+        left = _common_first(left, limbs, data.settings.single_part)
         # Contacts say which samples are of a stance: they come before what is fitted to these.
-        timing = [c for c in left if c.earned and _of_events(c.key)]
+        timing = [c for c in left if c.earned and of_events(c.key)]
         few = [(c,) for c in contenders(data, distinct(data, left, limbs), found)]
         pairs = joint_pairs(data, known.floor, left, found, limbs)
         few += [pair for pair in pairs if tuple(c.key for c in pair) not in refuted][
@@ -144,10 +153,24 @@ def _next(
         refuted.append(tuple(c.key for c in best))
 
 
-def _of_events(key: Key) -> bool:
-    """Whether an effect shows only in the times of contacts."""
-    kind = known_effects()[key[0]]
-    return all(name in channels() and channels()[name].of_events for name in kind.channels)
+def _common_first(
+    candidates: Sequence[Candidate], limbs: Limbs, share: float
+) -> Sequence[Candidate]:
+    """The candidates, but for single parts where what all parts share explains about as much.
+
+    Legs are of one make and carry one IMU: what they have in common comes first, and a part stands
+    out from that. One by one, parts can make up for it.
+
+    Args:
+        candidates: of this round, those that earn a place first.
+        limbs: of the machine.
+        share: of the best part's score that something common has at least.
+    """
+    common = [c for c in candidates if is_common(*c.key, limbs)]
+    parts = [c.score for c in candidates if c.earned and c not in common]
+    if common and common[0].earned and common[0].score > share * max(parts, default=0.0):
+        return common
+    return candidates
 
 
 def _settled(
@@ -238,7 +261,7 @@ def _with_intervals(
     for i, one in enumerate(chosen):
         offset, spread = floor.sizes([k for k in keys if k != keys[i]], keys[i])
         repeats = len(floor.repeats)
-        faked = 1.96 * data.settings.faked_share * offset
+        faked = 1.96 * faked_share(keys[i], data.settings) * offset
         half = float(np.hypot(1.96 * np.sqrt(covariance[i, i]), faked))
         if repeats > 1:
             half = float(np.hypot(half, t.ppf(0.975, repeats - 1) * spread))

@@ -10,8 +10,10 @@ from surefoot.models.attribution.fit import NormalEquations, fit, loss
 from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.attribution.priors import surprise
 from surefoot.models.attribution.run_offsets import of_each_run
+from surefoot.models.attribution.settings import TraceSettings
 from surefoot.models.attribution.split import FIT, SELECT
 from surefoot.models.bootstrap import block_draws
+from surefoot.models.residuals.registry import channels
 from surefoot.sim.effects import known_effects
 from surefoot.sim.robot.limbs import Limbs
 
@@ -93,7 +95,7 @@ def judge(
         sizes = size + data.by_run(key, fitted.vector)
         most, error = float(np.max(np.abs(sizes))), error * np.sqrt(len(sizes))
         # The floor's own offset is only as sure as its contact model.
-        spread = float(np.hypot(spread, s.faked_share * offset))
+        spread = float(np.hypot(spread, faked_share(key, s) * offset))
         low_end, high_end = known_effects()[key[0]].inside(key[1])
         # A fit beyond them is no size either, however much of it the floor's walks have.
         fitted_beyond = abs(fitted.sizes[-1]) > max(-low_end, high_end)
@@ -129,6 +131,17 @@ def judge(
             )
         )
     return tuple(sorted(judged, key=lambda c: (not c.earned, -c.score)))
+
+
+def faked_share(key: Key, settings: TraceSettings) -> float:
+    """Share that is uncertain of the size that contacts fake of an effect."""
+    return settings.faked_event_share if of_events(key) else settings.faked_share
+
+
+def of_events(key: Key) -> bool:
+    """Whether an effect shows only in the times of contacts."""
+    names = known_effects()[key[0]].channels
+    return all(name in channels() and channels()[name].of_events for name in names)
 
 
 def distinct(

@@ -106,6 +106,8 @@ class TraceSettings:
     faked_share: float = 0.7
     """Share of the size that contacts fake on such walks that is uncertain: on slippery ground they
     faked a delay of joints four times as long as on the floor's."""
+    faked_event_share: float = 0.2
+    """The same of the times of contacts, each of which is measured by itself."""
     worth: float = 0.02
     """Share of what is explained so far that a further effect must add."""
     clear: float = 20.0
@@ -132,6 +134,8 @@ class TraceSettings:
     """Candidates of which all pairs are fitted."""
     pairs: int = 2
     """Pairs that are refined on the residual itself in a round."""
+    single_part: float = 0.5
+    """Share of a single part's score from which an effect that all parts share comes first."""
     contenders: int = 3
     """Candidates that are refined on the residual itself in a round."""
     same_share: float = 0.5
