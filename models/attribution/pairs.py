@@ -5,7 +5,7 @@ Alone each of these explains less than what stands for all of them, and a search
 time starts with that.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -14,7 +14,12 @@ from surefoot.models.attribution.evidence import Key
 from surefoot.models.attribution.fit import NormalEquations, fit
 from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.attribution.priors import surprise
-from surefoot.models.attribution.selection import Candidate, faked_share, left_unseen
+from surefoot.models.attribution.selection import (
+    Candidate,
+    faked_share,
+    least_clear,
+    left_unseen,
+)
 from surefoot.models.attribution.split import REPORT
 from surefoot.sim.effects import known_effects
 from surefoot.sim.robot.limbs import Limbs
@@ -26,6 +31,7 @@ def joint_pairs(
     candidates: Sequence[Candidate],
     chosen: Sequence[Key],
     limbs: Limbs,
+    certain: Collection[Key] = (),
 ) -> list[tuple[Candidate, Candidate]]:
     """The pairs that explain unseen blocks better than any one, by a price for each, best first.
 
@@ -37,6 +43,7 @@ def joint_pairs(
         candidates: of this round, those that earn a place first.
         chosen: keys of the effects found so far.
         limbs: of the machine.
+        certain: keys of effects that every machine has and the model lacks.
     """
     s = data.settings
     if not candidates or not candidates[0].earned:
@@ -60,7 +67,7 @@ def joint_pairs(
             surprise(*key, float(size), limbs) for key, size in zip(keys, sizes, strict=True)
         )
         if score - alone > price and all(
-            _stands(floor, [*chosen, other], key, float(size), float(error), data)
+            _stands(floor, [*chosen, other], key, float(size), float(error), data, certain)
             for key, other, size, error in zip(keys, keys[::-1], sizes, errors, strict=True)
         ):
             found.append((score, pair))
@@ -74,6 +81,7 @@ def _stands(
     size: float,
     error: float,
     data: NormalEquations,
+    certain: Collection[Key],
 ) -> bool:
     """Whether a size is inside its bounds, and large against its error and its floor.
 
@@ -84,9 +92,10 @@ def _stands(
         size: in its unit.
         error: its standard error.
         data: has the settings.
+        certain: keys of effects that every machine has and the model lacks.
     """
     offset, spread = floor.sizes(beside, key)
     doubt = np.sqrt(spread**2 + (faked_share(key, data.settings) * offset) ** 2 + error**2)
     low, high = known_effects()[key[0]].inside(key[1])
     size = size - offset
-    return bool(abs(size) > data.settings.above_floor * doubt and low < size < high)
+    return bool(abs(size) > least_clear(key, certain, data.settings) * doubt and low < size < high)

@@ -126,8 +126,7 @@ def rerank(
     """
     before = list(data.explained)
     tried = [
-        (these, refined(data, [*before, *(effect(*c.key, c.size) for c in these)], REPORT))
-        for these in few
+        (these, refined(data, [*before, *(_begun(c) for c in these)], REPORT)) for these in few
     ]
     if len(tried) == 1:
         return tried[0]
@@ -149,6 +148,13 @@ def rerank(
         return left + sum(doubts) + price * len(these)
 
     return min(tried, key=left)
+
+
+def _begun(one: Candidate) -> Effect:
+    """The effect at its size, or at its bound: alone it may want to be larger than in a pair."""
+    return effect(
+        *one.key, float(np.clip(one.size, *known_effects()[one.key[0]].inside(one.key[1])))
+    )
 
 
 def displaced(data: Data, chosen: Sequence[Effect], report: int) -> float:

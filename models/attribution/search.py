@@ -1,6 +1,6 @@
 """Which effect does the model lack? Every candidate is fitted; one that earns its place stays."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,7 +31,9 @@ from surefoot.models.attribution.selection import (
 )
 from surefoot.models.attribution.split import REPORT, Split
 from surefoot.models.bootstrap import block_draws
-from surefoot.sim.effects import Effect
+from surefoot.sim.effects import Effect, known_effects
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.fixed_base import Machine
 from surefoot.sim.robot.limbs import Limbs
 
 
@@ -81,7 +83,8 @@ def attribute(
         progress: called with the share done, from 0 to 1.
     """
     keys = tuple(dict.fromkeys(key for case in cases for key in all_keys(case)))
-    settings = cases[0].settings
+    settings, robot = cases[0].settings, cases[0].robot
+    certain = _certain(keys, robot)
     chosen: list[Effect] = []
     refuted: list[tuple[Key, ...]] = []
     rounds: list[tuple[Candidate, ...]] = []
@@ -95,10 +98,10 @@ def attribute(
         limbs, found = evidence.layout.limbs, [_key(e) for e in chosen]
         sigma = floor.counted(weights.sigma, weights.alike)
         data = normal_equations(whole, sigma, weights.weight, split.part)
-        candidates = judge(data, floor, found, explained, limbs, rng)
+        candidates = judge(data, floor, found, explained, limbs, rng, certain)
         rounds.append(candidates)
         known = Data(cases, floor, evidence, chosen, weights, split.part)
-        best, with_best = _next(known, data, candidates, refuted, split.fit | split.select)
+        best, with_best = _next(known, data, candidates, certain, refuted, split.fit | split.select)
         if not best or len(chosen) >= settings.most_effects:
             break
         added = [c.key for c in best]
@@ -121,6 +124,7 @@ def _next(
     known: Data,
     data: NormalEquations,
     candidates: Sequence[Candidate],
+    certain: Collection[Key],
     refuted: list[tuple[Key, ...]],
     use: np.ndarray,
 ) -> tuple[tuple[Candidate, ...], list[Effect]]:
@@ -131,6 +135,7 @@ def _next(
         known: what sizes are refined on.
         data: normal equations of the blocks.
         candidates: of this round.
+        certain: keys of effects that every machine has and the model lacks.
         refuted: keys of what made the drift of the legs worse, which grows.
         use: bins (M,) that fit and select.
     """
@@ -143,7 +148,7 @@ def _next(
         # Contacts say which samples are of a stance: they come before what is fitted to these.
         timing = [c for c in left if c.earned and of_events(c.key)]
         few = [(c,) for c in contenders(data, distinct(data, left, limbs), found)]
-        pairs = joint_pairs(data, known.floor, left, found, limbs)
+        pairs = joint_pairs(data, known.floor, left, found, limbs, certain)
         few += [pair for pair in pairs if tuple(c.key for c in pair) not in refuted][
             : data.settings.pairs
         ]
@@ -151,6 +156,19 @@ def _next(
         if not adds_drift(known.cases, known.explained, with_best, use):
             return best, with_best
         refuted.append(tuple(c.key for c in best))
+
+
+def _certain(keys: Sequence[Key], robot: Machine) -> set[Key]:
+    """Of the candidates those that every machine has on each of its like parts, and the model
+    lacks."""
+    if not isinstance(robot, Robot):
+        return set()
+    kinds = known_effects()
+    return {
+        (name, target)
+        for name, target in keys
+        if kinds[name].is_certain(robot) and is_common(name, target, robot.limbs)
+    }
 
 
 def _common_first(

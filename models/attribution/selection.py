@@ -1,6 +1,6 @@
 """What each candidate is worth beside those chosen before it, and whether it earns its place."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,6 +52,7 @@ def judge(
     explained: float,
     limbs: Limbs,
     rng: np.random.Generator,
+    certain: Collection[Key] = (),
 ) -> tuple[Candidate, ...]:
     """Every candidate that is not chosen yet, those that earn a place first, by score.
 
@@ -65,6 +66,7 @@ def judge(
         explained: sum of their gains on unseen blocks.
         limbs: of the machine.
         rng: draws the bootstrap's blocks.
+        certain: keys of effects that every machine has and the model lacks.
     """
     s, used = data.settings, data.rows((data.part == FIT) | (data.part == SELECT))
     counts = block_draws(len(used.G), rng)
@@ -111,7 +113,7 @@ def judge(
         earned = (
             low > 0
             and np.isfinite(error)
-            and clear > s.above_floor
+            and clear > least_clear(key, certain, s)
             and not at_bound
             and (gain > s.worth * explained or plain_to_see)
             and min(at_seen, gain) - doubt > price
@@ -131,6 +133,11 @@ def judge(
             )
         )
     return tuple(sorted(judged, key=lambda c: (not c.earned, -c.score)))
+
+
+def least_clear(key: Key, certain: Collection[Key], settings: TraceSettings) -> float:
+    """How many times its error and its floor the size of an effect must have."""
+    return settings.above_floor * (settings.certain if key in certain else 1.0)
 
 
 def faked_share(key: Key, settings: TraceSettings) -> float:
