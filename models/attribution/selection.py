@@ -115,7 +115,7 @@ def judge(
             and np.isfinite(error)
             and clear > least_clear(key, certain, s)
             and not at_bound
-            and (gain > s.worth * explained or plain_to_see)
+            and (gain > s.worth * explained or plain_to_see or key in certain)
             and min(at_seen, gain) - doubt > price
         )
         judged.append(

@@ -91,9 +91,9 @@ class Import:
         if self.guess:
             self._draft(files)
             return
-        for name in ("map", "out"):
-            if getattr(self, name) is None:
-                raise SurefootError(f"--{name} is missing (or --guess, to draft a map)")
+        if self.map is None or self.out is None:
+            name = "map" if self.map is None else "out"
+            raise SurefootError(f"--{name} is missing (or --guess, to draft a map)")
         if self.robot:
             raise SurefootError("--robot goes with --guess; the map's [robot] names it")
         recording = read_recording(files, self.map)

@@ -6,6 +6,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -97,12 +98,12 @@ def _arrays(found: dict[str, object]) -> dict[str, np.ndarray]:
         if not isinstance(value, np.ndarray | np.void):
             continue
         if value.dtype.names:
-            inner = value[()] if value.ndim == 0 else value
+            inner: Any = value[()] if value.ndim == 0 else value
             cells |= _arrays({f"{name}.{f}": np.asarray(inner[f]) for f in value.dtype.names})
         elif value.dtype.kind == "O" and value.ndim == 0:
             cells |= _arrays({name: value.item()})
         elif value.dtype.kind in "fiubU" and value.ndim in (1, 2) and value.size:
-            cells[name] = value
+            cells[name] = np.asarray(value)
     return cells
 
 

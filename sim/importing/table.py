@@ -61,12 +61,9 @@ def columns_of(table: RecordedTable) -> dict[str, np.ndarray]:
     """Every column of numbers by the name that a map gives it; places of lists apart."""
     found: dict[str, np.ndarray] = {}
     for name, cells in table.cells.items():
-        if (
-            cells.ndim == 1
-            and len(cells)
-            and isinstance(_list(cells[0]), list | tuple | np.ndarray)
-        ):
-            places = len(_list(cells[0]))
+        first = _list(cells[0]) if cells.ndim == 1 and len(cells) else None
+        if isinstance(first, list | tuple | np.ndarray):
+            places = len(first)
             each = {f"{name}[{k}]": f"{name}[{k}]" for k in range(places)}
         elif cells.ndim == 2:
             each = {f"{name}[{k}]": f"{name}[{k}]" for k in range(_oriented(table, cells).shape[1])}
