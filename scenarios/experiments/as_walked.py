@@ -13,6 +13,8 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario
 from surefoot.sim.sensors.streams import Sensors
 
+SHEET = 0.2
+"""Friction below which a patch is a slippery sheet."""
 BUNDLED = bundled("surefoot.scenarios.experiments", "suites") / "as_walked.toml"
 
 
@@ -34,9 +36,9 @@ class AsWalked:
     """What was measured on the walk of `robot`.
 
     period: of its stride there [s]; source: of gait and sensors; gait: options, without dimension
-    but for the noise of the estimate; on_steps: names of `GaitOptions` and what they are instead on
-    courses with steps, where nothing was measured; sensors: names of
-    `sim.sensors.streams.Sensors` and what they are.
+    but for the noise of the estimate; on_steps, on_sheets: names of `GaitOptions` and what they are
+    instead on courses with steps, or with slippery sheets, where nothing was measured; sensors:
+    names of `sim.sensors.streams.Sensors` and what they are.
     """
 
     robot: str
@@ -44,13 +46,14 @@ class AsWalked:
     source: str
     gait: GaitOptions = field(default_factory=GaitOptions)
     on_steps: dict[str, float] = field(default_factory=dict)
+    on_sheets: dict[str, float] = field(default_factory=dict)
     sensors: dict[str, float] = field(default_factory=dict)
     size: tuple[Size, ...] = ()
 
     def __post_init__(self):
-        for name, kind in (("sensors", Sensors), ("on_steps", GaitOptions)):
+        for name in ("sensors", "on_steps", "on_sheets"):
             try:
-                typed(getattr(self, name), kind)
+                typed(getattr(self, name), Sensors if name == "sensors" else GaitOptions)
             except SurefootError as error:
                 raise SurefootError(f"{name}: {error}") from None
 
@@ -62,8 +65,11 @@ class AsWalked:
 
     def scenario(self, scenario: Scenario) -> Scenario:
         """The scenario in this gait, with these sensors."""
-        steps = any(strip.steps for strip in scenario.ground.strips)
-        gait = replace(self.gait, **self.on_steps) if steps else self.gait
+        ground, gait = scenario.ground, self.gait
+        if any(patch.mu < SHEET for patch in ground.patches):
+            gait = replace(gait, **self.on_sheets)
+        if any(strip.steps for strip in ground.strips):
+            gait = replace(gait, **self.on_steps)
         sensors = replace(scenario.sensors, **self.sensors)
         return replace(scenario, gait=gait, sensors=sensors)
 

@@ -21,6 +21,8 @@ source = "a test"
 duty = 0.7
 [on_steps]
 level = 0.9
+[on_sheets]
+duty = 0.75
 [sensors]
 contact_threshold = 0.2
 [[size]]
@@ -49,12 +51,13 @@ def test_a_walk_has_the_gait_the_sensors_and_the_sizes_carried_to_its_robot(tmp_
     slipped = next(s for s in suite.scenarios if s.name == "Slipped")
     job = walk_to_make(slipped, "v60_class", condition, 1)
     assert condition.walked is not None
-    assert job.scenario.gait == condition.walked.gait
+    assert job.scenario.gait == replace(condition.walked.gait, **condition.walked.on_sheets)
     mine = walked.scenario(slipped)
-    assert (mine.gait.duty, mine.sensors.contact_threshold) == (0.7, 0.2)
+    assert (mine.gait.duty, mine.sensors.contact_threshold) == (0.75, 0.2)
     assert mine.ground == slipped.ground
     stairs = next(s for s in Experiment.load("spot").scenarios if s.name == "Upstair")
-    assert [walked.scenario(s).gait.level for s in (slipped, stairs)] == [1.0, 0.9]
+    gaits = [walked.scenario(s).gait for s in (slipped, stairs)]
+    assert [(gait.level, gait.duty) for gait in gaits] == [(1.0, 0.75), (0.9, 0.7)]
     robots = [Robot.load(name) for name in ("spot_class", "v60_class")]
     scales = scale_of(robots[0], 0.5), scale_of(robots[1])
     (expected,) = carried([effect("joint_compliance", "all", 1e-3)], *scales)
