@@ -151,7 +151,13 @@ def linearise(
     A key among the chosen is varied about its value, by central differences of the true residual;
     any other about zero, by the chain rule. Derivatives by the latter change by no more than a
     chosen effect's own share of what is read: those of an evidence `before` may serve again.
-    Channels that only judge have no numbers where nothing is `judged`, as in a fit.
+
+    Args:
+        cases: the logs under the declared model.
+        chosen: effects that are explained.
+        keys: of the candidates.
+        before: an evidence whose derivatives may serve again.
+        judged: whether channels that only judge have numbers, as no fit needs them.
     """
     parts = [_Linear(case, chosen, judged) for case in cases]
     tables = [p.parts.table for p in parts]

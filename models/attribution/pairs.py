@@ -62,7 +62,7 @@ def joint_pairs(
         if gain - max(c.score for c in pair) <= price:
             continue
         fitted = fit(used, [*chosen, *keys])
-        sizes, errors = fitted.sizes[-2:], np.sqrt(np.diag(fitted.covariance)[-2:])
+        sizes, errors = fitted.sizes[-2:], np.sqrt(2.0 * np.diag(fitted.covariance)[-2:])
         score = gain - sum(
             surprise(*key, float(size), limbs) for key, size in zip(keys, sizes, strict=True)
         )

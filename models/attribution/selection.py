@@ -92,10 +92,11 @@ def judge(
         plainly = plain_used
         if offset:
             plainly = loss(used, fit(used, chosen, errors=False, given=faked).vector)
-        at_seen = float(np.sum(plainly - loss(used, fitted.vector)))
+        at_seen = 0.5 * float(np.sum(plainly - loss(used, fitted.vector)))
         # Of one with a size for each log the largest counts, which one log alone determines.
         sizes = size + data.by_run(key, fitted.vector)
-        most, error = float(np.max(np.abs(sizes))), error * np.sqrt(len(sizes))
+        # An error as of one of the two parts, as the gain is.
+        most, error = float(np.max(np.abs(sizes))), error * np.sqrt(2 * len(sizes))
         # The floor's own offset is only as sure as its contact model.
         spread = float(np.hypot(spread, faked_share(key, s) * offset))
         low_end, high_end = known_effects()[key[0]].inside(key[1])
@@ -175,9 +176,10 @@ def left_unseen(
     data: NormalEquations, keys: Sequence[Key], given: Mapping[Key, float] | None = None
 ) -> np.ndarray:
     """Squared error (K,) that these keys, with the sizes of others `given`, leave of the blocks of
-    FIT and SELECT, in units of noise, at the sizes that the other of the two parts gives them."""
+    FIT and SELECT, in units of noise, at the sizes that the other of the two parts gives them: the
+    mean of the two folds."""
     left = []
     for seen, unseen in ((FIT, SELECT), (SELECT, FIT)):
         known, other = data.rows(data.part == seen), data.rows(data.part == unseen)
         left.append(loss(other, fit(known, keys, errors=False, given=given or {}).vector))
-    return np.concatenate(left)
+    return 0.5 * np.concatenate(left)

@@ -136,7 +136,7 @@ class TraceSettings:
     """Candidates of which all pairs are fitted."""
     pairs: int = 2
     """Pairs that are refined on the residual itself in a round."""
-    single_part: float = 0.5
+    single_part: float = 0.85
     """Share of a single part's score from which an effect that all parts share comes first."""
     contenders: int = 3
     """Candidates that are refined on the residual itself in a round."""

@@ -19,7 +19,7 @@ from surefoot.sim.sensors.stances import changes, inside_stances
 
 MOVES = 0.2
 """m/s over the ground from which a foot does not stand: a tenth of what one swings at."""
-OUTSIDE = 0.01
+LEAST_SHIFT = 0.01
 """s by which contacts are late or early that have more than a foot's landing and lifting in them:
 half a bin, and ten times what they vary by on simulated walks."""
 FEWEST_CHANGES = 8
@@ -71,7 +71,7 @@ def within_windows(frame: ReferenceMotion, log: Log, robot: Robot) -> ReferenceM
     known = [one[np.isfinite(one)] for one in (begins, ends)]
     early, late = (float(np.median(x)) if len(x) >= FEWEST_CHANGES else 0.0 for x in known)
     early = max(-early - log.meta.model.get("contact_debounce", 0.0), 0.0)
-    if max(early, late) < OUTSIDE:
+    if max(early, late) < LEAST_SHIFT:
         return frame
     late = max(late, 0.0)
     inside = inside_stances(log.t, log.contact, EDGE + early, EDGE + late)

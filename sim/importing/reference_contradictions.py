@@ -51,7 +51,10 @@ def contradicted(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, poses: Pose
     bad = change > max(_LEAST, _OUTLYING * float(np.median(change)))
     if not bad.any() or bad.mean() > _MOST:
         return found
-    found[known] = _closed(beside.t, bad)
+    out = _closed(beside.t, bad)
+    if out.mean() > 2.0 * _MOST:
+        return found
+    found[known] = out
     found[: known[0]] = found[known[0]]
     found[known[-1] + 1 :] = found[known[-1]]
     return found
