@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from altered_bounds import write_bounds
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -158,18 +159,31 @@ def test_bounds_come_back_whole(mse_observer, gml_observer, walks, tmp_path):
         {"R_BI": [[1, 0, 0], [0, 1, 0], [0, 0, 2]]},
         {"mixing": {"lags": [1]}},
         {"format": "other"},
-        {"schema": 2},
+        {"schema": 3},
         {"extra": 1},
     ],
 )
 def test_bounds_that_are_none_are_refused(change, mse_observer, walks, tmp_path):
     path = tmp_path / "bounds.json"
     calibrate(mse_observer, walks["calibrate"], robot=Body(), K=20).save(path)
-    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    write_bounds(path, json.loads(path.read_text()) | change)
     with pytest.raises(BoundsError) as refusal:
         Bounds.load(path)
     assert str(path) in str(refusal.value)
     assert "\n" not in str(refusal.value)
+    assert "were changed" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("change", [{"epsilon": [9.0, 9.0, 9.0]}, {"digest": None}])
+def test_bounds_edited_by_hand_are_refused(change, mse_observer, walks, tmp_path):
+    path = tmp_path / "bounds.json"
+    calibrate(mse_observer, walks["calibrate"], robot=Body(), K=20).save(path)
+    values = json.loads(path.read_text())
+    write_bounds(path, values)
+    assert Bounds.load(path).K == 20
+    path.write_text(json.dumps(values | change))
+    with pytest.raises(BoundsError, match="were changed since they were calibrated"):
+        Bounds.load(path)
 
 
 @pytest.mark.parametrize("text", [None, "", "[1, 2]", '{"format": "surefoot bo'])
