@@ -163,7 +163,7 @@ class Observer:
         try:
             observer = _from_plain(values)
             _ = observer.network
-        except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
+        except (LookupError, TypeError, ValueError, RuntimeError, AttributeError) as error:
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise ObserverError(f"{path}: not a whole surefoot observer ({reason})") from error
         if observer.hash != values.get("hash"):
