@@ -85,7 +85,7 @@ def test_bad_files_are_one_clear_line(estimate, tmp_path):
     other = tmp_path / "other.parquet"
     pd.DataFrame({"t": [1.0]}).to_parquet(other)
     for path, words in (
-        (tmp_path / "absent.parquet", "cannot be read"),
+        (tmp_path / "absent.parquet", "No such file or directory"),
         (text, "cannot be read"),
         (other, "is not a trajectory"),
     ):

@@ -191,7 +191,7 @@ def test_a_long_log_is_estimated_in_the_memory_of_a_piece(tmp_path, monkeypatch,
         assert exit_code(["estimate", str(path), *main_run]) == (3 if seconds > 100 else 0)
         tracemalloc.start()
         long_logs.estimate_file(
-            "imu", LogReader(path), None, Learnt(), tmp_path / "out.parquet", True
+            "imu", LogReader(path), None, Learnt(), tmp_path / "traced.parquet", True
         )
         peaks[seconds] = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
