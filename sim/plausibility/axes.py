@@ -75,12 +75,15 @@ def match_axes(measured: np.ndarray, expected: np.ndarray) -> AxesMatch:
 def lag_of(late: np.ndarray, witness: np.ndarray, step: float, most: float) -> tuple[float, float]:
     """By how much [s] `late` (M, D) comes after `witness` (M, D), both a row every `step`, at most
     `most`; and their mean correlation then. Each column counts alike, whatever its size."""
-    a, b = (x - x.mean(axis=0) for x in (late, witness))
-    a, b = (x / np.maximum(x.std(axis=0), 1e-12) for x in (a, b))
-    reach = min(round(most / step), len(a) // 3)
-    inner = slice(reach, len(a) - reach)
+    reach = min(round(most / step), len(late) // 3)
+    rows = len(late) - 2 * reach
     shifts = np.arange(-reach, reach + 1)
-    scores = [float(np.mean(np.roll(a, -k, axis=0)[inner] * b[inner])) for k in shifts]
+    # Each stretch of `late` by its own mean and size: those of all rows would favour a stretch that
+    # moves more, and turn the top of slow motion by half a step.
+    b = _standardised(witness[reach : reach + rows])
+    scores = [
+        float(np.mean(_standardised(late[first : first + rows]) * b)) for first in shifts + reach
+    ]
     k = int(np.argmax(scores))
     if k in (0, len(scores) - 1):
         return 0.0, scores[reach]
@@ -88,3 +91,9 @@ def lag_of(late: np.ndarray, witness: np.ndarray, step: float, most: float) -> t
     bend = before - 2.0 * top + after
     part = 0.5 * (before - after) / bend if bend else 0.0
     return step * float(shifts[k] + part), top
+
+
+def _standardised(x: np.ndarray) -> np.ndarray:
+    """Columns of (M, D) with mean 0 and size 1; 0 for one that rests."""
+    x = x - x.mean(axis=0)
+    return x / np.maximum(x.std(axis=0), 1e-12)
