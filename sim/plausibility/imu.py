@@ -27,6 +27,11 @@ GYRO_SCALED = 0.15
 over a stride blur some per cent."""
 SCALED_ACCEL = 0.7
 """The same of accelerations, which impacts and filters blur more: 0.6 to 1.2 in clean walks."""
+LEFT = 0.6
+"""Share of the turning that a gyro as it is leaves unexplained, and that its axes in another order
+or sign may leave; correlation alone hides axes that turn little. On clean walks and a measured Go1
+none does better than the right ones. Put right, two axes swapped leave 0.15 on clean walks; on the
+Go1 0.52 to 0.56, but x for y 0.72: these are not seen."""
 _AXES_P = tuple(f"ref_p_{a}" for a in AXIS_NAMES)
 _AXES_GYRO = tuple(f"gyro_{a}" for a in AXIS_NAMES)
 _AXES_ACCEL = tuple(f"accel_{a}" for a in AXIS_NAMES)
@@ -200,8 +205,6 @@ def turning_of_legs(view: LogView) -> Iterator[Finding]:
         return
     gyro = view.gyro[legs.which]
     as_is = legs.turning_fits(gyro)
-    if as_is > 0.2:
-        return
     best = (as_is, (0, 1, 2), (1.0, 1.0, 1.0))
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
@@ -209,7 +212,7 @@ def turning_of_legs(view: LogView) -> Iterator[Finding]:
             other[:, list(order)] = gyro * np.array(signs)
             best = max(best, (legs.turning_fits(other), order, signs))
     fits, order, signs = best
-    if fits < 0.4 or fits < as_is + 0.3:
+    if 1.0 - fits**2 > LEFT * (1.0 - max(as_is, 0.0) ** 2):
         return
     wrong = [i for i in range(3) if order[i] != i or signs[i] < 0]
     columns = tuple(_AXES_GYRO[i] for i in wrong)

@@ -165,7 +165,7 @@ RULES = (
     Rule(
         "gyro and legs",
         "without a reference: the gyro with the turning of lines between standing feet",
-        "a better order or sign of axes, by 0.3 of correlation",
+        f"another order or sign of axes that leaves {imu.LEFT:.0%} of what is unexplained, or less",
         "feet that stand do not turn; other axes fit by chance only",
         "order or sign of the axes",
         ("t", "gyro", "contact", "q", "foot"),
