@@ -418,7 +418,7 @@ def _same_bins(before: Evidence, table: np.ndarray) -> bool:
     there, now = np.isfinite(before.table[:, fitted]), np.isfinite(table[:, fitted])
     if there.shape != now.shape:
         return False
-    return np.count_nonzero(there != now) <= FEW_BINS * np.count_nonzero(there)
+    return int(np.count_nonzero(there != now)) <= FEW_BINS * int(np.count_nonzero(there))
 
 
 def summed_regressor(parts: Sequence[Regressor]) -> Regressor:

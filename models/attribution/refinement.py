@@ -11,21 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from surefoot.models.attribution.evidence import (
-    Evidence,
-    Key,
-    LogUnderModel,
-    linearise,
-    table_of,
-)
+from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel, linearise
 from surefoot.models.attribution.fit import NormalEquations, design, fit, loss, normal_equations
 from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.attribution.priors import surprise
 from surefoot.models.attribution.robust_weights import RobustWeights
-from surefoot.models.attribution.selection import Candidate, left_unseen
-from surefoot.models.attribution.split import REPORT
-from surefoot.models.residuals.binning import BIN
-from surefoot.sim.effects import Effect, effect, known_effects
+from surefoot.models.attribution.selection import Candidate
+from surefoot.models.attribution.split import FIT, REPORT, SELECT
+from surefoot.sim.effects import Effect, effect
 
 
 @dataclass(frozen=True)
@@ -91,11 +84,7 @@ def contenders(
     data: NormalEquations, candidates: Sequence[Candidate], chosen: Sequence[Key]
 ) -> list[Candidate]:
     """The few that might be the best, by score: of those that earn a place, and of those that
-    explain what the first of them does, and more, but are too small to earn one alone. One that
-    explains other channels than the first is no rival: its turn comes."""
-    earned = [c for c in candidates if c.earned]
-    channels = {c.key: set(known_effects()[c.key[0]].channels) for c in candidates}
-    candidates = [c for c in candidates if earned and channels[c.key] & channels[earned[0].key]]
+    explain what the first of them does, and more, but are too small to earn one alone."""
     earned = [c for c in candidates if c.earned]
     near = [c for c in earned if c.score > data.settings.close_behind * earned[0].score]
     near += [c for c in candidates if earned and _outdoes(data, c, earned[0], chosen)]
@@ -108,62 +97,33 @@ def _outdoes(data: NormalEquations, one: Candidate, best: Candidate, chosen: Seq
     sized = abs(one.size) > data.settings.contender_size * np.hypot(one.error, one.floor)
     if one.earned or one.at_bound or not sized or one.interval[0] <= best.gain:
         return False
+    seen, unseen = data.rows(data.part == FIT), data.rows(data.part == SELECT)
     alone, both = (
-        float(left_unseen(data, [*chosen, *keys]).sum())
+        float(loss(unseen, fit(seen, [*chosen, *keys], errors=False).vector).sum())
         for keys in ((one.key,), (one.key, best.key))
     )
     return alone - both < data.settings.same_share * best.gain
 
 
-def rerank(
-    data: Data, few: Sequence[tuple[Candidate, ...]]
-) -> tuple[tuple[Candidate, ...], list[Effect]]:
-    """The candidates, one or a pair, that leave least of the true residual and of the way that
-    feet move while they stand, and all effects at their sizes with them; each pays for its
-    parameters.
+def rerank(data: Data, few: Sequence[Candidate]) -> tuple[Candidate, list[Effect]]:
+    """The candidate that leaves least of the true residual, and all effects at their sizes with it.
 
     For the choice an IMU counts as far as its readings are known between rows.
     """
     before = list(data.explained)
-    tried = [
-        (these, refined(data, [*before, *(_begun(c) for c in these)], REPORT)) for these in few
-    ]
+    tried = [(c, refined(data, [*before, effect(*c.key, c.size)], REPORT)) for c in few]
     if len(tried) == 1:
         return tried[0]
     weight = data.robust_weights.weight * known_between_rows(data)
     fair = replace(data, robust_weights=replace(data.robust_weights, weight=weight))
-    # As of `selection.judge`: for each parameter, and for having been one of many.
-    price = np.log(max(2, np.count_nonzero(data.part >= 0) * BIN / data.evidence.settings.block))
-    price += 2.0 * np.log(max(2, len(data.evidence.keys)))
 
-    def left(one: tuple[tuple[Candidate, ...], list[Effect]]) -> float:
-        these, effects = one
-        doubts = [
-            c.surprise
-            if c.surprise < 0
-            else surprise(e.name, e.target, e.value, data.evidence.layout.limbs)
-            for c, e in zip(these, effects[len(before) :], strict=True)
-        ]
-        left = best_near(fair, effects, REPORT)[1] + displaced(data, effects, REPORT)
-        return left + sum(doubts) + price * len(these)
+    def left(one: tuple[Candidate, list[Effect]]) -> float:
+        # All have the same effects but their last one.
+        newest = one[1][-1]
+        doubt = one[0].surprise if one[0].surprise < 0 else surprise(newest.name, newest.value)
+        return best_near(fair, one[1], REPORT)[1] + doubt
 
     return min(tried, key=left)
-
-
-def _begun(one: Candidate) -> Effect:
-    """The effect at its size, or at its bound: alone it may want to be larger than in a pair."""
-    return effect(
-        *one.key, float(np.clip(one.size, *known_effects()[one.key[0]].inside(one.key[1])))
-    )
-
-
-def displaced(data: Data, chosen: Sequence[Effect], report: int) -> float:
-    """The weighted squared displacement of standing feet, which no fit sees, that is left with the
-    effects, of all bins but those of the part `report`."""
-    columns = data.evidence.layout.of("stance_displacement")
-    table = np.concatenate([table_of(case, chosen)[:, columns] for case in data.cases])
-    z = table[data.part != report] / data.robust_weights.sigma[columns]
-    return float(np.nansum(z**2))
 
 
 def known_between_rows(data: Data) -> np.ndarray:

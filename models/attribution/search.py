@@ -1,6 +1,6 @@
 """Which effect does the model lack? Every candidate is fitted; one that earns its place stays."""
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,28 +13,17 @@ from surefoot.models.attribution.fit import (
     NormalEquations,
     design,
     fit,
+    loss,
     normal_equations,
     overlap,
 )
 from surefoot.models.attribution.noise_floor import NoiseFloor, noise_floor_with
-from surefoot.models.attribution.pairs import joint_pairs
-from surefoot.models.attribution.priors import is_common
 from surefoot.models.attribution.refinement import Data, contenders, refined, rerank
 from surefoot.models.attribution.robust_weights import RobustWeights, robust_weights
-from surefoot.models.attribution.selection import (
-    Candidate,
-    distinct,
-    faked_share,
-    judge,
-    left_unseen,
-    of_events,
-)
-from surefoot.models.attribution.split import REPORT, Split
+from surefoot.models.attribution.selection import Candidate, distinct, judge
+from surefoot.models.attribution.split import FIT, REPORT, SELECT, Split
 from surefoot.models.bootstrap import block_draws
-from surefoot.sim.effects import Effect, known_effects
-from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import Machine
-from surefoot.sim.robot.limbs import Limbs
+from surefoot.sim.effects import Effect
 
 
 @dataclass(frozen=True)
@@ -48,8 +37,8 @@ class Found:
 @dataclass(frozen=True)
 class Attribution:
     """What was found: effects, strongest first; candidates by round; rivals of any effect;
-    robust weights of the final evidence; floor: that of the model with the effects; refuted: the
-    effects that explain a channel and make the drift of the legs worse."""
+    robust weights of the final evidence; floor: that of the model with the effects; refuted: what
+    explains a channel and makes the drift of the legs worse."""
 
     found: tuple[Found, ...]
     rounds: tuple[tuple[Candidate, ...], ...]
@@ -67,8 +56,7 @@ def attribute(
     rng: np.random.Generator,
     progress: Callable[[float], None] | None = None,
 ) -> Attribution:
-    """Greedy search: add the candidate, or the pair, that gains most on unseen blocks while one
-    earns its place.
+    """Greedy search: add the candidate that gains most on unseen blocks while one earns its place.
 
     A candidate earns it if its gain's interval lies above zero, its size stands ABOVE_FLOOR times
     above the one it has on walks of the declared model, it is not at its bound, it adds a share
@@ -83,10 +71,9 @@ def attribute(
         progress: called with the share done, from 0 to 1.
     """
     keys = tuple(dict.fromkeys(key for case in cases for key in all_keys(case)))
-    settings, robot = cases[0].settings, cases[0].robot
-    certain = _certain(keys, robot)
+    settings = cases[0].settings
     chosen: list[Effect] = []
-    refuted: list[tuple[Key, ...]] = []
+    refuted: list[Key] = []
     rounds: list[tuple[Candidate, ...]] = []
     rivals: tuple[tuple[Key, float], ...] = ()
     explained = 0.0
@@ -95,100 +82,28 @@ def attribute(
         if progress:
             progress(min(len(rounds) / (settings.most_effects + 1), 1.0))
         evidence, whole, weights, chosen = _settled(cases, chosen, keys, evidence, floor, split)
-        limbs, found = evidence.layout.limbs, [_key(e) for e in chosen]
         sigma = floor.counted(weights.sigma, weights.alike)
         data = normal_equations(whole, sigma, weights.weight, split.part)
-        candidates = judge(data, floor, found, explained, limbs, rng, certain)
+        candidates = judge(data, floor, [_key(e) for e in chosen], explained, rng)
         rounds.append(candidates)
-        known = Data(cases, floor, evidence, chosen, weights, split.part)
-        best, with_best = _next(known, data, candidates, certain, refuted, split.fit | split.select)
-        if not best or len(chosen) >= settings.most_effects:
+        candidates = tuple(c for c in candidates if c.key not in refuted)
+        best = candidates[0] if candidates and candidates[0].earned else None
+        if best is None or len(chosen) == settings.most_effects:
             break
-        added = [c.key for c in best]
-        others = distinct(data, candidates, limbs)
-        for one in best:
-            beside = [*found, *(key for key in added if key != one.key)]
-            rivals += _rivals(data, one, others, beside, rng)
-        gained = left_unseen(data, found) - left_unseen(data, [*found, *added])
-        explained += float(np.sum(gained))
-        chosen = with_best
+        known = Data(cases, floor, evidence, chosen, weights, split.part)
+        others = distinct(data, candidates, evidence.layout.limbs)
+        best, chosen_with = rerank(known, contenders(data, others, [*map(_key, chosen)]))
+        if adds_drift(cases, chosen, chosen_with, split.fit | split.select):
+            refuted.append(best.key)
+            continue
+        rivals += _rivals(data, best, others, [_key(e) for e in chosen], rng)
+        explained += best.gain
+        chosen = chosen_with
         floor = noise_floor_with(floor, chosen)
+    found = _with_intervals(data, chosen, floor)
     # What was found beside an effect is no other explanation of it.
-    rivals = tuple(rival for rival in rivals if rival[0] not in found)
-    out = tuple(key for keys in refuted for key in keys)
-    sized = _with_intervals(data, chosen, floor)
-    return Attribution(sized, tuple(rounds), rivals, weights, evidence, floor, out)
-
-
-def _next(
-    known: Data,
-    data: NormalEquations,
-    candidates: Sequence[Candidate],
-    certain: Collection[Key],
-    refuted: list[tuple[Key, ...]],
-    use: np.ndarray,
-) -> tuple[tuple[Candidate, ...], list[Effect]]:
-    """The candidates, one or a pair, that are added next, and all effects at their sizes with them;
-    none where none earns a place.
-
-    Args:
-        known: what sizes are refined on.
-        data: normal equations of the blocks.
-        candidates: of this round.
-        certain: keys of effects that every machine has and the model lacks.
-        refuted: keys of what made the drift of the legs worse, which grows.
-        use: bins (M,) that fit and select.
-    """
-    found, limbs = [_key(e) for e in known.explained], known.evidence.layout.limbs
-    while True:
-        left = [c for c in candidates if (c.key,) not in refuted]
-        if not left or not left[0].earned:
-            return (), list(known.explained)
-        left = _common_first(left, limbs, data.settings.single_part)
-        # Contacts say which samples are of a stance: they come before what is fitted to these.
-        timing = [c for c in left if c.earned and of_events(c.key)]
-        few = [(c,) for c in contenders(data, distinct(data, left, limbs), found)]
-        pairs = joint_pairs(data, known.floor, left, found, limbs, certain)
-        few += [pair for pair in pairs if tuple(c.key for c in pair) not in refuted][
-            : data.settings.pairs
-        ]
-        best, with_best = rerank(known, [(timing[0],)] if timing else few)
-        if not adds_drift(known.cases, known.explained, with_best, use):
-            return best, with_best
-        refuted.append(tuple(c.key for c in best))
-
-
-def _certain(keys: Sequence[Key], robot: Machine) -> set[Key]:
-    """Of the candidates those that every machine has on each of its like parts, and the model
-    lacks."""
-    if not isinstance(robot, Robot):
-        return set()
-    kinds = known_effects()
-    return {
-        (name, target)
-        for name, target in keys
-        if kinds[name].is_certain(robot) and is_common(name, target, robot.limbs)
-    }
-
-
-def _common_first(
-    candidates: Sequence[Candidate], limbs: Limbs, share: float
-) -> Sequence[Candidate]:
-    """The candidates, but for single parts where what all parts share explains about as much.
-
-    Legs are of one make and carry one IMU: what they have in common comes first, and a part stands
-    out from that. One by one, parts can make up for it.
-
-    Args:
-        candidates: of this round, those that earn a place first.
-        limbs: of the machine.
-        share: of the best part's score that something common has at least.
-    """
-    common = [c for c in candidates if is_common(*c.key, limbs)]
-    parts = [c.score for c in candidates if c.earned and c not in common]
-    if common and common[0].earned and common[0].score > share * max(parts, default=0.0):
-        return common
-    return candidates
+    rivals = tuple(rival for rival in rivals if rival[0] not in [_key(e) for e in chosen])
+    return Attribution(found, tuple(rounds), rivals, weights, evidence, floor, tuple(refuted))
 
 
 def _settled(
@@ -248,11 +163,15 @@ def _rivals(
         chosen: keys of the effects found before it.
         rng: draws the bootstrap's blocks.
     """
-    of_best = left_unseen(data, [*chosen, best.key])
-    gained = float(np.sum(left_unseen(data, chosen) - of_best))
-    counts = block_draws(len(of_best), rng)
+    seen, unseen = data.rows(data.part == FIT), data.rows(data.part == SELECT)
+    counts = block_draws(len(unseen.G), rng)
+
+    def left(*keys: Key) -> np.ndarray:
+        return loss(unseen, fit(seen, [*chosen, *keys], errors=False).vector)
+
+    of_best, of_none = left(best.key), left()
     # What is no better by the price of one parameter is as good.
-    price = np.log(max(2, len(of_best)))
+    price = np.log(max(2, len(seen.G)))
     rivals = []
     for other in candidates:
         if other.key == best.key or other.at_bound:
@@ -260,9 +179,9 @@ def _rivals(
         shared = overlap(data, best.key, other.key, chosen)
         if shared <= data.settings.twin_overlap:
             continue
-        behind = left_unseen(data, [*chosen, other.key]) - of_best
+        behind = left(other.key) - of_best
         as_good = np.percentile(counts @ behind, 2.5) <= price
-        if as_good and gained - np.sum(behind) > 0.5 * gained:
+        if as_good and np.sum(of_none - of_best - behind) > 0.5 * np.sum(of_none - of_best):
             rivals.append((other.key, shared))
     return tuple(rivals)
 
@@ -279,7 +198,7 @@ def _with_intervals(
     for i, one in enumerate(chosen):
         offset, spread = floor.sizes([k for k in keys if k != keys[i]], keys[i])
         repeats = len(floor.repeats)
-        faked = 1.96 * faked_share(keys[i], data.settings) * offset
+        faked = 1.96 * data.settings.faked_share * offset
         half = float(np.hypot(1.96 * np.sqrt(covariance[i, i]), faked))
         if repeats > 1:
             half = float(np.hypot(half, t.ppf(0.975, repeats - 1) * spread))

@@ -1,6 +1,6 @@
 """What each candidate is worth beside those chosen before it, and whether it earns its place."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,10 +10,8 @@ from surefoot.models.attribution.fit import NormalEquations, fit, loss
 from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.attribution.priors import surprise
 from surefoot.models.attribution.run_offsets import of_each_run
-from surefoot.models.attribution.settings import TraceSettings
 from surefoot.models.attribution.split import FIT, SELECT
 from surefoot.models.bootstrap import block_draws
-from surefoot.models.residuals.registry import channels
 from surefoot.sim.effects import known_effects
 from surefoot.sim.robot.limbs import Limbs
 
@@ -23,7 +21,7 @@ class Candidate:
     """One candidate, fitted with what was chosen before it.
 
     size and error [its unit], less the size it has on walks that lack it; floor: how far that
-    varies [its unit]; gain: squared error it takes off unseen blocks, in units of noise, with
+    varies [its unit]; gain: squared error it takes off the unseen blocks, in units of noise, with
     its 95 % interval; share: the same as a share of what there is to explain; surprise: what its
     prior takes off the gain (`priors.surprise`).
     """
@@ -50,55 +48,45 @@ def judge(
     floor: NoiseFloor,
     chosen: Sequence[Key],
     explained: float,
-    limbs: Limbs,
     rng: np.random.Generator,
-    certain: Collection[Key] = (),
 ) -> tuple[Candidate, ...]:
     """Every candidate that is not chosen yet, those that earn a place first, by score.
-
-    What a candidate gains is cross-validated: sizes fitted on the blocks of FIT are judged on those
-    of SELECT, and the other way round. Its size and error are from both.
 
     Args:
         data: normal equations of the blocks.
         floor: noise floor.
         chosen: keys of the effects found so far.
         explained: sum of their gains on unseen blocks.
-        limbs: of the machine.
         rng: draws the bootstrap's blocks.
-        certain: keys of effects that every machine has and the model lacks.
     """
-    s, used = data.settings, data.rows((data.part == FIT) | (data.part == SELECT))
-    counts = block_draws(len(used.G), rng)
-    plain, plain_used = (
-        left_unseen(data, chosen),
-        loss(used, fit(used, chosen, errors=False).vector),
-    )
+    s, seen, unseen = data.settings, data.rows(data.part == FIT), data.rows(data.part == SELECT)
+    counts = block_draws(len(unseen.G), rng)
+    plain = fit(seen, chosen, errors=False).vector
+    plainly = loss(unseen, plain), loss(seen, plain)
     # Chen and Chen 2008, extended BIC: one of many costs more than one alone, and one with a size
     # for each log as many times as it has sizes.
-    per_size, chance = np.log(max(2, len(used.G))), 2.0 * np.log(len(data.keys))
+    per_size, chance = np.log(max(2, len(seen.G))), 2.0 * np.log(len(data.keys))
     judged = []
     for key in data.keys:
         if key in chosen:
             continue
+        fitted = fit(seen, [*chosen, key])
+        size, error = float(fitted.sizes[-1]), float(np.sqrt(fitted.covariance[-1, -1]))
         offset, spread = floor.sizes(chosen, key)
-        faked = {key: offset} if offset else {}
-        before = left_unseen(data, chosen, faked) if offset else plain
-        blocks = before - left_unseen(data, [*chosen, key])
+        size -= offset
+        before, before_seen = plainly
+        if offset:
+            faked = fit(seen, chosen, errors=False, given={key: offset}).vector
+            before, before_seen = loss(unseen, faked), loss(seen, faked)
+        blocks = before - loss(unseen, fitted.vector)
         gain = float(blocks.sum())
         low, high = np.percentile(counts @ blocks, [2.5, 97.5])
-        fitted = fit(used, [*chosen, key])
-        size, error = float(fitted.sizes[-1]) - offset, float(np.sqrt(fitted.covariance[-1, -1]))
-        plainly = plain_used
-        if offset:
-            plainly = loss(used, fit(used, chosen, errors=False, given=faked).vector)
-        at_seen = 0.5 * float(np.sum(plainly - loss(used, fitted.vector)))
+        at_seen = float(np.sum(before_seen - loss(seen, fitted.vector)))
         # Of one with a size for each log the largest counts, which one log alone determines.
         sizes = size + data.by_run(key, fitted.vector)
-        # An error as of one of the two parts, as the gain is.
-        most, error = float(np.max(np.abs(sizes))), error * np.sqrt(2 * len(sizes))
+        most, error = float(np.max(np.abs(sizes))), error * np.sqrt(len(sizes))
         # The floor's own offset is only as sure as its contact model.
-        spread = float(np.hypot(spread, faked_share(key, s) * offset))
+        spread = float(np.hypot(spread, s.faked_share * offset))
         low_end, high_end = known_effects()[key[0]].inside(key[1])
         # A fit beyond them is no size either, however much of it the floor's walks have.
         fitted_beyond = abs(fitted.sizes[-1]) > max(-low_end, high_end)
@@ -107,16 +95,16 @@ def judge(
         clear = most / max(float(np.hypot(spread, error)), 1e-300)
         plain_to_see = clear > s.clear and share > s.large
         price = len(sizes) * per_size + chance
-        doubt = sum(surprise(*key, float(one), limbs) for one in sizes)
+        doubt = sum(surprise(key[0], float(one)) for one in sizes)
         if s.own_zeros and of_each_run(key[0]):
             # It is another in every run anyway: nothing is a surprise, and its price is paid.
             doubt = -price
         earned = (
             low > 0
             and np.isfinite(error)
-            and clear > least_clear(key, certain, s)
+            and clear > s.above_floor
             and not at_bound
-            and (gain > s.worth * explained or plain_to_see or key in certain)
+            and (gain > s.worth * explained or plain_to_see)
             and min(at_seen, gain) - doubt > price
         )
         judged.append(
@@ -134,22 +122,6 @@ def judge(
             )
         )
     return tuple(sorted(judged, key=lambda c: (not c.earned, -c.score)))
-
-
-def least_clear(key: Key, certain: Collection[Key], settings: TraceSettings) -> float:
-    """How many times its error and its floor the size of an effect must have."""
-    return settings.above_floor * (settings.certain if key in certain else 1.0)
-
-
-def faked_share(key: Key, settings: TraceSettings) -> float:
-    """Share that is uncertain of the size that contacts fake of an effect."""
-    return settings.faked_event_share if of_events(key) else settings.faked_share
-
-
-def of_events(key: Key) -> bool:
-    """Whether an effect shows only in the times of contacts."""
-    names = known_effects()[key[0]].channels
-    return all(name in channels() and channels()[name].of_events for name in names)
 
 
 def distinct(
@@ -170,16 +142,3 @@ def distinct(
         kept.append(min(as_good, key=lambda c: len(parts[c.key])))
         left = [c for c in left if c not in alike]
     return tuple(kept)
-
-
-def left_unseen(
-    data: NormalEquations, keys: Sequence[Key], given: Mapping[Key, float] | None = None
-) -> np.ndarray:
-    """Squared error (K,) that these keys, with the sizes of others `given`, leave of the blocks of
-    FIT and SELECT, in units of noise, at the sizes that the other of the two parts gives them: the
-    mean of the two folds."""
-    left = []
-    for seen, unseen in ((FIT, SELECT), (SELECT, FIT)):
-        known, other = data.rows(data.part == seen), data.rows(data.part == unseen)
-        left.append(loss(other, fit(known, keys, errors=False, given=given or {}).vector))
-    return 0.5 * np.concatenate(left)

@@ -103,13 +103,9 @@ class TraceSettings:
     """Whether zeros and clocks are each run's: of several runs, and where effects are declared."""
     above_floor: float = 5.0
     """How many times its size on walks that lack it an effect must have."""
-    certain: float = 0.5
-    """Share of that for an effect that every machine has and the model lacks."""
     faked_share: float = 0.7
     """Share of the size that contacts fake on such walks that is uncertain: on slippery ground they
     faked a delay of joints four times as long as on the floor's."""
-    faked_event_share: float = 0.2
-    """The same of the times of contacts, each of which is measured by itself."""
     worth: float = 0.02
     """Share of what is explained so far that a further effect must add."""
     clear: float = 20.0
@@ -117,7 +113,7 @@ class TraceSettings:
     a very large effect even a large one is little."""
     large: float = 0.2
     """Share of all that is left that makes an effect a large one."""
-    most_effects: int = 8
+    most_effects: int = 4
     """Effects that one trace may name."""
     twin_overlap: float = 0.95
     """Overlap (cosine) from which two regressors are hard to distinguish."""
@@ -132,12 +128,6 @@ class TraceSettings:
     """Share of its size by which an effect may still move when Gauss-Newton has converged."""
     close_behind: float = 0.3
     """Share of the best gain from which a candidate might be better than linear regressors show."""
-    pair_pool: int = 16
-    """Candidates of which all pairs are fitted."""
-    pairs: int = 2
-    """Pairs that are refined on the residual itself in a round."""
-    single_part: float = 0.85
-    """Share of a single part's score from which an effect that all parts share comes first."""
     contenders: int = 3
     """Candidates that are refined on the residual itself in a round."""
     same_share: float = 0.5

@@ -4,7 +4,6 @@ import numpy as np
 
 from surefoot.models.attribution.fit import Design, fit, normal_equations
 from surefoot.models.attribution.robust_weights import RobustWeights
-from surefoot.models.residuals.registry import channels
 
 
 def variance_inflation(data: Design, weights: RobustWeights) -> np.ndarray:
@@ -21,12 +20,7 @@ def variance_inflation(data: Design, weights: RobustWeights) -> np.ndarray:
     left = np.where(data.there, data.y - data.explained(-free), 0.0)
     candidates = len(data.evidence.X)
     ratios = np.ones(data.evidence.layout.width)
-    layout = data.evidence.layout
-    events = layout.of(*(name for name in layout.channels if channels()[name].of_events))
-    for columns in layout.alike:
-        # Events are independent: what they have in common is their candidate's own floor.
-        if np.isin(columns, events).any():
-            continue
+    for columns in data.evidence.layout.alike:
         found: list[float] = []
         for c in columns:
             own = (data.which[c] < candidates) & data.evidence.single[data.which[c]]

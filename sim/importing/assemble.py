@@ -63,7 +63,8 @@ class RawRecording:
         if "ref_q_w" in self.main:
             unit_quaternions(self.path, self.main)
         poses, wrong = self.reference()
-        poses = poses.rows(~wrong) if poses is not None else None
+        if poses is not None and wrong is not None:
+            poses = poses.rows(~wrong)
         log = _log_from_tables(self.main, poses, self.rules, self.name)
         try:
             check_frame(log.frame, log.rate)

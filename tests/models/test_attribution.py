@@ -9,7 +9,6 @@ from numpy.testing import assert_allclose
 
 from surefoot.models.attribution.fit import design, fit, loss, normal_equations, overlap
 from surefoot.models.attribution.noise_floor import NoiseFloor, Repeat
-from surefoot.models.attribution.pairs import joint_pairs
 from surefoot.models.attribution.refinement import contenders
 from surefoot.models.attribution.robust_weights import robust_weights, slips
 from surefoot.models.attribution.selection import Candidate, distinct, judge
@@ -40,9 +39,7 @@ def whitened(one, floor=NOISE):
 
 
 def judged(one, chosen=(), floor=NO_WALKS, explained=0.0):
-    return judge(
-        whitened(one), floor, chosen, explained, one.layout.limbs, np.random.default_rng(0)
-    )
+    return judge(whitened(one), floor, chosen, explained, np.random.default_rng(0))
 
 
 def test_fit_recovers_sizes_and_biases_with_honest_errors():
@@ -106,26 +103,6 @@ def test_a_few_near_the_best_are_tried_on_the_true_residual():
     assert tried[0] is found[0]
     assert len(tried) <= DEFAULT.contenders
     assert all(one.earned and one.gain > DEFAULT.close_behind * tried[0].gain for one in tried)
-
-
-def test_two_that_a_third_stands_for_are_found_together():
-    """Alone the third explains most; the pair explains all."""
-    one = evidence((4e-3, 4e-3, 0, 0))
-    X = dense(one)
-    wave = np.sin(1.7 * one.t)[:, None]
-    X[..., 3] = 0.0
-    X[:, 6:9, 3] = X[:, 6:9, 0] + X[:, 6:9, 1] + 0.7 * wave
-    both = with_X(one, X)
-    found = judged(both)
-    assert found[0].key == KEYS[3]
-    (first, *_) = joint_pairs(whitened(both), NO_WALKS, found, (), QUADRUPED)
-    assert {c.key for c in first} == {KEYS[0], KEYS[1]}
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_one_effect_is_no_pair(seed):
-    one = evidence((4e-3, 0, 0, 0), seed=seed)
-    assert joint_pairs(whitened(one), NO_WALKS, judged(one), (), QUADRUPED) == []
 
 
 def test_one_that_explains_more_is_tried_even_where_it_is_not_sure_of_itself():

@@ -59,6 +59,7 @@ def test_the_go1_stands_up_slower_than_its_stamps_say():
     recording = read_recording((RECORDING,), "go1_square")
     known, wrong = recording.reference()
     assert known is not None
+    assert wrong is not None
     assert wrong.sum() < 0.06 * len(wrong)
     assert known.t[wrong][-1] - known.t[0] < 0.7
     log = recording.log()
