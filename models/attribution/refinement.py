@@ -119,8 +119,9 @@ def rerank(data: Data, few: Sequence[Candidate]) -> tuple[Candidate, list[Effect
 
     def left(one: tuple[Candidate, list[Effect]]) -> float:
         # All have the same effects but their last one.
-        newest = one[1][-1]
-        doubt = one[0].surprise if one[0].surprise < 0 else surprise(newest.name, newest.value)
+        newest, doubt = one[1][-1], one[0].surprise
+        if doubt >= 0.0:
+            doubt = surprise(newest.name, newest.target, newest.value, data.evidence.layout.limbs)
         return best_near(fair, one[1], REPORT)[1] + doubt
 
     return min(tried, key=left)

@@ -13,15 +13,14 @@ from surefoot.models.attribution.fit import (
     NormalEquations,
     design,
     fit,
-    loss,
     normal_equations,
     overlap,
 )
 from surefoot.models.attribution.noise_floor import NoiseFloor, noise_floor_with
 from surefoot.models.attribution.refinement import Data, contenders, refined, rerank
 from surefoot.models.attribution.robust_weights import RobustWeights, robust_weights
-from surefoot.models.attribution.selection import Candidate, distinct, judge
-from surefoot.models.attribution.split import FIT, REPORT, SELECT, Split
+from surefoot.models.attribution.selection import Candidate, distinct, judge, left_unseen
+from surefoot.models.attribution.split import REPORT, Split
 from surefoot.models.bootstrap import block_draws
 from surefoot.sim.effects import Effect
 
@@ -84,7 +83,9 @@ def attribute(
         evidence, whole, weights, chosen = _settled(cases, chosen, keys, evidence, floor, split)
         sigma = floor.counted(weights.sigma, weights.alike)
         data = normal_equations(whole, sigma, weights.weight, split.part)
-        candidates = judge(data, floor, [_key(e) for e in chosen], explained, rng)
+        candidates = judge(
+            data, floor, [_key(e) for e in chosen], explained, evidence.layout.limbs, rng
+        )
         rounds.append(candidates)
         candidates = tuple(c for c in candidates if c.key not in refuted)
         best = candidates[0] if candidates and candidates[0].earned else None
@@ -163,15 +164,11 @@ def _rivals(
         chosen: keys of the effects found before it.
         rng: draws the bootstrap's blocks.
     """
-    seen, unseen = data.rows(data.part == FIT), data.rows(data.part == SELECT)
-    counts = block_draws(len(unseen.G), rng)
-
-    def left(*keys: Key) -> np.ndarray:
-        return loss(unseen, fit(seen, [*chosen, *keys], errors=False).vector)
-
-    of_best, of_none = left(best.key), left()
+    of_best = left_unseen(data, [*chosen, best.key])
+    gained = float(np.sum(left_unseen(data, chosen) - of_best))
+    counts = block_draws(len(of_best), rng)
     # What is no better by the price of one parameter is as good.
-    price = np.log(max(2, len(seen.G)))
+    price = np.log(max(2, len(of_best)))
     rivals = []
     for other in candidates:
         if other.key == best.key or other.at_bound:
@@ -179,9 +176,9 @@ def _rivals(
         shared = overlap(data, best.key, other.key, chosen)
         if shared <= data.settings.twin_overlap:
             continue
-        behind = left(other.key) - of_best
+        behind = left_unseen(data, [*chosen, other.key]) - of_best
         as_good = np.percentile(counts @ behind, 2.5) <= price
-        if as_good and np.sum(of_none - of_best - behind) > 0.5 * np.sum(of_none - of_best):
+        if as_good and gained - np.sum(behind) > 0.5 * gained:
             rivals.append((other.key, shared))
     return tuple(rivals)
 

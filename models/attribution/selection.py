@@ -48,6 +48,7 @@ def judge(
     floor: NoiseFloor,
     chosen: Sequence[Key],
     explained: float,
+    limbs: Limbs,
     rng: np.random.Generator,
 ) -> tuple[Candidate, ...]:
     """Every candidate that is not chosen yet, those that earn a place first, by score.
@@ -57,6 +58,7 @@ def judge(
         floor: noise floor.
         chosen: keys of the effects found so far.
         explained: sum of their gains on unseen blocks.
+        limbs: of the machine.
         rng: draws the bootstrap's blocks.
     """
     s, seen, unseen = data.settings, data.rows(data.part == FIT), data.rows(data.part == SELECT)
@@ -95,7 +97,7 @@ def judge(
         clear = most / max(float(np.hypot(spread, error)), 1e-300)
         plain_to_see = clear > s.clear and share > s.large
         price = len(sizes) * per_size + chance
-        doubt = sum(surprise(key[0], float(one)) for one in sizes)
+        doubt = sum(surprise(*key, float(one), limbs) for one in sizes)
         if s.own_zeros and of_each_run(key[0]):
             # It is another in every run anyway: nothing is a surprise, and its price is paid.
             doubt = -price
@@ -142,3 +144,13 @@ def distinct(
         kept.append(min(as_good, key=lambda c: len(parts[c.key])))
         left = [c for c in left if c not in alike]
     return tuple(kept)
+
+
+def left_unseen(data: NormalEquations, keys: Sequence[Key]) -> np.ndarray:
+    """Squared error (K,) that these keys leave of the blocks of FIT and SELECT, in units of noise,
+    at the sizes that the other of the two parts gives them."""
+    left = []
+    for seen, unseen in ((FIT, SELECT), (SELECT, FIT)):
+        known, other = data.rows(data.part == seen), data.rows(data.part == unseen)
+        left.append(loss(other, fit(known, keys, errors=False).vector))
+    return np.concatenate(left)

@@ -39,7 +39,9 @@ def whitened(one, floor=NOISE):
 
 
 def judged(one, chosen=(), floor=NO_WALKS, explained=0.0):
-    return judge(whitened(one), floor, chosen, explained, np.random.default_rng(0))
+    return judge(
+        whitened(one), floor, chosen, explained, one.layout.limbs, np.random.default_rng(0)
+    )
 
 
 def test_fit_recovers_sizes_and_biases_with_honest_errors():
