@@ -215,7 +215,7 @@ class TrajectoryWriter:
         try:
             self._writer.close()
         except OSError as full:
-            error = (type(full), full, full.__traceback__)
+            return self._file.__exit__(type(full), full, full.__traceback__)
         return self._file.__exit__(*error)
 
     def write(self, piece: Trajectory) -> None:

@@ -110,7 +110,7 @@ def residual_jacobians(parts: ResidualTable, robot: Machine) -> ResidualJacobian
             if np.isfinite(heights).any():
                 rise = foot_heights(replace(bins, q=bins.q + all_legs), robot)
                 height_q[:, :, j] = np.nan_to_num(rise - heights) / DIFFERENCE_STEP
-    return ResidualJacobians(parts, robot, leg_omega, *leg, height_q)
+    return ResidualJacobians(parts, robot, leg_omega, leg[0], leg[1], height_q)
 
 
 def _by_effort(parts: ResidualTable, needed: InverseDynamics, robot: Machine) -> np.ndarray:

@@ -228,7 +228,7 @@ def reference_lag(log: Log, most: float) -> float:
     turned = (turning[:-1].inv() * turning[1:]).as_rotvec() / np.diff(log.t)[:, None]
     gyro = 0.5 * (log.gyro[1:] + log.gyro[:-1])
     both = [x - x.mean(axis=0) for x in (turned, gyro)]
-    shared = sum(correlate(a, b) for a, b in zip(both[0].T, both[1].T, strict=True))
+    shared = np.sum([correlate(a, b) for a, b in zip(*(x.T for x in both), strict=True)], axis=0)
     lags = correlation_lags(len(turned), len(gyro)) * row
     near = np.abs(lags) <= most
     return float(lags[near][np.argmax(shared[near])])

@@ -76,7 +76,8 @@ def _matlab_strings(file: h5py.File) -> dict[str, np.ndarray]:
     """The array of strings of a MATLAB 7.3 file that has one. They lie apart, in 64-bit words: a
     version, the number of dimensions, these, the length of each string, and the letters."""
     named = [n for n, v in file.items() if v.attrs.get("MATLAB_class") == b"string"]
-    apart = [v for v in file.get("#refs#", {}).values() if v.attrs.get("MATLAB_class") == b"uint64"]
+    refs = file["#refs#"].values() if "#refs#" in file else ()
+    apart = [v for v in refs if v.attrs.get("MATLAB_class") == b"uint64"]
     if len(named) != 1 or len(apart) != 1:
         return {}
     words = apart[0][()].T.ravel()
@@ -98,7 +99,7 @@ def _arrays(found: dict[str, object]) -> dict[str, np.ndarray]:
         if not isinstance(value, np.ndarray | np.void):
             continue
         if value.dtype.names:
-            inner: Any = value[()] if value.ndim == 0 else value
+            inner: Any = value if isinstance(value, np.void) or value.ndim else value[()]
             cells |= _arrays({f"{name}.{f}": np.asarray(inner[f]) for f in value.dtype.names})
         elif value.dtype.kind == "O" and value.ndim == 0:
             cells |= _arrays({name: value.item()})

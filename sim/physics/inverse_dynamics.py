@@ -159,7 +159,10 @@ class Dynamics:
         model = self.model
         as_drawn = {name: getattr(model, name).copy() for name in _CHANGED}
         if changes.turn is not None:
-            for body, drawn, placed, turn in zip(self.hung, *changes[:3], strict=True):
+            assert changes.drawn is not None  # the three go together
+            assert changes.placed is not None
+            frames = zip(self.hung, changes.drawn, changes.placed, changes.turn, strict=True)
+            for body, drawn, placed, turn in frames:
                 # What is between this body and the joint's turns with it.
                 model.body_pos[body] = placed - turn @ (drawn - model.body_pos[body])
                 quat, before = np.empty(4), model.body_quat[body].copy()

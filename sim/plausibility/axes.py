@@ -31,7 +31,8 @@ class AxesMatch:
     def wrong(self) -> tuple[int, ...]:
         """Axes that measure another one, or with the other sign."""
         turned = (np.array(self.order) != np.arange(3)) | (self.sign < 0)
-        return tuple(np.flatnonzero(turned & (self.best > OTHER) & (self.best - self.own > GAIN)))
+        wrong = turned & (self.best > OTHER) & (self.best - self.own > GAIN)
+        return tuple(np.flatnonzero(wrong).tolist())
 
     @property
     def alike(self) -> bool:

@@ -125,7 +125,7 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
         return
     accel, felt = view.accel[view.ok], view.felt[view.ok]
     in_body = match_axes(accel, felt)
-    in_world = match_axes(view.ref_a[view.ok], view.R_GI[view.ok].apply(accel) + GRAVITY_G)
+    in_world = match_axes(view.ref_a[view.ok], view.R_GI.apply(view.accel)[view.ok] + GRAVITY_G)
     # Gravity tells that z is upright, so that the reference's is not.
     if in_world.wrong and (in_world.best.mean() >= in_body.best.mean() or in_world.wrong == (2,)):
         columns = tuple(f"ref_p_{AXIS_NAMES[i]}" for i in in_world.wrong)

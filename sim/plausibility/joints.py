@@ -43,7 +43,7 @@ def rates(view: LogView) -> Iterator[Finding]:
     own = np.diag(alike)
     slope = logged[:, moves].std(axis=0) / moved[:, moves].std(axis=0)
     names = [log.joints[j] for j in moves]
-    bad = np.flatnonzero(own < RATE_ALIKE)
+    bad = np.flatnonzero(own < RATE_ALIKE).tolist()
     said: set[int] = set()
     flipped = [i for i in bad if own[i] < -RATE_ALIKE]
     if flipped:

@@ -227,7 +227,9 @@ def _misread(
 
     base = missed(few)
     bad = np.flatnonzero(base > MISFIT)
-    best = [(float(x), (), ()) for x in base]
+    best: list[tuple[float, tuple[int, ...], tuple[float, ...]]] = [
+        (float(x), (), ()) for x in base
+    ]
     for order in permutations(range(size)) if bad.size else ():
         for signs in product((1.0, -1.0), repeat=size):
             columns, sign = np.arange(q.shape[1]), np.ones(q.shape[1])

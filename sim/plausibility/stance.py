@@ -74,7 +74,10 @@ class Stance:
 def stance_of(log: Log, robot: Robot | None, at: np.ndarray) -> Stance | None:
     """The feet of a log about the times `at` (M,) [s]; None where they are not known."""
     if log.has("foot"):
-        feet: Callable[[np.ndarray], np.ndarray] = log.foot_I.__getitem__
+        foot_I = log.foot_I
+
+        def feet(rows: np.ndarray) -> np.ndarray:
+            return foot_I[rows]
     elif robot is not None and log.has("q"):
         q = log.q
 

@@ -83,14 +83,14 @@ class LogView:
         """(M, 3) [m/s^2] in I."""
         return self.means(self.log.accel)
 
-    def attitudes(self, after: float) -> Rotation:
-        """Attitudes (M,) of the reference, `after` seconds from the times `at`."""
+    def attitudes(self, after: float, where: np.ndarray | None = None) -> Rotation:
+        """Attitudes (M,) of the reference, `after` seconds from the times `at`; or only from those
+        `where` (M,), bool, holds."""
         q = self.log.ref_q
         # Neighbours on the same side of the sphere, so that they can be averaged.
         flips = np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0))
-        return Rotation.from_quat(
-            self._after(q * np.concatenate([[1.0], flips])[:, None], after), scalar_first=True
-        )
+        mean = self._after(q * np.concatenate([[1.0], flips])[:, None], after)
+        return Rotation.from_quat(mean if where is None else mean[where], scalar_first=True)
 
     @cached_property
     def R_GI(self) -> Rotation:
@@ -125,7 +125,7 @@ class LogView:
         up = None if self.robot is None else self.robot.R_BI[2]
         if up is not None and force @ up < 0.5 * np.linalg.norm(force):
             force = np.zeros(3)  # the accelerometer is what leans
-        begin, end = self.attitudes(-0.5 * MEAN)[self.ok], self.attitudes(0.5 * MEAN)[self.ok]
+        begin, end = (self.attitudes(after, self.ok) for after in (-0.5 * MEAN, 0.5 * MEAN))
         return attitude_fault(begin, end, self.gyro[self.ok], force, STEP, self._fits_gyro)
 
     def _fits_gyro(self, put_right: np.ndarray) -> bool:

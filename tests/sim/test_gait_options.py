@@ -164,8 +164,11 @@ def test_what_an_imu_samples_folds_back_and_what_it_averages_does_not():
 def test_care_stops_a_robot_and_never_turns_it_back():
     """Pushed backwards over ice, and none of it where a single foot slides."""
     gait = gait_for(SPOT, 0.0, options=GaitOptions(slip_care=1.0))
+    place, velocity, sole_velocity = np.zeros((3, 4, 3))
     feet = Feet(
-        *np.zeros((3, 4, 3)),
+        place,
+        velocity,
+        sole_velocity,
         np.zeros((4, 3, 3)),
         np.tile([0.0, 0.0, 1.0], (4, 1)),
         np.full(4, STANCE),
@@ -176,12 +179,14 @@ def test_care_stops_a_robot_and_never_turns_it_back():
     for sliding, wanted in (([1.0] * 4, 0.0), ([3.0, 0.0, 0.0, 0.0], 0.5)):
         controller = Controller(gait, plan(COURSE, SPOT, 0).world.relief, standing())
         controller.memory.way[:] = np.array(sliding) * 1.1 * SLID * gait.leg_length
+        went = []
         for t in np.arange(1.0, 6.0, 0.004):
             state = RobotState(t, base, np.zeros(12), np.zeros(12), np.full(4, 100.0))
             command = Command(np.array([0.5, 0.0, 0.0]), 0.0)
             take_care(controller, state, 10.0, command, feet)
-            assert command.v[0] >= -1e-12
-        assert command.v[0] == pytest.approx(wanted, abs=0.01)
+            went.append(command.v[0])
+        assert min(went) >= -1e-12
+        assert went[-1] == pytest.approx(wanted, abs=0.01)
 
 
 def test_with_care_a_robot_walks_on_where_its_feet_slide_by_centimetres():

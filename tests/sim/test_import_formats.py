@@ -66,7 +66,8 @@ def lines(folder):
 
 
 def npz(folder):
-    np.savez(folder / "run.npz", **lists())
+    t, gyro, accel, q = lists().values()
+    np.savez(folder / "run.npz", t=t, gyro=gyro, accel=accel, q=q)
     return folder / "run.npz"
 
 
@@ -244,7 +245,7 @@ def test_uneven_stamps_and_held_readings_are_said_and_made_even_on_demand(tmp_pa
     rules = '[columns]\nt = "t"\nq_knee = "knee"\ncontact_left = "flag"\n'
     (tmp_path / "map.toml").write_text(rules)
     recording = read_recording(tmp_path / "run.csv", tmp_path / "map.toml")
-    said = "\n".join(import_lines(recording.log(), None, recording.notes))
+    said = "\n".join(import_lines(recording.log(), notes=recording.notes))
     assert "stamps: 2 ms apart, uneven by 0.4" in said
     assert [one.columns for one in held_streams(recording.log())] == [("q_knee",)]
     (tmp_path / "map.toml").write_text(rules + '[even]\nheld = ["q"]\n')

@@ -11,7 +11,7 @@ Each regime is a case whose row is kept, so that a study that was stopped goes o
 
 import re
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -196,7 +196,10 @@ def study_batches(study: MonteCarloStudy) -> list[Batch]:
 
 
 def run_batch(
-    study: MonteCarloStudy, batch: Batch, pool: Executor | None = None, cluster: str | None = None
+    study: MonteCarloStudy,
+    batch: Batch,
+    pool: ProcessPoolExecutor | None = None,
+    cluster: str | None = None,
 ) -> dict[str, Any]:
     """The row of a case: each filter's scores, and how the two with a persistent state compare.
 
