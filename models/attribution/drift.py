@@ -9,6 +9,10 @@ from surefoot.models.bootstrap import block_draws
 from surefoot.models.residuals.layout import layout_for
 from surefoot.sim.effects import Effect
 
+GROWN = 0.05
+"""Share of the sum of its squares by which a drift must grow: sizes that are settled again move it
+by hundredths."""
+
 
 def adds_drift(
     cases: Sequence[LogUnderModel],
@@ -19,8 +23,8 @@ def adds_drift(
     """Whether the drift of dead reckoning by the legs grows from one set of effects to another.
 
     The drift is what the feet seem to move over the ground while they stand, added up over blocks
-    in which chance averages out; it grows if the sum of its squares does in 19 of 20 draws of the
-    blocks.
+    in which chance averages out; it grows if the sum of its squares does by GROWN in 19 of 20 draws
+    of the blocks.
 
     Args:
         cases: the logs under the declared model.
@@ -33,7 +37,7 @@ def adds_drift(
         return False
     grown = np.sum(after**2, axis=1) - np.sum(before**2, axis=1)
     drawn = block_draws(len(grown), np.random.default_rng(0)) @ grown
-    return bool(np.percentile(drawn, 5.0) > 0.0)
+    return bool(np.percentile(drawn, 5.0) > GROWN * np.sum(before**2))
 
 
 def _drifts(

@@ -22,7 +22,9 @@ from surefoot.models.attribution.robust_weights import RobustWeights, robust_wei
 from surefoot.models.attribution.selection import Candidate, distinct, judge, left_unseen
 from surefoot.models.attribution.split import REPORT, Split
 from surefoot.models.bootstrap import block_draws
-from surefoot.sim.effects import Effect
+from surefoot.sim.effects import Effect, known_effects
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.fixed_base import Machine
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,7 @@ def attribute(
         progress: called with the share done, from 0 to 1.
     """
     keys = tuple(dict.fromkeys(key for case in cases for key in all_keys(case)))
-    settings = cases[0].settings
+    settings, certain = cases[0].settings, _certain(keys, cases[0].robot)
     chosen: list[Effect] = []
     refuted: list[Key] = []
     rounds: list[tuple[Candidate, ...]] = []
@@ -84,7 +86,7 @@ def attribute(
         sigma = floor.counted(weights.sigma, weights.alike)
         data = normal_equations(whole, sigma, weights.weight, split.part)
         candidates = judge(
-            data, floor, [_key(e) for e in chosen], explained, evidence.layout.limbs, rng
+            data, floor, [_key(e) for e in chosen], explained, evidence.layout.limbs, rng, certain
         )
         rounds.append(candidates)
         candidates = tuple(c for c in candidates if c.key not in refuted)
@@ -105,6 +107,14 @@ def attribute(
     # What was found beside an effect is no other explanation of it.
     rivals = tuple(rival for rival in rivals if rival[0] not in [_key(e) for e in chosen])
     return Attribution(found, tuple(rounds), rivals, weights, evidence, floor, tuple(refuted))
+
+
+def _certain(keys: Sequence[Key], robot: Machine) -> set[Key]:
+    """Of the candidates those that every machine has on all parts alike, and the model lacks."""
+    if not isinstance(robot, Robot):
+        return set()
+    kinds = known_effects()
+    return {key for key in keys if key[1] == "all" and kinds[key[0]].is_certain(robot)}
 
 
 def _settled(

@@ -1,6 +1,6 @@
 """What each candidate is worth beside those chosen before it, and whether it earns its place."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,6 +50,7 @@ def judge(
     explained: float,
     limbs: Limbs,
     rng: np.random.Generator,
+    certain: Collection[Key] = (),
 ) -> tuple[Candidate, ...]:
     """Every candidate that is not chosen yet, those that earn a place first, by score.
 
@@ -60,6 +61,7 @@ def judge(
         explained: sum of their gains on unseen blocks.
         limbs: of the machine.
         rng: draws the bootstrap's blocks.
+        certain: keys of effects that every machine has and the model lacks.
     """
     s, seen, unseen = data.settings, data.rows(data.part == FIT), data.rows(data.part == SELECT)
     counts = block_draws(len(unseen.G), rng)
@@ -104,9 +106,9 @@ def judge(
         earned = (
             low > 0
             and np.isfinite(error)
-            and clear > s.above_floor
+            and clear > s.above_floor * (s.certain if key in certain else 1.0)
             and not at_bound
-            and (gain > s.worth * explained or plain_to_see)
+            and (gain > s.worth * explained or plain_to_see or key in certain)
             and min(at_seen, gain) - doubt > price
         )
         judged.append(

@@ -103,6 +103,9 @@ class TraceSettings:
     """Whether zeros and clocks are each run's: of several runs, and where effects are declared."""
     above_floor: float = 5.0
     """How many times its size on walks that lack it an effect must have."""
+    certain: float = 0.5
+    """Share of that for an effect that every machine has and the model lacks: feet of radius zero
+    do not exist. It need not be `worth` its place either."""
     faked_share: float = 0.7
     """Share of the size that contacts fake on such walks that is uncertain: on slippery ground they
     faked a delay of joints four times as long as on the floor's."""

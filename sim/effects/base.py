@@ -163,6 +163,11 @@ class Effect:
         return cls.compensate is not Effect.compensate
 
     @classmethod
+    def is_certain(cls, robot: Robot) -> bool:
+        """Whether every machine has it and this model does not: only its size is in question."""
+        return False
+
+    @classmethod
     def is_compensated_on(cls, log: Log) -> bool:
         """Whether a log has what `compensate` needs."""
         return all(log.has(group) for group in cls.needs)

@@ -184,6 +184,10 @@ class FootRolling(Effect):
         added = self.value * np.isin(robot.limbs.legs, self.members(robot.limbs))
         return log, replace(robot, foot_radius=robot.foot_radius + added)
 
+    @classmethod
+    def is_certain(cls, robot: Robot) -> bool:
+        return robot.limbs.point_feet and not robot.foot_radius.any()
+
 
 class Payload(Effect):
     """A mass on the base, a small ball at its origin.
