@@ -119,7 +119,7 @@ def interrupted_once(command: str, folder: Path, number: int, after: float) -> b
     return True
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("name", COMMANDS)
 def test_ended_at_random_moments(name, inputs, tmp_path):
     command, pattern = COMMANDS[name]
@@ -145,7 +145,7 @@ def test_ended_at_random_moments(name, inputs, tmp_path):
     assert not list(folder.rglob("*.lock")), "locks"
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_resumed_observer_is_the_same_file(inputs, tmp_path):
     """Twelve kills, evenly over the training: the file is that of one that was not killed."""
     command, _ = COMMANDS["train"]
@@ -164,7 +164,7 @@ def test_a_resumed_observer_is_the_same_file(inputs, tmp_path):
     assert {p.name for p in (folder / "out").iterdir()} == {"o.pt", MANIFEST}
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_two_runs_into_one_folder(inputs, tmp_path):
     """The second is refused, and the first goes on."""
     folder = copied(inputs, tmp_path / "two")
@@ -186,7 +186,7 @@ def test_two_runs_into_one_folder(inputs, tmp_path):
     assert not lock.exists()
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("name", COMMANDS)
 @pytest.mark.parametrize("most", [0, 1_000, 20_000, 200_000])
 def test_a_full_disk(name, most, inputs, tmp_path):
