@@ -4,9 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from surefoot.models.attribution.evidence import LogUnderModel, table_of
+from surefoot.models.attribution.evidence import Evidence, LogUnderModel, table_of
 from surefoot.models.bootstrap import block_draws
-from surefoot.models.residuals.layout import layout_for
 from surefoot.sim.effects import Effect
 
 GROWN = 0.05
@@ -16,7 +15,7 @@ by hundredths."""
 
 def adds_drift(
     cases: Sequence[LogUnderModel],
-    chosen: Sequence[Effect],
+    evidence: Evidence,
     chosen_with: Sequence[Effect],
     use: np.ndarray,
 ) -> bool:
@@ -28,11 +27,15 @@ def adds_drift(
 
     Args:
         cases: the logs under the declared model.
-        chosen: effects found so far.
-        chosen_with: the same and another, sizes settled.
+        evidence: once the effects found so far are explained.
+        chosen_with: the same effects and another, sizes settled.
         use: bins (M,) of all logs that may be looked at.
     """
-    before, after = (_drifts(cases, these, use) for these in (chosen, chosen_with))
+    feet = evidence.layout.by_leg("stance_displacement")
+    if not len(feet):
+        return False
+    after_table = np.concatenate([table_of(case, chosen_with) for case in cases])
+    before, after = (_drifts(evidence, x[:, feet], use) for x in (evidence.table, after_table))
     if not len(before):
         return False
     grown = np.sum(after**2, axis=1) - np.sum(before**2, axis=1)
@@ -40,23 +43,10 @@ def adds_drift(
     return bool(np.percentile(drawn, 5.0) > GROWN * np.sum(before**2))
 
 
-def _drifts(
-    cases: Sequence[LogUnderModel], chosen: Sequence[Effect], use: np.ndarray
-) -> np.ndarray:
+def _drifts(evidence: Evidence, moved: np.ndarray, use: np.ndarray) -> np.ndarray:
     """Forward and lateral drift (K, 2) [m] over each block: the mean over the feet of what each
-    moves while it stands, added up."""
-    layout = layout_for(cases[0].robot.limbs)
-    feet = layout.by_leg("stance_displacement")
-    if not len(feet):
-        return np.zeros((0, 2))
-    sums, begin = [], 0
-    for case in cases:
-        own = use[begin : begin + len(case.frame.t)]
-        begin += len(own)
-        moved = np.where(own[:, None, None], table_of(case, chosen)[:, feet], np.nan)
-        block = np.floor((case.frame.t - case.frame.t[0]) / case.settings.block).astype(int)
-        for one in np.unique(block[own]):
-            here = moved[own & (block == one)]
-            if np.isfinite(here).any():
-                sums.append(np.nansum(here, axis=(0, 1)) / len(feet))
-    return np.array(sums).reshape(-1, 2)
+    moves while it stands, (M, L, 2), added up."""
+    block = np.floor((evidence.t - evidence.t.min()) / evidence.settings.block).astype(int)
+    number = evidence.log * (block.max() + 1) + block
+    own = [moved[use & (number == one)] for one in np.unique(number[use])]
+    return np.array([np.nansum(x, axis=(0, 1)) / moved.shape[1] for x in own]).reshape(-1, 2)

@@ -38,8 +38,7 @@ class Found:
 @dataclass(frozen=True)
 class Attribution:
     """What was found: effects, strongest first; candidates by round; rivals of any effect;
-    robust weights of the final evidence; floor: that of the model with the effects; refuted: what
-    explains a channel and makes the drift of the legs worse."""
+    robust weights of the final evidence; floor: that of the model with the effects."""
 
     found: tuple[Found, ...]
     rounds: tuple[tuple[Candidate, ...], ...]
@@ -47,7 +46,6 @@ class Attribution:
     robust_weights: RobustWeights
     evidence: Evidence
     floor: NoiseFloor
-    refuted: tuple[Key, ...] = ()
 
 
 def attribute(
@@ -96,7 +94,7 @@ def attribute(
         known = Data(cases, floor, evidence, chosen, weights, split.part)
         others = distinct(data, candidates, evidence.layout.limbs)
         best, chosen_with = rerank(known, contenders(data, others, [*map(_key, chosen)]))
-        if adds_drift(cases, chosen, chosen_with, split.fit | split.select):
+        if adds_drift(cases, evidence, chosen_with, split.fit | split.select):
             refuted.append(best.key)
             continue
         rivals += _rivals(data, best, others, [_key(e) for e in chosen], rng)
@@ -106,7 +104,7 @@ def attribute(
     found = _with_intervals(data, chosen, floor)
     # What was found beside an effect is no other explanation of it.
     rivals = tuple(rival for rival in rivals if rival[0] not in [_key(e) for e in chosen])
-    return Attribution(found, tuple(rounds), rivals, weights, evidence, floor, tuple(refuted))
+    return Attribution(found, tuple(rounds), rivals, weights, evidence, floor)
 
 
 def _certain(keys: Sequence[Key], robot: Machine) -> set[Key]:

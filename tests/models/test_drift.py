@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surefoot.models.attribution.drift import adds_drift
-from surefoot.models.attribution.evidence import log_under_model
+from surefoot.models.attribution.evidence import linearise, log_under_model
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
@@ -27,13 +27,15 @@ def case():
 def test_rolling_takes_drift_away_and_too_much_of_it_adds(case):
     radius, every = float(ROBOT.foot_radius[0]), np.ones(len(case.frame.t), dtype=bool)
     right, far = (effect("foot_rolling", "all", k * radius) for k in (1.0, 1.6))
-    assert not adds_drift([case], [], [right], every)
-    assert adds_drift([case], [right], [far], every)
-    assert adds_drift([case], [right], [], every)
+    assert not adds_drift([case], linearise([case], [], ()), [right], every)
+    assert adds_drift([case], linearise([case], [right], ()), [far], every)
+    assert adds_drift([case], linearise([case], [right], ()), [], every)
     # What is not looked at says nothing.
-    assert not adds_drift([case], [right], [far], ~every)
+    assert not adds_drift([case], linearise([case], [right], ()), [far], ~every)
 
 
 def test_an_effect_of_the_imu_alone_adds_none(case):
     every = np.ones(len(case.frame.t), dtype=bool)
-    assert not adds_drift([case], [], [effect("accel_bias", "x", 0.3)], every)
+    assert not adds_drift(
+        [case], linearise([case], [], ()), [effect("accel_bias", "x", 0.3)], every
+    )
