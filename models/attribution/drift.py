@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from surefoot.models.attribution.evidence import Evidence, LogUnderModel, table_of
+from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.bootstrap import block_draws
 from surefoot.sim.effects import Effect
 
@@ -18,18 +19,20 @@ def adds_drift(
     evidence: Evidence,
     chosen_with: Sequence[Effect],
     use: np.ndarray,
+    floor: NoiseFloor | None = None,
 ) -> bool:
     """Whether the drift of dead reckoning by the legs grows from one set of effects to another.
 
     The drift is what the feet seem to move over the ground while they stand, added up over blocks
-    in which chance averages out; it grows if the sum of its squares does by GROWN in 19 of 20 draws
-    of the blocks.
+    in which chance averages out; it grows if the sum of its squares does in 19 of 20 draws of the
+    blocks, by GROWN and by more than walks of the declared model drift themselves.
 
     Args:
         cases: the logs under the declared model.
         evidence: once the effects found so far are explained.
         chosen_with: the same effects and another, sizes settled.
         use: bins (M,) of all logs that may be looked at.
+        floor: walks of the declared model; without them it has no drift.
     """
     feet = evidence.layout.by_leg("stance_displacement")
     if not len(feet):
@@ -40,7 +43,18 @@ def adds_drift(
         return False
     grown = np.sum(after**2, axis=1) - np.sum(before**2, axis=1)
     drawn = block_draws(len(grown), np.random.default_rng(0)) @ grown
-    return bool(np.percentile(drawn, 5.0) > GROWN * np.sum(before**2))
+    least = max(GROWN * float(np.sum(before**2)), len(before) * _own_drift(floor))
+    return bool(np.percentile(drawn, 5.0) > least)
+
+
+def _own_drift(floor: NoiseFloor | None) -> float:
+    """Mean square [m^2] of the drift over a block of walks of the declared model."""
+    walks = [repeat.evidence for repeat in floor.repeats] if floor else []
+    drifts = [
+        _drifts(one, one.table[:, one.layout.by_leg("stance_displacement")], one.t >= one.t[0])
+        for one in walks
+    ]
+    return float(np.mean(np.sum(np.concatenate(drifts) ** 2, axis=1))) if drifts else 0.0
 
 
 def _drifts(evidence: Evidence, moved: np.ndarray, use: np.ndarray) -> np.ndarray:

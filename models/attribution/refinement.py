@@ -6,7 +6,7 @@ is by far the loudest. The legs agree with only one of the two, but they count o
 channel does not choose by how streams are interpolated between their rows.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +18,7 @@ from surefoot.models.attribution.priors import surprise
 from surefoot.models.attribution.robust_weights import RobustWeights
 from surefoot.models.attribution.selection import Candidate
 from surefoot.models.attribution.split import FIT, REPORT, SELECT
+from surefoot.models.bootstrap import block_draws
 from surefoot.sim.effects import Effect, effect
 
 
@@ -61,13 +62,14 @@ def refined(data: Data, chosen: Sequence[Effect], report: int) -> list[Effect]:
     return chosen
 
 
-def best_near(data: Data, chosen: Sequence[Effect], report: int) -> tuple[np.ndarray, float]:
+def best_near(data: Data, chosen: Sequence[Effect], report: int) -> tuple[np.ndarray, np.ndarray]:
     """By how much (C,) the effects' sizes miss the best, in a straight line, and the weighted
-    squared error that is left there, on all blocks but those of the part `report`."""
+    squared error (K,) of each block that is left there, of all blocks but those of the part
+    `report`."""
     sums = data.about(chosen)
     sums = sums.rows(sums.part != report)
     found = fit(sums, [(e.name, e.target) for e in chosen], errors=False)
-    return found.sizes, float(loss(sums, found.vector).sum())
+    return found.sizes, loss(sums, found.vector)
 
 
 def _offsets(floor: NoiseFloor, keys: Sequence[Key]) -> np.ndarray:
@@ -108,7 +110,9 @@ def _outdoes(data: NormalEquations, one: Candidate, best: Candidate, chosen: Seq
 def rerank(data: Data, few: Sequence[Candidate]) -> tuple[Candidate, list[Effect]]:
     """The candidate that leaves least of the true residual, and all effects at their sizes with it.
 
-    For the choice an IMU counts as far as its readings are known between rows.
+    For the choice an IMU counts as far as its readings are known between rows. Of candidates whose
+    difference is within the chance of the blocks, one is taken whose size is likelier by more than
+    `positive_evidence`.
     """
     before = list(data.explained)
     tried = [(c, refined(data, [*before, effect(*c.key, c.size)], REPORT)) for c in few]
@@ -116,15 +120,53 @@ def rerank(data: Data, few: Sequence[Candidate]) -> tuple[Candidate, list[Effect
         return tried[0]
     weight = data.robust_weights.weight * known_between_rows(data)
     fair = replace(data, robust_weights=replace(data.robust_weights, weight=weight))
+    left = [best_near(fair, chosen, REPORT)[1] for _, chosen in tried]
+    doubt = [_doubt(candidate, chosen[-1], data) for candidate, chosen in tried]
+    best = min(range(len(tried)), key=lambda i: float(left[i].sum()) + doubt[i])
+    counts = block_draws(len(left[best]), np.random.default_rng(0))
+    likelier = [
+        i
+        for i in range(len(tried))
+        if doubt[best] - doubt[i] > data.evidence.settings.positive_evidence
+        and np.percentile(counts @ (left[i] - left[best]), 2.5) <= 0.0
+    ]
+    return tried[min(likelier, key=lambda i: doubt[i], default=best)]
 
-    def left(one: tuple[Candidate, list[Effect]]) -> float:
-        # All have the same effects but their last one.
-        newest, doubt = one[1][-1], one[0].surprise
-        if doubt >= 0.0:
-            doubt = surprise(newest.name, newest.target, newest.value, data.evidence.layout.limbs)
-        return best_near(fair, one[1], REPORT)[1] + doubt
 
-    return min(tried, key=left)
+def _doubt(candidate: Candidate, newest: Effect, data: Data) -> float:
+    """The surprise of the size that an effect got, unless sizes of its kind are none."""
+    if candidate.surprise < 0.0:
+        return candidate.surprise
+    return surprise(newest.name, newest.target, newest.value, data.evidence.layout.limbs)
+
+
+def reconsidered(
+    data: Data, chosen: Sequence[Effect], instead: Mapping[Key, Sequence[Effect]]
+) -> list[Effect]:
+    """The effects, each whose size became a surprise by the newest of them replaced by what could
+    hardly be told from it when it was chosen, if that leaves less.
+
+    Two effects of a joint may have grown against each other to follow what neither of them is.
+
+    Args:
+        data: the evidence and what its sizes are refined on.
+        chosen: effects found so far, with their sizes.
+        instead: of the key of each, those of its near equals.
+    """
+    chosen, limbs = list(chosen), data.evidence.layout.limbs
+
+    def unlikely(effects: Sequence[Effect]) -> float:
+        doubt = sum(surprise(e.name, e.target, e.value, limbs) for e in effects)
+        return float(best_near(data, effects, REPORT)[1].sum()) + doubt
+
+    for i, one in enumerate(chosen[:-1]):
+        others = instead.get((one.name, one.target), ())
+        doubt = surprise(one.name, one.target, one.value, limbs)
+        if not others or doubt <= data.evidence.settings.positive_evidence:
+            continue
+        tried = [[*chosen[:i], other, *chosen[i + 1 :]] for other in others]
+        chosen = min([chosen, *(refined(data, effects, REPORT) for effects in tried)], key=unlikely)
+    return chosen
 
 
 def known_between_rows(data: Data) -> np.ndarray:

@@ -17,12 +17,12 @@ from surefoot.models.attribution.fit import (
     overlap,
 )
 from surefoot.models.attribution.noise_floor import NoiseFloor, noise_floor_with
-from surefoot.models.attribution.refinement import Data, contenders, refined, rerank
+from surefoot.models.attribution.refinement import Data, contenders, reconsidered, refined, rerank
 from surefoot.models.attribution.robust_weights import RobustWeights, robust_weights
 from surefoot.models.attribution.selection import Candidate, distinct, judge, left_unseen
 from surefoot.models.attribution.split import REPORT, Split
 from surefoot.models.bootstrap import block_draws
-from surefoot.sim.effects import Effect, known_effects
+from surefoot.sim.effects import Effect, effect, known_effects
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
 
@@ -73,6 +73,7 @@ def attribute(
     settings, certain = cases[0].settings, _certain(keys, cases[0].robot)
     chosen: list[Effect] = []
     refuted: list[Key] = []
+    instead: dict[Key, list[Effect]] = {}
     rounds: list[tuple[Candidate, ...]] = []
     rivals: tuple[tuple[Key, float], ...] = ()
     explained = 0.0
@@ -93,13 +94,20 @@ def attribute(
             break
         known = Data(cases, floor, evidence, chosen, weights, split.part)
         others = distinct(data, candidates, evidence.layout.limbs)
-        best, chosen_with = rerank(known, contenders(data, others, [*map(_key, chosen)]))
-        if adds_drift(cases, evidence, chosen_with, split.fit | split.select):
+        few = contenders(data, others, [*map(_key, chosen)])
+        best, chosen_with = rerank(known, few)
+        if adds_drift(cases, evidence, chosen_with, split.fit | split.select, floor):
             refuted.append(best.key)
             continue
         rivals += _rivals(data, best, others, [_key(e) for e in chosen], rng)
         explained += best.gain
-        chosen = chosen_with
+        keys_before, like = [*map(_key, chosen)], settings.twin_overlap
+        instead[best.key] = [
+            effect(*c.key, c.size)
+            for c in few
+            if c != best and overlap(data, best.key, c.key, keys_before) > like
+        ]
+        chosen = reconsidered(known, chosen_with, instead)
         floor = noise_floor_with(floor, chosen)
     found = _with_intervals(data, chosen, floor)
     # What was found beside an effect is no other explanation of it.

@@ -133,6 +133,8 @@ class TraceSettings:
     """Share of the best gain from which a candidate might be better than linear regressors show."""
     contenders: int = 3
     """Candidates that are refined on the residual itself in a round."""
+    positive_evidence: float = 2.0
+    """Difference of -2 log of a probability from which it is evidence (Kass and Raftery 1995)."""
     same_share: float = 0.5
     """Share of a gain: with less of it than that left, another candidate explains the same."""
     contender_size: float = 2.0

@@ -7,6 +7,7 @@ import pytest
 
 from surefoot.models.attribution.drift import adds_drift
 from surefoot.models.attribution.evidence import linearise, log_under_model
+from surefoot.models.attribution.noise_floor import noise_floor
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
@@ -32,6 +33,23 @@ def test_rolling_takes_drift_away_and_too_much_of_it_adds(case):
     assert adds_drift([case], linearise([case], [right], ()), [], every)
     # What is not looked at says nothing.
     assert not adds_drift([case], linearise([case], [right], ()), [far], ~every)
+
+
+def test_the_drift_that_walks_of_the_model_have_is_none_that_an_effect_adds(case):
+    every, less = np.ones(len(case.frame.t), dtype=bool), effect("foot_rolling", "all", -0.004)
+    model = log_under_model(case.log, ROBOT)
+    floor = noise_floor([model])
+    assert adds_drift([model], linearise([model], [], ()), [less], every)
+    assert not adds_drift([model], linearise([model], [], ()), [less], every, louder(floor, 30.0))
+
+
+def louder(floor, times):
+    """The floor of a robot whose feet seem to move so many times as far while they stand."""
+    repeats = [
+        replace(one, evidence=replace(one.evidence, table=times * one.evidence.table))
+        for one in floor.repeats
+    ]
+    return replace(floor, repeats=tuple(repeats))
 
 
 def test_an_effect_of_the_imu_alone_adds_none(case):

@@ -126,7 +126,6 @@ def test_a_declared_effect_is_part_of_the_model():
 
 
 @pytest.mark.long
-@pytest.mark.xfail(reason="an elasticity of the feet is named for 2 mm of a calf on uneven ground")
 def test_a_leg_is_measured_on_a_floor_that_is_no_more_even_than_floors_are():
     """Its map says so; the model then walks on such a floor too, and 2 mm of a calf are seen."""
     ground = ground_of(COURSE, EVENNESS)
