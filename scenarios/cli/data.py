@@ -213,7 +213,7 @@ class Robots:
     def run(self) -> None:
         import hashlib
 
-        from surefoot.sim.common.files import cache_folder, whole_file
+        from surefoot.sim.common.files import cache_folder, kept_file
         from surefoot.sim.common.sources import sources_digest
         from surefoot.sim.robot.catalog import downloadable_robots, known_robots
 
@@ -227,7 +227,7 @@ class Robots:
         key = hashlib.sha256(b"\0".join(parts)).hexdigest()[:32]
         kept = cache_folder() / "robots" / f"{key}.md"
         if not kept.is_file():
-            with whole_file(kept, force=True) as temporary:
+            with kept_file(kept) as temporary:
                 temporary.write_text(_robot_table(known_robots()), encoding="utf-8")
         print(kept.read_text(encoding="utf-8"))
         if further := downloadable_robots():

@@ -1,7 +1,6 @@
 """The command line: `surefoot COMMAND`. Each command is a dataclass; its fields are its options."""
 
 import os
-import signal
 import sys
 from collections.abc import Sequence
 from typing import Annotated, Union
@@ -14,10 +13,10 @@ from surefoot.scenarios.cli.estimate import Calibrate, Compare, Estimate, NoiseC
 from surefoot.scenarios.cli.runs import (
     guarded,
     how_to_go_on,
-    interruptions,
     one_line,
     plain_terminals,
 )
+from surefoot.scenarios.cli.signals import Interrupted, interruptions
 from surefoot.scenarios.cli.study import (
     Bench,
     Demo,
@@ -80,9 +79,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             sys.stdout.flush()
     except SurefootError as error:
         sys.exit(f"surefoot: {one_line(error)}")
-    except KeyboardInterrupt as stop:
-        print(f"\nsurefoot: {how_to_go_on(name)}", file=sys.stderr)
-        sys.exit(128 + getattr(stop, "number", signal.SIGINT))
+    except Interrupted as stop:
+        print(f"\nsurefoot: {how_to_go_on(name, stop.written)}", file=sys.stderr)
+        sys.exit(128 + stop.number)
     except BrokenPipeError:
         # Whoever read the output has gone; Python would complain once more at its end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -2,17 +2,15 @@
 line when it is interrupted."""
 
 import os
-import signal
 import sys
-import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import fields
 from glob import escape
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
+from surefoot.scenarios.cli.signals import Interrupted
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import (
     cache_folder,
@@ -54,7 +52,7 @@ def guarded(name: str, command: Any) -> Iterator[None]:
         if isinstance(given.get(option), int):
             check_limit(limit, given[option], f"--{option}")
     with ExitStack() as stack:
-        stack.enter_context(command_run(name, inputs))
+        run = stack.enter_context(command_run(name, inputs))
         for path in (*listed, *kept):
             refuse_input(path)
         if given.get("page"):
@@ -63,7 +61,14 @@ def guarded(name: str, command: Any) -> Iterator[None]:
             check_page(given["page"])
         for path in listed:
             stack.enter_context(_alone(path))
-        yield
+        try:
+            yield
+        except Interrupted as stop:
+            # What goes on keeps parts of its output; it is done when all of it is there.
+            whole = [Path(os.path.realpath(path)) for path in listed]
+            done = [p for p in run.written if name not in GOES_ON or p in whole]
+            stop.written = [str(path) for path in done]
+            raise
 
 
 def _paths(value: Any) -> list[Path]:
@@ -122,38 +127,10 @@ def _locked(lock: Path, out: Path) -> Iterator[None]:
         stream.close()
 
 
-class Interrupted(KeyboardInterrupt):
-    """A signal to end, from the keyboard or from another process."""
-
-    def __init__(self, number: int):
-        super().__init__()
-        self.number = number
-
-
-@contextmanager
-def interruptions() -> Iterator[None]:
-    """While it lasts, SIGINT, SIGTERM and SIGHUP raise Interrupted; a second one ends at once."""
-    names = [n for n in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, n)]
-    numbers = [getattr(signal, name) for name in names]
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def stop(number: int, _frame: FrameType | None) -> None:
-        for one in numbers:
-            signal.signal(one, signal.SIG_DFL)
-        raise Interrupted(number)
-
-    before = {number: signal.signal(number, stop) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def how_to_go_on(name: str) -> str:
-    """What an interrupted command says."""
+def how_to_go_on(name: str, written: Sequence[str] = ()) -> str:
+    """What an interrupted command says; written: outputs that were there already."""
+    if written:
+        return f"interrupted; {', '.join(written)} was written already, --force makes it anew"
     if name in GOES_ON:
         return "interrupted; the same command goes on from what is done"
     return "interrupted; nothing was written, the same command begins anew"

@@ -1,20 +1,17 @@
-"""Where the process begins: from its first import on, an interruption is one line."""
+"""Where the process begins: from its first import to its last moment, a signal is one line."""
 
-import os
-import signal
 import sys
-from types import FrameType
 
-
-def _leave(number: int, _frame: FrameType | None) -> None:
-    print("surefoot: interrupted before it began", file=sys.stderr, flush=True)
-    os._exit(128 + number)
+from surefoot.scenarios.cli.signals import catch_signals, hand_over_lost, ignore_signals
 
 
 def entry_point() -> None:
     """The command line of the process: imports take a second, in which nothing is to be undone."""
-    for name in ("SIGINT", "SIGTERM"):
-        signal.signal(getattr(signal, name), _leave)
+    catch_signals()
+    sys.unraisablehook = hand_over_lost
     from surefoot.scenarios.cli.main import main
 
-    main()
+    try:
+        main()
+    finally:
+        ignore_signals()

@@ -67,24 +67,26 @@ def measured_folder() -> Path:
 
 @dataclass
 class _Run:
-    """A command of the command line under way, and the files and folders that it reads."""
+    """A command of the command line under way, the files and folders that it reads, and those of
+    its outputs that are there and whole."""
 
     command: str
     inputs: dict[tuple[int, int], Path] = field(default_factory=dict)
+    written: list[Path] = field(default_factory=list)
 
 
 _run: _Run | None = None
 
 
 @contextmanager
-def command_run(command: str, inputs: Iterable[Path] = ()) -> Iterator[None]:
+def command_run(command: str, inputs: Iterable[Path] = ()) -> Iterator[_Run]:
     """While it lasts, files are written as those of `command`, and never over its inputs."""
     global _run
     before, _run = _run, _Run(command)
     try:
         for path in inputs:
             protect(path)
-        yield
+        yield _run
     finally:
         _run = before
 
@@ -243,6 +245,7 @@ def whole_file(path: str | Path, force: bool = False) -> Iterator[Path]:
         if _run is not None and not _is_temporary(path):
             # Listed before it takes its place: a kill in between leaves no file without a line.
             _list(path.parent, _run.command, {path.name: file_digest(temporary)})
+    _note_written(path)
 
 
 @contextmanager
@@ -281,10 +284,16 @@ def whole_folder(out: str | Path, force: bool = False) -> Iterator[Path]:
         staging.mkdir(parents=True)
         yield staging
         _publish(staging, out, force)
+        _note_written(out)
     except OSError as error:
         raise SurefootError(f"{_short(out)}: cannot be written ({_reason(error)})") from error
     finally:
         shutil.rmtree(staging, ignore_errors=True)
+
+
+def _note_written(path: Path) -> None:
+    if _run is not None and not _is_temporary(path):
+        _run.written.append(Path(os.path.realpath(path)))
 
 
 def _publish(staging: Path, out: Path, force: bool) -> None:

@@ -1,7 +1,7 @@
 """Options and outputs that a command must refuse: one line a case, `what` it is, the command, and a
 word that the error must have.
 
-The folder holds the good files of tests/hostile/bases.py, walk.parquet, observer.pt and bounds.json,
+The folder holds the good files of tests/common/good_texts.py, walk.parquet, observer.pt and bounds.json,
 `mine.txt` of the user, `link` to walk.parquet and `hard`, the same file by another name.
 """
 

@@ -8,8 +8,8 @@ from tempfile import TemporaryDirectory
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "common")]
 
-from conftest import good_files  # noqa: E402
 from forked import Outcome, copied, run_forked  # noqa: E402
+from good_files import good_files  # noqa: E402
 from test_refused import CASES  # noqa: E402
 
 from surefoot.scenarios.reporting.html import Section  # noqa: E402

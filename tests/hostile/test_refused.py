@@ -5,8 +5,8 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-import bases
 import command_cases
+import good_texts
 import log_cases
 import numpy as np
 import pyarrow as pa
@@ -187,9 +187,9 @@ def test_refused(change, command, word, good, tmp_path):
 def test_there_are_as_many_cases_as_the_page_says():
     names = [case[0] for case in CASES]
     assert len(set(names)) == len(names) >= 400
-    for name in bases.__dict__:
+    for name in good_texts.__dict__:
         if name.isupper() and name != "SCENARIO":
-            assert getattr(bases, name)
+            assert getattr(good_texts, name)
 
 
 @pytest.mark.parametrize("reader", READERS)

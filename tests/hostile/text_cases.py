@@ -1,5 +1,5 @@
 """Files of text that are broken or ask for too much: one line a case, `what` it is, the text of the
-good file (tests/hostile/bases.py) that is replaced, what it is replaced by, and a word that the
+good file (tests/common/good_texts.py) that is replaced, what it is replaced by, and a word that the
 error must have. An empty old text replaces the whole file."""
 
 # fmt: off

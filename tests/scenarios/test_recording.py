@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 import rerun as rr
-from conftest import DRIFT, RATE, Walk
+from arc_walk import DRIFT, RATE, Walk
 from rerun.chunk import RrdReader
 
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Walk
+from arc_walk import Walk
 from matplotlib.image import imread
 from rerun.experimental import ViewerClient
 

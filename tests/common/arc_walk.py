@@ -1,0 +1,77 @@
+"""A short made-up walk with known errors, for everything that draws."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy.spatial.transform import Rotation
+
+from surefoot.estimator.evaluation.trajectory import Trajectory, UpdateRecord
+from surefoot.models.calibration.bounds import Bounds
+from surefoot.models.observer.predict import Prediction
+from surefoot.sim.common.quaternion import quaternion_from_matrix
+from surefoot.sim.ground.terrain import Patch
+from surefoot.sim.log import Log, Meta
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.legs import JOINTS, LEGS
+
+RATE = 500.0
+DRIFT = np.array([0.10, -0.05, 0.02])  # m/s, of the estimate "leg"
+
+
+class Walk(NamedTuple):
+    log: Log
+    robot: Robot
+    trajectories: dict[str, Trajectory]
+    prediction: Prediction
+    bounds: Bounds
+    patches: tuple[Patch, ...]
+
+
+def make_walk(seconds: float) -> Walk:
+    """A robot that walks an arc of 0.5 m/s; "coverage" is right, "leg" drifts by DRIFT."""
+    rng = np.random.default_rng(0)
+    robot = Robot.load("spot_class")
+    t = np.arange(1, round(seconds * RATE) + 1) / RATE
+    yaw = 0.4 * t
+    R_GI = Rotation.from_euler("z", yaw[:, None]).as_matrix()
+    v_GI = 0.5 * R_GI[:, :, 0]
+    p_GI = np.cumsum(v_GI, axis=0) / RATE + [1.0, 2.0, 0.5]
+    phase = 2 * np.pi * 2.0 * t
+    swing = np.stack([np.sin(phase + s) for s in (0.0, np.pi, np.pi, 0.0)], axis=1)
+    q = np.tile(robot.q_home, (len(t), 1)).reshape(-1, 4, 3)
+    q[:, :, 1] += 0.2 * swing
+    contact = swing < 0.3
+    slip = np.where(contact & (t[:, None] > seconds / 2), 0.3, 0.0)
+    columns = {"t": t}
+    for k, axis in enumerate("xyz"):
+        columns |= {f"ref_p_{axis}": p_GI[:, k], f"ref_v_{axis}": v_GI[:, k]}
+    quaternion = quaternion_from_matrix(R_GI)
+    columns |= {f"ref_q_{axis}": quaternion[:, k] for k, axis in enumerate("wxyz")}
+    columns |= {f"q_{joint}": q.reshape(-1, 12)[:, k] for k, joint in enumerate(JOINTS)}
+    for k, leg in enumerate(LEGS):
+        columns |= {f"contact_{leg}": contact[:, k].astype(float), f"slip_{leg}": slip[:, k]}
+        columns |= {f"mu_{leg}": np.full(len(t), 0.6)}
+    log = Log(pd.DataFrame(columns), Meta(rate=RATE, robot="spot_class", scenario="arc"))
+    rows = np.arange(4, len(t), 5)
+    error = rng.normal(0.0, 0.03, (len(rows), 3))
+    v_I = np.einsum("nji,nj->ni", R_GI, v_GI)[rows] + error
+    prediction = Prediction(rows, t[rows], v_I, None)
+    bounds = Bounds(
+        epsilon=np.array([0.05, 0.06, 0.07]), gamma=0.8, level_per_axis=0.8 ** (1 / 3),
+        method="conformal", K=20, n=100, observer="0" * 64, R_BI=robot.R_BI, log="none",
+    )  # fmt: skip
+    covariance = np.tile(
+        np.diag([0.01] * 3 + [0.05] * 3 + [0.1] * 3 + [0.01] * 6) ** 2, (len(rows), 1, 1)
+    )
+    zeros = np.zeros((len(rows), 3))
+    pi = np.linspace(0.5, 1.0, len(rows))
+    record = UpdateRecord(t[rows], v_I, np.tile(bounds.epsilon, (len(rows), 1)), pi, pi < 0.8)
+    right = (t[rows], R_GI[rows], v_GI[rows], p_GI[rows], zeros, zeros, covariance)
+    drift = p_GI[rows] + (t[rows] - t[rows[0]])[:, None] * DRIFT
+    trajectories = {
+        "coverage": Trajectory(*right, record),
+        "leg": Trajectory(t[rows], R_GI[rows], v_GI[rows], drift, zeros, zeros, covariance),
+    }
+    x, y = p_GI[len(t) // 2, :2]
+    return Walk(log, robot, trajectories, prediction, bounds, (Patch(x, y, 1.0, 1.5, 0.2),))

@@ -1,0 +1,89 @@
+"""A signal at each stage of a process: before its command begins, within, when its output is there
+already, and after. The exit code is the signal's or the command's, and one line says which."""
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+HERE = "os.kill(os.getpid(), SIGNAL)"
+IMPORTED = f"""
+class Finder:
+    def find_spec(self, name, *_):
+        if name == "surefoot.scenarios.cli.main":
+            {HERE}
+sys.meta_path.insert(0, Finder())
+entry_point()
+"""
+COMMAND = """
+from surefoot.scenarios.cli.main import COMMANDS
+from surefoot.sim.common.files import whole_file
+@dataclass(frozen=True)
+class Export:
+    out: Path
+    def run(self):
+        with whole_file(self.out) as temporary:
+            temporary.write_text("whole")
+            {within}
+        {written}
+COMMANDS["export"] = Export
+class Last:
+    def __del__(self, kill=os.kill, me=os.getpid(), number=SIGNAL):
+        kill(me, number)
+{around}
+entry_point()
+"""
+
+
+def command(within: str = "pass", written: str = "pass", around: str = "pass") -> str:
+    return COMMAND.format(within=within, written=written, around=around)
+
+
+BEFORE = "surefoot: interrupted before it began"
+WITHIN = "surefoot: interrupted; nothing was written, the same command begins anew"
+WRITTEN = "out.csv was written already, --force makes it anew"
+STAGES = {
+    "at the first import": ("SIGTERM", IMPORTED, BEFORE),
+    "within": ("SIGINT", command(within=HERE), WITHIN),
+    "within, twice": ("SIGTERM", command(within=f"[{HERE}, {HERE}]"), WITHIN),
+    "in a destructor": ("SIGTERM", command(within="Last(); time.sleep(20.0)"), WITHIN),
+    "when all is written": ("SIGHUP", command(written=HERE), WRITTEN),
+    "at Python's end": ("SIGINT", command(around=f"atexit.register(lambda: {HERE})"), ""),
+    "at the last moment": ("SIGTERM", command(around="sys.last_of_all = Last()"), ""),
+    "ignored, as by nohup": (
+        "SIGHUP",
+        f"signal.signal(SIGNAL, signal.SIG_IGN){command(within=HERE)}",
+        "",
+    ),
+}
+"""Stage -> signal, what the process runs, and the end of the line that it says, "" for none."""
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_one_line_and_the_code_of_the_signal(stage, tmp_path):
+    name, work, said = STAGES[stage]
+    process = ended(name, work, tmp_path)
+    left = {path.name for path in tmp_path.iterdir()} - {".surefoot.jsonl"}
+    assert left == ({"out.csv"} if said in (WRITTEN, "") else set())
+    assert process.returncode == (128 + getattr(signal, name) if said else 0), process.stderr
+    lines = [line for line in process.stderr.splitlines() if line.strip()]
+    assert len(lines) == bool(said), process.stderr
+    assert not said or lines[0].endswith(said)
+
+
+def ended(name: str, work: str, folder: Path) -> subprocess.CompletedProcess:
+    lines = (
+        "import atexit, os, signal, sys, time",
+        "from dataclasses import dataclass",
+        "from pathlib import Path",
+        "from surefoot.scenarios.cli.start import entry_point",
+        f"SIGNAL = signal.{name}",
+        "sys.argv = ['surefoot', 'export', '--out', 'out.csv']",
+        work,
+    )
+    return subprocess.run(
+        [sys.executable, "-c", "\n".join(lines)], cwd=folder, stderr=subprocess.PIPE, text=True,
+        timeout=120, check=False,
+    )  # fmt: skip
