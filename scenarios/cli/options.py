@@ -57,13 +57,17 @@ def one_of(names: Iterable[str]) -> Any:
     return literal_type_from_choices(tuple(names))
 
 
-def read_logs(paths: tuple[Path, ...]) -> list:
-    """The logs of these files. Raises SurefootError where none is given or one is bad."""
+def read_logs(paths: tuple[Path, ...], robot: str | None = None) -> list:
+    """The logs of these files, said to be of `robot` where that is given.
+
+    Raises SurefootError where none is given or one is bad.
+    """
     from surefoot.sim.log import Log
+    from surefoot.sim.robot.model_of_log import of_robot
 
     if not paths:
         raise SurefootError("give at least one log")
-    return [Log.read(path) for path in paths]
+    return [of_robot(Log.read(path), robot) for path in paths]
 
 
 def not_plausible(

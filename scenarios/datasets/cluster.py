@@ -7,10 +7,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TypeVar
 
-from surefoot.scenarios.datasets.index import IndexRow, recipe, row_of, with_hash
+from surefoot.scenarios.datasets.index import IndexRow, fall_path, recipe, row_of, with_hash
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
-from surefoot.sim.log import Log
+from surefoot.sim.walk import Fallen, fallen_log
 from surefoot.sim.walking.batch import Job, known_robot, walk_job
 
 T = TypeVar("T")
@@ -39,11 +39,12 @@ def walk_on_cluster(
         progress: called with the share done.
     """
     tasks = [(job, recipe(job)) for job in jobs]
-    for done, (_, found) in enumerate(run_on_cluster(address, _walk_remotely, tasks), 1):
+    for done, (place, found) in enumerate(run_on_cluster(address, _walk_remotely, tasks), 1):
         values, content = found
         row = IndexRow(**values)
-        if row.file:
-            with whole_file(folder / row.file, force) as temporary:
+        if content:
+            path = folder / row.file if row.file else fall_path(folder, jobs[place])
+            with whole_file(path, force or bool(row.falls)) as temporary:
                 temporary.write_bytes(content)
         yield row
         if progress:
@@ -76,7 +77,8 @@ def run_on_cluster(
 
 
 def _walk_remotely(task: tuple[Job, str]) -> tuple[dict, bytes]:
-    """On a worker: the row of a job with its recipe, and the log's file, empty for a fall."""
+    """On a worker: the row of a job with its recipe, and the log's file, empty where it fell
+    before that began."""
     job, expected = task
     if recipe(job) != expected:
         raise SurefootError(
@@ -85,12 +87,14 @@ def _walk_remotely(task: tuple[Job, str]) -> tuple[dict, bytes]:
         )
     walked = walk_job(job)
     row = row_of(walked)
-    if not isinstance(walked.log, Log):
+    fell = walked.log if isinstance(walked.log, Fallen) else None
+    log = fallen_log(walked.plan, fell) if fell else walked.log
+    if log is None:
         return asdict(row), b""
     with TemporaryDirectory() as folder:
-        path = Path(folder) / row.file
-        walked.log.write(path)
-        return asdict(with_hash(row, path)), path.read_bytes()
+        path = Path(folder) / "walk.parquet"
+        log.write(path)
+        return asdict(row if fell else with_hash(row, path)), path.read_bytes()
 
 
 @contextmanager

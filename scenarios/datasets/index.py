@@ -23,7 +23,7 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import file_digest, whole_file
 from surefoot.sim.common.sources import code_digest, sources_digest
 from surefoot.sim.log import Log
-from surefoot.sim.walk import Plan
+from surefoot.sim.walk import Fallen, Plan
 from surefoot.sim.walking.batch import Job, Walked, known_robot
 from surefoot.sim.walking.truth import SLIPPING
 
@@ -55,6 +55,7 @@ class IndexRow:
     creep: float  # m/s, median speed over the ground of loaded feet on dry ground
     sha256: str  # of the file
     recipe: str  # hash of all that decides the file's bytes
+    fall: str = ""  # where and why it fell, in words
 
 
 def log_name(job: Job) -> str:
@@ -62,6 +63,11 @@ def log_name(job: Job) -> str:
     robot = known_robot(job.robot).name
     middle = "" if job.robot == job.scenario.robot else f"_{robot}"
     return f"{job.scenario.name}{middle}_{job.seed}"
+
+
+def fall_path(folder: Path, job: Job) -> Path:
+    """Where the log of a walk that fell lies: it is no part of the dataset."""
+    return folder / INDEX_FOLDER / "falls" / f"{log_name(job)}.parquet"
 
 
 def recipe(job: Job) -> str:
@@ -85,7 +91,7 @@ def _versions() -> dict[str, str]:
 def row_of(walked: Walked) -> IndexRow:
     """The index's row of a walk, its file's hash still empty."""
     job, made, log = walked.job, walked.plan, walked.log
-    fell = not isinstance(log, Log)
+    fell = isinstance(log, Fallen)
     numbers = dict.fromkeys(("duration", "length", "slip_share", "creep"), np.nan)
     return IndexRow(
         file="" if fell else f"{log_name(job)}.parquet",
@@ -99,6 +105,7 @@ def row_of(walked: Walked) -> IndexRow:
         **(numbers if fell else walk_facts(log)),
         sha256="",
         recipe=recipe(job),
+        fall=log.how if fell else "",
     )
 
 

@@ -8,6 +8,7 @@ from surefoot.scenarios.datasets.cluster import walk_on_cluster
 from surefoot.scenarios.datasets.index import (
     IndexRow,
     Journal,
+    fall_path,
     log_name,
     recipe,
     row_of,
@@ -23,7 +24,7 @@ from surefoot.sim.effects import Effect
 from surefoot.sim.effects.file import load_effects, to_toml
 from surefoot.sim.log import Log
 from surefoot.sim.scenario import Scenario
-from surefoot.sim.walk import plan
+from surefoot.sim.walk import Fallen, fallen_log, plan
 from surefoot.sim.walking.batch import Job, Walked, known_robot, walk_batch
 
 BYTES_PER_SECOND = 150e3
@@ -43,7 +44,8 @@ def simulate_all(
 ) -> list[IndexRow]:
     """Walk every scenario with every seed into `out`/<scenario>_<seed>.parquet; returns the rows.
 
-    A fall is a row without a file; `_dataset/` holds the index.
+    A fall is a row without a file, and its log lies in `_dataset/falls`; `_dataset/` holds the
+    index.
 
     Args:
         scenarios: files, or names of bundled ones.
@@ -56,7 +58,8 @@ def simulate_all(
         workers: threads of this machine.
         cluster: address of a Dask scheduler, instead of threads.
 
-    Raises SurefootError for bad input, or logs in `out` that were made of something else.
+    Raises SurefootError for bad input, logs in `out` that were made of something else, or where
+    every walk fell.
     """
     if workers < 1:
         raise SurefootError(f"--workers {workers}: at least 1")
@@ -89,20 +92,28 @@ def simulate_all(
         progress(1.0)
     index = write_index(out, journal.present())
     made = [row for job in jobs if (row := journal.find(job))]
-    fallen = [row for row in made if row.falls]
+    fallen = [(job, row) for job in jobs if (row := journal.find(job)) and row.falls]
     print(
         f"{len(made) - len(fallen)} logs in {out} ({len(jobs) - len(todo)} walks were there "
         f"already), {len(fallen)} falls; index: {index}"
     )
-    for row in fallen:
-        print(f"fell: {row.scenario}, {row.robot}, seed {row.seed}, at {row.fell_at:.1f} s")
+    for job, row in fallen:
+        walk = f"{row.scenario}, {row.robot}, seed {row.seed}"
+        print(f"fell: {walk}, at {row.fell_at:.1f} s {row.fall}")
+        if (log := fall_path(out, job)).is_file():
+            print(f"  its walk until then: {log}")
+    if len(fallen) == len(jobs):
+        raise SurefootError(f"{out}: no walk was made, as every one ended in a fall")
     return made
 
 
 def save_walk(walked: Walked, folder: Path, force: bool = False) -> IndexRow:
-    """Write the log of a walk that did not fall, named as in its row; returns the row."""
+    """Write the log of a walk, named as in its row, or as far as it came before it fell; returns
+    the row."""
     row = row_of(walked)
-    if not isinstance(walked.log, Log):
+    if isinstance(walked.log, Fallen):
+        if log := fallen_log(walked.plan, walked.log):
+            log.write(fall_path(folder, walked.job), force=True)
         return row
     path = folder / row.file
     walked.log.write(path, force)

@@ -17,6 +17,8 @@ from surefoot.sim.importing.sections import EvenTable
 from surefoot.sim.log import Log, LogError, Meta
 from surefoot.sim.log.reference import Poses
 from surefoot.sim.log.schema import check_frame, joint_names, joint_prefix, leg_names
+from surefoot.sim.robot.catalog import SUFFIXES
+from surefoot.sim.robot.model_of_log import kept_model
 from surefoot.sim.sensors.contact import contact_from_force
 
 _UNIT_TOLERANCE = 1e-2
@@ -100,12 +102,18 @@ def _log_from_tables(main: Columns, reference: Poses | None, rules: ImportMap, n
         motor_law=law,
         derived=tuple(derived),
         versions=_versions(),
-        model=rules.model,
+        model=rules.model | _robot_file(rules.robot),
     )
     log = Log(frame, meta, name)
     if rules.contact is not None and rules.contact.of != "force":
         return feet_that_stand(log, rules.contact)
     return log
+
+
+def _robot_file(robot: str | None) -> dict[str, dict[str, str]]:
+    """What the log keeps of a robot that the map names by a file."""
+    file = Path(robot or "")
+    return kept_model(file.stem, file) if file.suffix in SUFFIXES and file.is_file() else {}
 
 
 def _rate(t: np.ndarray) -> float:

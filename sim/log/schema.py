@@ -130,7 +130,8 @@ class Meta:
     `rate` is in Hz. `effects` are the declared ones, each a dict of name, target, value, unit.
     `motor_law` is {"kp": (J,), "kd": (J,)} in N m/rad and N m s/rad. `model` is what an import map
     says of the robot (p_BI in m, q_BI as w, x, y, z, foot_radius in m, feet: body or site by leg),
-    which overrides the MJCF, and of its ground (ground_evenness in m). `warnings` are what was not
+    which overrides the MJCF, and of its ground (ground_evenness in m), and `file`, the model's own
+    file where no name stands for it (`sim.robot.model_of_log`). `warnings` are what was not
     plausible when it was imported, a line each (`sim.plausibility`).
     """
 
@@ -156,12 +157,20 @@ class _DeclaredEffect:
 
 
 @dataclass(frozen=True)
+class _ModelFile:
+    path: str
+    sha256: str
+    text: str | None = None
+
+
+@dataclass(frozen=True)
 class _Model:
     p_BI: tuple[float, float, float] | None = None
     q_BI: tuple[float, float, float, float] | None = None
     foot_radius: float | tuple[float, ...] | None = None
     ground_evenness: float | None = None
     feet: dict[str, str] | None = None
+    file: _ModelFile | None = None
 
     def __post_init__(self):
         if self.q_BI and abs(np.linalg.norm(self.q_BI) - 1.0) > _UNIT_TOLERANCE:

@@ -23,25 +23,29 @@ from surefoot.sim.gait.controller import Controller, tick
 from surefoot.sim.gait.course import Course
 from surefoot.sim.gait.irregular import estimated_base
 from surefoot.sim.gait.state import Gait, RobotState, standing
-from surefoot.sim.ground.height_map import height
+from surefoot.sim.ground.height_map import HeightMap, height
 from surefoot.sim.physics.scene import TIMESTEP, World
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import BaseMotion
 from surefoot.sim.sensors.streams import Give, Motion
 
 STEPS_PER_TICK = 2  # the controller runs at 250 Hz
+UPRIGHT = 0.5  # cosine of the tilt from which a robot has fallen
 TICKS_AT_ONCE = 250  # between looks at the clock, the progress bar and Ctrl-C
 
 
 class Fallen(SurefootError):
-    """The robot fell at `time` [s] of the simulation; the walk is not a dataset."""
+    """The robot fell at `time` [s] of the simulation; `how` says where and why in words, `motion`
+    is what it did until then."""
 
-    def __init__(self, message: str, time: float = 0.0):
+    def __init__(
+        self, message: str, time: float = 0.0, how: str = "", motion: Motion | None = None
+    ):
         super().__init__(message)
-        self.time = time
+        self.time, self.how, self.motion = time, how, motion
 
     def __reduce__(self):
-        return type(self), (str(self), self.time)
+        return type(self), (str(self), self.time, self.how, self.motion)
 
 
 def mujoco_library() -> ctypes.CDLL:
@@ -110,6 +114,12 @@ def recording_of(world: World, steps: int) -> Recording:
     )
 
 
+def first_steps(trace: Recording, steps: int) -> Recording:
+    """The first steps of a recording."""
+    states = (part[: steps + 1] for part in (trace.qpos, trace.qvel))
+    return Recording(*states, *(part[:steps] for part in trace[2:]))
+
+
 def start(world: World) -> mujoco.MjData:
     """The world at rest, the robot standing at the origin."""
     data = mujoco.MjData(world.model)
@@ -171,8 +181,10 @@ def trot(
         last = min(first + TICKS_AT_ONCE, ticks)
         fell = _stepper(body, robot.legs, controller, load, course.t, target, trace, (first, last))
         if fell >= 0:
-            t = float(course.t[fell])
-            raise Fallen(f"robot {robot.name} fell at {t:.2f} s of {course.t[-1]:.0f} s", t)
+            t, how = float(course.t[fell]), _how_it_fell(body, gait, world.relief)
+            words = f"robot {robot.name} fell at {t:.2f} s of {course.t[-1]:.0f} s, {how}"
+            walked = first_steps(trace, fell * STEPS_PER_TICK)
+            raise Fallen(words, t, how, motion_of(world, walked))
         if progress:
             progress(last / ticks)
 
@@ -236,7 +248,20 @@ def rotation(w, x, y, z):
 @kernel(nogil=True)
 def has_fallen(gait, relief, p, R):
     """Tilted by more than 60 degrees, or low: base at p (3,) [m] with attitude R (3, 3)."""
-    return R[2, 2] < 0.5 or p[2] - height(relief, p[0], p[1]) < 0.4 * gait.height
+    return R[2, 2] < UPRIGHT or p[2] - height(relief, p[0], p[1]) < 0.4 * gait.height
+
+
+def _how_it_fell(body: MjViews, gait: Gait, relief: HeightMap) -> str:
+    """Where and why, in words."""
+    x, y, z = body.qpos[:3]
+    where = f"at ({x:.1f}, {y:.1f}) m: "
+    if body.unstable.any():
+        return where + "the simulation became unstable"
+    upright, above = rotation(*body.qpos[3:7])[2, 2], z - height(relief, x, y)
+    if upright < UPRIGHT:
+        tilt = np.rad2deg(np.arccos(max(upright, -1.0)))
+        return where + f"the base tilted by {tilt:.0f} degrees"
+    return where + f"the base sank to {above:.2f} m, of {gait.height:.2f} m when it stands"
 
 
 def motion_of(world: World, trace: Recording) -> Motion:

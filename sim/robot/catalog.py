@@ -9,6 +9,8 @@ from surefoot.sim.common.files import bundled
 
 BUNDLED_ROBOTS = bundled("surefoot.sim.robot", "robots")
 NOT_TWELVE_JOINTS = {"pegasus"}
+SUFFIXES = (".xml", ".urdf")
+"""Of the files that a robot can be read from."""
 
 
 def known_robots() -> dict[str, Path]:
@@ -31,7 +33,7 @@ def robot_file(name_or_path: str | Path) -> Path:
     if described:
         return described
     path = Path(name_or_path)
-    if path.suffix in (".xml", ".urdf"):
+    if path.suffix in SUFFIXES:
         if path.is_file():
             return path
         raise SurefootError(

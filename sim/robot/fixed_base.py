@@ -12,6 +12,7 @@ from surefoot.sim.log import Log
 from surefoot.sim.robot.catalog import robot_file
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.robot.model_file import compiled_model
+from surefoot.sim.robot.model_of_log import robot_of_log
 from surefoot.sim.robot.robot import DeclaredExtras, Robot
 
 BUNDLED_MACHINES = bundled("surefoot.sim.robot", "machines")
@@ -59,7 +60,7 @@ def machine_for_log(log: Log, name: str | Path | None = None) -> Machine:
 
     Raises SurefootError where a fixed base lacks a joint that the log has.
     """
-    chosen = name or log.meta.robot
+    chosen = name or robot_of_log(log)
     if not chosen:
         raise SurefootError("the log names no robot: say which with --robot")
     machine = load_machine(chosen, log.meta.model.get("feet"))

@@ -19,6 +19,7 @@ from surefoot.sim.robot.kinematics import Legs, feet
 from surefoot.sim.robot.legs import JOINTS, LegTree, find_legs
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.robot.model_file import compiled_model, model_spec
+from surefoot.sim.robot.model_of_log import robot_of_log
 
 _OF_JOINTS = ("joint_range", "torque_limit", "q_home")
 _OF_LEGS = ("foot_radius", "sole", "foot_places")
@@ -109,7 +110,7 @@ class Robot:
     @classmethod
     def for_log(cls, log: Log, name: str | Path | None = None) -> "Robot":
         """The robot `name`, or else the one the log names, with what the log's map says of it."""
-        chosen = name or log.meta.robot
+        chosen = name or robot_of_log(log)
         if not chosen:
             raise SurefootError(NO_ROBOT)
         mapped = log.meta.model

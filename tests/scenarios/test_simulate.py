@@ -20,6 +20,7 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects.file import load_effects
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
+from surefoot.sim.walk import SETTLE
 
 COURSE = """
 name = "short"
@@ -72,6 +73,17 @@ def test_the_index_says_what_was_drawn_and_what_happened(folder, capsys):
     card = (folder / "walks" / "_dataset" / "README.md").read_text()
     assert "2 logs" in card
     assert "| cliff" in card
+
+
+def test_a_fall_says_where_and_why_and_keeps_its_walk(folder, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main("simulate cliff.toml -o walks".split())
+    assert "no walk was made" in str(stop.value)
+    out = capsys.readouterr().out
+    assert re.search(r"fell: .* s at \(-?\d.*\) m: the base (tilted|sank)", out)
+    log = Log.read(folder / "walks" / "_dataset" / "falls" / "cliff_0.parquet")
+    assert log.t[-1] == pytest.approx(read_index(folder / "walks").fell_at[0] - SETTLE, abs=0.01)
+    assert not list((folder / "walks").glob("*.parquet"))
 
 
 def test_another_run_adds_and_makes_nothing_twice(folder):

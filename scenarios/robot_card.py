@@ -1,0 +1,126 @@
+"""`surefoot robots NAME`: what was read from a robot's file, as text and as a picture."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Polygon
+from scipy.spatial import ConvexHull
+
+from surefoot.scenarios.reporting.palette import INK, OUTSIDE, TRUTH
+from surefoot.scenarios.reporting.plotting import new_figure, save_png, set_title
+from surefoot.scenarios.reporting.tables import to_markdown
+from surefoot.sim.robot.fixed_base import FixedBase, load_machine
+from surefoot.sim.robot.limbs import QUADRUPED
+from surefoot.sim.robot.model_file import compiled_model
+from surefoot.sim.robot.robot import Robot
+
+_CORNERS = np.array(np.meshgrid(*3 * [[-1.0, 1.0]])).reshape(3, -1).T
+
+
+def robot_card(name_or_path: str, picture: Path | None, force: bool = False) -> str:
+    """Legs, limits, masses, feet, IMU and home pose of a robot as text; its picture as a PNG.
+
+    Raises SurefootError for one that cannot be read, or where the picture's file is there (no
+    `force`).
+    """
+    robot = load_machine(name_or_path)
+    if isinstance(robot, FixedBase):
+        joints = ", ".join(robot.joint_names)
+        return f"{robot.name}: a machine on a fixed base, joints {joints}\nfile: {robot.file}"
+    if picture is not None:
+        save_png(portrait(robot), picture, force)
+    return _text(robot)
+
+
+def _text(robot: Robot) -> str:
+    model = compiled_model(robot.file)
+    walks = robot.limbs == QUADRUPED and bool(np.isfinite(robot.torque_limit).all())
+    turned = not np.allclose(robot.R_BI, np.eye(3))
+    imu = f"site {robot.imu}" if robot.imu else "none in the model: the base frame stands for it"
+    lines = [
+        f"{robot.name}: {robot.mass:.2f} kg, legs of {robot.leg_length:.3f} m",
+        f"file: {robot.file}",
+        f"base: body '{robot.base_name}'",
+        f"IMU: {imu}, at {_numbers(robot.p_BI)} m in the base" + ", turned" * turned,
+        "walks in simulation" if walks else f"does not walk in simulation: {_why_not(robot)}",
+    ]
+    joints = [
+        {
+            "joint": joint,
+            "in the file": own,
+            "from [rad]": robot.joint_range[j, 0],
+            "to [rad]": robot.joint_range[j, 1],
+            "torque [N m]": robot.torque_limit[j],
+            "at home [rad]": robot.q_home[j],
+            "link [kg]": float(model.body_mass[model.jnt_bodyid[model.joint(own).id]]),
+        }
+        for j, (joint, own) in enumerate(zip(robot.limbs.joints, robot.joint_names, strict=True))
+    ]
+    feet_B = robot.feet_I(robot.q_home[None])[0] @ robot.R_BI.T + robot.p_BI
+    feet = [
+        {
+            "leg": leg,
+            "foot on body": robot.foot_bodies[k],
+            "radius [m]": robot.foot_radius[k],
+            "at home, in the base [m]": _numbers(feet_B[k]),
+        }
+        for k, leg in enumerate(robot.limbs.legs)
+    ]
+    return "\n".join([*lines, "", to_markdown(joints), "", to_markdown(feet)])
+
+
+def _why_not(robot: Robot) -> str:
+    if robot.limbs != QUADRUPED:
+        return "only quadrupeds of three hinges a leg do"
+    open_ended = np.flatnonzero(~np.isfinite(robot.torque_limit))
+    return f"no torque limit for joint {robot.joint_names[open_ended[0]]}"
+
+
+def portrait(robot: Robot) -> Figure:
+    """The robot in its home pose from its left and from the front: shapes, legs, feet and IMU."""
+    model = compiled_model(robot.file)
+    data = mujoco.MjData(model)
+    for own, angle in zip(robot.joint_names, robot.q_home, strict=True):
+        data.qpos[model.joint(own).qposadr[0]] = angle
+    mujoco.mj_kinematics(model, data)
+    base = model.body(robot.base_name).id
+    R, p = data.xmat[base].reshape(3, 3), data.xpos[base]
+
+    def in_base(points: np.ndarray) -> np.ndarray:
+        return (np.atleast_2d(points) - p) @ R
+
+    figure, sides = new_figure(1, 2, (9.0, 4.2))
+    for axes, across, title in zip(sides[0], (0, 1), ("its left", "the front"), strict=True):
+        for geom in np.flatnonzero(model.geom_bodyid > 0):
+            middle, half = np.split(model.geom_aabb[geom], 2)
+            turn = data.geom_xmat[geom].reshape(3, 3)
+            corners = data.geom_xpos[geom] + (middle + half * _CORNERS) @ turn.T
+            outline = in_base(corners)[:, [across, 2]]
+            hull = outline[ConvexHull(outline, qhull_options="QJ").vertices]
+            axes.add_patch(Polygon(hull, facecolor=TRUTH, edgecolor=INK, alpha=0.15, linewidth=0.4))
+        for leg, chain in enumerate(robot.limbs.chains):
+            hinges = [data.xanchor[model.joint(robot.joint_names[j]).id] for j in chain]
+            body = model.body(robot.foot_bodies[leg]).id
+            foot = data.xpos[body] + data.xmat[body].reshape(3, 3) @ robot.foot_places[leg]
+            line = in_base(np.array([*hinges, foot]))[:, [across, 2]]
+            axes.plot(*line.T, "o-", color=INK, markersize=3.0, linewidth=1.2)
+            radius, near = robot.foot_radius[leg], in_base(foot)[0, 1 - across] >= 0.0
+            axes.add_patch(Circle(line[-1], radius, facecolor="none", edgecolor=INK))
+            if near:  # those behind would be named on top of it
+                name = robot.limbs.legs[leg]
+                axes.annotate(name, line[-1], (0, -14), textcoords="offset points")
+        imu = robot.p_BI[[across, 2]]
+        axes.plot(*imu, "s", color=OUTSIDE, markersize=5.0)
+        axes.annotate("IMU", imu, (5, 5), textcoords="offset points", color=OUTSIDE)
+        axes.set_aspect("equal")
+        axes.margins(0.1)
+        axes.set_xlabel("forward [m]" if across == 0 else "left [m]")
+        axes.set_ylabel("up [m]")
+        set_title(axes, f"{robot.name}, seen from {title}")
+    return figure
+
+
+def _numbers(values: np.ndarray) -> str:
+    return ", ".join(f"{value + 0.0:.3f}" for value in values)

@@ -1,0 +1,60 @@
+"""A course of one robot at the size of another: lengths by the leg, times by its root."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surefoot.sim.gait.course import lay_course
+from surefoot.sim.ground.terrain import Ground, Patch, Strip
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.similar_course import course_for
+
+SPOT = Robot.load("spot_class")
+STRIPS = (
+    Strip((2.0, 0.0), (6.0, 0.0), 4.0, (0.0, 0.6), steps=5),
+    Strip((6.0, 0.0), (9.0, 0.0), 4.0, (0.6, 0.6), rough=0.05),
+    Strip((9.0, 4.0), (9.0, -4.0), 2.0, (0.6, 0.0)),
+)
+COURSE = Scenario(
+    "course",
+    (Segment(8.0, 0.6), Segment(4.0, 0.4, turn=0.5), Segment(6.0, 0.9)),
+    Ground(0.8, (Patch(3.0, 0.0, 2.0, 1.0, 0.2),), strips=STRIPS),
+    robot="spot_class",
+)
+
+
+def small(leg: float) -> Robot:
+    """A robot of another name whose legs are `leg` times as long."""
+    legs = SPOT.legs._replace(offset=leg * SPOT.legs.offset, foot=leg * SPOT.legs.foot)
+    return replace(SPOT, name="small", file=SPOT.file.with_name("small.xml"), legs=legs)
+
+
+def test_the_path_is_similar_and_the_froude_number_the_same():
+    k, dt = 0.5, 0.001
+    scaled = course_for(COURSE, small(k))
+    lead, whole = ([s.duration for s in one.segments] for one in (scaled, COURSE))
+    assert np.allclose(lead, np.sqrt(k) * np.array(whole))
+    before, after = (lay_course(one.segments, dt, 0.0) for one in (COURSE, scaled))
+    # Turns ramp up at one rate whatever the size, which costs a turn of four seconds some 3 %.
+    assert after.pose[-1] == pytest.approx([k, k, 1.0] * before.pose[-1], rel=0.05)
+    speeds = [np.abs(one.velocity[:, 0]).max() ** 2 for one in (before, after)]
+    assert speeds[1] / k == pytest.approx(speeds[0], rel=1e-3)
+
+
+def test_risers_shrink_slopes_stay_and_strips_still_meet():
+    strips = course_for(COURSE, small(0.5)).ground.strips
+    assert strips[0].heights[1] / strips[0].steps == pytest.approx(0.06)
+    steep = [np.ptp(s.heights) / np.hypot(*np.subtract(s.end, s.start)) for s in strips]
+    assert steep == pytest.approx([0.15, 0.0, 0.075], rel=0.1)
+    assert strips[0].end == pytest.approx(strips[1].start)
+    assert strips[1].rough == pytest.approx(0.025)
+
+
+def test_its_own_robot_and_one_of_no_other_walk_it_as_written():
+    assert course_for(COURSE, SPOT) is COURSE
+    free = replace(COURSE, robot=None)
+    assert course_for(free, small(0.5)) is free
+    unknown = replace(COURSE, robot="nobody_knows")
+    assert course_for(unknown, small(0.5)) is unknown
