@@ -64,10 +64,15 @@ class AxisNoise:
 
 def allan_curve(x: np.ndarray, rate: float) -> AllanCurve:
     """Overlapping Allan deviation of readings x (N,) at `rate` [Hz]. Raises SurefootError where
-    they are too few."""
+    they are too few, or all the same."""
     n = len(x)
     if n < SHORTEST_REST:
         raise SurefootError(f"noise: {n} samples at rest, at least {SHORTEST_REST} are needed")
+    if np.ptp(x) == 0.0:
+        raise SurefootError(
+            f"noise: an axis reads {x[0]:.4g} in all {n} samples at rest: it hangs, or "
+            "is simulated without noise"
+        )
     total = np.concatenate([[0.0], np.cumsum(x - np.mean(x))]) / rate
     m = 2 ** np.arange(int(np.log2(LONGEST * n)) + 1)
     tau = m / rate

@@ -17,6 +17,7 @@ from surefoot.sim.common.files import (
     check_space,
     clear_debris,
     command_run,
+    folder_of,
     refuse_input,
 )
 from surefoot.sim.common.limits import check_limit
@@ -87,21 +88,14 @@ def _paths(value: Any) -> list[Path]:
 def _alone(out: Path) -> Iterator[None]:
     """While it lasts, no other run can write to `out`; folders made for it that stay empty go."""
     out = Path(os.path.realpath(out))
-    missing = [folder for folder in out.parents if not folder.exists()]
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        check_space(out.parent, SPACE)
-        clear_debris(out.parent.glob(f".{escape(out.name)}.*.tmp"))
-        with _locked(out.with_name(f".{out.name}.lock"), out):
-            yield
+        with folder_of(out):
+            check_space(out.parent, SPACE)
+            clear_debris(out.parent.glob(f".{escape(out.name)}.*.tmp"))
+            with _locked(out.with_name(f".{out.name}.lock"), out):
+                yield
     except OSError as error:
         raise SurefootError(f"-o {str(out)[:120]}: {error.strerror or error}") from error
-    finally:
-        for folder in missing:
-            try:
-                folder.rmdir()
-            except OSError:
-                break
 
 
 @contextmanager

@@ -242,10 +242,23 @@ def whole_file(path: str | Path, force: bool = False) -> Iterator[Path]:
     refuse_overwrite(path, force)
     with _replaced(path) as temporary:
         yield temporary
-        if _run is not None and not _is_temporary(path):
-            # Listed before it takes its place: a kill in between leaves no file without a line.
-            _list(path.parent, _run.command, {path.name: file_digest(temporary)})
+        if not _is_temporary(path):
+            _list_replaced(path, temporary)
     _note_written(path)
+
+
+def _list_replaced(path: Path, temporary: Path) -> None:
+    """List a file before it takes its place: a kill in between leaves no file without a line.
+
+    One that a program, and no command, puts in the place of a command's stays the command's.
+    """
+    maker = _run.command if _run is not None else _last_maker(path)
+    if maker:
+        _list(path.parent, maker, {path.name: file_digest(temporary)})
+
+
+def _last_maker(path: Path) -> str | None:
+    return next(reversed(_entries_of(path).values()), None) if path.exists() else None
 
 
 @contextmanager
@@ -259,15 +272,34 @@ def kept_file(path: Path) -> Iterator[Path]:
 def _replaced(path: Path) -> Iterator[Path]:
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield temporary
-        with temporary.open("rb+") as stream:
-            os.fsync(stream.fileno())
-        os.replace(temporary, path)
+        with folder_of(path):
+            try:
+                yield temporary
+                with temporary.open("rb+") as stream:
+                    os.fsync(stream.fileno())
+                os.replace(temporary, path)
+            finally:
+                _remove(temporary)
     except OSError as error:
         raise SurefootError(f"{_short(path)}: cannot be written ({_reason(error)})") from error
+
+
+@contextmanager
+def folder_of(path: Path) -> Iterator[None]:
+    """Make the folder that a file or folder is to be in; what was made for it and stays empty goes.
+
+    Raises OSError where it cannot be made.
+    """
+    missing = [folder for folder in path.parents if not folder.exists()]
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield
     finally:
-        _remove(temporary)
+        for folder in missing:
+            try:
+                folder.rmdir()
+            except OSError:
+                break
 
 
 @contextmanager
@@ -281,14 +313,16 @@ def whole_folder(out: str | Path, force: bool = False) -> Iterator[Path]:
     staging = out.with_name(f".{out.name}.{os.getpid()}.tmp")
     clear_debris(out.parent.glob(f".{escape(out.name)}.*.tmp"))
     try:
-        staging.mkdir(parents=True)
-        yield staging
-        _publish(staging, out, force)
-        _note_written(out)
+        with folder_of(out):
+            try:
+                staging.mkdir()
+                yield staging
+                _publish(staging, out, force)
+                _note_written(out)
+            finally:
+                shutil.rmtree(staging, ignore_errors=True)
     except OSError as error:
         raise SurefootError(f"{_short(out)}: cannot be written ({_reason(error)})") from error
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
 
 
 def _note_written(path: Path) -> None:
@@ -309,6 +343,10 @@ def _publish(staging: Path, out: Path, force: bool) -> None:
     fresh = not out.exists() or not any(out.iterdir())
     if _run is not None and not _is_temporary(out):
         _list(staging if fresh else out, _run.command, digests)
+    elif not fresh:
+        for name in made:
+            if maker := _last_maker(out / name):
+                _list(out, maker, {name: digests[name]})
     if fresh:
         os.rename(staging, out)
         return

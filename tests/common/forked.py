@@ -5,6 +5,7 @@ import os
 import resource
 import shutil
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -44,12 +45,17 @@ class Outcome:
         return f"{text}\n{self.out[-500:]}\n{self.err[-2000:]}"
 
 
-def run_forked(command: list[str], folder: Path, memory: int = MEMORY) -> Outcome:
-    """The command of the command line, run in `folder`."""
+def run_forked(
+    command: list[str], folder: Path, memory: int = MEMORY, longest: int | None = None
+) -> Outcome:
+    """The command of the command line, run in `folder`.
+
+    longest: bytes of the longest file that it can write, as on a disk that is full by then.
+    """
     from surefoot.scenarios.cli.main import main
 
     before = contents(folder)
-    out, err = folder.parent / "stdout", folder.parent / "stderr"
+    pipes = [os.pipe(), os.pipe()]
     sys.stdout.flush()
     sys.stderr.flush()
     own, code = _resident(), 99
@@ -57,26 +63,37 @@ def run_forked(command: list[str], folder: Path, memory: int = MEMORY) -> Outcom
     if child == 0:
         try:
             os.chdir(folder)
-            for number, path in ((1, out), (2, err)):
-                os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
+            for number, (_, end) in enumerate(pipes, start=1):
+                os.dup2(end, number)
             sys.stdout, sys.stderr = os.fdopen(1, "w"), os.fdopen(2, "w")
             _limit(memory)
+            if longest is not None:
+                resource.setrlimit(resource.RLIMIT_FSIZE, (longest, longest))
             code = _code(main, command)
             sys.stdout.flush()
             sys.stderr.flush()
         finally:
             os._exit(code)
+    for _, end in pipes:
+        os.close(end)
+    with ThreadPoolExecutor(2) as pool:
+        out, err = pool.map(_read_all, (end for end, _ in pipes))
     _, status, used = os.wait4(child, 0)
     after = contents(folder)
     changed = sorted(n for n in before.keys() | after.keys() if before.get(n) != after.get(n))
     return Outcome(
         os.waitstatus_to_exitcode(status),
-        out.read_text(errors="replace"),
-        err.read_text(errors="replace"),
+        out,
+        err,
         used.ru_utime + used.ru_stime,
         tuple(changed),
         max(0.0, 1024.0 * used.ru_maxrss - own),
     )
+
+
+def _read_all(end: int) -> str:
+    with os.fdopen(end, errors="replace") as stream:
+        return stream.read()
 
 
 def contents(folder: Path) -> dict[str, bytes | str]:

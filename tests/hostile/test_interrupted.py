@@ -24,12 +24,12 @@ role = "{role}"
 stand = 0.5
 [[segment]]
 duration = {seconds}
-forward = {speed}
+forward = 0.5
 """
 GRID = """
-scenarios = ["a.toml", "b.toml", "c.toml"]
-seeds = [0]
-filters = ["leg", "imu", "coverage"]
+scenarios = ["a.toml", "c.toml"]
+seeds = [0, 1]
+filters = ["leg", "imu"]
 [observer]
 losses = ["mse"]
 steps = 50
@@ -52,13 +52,8 @@ QUICK = ("simulate", "estimate")
 def inputs(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("interrupted") / "inputs"
     folder.mkdir()
-    # Two walks of one kind would be the same log, which nobody is both trained and calibrated on.
-    for name, role, seconds, speed in (
-        ("a", "train", 10.0, 0.5), ("b", "calibrate", 16.0, 0.4), ("c", "test", 2.0, 0.5)
-    ):  # fmt: skip
-        (folder / f"{name}.toml").write_text(
-            WALK.format(name=name, role=role, seconds=seconds, speed=speed)
-        )
+    for name, role, seconds in (("a", "train", 10.0), ("c", "test", 2.0)):
+        (folder / f"{name}.toml").write_text(WALK.format(name=name, role=role, seconds=seconds))
     (folder / "grid.toml").write_text(GRID)
     synthetic_walk(0, 12.0, noise=0.1, robot="spot_class").write(folder / "walk.parquet")
     return folder

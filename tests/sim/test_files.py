@@ -59,6 +59,35 @@ def test_force_leaves_what_nobody_listed(tmp_path):
     assert (tmp_path / "mine.txt").read_text() == "ours"
 
 
+def test_what_a_program_puts_in_its_place_stays_the_commands(tmp_path):
+    """From Python, force over a command's output: the command's own --force goes on to work."""
+    path, out = tmp_path / "a.txt", tmp_path / "out"
+    write(path, "one")
+    with whole_file(path, force=True) as temporary:
+        temporary.write_text("from Python")
+    write(path, "two")
+    fill(out, {"report.html": "1", "figures/a.png": "1"})
+    with whole_folder(out, force=True) as made:
+        (made / "figures").mkdir()
+        (made / "figures" / "a.png").write_text("from Python")
+    with whole_file(out / "report.html", force=True) as temporary:
+        temporary.write_text("from Python")
+    fill(out, {"report.html": "2"})
+    assert path.read_text() == "two"
+    assert (out / "report.html").read_text() == "2"
+    assert not (out / "figures" / "a.png").exists()
+    with pytest.raises(SurefootError, match="surefoot make made it"):
+        write(path, "three", command="other")
+
+
+def test_folders_that_were_made_in_vain_go(tmp_path):
+    with suppress(RuntimeError), whole_file(tmp_path / "a" / "b" / "half"):
+        raise RuntimeError
+    with suppress(RuntimeError), whole_folder(tmp_path / "c" / "d" / "half"):
+        raise RuntimeError
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize("name", ["log", "link", "hard", "folder/log", "sub/../log"])
 def test_an_output_is_no_input_by_whatever_name(tmp_path, name):
     log = tmp_path / "log"

@@ -1,0 +1,131 @@
+"""Every command that writes: a full disk is noticed before the work or is one line, and a second
+run into the same output is refused."""
+
+import fcntl
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from forked import Outcome, copied, run_forked
+from synthetic import synthetic_walk
+
+from surefoot.models.observer.observer import Observer
+from surefoot.scenarios.cli.main import COMMANDS
+from surefoot.scenarios.cli.runs import LISTED
+from surefoot.sim.common import files
+
+LEARNT = "--observer observer.pt --bounds bounds.json"
+WRITING = {
+    "demo": "demo -o new",
+    "simulate": "simulate quick.toml -o new",
+    "train": "train long.parquet --model mlp --inputs q,dq -o new.pt",
+    "calibrate": "calibrate own.pt long.parquet -o new.json",
+    "calibrate's report": "calibrate own.pt long.parquet -o other.json --report new",
+    "estimate": "estimate walk.parquet --filter leg -o new.parquet",
+    "compare": f"compare walk.parquet {LEARNT} -o new",
+    "noise": "noise rest.parquet -o new.toml",
+    "experiment": "experiment experiment.toml -o new",
+    "suite": "suite spot -o new",
+    "trace": "trace walk.parquet -o new",
+    "loop": "loop walk.parquet -o new",
+    "realism": "realism walk.parquet -o new",
+    "montecarlo": "montecarlo --trials 2 -o new",
+    "import": "import data.csv --map map.toml -o new.parquet",
+    "import's map": "import data.csv --guess -o new.toml",
+    "export to CSV": "export walk.parquet -o new.csv",
+    "export to TUM": "export walk.parquet -o new.tum",
+    "export to MCAP": "export walk.parquet -o new.mcap",
+    "align": "align long.parquet -o new",
+    "walking": "walking -o new --seeds 1 --course quick.toml",
+    "tune": "tune walk.parquet --filter imu --budget 2 -o new",
+}
+"""What writes -> a command that does, named `new` with or without an ending."""
+QUICK = ("export to CSV", "import", "noise")
+"""Those that each change is tested with; the others are left to `.ci/run`."""
+HOURS = (
+    "demo",
+    "compare",
+    "experiment",
+    "suite",
+    "trace",
+    "loop",
+    "realism",
+    "montecarlo",
+    "walking",
+)
+"""Those that write only when much work is done."""
+SHORT_WALK = """
+name = "quick"
+robot = "spot_class"
+stand = 0.0
+[[segment]]
+duration = 1.0
+forward = 0.5
+"""
+SIZES = (0, 500, 20_000)
+"""Bytes at which files can grow no further."""
+
+
+@pytest.fixture(scope="module")
+def more(good, tmp_path_factory) -> Path:
+    """The good files, and a walk and a rest that are long enough to learn from."""
+    folder = copied(good, tmp_path_factory.mktemp("outputs") / "good")
+    (folder / "quick.toml").write_text(SHORT_WALK)
+    synthetic_walk(0, 12.0, noise=0.1, robot="spot_class").write(folder / "long.parquet")
+    observer = Observer.load(folder / "observer.pt")
+    replace(observer, robot="spot_class").save(folder / "own.pt")
+    log = synthetic_walk(0, 12.0, robot="spot_class")
+    rng = np.random.default_rng(0)
+    still = {f"gyro_{axis}": 1e-3 * rng.standard_normal(len(log.t)) for axis in "xyz"}
+    still |= {f"accel_{axis}": 1e-2 * rng.standard_normal(len(log.t)) for axis in "xyz"}
+    still["accel_z"] += 9.81
+    replace(log, frame=log.frame.assign(**still)).write(folder / "rest.parquet")
+    return folder
+
+
+def each(names=WRITING):
+    marks = {n: () if n in QUICK else (pytest.mark.long,) for n in names}
+    return pytest.mark.parametrize("what", [pytest.param(n, marks=m) for n, m in marks.items()])
+
+
+def run(what: str, folder: Path, **limits) -> Outcome:
+    return run_forked(WRITING[what].split(), folder, **limits)
+
+
+def test_the_table_has_every_command_that_writes():
+    named = {command.split()[0] for command in WRITING.values()}
+    assert named == {n for n, c in COMMANDS.items() if set(LISTED) & c.__dataclass_fields__.keys()}
+
+
+@each()
+def test_a_full_disk_is_noticed_before_the_work(what, more, tmp_path, monkeypatch):
+    usage = type(shutil.disk_usage("/"))(10**12, 10**12 - 1_000_000, 1_000_000)
+    monkeypatch.setattr(files.shutil, "disk_usage", lambda path: usage)
+    found = run(what, copied(more, tmp_path / "case"))
+    assert found.refused, found
+    assert "has 1 MB free" in found.err
+    assert found.seconds < 2.0
+
+
+@each()
+def test_a_second_run_into_the_same_output_is_refused(what, more, tmp_path):
+    folder = copied(more, tmp_path / "case")
+    command = WRITING[what].split()
+    (name,) = (word for word in command if word.startswith("new"))
+    with (folder / f".{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        found = run(what, folder)
+    assert found.refused, found
+    assert "another run is writing there" in found.err
+
+
+@each([what for what in WRITING if what not in HOURS])
+def test_a_disk_that_fills_up_is_one_line(what, more, tmp_path):
+    """What looks whole is whole, and nothing else is left."""
+    for longest in SIZES:
+        found = run(what, copied(more, tmp_path / "case"), longest=longest)
+        if longest == 0 or found.code:
+            assert found.refused, found
+            assert "File too large" in found.err
