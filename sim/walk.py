@@ -19,6 +19,7 @@ from surefoot.sim.gait.state import Gait
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.physics.scene import TIMESTEP, World, add_payload, build_world, robot_spec
+from surefoot.sim.physics.springs import share_moved_at_once
 from surefoot.sim.physics.stepper import STEPS_PER_TICK, Fallen, simulate
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.legs import JOINTS, LEGS, find_legs
@@ -42,9 +43,10 @@ __all__ = ["STEPS_PER_TICK", "Fallen", "Plan", "plan", "record", "simulate", "wa
 SETTLE = 3.0  # s of standing before the log begins: a robot is switched on at rest
 SHORTEST = 0.1
 """s of a log that a fall leaves."""
-ELASTIC_DAMPING = 0.25
-"""Share of the damping of stance feet that a robot with springs in its legs gets: its motors turn
-against their rotors alone, a few tenths of the inertia that a rigid leg has, at the same 250 Hz."""
+SLIDE_MARGIN = 2.0
+"""How much harder a motor may damp a sliding foot than a rigid leg would, for the inertia that it
+moves at once. Read each tick T, a damper of rate r is stable for r T < 1; of rigid legs it is
+0.3."""
 
 
 @dataclass(frozen=True)
@@ -139,8 +141,8 @@ def plan(
     # Feet of another radius are put down as such: a controller feels the ground that they stand on.
     standing_on = replace(robot, foot_radius=find_legs(world.model, robot.name).foot_radius)
     gait = gait_for(standing_on, start, draw.period, draw.clearance, draw.gain, scenario.gait)
-    if world.springs.any():
-        gait = gait._replace(slide_damping=ELASTIC_DAMPING * gait.slide_damping)
+    at_once = share_moved_at_once(world.model, world.springs, world.start, world.dof_adr)
+    gait = gait._replace(slide_damping=min(SLIDE_MARGIN * at_once, 1.0) * gait.slide_damping)
     gait = irregular(gait, scenario.gait, course.t, np.random.default_rng(gait_seed))
     return Plan(
         scenario=scenario,

@@ -102,6 +102,38 @@ def springs_of(model: mujoco.MjModel, joint_names: Sequence[str]) -> Springs:
     )
 
 
+def share_moved_at_once(
+    model: mujoco.MjModel, springs: Springs, qpos: np.ndarray, motors: np.ndarray
+) -> float:
+    """Of the inertia that a motor would move in a rigid leg, the share that it moves in a timestep:
+    its rotor, and of the rest r what the spring k draws along, r a / (r + a) with a = k dt^2.
+
+    The least of all motors' shares; 1 where no joint has a spring.
+
+    Args:
+        model: compiled.
+        springs: of the model.
+        qpos: (nq,) of the robot as it stands.
+        motors: (J,) degrees of freedom of the joints.
+    """
+    elastic = np.flatnonzero(springs.joints >= 0)
+    if not len(elastic):
+        return 1.0
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    inertia = np.empty((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, inertia)
+    rigid = np.setdiff1d(np.arange(model.nv), springs.joints[elastic])
+    moved = np.zeros(model.nv)
+    moved[rigid] = 1.0 / np.diag(np.linalg.inv(inertia[np.ix_(rigid, rigid)]))
+    motor, spring = motors[elastic], springs.joints[elastic]
+    rotor = model.dof_armature[motor]
+    rest = moved[motor] - rotor
+    drawn = model.jnt_stiffness[model.dof_jntid[spring]] * model.opt.timestep**2
+    return float(((rotor + rest * drawn / (rest + drawn)) / moved[motor]).min())
+
+
 def foot_parts(spec: mujoco.MjSpec, leg: str) -> tuple[mujoco.MjsGeom, mujoco.MjsSite]:
     """The sphere that is a foot, and its touch sensor's site, which goes where the foot goes."""
     site = spec.site(f"sole_{leg}")

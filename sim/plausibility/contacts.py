@@ -13,6 +13,8 @@ OTHERS_CHANGE = 6
 """Changes of other contacts, each, during which one must change: three strides."""
 UNCHANGED = 1.0
 """s, two strides: contacts that bounce change often in a shorter time."""
+LASTING = 0.05
+"""s, a fifth of the shortest stance: contacts of a robot that stands still flicker for less."""
 HIGHER = 0.005
 """m by which feet in contact are higher than lifted ones: trotting robots lift by 30 to 80 mm."""
 _CLEAR = 0.3
@@ -43,13 +45,20 @@ def dead(view: LogView) -> Iterator[Finding]:
         first, last = _longest(np.flatnonzero(changes[:, i]), len(contact))
         if view.t[last - 1] - view.t[first] < UNCHANGED:
             continue
-        others = [changes[first:last, k].sum() for k in range(len(log.legs)) if k != i]
+        others = [_lasting(view.t[first:last], x[first:last]) for x in np.delete(contact.T, i, 0)]
         if np.median(others) >= 2 * OTHERS_CHANGE:
             told = (
                 f"no change from {view.t[first]:.2f} to {view.t[last - 1]:.2f} s, while the others "
                 f"change {np.median(others):.0f} times"
             )
             yield Finding((f"contact_{log.legs[i]}",), told, "a sensor that hangs")
+
+
+def _lasting(t: np.ndarray, contact: np.ndarray) -> int:
+    """Changes (of a contact (N,) at t) before and after which it lasts."""
+    at = np.flatnonzero(np.diff(contact.astype(int))) + 1
+    lasts = np.diff(t[np.concatenate([[0], at, [len(t) - 1]])]) >= LASTING
+    return int(np.sum(lasts[1:] & lasts[:-1]))
 
 
 def _legs_swing(view: LogView) -> bool:

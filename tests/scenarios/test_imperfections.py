@@ -1,13 +1,18 @@
 """A robot as built is one robot: the same wherever it walks, and not its neighbour."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from surefoot.scenarios.experiments.file import Experiment, walk_to_make
+from surefoot.scenarios.experiments.file import PLAIN, Experiment, walk_to_make
 from surefoot.scenarios.experiments.imperfections import Imperfection, load_imperfections
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
+from surefoot.sim.effects import effect
+from surefoot.sim.log import Log
 from surefoot.sim.robot.limbs import QUADRUPED
+from surefoot.sim.walking.batch import walk_job
 
 SUITES = bundled("surefoot.scenarios.experiments", "suites")
 
@@ -60,3 +65,15 @@ def test_bad_files_are_one_clear_line(tmp_path, text, said):
         load_imperfections(tmp_path / "bad.toml")
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_gears_as_stiff_as_real_ones_make_no_robot_fall_on_a_sheet(seed):
+    suite = Experiment.load("vision60")
+    course = next(s for s in suite.scenarios if s.name == "3CC3CCW")
+    start = replace(course, segments=course.segments[:2], laps=1)
+    gears = (effect("leg_compliance", "all", 1e-4),)
+    walked = walk_job(replace(walk_to_make(start, "v60_class", PLAIN, seed), effects=gears)).log
+    assert isinstance(walked, Log)
+    slip = walked.frame[[f"slip_{leg}" for leg in walked.legs]].to_numpy()
+    assert slip[walked.contact].max() > 0.2

@@ -13,7 +13,8 @@ from surefoot.sim.effects.elastic import _last_links_B, _moved
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.physics.leg_loads import foot_loads_B, joint_loads
-from surefoot.sim.physics.scene import robot_spec
+from surefoot.sim.physics.scene import build_world, robot_spec
+from surefoot.sim.physics.springs import share_moved_at_once
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.legs import find_legs
 from surefoot.sim.scenario import Scenario, Segment
@@ -144,6 +145,22 @@ def test_a_foot_on_springs_has_sphere_and_mass_of_its_file(robot):
     # It is where it was, and the leg weighs what it weighed.
     assert_allclose(found[1][0], found[0][0], atol=1e-12)
     assert_allclose(found[1][1], found[0][1], atol=1e-9)
+
+
+def test_motors_move_at_once_what_stiff_springs_draw_along():
+    def share(*one):
+        spec = robot_spec(GO1)
+        if one:
+            effect(*one).edit_spec(spec, GO1)
+        world = build_world(GO1, Ground(0.8), spec)
+        return share_moved_at_once(world.model, world.springs, world.start, world.dof_adr)
+
+    assert share() == share("foot_elasticity", "normal", 1e-5) == 1.0
+    shares = [share("leg_compliance", "all", k) for k in (1e-9, 1e-6, 1e-3, 0.02)]
+    assert shares == sorted(shares, reverse=True)
+    assert shares[0] == pytest.approx(1.0, abs=1e-3)
+    # Of a soft spring only the rotor is left: 0.01 of the 0.03 kg m^2 that a hip or thigh turns.
+    assert 0.2 < shares[-1] < 0.5
 
 
 def test_the_old_name_is_the_same_effect():
