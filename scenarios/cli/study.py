@@ -187,6 +187,8 @@ class GridOptions:
     """Write a rerun recording of each sequence."""
     page: Path | None = None
     """Page of results to write as well, such as docs/results/suite_spot.md."""
+    data: Path | None = None
+    """Folder of finished rows, one a walk, which are not made again; such as docs/data/spot."""
     force: bool = False
     """Write tables and report again; what is in the cache is not made again."""
 
@@ -202,6 +204,7 @@ class GridOptions:
             self.recordings,
             self.force,
             self.page,
+            self.data,
         )
 
 

@@ -11,7 +11,7 @@ import msgspec
 from surefoot.models.observer.observer import check_inputs, check_loss, check_model
 from surefoot.models.observer.training import DEFAULT_SCHEDULE
 from surefoot.models.registry import CALIBRATORS, LOSSES
-from surefoot.scenarios.estimate.estimators import ESTIMATORS
+from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
 from surefoot.scenarios.experiments.as_walked import AsWalked, load_as_walked
 from surefoot.scenarios.experiments.imperfections import Imperfection, load_imperfections
 from surefoot.sim.common.errors import SurefootError
@@ -51,8 +51,7 @@ class Learning:
             check_loss(loss)
         check_inputs(self.inputs)
         check_model(self.model)
-        if self.method not in CALIBRATORS:
-            raise SurefootError(f"method {self.method}: choose {' | '.join(CALIBRATORS)}")
+        _check_method(self.method)
 
 
 @dataclass(frozen=True)
@@ -77,6 +76,21 @@ class Condition:
         drawn = [one for part in self.imperfections for one in part.drawn(seed, robot.limbs)]
         walked = self.walked.effects_on(robot) if self.walked else ()
         return (*self.effects, *drawn, *walked)
+
+
+@dataclass(frozen=True)
+class Further:
+    """Other inputs of the observers and other methods of calibration, each with each, beside those
+    of `Learning`; at the first gamma."""
+
+    inputs: tuple[str, ...] = ()
+    methods: tuple[str, ...] = ()
+
+    def __post_init__(self):
+        for inputs in self.inputs:
+            check_inputs(inputs)
+        for method in self.methods:
+            _check_method(method)
 
 
 PLAIN = Condition("plain", "the scenarios as they are written")
@@ -106,6 +120,7 @@ class Experiment:
     filters: tuple[str, ...] = field(default_factory=lambda: tuple(ESTIMATORS))
     published: str | None = None
     learning: Learning = field(default_factory=Learning)
+    further: Further = field(default_factory=Further)
     sweep: Sweep = field(default_factory=Sweep)
     conditions: tuple[Condition, ...] = (PLAIN,)
 
@@ -131,6 +146,31 @@ class Experiment:
         """The same with other seeds; the sweep keeps those of its own that are among them."""
         kept = tuple(s for s in self.sweep.seeds if s in seeds) or seeds[:1]
         return replace(self, seeds=seeds, sweep=replace(self.sweep, seeds=kept))
+
+    @property
+    def learnings(self) -> tuple[Learning, ...]:
+        """That of the tables first, then the further ones."""
+        inputs = dict.fromkeys((self.learning.inputs, *self.further.inputs))
+        methods = dict.fromkeys((self.learning.method, *self.further.methods))
+        return tuple(replace(self.learning, inputs=i, method=m) for i in inputs for m in methods)
+
+    def filters_of(self, learning: Learning) -> tuple[str, ...]:
+        """All filters for the first learning, for a further one those to which it makes a
+        difference: with other inputs what reads the observers, with another method what takes
+        the bounds of velocities."""
+        if learning == self.learning:
+            return self.filters
+        known = {name: estimator_named(name) for name in self.filters}
+        if learning.method != self.learning.method:
+            return tuple(name for name, one in known.items() if hasattr(one, "bounded_by"))
+        return tuple(name for name, one in known.items() if one.needs.learnt)
+
+    def gammas_of(self, learning: Learning, seed: int) -> tuple[float, ...]:
+        """The levels of the bounds; those of the sweep are for the first learning alone."""
+        if learning != self.learning:
+            return self.gammas[:1]
+        more = self.sweep.gammas if seed in self.sweep.seeds else ()
+        return tuple(dict.fromkeys((*self.gammas, *more)))
 
     def robots_of(self, scenario: Scenario) -> tuple[str, ...]:
         """Names of the robots that walk it."""
@@ -198,6 +238,7 @@ class _File:
     published: str | None = None
     roles: dict[str, Literal["train", "calibrate", "test"]] = field(default_factory=dict)
     observer: Learning = field(default_factory=Learning)
+    further: Further = field(default_factory=Further)
     sweep: Sweep = field(default_factory=Sweep)
     condition: tuple[_ConditionTable, ...] = ()
 
@@ -211,6 +252,11 @@ class _File:
         for name in self.filters:
             if name not in ESTIMATORS:
                 raise SurefootError(f"filters: unknown '{name}'; known: {', '.join(ESTIMATORS)}")
+
+
+def _check_method(method: str) -> None:
+    if method not in CALIBRATORS:
+        raise SurefootError(f"method {method}: choose {' | '.join(CALIBRATORS)}")
 
 
 def _each_once(key: str, values: Sequence) -> None:
@@ -242,6 +288,7 @@ def _experiment(file: _File, path: Path) -> Experiment:
         filters=file.filters,
         published=file.published,
         learning=file.observer,
+        further=file.further,
         sweep=replace(file.sweep, seeds=file.sweep.seeds or (0,)) if file.sweep.gammas else Sweep(),
         conditions=tuple(c.condition(path.parent) for c in file.condition) or (PLAIN,),
     )

@@ -27,6 +27,12 @@ from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.walking.batch import Job, known_robot, walk_job
 
+WALKING = "surefoot.sim.walking.batch"
+TRAINING = "surefoot.models.observer.training"
+CALIBRATION = "surefoot.models.calibration.calibrate"
+ESTIMATION = "surefoot.scenarios.estimate.facts"
+"""Modules that make the products."""
+
 
 @dataclass(frozen=True)
 class LearntFiles:
@@ -45,12 +51,6 @@ class LearntFiles:
 
 def make_walk(folder: Path, job: Job) -> Product:
     """The log of a walk; of one that fell, a file that says so."""
-    inputs = {
-        "recipe": recipe(job),
-        "effects": [e.as_dict() for e in job.effects],
-        "declared": job.declared,
-        "code": code_digest(*map(type, job.effects)),
-    }
 
     def make(path: Path) -> dict[str, Any]:
         walked = walk_job(job)
@@ -64,7 +64,17 @@ def make_walk(folder: Path, job: Job) -> Product:
         declared = sorted({e.name for e in job.effects}) if job.declared else []
         return facts | {"robot": job.robot, "declared": declared}
 
-    return product(folder, "walk", inputs, "surefoot.sim.walking.batch", ".parquet", make)
+    return product(folder, "walk", job_inputs(job), WALKING, ".parquet", make)
+
+
+def job_inputs(job: Job) -> dict[str, Any]:
+    """What decides a walk beside the code of walking."""
+    return {
+        "recipe": recipe(job),
+        "effects": [e.as_dict() for e in job.effects],
+        "declared": job.declared,
+        "code": code_digest(*map(type, job.effects)),
+    }
 
 
 def walk_inputs(walk: Product) -> list[str]:
@@ -115,10 +125,9 @@ def make_observer(
         partial.unlink(missing_ok=True)
         return {"rmse": observer.rmse.tolist()}
 
-    code = "surefoot.models.observer.training"
     # A killed training goes on from what it had learnt.
-    partial = folder / "observer" / f"{product_key('observer', inputs, code)}.partial"
-    return product(folder, "observer", inputs, code, ".pt", make)
+    partial = folder / "observer" / f"{product_key('observer', inputs, TRAINING)}.partial"
+    return product(folder, "observer", inputs, TRAINING, ".pt", make)
 
 
 def learning_choices(learning: Learning) -> dict[str, Any]:
@@ -144,16 +153,19 @@ def make_bounds(
     """
     name, walk = log
     inputs = {"observer": observer.digest, "log": (name, walk_inputs(walk))}
-    inputs |= {"gamma": gamma, "method": [method, code_digest(CALIBRATORS[method])]}
+    inputs |= {"gamma": gamma, "method": method_inputs(method)}
 
     def make(path: Path) -> dict[str, Any]:
         bounds = calibrate(Observer.load(observer.path), read_walk(walk, name), gamma, method)
         bounds.save(path, force=True)
         return {"epsilon": bounds.epsilon.tolist(), "K": bounds.K, "n": bounds.n}
 
-    return product(
-        folder, "bounds", inputs, "surefoot.models.calibration.calibrate", ".bounds", make
-    )
+    return product(folder, "bounds", inputs, CALIBRATION, ".bounds", make)
+
+
+def method_inputs(method: str) -> list[str]:
+    """What decides a method of calibration."""
+    return [method, code_digest(CALIBRATORS[method])]
 
 
 def read_walk(walk: Product, name: str) -> Log:
@@ -208,14 +220,7 @@ def make_estimates(
                 return estimate_facts(log(), known, result, loaded(gamma))
 
             try:
-                one = product(
-                    folder,
-                    "estimate",
-                    inputs,
-                    "surefoot.scenarios.estimate.facts",
-                    ".parquet",
-                    make,
-                )
+                one = product(folder, "estimate", inputs, ESTIMATION, ".parquet", make)
             except SurefootError as error:
                 left_out[filter_name] = str(error).removeprefix(f"filter {filter_name}: ")
                 break

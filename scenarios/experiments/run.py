@@ -1,16 +1,22 @@
 """Runs an experiment: walks, observers, bounds and estimates, each made once and then found again.
 
 Every piece is a product in a folder that outlives the run: a run that was killed goes on where it
-stopped, and one whose file changed makes only what the change decides.
+stopped, and one whose file changed makes only what the change decides. What the tables show of a
+cell is a small row, which can be kept apart, for another sitting on another machine.
 """
 
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
-from surefoot.scenarios.cache import Product
-from surefoot.scenarios.experiments.file import Condition, Experiment, walk_to_make
+from surefoot.models.calibration.conformal import BoundsError
+from surefoot.scenarios.cache import Product, finished_case, read_case
+from surefoot.scenarios.estimate.estimators import estimator_named
+from surefoot.scenarios.experiments.cells import Cell, Group, cell_inputs, cells_of
+from surefoot.scenarios.experiments.file import Experiment, Learning
 from surefoot.scenarios.experiments.products import (
+    ESTIMATION,
     LearntFiles,
     make_bounds,
     make_estimates,
@@ -19,81 +25,114 @@ from surefoot.scenarios.experiments.products import (
     make_walk,
 )
 from surefoot.scenarios.stages import processes, stage
-from surefoot.sim.scenario import Scenario
-from surefoot.sim.walking.batch import Job
 
-
-@dataclass(frozen=True)
-class Cell:
-    """One walk of the grid: robot number `seed` under a condition on a scenario."""
-
-    scenario: Scenario
-    robot: str
-    condition: Condition
-    seed: int
-
-    @property
-    def group(self) -> tuple[str, str, int]:
-        """What shares observers and bounds: a robot, a condition and a seed."""
-        return self.robot, self.condition.name, self.seed
-
-    def title(self, experiment: Experiment) -> str:
-        """The sequence's name, and whatever else the experiment has more than one of."""
-        parts = [self.scenario.name]
-        if len(experiment.robots_of(self.scenario)) > 1:
-            parts.append(self.robot)
-        if len(experiment.conditions) > 1:
-            parts.append(self.condition.name.replace(" ", "_"))
-        return "_".join(parts)
+Learnings = dict[Learning, LearntFiles]
+"""What a group of cells has learnt, in each way."""
 
 
 @dataclass(frozen=True)
 class Estimated:
-    """One row of the grid: a filter at a gamma on a walk. gamma None: it uses no bounds."""
+    """A filter's estimate of a walk.
 
-    cell: Cell
+    gamma, method: of the bounds, None where it uses none; inputs: of the observers, likewise;
+    facts: `surefoot.scenarios.estimate.facts`; errors: name of the file of its errors over time.
+    """
+
     filter: str
     gamma: float | None
-    product: Product
+    inputs: str | None
+    method: str | None
+    facts: dict[str, Any]
+    errors: str
+
+
+@dataclass(frozen=True)
+class CellResult:
+    """What the tables show of a cell.
+
+    walk: facts of the walk; left_out: filter -> why.
+    """
+
+    walk: dict[str, Any]
+    estimates: tuple[Estimated, ...] = ()
+    left_out: dict[str, str] | None = None
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """All that an experiment made: walks, what was learnt, estimates, and what was left out."""
+    """All that an experiment made; errors over time lie in `errors`, but for those of rows that
+    another sitting made."""
 
-    walks: dict[Cell, Product]
-    learnt: dict[tuple[str, str, int], LearntFiles]
-    estimates: list[Estimated]
-    left_out: dict[str, str]
+    cells: dict[Cell, CellResult]
+    errors: Path
     recordings: dict[str, Product]
+
+    @property
+    def left_out(self) -> dict[str, str]:
+        """Filter -> why it was left out on a walk."""
+        return {k: v for one in self.cells.values() for k, v in (one.left_out or {}).items()}
 
 
 def run(
-    experiment: Experiment, folder: Path, workers: int = 1, recordings: bool = False
+    experiment: Experiment,
+    folder: Path,
+    workers: int = 1,
+    recordings: bool = False,
+    data: Path | None = None,
 ) -> Outcome:
-    """Make, or find in `folder`, everything that the experiment asks for.
+    """Make, or find in `folder`, everything that the experiment asks for, seed by seed.
 
-    workers: processes at once; each stage shows its own bar. recordings: also one of each sequence
-    under each condition, of the first seed.
+    Args:
+        experiment: the grid.
+        folder: of the products.
+        workers: processes at once; each stage shows its own bar.
+        recordings: also one of each sequence under each condition, of the first seed.
+        data: folder of finished rows, for which nothing is made; kept nowhere where left out.
     """
-    cells = [
-        Cell(scenario, robot, condition, seed)
-        for condition in experiment.conditions
-        for seed in experiment.seeds
-        for scenario in experiment.scenarios
-        for robot in experiment.robots_of(scenario)
-    ]
+    found: dict[Cell, CellResult] = {}
+    recorded: dict[str, Product] = {}
+    cells = cells_of(experiment)
     with processes(workers) as pool:
-        tasks = {cell: (make_walk, folder, _job(cell)) for cell in cells}
-        walks = stage(pool, "walks", tasks)
-        learnt = _learn(pool, experiment, folder, walks)
-        estimates, left_out = _estimate(pool, experiment, folder, walks, learnt)
-        recorded = _record(pool, experiment, folder, walks, learnt) if recordings else {}
-    return Outcome(walks, learnt, estimates, left_out, recorded)
+        for seed in experiment.seeds:
+            mine = [cell for cell in cells if cell.seed == seed]
+            kept = _kept(experiment, mine, data) if data else {}
+            record = recordings and seed == experiment.seeds[0]
+            wanted = [cell for cell in mine if record or cell not in kept]
+            groups = {cell.group for cell in wanted}
+            more = [c for c in mine if c.learnt_from and c.group in groups and c not in wanted]
+            tasks = {cell: (make_walk, folder, cell.job) for cell in wanted + more}
+            walks = stage(pool, f"seed {seed}: walks", tasks)
+            learnt = _learn(pool, experiment, folder, walks)
+            made = {
+                cell: (_result, experiment, folder, cell, walks[cell], learnt[cell.group], data)
+                for cell in wanted
+                if cell not in kept
+            }
+            found |= kept | stage(pool, f"seed {seed}: estimates", made)
+            if record:
+                recorded = _record(pool, experiment, folder, walks, learnt)
+    ordered = {cell: found[cell] for cell in cells}
+    return Outcome(ordered, folder / "estimate", recorded)
 
 
-def _job(cell: Cell) -> Job:
-    return walk_to_make(cell.scenario, cell.robot, cell.condition, cell.seed)
+def _kept(experiment: Experiment, cells: list[Cell], data: Path) -> dict[Cell, CellResult]:
+    """The cells that another sitting finished, by the same code from the same inputs."""
+    found = {}
+    for cell in cells:
+        case = _case_name(experiment, cell), cell_inputs(experiment, cell), ESTIMATION
+        row = read_case(data, *case)
+        if row is not None:
+            found[cell] = _from_row(row)
+    return found
+
+
+def _case_name(experiment: Experiment, cell: Cell) -> str:
+    return f"{cell.title(experiment)}_{cell.seed}"
+
+
+def _from_row(row: dict[str, Any]) -> CellResult:
+    estimates = tuple(Estimated(**one) for one in row["estimates"])
+    return CellResult(row["walk"], estimates, row["left_out"])
 
 
 def _learn(
@@ -101,55 +140,128 @@ def _learn(
     experiment: Experiment,
     folder: Path,
     walks: dict[Cell, Product],
-) -> dict[tuple[str, str, int], LearntFiles]:
-    """Observers and bounds of every group that has walks to learn from."""
-    by_role: dict[str, dict[tuple, list[tuple[str, Product]]]] = {"train": {}, "calibrate": {}}
+) -> dict[Group, Learnings]:
+    """Observers and bounds of every group, as far as it has walks to learn from."""
+    by_role: dict[str, dict[Group, list[tuple[str, Product]]]] = {"train": {}, "calibrate": {}}
     for cell, walk in walks.items():
-        if cell.scenario.role in by_role and not walk.facts["falls"]:
-            named = by_role[cell.scenario.role].setdefault(cell.group, [])
+        if cell.learnt_from and not walk.facts["falls"]:
+            named = by_role[cell.scenario.role or ""].setdefault(cell.group, [])
             named.append((cell.scenario.name, walk))
-    learning, held_out = experiment.learning, by_role["calibrate"]
-    method = learning.method
+    held_out, seeds = by_role["calibrate"], {cell.seed for cell in walks}
+    label = ", ".join(f"seed {seed}" for seed in seeds)
+    # Learnings that differ in their method alone have the same observers.
+    ways = {(one.inputs, loss): one for one in experiment.learnings for loss in one.losses}
     observers = stage(
         pool,
-        "observers",
+        f"{label}: observers",
         {
-            (group, loss): (make_observer, folder, logs, learning, loss, group[2])
+            (group, inputs, loss): (make_observer, folder, logs, one, loss, group[2])
             for group, logs in by_role["train"].items()
-            for loss in learning.losses
+            for (inputs, loss), one in ways.items()
         },
     )
     bounds = stage(
         pool,
-        "bounds",
+        f"{label}: bounds",
         {
-            (group, gamma, loss): (make_bounds, folder, observer, held_out[group][0], gamma, method)
-            for (group, loss), observer in observers.items()
+            (group, one, gamma, loss): (
+                *(_bounds, one == experiment.learning),
+                *(folder, observers[group, one.inputs, loss], held_out[group][0]),
+                *(gamma, one.method),
+            )
+            for group in by_role["train"]
             if group in held_out
-            for gamma in _gammas(experiment, group[2])
+            for one in experiment.learnings
+            for gamma in experiment.gammas_of(one, group[2])
+            for loss in one.losses
         },
     )
-    found: dict[tuple[str, str, int], LearntFiles] = {}
-    for (group, loss), observer in observers.items():
-        found.setdefault(group, LearntFiles({}, {})).observers[loss] = observer
-    for (group, gamma, loss), one in bounds.items():
-        found[group].bounds.setdefault(gamma, {})[loss] = one
+    found: dict[Group, Learnings] = {
+        cell.group: {one: LearntFiles({}, {}) for one in experiment.learnings} for cell in walks
+    }
+    for (group, inputs, loss), observer in observers.items():
+        for one, files in found[group].items():
+            if one.inputs == inputs:
+                files.observers[loss] = observer
+    for (group, one, gamma, loss), made in bounds.items():
+        if made is not None:
+            found[group][one].bounds.setdefault(gamma, {})[loss] = made
     return found
 
 
-def _gammas(experiment: Experiment, seed: int) -> tuple[float, ...]:
-    more = experiment.sweep.gammas if seed in experiment.sweep.seeds else ()
-    return tuple(dict.fromkeys((*experiment.gammas, *more)))
+def _bounds(required: bool, *arguments: Any) -> Product | None:
+    """`make_bounds`; None where the walk is too short for a method that need not be."""
+    try:
+        return make_bounds(*arguments)
+    except BoundsError:
+        if required:
+            raise
+        return None
 
 
-def _estimate(
+def _result(
+    experiment: Experiment,
+    folder: Path,
+    cell: Cell,
+    walk: Product,
+    learnt: Learnings,
+    data: Path | None,
+) -> CellResult:
+    """Every filter on a walk, with everything learnt.
+
+    Args:
+        experiment: filters and levels.
+        folder: of the products.
+        cell: of the walk.
+        walk: its log.
+        learnt: files of observers and bounds.
+        data: folder that the row is kept in, or None.
+    """
+
+    def make() -> dict[str, Any]:
+        return asdict(_estimates(experiment, folder, cell, walk, learnt))
+
+    if data is None:
+        return _from_row(make())
+    case = _case_name(experiment, cell), cell_inputs(experiment, cell), ESTIMATION
+    return _from_row(finished_case(data, *case, make))
+
+
+def _estimates(
+    experiment: Experiment, folder: Path, cell: Cell, walk: Product, learnt: Learnings
+) -> CellResult:
+    """The same, made or found in `folder`; a walk that fell has none."""
+    if walk.facts["falls"]:
+        return CellResult(walk.facts)
+    found, left_out = [], {}
+    for learning, files in learnt.items():
+        products, why = make_estimates(
+            folder,
+            walk,
+            cell.scenario.name,
+            cell.robot,
+            files,
+            experiment.filters_of(learning),
+            experiment.gammas_of(learning, cell.seed),
+        )
+        for (name, gamma), one in products.items():
+            inputs = learning.inputs if estimator_named(name).needs.learnt else None
+            method = None if gamma is None else learning.method
+            found.append(Estimated(name, gamma, inputs, method, one.facts, one.path.name))
+        first = learning == experiment.learning
+        way = "" if first else f", {learning.inputs}, {learning.method}"
+        left_out |= {name + way: text for name, text in why.items()}
+    return CellResult(walk.facts, tuple(found), left_out)
+
+
+def _record(
     pool: ProcessPoolExecutor | None,
     experiment: Experiment,
     folder: Path,
     walks: dict[Cell, Product],
-    learnt: dict[tuple[str, str, int], LearntFiles],
-) -> tuple[list[Estimated], dict[str, str]]:
-    """Estimates of all walks that did not fall, and why any filter was left out.
+    learnt: dict[Group, Learnings],
+) -> dict[str, Product]:
+    """Recordings of the walks of a seed, by title.
 
     Args:
         pool: of processes, or None for this one.
@@ -161,37 +273,7 @@ def _estimate(
     tasks = {}
     for cell, walk in walks.items():
         if not walk.facts["falls"]:
-            files = learnt.get(cell.group, LearntFiles({}, {}))
-            gammas = _gammas(experiment, cell.seed)
-            what = (cell.scenario.name, cell.robot, files, experiment.filters, gammas)
-            tasks[cell] = (make_estimates, folder, walk, *what)
-    found, left_out = [], {}
-    for cell, (products, why) in stage(pool, "estimates", tasks).items():
-        found += [Estimated(cell, name, gamma, one) for (name, gamma), one in products.items()]
-        left_out |= why
-    return found, left_out
-
-
-def _record(
-    pool: ProcessPoolExecutor | None,
-    experiment: Experiment,
-    folder: Path,
-    walks: dict[Cell, Product],
-    learnt: dict[tuple[str, str, int], LearntFiles],
-) -> dict[str, Product]:
-    """Recordings of the first seed's walks, by title.
-
-    Args:
-        pool: of processes, or None for this one.
-        experiment: filters and levels.
-        folder: of the products.
-        walks: log of each cell.
-        learnt: files of observers and bounds of each group of cells.
-    """
-    tasks = {}
-    for cell, walk in walks.items():
-        if cell.seed == experiment.seeds[0] and not walk.facts["falls"]:
-            files = learnt.get(cell.group, LearntFiles({}, {}))
-            what = (_job(cell), files, experiment.filters, experiment.gammas[0])
+            files = learnt[cell.group][experiment.learning]
+            what = (cell.job, files, experiment.filters, experiment.gammas[0])
             tasks[cell.title(experiment)] = (make_recording, folder, walk, *what)
     return stage(pool, "recordings", tasks)

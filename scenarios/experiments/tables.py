@@ -4,6 +4,8 @@
 # pyright: reportIndexIssue=false, reportReturnType=false, reportAttributeAccessIssue=false
 # (pandas' stubs take a selection for any of several types)
 
+from collections.abc import Mapping
+
 import numpy as np
 import pandas as pd
 
@@ -37,40 +39,48 @@ TABLE_MEANINGS = {
 def tidy(outcome: Outcome) -> pd.DataFrame:
     """One row an estimate, plain numbers; a walk that fell is one row without a filter."""
     rows = []
-    for cell, walk in outcome.walks.items():
+    for cell, result in outcome.cells.items():
+        walk = result.walk
         row = {
             "sequence": cell.scenario.name,
             "role": cell.scenario.role or "test",
             "robot": cell.robot,
             "condition": cell.condition.name,
             "seed": cell.seed,
-            "length [m]": walk.facts["length"],
-            "duration [s]": walk.facts["duration"],
-            "slip [%]": 100.0 * walk.facts["slip_share"],
-            "creep [mm/s]": 1e3 * walk.facts["creep"],
-            "fell at [s]": walk.facts["fell_at"],
+            "length [m]": walk["length"],
+            "duration [s]": walk["duration"],
+            "slip [%]": 100.0 * walk["slip_share"],
+            "creep [mm/s]": 1e3 * walk["creep"],
+            "fell at [s]": walk["fell_at"],
         }
-        ran = [one for one in outcome.estimates if one.cell is cell]
-        for one in ran:
-            facts = one.product.facts
+        for one in result.estimates:
+            facts = one.facts
             values = {name: facts.get(key, np.nan) for name, key in TABLE_METRICS.items()}
             values[LOST_FROM] = facts.get("lost_from", np.nan)
-            values[SHARE] = 100.0 * facts.get("ape_trans", np.nan) / walk.facts["length"]
+            values[SHARE] = 100.0 * facts.get("ape_trans", np.nan) / walk["length"]
             for name in ("coverage", "coverage_low", "coverage_high"):
                 values[f"{name} [%]"] = 100.0 * facts.get(name, np.nan)
             values["coverage_n"] = facts.get("coverage_n", 0)
             for k, axis in enumerate("xyz"):
                 values[f"fed_mean_{axis} [m/s]"] = facts.get("fed_mean", [np.nan] * 3)[k]
-            rows.append(row | {"filter": one.filter, "gamma": one.gamma} | values)
-        if not ran:
-            rows.append(row | {"filter": None, "gamma": None})
+            which = {name: getattr(one, name) for name in ("filter", "gamma", "inputs", "method")}
+            rows.append(row | which | values)
+        if not result.estimates:
+            rows.append(row | dict.fromkeys(("filter", "gamma", "inputs", "method")))
     return pd.DataFrame(rows)
 
 
-def at_gamma(rows: pd.DataFrame, gamma: float) -> pd.DataFrame:
-    """The rows of one gamma, those of filters that use none among them."""
-    mine = rows["gamma"].isna() | (rows["gamma"] == gamma)
-    return pd.DataFrame(rows[mine & rows["filter"].notna()])
+def shown_first(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
+    """The rows of the first gamma, inputs and method; of filters that use none, all."""
+    first = {"gamma": experiment.gammas[0]}
+    first |= {name: getattr(experiment.learning, name) for name in ("inputs", "method")}
+    return _of(rows[rows["filter"].notna()], first)
+
+
+def _of(rows: pd.DataFrame, values: Mapping[str, object]) -> pd.DataFrame:
+    """The rows that have these values, or none."""
+    mine = [rows[name].isna() | (rows[name] == value) for name, value in values.items()]
+    return pd.DataFrame(rows[np.logical_and.reduce(mine)])
 
 
 def averages(rows: pd.DataFrame) -> pd.DataFrame:
@@ -108,7 +118,9 @@ def sweep(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
     """Averages over test sequences by gamma, on the seeds that were run at every gamma."""
     gammas = sorted({*experiment.gammas, *experiment.sweep.gammas})
     seeds = experiment.sweep.seeds or experiment.seeds
+    first = {name: getattr(experiment.learning, name) for name in ("inputs", "method")}
     mine = rows[rows["gamma"].notna() & (rows["role"] == "test") & rows["seed"].isin(seeds)]
+    mine = _of(mine, first)
     found = []
     for (condition, name), part in mine.groupby(["condition", "filter"], sort=False):
         for gamma in gammas:
@@ -121,6 +133,23 @@ def sweep(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
                 row |= {"NEES_vel": at["NEES_vel"].mean()}
                 found.append(row)
     return pd.DataFrame(found)
+
+
+def by_learning(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
+    """Averages over test sequences of all filters that learn, by what their observers read and how
+    their bounds are calibrated, at the first gamma; empty where there is one way alone."""
+    if len(experiment.learnings) == 1:
+        return pd.DataFrame()
+    learnt = rows[(rows["role"] == "test") & rows["inputs"].notna()]
+    learnt = _of(learnt, {"gamma": experiment.gammas[0]})
+    found = []
+    keys = ["condition", "filter", "inputs", "method"]
+    for values, part in learnt.groupby(keys, sort=False, dropna=False):
+        row: dict[str, object] = dict(zip(keys, values, strict=True))
+        by_seed = part.groupby("seed")[[*TABLE_METRICS, SHARE]].mean()
+        row |= {name: with_spread(by_seed[name]) for name in SHOWN_COLUMNS if name in by_seed}
+        found.append(row | {HELD: _held(part)})
+    return pd.DataFrame(found, columns=[*keys, *SHOWN_COLUMNS])
 
 
 def published(name: str) -> tuple[pd.DataFrame, pd.DataFrame, str]:
