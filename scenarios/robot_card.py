@@ -1,6 +1,8 @@
 """`surefoot robots NAME`: what was read from a robot's file, as text and as a picture."""
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -19,8 +21,16 @@ from surefoot.sim.robot.robot import Robot
 _CORNERS = np.array(np.meshgrid(*3 * [[-1.0, 1.0]])).reshape(3, -1).T
 
 
-def robot_card(name_or_path: str, picture: Path | None, force: bool = False) -> str:
-    """Legs, limits, masses, feet, IMU and home pose of a robot as text; its picture as a PNG.
+@dataclass(frozen=True)
+class RobotCard:
+    """What was read from a robot's file, as text for a reader and as values for a program."""
+
+    text: str
+    values: dict[str, Any]
+
+
+def robot_card(name_or_path: str, picture: Path | None, force: bool = False) -> RobotCard:
+    """Legs, limits, masses, feet, IMU and home pose of a robot; its picture as a PNG.
 
     Raises SurefootError for one that cannot be read, or where the picture's file is there (no
     `force`).
@@ -28,13 +38,15 @@ def robot_card(name_or_path: str, picture: Path | None, force: bool = False) -> 
     robot = load_machine(name_or_path)
     if isinstance(robot, FixedBase):
         joints = ", ".join(robot.joint_names)
-        return f"{robot.name}: a machine on a fixed base, joints {joints}\nfile: {robot.file}"
+        text = f"{robot.name}: a machine on a fixed base, joints {joints}\nfile: {robot.file}"
+        values = {"name": robot.name, "file": robot.file, "joints": robot.joint_names}
+        return RobotCard(text, values)
     if picture is not None:
         save_png(portrait(robot), picture, force)
-    return _text(robot)
+    return _card(robot)
 
 
-def _text(robot: Robot) -> str:
+def _card(robot: Robot) -> RobotCard:
     model = compiled_model(robot.file)
     walks = robot.limbs == QUADRUPED and bool(np.isfinite(robot.torque_limit).all())
     turned = not np.allclose(robot.R_BI, np.eye(3))
@@ -68,7 +80,19 @@ def _text(robot: Robot) -> str:
         }
         for k, leg in enumerate(robot.limbs.legs)
     ]
-    return "\n".join([*lines, "", to_markdown(joints), "", to_markdown(feet)])
+    values = {
+        "name": robot.name,
+        "file": robot.file,
+        "mass": robot.mass,
+        "leg_length": robot.leg_length,
+        "imu": robot.imu,
+        "p_BI": robot.p_BI,
+        "R_BI": robot.R_BI,
+        "walks": walks,
+        "joints": joints,
+        "feet": feet,
+    }
+    return RobotCard("\n".join([*lines, "", to_markdown(joints), "", to_markdown(feet)]), values)
 
 
 def _why_not(robot: Robot) -> str:

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from threading import Thread
 from typing import Any
 
-from tqdm import tqdm
+from surefoot.sim.common.progress import bar as drawn_bar
 
 
 @contextmanager
@@ -71,7 +71,7 @@ def stage(pool: ProcessPoolExecutor | None, label: str, tasks: dict[Any, tuple])
     An error ends the stage; the tasks keep what they have done.
     """
     results: dict[Any, Any] = {}
-    with tqdm(total=len(tasks), desc=label, disable=not tasks) as bar:
+    with drawn_bar(total=len(tasks), desc=label, disable=not tasks) as bar:
         if pool is None:
             for key, (work, *arguments) in tasks.items():
                 results[key] = work(*arguments)

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, did_you_mean
 from surefoot.sim.common.files import bundled
 
 
@@ -20,5 +20,6 @@ def scenario_file(name_or_path: str | Path, folder: Path = Path()) -> Path:
     path, known = folder / name_or_path, bundled_scenarios()
     found = path if path.is_file() else known.get(str(name_or_path))
     if found is None:
-        raise SurefootError(f"scenario {path}: No such file; bundled are {', '.join(known)}")
+        hint = did_you_mean(name_or_path, known)
+        raise SurefootError(f"scenario {path}: No such file; bundled are {', '.join(known)}{hint}")
     return found

@@ -16,8 +16,9 @@ if TYPE_CHECKING:
     from surefoot.models.observer.observer import Observer
     from surefoot.models.observer.training import train
     from surefoot.scenarios.estimate.compare import compare_log as compare
-    from surefoot.scenarios.estimate.contract import Learnt
+    from surefoot.scenarios.estimate.contract import Learnt, Sample
     from surefoot.scenarios.estimate.run import run_filter
+    from surefoot.scenarios.estimate.streaming import StreamingEstimator
     from surefoot.scenarios.trace.run import trace
     from surefoot.sim.log import Log
     from surefoot.sim.robot.robot import Robot
@@ -30,7 +31,9 @@ __all__ = [
     "Log",
     "Observer",
     "Robot",
+    "Sample",
     "Scenario",
+    "StreamingEstimator",
     "__version__",
     "align",
     "calibrate",
@@ -48,7 +51,9 @@ _HOMES = {
     "Log": "surefoot.sim.log:Log",
     "Observer": "surefoot.models.observer.observer:Observer",
     "Robot": "surefoot.sim.robot.robot:Robot",
+    "Sample": "surefoot.scenarios.estimate.contract:Sample",
     "Scenario": "surefoot.sim.scenario:Scenario",
+    "StreamingEstimator": "surefoot.scenarios.estimate.streaming:StreamingEstimator",
     "align": "surefoot.models.alignment.alignment:align",
     "calibrate": "surefoot.models.calibration.calibrate:calibrate",
     "compare": "surefoot.scenarios.estimate.compare:compare_log",

@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from tqdm import tqdm
 
 from surefoot.models.observer.data import Dataset, ScaledLog, draw, prepare
 from surefoot.models.observer.decimate import RATE
@@ -39,6 +38,7 @@ from surefoot.models.observer.observer import (
 from surefoot.models.registry import ARCHITECTURES
 from surefoot.sim.common.errors import check_seed
 from surefoot.sim.common.files import kept_file
+from surefoot.sim.common.progress import bar as drawn_bar
 from surefoot.sim.log import Log
 
 WARM_UP = 25
@@ -249,7 +249,7 @@ def _fit(
     def stage(step: int) -> str:
         return "mse" if step <= MEAN_FIRST * schedule.steps else loss
 
-    with tqdm(
+    with drawn_bar(
         total=schedule.steps,
         initial=now.step,
         desc=f"train {model} {loss}",

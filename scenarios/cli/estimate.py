@@ -3,7 +3,7 @@
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
@@ -11,6 +11,7 @@ from surefoot.models.registry import ARCHITECTURES, CALIBRATORS, LOSSES
 from surefoot.scenarios.cli.options import (
     BoundsFiles,
     Force,
+    Json,
     Observers,
     Out,
     RobotName,
@@ -21,10 +22,15 @@ from surefoot.scenarios.cli.options import (
     learnt_from,
     not_plausible,
     one_of,
+    print_json,
     read_logs,
 )
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
 from surefoot.sim.common.errors import SurefootError
+
+if TYPE_CHECKING:
+    from surefoot.estimator.evaluation.health import Health
+    from surefoot.estimator.metrics import Metrics
 
 NOT_TRUSTED = 3
 """Exit code of an estimate that is not to be trusted; bad input is 1, bad options are 2."""
@@ -56,6 +62,7 @@ class Train:
     robot: RobotName = None
     seed: int = 0
     strict: Strict = False
+    as_json: Json = False
     force: Force = False
 
     def run(self) -> None:
@@ -75,6 +82,9 @@ class Train:
         observer.save(self.out, self.force)
         partial.unlink(missing_ok=True)
         x, y, z = observer.rmse
+        if self.as_json:
+            print_json({"observer": self.out, "hash": observer.hash, "rmse": observer.rmse})
+            return
         print(
             f"{self.out}: validation RMSE {x:.4f}, {y:.4f}, {z:.4f} m/s "
             "(forward, lateral, vertical)"
@@ -105,6 +115,7 @@ class Calibrate:
     """Page of results to write beside the report, such as docs/results/bounds.md."""
     robot: RobotName = None
     strict: Strict = False
+    as_json: Json = False
     force: Force = False
 
     def run(self) -> None:
@@ -136,6 +147,9 @@ class Calibrate:
                 bounds.save(self.out, self.force)
         else:
             bounds.save(self.out, self.force)
+        if self.as_json:
+            print(self.out.read_text(encoding="utf-8"))
+            return
         x, y, z = bounds.epsilon
         print(
             f"{self.out}: |error| <= {x:.4f}, {y:.4f}, {z:.4f} m/s jointly at gamma "
@@ -168,12 +182,12 @@ class Estimate:
     settings: SettingsFile = None
     set_lines: SettingLines = ()
     strict: Strict = False
+    as_json: Json = False
     force: Force = False
 
     def run(self) -> None:
         from surefoot.scenarios.estimate.long_logs import estimate_file, first_minutes
         from surefoot.scenarios.estimate.settings import read_settings
-        from surefoot.scenarios.reporting.tables import metrics_row, to_markdown
         from surefoot.sim.common.files import refuse_overwrite
         from surefoot.sim.log import LogReader
 
@@ -190,19 +204,29 @@ class Estimate:
             self.filter, reader, self.robot, learnt, self.out, self.force, settings,
             warnings.get(self.log.stem, ()),
         )  # fmt: skip
+        if self.as_json:
+            values = {"log": self.log, "filter": self.filter, "trajectory": self.out}
+            why = {"trusted": not health.lost, "why_not": health.sentence(self.filter)}
+            print_json(values | why | {"metrics": found, "health": health})
+        else:
+            self._show(found, health, reader.rows)
+        if health.lost:
+            print(health.sentence(self.filter), file=sys.stderr)
+            sys.exit(NOT_TRUSTED)
+
+    def _show(self, found: "Metrics | None", health: "Health", rows: int) -> None:
+        from surefoot.scenarios.reporting.tables import metrics_row, to_markdown
+
         if found is not None:
             print(to_markdown([metrics_row(found)]))
         elif not health.lost:
-            print(f"{self.log.stem}: {reader.rows} samples estimated; no reference to compare with")
+            print(f"{self.log.stem}: {rows} samples estimated; no reference to compare with")
         if health.sensors:
             print("\n" + to_markdown(health.table()))
         b_a, b_g = health.biases[:3].max(), health.biases[3:].max()
         print(
             f"\nbiases moved by {b_a:.1f} (accelerometer) and {b_g:.1f} (gyro) deviations at most"
         )
-        if health.lost:
-            print(health.sentence(self.filter), file=sys.stderr)
-            sys.exit(NOT_TRUSTED)
 
 
 @dataclass(frozen=True)
@@ -234,6 +258,7 @@ class Compare:
     settings: SettingsFile = None
     set_lines: SettingLines = ()
     strict: Strict = False
+    as_json: Json = False
     force: Force = False
 
     def run(self) -> None:
@@ -258,6 +283,12 @@ class Compare:
         found = [replace(one, warnings=warnings.get(one.log.name, ())) for one in found]
         with whole_folder(self.out, self.force) as folder:
             results = write_comparison(found, folder, "Filters compared")
+        if self.as_json:
+            left_out = {one.log.name: one.left_out for one in found}
+            doubts = {one.log.name: one.doubts for one in found}
+            rows = results.to_dict(orient="records")
+            print_json({"results": rows, "left_out": left_out, "doubts": doubts})
+            return
         print("\n" + to_markdown(results))
         for comparison in found:
             for name, why in comparison.left_out.items():

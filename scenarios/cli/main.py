@@ -3,11 +3,12 @@
 import os
 import sys
 from collections.abc import Sequence
-from typing import Annotated, Union
+from typing import Annotated, Any, Union
 
 import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
 
+import surefoot
 from surefoot.scenarios.cli.data import Align, Export, Import, Info, Robots, Simulate, View
 from surefoot.scenarios.cli.estimate import Calibrate, Compare, Estimate, NoiseCommand, Train
 from surefoot.scenarios.cli.runs import (
@@ -29,7 +30,7 @@ from surefoot.scenarios.cli.study import (
     Tune,
     Walking,
 )
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, did_you_mean
 
 COMMANDS: dict[str, type] = {
     "demo": Demo,
@@ -57,6 +58,41 @@ COMMANDS: dict[str, type] = {
 }
 
 
+ABOUT = """A testbed for legged state estimation from proprioception alone.
+
+--version prints the version. --plugin FILE.py, given with any command and as often as needed, adds
+the estimators, effects, channels, architectures, calibrators and gaits of your own that the file
+names in PLUGINS: it is run as a program of yours."""
+
+
+def _parsed(arguments: Sequence[str]) -> tuple[str, Any]:
+    """The command of these arguments and its name; exits, as tyro does, after --help or a mistake.
+
+    The parser of one command alone is made where its name comes first: it is quicker, and what it
+    suggests for a mistyped option is of this command.
+    """
+    first, *rest = arguments or [""]
+    config = (FlagCreatePairsOff, OmitArgPrefixes)
+    if first == "--version":
+        print(f"surefoot {surefoot.__version__}")
+        sys.exit()
+    if first in COMMANDS:
+        return first, tyro.cli(COMMANDS[first], prog=f"surefoot {first}", args=rest, config=config)
+    if first and not first.startswith("-"):
+        hint = did_you_mean(first, COMMANDS)
+        print(f"surefoot: no command '{first}'{hint} `surefoot --help` lists them", file=sys.stderr)
+        sys.exit(2)
+    choices = tuple(Annotated[c, subcommand(n, prefix_name=False)] for n, c in COMMANDS.items())
+    command = tyro.cli(
+        Union[choices],  # noqa: UP007  a union made at run time  # pyright: ignore
+        prog="surefoot",
+        description=ABOUT,
+        args=arguments,
+        config=config,
+    )
+    return next(n for n, kind in COMMANDS.items() if type(command) is kind), command
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run one command; bad input is one line on stderr and exit code 1, bad options exit code 2,
     an interruption the code of its signal and 128."""
@@ -64,16 +100,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     plain_terminals()
     try:
         with interruptions():
-            choices = tuple(
-                Annotated[c, subcommand(n, prefix_name=False)] for n, c in COMMANDS.items()
-            )
-            command = tyro.cli(
-                Union[choices],  # noqa: UP007  a union made at run time  # pyright: ignore
-                prog="surefoot",
-                args=arguments,
-                config=(FlagCreatePairsOff, OmitArgPrefixes),
-            )
-            name = next(n for n, kind in COMMANDS.items() if type(command) is kind)
+            given = sys.argv[1:] if arguments is None else arguments
+            name, command = _parsed(given)
             with guarded(name, command):
                 command.run()
             sys.stdout.flush()

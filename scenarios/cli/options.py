@@ -1,7 +1,10 @@
 """What several commands of the command line share."""
 
+import json
+import math
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -44,6 +47,7 @@ SettingLines = Annotated[
     arg(name="set", help="A line of such a file, as noise.gyro=1e-3; may be given several times."),
 ]
 Workers = Annotated[int, arg(help="How much runs at once on this machine.")]
+Json = Annotated[bool, arg(name="json", help="Print the results as JSON.")]
 Strict = Annotated[
     bool, arg(help="Stop where a log's numbers are not plausible, instead of warning.")
 ]
@@ -115,3 +119,22 @@ def learnt_from(observers: tuple[Path, ...], bounds: tuple[Path, ...]):
         tuple(Observer.load(path) for path in observers),
         tuple(Bounds.load(path) for path in bounds),
     )
+
+
+def print_json(value: Any) -> None:
+    """Print it as JSON: what is not finite as null, arrays as lists, files by their names."""
+    print(json.dumps(_plain(value), indent=2))
+
+
+def _plain(value: Any) -> Any:
+    if is_dataclass(value) and not isinstance(value, type):
+        value = {field.name: getattr(value, field.name) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): _plain(one) for key, one in value.items()}
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if isinstance(value, str | int | None) else str(value)

@@ -48,6 +48,9 @@ def guarded(name: str, command: Any) -> Iterator[None]:
     given = {f.name: getattr(command, f.name) for f in fields(command)}
     listed, kept = ([given[n] for n in ns if given.get(n) is not None] for ns in (LISTED, KEPT))
     inputs = [path for n, v in given.items() if n not in LISTED + KEPT for path in _paths(v)]
+    for n, v in given.items():
+        if n not in LISTED + KEPT:
+            _refuse_missing(v)
     cache_folder()
     for option, limit in BOUNDED.items():
         if isinstance(given.get(option), int):
@@ -70,6 +73,13 @@ def guarded(name: str, command: Any) -> Iterator[None]:
             done = [p for p in run.written if name not in GOES_ON or p in whole]
             stop.written = [str(path) for path in done]
             raise
+
+
+def _refuse_missing(value: Any) -> None:
+    """Raise SurefootError for a file to read that is not there, before anything is imported."""
+    for one in value if isinstance(value, tuple) else (value,):
+        if isinstance(one, Path) and not one.exists():
+            raise SurefootError(f"{one}: no such file")
 
 
 def _paths(value: Any) -> list[Path]:

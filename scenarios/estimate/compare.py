@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from tqdm import tqdm
 
 from surefoot.estimator.evaluation.trajectory import reference
 from surefoot.estimator.metrics import path_length
@@ -33,6 +32,7 @@ from surefoot.scenarios.reporting.html import Picture, Section, save_picture, wr
 from surefoot.scenarios.reporting.tables import metrics_row, to_csv, to_markdown
 from surefoot.scenarios.viewer.recording import write_recording
 from surefoot.sim.common.files import whole_file
+from surefoot.sim.common.progress import bar as drawn_bar
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
@@ -94,7 +94,7 @@ def compare_log(
         names: of the filters; all where left out.
         settings: noise, priors and start; those tuned for the robot where left out.
     """
-    with tqdm(total=None, desc=f"filters on {log.name}", unit=" filter") as bar:
+    with drawn_bar(total=None, desc=f"filters on {log.name}", unit=" filter") as bar:
 
         def progress(name: str) -> None:
             bar.set_postfix_str(name)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, did_you_mean
 from surefoot.sim.common.plugins import Registry
 from surefoot.sim.common.sources import code_digest
 
@@ -37,7 +37,8 @@ ESTIMATORS = Registry(
 def estimator_named(name: str) -> Estimator:
     """The estimator of that name. Raises SurefootError naming those there are."""
     if name not in ESTIMATORS:
-        raise SurefootError(f"--filter {name}: unknown; choose {' | '.join(ESTIMATORS)}")
+        hint = did_you_mean(name, ESTIMATORS)
+        raise SurefootError(f"--filter {name}: unknown; choose {' | '.join(ESTIMATORS)}{hint}")
     found = ESTIMATORS[name]()
     if found.name != name:
         raise SurefootError(f"--filter {name}: its class calls itself {found.name}")

@@ -228,13 +228,8 @@ def estimated_in_chunks(
         more = following is not None
         log = _prepared(estimator, log, robot, more or stream is not None)
         if stream is None:
-            state, covariance = (settings or FilterSettings()).beginning(log)
-            joints = log.joints if log.has("q") else ()
-            by_joints = robot is not None and log.has("q")  # they say how feet roll, too
-            feet = log.legs if log.has("foot") and not by_joints else ()
-            at = Beginning(state, covariance, log.rate, joints, log.meta.derived, feet)
-            known = cast(Robot, robot)  # None for those alone whose needs say that it may be
-            stream, stride = estimator.start(known, learnt, values, at), output_stride(log.t)
+            stream = begin(estimator, log, robot, learnt, values, settings)
+            stride = output_stride(log.t)
         rows = np.arange(-seen % stride, len(log.t), stride)
         part = _advanced(stream, log, rows, more)
         yield with_mounting(part, mounting)
@@ -242,6 +237,37 @@ def estimated_in_chunks(
             return
         seen += len(log.t)
         log, following = following, next(remaining, None)
+
+
+def begin(
+    estimator: Estimator,
+    log: Log,
+    robot: Robot | None,
+    learnt: Learnt,
+    parameters: Parameters | None = None,
+    settings: FilterSettings | None = None,
+) -> Stream:
+    """A stream of an estimator that begins at the first row of a log.
+
+    Args:
+        estimator: which one.
+        log: whose start says where the state is.
+        robot: of the log.
+        learnt: observers and bounds.
+        parameters: its own by name; those of `parameters_of` where left out.
+        settings: as of `run_filter`.
+
+    Raises SurefootError saying what it lacks.
+    """
+    estimator.needs.check(log, robot)
+    values = parameters_of(estimator, robot, settings) if parameters is None else parameters
+    state, covariance = (settings or FilterSettings()).beginning(log)
+    joints = log.joints if log.has("q") else ()
+    by_joints = robot is not None and log.has("q")  # they say how feet roll, too
+    feet = log.legs if log.has("foot") and not by_joints else ()
+    at = Beginning(state, covariance, log.rate, joints, log.meta.derived, feet)
+    known = cast(Robot, robot)  # None for those alone whose needs say that it may be
+    return estimator.start(known, learnt, values, at)
 
 
 def _prepared(estimator: Estimator, log: Log, robot: Robot | None, in_chunks: bool) -> Log:

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from tqdm import tqdm
 
 from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.shift import FALSE_ALARM
@@ -24,6 +23,7 @@ from surefoot.scenarios.reporting.tables import to_csv, to_markdown
 from surefoot.scenarios.studies.pages import origin_of, write_page
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
+from surefoot.sim.common.progress import bar as drawn_bar
 from surefoot.sim.log import Log
 
 
@@ -50,7 +50,7 @@ def write_calibration_report(
         force: whether files may be replaced.
         page: page of results (Markdown) to write as well.
     """
-    with tqdm([calibration, *logs], desc="walks", unit=" log") as bar:
+    with drawn_bar([calibration, *logs], desc="walks", unit=" log") as bar:
         first, *others = [evaluate_walk(observer, bounds, log, log is calibration) for log in bar]
     tables = {
         "methods": methods_table(first, [w for w in others if w.role == "test"]),

@@ -3,14 +3,14 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from tqdm import tqdm
+from surefoot.sim.common.progress import bar as drawn_bar
 
 
 @contextmanager
 def percent_bar(label: str) -> Iterator[Callable[[float], None]]:
     """Yield a function that takes the share of the work that is done, from 0 to 1."""
     layout = "{l_bar}{bar}| {elapsed}<{remaining}"
-    with tqdm(total=100, desc=label, unit="%", bar_format=layout) as bar:
+    with drawn_bar(total=100, desc=label, unit="%", bar_format=layout) as bar:
 
         def progress(share: float) -> None:
             bar.update(100.0 * share - bar.n)

