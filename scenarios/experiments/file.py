@@ -69,7 +69,7 @@ class Condition:
     declared: bool = False
     imperfections: tuple[Imperfection, ...] = ()
     sensors: tuple[tuple[str, float], ...] = ()
-    walked: AsWalked | None = None
+    walked: AsWalked | None = field(default=None, hash=False)
 
     def effects_of(self, seed: int, robot: Robot) -> tuple[Effect, ...]:
         """All that robot number `seed` of its kind has."""

@@ -256,6 +256,7 @@ def test_the_suites_are_two_such_files(name, courses, train, calibrate):
     assert [n for n, role in roles.items() if role == "train"] == [train]
     assert [n for n, role in roles.items() if role == "calibrate"] == [calibrate]
     assert len(suite.seeds) >= 3
+    assert len(set(cells_of(suite))) == courses * len(suite.seeds) * 3
     rows, _, _ = published(name)
     assert set(rows["sequence"]) == set(roles)
 
