@@ -26,6 +26,9 @@ _JUMP_ACCEL = 150.0
 jump of 15 mm between samples at 100 Hz has as much."""
 _JUMP_TURN = 500.0
 """rad/s^2, the same of the rate of turning: 3 degrees between samples at 100 Hz."""
+_LEAST_JUMP, _LEAST_TURN = 0.005, 0.02
+"""m and rad of a jump, at any rate: a shin that strikes a stair's edge changes a body's speed by
+1 m/s, or 5 rad/s, from one millisecond to the next."""
 _FEW_DOUBTFUL = 0.03
 """Share of doubtful stamps below which chance, and gait, explain them."""
 _OUTLYING = 8.0
@@ -130,10 +133,14 @@ def jumps(poses: Poses) -> np.ndarray:
     R = Rotation.from_quat(poses.q, scalar_first=True)
     turning = (R[:-1].inv() * R[1:]).magnitude() / step
     found = np.zeros(len(step), dtype=bool)
-    for rate, limit in ((_speeds(poses)[0], _JUMP_ACCEL), (turning, _JUMP_TURN)):
+    for rate, limit, least in (
+        (_speeds(poses)[0], _JUMP_ACCEL, _LEAST_JUMP),
+        (turning, _JUMP_TURN, _LEAST_TURN),
+    ):
         change = rate - _median_around(rate)
         usual = 1.4826 * np.median(np.abs(change))
-        found |= (change / step > limit) & (change > _OUTLYING * usual)
+        far = (change / step > limit) & (change * step > least)
+        found |= far & (change > _OUTLYING * usual)
     return found
 
 

@@ -46,7 +46,7 @@ def dead(view: LogView) -> Iterator[Finding]:
         if view.t[last - 1] - view.t[first] < UNCHANGED:
             continue
         others = [_lasting(view.t[first:last], x[first:last]) for x in np.delete(contact.T, i, 0)]
-        if np.median(others) >= 2 * OTHERS_CHANGE:
+        if np.median(others) >= OTHERS_CHANGE:
             told = (
                 f"no change from {view.t[first]:.2f} to {view.t[last - 1]:.2f} s, while the others "
                 f"change {np.median(others):.0f} times"
@@ -55,10 +55,10 @@ def dead(view: LogView) -> Iterator[Finding]:
 
 
 def _lasting(t: np.ndarray, contact: np.ndarray) -> int:
-    """Changes (of a contact (N,) at t) before and after which it lasts."""
-    at = np.flatnonzero(np.diff(contact.astype(int))) + 1
-    lasts = np.diff(t[np.concatenate([[0], at, [len(t) - 1]])]) >= LASTING
-    return int(np.sum(lasts[1:] & lasts[:-1]))
+    """Changes of a contact (N,) at t from one lasting state to the other."""
+    start = np.concatenate([[0], np.flatnonzero(np.diff(contact.astype(int))) + 1])
+    lasts = np.diff(t[[*start, len(t) - 1]]) >= LASTING
+    return int(np.sum(np.diff(contact[start[lasts]].astype(int)) != 0))
 
 
 def _legs_swing(view: LogView) -> bool:

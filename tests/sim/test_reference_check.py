@@ -65,6 +65,14 @@ def test_jumps_and_held_samples_and_gaps_are_counted():
     np.testing.assert_array_equal(np.setdiff1d(t, left.t), t[600:604])
 
 
+def test_a_blow_is_no_jump_at_any_rate():
+    t = 0.002 * np.arange(1000)
+    true = poses(t)
+    for p, found in (([1.0 * (t > 1.0) * (t - 1.0)], 0), ([0.03 * (t > 1.0)], 1)):
+        pushed = true.p + np.column_stack([*p, 0.0 * t, 0.0 * t])
+        assert jumps(Poses(t, pushed, true.q)).sum() == found
+
+
 def test_the_noise_of_samples_is_found_by_imu_and_poses():
     """Position, stamp and attitude, of a point that is not the IMU."""
     walk = motion(12.0, 400.0)
