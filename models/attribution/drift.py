@@ -9,13 +9,14 @@ from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.bootstrap import block_draws
 from surefoot.sim.effects import Effect
 
-GROWN = 0.05
-"""Share of the sum of its squares by which a drift must grow: sizes that are settled again move it
-by hundredths."""
+GROWN = 0.1
+"""Share of the declared model's drift, as a sum of squares, by which it must grow: sizes that are
+settled again move it by hundredths."""
 
 
 def adds_drift(
     cases: Sequence[LogUnderModel],
+    declared: Evidence,
     evidence: Evidence,
     chosen_with: Sequence[Effect],
     use: np.ndarray,
@@ -25,10 +26,12 @@ def adds_drift(
 
     The drift is what the feet seem to move over the ground while they stand, added up over blocks
     in which chance averages out; it grows if the sum of its squares does in 19 of 20 draws of the
-    blocks, by GROWN and by more than walks of the declared model drift themselves.
+    blocks, by a share GROWN of what it was with nothing explained, and by more than walks of the
+    declared model drift themselves.
 
     Args:
         cases: the logs under the declared model.
+        declared: with nothing explained.
         evidence: once the effects found so far are explained.
         chosen_with: the same effects and another, sizes settled.
         use: bins (M,) of all logs that may be looked at.
@@ -38,29 +41,30 @@ def adds_drift(
     if not len(feet):
         return False
     after_table = np.concatenate([table_of(case, chosen_with) for case in cases])
-    before, after = (_drifts(evidence, x[:, feet], use) for x in (evidence.table, after_table))
+    tables = declared.table, evidence.table, after_table
+    first, before, after = (squared_drifts(evidence, x[:, feet], use) for x in tables)
     if not len(before):
         return False
-    grown = np.sum(after**2, axis=1) - np.sum(before**2, axis=1)
-    drawn = block_draws(len(grown), np.random.default_rng(0)) @ grown
-    least = max(GROWN * float(np.sum(before**2)), len(before) * _own_drift(floor))
+    drawn = block_draws(len(before), np.random.default_rng(0)) @ (after - before)
+    least = max(GROWN * float(np.sum(first)), len(before) * _own_drift(floor))
     return bool(np.percentile(drawn, 5.0) > least)
 
 
 def _own_drift(floor: NoiseFloor | None) -> float:
     """Mean square [m^2] of the drift over a block of walks of the declared model."""
     walks = [repeat.evidence for repeat in floor.repeats] if floor else []
-    drifts = [
-        _drifts(one, one.table[:, one.layout.by_leg("stance_displacement")], one.t >= one.t[0])
+    squares = [
+        squared_drifts(one, one.table[:, one.layout.by_leg("stance_displacement")], one.t >= 0.0)
         for one in walks
     ]
-    return float(np.mean(np.sum(np.concatenate(drifts) ** 2, axis=1))) if drifts else 0.0
+    return float(np.mean(np.concatenate(squares))) if squares else 0.0
 
 
-def _drifts(evidence: Evidence, moved: np.ndarray, use: np.ndarray) -> np.ndarray:
-    """Forward and lateral drift (K, 2) [m] over each block: the mean over the feet of what each
-    moves while it stands, (M, L, 2), added up."""
+def squared_drifts(evidence: Evidence, moved: np.ndarray, use: np.ndarray) -> np.ndarray:
+    """Square (K,) [m^2] of the forward and lateral drift over each block: the mean over the feet of
+    what each moves while it stands, (M, L, 2), added up."""
     block = np.floor((evidence.t - evidence.t.min()) / evidence.settings.block).astype(int)
     number = evidence.log * (block.max() + 1) + block
     own = [moved[use & (number == one)] for one in np.unique(number[use])]
-    return np.array([np.nansum(x, axis=(0, 1)) / moved.shape[1] for x in own]).reshape(-1, 2)
+    drifts = np.array([np.nansum(x, axis=(0, 1)) / moved.shape[1] for x in own])
+    return np.sum(drifts.reshape(-1, 2) ** 2, axis=1)

@@ -164,6 +164,9 @@ def linearise(
     starts = np.cumsum([0] + [len(table) for table in tables])
     if before is not None and _same_bins(before, np.concatenate(tables)):
         own = {(e.name, e.target) for e in chosen}
+        if any(part.contacts_differ for part in parts):
+            # Which feet share the weight is another, even where the same bins are inside a stance.
+            own |= {key for key in before.keys if known_effects()[key[0]].takes_loads}
         X = tuple(
             joined_regressor([p.regressor(key) for p in parts], starts) if key in own else one
             for key, one in zip(before.keys, before.X, strict=True)
@@ -241,6 +244,9 @@ class _Linear:
         self.case, self.chosen, self.judged = case, list(chosen), judged
         self.log, self.robot, self.parts, self.frame = _parts(case, chosen, judged)
         self.joints = self.log.joints
+        self.contacts_differ = self.log is not case.log and any(
+            name.startswith("contact_") for name in changed_columns(case.log, self.log)
+        )
         self._known: dict[Key, Regressor] = {}
 
     @cached_property

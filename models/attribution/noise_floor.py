@@ -120,6 +120,14 @@ class NoiseFloor:
         # Only what the walks agree on is the contacts' doing; the rest is chance.
         return (mean if abs(mean) > 2.0 * spread / np.sqrt(count) else 0.0), spread
 
+    def doubt(self, key: Key, offset: float) -> float:
+        """Standard deviation of the size `offset` that `key` has where it is not: that of the
+        channels it shows in, where they know it, or else a share of it."""
+        known = [channels()[name].known_to for name in known_effects()[key[0]].channels]
+        if self.repeats and known and all(one is not None for one in known):
+            return max(one for one in known if one is not None)
+        return self.repeats[0].evidence.settings.faked_share * abs(offset) if self.repeats else 0.0
+
     @property
     def _keys(self) -> tuple[Key, ...]:
         return self.repeats[0].normal_equations.keys if self.repeats else ()

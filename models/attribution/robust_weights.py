@@ -52,6 +52,10 @@ def robust_weights(data: Design, floor: np.ndarray) -> RobustWeights:
     share = float(masked.sum() / max(standing, 1))
     z = np.clip(left / sigma, -settings.outlier, settings.outlier)
     alike = correlated_entries(layout, np.where(weight > 0, z, np.nan))
+    if legged:
+        columns = np.unique(feet)
+        columns = columns[sigma[columns] > settings.far * floor[columns]]
+        alike[columns] = np.count_nonzero(weight[:, columns], axis=0).clip(1)
     return RobustWeights(sigma, weight, masked, share, alike)
 
 

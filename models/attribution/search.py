@@ -77,11 +77,12 @@ def attribute(
     rounds: list[tuple[Candidate, ...]] = []
     rivals: tuple[tuple[Key, float], ...] = ()
     explained = 0.0
-    evidence = None
+    evidence, declared, use = None, None, split.fit | split.select
     while True:
         if progress:
             progress(min(len(rounds) / (settings.most_effects + 1), 1.0))
         evidence, whole, weights, chosen = _settled(cases, chosen, keys, evidence, floor, split)
+        declared = declared or evidence
         sigma = floor.counted(weights.sigma, weights.alike)
         data = normal_equations(whole, sigma, weights.weight, split.part)
         candidates = judge(
@@ -89,6 +90,9 @@ def attribute(
         )
         rounds.append(candidates)
         candidates = tuple(c for c in candidates if c.key not in refuted)
+        # What the model lacks for certain comes first: others would stand for it.
+        first = tuple(c for c in candidates if c.earned and c.key in certain)
+        candidates = first or candidates
         best = candidates[0] if candidates and candidates[0].earned else None
         if best is None or len(chosen) == settings.most_effects:
             break
@@ -96,7 +100,7 @@ def attribute(
         others = distinct(data, candidates, evidence.layout.limbs)
         few = contenders(data, others, [*map(_key, chosen)])
         best, chosen_with = rerank(known, few)
-        if adds_drift(cases, evidence, chosen_with, split.fit | split.select, floor):
+        if adds_drift(cases, declared, evidence, chosen_with, use, floor):
             refuted.append(best.key)
             continue
         rivals += _rivals(data, best, others, [_key(e) for e in chosen], rng)
@@ -116,11 +120,11 @@ def attribute(
 
 
 def _certain(keys: Sequence[Key], robot: Machine) -> set[Key]:
-    """Of the candidates those that every machine has on all parts alike, and the model lacks."""
+    """Of the candidates those that every machine has, and the model lacks."""
     if not isinstance(robot, Robot):
         return set()
     kinds = known_effects()
-    return {key for key in keys if key[1] == "all" and kinds[key[0]].is_certain(robot)}
+    return {(name, target) for name, target in keys if kinds[name].is_certain(target, robot)}
 
 
 def _settled(
@@ -211,7 +215,7 @@ def _with_intervals(
     for i, one in enumerate(chosen):
         offset, spread = floor.sizes([k for k in keys if k != keys[i]], keys[i])
         repeats = len(floor.repeats)
-        faked = 1.96 * data.settings.faked_share * offset
+        faked = 1.96 * floor.doubt(keys[i], offset)
         half = float(np.hypot(1.96 * np.sqrt(covariance[i, i]), faked))
         if repeats > 1:
             half = float(np.hypot(half, t.ppf(0.975, repeats - 1) * spread))

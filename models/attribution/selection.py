@@ -63,39 +63,44 @@ def judge(
         rng: draws the bootstrap's blocks.
         certain: keys of effects that every machine has and the model lacks.
     """
-    s, seen, unseen = data.settings, data.rows(data.part == FIT), data.rows(data.part == SELECT)
-    counts = block_draws(len(unseen.G), rng)
-    plain = fit(seen, chosen, errors=False).vector
-    plainly = loss(unseen, plain), loss(seen, plain)
+    s, parts = data.settings, (data.rows(data.part == FIT), data.rows(data.part == SELECT))
+    counts = block_draws(sum(len(part.G) for part in parts), rng)
+    plain = [fit(seen, chosen, errors=False).vector for seen in parts]
     # Chen and Chen 2008, extended BIC: one of many costs more than one alone, and one with a size
     # for each log as many times as it has sizes.
-    per_size, chance = np.log(max(2, len(seen.G))), 2.0 * np.log(len(data.keys))
+    per_size, chance = np.log(max(2, len(parts[0].G))), 2.0 * np.log(len(data.keys))
     judged = []
     for key in data.keys:
         if key in chosen:
             continue
-        fitted = fit(seen, [*chosen, key])
+        fitted, again = fit(parts[0], [*chosen, key]), fit(parts[1], [*chosen, key], errors=False)
         size, error = float(fitted.sizes[-1]), float(np.sqrt(fitted.covariance[-1, -1]))
         offset, spread = floor.sizes(chosen, key)
         size -= offset
-        before, before_seen = plainly
+        without = plain
         if offset:
-            faked = fit(seen, chosen, errors=False, given={key: offset}).vector
-            before, before_seen = loss(unseen, faked), loss(seen, faked)
-        blocks = before - loss(unseen, fitted.vector)
+            without = [
+                fit(seen, chosen, errors=False, given={key: offset}).vector for seen in parts
+            ]
+        before = _left(parts, without[::-1])
+        # Each half of the blocks at the sizes of the other half; what they gain on the mean.
+        blocks = 0.5 * (before - _left(parts, (again.vector, fitted.vector)))
         gain = float(blocks.sum())
-        low, high = np.percentile(counts @ blocks, [2.5, 97.5])
-        at_seen = float(np.sum(before_seen - loss(seen, fitted.vector)))
+        # Halves that judge each other are not two: their mean is known no better than one of them.
+        low, high = gain + 2**0.5 * (np.percentile(counts @ blocks, [2.5, 97.5]) - gain)
+        at_seen = 0.5 * float(
+            np.sum(_left(parts, without) - _left(parts, (fitted.vector, again.vector)))
+        )
         # Of one with a size for each log the largest counts, which one log alone determines.
         sizes = size + data.by_run(key, fitted.vector)
         most, error = float(np.max(np.abs(sizes))), error * np.sqrt(len(sizes))
         # The floor's own offset is only as sure as its contact model.
-        spread = float(np.hypot(spread, s.faked_share * offset))
+        spread = float(np.hypot(spread, floor.doubt(key, offset)))
         low_end, high_end = known_effects()[key[0]].inside(key[1])
         # A fit beyond them is no size either, however much of it the floor's walks have.
         fitted_beyond = abs(fitted.sizes[-1]) > max(-low_end, high_end)
         at_bound = fitted_beyond or not low_end < sizes.min() <= sizes.max() < high_end
-        share = gain / max(float(before.sum()), 1e-300)
+        share = gain / max(0.5 * float(before.sum()), 1e-300)
         clear = most / max(float(np.hypot(spread, error)), 1e-300)
         plain_to_see = clear > s.clear and share > s.large
         price = len(sizes) * per_size + chance
@@ -134,7 +139,7 @@ def distinct(
     """The candidates without those that are one effect on parts that a better one is on too.
 
     A group and its members, or two groups, say the same of the parts that they share. The better
-    one gains more by at least the price of a parameter, or stands for fewer parts.
+    one scores more by at least the price of a parameter, or stands for fewer parts.
     """
     price = np.log(max(2, np.count_nonzero(data.part == FIT)))
     parts = {c.key: set(known_effects()[c.key[0]].members_of(c.key[1], limbs)) for c in candidates}
@@ -142,17 +147,20 @@ def distinct(
     while left:
         best = left[0]
         alike = [c for c in left if c.key[0] == best.key[0] and parts[c.key] & parts[best.key]]
-        as_good = [c for c in alike if c.earned == best.earned and c.gain > best.gain - price]
+        as_good = [c for c in alike if c.earned == best.earned and c.score > best.score - price]
         kept.append(min(as_good, key=lambda c: len(parts[c.key])))
         left = [c for c in left if c not in alike]
     return tuple(kept)
 
 
+def _left(parts: Sequence[NormalEquations], vectors: Sequence[np.ndarray]) -> np.ndarray:
+    """Squared error (K,) that fits leave of the blocks of some parts, one after the other."""
+    return np.concatenate([loss(part, v) for part, v in zip(parts, vectors, strict=True)])
+
+
 def left_unseen(data: NormalEquations, keys: Sequence[Key]) -> np.ndarray:
     """Squared error (K,) that these keys leave of the blocks of FIT and SELECT, in units of noise,
     at the sizes that the other of the two parts gives them."""
-    left = []
-    for seen, unseen in ((FIT, SELECT), (SELECT, FIT)):
-        known, other = data.rows(data.part == seen), data.rows(data.part == unseen)
-        left.append(loss(other, fit(known, keys, errors=False).vector))
-    return np.concatenate(left)
+    parts = data.rows(data.part == FIT), data.rows(data.part == SELECT)
+    vectors = [fit(seen, keys, errors=False).vector for seen in parts]
+    return _left(parts[::-1], vectors)

@@ -4,6 +4,7 @@ import numpy as np
 
 from surefoot.models.attribution.fit import Design, fit, normal_equations
 from surefoot.models.attribution.robust_weights import RobustWeights
+from surefoot.models.residuals.registry import channels
 
 
 def variance_inflation(data: Design, weights: RobustWeights) -> np.ndarray:
@@ -17,7 +18,14 @@ def variance_inflation(data: Design, weights: RobustWeights) -> np.ndarray:
     """
     sums = normal_equations(data, weights.sigma, weights.weight).total()
     free = fit(sums, (), errors=False).vector[1:]
-    left = np.where(data.there, data.y - data.explained(-free), 0.0)
+    left = np.where(data.there, data.y - data.explained(-free), np.nan)
+    layout = data.evidence.layout
+    known = [name for name in layout.channels if channels()[name].known_to is not None]
+    for columns in layout.alike:
+        if known and np.isin(columns, layout.of(*known)).all() and data.there[:, columns].any():
+            # How well their mean is known is said, and counts as a doubt of sizes.
+            left[:, columns] -= np.nanmean(left[:, columns])
+    left = np.nan_to_num(left)
     candidates = len(data.evidence.X)
     ratios = np.ones(data.evidence.layout.width)
     for columns in data.evidence.layout.alike:

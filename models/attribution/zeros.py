@@ -97,7 +97,7 @@ def _sizes(
         one = clipped(effect(*key, 0.0), at.get(key, 0.0) + fitted.sizes[i] - offset)
         many = len(floor.repeats)
         chance = t.ppf(0.975, many - 1) * spread if many > 1 else 0.0
-        faked = 1.96 * known.settings.faked_share * offset
+        faked = 1.96 * floor.doubt(key, offset)
         error = 1.96 * np.sqrt(fitted.covariance[i, i])
         half = float(np.sqrt(error**2 + chance**2 + faked**2))
         found.append(Found(one, (one.value - half, one.value + half)))

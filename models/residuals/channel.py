@@ -129,6 +129,9 @@ class Channel:
     """[unit] that no log resolves: noise is never taken to be less."""
     of_events: ClassVar[bool] = False
     """Whether it is a time of an event: a small change of the body leaves it as it is."""
+    known_to: ClassVar[float | None] = None
+    """[unit, standard deviation] to which its level on walks of the model is known, where that is
+    known from models of several robots."""
     judges: ClassVar[bool] = False
     """Whether no fit sees it: it says what effects that others found are worth."""
     chained: ClassVar[bool] = False

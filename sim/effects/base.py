@@ -163,7 +163,7 @@ class Effect:
         return cls.compensate is not Effect.compensate
 
     @classmethod
-    def is_certain(cls, robot: Robot) -> bool:
+    def is_certain(cls, target: str, robot: Robot) -> bool:
         """Whether every machine has it and this model does not: only its size is in question."""
         return False
 

@@ -185,8 +185,8 @@ class FootRolling(Effect):
         return log, replace(robot, foot_radius=robot.foot_radius + added)
 
     @classmethod
-    def is_certain(cls, robot: Robot) -> bool:
-        return robot.limbs.point_feet and not robot.foot_radius.any()
+    def is_certain(cls, target: str, robot: Robot) -> bool:
+        return target == "all" and robot.limbs.point_feet and not robot.foot_radius.any()
 
 
 class Payload(Effect):

@@ -188,6 +188,11 @@ class ContactDelay(Effect):
         return with_columns(log, columns), replace(robot, extras=known)
 
     @classmethod
+    def is_certain(cls, target: str, robot: Robot) -> bool:
+        # A pad springs back, and a threshold is crossed, in some time.
+        return target == "liftoff" and not robot.extras.liftoff_late
+
+    @classmethod
     def inside(cls, target: str) -> tuple[float, float]:
         low, high = super().inside(target)
         return (low if target == "touchdown" else 1.1 * cls.step), high

@@ -28,19 +28,21 @@ def case():
 def test_rolling_takes_drift_away_and_too_much_of_it_adds(case):
     radius, every = float(ROBOT.foot_radius[0]), np.ones(len(case.frame.t), dtype=bool)
     right, far = (effect("foot_rolling", "all", k * radius) for k in (1.0, 1.6))
-    assert not adds_drift([case], linearise([case], [], ()), [right], every)
-    assert adds_drift([case], linearise([case], [right], ()), [far], every)
-    assert adds_drift([case], linearise([case], [right], ()), [], every)
+    points, rolls = (linearise([case], known, ()) for known in ([], [right]))
+    assert not adds_drift([case], points, points, [right], every)
+    assert adds_drift([case], points, rolls, [far], every)
+    assert adds_drift([case], points, rolls, [], every)
     # What is not looked at says nothing.
-    assert not adds_drift([case], linearise([case], [right], ()), [far], ~every)
+    assert not adds_drift([case], points, rolls, [far], ~every)
 
 
 def test_the_drift_that_walks_of_the_model_have_is_none_that_an_effect_adds(case):
     every, less = np.ones(len(case.frame.t), dtype=bool), effect("foot_rolling", "all", -0.004)
     model = log_under_model(case.log, ROBOT)
     floor = noise_floor([model])
-    assert adds_drift([model], linearise([model], [], ()), [less], every)
-    assert not adds_drift([model], linearise([model], [], ()), [less], every, louder(floor, 30.0))
+    declared = linearise([model], [], ())
+    assert adds_drift([model], declared, declared, [less], every)
+    assert not adds_drift([model], declared, declared, [less], every, louder(floor, 30.0))
 
 
 def louder(floor, times):
@@ -54,6 +56,5 @@ def louder(floor, times):
 
 def test_an_effect_of_the_imu_alone_adds_none(case):
     every = np.ones(len(case.frame.t), dtype=bool)
-    assert not adds_drift(
-        [case], linearise([case], [], ()), [effect("accel_bias", "x", 0.3)], every
-    )
+    declared = linearise([case], [], ())
+    assert not adds_drift([case], declared, declared, [effect("accel_bias", "x", 0.3)], every)
