@@ -33,6 +33,8 @@ _TAN = "Tan et al., RSS 2018"
 _LATENCY = f"{_TAN}: latencies of 0 to 40 ms"
 _WALK = "Margolis and Agrawal, CoRL 2022, public code"
 
+Key = tuple[str, str]
+
 PRIORS: dict[str, Prior] = {
     "gyro_scale": Prior(0.03, f"{_MPU}: 3 %", most=NO_SUCH_SCALE * 0.03),
     "accel_scale": Prior(0.03, f"{_MPU}: 3 %", most=NO_SUCH_SCALE * 0.03),
@@ -96,6 +98,26 @@ def prior_of(kind: type[Effect]) -> Prior:
 ALIKE: dict[str, float] = {"leg_compliance": 0.1, "foot_rolling": 0.1}
 """Name -> share of their size by which the parts of one kind differ, 19 times of 20. No published
 figure was found; catalogues of gears give stiffnesses as typical values, and feet wear."""
+
+
+STAND_FOR_ONE_ANOTHER = ("foot_rolling", "leg_compliance", "foot_elasticity", "contact_delay")
+"""What all legs do under load. Fitted alone each takes a part of the others: a spring that gives
+moves the foot as one that rolls does, and so does a foot that lifts before its contact ends."""
+
+
+def joint_rivals(keys: Sequence[Key], chosen: Sequence[Key], limbs: Limbs) -> list[Key]:
+    """Of the candidates those that may be hidden in one that is chosen."""
+    kinds, known = STAND_FOR_ONE_ANOTHER, known_effects()
+    if not any(name in kinds for name, _ in chosen):
+        return []
+    there = {name for name, _ in chosen}
+    return [
+        (name, target)
+        for name, target in keys
+        if name in kinds
+        and name not in there
+        and (name not in ALIKE or _is_common(known[name].members_of(target, limbs), limbs))
+    ]
 
 
 def surprise(name: str, target: str, size: float, limbs: Limbs) -> float:

@@ -11,7 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel, linearise
+from surefoot.models.attribution.evidence import (
+    Evidence,
+    Key,
+    LogUnderModel,
+    linearise,
+    table_of,
+)
 from surefoot.models.attribution.fit import NormalEquations, design, fit, loss, normal_equations
 from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.attribution.priors import surprise
@@ -40,26 +46,43 @@ class Data:
         evidence = self.evidence.only(keys)
         if list(chosen) != list(self.explained):
             evidence = linearise(self.cases, chosen, keys, evidence, judged=False)
+        return self.summed(evidence)
+
+    def summed(self, evidence: Evidence) -> NormalEquations:
+        """Sums of products of an evidence, with the noise and the weights of this one."""
         sigma = self.floor.counted(self.robust_weights.sigma, self.robust_weights.alike)
         return normal_equations(design(evidence), sigma, self.robust_weights.weight, self.part)
 
 
 def refined(data: Data, chosen: Sequence[Effect], report: int) -> list[Effect]:
     """The effects at the sizes that leave least on all blocks but those of the part `report`, by
-    Gauss-Newton."""
+    Gauss-Newton, whose derivatives serve as long as no size moves far from where they were taken.
+    """
     chosen = [clipped(e, e.value) for e in chosen]
-    settings = data.evidence.settings
-    offsets = _offsets(data.floor, [(e.name, e.target) for e in chosen])
+    settings, keys = data.evidence.settings, [(e.name, e.target) for e in chosen]
+    offsets, derived = _offsets(data.floor, keys), []
+    evidence = data.evidence.only(keys)
     for _ in range(settings.newton_steps):
-        steps = best_near(data, chosen, report)[0] - offsets
+        if _moved(derived, chosen, settings.newton_far):
+            evidence, derived = linearise(data.cases, chosen, keys, evidence, judged=False), chosen
+        else:
+            tables = [table_of(case, chosen, judged=False) for case in data.cases]
+            evidence = replace(evidence, table=np.concatenate(tables))
+        sums = data.summed(evidence)
+        sums = sums.rows(sums.part != report)
+        steps = fit(sums, keys, errors=False).sizes - offsets
         moved = [clipped(e, e.value + d) for e, d in zip(chosen, steps, strict=True)]
-        pairs = zip(moved, chosen, strict=True)
-        close = settings.newton_close
-        settled = all(abs(a.value - b.value) < close * abs(a.value) for a, b in pairs)
+        settled = not _moved(chosen, moved, settings.newton_close)
         chosen = moved
         if settled:
             break
     return chosen
+
+
+def _moved(before: Sequence[Effect], after: Sequence[Effect], share: float) -> bool:
+    """Whether there are none before, or any size has moved by this share of it."""
+    pairs = zip(before, after, strict=False)
+    return not before or any(abs(a.value - b.value) >= share * abs(b.value) for a, b in pairs)
 
 
 def best_near(data: Data, chosen: Sequence[Effect], report: int) -> tuple[np.ndarray, np.ndarray]:
@@ -80,6 +103,22 @@ def _offsets(floor: NoiseFloor, keys: Sequence[Key]) -> np.ndarray:
 def clipped(one: Effect, value: float) -> Effect:
     """The effect of this size, or of the nearest inside its bounds."""
     return replace(one, value=float(np.clip(value, *type(one).inside(one.target))))
+
+
+def jointly(data: Data, key: Key) -> tuple[NormalEquations, list[Effect]]:
+    """A candidate with what is explained, at the sizes at which all leave least; and the sums of
+    products of a straight line through that residual, its sizes counted from zero.
+
+    Linear regressors of effects that stand for one another are worth little where only one of them
+    is explained, and has taken a part of the other.
+    """
+    effects = refined(data, [*data.explained, effect(*key, 0.0)], REPORT)
+    keys = [(e.name, e.target) for e in effects]
+    evidence = linearise(data.cases, effects, keys, judged=False)
+    table = evidence.table.copy()
+    for one, regressor in zip(effects, evidence.X, strict=True):
+        table[:, regressor.columns] += one.value * regressor.values
+    return data.summed(replace(evidence, table=table)), effects
 
 
 def contenders(

@@ -17,7 +17,15 @@ from surefoot.models.attribution.fit import (
     overlap,
 )
 from surefoot.models.attribution.noise_floor import NoiseFloor, noise_floor_with
-from surefoot.models.attribution.refinement import Data, contenders, reconsidered, refined, rerank
+from surefoot.models.attribution.priors import joint_rivals
+from surefoot.models.attribution.refinement import (
+    Data,
+    contenders,
+    jointly,
+    reconsidered,
+    refined,
+    rerank,
+)
 from surefoot.models.attribution.robust_weights import RobustWeights, robust_weights
 from surefoot.models.attribution.selection import Candidate, distinct, judge, left_unseen
 from surefoot.models.attribution.split import REPORT, Split
@@ -94,9 +102,15 @@ def attribute(
         first = tuple(c for c in candidates if c.earned and c.key in certain)
         candidates = first or candidates
         best = candidates[0] if candidates and candidates[0].earned else None
+        known = Data(cases, floor, evidence, chosen, weights, split.part)
+        if best is None and len(chosen) < settings.most_effects:
+            best, chosen_with = _hidden(known, explained, rng, refuted)
+            if best is not None:
+                explained += best.gain
+                chosen, floor = chosen_with, noise_floor_with(floor, chosen_with)
+                continue
         if best is None or len(chosen) == settings.most_effects:
             break
-        known = Data(cases, floor, evidence, chosen, weights, split.part)
         others = distinct(data, candidates, evidence.layout.limbs)
         few = contenders(data, others, [*map(_key, chosen)])
         best, chosen_with = rerank(known, few)
@@ -125,6 +139,36 @@ def _certain(keys: Sequence[Key], robot: Machine) -> set[Key]:
         return set()
     kinds = known_effects()
     return {(name, target) for name, target in keys if kinds[name].is_certain(target, robot)}
+
+
+def _hidden(
+    known: Data, explained: float, rng: np.random.Generator, refuted: Sequence[Key]
+) -> tuple[Candidate | None, list[Effect]]:
+    """The best candidate that earns its place where it is fitted jointly with one that stands for
+    it, and the sizes of all; none where the legs are nearly as their floor. Every leg gives, and
+    every foot rolls: how much is in question.
+
+    Args:
+        known: the evidence, and what is explained.
+        explained: sum of the gains of that.
+        rng: draws the bootstrap's blocks.
+        refuted: candidates that are out of question.
+    """
+    chosen, limbs = [_key(e) for e in known.explained], known.evidence.layout.limbs
+    feet, settings = known.evidence.layout.by_leg("leg_velocity"), known.evidence.settings
+    sigma = known.robust_weights.sigma
+    best: tuple[Candidate | None, list[Effect]] = (None, [])
+    if not len(feet) or not (sigma[feet] > settings.far * known.floor.sigma[feet]).any():
+        return best
+    for key in joint_rivals(known.evidence.keys, chosen, limbs):
+        if key in refuted:
+            continue
+        data, effects = jointly(known, key)
+        among = len(known.evidence.keys)
+        one = judge(data, known.floor, chosen, explained, limbs, rng, {key}, among)[0]
+        if one.earned and (best[0] is None or one.score > best[0].score):
+            best = one, effects
+    return best
 
 
 def _settled(

@@ -51,6 +51,7 @@ def judge(
     limbs: Limbs,
     rng: np.random.Generator,
     certain: Collection[Key] = (),
+    among: int = 0,
 ) -> tuple[Candidate, ...]:
     """Every candidate that is not chosen yet, those that earn a place first, by score.
 
@@ -62,13 +63,14 @@ def judge(
         limbs: of the machine.
         rng: draws the bootstrap's blocks.
         certain: keys of effects that every machine has and the model lacks.
+        among: how many candidates there are, where the data have only some of them.
     """
     s, parts = data.settings, (data.rows(data.part == FIT), data.rows(data.part == SELECT))
     counts = block_draws(sum(len(part.G) for part in parts), rng)
     plain = [fit(seen, chosen, errors=False).vector for seen in parts]
     # Chen and Chen 2008, extended BIC: one of many costs more than one alone, and one with a size
     # for each log as many times as it has sizes.
-    per_size, chance = np.log(max(2, len(parts[0].G))), 2.0 * np.log(len(data.keys))
+    per_size, chance = np.log(max(2, len(parts[0].G))), 2.0 * np.log(among or len(data.keys))
     judged = []
     for key in data.keys:
         if key in chosen:

@@ -129,6 +129,8 @@ class TraceSettings:
     """Steps of Gauss-Newton: a derivative that noise enters falls short of the size at each."""
     newton_close: float = 1e-3
     """Share of its size by which an effect may still move when Gauss-Newton has converged."""
+    newton_far: float = 0.1
+    """Share of its size by which an effect may have moved since derivatives were taken."""
     close_behind: float = 0.3
     """Share of the best gain from which a candidate might be better than linear regressors show."""
     contenders: int = 3
