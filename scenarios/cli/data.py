@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
@@ -217,16 +217,40 @@ class Align:
 
 @dataclass(frozen=True)
 class View:
-    """Open a recording in the rerun viewer."""
+    """Open a recording, a log, or a scenario's course before it is walked, in the rerun viewer."""
 
-    file: Positional[Path]
+    file: Annotated[Positional[str], arg(metavar="FILE|SCENARIO")]
+    """A recording (.rrd), a log (.parquet), or a scenario: its file or bundled name."""
     web: bool = False
     """Serve it to a browser of this machine, on 127.0.0.1."""
+    robot: RobotName = None
+    seed: int = 0
+    """Of a course and its ground."""
+    out: Annotated[Path | None, arg(aliases=["-o"])] = None
+    """File for the recording of a log or a scenario (.rrd), instead of opening it."""
+    force: Force = False
 
     def run(self) -> None:
+        from tempfile import TemporaryDirectory
+
         from surefoot.scenarios.viewer.view import view
 
-        view(self.file, self.web)
+        path = Path(self.file)
+        if path.suffix == ".rrd" or (path.exists() and path.suffix not in (".parquet", ".toml")):
+            if self.out:
+                raise SurefootError("-o is for a log or a scenario; this has its recording")
+            view(path, self.web)
+            return
+        from surefoot.scenarios.viewer.preview import write_preview
+
+        if self.out:
+            write_preview(self.file, self.out, self.robot, self.seed, self.force)
+            print(self.out)
+            return
+        with TemporaryDirectory(prefix="surefoot_") as folder:
+            made = Path(folder) / f"{path.stem}.rrd"
+            write_preview(self.file, made, self.robot, self.seed)
+            view(made, self.web)
 
 
 @dataclass(frozen=True)
@@ -263,3 +287,24 @@ class Robots:
             print(f"{name:14} {origin}")
         print("any other robot with legs: the path of its MJCF or URDF")
         print("`surefoot robots NAME|FILE` shows what is read from one")
+
+
+@dataclass(frozen=True)
+class New:
+    """Write a package of your own that works as it is: an estimator with its test."""
+
+    kind: Positional[Literal["estimator"]]
+    name: Positional[str]
+    """Of the estimator: small letters, digits and underscores."""
+    out: Annotated[Path | None, arg(aliases=["-o"])] = None
+    """Folder for it; NAME where left out."""
+    force: Force = False
+
+    def run(self) -> None:
+        from surefoot.scenarios.skeleton import new_estimator
+
+        folder = self.out or Path(self.name)
+        for path in new_estimator(self.name, folder, self.force):
+            print(path)
+        print(f"try it: cd {folder}; pytest; surefoot --plugin {self.name}.py estimate --help")
+        print("keep it: pip install --editable .")

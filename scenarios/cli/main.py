@@ -9,7 +9,7 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
 
 import surefoot
-from surefoot.scenarios.cli.data import Align, Export, Import, Info, Robots, Simulate, View
+from surefoot.scenarios.cli.data import Align, Export, Import, Info, New, Robots, Simulate, View
 from surefoot.scenarios.cli.estimate import Calibrate, Compare, Estimate, NoiseCommand, Train
 from surefoot.scenarios.cli.runs import (
     guarded,
@@ -24,6 +24,7 @@ from surefoot.scenarios.cli.study import (
     ExperimentCommand,
     LoopCommand,
     Montecarlo,
+    PlanCommand,
     Realism,
     Suite,
     TraceCommand,
@@ -31,6 +32,7 @@ from surefoot.scenarios.cli.study import (
     Walking,
 )
 from surefoot.sim.common.errors import SurefootError, did_you_mean
+from surefoot.sim.common.plugins import with_plugins
 
 COMMANDS: dict[str, type] = {
     "demo": Demo,
@@ -45,6 +47,7 @@ COMMANDS: dict[str, type] = {
     "trace": TraceCommand,
     "loop": LoopCommand,
     "realism": Realism,
+    "plan": PlanCommand,
     "montecarlo": Montecarlo,
     "import": Import,
     "info": Info,
@@ -52,6 +55,7 @@ COMMANDS: dict[str, type] = {
     "align": Align,
     "view": View,
     "robots": Robots,
+    "new": New,
     "walking": Walking,
     "tune": Tune,
     "bench": Bench,
@@ -101,7 +105,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         with interruptions():
             given = sys.argv[1:] if arguments is None else arguments
-            name, command = _parsed(given)
+            name, command = _parsed(with_plugins(given))
             with guarded(name, command):
                 command.run()
             sys.stdout.flush()

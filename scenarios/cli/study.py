@@ -12,6 +12,7 @@ from surefoot.scenarios.cli.options import (
     Declared,
     Force,
     Holdout,
+    Json,
     Observers,
     Out,
     RobotName,
@@ -19,6 +20,7 @@ from surefoot.scenarios.cli.options import (
     Workers,
     learnt_from,
     not_plausible,
+    print_json,
     read_logs,
 )
 from surefoot.sim.common.errors import SurefootError
@@ -353,3 +355,25 @@ class Bench:
         from surefoot.scenarios.studies.bench.run import bench
 
         print(bench(self.rounds, self.only, self.page))
+
+
+@dataclass(frozen=True)
+class PlanCommand:
+    """Which motion would show each effect, how long it takes, and which other effect hides it."""
+
+    robot: str
+    """Name or file of the robot, a quadruped that walks in simulation."""
+    effects: Positional[tuple[str, ...]]
+    """Names of effects, such as encoder_offset; `surefoot trace` looks for all of them."""
+    as_json: Json = False
+
+    def run(self) -> None:
+        from surefoot.scenarios.motion_plan import plan_motions, plan_text, table
+        from surefoot.scenarios.reporting.progress import percent_bar
+        from surefoot.sim.robot import Robot
+
+        if not self.effects:
+            raise SurefootError("name at least one effect")
+        with percent_bar("plan") as bar:
+            found = plan_motions(Robot.load(self.robot), self.effects, bar)
+        print_json(table(found)) if self.as_json else print(plan_text(found))

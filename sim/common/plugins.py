@@ -13,7 +13,7 @@ its own for one run, `surefoot --plugin FILE.py ...`, by a dict of groups:
 
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import module_from_spec, spec_from_file_location
@@ -158,6 +158,17 @@ def load_plugin(file: str | Path) -> None:
     # Workers of this process are given the same files.
     os.environ[FILES] = os.pathsep.join(sorted(_LOADED))
     plugins.cache_clear()
+
+
+def with_plugins(arguments: Sequence[str]) -> list[str]:
+    """The arguments of a command without `--plugin FILE`, whose files are loaded."""
+    others, rest = [], iter(arguments)
+    for one in rest:
+        if one == "--plugin" or one.startswith("--plugin="):
+            load_plugin(one.partition("=")[2] or next(rest, ""))
+        else:
+            others.append(one)
+    return others
 
 
 def _what(point: EntryPoint) -> str:

@@ -13,6 +13,7 @@ from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.gait.irregular import stride_at
 from surefoot.sim.gait.options import PLAIN_GAIT, GaitOptions
+from surefoot.sim.gait.patterns import pattern_named
 from surefoot.sim.gait.stance_control import stiffen, support
 from surefoot.sim.gait.state import REACHING, STANCE, SWING, Command, Feet, Gait, LegMemory
 from surefoot.sim.gait.swing import swing
@@ -41,7 +42,7 @@ def gait_for(
     gain: float = 1.0,
     options: GaitOptions = PLAIN_GAIT,
 ) -> Gait:
-    """The trot of a robot.
+    """The gait of a robot.
 
     Args:
         robot: whose size and masses scale the gait.
@@ -51,12 +52,12 @@ def gait_for(
         gain: factor of the controller's gains.
         options: what else the gait has.
     """
-    length = robot.leg_length
+    length, pattern = robot.leg_length, pattern_named(options.pattern)
     home_B = robot.feet_I(robot.q_home[None])[0] @ robot.R_BI.T + robot.p_BI
     mass, com_B, inertia, foot_mass = robot.inertial
     return Gait(
-        period=period * 0.5 * np.sqrt(length / 0.66),
-        duty=options.duty,
+        period=pattern.period * period * 0.5 * np.sqrt(length / 0.66),
+        duty=max(options.duty, pattern.duty),
         clearance=clearance * 0.11 * length,
         height=float(robot.foot_radius.mean() - home_B[:, 2].mean()),
         mass=mass,
@@ -68,7 +69,7 @@ def gait_for(
         foot_mass=foot_mass,
         leg_length=length,
         start=start,
-        phase=np.array([0.0, 0.5, 0.5, 0.0]),
+        phase=-np.array(pattern.phase) % 1.0,
         friction_clamp=0.6,
         capture=0.75 * np.sqrt(length / GRAVITY),
         course_gain=gain * 4.0,

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, fields
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.gait.patterns import pattern_named
 
 
 @dataclass(frozen=True)
@@ -15,6 +16,7 @@ class GaitOptions:
     Go1 (Margolis and Agrawal, "Walk These Ways", CoRL 2022), 0.4 m g L and 25 ms.
     """
 
+    pattern: str = "trot"  # or walk, pace, or a gait of your own (surefoot.sim.gait.patterns)
     duty: float = 0.6  # share of the stride that a foot is planned to stand
     unloading: float = 0.15  # share of the stance over which a foot's load comes, and goes
     period_jitter: float = 0.0  # standard deviation of a stride's period, as a share of it
@@ -30,7 +32,8 @@ class GaitOptions:
     noise_time: float = 0.1  # s, correlation time of both
 
     def __post_init__(self):
-        for name in (part.name for part in fields(self)):
+        pattern_named(self.pattern)
+        for name in (part.name for part in fields(self) if part.name != "pattern"):
             if not getattr(self, name) >= 0.0:
                 raise SurefootError(f"{name} must not be negative, is {getattr(self, name):g}")
         ranges = ("duty", 0.4, 0.9), ("unloading", 0.01, 0.5), ("slip_care", 0.0, 1.0)

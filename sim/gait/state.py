@@ -26,7 +26,7 @@ class Gait(NamedTuple):
     foot_mass: float  # kg, of a leg as felt at its foot
     leg_length: float  # m
     start: float  # s, first step
-    phase: np.ndarray  # (4,) share of the period by which each leg's stance begins later
+    phase: np.ndarray  # (4,) share of the period by which each leg's stance begins earlier
     friction_clamp: float  # tangential over normal foot force
     capture: float  # s, foothold per velocity error
     course_gain: float  # 1/s, force per velocity error and mass

@@ -1,0 +1,152 @@
+"""`surefoot plan`: which motion would show each effect, how long it takes, and what hides it.
+
+The robot walks short motions as its model says, and the residual's derivatives by every candidate
+effect are taken from these walks. For a Gaussian noise of the size of the residuals and Gaussian
+priors (`surefoot.models.attribution.priors`), the covariance of all sizes together is
+(f X^T W X + P)^-1, where f is how often the motion is repeated. An effect is shown by a motion when
+its deviation there is a tenth of what its prior allows.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from surefoot.models.attribution.evidence import Evidence, Key, all_keys, linearise, log_under_model
+from surefoot.models.attribution.fit import design
+from surefoot.models.attribution.priors import prior_of
+from surefoot.scenarios.reporting.tables import to_markdown
+from surefoot.sim.common.errors import SurefootError, did_you_mean
+from surefoot.sim.effects import known_effects
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
+
+SHOWN = 0.1
+"""Of the size that 19 of 20 machines stay below: a deviation that shows an effect."""
+LONGEST = 600.0
+"""s of one motion: whoever needs more is better served by another one."""
+SECONDS = 4.0
+"""s of a walk, from which longer ones are calculated."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """How a motion shows one effect: seconds [s] that it takes, infinite where LONGEST does not
+    do; deviation, as a share of the prior's size, after LONGEST; rival: the candidate whose size
+    errs most with it, and their correlation then."""
+
+    seconds: float
+    deviation: float
+    rival: Key | None
+    correlation: float
+
+
+def motions(robot: Robot) -> dict[str, tuple[Segment, ...]]:
+    """Motions to choose from, at the pace of the robot's legs."""
+    v, t = 0.6 * np.sqrt(robot.leg_length / 0.66), SECONDS
+    return {
+        "stand": (Segment(t),),
+        "walk straight": (Segment(t, v),),
+        "walk in circles, both ways": (Segment(t / 2, v, turn=0.5), Segment(t / 2, v, turn=-0.5)),
+        "walk sideways, both ways": (Segment(t / 2, 0.0, v / 3), Segment(t / 2, 0.0, -v / 3)),
+        "start and stop": tuple(Segment(t / 4, s * v) for s in (1.4, 0.2, 1.4, 0.2)),
+    }
+
+
+def plan_motions(
+    robot: Robot, effects: Sequence[str], progress: Callable[[float], None] = lambda share: None
+) -> dict[Key, dict[str, Shown]]:
+    """For each target of the effects, how each motion shows it.
+
+    Raises SurefootError for an effect that is unknown.
+    """
+    known = known_effects()
+    for name in effects:
+        if name not in known:
+            hint = did_you_mean(name, known)
+            raise SurefootError(f"unknown effect '{name}'; known: {', '.join(known)}{hint}")
+    found: dict[Key, dict[str, Shown]] = {}
+    tried = motions(robot)
+    for k, (motion, segments) in enumerate(tried.items()):
+        log = walk(Scenario("plan", segments, Ground(0.8)), robot, seed=0)
+        case = log_under_model(log, robot)
+        keys = [key for key in all_keys(case) if key[1] not in _groups(key, robot)]
+        information, prior = _information(linearise([case], (), keys), keys)
+        for i, key in enumerate(keys):
+            if key[0] in effects:
+                found.setdefault(key, {})[motion] = _shown(information, prior, i, keys)
+        progress((k + 1) / len(tried))
+    return found
+
+
+def _groups(key: Key, robot: Robot) -> tuple[str, ...]:
+    """Targets that stand for several others, which say nothing that these do not."""
+    return tuple(known_effects()[key[0]].group_targets(robot.limbs))
+
+
+def _information(evidence: Evidence, keys: Sequence[Key]) -> tuple[np.ndarray, np.ndarray]:
+    """X^T W X (P, P) of candidates and free parts, and the diagonal (P,) of their priors' inverse
+    covariance."""
+    columns = design(evidence)
+    total = np.zeros((columns.size, columns.size))
+    for y, rows, X, which in zip(columns.y.T, columns.rows, columns.X, columns.which, strict=True):
+        if len(rows) and len(which):
+            sigma = 1.4826 * np.median(np.abs(y[rows] - np.median(y[rows])))
+            if sigma > 0.0:
+                total[np.ix_(which, which)] += X.T @ X / sigma**2
+    within = [prior_of(known_effects()[name]).within / 1.96 for name, _ in keys]
+    return total, np.concatenate([np.array(within), evidence.limits]) ** -2.0
+
+
+def _shown(information: np.ndarray, prior: np.ndarray, i: int, keys: Sequence[Key]) -> Shown:
+    def covariance(seconds: float) -> np.ndarray:
+        return np.linalg.inv(seconds / SECONDS * information + np.diag(prior))
+
+    allowed = 1.96 * prior[i] ** -0.5
+    after = covariance(LONGEST)
+    deviations = np.sqrt(np.diag(after))
+    correlations = after[i, : len(keys)] / (deviations[i] * deviations[: len(keys)])
+    correlations[i] = 0.0
+    rival = int(np.argmax(np.abs(correlations)))
+    share, low, high = float(deviations[i] / allowed), 0.0, LONGEST
+    for _ in range(20):
+        middle = 0.5 * (low + high)
+        enough = np.sqrt(covariance(middle)[i, i]) <= SHOWN * allowed
+        low, high = (low, middle) if enough else (middle, high)
+    seconds = high if share <= SHOWN else np.inf
+    near = abs(correlations[rival]) > 0.5
+    return Shown(seconds, share, keys[rival] if near else None, float(correlations[rival]))
+
+
+def table(found: dict[Key, dict[str, Shown]]) -> list[dict[str, object]]:
+    """A row an effect: its hardest target, the motion that shows that soonest, and its rival."""
+    hardest: dict[str, tuple[Key, str, Shown]] = {}
+    for key, by_motion in found.items():
+        motion, best = min(by_motion.items(), key=lambda one: (one[1].seconds, one[1].deviation))
+        held = hardest.get(key[0])
+        if held is None or (best.seconds, best.deviation) > (held[2].seconds, held[2].deviation):
+            hardest[key[0]] = (key, motion, best)
+    return [
+        {
+            "effect": name,
+            "hardest to show": key[1],
+            "motion": motion if np.isfinite(best.seconds) else "none of these",
+            "seconds": max(1.0, best.seconds) if np.isfinite(best.seconds) else None,
+            "deviation after 10 min [%]": 100.0 * best.deviation,
+            "hidden by": f"{best.rival[0]} {best.rival[1]}" if best.rival else "",
+        }
+        for name, (key, motion, best) in hardest.items()
+    ]
+
+
+def plan_text(found: dict[Key, dict[str, Shown]]) -> str:
+    """The table, and what its columns mean."""
+    return (
+        f"{to_markdown(table(found))}\n\n"
+        "seconds: of that motion, until the deviation of the effect's size is a tenth of what 19 "
+        "of 20 machines stay below, all other effects unknown too. hidden by: the effect whose "
+        "size errs with it. Simulated, with noise of single readings alone: take several times as "
+        "long."
+    )

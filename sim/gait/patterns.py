@@ -1,0 +1,57 @@
+"""Gaits by name: when each foot lands within a stride, how long it stands, how long a stride lasts.
+
+A gait of your own is a class with these attributes, offered under the entry points
+`surefoot.gaits`; a scenario walks it by `[gait] pattern = "NAME"`.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from surefoot.sim.common.errors import SurefootError, did_you_mean
+from surefoot.sim.common.plugins import Registry
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """A gait.
+
+    phase: share of the stride by which FL, FR, RL and RR land later than the stride begins. duty:
+    the least share of it that a foot stands. period: of a stride, as a multiple of the trot's.
+    """
+
+    phase: tuple[float, float, float, float]
+    duty: float
+    period: float = 1.0
+
+
+# Alexander, "The gaits of bipedal and quadrupedal animals", IJRR 1984: relative phases and duty
+# factors. A walk is a lateral sequence: each hind foot lands before the fore foot of its side. The
+# controller holds the body over the middle of its feet and does not sway: in a walk the foot
+# opposite to the one that swings bears little.
+_BUNDLED = {
+    "trot": Pattern((0.0, 0.5, 0.5, 0.0), 0.0),
+    "walk": Pattern((0.0, 0.5, 0.75, 0.25), 0.78, 1.6),
+    "pace": Pattern((0.0, 0.5, 0.0, 0.5), 0.6, 0.7),
+}
+
+
+def _check(name: str, pattern: Pattern) -> None:
+    """Raise SurefootError for what is no gait."""
+    phase = np.asarray(pattern.phase, dtype=float)
+    if phase.shape != (4,) or not ((phase >= 0.0) & (phase < 1.0)).all():
+        raise SurefootError("phase must be four numbers from 0 to below 1")
+    if not (0.0 <= pattern.duty <= 0.9 and 0.1 <= pattern.period <= 10.0):
+        raise SurefootError("duty must lie between 0 and 0.9, period between 0.1 and 10")
+
+
+PATTERNS = Registry("surefoot.gaits", _BUNDLED, ("phase", "duty", "period"), _check)
+"""Name -> gait."""
+
+
+def pattern_named(name: str) -> Pattern:
+    """The gait of that name. Raises SurefootError naming those there are."""
+    if name not in PATTERNS:
+        hint = did_you_mean(name, PATTERNS)
+        raise SurefootError(f"pattern must be one of {', '.join(PATTERNS)}, is '{name}'{hint}")
+    return PATTERNS[name]

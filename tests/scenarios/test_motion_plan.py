@@ -1,0 +1,45 @@
+"""What a plan of motions says: covariances of known problems, and what only turning shows."""
+
+import numpy as np
+import pytest
+
+from surefoot.scenarios.motion_plan import LONGEST, SECONDS, SHOWN, _shown, plan_motions, table
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.robot import Robot
+
+KEYS = [("one", "x"), ("other", "x")]
+
+
+def test_an_effect_alone_takes_as_long_as_its_noise_says():
+    """One size, seen with deviation s after each SECONDS: n of them give s / sqrt(n)."""
+    allowed, s = 1.0, 0.9
+    prior = np.array([1.96 / allowed, 1.96 / allowed]) ** 2
+    found = _shown(np.diag([s**-2, s**-2]), prior, 0, KEYS)
+    needed = SECONDS * s**2 * ((SHOWN * allowed) ** -2 - prior[0])
+    assert found.seconds == pytest.approx(needed, rel=1e-3)
+    assert found.rival is None
+
+
+def test_two_that_look_alike_hide_each_other():
+    """Only their sum is seen: however long, each stays as uncertain as its prior."""
+    one = np.ones((2, 2)) * 1e6
+    found = _shown(one, np.full(2, 1.96**2), 0, KEYS)
+    assert not np.isfinite(found.seconds)
+    assert found.deviation == pytest.approx(np.sqrt(0.5) / 1.96, rel=1e-2)
+    assert (found.rival, found.correlation) == (KEYS[1], pytest.approx(-1.0, abs=1e-3))
+    assert LONGEST > SECONDS
+
+
+def test_an_unknown_effect_is_answered_by_the_nearest():
+    with pytest.raises(SurefootError, match="did you mean 'gyro_scale'"):
+        plan_motions(Robot.load("spot_class"), ["gyro_scal"])
+
+
+@pytest.mark.slow
+def test_a_scale_about_the_vertical_wants_turning_and_hips_hide_behind_the_leg_s_heading():
+    found = plan_motions(Robot.load("spot_class"), ["gyro_scale", "encoder_offset"])
+    by_motion = found["gyro_scale", "z"]
+    turning = by_motion["walk in circles, both ways"]
+    assert turning.deviation < 0.5 * by_motion["walk straight"].deviation
+    rows = {row["effect"]: row for row in table(found)}
+    assert "leg_heading" in str(rows["encoder_offset"]["hidden by"])

@@ -1,0 +1,74 @@
+"""`surefoot new estimator`: what it writes passes its own test and runs beside the others."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from surefoot.scenarios.cli.main import main
+from surefoot.scenarios.estimate.contract import Estimator
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    main("new estimator two_feet".split())
+    assert "two_feet/test_two_feet.py" in capsys.readouterr().out
+    return tmp_path / "two_feet"
+
+
+def run(folder, *arguments: str) -> subprocess.CompletedProcess:
+    path = os.pathsep.join(filter(None, [str(folder), os.environ.get("PYTHONPATH")]))
+    return subprocess.run(
+        [sys.executable, *arguments],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def test_its_own_test_passes_and_fails_for_a_wrong_sign(folder):
+    pytest_ = (sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider")[1:]
+    passed = run(folder, *pytest_)
+    assert passed.returncode == 0, passed.stdout
+    module = folder / "two_feet.py"
+    module.write_text(module.read_text().replace("return -moving", "return moving"))
+    assert "failed" in run(folder, *pytest_).stdout
+
+
+def test_it_runs_as_a_plugin_and_as_a_package(folder):
+    flat = Scenario("flat", (Segment(2.0, 0.5),), Ground(0.8))
+    walk(flat, Robot.load("spot_class"), 0).write(folder / "log.parquet")
+    line = ("-m", "surefoot", "estimate", "log.parquet", "--filter", "two_feet")
+    ran = run(folder, *line, "--plugin", "two_feet.py")
+    assert "APE_trans" in ran.stdout, ran.stderr
+    # As `pip install` leaves it: a folder of metadata beside the module.
+    info = folder / "two_feet-0.1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: two-feet\nVersion: 0.1.0\n")
+    lines = (folder / "pyproject.toml").read_text().splitlines()
+    point = lines[1 + lines.index('[project.entry-points."surefoot.estimators"]')]
+    points = f"[surefoot.estimators]\n{point.replace(chr(34), '')}\n"
+    (info / "entry_points.txt").write_text(points)
+    ran = run(folder, *line)
+    assert "APE_trans" in ran.stdout, ran.stderr
+
+
+@pytest.mark.parametrize("name", ["leg", "Big", "class", "../up", "a-b"])
+def test_a_name_that_will_not_do_is_one_line(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit, match=r"already|module's name"):
+        main(["new", "estimator", name])
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_contract_is_what_the_skeleton_has(folder):
+    text = (folder / "two_feet.py").read_text()
+    assert all(f"{name} " in text or f"def {name}" in text for name in Estimator.__annotations__)
