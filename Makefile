@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo test check docs readme study study-observer study-trace study-hardware study-bounds study-montecarlo study-realism suites \
+.PHONY: setup demo test check docs readme nightly study study-observer study-trace study-hardware study-bounds study-montecarlo study-realism suites \
 	tune tune-vision60 tune-spot lock clean
 
 setup: .venv/.ready
@@ -38,6 +38,10 @@ readme: demo
 
 study: setup
 	$(BIN)/pytest -m slow -s
+
+# What takes an hour or more: a million fuzzed steps of each estimator, commands ended at random moments.
+nightly: setup
+	$(BIN)/pytest -m slow -s tests/scenarios/test_fuzzed_streams.py tests/hostile
 
 # The architectures compared over seeds, on both suites; killed, it goes on where it was.
 study-observer: setup

@@ -5,7 +5,15 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtri
 
-from surefoot.estimator.core.checks import numbers, spd, spd_3, vector
+from surefoot.estimator.core.checks import (
+    check_sound,
+    check_step,
+    check_velocity,
+    numbers,
+    spd,
+    spd_3,
+    vector,
+)
 from surefoot.estimator.core.propagation import propagate, propagate_checked
 from surefoot.estimator.core.state import EXTRA, FilterNoise, NavState
 from surefoot.estimator.evaluation.innovation_sums import empty_sums, windows_of
@@ -71,7 +79,9 @@ class InvariantFilter:
     observer's error: it becomes more states, so that successive measurements are not treated as
     independent, and coverage statements are about means (the derivation is in
     `surefoot.estimator.updates.bias_states`). Raises SurefootError on wrong shapes, values that are
-    not finite and covariances that are not positive definite.
+    not finite and covariances that are not positive definite; SampleError, of that kind, for steps
+    and readings that no sensor gives; DivergedError once the state says nothing any more. Whatever
+    is raised, the filter is as it was.
     """
 
     def __init__(
@@ -111,15 +121,14 @@ class InvariantFilter:
         except TypeError:
             done = False
         if not done:
-            gyro, accel = numbers("gyro", gyro, (3,)), numbers("accel", accel, (3,))
-            if not 0.0 < dt < np.inf:
-                raise SurefootError(f"dt: {dt} where a number > 0 is expected")
+            gyro, accel, dt = check_step(gyro, accel, dt)
+            check_sound(self._mean, self._covariance)
             propagate(
                 self._mean,
                 self._covariance,
                 gyro,
                 accel,
-                float(dt),
+                dt,
                 self._noise,
                 self._columns,
                 self._rotation_columns,
@@ -150,12 +159,13 @@ class InvariantFilter:
             max_error: errors beyond (3,) [m/s] are outliers and rejected
                 (`surefoot.estimator.updates.outliers`); a persistent part has its own.
         """
-        v_I, epsilon = vector("v_I", v_I), vector("epsilon", epsilon)
+        v_I, epsilon = check_velocity(v_I), vector("epsilon", epsilon)
         if not min(epsilon.tolist()) > 0:
             raise SurefootError("epsilon: every bound must be > 0 m/s")
         _check_level(gamma, iterations)
         limit = UNLIMITED if max_error is None else _limit(max_error, self._persistent is not None)
         mean, covariance, counts = self._mean, self._covariance, self._counts
+        check_sound(mean, covariance)
         if self._persistent:
             return update_coverage_persistent(
                 mean,
@@ -177,7 +187,8 @@ class InvariantFilter:
         error, and the distance is nan where v_I was rejected as an outlier.
         """
         if self._persistent:
-            v_I, cov = vector("v_I", v_I), spd_3("cov", cov)
+            v_I, cov = check_velocity(v_I), spd_3("cov", cov)
+            check_sound(self._mean, self._covariance)
             return update_velocity_persistent(
                 self._mean, self._covariance, v_I, cov, self._persistent, self._counts
             )
@@ -187,7 +198,8 @@ class InvariantFilter:
             distance = -1.0
         if distance >= 0.0:
             return distance
-        v_I, cov = vector("v_I", v_I), spd_3("cov", cov)
+        v_I, cov = check_velocity(v_I), spd_3("cov", cov)
+        check_sound(self._mean, self._covariance)
         return update_velocity(self._mean, self._covariance, 0, v_I, cov)
 
     def run(

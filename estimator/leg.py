@@ -5,7 +5,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from surefoot.estimator.core.checks import numbers, spd, spd_3, vector
+from surefoot.estimator.core.checks import (
+    MOST_RATE,
+    MOST_REACH,
+    SampleError,
+    all_within,
+    check_sound,
+    check_step,
+    check_velocity,
+    numbers,
+    spd,
+    spd_3,
+)
 from surefoot.estimator.core.state import EXTRA, FilterNoise, NavState
 from surefoot.estimator.evaluation.innovation_sums import empty_sums, windows_of
 from surefoot.estimator.evaluation.trajectory import Trajectory
@@ -73,8 +84,8 @@ class LegFilter:
     feet, or one value a foot (K,); `feet` is K. slip_gate, where given, is the squared Mahalanobis
     distance (3 degrees of freedom; 16.27 is passed by chance once in 1000) of an innovation, or of
     their running mean, beyond which a foot slips and is left out (`leg_slip`); where all feet fail
-    for long, the filter takes back what it claims and lets them in again. Raises SurefootError on
-    bad input.
+    for long, the filter takes back what it claims and lets them in again. Raises as
+    `InvariantFilter` does.
     """
 
     def __init__(
@@ -103,11 +114,12 @@ class LegFilter:
         foot_rates_I (K, 3) [rad/s]: angular velocity of each foot relative to the body now, in I;
         over the step the mean with the last call's is taken. Feet of radius 0 need none.
         """
-        gyro, accel = vector("gyro", gyro), vector("accel", accel)
-        if not 0.0 < dt < np.inf:
-            raise SurefootError(f"dt: {dt} where a number > 0 is expected")
+        gyro, accel, dt = check_step(gyro, accel, dt)
         rates = self._rates(foot_rates_I)
-        propagate_contacts(self._memory, self._model, gyro, accel, float(dt), rates)
+        if not all_within(rates.reshape(-1), MOST_RATE):
+            raise SampleError(f"foot_rates_I: beyond {MOST_RATE:g} rad/s")
+        check_sound(self._memory.mean, self._memory.covariance)
+        propagate_contacts(self._memory, self._model, gyro, accel, dt, rates)
 
     def _rates(self, foot_rates_I, rows: tuple[int, ...] = ()) -> np.ndarray:
         """Checked rates (*rows, K, 3) of the feet, zero where none are needed."""
@@ -127,7 +139,10 @@ class LegFilter:
         feet = len(self._model.radius)
         positions = numbers("foot_positions_I", foot_positions_I, (feet, 3))
         cov = numbers("covariance", covariance, (feet, 3, 3))
+        if not all_within(positions.reshape(-1), MOST_REACH):
+            raise SampleError(f"foot_positions_I: beyond {MOST_REACH:g} m")
         in_contact = _flags(in_contact, (feet,))
+        check_sound(self._memory.mean, self._memory.covariance)
         for k in np.flatnonzero(in_contact):
             spd_3(f"covariance of foot {k}", cov[k])
         update_contacts(self._memory, self._model.gate, positions, in_contact, cov)
@@ -135,7 +150,8 @@ class LegFilter:
 
     def update_velocity(self, v_I: np.ndarray, cov: np.ndarray) -> float:
         """Gaussian update with a velocity (3,) [m/s] in I, as `InvariantFilter.update_velocity`."""
-        v_I, cov = vector("v_I", v_I), spd_3("cov", cov)
+        v_I, cov = check_velocity(v_I), spd_3("cov", cov)
+        check_sound(self._memory.mean, self._memory.covariance)
         memory, feet = self._memory, len(self._model.radius)
         return update_velocity(memory.mean, memory.covariance, feet, v_I, cov)
 

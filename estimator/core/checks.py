@@ -1,4 +1,5 @@
-"""What the filters accept: arrays of the right shape, finite, and covariances that are definite."""
+"""What the filters accept: arrays of the right shape, finite, of sizes that sensors have, and
+covariances that are definite; and states that arithmetic still holds."""
 
 import numpy as np
 
@@ -6,6 +7,34 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import kernel
 
 _FLOAT = np.dtype(float)
+
+MOST_GYRO = 200.0
+"""rad/s. The fastest gyros of IMUs end at 4000 deg/s, 70 rad/s."""
+MOST_ACCEL = 1e4
+"""m/s^2. Accelerometers that are made for shocks end at 400 g; a foot's impact has some 10 g."""
+MOST_STEP = 10.0
+"""s between samples. What follows a longer silence is a new beginning: by then an IMU of 1 mg and
+0.1 deg/s has lost its place by a metre, and what moved it meanwhile was not measured."""
+MOST_SPEED = 1e3
+"""m/s of a measured velocity: three times that of sound."""
+MOST_ANGLE, MOST_RATE, MOST_TORQUE = 1e4, 1e3, 1e6
+"""rad, rad/s and N m of a joint: 1500 turns, the speed of a bare motor, beyond any machine."""
+MOST_REACH = 1e2
+"""m from the IMU to a foot."""
+MOST_DEVIATION = np.repeat([1e3, 1e7, 1e11, 1e3, 1e3], 3)
+"""Deviations (15,) of rotation [rad], velocity [m/s], position [m] and biases [m/s^2, rad/s] beyond
+which a filter has diverged: an IMU alone stays below them for a day, and doubles hold covariances
+that differ by no more."""
+MOST_MEAN = np.array([1.1, 1.1, 1.1, 1e7, 1e11, 1e4, 1e3])
+"""The same of the packed mean's rows: rotation, velocity, position and biases."""
+
+
+class SampleError(SurefootError):
+    """A sample that a filter does not take; the filter is as it was before it."""
+
+
+class DivergedError(SurefootError):
+    """A filter whose state says nothing any more; it takes no further sample."""
 
 
 def numbers(name: str, value, shape: tuple) -> np.ndarray:
@@ -77,9 +106,55 @@ def spd(name: str, value, size: int) -> np.ndarray:
 
 
 @kernel
-def finite_3(x) -> bool:
-    """Whether x is three finite numbers."""
-    return x.shape[0] == 3 and np.isfinite(x[0]) and np.isfinite(x[1]) and np.isfinite(x[2])
+def all_within(x, most: float) -> bool:
+    """Whether all of x (N,) are numbers no further from zero than `most`."""
+    inside = True
+    for i in range(x.shape[0]):
+        inside &= abs(x[i]) <= most
+    return inside
+
+
+@kernel
+def is_sound(mean, covariance) -> bool:
+    """Whether mean (7+E, 3) and covariance (15+3E, 15+3E) are within MOST_MEAN, MOST_DEVIATION."""
+    sound = True
+    for i in range(7):
+        for j in range(3):
+            sound &= abs(mean[i, j]) <= MOST_MEAN[i]
+    for i in range(15):
+        sound &= 0.0 <= covariance[i, i] <= MOST_DEVIATION[i] ** 2
+    return sound
+
+
+def check_sound(mean: np.ndarray, covariance: np.ndarray) -> None:
+    """Raise DivergedError where a filter's state is not sound."""
+    if not is_sound(mean, covariance):
+        raise DivergedError("the filter has diverged: begin a new one")
+
+
+def check_step(gyro, accel, dt: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """An IMU's means over a step. Raises SampleError for one that no IMU gives."""
+    try:
+        gyro, accel, dt = vector("gyro", gyro), vector("accel", accel), float(dt)
+    except (SurefootError, TypeError, ValueError) as error:
+        raise SampleError(f"{error}") from None
+    if not 0.0 < dt <= MOST_STEP:
+        raise SampleError(f"dt: {dt} where a number > 0 and at most {MOST_STEP:g} s is expected")
+    for name, value, most, unit in (
+        ("gyro", gyro, MOST_GYRO, "rad/s"),
+        ("accel", accel, MOST_ACCEL, "m/s^2"),
+    ):
+        if not all_within(value, most):
+            raise SampleError(f"{name}: beyond {most:g} {unit}, which no sensor reads")
+    return gyro, accel, dt
+
+
+def check_velocity(v_I) -> np.ndarray:
+    """A measured velocity (3,) [m/s]. Raises SampleError for one that nothing with legs has."""
+    v_I = vector("v_I", v_I)
+    if not all_within(v_I, MOST_SPEED):
+        raise SampleError(f"v_I: beyond {MOST_SPEED:g} m/s")
+    return v_I
 
 
 def row_indices(rows, count: int, n: int) -> np.ndarray:

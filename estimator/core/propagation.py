@@ -18,7 +18,13 @@ the sample is, so Q_d = B (Q/dt) B^T + walks.
 
 import numpy as np
 
-from surefoot.estimator.core.checks import finite_3
+from surefoot.estimator.core.checks import (
+    MOST_ACCEL,
+    MOST_GYRO,
+    MOST_STEP,
+    all_within,
+    is_sound,
+)
 from surefoot.estimator.core.lie import entire, gammas
 from surefoot.estimator.core.state import B_A, B_G, P, V
 from surefoot.sim.common.gravity import GRAVITY
@@ -223,7 +229,8 @@ def _add_rows(M, columns, rotation_columns, dt: float):
 # call: with a signature it takes C-contiguous float arrays alone (TypeError otherwise).
 @kernel(signature="b1(f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, f8[:,::1], f8[:,::1], f8[:,::1])")
 def propagate_checked(mean, covariance, gyro, accel, dt, noise, columns, rotation_columns) -> bool:
-    """`propagate` for finite samples and dt > 0: True, or False with nothing changed.
+    """`propagate` for a sample that an IMU gives and a sound state: True, or False with nothing
+    changed.
 
     Args:
         mean: (7+E, 3), the packed mean, in place.
@@ -235,7 +242,10 @@ def propagate_checked(mean, covariance, gyro, accel, dt, noise, columns, rotatio
         columns: (15+3E, 6), work space for B; its rows of extras are the caller's.
         rotation_columns: (3E, 3), coupling of the extras to the rotation error.
     """
-    if not (finite_3(gyro) and finite_3(accel) and 0.0 < dt < np.inf):
+    plausible = gyro.shape[0] == 3 and accel.shape[0] == 3 and 0.0 < dt <= MOST_STEP
+    if not (plausible and all_within(gyro, MOST_GYRO) and all_within(accel, MOST_ACCEL)):
+        return False
+    if not is_sound(mean, covariance):
         return False
     propagate(mean, covariance, gyro, accel, dt, noise, columns, rotation_columns)
     return True

@@ -131,6 +131,7 @@ def propagate_bias(mean, covariance, model, dt: float):
         for j in range(covariance.shape[0]):
             covariance[j, BIAS_AT + i] *= keep
             covariance[j, BIAS_AT + i] += (1.0 - keep) * covariance[j, COURSE_AT + i]
+    for i in range(3):
         for j in range(3):
             covariance[BIAS_AT + i, BIAS_AT + j] += (1.0 - keep * keep) * model.covariance[i, j]
 

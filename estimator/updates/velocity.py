@@ -2,9 +2,16 @@
 
 import numpy as np
 
-from surefoot.estimator.core.checks import definite_3, finite_3
+from surefoot.estimator.core.checks import MOST_SPEED, all_within, definite_3, is_sound
 from surefoot.estimator.updates.velocity_output import inverse_3, lift, velocity_output
 from surefoot.sim.common.kernels import kernel
+
+LEAST = 1e-8
+"""Share of the prior's variances: a measurement as exact leaves variances that come out of a
+cancellation of eight digits."""
+ROUNDING = 1e-12
+"""Share of the prior's variances that such an update keeps: some thousand roundings, so that what
+is left stays definite, and a ten-thousandth at most of what it should be."""
 
 
 @kernel
@@ -48,11 +55,18 @@ def gaussian_update(mean, covariance, contacts: int, PHt, S, residual, measureme
     """
     work = np.zeros((3, 3, 3))
     W, information, nothing = work[0], work[1], work[2]
+    much = LEAST * (S[0, 0] + S[1, 1] + S[2, 2])
+    exact = False
     for i in range(3):
+        exact |= measurement_cov[i, i] < much
         for j in range(3):
             W[i, j] = S[i, j] + measurement_cov[i, j]
+    before = np.diag(covariance).copy() if exact else residual
     inverse_3(W, information)
     lift(mean, covariance, contacts, PHt, W, residual, nothing)
+    if exact:
+        for i in range(before.shape[0]):
+            covariance[i, i] += ROUNDING * before[i]
     distance = 0.0
     for i in range(3):
         for j in range(3):
@@ -63,15 +77,18 @@ def gaussian_update(mean, covariance, contacts: int, PHt, S, residual, measureme
 # As `propagate_checked`: checks and work in one call, for a robot's own loop.
 @kernel(signature="f8(f8[:,::1], f8[:,::1], i8, f8[::1], f8[:,::1])")
 def update_velocity_checked(mean, covariance, contacts, v_I, cov) -> float:
-    """`update_velocity` of a valid measurement; -1 with nothing changed for any other.
+    """`update_velocity` of a valid measurement and a sound state; -1 with nothing changed for any
+    other.
 
     Args:
         mean: (7+E, 3), the packed mean.
         covariance: (15+3E, 15+3E).
         contacts: number of contact points in the state.
-        v_I: (3,) [m/s] in I, finite.
+        v_I: (3,) [m/s] in I, within MOST_SPEED.
         cov: (3, 3) [m^2/s^2], positive definite.
     """
-    if not finite_3(v_I) or cov.shape != (3, 3) or not definite_3(cov):
+    if v_I.shape[0] != 3 or not all_within(v_I, MOST_SPEED):
+        return -1.0
+    if cov.shape != (3, 3) or not definite_3(cov) or not is_sound(mean, covariance):
         return -1.0
     return update_velocity(mean, covariance, contacts, v_I, cov)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from surefoot.estimator.core.checks import check_velocity, spd_3
 from surefoot.estimator.core.state import FilterNoise, NavState
 from surefoot.estimator.evaluation.trajectory import Trajectory
 from surefoot.estimator.filter import CoverageSettings, InvariantFilter
@@ -26,6 +27,7 @@ from surefoot.scenarios.estimate.contract import (
     Parameter,
     Sample,
     Update,
+    check_sample,
     measured,
 )
 from surefoot.scenarios.estimate.radar_velocity import radar_of, with_radar
@@ -288,6 +290,7 @@ class ImuStream:
 
     def step(self, sample: Sample) -> Update | None:
         """Predict."""
+        check_sample(sample, self.filter.t)
         if not np.isnan(self.filter.t):
             self.filter.predict(sample.gyro, sample.accel, sample.t - self.filter.t)
         self.filter.t = sample.t
@@ -363,11 +366,12 @@ class ObserverFusion(ImuStream):
 
     def step(self, sample: Sample) -> Update | None:
         """Predict, and update where the observer has a velocity."""
-        super().step(sample)
+        check_sample(sample, self.filter.t)
         joints = [None if x is None else x[None] for x in (sample.q, sample.dq, sample.tau)]
         rows, velocities, predicted = self._advance(
             np.array([sample.t]), sample.gyro[None], *joints
         )
+        super().step(sample)
         if not len(rows):
             return None
         v_I, fusion = velocities[0], self._fusion
@@ -460,6 +464,8 @@ class LegStream:
 
     def step(self, sample: Sample) -> Update | None:
         """Predict, and update with the contacts."""
+        check_sample(sample, self.filter.t)
+        radar = self._radar(sample)
         if self._robot is None:
             foot_I, contact = measured(sample, "foot_I", "contact")
             feet_I, cov, rates = self._given(foot_I[None])
@@ -472,11 +478,18 @@ class LegStream:
             self.filter.predict(sample.gyro, sample.accel, sample.t - self.filter.t, now)
         self.filter.t = sample.t
         self.filter.update_contacts(feet_I[0], contact, cov[0])
-        if self._inflation is not None and sample.extra is not None:
-            rows, v_I, v_cov = radar_of({name: np.array([x]) for name, x in sample.extra.items()})
-            if len(rows):
-                self.filter.update_velocity(v_I[0], self._inflation * v_cov[0])
+        if radar is not None:
+            self.filter.update_velocity(*radar)
         return None
+
+    def _radar(self, sample: Sample) -> tuple[np.ndarray, np.ndarray] | None:
+        """A radar's velocity (3,) [m/s] and its covariance (3, 3), None where it saw none."""
+        if self._inflation is None or sample.extra is None:
+            return None
+        rows, v_I, cov = radar_of({name: np.array([x]) for name, x in sample.extra.items()})
+        if not len(rows):
+            return None
+        return check_velocity(v_I[0]), spd_3("x_radar_cov", self._inflation * cov[0])
 
     def run(self, log: Log, rows: np.ndarray, more: bool = False) -> Trajectory:
         """Predict and update over the rows of a log; the estimates at `rows` of them."""

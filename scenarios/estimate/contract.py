@@ -21,6 +21,17 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
+from surefoot.estimator.core.checks import (
+    MOST_ACCEL,
+    MOST_ANGLE,
+    MOST_GYRO,
+    MOST_RATE,
+    MOST_REACH,
+    MOST_STEP,
+    MOST_TORQUE,
+    SampleError,
+    all_within,
+)
 from surefoot.estimator.core.state import NavState
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import Log
@@ -213,6 +224,38 @@ def measured(sample: Sample, *groups: str) -> list[np.ndarray]:
     if lacking:
         raise SurefootError(f"the sample at {sample.t:g} s lacks {', '.join(lacking)}")
     return [getattr(sample, group) for group in groups]
+
+
+def check_sample(sample: Sample, before: float) -> None:
+    """Raise SampleError, naming what is at fault, for a sample that no robot gives, or that does
+    not follow the stamp `before` [s], NaN at the first. A stream that checks it before it takes
+    anything in is as it was, and goes on with the next.
+    """
+    if not np.isfinite(sample.t):
+        raise SampleError(f"the sample's t is {sample.t}")
+    if not np.isnan(before) and not before < sample.t <= before + MOST_STEP:
+        raise SampleError(
+            f"the sample at {sample.t:.9g} s does not follow the one at {before:.9g} s, or after "
+            f"more than {MOST_STEP:g} s"
+        )
+    for name, most in MOST.items():
+        value = getattr(sample, name)
+        if value is not None and not all_within(np.asarray(value, float).ravel(), most):
+            raise SampleError(
+                f"the sample at {sample.t:.9g} s: {name} is not finite, or beyond {most:g}"
+            )
+
+
+MOST = {
+    "gyro": MOST_GYRO,
+    "accel": MOST_ACCEL,
+    "q": MOST_ANGLE,
+    "dq": MOST_RATE,
+    "tau": MOST_TORQUE,
+    "contact": 1.0,
+    "foot_I": MOST_REACH,
+}
+"""Field of a sample -> its largest size."""
 
 
 def samples(log: Log) -> Iterator[Sample]:

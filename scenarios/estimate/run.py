@@ -10,6 +10,7 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
+from surefoot.estimator.core.checks import DivergedError
 from surefoot.estimator.core.state import FilterNoise, NavState
 from surefoot.estimator.evaluation.health import Health, health
 from surefoot.estimator.evaluation.mounting_tolerance import with_mounting
@@ -288,13 +289,18 @@ def _advanced(stream: Stream, log: Log, rows: np.ndarray, more: bool) -> Traject
 
 
 def stepped(stream: Stream, log: Log, rows: np.ndarray) -> Trajectory:
-    """The estimates of a stream at rows (L,) of a log, one sample at a time."""
+    """The estimates of a stream at rows (L,) of a log, one sample at a time, up to where it says
+    that it has diverged."""
     states: list[NavState] = []
     covariances: list[np.ndarray] = []
     updates: list[tuple[float, Update]] = []
-    wanted = set(rows.tolist())
+    wanted, diverged = set(rows.tolist()), False
     for k, sample in enumerate(samples(log)):
-        update = stream.step(sample)
+        try:
+            update = stream.step(sample)
+        except DivergedError:
+            diverged = True
+            break
         if update is not None:
             updates.append((sample.t, update))
         if k in wanted:
@@ -307,7 +313,13 @@ def stepped(stream: Stream, log: Log, rows: np.ndarray) -> Trajectory:
         for name, shape in zip(names, shapes, strict=True)
     }
     covariance = np.array(covariances).reshape(-1, 15, 15)
-    return Trajectory(log.t[rows], **arrays, covariance=covariance, updates=_record(updates))
+    return Trajectory(
+        log.t[rows[: len(states)]],
+        **arrays,
+        covariance=covariance,
+        updates=_record(updates),
+        diverged=diverged,
+    )
 
 
 def _record(updates: list[tuple[float, Update]]) -> UpdateRecord | None:

@@ -99,6 +99,23 @@ def test_it_wanders_as_gauss_and_markov_say():
     assert_array_equal(P, spread)
 
 
+def test_its_covariance_is_that_of_a_dense_step():
+    """Noise of three axes that depend on each other, and steps as long as the time constant."""
+    rng = np.random.default_rng(5)
+    A = rng.normal(size=(3, 3))
+    for dt in (0.002, 3.0):
+        mean, P = prior(rng)
+        model = PersistentModel(A @ A.T, 3.5, 10, INF)
+        keep = np.exp(-dt / 3.5)
+        phi, noise = np.eye(24), np.zeros((24, 24))
+        phi[15:18, 15:18], phi[15:18, 21:24] = keep * np.eye(3), (1.0 - keep) * np.eye(3)
+        noise[15:18, 15:18] = (1.0 - keep**2) * model.covariance
+        expected = phi @ P @ phi.T + noise
+        propagate_bias(mean, P, model, dt)
+        assert_allclose(P, expected, rtol=0, atol=1e-15 * np.abs(expected).max())
+        assert_array_equal(P[15:18, 15:18], P[15:18, 15:18].T)
+
+
 def test_a_window_of_one_without_a_persistent_part_is_the_papers_update():
     state, P = NavState(v_GI=np.array([0.5, 0.1, 0.0])), np.eye(15) * 1e-2
     epsilon = np.array([0.1, 0.2, 0.05])
