@@ -22,6 +22,7 @@ from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import file_digest, whole_file
 from surefoot.sim.common.sources import code_digest, sources_digest
+from surefoot.sim.gait.patterns import pattern_named
 from surefoot.sim.log import Log
 from surefoot.sim.walk import Fallen, Plan
 from surefoot.sim.walking.batch import Job, Walked, known_robot
@@ -79,7 +80,9 @@ def recipe(job: Job) -> str:
     effects = [e.as_dict() for e in declared]
     code = [sources_digest("surefoot.sim.walking.batch"), code_digest(*map(type, declared))]
     robot = known_robot(job.robot).digest
-    parts = [repr(job.scenario), robot, job.seed, effects, code, _versions()]
+    gait = pattern_named(job.scenario.gait.pattern)
+    strides = [*map(float, gait.phase), gait.duty, gait.period]
+    parts = [repr(job.scenario), strides, robot, job.seed, effects, code, _versions()]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 

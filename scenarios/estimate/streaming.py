@@ -96,8 +96,9 @@ class StreamingEstimator:
         if self._stream is None:
             return None
         state = self._stream.state
-        fields = {name: np.asarray(value)[None] for name, value in vars(state).items()}
-        now = Trajectory(np.zeros(1), **fields, covariance=self._stream.covariance[None])
+        parts = (state.R_GI, state.v_GI, state.p_GI, state.b_a, state.b_g)
+        fields = (np.asarray(value)[None] for value in parts)
+        now = Trajectory(np.zeros(1), *fields, covariance=self._stream.covariance[None])
         found = with_mounting(now, self._mounting).covariance
         assert found is not None
         return found[0]
