@@ -45,6 +45,7 @@ from surefoot.scenarios.studies.pages import origin_of, write_page
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import clear_debris, refuse_overwrite, whole_file, whole_folder
 
+PATHS = "Paths: "
 LEARNT = (
     "Averages over the test sequences. inputs: what the observers read, q,dq,tau in the paper; "
     "feet: leg odometry of the robot as drawn. method: how each axis' bound is calibrated, "
@@ -103,8 +104,10 @@ def experiment(
             temporary.write_text(markdown_report(found.title, pages), encoding="utf-8")
         write_report(made / "report.html", found.title, pages)
     if page:
+        # Dozens of pictures of paths are for the report.
+        kept = [one for one in pages if not one.heading.startswith(PATHS)]
         command = f"surefoot {'suite' if file in SUITES else 'experiment'} {file}"
-        write_page(page, found.title, pages, origin_of(__name__, command))
+        write_page(page, found.title, kept, origin_of(__name__, command))
     print("\n" + to_markdown(averages(shown_first(rows, found))))
     for name, why in outcome.left_out.items():
         print(f"left out: {name} ({why})")
@@ -246,7 +249,7 @@ def _walks(outcome: Outcome, found: Experiment, out: Path) -> list[Section]:
             )
             picture = Picture(errors_figure(series, title), "Errors over time.")
             save_picture(picture, out / "figures" / f"errors_{_slug(condition.name)}.png")
-            pages.append(Section(f"Paths: {condition.name}", "", None, (picture, *pictures)))
+            pages.append(Section(PATHS + condition.name, "", None, (picture, *pictures)))
     return pages
 
 

@@ -244,6 +244,8 @@ def _estimates(
             experiment.filters_of(learning),
             experiment.gammas_of(learning, cell.seed),
         )
+        if learning != experiment.learning and not files.bounds:
+            why = dict.fromkeys(why, "the walk to calibrate with is too short for this method")
         for (name, gamma), one in products.items():
             inputs = learning.inputs if estimator_named(name).needs.learnt else None
             method = None if gamma is None else learning.method
