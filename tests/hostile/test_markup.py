@@ -1,7 +1,12 @@
 """Names of logs, filters and scenarios are words of a report, never its code."""
 
+from html import escape
 from html.parser import HTMLParser
 
+import pytest
+from forked import copied
+
+from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.reporting.html import Section, html_report
 from surefoot.scenarios.reporting.tables import to_html
 
@@ -37,3 +42,21 @@ def test_no_word_is_code():
     assert hostile.attributes == plain.attributes
     assert "<script" not in page.lower()
     assert "<script" not in to_html(rows).lower()
+
+
+@pytest.mark.long
+def test_no_name_of_a_log_is_code_in_a_report(good, tmp_path, monkeypatch):
+    """A slash cannot be in a file's name: the others go through the whole command."""
+    pages = []
+    for name in ("walk", "".join(evil for evil in EVIL if "/" not in evil)):
+        folder = copied(good, tmp_path / f"case{len(pages)}")
+        monkeypatch.chdir(folder)
+        (folder / "walk.parquet").rename(folder / f"{name}.parquet")
+        main(["compare", f"{name}.parquet", "-o", "new"])
+        text = (folder / "new" / "report.html").read_text(encoding="utf-8")
+        assert escape(name) in text
+        pages.append(Seen())
+        pages[-1].feed(text)
+    plain, hostile = pages
+    assert hostile.tags == plain.tags
+    assert hostile.attributes == plain.attributes
