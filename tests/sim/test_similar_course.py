@@ -1,6 +1,7 @@
 """A course of one robot at the size of another: lengths by the leg, times by its root."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +11,17 @@ from surefoot.sim.ground.terrain import Ground, Patch, Strip
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.similar_course import course_for
+from surefoot.sim.walk import walk
 
+MENAGERIE = Path(__file__).resolve().parents[3] / "shared" / "models"
+"""Robots that others drew: no part of this repository."""
+TORQUES = {
+    "anybotics_anymal_b/anymal_b": 40.0,
+    "anybotics_anymal_c/anymal_c": 80.0,
+    "unitree_a1/a1": 33.5,
+    "unitree_go1/go1": 35.55,
+}
+"""N m, the largest force range of their position servos, whose control ranges are angles."""
 SPOT = Robot.load("spot_class")
 STRIPS = (
     Strip((2.0, 0.0), (6.0, 0.0), 4.0, (0.0, 0.6), steps=5),
@@ -58,3 +69,16 @@ def test_its_own_robot_and_one_of_no_other_walk_it_as_written():
     assert course_for(free, small(0.5)) is free
     unknown = replace(COURSE, robot="nobody_knows")
     assert course_for(unknown, small(0.5)) is unknown
+
+
+@pytest.mark.parametrize("name", TORQUES)
+def test_robots_of_the_menagerie_walk_the_demo_s_hardest_course(name):
+    """Turns, a stop and ice, drawn for legs of 0.66 m; at that size those of 0.4 m fall on it."""
+    file = MENAGERIE / f"{name}.xml"
+    if not file.is_file():
+        pytest.skip(f"no {file}")
+    robot = Robot.load(file)
+    assert robot.torque_limit.max() == TORQUES[name]
+    whole = Scenario.load("demo/calibrate")
+    log = walk(replace(whole, laps=1), robot, seed=0)
+    assert log.slip.max() > 0.2
