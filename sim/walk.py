@@ -139,7 +139,9 @@ def plan(
         )
     start = SETTLE + scenario.stand
     # Feet of another radius are put down as such: a controller feels the ground that they stand on.
-    standing_on = replace(robot, foot_radius=find_legs(world.model, robot.name).foot_radius)
+    radius = find_legs(world.model, robot.name).foot_radius
+    same = np.array_equal(radius, robot.foot_radius)  # keeps the inertia that it has computed
+    standing_on = robot if same else replace(robot, foot_radius=radius)
     gait = gait_for(standing_on, start, draw.period, draw.clearance, draw.gain, scenario.gait)
     at_once = share_moved_at_once(world.model, world.springs, world.start, world.dof_adr)
     gait = gait._replace(slide_damping=min(SLIDE_MARGIN * at_once, 1.0) * gait.slide_damping)
