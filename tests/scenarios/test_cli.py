@@ -95,7 +95,7 @@ BAD = {
     "import an unknown map": ("import csv columns.csv --map no -o new.parquet", "no"),
     "import wrong columns": ("import csv columns.csv --map go1_square -o new.parquet", "column"),
     "view a missing file": ("view no.rrd", "no.rrd"),
-    "view another file": ("view short.toml", "short.toml"),
+    "view another file": ("view columns.csv", "columns.csv"),
 }
 
 
