@@ -230,7 +230,15 @@ def _result(
 def _estimates(
     experiment: Experiment, folder: Path, cell: Cell, walk: Product, learnt: Learnings
 ) -> CellResult:
-    """The same, made or found in `folder`; a walk that fell has none."""
+    """The same, made or found in `folder`; a walk that fell has none.
+
+    Args:
+        experiment: names filters and levels.
+        folder: of what is kept.
+        cell: scenario, robot and seed.
+        walk: its log.
+        learnt: observers and bounds by how they were learnt.
+    """
     if walk.facts["falls"]:
         return CellResult(walk.facts)
     found, left_out = [], {}
