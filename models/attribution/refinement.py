@@ -22,8 +22,8 @@ from surefoot.models.attribution.fit import NormalEquations, design, fit, loss, 
 from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.attribution.priors import surprise
 from surefoot.models.attribution.robust_weights import RobustWeights
-from surefoot.models.attribution.selection import Candidate
-from surefoot.models.attribution.split import FIT, REPORT, SELECT
+from surefoot.models.attribution.selection import Candidate, left_unseen
+from surefoot.models.attribution.split import REPORT
 from surefoot.models.bootstrap import block_draws
 from surefoot.sim.effects import Effect, effect
 
@@ -138,9 +138,8 @@ def _outdoes(data: NormalEquations, one: Candidate, best: Candidate, chosen: Seq
     sized = abs(one.size) > data.settings.contender_size * np.hypot(one.error, one.floor)
     if one.earned or one.at_bound or not sized or one.interval[0] <= best.gain:
         return False
-    seen, unseen = data.rows(data.part == FIT), data.rows(data.part == SELECT)
     alone, both = (
-        float(loss(unseen, fit(seen, [*chosen, *keys], errors=False).vector).sum())
+        0.5 * float(left_unseen(data, [*chosen, *keys]).sum())
         for keys in ((one.key,), (one.key, best.key))
     )
     return alone - both < data.settings.same_share * best.gain

@@ -52,6 +52,9 @@ def read_text(path: Path, source: Source) -> RecordedTable:
         raise SurefootError(f"{path}: not a text file ({error.reason})") from error
     except (pd.errors.ParserError, pd.errors.ParserWarning, csv.Error, OSError) as error:
         raise SurefootError(f"{path}: {_one_line(error)}") from error
+    if len(frame.columns) != len(header):
+        # Quotation marks hold spaces together for one of the two, and not for the other.
+        raise SurefootError(f"{path}: line {source.skip + 1}: quotation marks in the header")
     frame.columns = header
     empty = frame.isna().all(axis=1).to_numpy()
     rows = len(empty) - int(np.argmin(empty[::-1])) if not empty.all() else 0

@@ -126,6 +126,7 @@ def test_one_that_explains_more_is_tried_even_where_it_is_not_sure_of_itself():
     apart = evidence((0.01, 0.006, 0, 0))
     right, other, *_ = sorted(judged(apart), key=lambda c: KEYS.index(c.key))
     assert right.interval[0] > other.gain
+    other = replace(other, earned=True)
     assert contenders(whitened(apart), (other, replace(right, earned=False)), ()) == [other]
 
 

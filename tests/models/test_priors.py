@@ -58,7 +58,7 @@ def test_a_gyro_scale_that_no_gyro_has_needs_more_than_chance():
         )
         return next(c for c in best if c.key == ("gyro_scale", "x"))
 
-    few, many = found(0.01, 15 * NOISE), found(0.16, 240 * NOISE)
+    few, many = found(0.01, 18 * NOISE), found(0.16, 288 * NOISE)
     assert few.gain == pytest.approx(many.gain, rel=0.2)
     assert few.earned
     assert not many.earned

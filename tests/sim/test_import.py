@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
@@ -272,6 +272,7 @@ def test_a_recording_without_stamps_takes_the_rate_of_its_map(tmp_path):
 
 
 @FUZZ
+@example(content='" "')
 @given(content=st.one_of(st.binary(max_size=200), st.text("a,b1.-\n\r\"' \x00é", max_size=200)))
 def test_any_bytes_are_a_table_or_one_clear_line(tmp_path, content):
     path = tmp_path / "any.csv"
