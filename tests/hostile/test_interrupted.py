@@ -40,7 +40,7 @@ COMMANDS = {
     "train": ("train walk.parquet --inputs q,dq --model mlp -o out/o.pt", "o.pt"),
     "experiment": ("experiment grid.toml --workers 2 --no-recordings -o out", "cache/*/*.parquet"),
     "compare": ("compare walk.parquet -o out", "*.none"),
-    "estimate": ("estimate walk.parquet --filter leg -o out/leg.parquet", "leg.*"),
+    "estimate": ("estimate walk.parquet --filter imu -o out/imu.parquet", "imu.*"),
 }
 """Command, and those of its files whose bytes depend on nothing but its input."""
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
