@@ -25,7 +25,7 @@ from surefoot.sim.walk import walk
 
 SHOWN = 0.1
 """Of the size that 19 of 20 machines stay below: a deviation that shows an effect."""
-LONGEST = 600.0
+LONGEST_S = 600.0
 """s of one motion: whoever needs more is better served by another one."""
 SECONDS = 4.0
 """s of a walk, from which longer ones are calculated."""
@@ -33,8 +33,8 @@ SECONDS = 4.0
 
 @dataclass(frozen=True)
 class Shown:
-    """How a motion shows one effect: seconds [s] that it takes, infinite where LONGEST does not
-    do; deviation, as a share of the prior's size, after LONGEST; rival: the candidate whose size
+    """How a motion shows one effect: seconds [s] that it takes, infinite where LONGEST_S does not
+    do; deviation, as a share of the prior's size, after LONGEST_S; rival: the candidate whose size
     errs most with it, and their correlation then."""
 
     seconds: float
@@ -105,12 +105,12 @@ def _shown(information: np.ndarray, prior: np.ndarray, i: int, keys: Sequence[Ke
         return np.linalg.inv(seconds / SECONDS * information + np.diag(prior))
 
     allowed = 1.96 * prior[i] ** -0.5
-    after = covariance(LONGEST)
+    after = covariance(LONGEST_S)
     deviations = np.sqrt(np.diag(after))
     correlations = after[i, : len(keys)] / (deviations[i] * deviations[: len(keys)])
     correlations[i] = 0.0
     rival = int(np.argmax(np.abs(correlations)))
-    share, low, high = float(deviations[i] / allowed), 0.0, LONGEST
+    share, low, high = float(deviations[i] / allowed), 0.0, LONGEST_S
     for _ in range(20):
         middle = 0.5 * (low + high)
         enough = np.sqrt(covariance(middle)[i, i]) <= SHOWN * allowed
@@ -120,7 +120,7 @@ def _shown(information: np.ndarray, prior: np.ndarray, i: int, keys: Sequence[Ke
     return Shown(seconds, share, keys[rival] if near else None, float(correlations[rival]))
 
 
-def table(found: dict[Key, dict[str, Shown]]) -> list[dict[str, object]]:
+def motion_table(found: dict[Key, dict[str, Shown]]) -> list[dict[str, object]]:
     """A row an effect: its hardest target, the motion that shows that soonest, and its rival."""
     hardest: dict[str, tuple[Key, str, Shown]] = {}
     for key, by_motion in found.items():
@@ -144,7 +144,7 @@ def table(found: dict[Key, dict[str, Shown]]) -> list[dict[str, object]]:
 def plan_text(found: dict[Key, dict[str, Shown]]) -> str:
     """The table, and what its columns mean."""
     return (
-        f"{to_markdown(table(found))}\n\n"
+        f"{to_markdown(motion_table(found))}\n\n"
         "seconds: of that motion, until the deviation of the effect's size is a tenth of what 19 "
         "of 20 machines stay below, all other effects unknown too. hidden by: the effect whose "
         "size errs with it. Simulated, with noise of single readings alone: take several times as "

@@ -41,7 +41,7 @@ from surefoot.sim.walking.truth import foot_truth
 __all__ = ["STEPS_PER_TICK", "Fallen", "Plan", "plan", "record", "simulate", "walk"]
 
 SETTLE = 3.0  # s of standing before the log begins: a robot is switched on at rest
-SHORTEST = 0.1
+SHORTEST_WALK = 0.1
 """s of a log that a fall leaves."""
 SLIDE_MARGIN = 2.0
 """How much harder a motor may damp a sliding foot than a rigid leg would, for the inertia that it
@@ -197,7 +197,7 @@ def record(made: Plan, motion: Motion) -> Log:
 def fallen_log(made: Plan, fall: Fallen) -> Log | None:
     """The log of a walk until its fall; None of one that fell before its log began."""
     motion = fall.motion
-    enough = motion is not None and len(motion.t) and motion.t[-1] > SETTLE + SHORTEST
+    enough = motion is not None and len(motion.t) and motion.t[-1] > SETTLE + SHORTEST_WALK
     return record(made, motion) if motion is not None and enough else None
 
 

@@ -6,7 +6,7 @@ from surefoot.estimator.core.checks import MOST_SPEED, all_within, definite_3, i
 from surefoot.estimator.updates.velocity_output import inverse_3, lift, velocity_output
 from surefoot.sim.common.kernels import kernel
 
-LEAST = 1e-8
+LEAST_RELATIVE_NOISE = 1e-8
 """Share of the prior's variances: a measurement as exact leaves variances that come out of a
 cancellation of eight digits."""
 ROUNDING = 1e-12
@@ -55,7 +55,7 @@ def gaussian_update(mean, covariance, contacts: int, PHt, S, residual, measureme
     """
     work = np.zeros((3, 3, 3))
     W, information, nothing = work[0], work[1], work[2]
-    much = LEAST * (S[0, 0] + S[1, 1] + S[2, 2])
+    much = LEAST_RELATIVE_NOISE * (S[0, 0] + S[1, 1] + S[2, 2])
     exact = False
     for i in range(3):
         exact |= measurement_cov[i, i] < much

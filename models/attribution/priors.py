@@ -33,8 +33,6 @@ _TAN = "Tan et al., RSS 2018"
 _LATENCY = f"{_TAN}: latencies of 0 to 40 ms"
 _WALK = "Margolis and Agrawal, CoRL 2022, public code"
 
-Key = tuple[str, str]
-
 PRIORS: dict[str, Prior] = {
     "gyro_scale": Prior(0.03, f"{_MPU}: 3 %", most=NO_SUCH_SCALE * 0.03),
     "accel_scale": Prior(0.03, f"{_MPU}: 3 %", most=NO_SUCH_SCALE * 0.03),
@@ -105,7 +103,9 @@ STAND_FOR_ONE_ANOTHER = ("foot_rolling", "leg_compliance", "foot_elasticity", "c
 moves the foot as one that rolls does, and so does a foot that lifts before its contact ends."""
 
 
-def joint_rivals(keys: Sequence[Key], chosen: Sequence[Key], limbs: Limbs) -> list[Key]:
+def joint_rivals(
+    keys: Sequence[tuple[str, str]], chosen: Sequence[tuple[str, str]], limbs: Limbs
+) -> list[tuple[str, str]]:
     """Of the candidates those that may be hidden in one that is chosen."""
     kinds, known = STAND_FOR_ONE_ANOTHER, known_effects()
     if not any(name in kinds for name, _ in chosen):

@@ -368,7 +368,7 @@ class PlanCommand:
     as_json: Json = False
 
     def run(self) -> None:
-        from surefoot.scenarios.motion_plan import plan_motions, plan_text, table
+        from surefoot.scenarios.motion_plan import motion_table, plan_motions, plan_text
         from surefoot.scenarios.reporting.progress import percent_bar
         from surefoot.sim.robot import Robot
 
@@ -376,4 +376,4 @@ class PlanCommand:
             raise SurefootError("name at least one effect")
         with percent_bar("plan") as bar:
             found = plan_motions(Robot.load(self.robot), self.effects, bar)
-        print_json(table(found)) if self.as_json else print(plan_text(found))
+        print_json(motion_table(found)) if self.as_json else print(plan_text(found))

@@ -238,7 +238,7 @@ def check_sample(sample: Sample, before: float) -> None:
             f"the sample at {sample.t:.9g} s does not follow the one at {before:.9g} s, or after "
             f"more than {MOST_STEP:g} s"
         )
-    for name, most in MOST.items():
+    for name, most in LARGEST_READINGS.items():
         value = getattr(sample, name)
         if value is not None and not all_within(np.asarray(value, float).ravel(), most):
             raise SampleError(
@@ -246,7 +246,7 @@ def check_sample(sample: Sample, before: float) -> None:
             )
 
 
-MOST = {
+LARGEST_READINGS = {
     "gyro": MOST_GYRO,
     "accel": MOST_ACCEL,
     "q": MOST_ANGLE,

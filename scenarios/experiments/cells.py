@@ -9,7 +9,7 @@ from surefoot.scenarios.experiments.file import Condition, Experiment, walk_to_m
 from surefoot.scenarios.experiments.products import (
     CALIBRATION,
     TRAINING,
-    WALKING,
+    WALKING_MODULE,
     filter_inputs,
     job_inputs,
     learning_choices,
@@ -83,7 +83,7 @@ def cell_inputs(experiment: Experiment, cell: Cell) -> dict[str, Any]:
         "methods": [method_inputs(one.method) for one in learnings],
         "gammas": [experiment.gammas_of(one, cell.seed) for one in learnings],
         "filters": {n: filter_inputs(n, known_robot(cell.robot)) for n in experiment.filters},
-        "code": [sources_digest(module) for module in (WALKING, TRAINING, CALIBRATION)],
+        "code": [sources_digest(module) for module in (WALKING_MODULE, TRAINING, CALIBRATION)],
     }
     text = json.dumps(parts, sort_keys=True)
     return {"digest": hashlib.sha256(text.encode()).hexdigest()}

@@ -27,7 +27,7 @@ from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.walking.batch import Job, known_robot, walk_job
 
-WALKING = "surefoot.sim.walking.batch"
+WALKING_MODULE = "surefoot.sim.walking.batch"
 TRAINING = "surefoot.models.observer.training"
 CALIBRATION = "surefoot.models.calibration.calibrate"
 ESTIMATION = "surefoot.scenarios.estimate.facts"
@@ -64,7 +64,7 @@ def make_walk(folder: Path, job: Job) -> Product:
         declared = sorted({e.name for e in job.effects}) if job.declared else []
         return facts | {"robot": job.robot, "declared": declared}
 
-    return product(folder, "walk", job_inputs(job), WALKING, ".parquet", make)
+    return product(folder, "walk", job_inputs(job), WALKING_MODULE, ".parquet", make)
 
 
 def job_inputs(job: Job) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from surefoot.sim.scenario import Scenario
 from surefoot.sim.scenario_catalog import bundled_scenarios
 from surefoot.sim.walk import SETTLE, Plan, plan
 
-RATE = 50.0  # Hz, of the poses of a preview
+COURSE_RATE = 50.0  # Hz, of the poses of a preview
 
 
 def write_preview(
@@ -49,16 +49,18 @@ def write_preview(
 def _course_log(made: Plan) -> Log:
     """The robot in its home pose, carried along the course over the ground."""
     course = made.course
-    ticks = np.searchsorted(course.t, np.arange(SETTLE, course.t[-1], 1.0 / RATE))
+    ticks = np.searchsorted(course.t, np.arange(SETTLE, course.t[-1], 1.0 / COURSE_RATE))
     x, y, yaw = course.pose[ticks].T
     z = np.array([height(made.ground.relief, *at) for at in zip(x, y, strict=True)])
     p_GI = np.column_stack([x, y, z + made.gait.height]) + made.robot.p_BI
     half = 0.5 * yaw
-    columns = {"t": np.arange(len(ticks)) / RATE}
+    columns = {"t": np.arange(len(ticks)) / COURSE_RATE}
     home = zip(JOINTS, made.robot.q_home, strict=True)
     columns |= {f"q_{name}": np.full(len(ticks), q) for name, q in home}
     columns |= {f"ref_p_{a}": p for a, p in zip("xyz", p_GI.T, strict=True)}
     zero = np.zeros(len(ticks))
     columns |= {"ref_q_w": np.cos(half), "ref_q_x": zero, "ref_q_y": zero, "ref_q_z": np.sin(half)}
-    meta = Meta(RATE, robot=made.robot.name, scenario=f"{made.scenario.name}, before it is walked")
+    meta = Meta(
+        COURSE_RATE, robot=made.robot.name, scenario=f"{made.scenario.name}, before it is walked"
+    )
     return Log(pd.DataFrame(columns), meta, "course")

@@ -120,7 +120,7 @@ FILES = "SUREFOOT_PLUGINS"
 _LOADED: set[str] = set()
 _OF_FILES: dict[str, list[EntryPoint]] = {}
 """Group -> entry points of the files that this process was given."""
-GROUPS = tuple(
+PLUGIN_GROUPS = tuple(
     f"surefoot.{kind}"
     for kind in ("estimators", "effects", "channels", "architectures", "calibrators", "gaits")
 )
@@ -149,8 +149,10 @@ def load_plugin(file: str | Path) -> None:
     if not isinstance(offered, dict) or not offered:
         raise SurefootError(f'--plugin {file}: needs PLUGINS = {{"surefoot.estimators": {{...}}}}')
     for group, members in offered.items():
-        if group not in GROUPS:
-            raise SurefootError(f"--plugin {file}: no group '{group}'; known: {', '.join(GROUPS)}")
+        if group not in PLUGIN_GROUPS:
+            raise SurefootError(
+                f"--plugin {file}: no group '{group}'; known: {', '.join(PLUGIN_GROUPS)}"
+            )
         for name, member in members.items():
             value = f"{module_name}:{member.__qualname__}"
             _OF_FILES.setdefault(group, []).append(EntryPoint(name, value, group))

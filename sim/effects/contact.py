@@ -147,11 +147,19 @@ def _rate(log: Log, joint: str) -> np.ndarray:
 def _less_torque(
     log: Log, robot: Robot, one: Effect, taken: Callable[[np.ndarray], np.ndarray]
 ) -> Log:
-    """The log with the torque less what the drives take, by their rates (N,) and unit of size."""
-    columns = {}
+    """The log with the torque less what the drives take, by their rates (N,) and unit of size.
+
+    What was commanded is less by that too: a motor that turns a stiff drive does what it is asked.
+    """
+    columns, asked = {}, log.has("tau_ff") or log.has("q_des")
     for joint in one.members(robot.limbs):
-        torque = log.columns[f"tau_{joint}"]
-        columns[f"tau_{joint}"] = torque - one.value * taken(_rate(log, joint))
+        less = one.value * taken(_rate(log, joint))
+        columns[f"tau_{joint}"] = log.columns[f"tau_{joint}"] - less
+        if asked:
+            columns[f"tau_ff_{joint}"] = log.columns.get(f"tau_ff_{joint}", 0.0) - less
+    if asked and not log.has("tau_ff"):
+        others = {f"tau_ff_{joint}": np.zeros(len(log.t)) for joint in log.joints}
+        columns = others | columns
     return with_columns(log, columns)
 
 

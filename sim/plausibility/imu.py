@@ -13,7 +13,7 @@ from surefoot.sim.plausibility.view import LogView
 ZERO_G = 0.8
 """m/s^2 that an accelerometer's mean may differ from gravity: InvenSense MPU-6050 product
 specification, zero-g output, +-80 mg on z; better sensors have a quarter of it."""
-UPRIGHT = 45.0
+MOST_LEAN = 45.0
 """deg between the mean specific force and what is up: stairs and ramps for legs lean by 35."""
 LEANING = 0.75
 """Share of gravity that is left in the mean of a robot that turns about on a slope of 35 deg, less
@@ -57,7 +57,7 @@ def gravity(view: LogView) -> Iterator[Finding]:
             yield Finding(_AXES_ACCEL, told, "scaled, or a bias")
         return
     lean = float(np.degrees(np.arccos(np.clip(mean @ up / max(size, 1e-9), -1.0, 1.0))))
-    if lean > UPRIGHT:
+    if lean > MOST_LEAN:
         told = f"{told}, {lean:.0f} deg from up by {whose}"
         yield _turned_over(view, mean, up, told)
     elif not LEANING * GRAVITY < size < GRAVITY + ZERO_G:

@@ -75,7 +75,7 @@ RULES = (
         "gravity",
         "the mean of the accelerometer with gravity, and its direction with what is up: the "
         "robot's z, else away from the feet, else the reference's",
-        f"{imu.ZERO_G:g} m/s² above {GRAVITY:g}, a quarter below; {imu.UPRIGHT:g}° from up",
+        f"{imu.ZERO_G:g} m/s² above {GRAVITY:g}, a quarter below; {imu.MOST_LEAN:g}° from up",
         "what stays near the ground feels gravity on average; accelerometers have biases of 80 mg "
         "at worst (MPU-6050 product specification); a robot that turns about on a slope of 35° has "
         "a shorter mean",

@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 
 HERE = "os.kill(os.getpid(), SIGNAL)"
+SOON = f"{HERE}; time.sleep(5.0)"
+"""A signal that another thread may get first: the main one hears of it a moment later."""
 IMPORTED = f"""
 class Finder:
     def find_spec(self, name, *_):
@@ -46,10 +48,10 @@ WITHIN = "surefoot: interrupted; nothing was written, the same command begins an
 WRITTEN = "out.csv was written already, --force makes it anew"
 STAGES = {
     "at the first import": ("SIGTERM", IMPORTED, BEFORE),
-    "within": ("SIGINT", command(within=HERE), WITHIN),
-    "within, twice": ("SIGTERM", command(within=f"[{HERE}, {HERE}]"), WITHIN),
+    "within": ("SIGINT", command(within=SOON), WITHIN),
+    "within, twice": ("SIGTERM", command(within=f"{HERE}, {SOON}"), WITHIN),
     "in a destructor": ("SIGTERM", command(within="Last(); time.sleep(20.0)"), WITHIN),
-    "when all is written": ("SIGHUP", command(written=HERE), WRITTEN),
+    "when all is written": ("SIGHUP", command(written=SOON), WRITTEN),
     "at Python's end": ("SIGINT", command(around=f"atexit.register(lambda: {HERE})"), ""),
     "at the last moment": ("SIGTERM", command(around="sys.last_of_all = Last()"), ""),
     "ignored, as by nohup": (

@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from surefoot.scenarios.motion_plan import LONGEST, SECONDS, SHOWN, _shown, plan_motions, table
+from surefoot.scenarios.motion_plan import (
+    LONGEST_S,
+    SECONDS,
+    SHOWN,
+    _shown,
+    motion_table,
+    plan_motions,
+)
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.robot import Robot
 
@@ -27,7 +34,7 @@ def test_two_that_look_alike_hide_each_other():
     assert not np.isfinite(found.seconds)
     assert found.deviation == pytest.approx(np.sqrt(0.5) / 1.96, rel=1e-2)
     assert (found.rival, found.correlation) == (KEYS[1], pytest.approx(-1.0, abs=1e-3))
-    assert LONGEST > SECONDS
+    assert LONGEST_S > SECONDS
 
 
 def test_an_unknown_effect_is_answered_by_the_nearest():
@@ -41,5 +48,5 @@ def test_a_scale_about_the_vertical_wants_turning_and_hips_hide_behind_the_leg_s
     by_motion = found["gyro_scale", "z"]
     turning = by_motion["walk in circles, both ways"]
     assert turning.deviation < 0.5 * by_motion["walk straight"].deviation
-    rows = {row["effect"]: row for row in table(found)}
+    rows = {row["effect"]: row for row in motion_table(found)}
     assert "leg_heading" in str(rows["encoder_offset"]["hidden by"])

@@ -1,0 +1,52 @@
+"""What resists a drive's motion is no difference between what it was asked for and what it did."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surefoot.models.attribution.evidence import linearise, log_under_model
+from surefoot.models.attribution.fit import design, fit, normal_equations
+from surefoot.models.attribution.noise_floor import noise_floor
+from surefoot.models.attribution.robust_weights import robust_weights
+from surefoot.models.residuals.command import commanded_torque
+from surefoot.sim.effects import effect
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
+
+ROBOT = Robot.load("spot_class")
+COURSE = Scenario("stiff", (Segment(6.0, 0.5, turn=0.3), Segment(6.0, 0.6)), Ground(0.8))
+STIFF = effect("viscous_friction", "FR_thigh", 0.8)
+
+
+@pytest.fixture(scope="module")
+def log():
+    return walk(COURSE, ROBOT, 2, [STIFF], declared=False)
+
+
+@pytest.mark.parametrize("name", ["viscous_friction", "coulomb_friction", "armature"])
+@pytest.mark.parametrize("by_law", [False, True])
+def test_what_a_drive_takes_is_taken_of_what_was_asked_too(log, name, by_law):
+    if by_law:
+        # Only what a motor's law asks for was logged.
+        frame = log.frame.drop(columns=[c for c in log.frame if str(c).startswith("tau_ff_")])
+        desired = {f"q_des_{j}": log.columns[f"q_{j}"] + 0.1 for j in log.joints}
+        law = {gain: [20.0] * len(log.joints) for gain in ("kp", "kd")}
+        log = replace(log, frame=frame.assign(**desired), meta=replace(log.meta, motor_law=law))
+    less, _ = effect(name, "FR_thigh", 0.3).compensate(log, ROBOT)
+    assert np.abs(less.tau - log.tau).max() > 0.05
+    differences = [one.tau - commanded_torque(one) for one in (log, less)]
+    np.testing.assert_allclose(*differences, atol=1e-9)
+
+
+def test_friction_of_a_robot_that_logs_its_commands_is_measured(log):
+    case = log_under_model(log, ROBOT)
+    key = (STIFF.name, STIFF.target)
+    evidence = linearise([case], [], [key])
+    floor, whole = noise_floor([case]), design(evidence)
+    weights = robust_weights(whole, floor.sigma)
+    assert "command" in evidence.layout
+    found = fit(normal_equations(whole, weights.sigma, weights.weight), [key])
+    assert found.sizes[0] == pytest.approx(STIFF.value, rel=0.02)
