@@ -146,8 +146,9 @@ def by_learning(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
     keys = ["condition", "filter", "inputs", "method"]
     for values, part in learnt.groupby(keys, sort=False, dropna=False):
         row: dict[str, object] = dict(zip(keys, values, strict=True))
-        by_seed = part.groupby("seed")[[*TABLE_METRICS, SHARE]].mean()
-        row |= {name: with_spread(by_seed[name]) for name in SHOWN_COLUMNS if name in by_seed}
+        by_seed = pd.DataFrame(part.groupby("seed")[[*TABLE_METRICS, SHARE]].mean())
+        shown = [name for name in SHOWN_COLUMNS if name in by_seed.columns]
+        row |= {name: with_spread(by_seed[name]) for name in shown}
         found.append(row | {HELD: _held(part)})
     return pd.DataFrame(found, columns=[*keys, *SHOWN_COLUMNS])
 

@@ -37,8 +37,8 @@ def test_what_a_drive_takes_is_taken_of_what_was_asked_too(log, name, by_law):
         log = replace(log, frame=frame.assign(**desired), meta=replace(log.meta, motor_law=law))
     less, _ = effect(name, "FR_thigh", 0.3).compensate(log, ROBOT)
     assert np.abs(less.tau - log.tau).max() > 0.05
-    differences = [one.tau - commanded_torque(one) for one in (log, less)]
-    np.testing.assert_allclose(*differences, atol=1e-9)
+    before, after = (one.tau - commanded_torque(one) for one in (log, less))
+    np.testing.assert_allclose(after, before, atol=1e-9)
 
 
 def test_friction_of_a_robot_that_logs_its_commands_is_measured(log):

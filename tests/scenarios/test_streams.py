@@ -238,6 +238,7 @@ def test_samples_alone_give_the_numbers_of_a_log_without_reference(name, walks, 
         mine = [getattr(found[t][0], field) for t in whole.t[rows]]
         assert_allclose(mine, getattr(whole, field)[rows], rtol=0.0, atol=ROUNDING)
     mine = [found[t][1] for t in whole.t[rows]]
+    assert whole.covariance is not None
     assert_allclose(mine, whole.covariance[rows], rtol=1e-3, atol=1e-9)
 
 
