@@ -148,9 +148,9 @@ def _outdoes(data: NormalEquations, one: Candidate, best: Candidate, chosen: Seq
 def rerank(data: Data, few: Sequence[Candidate]) -> tuple[Candidate, list[Effect]]:
     """The candidate that leaves least of the true residual, and all effects at their sizes with it.
 
-    For the choice an IMU counts as far as its readings are known between rows. Of candidates whose
-    difference is within the chance of the blocks, one is taken whose size is likelier by more than
-    `positive_evidence`.
+    For the choice an IMU, and torques against commands, count as far as they are known between
+    rows. Of candidates whose difference is within the chance of the blocks, one is taken whose size
+    is likelier by more than `positive_evidence`.
     """
     before = list(data.explained)
     tried = [(c, refined(data, [*before, effect(*c.key, c.size)], REPORT)) for c in few]
@@ -218,16 +218,22 @@ def known_between_rows(data: Data) -> np.ndarray:
     """
     weight, begin = np.ones_like(data.robust_weights.weight), 0
     imu = data.evidence.layout.of("imu_gyro", "imu_accel")
+    command = data.evidence.layout.of("command")
     for case in data.cases:
-        first, count = case.frame.first, case.frame.count[:, None]
+        log, first, count = case.log, case.frame.first, case.frame.count[:, None]
         rows = begin + np.arange(len(first))
         begin += len(first)
-        if case.fixed or not case.log.has("imu"):
-            continue
-        x = np.hstack([case.log.gyro, case.log.accel])
-        lost = np.zeros_like(x)
-        lost[1:-1] = 2 / 8 * (x[2:] - 2.0 * x[1:-1] + x[:-2])
-        square = np.add.reduceat(lost**2, first, axis=0) / count**2
-        noise = data.robust_weights.sigma[imu] ** 2
-        weight[np.ix_(rows, imu)] = (noise / (noise + square)) ** 2
+        moved = []
+        if log.has("imu") and not case.fixed:
+            moved.append((imu, np.hstack([log.gyro, log.accel])))
+        if log.has("tau"):
+            moved.append((command, log.tau))
+        for columns, x in moved:
+            if not len(columns):
+                continue
+            lost = np.zeros_like(x)
+            lost[1:-1] = 2 / 8 * (x[2:] - 2.0 * x[1:-1] + x[:-2])
+            square = np.add.reduceat(lost**2, first, axis=0) / count**2
+            noise = data.robust_weights.sigma[columns] ** 2
+            weight[np.ix_(rows, columns)] = (noise / (noise + square)) ** 2
     return weight
