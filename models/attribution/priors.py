@@ -93,7 +93,7 @@ def prior_of(kind: type[Effect]) -> Prior:
     return PRIORS.get(kind.name) or Prior(float(np.max(np.abs(kind.bounds))), UNPUBLISHED)
 
 
-ALIKE: dict[str, float] = {"leg_compliance": 0.1, "foot_rolling": 0.1}
+ALIKE: dict[str, float] = {"leg_compliance": 0.25, "foot_rolling": 0.25}
 """Name -> share of their size by which the parts of one kind differ, 19 times of 20. No published
 figure was found; catalogues of gears give stiffnesses as typical values, and feet wear."""
 

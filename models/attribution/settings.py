@@ -133,7 +133,7 @@ class TraceSettings:
     """Share of its size by which an effect may have moved since derivatives were taken."""
     close_behind: float = 0.3
     """Share of the best gain from which a candidate might be better than linear regressors show."""
-    contenders: int = 3
+    contenders: int = 5
     """Candidates that are refined on the residual itself in a round."""
     positive_evidence: float = 2.0
     """Difference of -2 log of a probability from which it is evidence (Kass and Raftery 1995)."""
