@@ -25,6 +25,7 @@ from surefoot.models.attribution.robust_weights import RobustWeights
 from surefoot.models.attribution.selection import Candidate, left_unseen
 from surefoot.models.attribution.split import REPORT
 from surefoot.models.bootstrap import block_draws
+from surefoot.models.residuals.command import commanded_torque
 from surefoot.sim.effects import Effect, effect
 
 
@@ -215,6 +216,7 @@ def known_between_rows(data: Data) -> np.ndarray:
     the delay of the other stream instead, and it is lost once. The IMU's own readings show how fast
     they change: a reference may have been smoothed before it was written down. The loss is no
     noise, which would be as large for each candidate: where it is larger the bin is worthless.
+    What was commanded, which has no noise, shows how fast torques change.
     """
     weight, begin = np.ones_like(data.robust_weights.weight), 0
     imu = data.evidence.layout.of("imu_gyro", "imu_accel")
@@ -226,8 +228,8 @@ def known_between_rows(data: Data) -> np.ndarray:
         moved = []
         if log.has("imu") and not case.fixed:
             moved.append((imu, np.hstack([log.gyro, log.accel])))
-        if log.has("tau"):
-            moved.append((command, log.tau))
+        if (asked := commanded_torque(log)) is not None:
+            moved.append((command, asked))
         for columns, x in moved:
             if not len(columns):
                 continue

@@ -43,6 +43,7 @@ def command(within: str = "pass", written: str = "pass", around: str = "pass") -
     return COMMAND.format(within=within, written=written, around=around)
 
 
+DEFAULT = {"SIGINT": "default_int_handler"}
 BEFORE = "surefoot: interrupted before it began"
 WITHIN = "surefoot: interrupted; nothing was written, the same command begins anew"
 WRITTEN = "out.csv was written already, --force makes it anew"
@@ -78,10 +79,12 @@ def test_one_line_and_the_code_of_the_signal(stage, tmp_path):
 def ended(name: str, work: str, folder: Path) -> subprocess.CompletedProcess:
     lines = (
         "import atexit, os, signal, sys, time",
+        f"SIGNAL = signal.{name}",
+        # Whatever the process ignores that these tests are run by.
+        f"signal.signal(SIGNAL, signal.{DEFAULT.get(name, 'SIG_DFL')})",
         "from dataclasses import dataclass",
         "from pathlib import Path",
         "from surefoot.scenarios.cli.start import entry_point",
-        f"SIGNAL = signal.{name}",
         "sys.argv = ['surefoot', 'export', '--out', 'out.csv']",
         work,
     )

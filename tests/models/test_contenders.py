@@ -54,14 +54,18 @@ def test_of_two_streams_the_late_one_is_named(floor, late, other):
     assert effects[0].value == pytest.approx(0.001, rel=0.15)
 
 
-def test_shocks_of_the_imu_lose_weight_and_nothing_else_does(floor):
+def test_shocks_of_the_imu_and_of_torques_lose_weight_and_nothing_else_does(floor):
     data = data_of(case_with(), floor)
-    weight = known_between_rows(data)
-    assert np.all(weight[:, 6:] == 1.0)
+    weight, command = known_between_rows(data), data.evidence.layout.of("command")
+    others = np.setdiff1d(np.arange(6, weight.shape[1]), command)
+    assert np.all(weight[:, others] == 1.0)
+    # The robot stands before it walks.
+    assert weight[:10, command].min() > 0.9
+    assert weight[:, command].min() < 0.1
     case = data.cases[0]
     quiet = (case.frame.standing.all(axis=1)).astype(float)
     bins = np.add.reduceat(quiet, case.frame.first) == case.frame.count
     assert np.median(weight[bins, :6]) > 0.4
     assert weight[:, 3:6].min() < 0.02
     still = replace(data, cases=[replace(case, fixed=True)])
-    assert np.all(known_between_rows(still) == 1.0)
+    assert np.all(known_between_rows(still)[:, :6] == 1.0)
