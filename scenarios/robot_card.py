@@ -13,6 +13,7 @@ from scipy.spatial import ConvexHull
 from surefoot.scenarios.reporting.palette import INK, OUTSIDE, TRUTH
 from surefoot.scenarios.reporting.plotting import new_figure, save_png, set_title
 from surefoot.scenarios.reporting.tables import to_markdown
+from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.robot.fixed_base import FixedBase, load_machine
 from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.robot.model_file import compiled_model
@@ -32,11 +33,13 @@ class RobotCard:
 def robot_card(name_or_path: str, picture: Path | None, force: bool = False) -> RobotCard:
     """Legs, limits, masses, feet, IMU and home pose of a robot; its picture as a PNG.
 
-    Raises SurefootError for one that cannot be read, or where the picture's file is there (no
-    `force`).
+    Raises SurefootError for one that cannot be read or has no picture, or where the picture's file
+    is there (no `force`).
     """
     robot = load_machine(name_or_path)
     if isinstance(robot, FixedBase):
+        if picture is not None:
+            raise SurefootError(f"-o: {robot.name} is a machine on a fixed base, without a picture")
         joints = ", ".join(robot.joint_names)
         text = f"{robot.name}: a machine on a fixed base, joints {joints}\nfile: {robot.file}"
         values = {"name": robot.name, "file": robot.file, "joints": robot.joint_names}
@@ -134,7 +137,9 @@ def portrait(robot: Robot) -> Figure:
             axes.add_patch(Circle(line[-1], radius, facecolor="none", edgecolor=INK))
             if near:  # those behind would be named on top of it
                 name = robot.limbs.legs[leg]
-                axes.annotate(name, line[-1], (0, -14), textcoords="offset points")
+                below = line[-1] - (0.0, radius)
+                style = {"ha": "center", "va": "top", "color": INK}
+                axes.annotate(name, below, (0, -3), textcoords="offset points", **style)
         imu = robot.p_BI[[across, 2]]
         axes.plot(*imu, "s", color=OUTSIDE, markersize=5.0)
         axes.annotate("IMU", imu, (5, 5), textcoords="offset points", color=OUTSIDE)

@@ -42,7 +42,7 @@ def adds_drift(
         return False
     after_table = np.concatenate([table_of(case, chosen_with) for case in cases])
     tables = declared.table, evidence.table, after_table
-    first, before, after = (squared_drifts(evidence, x[:, feet], use) for x in tables)
+    first, before, after = (_squared_drifts(evidence, x[:, feet], use) for x in tables)
     if not len(before):
         return False
     drawn = block_draws(len(before), np.random.default_rng(0)) @ (after - before)
@@ -53,14 +53,14 @@ def adds_drift(
 def _own_drift(floor: NoiseFloor | None) -> float:
     """Mean square [m^2] of the drift over a block of walks of the declared model."""
     walks = [repeat.evidence for repeat in floor.repeats] if floor else []
-    squares = [
-        squared_drifts(one, one.table[:, one.layout.by_leg("stance_displacement")], one.t >= 0.0)
-        for one in walks
-    ]
+    squares = []
+    for one in walks:
+        moved, every = one.layout.by_leg("stance_displacement"), np.ones(len(one.t), dtype=bool)
+        squares.append(_squared_drifts(one, one.table[:, moved], every))
     return float(np.mean(np.concatenate(squares))) if squares else 0.0
 
 
-def squared_drifts(evidence: Evidence, moved: np.ndarray, use: np.ndarray) -> np.ndarray:
+def _squared_drifts(evidence: Evidence, moved: np.ndarray, use: np.ndarray) -> np.ndarray:
     """Square (K,) [m^2] of the forward and lateral drift over each block: the mean over the feet of
     what each moves while it stands, (M, L, 2), added up."""
     block = np.floor((evidence.t - evidence.t.min()) / evidence.settings.block).astype(int)

@@ -244,7 +244,7 @@ class _Linear:
         self.case, self.chosen, self.judged = case, list(chosen), judged
         self.log, self.robot, self.parts, self.frame = _parts(case, chosen, judged)
         self.joints = self.log.joints
-        self.contacts_differ = self.log is not case.log and any(
+        self.contacts_differ = self.frame is not case.frame and any(
             name.startswith("contact_") for name in changed_columns(case.log, self.log)
         )
         self._known: dict[Key, Regressor] = {}

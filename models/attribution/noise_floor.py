@@ -123,10 +123,13 @@ class NoiseFloor:
     def doubt(self, key: Key, offset: float) -> float:
         """Standard deviation of the size `offset` that `key` has where it is not: that of the
         channels it shows in, where they know it, or else a share of it."""
-        known = [channels()[name].known_to for name in known_effects()[key[0]].channels]
-        if self.repeats and known and all(one is not None for one in known):
-            return max(one for one in known if one is not None)
-        return self.repeats[0].evidence.settings.faked_share * abs(offset) if self.repeats else 0.0
+        if not self.repeats:
+            return 0.0
+        shows_in = [name for name in known_effects()[key[0]].channels if name in channels()]
+        known = [to for name in shows_in if (to := channels()[name].known_to) is not None]
+        if known and len(known) == len(shows_in):
+            return max(known)
+        return self.repeats[0].evidence.settings.faked_share * abs(offset)
 
     @property
     def _keys(self) -> tuple[Key, ...]:

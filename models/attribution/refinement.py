@@ -41,14 +41,6 @@ class Data:
     robust_weights: RobustWeights
     part: np.ndarray
 
-    def about(self, chosen: Sequence[Effect]) -> NormalEquations:
-        """Sums of products of the residual once `chosen` are explained, varied about them."""
-        keys = [(e.name, e.target) for e in chosen]
-        evidence = self.evidence.only(keys)
-        if list(chosen) != list(self.explained):
-            evidence = linearise(self.cases, chosen, keys, evidence, judged=False)
-        return self.summed(evidence)
-
     def summed(self, evidence: Evidence) -> NormalEquations:
         """Sums of products of an evidence, with the noise and the weights of this one."""
         sigma = self.floor.counted(self.robust_weights.sigma, self.robust_weights.alike)
@@ -86,14 +78,16 @@ def _moved(before: Sequence[Effect], after: Sequence[Effect], share: float) -> b
     return not before or any(abs(a.value - b.value) >= share * abs(b.value) for a, b in pairs)
 
 
-def best_near(data: Data, chosen: Sequence[Effect], report: int) -> tuple[np.ndarray, np.ndarray]:
-    """By how much (C,) the effects' sizes miss the best, in a straight line, and the weighted
-    squared error (K,) of each block that is left there, of all blocks but those of the part
-    `report`."""
-    sums = data.about(chosen)
+def left_near(data: Data, chosen: Sequence[Effect], report: int) -> np.ndarray:
+    """Weighted squared error (K,) of each block, of all but those of the part `report`, that the
+    effects leave at the best sizes in a straight line from theirs."""
+    keys = [(e.name, e.target) for e in chosen]
+    evidence = data.evidence.only(keys)
+    if list(chosen) != list(data.explained):
+        evidence = linearise(data.cases, chosen, keys, evidence, judged=False)
+    sums = data.summed(evidence)
     sums = sums.rows(sums.part != report)
-    found = fit(sums, [(e.name, e.target) for e in chosen], errors=False)
-    return found.sizes, loss(sums, found.vector)
+    return loss(sums, fit(sums, keys, errors=False).vector)
 
 
 def _offsets(floor: NoiseFloor, keys: Sequence[Key]) -> np.ndarray:
@@ -159,7 +153,7 @@ def rerank(data: Data, few: Sequence[Candidate]) -> tuple[Candidate, list[Effect
         return tried[0]
     weight = data.robust_weights.weight * known_between_rows(data)
     fair = replace(data, robust_weights=replace(data.robust_weights, weight=weight))
-    left = [best_near(fair, chosen, REPORT)[1] for _, chosen in tried]
+    left = [left_near(fair, chosen, REPORT) for _, chosen in tried]
     doubt = [_doubt(candidate, chosen[-1], data) for candidate, chosen in tried]
     best = min(range(len(tried)), key=lambda i: float(left[i].sum()) + doubt[i])
     counts = block_draws(len(left[best]), np.random.default_rng(0))
@@ -196,7 +190,7 @@ def reconsidered(
 
     def unlikely(effects: Sequence[Effect]) -> float:
         doubt = sum(surprise(e.name, e.target, e.value, limbs) for e in effects)
-        return float(best_near(data, effects, REPORT)[1].sum()) + doubt
+        return float(left_near(data, effects, REPORT).sum()) + doubt
 
     for i, one in enumerate(chosen[:-1]):
         others = instead.get((one.name, one.target), ())

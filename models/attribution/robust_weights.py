@@ -52,11 +52,17 @@ def robust_weights(data: Design, floor: np.ndarray) -> RobustWeights:
     share = float(masked.sum() / max(standing, 1))
     z = np.clip(left / sigma, -settings.outlier, settings.outlier)
     alike = correlated_entries(layout, np.where(weight > 0, z, np.nan))
-    if legged:
-        columns = np.unique(feet)
-        columns = columns[sigma[columns] > settings.far * floor[columns]]
-        alike[columns] = np.count_nonzero(weight[:, columns], axis=0).clip(1)
+    # What misfits in the samples of a stance does so in every stance, and however many there are
+    # they would be wrong together: their mean, a channel of its own, decides.
+    columns = far_samples(layout, sigma, floor, settings.far)
+    alike[columns] = np.count_nonzero(weight[:, columns], axis=0).clip(1)
     return RobustWeights(sigma, weight, masked, share, alike)
+
+
+def far_samples(layout: Layout, sigma: np.ndarray, floor: np.ndarray, far: float) -> np.ndarray:
+    """Columns of the legs' samples whose noise sigma (W,) is more than `far` times the floor's."""
+    columns = layout.of("leg_velocity")
+    return columns[sigma[columns] > far * floor[columns]]
 
 
 def correlated_entries(layout: Layout, z: np.ndarray) -> np.ndarray:

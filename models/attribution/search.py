@@ -26,7 +26,7 @@ from surefoot.models.attribution.refinement import (
     refined,
     rerank,
 )
-from surefoot.models.attribution.robust_weights import RobustWeights, robust_weights
+from surefoot.models.attribution.robust_weights import RobustWeights, far_samples, robust_weights
 from surefoot.models.attribution.selection import Candidate, distinct, judge, left_unseen
 from surefoot.models.attribution.split import REPORT, Split
 from surefoot.models.bootstrap import block_draws
@@ -68,7 +68,9 @@ def attribute(
     A candidate earns it if its gain's interval lies above zero, its size stands ABOVE_FLOOR times
     above the one it has on walks of the declared model, it is not at its bound, it adds a share
     WORTH of what the others explain or is CLEAR by itself, and it pays for its parameter and for
-    having been one of many (extended BIC, blocks as samples).
+    having been one of many (extended BIC, blocks as samples). What the model lacks for certain
+    comes before all else. One that adds to the drift of the legs is refuted. When none earns a
+    place, what may be hidden in an effect that was found is fitted jointly with it (`_hidden`).
 
     Args:
         cases: the logs under the declared model.
@@ -90,47 +92,43 @@ def attribute(
         if progress:
             progress(min(len(rounds) / (settings.most_effects + 1), 1.0))
         evidence, whole, weights, chosen = _settled(cases, chosen, keys, evidence, floor, split)
-        declared = declared or evidence
+        declared, found = declared or evidence, [_key(e) for e in chosen]
         sigma = floor.counted(weights.sigma, weights.alike)
         data = normal_equations(whole, sigma, weights.weight, split.part)
-        candidates = judge(
-            data, floor, [_key(e) for e in chosen], explained, evidence.layout.limbs, rng, certain
-        )
+        limbs = evidence.layout.limbs
+        candidates = judge(data, floor, found, explained, limbs, rng, certain)
         rounds.append(candidates)
+        if len(chosen) == settings.most_effects:
+            break
+        known = Data(cases, floor, evidence, chosen, weights, split.part)
         candidates = tuple(c for c in candidates if c.key not in refuted)
         # What the model lacks for certain comes first: others would stand for it.
         first = tuple(c for c in candidates if c.earned and c.key in certain)
         candidates = first or candidates
-        best = candidates[0] if candidates and candidates[0].earned else None
-        known = Data(cases, floor, evidence, chosen, weights, split.part)
-        if best is None and len(chosen) < settings.most_effects:
-            best, chosen_with = _hidden(known, explained, rng, refuted)
-            if best is not None:
-                explained += best.gain
-                chosen, floor = chosen_with, noise_floor_with(floor, chosen_with)
+        if candidates and candidates[0].earned:
+            others = distinct(data, candidates, limbs)
+            few = contenders(data, others, found)
+            best, chosen_with = rerank(known, few)
+            if adds_drift(cases, declared, evidence, chosen_with, use, floor):
+                refuted.append(best.key)
                 continue
-        if best is None or len(chosen) == settings.most_effects:
-            break
-        others = distinct(data, candidates, evidence.layout.limbs)
-        few = contenders(data, others, [*map(_key, chosen)])
-        best, chosen_with = rerank(known, few)
-        if adds_drift(cases, declared, evidence, chosen_with, use, floor):
-            refuted.append(best.key)
-            continue
-        rivals += _rivals(data, best, others, [_key(e) for e in chosen], rng)
+            rivals += _rivals(data, best, others, found, rng)
+            instead[best.key] = [
+                effect(*c.key, c.size)
+                for c in few
+                if c != best and overlap(data, best.key, c.key, found) > settings.twin_overlap
+            ]
+            chosen_with = reconsidered(known, chosen_with, instead)
+        else:
+            best, chosen_with = _hidden(known, explained, rng, refuted)
+            if best is None:
+                break
         explained += best.gain
-        keys_before, like = [*map(_key, chosen)], settings.twin_overlap
-        instead[best.key] = [
-            effect(*c.key, c.size)
-            for c in few
-            if c != best and overlap(data, best.key, c.key, keys_before) > like
-        ]
-        chosen = reconsidered(known, chosen_with, instead)
-        floor = noise_floor_with(floor, chosen)
-    found = _with_intervals(data, chosen, floor)
+        chosen, floor = chosen_with, noise_floor_with(floor, chosen_with)
     # What was found beside an effect is no other explanation of it.
-    rivals = tuple(rival for rival in rivals if rival[0] not in [_key(e) for e in chosen])
-    return Attribution(found, tuple(rounds), rivals, weights, evidence, floor)
+    rivals = tuple(rival for rival in rivals if rival[0] not in found)
+    sized = _with_intervals(data, chosen, floor)
+    return Attribution(sized, tuple(rounds), rivals, weights, evidence, floor)
 
 
 def _certain(keys: Sequence[Key], robot: Machine) -> set[Key]:
@@ -154,18 +152,17 @@ def _hidden(
         rng: draws the bootstrap's blocks.
         refuted: candidates that are out of question.
     """
-    chosen, limbs = [_key(e) for e in known.explained], known.evidence.layout.limbs
-    feet, settings = known.evidence.layout.by_leg("leg_velocity"), known.evidence.settings
-    sigma = known.robust_weights.sigma
+    layout, every = known.evidence.layout, known.evidence.keys
+    chosen, limbs = [_key(e) for e in known.explained], layout.limbs
     best: tuple[Candidate | None, list[Effect]] = (None, [])
-    if not len(feet) or not (sigma[feet] > settings.far * known.floor.sigma[feet]).any():
+    far = known.evidence.settings.far
+    if not len(far_samples(layout, known.robust_weights.sigma, known.floor.sigma, far)):
         return best
-    for key in joint_rivals(known.evidence.keys, chosen, limbs):
+    for key in joint_rivals(every, chosen, limbs):
         if key in refuted:
             continue
         data, effects = jointly(known, key)
-        among = len(known.evidence.keys)
-        one = judge(data, known.floor, chosen, explained, limbs, rng, {key}, among)[0]
+        one = judge(data, known.floor, chosen, explained, limbs, rng, {key}, len(every))[0]
         if one.earned and (best[0] is None or one.score > best[0].score):
             best = one, effects
     return best

@@ -83,7 +83,7 @@ def _parsed(arguments: Sequence[str]) -> tuple[str, Any]:
     if first in COMMANDS:
         return first, tyro.cli(COMMANDS[first], prog=f"surefoot {first}", args=rest, config=config)
     if first and not first.startswith("-"):
-        hint = did_you_mean(first, COMMANDS)
+        hint = did_you_mean(first, COMMANDS) or ";"
         print(f"surefoot: no command '{first}'{hint} `surefoot --help` lists them", file=sys.stderr)
         sys.exit(2)
     choices = tuple(Annotated[c, subcommand(n, prefix_name=False)] for n, c in COMMANDS.items())

@@ -104,6 +104,8 @@ def _alone(out: Path) -> Iterator[None]:
             clear_debris(out.parent.glob(f".{escape(out.name)}.*.tmp"))
             with _locked(out.with_name(f".{out.name}.lock"), out):
                 yield
+    except BrokenPipeError:
+        raise  # of what the command prints, not of what it writes
     except OSError as error:
         raise SurefootError(f"-o {str(out)[:120]}: {error.strerror or error}") from error
 

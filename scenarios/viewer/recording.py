@@ -76,7 +76,11 @@ def write_recording(
     records = {name: estimate.updates for name, estimate in trajectories.items()}
     records = {n: r for n, r in records.items() if r is not None and r.pi is not None}
     with whole_file(path, force) as temporary:
-        stream.save(temporary, default_blueprint=_layout(log, robot, trajectories, bool(records)))
+        blueprint = _layout(log, robot, trajectories, bool(records))
+        try:
+            stream.save(temporary, default_blueprint=blueprint)
+        except RuntimeError as error:  # what rerun makes of a full disk
+            raise OSError(str(error)) from error
         stream.send_recording_name(str(log.meta.scenario or Path(path).stem))
         about = rr.TextDocument(_about(log, robot, errors), media_type="text/markdown")
         stream.log("/about", about, static=True)

@@ -22,8 +22,9 @@ from surefoot.sim.common.sources import sources_digest
 UNUSED = 30 * 86400.0
 """s after which machine code that was not loaded is deleted."""
 
-COMPILED_IN = 40.0
-"""s of one core at 3 GHz, measured: what a walk and every filter need to be compiled."""
+COMPILED_IN = 75.0
+"""s of one core at 3 GHz, measured: what a walk and the filters `leg` and `imu` need to be
+compiled; a walk alone needs 28 s of them."""
 
 _lock = Lock()
 _swept: set[Path] = set()

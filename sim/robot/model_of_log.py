@@ -39,7 +39,7 @@ def robot_of_log(log: "Log") -> str | Path | None:
     if kept is None:
         return log.meta.robot
     path, digest, text = Path(kept["path"]), kept["sha256"], kept.get("text")
-    if path.is_file() and file_digest(path) == digest:
+    if path.suffix in SUFFIXES and path.is_file() and file_digest(path) == digest:
         return path
     if text is None or path.suffix not in SUFFIXES:
         what = "has changed since" if path.is_file() else "is not there"

@@ -76,7 +76,8 @@ def more(good, tmp_path_factory) -> Path:
     """The good files, and a walk and a rest that are long enough to learn from."""
     folder = copied(good, tmp_path_factory.mktemp("outputs") / "good")
     (folder / "quick.toml").write_text(SHORT_WALK)
-    synthetic_walk(0, 12.0, noise=0.1, robot="spot_class").write(folder / "long.parquet")
+    # Twice as long as the observer's errors need, whose correlation differs by machine.
+    synthetic_walk(0, 24.0, noise=0.1, robot="spot_class").write(folder / "long.parquet")
     observer = Observer.load(folder / "observer.pt")
     replace(observer, robot="spot_class").save(folder / "own.pt")
     log = synthetic_walk(0, 12.0, robot="spot_class")
