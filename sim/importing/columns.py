@@ -17,7 +17,7 @@ _LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 UNITS: dict[str, dict[str, float]] = {
     "t": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "gyro": _RATE,
-    "accel": {"m/s^2": 1.0, "g": STANDARD_GRAVITY},
+    "accel": {"m/s^2": 1.0, "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY},
     "q": _ANGLE,
     "dq": _RATE | {"turn/s": 2.0 * pi},
     "tau": {"N m": 1.0, "mN m": 1e-3, "N cm": 1e-2},

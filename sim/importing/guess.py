@@ -15,7 +15,7 @@ import numpy as np
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.importing.bag import bag_fields, read_bag
 from surefoot.sim.importing.columns import DEGREE, STANDARD_GRAVITY, UNITS, kind_of
-from surefoot.sim.importing.names import Named, read_name
+from surefoot.sim.importing.names import Named, by_their_legs, read_name
 from surefoot.sim.importing.recording import is_bag, read_table
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.table import columns_of
@@ -37,6 +37,8 @@ _CAN_TURN = 0.1
 """rad/s, standard deviation of the yaw rate from which strides tell left from right."""
 _MOST_JOINTS, _SMALL = 100, 4096
 """Names that a list of joints has at most, and bytes of a text with such a list."""
+_OTHER_SIDE_FIRST = ("FR", "FL", "RR", "RL")
+"""The order of legs in which Unitree and MIT count them."""
 _STRIDES = 1.0
 """s over which the size of strides is taken."""
 
@@ -224,7 +226,7 @@ def _read(path: Path) -> _File | None:
             return None
         most = max(set(rows), key=rows.count)
         columns = {n: v for n, v in columns.items() if len(v) == most}
-    names = {name: read_name(name) for name in columns}
+    names = by_their_legs({name: read_name(name) for name in columns})
     t = _time(columns, names)
     return _File(path, columns, names, lists, header, t, t.scale * columns[t.theirs] if t else None)
 
@@ -262,6 +264,8 @@ class _Columns:
         self.file, self.robot = file, robot
         self.notes: list[str] = []
         self.rate: float | None = None
+        self.numbered = False
+        self.legs: Sequence[str] = LEGS
         self.entries: list[Entry] = [file.t] if file.t else []
         self._imu()
         self._joints(commanded=label != "" and _is_command(label))
@@ -315,6 +319,15 @@ class _Columns:
                 continue
             groups[kind][joint] = (name, doubt)
         sides = self._sides(groups)
+        if sides and self.numbered:
+            # Whoever counts legs begins on the left or on the right: the strides say which.
+            self.legs, sides = _OTHER_SIDE_FIRST, ""
+            groups = {
+                kind: {
+                    _other_side(j): (name, _legs_doubt(self.legs)) for j, (name, _) in of.items()
+                }
+                for kind, of in groups.items()
+            }
         for kind, joints in groups.items():
             self._kind(kind, joints, groups, sides)
 
@@ -331,7 +344,9 @@ class _Columns:
         alike = [n for n in found.values() if n.kind == one.kind and n.commanded == one.commanded]
         if one.place is None or len(alike) == 1:
             return "joint", "" if len(alike) == 1 else f"which joint is {name}?"
-        return self._numbered(one.place, len(alike))
+        # Whether they count from 0 or from 1, and by legs first or not.
+        order = sorted((n.limb or 0, n.place or 0) for n in alike)
+        return self._numbered(order.index((one.limb or 0, one.place)), len(alike))
 
     def _numbered(self, place: int, count: int) -> tuple[str, str]:
         """The name of a joint that has only a number: by a list, by the robot, or the usual."""
@@ -343,7 +358,8 @@ class _Columns:
             if len(joints) == count:
                 return joints[place % count], f"are its joints in the order of {self.robot}?"
         if count == len(JOINTS):
-            return JOINTS[place % count], "are its legs FL, FR, RL, RR, each hip, thigh, calf?"
+            self.numbered = True
+            return JOINTS[place % count], _legs_doubt(self.legs)
         return f"joint{place}", "which joint is it?"
 
     def _sides(self, groups: dict[str, dict[str, tuple[str, str]]]) -> str:
@@ -429,21 +445,27 @@ class _Columns:
         legs = {one.leg for one in self.file.names.values() if one.leg}
         for kind in ("contact", "force"):
             own = {n: one for n, one in found.items() if one.kind == kind and one.leg}
-            own = {n: one for n, one in own.items() if not one.part and one.axis in ("", "z")}
+            own = {n: one for n, one in own.items() if one.axis in ("", "z")}
+            plain = {n: one for n, one in own.items() if not one.part}
+            # A name in front of all of them, of the robot, says nothing.
+            own = own if not plain and len({one.leg for one in own.values()}) == len(own) else plain
+            counted = [n for n, one in found.items() if one.kind == kind and _is_counted(one)]
+            if not own and len(counted) == len(self.legs):
+                counted.sort(key=lambda n: found[n].place or found[n].limb or 0)
+                prefix = self._foot_prefix(kind, counted)
+                self.entries += [
+                    Entry(f"{prefix}_{leg}", n, doubt=_legs_doubt(self.legs))
+                    for leg, n in zip(self.legs, counted, strict=True)
+                ]
             vectors = {
                 one.leg for one in found.values() if one.kind == kind and one.axis in ("x", "y")
             }
             for name, one in own.items():
                 if one.leg in vectors:
                     continue
-                values = self.file.columns[name]
-                binary = bool(np.isin(values, (0.0, 1.0)).all())
-                if kind == "contact" and not binary:
-                    self.entries.append(
-                        Entry(f"force_{_leg(one.leg, legs)}", name, doubt="is not 0 or 1: a force?")
-                    )
-                else:
-                    self.entries.append(Entry(f"{kind}_{_leg(one.leg, legs)}", name))
+                prefix = self._foot_prefix(kind, [name])
+                doubt = "" if prefix == kind else "is not 0 or 1: a force?"
+                self.entries.append(Entry(f"{prefix}_{_leg(one.leg, legs)}", name, doubt=doubt))
         feet = {n: one for n, one in found.items() if one.kind == "foot" and one.leg and one.axis}
         for name, one in feet.items():
             most = max(float(np.abs(self.file.columns[n]).max()) for n in feet)
@@ -451,6 +473,25 @@ class _Columns:
             self.entries.append(Entry(f"foot_{_leg(one.leg, legs)}_{one.axis}", name, unit))
         if feet:
             self.notes.append("are foot_<leg> along the IMU's axes, from its origin?")
+
+    def _foot_prefix(self, kind: str, names: Sequence[str]) -> str:
+        """contact or force, as these columns' numbers say."""
+        binary = all(np.isin(self.file.columns[n], (0.0, 1.0)).all() for n in names)
+        return "force" if kind == "contact" and not binary else kind
+
+
+def _is_counted(one: Named) -> bool:
+    """Whether a foot's column has a number in place of its leg."""
+    return not (one.leg or one.part or one.axis or (one.place is None and one.limb is None))
+
+
+def _other_side(joint: str) -> str:
+    """The name of the joint across the body of a quadruped's."""
+    return joint[0] + {"L": "R", "R": "L"}[joint[1]] + joint[2:]
+
+
+def _legs_doubt(legs: Sequence[str]) -> str:
+    return f"are its legs {', '.join(legs)}, each hip, thigh, calf?"
 
 
 def stride_in_turns(
@@ -497,8 +538,9 @@ def _accel_unit(accel: np.ndarray) -> tuple[str, float, str]:
     size = float(np.median(np.linalg.norm(accel, axis=1)))
     if 8.0 < size < 12.0:
         return "m/s^2", 1.0, ""
-    if 0.8 < size < 1.2:
-        return "g", 1.0, ""
+    for unit, one in (("g", 1.0), ("mg", 1e3)):
+        if 0.8 * one < size < 1.2 * one:
+            return unit, 1.0, ""
     gain = float(f"{STANDARD_GRAVITY / max(size, 1e-9):.4g}")
     return "m/s^2", gain, f"its length is {size:.3g} at rest: in which unit?"
 

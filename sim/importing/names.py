@@ -1,7 +1,8 @@
 """What the name of a column says: its kind, its leg and joint, its axis and its unit."""
 
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 from surefoot.sim.log.schema import LEGS
 
@@ -13,11 +14,11 @@ def _words(text: str) -> frozenset[str]:
 _KINDS: dict[str, str] = {
     word: kind
     for kind, words in {
-        "t": "t time stamp timestamp timestamps secs sec seconds clock",
-        "gyro": "gyro gyr gyroscope omega angvel w angular",
+        "t": "t time stamp timestamp timestamps secs sec seconds clock ts tick utime epoch",
+        "gyro": "gyro gyros gyr gyroscope omega angvel w angular",
         "accel": "acc accel acceleration accelerometer a",
-        "q": "q qpos pos position positions angle angles jpos enc encoder theta",
-        "dq": "dq qd qvel vel velocity velocities speed speeds jvel encvel qdot dtheta rate",
+        "q": "q qpos pos position positions angle angles jpos enc encoder theta translation",
+        "dq": "dq qd qvel vel velocity velocities speed speeds jvel encvel qdot dtheta rate rates",
         "tau": "tau torque torques effort trq jtau moment",
         "force": "force forces load grf fsr pressure",
         "contact": "contact contacts stance touch touchdown",
@@ -27,8 +28,10 @@ _KINDS: dict[str, str] = {
     for word in words.split()
 }
 _COMMANDED = _words("des desired cmd command commanded target setpoint goal sp")
-_REFERENCE = _words("ref reference vicon mocap gt truth groundtruth optitrack qualisys base")
+_REFERENCE = _words("ref reference vicon mocap gt truth groundtruth optitrack qualisys base pose")
 _FEET = _words("foot feet toe")
+_SIDES = {"left": "L", "l": "L", "right": "R", "r": "R"}
+_ENDS = {"front": "F", "fore": "F", "rear": "R", "hind": "R", "back": "R"}
 _LEGS = {
     **dict.fromkeys(("fl", "lf"), "FL"),
     **dict.fromkeys(("fr", "rf"), "FR"),
@@ -37,16 +40,28 @@ _LEGS = {
     **dict.fromkeys(("left", "l"), "left"),
     **dict.fromkeys(("right", "r"), "right"),
 }
+_ABDUCTIONS = _words(
+    "haa abad abd abduct abductor abduction adduction hx hipx hip_x hip_aa hip_roll"
+)
+_FLEXIONS = _words("thigh hfe hy hipy hip_y hip_fe hip_pitch upper femur")
 _OF_A_LEG = {
-    **dict.fromkeys(("hip", "haa", "abad", "abduction", "hipx"), "hip"),
-    **dict.fromkeys(("thigh", "hfe", "hipy"), "thigh"),
-    **dict.fromkeys(("calf", "knee", "kfe", "shank"), "calf"),
+    "hip": "hip",
+    **dict.fromkeys(_ABDUCTIONS, "hip"),
+    **{f"hip_{word}": "hip" for word in ("abduct", "abduction", "adduction")},
+    **dict.fromkeys(_FLEXIONS, "thigh"),
+    **{f"hip_{word}": "thigh" for word in ("flexion", "extension")},
+    **dict.fromkeys(_words("calf knee kfe kn shank shin lower tibia knee_fe knee_pitch"), "calf"),
 }
-_UNITS = _words("ms us ns deg rad mm cm nm rpm turn degs rads m s")
+"""Of a quadruped: the hinge's name in ours. One with an abduction has its hip where we have the
+thigh (`by_their_legs`)."""
+_UNITS = _words("ms us ns deg rad mm cm nm rpm turn degs rads dps mg m s")
 _FILLER = _words(
     "joint joints jnt motor motors state states imu body link linear measured meas actual of robot"
-    " data estimator sensor header msg value raw leg ang per"
+    " data estimator sensor header msg value raw leg ang per est estimate estimated lin is in flag"
+    " field"
 )
+_TURNING = _words("ang rot rotational imu body")
+_RATES = _words("vel velocity rate rates speed")
 _KINDS_OF_VECTORS = {
     **dict.fromkeys(("ang", "w", "omega", "gyro", "gyr", "g"), "gyro"),
     **dict.fromkeys(("a", "acc", "accel"), "accel"),
@@ -61,8 +76,8 @@ class Named:
 
     kind: of the log's column, `euler` for an angle of an attitude, `foot` for a foot's place; leg:
     FL, FR, RL, RR, left or right; written: as the name has it; part: the joint's name beside the
-    leg's, of FL to RR hip, thigh or calf; place: in a list; axis; unit: as written; commanded: a
-    command; reference: of a tracked body.
+    leg's, of FL to RR hip, thigh or calf; place: in a list; limb: number of the leg; axis; unit: as
+    written; commanded: a command; reference: of a tracked body.
     """
 
     kind: str = ""
@@ -70,6 +85,7 @@ class Named:
     written: str = ""
     part: str = ""
     place: int | None = None
+    limb: int | None = None
     axis: str = ""
     unit: str = ""
     commanded: bool = False
@@ -78,14 +94,27 @@ class Named:
 
 def words_of(name: str) -> list[str]:
     """The words of a name in small letters: parts between signs and capitals."""
-    apart = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", name)
-    return [word.lower() for word in re.split(r"[^A-Za-z0-9]+", apart) if word]
+    apart = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z]{2})", " ", name)
+    words = [word.lower() for word in re.split(r"[^A-Za-z0-9]+", apart) if word]
+    return _legs_in_one(words)
+
+
+def _legs_in_one(words: list[str]) -> list[str]:
+    """Words in which "front" and "left", in either order, are "fl"."""
+    ends = [k for k, word in enumerate(words) if word in _ENDS]
+    for k in ends:
+        for other in (k + 1, k - 1):
+            if 0 <= other < len(words) and words[other] in _SIDES:
+                leg = (_ENDS[words[k]] + _SIDES[words[other]]).lower()
+                first = min(k, other)
+                return [*words[:first], leg, *words[first + 2 :]]
+    return words
 
 
 def read_name(name: str) -> Named:
     """What a name says by itself."""
     words = words_of(name)
-    kind, leg, written, axis, unit, place = "", "", "", "", "", None
+    kind, leg, written, axis, unit, place, limb = "", "", "", "", "", None, None
     part: list[str] = []
     for word in words:
         letters, digits = re.fullmatch(r"([a-z]*)([0-9]*).*", word).groups()  # pyright: ignore
@@ -100,7 +129,7 @@ def read_name(name: str) -> Named:
             kind = kind or "foot"
         elif (word in "xyz" or (word == "w" and kind == "ref_q")) and len(words) > 1:
             axis = word
-        elif word in _UNITS and kind:
+        elif word in _UNITS and (kind or axis):
             unit = f"{unit}/{word}" if unit else word
         elif vector and vector[1] not in _KINDS_OF_VECTORS:
             part.append(word)
@@ -115,20 +144,51 @@ def read_name(name: str) -> Named:
             part += [word] if found == "euler" else []
         elif letters in _KINDS and digits and not kind:
             kind, place = _KINDS[letters], int(digits)
+        elif letters == "leg" and digits:
+            limb = int(digits)
         elif letters in _FILLER and digits:
             place = int(digits)
         else:
             part.append(word)
+    if kind == "force" and leg in LEGS and _of_a_leg(part) in ("hip", "thigh", "calf"):
+        kind = "tau"  # the load of a joint
+    tracked = bool(_REFERENCE & set(words))
+    if not kind and axis and tracked and not part and not leg:
+        kind = "ref_p"
     if not kind and words and words[-1] in "xyz" and len(words) == 1:
         kind, axis = "ref_p", words[0]
+    if kind in ("dq", "ref_q") and axis and not leg and _TURNING & set(words):
+        # "ang_vel", "imu_rate" and the like; "rot" alone is an attitude.
+        kind = "gyro" if kind == "dq" or _RATES & set(words) else kind
     return Named(
         kind=kind,
         leg=leg,
-        part=_OF_A_LEG.get("_".join(part), "_".join(part)) if leg in LEGS else "_".join(part),
+        limb=limb,
+        part=_of_a_leg(part) if leg in LEGS else "_".join(part),
         written=written,
         place=place,
         axis=axis,
         unit=unit,
         commanded=bool(_COMMANDED & set(words)),
-        reference=bool(_REFERENCE & set(words)),
+        reference=tracked,
     )
+
+
+def _of_a_leg(part: list[str]) -> str:
+    """Our name of a quadruped's hinge, by as many last words as say it: others are of the robot."""
+    for first in range(len(part)):
+        if known := _OF_A_LEG.get("_".join(part[first:])):
+            return known
+    return "_".join(part)
+
+
+def by_their_legs(names: Mapping[str, Named]) -> dict[str, Named]:
+    """Names of one recording: "abduct, hip, knee" of a quadruped are our hip, thigh, calf."""
+    found = dict(names)
+    hinges = {n: set(words_of(n)) for n, one in names.items() if one.leg in LEGS and one.part}
+    written = set().union(*hinges.values()) if hinges else set()
+    if written & _ABDUCTIONS and not written & _FLEXIONS:
+        for name, words in hinges.items():
+            if names[name].part == "hip" and "hip" in words and not words & _ABDUCTIONS:
+                found[name] = replace(names[name], part="thigh")
+    return found

@@ -10,7 +10,7 @@ from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.importing.guess import Draft, guess_map, stride_in_turns
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.recording import import_log
-from surefoot.sim.log import JOINTS, LEGS, Log
+from surefoot.sim.log import LEGS, Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
@@ -97,52 +97,89 @@ def test_nine_entries_of_ten_are_right_on_measured_logs(capsys):
     assert rights >= ENOUGH * totals
 
 
-PARTS = {"hip": "HAA", "thigh": "HFE", "calf": "KFE"}
+DEGREES = 180.0 / np.pi
+IN_G = 1.0 / 9.80665
+MANNERS: dict[str, dict[str, str | tuple[str, float]]] = {
+    "short": {"t": "time", "gyro": "w{a}", "accel": "a{a}", "q": "q_{leg}_{part}"}
+    | {"dq": "dq_{leg}_{part}", "tau": "tau_{leg}_{part}", "contact": "CONTACT_{leg}"}
+    | {"ref_p": "p{a}", "ref_q": "q{a}"},
+    "ros": {"t": ("stamp_ns", 1e9), "gyro": "imu.angular_velocity.{a}"}
+    | {"accel": "imu.linear_acceleration.{a}", "q": "joint_states.position.{LF}_{HAA}"}
+    | {"dq": "joint_states.velocity.{LF}_{HAA}", "tau": "joint_states.effort.{LF}_{HAA}"}
+    | {"contact": "contacts.{LF}", "ref_p": "mocap.pose.position.{a}"}
+    | {"ref_q": "mocap.pose.orientation.{a}"},
+    "degrees": {"t": ("Time_ms", 1e3), "gyro": ("Gyro{A}", DEGREES), "accel": ("Acc{A}", IN_G)}
+    | {"q": ("motor{i}.q", DEGREES), "dq": ("motor{i}.dq", DEGREES), "tau": "motor{i}.tau"}
+    | {"contact": "footContact_{leg}", "ref_p": "vicon_pos_{a}", "ref_q": "vicon_quat_{a}"},
+    "words": {
+        "t": "Time [s]",
+        "gyro": ("Gyro {A} [deg/s]", DEGREES),
+        "accel": ("Acc {A} [g]", IN_G),
+    }
+    | {"q": ("Front Left {part} Angle [deg]", DEGREES), "tau": "Front Left {part} Torque [Nm]"}
+    | {"dq": ("Front Left {part} Speed [deg/s]", DEGREES), "contact": "Front Left Contact"}
+    | {"ref_p": ("Mocap Position {A} [mm]", 1e3), "ref_q": "Mocap Quaternion {A}"},
+    "capitals": {"t": "timeSec", "gyro": "gyro{A}", "accel": "acc{A}", "q": "FrontLeft{Part}Pos"}
+    | {"dq": "FrontLeft{Part}Vel", "tau": "FrontLeft{Part}Torque", "contact": "FrontLeftContact"}
+    | {"ref_p": "mocapPos{A}", "ref_q": "mocapQuat{A}"},
+    "sides": {"t": ("t_ms", 1e3), "gyro": ("imu_gyro_{a}_dps", DEGREES)}
+    | {"accel": ("imu_accel_{a}_mg", 1e3 * IN_G), "contact": "left_front_touch"}
+    | {"q": ("left_front_{roll}_angle_deg", DEGREES), "tau": "left_front_{roll}_torque_nm"}
+    | {"dq": ("left_front_{roll}_rate_dps", DEGREES), "ref_q": "vicon_q{a}"}
+    | {"ref_p": ("vicon_{a}_mm", 1e3)},
+    "hips": {"t": ("%time", 1e9), "gyro": "field.angular_velocity.{a}"}
+    | {"accel": "field.linear_acceleration.{a}", "q": "front_left_{abduct}_joint.position"}
+    | {"dq": "front_left_{abduct}_joint.velocity", "tau": "front_left_{abduct}_joint.effort"}
+    | {"contact": "front_left_contact", "ref_p": "pose.position.{a}"}
+    | {"ref_q": "pose.orientation.{a}"},
+    "letters": {"t": ("timestamp_us", 1e6), "gyro": "imu_ang_vel_{a}", "accel": "imu_lin_acc_{a}"}
+    | {"q": "{leg}.{hx}.position", "dq": "{leg}.{hx}.velocity", "tau": "{leg}.{hx}.load"}
+    | {"contact": "foot_state.{leg}.contact", "ref_p": "base_pos_{a}", "ref_q": "base_quat_{a}"},
+    "right first": {"t": ("lcm_timestamp", 1e6), "gyro": "omegaBody[{n}]", "accel": "aBody[{n}]"}
+    | {"q": "q[{mit}]", "dq": "qd[{mit}]", "tau": "tauEst[{mit}]", "contact": "contact[{foot}]"}
+    | {"ref_p": "mocap_position[{n}]", "ref_q": "mocap_orientation[{n}]"},
+    "from one": {
+        "t": "t",
+        "gyro": ("gyr_{a}", DEGREES),
+        "accel": "acc_{a}",
+        "q": "leg{l}_joint{j}_q",
+    }
+    | {"dq": "leg{l}_joint{j}_dq", "tau": "leg{l}_joint{j}_tau", "contact": "contact{l}"}
+    | {"ref_p": "pos_ref_{a}", "ref_q": "quat_ref_{a}"},
+    "prefixed": {"t": "go.header.stamp", "gyro": "go.imu.angularVelocity.{a}"}
+    | {"accel": "go.imu.linearAcceleration.{a}", "q": "go.joints.{leg}_{part}_joint.q"}
+    | {"dq": "go.joints.{leg}_{part}_joint.dq", "tau": "go.joints.{leg}_{part}_joint.tau"}
+    | {"contact": "go.feet.{leg}.inContact", "ref_p": "go.mocap.translation.{a}"}
+    | {"ref_q": "go.mocap.rotation.{a}"},
+}
+"""How others name the columns of a log, and what they multiply its values by where they do."""
 ANYMAL = {"FL": "LF", "FR": "RF", "RL": "LH", "RR": "RH"}
+RIGHT_FIRST = ["FR", "FL", "RR", "RL"]
+PARTS = {
+    "hip": {"HAA": "HAA", "hx": "hx", "roll": "hip_roll", "abduct": "abduct"},
+    "thigh": {"HAA": "HFE", "hx": "hy", "roll": "hip_pitch", "abduct": "hip"},
+    "calf": {"HAA": "KFE", "hx": "kn", "roll": "knee_pitch", "abduct": "knee"},
+}
 
 
 def in_the_manner_of(manner: str, name: str) -> tuple[str, float]:
     """Another's name for a column of the log, and what its values are multiplied by."""
-    kind, _, rest = name.partition("_")
+    kind = next(k for k in MANNERS[manner] if name == k or name.startswith(f"{k}_"))
+    said = MANNERS[manner][kind]
+    text, scale = said if isinstance(said, tuple) else (said, 1.0)
+    rest = name.removeprefix(kind).strip("_")
     leg, _, part = rest.partition("_")
-    if manner == "short":
-        short = {"gyro": "w", "accel": "a", "ref_p": "p", "ref_q": "q"}
-        for long, letter in short.items():
-            if name.startswith(f"{long}_"):
-                return letter + name[-1], 1.0
-        return {"t": "time"}.get(name, name.upper() if kind == "contact" else name), 1.0
-    if manner == "ros":
-        longer = {
-            "gyro": "imu.angular_velocity.",
-            "accel": "imu.linear_acceleration.",
-            "q": f"joint_states.position.{ANYMAL.get(leg, leg)}_{PARTS.get(part, part)}",
-            "dq": f"joint_states.velocity.{ANYMAL.get(leg, leg)}_{PARTS.get(part, part)}",
-            "tau": f"joint_states.effort.{ANYMAL.get(leg, leg)}_{PARTS.get(part, part)}",
-            "contact": f"contacts.{ANYMAL.get(leg, leg)}",
-        }
-        if name == "t":
-            return "stamp_ns", 1e9
-        if name.startswith("ref_p"):
-            return f"mocap.pose.position.{name[-1]}", 1.0
-        if name.startswith("ref_q"):
-            return f"mocap.pose.orientation.{name[-1]}", 1.0
-        return longer[kind] + (name[-1] if kind in ("gyro", "accel") else ""), 1.0
-    degrees = 180.0 / np.pi
-    place = JOINTS.index(rest) if rest in JOINTS else -1
-    if manner == "degrees":
-        if name == "t":
-            return "Time_ms", 1e3
-        if name.startswith("ref_"):
-            return f"vicon_{'pos' if name[4] == 'p' else 'quat'}_{name[-1]}", 1.0
-        return {
-            "gyro": (f"Gyro{rest.upper()}", degrees),
-            "accel": (f"Acc{rest.upper()}", 1.0 / 9.80665),
-            "q": (f"motor{place}.q", degrees),
-            "dq": (f"motor{place}.dq", degrees),
-            "tau": (f"motor{place}.tau", 1.0),
-            "contact": (f"footContact_{rest}", 1.0),
-        }[kind]
-    raise AssertionError(manner)
+    if leg not in LEGS:
+        return text.format(a=leg, A=leg.upper(), n="wxyz".find(leg) - (kind != "ref_q")), scale
+    end, side = ("front", "rear")[leg[0] == "R"], ("left", "right")[leg[1] == "R"]
+    text = text.replace("Front", end.title()).replace("Left", side.title())
+    text = text.replace("front", end).replace("left", side)
+    place = ["hip", "thigh", "calf"].index(part) if part else 0
+    number, foot = LEGS.index(leg), RIGHT_FIRST.index(leg)
+    words = {"leg": leg, "LF": ANYMAL[leg], "part": part, "Part": part.title()}
+    counts = {"i": 3 * number + place, "mit": 3 * foot + place, "foot": foot}
+    counts |= {"l": number + 1, "j": place + 1}
+    return text.format(**words, **counts, **PARTS.get(part, {})), scale
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +188,7 @@ def walked() -> Log:
     return walk(Scenario("turning", course, Ground(0.8)), Robot.load("spot_class"), seed=0)
 
 
-@pytest.mark.parametrize("manner", ["short", "ros", "degrees"])
+@pytest.mark.parametrize("manner", MANNERS)
 def test_a_simulated_log_with_columns_renamed_and_shuffled_is_drafted(tmp_path, walked, manner):
     wanted = ("t", "gyro_", "accel_", "q_", "dq_", "tau_", "contact_", "ref_p_", "ref_q_")
     kept = [c for c in walked.frame if c == "t" or c.startswith(wanted[1:])]
