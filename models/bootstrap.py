@@ -3,9 +3,12 @@
 import numpy as np
 
 
-def block_draws(blocks: int, rng: np.random.Generator, count: int = 1000) -> np.ndarray:
+def block_draws(
+    blocks: int, rng: np.random.Generator, count: int = 1000, drawn: int | None = None
+) -> np.ndarray:
     """How often each of K blocks is in each of `count` samples of the block bootstrap, (count, K).
 
-    Times the sums of the blocks (K, ...) it gives the sum of each sample.
+    Times the sums of the blocks (K, ...) it gives the sum of each sample. `drawn`: how many blocks
+    a sample has, K where left out.
     """
-    return rng.multinomial(blocks, np.full(blocks, 1.0 / blocks), size=count)
+    return rng.multinomial(drawn or blocks, np.full(blocks, 1.0 / blocks), size=count)

@@ -223,7 +223,7 @@ def _stands(
     )
     sigma = result.robust_weights.sigma
     gains = gains_of(without, known, result.floor, weight, sigma)
-    blocks = sum(gains[name] for name in one.channels if name in gains)
+    blocks = sum(gains[name] for name in one.channels_of(one.target) if name in gains)
     # Blocks without a bin left gain nothing; the draws are the same on every machine.
     drawn = block_draws(np.size(blocks), np.random.default_rng(0)) @ np.ravel(blocks)
     return bool(np.percentile(drawn, 2.5) > 0)

@@ -26,8 +26,8 @@ def adds_drift(
 
     The drift is what the feet seem to move over the ground while they stand, added up over blocks
     in which chance averages out; it grows if the sum of its squares does in 19 of 20 draws of the
-    blocks, by a share GROWN of what it was with nothing explained, and by more than walks of the
-    declared model drift themselves.
+    blocks, by a share GROWN of what it was with nothing explained, and by more than walks of a
+    robot that has these effects drift for a model that knows of them.
 
     Args:
         cases: the logs under the declared model.
@@ -35,7 +35,7 @@ def adds_drift(
         evidence: once the effects found so far are explained.
         chosen_with: the same effects and another, sizes settled.
         use: bins (M,) of all logs that may be looked at.
-        floor: walks of the declared model; without them it has no drift.
+        floor: those walks; without them they have no drift.
     """
     feet = evidence.layout.by_leg("stance_displacement")
     if not len(feet):
@@ -51,7 +51,7 @@ def adds_drift(
 
 
 def _own_drift(floor: NoiseFloor | None) -> float:
-    """Mean square [m^2] of the drift over a block of walks of the declared model."""
+    """Mean square [m^2] of the drift over a block of a floor's walks."""
     walks = [repeat.evidence for repeat in floor.repeats] if floor else []
     squares = []
     for one in walks:

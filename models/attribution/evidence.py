@@ -122,14 +122,17 @@ def channels_of(case: LogUnderModel) -> tuple[str, ...]:
 
 def all_keys(case: LogUnderModel) -> tuple[Key, ...]:
     """Every candidate that a model can know of and whose channels the log has."""
-    there = channels_of(case)
-    keys = []
+    there, keys = {*channels_of(case)}, []
     for kind in known_effects().usable()[0].values():
-        lacks = not any(c in there for c in kind.channels)
-        lacks |= case.fixed and "reference" in kind.needs
+        lacks = case.fixed and "reference" in kind.needs
         if not kind.is_compensated() or lacks or not kind.is_compensated_on(case.log):
             continue
-        keys += [(kind.name, target) for target in kind.targets_on(case.robot.limbs)]
+        keys += [
+            (kind.name, target)
+            for target in kind.targets_on(case.robot.limbs)
+            if there & {*kind.channels_of(target)}
+            and not (isinstance(case.robot, Robot) and kind.is_another(target, case.robot))
+        ]
     return tuple(keys)
 
 
@@ -323,7 +326,7 @@ class _Linear:
     def _own(self, key: Key, one: Regressor) -> Regressor:
         """The regressor of an effect that shows only in the times of events, without what more or
         fewer samples of a stance do to other channels."""
-        names = known_effects()[key[0]].channels
+        names = known_effects()[key[0]].channels_of(key[1])
         if not all(name in channels() and channels()[name].of_events for name in names):
             return one
         own = np.isin(one.columns, self.parts.layout.of(*names))

@@ -125,8 +125,9 @@ class NoiseFloor:
         channels it shows in, where they know it, or else a share of it."""
         if not self.repeats:
             return 0.0
-        shows_in = [name for name in known_effects()[key[0]].channels if name in channels()]
-        known = [to for name in shows_in if (to := channels()[name].known_to) is not None]
+        kind = known_effects()[key[0]]
+        shows_in = [channels()[name] for name in kind.channels_of(key[1]) if name in channels()]
+        known = [c.known_to[key[1]] for c in shows_in if key[1] in c.known_to]
         if known and len(known) == len(shows_in):
             return max(known)
         return self.repeats[0].evidence.settings.faked_share * abs(offset)

@@ -26,7 +26,7 @@ from surefoot.models.attribution.selection import Candidate, left_unseen
 from surefoot.models.attribution.split import REPORT
 from surefoot.models.bootstrap import block_draws
 from surefoot.models.residuals.command import commanded_torque
-from surefoot.sim.effects import Effect, effect
+from surefoot.sim.effects import Effect, effect, known_effects
 
 
 @dataclass(frozen=True)
@@ -189,8 +189,7 @@ def reconsidered(
     chosen, limbs = list(chosen), data.evidence.layout.limbs
 
     def unlikely(effects: Sequence[Effect]) -> float:
-        doubt = sum(surprise(e.name, e.target, e.value, limbs) for e in effects)
-        return float(left_near(data, effects, REPORT).sum()) + doubt
+        return _unlikely(data, effects)
 
     for i, one in enumerate(chosen[:-1]):
         others = instead.get((one.name, one.target), ())
@@ -199,6 +198,38 @@ def reconsidered(
             continue
         tried = [[*chosen[:i], other, *chosen[i + 1 :]] for other in others]
         chosen = min([chosen, *(refined(data, effects, REPORT) for effects in tried)], key=unlikely)
+    return chosen
+
+
+def _unlikely(data: Data, effects: Sequence[Effect]) -> float:
+    """What effects leave of the residual, and the surprise of their sizes: -2 log of likelihood and
+    prior."""
+    limbs = data.evidence.layout.limbs
+    doubt = sum(surprise(e.name, e.target, e.value, limbs) for e in effects)
+    return float(left_near(data, effects, REPORT).sum()) + doubt
+
+
+def merged(data: Data, chosen: Sequence[Effect]) -> list[Effect]:
+    """The effects, those of one name on several parts replaced by one on the least group that has
+    them all, where the sizes that this saves are worth more than what it leaves.
+
+    Found one after the other, the parts of a group have the size that each has beside those found
+    before it.
+    """
+    chosen, limbs = list(chosen), data.evidence.layout.limbs
+    # BIC's price of a size, and of having been one of many (`selection.judge`).
+    price = np.log(max(2, len(np.unique(data.part)))) + 2.0 * np.log(len(data.evidence.keys))
+    for name in {e.name for e in chosen}:
+        kind, alike = known_effects()[name], [e for e in chosen if e.name == name]
+        parts = {part for e in alike for part in kind.members_of(e.target, limbs)}
+        covers = {t: set(of) for t, of in kind.group_targets(limbs).items() if parts <= set(of)}
+        if len(alike) < 2 or not covers:
+            continue
+        target = min(covers, key=lambda t: len(covers[t]))
+        one = effect(name, target, float(np.median([e.value for e in alike])))
+        tried = refined(data, [one, *(e for e in chosen if e.name != name)], REPORT)
+        if _unlikely(data, tried) < _unlikely(data, chosen) + (len(alike) - 1) * price:
+            chosen = tried
     return chosen
 
 

@@ -22,6 +22,7 @@ from surefoot.models.attribution.refinement import (
     Data,
     contenders,
     jointly,
+    merged,
     reconsidered,
     refined,
     rerank,
@@ -109,7 +110,8 @@ def attribute(
             others = distinct(data, candidates, limbs)
             few = contenders(data, others, found)
             best, chosen_with = rerank(known, few)
-            if adds_drift(cases, declared, evidence, chosen_with, use, floor):
+            floor_with = noise_floor_with(floor, chosen_with)
+            if adds_drift(cases, declared, evidence, chosen_with, use, floor_with):
                 refuted.append(best.key)
                 continue
             rivals += _rivals(data, best, others, found, rng)
@@ -118,7 +120,7 @@ def attribute(
                 for c in few
                 if c != best and overlap(data, best.key, c.key, found) > settings.twin_overlap
             ]
-            chosen_with = reconsidered(known, chosen_with, instead)
+            chosen_with = merged(known, reconsidered(known, chosen_with, instead))
         else:
             best, chosen_with = _hidden(known, explained, rng, refuted)
             if best is None:

@@ -12,6 +12,7 @@ from surefoot.models.attribution.priors import surprise
 from surefoot.models.attribution.run_offsets import of_each_run
 from surefoot.models.attribution.split import FIT, SELECT
 from surefoot.models.bootstrap import block_draws
+from surefoot.models.residuals.registry import channels
 from surefoot.sim.effects import known_effects
 from surefoot.sim.robot.limbs import Limbs
 
@@ -66,7 +67,9 @@ def judge(
         among: how many candidates there are, where the data have only some of them.
     """
     s, parts = data.settings, (data.rows(data.part == FIT), data.rows(data.part == SELECT))
-    counts = block_draws(sum(len(part.G) for part in parts), rng)
+    # Halves that judge each other are not two: together they are worth the blocks of one.
+    half = max(1, len(parts[0].G))
+    counts = block_draws(sum(len(part.G) for part in parts), rng, drawn=half)
     plain = [fit(seen, chosen, errors=False).vector for seen in parts]
     # Chen and Chen 2008, extended BIC: one of many costs more than one alone, and one with a size
     # for each log as many times as it has sizes.
@@ -75,21 +78,20 @@ def judge(
     for key in data.keys:
         if key in chosen:
             continue
-        fitted, again = fit(parts[0], [*chosen, key]), fit(parts[1], [*chosen, key], errors=False)
+        known = [*chosen, *_levels(key, data.keys, chosen)]
+        fitted, again = fit(parts[0], [*known, key]), fit(parts[1], [*known, key], errors=False)
         size, error = float(fitted.sizes[-1]), float(np.sqrt(fitted.covariance[-1, -1]))
         offset, spread = floor.sizes(chosen, key)
         size -= offset
         without = plain
-        if offset:
-            without = [
-                fit(seen, chosen, errors=False, given={key: offset}).vector for seen in parts
-            ]
+        if offset or len(known) > len(chosen):
+            given = {key: offset} if offset else None
+            without = [fit(seen, known, errors=False, given=given).vector for seen in parts]
         before = _left(parts, without[::-1])
         # Each half of the blocks at the sizes of the other half; what they gain on the mean.
         blocks = 0.5 * (before - _left(parts, (again.vector, fitted.vector)))
         gain = float(blocks.sum())
-        # Halves that judge each other are not two: their mean is known no better than one of them.
-        low, high = gain + 2**0.5 * (np.percentile(counts @ blocks, [2.5, 97.5]) - gain)
+        low, high = np.percentile(counts @ blocks, [2.5, 97.5]) * len(blocks) / half
         at_seen = 0.5 * float(
             np.sum(_left(parts, without) - _left(parts, (fitted.vector, again.vector)))
         )
@@ -133,6 +135,16 @@ def judge(
             )
         )
     return tuple(sorted(judged, key=lambda c: (not c.earned, -c.score)))
+
+
+def _levels(key: Key, keys: Sequence[Key], chosen: Sequence[Key]) -> list[Key]:
+    """What is fitted along with a candidate that shows only in channels whose level is not known
+    well: the other candidates that are such a level."""
+    shows_in = known_effects()[key[0]].channels_of(key[1])
+    known_to = [channels()[name].known_to for name in shows_in if name in channels()]
+    if not all(known_to) or any(key[1] in one for one in known_to):
+        return []
+    return [k for k in keys if k not in chosen and any(k[1] in one for one in known_to)]
 
 
 def distinct(

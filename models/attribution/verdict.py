@@ -81,7 +81,7 @@ def _implausible(one: Found) -> str:
 
 def _below_floor(one: Effect, channels: dict[str, ChannelLevel]) -> str:
     """Why an effect cannot be told from noise: none of its channels is above its floor."""
-    own = {name: channels[name] for name in one.channels if name in channels}
+    own = {name: channels[name] for name in one.channels_of(one.target) if name in channels}
     if not type(one).is_compensated() or not own or not all(c.below_floor for c in own.values()):
         return ""
     name, c = max(own.items(), key=lambda item: item[1].before / (item[1].noise_floor or 1.0))

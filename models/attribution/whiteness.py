@@ -20,7 +20,7 @@ def variance_inflation(data: Design, weights: RobustWeights) -> np.ndarray:
     free = fit(sums, (), errors=False).vector[1:]
     left = np.where(data.there, data.y - data.explained(-free), np.nan)
     layout = data.evidence.layout
-    known = [name for name in layout.channels if channels()[name].known_to is not None]
+    known = [name for name in layout.channels if channels()[name].known_to]
     for columns in layout.alike:
         if known and np.isin(columns, layout.of(*known)).all() and data.there[:, columns].any():
             # How well their mean is known is said, and counts as a doubt of sizes.

@@ -15,7 +15,7 @@ From then on it stands in the residual table, in what effects may explain, in no
 and figures, beside those that come with surefoot.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
@@ -129,9 +129,9 @@ class Channel:
     """[unit] that no log resolves: noise is never taken to be less."""
     of_events: ClassVar[bool] = False
     """Whether it is a time of an event: a small change of the body leaves it as it is."""
-    known_to: ClassVar[float | None] = None
-    """[unit, standard deviation] to which its level on walks of the model is known, where that is
-    known from models of several robots."""
+    known_to: ClassVar[Mapping[str, float]] = {}
+    """Target of an effect -> [unit, standard deviation] to which the level in which the effect
+    shows is known on walks of the model, where that is known from models of several robots."""
     judges: ClassVar[bool] = False
     """Whether no fit sees it: it says what effects that others found are worth."""
     chained: ClassVar[bool] = False

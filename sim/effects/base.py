@@ -163,6 +163,17 @@ class Effect:
         return cls.compensate is not Effect.compensate
 
     @classmethod
+    def channels_of(cls, target: str) -> tuple[str, ...]:
+        """The channels of the residual in which it shows on this target."""
+        return cls.channels
+
+    @classmethod
+    def is_another(cls, target: str, robot: Robot) -> bool:
+        """Whether on this machine another effect is the same motion, so that `trace` needs one of
+        the two alone."""
+        return False
+
+    @classmethod
     def is_certain(cls, target: str, robot: Robot) -> bool:
         """Whether every machine has it and this model does not: only its size is in question."""
         return False

@@ -99,6 +99,11 @@ class HipOffset(Effect):
         return log, replace(robot, legs=robot.legs._replace(offset=offset))
 
 
+PARALLEL = 0.01
+"""rad, of two axes: a leg turned by 0.1 rad about the one is turned by 1 mrad less about the other,
+and what is left is no more than the step of an encoder."""
+
+
 class LegHeading(Effect):
     """A leg is mounted turned about one of the base's axes, through its hip's hinge.
 
@@ -134,6 +139,13 @@ class LegHeading(Effect):
         rotation[leg, 0] = turn @ legs.rotation[leg, 0]
         offset[leg, 0] += (legs.rotation[leg, 0] - rotation[leg, 0]) @ legs.anchor[leg, 0]
         return log, replace(robot, legs=legs._replace(offset=offset, rotation=rotation))
+
+    @classmethod
+    def is_another(cls, target: str, robot: Robot) -> bool:
+        # About the axis of its first hinge a leg is turned as by an error of that hinge's encoder.
+        leg, axis = leg_and_axis(cls(target, 0.0), robot)
+        hinge = robot.legs.rotation[leg, 0] @ robot.legs.axis[leg, 0]
+        return bool(np.hypot(*np.delete(hinge, axis)) < PARALLEL)
 
 
 def _hip(one: Effect, spec: mujoco.MjSpec, robot: Robot):

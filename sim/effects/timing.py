@@ -269,6 +269,11 @@ class ClockScale(Effect):
         ), robot
 
     @classmethod
+    def channels_of(cls, target: str) -> tuple[str, ...]:
+        # Samples of a foot in the air that count as a stance's are far beyond a straight line.
+        return ("contact_timing",) if target == "feet" else cls.channels
+
+    @classmethod
     def step_of(cls, target: str) -> float:
         # Contacts move by whole rows, which a small step leaves where they are.
         return 10 * cls.step if target == "feet" else cls.step

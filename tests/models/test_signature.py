@@ -36,7 +36,9 @@ def one_of_each_kind(targets):
 KEYS = [
     (kind.name, target)
     for kind in CHAINED
-    for target in one_of_each_kind(kind.single_targets(QUADRUPED))
+    for target in one_of_each_kind(
+        [t for t in kind.single_targets(QUADRUPED) if not kind.is_another(t, SPOT)]
+    )
     + list(kind.group_targets(QUADRUPED))[:1]
 ]
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from surefoot.sim.effects import effect
+from surefoot.sim.effects import CATALOGUE, effect
 from surefoot.sim.log import Log
 from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
 from surefoot.sim.physics.scene import robot_spec
@@ -80,3 +80,15 @@ def test_a_turned_leg_has_the_feet_of_the_compiled_model(target):
     _, known = one.compensate(LOG, SPOT)
     assert_allclose(known.feet_I(q), simulated, atol=1e-9)
     assert np.abs(simulated - SPOT.feet_I(q)).max() > 5e-3
+
+
+def test_a_leg_turned_about_its_hips_axis_is_an_error_of_the_hips_encoder():
+    q = np.random.default_rng(0).uniform(-0.5, 0.5, (5, 12))
+    kind = CATALOGUE["leg_heading"]
+    for target in kind.single_targets(SPOT.limbs):
+        _, turned = effect("leg_heading", target, 0.05).compensate(LOG, SPOT)
+        wrong = q.copy()
+        wrong[:, SPOT.limbs.joints.index(f"{target[:2]}_hip")] += 0.05
+        there, by_encoder = turned.feet_I(q), SPOT.feet_I(wrong)
+        assert kind.is_another(target, SPOT) == np.allclose(there, by_encoder, rtol=0, atol=1e-9)
+        assert kind.is_another(target, SPOT) == target.endswith("x")

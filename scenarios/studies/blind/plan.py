@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,13 @@ from surefoot.sim.walking.batch import known_robot
 
 PLAN = bundled("surefoot.scenarios.studies.blind", "study.toml")
 ROBOTS = bundled("surefoot.scenarios.studies.blind", "robots")
+
+
+@lru_cache(maxsize=16)
+def study_robot(name: str) -> Robot:
+    """A robot of the study alone, or a known one."""
+    own = ROBOTS / f"{name}.xml"
+    return known_robot(str(own) if own.is_file() else name)
 
 
 @dataclass(frozen=True)
@@ -41,18 +49,22 @@ def cases(plan: Mapping[str, Any]) -> list[Case]:
         robot, seed = walks[len(found) % len(walks)]
         found.append(Case(len(found), kind, robot, seed, tuple(effects), **more))
 
+    def drawn(name: str, sizes: Sequence[float], of_group: bool = False) -> Effect:
+        robot, _ = walks[len(found) % len(walks)]
+        return _drawn(name, sizes, rng, study_robot(robot), of_group)
+
     # Turn by turn, so that a study that is stopped early has seen as much of each.
     for turn in range(plan["each"]):
         for name in known:
-            add("single", [_drawn(name, plan["sizes"][name], rng, turn in plan["group_turns"])])
+            add("single", [drawn(name, plan["sizes"][name], turn in plan["group_turns"])])
         for _ in range(_share(plan["clean"], turn, plan["each"])):
             add("clean")
         for k in range(_share(plan["outside"] * len(OUTSIDE_EFFECTS), turn, plan["each"])):
             name = list(OUTSIDE_EFFECTS)[(turn + k) % len(OUTSIDE_EFFECTS)]
-            add("outside", [_drawn(name, plan["outside_sizes"][name], rng)])
+            add("outside", [drawn(name, plan["outside_sizes"][name])])
         for _ in range(_share(plan["together"], turn, plan["each"])):
             first, second = rng.choice(known, 2, replace=False)
-            add("together", [_drawn(n, plan["sizes"][n], rng) for n in (first, second)])
+            add("together", [drawn(n, plan["sizes"][n]) for n in (first, second)])
         for k in range(_share(plan["confounded"], turn, plan["each"])):
             pair = plan["twins"][(turn + k) % len(plan["twins"])]
             name, target = pair["of"][0].split()
@@ -67,7 +79,7 @@ def _share(count: int, turn: int, turns: int) -> int:
 
 
 def _drawn(
-    name: str, size: Sequence[float], rng: np.random.Generator, of_group: bool = False
+    name: str, size: Sequence[float], rng: np.random.Generator, robot: Robot, of_group: bool
 ) -> Effect:
     """An effect of a drawn size, sign and target; on a group of parts, where it has any, if asked.
 
@@ -75,19 +87,15 @@ def _drawn(
         name: of the effect.
         size: the ends of its range.
         rng: draws.
+        robot: that has it; a target on which it is another effect's motion is not drawn.
         of_group: whether the target is a group.
     """
     kind = CATALOGUE[name] if name in CATALOGUE else OUTSIDE_EFFECTS[name]
     value = float(np.exp(rng.uniform(*np.log(size))))
     sign = rng.choice([-1.0, 1.0])
     several = tuple(kind.group_targets(QUADRUPED)) if of_group else ()
-    target = str(rng.choice(several or kind.single_targets(QUADRUPED)))
+    single = [t for t in kind.single_targets(QUADRUPED) if not kind.is_another(t, robot)]
+    target = str(rng.choice(several or single))
     # No delay is negative.
     both = kind.bounds[0] < 0 and not name.endswith("_delay")
     return kind(target, sign * value if both else value)
-
-
-def study_robot(name: str) -> Robot:
-    """A robot of the study alone, or a known one."""
-    own = ROBOTS / f"{name}.xml"
-    return known_robot(str(own) if own.is_file() else name)
