@@ -16,6 +16,7 @@ from surefoot.models.residuals.binning import (
     mean_rate_of_change,
 )
 from surefoot.models.residuals.channel import ResidualInputs
+from surefoot.models.residuals.contact_timing import CHANGE_WINDOW
 from surefoot.models.residuals.jacobians import (
     Regressor,
     ResidualJacobians,
@@ -325,12 +326,16 @@ class _Linear:
 
     def _own(self, key: Key, one: Regressor) -> Regressor:
         """The regressor of an effect that shows only in the times of events, without what more or
-        fewer samples of a stance do to other channels."""
+        fewer samples of a stance do to other channels, and without events that were lost or taken
+        for their neighbours."""
         names = known_effects()[key[0]].channels_of(key[1])
         if not all(name in channels() and channels()[name].of_events for name in names):
             return one
         own = np.isin(one.columns, self.parts.layout.of(*names))
-        return Regressor(one.columns[own], one.values[:, own])
+        values, step = one.values[:, own], known_effects()[key[0]].step_of(key[1])
+        return Regressor(
+            one.columns[own], np.where(np.abs(step * values) < CHANGE_WINDOW, values, 0.0)
+        )
 
     def _by_difference(self, log: Log, robot: Machine, step: float) -> np.ndarray:
         frame, same = self.frame, ()

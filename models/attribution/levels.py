@@ -36,7 +36,11 @@ class ChannelLevel:
     @property
     def at_floor(self) -> bool:
         """Whether what is left is what the declared model leaves by itself."""
-        return self.judges or self.after <= self.settings.at_floor * self.highest
+        return self.judges or self._as_the_model
+
+    @property
+    def _as_the_model(self) -> bool:
+        return self.after <= self.settings.at_floor * self.highest
 
     @property
     def below_floor(self) -> bool:
@@ -49,13 +53,13 @@ class ChannelLevel:
     @property
     def worse(self) -> bool:
         """Whether what was added to the model does harm on data that no fit has seen: it leaves
-        more than before and than the floor's own walks do, by more than those differ."""
-        if self.by_chance:
-            return False
-        if self.noise_floor is None:
-            return self.after > self.settings.worse * self.before
-        more = self.after > max(self.settings.worse * self.before, self.noise_floor)
-        return more and self.after - self.before > self.highest - self.noise_floor
+        more than before, by more than walks of a robot differ that has these effects and a model
+        that knows of them, and more than those walks leave."""
+        more = self.after > self.settings.worse * self.before
+        if self.noise_floor is None or not more or self.by_chance:
+            return more and not self.by_chance
+        differ = self.after - self.before > self.highest - self.noise_floor
+        return differ and not self._as_the_model
 
 
 def channel_levels(

@@ -71,7 +71,8 @@ def attribute(
     WORTH of what the others explain or is CLEAR by itself, and it pays for its parameter and for
     having been one of many (extended BIC, blocks as samples). What the model lacks for certain
     comes before all else. One that adds to the drift of the legs is refuted. When none earns a
-    place, what may be hidden in an effect that was found is fitted jointly with it (`_hidden`).
+    place, what may be hidden in an effect that was found is fitted jointly with it (`_hidden`). At
+    the end those are left out whose interval holds zero.
 
     Args:
         cases: the logs under the declared model.
@@ -127,9 +128,18 @@ def attribute(
                 break
         explained += best.gain
         chosen, floor = chosen_with, noise_floor_with(floor, chosen_with)
-    # What was found beside an effect is no other explanation of it.
-    rivals = tuple(rival for rival in rivals if rival[0] not in found)
     sized = _with_intervals(data, chosen, floor)
+    while unsure := [one.effect for one in sized if one.interval[0] <= 0.0 <= one.interval[1]]:
+        # What was added after it explains it as well.
+        chosen = [e for e in chosen if e != unsure[-1]]
+        evidence, whole, weights, chosen = _settled(cases, chosen, keys, evidence, floor, split)
+        data = normal_equations(
+            whole, floor.counted(weights.sigma, weights.alike), weights.weight, split.part
+        )
+        floor = noise_floor_with(floor, chosen)
+        sized = _with_intervals(data, chosen, floor)
+    # What was found beside an effect is no other explanation of it.
+    rivals = tuple(rival for rival in rivals if rival[0] not in [_key(e) for e in chosen])
     return Attribution(sized, tuple(rounds), rivals, weights, evidence, floor)
 
 
