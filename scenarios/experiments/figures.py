@@ -17,7 +17,7 @@ from surefoot.scenarios.reporting.palette import (
     estimator_label,
     estimator_line,
 )
-from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
+from surefoot.scenarios.reporting.plotting import label_decades, legend_below, new_figure, set_title
 
 NOMINAL = 3.0  # NEES of a three-dimensional error
 FACTOR = 2.0  # from the nominal value that still counts as consistent
@@ -62,6 +62,7 @@ def by_sequence(
             ax.plot(means, at, "|", color=color, **bar)
         if log:
             ax.set_xscale("log")
+            label_decades(ax.xaxis)
         ax.set_yticks(range(len(names)), labels=names)
         ax.set_ylim(len(names) - 0.5, -0.5)
         for k in range(len(names) - 1):
@@ -76,14 +77,12 @@ def by_sequence(
 
 
 def label_roles(ax, rows: pd.DataFrame, names: Sequence[str]) -> None:
-    """Test sequences in bold, as in the tables."""
+    """Test sequences in bold, as in the tables; the others with what they are for."""
     roles = rows.drop_duplicates("sequence").set_index("sequence")["role"]
-    for label, name in zip(ax.get_yticklabels(), names, strict=True):
+    words = [name if roles[name] == "test" else f"{name} ({roles[name]})" for name in names]
+    for label, name in zip(ax.set_yticklabels(words), names, strict=True):
         if roles[name] == "test":
             label.set_fontweight("bold")
-        else:
-            label.set_text(f"{name} ({roles[name]})")
-    ax.set_yticklabels([label.get_text() for label in ax.get_yticklabels()])
 
 
 def gamma_sweep(table: pd.DataFrame, title: str) -> Figure:

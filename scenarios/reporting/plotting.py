@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from surefoot.scenarios.reporting.palette import INK
 from surefoot.sim.common.files import whole_file
@@ -57,6 +59,20 @@ def new_figure(
 def set_title(ax: Axes, text: str, size: float = 10.5) -> None:
     """A title that starts where the axes start."""
     ax.set_title(text, loc="left", fontsize=size, color=INK)
+
+
+def label_decades(axis: Axis) -> None:
+    """Labels of a logarithmic axis, once its data are drawn: plain numbers, as many as have room.
+
+    A decade has 1, 2 and 5 where the axis shows no more than a decade and a half, 1 and 3 up to
+    three, else 1 alone; matplotlib's own labels within a decade run into each other.
+    """
+    low, high = axis.get_view_interval()
+    decades = float(np.log10(high / low))
+    steps = (1.0, 2.0, 5.0) if decades <= 1.5 else (1.0, 3.0) if decades <= 3.0 else (1.0,)
+    axis.set_major_locator(LogLocator(subs=steps))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def legend_below(figure: Figure, ax: Axes, columns: int = 4) -> None:

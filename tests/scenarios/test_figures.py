@@ -1,5 +1,7 @@
 """Figures show the numbers they are given, with units, and are the same twice."""
 
+from itertools import pairwise
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,7 +11,7 @@ from matplotlib.figure import Figure
 from surefoot.estimator.evaluation.trajectory import reference
 from surefoot.models.calibration.mixing import mixing
 from surefoot.scenarios.estimate.error_series import error_series
-from surefoot.scenarios.experiments.figures import paths
+from surefoot.scenarios.experiments.figures import by_sequence, paths
 from surefoot.scenarios.reporting import figures, observer_figures
 from surefoot.scenarios.reporting.palette import estimator_color, estimator_label, estimator_line
 from surefoot.scenarios.reporting.plotting import png, save_png
@@ -147,3 +149,24 @@ def test_paths_are_those_of_the_estimates():
     truth = series["coverage"]
     np.testing.assert_array_equal(above.get_lines()[0].get_xdata(), truth["ref_x"])
     np.testing.assert_array_equal(above.get_lines()[0].get_ydata(), truth["ref_y"])
+
+
+@pytest.mark.parametrize("most", [0.1, 0.3, 3.0, 3000.0])
+def test_numbers_of_a_logarithmic_axis_have_room(most):
+    rows = [
+        {"sequence": name, "role": role, "condition": condition, "filter": "leg", "APE": size}
+        for name, role in (("there", "test"), ("back", "train"))
+        for condition in ("as drawn", "as built", "as walked")
+        for size in (0.04, most)
+    ]
+    drawn = by_sequence(pd.DataFrame(rows), "APE", "errors")
+    drawn.canvas.draw()
+    for ax in drawn.axes:
+        low, high = ax.get_xlim()
+        labels = [x for x in ax.get_xticklabels(which="both") if low <= x.get_position()[0] <= high]
+        boxes = sorted(
+            x.get_window_extent().extents[[0, 2]].tolist() for x in labels if x.get_text()
+        )
+        assert len(boxes) >= 2
+        assert all(left[1] < right[0] for left, right in pairwise(boxes))
+    assert [x.get_text() for x in drawn.axes[0].get_yticklabels()] == ["there", "back (train)"]
