@@ -28,8 +28,8 @@ def align_file(
     robot: str | None = None,
     most: float = 10.0,
     force: bool = False,
-) -> tuple[str, ...]:
-    """Align a log, or a recording with its map; what to print.
+) -> tuple[Alignment, tuple[str, ...]]:
+    """Align a log, or a recording with its map; what was found, and the same in words.
 
     Args:
         file: a log (.parquet), or with `map` a recording.
@@ -56,7 +56,7 @@ def align_file(
     if at:
         x, y, z = 1e3 * (at.p_BI + at.R_BI @ found.p_IM)
         said.insert(2, f"       at ({x:.0f}, {y:.0f}, {z:.0f}) mm in the base of {robot}")
-    return (*said, "", "for the import map:", *found.map_lines)
+    return found, (*said, "", "for the import map:", *found.map_lines)
 
 
 def figure(log: Log, poses: Poses, found: Alignment) -> Figure:

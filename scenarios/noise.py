@@ -16,8 +16,8 @@ COLORS = ("#D55E00", "#009E73", "#2F86D1")
 SENSORS = (("gyro", "rad/s"), ("accel", "m/s²"))
 
 
-def noise(log: Log, out: Path | None, force: bool = False) -> str:
-    """The noise of a log at rest: a table as text, and with `out` the settings and a figure.
+def noise(log: Log, out: Path | None, force: bool = False) -> RestNoise:
+    """The noise of a log at rest, and with `out` the settings and a figure.
 
     out: TOML file of `surefoot.scenarios.estimate.settings`; a .png of the same name goes beside.
     Raises SurefootError where the log rests nowhere, or a file is there and `force` is not given.
@@ -31,19 +31,24 @@ def noise(log: Log, out: Path | None, force: bool = False) -> str:
         with whole_file(out, force) as temporary:
             temporary.write_text(settings_text(log.name, found), encoding="utf-8")
             save_png(allan_figure(found), figure, force)
+    return found
+
+
+def noise_text(name: str, found: RestNoise) -> str:
+    """The noise of the log of that name, as a table."""
     rows = [
         {
-            "sensor": f"{name} {axis}",
+            "sensor": f"{sensor} {axis}",
             "white noise": f"{one.white.value:.2e}",
             "95 %": _interval(one.white),
             "walk of the bias": f"{one.walk.value:.2e}" if one.walk.resolved else "not resolved",
             "95 % ": _interval(one.walk),
             "unit": f"{unit}/√Hz, {unit}/s/√Hz",
         }
-        for name, unit in SENSORS
-        for axis, one in zip("xyz", getattr(found, name), strict=True)
+        for sensor, unit in SENSORS
+        for axis, one in zip("xyz", getattr(found, sensor), strict=True)
     ]
-    text = f"{log.name}: at rest from {found.begin:.2f} to {found.end:.2f} s\n\n{to_markdown(rows)}"
+    text = f"{name}: at rest from {found.begin:.2f} to {found.end:.2f} s\n\n{to_markdown(rows)}"
     if len(found.encoder):
         text += f"\n\njoint readings: {_spread(found.encoder)} rad at rest"
         if np.isfinite(found.stance).any():

@@ -206,13 +206,14 @@ class Align:
     robot: RobotName = None
     most: float = 10.0
     """Largest offset of the clock that is looked for [s]."""
+    as_json: Json = False
     force: Force = False
 
     def run(self) -> None:
         from surefoot.scenarios.align import align_file
 
-        for line in align_file(**vars(self)):
-            print(line)
+        found, lines = align_file(self.file, self.out, self.map, self.robot, self.most, self.force)
+        print_json(found.as_dict()) if self.as_json else print("\n".join(lines))
 
 
 @dataclass(frozen=True)

@@ -237,13 +237,16 @@ class NoiseCommand:
     """A log that rests somewhere, for a minute or more if walks of biases are to be seen."""
     out: Annotated[Path | None, arg(aliases=["-o"])] = None
     """Settings (.toml) for --settings; the Allan deviations are drawn in a .png beside it."""
+    as_json: Json = False
     force: Force = False
 
     def run(self) -> None:
-        from surefoot.scenarios.noise import noise
+        from surefoot.scenarios.noise import noise, noise_text
         from surefoot.sim.log import Log
 
-        print(noise(Log.read(self.log), self.out, self.force))
+        log = Log.read(self.log)
+        found = noise(log, self.out, self.force)
+        print_json(found) if self.as_json else print(noise_text(log.name, found))
 
 
 @dataclass(frozen=True)

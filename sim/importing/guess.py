@@ -9,14 +9,16 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.importing.bag import bag_fields, read_bag
 from surefoot.sim.importing.columns import DEGREE, STANDARD_GRAVITY, UNITS, kind_of
+from surefoot.sim.importing.layout import layout_of
 from surefoot.sim.importing.names import Named, by_their_legs, read_name
-from surefoot.sim.importing.recording import is_bag, read_table
+from surefoot.sim.importing.recording import is_bag, is_text, read_table
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.table import columns_of
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative
@@ -75,7 +77,7 @@ class Draft:
     reference: tuple[Entry, ...] = ()
     reference_file: Path | None = None
     sources: Mapping[str, tuple[Path, Entry]] = field(default_factory=dict)
-    header: bool = True
+    layouts: Mapping[Path, Mapping[str, object]] = field(default_factory=dict)
     rate: float | None = None
     robot: str | None = None
     contact: tuple[float, float] | None = None
@@ -93,13 +95,14 @@ class Draft:
             "[source]",
             f"file = {_text(self.files[0].name)}",
         ]
-        lines += [] if self.header else ["header = false"]
+        lines += self._layout(self.files[0])
         lines += [f"rate = {self.rate:.6g} # ? no times found"] if self.rate else []
         for name, (path, clock) in self.sources.items():
             lines += [
                 "",
                 f"[sources.{name}]",
                 f"file = {_text(path.name)}",
+                *self._layout(path),
                 _line(replace(clock, name="t")),
             ]
         lines += ["", "[columns]", *_lines(self.main)]
@@ -107,6 +110,7 @@ class Draft:
             lines += ["", "[reference]"]
             if self.reference_file is not None and self.reference_file != self.files[0]:
                 lines.append(f"file = {_text(self.reference_file.name)}")
+                lines += self._layout(self.reference_file)
             lines += [
                 'frame = "imu" # ? whose pose is it, and on which clock: try surefoot align',
                 "",
@@ -122,6 +126,9 @@ class Draft:
             lines += ["", f"# not used: {' '.join(', '.join(self.unused).split())}"]
         return "\n".join(lines) + "\n"
 
+    def _layout(self, path: Path) -> list[str]:
+        return [f"{key} = {json.dumps(one)}" for key, one in self.layouts.get(path, {}).items()]
+
 
 @dataclass(frozen=True)
 class _File:
@@ -129,7 +136,7 @@ class _File:
     columns: dict[str, np.ndarray]
     names: dict[str, Named]
     lists: dict[str, tuple[str, ...]]
-    header: bool
+    layout: dict[str, Any]
     t: Entry | None
     seconds: np.ndarray | None
 
@@ -175,7 +182,7 @@ def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
         reference=reference,
         reference_file=at.path if reference else None,
         sources=sources,
-        header=main.header,
+        layouts={one.path: one.layout for one in read},
         rate=found.rate if main.t is None else None,
         robot=robot,
         contact=contact,
@@ -203,7 +210,7 @@ def _parts(path: Path) -> list[Path]:
 
 
 def _read(path: Path) -> _File | None:
-    header, lists = True, {}
+    layout, lists = {}, {}
     if is_bag(path):
         fields = bag_fields(path)
         seen = read_bag(path, fields) if fields else {}
@@ -212,9 +219,8 @@ def _read(path: Path) -> _File | None:
             topics[column.partition(":")[0]] = len(seen[column][1])
         columns = {name: values for name, (_, values) in seen.items()}
     else:
-        table = read_table(path, Source())
-        if all(_is_number(name) for name in table.cells):
-            header, table = False, read_table(path, Source(header=False))
+        layout = layout_of(path) if is_text(path) else {}
+        table = read_table(path, Source(**layout))
         columns = columns_of(table)
         lists = {
             name: tuple(map(str, cells))
@@ -228,7 +234,8 @@ def _read(path: Path) -> _File | None:
         columns = {n: v for n, v in columns.items() if len(v) == most}
     names = by_their_legs({name: read_name(name) for name in columns})
     t = _time(columns, names)
-    return _File(path, columns, names, lists, header, t, t.scale * columns[t.theirs] if t else None)
+    seconds = t.scale * columns[t.theirs] if t else None
+    return _File(path, columns, names, lists, layout, t, seconds)
 
 
 def _richness(one: _File) -> int:

@@ -17,7 +17,7 @@ _KINDS: dict[str, str] = {
         "t": "t time stamp timestamp timestamps secs sec seconds clock ts tick utime epoch",
         "gyro": "gyro gyros gyr gyroscope omega angvel w angular",
         "accel": "acc accel acceleration accelerometer a",
-        "q": "q qpos pos position positions angle angles jpos enc encoder theta translation",
+        "q": "q qpos pos position positions angle angles jpos enc encoder theta translation p",
         "dq": "dq qd qvel vel velocity velocities speed speeds jvel encvel qdot dtheta rate rates",
         "tau": "tau torque torques effort trq jtau moment",
         "force": "force forces load grf fsr pressure",
@@ -66,7 +66,7 @@ _KINDS_OF_VECTORS = {
     **dict.fromkeys(("ang", "w", "omega", "gyro", "gyr", "g"), "gyro"),
     **dict.fromkeys(("a", "acc", "accel"), "accel"),
     **dict.fromkeys(("q", "quat"), "ref_q"),
-    **dict.fromkeys(("p", "pos"), "ref_p"),
+    **dict.fromkeys(("p", "pos", "t"), "ref_p"),
 }
 
 
@@ -94,6 +94,8 @@ class Named:
 
 def words_of(name: str) -> list[str]:
     """The words of a name in small letters: parts between signs and capitals."""
+    # Between frames, as in a_RS_S_x of EuRoC.
+    name = re.sub(r"\b([apqw])_[A-Z]{2}(?:_[A-Z])?_([wxyz])\b", r"\1\2", name)
     apart = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z]{2})", " ", name)
     words = [word.lower() for word in re.split(r"[^A-Za-z0-9]+", apart) if word]
     return _legs_in_one(words)
@@ -118,7 +120,7 @@ def read_name(name: str) -> Named:
     part: list[str] = []
     for word in words:
         letters, digits = re.fullmatch(r"([a-z]*)([0-9]*).*", word).groups()  # pyright: ignore
-        vector = re.fullmatch(r"(ang|w|omega|gyro|gyr|g|a|acc|accel|q|quat|p|pos)([wxyz])", word)
+        vector = re.fullmatch(r"(ang|w|omega|gyro|gyr|g|a|acc|accel|q|quat|p|pos|t)([wxyz])", word)
         if word in _COMMANDED or word in _FILLER or (word in _REFERENCE and len(words) > 1):
             continue
         if word.isdigit():
@@ -127,7 +129,7 @@ def read_name(name: str) -> Named:
             leg, written = _LEGS[word], word
         elif word in _FEET:
             kind = kind or "foot"
-        elif (word in "xyz" or (word == "w" and kind == "ref_q")) and len(words) > 1:
+        elif (word in "xyz" or (word == "w" and kind in ("q", "ref_q"))) and len(words) > 1:
             axis = word
         elif word in _UNITS and (kind or axis):
             unit = f"{unit}/{word}" if unit else word
@@ -155,6 +157,8 @@ def read_name(name: str) -> Named:
     tracked = bool(_REFERENCE & set(words))
     if not kind and axis and tracked and not part and not leg:
         kind = "ref_p"
+    if kind == "q" and axis and tracked and "q" in words:
+        kind = "ref_q"
     if not kind and words and words[-1] in "xyz" and len(words) == 1:
         kind, axis = "ref_p", words[0]
     if kind in ("dq", "ref_q") and axis and not leg and _TURNING & set(words):

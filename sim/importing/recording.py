@@ -1,6 +1,6 @@
 """A recording of any files becomes a Log, by an import map (`sim.importing.map`)."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -53,18 +53,26 @@ def read_recording(files: Files, map_path: str | Path) -> RawRecording:
     """What `import_log` makes a log of, with all rows and poses. Raises as it does."""
     rules = ImportMap.read(map_path)
     paths = [Path(files)] if isinstance(files, str | Path) else [Path(one) for one in files]
-    main = _main_file(paths[0], rules)
-    further = iter(paths[1:])
+    # Files that the map names may be given too, in any order.
+    given = {path.name: path for path in paths}
+    first = given.get(rules.source.file or "", paths[0])
+    main = _main_file(first, rules)
+    sources = (*rules.sources.values(), rules.reference)
+    named = {one.file.replace(STEM, main.stem) for one in sources if one and one.file}
+    beside = {name: given.get(name, main.parent / name) for name in named}
+    further = iter([path for path in paths if path is not first and path.name not in named])
     streams, clock, notes = _streams(main, rules.source, rules, None)
     for name, source in rules.sources.items():
-        path = _beside(main, source, further, f"{rules.path}: [sources.{name}]")
+        path = beside[source.file.replace(STEM, main.stem)] if source.file else next(further, None)
+        if path is None:
+            raise SurefootError(f"{rules.path}: [sources.{name}] has no file, and none is given")
         found, _, _ = _streams(path, source, rules, name)
         streams |= found
     poses = None
     if rules.reference is not None:
-        has_own = rules.reference.file is not None
-        path = _beside(main, rules.reference, further, "") if has_own else next(further, main)
-        poses = poses_of(_reference(path, rules))
+        own = rules.reference.file
+        path = beside[own.replace(STEM, main.stem)] if own else next(further, main)
+        poses = poses_of(_reference(path, rules, shared=path == main))
     if (extra := next(further, None)) is not None:
         raise SurefootError(f"{extra}: {rules.path} has no use for this file")
     shared = on_clock(clock, streams, str(main))
@@ -91,6 +99,11 @@ def read_table(path: Path, source: Source) -> RecordedTable:
     return reader(path) if reader else read_text(path, source)
 
 
+def is_text(path: Path) -> bool:
+    """Whether a file is read as a text, by its name."""
+    return not (is_bag(path) or path.suffix.lower() in (*_READERS, ".parquet"))
+
+
 def is_bag(path: Path) -> bool:
     """Whether a path is that of a ROS 1, ROS 2 or MCAP bag, by its name."""
     return path.suffix.lower() in BAGS or (path / "metadata.yaml").is_file()
@@ -102,15 +115,6 @@ def _main_file(path: Path, rules: ImportMap) -> Path:
     if rules.source.file is None:
         raise SurefootError(f"{path}: is a folder, and {rules.path} has no [source] file")
     return path / rules.source.file
-
-
-def _beside(main: Path, source: Source, further: Iterator[Path], who: str) -> Path:
-    if source.file is not None:
-        return main.parent / source.file.replace(STEM, main.stem)
-    path = next(further, None)
-    if path is None:
-        raise SurefootError(f"{who} has no file, and none is given")
-    return path
 
 
 def _streams(
@@ -194,10 +198,18 @@ def _of_bag(
     return found, t, ()
 
 
-def _reference(path: Path, rules: ImportMap) -> Columns:
-    """Columns t, ref_p and ref_q of the reference's own rows."""
+def _reference(path: Path, rules: ImportMap, shared: bool) -> Columns:
+    """Columns t, ref_p and ref_q of the reference's own rows; shared: in the main file."""
     columns, source = rules.reference_columns, rules.reference
     assert source is not None
+    if shared:
+        plain = Source()
+        laid_out = {
+            key: getattr(rules.source, key)
+            for key in ("separator", "header", "skip", "comment", "decimal")
+            if getattr(source, key) == getattr(plain, key)
+        }
+        source = replace(source, **laid_out)
     if is_bag(path):
         topics = {topic_of(column.theirs) for column in columns.values()}
         if len(topics) > 1:

@@ -90,7 +90,9 @@ def _cells(table: RecordedTable, column: str, source: Source) -> np.ndarray:
         return _at(table, column, table.cells[place[1]], int(index))
     if cells is None:
         where = " from the header" * (table.row == "line")
-        there = ", ".join(list(table.cells)[:_SHOWN]) + (", ..." * (len(table.cells) > _SHOWN))
+        there = ", ".join(" ".join(name.split()) for name in list(table.cells)[:_SHOWN]) + (
+            ", ..." * (len(table.cells) > _SHOWN)
+        )
         raise SurefootError(
             f"{table.path}: column {column!r} is missing{where} (there are {there})"
         )

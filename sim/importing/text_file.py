@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.importing.layout import COMMENTS
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.table import RecordedTable, column_readings
 
@@ -31,15 +32,15 @@ def read_text(path: Path, source: Source) -> RecordedTable:
     if not path.is_file():
         raise SurefootError(f"{path}: no such file")
     try:
-        header, separator = _first_line(path, source)
+        header, separator, apart = _first_line(path, source)
         with warnings.catch_warnings():
             # Too long a first line is a warning in pandas, and shifts the columns.
             warnings.simplefilter("error", pd.errors.ParserWarning)
             frame = pd.read_csv(
                 path,
                 sep=separator,
-                header=0 if source.header else None,
-                skiprows=source.skip,
+                header=0 if source.header and not apart else None,
+                skiprows=source.skip + apart,
                 comment=source.comment,
                 decimal=source.decimal,
                 index_col=False,
@@ -79,20 +80,25 @@ class _Columns(dict):
         return super().get(name, default)
 
 
-def _first_line(path: Path, source: Source) -> tuple[list[str], str]:
-    """Names of the columns, and what separates them."""
+def _first_line(path: Path, source: Source) -> tuple[list[str], str, bool]:
+    """Names of the columns, what separates them, and whether a sign of a comment stands apart
+    before the names."""
     with path.open(newline="", encoding="utf-8-sig") as stream:
         for _ in range(source.skip):
             stream.readline()
         line = stream.readline()
     separator = source.separator or _separator(line)
+    apart = False
     if separator == _SPACES:
         names = line.split()
+        apart = source.header and names[:1] != [] and names[0] in COMMENTS
+        names = names[apart:]
     else:
         names = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
     if not any(names):
         raise SurefootError(f"{path}: line {source.skip + 1}: no header")
-    return (names if source.header else [str(k) for k in range(len(names))]), separator
+    header = names if source.header else [str(k) for k in range(len(names))]
+    return header, separator, apart
 
 
 def _separator(line: str) -> str:

@@ -6,11 +6,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
 import pytest
 
 import surefoot
 from surefoot.scenarios.cli.main import main
 from surefoot.sim.common import progress
+from surefoot.sim.log import Log, Meta
 
 PLUGIN = """
 from surefoot.scenarios.estimate.bundled import Imu
@@ -70,6 +73,17 @@ def test_results_are_json_where_that_is_asked_for(capsys):
     assert (card["mass"], len(card["joints"]), card["walks"]) == (32.7, 12, True)
     main(["robots", "--json"])
     assert json.loads(capsys.readouterr().out)["spot_class"] == "bundled"
+
+
+def test_the_noise_of_a_rest_is_json_too(tmp_path, capsys):
+    t = 0.01 * np.arange(3000)
+    readings = 1e-3 * np.random.default_rng(0).standard_normal((len(t), 6)) + [0, 0, 0, 0, 0, 9.81]
+    names = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
+    frame = pd.DataFrame({"t": t} | dict(zip(names, readings.T, strict=True)))
+    Log(frame, Meta(rate=100.0)).write(tmp_path / "rest.parquet")
+    main(["noise", str(tmp_path / "rest.parquet"), "--json"])
+    white = json.loads(capsys.readouterr().out)["gyro"][0]["white"]
+    assert white["low"] < 1e-4 < white["high"]  # 1e-3 rad/s at 100 Hz
 
 
 def test_a_pipe_is_told_of_progress_once_a_minute(monkeypatch):

@@ -225,7 +225,7 @@ def test_contact_is_the_state_machine_it_says(force, debounce):
             "[ground] evenness must be a number >= 0.0, is -1",
         ),
         ("map.toml", "debounce", "bounce", "[contact] unknown key 'bounce'"),
-        ("map.toml", 'unit = "g"', 'unit = "G"', "[columns.accel_x] unit 'G' (allowed: m/s^2, g)"),
+        ("map.toml", 'unit = "g"', 'unit = "G"', "[columns.accel_x] unit 'G' (allowed: m/s^2, g,"),
         ("map.toml", "sign = -1", "sign = 2", "[columns.gyro_x] sign is 2"),
         ("map.toml", "sign = -1", "signs = -1", "[columns.gyro_x] unknown key 'signs'"),
         ("map.toml", "gyro_y", "gyroy", "[columns] gyroy: not a column of the log"),
@@ -273,6 +273,7 @@ def test_a_recording_without_stamps_takes_the_rate_of_its_map(tmp_path):
 
 @FUZZ
 @example(content='" "')
+@example(content='"\n"\r1')
 @given(content=st.one_of(st.binary(max_size=200), st.text("a,b1.-\n\r\"' \x00é", max_size=200)))
 def test_any_bytes_are_a_table_or_one_clear_line(tmp_path, content):
     path = tmp_path / "any.csv"

@@ -1,0 +1,64 @@
+"""How a text is laid out: lines before its table, a header or none, decimal commas."""
+
+import csv
+import re
+from pathlib import Path
+
+_LOOKED_AT = 65536
+"""Characters at the beginning of a text by which it is judged."""
+COMMENTS = ("#", "%", "//")
+"""Signs before a line that is not of a table, or has its names."""
+_COMMA = re.compile(r"\s*-?\d+,\d+([eE][-+]?\d+)?\s*")
+
+
+def layout_of(path: Path) -> dict[str, object]:
+    """Keys of a map's [source] for this text that are not as they are by default."""
+    with path.open(encoding="utf-8-sig", errors="replace", newline="") as stream:
+        lines = stream.read(_LOOKED_AT).splitlines()[:-1]
+    if len(lines) < 2:
+        return {}
+    separator = _separator(lines[-1])
+    rows = [_cells(line, separator) for line in lines]
+    width = len(rows[-1])
+    first = next(k for k, row in enumerate(rows) if len(row) == width)
+    # A comment as wide as the table names its columns.
+    after = next(k for k in range(first, len(rows)) if not lines[k].lstrip().startswith(COMMENTS))
+    named = [k for k in range(after) if len(rows[k]) == width and width > 1]
+    found: dict[str, object] = {}
+    begin = named[-1] if named else max(after, first)
+    if begin:
+        found["skip"] = begin
+    if all(_is_number(cell) or _COMMA.fullmatch(cell) for cell in rows[begin]):
+        found["header"] = False
+    if separator != "," and any(_COMMA.fullmatch(cell) for cell in rows[-1]):
+        found |= {"separator": separator, "decimal": ","}
+    return found
+
+
+def _separator(line: str) -> str:
+    """Of a line of numbers: a comma beside another one is before decimals."""
+    for separator in (";", "\t", "|"):
+        if separator in line:
+            return separator
+    if (
+        re.search(r"\S +\S", line)
+        and "," in line
+        and all(_is_number(cell) or _COMMA.fullmatch(cell) for cell in line.split())
+    ):
+        return r"\s+"
+    return "," if "," in line else r"\s+"
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    if separator == r"\s+":
+        words = line.split()
+        return words[1:] if words[:1] and words[0] in COMMENTS else words
+    return next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

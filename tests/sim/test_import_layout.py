@@ -1,0 +1,80 @@
+"""Texts of other makes' layouts: drafted, and then read as the draft says, without a question of
+separators, preambles or decimals left."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from surefoot.sim.importing.guess import guess_map
+from surefoot.sim.importing.layout import layout_of
+from surefoot.sim.importing.recording import import_log
+
+N = 400
+T = 0.01 * np.arange(N)
+TURN = 0.2 * np.sin(T)
+IMU = pd.DataFrame(
+    {"t": T, "gyro_x": 0.0 * T, "gyro_y": 0.0 * T, "gyro_z": 0.2 * np.cos(T)}
+    | {"accel_x": 0.01 * np.sin(9.0 * T), "accel_y": 0.01 * np.cos(7.0 * T), "accel_z": 9.81}
+)
+POSE = pd.DataFrame(
+    {"t": T, "p_x": 0.1 * T, "p_y": 0.0 * T, "p_z": 0.3 + 0.0 * T}
+    | {"q_w": np.cos(TURN / 2.0), "q_x": 0.0 * T, "q_y": 0.0 * T, "q_z": np.sin(TURN / 2.0)}
+)
+BOTH = pd.concat([IMU, POSE.drop(columns="t").add_prefix("vicon_")], axis=1)
+EUROC = {"t": "#timestamp [ns]"} | {
+    f"{long}_{a}": f"{short}_RS_S_{a} [{unit}]"
+    for long, short, unit in (("gyro", "w", "rad s^-1"), ("accel", "a", "m s^-2"))
+    for a in "xyz"
+}
+
+
+def imported(folder, *files):
+    """The log of these files by their draft, and the draft."""
+    draft = guess_map([folder / name for name in files])
+    (folder / "map.toml").write_text(draft.text)
+    return import_log([folder / name for name in files], folder / "map.toml"), draft
+
+
+@pytest.mark.parametrize(
+    ("before", "options", "layout"),
+    [
+        ("", {}, {}),
+        ("", {"sep": "\t"}, {}),
+        ("", {"sep": ";", "decimal": ","}, {"separator": ";", "decimal": ","}),
+        ("", {"quoting": 1}, {}),
+        ("# a robot\n# and its day\n", {}, {"skip": 2}),
+        (
+            "Recorded by hand\nDay;3\n\n",
+            {"sep": ";", "decimal": ","},
+            {"skip": 3, "separator": ";", "decimal": ","},
+        ),
+    ],
+)
+def test_a_text_is_read_as_it_is_laid_out(tmp_path, before, options, layout):
+    with (tmp_path / "run.csv").open("w") as stream:
+        stream.write(before)
+        BOTH.to_csv(stream, index=False, **options)
+    assert layout_of(tmp_path / "run.csv") == layout
+    log, _ = imported(tmp_path, "run.csv")
+    np.testing.assert_allclose(log.gyro, IMU.to_numpy()[:, 1:4], atol=1e-9)
+    np.testing.assert_allclose(log.ref_p[:, 0], 0.1 * T, atol=1e-6)
+
+
+def test_the_files_of_euroc_and_a_trajectory_of_tum_go_in_as_they_are(tmp_path):
+    imu = IMU.assign(t=(1.4e18 + 1e9 * T).astype(np.int64)).rename(columns=EUROC)
+    imu.to_csv(tmp_path / "imu0.csv", index=False)
+    euroc = {c: f"{c[0]}_RS_R_{c[-1]} [m]" if c[0] == "p" else f"q_RS_{c[-1]} []" for c in POSE}
+    poses = POSE.assign(t=imu.iloc[:, 0]).rename(columns=euroc | {"t": "#timestamp"})
+    poses.to_csv(tmp_path / "truth.csv", index=False)
+    log, draft = imported(tmp_path, "truth.csv", "imu0.csv")
+    assert not any(entry.doubt for entry in (*draft.main, *draft.reference))
+    np.testing.assert_allclose(log.ref_p[:, 0], 0.1 * T, atol=1e-6)
+    # Of TUM: spaces, a sign of a comment before the names, w last.
+    IMU.to_csv(tmp_path / "imu.csv", index=False)
+    order = ["t", "p_x", "p_y", "p_z", "q_x", "q_y", "q_z", "q_w"]
+    with (tmp_path / "run.tum").open("w") as stream:
+        stream.write("# timestamp tx ty tz qx qy qz qw\n")
+        POSE[order].to_csv(stream, sep=" ", header=False, index=False)
+    log, _ = imported(tmp_path, "imu.csv", "run.tum")
+    turned = 2.0 * np.arctan2(log.ref_q[:, 3], log.ref_q[:, 0])
+    np.testing.assert_allclose(turned, TURN, atol=1e-6)
