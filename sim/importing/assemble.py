@@ -8,7 +8,13 @@ import numpy as np
 import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.importing.clock import Columns, column_kind, evened, without_holds
+from surefoot.sim.importing.clock import (
+    Columns,
+    brought_forward,
+    column_kind,
+    evened,
+    without_holds,
+)
 from surefoot.sim.importing.contacts import feet_that_stand
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.reference import imu_poses, with_reference
@@ -123,14 +129,20 @@ def _rate(t: np.ndarray) -> float:
 def _made_even(main: Columns, even: EvenTable) -> tuple[Columns, list[str]]:
     """The columns without holds and at an even rate, and what was derived."""
     kinds = {column_kind(name) for name in main}
-    for kind in even.held:
-        if kind not in kinds:
-            raise SurefootError(
-                f"[even] held: no column of kind {kind!r}; there are {', '.join(sorted(kinds))}"
-            )
+    for key, named in (("held", even.held), ("late", even.late)):
+        for kind in named:
+            if kind not in kinds:
+                raise SurefootError(
+                    f"[even] {key}: no column of kind {kind!r}; there are "
+                    f"{', '.join(sorted(kinds))}"
+                )
     said = [f"{kind} (between held readings)" for kind in even.held]
+    said += [f"{kind} ({1e3 * delay:g} ms earlier)" for kind, delay in even.late.items()]
+    main = without_holds(main, even.held)
+    if even.late:
+        main = brought_forward(main, even.late)
     rate = even.rate or _rate(main["t"])
-    return evened(without_holds(main, even.held), rate), [*said, f"rows at {rate:g} Hz"]
+    return evened(main, rate), [*said, f"rows at {rate:g} Hz"]
 
 
 def unit_quaternions(path: Path, table: Columns, unit: str = "row", first: int = 1) -> None:

@@ -1,4 +1,5 @@
-"""Which feet stand, of a log that does not say it: by its joints' torques or by its kinematics."""
+"""Which feet stand, of a log that does not say it: by its joints' torques, its kinematics or its
+gait."""
 
 from dataclasses import replace
 
@@ -15,14 +16,17 @@ from surefoot.sim.sensors.contact import contact_from_force
 _LEVELLED = 4.0
 """s over which the accelerometer levels the gyro's attitude: some strides, over which a walking
 body's own acceleration averages out. A gyro's bias of 1 mrad/s tilts it by 4 mrad."""
+_IN_PHASE = 0.7
+"""Correlation of two feet's velocities from which their legs swing together: legs of a trot's
+diagonal have 0.9 and more, legs a quarter of a stride apart none."""
 
 
 def feet_that_stand(log: Log, rule: ContactTable) -> Log:
-    """The log with contact_<leg> by a rule of torque or kinematics.
+    """The log with contact_<leg> by a rule of torque, kinematics or gait.
 
     Raises SurefootError where the log lacks what the rule needs.
     """
-    given = rule.of == "kinematics" and log.has("foot")
+    given = rule.of != "torque" and log.has("foot")
     try:
         log.require("imu", *(() if given else ("q",)), *(("tau",) if rule.of == "torque" else ()))
         robot = None if given else Robot.for_log(log)
@@ -30,12 +34,16 @@ def feet_that_stand(log: Log, rule: ContactTable) -> Log:
         raise SurefootError(f"[contact] of {rule.of}: {error}") from None
     legs = log.legs if robot is None else robot.limbs.legs
     up = up_in_imu(log.t, log.gyro, log.accel)
-    if rule.of == "kinematics":
-        feet_I = log.foot_I if robot is None else robot.feet_I(log.q)
-        load = -speeds_beside_lowest(log.t, feet_I, log.gyro, up)
-    else:
+    if rule.of == "torque":
         assert robot is not None
         load = upward_forces(log, robot, up)
+    else:
+        feet_I = log.foot_I if robot is None else robot.feet_I(log.q)
+        load = -(
+            speeds_beside_lowest(log.t, feet_I, log.gyro, up)
+            if rule.of == "kinematics"
+            else heights_beside_others(log.t, feet_I, up)
+        )
     stands = {}
     for leg, (offset, on, off) in rule.by_leg(legs).items():
         own = load[:, legs.index(leg)] - offset
@@ -61,6 +69,54 @@ def speeds_beside_lowest(
     v_I = v_I.reshape(feet_I.shape) + np.cross(gyro[:, None], feet_I)
     lowest = np.einsum("nli,ni->nl", feet_I, up).argmin(axis=1)
     return np.linalg.norm(v_I - v_I[rows, lowest][:, None], axis=2)
+
+
+def heights_beside_others(t: np.ndarray, feet_I: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """How much higher (N, L) [m] the feet of the legs that swing with a foot, and itself, are in
+    the mean than those of the lowest other legs that swing together; negative where they are the
+    lowest.
+
+    Args:
+        t: (N,) [s].
+        feet_I: (N, L, 3) [m].
+        up: (N, 3) upward direction in I.
+
+    Raises SurefootError where all legs swing together.
+    """
+    groups = legs_in_phase(t, feet_I, up)
+    if len(groups) < 2:
+        raise SurefootError("[contact] of gait: all legs swing together, none stands meanwhile")
+    height = np.einsum("nli,ni->nl", feet_I, up)
+    means = np.column_stack([height[:, group].mean(axis=1) for group in groups])
+    beside = np.empty_like(height)
+    for k, group in enumerate(groups):
+        others = np.delete(means, k, axis=1).min(axis=1)
+        beside[:, group] = (means[:, k] - others)[:, None]
+    return beside
+
+
+def legs_in_phase(t: np.ndarray, feet_I: np.ndarray, up: np.ndarray) -> list[list[int]]:
+    """Legs, by index, that swing together: the velocities of their feet correlate by more than
+    _IN_PHASE, along the axis of I in which feet move most, upwards left out.
+
+    Args:
+        t: (N,) [s].
+        feet_I: (N, L, 3) [m].
+        up: (N, 3) upward direction in I.
+    """
+    v = derivative(t, feet_I.reshape(len(t), -1), JOINT_WINDOW, causal=False)
+    v = v.reshape(feet_I.shape)
+    v = v - np.einsum("nli,ni->nl", v, up)[..., None] * up[:, None]
+    along = v[:, :, int(np.argmax(np.var(v, axis=0).sum(axis=0)))]
+    alike = np.corrcoef(along.T) > _IN_PHASE
+    groups: list[list[int]] = []
+    for leg in range(feet_I.shape[1]):
+        own = next((g for g in groups if all(alike[leg, k] for k in g)), None)
+        if own is None:
+            groups.append([leg])
+        else:
+            own.append(leg)
+    return groups
 
 
 def upward_forces(log: Log, robot: Robot, up: np.ndarray) -> np.ndarray:

@@ -139,21 +139,24 @@ class ContactTable:
     """Threshold from which a foot stands; a number, or a table by leg."""
     off: float | dict[str, float]
     """Threshold from which it does not."""
-    of: Literal["force", "torque", "kinematics"] = "force"
+    of: Literal["force", "torque", "kinematics", "gait"] = "force"
     """What is compared: force_<leg>, in its own unit; the upward force [N] that the joints' torques
-    put on the foot; or how fast the foot moves beside the lowest one [m/s]."""
+    put on the foot; how fast the foot moves beside the lowest one [m/s]; or, of legs that swing
+    together, as the diagonals of a trot do, how high their feet are above the lowest others [m]."""
     offset: float | dict[str, float] = 0.0
     """Taken off before."""
     debounce: NonNegative = 0.0
     """s beyond `on` before a foot stands."""
 
     def by_leg(self, legs: tuple[str, ...]) -> dict[str, tuple[float, float, float]]:
-        """Offset, on and off of each leg; of kinematics all negative, for slower is loaded."""
+        """Offset, on and off of each leg; of kinematics and gait all negative, for slower or lower
+        is loaded."""
         table = {key: _by_leg(key, getattr(self, key), legs) for key in ("offset", "on", "off")}
-        sign = -1.0 if self.of == "kinematics" else 1.0
+        falling = self.of in ("kinematics", "gait")
+        sign = -1.0 if falling else 1.0
         for leg in legs:
             if sign * table["off"][leg] > sign * table["on"][leg]:
-                where = "below" if self.of == "kinematics" else "above"
+                where = "below" if falling else "above"
                 raise SurefootError(f"[contact] off is {where} on for {leg}")
         return {
             leg: (sign * table["offset"][leg], sign * table["on"][leg], sign * table["off"][leg])
@@ -180,6 +183,14 @@ class EvenTable:
     held: tuple[Name, ...] = ()
     """Kinds of columns ("q", "dq", "gyro", ...) that repeat a reading until the next: rows between
     get values on straight lines from one to the next."""
+    late: dict[str, float] = field(default_factory=dict)
+    """s by which kinds of columns ("foot", "dq", ...) come after what they measure: they are moved
+    to when it was. Of a further file, its times have an offset instead."""
+
+    def __post_init__(self):
+        for kind, delay in self.late.items():
+            if not abs(delay) < 1.0:
+                raise SurefootError(f"[even] late.{kind}: {delay:g} s is no delay of a sensor")
 
 
 def check_unit(key: str, q: tuple[float, ...]) -> None:

@@ -77,7 +77,8 @@ def rates(view: LogView) -> Iterator[Finding]:
         return
     for i in np.flatnonzero(good & (np.abs(slope - 1.0) > 2.0 * RATE_OFF)):
         told = f"{slope[i]:.3g} times the change of q"
-        yield Finding((f"dq_{names[i]}",), told, "scaled, or its angle is")
+        line = f"dq_{names[i]} = {{ ..., gain = {1.0 / slope[i]:.4g} }}"
+        yield Finding((f"dq_{names[i]}",), told, "scaled, or its angle is", line)
 
 
 def _scaled_rates(columns: tuple[str, ...], typical: float, told: str) -> Finding:

@@ -20,6 +20,9 @@ FROZEN = 0.2
 LIMITED = 0.5
 """s, the same of torques, which drives hold at their limit for a while."""
 _SENSORS = ("gyro", "accel", "q", "dq", "tau", "ref_p", "ref_q", "foot")
+RESTS = 0.02
+"""rad that a joint turns by at least in a log, to be one that does not rest: a dozen counts of an
+encoder, between which a joint that is held stays for seconds."""
 _ALIVE = 0.25
 """Share of its usual spread by which a sibling moves meanwhile."""
 CLIPPED = 5
@@ -60,6 +63,8 @@ def frozen(view: LogView) -> Iterator[Finding]:
             first, last = run
             if view.t[last] - view.t[first] < (LIMITED if kind == "tau" else FROZEN):
                 continue
+            if _rests(view, name, kind):
+                continue
             if _others_move(view, name, kind, columns, first, last):
                 whole = last - first >= len(view.t) - 1
                 told = (
@@ -98,6 +103,24 @@ def _others_move(
     return len(elsewhere) > 2 and len(moving) > 0.7 * len(elsewhere)
 
 
+def _rests(view: LogView, name: str, kind: str) -> bool:
+    """Whether a column is of a joint that is held in one place throughout, by angle and by rate.
+
+    An angle that never changes, and has no rate beside it, may as well be a sensor that is dead.
+    """
+    if kind not in ("q", "dq"):
+        return False
+    frame, joint = view.log.frame, name.removeprefix(f"{kind}_")
+    turned = []
+    if (angle := f"q_{joint}") in frame:
+        turned.append(float(np.ptp(frame[angle].to_numpy())))
+    if (rate := f"dq_{joint}") in frame:
+        # Without its mean: rates of a joint at rest may have an offset.
+        dq = frame[rate].to_numpy() - frame[rate].to_numpy().mean()
+        turned.append(float(np.ptp(np.cumsum(dq * np.gradient(view.t)))))
+    return max(turned) < RESTS and (len(turned) > 1 or max(turned) > 0.0)
+
+
 def _moves(x: np.ndarray, first: int, last: int) -> bool:
     """Whether a column moves all the time between two rows: in both halves."""
     low, high = np.quantile(x, (0.05, 0.95))
@@ -133,7 +156,9 @@ def late(view: LogView) -> Iterator[Finding]:
             continue
         which = "late" if one.delay > 0 else "early"
         told = f"{1e3 * abs(one.delay):.1f} ms {which} against {one.witness}"
-        yield Finding(one.columns, told, "a filter, or stamps of another clock")
+        # A reference has a clock of its own.
+        line = f"[even] late = {{ dq = {one.delay:.4f} }}" if rates else ""
+        yield Finding(one.columns, told, "a filter, or stamps of another clock", line)
 
 
 def _explains(view: LogView, late: LateStream) -> bool:

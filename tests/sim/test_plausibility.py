@@ -336,6 +336,17 @@ def test_without_a_reference_legs_see_an_axis_that_is_not_the_gyros(log, change)
     assert [one.rule for one in check_log(swapped, SPOT)] == ["gyro and legs"]
 
 
+def test_a_joint_that_is_held_throughout_rests_and_one_whose_rate_moves_hangs(log):
+    """Between two counts of its encoder a joint at rest stays for seconds."""
+    count = 1.5e-3 * (np.sin(np.arange(len(log.t))) > 0.9)
+    count[len(count) // 4 : len(count) // 2] = 0.0
+    still = edited(log, q_FL_hip=count, dq_FL_hip=np.gradient(count, log.t))
+    assert not [line for line in found_in(still) if line.startswith("frozen")]
+    for other in (edited(still, dq_FL_hip=log.frame["dq_FL_hip"]), without(still, "dq_")):
+        held = edited(other, q_FL_hip=np.zeros(len(log.t)))
+        assert any(line.startswith("frozen: q_FL_hip") for line in found_in(held))
+
+
 def test_axes_are_matched_whatever_their_order_sign_and_size():
     rng = np.random.default_rng(0)
     b = rng.normal(size=(400, 3)) * [1.0, 0.1, 3.0]

@@ -1,0 +1,90 @@
+"""Contacts by which legs swing together, and streams that are moved to when they were."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.importing.clock import brought_forward
+from surefoot.sim.importing.contacts import feet_that_stand, legs_in_phase, up_in_imu
+from surefoot.sim.importing.recording import import_log
+from surefoot.sim.importing.sections import ContactTable
+from surefoot.sim.log import Log
+from surefoot.sim.plausibility import check_log
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
+
+GAIT = ContactTable(on=0.0, off=0.0, of="gait")
+
+
+@pytest.fixture(scope="module")
+def trot() -> Log:
+    """A trot as a robot logs it that knows where its feet are and not which of them stand."""
+    robot = Robot.load("spot_class")
+    log = walk(Scenario("short", (Segment(5.0, 0.5, turn=0.2),), Ground(0.8)), robot, 1)
+    feet = robot.feet_I(log.q)
+    kept = [c for c in log.frame if c == "t" or c.startswith(("gyro", "accel", "contact"))]
+    columns = {
+        f"foot_{leg}_{axis}": feet[:, k, i]
+        for k, leg in enumerate(log.legs)
+        for i, axis in enumerate("xyz")
+    }
+    frame = log.frame[kept].assign(**columns)
+    return replace(log, frame=frame, meta=replace(log.meta, robot=None, effects=()))
+
+
+def test_the_lower_diagonal_of_a_trot_stands(trot):
+    up = up_in_imu(trot.t, trot.gyro, trot.accel)
+    assert legs_in_phase(trot.t, trot.foot_I, up) == [[0, 3], [1, 2]]
+    found = feet_that_stand(trot, GAIT)
+    assert "contact from gait" in found.meta.derived
+    walks = trot.t > trot.t[0] + 1.5
+    single = walks & (trot.contact.sum(axis=1) == 2)
+    # A foot that has landed is pressed down for some rows more before it is the lower one.
+    assert np.mean(found.contact[single] == trot.contact[single]) > 0.85
+    np.testing.assert_array_equal(found.contact[:, 0], found.contact[:, 3])
+    np.testing.assert_array_equal(found.contact[walks, 0], ~found.contact[walks, 1])
+
+
+def test_legs_that_all_swing_together_have_no_gait(trot):
+    one = {
+        f"foot_{leg}_{axis}": trot.frame[f"foot_FL_{axis}"] for leg in trot.legs for axis in "xyz"
+    }
+    with pytest.raises(SurefootError, match="all legs swing together"):
+        feet_that_stand(replace(trot, frame=trot.frame.assign(**one)), GAIT)
+
+
+def test_a_late_stream_is_moved_to_when_it_was():
+    t = np.arange(0.0, 2.0, 0.01)
+    table = {"t": t, "q_a": np.sin(3.0 * (t - 0.025)), "dq_a": 3.0 * np.cos(3.0 * t)}
+    found = brought_forward(table, {"q": 0.025})
+    assert found["t"][-1] == pytest.approx(t[-1] - 0.025, abs=0.01)
+    np.testing.assert_allclose(found["q_a"], np.sin(3.0 * found["t"]), atol=2e-4)
+    np.testing.assert_array_equal(found["dq_a"], 3.0 * np.cos(3.0 * found["t"]))
+
+
+def test_import_says_how_to_mend_rates_that_come_late_and_its_line_mends_them(tmp_path):
+    t = np.arange(0.0, 8.0, 0.004)
+    late = t - 0.012
+    q = np.sin(9.0 * t) + 0.3 * np.sin(23.0 * t)
+    dq = 9.0 * np.cos(9.0 * late) + 6.9 * np.cos(23.0 * late)
+    pd.DataFrame({"t": t, "q": q, "dq": dq}).to_csv(tmp_path / "log.csv", index=False)
+    text = '[columns]\nt = "t"\nq_a = "q"\ndq_a = "dq"\n'
+    (tmp_path / "map.toml").write_text(text)
+    (found,) = check_log(import_log(tmp_path / "log.csv", tmp_path / "map.toml"))
+    said = re.fullmatch(r"\[even\] late = \{ dq = (\d\.\d{4}) \}", found.map_line)
+    assert said is not None
+    assert float(said[1]) == pytest.approx(0.012, abs=1e-3)
+    (tmp_path / "map.toml").write_text(text + "[even]\n" + found.map_line.removeprefix("[even] "))
+    mended = import_log(tmp_path / "log.csv", tmp_path / "map.toml")
+    assert check_log(mended) == ()
+    assert f"dq ({1e3 * float(said[1]):g} ms earlier)" in mended.meta.derived
+    wrong = text + "[even]\nlate = { gyro = 0.01 }\n"
+    (tmp_path / "map.toml").write_text(wrong)
+    with pytest.raises(SurefootError, match=r"\[even\] late: no column of kind 'gyro'"):
+        import_log(tmp_path / "log.csv", tmp_path / "map.toml")
