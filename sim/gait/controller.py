@@ -14,7 +14,7 @@ from surefoot.sim.common.kernels import kernel
 from surefoot.sim.gait.irregular import stride_at
 from surefoot.sim.gait.options import PLAIN_GAIT, GaitOptions
 from surefoot.sim.gait.patterns import pattern_named
-from surefoot.sim.gait.stance_control import stiffen, support
+from surefoot.sim.gait.stance_control import eased, stiffen, support
 from surefoot.sim.gait.state import REACHING, STANCE, SWING, Command, Feet, Gait, LegMemory
 from surefoot.sim.gait.swing import swing
 from surefoot.sim.ground.height_map import HeightMap, height, normal, surface
@@ -76,6 +76,7 @@ def gait_for(
         level=options.level,
         level_gain=gain * 180.0,
         level_damping=32.0,
+        sway=getattr(pattern, "sway", 0.0),
         slide_damping=80.0 * foot_mass,
         unloading=options.unloading,
         touchdown_speed=options.touchdown_speed * np.sqrt(GRAVITY * length),
@@ -152,6 +153,8 @@ def tick(legs, controller, state, target, torque):
         memory.mode[leg] = SWING if feet.mode[leg] == SWING else STANCE
     if gait.slip_care > 0.0:
         take_care(controller, state, loaded, command, feet)
+    if gait.sway > 0.0 and t >= gait.start:
+        sway(controller, state, (np.cos(yaw), np.sin(yaw)), command, feet)
     swing(controller, base, command, feet, torque)
     support(controller, ground, base, command, feet, torque)
     if gait.stiffness > 0.0:
@@ -168,7 +171,8 @@ def _command(base, yaw, target):
     for a in range(2):
         v[a] += min(max(1.0 * (target[a] - base.p[a]), -0.3), 0.3)
     yaw_error = np.arctan2(np.sin(target[2] - yaw), np.cos(target[2] - yaw))
-    return Command(v, target[5] + min(max(2.0 * yaw_error, -0.5), 0.5))
+    turn = target[5] + min(max(2.0 * yaw_error, -0.5), 0.5)
+    return Command(v, turn, np.zeros(2), np.zeros(2))
 
 
 @kernel
@@ -210,6 +214,41 @@ def take_care(controller, state, loaded, command, feet):
         lack = min(max(lack, min(command.v[a], 0.0)), max(command.v[a], 0.0))
         memory.given_up[a] += part * (lack - memory.given_up[a])
         command.v[a] -= memory.given_up[a]
+
+
+@kernel
+def sway(controller, state, heading, command, feet):
+    """Lets the body sway, so that the middle of the pressure lies towards the middle of the feet
+    that stand and each of them bears its part.
+
+    A body at height h whose pressure lies d beside it is pushed away at g d / h, as an inverted
+    pendulum is. The feet's nominal places are taken: what their own would push it further away is
+    no sway. The velocity forgets its mean within a stride.
+
+    Args:
+        controller: a Controller, which remembers the velocity.
+        state: a RobotState.
+        heading: cosine and sine of the yaw.
+        command: a Command, changed.
+        feet: Feet.
+    """
+    gait, memory = controller.gait, controller.memory
+    total, x, y = 1e-3, 0.0, 0.0
+    for leg in range(4):
+        if feet.mode[leg] != SWING:
+            part = eased(gait, feet.progress[leg])
+            total += part
+            x += part * (gait.nominal_B[leg, 0] - gait.nominal_B[:, 0].mean())
+            y += part * (gait.nominal_B[leg, 1] - gait.nominal_B[:, 1].mean())
+    rate = -gait.sway * GRAVITY / gait.height / total
+    c, s = heading
+    command.push[0] = rate * (c * x - s * y)
+    command.push[1] = rate * (s * x + c * y)
+    dt = min(state.t - memory.sway[2], gait.period)
+    memory.sway[2] = state.t
+    for a in range(2):
+        memory.sway[a] += dt * (command.push[a] - memory.sway[a] / gait.period)
+        command.sway[a] = memory.sway[a]
 
 
 @kernel

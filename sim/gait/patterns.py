@@ -18,20 +18,22 @@ class Pattern:
 
     phase: share of the stride by which FL, FR, RL and RR land later than the stride begins. duty:
     the least share of it that a foot stands. period: of a stride, as a multiple of the trot's.
+    sway: how far the pressure goes from below the body to the middle of the feet that stand, from 0
+    to 1; a class of your own may leave it out.
     """
 
     phase: tuple[float, float, float, float]
     duty: float
     period: float = 1.0
+    sway: float = 0.0
 
 
 # Alexander, "The gaits of bipedal and quadrupedal animals", IJRR 1984: relative phases and duty
-# factors. A walk is a lateral sequence: each hind foot lands before the fore foot of its side. The
-# controller holds the body over the middle of its feet and does not sway: in a walk the foot
-# opposite to the one that swings bears little.
+# factors. A walk is a lateral sequence: each hind foot lands before the fore foot of its side.
+# Without sway the foot opposite to the one that swings would bear nothing.
 _BUNDLED = {
     "trot": Pattern((0.0, 0.5, 0.5, 0.0), 0.0),
-    "walk": Pattern((0.0, 0.5, 0.75, 0.25), 0.78, 1.6),
+    "walk": Pattern((0.0, 0.5, 0.75, 0.25), 0.78, 1.6, 0.5),
     "pace": Pattern((0.0, 0.5, 0.0, 0.5), 0.6, 0.7),
 }
 

@@ -13,6 +13,12 @@ FARTHEST_FROM_BASE = 0.3
 
 
 @kernel
+def eased(gait, progress):
+    """Share of its load that a foot has at this share of its stance."""
+    return min(1.0, min(progress / gait.unloading, (1.0 - progress) / gait.unloading))
+
+
+@kernel
 def stance_forces(r, wrench, weight, effort):
     """Foot forces (n, 3) that best make `wrench` (6,) at lever arms r (n, 3).
 
@@ -56,7 +62,8 @@ def support(controller, ground, base, command, feet, torque):
     com = p + R @ gait.com_B
     wrench = np.empty(6)
     for a in range(2):
-        wrench[a] = gait.mass * gait.course_gain * (command.v[a] - v[a])
+        wrench[a] = gait.mass * gait.course_gain * (command.v[a] + command.sway[a] - v[a])
+        wrench[a] += gait.mass * command.push[a]
     climb = slope_x * v[0] + slope_y * v[1]
     wrench[2] = gait.mass * (GRAVITY + 120.0 * (gait.height + level - p[2]) + 16.0 * (climb - v[2]))
     # Attitude error as the rotation vector that would set the base along the plane, small-angle.
@@ -80,9 +87,7 @@ def support(controller, ground, base, command, feet, torque):
     for i in range(n):
         leg = standing[i]
         r[i] = feet.place[leg] - com - gait.foot_radius[leg] * feet.normal[leg]
-        u = feet.progress[leg]
-        ease = min(1.0, min(u / gait.unloading, (1.0 - u) / gait.unloading))
-        effort[i] = 1e-3 / max(ease, 0.05) ** 2
+        effort[i] = 1e-3 / max(eased(gait, feet.progress[leg]), 0.05) ** 2
     forces = stance_forces(r, wrench, weight, effort)
     floor, ceiling = 0.03 * gait.mass * GRAVITY, 1.5 * gait.mass * GRAVITY
     for i in range(n):

@@ -33,6 +33,7 @@ class Gait(NamedTuple):
     level: float  # share of the moment that holds the base level while it is nearly so
     level_gain: float  # 1/s^2, moment per tilt and inertia
     level_damping: float  # 1/s
+    sway: float  # share of the way to the middle of the loaded feet that the pressure goes
     slide_damping: float  # N s/m, on a stance foot that slides
     unloading: float  # share of the stance over which a foot's load comes, and goes
     touchdown_speed: float  # m/s, of a landing foot towards the ground
@@ -60,6 +61,7 @@ class LegMemory(NamedTuple):
     slid: np.ndarray  # (2,) s, when a standing foot was last felt to slide, and of the last tick
     way: np.ndarray  # (4,) m, that each foot has slid in the middle of its last stance
     given_up: np.ndarray  # (2,) m/s, in G, of the wanted velocity, because feet slide
+    sway: np.ndarray  # (3,) m/s along x and y of G that the body sways at, and s, of the last tick
 
 
 def standing() -> LegMemory:
@@ -75,6 +77,7 @@ def standing() -> LegMemory:
         slid=np.array([-np.inf, 0.0]),
         way=np.zeros(4),
         given_up=np.zeros(2),
+        sway=np.zeros(3),
     )
 
 
@@ -93,6 +96,8 @@ class Command(NamedTuple):
 
     v: np.ndarray  # (3,) m/s, in G
     turn: float  # rad/s
+    sway: np.ndarray  # (2,) m/s, in G, of the velocity beside: what a stride takes back
+    push: np.ndarray  # (2,) m/s^2, in G, its rate
 
 
 class Feet(NamedTuple):

@@ -47,7 +47,7 @@ def swing(controller, base, command, feet, torque):
             ahead = stance_time / 2.0 + (1.0 - u) * swing_time
             for a in range(2):
                 spin = command.turn * (-arm_y if a == 0 else arm_x)
-                drift, wanted = base.v[a] + spin, command.v[a] + spin
+                drift, wanted = base.v[a] - command.sway[a] + spin, command.v[a] + spin
                 want[a] = base.p[a] + (arm_x if a == 0 else arm_y)
                 want[a] += ahead * drift + gait.capture * (drift - wanted)
             if len(gait.footholds):

@@ -182,7 +182,7 @@ def test_care_stops_a_robot_and_never_turns_it_back():
         went = []
         for t in np.arange(1.0, 6.0, 0.004):
             state = RobotState(t, base, np.zeros(12), np.zeros(12), np.full(4, 100.0))
-            command = Command(np.array([0.5, 0.0, 0.0]), 0.0)
+            command = Command(np.array([0.5, 0.0, 0.0]), 0.0, np.zeros(2), np.zeros(2))
             take_care(controller, state, 10.0, command, feet)
             went.append(command.v[0])
         assert min(went) >= -1e-12

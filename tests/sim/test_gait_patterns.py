@@ -34,6 +34,9 @@ def test_feet_swing_when_the_pattern_says(name):
     assert np.abs((miss + 0.5) % 1.0 - 0.5).max() < 0.05
     # As many at once as the duty leaves: one foot in a walk, a pair in the others.
     assert lifted.sum(axis=1).max() == (1 if name == "walk" else 2)
+    if name == "walk":
+        # The body sways to the side of the feet that stand, so that three bear it.
+        assert np.mean(log.contact[(log.t > 2.0) & (log.t < 6.0)].sum(axis=1) >= 3) > 0.75
 
 
 def test_the_trot_is_what_it_was():
