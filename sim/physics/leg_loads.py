@@ -26,7 +26,7 @@ def knows_loads(log: Log) -> bool:
 def joint_loads(log: Log, robot: Machine) -> np.ndarray:
     """Torque (N, J) [N m] that each motor passes on to what hangs on it: its own, as logged or
     else from the balance of momentum, less what its rotor and its declared friction take."""
-    columns = log.columns_of("q", "dq", "tau", "imu", "contact")
+    columns = log.columns_of("q", "dq", "tau", "imu", "contact", "force")
     return log.once("joint loads", columns, lambda: _joint_loads(log, robot), *parts_of(robot))
 
 
@@ -45,12 +45,12 @@ def _joint_loads(log: Log, robot: Machine) -> np.ndarray:
 
 
 def foot_loads_B(log: Log, robot: Robot) -> np.ndarray:
-    """Force (N, L, 3) [N], in B, of the ground on each foot that stands; zero in the air.
+    """Force (N, L, 3) [N], in B, of the ground on each foot; zero on one that touches nothing.
 
     Of logged torques, by legs of three joints, J^T f = inverse dynamics - torque, else from the
     balance of momentum.
     """
-    columns = log.columns_of("q", "dq", "tau", "imu", "contact")
+    columns = log.columns_of("q", "dq", "tau", "imu", "contact", "force")
     return log.once("foot loads", columns, lambda: _foot_loads_B(log, robot), *parts_of(robot))
 
 

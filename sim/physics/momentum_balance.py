@@ -6,8 +6,9 @@ standing feet give:
     sum_l f_l = F,    sum_l r_l x f_l = M,    tau = (M qdd + h)_joints - J^T f
 
 Two feet leave one pull between them free, more feet more: of all such forces the least is taken,
-each in the measure of its contact, which comes and goes over a few hundredths of a second. Motor
-torques that press feet against each other do not show in a motion, and are not found.
+each in the measure of what its own force sensor reads, in whatever unit, or else of its contact,
+which comes and goes over a few hundredths of a second. Motor torques that press feet against each
+other do not show in a motion, and are not found.
 """
 
 from typing import Any, NamedTuple
@@ -25,6 +26,9 @@ ACCELERATION_WINDOW = 0.04
 """s, over which rates are differentiated: passes 25 Hz, with which a foot's load comes and goes."""
 LOADING = 0.01
 """s, standard deviation of the time over which a foot takes its load, and of the result."""
+TOUCHED = 0.05
+"""Share of what a foot's sensor reads in its stances below which it touches nothing: drift and
+hysteresis of force sensors are a few hundredths of their range."""
 SLACK = 1e-3
 """Share of what all feet can give below which a force or moment is not asked of them: two feet give
 no moment about the line between them."""
@@ -32,7 +36,7 @@ no moment about the line between them."""
 
 class MomentumBalance(NamedTuple):
     """What a motion takes: torque (N, J) [N m] of the joints; force (N, L, 3) [N], in B, of the
-    ground on the feet, zero on feet in the air."""
+    ground on the feet, zero on feet that touch nothing."""
 
     torque: np.ndarray
     force: np.ndarray
@@ -44,7 +48,7 @@ def momentum_balance(log: Log, robot: Robot) -> MomentumBalance:
     Raises LogError where the log lacks one of them.
     """
     log.require("imu", "q", "contact")
-    columns = log.columns_of("q", "dq", "imu", "contact")
+    columns = log.columns_of("q", "dq", "imu", "contact", "force")
     return log.once("balance of momentum", columns, lambda: _balanced(log, robot), *parts_of(robot))
 
 
@@ -58,9 +62,11 @@ def parts_of(robot: Machine) -> tuple[Any, ...]:
 def _balanced(log: Log, robot: Robot) -> MomentumBalance:
     wrench, needed = taken_by_motion(log, robot)
     smooth = LOADING * log.rate
-    # From nothing where a contact begins or ends to all of it within the stance.
-    standing = gaussian_filter1d(log.contact.astype(float), smooth, axis=0)
-    loaded = np.maximum(2 * standing - 1, 0) * log.contact
+    loaded = _loaded_by_force(log)
+    if loaded is None:
+        # From nothing where a contact begins or ends to all of it within the stance.
+        standing = gaussian_filter1d(log.contact.astype(float), smooth, axis=0)
+        loaded = np.maximum(2 * standing - 1, 0) * log.contact
     feet_B = robot.feet_I(log.q) @ robot.R_BI.T + robot.p_BI
     force = _least_forces(wrench, feet_B, loaded, robot.leg_length)
     J = np.einsum("ij,nljk->nlik", robot.R_BI, robot.feet_jacobian_I(log.q))
@@ -68,6 +74,26 @@ def _balanced(log: Log, robot: Robot) -> MomentumBalance:
     for leg, chain in enumerate(robot.limbs.chains):
         given[:, chain] = by_leg[:, leg, : len(chain)]
     return MomentumBalance(gaussian_filter1d(needed - given, smooth, axis=0), force)
+
+
+def _loaded_by_force(log: Log) -> np.ndarray | None:
+    """What each foot's sensor reads (N, L) beyond its reading in the air, over the same in its
+    stances; None where the log has no such forces, or where one says nothing of its contact.
+
+    A foot carries before its load crosses the threshold from which it counts as standing.
+    """
+    if not log.has("force"):
+        return None
+    force, loaded = log.force, np.empty(log.contact.shape)
+    for leg, stands in enumerate(log.contact.T):
+        if not stands.any():
+            return None
+        rest = float(np.median(force[~stands, leg])) if not stands.all() else 0.0
+        full = float(np.median(force[stands, leg]))
+        if not full > rest:
+            return None
+        loaded[:, leg] = (force[:, leg] - rest) / (full - rest)
+    return np.maximum(loaded - TOUCHED, 0.0) / (1.0 - TOUCHED)
 
 
 def taken_by_motion(log: Log, robot: Robot) -> tuple[np.ndarray, np.ndarray]:
