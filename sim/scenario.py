@@ -12,7 +12,7 @@ import numpy as np
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import protect
 from surefoot.sim.common.limits import check_limit
-from surefoot.sim.common.toml import Count, FileName, Name, NonNegative, Positive, read_typed
+from surefoot.sim.common.toml import Count, FileName, Name, NonNegative, read_typed
 from surefoot.sim.gait.options import GaitOptions
 from surefoot.sim.ground.terrain import Ground, Patch, Strip
 from surefoot.sim.scenario_catalog import scenario_file
@@ -24,6 +24,8 @@ Friction = Annotated[float, msgspec.Meta(ge=0.01, le=3.0)]
 Factor = Annotated[float, msgspec.Meta(ge=0.01, le=100.0)]
 Speed = Annotated[float, msgspec.Meta(ge=-20.0, le=20.0)]
 """m/s or rad/s: twice as fast as anything with legs."""
+SHORTEST_SEGMENT = 0.004
+"""s, a tick of the controller."""
 Length = Annotated[float, msgspec.Meta(gt=0.0, le=1e5)]
 
 
@@ -194,6 +196,8 @@ class _SegmentEntry:
         else:
             duration = self.duration
         assert duration is not None
+        if duration < SHORTEST_SEGMENT:
+            raise SurefootError(f"segment: {duration:g} s is less than {SHORTEST_SEGMENT:g} s")
         yield Segment(duration, self.forward, self.lateral, self.turn)
 
 
@@ -202,7 +206,7 @@ class _PatchEntry:
     """A rectangle of another friction."""
 
     center: tuple[float, float]  # m
-    size: tuple[Positive, Positive]  # m, along x and y
+    size: tuple[Length, Length]  # m, along x and y
     mu: Friction  # friction coefficient
 
 
@@ -225,6 +229,9 @@ class _GroundTable:
     def __post_init__(self):
         pieces = sum(max(strip.steps, 1) for strip in self.strip) + 1
         check_limit("bodies", pieces * (len(self.patch) + 1), "pieces of ground, cut by patches")
+        for patch in self.patch:
+            if max(map(abs, patch.center)) > self.half_size:
+                raise SurefootError(f"patch: its center {patch.center} lies beyond half_size")
 
     def ground(self) -> Ground:
         return Ground(

@@ -10,6 +10,7 @@ import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY
+from surefoot.sim.common.limits import check_limit
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.effects import Effect
 from surefoot.sim.gait.controller import gait_for
@@ -41,6 +42,8 @@ from surefoot.sim.walking.truth import foot_truth
 __all__ = ["STEPS_PER_TICK", "Fallen", "Plan", "plan", "record", "simulate", "walk"]
 
 SETTLE = 3.0  # s of standing before the log begins: a robot is switched on at rest
+BYTES_A_STEP = 3e3
+"""of memory: states, readings and truth of a walk, and the copies that are made of them."""
 SHORTEST_WALK = 0.1
 """s of a log that a fall leaves."""
 SLIDE_MARGIN = 2.0
@@ -124,6 +127,13 @@ def plan(
         effect.members(robot.limbs)  # refuses a target that the robot does not have
         effect.edit_spec(spec, robot)
         ground = effect.alter_ground(ground)
+    seconds = (
+        SETTLE
+        + 2.0 * scenario.stand
+        + scenario.laps * sum(segment.duration for segment in draw.scenario.segments)
+    )
+    what = f"scenario {scenario.name}: bytes of a walk of {seconds:.0f} s"
+    check_limit("memory", BYTES_A_STEP * seconds / TIMESTEP, what)
     world = build_world(robot, ground, spec)
     course = lay_course(
         draw.scenario.segments,

@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 from surefoot.estimator.evaluation.innovation_sums import InnovationSums
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
-from surefoot.sim.common.limits import admitted
+from surefoot.sim.common.limits import admitted, check_unpacked
 from surefoot.sim.common.quaternion import matrix_from_quaternion, quaternion_from_matrix
 from surefoot.sim.log import Log, reference_velocity
 
@@ -130,6 +130,9 @@ class Trajectory:
         """The trajectory at `path`. Raises TrajectoryError, one line naming the file and column."""
         try:
             path = admitted(path, "recording")
+            about = pq.read_metadata(path)
+            size = 8.0 * about.num_rows * about.num_columns
+            check_unpacked(path, size, f"{path}: bytes of columns")
             table = pq.read_table(path, page_checksum_verification=True)
         except SurefootError as error:
             raise TrajectoryError(str(error)) from None

@@ -17,6 +17,8 @@ from typing import Any
 from surefoot.sim.common.errors import SurefootError
 
 VARIABLE = "SUREFOOT_LIMITS"
+_SMALL = 256e6
+"""bytes in memory that a packed file may have whatever its size."""
 _DOTTED = re.compile(r"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){65}")
 
 
@@ -30,6 +32,9 @@ class Limits:
     """bytes of a log, CSV file or bag: a day at 1 kHz as text."""
     memory: float = 8e9
     """bytes of a table in memory as float64: three hours of 90 columns at 1 kHz."""
+    unpacked: float = 100.0
+    """times the size of a packed file that it may have in memory, beyond 256 MB: zeros are packed a
+    thousandfold, sensors' readings by some times."""
     piece: float = 1e9
     """bytes of a row group, which is decoded at once; ours have 32 768 rows, some 25 MB."""
     rows: float = 4e8
@@ -109,7 +114,7 @@ def bounded_text(path: str | Path, what: str = "") -> str:
     """The text of a UTF-8 file of bounded size. Raises SurefootError as `admitted` does."""
     name = f"{what} {path}".lstrip()
     try:
-        return admitted(path, "text", what).read_text(encoding="utf-8")
+        return admitted(path, "text", what).read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise SurefootError(f"{name}: not a text file ({error.reason})") from None
     except OSError as error:
@@ -136,6 +141,27 @@ def parse_json(text: str | bytes) -> Any:
         raise _NotJson("JSON that is nested too deeply") from None
     except ValueError as error:
         raise _NotJson(f"not JSON, truncated? ({' '.join(str(error).split())})") from None
+
+
+def check_unpacked(path: Path, size: float, what: str, at_once: bool = True) -> None:
+    """Raise SurefootError where a packed file would have too many bytes in memory: for its own
+    size, and where all of it is read at once, by themselves.
+
+    Args:
+        path: of the file.
+        size: bytes in memory.
+        what: begins the message, with the file: "log.npz: bytes of arrays".
+        at_once: whether all of it is read at once.
+    """
+    if at_once:
+        check_limit("memory", size, what)
+    if size > most_unpacked(path):
+        check_limit("unpacked", size / max(path.stat().st_size, 1), f"{what}, times its size")
+
+
+def most_unpacked(path: Path) -> float:
+    """Bytes in memory that a packed file may have at most, for its own size."""
+    return _SMALL + limits().unpacked * path.stat().st_size
 
 
 class _NotJson(SurefootError):

@@ -17,6 +17,8 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.limits import check_limit
 from surefoot.sim.ground.height_map import LATTICE, HeightMap
 
+HIGHEST_STRIP, ROUGHEST = 1e3, 1.0
+"""m, of a strip's ends and of its bumps, over which no leg reaches."""
 COARSEST = 100.0
 """m, largest grain: bumps of a hundred metres are slopes."""
 Extent = tuple[float, float, float, float]  # x0, x1, y0, y1 [m]
@@ -75,6 +77,10 @@ class Strip:
         points = bumpy * (abs(x1 - x0) / LATTICE + 1) * (abs(y1 - y0) / LATTICE + 1)
         check_limit("cells", points, "points of a rough strip")
         check_limit("bodies", self.steps, "steps")
+        if max(map(abs, self.heights)) > HIGHEST_STRIP or self.rough > ROUGHEST:
+            raise SurefootError(
+                f"heights must not exceed {HIGHEST_STRIP:g} m, nor rough {ROUGHEST:g} m"
+            )
         if self.grain > COARSEST:
             raise SurefootError(f"grain must not exceed {COARSEST:g} m, is {self.grain:g}")
         if self.steps and self.rough:

@@ -13,13 +13,15 @@ import numpy as np
 import scipy.io
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.limits import check_limit, limits
+from surefoot.sim.common.limits import check_unpacked, limits, most_unpacked
 from surefoot.sim.importing.table import RecordedTable
 
 _MAT_HEADER, _MAT_COMPRESSED = 128, 15
 """Bytes of the header of MATLAB's version 5, and the type of a compressed element (MAT-File Format,
 MathWorks)."""
 _CHUNK = 1 << 20
+_DEEPEST = 20
+"""Groups in groups."""
 
 
 def read_npz(path: Path) -> RecordedTable:
@@ -50,17 +52,13 @@ def read_mat(path: Path) -> RecordedTable:
 def read_hdf5(path: Path) -> RecordedTable:
     """Datasets of an HDF5 file, by their path; MATLAB's are turned to have their rows first.
 
-    Links to other files are not followed.
+    Links are not followed, nor groups deeper than 20.
     """
     cells: dict[str, np.ndarray] = {}
     with _one_line(path), h5py.File(path, "r") as file:
-        found: list[tuple[str, h5py.Dataset]] = []
-
-        def visit(name: str, node: object) -> None:
-            if isinstance(node, h5py.Dataset) and not name.startswith("#") and node.shape:
-                found.append((name, node))
-
-        file.visititems(visit)
+        found = [
+            (n, d) for n, d in _datasets(file, "", {file}) if d.shape and not n.startswith("#")
+        ]
         _bounded(path, sum(node.size * node.dtype.itemsize for _, node in found))
         for name, node in found:
             if node.is_virtual or node.external:
@@ -72,18 +70,36 @@ def read_hdf5(path: Path) -> RecordedTable:
     return RecordedTable(path, cells)
 
 
+def _datasets(
+    group: h5py.Group, path: str, seen: set[h5py.Group]
+) -> Iterator[tuple[str, h5py.Dataset]]:
+    """Datasets in a group and those below, by their paths; each group is entered once."""
+    for name in group:
+        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+            continue
+        node = group[name]
+        if isinstance(node, h5py.Dataset):
+            yield path + name, node
+        elif isinstance(node, h5py.Group) and node not in seen and path.count("/") < _DEEPEST:
+            seen.add(node)
+            yield from _datasets(node, f"{path}{name}/", seen)
+
+
 def _matlab_strings(file: h5py.File) -> dict[str, np.ndarray]:
     """The array of strings of a MATLAB 7.3 file that has one. They lie apart, in 64-bit words: a
     version, the number of dimensions, these, the length of each string, and the letters."""
-    named = [n for n, v in file.items() if v.attrs.get("MATLAB_class") == b"string"]
-    refs = file["#refs#"].values() if "#refs#" in file else ()
-    apart = [v for v in refs if v.attrs.get("MATLAB_class") == b"uint64"]
+    every = list(_datasets(file, "", {file}))
+    kind = {name: node.attrs.get("MATLAB_class") for name, node in every}
+    named = [name for name, _ in every if kind[name] == b"string" and "/" not in name]
+    apart = [d for n, d in every if kind[n] == b"uint64" and n.startswith("#refs#/")]
     if len(named) != 1 or len(apart) != 1:
         return {}
     words = apart[0][()].T.ravel()
     if len(words) < 4 or words[0] != 1 or words[1] != 2:
         return {}
-    count = int(words[2] * words[3])
+    count = int(words[2]) * int(words[3])
+    if count > len(words):
+        return {}
     lengths = words[4 : 4 + count].astype(int)
     letters = words[4 + count :].tobytes().decode("utf-16-le", errors="replace")
     ends = np.cumsum(lengths)
@@ -112,7 +128,8 @@ def _inflated(path: Path) -> int:
     """Bytes of a MATLAB file of version 5 once it is unpacked, or more than is allowed."""
     content = path.read_bytes()
     order = "<" if content[126:128] == b"IM" else ">"
-    at, total, most = _MAT_HEADER, len(content), limits().memory
+    most = min(limits().memory, most_unpacked(path))
+    at, total = _MAT_HEADER, len(content)
     while at + 8 <= len(content) and total <= most:
         kind, size = struct.unpack_from(f"{order}II", content, at)
         if kind == _MAT_COMPRESSED:
@@ -125,7 +142,7 @@ def _inflated(path: Path) -> int:
 
 
 def _bounded(path: Path, size: float) -> None:
-    check_limit("memory", size, f"{path}: bytes of arrays")
+    check_unpacked(path, size, f"{path}: bytes of arrays")
 
 
 @contextmanager

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.limits import check_limit
 from surefoot.sim.importing.clock import (
     Columns,
     brought_forward,
@@ -142,6 +143,8 @@ def _made_even(main: Columns, even: EvenTable) -> tuple[Columns, list[str]]:
     if even.late:
         main = brought_forward(main, even.late)
     rate = even.rate or _rate(main["t"])
+    size = 8.0 * len(main) * rate * (main["t"][-1] - main["t"][0])
+    check_limit("memory", size, f"[even] at {rate:g} Hz: bytes in memory")
     return evened(main, rate), [*said, f"rows at {rate:g} Hz"]
 
 

@@ -148,6 +148,8 @@ def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
     where a file cannot be read or none has columns of numbers.
     """
     paths = [one for path in files for one in _parts(Path(path))]
+    if not paths:
+        raise SurefootError(f"{files[0]}: no .csv, .json or .mat in this folder")
     read = [one for one in map(_read, paths) if one is not None]
     if not read:
         raise SurefootError(f"{paths[0]}: no columns of numbers in it")

@@ -6,26 +6,33 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.limits import check_limit
 from surefoot.sim.importing.table import RecordedTable
 
 _DEEPEST = 20
+_SWOLLEN = 25.0
+"""Bytes in memory for each of a text of empty lists and records."""
 
 
 def read_json(path: Path) -> RecordedTable:
     """The table of a .json, .jsonl or .ndjson file; a record's fields are `a.b`, a place in a list
     `a[0]`; a record without a field has an empty cell. Raises SurefootError."""
+    if path.exists():
+        check_limit("memory", _SWOLLEN * path.stat().st_size, f"{path}: bytes in memory")
     try:
         text = path.read_text(encoding="utf-8-sig")
         if path.suffix == ".json":
             found = json.loads(text)
         else:
             found = [json.loads(line) for line in text.splitlines() if line.strip()]
+        cells: dict[str, np.ndarray] = {}
+        _collect(found, "", cells, _DEEPEST)
+    except SurefootError as error:
+        raise SurefootError(f"{path}: {error}") from None
     except FileNotFoundError:
         raise SurefootError(f"{path}: no such file") from None
-    except (OSError, ValueError, RecursionError) as error:
+    except (OSError, ValueError, OverflowError, RecursionError) as error:
         raise SurefootError(f"{path}: not JSON ({' '.join(str(error).split())[:80]})") from error
-    cells: dict[str, np.ndarray] = {}
-    _collect(found, "", cells, _DEEPEST)
     if not cells:
         raise SurefootError(f"{path}: no records and no lists in it")
     return RecordedTable(path, cells)
@@ -38,7 +45,9 @@ def _collect(node: object, name: str, cells: dict[str, np.ndarray], deeper: int)
     elif isinstance(node, list) and node:
         if all(isinstance(one, dict) for one in node):
             records = [_flat(one, name, deeper) for one in node]
-            for key in dict.fromkeys(key for one in records for key in one):
+            keys = dict.fromkeys(key for one in records for key in one)
+            check_limit("columns", len(keys), "fields of its records")
+            for key in keys:
                 cells[key] = _array([one.get(key) for one in records])
         else:
             cells[name or "array"] = _array(node)

@@ -5,10 +5,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
+import pyarrow.parquet as pq
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.limits import admitted
+from surefoot.sim.common.limits import admitted, check_unpacked
 from surefoot.sim.importing.array_file import read_hdf5, read_mat, read_npz
 from surefoot.sim.importing.assemble import RawRecording, unit_quaternions
 from surefoot.sim.importing.bag import read_bag, topic_of
@@ -253,7 +253,12 @@ def _reference(path: Path, rules: ImportMap, shared: bool) -> Columns:
 
 def _parquet(path: Path) -> RecordedTable:
     try:
-        frame = pd.read_parquet(path)
+        about = pq.read_metadata(path)
+        size = 8.0 * about.num_rows * about.num_columns
+        check_unpacked(path, size, f"{path}: bytes of columns")
+        frame = pq.read_table(path).to_pandas(ignore_metadata=True)
+    except SurefootError:
+        raise
     except (OSError, ValueError) as error:
         raise SurefootError(
             f"{path}: not a Parquet file ({' '.join(str(error).split())[:80]})"

@@ -13,7 +13,8 @@ from surefoot.sim.importing.columns import ColumnEntry, Entries, check_sign
 EVENNESS = 4e-3 / 3
 """m: DIN 18202, table 3, group 3 allows finished floors 4 mm between points a metre apart, here
 treated as three standard deviations. A log that was simulated elsewhere has evenness = 0."""
-OneCharacter = Annotated[str, msgspec.Meta(min_length=1, max_length=1)]
+OneCharacter = Annotated[str, msgspec.Meta(pattern=r"^[^\r\n\"]\Z")]
+"""Of a line, and no quotation mark."""
 
 
 @dataclass(frozen=True)
@@ -39,11 +40,11 @@ class Source:
     """Hz, where it has no times."""
     t: Name | ColumnEntry | None = None
     """Of a further file: its times, on the log's clock after unit and offset."""
-    separator: Name | None = None
+    separator: OneCharacter | None = None
     """Between the cells of a text: `,` `;` `|`, a tab or spaces are found where left out."""
     header: bool = True
     """Whether a text's first line has names; else columns are called 0, 1, 2, ..."""
-    skip: Annotated[int, msgspec.Meta(ge=0)] = 0
+    skip: Annotated[int, msgspec.Meta(ge=0, le=1_000_000)] = 0
     """Lines of a text before the first that counts."""
     comment: OneCharacter | None = None
     """What begins a comment in a text."""

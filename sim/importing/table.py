@@ -184,6 +184,8 @@ def _numbers(
 
 
 def _number(cell: object) -> float:
+    if isinstance(cell, str) and "_" in cell:
+        return np.nan  # Python would read 9_8 as 98
     try:
         return float(cell)  # pyright: ignore[reportArgumentType]
     except (TypeError, ValueError, OverflowError):

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.limits import check_limit
 from surefoot.sim.importing.layout import COMMENTS
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.table import RecordedTable, column_readings
@@ -51,7 +52,7 @@ def read_text(path: Path, source: Source) -> RecordedTable:
             )
     except UnicodeDecodeError as error:
         raise SurefootError(f"{path}: not a text file ({error.reason})") from error
-    except (pd.errors.ParserError, pd.errors.ParserWarning, csv.Error, OSError) as error:
+    except (ValueError, pd.errors.ParserWarning, csv.Error, OSError) as error:
         raise SurefootError(f"{path}: {_one_line(error)}") from error
     if len(frame.columns) != len(header):
         # Quotation marks hold spaces together for one of the two, and not for the other.
@@ -97,6 +98,7 @@ def _first_line(path: Path, source: Source) -> tuple[list[str], str, bool]:
         names = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
     if not any(names):
         raise SurefootError(f"{path}: line {source.skip + 1}: no header")
+    check_limit("columns", len(names), f"{path}: cells of the header")
     header = names if source.header else [str(k) for k in range(len(names))]
     return header, separator, apart
 

@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
-from surefoot.sim.common.limits import admitted, check_limit
+from surefoot.sim.common.limits import admitted, check_limit, check_unpacked
 from surefoot.sim.common.quaternion import matrix_from_quaternion
 from surefoot.sim.log.schema import (
     DIGEST_KEY,
@@ -327,6 +327,8 @@ class LogReader:
             self.columns: tuple[str, ...] = tuple(file.schema_arrow.names)
             check_limit("rows", self.rows, "rows")
             check_limit("columns", len(self.columns), "columns")
+            size = 8.0 * self.rows * len(self.columns)
+            check_unpacked(self.path, size, "bytes of columns", at_once=False)
             check_table(file.schema_arrow)
             self.meta = read_metadata(file.schema_arrow.metadata)
             check_limit("items", file.num_row_groups, "row groups")

@@ -14,7 +14,7 @@ import pandas as pd
 import pyarrow as pa
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.limits import limits, parse_json
+from surefoot.sim.common.limits import check_limit, limits, parse_json
 from surefoot.sim.common.toml import Count, Positive, typed
 
 SCHEMA = 1
@@ -27,6 +27,8 @@ JOINTS = tuple(f"{leg}_{joint}" for leg in LEGS for joint in ("hip", "thigh", "c
 """A quadruped's joints, in the order of every array."""
 _BINARY_PREFIXES = ("contact_", "ref_ok")
 _UNIT_TOLERANCE = 1e-5
+SLOWEST_STAMPS = 0.01
+"""Hz, below which stamps are in no unit that a log can mean: 20 Hz in ms is 0.02, in us 2e-5."""
 
 
 def _axes(name: str, axes: str = "xyz") -> tuple[str, ...]:
@@ -350,8 +352,14 @@ def _check_time(t: np.ndarray, rate: float, first_row: int, before: float) -> No
         raise SurefootError(f"column t, row {first_row + row}: time {how} at {t[row]:.6f} s")
     if len(t) > 1:
         actual = 1.0 / float(np.median(step[1:]))
+        if actual < SLOWEST_STAMPS:
+            raise SurefootError(
+                f"column t runs at {actual:.3g} Hz, as if it were in us or ns: it is in s"
+            )
         if not 0.5 < actual / rate < 2.0:
             raise SurefootError(f"column t runs at {actual:.6g} Hz, the metadata says {rate:.6g}")
+        # What is computed at even times would have more of them than rows.
+        check_limit("walk", t[-1] - t[0] - 2.0 * len(t) / rate, "column t: seconds without rows")
 
 
 def _check_binary(name: str, values: np.ndarray, first_row: int) -> None:

@@ -8,6 +8,9 @@ import mujoco
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.robot.model_gate import check_compiled, check_model_file
 
+# Else MuJoCo writes MUJOCO_LOG.TXT wherever a command runs; walks that become unstable say so.
+mujoco.set_mju_user_warning(lambda message: None)
+
 
 def model_spec(file: Path) -> mujoco.MjSpec:
     """A fresh MjSpec of an MJCF or URDF file. Raises SurefootError in one clear line.
@@ -21,7 +24,7 @@ def model_spec(file: Path) -> mujoco.MjSpec:
         if file.suffix == ".urdf":
             return mujoco.MjSpec.from_string(_floating(file))
         return mujoco.MjSpec.from_file(str(file))
-    except (ValueError, OSError, ElementTree.ParseError, mujoco.FatalError) as error:
+    except (ValueError, OSError, RuntimeError, ElementTree.ParseError, mujoco.FatalError) as error:
         raise _unreadable(file, error) from None
 
 
@@ -33,7 +36,7 @@ def compiled_model(file: Path) -> mujoco.MjModel:
             model = model_spec(file).compile()
         else:
             model = mujoco.MjModel.from_xml_path(str(file))
-    except (ValueError, mujoco.FatalError, MemoryError) as error:
+    except (ValueError, RuntimeError, mujoco.FatalError, MemoryError) as error:
         raise _unreadable(file, error) from None
     check_compiled(file, model)
     return model

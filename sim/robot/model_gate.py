@@ -18,6 +18,8 @@ from surefoot.sim.common.limits import admitted, check_limit
 
 DEEPEST = 100
 """Elements within each other; a centipede of fifty segments has some."""
+ATTRIBUTES = 1000
+"""Of one element; MuJoCo's parser takes the square of them."""
 INCLUDES = 100
 """Files that a model is made of, includes in includes counted each time."""
 _PARTS = {
@@ -35,6 +37,8 @@ _PARTS = {
 }
 _FOLDERS = ("meshdir", "texturedir", "assetdir")
 _SIZES = {"": 1, "k": 2**10, "m": 2**20, "g": 2**30, "t": 2**40, "p": 2**50, "e": 2**60}
+_COUNTS = {"nkey"}
+"""Sizes of which each takes more than a byte; and those that begin with nuser."""
 _NAMES = {"name", "class", "childclass", "file", "model", "joint", "body", "link", "site"}
 _NUMBERS = {"mass", "density", "pos", "size", "friction", "diaginertia", "fullinertia", "armature"}
 
@@ -44,7 +48,9 @@ def check_model_file(file: Path) -> None:
     outside of its folder, has entities, or numbers that are none."""
     try:
         _Scan(file).read(file, 1)
-    except expat.ExpatError as error:
+    except SurefootError:
+        raise
+    except (expat.ExpatError, ValueError, LookupError) as error:  # the others are of encodings
         raise SurefootError(f"robot {file}: cannot read it, not XML: {error}") from None
 
 
@@ -56,6 +62,7 @@ def check_compiled(file: Path, model: mujoco.MjModel) -> None:
         model: as MuJoCo compiled it.
     """
     checked = "body_mass", "body_inertia", "body_pos", "body_quat", "geom_size", "geom_friction"
+    checked += "dof_armature", "dof_damping", "jnt_stiffness"
     for name in checked:
         values = np.asarray(getattr(model, name))
         if not np.isfinite(values).all():
@@ -85,6 +92,8 @@ class _Scan:
         def start(tag: str, values: dict[str, str]) -> None:
             self.elements += 1
             check_limit("items", self.elements, f"robot {self.file}: elements")
+            if len(values) > ATTRIBUTES:
+                self.refuse(f"{tag} has more than {ATTRIBUTES} attributes")
             if len(counts) > DEEPEST:
                 self.refuse(f"elements are nested deeper than {DEEPEST}")
             count = counts[-1] * self.repeated(tag, values)
@@ -141,7 +150,8 @@ class _Scan:
             for key, text in values.items():
                 unit = text[-1:].lower() if text[-1:].isalpha() else ""
                 amount = self.number(tag, key, text[: len(text) - len(unit)])
-                check_limit("arena", amount * _SIZES.get(unit, 1), f"robot {self.file}: size {key}")
+                limit = "items" if key in _COUNTS or key.startswith("nuser") else "arena"
+                check_limit(limit, amount * _SIZES.get(unit, 1), f"robot {self.file}: size {key}")
         for rows, columns in (("nrow", "ncol"), ("height", "width")):
             if tag in ("hfield", "texture") and rows in values and columns in values:
                 points = self.number(tag, rows, values[rows])

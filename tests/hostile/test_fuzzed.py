@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from recording_cases import MAP, hdf5, matrices, packed, replaced, table
 
 from surefoot.estimator.evaluation.trajectory import Trajectory
 from surefoot.models.calibration.bounds import Bounds
@@ -19,8 +20,10 @@ from surefoot.models.observer.observer import Observer
 from surefoot.scenarios.datasets.simulate import seed_range
 from surefoot.scenarios.estimate.settings import read_settings
 from surefoot.scenarios.experiments.file import Experiment
+from surefoot.scenarios.export import export
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects.file import load_effects
+from surefoot.sim.importing.bag import bag_fields
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.recording import import_log
 from surefoot.sim.log import Log
@@ -42,7 +45,17 @@ READERS: dict[str, Callable[[Path], object]] = {
     "observer.pt": Observer.load,
     "walk.parquet": Log.read,
     "trajectory.parquet": Trajectory.read,
+    "run.mcap": bag_fields,
 }
+RECORDINGS: dict[str, Callable[[Path], object]] = {
+    "run.json": lambda path: path.write_text(replaced("0.1")),
+    "run.npz": packed(),
+    "run.h5": hdf5(lambda file: None),
+    "run.mat": matrices,
+    "run.parquet": table(),
+}
+"""Whole files that the import reads, and what writes them."""
+READERS |= dict.fromkeys(RECORDINGS, lambda path: import_log(path, path.parent / "recording.toml"))
 NASTY = (
     *(b"nan", b"inf", b"-1", b"0", b"1e300", b"1e400", b"9" * 400, b"true", b"null", b'""', b"[]"),
     *(b"{}", b"[[", b"]", b"}", b"\0", b"\n", b"\r\n", b'"', b"'", b",", b"=", b"<!--", b"&a;"),
@@ -68,8 +81,7 @@ def edited(good: bytes, changes: list[tuple]) -> bytes:
 
 
 def _fuzz(name: str, good: Path, folder: Path, count: int) -> None:
-    whole = (FILES if name == "trajectory.parquet" else good) / name
-    content = whole.read_bytes()
+    content = _whole(name, good, folder).read_bytes()
     for other in ("scenario.toml", "effects.toml"):
         (folder / other).write_bytes((good / other).read_bytes())
     if not (folder / "good").exists():
@@ -90,6 +102,21 @@ def _fuzz(name: str, good: Path, folder: Path, count: int) -> None:
             READERS[name](path)
 
     run()
+
+
+def _whole(name: str, good: Path, folder: Path) -> Path:
+    """The file that is edited."""
+    if name == "trajectory.parquet":
+        return FILES / name
+    if name in RECORDINGS:
+        (folder / "recording.toml").write_text(MAP)
+        RECORDINGS[name](folder / name)
+        READERS[name](folder / name)
+        return folder / name
+    if name == "run.mcap":
+        export(good / "walk.parquet", folder / name)
+        return folder / name
+    return good / name
 
 
 @pytest.mark.parametrize("name", READERS)

@@ -12,6 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+import recording_cases
 import text_cases
 import torch
 from forked import copied, run_forked
@@ -96,6 +97,21 @@ def flipped(name: str, share: float) -> Callable[[Path], None]:
     return change
 
 
+def recorded(file: str, content: str | bytes | Callable[[Path], None]) -> Callable[[Path], None]:
+    """Write a recording, and the map of its columns."""
+
+    def change(folder: Path) -> None:
+        of_bag = Path(file).suffix in recording_cases.BAGS
+        rules = recording_cases.BAG_MAP if of_bag else recording_cases.MAP
+        (folder / "recording.toml").write_text(rules)
+        if callable(content):
+            content(folder / file)
+        else:
+            (folder / file).write_bytes(content.encode() if isinstance(content, str) else content)
+
+    return change
+
+
 def many_rows(folder: Path) -> None:
     """A hundred million rows of forty columns, in a file of a few megabytes."""
     about = pq.read_schema(folder / "walk.parquet").metadata
@@ -129,6 +145,9 @@ def _cases() -> list[tuple[str, Callable[[Path], None], str, str]]:
     for table, (file, command) in READERS.items():
         for what, old, new, word in getattr(text_cases, table):
             found.append((f"{table.lower()}: {what}", replaced(file, old, new), command, word))
+    for what, file, content, word in recording_cases.RECORDING:
+        command = f"import {file} --map recording.toml -o new.parquet"
+        found.append((f"recording: {file}: {what}", recorded(file, content), command, word))
     estimate = "estimate walk.parquet --filter leg"
     for what, alter, word in log_cases.LOG:
         found.append((f"log: {what}", written_log(alter), estimate, word))
