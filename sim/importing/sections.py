@@ -40,7 +40,7 @@ class Source:
     """Hz, where it has no times."""
     t: Name | ColumnEntry | None = None
     """Of a further file: its times, on the log's clock after unit and offset."""
-    separator: OneCharacter | None = None
+    separator: Annotated[str, msgspec.Meta(pattern=r'^([^\r\n"]|\\s\+)\Z')] | None = None
     """Between the cells of a text: `,` `;` `|`, a tab or spaces are found where left out."""
     header: bool = True
     """Whether a text's first line has names; else columns are called 0, 1, 2, ..."""

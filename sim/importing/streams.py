@@ -28,6 +28,8 @@ _MOVING_ROWS = 50
 """Rows of motion below which nothing is said."""
 _LATEST = 0.05
 """s up to which a delay is looked for, as of the effects of timing."""
+_LATEST_REFERENCE = 0.3
+"""s, the same of a reference's velocity, which a tracker's filter makes."""
 _LEAST_DELAY = 2e-3
 """s below which a delay is not reported, nor below a quarter of a row."""
 _ALIKE = 0.5
@@ -91,7 +93,10 @@ def late_streams(log: Log) -> tuple[LateStream, ...]:
         found.append(LateStream(tuple(f"dq_{j}" for j in log.joints), lag, "the change of q"))
     if log.has("ref_v"):
         lag = delay_between(
-            log.t, log.ref_v, derivative(log.t, log.ref_p, REFERENCE_WINDOW, causal=False)
+            log.t,
+            log.ref_v,
+            derivative(log.t, log.ref_p, REFERENCE_WINDOW, causal=False),
+            _LATEST_REFERENCE,
         )
         names = tuple(f"ref_v_{axis}" for axis in "xyz")
         found.append(LateStream(names, lag, "the change of ref_p"))
@@ -99,13 +104,16 @@ def late_streams(log: Log) -> tuple[LateStream, ...]:
     return tuple(one for one in found if abs(one.delay) > least)
 
 
-def delay_between(t: np.ndarray, late: np.ndarray, witness: np.ndarray) -> float:
-    """How much later [s] `late` (N, D) shows what `witness` (N, D) does, at the times t (N,) [s]:
-    where their correlation is largest, by a parabola through it. 0 where they are not alike."""
+def delay_between(
+    t: np.ndarray, late: np.ndarray, witness: np.ndarray, latest: float = _LATEST
+) -> float:
+    """How much later [s], at most `latest`, `late` (N, D) shows what `witness` (N, D) does, at the
+    times t (N,) [s]: where their correlation is largest, by a parabola through it. 0 where they are
+    not alike."""
     dt = float(np.median(np.diff(t)))
     even = np.arange(t[0], t[-1], dt)
     a, b = (_even(even, t, x) for x in (late, witness))
-    most = min(int(np.ceil(_LATEST / dt)) + 1, len(even) // 4)
+    most = min(int(np.ceil(latest / dt)) + 1, len(even) // 4)
     inner = slice(most, len(even) - most)
     size = np.sqrt(np.sum(a[inner] ** 2) * np.sum(b[inner] ** 2))
     if most < 1 or size == 0.0:

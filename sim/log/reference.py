@@ -60,10 +60,12 @@ def reference_poses(log: Log) -> Poses:
     before, behind = slope[first - 1], slope[last]
     apart, turn = p[last] - p[first], behind - before
     span = t[last] - t[first]
-    along = np.sum((behind * span[:, None] - apart) * turn, axis=1) / np.sum(turn**2, axis=1)
+    turned = np.sum(turn**2, axis=1)
+    bent_by = np.where(turned > 0.0, turned, np.inf)  # a leap aside bends back to where it was
+    along = np.sum((behind * span[:, None] - apart) * turn, axis=1) / bent_by
     at = t[first] + np.clip(along, 0.0, span)
     ahead = (at - t[first])[:, None]
     earlier, R = (Rotation.from_quat(q[rows], scalar_first=True) for rows in (first - 1, first))
     rate = (earlier.inv() * R).as_rotvec() / (t[first] - t[first - 1])[:, None]
-    turned = R * Rotation.from_rotvec(rate * ahead)
-    return Poses(at, p[first] + before * ahead, quaternion_from_matrix(turned.as_matrix()))
+    then = R * Rotation.from_rotvec(rate * ahead)
+    return Poses(at, p[first] + before * ahead, quaternion_from_matrix(then.as_matrix()))

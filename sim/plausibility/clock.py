@@ -10,6 +10,9 @@ from surefoot.sim.plausibility.view import LogView
 STEP_OFF = 0.02
 """Share by which the median step may differ from the metadata's rate: a computer's clock is good
 to 1e-4; loops that wait a whole time slice are 1 % slow (10.1 ms instead of 10)."""
+SLOWEST_ROWS, FASTEST_ROWS = 5.0, 2e4
+"""Hz of rows: two a stride, below which nothing is seen of it; faster than any sensor of a robot is
+read, IMUs at 8 kHz (InvenSense MPU-6050 product specification, gyro output rate)."""
 MISSING_ROWS = 0.03
 """Share of rows that may be missing: loops that share a computer are late for some per cent, and
 filters bridge single rows."""
@@ -20,8 +23,15 @@ SPEED_OFF = 0.1
 """Share by which rates may differ from changes: each blurs some per cent."""
 SAME_CLOCK = 0.1
 """Share by which streams may differ in that and still say the same of the clock."""
+_UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+"""Of time, as a map names them -> s."""
+_USUAL = (20.0, 1e4)
+"""Hz of the rows of logs."""
 _JUMP = 5.0
 """Times the change between rows that its fastest hundredth exceeds, in a jump."""
+_BACK, _FORTH = -0.2, 0.5
+"""Correlation of a joint's steps with those of the next row and of the one after: 1 in what is
+smooth, -0.5 and 0 in noise."""
 _AT_ONCE = 0.4
 """Share of joints, or of the reference's numbers, that jump at one row."""
 
@@ -34,6 +44,12 @@ def stamps(view: LogView) -> Iterator[Finding]:
     step = np.diff(t)
     usual = float(np.median(step))
     actual = 1.0 / usual
+    if not SLOWEST_ROWS < actual < FASTEST_ROWS:
+        unit = next((u for u, s in _UNITS.items() if _USUAL[0] <= actual / s <= _USUAL[1]), "")
+        cause = f"in {unit}, not s" if unit else "wrong unit of time"
+        line = f't = {{ ..., unit = "{unit}" }}' if unit else ""
+        yield Finding(("t",), f"rows at {actual:.3g} Hz", cause, line)
+        return
     mean = (len(t) - 1) / (t[-1] - t[0])
     if abs(actual / rate - 1.0) > STEP_OFF and abs(mean / rate - 1.0) > STEP_OFF:
         told = f"rows at {actual:.4g} Hz, the log says {rate:.4g} Hz"
@@ -69,7 +85,9 @@ def speed(view: LogView) -> Iterator[Finding]:
         if size == 0.0 or abs(both) < 0.8 * np.sqrt(np.sum(rate**2) * size):
             return
         factors.append(float(both / size))
-    if len(factors) < 2 or max(abs(f / factors[0] - 1.0) for f in factors) > SAME_CLOCK:
+    if len(factors) < 2:
+        return
+    if max(abs(f - factors[0]) for f in factors) > SAME_CLOCK * abs(factors[0]):
         return
     factor = float(np.median(factors))
     if abs(factor - 1.0) > SPEED_OFF:
@@ -99,3 +117,11 @@ def leaps(view: LogView) -> Iterator[Finding]:
             f"{rows.size} rows at which joints jump together, the first at {view.t[rows[0]]:.2f} s"
         )
         yield Finding(("t", "q"), told, "rows were lost behind even stamps, or put in")
+    steps = np.diff(x[:, alive], axis=0)
+    power = np.sum(steps**2, axis=0)
+    next_, second = (np.sum(steps[k:] * steps[:-k], axis=0) / power for k in (1, 2))
+    if np.median(next_) < _BACK and np.median(second) > _FORTH:
+        told = (
+            f"steps correlate by {np.median(next_):.2f} with the next, by {np.median(second):.2f}"
+        )
+        yield Finding(("t", "q"), f"{told} with the one after", "rows are out of order")

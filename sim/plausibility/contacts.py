@@ -13,6 +13,9 @@ OTHERS_CHANGE = 6
 """Changes of other contacts, each, during which one must change: three strides."""
 UNCHANGED = 1.0
 """s, two strides: contacts that bounce change often in a shorter time."""
+FLICKERS = 30.0
+"""Changes a second: strides have four, sensors that miss one row in a hundred at 500 Hz another
+ten."""
 LASTING = 0.05
 """s, a fifth of the shortest stance: contacts of a robot that stands still flicker for less."""
 HIGHER = 0.005
@@ -52,6 +55,18 @@ def dead(view: LogView) -> Iterator[Finding]:
                 f"change {np.median(others):.0f} times"
             )
             yield Finding((f"contact_{log.legs[i]}",), told, "a sensor that hangs")
+
+
+def flickering(view: LogView) -> Iterator[Finding]:
+    """A foot touches down and lifts some times a second."""
+    log = view.log
+    if not log.has("contact") or not view.comparable:
+        return
+    rate = np.abs(np.diff(log.contact.astype(int), axis=0)).sum(axis=0) / (view.t[-1] - view.t[0])
+    if (bad := np.flatnonzero(rate > FLICKERS)).size:
+        columns = tuple(f"contact_{log.legs[i]}" for i in bad)
+        told = f"{rate[bad].max():.0f} changes a second"
+        yield Finding(columns, told, "noise about the threshold", "[contact] debounce")
 
 
 def _lasting(t: np.ndarray, contact: np.ndarray) -> int:

@@ -4,11 +4,19 @@ from collections.abc import Iterator
 from itertools import permutations, product
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from surefoot.sim.common.gravity import GRAVITY, GRAVITY_G
-from surefoot.sim.plausibility.axes import AXIS_NAMES, AxesMatch, match_axes
+from surefoot.sim.plausibility.axes import (
+    AXIS_NAMES,
+    GAIN,
+    OTHER,
+    AxesMatch,
+    lag_of,
+    match_axes,
+)
 from surefoot.sim.plausibility.finding import Finding
-from surefoot.sim.plausibility.view import LogView
+from surefoot.sim.plausibility.view import STEP, LogView
 
 ZERO_G = 0.8
 """m/s^2 that an accelerometer's mean may differ from gravity: InvenSense MPU-6050 product
@@ -32,6 +40,26 @@ LEFT = 0.6
 or sign may leave; correlation alone hides axes that turn little. On clean walks and a measured Go1
 none does better than the right ones. Put right, two axes swapped leave 0.15 on clean walks; on the
 Go1 0.52 to 0.56, but x for y 0.72: these are not seen."""
+TURNED_IMU = 12.0
+"""deg by which an IMU's axes may be turned in the tracked body before it is said: brackets are true
+to some degrees, and leaning ones are declared."""
+STILL_LEFT = 0.5
+"""Share of what gyro and reference differ by that may be left when they are turned so."""
+WEAK = 0.3
+"""Share by which one axis of a gyro may be off that goes well with the reference's turning."""
+_GOES_WELL = 0.9
+"""Correlation from which on single axes are compared in size."""
+LATE_ACCEL, LATEST_ACCEL = 0.03, 0.5
+"""s by which an accelerometer is said to be late, or early, and up to which it is looked for."""
+QUIET = 0.35
+"""Share of the motion's accelerations that an accelerometer has at least: 0.6 in clean walks."""
+SAME_SIZE = 1e-3
+"""Share by which the size of a specific force varies at least: impacts have
+several times gravity's."""
+NOT_LEVEL = 8.0
+"""deg between gravity and the reference's vertical: an accelerometer 80 mg out is 5 deg off."""
+_BLOCK = 2.0
+"""s, four strides, over which a gyro's bias is taken."""
 _AXES_P = tuple(f"ref_p_{a}" for a in AXIS_NAMES)
 _AXES_GYRO = tuple(f"gyro_{a}" for a in AXIS_NAMES)
 _AXES_ACCEL = tuple(f"accel_{a}" for a in AXIS_NAMES)
@@ -47,7 +75,10 @@ def gravity(view: LogView) -> Iterator[Finding]:
     size = float(np.linalg.norm(mean))
     up, whose = _up(view)
     told = f"mean ({_numbers(mean)}) m/s^2, {size:.3g} in size where gravity is {GRAVITY}"
-    unit = _unit_of_accel(size, float(view.log.accel.std(axis=0).max()))
+    sizes, spread = np.linalg.norm(view.log.accel, axis=1), view.log.accel.std(axis=0).max()
+    unit = _unit_of_accel(size, float(spread))
+    if unit is None and sizes.std() < SAME_SIZE * size < 0.1 * spread:
+        unit = "a direction: its size is the same in every row", ""
     if unit is not None:
         cause, line = unit
         yield Finding(_AXES_ACCEL, told, cause, line)
@@ -125,6 +156,22 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
         return
     accel, felt = view.accel[view.ok], view.felt[view.ok]
     in_body = match_axes(accel, felt)
+    late, shifted = lag_of(accel, felt, STEP, LATEST_ACCEL)
+    if abs(late) > LATE_ACCEL and shifted > max(0.6, in_body.own.mean() + 0.1):
+        told = f"{abs(late):.2f} s {'late' if late > 0 else 'early'} against the reference's motion"
+        cause = "another clock, or a filter, of the accelerometer or of ref_p"
+        yield Finding((*_AXES_ACCEL, *_AXES_P), told, cause)
+        return
+    as_world = match_axes(accel, view.ref_a[view.ok] - GRAVITY_G).own[:2]
+    if as_world.min() > OTHER and (as_world - in_body.own[:2]).mean() > 0.5 * GAIN:
+        told = f"correlation with the reference's accelerations in G {_numbers(as_world)}"
+        yield Finding(_AXES_ACCEL, told, "in the world's axes, not the body's")
+        return
+    size = float(np.sqrt(np.sum(accel.var(axis=0)) / max(np.sum(felt.var(axis=0)), 1e-12)))
+    if size < QUIET:
+        told = f"has {size:.2f} of the accelerations of the reference's motion"
+        yield Finding(_AXES_ACCEL, told, "filtered, or gravity alone")
+        return
     in_world = match_axes(view.ref_a[view.ok], view.R_GI.apply(view.accel)[view.ok] + GRAVITY_G)
     # Gravity tells that z is upright, so that the reference's is not.
     if in_world.wrong and (in_world.best.mean() >= in_body.best.mean() or in_world.wrong == (2,)):
@@ -143,6 +190,14 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
         yield Finding(_AXES_P, told, cause)
     else:
         apart = accel.mean(axis=0) - felt.mean(axis=0)
+        R_GI = view.attitudes(0.0, view.ok)
+        aside = R_GI.apply(accel - felt).mean(axis=0)[:2]
+        lean = float(np.degrees(np.arctan2(np.linalg.norm(aside), GRAVITY)))
+        if lean > NOT_LEVEL and np.linalg.norm(aside) > 1.05 * np.linalg.norm(apart):
+            told = f"its vertical is {lean:.0f} deg from gravity, whichever way the body turns"
+            cause = "the reference's world is not level"
+            yield Finding((*_AXES_P, "ref_q"), told, cause, "[reference] q_GW")
+            return
         for i in np.flatnonzero(np.abs(apart) > ZERO_G):
             told = f"mean {apart[i]:.2f} m/s^2 off what the reference's motion implies"
             cause = "a bias, or a leaning mount"
@@ -185,17 +240,45 @@ def gyro(view: LogView) -> Iterator[Finding]:
         cause = "another body, other axes or another clock; try surefoot align"
         yield Finding((*_AXES_GYRO, "ref_q"), told, cause)
         return
+    turned = _turned(view.gyro[view.ok], view.turning[view.ok])
+    if turned is not None:
+        told = f"by {_numbers(turned)} deg about x, y, z, as its turning says"
+        line = "[robot] imu_orientation, or [reference] q_IM; surefoot align finds it"
+        cause = "the IMU is turned in the body, or the tracked body is"
+        yield Finding((*_AXES_GYRO, *_AXES_ACCEL), told, cause, line)
+        return
     factor = match.scaled
-    if abs(factor - 1.0) > GYRO_SCALED:
+    weak = np.flatnonzero(
+        (match.best > _GOES_WELL) & (np.abs(np.log(match.scale)) > np.log1p(WEAK))
+    )
+    if len(weak) == 1:
+        told = f"{match.scale[weak[0]]:.3g} times as fast as the reference turns, unlike the others"
+        yield Finding((_AXES_GYRO[weak[0]],), told, "scaled")
+    elif abs(factor - 1.0) > GYRO_SCALED:
         told = f"{factor:.3g} times as fast as the reference turns"
         if abs(factor / _DEGREE - 1.0) < 0.2:
             yield Finding(_AXES_GYRO, told, "in deg/s, not rad/s", _IN_DEGREES)
         else:
             yield Finding(_AXES_GYRO, told, "scaled")
-    apart = view.gyro[view.ok].mean(axis=0) - view.turning[view.ok].mean(axis=0)
-    for i in np.flatnonzero(np.abs(apart) > ZERO_RATE):
+    off = (view.gyro - view.turning)[view.ok]
+    blocks = np.array_split(off, max(1, round(len(off) * STEP / _BLOCK)))
+    apart, means = off.mean(axis=0), np.array([one.mean(axis=0) for one in blocks])
+    worst = np.quantile(np.abs(means), 0.9, axis=0)
+    for i in np.flatnonzero(np.maximum(np.abs(apart), worst) > ZERO_RATE):
         told = f"mean {apart[i]:.2f} rad/s off the reference's turning"
+        if abs(apart[i]) < ZERO_RATE:
+            told = f"up to {worst[i]:.2f} rad/s off the reference's turning for {_BLOCK:g} s"
         yield Finding((_AXES_GYRO[i],), told, "a bias")
+
+
+def _turned(gyro: np.ndarray, turning: np.ndarray) -> np.ndarray | None:
+    """Rotation vector [deg] that turns a gyro's axes (M, 3) into the reference's, by Kabsch's
+    method; None where it is small or does not mend what they differ by."""
+    a, b = gyro - gyro.mean(axis=0), turning - turning.mean(axis=0)
+    R, left = Rotation.align_vectors(b, a)  # pyright: ignore[reportAssignmentType]
+    found = np.degrees(R.as_rotvec())
+    mends = left**2 < STILL_LEFT * float(np.sum((a - b) ** 2))
+    return found if mends and np.linalg.norm(found) > TURNED_IMU else None
 
 
 def turning_of_legs(view: LogView) -> Iterator[Finding]:

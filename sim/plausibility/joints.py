@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from surefoot.sim.log.schema import JOINTS, LEGS
 from surefoot.sim.plausibility.finding import Finding
 from surefoot.sim.plausibility.view import LogView
 
@@ -22,6 +23,11 @@ TURNS = 2.0 * np.pi
 """rad: a joint of a leg does not turn about; in degrees even a still leg is beyond it."""
 TOO_STRONG = 1.5
 """Times the largest torque of the model, 99 % of the time: peak torques are rated for seconds."""
+ZERO_OFF = 0.25
+"""rad between the medians of a left joint and its right one where the other pair agrees to half of
+it: feet that turn or cross a slope differ in both pairs alike."""
+_SEVERAL = 6
+"""Joints from which on some torques are negative in any motion."""
 _MOVES = 0.2
 """rad/s, root mean square, below which a joint does not move enough to be compared."""
 
@@ -150,6 +156,33 @@ def torques(view: LogView) -> Iterator[Finding]:
         line = f'{columns[0]}, ... = {{ ..., unit = "mN m" }}' if thousand else ""
         cause = "in mN m, not N m" if thousand else "another unit, or another robot"
         yield Finding(columns, told, cause, line)
+
+
+def magnitudes(view: LogView) -> Iterator[Finding]:
+    """Torques push both ways."""
+    if not view.log.has("tau") or view.robot is None or len(view.log.joints) < _SEVERAL:
+        return
+    tau = view.log.tau
+    if tau.std(axis=0).min() > 0.0 and tau.min() >= 0.0:
+        columns = tuple(f"tau_{j}" for j in view.log.joints)
+        told = f"no negative torque of {len(columns)} joints in any row"
+        yield Finding(columns, told, "magnitudes, without their sign")
+
+
+def zeros(view: LogView) -> Iterator[Finding]:
+    """Left and right legs are held alike: a joint that alone differs has another zero."""
+    log, robot = view.log, view.robot
+    if robot is None or log.joints != JOINTS or not log.has("q") or not view.comparable:
+        return
+    middle = np.median(log.q, axis=0).reshape(2, 2, 3)  # front and rear, left and right
+    apart = middle[:, 0, 1:] - middle[:, 1, 1:]  # thighs and calves
+    for pair, other in ((0, 1), (1, 0)):
+        for k, kind in enumerate(("thigh", "calf")):
+            if abs(apart[pair, k]) > ZERO_OFF and np.all(np.abs(apart[other]) < 0.5 * ZERO_OFF):
+                names = tuple(f"q_{LEGS[2 * pair + side]}_{kind}" for side in (0, 1))
+                told = f"medians {apart[pair, k]:.2f} rad apart, the others {apart[other, k]:.2f}"
+                line = f"[robot] joint_offset of {names[0][2:]} or {names[1][2:]}"
+                yield Finding(names, told, "one of them has a wrong zero", line)
 
 
 def commands(view: LogView) -> Iterator[Finding]:

@@ -40,6 +40,9 @@ _FEWEST = 50
 """Feet in contact, at some times, below which nothing is said."""
 _TRIED = 600
 """Times at which readings of joints are tried."""
+CLIMBS = 0.15
+"""m/s by which a reference may rise against standing feet: stairs at 0.5 m/s rise by 0.3, and feet
+that roll and give by some hundredths."""
 SUPPORT = (0.5, 1.7)
 """Weight that torques of standing legs carry, over the model's: payloads add a third, single legs
 of a stride carry twice."""
@@ -109,6 +112,24 @@ def kinematics(view: LogView) -> Iterator[Finding]:
         told = f"standing feet have {100 * base:.0f} % of the body's velocity, squared"
         cause = "wrong joints, contacts or robot; or it slides"
         yield Finding(("q", "contact"), told, cause)
+
+
+def climbing(view: LogView) -> Iterator[Finding]:
+    """A reference climbs as its feet do."""
+    legs = view.stance
+    if legs is None or not view.log.has("imu") or not view.trusts_reference:
+        return
+    used = view.ok[legs.which]
+    up = view.R_GI.inv().apply([0.0, 0.0, 1.0])[legs.which]
+    by_feet = np.einsum("kli,ki->kl", legs.body_velocity(view.gyro[legs.which]), up)
+    by_reference = np.einsum("ki,ki->k", view.v_I[legs.which], up)
+    on = legs.contact & used[:, None]
+    if on.sum() < _FEWEST:
+        return
+    apart = float(np.median((by_reference[:, None] - by_feet)[on]))
+    if abs(apart) > CLIMBS:
+        told = f"{'climbs' if apart > 0 else 'sinks'} by {abs(apart):.2f} m/s, and the feet do not"
+        yield Finding(("ref_p_z",), told, "an estimate that drifts, or a world that is not level")
 
 
 def _late(legs: Stance, moving: Moving) -> Finding | None:

@@ -63,7 +63,7 @@ def velocity(view: LogView) -> Iterator[Finding]:
     if missed < VELOCITY_OFF:
         return
     told = f"{size:.3g} times the change of positions"
-    if abs(np.log(size)) > np.log1p(VELOCITY_OFF):
+    if abs(np.log(max(size, 1e-9))) > np.log1p(VELOCITY_OFF):
         unit = _unit(size)
         cause = f"in {unit}/s, not m/s" if unit else "scaled, or positions are"
         line = _unit_line(_V, f"{unit}/s" if unit else "")
@@ -81,7 +81,7 @@ def velocity(view: LogView) -> Iterator[Finding]:
 
 def _unit(factor: float) -> str:
     """The unit of lengths whose numbers are about `factor` times those in metres; "" for none."""
-    return next((u for f, u in _UNITS.items() if abs(np.log(factor / f)) < 0.1), "") or (
+    return next((u for f, u in _UNITS.items() if abs(np.log(max(factor, 1e-9) / f)) < 0.1), "") or (
         # Of a speed: walks go at 0.1 to 3 m/s.
         ("mm" if factor > 90.0 else "cm") if factor > FASTEST_LEGS else ""
     )

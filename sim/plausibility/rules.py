@@ -27,8 +27,8 @@ RULES = (
     Rule(
         "rows",
         "steps of t with each other and with the log's rate",
-        f"{clock.STEP_OFF:.0%} of the rate; {clock.MISSING_ROWS:.0%} of the rows missing, or a gap "
-        f"of {clock.LONGEST_GAP:g} s",
+        f"{clock.STEP_OFF:.0%} of the rate, {clock.SLOWEST_ROWS:g} to {clock.FASTEST_ROWS:g} Hz; "
+        f"{clock.MISSING_ROWS:.0%} of the rows missing, or a gap of {clock.LONGEST_GAP:g} s",
         "loops that wait whole time slices are 1 % slow; filters bridge single rows, nothing can "
         "be interpolated over a tenth of a stride",
         "state the rate that the rows have; record again, or cut the log at the gap",
@@ -225,6 +225,33 @@ RULES = (
         joints.stops,
     ),
     Rule(
+        "flickering",
+        "contacts with themselves over time",
+        f"{contacts.FLICKERS:g} changes a second",
+        "four a second in strides; a sensor about its threshold has many",
+        "[contact] debounce, or a threshold that is further from the noise",
+        ("t", "contact"),
+        contacts.flickering,
+    ),
+    Rule(
+        "zeros",
+        "a left joint with the right one of the same pair of legs",
+        f"medians {joints.ZERO_OFF:g} rad apart, while those of the other pair agree",
+        "legs of a pair are held alike; what holds them otherwise does so to both pairs",
+        "joint_offset",
+        ("q",),
+        joints.zeros,
+    ),
+    Rule(
+        "climbing",
+        "the reference's vertical velocity with that of standing feet",
+        f"{legs.CLIMBS:g} m/s in the median",
+        "feet that stand do not sink",
+        "another reference; level its world with [reference] q_GW",
+        ("t", "gyro", "q", "contact", "ref", "foot", "accel"),
+        legs.climbing,
+    ),
+    Rule(
         "contact heights",
         "the height of a foot in contact with that when lifted",
         f"{1e3 * contacts.HIGHER:g} mm higher",
@@ -241,6 +268,15 @@ RULES = (
         'unit = "mN m"; the robot\'s name',
         ("tau",),
         joints.torques,
+    ),
+    Rule(
+        "magnitudes",
+        "the signs of torques",
+        "none negative",
+        "joints of legs push both ways",
+        "torques with their signs",
+        ("tau",),
+        joints.magnitudes,
     ),
     Rule(
         "support",
@@ -279,6 +315,15 @@ RULES = (
         streams.held,
     ),
     Rule(
+        "interpolated",
+        "steps of a sensor from row to row",
+        f"{streams.STRAIGHT:.0%} of them as the one before",
+        "every sensor has noise",
+        "nothing, if it is known: noise is less than it seems, and impacts are missing",
+        ("t",),
+        streams.interpolated,
+    ),
+    Rule(
         "late",
         "dq with the change of q, ref_v with that of ref_p",
         f"{1e3 * streams.LATE_RATE:g} ms; {1e3 * attitude.LATE:g} ms",
@@ -297,7 +342,7 @@ RULES = (
         streams.derived,
     ),
 )
-_MINOR = ("reference's samples", "saturated", "held", "late")
+_MINOR = ("reference's samples", "saturated", "held", "interpolated", "late")
 """Rules that are silent about columns which are in doubt already, and that put none in doubt."""
 
 

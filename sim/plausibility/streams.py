@@ -42,6 +42,11 @@ SPIKES = {
 of 2 to 10 ms no body or joint does it and undoes it."""
 DROPS = 5
 """Rows that read exactly 0 between rows that do not, from which on they are drop-outs."""
+STRAIGHT = 0.6
+"""Share of moving rows that go on as the row before did, to a millionth: none of a sensor."""
+SLOWEST_REFERENCE = 20.0
+"""Hz, ten a stride: a reference comes between its log's rows, and is interpolated."""
+_READ = ("gyro", "accel", "q", "dq", "tau", "foot")
 SLOWER = 0.75
 """Of the rows' rate: a coarse reading repeats itself by chance at a sixth of the rows."""
 _COMMANDS = ("q_des_", "dq_des_", "tau_ff_", "x_")
@@ -146,6 +151,22 @@ def held(view: LogView) -> Iterator[Finding]:
         )
         line = f"[even] held = {[*kinds]}".replace("'", '"')
         yield Finding(tuple(columns), told, cause, line)
+
+
+def interpolated(view: LogView) -> Iterator[Finding]:
+    """Readings have noise: what lies on straight lines between a few of them was put there."""
+    known = " ".join(view.log.meta.derived)
+    for kind, columns in _kinds(view, (*_READ, "ref_p")).items():
+        share = {name: _straight(view.log.frame[name].to_numpy()) for name in columns}
+        found = [name for name in columns if share[name] > STRAIGHT]
+        if not found or f"{kind} (between held readings)" in known:
+            continue
+        rate = view.log.rate * (1.0 - float(np.median([share[name] for name in found])))
+        if kind != "ref_p" or rate < SLOWEST_REFERENCE:
+            told = f"on straight lines between readings at {rate:.0f} Hz"
+            yield Finding(
+                tuple(found), told, "a slower sensor, interpolated: its noise is not that"
+            )
 
 
 def late(view: LogView) -> Iterator[Finding]:
@@ -278,6 +299,19 @@ def _longest_hold(x: np.ndarray) -> tuple[int, int]:
     edges = np.concatenate([[-1], change, [len(x) - 1]])
     k = int(np.argmax(np.diff(edges)))
     return int(edges[k]) + 1, int(edges[k + 1])
+
+
+def _straight(x: np.ndarray) -> float:
+    """Share of the rows that move at which x (N,) goes on as before; 0 of coarse readings."""
+    steps = np.diff(x)
+    moves = steps[1:] != 0.0
+    if moves.sum() < 50:
+        return 0.0
+    counts = steps[steps != 0.0] / np.abs(steps[steps != 0.0]).min()
+    if np.median(np.abs(counts - np.round(counts))) < 1e-3:
+        return 0.0
+    on = np.abs(np.diff(steps)) < 1e-6 * np.abs(steps[1:]) + 1e-14 * np.abs(x).max()
+    return float(np.mean(on[moves]))
 
 
 def _varied(x: np.ndarray) -> bool:

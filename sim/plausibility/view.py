@@ -19,6 +19,9 @@ STEP = 0.02
 """s between the times at which streams are compared: some tens a stride."""
 MEAN = 0.06
 """s over which they are averaged there: impacts, and noise that a derivative has, hardly matter."""
+MOST_COMPARED, COMPARED_A_ROW = 1_000_000, 5
+"""Times at which streams are compared: of a log at 10 Hz five a row. A clock that was set while it
+ran, or stamps in nanoseconds, would ask for more than a computer can hold."""
 SHORTEST_LOG = 1.0
 """s below which streams are not compared: two strides."""
 _STILL = 0.02
@@ -43,8 +46,10 @@ class LogView:
 
     @cached_property
     def at(self) -> np.ndarray:
-        """(M,) [s]."""
-        return np.arange(self.t[0] + MEAN, self.t[-1] - MEAN, STEP)
+        """(M,) [s]; none where the stamps leave out far more time than they have rows for."""
+        begin, end = self.t[0] + MEAN, self.t[-1] - MEAN
+        most = max(MOST_COMPARED, COMPARED_A_ROW * len(self.t))
+        return np.arange(begin, end if end - begin < most * STEP else begin, STEP)
 
     @property
     def comparable(self) -> bool:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from surefoot.sim.common.low_pass import low_pass
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.plausibility import RULES, check_log
@@ -202,6 +203,67 @@ def differenced(log: Log) -> Log:
     return edited(log, **{c: np.gradient(log.frame[c[1:]], log.t) for c in names})
 
 
+def in_unit(seconds: float) -> Callable[[Log], Log]:
+    """Stamps and rate as if another unit of time were s."""
+    return lambda log: replace(
+        edited(log, t=log.t / seconds), meta=replace(log.meta, rate=log.rate * seconds)
+    )
+
+
+def straight(every: int, *prefixes: str) -> Callable[[Log], Log]:
+    """Columns on straight lines between each so many rows."""
+
+    def change(log: Log) -> Log:
+        rows = np.arange(len(log.t))
+        names = columns_of(log, *prefixes)
+        return edited(
+            log, **{c: np.interp(rows, rows[::every], log.frame[c][::every]) for c in names}
+        )
+
+    return change
+
+
+def swapped_rows(log: Log) -> Log:
+    rows = np.arange(len(log.t) // 2 * 2).reshape(-1, 2)[:, ::-1].ravel()
+    found = log.rows(rows)
+    return edited(found, t=log.t[: len(rows)])
+
+
+def vectors(**made: np.ndarray) -> Callable[[Log], Log]:
+    return lambda log: edited(
+        log, **{f"{n}_{a}": x[:, i] for n, x in made.items() for i, a in enumerate("xyz")}
+    )
+
+
+def directions(log: Log) -> Log:
+    return vectors(accel=9.81 * log.accel / np.linalg.norm(log.accel, axis=1, keepdims=True))(log)
+
+
+def gravity_alone(log: Log) -> Log:
+    return vectors(accel=low_pass(log.accel, 0.5, log.rate))(log)
+
+
+def accel_in_world(log: Log) -> Log:
+    return vectors(accel=np.einsum("nij,nj->ni", log.ref_R_GI, log.accel))(log)
+
+
+def tilted_world(log: Log) -> Log:
+    R = Rotation.from_euler("x", 12, degrees=True)
+    moved = vectors(ref_p=R.apply(log.ref_p), ref_v=R.apply(log.ref_v))(log)
+    return attitude(lambda attitudes: R * attitudes)(moved)
+
+
+def sinking(log: Log) -> Log:
+    fallen = {"ref_p_z": log.frame["ref_p_z"] - 0.3 * log.t, "ref_v_z": log.frame["ref_v_z"] - 0.3}
+    return edited(log, **fallen)
+
+
+def noisy_contacts(log: Log) -> Log:
+    wrong = np.random.default_rng(0).random(log.contact.shape) < 0.1
+    both = (log.contact ^ wrong).astype(float)
+    return edited(log, **{f"contact_{leg}": both[:, i] for i, leg in enumerate(log.legs)})
+
+
 def reversed_in_time(log: Log) -> Log:
     return replace(log, frame=log.frame.iloc[::-1].reset_index(drop=True).assign(t=log.t))
 
@@ -308,6 +370,32 @@ CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
         lambda log: edited(log, gyro_y=log.frame["gyro_x"]), "copied", "gyro_x, gyro_y"),
     "a joint read twice": (
         lambda log: edited(log, q_FR_calf=log.frame["q_FL_calf"]), "copied", "q_FR_calf"),
+    "time in ms": (in_unit(1e-3), "rows", 'unit = "ms"'),
+    "time in us": (in_unit(1e-6), "rows", 'unit = "us"'),
+    "rows in twos the wrong way about": (swapped_rows, "jumps", "out of order"),
+    "joints between a few readings": (
+        straight(5, "q_", "dq_"), "interpolated", "readings at 100 Hz"),
+    "reference at 5 Hz": (straight(100, "ref_p"), "interpolated", "ref_p_x"),
+    "rates all zero": (constant(0.0, "dq_"), "frozen", "dq_FL_hip"),
+    "velocities all zero": (constant(0.0, "ref_v"), "reference's velocity", "ref_v_x"),
+    "accelerometer late": (late(0.1, "accel"), "accelerometer", "0.10 s late"),
+    "accelerometer that is a direction": (directions, "gravity", "a direction"),
+    "accelerometer of gravity alone": (gravity_alone, "accelerometer", "a filter"),
+    "accelerometer in the world": (accel_in_world, "accelerometer", "in the world's axes"),
+    "gyro that drifts": (
+        lambda log: edited(log, gyro_z=log.frame["gyro_z"] + np.linspace(0.0, 0.6, len(log.t))),
+        "gyro", "rad/s off"),
+    "a weak axis": (times(0.3, "gyro_z"), "gyro", "gyro_z: scaled"),
+    "IMU turned by 30 deg": (
+        imu_turned(Rotation.from_euler("z", 30, degrees=True)), "gyro", "the IMU is turned"),
+    "reference's world not level": (tilted_world, "accelerometer", "not level"),
+    "reference that sinks": (sinking, "climbing", "sinks by 0.30 m/s"),
+    "velocities late": (late(0.1, "ref_v"), "late", "ms late against the change of ref_p"),
+    "a wrong zero": (plus(0.4, "q_FL_thigh"), "zeros", "q_FL_thigh, q_FR_thigh"),
+    "torques without a sign": (
+        lambda log: edited(log, **{c: log.frame[c].abs() for c in columns_of(log, "tau_")}),
+        "magnitudes", "without their sign"),
+    "contacts that flicker": (noisy_contacts, "flickering", "debounce"),
     "gyro held": (
         lambda log: edited(
             log, **{c: np.repeat(log.frame[c].to_numpy()[::4], 4)[: len(log.t)] for c in GYRO}
