@@ -26,6 +26,7 @@ from surefoot.models.observer.decimate import RATE
 from surefoot.models.observer.imu_mounting import Mounted
 from surefoot.models.observer.network import LOSS_OUTPUTS, Network, loss_of
 from surefoot.models.observer.observer import (
+    WIDEST,
     Observer,
     ObserverError,
     TrainingLog,
@@ -46,6 +47,8 @@ WARM_UP = 25
 MEAN_FIRST = 0.4
 """Share of the steps in which a Gaussian's mean is fitted alone, by mse. With the likelihood from
 the start the smaller motions go into the covariance: the vertical error came out twice as large."""
+MOST = 1_000_000
+"""Steps of a training, or windows of one."""
 TRAINING_FORMAT = "surefoot training state"
 
 
@@ -55,7 +58,8 @@ class Schedule:
 
     steps of Adam, each on `batch` windows, its rate rising over the first twentieth to `rate` (the
     architecture's own where None) and falling to zero along a cosine; validation every `every`
-    steps, and an end after `patience` of them without a better one.
+    steps, and an end after `patience` of them without a better one. Raises ObserverError for what
+    no training can have.
     """
 
     steps: int = 1200
@@ -63,6 +67,13 @@ class Schedule:
     rate: float | None = None
     every: int = 25
     patience: int = 20
+
+    def __post_init__(self):
+        for name in ("steps", "batch", "every", "patience"):
+            if not 0 < getattr(self, name) <= MOST:
+                raise ObserverError(f"train: {name} must be within 1 and {MOST}")
+        if self.rate is not None and not 0.0 < self.rate <= 1.0:
+            raise ObserverError(f"train: rate must be above 0 and at most 1, is {self.rate:g}")
 
 
 DEFAULT_SCHEDULE = Schedule()
@@ -79,6 +90,7 @@ def train(
     schedule: Schedule = DEFAULT_SCHEDULE,
     model: str = "gru",
     partial: Path | None = None,
+    width: int | None = None,
 ) -> Observer:
     """An observer of `logs`' robot from `inputs`; the same seed and logs give the same one.
 
@@ -94,6 +106,7 @@ def train(
         model: a name of surefoot.models.registry.ARCHITECTURES.
         partial: file for the state after each validation; a training that was killed goes on from
             there. The caller deletes it once the observer is saved.
+        width: of the network's layers (the architecture's own where left out).
 
     One thread is used, whatever the machine has: more would sum in another order. Raises
     ObserverError where a log is too short, lacks an input, or where the logs disagree on robot,
@@ -104,15 +117,18 @@ def train(
     inputs, loss, model = check_inputs(inputs), check_loss(loss), check_model(model)
     if not logs:
         raise ObserverError("train: no log given")
+    width = ARCHITECTURES[model].width if width is None else width
+    if not 0 < width <= WIDEST:
+        raise ObserverError(f"train: width must be within 1 and {WIDEST}, is {width}")
     dataset = prepare(logs, robot, inputs)
     with _one_thread():
-        fitted = _fit(model, loss, dataset, seed, schedule, progress, partial)
+        fitted = _fit(model, width, loss, dataset, seed, schedule, progress, partial)
         network = fitted.network
         network.load_state_dict(fitted.best)
         errors = _errors(network, dataset)
     return Observer(
         model=model,
-        width=ARCHITECTURES[model].width,
+        width=width,
         weights=network.state_dict(),
         inputs=inputs,
         joints=logs[0].joints,
@@ -218,6 +234,7 @@ def task_digest(logs: Sequence[ScaledLog], **settings: object) -> str:
 
 def _fit(
     model: str,
+    width: int,
     loss: str,
     dataset: Dataset,
     seed: int,
@@ -229,6 +246,7 @@ def _fit(
 
     Args:
         model: name of the architecture.
+        width: of its layers.
         loss: "mse" or "gml".
         dataset: of training and validation.
         seed: of weights and windows.
@@ -239,10 +257,9 @@ def _fit(
     architecture, logs = ARCHITECTURES[model], dataset.logs
     rate = schedule.rate or architecture.rate
     unsettled = max(WARM_UP, (architecture.receptive_field or 0) - 1)
-    task = task_digest(
-        logs, model=model, loss=loss, seed=seed, schedule=asdict(schedule), rate=rate
-    )
-    now = _begin(model, loss, dataset, seed, rate)
+    settings = {"model": model, "loss": loss, "seed": seed, "rate": rate, "width": width}
+    task = task_digest(logs, schedule=asdict(schedule), **settings)
+    now = _begin(model, width, loss, dataset, seed, rate)
     if partial:
         now.restore(partial, task)
 
@@ -287,11 +304,12 @@ def _fit(
     return now
 
 
-def _begin(model: str, loss: str, dataset: Dataset, seed: int, rate: float) -> Training:
+def _begin(model: str, width: int, loss: str, dataset: Dataset, seed: int, rate: float) -> Training:
     """A training before its first step.
 
     Args:
         model: name of the architecture.
+        width: of its layers.
         loss: "mse" or "gml".
         dataset: of training and validation, with the units of inputs and outputs.
         seed: of weights and windows.
@@ -299,7 +317,6 @@ def _begin(model: str, loss: str, dataset: Dataset, seed: int, rate: float) -> T
     """
     rng = np.random.default_rng(seed)
     inputs = len(dataset.x_mean)
-    width = ARCHITECTURES[model].width
     legs = len(dataset.legs["radius"]) if dataset.legs else 0
     network = Network(model, inputs, LOSS_OUTPUTS[loss], width, legs)
     network.initialise(torch.Generator().manual_seed(int(rng.integers(2**63))))

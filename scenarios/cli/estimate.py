@@ -59,6 +59,14 @@ class Train:
     odometry of the declared robot, computed from q and dq, which the network corrects."""
     model: one_of(ARCHITECTURES) = "gru"  # pyright: ignore[reportInvalidTypeForm]
     """The network; a bigru reads a log from both ends, so it serves whole logs alone."""
+    steps: int = 1200
+    """Of the training; it ends earlier where the validation gets no better."""
+    batch: int = 4
+    """Windows of ten seconds that a step is taken on."""
+    rate: float | None = None
+    """Highest learning rate; the architecture's own where left out."""
+    width: int | None = None
+    """Of the network's layers; the architecture's own, of some 20 000 weights, where left out."""
     robot: RobotName = None
     seed: int = 0
     strict: Strict = False
@@ -66,17 +74,19 @@ class Train:
     force: Force = False
 
     def run(self) -> None:
-        from surefoot.models.observer.training import partial_path, train
+        from surefoot.models.observer.training import Schedule, partial_path, train
         from surefoot.sim.common.files import refuse_overwrite
 
         refuse_overwrite(self.out, self.force)
+        schedule = Schedule(self.steps, self.batch, self.rate)
         recorded = read_logs(self.logs, self.robot)
         warnings = not_plausible(recorded, strict=self.strict)
         logs = as_declared(recorded)
         partial = partial_path(self.out)
         observer = train(
-            logs, None, self.inputs, self.loss, self.seed, True, model=self.model, partial=partial
-        )
+            logs, None, self.inputs, self.loss, self.seed, True, schedule, self.model, partial,
+            self.width,
+        )  # fmt: skip
         seen = [replace(one, warnings=warnings.get(one.name, ())) for one in observer.logs]
         observer = replace(observer, logs=tuple(seen))
         observer.save(self.out, self.force)

@@ -168,6 +168,12 @@ def test_what_cannot_be_trained_on_is_said(walks):
         train(fit, Body(), loss="l1", schedule=TINY)
     with pytest.raises(ObserverError, match="no log"):
         train([], Body())
+    with pytest.raises(ObserverError, match="steps must be"):
+        replace(TINY, steps=0)
+    with pytest.raises(ObserverError, match="rate must be"):
+        replace(TINY, rate=float("nan"))
+    with pytest.raises(ObserverError, match="width must be"):
+        train(fit, Body(), schedule=TINY, width=0)
 
 
 def test_labels_are_the_velocity_in_the_imus_frame(walks):

@@ -68,9 +68,8 @@ def test_an_early_end_stays_an_early_end(tmp_path):
     partial = tmp_path / "o.pt.partial"
     patient = replace(PLAN, every=1, patience=2, rate=0.5, steps=40)
     first = fit(partial, loss="mse", schedule=patient)
-    fresh = _begin(
-        "gru", "mse", prepare([synthetic_walk(0, 15, noise=0.1)], Body(), ("q",)), 3, 0.5
-    )
+    dataset = prepare([synthetic_walk(0, 15, noise=0.1)], Body(), ("q",))
+    fresh = _begin("gru", first.width, "mse", dataset, 3, 0.5)
     assert not fresh.restore(partial, "another task")
     assert fresh.step == 0
     told = []
@@ -80,7 +79,8 @@ def test_an_early_end_stays_an_early_end(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "other", [{"loss": "mse"}, {"model": "mlp"}, {"schedule": replace(PLAN, steps=22)}]
+    "other",
+    [{"loss": "mse"}, {"model": "mlp"}, {"width": 8}, {"schedule": replace(PLAN, steps=22)}],
 )
 def test_the_state_of_another_training_is_not_gone_on_from(other, tmp_path):
     partial = tmp_path / "o.pt.partial"
