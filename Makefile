@@ -53,10 +53,15 @@ study-trace: setup
 	$(BIN)/python -m surefoot.scenarios.studies.blind.study -o out/blind_study \
 		--data docs/data/blind --page docs/results/blind.md
 
-# What models lack of three real machines; a study whose recording is not there is skipped.
+# What models lack of real machines, drives and the Go1 on one page, the others on one each; a study
+# whose recording is not there is skipped.
+study-hardware: HARDWARE = $(BIN)/python -m surefoot.scenarios.studies.hardware.study --force
 study-hardware: setup
-	$(BIN)/python -m surefoot.scenarios.studies.hardware.study -o out/hardware --force \
+	$(HARDWARE) -o out/hardware --only ak80_pendulum go2_in_air go1_square \
 		--data docs/data/hardware --page docs/results/hardware.md
+	for machine in scaler_trot icub_biped ricmonk so101; do $(HARDWARE) -o out/hardware/$$machine \
+		--only $$machine --data docs/data/hardware --page docs/results/hardware_$$machine.md \
+		|| exit 1; done
 
 # The paper's Monte-Carlo tables, some minutes on two idle cores; finished regimes are kept.
 study-montecarlo: setup

@@ -17,7 +17,7 @@ from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 from surefoot.models.bootstrap import block_draws
 from surefoot.sim.effects.contact import STICKING
 from surefoot.sim.log import Log
-from surefoot.sim.physics.inverse_dynamics import dynamics_of
+from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
 from surefoot.sim.robot.fixed_base import Machine
 
 GRID = 0.005
@@ -110,10 +110,13 @@ def balance(log: Log, machine: Machine, width: float, stops: float = 0.0) -> Bal
     dq = np.gradient(q, step, axis=0)
     ddq = np.gradient(dq, step, axis=0)
     dynamics = dynamics_of(machine.file, machine.joint_names)
-    none = np.zeros_like(q)
-    gravity = dynamics.inverse(q, none, none)[1]
-    rigid = dynamics.inverse(q, dq, ddq)[1]
-    inertia = dynamics.inverse(q, none, ddq)[1] - gravity
+    none, changes = np.zeros_like(q), body_changes(machine)
+
+    def torque(dq: np.ndarray, ddq: np.ndarray) -> np.ndarray:
+        return dynamics.inverse(q, dq, ddq, changes=changes)[1]
+
+    gravity, rigid = torque(none, none), torque(dq, ddq)
+    inertia = torque(none, ddq) - gravity
     sense = np.tanh(dq / STICKING)
     terms = {
         "torque_scale": rigid,

@@ -1,4 +1,4 @@
-"""Three studies of real hardware, one command: `make study-hardware`.
+"""Studies of real machines, one command: `make study-hardware`.
 
 Reads public recordings from a folder; a study whose recording is not there is skipped, with a line
 that says so. A finished study is kept, tables and figure, until its recording or code changes.
@@ -19,37 +19,51 @@ from surefoot.scenarios.cache import finished_case
 from surefoot.scenarios.reporting.html import Picture, Section
 from surefoot.scenarios.reporting.plotting import save_png
 from surefoot.scenarios.reporting.progress import percent_bar
+from surefoot.scenarios.studies.hardware import biped, servos, shared_sizes
 from surefoot.scenarios.studies.hardware import go1 as go1
 from surefoot.scenarios.studies.hardware import go2 as go2
 from surefoot.scenarios.studies.hardware import pendulum as pendulum
+from surefoot.scenarios.studies.hardware import walks_by_feet as feet
 from surefoot.scenarios.studies.hardware.stream_lags import lags
 from surefoot.scenarios.studies.pages import origin_of, write_page, write_results
 from surefoot.scenarios.trace.run import trace
 from surefoot.scenarios.trace.words import summary
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import file_digest, measured_folder, refuse_overwrite
-from surefoot.sim.importing.recording import import_log
+from surefoot.sim.importing.assemble import RawRecording
+from surefoot.sim.importing.recording import import_log, read_recording
+from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.catalog import known_robots
-from surefoot.sim.robot.fixed_base import load_machine, machine_for_log
+from surefoot.sim.robot.fixed_base import FixedBase, load_machine, machine_for_log
 
 MEASURED = measured_folder()
 RUNS = ("ddp", "direct_collocation", "ilqr", "pd")
 STAMP_SHIFTS = (-0.005, 0.005)
 """s: one standard deviation of the stamps of the Go1's reference, as published."""
 _MODULE = "surefoot.scenarios.studies.hardware.study"
-_TITLE = "Three real machines, and what their models lack"
+_TITLE = "Real machines, and what their models lack"
+SCALER_DAYS = {
+    "3 December": ("scaler_06", "scaler_08", "scaler_10", "scaler_12"),
+    "7 December": ("scaler_13", "scaler_15"),
+    "15 December": ("scaler_17",),
+}
+"""Walks by the day that they were recorded on, as published."""
+SO101_FITTED = ("friction_gravity", "backlash_detection", "chirp_sweep")
+SO101_UNSEEN = ("multisine", "prbs_excitation", "step_response")
+RICMONK_WIDTH = 0.04
+"""s, of the kernel: torques jolt from row to row, 6 ms apart."""
 
 
 @dataclass(frozen=True)
 class HardwareStudy:
-    """Effects that the models of three real machines lack: tables with intervals, and figures."""
+    """Effects that the models of real machines lack: tables with intervals, and figures."""
 
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     measured: Path = MEASURED
-    """Folder with ak80_pendulum, go2_in_air and go1_square."""
+    """Folder with a folder of each machine's recordings."""
     only: tuple[str, ...] = ()
-    """Of the three, those to run; all if left out."""
+    """Of the machines, those to run; all if left out."""
     data: Path | None = None
     """Folder of finished studies, which are not run again; `cases` in the output if left out."""
     page: Path | None = None
@@ -147,10 +161,130 @@ def go1_square(folder: Path, options: HardwareStudy) -> Chapter:
     return Chapter("Go1 around a square", words + summary(found), tables, drawn)
 
 
+def scaler_trot(folder: Path, options: HardwareStudy) -> Chapter:
+    """Walks of closed chains, by where their feet are."""
+    files = sorted((folder / "logs").glob("*.csv"))
+    recordings = {file.stem: read_recording(file, "scaler_trot") for file in files}
+    walks = {name: feet.aligned_walk(one) for name, one in recordings.items()}
+    logged = {name: _contacts_as_logged(walk.log) for name, walk in walks.items()}
+    days = {d: tuple(n for n in names if n in walks) for d, names in SCALER_DAYS.items()}
+    as_recorded = [_as_recorded(one) for one in recordings.values()]
+    share = feet.travel_share([walks[name].log for name in next(iter(days.values()))])
+    tables = {
+        "Clock and place of the reference, by IMU and reference alone": feet.alignment_table(walks),
+        "What is not plausible in the logs": feet.findings_table(as_recorded),
+        "Leg filter: error at the end of the walk": feet.end_errors_table(walks, logged, days),
+    }
+    words = (
+        "How far do legs alone carry a robot of closed chains? SCALER, a quadruped of five-bar "
+        "legs, trots two metres (AlexS28/OptiState); the log says where its feet are. Clocks come "
+        "from IMU and reference, without the forces; contacts from the gait, without them too: the "
+        "lower diagonal stands. Legs go further than the body. One share for all feet and walks is "
+        "fitted to ways of one second on the walks of a day and judged on the others. Whether feet "
+        "creep, legs give or angles are scaled cannot be told: no channel of these logs but the "
+        "reference shows where a standing foot is. Feet that stop on a force plate or under a "
+        "camera would tell."
+    )
+    return Chapter("SCALER, seven walks", words, tables, feet.paths_figure(walks, share))
+
+
+def icub_biped(folder: Path, options: HardwareStudy) -> Chapter:
+    """A humanoid's metre of walking, and its sway on the spot."""
+    logs = {name: import_log(folder / f"{name}.mat", "icub_biped") for name in biped.RUNS}
+    robot = Robot.for_log(logs["walking"])
+    with percent_bar("trace") as progress:
+        found = trace(
+            [logs["com_sinusoid"]],
+            robot,
+            options.out / "icub_trace",
+            progress=progress,
+            force=options.force,
+        )
+    tables = {
+        "What is not plausible in the logs": feet.findings_table(list(logs.values())),
+        "Filters over the whole log": biped.filters_table(logs, robot),
+    }
+    words = (
+        "How well do flat feet carry a humanoid? iCub, with Vicon on its clock "
+        "(ami-iit/paper_ramadoss_2021_icra_proprioceptive-base-estimator), imported as published. "
+        "A trace of the sway; the walk is as long as a trace needs at least, with nothing left to "
+        "check on. Torques are not logged, so that masses and drives cannot be told.\n\n"
+    )
+    figure = biped.walk_figure(logs["walking"], robot)
+    return Chapter("iCub, a walk and a sway", words + summary(found), tables, figure)
+
+
+def ricmonk(folder: Path, options: HardwareStudy) -> Chapter:
+    """A chain of three links that swings, runs held out in turn."""
+    logs: dict[str, list[Log]] = {}
+    for file in sorted((folder / "swings").glob("*.csv")):
+        logs.setdefault(file.stem.split("_")[0], []).append(import_log(file, "ricmonk_swing"))
+    machine = machine_for_log(next(iter(logs.values()))[0], folder / "ricmonk_published.xml")
+    done = shared_sizes.held_out_runs(logs, machine, RICMONK_WIDTH)
+    whole = shared_sizes.fit_shared({one.name: one.rows for one in done}, machine)
+    tables = {
+        "Residual torque of runs that no fit has seen (root mean square)": (
+            shared_sizes.held_out_table(done)
+        ),
+        "Sizes by all runs, and without each": shared_sizes.sizes_table(whole, done),
+    }
+    words = (
+        "What does the published model of a brachiating robot lack? RicMonk swings from bar to bar "
+        "(DFKI, Underactuated Lab): a passive hinge at the bar, two drives. The balance of torques "
+        f"of all joints together, through a kernel of {1e3 * RICMONK_WIDTH:g} ms. Sizes are shared "
+        "by all runs, zeros of the joints are each swing's own; each run is held out once, and "
+        "effects are chosen and sized on the others. Beside friction and rotors masses and "
+        "inertias of the links are candidates: a rotor and a body that turns with it differ in "
+        "what the passive joint feels."
+    )
+    return Chapter("RicMonk, five runs", words, tables, shared_sizes.held_out_figure(done))
+
+
+def so101(folder: Path, options: HardwareStudy) -> Chapter:
+    """Six servos of a desk arm that follow commanded angles."""
+    logs = {
+        n: replace(import_log(folder / n, "so101"), name=n) for n in SO101_FITTED + SO101_UNSEEN
+    }
+    file = folder.parent.parent / "models" / "so101" / "so101.xml"
+    if not file.is_file():
+        raise SurefootError(f"so101: its model is not at {file}")
+    machine = machine_for_log(logs[SO101_FITTED[0]], file)
+    assert isinstance(machine, FixedBase)
+    fitted, unseen = ([logs[n] for n in names] for names in (SO101_FITTED, SO101_UNSEEN))
+    table, found = servos.servos_table(fitted, unseen, machine)
+    with percent_bar("trace") as progress:
+        traced = trace(
+            fitted,
+            machine,
+            options.out / "so101_trace",
+            progress=progress,
+            force=options.force,
+            holdout=unseen,
+        )
+    tables = {
+        "Servos by three runs, and their angles in the other three": table,
+        "Held off what was commanded, in the mean [mrad]": servos.constants_table(logs),
+        "What is not plausible in the logs": feet.findings_table(list(logs.values())),
+    }
+    words = (
+        "What do hobby servos do that their model does not? An SO-101 arm follows commanded "
+        "excitations (isaac-sim2real/sage). Its torques are magnitudes of an unknown unit, so that "
+        "a torque scale cannot be told, nor friction in N m: a servo is a delay, a time constant "
+        "and a play, each joint's by three runs, with what single runs say in brackets; a value at "
+        "the end of what was tried says no more than that. Errors are of three other runs.\n\n"
+    )
+    figure = servos.servos_figure(unseen[0], found, machine)
+    return Chapter("SO-101, six servos", words + summary(traced), tables, figure)
+
+
 STUDIES: dict[str, Callable[[Path, HardwareStudy], Chapter]] = {
     "ak80_pendulum": ak80_pendulum,
     "go2_in_air": go2_in_air,
     "go1_square": go1_square,
+    "scaler_trot": scaler_trot,
+    "icub_biped": icub_biped,
+    "ricmonk": ricmonk,
+    "so101": so101,
 }
 
 
@@ -181,9 +315,10 @@ def run_hardware(options: HardwareStudy) -> list[Section]:
         sections.append(Section(row["title"], row["words"], pictures=(figure,)))
         sections += [Section(heading, table=rows) for heading, rows in row["tables"].items()]
     if sections:
-        write_results(options.out, _TITLE, sections, {}, force=True)
+        title = sections[0].heading if len(options.only) == 1 else _TITLE
+        write_results(options.out, title, sections, {}, force=True)
         if options.page:
-            write_page(options.page, _TITLE, sections, origin_of(_MODULE, "make study-hardware"))
+            write_page(options.page, title, sections, origin_of(_MODULE, "make study-hardware"))
     return sections
 
 
@@ -193,6 +328,18 @@ def _chapter(name: str, folder: Path, options: HardwareStudy, picture: Path) -> 
     save_png(done.figure, picture, force=True)
     tables = {heading: table.to_dict("records") for heading, table in done.tables.items()}
     return {"title": done.title, "words": done.words, "tables": tables}
+
+
+def _contacts_as_logged(log: Log) -> Log:
+    """The log with contact_<leg> as the robot had it, which the map passes on."""
+    columns = {f"contact_{leg}": (log.frame[f"x_contact_{leg}"] > 0.5) * 1.0 for leg in log.legs}
+    return replace(log, frame=log.frame.assign(**columns))
+
+
+def _as_recorded(recording: RawRecording) -> Log:
+    """The log before its map made it even, with contacts as the robot had them."""
+    rules = replace(recording.rules, even=None)
+    return _contacts_as_logged(replace(recording, rules=rules).without_reference().log())
 
 
 def _known(name: str):

@@ -1,0 +1,58 @@
+"""A biped with flat feet: what filters make of its measured walk and sway."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from surefoot.estimator.evaluation.trajectory import reference
+from surefoot.scenarios.estimate.run import run_filter
+from surefoot.scenarios.reporting.palette import AFTER, BEFORE, TRUTH
+from surefoot.scenarios.reporting.plotting import legend_below, new_figure
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
+
+RUNS = ("walking", "com_sinusoid")
+FILTERS = ("leg", "leg_slip", "imu")
+
+
+def filters_table(logs: Mapping[str, Log], robot: Robot) -> pd.DataFrame:
+    """A row a log and filter: how far off it is, and whether it believes that."""
+    rows = []
+    for run, log in logs.items():
+        for name in FILTERS:
+            found = run_filter(name, log, robot).metrics
+            assert found is not None
+            rows.append(
+                {
+                    "log": run,
+                    "filter": name,
+                    "APE_trans [m]": f"{found.ape_trans:.4f}",
+                    "RPE_trans [m]": _or_dash(found.rpe_trans, 4),
+                    "APE_rot [deg]": f"{found.ape_rot:.2f}",
+                    "NEES_pos": f"{found.nees_position:.3f}",
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+def walk_figure(log: Log, robot: Robot) -> Figure:
+    """The walk's place over time: the reference, and the leg filters."""
+    drawn, axes = new_figure(3, 1, (8.0, 6.0))
+    truth = reference(log)
+    paths = {"motion capture": (truth.t, truth.p_GI, TRUTH)}
+    for name, color in (("leg", AFTER), ("leg_slip", BEFORE)):
+        found = run_filter(name, log, robot).trajectory
+        paths[name] = found.t, found.p_GI, color
+    for k, (ax, axis) in enumerate(zip(axes[:, 0], "xyz", strict=True)):
+        for words, (t, p, color) in paths.items():
+            ax.plot(t - log.t[0], p[:, k] - p[0, k], color=color, label=words)
+        ax.set_ylabel(f"{axis} [m]")
+    axes[-1, 0].set_xlabel("time [s]")
+    legend_below(drawn, axes[0, 0], 3)
+    return drawn
+
+
+def _or_dash(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if np.isfinite(value) else "–"

@@ -1,0 +1,179 @@
+"""Servos that follow commanded angles, without a torque in the log: delay, backlash and sag.
+
+A servo whose angle is known only through what it was asked for is a delay, a play of its gears and
+a constant by which its load holds it off: what is left of the angle says what that misses. Beside
+it the published model of the machine is simulated with the same commands.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from scipy.signal import lfilter
+
+from surefoot.scenarios.reporting.palette import AFTER, BEFORE, TRUTH
+from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
+from surefoot.sim.common.kernels import kernel
+from surefoot.sim.log import Log
+from surefoot.sim.robot.fixed_base import FixedBase
+from surefoot.sim.robot.model_file import compiled_model
+
+DELAYS = np.arange(0.0, 0.121, 0.01)
+"""s that are tried: a bus that is polled at 50 Hz, and the servo's own loop."""
+PLAYS = np.radians([0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.3, 1.6, 2.0, 3.0])
+"""rad that are tried, over all: hobby servos' gears have 0.3 to 1 degree, and a loop that stops
+within its dead band adds its own."""
+LAGS = np.array([0.0, 0.02, 0.04, 0.06, 0.1, 0.15, 0.22])
+"""s, time constants that are tried."""
+SHOWN = 8.0
+"""s of a run that are drawn."""
+
+
+@dataclass(frozen=True)
+class Servo:
+    """A joint's servo: delay [s], time constant [s] and play [rad] of what was commanded."""
+
+    delay: float
+    lag: float
+    play: float
+
+    def angle(self, t: np.ndarray, commanded: np.ndarray) -> np.ndarray:
+        """Its angle (N,) [rad] but for a constant, from what was commanded (N,) at t (N,) [s]."""
+        late = np.interp(t - self.delay, t, commanded)
+        step = float(np.median(np.diff(t)))
+        keep = np.exp(-step / self.lag) if self.lag else 0.0
+        slow, _ = lfilter([1.0 - keep], [1.0, -keep], late, zi=[keep * late[0]])
+        return with_play(slow, 0.5 * self.play)
+
+
+@kernel
+def with_play(angle, half):
+    """Where gears leave their output (N,) [rad], with half their play [rad], driven to angle."""
+    out = np.empty_like(angle)
+    at = angle[0]
+    for k in range(len(angle)):
+        at = min(max(at, angle[k] - half), angle[k] + half)
+        out[k] = at
+    return out
+
+
+def fit_servo(logs: Sequence[Log], joint: int) -> Servo:
+    """The servo of the grid that leaves least of a joint's angles in these logs, each with a
+    constant of its own. All are tried: a delay, a lag and a play stand in for each other."""
+    tried = (Servo(float(d), float(g), float(p)) for d in DELAYS for g in LAGS for p in PLAYS)
+    return min(tried, key=lambda s: sum(float(np.sum(_left(log, joint, s) ** 2)) for log in logs))
+
+
+def simulated_angles(log: Log, machine: FixedBase) -> np.ndarray:
+    """Angles (N, J) [rad] of the machine's own file, its position servos given the log's commands.
+
+    It starts where the log does.
+    """
+    model = compiled_model(machine.file)
+    data = mujoco.MjData(model)
+    joints = [model.joint(name) for name in machine.joint_names]
+    places = [int(joint.qposadr[0]) for joint in joints]
+    servo_of = {int(model.actuator_trnid[k, 0]): k for k in range(model.nu)}
+    servos = [servo_of[int(joint.id)] for joint in joints]
+    data.qpos[places] = log.q[0]
+    found = np.empty_like(log.q)
+    for k, now in enumerate(log.t - log.t[0]):
+        while data.time < now - 0.5 * model.opt.timestep:
+            mujoco.mj_step(model, data)
+        found[k] = data.qpos[places]
+        data.ctrl[servos] = log.q_des[k]
+    return found
+
+
+def servos_table(
+    fitted: Sequence[Log], unseen: Sequence[Log], machine: FixedBase
+) -> tuple[pd.DataFrame, tuple[Servo, ...]]:
+    """A row a joint: its servo by the fitted logs, and the error [mrad, root mean square without
+    each log's mean] of its angle in the unseen ones; the servos.
+
+    Args:
+        fitted: logs.
+        unseen: logs that no fit sees.
+        machine: whose file is simulated beside.
+    """
+    published = [simulated_angles(log, machine) for log in unseen]
+    rows, servos = [], []
+    for j, joint in enumerate(machine.joint_names):
+        servo = fit_servo(fitted, j)
+        alone = [fit_servo([log], j) for log in fitted]
+        model = [_centred(log.q[:, j] - q[:, j]) for log, q in zip(unseen, published, strict=True)]
+        left = [_left(log, j, servo) for log in unseen]
+        commanded = [_centred(log.q[:, j] - log.q_des[:, j]) for log in unseen]
+        levels = [1e3 * _rms(parts) for parts in (model, commanded, left)]
+        rows.append(
+            {
+                "joint": joint,
+                "delay [ms]": _range([1e3 * s.delay for s in (servo, *alone)]),
+                "time constant [ms]": _range([1e3 * s.lag for s in (servo, *alone)]),
+                "play [deg]": _range([float(np.degrees(s.play)) for s in (servo, *alone)], 2),
+                "published model [mrad]": f"{levels[0]:.1f}",
+                "as commanded [mrad]": f"{levels[1]:.1f}",
+                "servo [mrad]": f"{levels[2]:.1f}",
+                "servo / published [%]": f"{100 * levels[2] / levels[0]:.0f}",
+            }
+        )
+        servos.append(servo)
+    return pd.DataFrame(rows), tuple(servos)
+
+
+def servos_figure(log: Log, servos: Sequence[Servo], machine: FixedBase) -> Figure:
+    """A stretch of a run that no fit has seen: every joint as measured, as the published model
+    simulates it and by its servo, means taken off."""
+    drawn, axes = new_figure(len(servos), 1, (9.0, 1.7 * len(servos)))
+    published, t = simulated_angles(log, machine), log.t - log.t[0]
+    begin = 0.5 * t[-1]
+    shown = (t > begin) & (t < begin + SHOWN)
+    for j, (ax, servo) in enumerate(zip(axes[:, 0], servos, strict=True)):
+        angle = servo.angle(log.t, log.q_des[:, j])
+        for x, color, words in (
+            (log.q[:, j], TRUTH, "measured"),
+            (published[:, j], BEFORE, "published model"),
+            (angle, AFTER, "servo with delay and play"),
+        ):
+            ax.plot(t[shown], 1e3 * _centred(x)[shown], color=color, label=words)
+        ax.set_ylabel("angle [mrad]")
+        set_title(ax, machine.joint_names[j], 9.0)
+    axes[-1, 0].set_xlabel("time [s]")
+    legend_below(drawn, axes[0, 0], 3)
+    return drawn
+
+
+def constants_table(logs: Mapping[str, Log]) -> pd.DataFrame:
+    """A row a joint: how far off what was commanded each log holds it in the mean [mrad]."""
+    names = next(iter(logs.values())).joints
+    return pd.DataFrame(
+        {
+            "joint": joint,
+            **{
+                run: f"{1e3 * float(np.mean(log.q[:, j] - log.q_des[:, j])):.1f}"
+                for run, log in logs.items()
+            },
+        }
+        for j, joint in enumerate(names)
+    )
+
+
+def _left(log: Log, joint: int, servo: Servo) -> np.ndarray:
+    return _centred(log.q[:, joint] - servo.angle(log.t, log.q_des[:, joint]))
+
+
+def _centred(x: np.ndarray) -> np.ndarray:
+    return x - x.mean()
+
+
+def _rms(parts: Sequence[np.ndarray]) -> float:
+    return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+
+
+def _range(values: Sequence[float], digits: int = 0) -> str:
+    """'60 (40 – 80)': of all logs together, and the least and most of single ones."""
+    first, *others = values
+    return f"{first:.{digits}f} ({min(others):.{digits}f} – {max(others):.{digits}f})"
