@@ -13,13 +13,20 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.streams import Streams
 
 
+OF_AN_ENCODER = (
+    *("leg_velocity", "stance_velocity", "stance_displacement", "foot_height"),
+    *("base_wrench", "joint_torque"),
+)
+"""Channels in which an error of a joint's angle shows."""
+
+
 class EncoderEccentricity(Effect):
     """An encoder's magnet off its axis, behind a gear of 6: an error once a turn of the motor."""
 
     name = "encoder_eccentricity"
     unit = "rad"
     bounds = (0.0, 0.1)
-    channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
+    channels = OF_AN_ENCODER
     targets = "joint"
     gear = 6.0
 
@@ -54,7 +61,7 @@ class MagnetCrosstalk(Effect):
     name = "magnet_crosstalk"
     unit = "rad"
     bounds = (0.0, 0.1)
-    channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
+    channels = OF_AN_ENCODER
     targets = "joint"
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
@@ -72,7 +79,7 @@ class TorqueRipple(Effect):
     name = "torque_ripple"
     unit = "N m"
     bounds = (0.0, 20.0)
-    channels = ("joint_torque", "base_wrench")
+    channels = ("joint_torque", "base_wrench", "command")
     targets = "joint"
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
@@ -88,7 +95,7 @@ class DuplicatedPackets(Effect):
     name = "duplicated_packets"
     unit = "ratio"
     bounds = (0.0, 0.5)
-    channels = ("joint_rate", "joint_torque", "leg_velocity")
+    channels = ("joint_rate", "joint_torque", "leg_velocity", "stance_velocity", "command")
     targets = ("all",)
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
@@ -137,5 +144,4 @@ OUTSIDE_EFFECTS = {
         LooseImu,
     )
 }
-"""By name; the channels of each are those that it shows in: any of them is right to name. Those of
-an encoder's error are the catalogue's own of an encoder's offset."""
+"""By name; the channels of each are those that it shows in: any of them is right to name."""
