@@ -198,21 +198,23 @@ def noise_floor_with(floor: NoiseFloor, effects: Sequence[Effect]) -> NoiseFloor
     """The floor of a robot that has these effects and a model that knows of them.
 
     An effect on the body changes how feet land, so the model with it leaves another residual than
-    the model without. The same floor where nothing but readings changed, or the robot falls. Of a
-    fixed base noise alone is the floor, and an effect may carry more of it into the residual.
+    the model without, as do readings of which undoing it loses something. The same floor for all
+    others, or where the robot falls. Of a fixed base noise alone is the floor, and an effect may
+    carry more of it into the residual.
     """
     if floor.readings:
         return replace(floor, sigma=reading_noise(floor.readings, effects))
     # Two digits: sizes that differ by less walk alike, and are walked once.
-    bodily = tuple(
+    telling = tuple(
         replace(e, value=float(np.clip(float(f"{e.value:.1e}"), *type(e).inside(e.target))))
         for e in effects
         if type(e).edit_spec is not Effect.edit_spec
         or type(e).alter_ground is not Effect.alter_ground
+        or type(e).lossy
     )
-    if not bodily or floor.plan is None or not floor.repeats:
+    if not telling or floor.plan is None or not floor.repeats:
         return floor
-    other = _floor(floor.plan, bodily)
+    other = _floor(floor.plan, telling)
     return other if other.repeats else floor
 
 

@@ -140,8 +140,9 @@ def _outdoes(data: NormalEquations, one: Candidate, best: Candidate, chosen: Seq
     return alone - both < data.settings.same_share * best.gain
 
 
-def rerank(data: Data, few: Sequence[Candidate]) -> tuple[Candidate, list[Effect]]:
-    """The candidate that leaves least of the true residual, and all effects at their sizes with it.
+def rerank(data: Data, few: Sequence[Candidate]) -> tuple[Candidate, list[Effect], tuple[Key, ...]]:
+    """The candidate that leaves least of the true residual, all effects at their sizes with it, and
+    which of the others leave more of it, by more than the chance of the blocks.
 
     For the choice an IMU, and torques against commands, count as far as they are known between
     rows. Of candidates whose difference is within the chance of the blocks, one is taken whose size
@@ -150,20 +151,19 @@ def rerank(data: Data, few: Sequence[Candidate]) -> tuple[Candidate, list[Effect
     before = list(data.explained)
     tried = [(c, refined(data, [*before, effect(*c.key, c.size)], REPORT)) for c in few]
     if len(tried) == 1:
-        return tried[0]
+        return (*tried[0], ())
     weight = data.robust_weights.weight * known_between_rows(data)
     fair = replace(data, robust_weights=replace(data.robust_weights, weight=weight))
     left = [left_near(fair, chosen, REPORT) for _, chosen in tried]
     doubt = [_doubt(candidate, chosen[-1], data) for candidate, chosen in tried]
     best = min(range(len(tried)), key=lambda i: float(left[i].sum()) + doubt[i])
     counts = block_draws(len(left[best]), np.random.default_rng(0))
-    likelier = [
-        i
-        for i in range(len(tried))
-        if doubt[best] - doubt[i] > data.evidence.settings.positive_evidence
-        and np.percentile(counts @ (left[i] - left[best]), 2.5) <= 0.0
-    ]
-    return tried[min(likelier, key=lambda i: doubt[i], default=best)]
+    near = [float(np.percentile(counts @ (one - left[best]), 2.5)) <= 0.0 for one in left]
+    least = data.evidence.settings.positive_evidence
+    likelier = [i for i, one in enumerate(doubt) if near[i] and doubt[best] - one > least]
+    found, chosen = tried[min(likelier, key=lambda i: doubt[i], default=best)]
+    worse = tuple(c.key for (c, _), as_good in zip(tried, near, strict=True) if not as_good)
+    return found, chosen, worse
 
 
 def _doubt(candidate: Candidate, newest: Effect, data: Data) -> float:

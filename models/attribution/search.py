@@ -110,12 +110,12 @@ def attribute(
         if candidates and candidates[0].earned:
             others = distinct(data, candidates, limbs)
             few = contenders(data, others, found)
-            best, chosen_with = rerank(known, few)
+            best, chosen_with, worse = rerank(known, few)
             floor_with = noise_floor_with(floor, chosen_with)
             if adds_drift(cases, declared, evidence, chosen_with, use, floor_with):
                 refuted.append(best.key)
                 continue
-            rivals += _rivals(data, best, others, found, rng)
+            rivals += _rivals(data, best, [c for c in others if c.key not in worse], found, rng)
             instead[best.key] = [
                 effect(*c.key, c.size)
                 for c in few

@@ -59,6 +59,10 @@ class Effect:
     leg geometry and foot radius), "mass" (what its base carries). None: the derivative is a
     difference of the residual itself, which holds for any effect."""
 
+    lossy: ClassVar[bool] = False
+    """Whether undoing it leaves readings that are worse than without it: what streams that were
+    moved in time have lost between their rows, or the noise of a derivative."""
+
     takes_loads: ClassVar[bool] = False
     """Whether `compensate` takes the loads of joints or feet from the log, which is to be as all
     other effects leave it."""

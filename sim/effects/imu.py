@@ -176,6 +176,7 @@ class ImuPosition(Effect):
     channels = ("imu_accel",)
     targets = AXES
     needs = ("imu",)
+    lossy = True
     step = 1e-3
     chain_rule = "readings"
 
@@ -205,6 +206,7 @@ class ImuLowpass(Effect):
     channels = ("imu_gyro", "imu_accel")
     targets = ("all",)
     needs = ("imu",)
+    lossy = True
     step = 1e-3
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:

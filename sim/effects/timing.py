@@ -41,6 +41,7 @@ class JointDelay(Effect):
     channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
     targets = ("all",)
     needs = ("reference",)
+    lossy = True
     # Longer than a row: noise must not be taken as the slope of torques and rates.
     step = 4e-3
 
@@ -60,6 +61,7 @@ class ImuDelay(Effect):
     channels = ("imu_gyro", "imu_accel", "leg_velocity")
     targets = ("all",)
     needs = ("imu",)
+    lossy = True
     step = 1e-3
     chain_rule = "readings"
 
@@ -83,6 +85,7 @@ class TorqueDelay(Effect):
     bounds = (-0.05, 0.05)
     channels = ("joint_torque", "base_wrench", "command")
     targets = ("all",)
+    lossy = True
     step = 1e-3
     chain_rule = "readings"
 
@@ -103,6 +106,7 @@ class RateDelay(Effect):
     channels = ("joint_rate", "leg_velocity", "joint_torque", "base_wrench")
     targets = ("all",)
     needs = ("dq",)
+    lossy = True
     # Longer than a row: noise must not be taken as the slope of rates.
     step = 4e-3
 
@@ -207,6 +211,7 @@ class ReferenceDelay(Effect):
     channels = ("imu_gyro", "imu_accel", "leg_velocity", "foot_height")
     targets = ("all",)
     needs = ("reference",)
+    lossy = True
     step = 1e-3
 
     def alter_reference(self, reference: Reference) -> Reference:
@@ -252,6 +257,7 @@ class ClockScale(Effect):
     channels = ("imu_gyro", "imu_accel", "leg_velocity", "contact_timing")
     targets = (*STREAMS, "reference")
     needs = ("reference",)
+    lossy = True
     step = 1e-4
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:

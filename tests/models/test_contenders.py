@@ -49,8 +49,9 @@ def candidate(name, target, size):
 def test_of_two_streams_the_late_one_is_named(floor, late, other):
     data = data_of(case_with(effect(late, "all", 0.001)), floor)
     right, wrong = candidate(late, "all", 0.001), candidate(other, "all", -0.001)
-    best, effects = rerank(data, [wrong, right])
+    best, effects, worse = rerank(data, [wrong, right])
     assert best is right
+    assert worse == (wrong.key,)
     assert effects[0].value == pytest.approx(0.001, rel=0.15)
 
 

@@ -12,7 +12,6 @@ from surefoot.sim.effects.base import AXES, Effect
 from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.streams import Streams
 
-
 OF_AN_ENCODER = (
     *("leg_velocity", "stance_velocity", "stance_displacement", "foot_height"),
     *("base_wrench", "joint_torque"),
