@@ -36,6 +36,8 @@ def robot_card(name_or_path: str, picture: Path | None, force: bool = False) -> 
     Raises SurefootError for one that cannot be read or has no picture, or where the picture's file
     is there (no `force`).
     """
+    if picture is not None and picture.suffix != ".png":
+        raise SurefootError(f"-o {picture}: the picture is a .png")
     robot = load_machine(name_or_path)
     if isinstance(robot, FixedBase):
         if picture is not None:

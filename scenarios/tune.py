@@ -117,6 +117,10 @@ def tune(
 
     Returns the text of tuned.md. Raises SurefootError on bad input.
     """
+    if budget < 1:
+        raise SurefootError(f"--budget {budget}: at least 1")
+    if not longest > 0.0:
+        raise SurefootError(f"--longest {longest:g}: must be positive")
     for name in filters:
         estimator_named(name)
     for name in ("tuned.toml", "tuned.md"):

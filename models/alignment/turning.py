@@ -70,7 +70,8 @@ def smoothed(at: np.ndarray, t: np.ndarray, rates: np.ndarray) -> np.ndarray:
     turned = cumulative_trapezoid(rates, t, axis=0, initial=0.0)
     low, high = np.clip(at - _SMOOTH / 2, t[0], t[-1]), np.clip(at + _SMOOTH / 2, t[0], t[-1])
     change = [np.interp(high, t, x) - np.interp(low, t, x) for x in turned.T]
-    return np.column_stack(change) / (high - low)[:, None]
+    span = np.where(high > low, high - low, np.nan)  # none where nothing was measured
+    return np.column_stack(change) / span[:, None]
 
 
 def _correlations(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -30,7 +30,15 @@ except ImportError:  # where it is missing, two runs into one folder are not tol
 LISTED = ("out", "report")
 KEPT = ("page", "data", "cache")
 """Options that name what a command writes; every other path is one that it reads."""
-BOUNDED = {"workers": "workers", "seeds": "walks", "trials": "items", "rounds": "items"}
+FOLDERS = ("data", "cache")
+"""Those of them that are folders."""
+BOUNDED = {
+    "workers": "workers",
+    "seeds": "walks",
+    "trials": "items",
+    "rounds": "items",
+    "budget": "items",
+}
 """Options that are counts -> the limit that they have."""
 GOES_ON = {"simulate", "train", "experiment", "suite", "loop", "montecarlo", "walking", "tune"}
 """Commands that keep what is done when they are ended, and go on from there."""
@@ -59,6 +67,9 @@ def guarded(name: str, command: Any) -> Iterator[None]:
         run = stack.enter_context(command_run(name, inputs))
         for path in (*listed, *kept):
             refuse_input(path)
+        for option in FOLDERS:
+            if given.get(option) and Path(given[option]).is_file():
+                raise SurefootError(f"--{option} {given[option]}: is a file, not a folder")
         if given.get("page"):
             from surefoot.scenarios.studies.pages import check_page
 

@@ -105,7 +105,7 @@ def _one_line_errors(address: str) -> Iterator[None]:
 
     try:
         yield
-    except (OSError, TimeoutError, ValueError) as error:
+    except (OSError, TimeoutError, ValueError, TypeError) as error:  # TypeError of other schemes
         if isinstance(error, SurefootError):
             raise
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__

@@ -167,7 +167,7 @@ def manifest_entries(folder: Path) -> dict[str, dict[str, str]]:
         try:
             entry = json.loads(line)
             found.setdefault(entry["file"], {})[entry["sha256"]] = entry["command"]
-        except (ValueError, KeyError, TypeError):  # a line that a kill cut short
+        except (ValueError, KeyError, TypeError, RecursionError):  # a line that a kill cut short
             continue
     return found
 

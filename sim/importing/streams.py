@@ -26,6 +26,8 @@ _HELD_SHARE = 0.15
 single rows that were missed."""
 _MOVING_ROWS = 50
 """Rows of motion below which nothing is said."""
+_FEWEST_ROWS = 10
+"""Below which no delay is looked for."""
 _LATEST = 0.05
 """s up to which a delay is looked for, as of the effects of timing."""
 _LATEST_REFERENCE = 0.3
@@ -110,6 +112,8 @@ def delay_between(
     """How much later [s], at most `latest`, `late` (N, D) shows what `witness` (N, D) does, at the
     times t (N,) [s]: where their correlation is largest, by a parabola through it. 0 where they are
     not alike."""
+    if len(t) < _FEWEST_ROWS:
+        return 0.0
     dt = float(np.median(np.diff(t)))
     even = np.arange(t[0], t[-1], dt)
     a, b = (_even(even, t, x) for x in (late, witness))

@@ -262,6 +262,8 @@ def copies(view: LogView) -> Iterator[Finding]:
 def derived(view: LogView) -> Iterator[Finding]:
     """A column that follows from others to the last digit is no measurement."""
     log = view.log
+    if not view.comparable:
+        return
     if log.has("q") and log.has("dq") and not any(d.startswith("dq") for d in log.meta.derived):
         dq, step = log.dq, np.diff(view.t)[:, None]
         change = np.diff(log.q, axis=0) / step

@@ -161,3 +161,8 @@ def test_a_cache_that_others_can_write_to_is_refused(tmp_path, monkeypatch):
     (tmp_path / "cache").chmod(0o777)
     with pytest.raises(SurefootError, match="others can write to this cache"):
         cache_folder()
+
+
+def test_a_manifest_of_brackets_lists_nothing(tmp_path):
+    (tmp_path / MANIFEST).write_text("[" * 100_000 + "\n" + '{"file": "a"}\n')
+    assert manifest_entries(tmp_path) == {}

@@ -459,6 +459,11 @@ def test_a_lag_is_found_between_samples(late):
     assert alike > 0.98
 
 
+@pytest.mark.parametrize("rows", [1, 2, 5])
+def test_a_log_of_some_rows_has_nothing_to_compare(log, rows):
+    assert found_in(log.rows(slice(rows))) == []
+
+
 def test_every_rule_says_why():
     assert len({rule.name for rule in RULES}) == len(RULES)
     for rule in RULES:
