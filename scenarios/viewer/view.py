@@ -34,7 +34,10 @@ def recording_file(path: str | Path) -> Path:
     if not file.is_file():
         raise SurefootError(f"{file}: {'is a folder' if file.is_dir() else 'no such file'}")
     if file.suffix != ".rrd":
-        raise SurefootError(f"{file}: not a recording; `surefoot view` opens .rrd files")
+        raise SurefootError(
+            f"{file}: not a recording; the command `surefoot view` opens recordings (.rrd), logs "
+            "(.parquet) and scenarios (.toml), `surefoot robots FILE -o PICTURE.png` draws a robot"
+        )
     with file.open("rb") as stream:
         start = stream.read(4)
     if start not in _MAGIC:

@@ -12,7 +12,7 @@ from surefoot.sim.common.errors import SurefootError
     ("name", "content", "said"),
     [
         ("missing.rrd", None, "no such file"),
-        ("walk.parquet", b"PAR1", r"opens \.rrd files"),
+        ("robot.xml", b"<mujoco/>", r"opens recordings .* draws a robot"),
         ("fake.rrd", b"not a recording", "not a rerun recording"),
         ("empty.rrd", b"", "not a rerun recording"),
     ],
