@@ -164,9 +164,7 @@ def test_numbers_of_a_logarithmic_axis_have_room(most):
     for ax in drawn.axes:
         low, high = ax.get_xlim()
         labels = [x for x in ax.get_xticklabels(which="both") if low <= x.get_position()[0] <= high]
-        boxes = sorted(
-            x.get_window_extent().extents[[0, 2]].tolist() for x in labels if x.get_text()
-        )
+        boxes = sorted(tuple(x.get_window_extent().intervalx) for x in labels if x.get_text())
         assert len(boxes) >= 2
         assert all(left[1] < right[0] for left, right in pairwise(boxes))
     assert [x.get_text() for x in drawn.axes[0].get_yticklabels()] == ["there", "back (train)"]
