@@ -176,14 +176,16 @@ def scaler_trot(folder: Path, options: HardwareStudy) -> Chapter:
         "Leg filter: error at the end of the walk": feet.end_errors_table(walks, logged, days),
     }
     words = (
-        "How far do legs alone carry a robot of closed chains? SCALER, a quadruped of five-bar "
-        "legs, trots two metres (AlexS28/OptiState); the log says where its feet are. Clocks come "
-        "from IMU and reference, without the forces; contacts from the gait, without them too: the "
-        "lower diagonal stands. Legs go further than the body. One share for all feet and walks is "
-        "fitted to ways of one second on the walks of a day and judged on the others. Whether feet "
-        "creep, legs give or angles are scaled cannot be told: no channel of these logs but the "
-        "reference shows where a standing foot is. Feet that stop on a force plate or under a "
-        "camera would tell."
+        "How far do legs alone carry a robot of closed chains? SCALER, a quadruped of "
+        "five-bar legs, trots two metres (AlexS28/OptiState); the log says where its feet "
+        "are. Clocks come from IMU and reference, without the forces; contacts from the gait, "
+        "without them too: the lower diagonal stands. Legs go further than the body. One "
+        "share for all feet and walks is fitted to ways of one second on the walks of a day "
+        "and judged on the others. How late the feet come is set in the map, by how their "
+        "velocities resemble the reference's on three walks of two days; it is not fitted "
+        "anew. Whether feet creep, legs give or angles are scaled cannot be told: no channel "
+        "of these logs but the reference shows where a standing foot is. Feet that stop on a "
+        "force plate or under a camera would tell."
     )
     return Chapter("SCALER, seven walks", words, tables, feet.paths_figure(walks, share))
 
