@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from surefoot.estimator.evaluation.trajectory import reference
 from surefoot.scenarios.estimate.run import run_filter
-from surefoot.scenarios.reporting.palette import AFTER, BEFORE, TRUTH
+from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
@@ -41,13 +41,14 @@ def walk_figure(log: Log, robot: Robot) -> Figure:
     """The walk's place over time: the reference, and the leg filters."""
     drawn, axes = new_figure(3, 1, (8.0, 6.0))
     truth = reference(log)
-    paths = {"motion capture": (truth.t, truth.p_GI, TRUTH)}
+    paths = {"motion capture": (truth.t, truth.p_GI, INK)}
     for name, color in (("leg", AFTER), ("leg_slip", BEFORE)):
         found = run_filter(name, log, robot).trajectory
         paths[name] = found.t, found.p_GI, color
     for k, (ax, axis) in enumerate(zip(axes[:, 0], "xyz", strict=True)):
         for words, (t, p, color) in paths.items():
-            ax.plot(t - log.t[0], p[:, k] - p[0, k], color=color, label=words)
+            style = "--" if color == BEFORE else "-"
+            ax.plot(t - log.t[0], p[:, k] - p[0, k], style, color=color, label=words)
         ax.set_ylabel(f"{axis} [m]")
     axes[-1, 0].set_xlabel("time [s]")
     legend_below(drawn, axes[0, 0], 3)

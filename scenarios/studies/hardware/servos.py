@@ -14,7 +14,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from scipy.signal import lfilter
 
-from surefoot.scenarios.reporting.palette import AFTER, BEFORE, TRUTH
+from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.log import Log
@@ -134,11 +134,12 @@ def servos_figure(log: Log, servos: Sequence[Servo], machine: FixedBase) -> Figu
     for j, (ax, servo) in enumerate(zip(axes[:, 0], servos, strict=True)):
         angle = servo.angle(log.t, log.q_des[:, j])
         for x, color, words in (
-            (log.q[:, j], TRUTH, "measured"),
+            (log.q[:, j], INK, "measured"),
             (published[:, j], BEFORE, "published model"),
             (angle, AFTER, "servo with delay and play"),
         ):
-            ax.plot(t[shown], 1e3 * _centred(x)[shown], color=color, label=words)
+            style = "--" if color == BEFORE else "-"
+            ax.plot(t[shown], 1e3 * _centred(x)[shown], style, color=color, label=words)
         ax.set_ylabel("angle [mrad]")
         set_title(ax, machine.joint_names[j], 9.0)
     axes[-1, 0].set_xlabel("time [s]")

@@ -16,7 +16,7 @@ from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.models.alignment.alignment import Alignment, align, aligned_log
 from surefoot.scenarios.estimate.run import run_filter
 from surefoot.scenarios.estimate.settings import FilterSettings, NoiseSettings, StartSettings
-from surefoot.scenarios.reporting.palette import AFTER, BEFORE, TRUTH
+from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
 from surefoot.sim.importing.assemble import RawRecording
 from surefoot.sim.log import Log
@@ -148,7 +148,7 @@ def paths_figure(walks: Mapping[str, AlignedWalk], share: float) -> Figure:
         truth = reference(walk.log)
         forward = truth.p_GI[-1] - truth.p_GI[0]
         heading = np.arctan2(forward[1], forward[0])
-        paths = {"motion capture": (truth.p_GI, TRUTH)}
+        paths = {"motion capture": (truth.p_GI, INK)}
         for words, size, color in (
             ("leg filter", 0.0, BEFORE),
             ("and a share less way", share, AFTER),
@@ -159,7 +159,8 @@ def paths_figure(walks: Mapping[str, AlignedWalk], share: float) -> Figure:
             x, y = (p - p[0])[:, :2].T
             along = np.cos(heading) * x + np.sin(heading) * y
             aside = np.cos(heading) * y - np.sin(heading) * x
-            ax.plot(aside, along, color=color, label=words)
+            style = "--" if color == BEFORE else "-"
+            ax.plot(aside, along, style, color=color, label=words)
         ax.set_aspect("equal", "datalim")
         set_title(ax, name, 9.0)
     axes[0, 0].set_ylabel("along the walk [m]")
