@@ -117,18 +117,18 @@ def train(
     inputs, loss, model = check_inputs(inputs), check_loss(loss), check_model(model)
     if not logs:
         raise ObserverError("train: no log given")
-    width = ARCHITECTURES[model].width if width is None else width
-    if not 0 < width <= WIDEST:
-        raise ObserverError(f"train: width must be within 1 and {WIDEST}, is {width}")
+    units: int = ARCHITECTURES[model].width if width is None else width
+    if not 0 < units <= WIDEST:
+        raise ObserverError(f"train: width must be within 1 and {WIDEST}, is {units}")
     dataset = prepare(logs, robot, inputs)
     with _one_thread():
-        fitted = _fit(model, width, loss, dataset, seed, schedule, progress, partial)
+        fitted = _fit(model, units, loss, dataset, seed, schedule, progress, partial)
         network = fitted.network
         network.load_state_dict(fitted.best)
         errors = _errors(network, dataset)
     return Observer(
         model=model,
-        width=width,
+        width=units,
         weights=network.state_dict(),
         inputs=inputs,
         joints=logs[0].joints,

@@ -3,6 +3,7 @@
 import csv
 import re
 from pathlib import Path
+from typing import Any
 
 _LOOKED_AT = 65536
 """Characters at the beginning of a text by which it is judged."""
@@ -11,7 +12,7 @@ COMMENTS = ("#", "%", "//")
 _COMMA = re.compile(r"\s*-?\d+,\d+([eE][-+]?\d+)?\s*")
 
 
-def layout_of(path: Path) -> dict[str, object]:
+def layout_of(path: Path) -> dict[str, Any]:
     """Keys of a map's [source] for this text that are not as they are by default."""
     with path.open(encoding="utf-8-sig", errors="replace", newline="") as stream:
         lines = stream.read(_LOOKED_AT).splitlines()[:-1]
@@ -24,7 +25,7 @@ def layout_of(path: Path) -> dict[str, object]:
     # A comment as wide as the table names its columns.
     after = next(k for k in range(first, len(rows)) if not lines[k].lstrip().startswith(COMMENTS))
     named = [k for k in range(after) if len(rows[k]) == width and width > 1]
-    found: dict[str, object] = {}
+    found: dict[str, Any] = {}
     begin = named[-1] if named else max(after, first)
     if begin:
         found["skip"] = begin
