@@ -307,6 +307,10 @@ class Log:
         return self._leg_array("truth", "mu")
 
 
+FEWEST_ROWS = 3
+"""Rows of a log that is read: two give a speed, three its change."""
+
+
 class LogReader:
     """The file of a log, read by stretches: a walk of any length in the memory of one stretch.
 
@@ -331,6 +335,8 @@ class LogReader:
             check_unpacked(self.path, size, "bytes of columns", at_once=False)
             check_table(file.schema_arrow)
             self.meta = read_metadata(file.schema_arrow.metadata)
+            if 0 < self.rows < FEWEST_ROWS:
+                raise SurefootError(f"has {self.rows} rows, a log {FEWEST_ROWS} at least")
             check_limit("items", file.num_row_groups, "row groups")
             sizes = [file.metadata.row_group(k).num_rows for k in range(file.num_row_groups)]
             most = 8.0 * len(self.columns) * max(sizes, default=0)

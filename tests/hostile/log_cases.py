@@ -75,6 +75,8 @@ LOG = [
     ("a quaternion of length two", lambda c, m: put(c, "ref_q_w", 50, 2.0), "unit quaternion"),
     ("a quaternion of nothing", lambda c, m: [put(c, f"ref_q_{a}", 50, 0.0) for a in "wxyz"], "unit"),
     ("no rows", lambda c, m: [c.update({n: v[:0]}) for n, v in list(c.items())], "no rows"),
+    ("one row", lambda c, m: [c.update({n: v[:1]}) for n, v in list(c.items())], "rows"),
+    ("two rows", lambda c, m: [c.update({n: v[:2]}) for n, v in list(c.items())], "rows"),
     ("a reference's flag of two", lambda c, m: c.update(ref_ok=np.full(len(c["t"]), 2.0)), "ref_ok"),
     ("a contact of a half", lambda c, m: c.update( {f"contact_{g}": np.full(len(c["t"]), 0.5) for g in ("FL", "FR", "RL", "RR")} ), "0 or 1"),
     ("a contact of three legs", lambda c, m: c.update({f"contact_{g}": np.ones(len(c["t"])) for g in ("FL", "FR", "XX")}), "leg"),
