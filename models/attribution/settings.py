@@ -21,8 +21,8 @@ class TraceSettings:
     """Blocks that a log has at least: of a short one they are shorter, and the gaps with them."""
     shortest_part: float = 0.5
     """s of residuals with a reference below which a part of the split has too few."""
-    shortest: float = 12.0
-    """s of a log below which there is too little to split."""
+    shortest: float = 11.5
+    """s of a log below which there is too little to split: 12 s, of which the ends give no residual."""
     shortest_fixed: float = 3.0
     """s, of a machine on a fixed base, every row of which is informative."""
     farthest_carried: float = 0.5

@@ -47,7 +47,7 @@ WARM_UP = 25
 MEAN_FIRST = 0.4
 """Share of the steps in which a Gaussian's mean is fitted alone, by mse. With the likelihood from
 the start the smaller motions go into the covariance: the vertical error came out twice as large."""
-MOST = 1_000_000
+MOST_STEPS = 1_000_000
 """Steps of a training, or windows of one."""
 TRAINING_FORMAT = "surefoot training state"
 
@@ -70,8 +70,8 @@ class Schedule:
 
     def __post_init__(self):
         for name in ("steps", "batch", "every", "patience"):
-            if not 0 < getattr(self, name) <= MOST:
-                raise ObserverError(f"train: {name} must be within 1 and {MOST}")
+            if not 0 < getattr(self, name) <= MOST_STEPS:
+                raise ObserverError(f"train: {name} must be within 1 and {MOST_STEPS}")
         if self.rate is not None and not 0.0 < self.rate <= 1.0:
             raise ObserverError(f"train: rate must be above 0 and at most 1, is {self.rate:g}")
 

@@ -30,7 +30,7 @@ except ImportError:  # where it is missing, two runs into one folder are not tol
 LISTED = ("out", "report")
 KEPT = ("page", "data", "cache")
 """Options that name what a command writes; every other path is one that it reads."""
-FOLDERS = ("data", "cache")
+FOLDER_OPTIONS = ("data", "cache")
 """Those of them that are folders."""
 BOUNDED = {
     "workers": "workers",
@@ -67,7 +67,7 @@ def guarded(name: str, command: Any) -> Iterator[None]:
         run = stack.enter_context(command_run(name, inputs))
         for path in (*listed, *kept):
             refuse_input(path)
-        for option in FOLDERS:
+        for option in FOLDER_OPTIONS:
             if given.get(option) and Path(given[option]).is_file():
                 raise SurefootError(f"--{option} {given[option]}: is a file, not a folder")
         if given.get("page"):

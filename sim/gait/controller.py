@@ -154,7 +154,7 @@ def tick(legs, controller, state, target, torque):
     if gait.slip_care > 0.0:
         take_care(controller, state, loaded, command, feet)
     if gait.sway > 0.0 and t >= gait.start:
-        sway(controller, state, (np.cos(yaw), np.sin(yaw)), command, feet)
+        sway_body(controller, state, (np.cos(yaw), np.sin(yaw)), command, feet)
     swing(controller, base, command, feet, torque)
     support(controller, ground, base, command, feet, torque)
     if gait.stiffness > 0.0:
@@ -217,7 +217,7 @@ def take_care(controller, state, loaded, command, feet):
 
 
 @kernel
-def sway(controller, state, heading, command, feet):
+def sway_body(controller, state, heading, command, feet):
     """Lets the body sway, so that the middle of the pressure lies towards the middle of the feet
     that stand and each of them bears its part.
 

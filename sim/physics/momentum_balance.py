@@ -26,7 +26,7 @@ ACCELERATION_WINDOW = 0.04
 """s, over which rates are differentiated: passes 25 Hz, with which a foot's load comes and goes."""
 LOADING = 0.01
 """s, standard deviation of the time over which a foot takes its load, and of the result."""
-TOUCHED = 0.05
+LIGHT_TOUCH = 0.05
 """Share of what a foot's sensor reads in its stances below which it touches nothing: drift and
 hysteresis of force sensors are a few hundredths of their range."""
 SLACK = 1e-3
@@ -93,7 +93,7 @@ def _loaded_by_force(log: Log) -> np.ndarray | None:
         if not full > rest:
             return None
         loaded[:, leg] = (force[:, leg] - rest) / (full - rest)
-    return np.maximum(loaded - TOUCHED, 0.0) / (1.0 - TOUCHED)
+    return np.maximum(loaded - LIGHT_TOUCH, 0.0) / (1.0 - LIGHT_TOUCH)
 
 
 def taken_by_motion(log: Log, robot: Robot) -> tuple[np.ndarray, np.ndarray]:

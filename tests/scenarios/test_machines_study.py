@@ -32,7 +32,7 @@ def test_runs_share_their_sizes_and_have_zeros_of_their_own():
         f"run {k}": [off_zero(swung(**hidden, seed=k, seconds=8.0), zero)]
         for k, zero in enumerate(zeros)
     }
-    done = shared_sizes.held_out_runs(runs, load_machine("ak80_pendulum"), 0.04)
+    done = shared_sizes.runs_left_out(runs, load_machine("ak80_pendulum"), 0.04)
     for one, zero in zip(done, zeros, strict=True):
         found = one.found.sizes
         first = {("coulomb_friction", "shoulder"), ("armature", "shoulder")}
@@ -42,7 +42,7 @@ def test_runs_share_their_sizes_and_have_zeros_of_their_own():
         rows = one.rows[0]
         rest = rows.rest - sum(x * rows.terms[key] for key, x in found.items())
         assert rows.own_zeros(rest, one.found.noise)[0] == pytest.approx(zero, abs=5e-3)
-    table = shared_sizes.held_out_table(done)
+    table = shared_sizes.left_out_table(done)
     assert (table["left [% of zeros alone]"].astype(float) < 30).all()
 
 

@@ -13,7 +13,7 @@ from surefoot.scenarios.reporting.plotting import legend_below, new_figure
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
-RUNS = ("walking", "com_sinusoid")
+ICUB_RUNS = ("walking", "com_sinusoid")
 FILTERS = ("leg", "leg_slip", "imu")
 
 

@@ -26,9 +26,9 @@ DELAYS = np.arange(0.0, 0.121, 0.01)
 PLAYS = np.radians([0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.3, 1.6, 2.0, 3.0])
 """rad that are tried, over all: hobby servos' gears have 0.3 to 1 degree, and a loop that stops
 within its dead band adds its own."""
-LAGS = np.array([0.0, 0.02, 0.04, 0.06, 0.1, 0.15, 0.22])
+SERVO_LAGS = np.array([0.0, 0.02, 0.04, 0.06, 0.1, 0.15, 0.22])
 """s, time constants that are tried."""
-SHOWN = 8.0
+DRAWN_SECONDS = 8.0
 """s of a run that are drawn."""
 
 
@@ -63,7 +63,7 @@ def with_play(angle, half):
 def fit_servo(logs: Sequence[Log], joint: int) -> Servo:
     """The servo of the grid that leaves least of a joint's angles in these logs, each with a
     constant of its own. All are tried: a delay, a lag and a play stand in for each other."""
-    tried = (Servo(float(d), float(g), float(p)) for d in DELAYS for g in LAGS for p in PLAYS)
+    tried = (Servo(float(d), float(g), float(p)) for d in DELAYS for g in SERVO_LAGS for p in PLAYS)
     return min(tried, key=lambda s: sum(float(np.sum(_left(log, joint, s) ** 2)) for log in logs))
 
 
@@ -130,7 +130,7 @@ def servos_figure(log: Log, servos: Sequence[Servo], machine: FixedBase) -> Figu
     drawn, axes = new_figure(len(servos), 1, (9.0, 1.7 * len(servos)))
     published, t = simulated_angles(log, machine), log.t - log.t[0]
     begin = 0.5 * t[-1]
-    shown = (t > begin) & (t < begin + SHOWN)
+    shown = (t > begin) & (t < begin + DRAWN_SECONDS)
     for j, (ax, servo) in enumerate(zip(axes[:, 0], servos, strict=True)):
         angle = servo.angle(log.t, log.q_des[:, j])
         for x, color, words in (

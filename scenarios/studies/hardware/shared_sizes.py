@@ -25,7 +25,7 @@ from surefoot.sim.robot.fixed_base import Machine
 
 ZERO = 0.03
 """rad, standard deviation of a zero that was set by hand, with the machine hanging or by marks."""
-WORTH = 0.05
+WORTH_A_SIZE = 0.05
 """Share of the squares left of runs that were not fitted that a further term must take off."""
 _ALIKE = 10.0
 """Rows 5 ms apart that resemble each other behind a kernel of 40 ms."""
@@ -36,13 +36,13 @@ swing what one of its angle is."""
 LINKS = ("link_mass", "link_com", "link_inertia")
 """Effects of the bodies that joints move."""
 
-Key = tuple[str, str]
+SizeKey = tuple[str, str]
 Runs = Mapping[str, Sequence[Log]]
 """Logs by the run that they are of: a run that is cut into pieces is held out whole."""
 
 
 @dataclass(frozen=True)
-class Rows:
+class RunRows:
     """One log's balance as equations of all J joints.
 
     balance: of the log; terms: by effect and target, torque (N, J) per unit of its size; zeros
@@ -50,7 +50,7 @@ class Rows:
     """
 
     balance: Balance
-    terms: dict[Key, np.ndarray]
+    terms: dict[SizeKey, np.ndarray]
     zeros: np.ndarray
 
     @property
@@ -59,7 +59,7 @@ class Rows:
         one = self.balance
         return np.where(one.good, one.tau - one.rigid, np.nan)
 
-    def left(self, sizes: Mapping[Key, float], noise: np.ndarray) -> np.ndarray:
+    def left(self, sizes: Mapping[SizeKey, float], noise: np.ndarray) -> np.ndarray:
         """What is left (N, J) with shared sizes and the zeros that then fit this log best."""
         rest = self.rest - sum(size * self.terms[key] for key, size in sizes.items())
         return rest - np.tensordot(self.own_zeros(rest, noise), self.zeros, 1)
@@ -76,8 +76,8 @@ class Rows:
 class SharedSizes:
     """Sizes of effects that all runs share, with 95 % intervals; noise (J,) [N m] weighs joints."""
 
-    sizes: dict[Key, float]
-    interval: dict[Key, tuple[float, float]]
+    sizes: dict[SizeKey, float]
+    interval: dict[SizeKey, tuple[float, float]]
     noise: np.ndarray
 
 
@@ -88,13 +88,13 @@ class HeldOutRun:
 
     name: str
     found: SharedSizes
-    rows: tuple[Rows, ...]
+    rows: tuple[RunRows, ...]
     before: tuple[np.ndarray, ...]
     zeroed: tuple[np.ndarray, ...]
     after: tuple[np.ndarray, ...]
 
 
-def rows_of(log: Log, machine: Machine, width: float) -> Rows:
+def rows_of(log: Log, machine: Machine, width: float) -> RunRows:
     """The equations of one log through a kernel of `width` [s]. A joint whose torque is always zero
     has no drive. Raises LogError where the log lacks q or tau."""
     one = balance(log, machine, width)
@@ -105,7 +105,7 @@ def rows_of(log: Log, machine: Machine, width: float) -> Rows:
         return (known.rigid - one.rigid) / step
 
     driven = np.ptp(log.tau, axis=0) > 0.0
-    terms: dict[Key, np.ndarray] = {}
+    terms: dict[SizeKey, np.ndarray] = {}
     for j, joint in enumerate(log.joints):
         for name in (*RESISTS, *(DRIVEN if driven[j] else ())):
             terms[name, joint] = np.zeros_like(one.tau)
@@ -117,10 +117,10 @@ def rows_of(log: Log, machine: Machine, width: float) -> Rows:
                 terms[name, target] = term
     # A reading that is too large by its zero is compensated by as much less.
     zeros = np.stack([changed("encoder_offset", joint) for joint in log.joints])
-    return Rows(one, terms, zeros)
+    return RunRows(one, terms, zeros)
 
 
-def held_out_runs(
+def runs_left_out(
     logs: Runs, machine: Machine, width: float, seed: int = 0
 ) -> tuple[HeldOutRun, ...]:
     """Each run with the effects that the others chose and sized, and zeros of its own.
@@ -149,7 +149,9 @@ def held_out_runs(
     return tuple(done)
 
 
-def fit_shared(rows: Mapping[str, Sequence[Rows]], machine: Machine, seed: int = 0) -> SharedSizes:
+def fit_shared(
+    rows: Mapping[str, Sequence[RunRows]], machine: Machine, seed: int = 0
+) -> SharedSizes:
     """Effects chosen one by one, each that which most lowers what is left of runs not fitted, and
     their sizes from all runs; one whose size is beyond its bounds is not taken."""
     every = [one for own in rows.values() for one in own]
@@ -165,7 +167,7 @@ def fit_shared(rows: Mapping[str, Sequence[Rows]], machine: Machine, seed: int =
         levels = {k: _unseen(products, [*chosen, k]) for k in others}
         able = [k for k in others if _within(products, [*chosen, k], keys, machine)]
         best = min(able, key=lambda k: levels[k], default=None)
-        if best is None or levels[best] > (1.0 - WORTH) * now:
+        if best is None or levels[best] > (1.0 - WORTH_A_SIZE) * now:
             break
         chosen, now = [*chosen, best], levels[best]
     G = np.concatenate(list(products.values()))
@@ -178,7 +180,7 @@ def fit_shared(rows: Mapping[str, Sequence[Rows]], machine: Machine, seed: int =
     return SharedSizes(dict(zip(names, map(float, sizes), strict=True)), interval, noise)
 
 
-def held_out_table(done: Sequence[HeldOutRun]) -> pd.DataFrame:
+def left_out_table(done: Sequence[HeldOutRun]) -> pd.DataFrame:
     """A row a run and joint: root mean square of the residual torque, and what fitted the zeros."""
     return pd.DataFrame(
         {
@@ -194,7 +196,7 @@ def held_out_table(done: Sequence[HeldOutRun]) -> pd.DataFrame:
     )
 
 
-def sizes_table(whole: SharedSizes, done: Sequence[HeldOutRun]) -> pd.DataFrame:
+def shared_sizes_table(whole: SharedSizes, done: Sequence[HeldOutRun]) -> pd.DataFrame:
     """A row an effect: size by all runs, and without each; a dash where it was not chosen."""
     rows = []
     for key, size in whole.sizes.items():
@@ -241,7 +243,7 @@ def _prior(used: np.ndarray) -> float:
     return _ALIKE / ZERO**2 if used.any() else 1.0
 
 
-def _products(one: Rows, keys: Sequence[Key], noise: np.ndarray) -> np.ndarray:
+def _products(one: RunRows, keys: Sequence[SizeKey], noise: np.ndarray) -> np.ndarray:
     """Products (1 + C, 1 + C) of residual and terms, what zeros explain of them taken off."""
     used = one.balance.good
     columns = [one.balance.tau - one.balance.rigid, *(one.terms[key] for key in keys), *one.zeros]
@@ -274,7 +276,7 @@ def _unseen(products: Mapping[str, np.ndarray], chosen: Sequence[int]) -> float:
 def _within(
     products: Mapping[str, np.ndarray],
     chosen: Sequence[int],
-    keys: Sequence[Key],
+    keys: Sequence[SizeKey],
     machine: Machine,
 ) -> bool:
     """Whether the sizes of the chosen terms are within their effects' bounds."""

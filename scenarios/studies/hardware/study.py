@@ -192,7 +192,7 @@ def scaler_trot(folder: Path, options: HardwareStudy) -> Chapter:
 
 def icub_biped(folder: Path, options: HardwareStudy) -> Chapter:
     """A humanoid's metre of walking, and its sway on the spot."""
-    logs = {name: import_log(folder / f"{name}.mat", "icub_biped") for name in biped.RUNS}
+    logs = {name: import_log(folder / f"{name}.mat", "icub_biped") for name in biped.ICUB_RUNS}
     robot = Robot.for_log(logs["walking"])
     with percent_bar("trace") as progress:
         found = trace(
@@ -222,13 +222,13 @@ def ricmonk(folder: Path, options: HardwareStudy) -> Chapter:
     for file in sorted((folder / "swings").glob("*.csv")):
         logs.setdefault(file.stem.split("_")[0], []).append(import_log(file, "ricmonk_swing"))
     machine = machine_for_log(next(iter(logs.values()))[0], folder / "ricmonk_published.xml")
-    done = shared_sizes.held_out_runs(logs, machine, RICMONK_WIDTH)
+    done = shared_sizes.runs_left_out(logs, machine, RICMONK_WIDTH)
     whole = shared_sizes.fit_shared({one.name: one.rows for one in done}, machine)
     tables = {
         "Residual torque of runs that no fit has seen (root mean square)": (
-            shared_sizes.held_out_table(done)
+            shared_sizes.left_out_table(done)
         ),
-        "Sizes by all runs, and without each": shared_sizes.sizes_table(whole, done),
+        "Sizes by all runs, and without each": shared_sizes.shared_sizes_table(whole, done),
     }
     words = (
         "What does the published model of a brachiating robot lack? RicMonk swings from bar to bar "

@@ -23,7 +23,7 @@ from surefoot.sim.log import Log
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative
 from surefoot.sim.plausibility import check_log
 
-WINDOW = 1.0
+DISPLACED_OVER = 1.0
 """s over which ways by legs and by the reference are compared: strides, whose ripple cancels."""
 PATH_STEP = 0.5
 """s between the samples of the reference that a path's length is of: else its noise counts."""
@@ -52,7 +52,7 @@ def aligned_walk(recording: RawRecording) -> AlignedWalk:
 
 def travel_share(logs: Sequence[Log]) -> float:
     """Share of the way by standing legs that bodies do not go: least squares of horizontal
-    displacements over WINDOW seconds."""
+    displacements over DISPLACED_OVER seconds."""
     both = [_displacements(log) for log in logs]
     legs, body = (np.concatenate([one[k] for one in both]) for k in (0, 1))
     return 1.0 - float(np.sum(legs * body) / np.sum(legs**2))
@@ -185,7 +185,7 @@ def _errors_row(
 
 
 def _displacements(log: Log) -> tuple[np.ndarray, np.ndarray]:
-    """Horizontal displacements (K, 2) [m] over WINDOW seconds: by standing legs, and of the
+    """Horizontal displacements (K, 2) [m] over DISPLACED_OVER seconds: by standing legs, and of the
     reference."""
     t, feet_I = log.t, log.foot_I
     dfeet_I = derivative(t, feet_I.reshape(len(t), -1), JOINT_WINDOW, causal=False)
@@ -193,11 +193,11 @@ def _displacements(log: Log) -> tuple[np.ndarray, np.ndarray]:
     stands = log.contact[..., None]
     mean_I = np.sum(np.where(stands, v_I, 0.0), axis=1) / np.maximum(stands.sum(axis=1), 1)
     went = np.cumsum(np.einsum("nij,nj->ni", log.ref_R_GI, mean_I) * np.gradient(t)[:, None], 0)
-    starts = np.arange(t[0], t[-1] - WINDOW, WINDOW)
+    starts = np.arange(t[0], t[-1] - DISPLACED_OVER, DISPLACED_OVER)
 
     def gained(x: np.ndarray) -> np.ndarray:
         return np.column_stack(
-            [np.interp(starts + WINDOW, t, y) - np.interp(starts, t, y) for y in x.T[:2]]
+            [np.interp(starts + DISPLACED_OVER, t, y) - np.interp(starts, t, y) for y in x.T[:2]]
         )
 
     return gained(went), gained(log.ref_p)
