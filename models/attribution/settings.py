@@ -22,7 +22,7 @@ class TraceSettings:
     shortest_part: float = 0.5
     """s of residuals with a reference below which a part of the split has too few."""
     shortest: float = 11.5
-    """s of a log below which there is too little to split: 12 s, of which the ends give no residual."""
+    """s below which there is too little to split: of a log of 12 s, whose ends have no residual."""
     shortest_fixed: float = 3.0
     """s, of a machine on a fixed base, every row of which is informative."""
     farthest_carried: float = 0.5
