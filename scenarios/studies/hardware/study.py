@@ -183,7 +183,9 @@ def scaler_trot(folder: Path, options: HardwareStudy) -> Chapter:
         "share for all feet and walks is fitted to ways of one second on the walks of a day "
         "and judged on the others. How late the feet come is set in the map, by how their "
         "velocities resemble the reference's on three walks of two days; it is not fitted "
-        "anew. Whether feet creep, legs give or angles are scaled cannot be told: no channel "
+        "anew. The rule of the gait and the filter's noise were chosen with the end errors of "
+        "all seven walks in view: what the legs are worth on a walk that nothing was chosen "
+        "on, other walks must say. Whether feet creep, legs give or angles are scaled cannot be told: no channel "
         "of these logs but the reference shows where a standing foot is. Feet that stop on a "
         "force plate or under a camera would tell."
     )
