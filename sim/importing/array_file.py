@@ -79,7 +79,7 @@ def _datasets(
             continue
         node = group[name]
         if isinstance(node, h5py.Dataset):
-            yield path + name, node
+            yield f"{path}{name}", node
         elif isinstance(node, h5py.Group) and node not in seen and path.count("/") < _DEEPEST:
             seen.add(node)
             yield from _datasets(node, f"{path}{name}/", seen)

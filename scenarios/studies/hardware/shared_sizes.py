@@ -19,7 +19,7 @@ from surefoot.models.bootstrap import block_draws
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
 from surefoot.scenarios.studies.hardware.drives import Balance, balance, between, rms
-from surefoot.sim.effects import effect, known_effects
+from surefoot.sim.effects import compensate_all, effect, known_effects
 from surefoot.sim.log import Log
 from surefoot.sim.robot.fixed_base import Machine
 
@@ -101,7 +101,7 @@ def rows_of(log: Log, machine: Machine, width: float) -> RunRows:
 
     def changed(name: str, target: str) -> np.ndarray:
         step = known_effects()[name].step_of(target)
-        known = balance(*effect(name, target, step).compensate(log, machine), width)
+        known = balance(*compensate_all([effect(name, target, step)], log, machine), width)
         return (known.rigid - one.rigid) / step
 
     driven = np.ptp(log.tau, axis=0) > 0.0

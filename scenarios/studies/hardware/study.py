@@ -186,8 +186,8 @@ def scaler_trot(folder: Path, options: HardwareStudy) -> Chapter:
         "anew. The rule of the gait and the filter's noise were chosen with the end errors of "
         "all seven walks in view: what the legs are worth on a walk that nothing was chosen "
         "on, other walks must say. Whether feet creep, legs give or angles are scaled cannot be "
-        "told: no channel of these logs but the reference shows where a standing foot is. Feet that stop on a "
-        "force plate or under a camera would tell."
+        "told: no channel of these logs but the reference shows where a standing foot is. Feet "
+        "that stop on a force plate or under a camera would tell."
     )
     return Chapter("SCALER, seven walks", words, tables, feet.paths_figure(walks, share))
 
