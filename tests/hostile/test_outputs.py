@@ -16,13 +16,15 @@ from surefoot.scenarios.cli.main import COMMANDS
 from surefoot.scenarios.cli.runs import LISTED
 from surefoot.sim.common import files
 
+FEW = "--gamma 0.5"
+"""A level for which few independent errors are enough: how many a walk has differs by machine."""
 LEARNT = "--observer observer.pt --bounds bounds.json"
 WRITING = {
     "demo": "demo -o new",
     "simulate": "simulate quick.toml -o new",
     "train": "train long.parquet --model mlp --inputs q,dq -o new.pt",
-    "calibrate": "calibrate own.pt long.parquet -o new.json",
-    "calibrate's report": "calibrate own.pt long.parquet -o other.json --report new",
+    "calibrate": f"calibrate own.pt long.parquet {FEW} -o new.json",
+    "calibrate's report": f"calibrate own.pt long.parquet {FEW} -o other.json --report new",
     "estimate": "estimate walk.parquet --filter leg -o new.parquet",
     "compare": f"compare walk.parquet {LEARNT} -o new",
     "noise": "noise rest.parquet -o new.toml",
@@ -78,8 +80,7 @@ def more(good, tmp_path_factory) -> Path:
     """The good files, and a walk and a rest that are long enough to learn from."""
     folder = copied(good, tmp_path_factory.mktemp("outputs") / "good")
     (folder / "quick.toml").write_text(SHORT_WALK)
-    # Twice as long as the observer's errors need, whose correlation differs by machine.
-    synthetic_walk(0, 24.0, noise=0.1, robot="spot_class").write(folder / "long.parquet")
+    synthetic_walk(0, 12.0, noise=0.1, robot="spot_class").write(folder / "long.parquet")
     observer = Observer.load(folder / "observer.pt")
     replace(observer, robot="spot_class").save(folder / "own.pt")
     log = synthetic_walk(0, 12.0, robot="spot_class")

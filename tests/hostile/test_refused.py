@@ -151,8 +151,8 @@ def _cases() -> list[tuple[str, Callable[[Path], None], str, str]]:
     estimate = "estimate walk.parquet --filter leg"
     for what, alter, word in log_cases.LOG:
         found.append((f"log: {what}", written_log(alter), estimate, word))
-    found.append(("log: a hundred million rows", many_rows, estimate, "time stops"))
-    found.append(("log: a group of rows", one_group, estimate, "row group"))
+    found.append(("log: a hundred million rows", many_rows, estimate, "unpacked"))
+    found.append(("log: a group of rows", one_group, estimate, "unpacked"))
     for what, alter in log_cases.BOUNDS:
         change = edited_json("bounds.json", alter)
         found.append((f"bounds: {what}", change, LEARNT, "changed"))
