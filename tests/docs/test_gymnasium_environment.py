@@ -29,6 +29,6 @@ def test_a_batch_is_each_by_itself_and_leaves_logs():
     for both in actions:
         seen, reward, *_ = batch.step(both)
         own, own_reward, *_ = alone.step(both[1])
-    np.testing.assert_array_equal(own, seen[1])
-    assert own_reward == reward[1]
+        np.testing.assert_array_equal(own, seen[1])
+        assert own_reward == reward[1]
     assert len(alone.walking.log().t) == 2 * len(actions)

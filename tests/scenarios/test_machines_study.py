@@ -43,7 +43,7 @@ def test_runs_share_their_sizes_and_have_zeros_of_their_own():
         rest = rows.rest - sum(x * rows.terms[key] for key, x in found.items())
         assert rows.own_zeros(rest, one.found.noise)[0] == pytest.approx(zero, abs=5e-3)
     table = shared_sizes.left_out_table(done)
-    assert (table["left [% of zeros alone]"].astype(float) < 30).all()
+    assert np.all(table["left [% of zeros alone]"].to_numpy(float) < 30)
 
 
 def test_a_servo_is_found_again_from_what_it_was_asked_for():
