@@ -142,7 +142,7 @@ def _outdoes(data: NormalEquations, one: Candidate, best: Candidate, chosen: Seq
 
 def rerank(data: Data, few: Sequence[Candidate]) -> tuple[Candidate, list[Effect], tuple[Key, ...]]:
     """The candidate that leaves least of the true residual, all effects at their sizes with it, and
-    which of the others leave more of it, by more than the chance of the blocks.
+    which of the others leave more of it, beyond chance.
 
     For the choice an IMU, and torques against commands, count as far as they are known between
     rows. Of candidates whose difference is within the chance of the blocks, one is taken whose size
@@ -158,11 +158,13 @@ def rerank(data: Data, few: Sequence[Candidate]) -> tuple[Candidate, list[Effect
     doubt = [_doubt(candidate, chosen[-1], data) for candidate, chosen in tried]
     best = min(range(len(tried)), key=lambda i: float(left[i].sum()) + doubt[i])
     counts = block_draws(len(left[best]), np.random.default_rng(0))
-    near = [float(np.percentile(counts @ (one - left[best]), 2.5)) <= 0.0 for one in left]
+    behind = [float(np.percentile(counts @ (one - left[best]), 2.5)) for one in left]
     least = data.evidence.settings.positive_evidence
-    likelier = [i for i, one in enumerate(doubt) if near[i] and doubt[best] - one > least]
+    likelier = [i for i, one in enumerate(doubt) if behind[i] <= 0.0 and doubt[best] - one > least]
     found, chosen = tried[min(likelier, key=lambda i: doubt[i], default=best)]
-    worse = tuple(c.key for (c, _), as_good in zip(tried, near, strict=True) if not as_good)
+    # A scale that is undone scales the noise too: a few hundredths of it tell nothing.
+    differs = (data.evidence.settings.at_floor - 1.0) * float(left[best].sum())
+    worse = tuple(c.key for (c, _), by in zip(tried, behind, strict=True) if by > differs)
     return found, chosen, worse
 
 

@@ -250,7 +250,7 @@ def _rivals(
         if shared <= data.settings.twin_overlap:
             continue
         behind = left_unseen(data, [*chosen, other.key]) - of_best
-        as_good = np.percentile(counts @ behind, 2.5) <= price
+        as_good = np.percentile(counts @ behind, 2.5) <= price or shared > data.settings.same
         if as_good and gained - np.sum(behind) > 0.5 * gained:
             rivals.append((other.key, shared))
     return tuple(rivals)

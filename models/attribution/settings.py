@@ -120,6 +120,9 @@ class TraceSettings:
     """Effects that one trace may name."""
     twin_overlap: float = 0.95
     """Overlap (cosine) from which two regressors are hard to distinguish."""
+    same: float = 0.99999
+    """Overlap from which two regressors are one: what tells them apart is what is free beside one
+    of them and not the other, such as a bias beside a scale."""
     settling_rounds: int = 3
     """Times at most that sizes and weights are estimated in turn."""
     settled_share: float = 0.01

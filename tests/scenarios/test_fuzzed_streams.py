@@ -208,7 +208,7 @@ def amounts():
         yield pytest.param(name, 1_000_000, marks=pytest.mark.slow)
 
 
-@pytest.mark.parametrize(("name", "steps"), amounts())
+@pytest.mark.parametrize(("name", "steps"), list(amounts()))
 def test_whatever_comes(name, steps):
     """About as many steps; the same ones every time, but for a million."""
     kind = type("InLoop", (InLoop,), {"name": name})
