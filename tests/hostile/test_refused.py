@@ -185,6 +185,20 @@ def _marked(number: int, case: tuple) -> object:
     return pytest.param(*case[1:], id=case[0], marks=marks)
 
 
+# Behind the limit on what a packed file becomes, which refuses both files first.
+@pytest.mark.long
+@pytest.mark.parametrize(("change", "word"), [(many_rows, "time stops"), (one_group, "row group")])
+def test_a_log_whose_size_is_allowed_is_refused_by_its_rows(
+    change, word, good, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("SUREFOOT_LIMITS", "unpacked=1e9")
+    folder = copied(good, tmp_path / "case")
+    change(folder)
+    found = run_forked("estimate walk.parquet --filter leg".split(), folder)
+    assert found.refused, found
+    assert word in found.err
+
+
 @pytest.mark.parametrize(
     ("change", "command", "word"), [_marked(number, case) for number, case in enumerate(CASES)]
 )
