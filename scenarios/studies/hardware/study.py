@@ -211,8 +211,8 @@ def icub_biped(folder: Path, options: HardwareStudy) -> Chapter:
     words = (
         "How well do flat feet carry a humanoid? iCub, with Vicon on its clock "
         "(ami-iit/paper_ramadoss_2021_icra_proprioceptive-base-estimator), imported as published. "
-        "A trace of the sway; the walk is as long as a trace needs at least, with nothing left to "
-        "check on. Torques are not logged, so that masses and drives cannot be told.\n\n"
+        "The trace is of the sway; the walk is barely as long as a trace needs. Torques are not "
+        "logged, so that masses and drives cannot be told.\n\n"
     )
     figure = biped.walk_figure(logs["walking"], robot)
     return Chapter("iCub, a walk and a sway", words + summary(found), tables, figure)
