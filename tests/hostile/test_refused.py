@@ -194,7 +194,7 @@ def test_a_log_whose_size_is_allowed_is_refused_by_its_rows(
     monkeypatch.setenv("SUREFOOT_LIMITS", "unpacked=1e9")
     folder = copied(good, tmp_path / "case")
     change(folder)
-    found = run_forked("estimate walk.parquet --filter leg".split(), folder)
+    found = run_forked(["estimate", "walk.parquet", "--filter", "leg"], folder)
     assert found.refused, found
     assert word in found.err
 
