@@ -10,8 +10,13 @@ from surefoot.models.attribution.angle_error import angle_errors
 from surefoot.models.attribution.data import cannot_tell, data_notes, dead_contacts, readings
 from surefoot.models.attribution.evidence import LogUnderModel, linearise, log_under_model
 from surefoot.models.attribution.friction import FootFriction, friction_of, slip_notes, slip_of
-from surefoot.models.attribution.held_out import HeldOutRuns, gains_of, judged
-from surefoot.models.attribution.levels import ChannelLevel, channel_levels, without_bias
+from surefoot.models.attribution.held_out import HeldOutRuns, judged
+from surefoot.models.attribution.levels import (
+    ChannelLevel,
+    channel_levels,
+    gains_of,
+    without_bias,
+)
 from surefoot.models.attribution.noise_floor import noise_floor
 from surefoot.models.attribution.outside_forces import outside_forces, pushed_bins
 from surefoot.models.attribution.run_offsets import of_each_run
@@ -162,7 +167,7 @@ def diagnose(
     progress(0.95)
     curves = angle_errors(cases, result, split, rng)
     verdict, reasons = verdict_of(
-        found, channels, bool(curves), result.rivals, held_out, pushes, gone
+        found, channels, bool(curves), result.rivals, held_out, pushes, gone, result.harmful
     )
     unexplained: tuple[Unexplained, ...] = ()
     if verdict == "none_of_these":
@@ -221,8 +226,8 @@ def _stands(
     without, known = (
         linearise(cases, these, ()) for these in ([e for e in effects if e != one], effects)
     )
-    sigma = result.robust_weights.sigma
-    gains = gains_of(without, known, result.floor, weight, sigma)
+    sigma = result.floor.counted(result.robust_weights.sigma)
+    gains = gains_of(without, known, weight, sigma)
     blocks = sum(gains[name] for name in one.channels_of(one.target) if name in gains)
     # Blocks without a bin left gain nothing; the draws are the same on every machine.
     drawn = block_draws(np.size(blocks), np.random.default_rng(0)) @ np.ravel(blocks)

@@ -26,8 +26,8 @@ def adds_drift(
 
     The drift is what the feet seem to move over the ground while they stand, added up over blocks
     in which chance averages out; it grows if the sum of its squares does in 19 of 20 draws of the
-    blocks, by a share GROWN of what it was with nothing explained, and by more than walks of a
-    robot that has these effects drift for a model that knows of them.
+    blocks, by a share GROWN of what it was with nothing explained, and by more than a walk may
+    drift of a robot that has these effects, for a model that knows of them.
 
     Args:
         cases: the logs under the declared model.
@@ -51,13 +51,17 @@ def adds_drift(
 
 
 def _own_drift(floor: NoiseFloor | None) -> float:
-    """Mean square [m^2] of the drift over a block of a floor's walks."""
+    """The most [m^2] that the drift over a block of a floor's walks is, in the mean square.
+
+    A walk's blocks drift alike, by how feet creep on it, so it is the walks that differ: as far
+    again as those walked do.
+    """
     walks = [repeat.evidence for repeat in floor.repeats] if floor else []
-    squares = []
+    own = []
     for one in walks:
         moved, every = one.layout.by_leg("stance_displacement"), np.ones(len(one.t), dtype=bool)
-        squares.append(_squared_drifts(one, one.table[:, moved], every))
-    return float(np.mean(np.concatenate(squares))) if squares else 0.0
+        own.append(float(np.sqrt(np.mean(_squared_drifts(one, one.table[:, moved], every)))))
+    return (2.0 * max(own) - min(own)) ** 2 if own else 0.0
 
 
 def _squared_drifts(evidence: Evidence, moved: np.ndarray, use: np.ndarray) -> np.ndarray:

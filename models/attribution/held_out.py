@@ -6,8 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from surefoot.models.attribution.evidence import Evidence, LogUnderModel, all_keys, linearise
-from surefoot.models.attribution.fit import design, fit, loss, normal_equations
-from surefoot.models.attribution.levels import ChannelLevel, channel_levels, without_bias
+from surefoot.models.attribution.fit import design
+from surefoot.models.attribution.levels import (
+    ChannelLevel,
+    channel_levels,
+    gains_of,
+    without_bias,
+)
 from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.attribution.robust_weights import RobustWeights, robust_weights
 from surefoot.models.attribution.zeros import Run, run_of
@@ -81,35 +86,9 @@ def _made_worse(
         weights: of the log.
         rng: draws the blocks.
     """
-    gains = gains_of(without, known, floor, weights.weight, weights.sigma)
+    gains = gains_of(without, known, weights.weight, floor.counted(weights.sigma))
     if not gains:
         return ""
     most = max(gains, key=lambda name: abs(gains[name].sum()))
     high = np.percentile(block_draws(len(gains[most]), rng) @ gains[most], 97.5)
     return most if high < 0 else ""
-
-
-def gains_of(
-    without: Evidence, known: Evidence, floor: NoiseFloor, weight: np.ndarray, sigma: np.ndarray
-) -> dict[str, np.ndarray]:
-    """By channel, how much less of each block's weighted squared error (K,) `known` leaves than an
-    evidence `without` an effect.
-
-    Args:
-        without: evidence with all effects but one.
-        known: evidence with all.
-        floor: noise floor.
-        weight: (M, W) of the bins.
-        sigma: (W,) noise of each column.
-    """
-    tables = design(without), design(known)
-    both = tables[0].there & tables[1].there
-    counted, gains = floor.counted(sigma), {}
-    for name, columns in known.layout.channels.items():
-        own = np.zeros_like(weight)
-        own[:, columns] = (weight * both)[:, columns]
-        if own.any():
-            sums = [normal_equations(table, counted, own) for table in tables]
-            left = [loss(one, fit(one, (), errors=False).vector) for one in sums]
-            gains[name] = left[0] - left[1]
-    return gains

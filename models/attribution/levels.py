@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from surefoot.models.attribution.evidence import Evidence
-from surefoot.models.attribution.fit import design, fit, normal_equations
+from surefoot.models.attribution.fit import design, fit, loss, normal_equations
 from surefoot.models.attribution.noise_floor import NoiseFloor, Repeat
 from surefoot.models.attribution.robust_weights import RobustWeights
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
@@ -55,9 +55,10 @@ class ChannelLevel:
         """Whether what was added to the model does harm on data that no fit has seen: it leaves
         more than before, by more than walks of a robot differ that has these effects and a model
         that knows of them, and more than those walks leave."""
-        more = self.after > self.settings.worse * self.before
-        if self.noise_floor is None or not more or self.by_chance:
-            return more and not self.by_chance
+        if self.by_chance or self.after <= self.settings.worse * self.before:
+            return False
+        if self.noise_floor is None:
+            return True
         differ = self.after - self.before > self.highest - self.noise_floor
         return differ and not self._as_the_model
 
@@ -127,6 +128,31 @@ def without_bias(evidence: Evidence, weights: RobustWeights, use: np.ndarray) ->
     vector = fit(sums, (), errors=False).vector
     left = np.where(data.there, data.y - data.explained(-vector[1:]), np.nan)
     return np.where(weights.weight > 0, left, np.nan)
+
+
+def gains_of(
+    without: Evidence, known: Evidence, weight: np.ndarray, sigma: np.ndarray
+) -> dict[str, np.ndarray]:
+    """By channel, how much less of each block's weighted squared error (K,) `known` leaves than an
+    evidence `without` some of its effects, in units of noise.
+
+    Args:
+        without: evidence with some effects.
+        known: evidence with more of them.
+        weight: (M, W) of the bins.
+        sigma: (W,) noise of each column as it counts (`NoiseFloor.counted`).
+    """
+    tables = design(without), design(known)
+    both = tables[0].there & tables[1].there
+    gains = {}
+    for name, columns in known.layout.channels.items():
+        own = np.zeros_like(weight)
+        own[:, columns] = (weight * both)[:, columns]
+        if own.any():
+            sums = [normal_equations(table, sigma, own) for table in tables]
+            left = [loss(one, fit(one, (), errors=False).vector) for one in sums]
+            gains[name] = left[0] - left[1]
+    return gains
 
 
 def _ahead(one: Repeat) -> np.ndarray:

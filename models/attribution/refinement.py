@@ -43,8 +43,13 @@ class Data:
 
     def summed(self, evidence: Evidence) -> NormalEquations:
         """Sums of products of an evidence, with the noise and the weights of this one."""
-        sigma = self.floor.counted(self.robust_weights.sigma, self.robust_weights.alike)
-        return normal_equations(design(evidence), sigma, self.robust_weights.weight, self.part)
+        weight = self.robust_weights.weight
+        return normal_equations(design(evidence), self.counted, weight, self.part)
+
+    @property
+    def counted(self) -> np.ndarray:
+        """Noise (W,) of the columns as it counts in a fit."""
+        return self.floor.counted(self.robust_weights.sigma, self.robust_weights.alike)
 
 
 def refined(data: Data, chosen: Sequence[Effect], report: int) -> list[Effect]:

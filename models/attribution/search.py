@@ -1,6 +1,6 @@
 """Which effect does the model lack? Every candidate is fitted; one that earns its place stays."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +16,8 @@ from surefoot.models.attribution.fit import (
     normal_equations,
     overlap,
 )
+from surefoot.models.attribution.harm import harmful_in
+from surefoot.models.attribution.levels import gains_of
 from surefoot.models.attribution.noise_floor import NoiseFloor, noise_floor_with
 from surefoot.models.attribution.priors import joint_rivals
 from surefoot.models.attribution.refinement import (
@@ -47,7 +49,8 @@ class Found:
 @dataclass(frozen=True)
 class Attribution:
     """What was found: effects, strongest first; candidates by round; rivals of any effect;
-    robust weights of the final evidence; floor: that of the model with the effects."""
+    robust weights of the final evidence; floor: that of the model with the effects; harmful:
+    effects that were left out, and the channel that each made worse."""
 
     found: tuple[Found, ...]
     rounds: tuple[tuple[Candidate, ...], ...]
@@ -55,6 +58,7 @@ class Attribution:
     robust_weights: RobustWeights
     evidence: Evidence
     floor: NoiseFloor
+    harmful: tuple[tuple[Effect, str], ...] = ()
 
 
 def attribute(
@@ -72,7 +76,8 @@ def attribute(
     having been one of many (extended BIC, blocks as samples). What the model lacks for certain
     comes before all else. One that adds to the drift of the legs is refuted. When none earns a
     place, what may be hidden in an effect that was found is fitted jointly with it (`_hidden`). At
-    the end those are left out whose interval holds zero.
+    the end those are left out whose interval holds zero, or that make a channel worse on the part
+    that no fit has seen.
 
     Args:
         cases: the logs under the declared model.
@@ -88,21 +93,19 @@ def attribute(
     instead: dict[Key, list[Effect]] = {}
     rounds: list[tuple[Candidate, ...]] = []
     rivals: tuple[tuple[Key, float], ...] = ()
-    explained = 0.0
-    evidence, declared, use = None, None, split.fit | split.select
+    evidence, declared, use, plain = None, None, split.fit | split.select, floor
     while True:
         if progress:
             progress(min(len(rounds) / (settings.most_effects + 1), 1.0))
         evidence, whole, weights, chosen = _settled(cases, chosen, keys, evidence, floor, split)
         declared, found = declared or evidence, [_key(e) for e in chosen]
-        sigma = floor.counted(weights.sigma, weights.alike)
-        data = normal_equations(whole, sigma, weights.weight, split.part)
-        limbs = evidence.layout.limbs
+        known = Data(cases, floor, evidence, chosen, weights, split.part)
+        data = normal_equations(whole, known.counted, weights.weight, split.part)
+        explained, limbs = _explained(declared, known), evidence.layout.limbs
         candidates = judge(data, floor, found, explained, limbs, rng, certain)
         rounds.append(candidates)
         if len(chosen) == settings.most_effects:
             break
-        known = Data(cases, floor, evidence, chosen, weights, split.part)
         candidates = tuple(c for c in candidates if c.key not in refuted)
         # What the model lacks for certain comes first: others would stand for it.
         first = tuple(c for c in candidates if c.earned and c.key in certain)
@@ -111,7 +114,7 @@ def attribute(
             others = distinct(data, candidates, limbs)
             few = contenders(data, others, found)
             best, chosen_with, worse = rerank(known, few)
-            floor_with = noise_floor_with(floor, chosen_with)
+            floor_with = noise_floor_with(plain, chosen_with)
             if adds_drift(cases, declared, evidence, chosen_with, use, floor_with):
                 refuted.append(best.key)
                 continue
@@ -126,21 +129,24 @@ def attribute(
             best, chosen_with = _hidden(known, explained, rng, refuted)
             if best is None:
                 break
-        explained += best.gain
-        chosen, floor = chosen_with, noise_floor_with(floor, chosen_with)
-    sized = _with_intervals(data, chosen, floor)
-    while unsure := [one.effect for one in sized if one.interval[0] <= 0.0 <= one.interval[1]]:
-        # What was added after it explains it as well.
-        chosen = [e for e in chosen if e != unsure[-1]]
+        chosen, floor = chosen_with, noise_floor_with(plain, chosen_with)
+    sized, harmful = _with_intervals(data, chosen, floor), ()
+    while True:
+        # What was added after one that is unsure explains it as well.
+        gone = [one.effect for one in sized if one.interval[0] <= 0.0 <= one.interval[1]]
+        if not gone and (harm := harmful_in(known, declared, split.report)):
+            gone, harmful = [harm[0]], (*harmful, harm)
+        if not gone:
+            break
+        chosen = [e for e in chosen if e != gone[-1]]
+        floor = noise_floor_with(plain, chosen)
         evidence, whole, weights, chosen = _settled(cases, chosen, keys, evidence, floor, split)
-        data = normal_equations(
-            whole, floor.counted(weights.sigma, weights.alike), weights.weight, split.part
-        )
-        floor = noise_floor_with(floor, chosen)
+        known = Data(cases, floor, evidence, chosen, weights, split.part)
+        data = normal_equations(whole, known.counted, weights.weight, split.part)
         sized = _with_intervals(data, chosen, floor)
     # What was found beside an effect is no other explanation of it.
     rivals = tuple(rival for rival in rivals if rival[0] not in [_key(e) for e in chosen])
-    return Attribution(sized, tuple(rounds), rivals, weights, evidence, floor)
+    return Attribution(sized, tuple(rounds), rivals, weights, evidence, floor, harmful)
 
 
 def _certain(keys: Sequence[Key], robot: Machine) -> set[Key]:
@@ -151,8 +157,19 @@ def _certain(keys: Sequence[Key], robot: Machine) -> set[Key]:
     return {(name, target) for name, target in keys if kinds[name].is_certain(target, robot)}
 
 
+def _explained(declared: Evidence, known: Data) -> dict[str, float]:
+    """What the effects found so far take off each channel, of the bins that may be looked at."""
+    weight = known.robust_weights.weight * (known.part != REPORT)[:, None]
+    plain, now = declared.only(()), known.evidence.only(())
+    gains = gains_of(plain, now, weight, known.counted) if known.explained else {}
+    return {name: float(gain.sum()) for name, gain in gains.items()}
+
+
 def _hidden(
-    known: Data, explained: float, rng: np.random.Generator, refuted: Sequence[Key]
+    known: Data,
+    explained: Mapping[str, float],
+    rng: np.random.Generator,
+    refuted: Sequence[Key],
 ) -> tuple[Candidate | None, list[Effect]]:
     """The best candidate that earns its place where it is fitted jointly with one that stands for
     it, and the sizes of all; none where the legs are nearly as their floor. Every leg gives, and
@@ -160,7 +177,7 @@ def _hidden(
 
     Args:
         known: the evidence, and what is explained.
-        explained: sum of the gains of that.
+        explained: channel -> what that takes off it.
         rng: draws the bootstrap's blocks.
         refuted: candidates that are out of question.
     """

@@ -1,6 +1,6 @@
 """What each candidate is worth beside those chosen before it, and whether it earns its place."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,7 +48,7 @@ def judge(
     data: NormalEquations,
     floor: NoiseFloor,
     chosen: Sequence[Key],
-    explained: float,
+    explained: Mapping[str, float],
     limbs: Limbs,
     rng: np.random.Generator,
     certain: Collection[Key] = (),
@@ -60,7 +60,7 @@ def judge(
         data: normal equations of the blocks.
         floor: noise floor.
         chosen: keys of the effects found so far.
-        explained: sum of their gains on unseen blocks.
+        explained: channel -> what they take off its squared error, in units of noise.
         limbs: of the machine.
         rng: draws the bootstrap's blocks.
         certain: keys of effects that every machine has and the model lacks.
@@ -105,6 +105,8 @@ def judge(
         fitted_beyond = abs(fitted.sizes[-1]) > max(-low_end, high_end)
         at_bound = fitted_beyond or not low_end < sizes.min() <= sizes.max() < high_end
         share = gain / max(0.5 * float(before.sum()), 1e-300)
+        shows_in = known_effects()[key[0]].channels_of(key[1])
+        worth = s.worth * sum(explained.get(name, 0.0) for name in shows_in)
         clear = most / max(float(np.hypot(spread, error)), 1e-300)
         plain_to_see = clear > s.clear and share > s.large
         price = len(sizes) * per_size + chance
@@ -117,7 +119,7 @@ def judge(
             and np.isfinite(error)
             and clear > s.above_floor * (s.certain if key in certain else 1.0)
             and not at_bound
-            and (gain > s.worth * explained or plain_to_see or key in certain)
+            and (gain > worth or plain_to_see or key in certain)
             and min(at_seen, gain) - doubt > price
         )
         judged.append(

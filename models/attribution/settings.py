@@ -110,7 +110,8 @@ class TraceSettings:
     """Share of the size that contacts fake on such walks that is uncertain: on slippery ground they
     faked a delay of joints four times as long as on the floor's."""
     worth: float = 0.02
-    """Share of what is explained so far that a further effect must add."""
+    """Share of what is explained so far of the channels that it shows in that a further effect must
+    add: what others leave of these because they are not quite right is no effect."""
     clear: float = 20.0
     """Times above its floor from which an effect of `large` share may add less than `worth`: beside
     a very large effect even a large one is little."""

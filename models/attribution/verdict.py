@@ -20,6 +20,7 @@ def verdict_of(
     held_out: HeldOutRuns | None,
     pushes: Sequence[Push] = (),
     pushed_away: Sequence[Found] = (),
+    harmful: Sequence[tuple[Effect, str]] = (),
 ) -> tuple[str, tuple[str, ...]]:
     """The verdict and its reasons, none of them for `no_residual` and `attributed`.
 
@@ -31,6 +32,7 @@ def verdict_of(
         held_out: what held-out logs say, where there are any.
         pushes: stretches in which an outside force acted; channels are judged without them.
         pushed_away: effects that explain nothing but these.
+        harmful: effects that were left out, and the channel that each made worse.
     """
     above = [name for name, c in channels.items() if not c.at_floor or c.worse]
     reasons = [f"{name}: {_above(channels[name])}" for name in above]
@@ -42,6 +44,9 @@ def verdict_of(
         if _at_bound(one.effect)
     ]
     reasons += [why for one in found if (why := _implausible(one))]
+    reasons += [
+        f"{one.name} {one.target}: left out, it makes {name} worse" for one, name in harmful
+    ]
     reasons += held_out.against if held_out else ()
     if reasons:
         return "none_of_these", tuple(reasons)

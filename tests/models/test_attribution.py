@@ -15,6 +15,7 @@ from surefoot.models.attribution.selection import Candidate, distinct, judge
 from surefoot.models.attribution.settings import DEFAULT
 from surefoot.models.bootstrap import block_draws
 from surefoot.models.residuals.jacobians import sparse
+from surefoot.sim.effects import known_effects
 from surefoot.sim.robot.limbs import QUADRUPED
 
 NO_WALKS = NoiseFloor(NOISE, (), "none")
@@ -38,9 +39,9 @@ def whitened(one, floor=NOISE):
     return normal_equations(data, believed.sigma, believed.weight, split)
 
 
-def judged(one, chosen=(), floor=NO_WALKS, explained=0.0):
+def judged(one, chosen=(), floor=NO_WALKS, explained=None):
     return judge(
-        whitened(one), floor, chosen, explained, one.layout.limbs, np.random.default_rng(0)
+        whitened(one), floor, chosen, explained or {}, one.layout.limbs, np.random.default_rng(0)
     )
 
 
@@ -133,10 +134,14 @@ def test_one_that_explains_more_is_tried_even_where_it_is_not_sure_of_itself():
 def test_what_stands_out_is_worth_its_place_beside_a_far_larger_one():
     small = evidence((5e-3, 0, 0, 0))
     least = judged(small)[0].gain
-    (best, *_) = judged(small, explained=200.0 * least)
+    shows_in = known_effects()[KEYS[0][0]].channels_of(KEYS[0][1])
+    beside = dict.fromkeys(shows_in, 200.0 * least)
+    (best, *_) = judged(small, explained=beside)
     assert best.key == KEYS[0]
     assert best.earned
-    assert not judged(evidence((2e-4, 0, 0, 0)), explained=200.0 * least)[0].earned
+    assert not judged(evidence((8e-4, 0, 0, 0)), explained=beside)[0].earned
+    elsewhere = {"joint_rate": 200.0 * least}
+    assert judged(evidence((8e-4, 0, 0, 0)), explained=elsewhere)[0].earned
 
 
 def test_what_the_declared_model_fakes_is_taken_off():

@@ -42,14 +42,21 @@ def test_the_drift_that_walks_of_the_model_have_is_none_that_an_effect_adds(case
     floor = noise_floor([model])
     declared = linearise([model], [], ())
     assert adds_drift([model], declared, declared, [less], every)
+    assert adds_drift([model], declared, declared, [less], every, floor)
     assert not adds_drift([model], declared, declared, [less], every, louder(floor, 30.0))
+    # Walks that differ among themselves may differ from one more by as much again.
+    assert adds_drift([model], declared, declared, [less], every, louder(floor, 0.5, 1.0))
+    assert not adds_drift([model], declared, declared, [less], every, louder(floor, 1.0, 20.0))
 
 
-def louder(floor, times):
-    """The floor of a robot whose feet seem to move so many times as far while they stand."""
+def louder(floor, *times):
+    """The floor of a robot whose feet seem to move so many times as far while they stand, walk by
+    walk in turn."""
     repeats = [
-        replace(one, evidence=replace(one.evidence, table=times * one.evidence.table))
-        for one in floor.repeats
+        replace(
+            one, evidence=replace(one.evidence, table=times[i % len(times)] * one.evidence.table)
+        )
+        for i, one in enumerate(floor.repeats)
     ]
     return replace(floor, repeats=tuple(repeats))
 

@@ -54,7 +54,7 @@ def test_a_gyro_scale_that_no_gyro_has_needs_more_than_chance():
         part = np.floor(one.t / 4).astype(int) % 2
         sums = normal_equations(data, weights.sigma, weights.weight, part)
         best = judge(
-            sums, NoiseFloor(noise, (), "none"), (), 0.0, QUADRUPED, np.random.default_rng(0)
+            sums, NoiseFloor(noise, (), "none"), (), {}, QUADRUPED, np.random.default_rng(0)
         )
         return next(c for c in best if c.key == ("gyro_scale", "x"))
 

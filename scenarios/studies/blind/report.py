@@ -234,16 +234,24 @@ def rules(records: Sequence[Record]) -> Rows:
             "",
             share([names_both_twins(r) for r in twins]),
         ),
-        ("a channel worse by a tenth with what was named", "none", share(made_worse(walked))),
+        (
+            "a channel above its floor, worse by a tenth with what was named",
+            "none",
+            share(made_worse(walked)),
+        ),
         ("the robot fell, no log", "", f"{len(records) - len(walked)} of {len(records)}"),
     ]
     return [{"rule": a, "asked": b, "measured": c} for a, b, c in lines]
 
 
 def made_worse(walked: Sequence[Record]) -> list[bool]:
-    """Of the logs in which effects were named: whether they leave more of some channel."""
+    """Of the logs in which effects were named: whether they leave more of some channel than before,
+    and than its floor, by a tenth."""
     return [
-        any(c["after"] > 1.1 * c["before"] for c in r["channels"].values())
+        any(
+            c["after"] > 1.1 * max(c["before"], c["noise_floor"] or 0.0)
+            for c in r["channels"].values()
+        )
         for r in walked
         if named(r)
     ]

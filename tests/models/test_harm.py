@@ -1,0 +1,46 @@
+"""An effect that leaves more of a channel than the declared model does, on data no fit has seen."""
+
+import pytest
+
+from surefoot.models.attribution.evidence import all_keys, linearise, log_under_model
+from surefoot.models.attribution.fit import design
+from surefoot.models.attribution.harm import harmful_in
+from surefoot.models.attribution.noise_floor import noise_floor
+from surefoot.models.attribution.refinement import Data
+from surefoot.models.attribution.robust_weights import robust_weights
+from surefoot.models.attribution.split import split_of
+from surefoot.models.residuals.registry import channels as known_channels
+from surefoot.sim.effects import effect
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
+
+ROBOT = Robot.load("spot_class")
+TRUTH = effect("imu_position", "x", 0.04)
+
+
+@pytest.fixture(scope="module")
+def case():
+    course = Scenario("harm", (Segment(12.0, 0.6, 0.1, 0.3),), Ground(0.8))
+    return log_under_model(walk(course, ROBOT, 3, (TRUTH,), declared=False), ROBOT)
+
+
+def found(case, *effects):
+    declared = linearise([case], (), all_keys(case))
+    evidence = linearise([case], effects, all_keys(case))
+    split, floor = split_of([case]), noise_floor([case])
+    weights = robust_weights(design(evidence), floor.sigma)
+    known = Data([case], floor, evidence, effects, weights, split.part)
+    return harmful_in(known, declared, split.report)
+
+
+def test_what_is_there_harms_nothing(case):
+    assert found(case, TRUTH) is None
+
+
+def test_what_is_not_there_is_left_out_and_the_truth_is_kept(case):
+    wrong = effect("encoder_offset", "FL_thigh", 0.02)
+    one, channel = found(case, TRUTH, wrong)
+    assert one == wrong
+    assert channel in known_channels()
