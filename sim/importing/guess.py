@@ -6,6 +6,7 @@ right from the strides in turns. What is not certain carries its doubt, a questi
 """
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.importing.bag import bag_fields, read_bag
+from surefoot.sim.importing.bag import RECEIVED, bag_fields, read_bag
 from surefoot.sim.importing.columns import DEGREE, STANDARD_GRAVITY, UNITS, kind_of
 from surefoot.sim.importing.layout import layout_of
 from surefoot.sim.importing.names import Named, by_their_legs, read_name
@@ -23,7 +24,7 @@ from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.table import columns_of
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative
 from surefoot.sim.log.schema import JOINTS, LEGS
-from surefoot.sim.robot import Robot
+from surefoot.sim.robot.fixed_base import Machine, load_machine
 
 _RATES = (8.0, 5000.0)
 """Hz between which a log's rate lies."""
@@ -41,6 +42,10 @@ _MOST_JOINTS, _SMALL = 100, 4096
 """Names that a list of joints has at most, and bytes of a text with such a list."""
 _OTHER_SIDE_FIRST = ("FR", "FL", "RR", "RL")
 """The order of legs in which Unitree and MIT count them."""
+_BY_SIZE = "rad/s or deg/s?"
+"""The doubt of a gyro whose unit its size alone says."""
+_FEW = 8
+"""Columns of a file of which nothing is used that are named."""
 _STRIDES = 1.0
 """s over which the size of strides is taken."""
 
@@ -144,20 +149,22 @@ class _File:
 def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
     """A draft of the map of some files, the first or the richest the main one.
 
-    robot: of the recording, by whose joints those without names are named. Raises SurefootError
-    where a file cannot be read or none has columns of numbers.
+    robot: of the recording: columns are named as its file names its joints, or not at all, and
+    then in its order. Raises SurefootError where a file cannot be read or none has columns of
+    numbers.
     """
     paths = [one for path in files for one in _parts(Path(path))]
     if not paths:
         raise SurefootError(f"{files[0]}: no .csv, .json or .mat in this folder")
-    read = [one for one in map(_read, paths) if one is not None]
+    machine = load_machine(robot) if robot else None
+    read = [one for one in (_read(path, machine) for path in paths) if one is not None]
     if not read:
         raise SurefootError(f"{paths[0]}: no columns of numbers in it")
     main = max(read, key=_richness)
     others = [one for one in read if one is not main]
     poses = [one for one in others if _reference(one) and _richness(one) == 0]
     notes: list[str] = []
-    found = _Columns(main, robot)
+    found = _Columns(main, machine)
     entries = list(found.entries)
     sources: dict[str, tuple[Path, Entry]] = {}
     for one in others:
@@ -165,11 +172,15 @@ def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
             continue
         label = one.path.stem.replace(" ", "_").replace(".", "_")
         there = {entry.name for entry in entries}
-        added = [e for e in _Columns(one, robot, label).entries if e.name not in there]
+        added = [e for e in _Columns(one, machine, label).entries if e.name not in there]
         added = [e for e in added if e.name != "t"]
         if added:
             sources[label] = (one.path, one.t)
             entries += [replace(e, theirs=f"{label}:{e.theirs}") for e in added]
+    for one in others:
+        if one not in poses and one.path not in [path for path, _ in sources.values()]:
+            columns = ", ".join([*one.columns][:_FEW])
+            notes.append(f"nothing of {one.path.name} is used: what are its columns {columns}?")
     entries, dropped = _complete(entries)
     notes += [*found.notes, *dropped]
     at = poses[0] if poses else main
@@ -211,7 +222,7 @@ def _parts(path: Path) -> list[Path]:
     return [path]
 
 
-def _read(path: Path) -> _File | None:
+def _read(path: Path, machine: Machine | None) -> _File | None:
     layout, lists = {}, {}
     if is_bag(path):
         fields = bag_fields(path)
@@ -234,10 +245,22 @@ def _read(path: Path) -> _File | None:
             return None
         most = max(set(rows), key=rows.count)
         columns = {n: v for n, v in columns.items() if len(v) == most}
-    names = by_their_legs({name: read_name(name) for name in columns})
+    names = by_their_legs({name: read_name(_in_our_words(name, machine)) for name in columns})
     t = _time(columns, names)
     seconds = t.scale * columns[t.theirs] if t else None
     return _File(path, columns, names, lists, layout, t, seconds)
+
+
+def _in_our_words(name: str, machine: Machine | None) -> str:
+    """A column's name with our name of the joint in place of the one in the robot's file."""
+    if machine is None:
+        return name
+    both = zip(machine.joint_names, machine.limbs.joints, strict=True)
+    for theirs, ours in sorted(both, key=lambda pair: -len(pair[0])):
+        alone = rf"(?<![A-Za-z0-9]){re.escape(theirs)}(?![A-Za-z0-9])"
+        if theirs != ours and re.search(alone, name, re.IGNORECASE):
+            return re.sub(alone, ours, name, flags=re.IGNORECASE)
+    return name
 
 
 def _richness(one: _File) -> int:
@@ -269,8 +292,8 @@ def _time(columns: dict[str, np.ndarray], names: dict[str, Named]) -> Entry | No
 class _Columns:
     """The entries of one file, worked out kind by kind."""
 
-    def __init__(self, file: _File, robot: str | None, label: str = ""):
-        self.file, self.robot = file, robot
+    def __init__(self, file: _File, machine: Machine | None, label: str = ""):
+        self.file, self.machine = file, machine
         self.notes: list[str] = []
         self.rate: float | None = None
         self.numbered = False
@@ -285,25 +308,29 @@ class _Columns:
 
     def _imu(self) -> None:
         triples = {}
-        for kind in ("accel", "gyro"):
+        for kind in ("gyro", "accel"):
             own = {n: one for n, one in self._of(kind).items() if not one.leg and not one.commanded}
             axes = _axes(own)
-            if axes is None:
-                if own:
-                    self.notes.append(f"which of {', '.join(own)} are the {kind}'s x, y and z?")
-                return
-            triples[kind] = axes
-        accel = np.column_stack([self.file.columns[n] for n in triples["accel"]])
-        gyro = np.column_stack([self.file.columns[n] for n in triples["gyro"]])
-        unit, gain, doubt = _accel_unit(accel)
-        down = _gravity_doubt(accel.mean(axis=0))
-        turn_unit, turn_doubt = _gyro_unit(self.file.seconds, gyro, accel)
-        for axis, name in zip("xyz", triples["gyro"], strict=True):
-            self.entries.append(Entry(f"gyro_{axis}", name, turn_unit, doubt=turn_doubt))
-        for axis, name in zip("xyz", triples["accel"], strict=True):
-            self.entries.append(
-                Entry(f"accel_{axis}", name, unit, gain=gain, doubt=doubt or down.get(axis, ""))
-            )
+            if axes is not None:
+                triples[kind] = axes
+            elif own:
+                self.notes.append(f"which of {', '.join(own)} are the {kind}'s x, y and z?")
+        values = {
+            kind: np.column_stack([self.file.columns[n] for n in names])
+            for kind, names in triples.items()
+        }
+        if "gyro" in triples:
+            unit, doubt = _gyro_unit(self.file.seconds, values["gyro"], values.get("accel"))
+            said = {self.file.names[name].unit for name in triples["gyro"]}
+            doubt = "" if doubt == _BY_SIZE and said == {unit} else doubt
+            for axis, name in zip("xyz", triples["gyro"], strict=True):
+                self.entries.append(Entry(f"gyro_{axis}", name, unit, doubt=doubt))
+        if "accel" in triples:
+            unit, gain, doubt = _accel_unit(values["accel"])
+            down = _gravity_doubt(values["accel"].mean(axis=0))
+            for axis, name in zip("xyz", triples["accel"], strict=True):
+                why = doubt or down.get(axis, "")
+                self.entries.append(Entry(f"accel_{axis}", name, unit, gain=gain, doubt=why))
 
     def _joints(self, commanded: bool) -> None:
         poses = {one.leg for one in self._of("ref_q").values()}
@@ -362,10 +389,10 @@ class _Columns:
         for name, there in {**self.file.lists, **_lists_beside(self.file.path)}.items():
             if len(there) == count:
                 return there[place % count], f"are its joints in the order of {name}?"
-        if self.robot is not None:
-            joints = Robot.load(self.robot).limbs.joints
+        if self.machine is not None:
+            joints = self.machine.limbs.joints
             if len(joints) == count:
-                return joints[place % count], f"are its joints in the order of {self.robot}?"
+                return joints[place % count], f"are its joints in the order of {self.machine.name}?"
         if count == len(JOINTS):
             self.numbered = True
             return JOINTS[place % count], _legs_doubt(self.legs)
@@ -534,9 +561,9 @@ def stride_in_turns(
 
 def _axes(own: dict[str, Named]) -> tuple[str, ...] | None:
     """The three columns of a vector in the order x, y, z; None where it is not clear."""
-    by_axis = {one.axis: name for name, one in own.items() if one.axis}
-    if len(own) == 3 and set(by_axis) == set("xyz"):
-        return tuple(by_axis[axis] for axis in "xyz")
+    along = [(one.axis, name) for name, one in own.items() if one.axis]
+    if len(along) == 3 and set(dict(along)) == set("xyz"):
+        return tuple(dict(along)[axis] for axis in "xyz")
     by_place = {one.place: name for name, one in own.items() if one.place is not None}
     if len(own) == 3 and len(by_place) == 3:
         return tuple(by_place[place] for place in sorted(by_place))
@@ -566,11 +593,11 @@ def _gravity_doubt(mean: np.ndarray) -> dict[str, str]:
     return dict.fromkeys("xyz", f"{where}: give [robot] imu_orientation, or other axes?")
 
 
-def _gyro_unit(t: np.ndarray | None, gyro: np.ndarray, accel: np.ndarray) -> tuple[str, str]:
+def _gyro_unit(t: np.ndarray | None, gyro: np.ndarray, accel: np.ndarray | None) -> tuple[str, str]:
     """From how fast gravity turns in the accelerometer, or else from the size."""
     size = float(np.quantile(np.abs(gyro), 0.99))
     by_size = "rad/s" if size < 12.0 else "deg/s"
-    if t is not None:
+    if t is not None and accel is not None:
         dt = max(float(np.median(np.diff(t))), 1e-6)
         width = max(int(0.5 / dt), 1)
         smooth = np.column_stack([_smoothed(x, width) for x in accel.T])
@@ -587,7 +614,7 @@ def _gyro_unit(t: np.ndarray | None, gyro: np.ndarray, accel: np.ndarray) -> tup
             return "deg/s", ""
         if alike < -0.7:
             return by_size, "turns against the accelerometer: signs of one of them?"
-    return by_size, "" if not 4.0 < size < 60.0 else "rad/s or deg/s?"
+    return by_size, "" if not 4.0 < size < 60.0 else _BY_SIZE
 
 
 def _angle_unit(values, said: set[str]) -> tuple[str, str]:
@@ -604,6 +631,22 @@ def _angle_unit(values, said: set[str]) -> tuple[str, str]:
 
 
 def _reference(one: _File) -> tuple[Entry, ...]:
+    """Entries of a pose, of a bag those of one topic: the one whose name says that it is tracked,
+    or else the first that has a pose."""
+    if not is_bag(one.path):
+        return _pose(one)
+    topics = list(dict.fromkeys(name.partition(":")[0] for name in one.columns))
+    topics.sort(key=lambda topic: not read_name(topic.strip("/") + "/x").reference)
+    for topic in topics:
+        columns = {n: v for n, v in one.columns.items() if n.startswith(f"{topic}:")}
+        t = _time(columns, one.names) or Entry("t", f"{topic}:{RECEIVED}", "s")
+        names = {n: one.names[n] for n in columns}
+        if found := _pose(replace(one, columns=columns, names=names, t=t)):
+            return found
+    return ()
+
+
+def _pose(one: _File) -> tuple[Entry, ...]:
     """Entries of a pose: three places, and four or three numbers of an attitude."""
     if one.t is None:
         return ()
@@ -620,8 +663,9 @@ def _reference(one: _File) -> tuple[Entry, ...]:
     if p is None:
         return ()
     most = max(float(np.ptp(one.columns[n])) for n in p)
-    unit, doubt = ("m", "") if most < 50.0 else ("mm", "")
-    found = [Entry(f"ref_p_{a}", n, unit, doubt=doubt) for a, n in zip("xyz", p, strict=True)]
+    said = {own[n].unit for n in p} & set(UNITS["ref_p"])
+    unit = said.pop() if len(said) == 1 else "m" if most < 50.0 else "mm"
+    found = [Entry(f"ref_p_{a}", n, unit) for a, n in zip("xyz", p, strict=True)]
     turned = {n: x for n, x in own.items() if x.kind == "ref_q"}
     by_axis = {x.axis: n for n, x in turned.items() if x.axis}
     euler = {x.part: n for n, x in own.items() if x.kind == "euler"}

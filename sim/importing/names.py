@@ -27,7 +27,7 @@ _KINDS: dict[str, str] = {
     }.items()
     for word in words.split()
 }
-_COMMANDED = _words("des desired cmd command commanded target setpoint goal sp")
+_COMMANDED = _words("des desired cmd command commanded target setpoint goal sp ff feedforward")
 _REFERENCE = _words("ref reference vicon mocap gt truth groundtruth optitrack qualisys base pose")
 _FEET = _words("foot feet toe")
 _SIDES = {"left": "L", "l": "L", "right": "R", "r": "R"}
@@ -54,7 +54,7 @@ _OF_A_LEG = {
 }
 """Of a quadruped: the hinge's name in ours. One with an abduction has its hip where we have the
 thigh (`by_their_legs`)."""
-_UNITS = _words("ms us ns deg rad mm cm nm rpm turn degs rads dps mg m s")
+_UNITS = _words("ms us ns deg rad mm cm nm rpm turn degs rads dps mg g m s")
 _FILLER = _words(
     "joint joints jnt motor motors state states imu body link linear measured meas actual of robot"
     " data estimator sensor header msg value raw leg ang per est estimate estimated lin is in flag"
@@ -96,6 +96,7 @@ def words_of(name: str) -> list[str]:
     """The words of a name in small letters: parts between signs and capitals."""
     # Between frames, as in a_RS_S_x of EuRoC.
     name = re.sub(r"\b([apqw])_[A-Z]{2}(?:_[A-Z])?_([wxyz])\b", r"\1\2", name)
+    name = name.replace("°", " deg ")
     apart = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z]{2})", " ", name)
     words = [word.lower() for word in re.split(r"[^A-Za-z0-9]+", apart) if word]
     return _legs_in_one(words)
@@ -118,6 +119,8 @@ def read_name(name: str) -> Named:
     words = words_of(name)
     kind, leg, written, axis, unit, place, limb = "", "", "", "", "", None, None
     part: list[str] = []
+    # A vector's letter has an axis or a place; without, as in "motor 0A", it counts something.
+    vectors = any(word in tuple("xyz") or word.isdigit() for word in words)
     for word in words:
         letters, digits = re.fullmatch(r"([a-z]*)([0-9]*).*", word).groups()  # pyright: ignore
         vector = re.fullmatch(r"(ang|w|omega|gyro|gyr|g|a|acc|accel|q|quat|p|pos|t)([wxyz])", word)
@@ -137,6 +140,8 @@ def read_name(name: str) -> Named:
             part.append(word)
         elif vector:
             kind, axis = _KINDS_OF_VECTORS[vector[1]], vector[2]
+        elif word in ("a", "w") and not vectors:
+            part.append(word)
         elif _KINDS.get(word) == "euler" and (leg or part or kind == "q"):
             part.append(word)
         elif word in _KINDS:
@@ -146,6 +151,8 @@ def read_name(name: str) -> Named:
             part += [word] if found == "euler" else []
         elif letters in _KINDS and digits and not kind:
             kind, place = _KINDS[letters], int(digits)
+        elif letters in _FEET and digits:
+            kind, place = kind or "foot", int(digits)
         elif letters == "leg" and digits:
             limb = int(digits)
         elif letters in _FILLER and digits:
@@ -159,8 +166,8 @@ def read_name(name: str) -> Named:
         kind = "ref_p"
     if kind == "q" and axis and tracked and "q" in words:
         kind = "ref_q"
-    if not kind and words and words[-1] in "xyz" and len(words) == 1:
-        kind, axis = "ref_p", words[0]
+    if not kind and [word for word in words if word not in _UNITS] in (["x"], ["y"], ["z"]):
+        kind, axis = "ref_p", axis or words[0]
     if kind in ("dq", "ref_q") and axis and not leg and _TURNING & set(words):
         # "ang_vel", "imu_rate" and the like; "rot" alone is an attitude.
         kind = "gyro" if kind == "dq" or _RATES & set(words) else kind

@@ -59,8 +59,10 @@ def import_lines(
 
 
 def _feet_lines(log: Log) -> tuple[str, ...]:
-    """At which radius the feet of the log's robot roll, where its map does not say it."""
-    if log.meta.robot is None or "foot_radius" in log.meta.model or not log.has("q"):
+    """At which radius the feet of the log's robot roll, where its map does not say it; nothing of a
+    simulated log, which has no map."""
+    said = "foot_radius" in log.meta.model or log.meta.seed is not None
+    if log.meta.robot is None or said or not log.has("q"):
         return ()
     try:
         radius = 1e3 * Robot.for_log(log).foot_radius

@@ -1,10 +1,13 @@
 """Drafts of maps: how many of their entries are right, and that no wrong one is without a doubt."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from surefoot.scenarios.cli.main import main
+from surefoot.scenarios.export import export
 from surefoot.sim.common.files import measured_folder
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.importing.guess import Draft, guess_map, stride_in_turns
@@ -12,6 +15,7 @@ from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.recording import import_log
 from surefoot.sim.log import LEGS, Log
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.catalog import robot_file
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 
@@ -230,6 +234,56 @@ def test_a_simulated_log_with_columns_renamed_and_shuffled_is_drafted(tmp_path, 
     np.testing.assert_allclose(log.q, walked.q[::5], atol=1e-6)
     np.testing.assert_allclose(log.gyro, walked.gyro[::5], atol=1e-6)
     np.testing.assert_allclose(log.ref_p, walked.ref_p[::5], atol=1e-9)
+
+
+def test_joints_are_known_by_the_names_of_the_robots_file(tmp_path, walked):
+    model, letters = robot_file("spot_class").read_text(), {"hip": "A", "thigh": "B", "calf": "C"}
+    own = {j: f"axis{LEGS.index(j[:2])}{letters[j[3:]]}" for j in walked.joints}
+    for ours, theirs in own.items():
+        model = model.replace(ours, theirs)
+    (tmp_path / "mine.xml").write_text(model)
+    rows = walked.frame[::5]
+    columns = {"Time (s)": rows["t"], "Battery A": 24.0 - 0.01 * rows["t"]}
+    columns |= {f"Acc {a.upper()} [g]": IN_G * rows[f"accel_{a}"] for a in "xyz"}
+    columns |= {f"Gyro {a.upper()} [°/s]": DEGREES * rows[f"gyro_{a}"] for a in "xyz"}
+    columns |= {f"{name} angle (°)": DEGREES * rows[f"q_{j}"] for j, name in own.items()}
+    run = tmp_path / "run.csv"
+    pd.DataFrame(columns).to_csv(run, index=False, sep=";", decimal=",", encoding="utf-8-sig")
+    tracked = {"sec": rows["t"]} | {f"{a.upper()} (mm)": 1e3 * rows[f"ref_p_{a}"] for a in "xyz"}
+    tracked |= {f"q{a}": rows[f"ref_q_{a}"] for a in "xyzw"}
+    pd.DataFrame(tracked).to_csv(tmp_path / "vicon.txt", index=False, sep="\t")
+    draft = guess_map([run, tmp_path / "vicon.txt"], str(tmp_path / "mine.xml"))
+    assert {e.name: (e.theirs, e.unit) for e in draft.main if e.name.startswith("q_")} == {
+        f"q_{j}": (f"{name} angle (°)", "deg") for j, name in own.items()
+    }
+    assert not [e for e in draft.main if e.doubt]
+    assert not draft.notes
+    (tmp_path / "map.toml").write_text(draft.text)
+    log = import_log(run, tmp_path / "map.toml")
+    np.testing.assert_allclose(log.gyro, walked.gyro[::5], atol=1e-9)
+    np.testing.assert_allclose(log.ref_p, walked.ref_p[::5], atol=1e-9)
+
+
+def test_a_file_of_which_nothing_is_used_is_asked_about(tmp_path):
+    t = 0.01 * np.arange(200)
+    pd.DataFrame({"time": t, "angle_knee": np.sin(t)}).to_csv(tmp_path / "run.csv", index=False)
+    pd.DataFrame({"when": t, "what": np.cos(t)}).to_csv(tmp_path / "more.csv", index=False)
+    notes = guess_map([tmp_path / "run.csv", tmp_path / "more.csv"]).notes
+    assert notes == ("nothing of more.csv is used: what are its columns when, what?",)
+
+
+def test_what_export_writes_is_drafted_and_comes_back(tmp_path, walked):
+    start = replace(walked, frame=walked.frame[:1000])
+    start.write(tmp_path / "log.parquet")
+    for ending in ("mcap", "csv"):
+        written = tmp_path / f"out.{ending}"
+        export(tmp_path / "log.parquet", written)
+        draft = guess_map([written])
+        assert not [e.name for e in (*draft.main, *draft.reference) if e.doubt]
+        (tmp_path / "map.toml").write_text(draft.text)
+        back = import_log(written, tmp_path / "map.toml")
+        for stream in ("gyro", "accel", "q", "dq", "tau", "contact", "ref_p"):
+            np.testing.assert_allclose(getattr(back, stream), getattr(start, stream), atol=1e-6)
 
 
 def test_the_outer_legs_go_further_in_turns(walked):
