@@ -140,9 +140,9 @@ def read_name(name: str) -> Named:
             part.append(word)
         elif vector:
             kind, axis = _KINDS_OF_VECTORS[vector[1]], vector[2]
-        elif word in ("a", "w") and not vectors:
-            part.append(word)
-        elif _KINDS.get(word) == "euler" and (leg or part or kind == "q"):
+        elif (word in ("a", "w") and not vectors) or (
+            _KINDS.get(word) == "euler" and (leg or part or kind == "q")
+        ):
             part.append(word)
         elif word in _KINDS:
             found = _KINDS[word]
