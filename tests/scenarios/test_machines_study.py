@@ -7,8 +7,9 @@ import pytest
 from pendulum import swung
 
 from surefoot.estimator.evaluation.trajectory import reference
-from surefoot.scenarios.studies.hardware import shared_sizes
+from surefoot.scenarios.studies.hardware.impulses import window_rows
 from surefoot.scenarios.studies.hardware.servos import Servo, fit_servo, with_play
+from surefoot.scenarios.studies.hardware.shared_sizes import left_out_table, runs_left_out
 from surefoot.scenarios.studies.hardware.walks_by_feet import (
     end_error,
     travel_share,
@@ -27,22 +28,26 @@ def off_zero(log: Log, by: float) -> Log:
 
 
 def test_runs_share_their_sizes_and_have_zeros_of_their_own():
-    hidden, zeros = {"friction": 0.2, "armature": 0.02}, (0.03, -0.02, 0.0)
+    machine, zeros = load_machine("ak80_pendulum"), (0.03, -0.02, 0.0)
     runs = {
-        f"run {k}": [off_zero(swung(**hidden, seed=k, seconds=8.0), zero)]
+        f"run {k}": [
+            window_rows(
+                off_zero(swung(friction=0.2, armature=0.02, seed=k, seconds=8.0), zero),
+                machine,
+                0.3,
+            )
+        ]
         for k, zero in enumerate(zeros)
     }
-    done = shared_sizes.runs_left_out(runs, load_machine("ak80_pendulum"), 0.04)
-    for one, zero in zip(done, zeros, strict=True):
-        found = one.found.sizes
-        first = {("coulomb_friction", "shoulder"), ("armature", "shoulder")}
-        assert set(list(found)[:2]) == first
-        assert found["coulomb_friction", "shoulder"] == pytest.approx(0.2, rel=0.1)
-        assert found["armature", "shoulder"] == pytest.approx(0.02, rel=0.15)
-        rows = one.rows[0]
-        rest = rows.rest - sum(x * rows.terms[key] for key, x in found.items())
-        assert rows.own_zeros(rest, one.found.noise)[0] == pytest.approx(zero, abs=5e-3)
-    table = shared_sizes.left_out_table(done)
+    for one, zero in zip(done := runs_left_out(runs), zeros, strict=True):
+        found = dict(zip(one.others.keys, one.others.value, strict=True))
+        assert found["dry friction", "shoulder"] == pytest.approx(0.2, abs=0.02)
+        assert found["inertia about the hinge", "shoulder"] == pytest.approx(0.02, abs=2e-3)
+        own, rest = one.rows[0].zeros[0, :, 0], one.others.left(one.rows)
+        # What the zeros of the others have in common is as a mass beside the rod.
+        common = (sum(zeros) - zero) / 2
+        assert rest @ own / (own @ own) == pytest.approx(zero - common, abs=6e-3)
+    table = left_out_table(done)
     assert np.all(table["left [% of zeros alone]"].to_numpy(float) < 30)
 
 

@@ -1,0 +1,307 @@
+"""What has changed on a machine since it was calibrated, and on which link: by one new run.
+
+A change is one effect on one joint or link. Its size and deviation follow from the new run's rows
+by generalised least squares, with the covariance of a run in which nothing changed: noise, zeros,
+the calibration's own error, and what runs differ by.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.interpolate import CubicSpline
+from scipy.linalg import cho_factor, cho_solve
+from scipy.ndimage import gaussian_filter1d
+
+from surefoot.scenarios.cache import finished_case
+from surefoot.scenarios.studies.hardware.drives import FIRST
+from surefoot.scenarios.studies.hardware.impulses import SizeKey, WindowRows, window_rows
+from surefoot.scenarios.studies.hardware.shared_sizes import Calibration, HeldOutRun
+from surefoot.sim.effects import known_effects
+from surefoot.sim.effects.contact import STICKING
+from surefoot.sim.log import Log
+from surefoot.sim.physics.inertia import LinkChange
+from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
+from surefoot.sim.robot.fixed_base import FixedBase
+
+NAMED = 4.0
+"""Standard deviations beyond which a change is named. What runs differ by is known from four runs
+only, by which Student's t passes it once in 36 times, where a normal law would once in 16 000."""
+SURE = 1.645
+"""Standard deviations by which a change must exceed that to be named in 95 of 100 runs."""
+LIKELY = 2.0 * np.log(20.0)
+"""Difference of squared deviations by which a rival on another link is 20 times less likely."""
+KINDS = ("link_mass", "link_com", "coulomb_friction", "encoder_offset")
+"""Effects that are drawn."""
+RATIOS = (0.5, 5.0)
+"""Of a drawn size to the least that is named, in 95 of 100 runs, of the run that it is drawn on."""
+FARTHEST = 0.3
+"""m; links are 0.3 m long, and no centre of mass is farther off."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change of a machine, with its standard deviation."""
+
+    key: SizeKey
+    size: float
+    deviation: float
+
+    @property
+    def excess(self) -> float:
+        """Its size in standard deviations."""
+        return abs(self.size) / self.deviation
+
+    @property
+    def link(self) -> str:
+        """The joint that it is on, or that moves its link."""
+        return link_of(self.key)
+
+    @property
+    def least(self) -> float:
+        """The least size that is named in 95 of 100 runs."""
+        return (NAMED + SURE) * self.deviation
+
+
+def link_of(key: SizeKey) -> str:
+    """The joint that an effect is on, or that moves the link that it is on."""
+    name, target = key
+    return target.rsplit("_", 1)[0] if name == "link_com" else target
+
+
+def every_change(before: Calibration, rows: Sequence[WindowRows]) -> list[Change]:
+    """Each change alone, as the rows of one new run have it; the most certain first."""
+    factor = cho_factor(before.spread(rows), lower=True)
+    rest = cho_solve(factor, before.left(rows))
+    found = []
+    for key in rows[0].changes:
+        x = np.concatenate([log.changes[key].ravel() for log in rows])
+        weight = float(x @ cho_solve(factor, x))
+        found.append(Change(key, float(x @ rest) / weight, weight**-0.5))
+    return sorted(found, key=lambda one: -one.excess)
+
+
+def named(found: Sequence[Change]) -> tuple[Change, ...]:
+    """What is named of `every_change`: nothing, one change, or, where other links' cannot be told
+    from it, that and the best of each of them."""
+    first = found[0]
+    if first.excess < NAMED:
+        return ()
+    best: dict[str, Change] = {}
+    for one in found:
+        if one.excess**2 > first.excess**2 - LIKELY:
+            best.setdefault(one.link, one)
+    return tuple(best.values())
+
+
+def with_change(log: Log, machine: FixedBase, key: SizeKey, size: float) -> Log:
+    """A log of the machine with one change, its noise and jolts as they were.
+
+    A zero is added to the angle; what another change asks for along the motion is added to the
+    torques, which a passive joint's log then has as well.
+
+    Args:
+        log: as read.
+        machine: as declared.
+        key: effect and target.
+        size: of the effect.
+    """
+    name, target = key
+    j = log.joints.index(link_of(key))
+    if name == "encoder_offset":
+        return log.with_columns({f"q_{target}": log.q[:, j] + size})
+    # Rates other than those that the balance reads.
+    step = float(np.median(np.diff(log.t)))
+    t = np.arange(log.t[0], log.t[-1] + step, step)
+    q = gaussian_filter1d(CubicSpline(log.t, log.q)(t), FIRST / step, axis=0, mode="nearest")
+    smooth = CubicSpline(t, q)
+    q, dq, ddq = (smooth(log.t, order) for order in range(3))
+    if name == "coulomb_friction":
+        added = size * np.tanh(dq / STICKING) * (np.arange(len(log.joints)) == j)
+    else:
+        change = LinkChange(j, mass=size)
+        if name == "link_com":
+            axis = "xyz".index(target[-1])
+            change = LinkChange(j, com=tuple(size * np.eye(3)[axis]))
+        dynamics, known = dynamics_of(machine.file, machine.joint_names), body_changes(machine)
+        changed = known._replace(links=(*known.links, change))
+        torques = [dynamics.inverse(q, dq, ddq, changes=one)[1] for one in (changed, known)]
+        added = torques[0] - torques[1]
+    read = enumerate(log.joints)
+    return log.with_columns({f"tau_{name}": log.tau[:, k] + added[:, k] for k, name in read})
+
+
+def drawn_changes(
+    done: Sequence[HeldOutRun], each: int, rng: np.random.Generator
+) -> list[tuple[str, SizeKey, float]]:
+    """Changes to try: run, effect and target, and size; of every kind on every link.
+
+    Sizes are RATIOS of the least that is named, evenly in their logarithm. A kind of which a link
+    cannot have that much is left out. Masses are tied on, and friction grows.
+
+    Args:
+        done: runs with the calibration by the others.
+        each: how many of a kind and link.
+        rng: draws runs, axes, sizes and signs.
+    """
+    least = {one.name: least_changes(one) for one in done}
+    drawn = []
+    for kind in KINDS:
+        for link in done[0].rows[0].joints:
+            for _ in range(each):
+                run = done[rng.integers(len(done))].name
+                keys = [k for k in least[run] if k[0] == kind and link_of(k) == link]
+                key = keys[rng.integers(len(keys))]
+                low, high = np.array(RATIOS) * least[run][key]
+                size = float(np.exp(rng.uniform(np.log(low), np.log(high))))
+                sign = rng.choice([-1.0, 1.0]) if kind in ("link_com", "encoder_offset") else 1.0
+                if kind != "link_com" or size <= FARTHEST:
+                    drawn.append((run, key, sign * size))
+    return drawn
+
+
+def least_changes(one: HeldOutRun) -> dict[SizeKey, float]:
+    """The least size of each change that is named in 95 of 100 runs like this one."""
+    return {change.key: change.least for change in every_change(one.others, one.rows)}
+
+
+def tried_changes(
+    logs: Mapping[str, Sequence[Log]],
+    machine: FixedBase,
+    done: Sequence[HeldOutRun],
+    length: float,
+    folder: Path,
+    inputs: Mapping[str, Any],
+    each: int = 5,
+    seed: int = 0,
+) -> list[dict[str, Any]]:
+    """Rows of runs as they are, of their pieces, and of drawn changes, each judged by other runs.
+
+    A finished row is kept in `folder`.
+
+    Args:
+        logs: by run.
+        machine: as declared.
+        done: the runs with the calibration by the others.
+        length: of the windows [s].
+        folder: of finished rows.
+        inputs: digests of the recordings.
+        each: drawn changes of a kind and link.
+        seed: of the draws.
+    """
+    others = {one.name: one.others for one in done}
+    whole = [(run, slice(None), None, 0.0) for run in logs]
+    pieces = [(r, slice(k, k + 1), None, 0.0) for r in logs for k in range(len(logs[r]))]
+    drawn = drawn_changes(done, each, np.random.default_rng(seed))
+    cases = [
+        *whole,
+        *(piece for piece in pieces if len(logs[piece[0]]) > 1),
+        *((run, slice(None), key, size) for run, key, size in drawn),
+    ]
+    rows = []
+    for number, (run, part, key, size) in enumerate(cases):
+        own = logs[run][part]
+
+        def judged(run=run, own=own, key=key, size=size) -> dict[str, Any]:
+            if key is not None:
+                own = [with_change(log, machine, key, size) for log in own]
+            windows = [window_rows(log, machine, length) for log in own]
+            found = every_change(others[run], windows)
+            best = [
+                {"key": list(one.key), "size": one.size, "deviation": one.deviation}
+                for one in named(found)
+            ]
+            least = next((one.least for one in found if one.key == key), None)
+            return {"named": best, "least": least, "most": found[0].excess}
+
+        name = own[0].name if len(own) < len(logs[run]) else run
+        given = {**inputs, "run": name, "key": key, "size": size, "length": length}
+        row = finished_case(folder, f"{number:02d}", given, __name__, judged)
+        rows.append({"run": name, "key": key, "size": size, **row})
+    return rows
+
+
+def changes_table(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
+    """A row a case: what was changed, by how much of the least that shows, and what was named."""
+    return pd.DataFrame(
+        {
+            "run": row["run"],
+            "changed": _words(row["key"]) if row["key"] else "nothing",
+            "by": _sized(row["key"], row["size"]) if row["key"] else "",
+            "of the least named": f"{abs(row['size']) / row['least']:.2f}" if row["key"] else "",
+            "named": " or ".join(_of(one) for one in row["named"]) or "nothing",
+            "verdict": verdict(row),
+        }
+        for row in rows
+    )
+
+
+def verdict(row: Mapping[str, Any]) -> str:
+    """Of a row: right, nothing, not alone (another link may be it as well), or wrong."""
+    links = [link_of(tuple(one["key"])) for one in row["named"]]
+    if not links:
+        return "nothing"
+    if row["key"] is None or link_of(tuple(row["key"])) not in links:
+        return "wrong"
+    return "right" if len(links) == 1 else "not alone"
+
+
+def counts_table(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
+    """How many cases ended how: by size, and without a change."""
+
+    def part(words: str, own: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+        verdicts = [verdict(row) for row in own]
+        ends = ("right", "not alone", "wrong", "nothing")
+        return {"changed": words, "cases": len(own)} | {e: verdicts.count(e) for e in ends}
+
+    changed = [row for row in rows if row["key"]]
+    return pd.DataFrame([
+        part("at least the least that is named", [r for r in changed if _above(r)]),
+        part("less", [r for r in changed if not _above(r)]),
+        part("nothing", [r for r in rows if not r["key"]]),
+    ])  # fmt: skip
+
+
+def least_table(done: Sequence[HeldOutRun]) -> pd.DataFrame:
+    """A row a change: the least size of it that is named in 95 of 100 runs, by run."""
+    by_run = {one.name: least_changes(one) for one in done}
+    return pd.DataFrame(
+        {
+            "change": _words(key),
+            "unit": known_effects()[key[0]].unit,
+            **{run: f"{least[key]:.3f}" for run, least in by_run.items()},
+        }
+        for key in done[0].rows[0].changes
+    )
+
+
+def unchanged_table(by_length: Mapping[float, Sequence[HeldOutRun]]) -> pd.DataFrame:
+    """A row a run as it is: the change that explains most, and its size in standard deviations, by
+    windows of several lengths [s]."""
+    rows: dict[str, dict[str, str]] = {}
+    for length, done in by_length.items():
+        for one in done:
+            first = every_change(one.others, one.rows)[0]
+            row = rows.setdefault(one.name, {"run": one.name})
+            row[f"{length:g} s"] = f"{_words(first.key)}, {first.excess:.1f}"
+    return pd.DataFrame(rows.values())
+
+
+def _above(row: Mapping[str, Any]) -> bool:
+    return abs(row["size"]) >= row["least"]
+
+
+def _words(key: Sequence[str]) -> str:
+    return " ".join(key).replace("_", " ")
+
+
+def _sized(key: Sequence[str], size: float) -> str:
+    return f"{size:+.3f} {known_effects()[key[0]].unit}"
+
+
+def _of(one: Mapping[str, Any]) -> str:
+    twice = 1.96 * one["deviation"]
+    return f"{_words(one['key'])} {_sized(one['key'], one['size'])} ± {twice:.3f}"
