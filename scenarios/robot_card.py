@@ -70,7 +70,7 @@ def _card(robot: Robot) -> RobotCard:
             "from [rad]": robot.joint_range[j, 0],
             "to [rad]": robot.joint_range[j, 1],
             "torque [N m]": robot.torque_limit[j],
-            "at home [rad]": robot.q_home[j],
+            "at home [rad]": round(robot.q_home[j], 6) + 0.0,  # of a search; no -1e-12, no -0
             "link [kg]": float(model.body_mass[model.jnt_bodyid[model.joint(own).id]]),
         }
         for j, (joint, own) in enumerate(zip(robot.limbs.joints, robot.joint_names, strict=True))

@@ -30,7 +30,7 @@ SCENARIOS = f"Scenario files (TOML), or names of bundled ones: {', '.join(bundle
 class Simulate:
     """Walk scenarios, a log for each seed, and an index of them; a killed run is resumed."""
 
-    scenarios: Annotated[Positional[tuple[str, ...]], arg(help=SCENARIOS)]
+    scenarios: Annotated[Positional[tuple[str, ...]], arg(help=SCENARIOS, metavar="SCENARIO...")]
     out: Out
     """Folder for the logs."""
     robot: str | None = None
@@ -69,7 +69,7 @@ class Import:
     CSV and other text, JSON, NPZ, MAT, HDF5, Parquet, ROS 1, ROS 2 and MCAP, by the files' endings.
     """
 
-    files: Positional[tuple[str, ...]]
+    files: Annotated[Positional[tuple[str, ...]], arg(metavar="FILE...")]
     """The main file, or the folder that holds it, and further files that the map does not name. A
     `csv` or `bag` before them is passed over."""
     map: str | None = None
@@ -141,7 +141,7 @@ class Export:
 class Info:
     """What a log holds, how good its reference is, and what in it is not plausible."""
 
-    logs: Positional[tuple[Path, ...]]
+    logs: Annotated[Positional[tuple[Path, ...]], arg(metavar="LOG...")]
     robot: RobotName = None
     strict: Strict = False
     as_json: Json = False

@@ -49,7 +49,7 @@ Method = Annotated[one_of(CALIBRATORS), arg(help_behavior_hint=_labels)]
 class Train:
     """Train a velocity observer on one or more logs; a killed training is resumed."""
 
-    logs: Positional[tuple[Path, ...]]
+    logs: Annotated[Positional[tuple[Path, ...]], arg(metavar="LOG...")]
     out: Out
     """File for the observer."""
     loss: one_of(LOSSES) = "mse"  # pyright: ignore[reportInvalidTypeForm]
@@ -105,8 +105,8 @@ class Train:
 class Calibrate:
     """Bounds on an observer's velocity errors, from a log it has not seen."""
 
-    observer: Positional[Path]
-    log: Positional[Path]
+    observer: Annotated[Positional[Path], arg(metavar="OBSERVER")]
+    log: Annotated[Positional[Path], arg(metavar="LOG")]
     out: Out
     """File for the bounds (JSON)."""
     gamma: float = 0.8
@@ -182,7 +182,7 @@ class Estimate:
     Exit code 3: the trajectory is written, but is not to be trusted; the last line says why.
     """
 
-    log: Positional[Path]
+    log: Annotated[Positional[Path], arg(metavar="LOG")]
     filter: Annotated[str, arg(help=f"One of {', '.join(ESTIMATORS)}.")]
     robot: RobotName = None
     observer: Observers = ()
@@ -243,7 +243,7 @@ class Estimate:
 class NoiseCommand:
     """Noise of a log's sensors where the robot rests, as settings that the filters take."""
 
-    log: Positional[Path]
+    log: Annotated[Positional[Path], arg(metavar="LOG")]
     """A log that rests somewhere, for a minute or more if walks of biases are to be seen."""
     out: Annotated[Path | None, arg(aliases=["-o"])] = None
     """Settings (.toml) for --settings; the Allan deviations are drawn in a .png beside it."""
@@ -263,7 +263,7 @@ class NoiseCommand:
 class Compare:
     """Every filter that the inputs allow on every log: table, figures, report, recordings."""
 
-    logs: Positional[tuple[Path, ...]]
+    logs: Annotated[Positional[tuple[Path, ...]], arg(metavar="LOG...")]
     out: Out
     observer: Observers = ()
     bounds: BoundsFiles = ()

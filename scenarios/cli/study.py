@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from tyro.conf import Positional, UseAppendAction
+from tyro.conf import Positional, UseAppendAction, arg
 
 from surefoot.scenarios.cli.options import (
     BoundsFiles,
@@ -45,7 +45,7 @@ class Demo:
 class TraceCommand:
     """Find the effect that a model lacks; errors before and after it is added."""
 
-    logs: Positional[tuple[Path, ...]]
+    logs: Annotated[Positional[tuple[Path, ...]], arg(metavar="LOG...")]
     """Logs of one robot, traced together."""
     out: Out
     """Folder for trace.json, effects.toml, report.html and trace.rrd."""
@@ -92,7 +92,7 @@ class TraceCommand:
 class LoopCommand:
     """Trace a log, add what was found to the simulation, retrain, estimate the log again."""
 
-    log: Positional[Path]
+    log: Annotated[Positional[Path], arg(metavar="LOG")]
     """A log with IMU, joint angles and reference."""
     out: Out
     """Folder for everything it makes; a run that was killed is resumed from it."""
@@ -124,7 +124,7 @@ class LoopCommand:
 class Realism:
     """A measured log beside simulated walks in its manner: one number a row, with its doubt."""
 
-    log: Positional[Path]
+    log: Annotated[Positional[Path], arg(metavar="LOG")]
     """A log with IMU, joint angles, contacts and reference."""
     out: Out
     """Folder for realism.json, realism.csv, drift.csv, table.md and report.html."""
@@ -214,7 +214,7 @@ class GridOptions:
 class ExperimentCommand(GridOptions):
     """A grid over scenarios, robots, conditions, gamma, filters and seeds: one tidy table."""
 
-    file: Positional[str]
+    file: Annotated[Positional[str], arg(metavar="FILE")]
     """Experiment file (TOML), or the name of a bundled one: spot, vision60."""
 
     def run(self) -> None:
@@ -304,7 +304,7 @@ class Tune:
     Writes tuned.toml, which every command reads once $SUREFOOT_TUNED names it.
     """
 
-    logs: Positional[tuple[Path, ...]]
+    logs: Annotated[Positional[tuple[Path, ...]], arg(metavar="LOG...")]
     """Logs with a reference; others than observers were trained and bounds calibrated on."""
     out: Out
     """Folder for tuned.toml, tuned.md (errors before and after) and finished searches."""
@@ -363,7 +363,7 @@ class PlanCommand:
 
     robot: str
     """Name or file of the robot, a quadruped that walks in simulation."""
-    effects: Positional[tuple[str, ...]]
+    effects: Annotated[Positional[tuple[str, ...]], arg(metavar="EFFECT...")]
     """Names of effects, such as encoder_offset; `surefoot trace` looks for all of them."""
     as_json: Json = False
 

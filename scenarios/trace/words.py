@@ -116,7 +116,7 @@ def summary(found: Trace) -> str:
         lines.append(f"masked as slipping: {100 * found.masked_share:.1f} % of stance time")
     if found.channels:
         lines.append(f"noise floor: {found.floor}")
-    lines += [f"note: {note}" for note in found.notes]
+    lines += [f"note: {note}" for note in found.notes if note not in found.reasons]
     return "\n".join(lines)
 
 

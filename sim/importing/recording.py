@@ -214,7 +214,8 @@ def _reference(path: Path, rules: ImportMap, shared: bool) -> Columns:
         topics = {topic_of(column.theirs) for column in columns.values()}
         if len(topics) > 1:
             raise SurefootError(
-                f"{path}: [reference.columns] are of {' and '.join(sorted(topics))}"
+                f"{path}: [reference.columns] are of {' and '.join(sorted(topics))};"
+                " t, ref_p and ref_q are of one topic"
             )
         seen = read_bag(path, sorted({column.theirs for column in columns.values()}))
         table = {name: column.read(seen[column.theirs][1]) for name, column in columns.items()}

@@ -135,3 +135,10 @@ def test_a_file_that_is_no_plugin_is_one_line(tmp_path, text, message):
     assert run.returncode == 1
     assert message in run.stderr
     assert len(run.stderr.splitlines()) == 1
+
+
+def test_help_names_what_it_takes(capsys):
+    for command, usage in {"plan": "EFFECT...", "simulate": "SCENARIO...", "trace": "LOG..."}.items():
+        with pytest.raises(SystemExit):
+            main([command, "--help"])
+        assert usage in capsys.readouterr().out
