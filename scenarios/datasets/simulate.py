@@ -23,7 +23,7 @@ from surefoot.sim.common.sources import code_digest
 from surefoot.sim.effects import Effect
 from surefoot.sim.effects.file import load_effects, to_toml
 from surefoot.sim.log import Log
-from surefoot.sim.scenario import Scenario
+from surefoot.sim.scenario import Ranges, Scenario
 from surefoot.sim.walk import Fallen, fallen_log, plan
 from surefoot.sim.walking.batch import Job, Walked, known_robot, walk_batch
 
@@ -72,6 +72,13 @@ def simulate_all(
             print(
                 f"note: {name}: its model has no IMU, so the base frame is used instead; give the "
                 "base body a site named imu to place one"
+            )
+    for scenario in {job.scenario.name: job.scenario for job in jobs}.values():
+        rough = any(strip.rough for strip in scenario.ground.strips)
+        if len(seed_range(seeds)) > 1 and scenario.ranges == Ranges() and not rough:
+            print(
+                f"note: {scenario.name} has no [ranges]: its seeds walk alike, and only the "
+                "sensors' noise differs"
             )
     journal = Journal(out)
     _guard_truth(out, chosen if undeclared else (), journal, force)

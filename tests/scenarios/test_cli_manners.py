@@ -138,7 +138,8 @@ def test_a_file_that_is_no_plugin_is_one_line(tmp_path, text, message):
 
 
 def test_help_names_what_it_takes(capsys):
-    for command, usage in {"plan": "EFFECT...", "simulate": "SCENARIO...", "trace": "LOG..."}.items():
+    usages = {"plan": "EFFECT...", "simulate": "SCENARIO...", "trace": "LOG..."}
+    for command, usage in usages.items():
         with pytest.raises(SystemExit):
             main([command, "--help"])
         assert usage in capsys.readouterr().out

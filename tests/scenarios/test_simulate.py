@@ -86,10 +86,12 @@ def test_a_fall_says_where_and_why_and_keeps_its_walk(folder, capsys):
     assert not list((folder / "walks").glob("*.parquet"))
 
 
-def test_another_run_adds_and_makes_nothing_twice(folder):
+def test_another_run_adds_and_makes_nothing_twice(folder, capsys):
     simulate_all([Path("short.toml")], Path("walks"), seeds="0:2")
+    assert "[ranges]" not in capsys.readouterr().out
     before = {p: p.stat().st_mtime_ns for p in Path("walks").glob("*.parquet")}
     simulate_all([Path("short.toml"), Path("cliff.toml")], Path("walks"), seeds="0:3", workers=2)
+    assert "note: cliff has no [ranges]: its seeds walk alike" in capsys.readouterr().out
     assert {p: p.stat().st_mtime_ns for p in before} == before
     assert len(read_index(Path("walks"))) == 6
     lines = Path("walks/_dataset/journal.jsonl").read_text().splitlines()
