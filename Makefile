@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo test check docs readme nightly study study-observer study-trace study-hardware study-bounds study-montecarlo study-realism suites \
+.PHONY: setup demo test check docs readme nightly study study-observer study-trace study-hardware study-bounds study-montecarlo study-realism study-loop suites \
 	tune tune-vision60 tune-spot lock clean
 
 setup: .venv/.ready
@@ -78,6 +78,14 @@ study-realism: setup
 		--page docs/results/realism.md
 	for robot in spot_class v60_class; do $(BIN)/surefoot realism $(OUT)/go1_square.parquet --as-walked \
 		--walker $$robot --force -o $(OUT)/$$robot --page docs/results/realism_$$robot.md || exit 1; done
+
+# What is found on the Go1's measured walk, put into the simulation: whether the filters gain by it, and
+# what the errors of observers that were trained there are made of.
+study-loop: OUT = out/loop
+study-loop: MEASURED = $(or $(SUREFOOT_MEASURED),../shared/measured)
+study-loop: setup
+	$(BIN)/surefoot import csv $(MEASURED)/go1_square --map go1_square --force -o $(OUT)/go1_square.parquet
+	$(BIN)/surefoot loop $(OUT)/go1_square.parquet --force -o $(OUT)/go1 --page docs/results/loop.md
 
 # Where bounds hold: calibrated on one course of vision60, judged on the others and on shifted ones.
 study-bounds: OUT = out/bounds

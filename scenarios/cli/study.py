@@ -101,6 +101,8 @@ class LoopCommand:
     holdout: Holdout = ()
     seed: int = 0
     """Of walks, training and intervals."""
+    page: Path | None = None
+    """Page of results to write as well, such as docs/results/loop.md."""
     force: Force = False
 
     def run(self) -> None:
@@ -114,7 +116,7 @@ class LoopCommand:
         robot = Robot.for_log(log, self.robot)
         declared = None if self.declared is None else load_effects(self.declared)
         held_out = read_logs(self.holdout) if self.holdout else []
-        more = {"declared": declared, "holdout": held_out}
+        more = {"declared": declared, "holdout": held_out, "page": self.page}
         table, _ = loop(log, robot, self.out, self.seed, self.force, **more)
         print("\n" + to_markdown(table))
         print(f"\nreport: {self.out / 'report.html'}")

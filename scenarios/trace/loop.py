@@ -1,55 +1,57 @@
 """The loop closed: trace a measured log, put what it lacks into the simulation, retrain,
 estimate the same log again, and compare.
 
-Two worlds are simulated, `before` as the model was declared and `after` with the effects found. In
-each a robot walks in the style of the measured log (`sim.walking.imitation`), an observer is
-trained and calibrated on those walks alone, and every filter estimates the measured log with that
-world's model and that world's observer.
+Worlds are simulated: `before` as the model was declared, `effects` with what was found, and `after`
+in the gait too that is more like the measured one; where that is the plain one there is no
+`effects`. In each a robot walks in the style of the measured log (`sim.walking.imitation`), an
+observer is trained and calibrated on those walks alone, and every filter estimates the measured log
+with that world's model and that world's observer.
 """
 
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 
 from surefoot.models.attribution.evidence import candidates_code
-from surefoot.models.observer.training import DEFAULT_SCHEDULE, Schedule
+from surefoot.models.observer.observer import ObserverError
 from surefoot.scenarios.cache import contents_digest
 from surefoot.scenarios.estimate.compare import compare_log
 from surefoot.scenarios.estimate.learning import learn, learnt_in
 from surefoot.scenarios.estimate.run import Learnt, declared_model
+from surefoot.scenarios.experiments.as_walked import load_as_walked
 from surefoot.scenarios.reporting.progress import percent_bar
+from surefoot.scenarios.studies.pages import check_page
+from surefoot.scenarios.trace.gait_choice import GaitChoice, choose_gait
 from surefoot.scenarios.trace.loop_report import Side, write_loop
+from surefoot.scenarios.trace.observer_errors import (
+    ErrorParts,
+    error_parts,
+    learnt_from_measured,
+)
 from surefoot.scenarios.trace.run import trace
+from surefoot.scenarios.trace.training_walks import (
+    DEFAULT_PLAN,
+    TrainingPlan,
+    rates_as_of,
+    simulate_training,
+)
 from surefoot.scenarios.trace.words import caution, summary
-from surefoot.sim.common.errors import SurefootError, check_seed
+from surefoot.sim.common.errors import check_seed
 from surefoot.sim.common.files import refuse_full, whole_file
 from surefoot.sim.common.sources import sources_digest
 from surefoot.sim.effects import Effect, declared_effects, effect
 from surefoot.sim.effects.file import load_effects
+from surefoot.sim.gait.options import PLAIN_GAIT, GaitOptions
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario
-from surefoot.sim.walk import Fallen, walk
-from surefoot.sim.walking.imitation import WalkingStyle, imitation, slower, walking_style
+from surefoot.sim.walking.imitation import WalkingStyle, walking_style
 
-PACES = (1.0, 0.8, 0.6, 0.4)
-"""Shares of the measured velocities that are tried until the robot does not fall."""
 RECIPE = "recipe.json"
+WORLDS = ("before", "effects", "after")
 _MODULE = "surefoot.scenarios.trace.loop"
-
-
-@dataclass(frozen=True)
-class TrainingPlan:
-    """How much an observer is trained in simulation."""
-
-    walks: int = 8
-    seconds: float = 30.0  # of each walk to train on
-    calibration: float = 150.0  # s of the one to calibrate on
-    schedule: Schedule = DEFAULT_SCHEDULE
 
 
 def loop(
@@ -58,14 +60,15 @@ def loop(
     out: Path,
     seed: int = 0,
     force: bool = False,
-    plan: TrainingPlan = TrainingPlan(),
+    plan: TrainingPlan = DEFAULT_PLAN,
     declared: Sequence[Effect] | None = None,
     holdout: Sequence[Log] = (),
+    page: Path | None = None,
 ) -> tuple[pd.DataFrame, tuple[Side, ...]]:
     """Close the loop on one log into `out`; a run that was killed goes on where it stopped.
 
-    Returns the table, one row a filter with each metric before and after, and the two sides (one
-    where nothing was found to add). Raises LogError where the log lacks IMU, joints or reference,
+    Returns the table, one row a filter with each metric in each world, and the worlds (one where
+    nothing was found to add). Raises LogError where the log lacks IMU, joints or reference,
     and SurefootError where `out` holds another loop's files and `force` is not given.
 
     Args:
@@ -78,15 +81,19 @@ def loop(
         declared: effects that belong to the model, beyond those that the log declares; what is
             traced is then what has changed since.
         holdout: logs of the same machine that judge what was found.
+        page: page of results (Markdown) to write as well.
     """
     check_seed(seed)
     log.require("imu", "q", "reference")
+    if page:
+        check_page(page)
     shown = walking_style(*declared_model(log, robot))
     recipe = {
         "log": contents_digest(log),
         "robot": [robot.name, robot.digest],
         "code": [sources_digest(_MODULE), candidates_code()],
         "seed": seed,
+        "gait": asdict(load_as_walked().gait),
         "declared": None if declared is None else [e.as_dict() for e in declared],
         "holdout": [contents_digest(one) for one in holdout],
         "lesson": asdict(plan),
@@ -95,89 +102,39 @@ def loop(
         refuse_full(out, force)
         with whole_file(out / RECIPE, True) as path:
             path.write_text(json.dumps(recipe, indent=2) + "\n", encoding="utf-8")
-        for stale in ("trace/trace.json", "before/done", "after/done"):
+        for stale in (
+            "trace/trace.json",
+            "gait.json",
+            "measured.json",
+            *(f"{w}/done" for w in WORLDS),
+        ):
             (out / stale).unlink(missing_ok=True)
     model = (*declared_effects(log), *(declared or ()))
     known = model or declared
     found = _traced(log, robot, out / "trace", seed, known, holdout)
-    worlds = {"before": model, "after": (*model, *found)} if found else {"before": model}
+    choice = _gait(log, robot, (*model, *found), out / "gait.json", seed)
+    worlds: dict[str, tuple[tuple[Effect, ...], GaitOptions]] = {"before": (model, PLAIN_GAIT)}
+    if found and choice.walked:
+        worlds["effects"] = (*model, *found), PLAIN_GAIT
+    if found or choice.walked:
+        worlds["after"] = (*model, *found), choice.gait
     sides = []
-    for name, effects in worlds.items():
-        learnt = _learnt(shown, log, robot, effects, out / name, seed, plan)
-        declared_then = tuple(e.as_dict() for e in effects)
-        as_modelled = replace(log, meta=replace(log.meta, effects=declared_then))
-        sides.append(Side(name, effects, learnt, compare_log(as_modelled, robot, learnt)))
-    return write_loop(log, robot, sides, out), tuple(sides)
-
-
-def world_of(robot: Robot) -> Robot:
-    """The robot that walks in simulation: the file's own body, with the declared IMU mounting."""
-    return replace(Robot.load(robot.file), name=robot.name, p_BI=robot.p_BI, R_BI=robot.R_BI)
-
-
-def bodily(effects: Sequence[Effect], robot: Robot, world: Robot) -> tuple[Effect, ...]:
-    """The effects as amounts beyond the simulated robot, whose feet have their file's radius.
-
-    A declared model may have feet as points; what was found then is their whole radius.
-    """
-    missing = float(np.mean(robot.foot_radius - world.foot_radius))
-    if abs(missing) < 1e-9:
-        return tuple(effects)
-    return tuple(
-        effect(e.name, e.target, e.value + missing) if e.name == "foot_rolling" else e
-        for e in effects
-    )
-
-
-def simulate_training(
-    shown: WalkingStyle,
-    robot: Robot,
-    effects: Sequence[Effect],
-    seed: int,
-    plan: TrainingPlan = TrainingPlan(),
-    progress: Callable[[float], None] = lambda share: None,
-) -> tuple[list[Log], Log]:
-    """Logs to train on and one to calibrate on, by the model with the effects.
-
-    Args:
-        shown: style of the measured walk.
-        robot: as declared.
-        effects: added to the model.
-        seed: of the walks.
-        plan: how many walks and how long.
-        progress: called with the share done.
-    """
-    world = world_of(robot)
-    added = bodily(effects, robot, world)
-    logs = []
-    for k, seconds in enumerate([*[plan.seconds] * plan.walks, plan.calibration]):
-        rng = np.random.default_rng([seed, k])
-        scenario, poised = imitation(shown, world, f"imitation_{k}", seconds, rng)
-        walked = _walk(scenario, poised, seed + k, added)
-        logs.append(declared_model(replace(walked, name=scenario.name), world)[0])
-        progress((k + 1) / (plan.walks + 1))
-    return logs[:-1], logs[-1]
-
-
-def _walk(scenario: Scenario, robot: Robot, seed: int, effects: Sequence[Effect]) -> Log:
-    """At the measured pace, or at the fastest share of it at which the robot does not fall."""
-    fallen = None
-    for pace in PACES:
-        try:
-            return walk(slower(scenario, pace), robot, seed, effects)
-        except Fallen as fall:
-            fallen = fall
-    raise SurefootError(
-        f"loop: in simulation {robot.name} falls in the style of the log, even at "
-        f"{100 * PACES[-1]:.0f} % of its speed ({fallen})"
-    )
+    for name, (effects, gait) in worlds.items():
+        learnt, simulated = _learnt(shown, log, robot, effects, gait, out / name, seed, plan)
+        compared = compare_log(*_modelled(log, robot, effects), learnt)
+        sides.append(Side(name, effects, learnt, compared, simulated))
+    last = sides[-1].comparison
+    assert last.robot is not None
+    taught = _from_measured(last.log, last.robot, out / "measured.json", seed, plan)
+    return write_loop(log, robot, sides, out, choice, taught, page), tuple(sides)
 
 
 def inputs_of(log: Log) -> str:
-    """What an observer of this log can read: q, and dq and tau where both or the first are."""
-    if not log.has("dq"):
-        return "q"
-    return "q,dq,tau" if log.has("tau") else "q,dq"
+    """What an observer of this log reads: feet by the declared legs, and torques where it has them.
+
+    Legs of the declared model carry over to the robot what a network learns in simulation alone.
+    """
+    return "tau,feet" if log.has("tau") else "feet"
 
 
 def _traced(
@@ -211,22 +168,49 @@ def _traced(
     return (*load_effects(out / "effects.toml"), *own)
 
 
+def _gait(log: Log, robot: Robot, effects: Sequence[Effect], kept: Path, seed: int) -> GaitChoice:
+    """The gait of the simulated walks, chosen unless that was done.
+
+    Args:
+        log: the measured log.
+        robot: as declared.
+        effects: that the simulated robot has.
+        kept: file of the choice.
+        seed: of the walks that are compared.
+    """
+    if not kept.exists():
+        with percent_bar("gait") as progress:
+            choice = choose_gait(log, robot, effects, seed, progress)
+        _write(kept, asdict(choice))
+    return GaitChoice(**json.loads(kept.read_text(encoding="utf-8")))
+
+
+def _modelled(log: Log, robot: Robot, effects: Sequence[Effect]) -> tuple[Log, Robot]:
+    """The measured log and the robot, the effects compensated, with joint rates to read."""
+    told = replace(log, meta=replace(log.meta, effects=tuple(e.as_dict() for e in effects)))
+    known, model = declared_model(told, robot)
+    return rates_as_of(replace(known, meta=replace(known.meta, effects=())), log), model
+
+
 def _learnt(
     shown: WalkingStyle,
     log: Log,
     robot: Robot,
     effects: Sequence[Effect],
+    gait: GaitOptions,
     out: Path,
     seed: int,
     plan: TrainingPlan,
-) -> Learnt:
-    """Observers and bounds by the model with the effects, trained unless they are there.
+) -> tuple[Learnt, ErrorParts]:
+    """Observers and bounds by the model with the effects, trained unless they are there, and what
+    the errors on the walk to calibrate on are made of.
 
     Args:
         shown: style of the measured walk.
         log: whose inputs the observer has.
         robot: as declared.
         effects: added to the model.
+        gait: of the walks.
         out: folder.
         seed: of walks and training.
         plan: how much to walk and train.
@@ -234,11 +218,42 @@ def _learnt(
     done = out / "done"
     if not done.exists():
         with percent_bar(f"walking: {out.name}") as progress:
-            training, calibration = simulate_training(shown, robot, effects, seed, plan, progress)
-        inputs = inputs_of(log)
-        learn(training, calibration, out, seed, inputs, force=True, schedule=plan.schedule)
+            walks = simulate_training(shown, robot, effects, seed, plan, gait, progress)
+        training = [rates_as_of(one, log) for one in walks[0]]
+        calibration = rates_as_of(walks[1], log)
+        learnt = learn(
+            training, calibration, out, seed, inputs_of(log), force=True, schedule=plan.schedule
+        )
+        _write(out / "errors.json", error_parts(learnt.observers[0], calibration).rms)
         done.touch()
-    return learnt_in(out)
+    simulated = ErrorParts(json.loads((out / "errors.json").read_text(encoding="utf-8")))
+    return learnt_in(out), simulated
+
+
+def _from_measured(
+    log: Log, robot: Robot, kept: Path, seed: int, plan: TrainingPlan
+) -> list[float] | str:
+    """Errors (3,) [m/s] of observers of halves of the measured walk, or why there are none.
+
+    Args:
+        log: the measured log, what was found compensated.
+        robot: the same.
+        kept: file of the result.
+        seed: of the training.
+        plan: how much to train.
+    """
+    if not kept.exists():
+        try:
+            left = learnt_from_measured(log, robot, inputs_of(log), seed, plan.schedule)
+        except ObserverError as error:
+            left = str(error)
+        _write(kept, left)
+    return json.loads(kept.read_text(encoding="utf-8"))
+
+
+def _write(path: Path, value: object) -> None:
+    with whole_file(path, True) as temporary:
+        temporary.write_text(json.dumps(value, indent=2) + "\n", encoding="utf-8")
 
 
 def _same(out: Path, recipe: dict[str, object]) -> bool:

@@ -1,4 +1,5 @@
-"""The loop as files: one before-and-after table, a report, and a recording with both."""
+"""The loop as files: one table of all worlds, a report that says where errors come from, a page
+and a recording."""
 
 import json
 from collections.abc import Sequence
@@ -6,17 +7,28 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
+from surefoot.models.calibration.conformal import BoundsError
+from surefoot.models.calibration.empirical_coverage import coverage
 from surefoot.models.observer.predict import prediction_errors
 from surefoot.scenarios.estimate.compare import Comparison
 from surefoot.scenarios.estimate.error_series import error_series
 from surefoot.scenarios.estimate.estimators import traits
-from surefoot.scenarios.estimate.run import Learnt, declared_model
+from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.reporting.figures import height_figure, trajectories, velocity_figure
 from surefoot.scenarios.reporting.html import Picture, Section, write_report
 from surefoot.scenarios.reporting.tables import to_csv, to_markdown
+from surefoot.scenarios.studies.pages import origin_of, write_page
+from surefoot.scenarios.trace.gait_choice import GaitChoice
+from surefoot.scenarios.trace.observer_errors import (
+    ERROR_PARTS,
+    ErrorParts,
+    error_parts,
+    recalibrated,
+)
 from surefoot.scenarios.trace.words import caution
 from surefoot.scenarios.viewer.recording import write_recording
 from surefoot.sim.common.files import whole_file
@@ -24,6 +36,8 @@ from surefoot.sim.effects import Effect
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
+LOOP_TITLE = "The loop: what the model lacked, put into it"
+_MODULE = "surefoot.scenarios.trace.loop"
 LOOP_METRICS = {
     "ape_trans": "APE_trans [m]",
     "ape_rot": "APE_rot [deg]",
@@ -35,23 +49,54 @@ LOOP_METRICS = {
 
 @dataclass(frozen=True)
 class Side:
-    """One of the two worlds: its model's effects, what was learnt in it, and the estimates."""
+    """One of the worlds: its model's effects, what was learnt in it, the estimates, and what the
+    observer's errors on the simulated walk are made of."""
 
     name: str
     effects: tuple[Effect, ...]
     learnt: Learnt
     comparison: Comparison
+    simulated: ErrorParts
+
+    @property
+    def measured(self) -> ErrorParts:
+        """The same of its errors on the measured walk."""
+        seen = self.comparison
+        return error_parts(self.learnt.observers[0], seen.log, seen.robot)
 
 
-def write_loop(log: Log, robot: Robot, sides: Sequence[Side], out: Path) -> pd.DataFrame:
-    """Write table.md, table.csv, loop.json, report.html and loop.rrd; returns the table."""
+def write_loop(
+    log: Log,
+    robot: Robot,
+    sides: Sequence[Side],
+    out: Path,
+    gait: GaitChoice,
+    taught: list[float] | str,
+    page: Path | None = None,
+) -> pd.DataFrame:
+    """Write table.md, table.csv, loop.json, report.html and loop.rrd; returns the table.
+
+    Args:
+        log: the measured log.
+        robot: as declared.
+        sides: the worlds.
+        out: folder.
+        gait: of the last world's walks, and why.
+        taught: errors (3,) [m/s] of observers of the measured walk itself, or why there are none.
+        page: page of results to write as well.
+    """
     table = pd.DataFrame(_rows(sides))
     for name, text in (("table.md", to_markdown(table) + "\n"), ("table.csv", to_csv(table))):
         with whole_file(out / name, True) as path:
             path.write_text(text, encoding="utf-8")
     found = json.loads((out / "trace" / "trace.json").read_text(encoding="utf-8"))
-    rmse = {side.name: observer_rmse(side) for side in sides}
-    summary = {"trace": found, "sides": {s.name: _summary(s, rmse[s.name]) for s in sides}}
+    measured = {side.name: side.measured for side in sides}
+    summary = {
+        "trace": found,
+        "gait": gait.words,
+        "taught": taught,
+        "sides": {s.name: _summary(s, measured[s.name]) for s in sides},
+    }
     with whole_file(out / "loop.json", True) as path:
         path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     shown = _trajectories(sides)
@@ -59,14 +104,77 @@ def write_loop(log: Log, robot: Robot, sides: Sequence[Side], out: Path) -> pd.D
     seen = (last.prediction, last.bounds)
     write_recording(out / "loop.rrd", log, robot, shown, *seen, force=True)
     sections = [
-        Section("Before and after", _prose(found, sides, rmse), table),
+        Section("Before and after", _prose(found, sides), table),
+        *_of_observers(sides, measured, taught),
+        Section("How the simulated robot walks", gait.words, gait.rows or None),
         *_of_trace(found),
         *_pictures(log, sides, shown),
     ]
-    write_report(
-        out / "report.html", "The loop: what the model lacked, put into it", sections, True
-    )
+    write_report(out / "report.html", LOOP_TITLE, sections, True)
+    if page:
+        write_page(page, LOOP_TITLE, sections, origin_of(_MODULE, "surefoot loop"))
     return table
+
+
+def _of_observers(
+    sides: Sequence[Side], measured: dict[str, ErrorParts], taught: list[float] | str
+) -> list[Section]:
+    """How the observers err in simulation and on the measured walk, and what their bounds hold."""
+    words = (
+        "Root mean square [m/s] of the mse observer's errors while the robot moves, forward, "
+        "lateral, vertical; half the width of its bounds; the share of errors within them. "
+        "Recalibrated: bounds from the first half of the measured walk, and what they hold of the "
+        "second, which they have not seen."
+    )
+    rows: list[dict[str, Any]] = []
+    for side in sides:
+        row: dict[str, Any] = {"walks": side.name}
+        row["simulated [m/s]"] = _three(side.simulated.rms["moving"])
+        row["measured [m/s]"] = _three(measured[side.name].rms["moving"])
+        rows.append(row | _bounds_row(side))
+    if isinstance(taught, str):
+        words += f"\n\nNo observer was trained on the measured walk: {taught}."
+    else:
+        rows.append(
+            {"walks": "the other half of the measured walk", "measured [m/s]": _three(taught)}
+        )
+        words += (
+            "\n\nThe last row is an observer that has seen the robot: trained on one half of the "
+            "measured walk, judged on the other, each in turn. What an observer of simulated walks "
+            "errs by beyond it, simulation lacks; the rest no walk as short as this one teaches."
+        )
+    last = sides[-1]
+    parts = (
+        f"Errors of the mse observer, {last.name}, root mean square [m/s]. Those while the robot "
+        "moves are the sum of the parts below: "
+    )
+    parts += "; ".join(f"{name}, {what}" for name, what in ERROR_PARTS.items()) + "."
+    return [
+        Section("Observers, simulated and measured", words, pd.DataFrame(rows)),
+        Section("What the errors are made of", parts, last.simulated.table(measured[last.name])),
+    ]
+
+
+def _bounds_row(side: Side) -> dict[str, Any]:
+    """What an observer's bounds hold, as calibrated and recalibrated on the measured walk."""
+    observer, bounds = side.learnt.observers[0], side.learnt.bounds[0]
+    log, robot = side.comparison.log, side.comparison.robot
+    assert robot is not None
+    row: dict[str, Any] = {
+        "bounds [m/s]": _three(bounds.epsilon),
+        "hold [%]": round(
+            100 * coverage(prediction_errors(observer, log, robot)[1], bounds).joint, 1
+        ),
+    }
+    try:
+        epsilon, held = recalibrated(observer, bounds, log, robot)
+    except BoundsError:
+        return row
+    return row | {"recalibrated [m/s]": _three(epsilon), "then hold [%]": round(100 * held, 1)}
+
+
+def _three(values: Sequence[float] | np.ndarray) -> str:
+    return ", ".join(f"{x:.3f}" for x in values)
 
 
 def _of_trace(found: dict[str, Any]) -> list[Section]:
@@ -114,7 +222,7 @@ def _metrics(comparison: Comparison, name: str):
     return next((r.metrics for r in comparison.results if r.filter == name), None)
 
 
-def _summary(side: Side, rmse: dict[str, list[float]]) -> dict[str, Any]:
+def _summary(side: Side, measured: ErrorParts) -> dict[str, Any]:
     filters = {
         r.filter: {key: float(getattr(r.metrics, key)) for key in LOOP_METRICS}
         for r in side.comparison.results
@@ -122,20 +230,10 @@ def _summary(side: Side, rmse: dict[str, list[float]]) -> dict[str, Any]:
     }
     return {
         "effects": [e.as_dict() for e in side.effects],
-        "observer_rmse": rmse,
+        "observer_errors": {"simulated": side.simulated.rms, "measured": measured.rms},
         "coverage": {name: held.joint for name, held in side.comparison.held.items()},
         "filters": filters,
     }
-
-
-def observer_rmse(side: Side) -> dict[str, list[float]]:
-    """RMSE (3,) [m/s] on the measured log of each observer of the side, by its loss."""
-    log, robot = declared_model(side.comparison.log, side.comparison.robot)
-    rmse = {}
-    for observer in side.learnt.observers:
-        errors = prediction_errors(observer, log, robot)[1]
-        rmse[observer.loss] = [float(x) for x in (errors**2).mean(axis=0) ** 0.5]
-    return rmse
 
 
 def _trajectories(sides: Sequence[Side]) -> dict[str, Trajectory]:
@@ -147,9 +245,7 @@ def _trajectories(sides: Sequence[Side]) -> dict[str, Trajectory]:
     }
 
 
-def _prose(
-    found: dict[str, Any], sides: Sequence[Side], rmse: dict[str, dict[str, list[float]]]
-) -> str:
+def _prose(found: dict[str, Any], sides: Sequence[Side]) -> str:
     form = "{name} of {target}, {value:.4g} {unit}"
     zeros = [one for run in found["runs"] for one in run if one["compensated"]]
     added = [form.format(**effect) for effect in (*found["effects"], *zeros)]
@@ -163,11 +259,6 @@ def _prose(
         "bounds, and the level asked for holds only as far as the simulation is like the robot."
     )
     for side in sides:
-        for loss, (x, y, z) in rmse[side.name].items():
-            text += (
-                f"\n\n{side.name}: the {loss} observer errs by {x:.3f}, {y:.3f}, {z:.3f} m/s "
-                "(root mean square; forward, lateral, vertical)."
-            )
         for name, why in side.comparison.left_out.items():
             text += f"\n\n{side.name}: {name} was left out ({why})."
     return text

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,18 +10,22 @@ import pytest
 from surefoot.models.observer.predict import prediction_errors
 from surefoot.models.observer.training import train
 from surefoot.scenarios.estimate.run import declared_model
-from surefoot.scenarios.trace.loop import (
-    RECIPE,
+from surefoot.scenarios.experiments.as_walked import load_as_walked
+from surefoot.scenarios.trace import gait_choice
+from surefoot.scenarios.trace.gait_choice import choose_gait
+from surefoot.scenarios.trace.loop import RECIPE, inputs_of, loop
+from surefoot.scenarios.trace.observer_errors import ERROR_PARTS, split_errors
+from surefoot.scenarios.trace.training_walks import (
     TrainingPlan,
     bodily,
-    inputs_of,
-    loop,
+    rates_as_of,
     simulate_training,
     world_of,
 )
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
 from surefoot.sim.effects import effect
+from surefoot.sim.gait.options import GaitOptions
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
@@ -66,9 +71,70 @@ def test_lessons_are_walked_with_the_effects_and_seen_by_a_model_that_knows_them
     assert np.abs(longer[1].q - plain[1].q).max() > 0.01
 
 
-@pytest.mark.parametrize(
-    ("dropped", "inputs"), [((), "q,dq,tau"), (("tau_",), "q,dq"), (("dq_",), "q")]
-)
+def test_training_walks_say_how_the_imu_is_mounted_that_their_observer_learns_with(robot, log):
+    told = replace(robot, p_BI=np.array([0.1, 0.0, 0.02]))
+    turned = effect("mounting_rotation", "x", 0.05)
+    _, calibration = simulate_training(walking_style(log, robot), told, [turned], 0, SHORT)
+    known = Robot.for_log(calibration)
+    np.testing.assert_allclose(known.p_BI, told.p_BI)
+    np.testing.assert_allclose(known.R_BI, turned.compensate(log, told)[1].R_BI, atol=1e-12)
+
+
+def test_rates_are_those_that_a_filter_has_of_the_measured_log(log):
+    assert rates_as_of(log, log) is log
+    bare = replace(log, frame=log.frame[[c for c in log.frame if not str(c).startswith("dq_")]])
+    derived = rates_as_of(log, bare)
+    assert not np.array_equal(derived.dq, log.dq)
+    # Of the past alone: what comes later changes nothing.
+    early = rates_as_of(log.rows(slice(0, 1000)), bare)
+    np.testing.assert_array_equal(early.dq, derived.dq[:1000])
+
+
+def test_errors_are_split_into_what_they_were_made_of():
+    rng = np.random.default_rng(0)
+    t = 0.01 * np.arange(3000)
+    motion = rng.normal(size=(3000, 4))
+    phase, moves = (t / 0.5) % 1.0, t > 1.0
+    made = {
+        "constant": np.tile([0.1, 0.0, -0.05], (3000, 1)),
+        "with the motion": motion @ np.full((4, 3), 0.02),
+        "slow": 0.05 * np.sin(2 * np.pi * t / 7.0)[:, None] * np.ones(3),
+        "with the stride": 0.04 * np.sin(4 * np.pi * phase)[:, None] * np.ones(3),
+    }
+    errors = sum(made.values()) + rng.normal(0.0, 0.01, (3000, 3))
+    parts = split_errors(errors, motion, phase, moves)
+    assert tuple(parts) == tuple(ERROR_PARTS)
+    np.testing.assert_allclose(sum(parts.values()), errors[moves], atol=1e-12)
+    for name, true in made.items():
+        assert np.sqrt(((parts[name] - true[moves]) ** 2).mean()) < 0.01, name
+    # A log without contacts has no phase: nothing is said of the stride.
+    assert not split_errors(errors, motion, None, moves)["with the stride"].any()
+
+
+def test_the_gait_that_is_more_like_the_logs_is_taken(robot, log, monkeypatch):
+    counts = {"the plain gait": (9, 17), "the gait as walked": (12, 3)}
+
+    def compared(log, robot, words, effects, walked, seed, progress):
+        like, unlike = counts[words]
+        rows = SimpleNamespace(counts={"like": like, "unlike": unlike}, rows=())
+        return SimpleNamespace(words=words, card=rows)
+
+    monkeypatch.setattr(gait_choice, "compare_walks", compared)
+    choice = choose_gait(log, robot, (), 0)
+    assert choice.gait == load_as_walked().gait
+    assert "9 quantities like the log's and 17 unlike" in choice.words
+    counts["the plain gait"] = (12, 3)
+    assert choose_gait(log, robot, (), 0).gait == GaitOptions()
+
+
+def test_a_log_without_contacts_is_imitated_in_the_plain_gait(robot, log):
+    kept = [c for c in log.frame if not str(c).startswith("contact_")]
+    choice = choose_gait(replace(log, frame=log.frame[kept]), robot, (), 0)
+    assert choice.gait == GaitOptions()
+    assert "contact" in choice.words
+
+
+@pytest.mark.parametrize(("dropped", "inputs"), [((), "tau,feet"), (("tau_", "dq_"), "feet")])
 def test_an_observer_reads_what_the_measured_log_has(log, dropped, inputs):
     kept = [c for c in log.frame if not str(c).startswith(dropped or ("none",))]
     assert inputs_of(replace(log, frame=log.frame[kept])) == inputs
@@ -97,10 +163,13 @@ def test_the_loop_recovers_most_of_what_knowing_the_effect_would_gain(
     out = tmp_path / "loop"
     loop(measured, robot, out)
     sides = json.loads((out / "loop.json").read_text())["sides"]
-    rmse = {side: np.linalg.norm(sides[side]["observer_rmse"]["mse"]) for side in sides}
+    rmse = {
+        side: np.linalg.norm(sides[side]["observer_errors"]["measured"]["all"]) for side in sides
+    }
     training, _ = simulate_training(walking_style(measured, robot), robot, [hidden], 0)
     told = replace(measured, meta=replace(measured.meta, effects=(hidden.as_dict(),)))
-    errors = prediction_errors(train(training), *declared_model(told, robot))[1]
+    taught = train(training, inputs=inputs_of(measured))
+    errors = prediction_errors(taught, *declared_model(told, robot))[1]
     known = np.linalg.norm(np.sqrt((errors**2).mean(axis=0)))
     gain = rmse["before"] - known
     print(
