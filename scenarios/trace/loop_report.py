@@ -149,6 +149,9 @@ def _of_observers(
         "moves are the sum of the parts below: "
     )
     parts += "; ".join(f"{name}, {what}" for name, what in ERROR_PARTS.items()) + "."
+    shares = last.simulated.excess(measured[last.name])
+    parts += "\n\nOf the squares that the measured errors have beyond the simulated ones, "
+    parts += ", ".join(f"{100 * x:.0f} % are {name}" for name, x in shares.items()) + "."
     return [
         Section("Observers, simulated and measured", words, pd.DataFrame(rows)),
         Section("What the errors are made of", parts, last.simulated.table(measured[last.name])),

@@ -51,6 +51,17 @@ class ErrorParts:
             rows.append(row)
         return rows
 
+    def excess(self, measured: "ErrorParts") -> dict[str, float]:
+        """Shares of ERROR_PARTS, the largest first, in the squares that measured errors have beyond
+        these, all axes together; a part that is no larger has none."""
+        beyond = {
+            name: max(0.0, float(np.sum(np.square(measured.rms[name]) - np.square(self.rms[name]))))
+            for name in ERROR_PARTS
+        }
+        total = sum(beyond.values())
+        shares = {name: x / total for name, x in beyond.items()} if total else beyond
+        return dict(sorted(shares.items(), key=lambda item: -item[1]))
+
 
 def error_parts(observer: Observer, log: Log, robot: Robot | None = None) -> ErrorParts:
     """Parts of an observer's errors on a log, in the frame of its IMU.
@@ -106,12 +117,13 @@ def recalibrated(
     observer: Observer, bounds: Bounds, log: Log, robot: Robot
 ) -> tuple[np.ndarray, float]:
     """Bounds (3,) [m/s] from the first half of a measured log, and the share of the errors of its
-    second half that they hold.
+    second half that they hold. Errors are taken as far apart as in the simulated calibration.
 
     Raises BoundsError where half of the log is too short.
     """
     half = len(log.t) // 2
-    again = calibrate(observer, log.rows(slice(0, half)), bounds.gamma, bounds.method, robot)
+    seen = log.rows(slice(0, half))
+    again = calibrate(observer, seen, bounds.gamma, bounds.method, robot, bounds.K)
     rows, errors = prediction_errors(observer, log, robot)
     inside = np.abs(errors[rows >= half]) <= again.epsilon
     return again.epsilon, float(inside.all(axis=1).mean())

@@ -14,7 +14,7 @@ from surefoot.scenarios.experiments.as_walked import load_as_walked
 from surefoot.scenarios.trace import gait_choice
 from surefoot.scenarios.trace.gait_choice import choose_gait
 from surefoot.scenarios.trace.loop import RECIPE, inputs_of, loop
-from surefoot.scenarios.trace.observer_errors import ERROR_PARTS, split_errors
+from surefoot.scenarios.trace.observer_errors import ERROR_PARTS, ErrorParts, split_errors
 from surefoot.scenarios.trace.training_walks import (
     TrainingPlan,
     bodily,
@@ -109,6 +109,16 @@ def test_errors_are_split_into_what_they_were_made_of():
         assert np.sqrt(((parts[name] - true[moves]) ** 2).mean()) < 0.01, name
     # A log without contacts has no phase: nothing is said of the stride.
     assert not split_errors(errors, motion, None, moves)["with the stride"].any()
+
+
+def test_what_measured_errors_have_beyond_simulated_ones_is_shared_by_squares():
+    still = {name: [0.01, 0.02, 0.01] for name in ERROR_PARTS}
+    more = still | {"constant": [0.01, 0.04, 0.01], "fast": [0.05, 0.02, 0.01], "slow": [0.0] * 3}
+    shares = ErrorParts(still).excess(ErrorParts(more))
+    assert list(shares)[:2] == ["fast", "constant"]
+    assert shares["fast"] == pytest.approx(2 * shares["constant"])
+    assert sum(shares.values()) == pytest.approx(1.0)
+    assert shares["slow"] == 0.0
 
 
 def test_the_gait_that_is_more_like_the_logs_is_taken(robot, log, monkeypatch):
