@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import t as student_t
 
 from surefoot.scenarios.estimate.run import run_filter
 from surefoot.scenarios.trace.walk_comparison import WalkComparison
@@ -31,6 +32,16 @@ class Drift:
     def ratio(self) -> float:
         """Mean of the simulated walks over the measured one."""
         return float(np.mean(self.simulated)) / self.measured
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval of the ratio over the seeds of the walks (Student's t); NaN of one walk."""
+        n = len(self.simulated)
+        if n < 2:
+            return np.nan, np.nan
+        half = student_t.ppf(0.975, n - 1) * np.std(self.simulated, ddof=1) / np.sqrt(n)
+        half = float(half) / self.measured
+        return self.ratio - half, self.ratio + half
 
     @property
     def alike(self) -> bool:
@@ -70,6 +81,7 @@ def drift_table(found: Sequence[WalkComparison]) -> list[dict[str, str | float]]
             "simulated": float(np.mean(drift.simulated)),
             "each walk": ", ".join(f"{x:.3f}" for x in drift.simulated),
             "ratio": drift.ratio,
+            "over seeds, 95 %": "{:.2f} to {:.2f}".format(*drift.interval),
             f"within {100 * WITHIN:.0f} %": "yes" if drift.alike else "no",
         }
         for one in found

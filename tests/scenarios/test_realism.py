@@ -95,6 +95,12 @@ def test_the_drift_of_the_leg_filter_tells_what_the_legs_lack(measured, robot):
     assert less[0].ratio < 0.8 * alike[0].ratio
     assert Drift("points", 0.1, (0.105, 0.115)).alike
     assert not Drift("points", 0.1, (0.115, 0.135)).alike
+    # Student's t of two degrees of freedom: 4.303 standard errors.
+    low, high = Drift("points", 0.1, (0.09, 0.10, 0.11)).interval
+    np.testing.assert_allclose(
+        [low, high], 1.0 + 0.1 * 4.303 / np.sqrt(3.0) * np.array([-1, 1]), rtol=1e-3
+    )
+    assert np.isnan(Drift("points", 0.1, (0.09,)).interval).all()
 
 
 def test_another_robot_is_judged_by_what_is_carried_to_its_size(measured, robot):
