@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+import surefoot
 from surefoot.scenarios.cli.main import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -31,6 +32,12 @@ def test_its_python_runs(tmp_path):
         [sys.executable, str(script)], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert ran.returncode == 0, ran.stderr[-4000:]
+
+
+def test_the_reference_has_every_public_name():
+    page = (ROOT / "docs/reference/index.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"`(\w+)`", page))
+    assert set(surefoot.__all__) - {"__version__"} <= named
 
 
 def test_every_command_is_named_and_there_is_no_other():
