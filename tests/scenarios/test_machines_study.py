@@ -8,7 +8,7 @@ from pendulum import swung
 
 from surefoot.estimator.evaluation.trajectory import reference
 from surefoot.scenarios.studies.hardware.impulses import window_rows
-from surefoot.scenarios.studies.hardware.servos import Servo, fit_servo, with_play
+from surefoot.scenarios.studies.hardware.servos import Servo, ceiling_table, fit_servo, with_play
 from surefoot.scenarios.studies.hardware.shared_sizes import left_out_table, runs_left_out
 from surefoot.scenarios.studies.hardware.walks_by_feet import (
     end_error,
@@ -58,8 +58,12 @@ def test_a_servo_is_found_again_from_what_it_was_asked_for():
     log = swung(0.1)
     frame = log.frame.iloc[:0].reindex(range(len(t)))
     frame = frame.assign(t=t, q_shoulder=0.3 + true.angle(t, asked), q_des_shoulder=asked)
-    found = fit_servo([replace(log, frame=frame[["t", "q_shoulder", "q_des_shoulder"]])], 0)
+    run = replace(log, frame=frame[["t", "q_shoulder", "q_des_shoulder"]])
+    found = fit_servo([run], 0)
     assert (found.delay, found.lag, found.play) == pytest.approx((true.delay, true.lag, true.play))
+    (row,) = ceiling_table({"run": run}, [Servo(0.0, 0.0, 0.0)]).to_dict("records")
+    shared, own = map(float, row["run"].split(" / "))
+    assert own == 0.0 < 5.0 < shared
 
 
 def test_play_holds_until_its_gears_touch():

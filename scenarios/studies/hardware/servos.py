@@ -162,6 +162,25 @@ def constants_table(logs: Mapping[str, Log]) -> pd.DataFrame:
     )
 
 
+def ceiling_table(logs: Mapping[str, Log], servos: Sequence[Servo]) -> pd.DataFrame:
+    """A row a joint: error [mrad, root mean square] of each log by its servo, and behind the stroke
+    by the one that fits that log best, which is the least that any of the grid leaves."""
+    names = next(iter(logs.values())).joints
+    return pd.DataFrame(
+        {
+            "joint": joint,
+            **{
+                run: " / ".join(
+                    f"{1e3 * _rms([_left(log, j, one)]):.1f}"
+                    for one in (servo, fit_servo([log], j))
+                )
+                for run, log in logs.items()
+            },
+        }
+        for j, (joint, servo) in enumerate(zip(names, servos, strict=True))
+    )
+
+
 def _left(log: Log, joint: int, servo: Servo) -> np.ndarray:
     return _centred(log.q[:, joint] - servo.angle(log.t, log.q_des[:, joint]))
 

@@ -307,6 +307,9 @@ def so101(folder: Path, options: HardwareStudy) -> Chapter:
         )
     tables = {
         "Servos by three runs, and their angles in the other three": table,
+        "Error by run [mrad]: of the servo by three runs / of the best servo for that run alone": (
+            servos.ceiling_table(logs, found)
+        ),
         "Held off what was commanded, in the mean [mrad]": servos.constants_table(logs),
         "What is not plausible in the logs": feet.findings_table(list(logs.values())),
     }
@@ -315,7 +318,10 @@ def so101(folder: Path, options: HardwareStudy) -> Chapter:
         "excitations (isaac-sim2real/sage). Its torques are magnitudes of an unknown unit, so that "
         "a torque scale cannot be told, nor friction in N m: a servo is a delay, a time constant "
         "and a play, each joint's by three runs, with what single runs say in brackets; a value at "
-        "the end of what was tried says no more than that. Errors are of three other runs.\n\n"
+        "the end of what was tried says no more than that. Errors are of three other runs. No such "
+        "servo follows the sweep of frequencies, not even one fitted to it alone, and its large "
+        "errors decide the servo by three runs; what that costs on the others is in the table of "
+        "errors by run.\n\n"
     )
     figure = servos.servos_figure(unseen[0], found, machine)
     return Chapter("SO-101, six servos", words + summary(traced), tables, figure)
