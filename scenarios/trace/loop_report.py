@@ -240,9 +240,11 @@ def _summary(side: Side, measured: ErrorParts) -> dict[str, Any]:
 
 
 def _trajectories(sides: Sequence[Side]) -> dict[str, Trajectory]:
+    """Estimates of the first world and of the last, for the pictures."""
+    ends = {sides[0].name: sides[0], sides[-1].name: sides[-1]}
     return {
         f"{r.filter} {side.name}": r.trajectory
-        for side in sides
+        for side in ends.values()
         for r in side.comparison.results
         if (own := traits(r.filter)).drawn and not own.variant
     }
