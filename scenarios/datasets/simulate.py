@@ -69,10 +69,7 @@ def simulate_all(
     jobs = _jobs(scenarios, robot, seed_range(seeds), chosen, not undeclared)
     for name in dict.fromkeys(job.robot for job in jobs):
         if known_robot(name).imu is None:
-            print(
-                f"note: {name}: its model has no IMU, so the base frame is used instead; give the "
-                "base body a site named imu to place one"
-            )
+            print(_without_imu(name))
     for scenario in {job.scenario.name: job.scenario for job in jobs}.values():
         rough = any(strip.rough for strip in scenario.ground.strips)
         if len(seed_range(seeds)) > 1 and scenario.ranges == Ranges() and not rough:
@@ -125,6 +122,13 @@ def save_walk(walked: Walked, folder: Path, force: bool = False) -> IndexRow:
     path = folder / row.file
     walked.log.write(path, force)
     return with_hash(row, path)
+
+
+def _without_imu(robot: str) -> str:
+    how = "give the base body a site named imu to place one"
+    if robot.endswith(".urdf"):
+        how = "a URDF has no sites; in an MJCF a site named imu on the base body places one"
+    return f"note: {robot}: its model has no IMU, so the base frame is used instead; {how}"
 
 
 def _jobs(

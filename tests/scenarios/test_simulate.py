@@ -15,7 +15,7 @@ import pytest
 
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.datasets.index import Journal, read_index
-from surefoot.scenarios.datasets.simulate import simulate_all
+from surefoot.scenarios.datasets.simulate import _without_imu, simulate_all
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects.file import load_effects
 from surefoot.sim.log import Log
@@ -111,6 +111,8 @@ def test_a_robot_whose_model_has_no_imu_is_said_to_have_none(folder, capsys):
     (folder / "blind.xml").write_text(bare)
     simulate_all([Path("short.toml")], Path("walks"), robot="blind.xml")
     assert "note: blind.xml: its model has no IMU" in capsys.readouterr().out
+    assert "give the base body a site" in _without_imu("blind.xml")
+    assert "a URDF has no sites" in _without_imu("blind.urdf")
 
 
 def test_a_changed_scenario_is_not_mixed_with_its_past(folder):
