@@ -41,6 +41,8 @@ def test_what_is_there_harms_nothing(case):
 
 def test_what_is_not_there_is_left_out_and_the_truth_is_kept(case):
     wrong = effect("encoder_offset", "FL_thigh", 0.02)
-    one, channel = found(case, TRUTH, wrong)
+    harm = found(case, TRUTH, wrong)
+    assert harm is not None
+    one, channel = harm
     assert one == wrong
     assert channel in known_channels()
