@@ -152,7 +152,7 @@ def drawn_changes(
     for kind in KINDS:
         for link in done[0].rows[0].joints:
             for _ in range(each):
-                run = done[rng.integers(len(done))].name
+                run = done[int(rng.integers(len(done)))].name
                 keys = [k for k in least[run] if k[0] == kind and link_of(k) == link]
                 key = keys[rng.integers(len(keys))]
                 low, high = np.array(RATIOS) * least[run][key]
