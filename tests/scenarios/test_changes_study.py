@@ -6,9 +6,9 @@ import pandas as pd
 import pytest
 
 from surefoot.scenarios.studies.hardware import changes
-from surefoot.scenarios.studies.hardware.changes import every_change, named, with_change
-from surefoot.scenarios.studies.hardware.impulses import published, window_rows
-from surefoot.scenarios.studies.hardware.shared_sizes import calibrate, runs_left_out
+from surefoot.scenarios.studies.hardware.changes import every_change, named_changes, with_change
+from surefoot.scenarios.studies.hardware.impulses import as_published, window_rows
+from surefoot.scenarios.studies.hardware.shared_sizes import runs_left_out, shared_calibration
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.robot.fixed_base import load_machine
 
@@ -81,7 +81,7 @@ def test_terms_are_what_changed_masses_ask_for(machine):
 
 
 def test_what_is_published_counts_the_links_beyond(machine):
-    found = published(machine, "mid")
+    found = as_published(machine, "mid")
     assert found["first moment z"] == pytest.approx(-1.5 * 0.12 - 0.3 * 0.05)
     assert found["first moment y"] == pytest.approx(1.5 * 0.01)
     inertia = 0.01 + 1.5 * (0.12**2 + 0.01**2) + 0.3 * 0.05**2
@@ -94,14 +94,14 @@ def runs():
 
 
 def test_a_change_is_named_on_its_link_and_nothing_where_nothing_changed(machine, runs):
-    before = calibrate(
+    before = shared_calibration(
         {r: [window_rows(x, machine, WINDOW) for x in own] for r, own in runs.items()}
     )
     at = before.keys.index(("dry friction", "mid"))
     assert before.value[at] == pytest.approx(0.3, abs=0.05)
 
     def found(log: Log):
-        return named(every_change(before, [window_rows(log, machine, WINDOW)]))
+        return named_changes(every_change(before, [window_rows(log, machine, WINDOW)]))
 
     assert found(swing(9, friction=0.3)) == ()
     (heavier,) = found(swing(9, friction=0.3, mass=0.15))

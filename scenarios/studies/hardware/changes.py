@@ -36,9 +36,9 @@ LIKELY = 2.0 * np.log(20.0)
 """Difference of squared deviations by which a rival on another link is 20 times less likely."""
 KINDS = ("link_mass", "link_com", "coulomb_friction", "encoder_offset")
 """Effects that are drawn."""
-RATIOS = (0.5, 5.0)
+DRAWN_RATIOS = (0.5, 5.0)
 """Of a drawn size to the least that is named, in 95 of 100 runs, of the run that it is drawn on."""
-FARTHEST = 0.3
+FARTHEST_COM = 0.3
 """m; links are 0.3 m long, and no centre of mass is farther off."""
 
 
@@ -84,7 +84,7 @@ def every_change(before: Calibration, rows: Sequence[WindowRows]) -> list[Change
     return sorted(found, key=lambda one: -one.excess)
 
 
-def named(found: Sequence[Change]) -> tuple[Change, ...]:
+def named_changes(found: Sequence[Change]) -> tuple[Change, ...]:
     """What is named of `every_change`: nothing, one change, or, where other links' cannot be told
     from it, that and the best of each of them."""
     first = found[0]
@@ -139,8 +139,8 @@ def drawn_changes(
 ) -> list[tuple[str, SizeKey, float]]:
     """Changes to try: run, effect and target, and size; of every kind on every link.
 
-    Sizes are RATIOS of the least that is named, evenly in their logarithm. A kind of which a link
-    cannot have that much is left out. Masses are tied on, and friction grows.
+    Sizes are DRAWN_RATIOS of the least that is named, evenly in their logarithm. A kind of which a
+    link cannot have that much is left out. Masses are tied on, and friction grows.
 
     Args:
         done: runs with the calibration by the others.
@@ -155,10 +155,10 @@ def drawn_changes(
                 run = done[int(rng.integers(len(done)))].name
                 keys = [k for k in least[run] if k[0] == kind and link_of(k) == link]
                 key = keys[rng.integers(len(keys))]
-                low, high = np.array(RATIOS) * least[run][key]
+                low, high = np.array(DRAWN_RATIOS) * least[run][key]
                 size = float(np.exp(rng.uniform(np.log(low), np.log(high))))
                 sign = rng.choice([-1.0, 1.0]) if kind in ("link_com", "encoder_offset") else 1.0
-                if kind != "link_com" or size <= FARTHEST:
+                if kind != "link_com" or size <= FARTHEST_COM:
                     drawn.append((run, key, sign * size))
     return drawn
 
@@ -212,7 +212,7 @@ def tried_changes(
             found = every_change(others[run], windows)
             best = [
                 {"key": list(one.key), "size": one.size, "deviation": one.deviation}
-                for one in named(found)
+                for one in named_changes(found)
             ]
             least = next((one.least for one in found if one.key == key), None)
             return {"named": best, "least": least, "most": found[0].excess}

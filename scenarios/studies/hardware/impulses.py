@@ -18,15 +18,15 @@ import numpy as np
 
 from surefoot.sim.effects import compensate_all, effect, known_effects
 from surefoot.sim.effects.contact import STICKING
+from surefoot.sim.effects.targets import AXES
 from surefoot.sim.log import Log
 from surefoot.sim.physics.inertia import LinkChange
 from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
 from surefoot.sim.robot.fixed_base import FixedBase
 
-AXES = "xyz"
 SizeKey = tuple[str, str]
 """What a size is of, and of which joint or the link that it moves."""
-UNITS = {
+UNITS_OF_TERMS = {
     **{f"first moment {axis}": "kg m" for axis in AXES},
     "inertia about the hinge": "kg m^2",
     "rotor inertia": "kg m^2",
@@ -153,7 +153,7 @@ def _link_steps(machine: FixedBase, j: int) -> list[tuple[str, LinkChange, float
     return steps
 
 
-def published(machine: FixedBase, joint: str) -> dict[str, float]:
+def as_published(machine: FixedBase, joint: str) -> dict[str, float]:
     """What shows of a link as its file has it: name of the size -> value."""
     model = dynamics_of(machine.file, machine.joint_names).model
     hinge = model.joint(joint).id

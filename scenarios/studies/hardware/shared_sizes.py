@@ -22,7 +22,12 @@ from scipy.optimize import minimize
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
 from surefoot.scenarios.studies.hardware.drives import between, rms
-from surefoot.scenarios.studies.hardware.impulses import UNITS, SizeKey, WindowRows, published
+from surefoot.scenarios.studies.hardware.impulses import (
+    UNITS_OF_TERMS,
+    SizeKey,
+    WindowRows,
+    as_published,
+)
 from surefoot.sim.robot.fixed_base import FixedBase
 
 ZERO = 0.03
@@ -60,7 +65,7 @@ class Calibration:
         return own_spread(logs, self.noise) + X @ (self.covariance + np.diag(self.apart**2)) @ X.T
 
 
-def calibrate(runs: Runs) -> Calibration:
+def shared_calibration(runs: Runs) -> Calibration:
     """The sizes that these runs share, by all of their rows."""
     keys = tuple(next(iter(runs.values()))[0].terms)
     y = np.concatenate([stacked_rest(own) for own in runs.values()])
@@ -141,7 +146,7 @@ def runs_left_out(runs: Runs) -> tuple[HeldOutRun, ...]:
     """Each run with the sizes that the others share, and zeros of its own."""
     done = []
     for name, own in runs.items():
-        others = calibrate({k: v for k, v in runs.items() if k != name})
+        others = shared_calibration({k: v for k, v in runs.items() if k != name})
         before = stacked_rest(own)
         zeroed, after = (others.zeroed(own, x) for x in (before, others.left(own)))
         parts = (x.reshape(-1, len(own[0].joints)) for x in (before, zeroed, after))
@@ -165,18 +170,18 @@ def left_out_table(done: Sequence[HeldOutRun]) -> pd.DataFrame:
     )
 
 
-def sizes_table(whole: Calibration, machine: FixedBase) -> pd.DataFrame:
+def shared_sizes_table(whole: Calibration, machine: FixedBase) -> pd.DataFrame:
     """A row a size: as published, what the model lacks of it, and how far runs differ in it."""
     rows = []
     for k, (name, joint) in enumerate(whole.keys):
         value, twice = whole.value[k], 1.96 * np.sqrt(whole.covariance[k, k])
-        as_published = published(machine, joint).get(name)
+        of_file = as_published(machine, joint).get(name)
         rows.append(
             {
                 "joint or its link": joint,
                 "size": name,
-                "unit": UNITS[name],
-                "published": "–" if as_published is None else f"{as_published:.4f}",
+                "unit": UNITS_OF_TERMS[name],
+                "published": "–" if of_file is None else f"{of_file:.4f}",
                 "beyond it (95 % interval)": between(value, (value - twice, value + twice), 4),
                 "runs differ by (standard deviation)": f"{whole.apart[k]:.4f}",
             }
@@ -189,7 +194,7 @@ def lengths_table(calibrations: Mapping[float, Calibration]) -> pd.DataFrame:
     keys = next(iter(calibrations.values())).keys
     rows = []
     for k, (name, joint) in enumerate(keys):
-        row = {"joint or its link": joint, "size": name, "unit": UNITS[name]}
+        row = {"joint or its link": joint, "size": name, "unit": UNITS_OF_TERMS[name]}
         for length, one in calibrations.items():
             twice = 1.96 * np.sqrt(one.covariance[k, k])
             row[f"{length:g} s"] = f"{one.value[k]:.4f} ± {twice:.4f}"

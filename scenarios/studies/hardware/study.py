@@ -237,7 +237,7 @@ def ricmonk(folder: Path, options: HardwareStudy) -> Chapter:
     }
     done = by_length[RICMONK_WINDOW]
     whole = {
-        length: shared_sizes.calibrate({one.name: one.rows for one in held_out})
+        length: shared_sizes.shared_calibration({one.name: one.rows for one in held_out})
         for length, held_out in by_length.items()
     }
     inputs = {file.stem: file_digest(file) for file in files}
@@ -247,7 +247,7 @@ def ricmonk(folder: Path, options: HardwareStudy) -> Chapter:
         "Residual torque of runs that no fit has seen (root mean square)": (
             shared_sizes.left_out_table(done)
         ),
-        "Sizes by all runs": shared_sizes.sizes_table(whole[RICMONK_WINDOW], machine),
+        "Sizes by all runs": shared_sizes.shared_sizes_table(whole[RICMONK_WINDOW], machine),
         "The same, beyond what is published, through windows of other lengths": (
             shared_sizes.lengths_table(whole)
         ),
@@ -277,9 +277,9 @@ def ricmonk(folder: Path, options: HardwareStudy) -> Chapter:
         "that is named in 95 of 100 runs, and put into a measured run, its noise and jolts as they "
         "are: a zero into the angle, all others as the torque that they ask for along the motion, "
         "the passive hook's too. Changes that no link can have (a centre of mass more than "
-        f"{changes.FARTHEST:g} m off) are left out. The length of the windows and the threshold "
-        "were chosen with these five runs in view, the unchanged ones too: what they are worth, "
-        "runs that nothing was chosen on must say."
+        f"{changes.FARTHEST_COM:g} m off) are left out. The length of the windows and the "
+        "threshold were chosen with these five runs in view, the unchanged ones too: what they are "
+        "worth, runs that nothing was chosen on must say."
     )
     return Chapter("RicMonk, five runs", words, tables, shared_sizes.held_out_figure(done))
 
