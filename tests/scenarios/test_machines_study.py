@@ -18,7 +18,7 @@ from surefoot.scenarios.studies.hardware.walks_by_feet import (
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import load_machine
+from surefoot.sim.robot.fixed_base import FixedBase, load_machine
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 
@@ -29,6 +29,7 @@ def off_zero(log: Log, by: float) -> Log:
 
 def test_runs_share_their_sizes_and_have_zeros_of_their_own():
     machine, zeros = load_machine("ak80_pendulum"), (0.03, -0.02, 0.0)
+    assert isinstance(machine, FixedBase)
     runs = {
         f"run {k}": [
             window_rows(
