@@ -18,14 +18,13 @@ SECONDS = 10
 @dataclass(frozen=True)
 class Outcome:
     """How a command ended: exit code (negative: by that signal), what it printed, seconds of
-    processor time, the files that it left, made or changed, and bytes beyond this process's."""
+    processor time, and the files that it left, made or changed."""
 
     code: int
     out: str
     err: str
     seconds: float
     changed: tuple[str, ...]
-    memory: float
 
     @property
     def refused(self) -> bool:
@@ -58,7 +57,7 @@ def run_forked(
     pipes = [os.pipe(), os.pipe()]
     sys.stdout.flush()
     sys.stderr.flush()
-    own, code = _resident(), 99
+    code = 99
     child = os.fork()
     if child == 0:
         try:
@@ -87,7 +86,6 @@ def run_forked(
         err,
         used.ru_utime + used.ru_stime,
         tuple(changed),
-        max(0.0, 1024.0 * used.ru_maxrss - own),
     )
 
 
@@ -128,11 +126,6 @@ def copied(folder: Path, to: Path) -> Path:
         else:
             names[path.stat().st_ino] = Path(shutil.copyfile(path, target))
     return to
-
-
-def _resident() -> float:
-    """bytes of this process in memory."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * float(resource.getpagesize())
 
 
 def _limit(memory: int) -> None:

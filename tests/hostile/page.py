@@ -37,8 +37,7 @@ def main() -> None:
     ]
     words = (
         "Each case is a file or a command that must be refused: one line, no traceback, every file "
-        "as it was. Seconds are of the processor, memory is what a command takes beyond the "
-        "process that it is forked from.\n\n"
+        "as it was. Seconds are of the processor.\n\n"
         + (f"Not refused: {'; '.join(missed)}." if missed else "All were refused.")
     )
     origin = origin_of("surefoot.scenarios.cli.main", "python tests/hostile/page.py")
@@ -52,7 +51,6 @@ def _row(kind: str, outcomes: list[Outcome]) -> dict[str, object]:
         "refused": sum(one.refused for one in outcomes),
         "tracebacks": sum(one.traceback for one in outcomes),
         "longest [s]": max(one.seconds for one in outcomes),
-        "most memory [MB]": max(one.memory for one in outcomes) / 1e6,
     }
 
 
