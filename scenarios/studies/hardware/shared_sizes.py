@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import block_diag, cho_factor, cho_solve
 from scipy.optimize import minimize
 
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
@@ -81,12 +81,8 @@ def shared_calibration(runs: Runs) -> Calibration:
 
     def covariance(deviations: np.ndarray) -> np.ndarray:
         a, b, *noise = deviations
-        V, begin = shared * (a**2 + b**2 * same), 0
-        for own in runs.values():
-            here = own_spread(own, np.array(noise))
-            V[begin : begin + len(here), begin : begin + len(here)] += here
-            begin += len(here)
-        return V
+        own = block_diag(*(own_spread(logs, np.array(noise)) for logs in runs.values()))
+        return shared * (a**2 + b**2 * same) + own
 
     def unlikely(logarithms: np.ndarray) -> float:
         factor = cho_factor(covariance(np.exp(logarithms)), lower=True)
@@ -121,12 +117,7 @@ def own_spread(logs: Sequence[WindowRows], noise: np.ndarray) -> np.ndarray:
     for log in logs:
         Z = log.zeros.reshape(len(log.zeros), -1)
         parts.append(ZERO**2 * Z.T @ Z + np.diag(np.tile(noise**2, len(log.t))))
-    size = sum(map(len, parts))
-    out, begin = np.zeros((size, size)), 0
-    for part in parts:
-        out[begin : begin + len(part), begin : begin + len(part)] = part
-        begin += len(part)
-    return out
+    return block_diag(*parts)
 
 
 @dataclass(frozen=True)
