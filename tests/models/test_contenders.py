@@ -47,23 +47,26 @@ BOTH_WAYS = pytest.mark.parametrize(("late", "other"), [
 ])  # fmt: skip
 
 
+def of_two_streams(floor, late, other, delay):
+    """The effects, and what leaves more, once the stream that is late was named."""
+    data = data_of(case_with(effect(late, "all", delay)), floor)
+    right, wrong = candidate(late, "all", delay), candidate(other, "all", -delay)
+    best, effects, worse = rerank(data, [wrong, right])
+    assert best is right
+    return effects, worse
+
+
 # Half a step between two rows: there most is lost by moving a stream.
 @BOTH_WAYS
 def test_of_two_streams_the_late_one_is_named(floor, late, other):
-    data = data_of(case_with(effect(late, "all", 0.001)), floor)
-    right, wrong = candidate(late, "all", 0.001), candidate(other, "all", -0.001)
-    best, effects, _ = rerank(data, [wrong, right])
-    assert best is right
+    effects, _ = of_two_streams(floor, late, other, 0.001)
     assert effects[0].value == pytest.approx(0.001, rel=0.15)
 
 
 @BOTH_WAYS
 def test_the_other_stream_is_no_rival_where_it_leaves_more(floor, late, other):
-    data = data_of(case_with(effect(late, "all", 0.01)), floor)
-    right, wrong = candidate(late, "all", 0.01), candidate(other, "all", -0.01)
-    best, _, worse = rerank(data, [wrong, right])
-    assert best is right
-    assert worse == (wrong.key,)
+    _, worse = of_two_streams(floor, late, other, 0.01)
+    assert worse == ((other, "all"),)
 
 
 def test_shocks_of_the_imu_and_of_torques_lose_weight_and_nothing_else_does(floor):
