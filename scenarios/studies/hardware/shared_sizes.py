@@ -117,7 +117,7 @@ def own_spread(logs: Sequence[WindowRows], noise: np.ndarray) -> np.ndarray:
     for log in logs:
         Z = log.zeros.reshape(len(log.zeros), -1)
         parts.append(ZERO**2 * Z.T @ Z + np.diag(np.tile(noise**2, len(log.t))))
-    return block_diag(*parts)
+    return np.asarray(block_diag(*parts))
 
 
 @dataclass(frozen=True)
