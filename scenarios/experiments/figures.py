@@ -54,7 +54,7 @@ def by_sequence(
         for name in filters:
             color = estimator_color(name)
             mine = part[part["filter"] == name]
-            y = mine["sequence"].map(names.index) + offsets[name]
+            y = [names.index(sequence) + offsets[name] for sequence in mine["sequence"]]
             ax.plot(mine[column], y, ".", color=color, markersize=3.0, alpha=0.7)
             means = mine.groupby("sequence")[column].mean()
             at = [names.index(sequence) + offsets[name] for sequence in means.index]

@@ -168,3 +168,13 @@ def test_numbers_of_a_logarithmic_axis_have_room(most):
         assert len(boxes) >= 2
         assert all(left[1] < right[0] for left, right in pairwise(boxes))
     assert [x.get_text() for x in drawn.axes[0].get_yticklabels()] == ["there", "back (train)"]
+
+
+def test_a_filter_that_a_condition_lacks_leaves_its_panel_without_its_dots():
+    row = {"sequence": "loop", "condition": "as drawn", "filter": "leg", "APE": 0.1}
+    rows = [row, row | {"filter": "coverage"}, row | {"condition": "as walked"}]
+    text = pd.DataFrame(rows).astype({"sequence": "str", "filter": "str", "condition": "str"})
+    drawn, walked = by_sequence(text, "APE", "errors").axes[:2]
+    dots = [[len(np.asarray(line.get_xdata())) for line in ax.lines] for ax in (drawn, walked)]
+    assert dots[0] == [1, 1, 1, 1]  # each filter's seeds, and their mean
+    assert sorted(dots[1]) == [0, 0, 1, 1]
