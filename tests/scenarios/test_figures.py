@@ -171,10 +171,9 @@ def test_numbers_of_a_logarithmic_axis_have_room(most):
 
 
 def test_a_filter_that_a_condition_lacks_leaves_its_panel_without_its_dots():
-    row = {"sequence": "loop", "condition": "as drawn", "filter": "leg", "APE": 0.1}
+    row = {"sequence": "loop", "role": "test", "condition": "as drawn", "filter": "leg", "APE": 0.1}
     rows = [row, row | {"filter": "coverage"}, row | {"condition": "as walked"}]
-    text = pd.DataFrame(rows).astype({"sequence": "str", "filter": "str", "condition": "str"})
-    drawn, walked = by_sequence(text, "APE", "errors").axes[:2]
+    drawn, walked = by_sequence(pd.DataFrame(rows), "APE", "errors").axes
     dots = [[len(np.asarray(line.get_xdata())) for line in ax.lines] for ax in (drawn, walked)]
     assert dots[0] == [1, 1, 1, 1]  # each filter's seeds, and their mean
     assert sorted(dots[1]) == [0, 0, 1, 1]
