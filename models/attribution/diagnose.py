@@ -292,7 +292,7 @@ def _own(run: Run) -> list[dict[str, Any]]:
 
 
 def _levels(channels: dict[str, ChannelLevel]) -> dict[str, dict[str, Any]]:
-    levels = ("before", "after", "noise_floor", "unit")
+    levels = ("before", "after", "noise_floor", "highest", "unit")
     return {name: {level: getattr(c, level) for level in levels} for name, c in channels.items()}
 
 

@@ -208,14 +208,20 @@ def noise_floor_with(floor: NoiseFloor, effects: Sequence[Effect]) -> NoiseFloor
     telling = tuple(
         replace(e, value=float(np.clip(float(f"{e.value:.1e}"), *type(e).inside(e.target))))
         for e in effects
-        if type(e).edit_spec is not Effect.edit_spec
-        or type(e).alter_ground is not Effect.alter_ground
-        or type(e).lossy
+        if is_on_the_body(e)
     )
     if not telling or floor.plan is None or not floor.repeats:
         return floor
     other = _floor(floor.plan, telling)
     return other if other.repeats else floor
+
+
+def is_on_the_body(one: Effect) -> bool:
+    """Whether a robot that has it walks otherwise, or undoing it in the readings loses something:
+    a model that knows of it leaves another residual than one that need not."""
+    kind = type(one)
+    on_body = kind.edit_spec is not Effect.edit_spec
+    return on_body or kind.alter_ground is not Effect.alter_ground or kind.lossy
 
 
 def _floor(plan: FloorPlan, effects: tuple[Effect, ...]) -> NoiseFloor:

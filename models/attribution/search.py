@@ -9,7 +9,6 @@ from scipy.stats import t
 from surefoot.models.attribution.drift import adds_drift
 from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel, all_keys, linearise
 from surefoot.models.attribution.fit import (
-    Design,
     NormalEquations,
     design,
     fit,
@@ -18,7 +17,7 @@ from surefoot.models.attribution.fit import (
 )
 from surefoot.models.attribution.harm import harmful_in
 from surefoot.models.attribution.levels import gains_of
-from surefoot.models.attribution.noise_floor import NoiseFloor, noise_floor_with
+from surefoot.models.attribution.noise_floor import NoiseFloor, is_on_the_body, noise_floor_with
 from surefoot.models.attribution.priors import joint_rivals
 from surefoot.models.attribution.refinement import (
     Data,
@@ -93,18 +92,16 @@ def attribute(
     instead: dict[Key, list[Effect]] = {}
     rounds: list[tuple[Candidate, ...]] = []
     rivals: tuple[tuple[Key, float], ...] = ()
-    evidence, declared, use, plain = None, None, split.fit | split.select, floor
+    known, declared, use, plain = None, None, split.fit | split.select, floor
     while True:
         if progress:
             progress(min(len(rounds) / (settings.most_effects + 1), 1.0))
-        evidence, whole, weights, chosen = _settled(cases, chosen, keys, evidence, floor, split)
-        declared, found = declared or evidence, [_key(e) for e in chosen]
-        known = Data(cases, floor, evidence, chosen, weights, split.part)
-        data = normal_equations(whole, known.counted, weights.weight, split.part)
-        explained, limbs = _explained(declared, known), evidence.layout.limbs
+        known, data = _settled(cases, chosen, keys, known, floor, split)
+        declared, found = declared or known.evidence, [_key(e) for e in known.explained]
+        explained, limbs = explained_on_the_body(known), known.evidence.layout.limbs
         candidates = judge(data, floor, found, explained, limbs, rng, certain)
         rounds.append(candidates)
-        if len(chosen) == settings.most_effects:
+        if len(found) == settings.most_effects:
             break
         candidates = tuple(c for c in candidates if c.key not in refuted)
         # What the model lacks for certain comes first: others would stand for it.
@@ -115,7 +112,7 @@ def attribute(
             few = contenders(data, others, found)
             best, chosen_with, worse = rerank(known, few)
             floor_with = noise_floor_with(plain, chosen_with)
-            if adds_drift(cases, declared, evidence, chosen_with, use, floor_with):
+            if adds_drift(cases, declared, known.evidence, chosen_with, use, floor_with):
                 refuted.append(best.key)
                 continue
             rivals += _rivals(data, best, [c for c in others if c.key not in worse], found, rng)
@@ -130,7 +127,7 @@ def attribute(
             if best is None:
                 break
         chosen, floor = chosen_with, noise_floor_with(plain, chosen_with)
-    sized, harmful = _with_intervals(data, chosen, floor), ()
+    sized, harmful = _with_intervals(data, known.explained, floor), ()
     while True:
         # What was added after one that is unsure explains it as well.
         gone = [one.effect for one in sized if one.interval[0] <= 0.0 <= one.interval[1]]
@@ -138,14 +135,14 @@ def attribute(
             gone, harmful = [harm[0]], (*harmful, harm)
         if not gone:
             break
-        chosen = [e for e in chosen if e != gone[-1]]
+        chosen = [e for e in known.explained if e != gone[-1]]
         floor = noise_floor_with(plain, chosen)
-        evidence, whole, weights, chosen = _settled(cases, chosen, keys, evidence, floor, split)
-        known = Data(cases, floor, evidence, chosen, weights, split.part)
-        data = normal_equations(whole, known.counted, weights.weight, split.part)
-        sized = _with_intervals(data, chosen, floor)
+        known, data = _settled(cases, chosen, keys, known, floor, split)
+        sized = _with_intervals(data, known.explained, floor)
     # What was found beside an effect is no other explanation of it.
-    rivals = tuple(rival for rival in rivals if rival[0] not in [_key(e) for e in chosen])
+    named = [_key(e) for e in known.explained]
+    rivals = tuple(rival for rival in rivals if rival[0] not in named)
+    weights, evidence = known.robust_weights, known.evidence
     return Attribution(sized, tuple(rounds), rivals, weights, evidence, floor, harmful)
 
 
@@ -157,11 +154,16 @@ def _certain(keys: Sequence[Key], robot: Machine) -> set[Key]:
     return {(name, target) for name, target in keys if kinds[name].is_certain(target, robot)}
 
 
-def _explained(declared: Evidence, known: Data) -> dict[str, float]:
-    """What the effects found so far take off each channel, of the bins that may be looked at."""
+def explained_on_the_body(known: Data) -> dict[str, float]:
+    """What the effects found so far that a model knows only nearly take off each channel, of the
+    bins that may be looked at: errors of sensors are undone exactly, and leave nothing to others.
+    """
+    exact = [e for e in known.explained if not is_on_the_body(e)]
+    if len(exact) == len(known.explained):
+        return {}
     weight = known.robust_weights.weight * (known.part != REPORT)[:, None]
-    plain, now = declared.only(()), known.evidence.only(())
-    gains = gains_of(plain, now, weight, known.counted) if known.explained else {}
+    without = linearise(known.cases, exact, ())
+    gains = gains_of(without, known.evidence.only(()), weight, known.counted)
     return {name: float(gain.sum()) for name, gain in gains.items()}
 
 
@@ -199,13 +201,14 @@ def _hidden(
 
 def _settled(
     cases: Sequence[LogUnderModel],
-    chosen: list[Effect],
+    chosen: Sequence[Effect],
     keys: Sequence[Key],
-    evidence: Evidence | None,
+    before: Data | None,
     floor: NoiseFloor,
     split: Split,
-) -> tuple[Evidence, Design, RobustWeights, list[Effect]]:
-    """The evidence about the chosen effects, its robust weights, and their sizes with those.
+) -> tuple[Data, NormalEquations]:
+    """The data once the chosen effects are explained, at the sizes that settle with the robust
+    weights, and their normal equations.
 
     A large effect that is not linear spoils much of the evidence before it is explained.
 
@@ -213,24 +216,26 @@ def _settled(
         cases: the logs under the declared model.
         chosen: effects found so far, with their sizes.
         keys: of all candidates.
-        evidence: as far as it is linearised already, or None.
+        before: the data whose derivatives may serve again, or None.
         floor: noise floor.
         split: which blocks fit and which select.
     """
     settings, times = cases[0].settings, 0
+    evidence = before.evidence if before else None
     while True:
         evidence = linearise(cases, chosen, keys, evidence)
         whole = design(evidence)
         weights = robust_weights(whole, floor.sigma)
+        data = Data(cases, floor, evidence, chosen, weights, split.part)
         times += 1
         if not chosen or times == settings.settling_rounds:
-            return evidence, whole, weights, chosen
-        data = Data(cases, floor, evidence, chosen, weights, split.part)
+            break
         moved = refined(data, chosen, REPORT)
         pairs = list(zip(moved, chosen, strict=True))
         if all(abs(a.value - b.value) < settings.settled_share * abs(b.value) for a, b in pairs):
-            return evidence, whole, weights, chosen
+            break
         chosen = moved
+    return data, normal_equations(whole, data.counted, weights.weight, split.part)
 
 
 def _key(one: Effect) -> Key:

@@ -8,6 +8,7 @@ from surefoot.models.attribution.harm import harmful_in
 from surefoot.models.attribution.noise_floor import noise_floor
 from surefoot.models.attribution.refinement import Data
 from surefoot.models.attribution.robust_weights import robust_weights
+from surefoot.models.attribution.search import explained_on_the_body
 from surefoot.models.attribution.split import split_of
 from surefoot.models.residuals.registry import channels as known_channels
 from surefoot.sim.effects import effect
@@ -26,13 +27,16 @@ def case():
     return log_under_model(walk(course, ROBOT, 3, (TRUTH,), declared=False), ROBOT)
 
 
-def found(case, *effects):
-    declared = linearise([case], (), all_keys(case))
+def data_with(case, *effects):
     evidence = linearise([case], effects, all_keys(case))
     split, floor = split_of([case]), noise_floor([case])
     weights = robust_weights(design(evidence), floor.sigma)
-    known = Data([case], floor, evidence, effects, weights, split.part)
-    return harmful_in(known, declared, split.report)
+    return Data([case], floor, evidence, effects, weights, split.part)
+
+
+def found(case, *effects):
+    declared = linearise([case], (), all_keys(case))
+    return harmful_in(data_with(case, *effects), declared, split_of([case]).report)
 
 
 def test_what_is_there_harms_nothing(case):
@@ -46,3 +50,14 @@ def test_what_is_not_there_is_left_out_and_the_truth_is_kept(case):
     one, channel = harm
     assert one == wrong
     assert channel in known_channels()
+
+
+def test_what_a_sensor_explains_costs_no_other_effect_its_place(case):
+    """Its error is undone exactly: nothing is left that another effect could stand for."""
+    scale, heavy = effect("gyro_scale", "z", 0.1), effect("payload", "all", 2.0)
+    assert explained_on_the_body(data_with(case, scale)) == {}
+    alone = explained_on_the_body(data_with(case, heavy))
+    beside = explained_on_the_body(data_with(case, scale, heavy))
+    assert abs(alone["base_wrench"]) > 100.0  # a load that is not there explains nothing
+    assert beside["base_wrench"] == pytest.approx(alone["base_wrench"], rel=0.2)
+    assert abs(beside["imu_gyro"]) < 1e-6 * abs(beside["base_wrench"])

@@ -1,11 +1,15 @@
 """The blind study: its plan covers what it must, and its rules count as they say."""
 
+import numpy as np
 import pytest
 
+from surefoot.models.attribution.diagnose import Diagnosis
+from surefoot.models.attribution.friction import FootFriction
 from surefoot.scenarios.studies.blind import study
 from surefoot.scenarios.studies.blind.outside_effects import OUTSIDE_EFFECTS
 from surefoot.scenarios.studies.blind.plan import PLAN, cases
 from surefoot.scenarios.studies.blind.report import (
+    made_worse,
     names_both_twins,
     points,
     right_channel,
@@ -15,11 +19,12 @@ from surefoot.scenarios.studies.blind.report import (
 )
 from surefoot.scenarios.studies.blind.study import (
     ground_and_course,
+    over_floor,
     run_blind_study,
     standing_part,
 )
 from surefoot.sim.common.toml import read_toml
-from surefoot.sim.effects import CATALOGUE
+from surefoot.sim.effects import CATALOGUE, effect
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.walk import walk
@@ -95,6 +100,26 @@ def test_outside_the_catalogue_the_channel_counts():
         "leg_velocity": {"before": 9.0, "noise_floor": 3.0},
     }
     assert not right_channel(record("none_of_these", effects=[warm], channels=levels))
+
+
+def test_a_channel_is_worse_where_no_walk_of_its_floor_leaves_as_much():
+    def with_level(**level):
+        return record(found=[("gyro_bias", "x", 0.1)], channels={"imu_gyro": level})
+
+    worse = with_level(before=1.0, after=1.3, noise_floor=0.9, highest=1.2)
+    scatter = with_level(before=1.0, after=1.15, noise_floor=0.9, highest=1.2)
+    little = with_level(before=1.0, after=1.05, noise_floor=0.9, highest=1.0)
+    without_floor = with_level(before=1.0, after=1.3, noise_floor=None, highest=None)
+    assert made_worse([worse, scatter, little, without_floor]) == [True, False, False, True]
+    assert made_worse([record("no_residual")]) == []
+
+
+def test_lost_friction_shows_where_feet_slide():
+    """Feet that used a friction of 0.2 of 0.8 without sliding would have hidden three quarters."""
+    held = FootFriction(limit=None, interval=(0.2, np.inf), slides=0, everywhere=False, held=0.2)
+    found = Diagnosis(verdict="no_residual", channels={}, friction=held)
+    assert over_floor(found, effect("foot_slip", "all", 0.6)) == pytest.approx(0.8)
+    assert over_floor(found, effect("foot_slip", "all", 0.9)) == pytest.approx(1.2)
 
 
 def test_twins_must_both_be_named():

@@ -235,7 +235,7 @@ def rules(records: Sequence[Record]) -> Rows:
             share([names_both_twins(r) for r in twins]),
         ),
         (
-            "a channel above its floor, worse by a tenth with what was named",
+            "a channel above all walks of its floor, worse by a tenth with what was named",
             "none",
             share(made_worse(walked)),
         ),
@@ -246,11 +246,10 @@ def rules(records: Sequence[Record]) -> Rows:
 
 def made_worse(walked: Sequence[Record]) -> list[bool]:
     """Of the logs in which effects were named: whether they leave more of some channel than before,
-    and than its floor, by a tenth."""
+    by a tenth, and more than any walk of its floor."""
     return [
         any(
-            c["after"] > 1.1 * max(c["before"], c["noise_floor"] or 0.0)
-            for c in r["channels"].values()
+            c["after"] > max(1.1 * c["before"], c["highest"] or 0.0) for c in r["channels"].values()
         )
         for r in walked
         if named(r)

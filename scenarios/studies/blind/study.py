@@ -15,6 +15,7 @@ import tyro
 
 from surefoot.models.attribution.diagnose import Diagnosis, diagnose
 from surefoot.models.attribution.evidence import candidates_code
+from surefoot.models.attribution.settings import DEFAULT
 from surefoot.scenarios.cache import finished_case, read_case
 from surefoot.scenarios.cli.options import Out
 from surefoot.scenarios.stages import processes, stage
@@ -91,8 +92,11 @@ def standing_part(log: Log) -> Log:
 def over_floor(found: Diagnosis, one: Effect) -> float | None:
     """An effect's size over the least that this log could show of it; None where unknown.
 
-    Zero for an effect that is no candidate and leaves no channel above its noise floor.
+    Of friction that is the share that may be lost before feet slide. Zero for an effect that is no
+    candidate and leaves no channel above its noise floor.
     """
+    if one.name == "foot_slip" and found.friction is not None:
+        return one.value / max(1.0 - found.friction.held / DEFAULT.floor_friction, 1e-3)
     rounds = found.attribution.rounds if found.attribution else ()
     for c in rounds[0] if rounds else ():
         if c.key == (one.name, one.target):
