@@ -50,8 +50,9 @@ class ScenarioBox(Calibrator):
 def scenario_box(errors: np.ndarray, gamma: float, confidence: float = CONFIDENCE) -> np.ndarray:
     """Half widths (3,) of the box after discarding as many of errors (N, 3) as the bound allows.
 
-    Errors are discarded one by one: the one of the three that hold the box open whose loss shrinks
-    it most. Raises BoundsError where N < least_samples(gamma, confidence).
+    Errors are discarded one by one. The box touches at most three of them, one an axis; discarded
+    is the one without which the box shrinks most. Raises BoundsError where
+    N < least_samples(gamma, confidence).
     """
     k = discards(len(errors), gamma, confidence)
     return _discarded_box(np.ascontiguousarray(np.abs(errors)), k)

@@ -54,7 +54,7 @@ TRAINING_FORMAT = "surefoot training state"
 
 @dataclass(frozen=True)
 class Schedule:
-    """How long and how fast to train: see DEFAULT for what was found to do.
+    """How long and how fast to train.
 
     steps of Adam, each on `batch` windows, its rate rising over the first twentieth to `rate` (the
     architecture's own where None) and falling to zero along a cosine; validation every `every`

@@ -32,7 +32,7 @@ class Effect:
     A subclass gives its name, unit, bounds and sort of target, which residual channels it can
     affect, how it is injected (one of the `alter_` methods or `edit_spec`), and, where a model can
     compensate it, how. Raises SurefootError for a target it does not have or a size out of bounds;
-    which parts there are is the machine's to say (`members`).
+    which parts there are depends on the machine (`members`).
     """
 
     target: str
@@ -79,7 +79,8 @@ class Effect:
 
     @classmethod
     def single_targets(cls, limbs: Limbs) -> tuple[str, ...]:
-        """The parts of a machine with these limbs, or words, that it may be on alone."""
+        """The single targets of this effect: parts of a machine with these limbs, or the words of
+        `targets` where these are its targets."""
         return cls.targets if isinstance(cls.targets, tuple) else parts(cls.targets, limbs)
 
     @classmethod
@@ -119,10 +120,10 @@ class Effect:
         return f"effect {cls.name}: unknown target '{target}'; known: {', '.join(known)}"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
-        """Change the simulated world; most effects of sensors do not."""
+        """Change the simulated world; effects of sensors mostly leave it as it is."""
 
     def alter_ground(self, ground: Ground) -> Ground:
-        """Change what the feet stand on, but not its shape, which the controller knows."""
+        """Change the ground's contacts; its shape stays, since the controller knows it."""
         return ground
 
     def alter_mounting(self, robot: Robot) -> Robot:
@@ -130,11 +131,11 @@ class Effect:
         return robot
 
     def alter_reference(self, reference: Reference) -> Reference:
-        """Change how the motion is measured from outside; effects of the robot never do."""
+        """Change the reference measurement; effects of the robot leave it as it is."""
         return reference
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        """Change what the sensors see; most effects of the world do not."""
+        """Change the sensors' readings; effects of the world mostly leave them as they are."""
         return streams
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
@@ -147,17 +148,17 @@ class Effect:
 
     @classmethod
     def step_of(cls, target: str) -> float:
-        """A small size on this target, for numerical derivatives by it."""
+        """The step of the size on this target for numerical derivatives."""
         return cls.step
 
     @classmethod
     def starts_on(cls, target: str, log: Log) -> tuple[float, ...]:
-        """Sizes to begin a search from on a log: `starts`, or else a small one."""
+        """Sizes from which a search on this log begins: `starts`, or else a small one."""
         return cls.starts or (cls.step_of(target),)
 
     @classmethod
     def inside(cls, target: str) -> tuple[float, float]:
-        """Bounds between which a size can still be varied by its step to either side."""
+        """The bounds less a step at each end, so that derivatives can be taken within them."""
         (low, high), step = cls.bounds, cls.step_of(target)
         return low + 1.1 * step, high - 1.1 * step
 
@@ -168,23 +169,23 @@ class Effect:
 
     @classmethod
     def channels_of(cls, target: str) -> tuple[str, ...]:
-        """The channels of the residual in which it shows on this target."""
+        """The residual channels that it affects on this target."""
         return cls.channels
 
     @classmethod
     def is_another(cls, target: str, robot: Robot) -> bool:
-        """Whether on this machine another effect is the same motion, so that `trace` needs one of
-        the two alone."""
+        """Whether it is indistinguishable on this machine from another effect, which `trace` tries
+        instead."""
         return False
 
     @classmethod
     def is_certain(cls, target: str, robot: Robot) -> bool:
-        """Whether every machine has it and this model does not: only its size is in question."""
+        """Whether every real machine has it and this model lacks it: only its size is open."""
         return False
 
     @classmethod
     def is_compensated_on(cls, log: Log) -> bool:
-        """Whether a log has what `compensate` needs."""
+        """Whether a log has the columns that `compensate` needs."""
         return all(log.has(group) for group in cls.needs)
 
     def as_dict(self) -> dict[str, Any]:

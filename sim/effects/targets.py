@@ -12,7 +12,7 @@ AXES = ("x", "y", "z")
 
 
 def parts(part: Part, limbs: Limbs) -> tuple[str, ...]:
-    """The parts of this sort that a machine with these limbs has."""
+    """The parts of this kind that a machine with these limbs has, by their names."""
     if part == "joint":
         return limbs.joints
     if part == "joint_axis":

@@ -177,11 +177,11 @@ def _command(base, yaw, target):
 
 @kernel
 def take_care(controller, state, loaded, command, feet):
-    """Wants less of the velocity that feet which slide cannot give: their mean lack over a stride.
+    """While loaded feet slide, lower the commanded velocity by what the base falls short of it.
 
-    Averaged, it leaves the answer to swaying as it is. No more is given up than was wanted: a robot
-    that slides slows down and stops, it does not turn back. It comes back within a stride or two
-    once no foot slides.
+    The shortfall is averaged over a stride, which leaves the response to swaying unchanged. The
+    command is lowered to zero at most: a robot that slides slows down and stops but does not turn
+    back. The command recovers within a stride or two once no foot slides.
 
     Args:
         controller: a Controller, which remembers what is given up.
@@ -218,12 +218,13 @@ def take_care(controller, state, loaded, command, feet):
 
 @kernel
 def sway_body(controller, state, heading, command, feet):
-    """Lets the body sway, so that the middle of the pressure lies towards the middle of the feet
-    that stand and each of them bears its part.
+    """Let the body sway, so that each standing foot bears load.
 
-    A body at height h whose pressure lies d beside it is pushed away at g d / h, as an inverted
-    pendulum is. The feet's nominal places are taken: what their own would push it further away is
-    no sway. The velocity forgets its mean within a stride.
+    The centre of pressure then moves towards the middle of the standing feet.
+
+    A body at height h whose centre of pressure is off by d accelerates by g d / h, as an inverted
+    pendulum does. The feet's nominal places are used, not their actual ones, which would feed the
+    sway back into itself. The velocity's mean is forgotten within a stride.
 
     Args:
         controller: a Controller, which remembers the velocity.

@@ -1,4 +1,4 @@
-"""What a seed makes irregular in a gait: strides, footholds and the controller's own estimate."""
+"""Random irregularity of a gait, drawn by a seed: strides, footholds, the controller's estimate."""
 
 import numpy as np
 

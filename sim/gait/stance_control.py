@@ -14,7 +14,7 @@ FARTHEST_FROM_BASE = 0.3
 
 @kernel
 def eased(gait, progress):
-    """Share of its load that a foot has at this share of its stance."""
+    """Share (0 to 1) of its load that a foot bears, eased in and out as its stance progresses."""
     return min(1.0, min(progress / gait.unloading, (1.0 - progress) / gait.unloading))
 
 
@@ -109,8 +109,10 @@ def support(controller, ground, base, command, feet, torque):
 
 @kernel
 def stiffen(controller, state, command, feet, torque):
-    """Adds the joint PD of standing legs, beside the wrench's torques as feed-forward: the joints
-    are drawn to where they would be had the base moved as commanded since the foot landed.
+    """Add joint PD torques of standing legs to the feed-forward torques of the wrench.
+
+    The targets are the joint angles that the legs would have, had the base moved as commanded since
+    the foot landed.
 
     Args:
         controller: a Controller, whose memory of landings is changed.

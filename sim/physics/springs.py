@@ -84,7 +84,6 @@ def add_foot_springs(
 
 def springs_of(model: mujoco.MjModel, joint_names: Sequence[str]) -> Springs:
     """The springs that a compiled model has."""
-
     joints = {model.joint(j).name: int(model.jnt_dofadr[j]) for j in range(model.njnt)}
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -105,10 +104,10 @@ def springs_of(model: mujoco.MjModel, joint_names: Sequence[str]) -> Springs:
 def share_moved_at_once(
     model: mujoco.MjModel, springs: Springs, qpos: np.ndarray, motors: np.ndarray
 ) -> float:
-    """Of the inertia that a motor would move in a rigid leg, the share that it moves in a timestep:
-    its rotor, and of the rest r what the spring k draws along, r a / (r + a) with a = k dt^2.
+    """The share of a rigid leg's inertia that a motor moves in a timestep; the least of all joints.
 
-    The least of all motors' shares; 1 where no joint has a spring.
+    In a timestep dt a motor moves its rotor and, through a spring of stiffness k, only
+    r a / (r + a), a = k dt^2, of the inertia r behind it. 1 where no joint has a spring.
 
     Args:
         model: compiled.
