@@ -105,9 +105,10 @@ def _numeric(frame: pd.DataFrame) -> list[bool]:
 
 
 def _is_number(value: object) -> bool:
-    """A number, or one as text with what follows it: "0.12 ± 0.03", "80.1 (75–86)"."""
+    """A number, or one as text with what follows it: "0.12 ± 0.03", "80.1 (75–86)", "**0.1**"."""
     if isinstance(value, str):
-        return re.fullmatch(r"-?[\d.]+( ± [\d.]+)?( \([\d.–-]+\))?", value) is not None
+        number = r"(\*\*)?-?[\d.]+(e-?\d+)?( ± [\d.]+)?( \([\d.–-]+\))?(\*\*)?"
+        return re.fullmatch(number, value) is not None
     return isinstance(value, Real) and not isinstance(value, bool)
 
 

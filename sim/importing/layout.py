@@ -1,5 +1,6 @@
-"""How a text is laid out: lines before its table, a header or none, decimal commas."""
+"""How a text is laid out: its letters, lines before its table, a header or none, decimal commas."""
 
+import codecs
 import csv
 import re
 from pathlib import Path
@@ -12,9 +13,26 @@ COMMENTS = ("#", "%", "//")
 _COMMA = re.compile(r"\s*-?\d+,\d+([eE][-+]?\d+)?\s*")
 
 
+def encoding_of(path: Path) -> str:
+    """UTF-8; or what spreadsheets write: UTF-16 by its mark, Windows's western code page where a
+    text without a zero byte is no UTF-8."""
+    decoder = codecs.getincrementaldecoder("utf-8")()
+    with path.open("rb") as stream:
+        begin = piece = stream.read(_LOOKED_AT)
+        if begin.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            return "utf-16"
+        try:
+            while piece:
+                decoder.decode(piece)
+                piece = stream.read(_LOOKED_AT)
+        except UnicodeDecodeError:
+            return "utf-8-sig" if b"\0" in begin else "cp1252"
+    return "utf-8-sig"
+
+
 def layout_of(path: Path) -> dict[str, Any]:
     """Keys of a map's [source] for this text that are not as they are by default."""
-    with path.open(encoding="utf-8-sig", errors="replace", newline="") as stream:
+    with path.open(encoding=encoding_of(path), errors="replace", newline="") as stream:
         lines = stream.read(_LOOKED_AT).splitlines()[:-1]
     if len(lines) < 2:
         return {}

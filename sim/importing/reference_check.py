@@ -31,6 +31,8 @@ _LEAST_JUMP, _LEAST_TURN = 0.005, 0.02
 1 m/s, or 5 rad/s, from one millisecond to the next."""
 _FEW_DOUBTFUL = 0.03
 """Share of doubtful stamps below which chance, and gait, explain them."""
+_SHOWN_DOUBTFUL = 5e-4
+"""Share below which they would be 0.0 %, of which nothing is said."""
 _OUTLYING = 8.0
 """Times its usual change by which a speed must change in a jump: a noisy reference has no more."""
 
@@ -66,7 +68,7 @@ class ReferenceCheck:
             f"reference: {self.samples} samples, {self.rate:.3g} Hz; longest gap "
             f"{1e3 * self.longest_gap:.0f} ms, {self.gaps} over {1e3 * MAX_GAP:.0f} ms"
         ]
-        return (*said, *self._counted(0.0), *self._events)
+        return (*said, *self._counted(_SHOWN_DOUBTFUL), *self._events)
 
     @property
     def faults(self) -> tuple[str, ...]:

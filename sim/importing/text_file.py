@@ -10,7 +10,7 @@ import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.limits import check_limit
-from surefoot.sim.importing.layout import COMMENTS
+from surefoot.sim.importing.layout import COMMENTS, encoding_of
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.table import RecordedTable, column_readings
 
@@ -33,7 +33,8 @@ def read_text(path: Path, source: Source) -> RecordedTable:
     if not path.is_file():
         raise SurefootError(f"{path}: no such file")
     try:
-        header, separator, apart = _first_line(path, source)
+        encoding = encoding_of(path)
+        header, separator, apart = _first_line(path, source, encoding)
         with warnings.catch_warnings():
             # Too long a first line is a warning in pandas, and shifts the columns.
             warnings.simplefilter("error", pd.errors.ParserWarning)
@@ -45,7 +46,7 @@ def read_text(path: Path, source: Source) -> RecordedTable:
                 comment=source.comment,
                 decimal=source.decimal,
                 index_col=False,
-                encoding="utf-8-sig",
+                encoding=encoding,
                 skipinitialspace=True,
                 skip_blank_lines=False,
                 low_memory=False,
@@ -81,10 +82,10 @@ class _Columns(dict):
         return super().get(name, default)
 
 
-def _first_line(path: Path, source: Source) -> tuple[list[str], str, bool]:
+def _first_line(path: Path, source: Source, encoding: str) -> tuple[list[str], str, bool]:
     """Names of the columns, what separates them, and whether a sign of a comment stands apart
     before the names."""
-    with path.open(newline="", encoding="utf-8-sig") as stream:
+    with path.open(newline="", encoding=encoding) as stream:
         for _ in range(source.skip):
             stream.readline()
         line = stream.readline()

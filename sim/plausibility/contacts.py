@@ -100,7 +100,9 @@ def inverted(view: LogView) -> Iterator[Finding]:
         columns = tuple(f"contact_{view.log.legs[i]}" for i in wrong)
         higher = 1e3 * np.diag(difference)[wrong].mean()
         told = f"feet are {higher:.0f} mm higher in contact than lifted"
-        cause = "inverted: 1 means lifted" if len(wrong) > 1 else "inverted, or another leg's"
+        # In a trot the legs across stand while these swing.
+        all_of_them = "inverted: 1 means lifted, or left and right are swapped"
+        cause = all_of_them if len(wrong) > 1 else "inverted, or another leg's"
         yield Finding(columns, told, cause)
 
 

@@ -91,6 +91,9 @@ def test_html_escapes_and_sets_numbers_apart():
     assert "&lt;b&gt;" in html
     assert "<b>" not in html
     assert '<td class="number">1.235</td>' in html
+    best = to_html([{"error": 0.2}, {"error": "**0.100**"}, {"error": "**1.2e-04**"}])
+    assert '<td class="number"><strong>0.100</strong></td>' in best
+    assert '<td class="number">0.200</td>' in best
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.importing.guess import guess_map
 from surefoot.sim.importing.layout import layout_of
 from surefoot.sim.importing.recording import import_log
@@ -78,3 +79,18 @@ def test_the_files_of_euroc_and_a_trajectory_of_tum_go_in_as_they_are(tmp_path):
     log, _ = imported(tmp_path, "imu.csv", "run.tum")
     turned = 2.0 * np.arctan2(log.ref_q[:, 3], log.ref_q[:, 0])
     np.testing.assert_allclose(turned, TURN, atol=1e-6)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252", "utf-16"])
+def test_a_spreadsheet_is_read_in_the_letters_that_it_writes(tmp_path, encoding):
+    table = IMU.assign(**{"Temperatur [°C]": 21.5})
+    text = "Gerät;Müller\n" + table.to_csv(index=False, sep=";", decimal=",")
+    (tmp_path / "run.csv").write_bytes(text.encode(encoding))
+    log, _ = imported(tmp_path, "run.csv")
+    np.testing.assert_allclose(log.gyro, IMU.to_numpy()[:, 1:4], atol=1e-9)
+
+
+def test_what_is_no_text_is_still_refused(tmp_path):
+    (tmp_path / "run.csv").write_bytes(b"\x89PNG\r\n\x1a\n\0\0\xff" * 9)
+    with pytest.raises(SurefootError, match="not a text file"):
+        guess_map([tmp_path / "run.csv"])

@@ -40,7 +40,11 @@ def test_frames_that_were_miscounted_are_found():
     rng = np.random.default_rng(0)
     first, steps = dropped_frames(rng)
     t = 0.5 + FRAME * np.cumsum([first, *steps])
-    assert check_reference(poses(t)).doubtful < 0.005
+    right = check_reference(poses(t))
+    assert right.doubtful < 0.005
+    assert ("doubtful" in " ".join(right.lines)) == (right.doubtful >= 5e-4)
+    even = check_reference(poses(0.5 + FRAME * np.arange(600)))
+    assert (even.doubtful, len(even.lines)) == (0.0, 1)  # its samples, and nothing of 0.0 %
     wrong = rng.random(len(steps)) < 0.2
     counted = np.where(wrong, np.where(steps == 1, 2, steps - 1), steps)
     found = check_reference(poses(t, 0.5 + FRAME * np.cumsum([first, *counted])))
