@@ -11,6 +11,7 @@ from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.attribution.split import Split
 from surefoot.models.residuals.binning import BIN, bin_mean
+from surefoot.models.residuals.channel import OF_WALKS
 from surefoot.models.residuals.registry import CHANNELS, channels
 from surefoot.sim.effects import known_effects
 from surefoot.sim.log import Log
@@ -54,10 +55,13 @@ def cannot_tell(cases: Sequence[LogUnderModel], split: Split) -> str:
             "the reference; or q and tau of a fixed base"
         )
     s = cases[0].settings
-    longest = max(case.frame.t[-1] - case.frame.t[0] for case in cases)
-    shortest = s.shortest_fixed if cases[0].fixed else s.shortest
-    if longest < shortest:
-        return f"too short: {longest:.1f} s where {shortest:g} s are needed to fit and to check"
+    spans = [float(case.frame.t[-1] - case.frame.t[0]) for case in cases]
+    needed = "are needed to fit and to check"
+    if cases[0].fixed and sum(spans) < s.shortest_fixed:
+        more = "several logs of one machine add up"
+        return f"too short: {sum(spans):.1f} s where {s.shortest_fixed:g} s {needed}; {more}"
+    if not cases[0].fixed and max(spans) < s.shortest:
+        return f"too short: {max(spans):.1f} s where {s.shortest:g} s {needed}"
     known = np.concatenate([bin_mean(case.frame)(case.frame.ok.astype(float)) for case in cases])
     parts = (split.fit, split.select, split.report)
     seconds = [BIN * float(known[part].sum()) for part in parts]
@@ -74,10 +78,12 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
     plugins = (known_effects(), CHANNELS)
     notes = [f"{why}; not used" for one in plugins for why in one.usable()[1].values()]
     there = set.intersection(*(set(channels_of(case)) for case in cases))
+    fixed = cases[0].fixed
     for name, channel in channels().items():
-        if name in there:
+        if name in there or (fixed and not channel.on_fixed_base):
             continue
-        lacking = [g for g in channel.needs if not all(c.log.has(g) for c in cases)]
+        needed = [g for g in channel.needs if not (fixed and g in OF_WALKS)]
+        lacking = [g for g in needed if not all(c.log.has(g) for c in cases)]
         if lacking:
             notes.append(f"{name}: not used, the log lacks {' and '.join(lacking)}")
         elif channel.on_level_ground:
@@ -88,13 +94,13 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
         notes.append(
             "tracking: commanded angles need a motor law to give torques; add one to the map"
         )
-    if cases[0].fixed:
+    if fixed:
         notes.append("without a reference the base is taken to be held still and level")
     elif not all(case.log.has("ref_v") for case in cases):
         notes.append("the reference's velocity is derived from its positions, which smooths it")
         coarse = floor.plan.coarse if floor.plan else None
         notes += [note for case in cases for note in reference_notes(case.log, coarse)]
-    if not floor.repeats and not cases[0].fixed:
+    if not floor.repeats and not fixed:
         notes.append("the model does not walk in simulation: the floor is sensor noise alone")
     if floor.evenness and "foot_height" in there:
         notes.append(

@@ -24,7 +24,7 @@ class TraceSettings:
     shortest: float = 11.5
     """s below which there is too little to split: of a log of 12 s, whose ends have no residual."""
     shortest_fixed: float = 3.0
-    """s, of a machine on a fixed base, every row of which is informative."""
+    """s, of all logs of a machine on a fixed base, every row of which is informative."""
     farthest_carried: float = 0.5
     """m that no robot moves whose feet do not step: contacts that never change are then dead."""
 

@@ -130,9 +130,9 @@ def _rate(t: np.ndarray) -> float:
 def _made_even(main: Columns, even: EvenTable) -> tuple[Columns, list[str]]:
     """The columns without holds and at an even rate, and what was derived."""
     kinds = {column_kind(name) for name in main}
-    for key, named in (("held", even.held), ("late", even.late)):
+    for key, named, known in (("held", even.held, kinds), ("late", even.late, {*kinds, *main})):
         for kind in named:
-            if kind not in kinds:
+            if kind not in known:
                 raise SurefootError(
                     f"[even] {key}: no column of kind {kind!r}; there are "
                     f"{', '.join(sorted(kinds))}"

@@ -128,14 +128,14 @@ def without_holds(table: Columns, kinds: tuple[str, ...]) -> Columns:
 
 
 def brought_forward(table: Columns, late: Mapping[str, float]) -> Columns:
-    """The table with the columns of these kinds as much earlier [s] as they came late; rows at
-    either end of which that leaves none are cut."""
+    """The table with the columns of these kinds, or of these names, as much earlier [s] as they
+    came late; rows at either end of which that leaves none are cut."""
     t = table["t"]
     begin, end = t[0] - min(0.0, *late.values()), t[-1] - max(0.0, *late.values())
     inside = (t >= begin) & (t <= end)
     found = {name: values[inside] for name, values in table.items()}
     for name, values in table.items():
-        delay = late.get(column_kind(name)) if name != "t" else None
+        delay = late.get(name, late.get(column_kind(name))) if name != "t" else None
         if delay is not None:
             found[name] = np.interp(t[inside] + delay, t, values)
     return found

@@ -38,13 +38,33 @@ _OUTLYING = 8.0
 
 
 @dataclass(frozen=True)
+class Jump:
+    """A jump of a reference, with the sample before and the one after, over which trackers often
+    spread it: `after` the first sample [s], moved [m] beyond the usual speed, turned [rad], within
+    so many seconds."""
+
+    after: float
+    moved: float
+    turned: float
+    within: float
+
+    @property
+    def words(self) -> str:
+        """Size and time."""
+        return (
+            f"{1e3 * self.moved:.0f} mm and {np.degrees(self.turned):.1f} deg within "
+            f"{1e3 * self.within:.0f} ms, {self.after:.2f} s after the first sample"
+        )
+
+
+@dataclass(frozen=True)
 class ReferenceCheck:
     """What the samples of a reference say of themselves.
 
     samples: how many; rate [Hz]; judged: steps at a steady speed, by which frames can be counted;
     miscounted: those of them off by a frame; jumps, held: steps from sample to sample that jump,
     or repeat the pose to the last digit while the body moves; gaps: intervals over MAX_GAP;
-    longest_gap [s].
+    longest_gap [s]; largest: of the jumps.
     """
 
     samples: int
@@ -55,6 +75,7 @@ class ReferenceCheck:
     held: int
     gaps: int
     longest_gap: float
+    largest: Jump | None = None
 
     @property
     def doubtful(self) -> float:
@@ -88,8 +109,11 @@ class ReferenceCheck:
     @property
     def _events(self) -> tuple[str, ...]:
         said = []
-        if self.jumps:
-            said.append(f"reference: {self.jumps} jumps of position or attitude")
+        if self.largest:
+            said.append(
+                f"reference: {self.jumps} jumps of position or attitude, the largest by "
+                f"{self.largest.words}"
+            )
         if self.held:
             said.append(
                 f"reference: {self.held} samples repeat the one before while the body moves"
@@ -107,16 +131,40 @@ def check_reference(poses: Poses) -> ReferenceCheck:
     same = np.all(np.diff(poses.p, axis=0) == 0, axis=1) & np.all(
         np.diff(poses.q, axis=0) == 0, axis=1
     )
+    jumped = np.flatnonzero(jumps(poses))
     return ReferenceCheck(
         samples=len(poses.t),
         rate=float(1.0 / np.median(step)),
         judged=int(judged.sum()),
         miscounted=int(miscounted.sum()),
-        jumps=int(jumps(poses).sum()),
+        jumps=len(jumped),
         held=int((same & (around > _SLOWEST)).sum()),
         gaps=int((step > MAX_GAP).sum()),
         longest_gap=float(step.max()),
+        largest=max((_jump(poses, k) for k in jumped), key=_times_least, default=None),
     )
+
+
+def _jump(poses: Poses, step: int) -> Jump:
+    """The jump over a step, with the steps beside it."""
+    a, b = max(step - 1, 0), min(step + 2, len(poses.t) - 1)
+    around = slice(max(a - _AROUND, 0), b + _AROUND + 1)
+    t, p = poses.t[around], poses.p[around]
+    beside = np.ones(len(t) - 1, dtype=bool)
+    beside[a - around.start : b - around.start] = False
+    usual = np.median((np.diff(p, axis=0) / np.diff(t)[:, None])[beside], axis=0)
+    within = float(poses.t[b] - poses.t[a])
+    R = Rotation.from_quat(poses.q[[a, b]], scalar_first=True)
+    return Jump(
+        after=float(poses.t[step + 1] - poses.t[0]),
+        moved=float(np.linalg.norm(poses.p[b] - poses.p[a] - usual * within)),
+        turned=float((R[0].inv() * R[1]).magnitude()),
+        within=within,
+    )
+
+
+def _times_least(jump: Jump) -> float:
+    return max(jump.moved / _LEAST_JUMP, jump.turned / _LEAST_TURN)
 
 
 def miscounts(poses: Poses) -> tuple[np.ndarray, np.ndarray]:

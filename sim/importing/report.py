@@ -10,6 +10,7 @@ from surefoot.sim.log import Log
 from surefoot.sim.log.dead_reckoning import beside_imu
 from surefoot.sim.log.reference import Poses, reference_poses
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.fixed_base import machine_for_log
 
 
 def reference_lines(log: Log, poses: Poses | None = None) -> tuple[str, ...]:
@@ -65,9 +66,12 @@ def _feet_lines(log: Log) -> tuple[str, ...]:
     if log.meta.robot is None or said or not log.has("q"):
         return ()
     try:
-        radius = 1e3 * Robot.for_log(log).foot_radius
+        machine = machine_for_log(log)
     except SurefootError as error:
         return (f"robot: {error}",)
+    if not isinstance(machine, Robot):
+        return ()
+    radius = 1e3 * machine.foot_radius
     sizes = " and ".join(f"{one:.3g}" for one in sorted(set(radius.round(3))))
     return (
         f"feet: a radius of {sizes} mm, of the robot's file; the map has no [robot] foot_radius",

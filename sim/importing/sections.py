@@ -185,8 +185,8 @@ class EvenTable:
     """Kinds of columns ("q", "dq", "gyro", ...) that repeat a reading until the next: rows between
     get values on straight lines from one to the next."""
     late: dict[str, float] = field(default_factory=dict)
-    """s by which kinds of columns ("foot", "dq", ...) come after what they measure: they are moved
-    to when it was. Of a further file, its times have an offset instead."""
+    """s by which kinds of columns ("foot", "dq", ...), or columns, come after what they measure:
+    they are moved to when it was. Of a further file, its times have an offset instead."""
 
     def __post_init__(self):
         for kind, delay in self.late.items():

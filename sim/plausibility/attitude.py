@@ -16,6 +16,9 @@ set by hand or network are worse; an effect of timing below it is the trace's to
 _ALIKE = 0.6
 """Mean correlation of the three axes from which on gyro and reference belong together: 0.97 and
 more in clean walks."""
+_SAME_MOTION = 0.9
+"""The same from which on a delay is one: strides resemble each other, so that a clock that is
+further off, or axes that are others, correlate by up to 0.87 at a whole number of them."""
 _CLEARLY = 0.02
 """By which a delay must better it."""
 TILT = 45.0
@@ -122,7 +125,7 @@ def attitude_fault(
     match, lean = match_axes(gyro, as_is), leaning(lambda R: R)
     own = float(match.own.mean())
     late, shifted = lag_of(as_is, gyro, step, LATEST)
-    if abs(late) > LATE and shifted > _ALIKE and shifted > own + _CLEARLY and lean < TILT:
+    if abs(late) > LATE and shifted > _SAME_MOTION and shifted > own + _CLEARLY and lean < TILT:
         which, how = ("after", "late") if late > 0 else ("before", "early")
         told = f"turns {abs(late):.2f} s {which} the gyro"
         line = f"[reference] offset = {-late:.3f}"

@@ -54,16 +54,34 @@ def stamps(view: LogView) -> Iterator[Finding]:
     if abs(actual / rate - 1.0) > STEP_OFF and abs(mean / rate - 1.0) > STEP_OFF:
         told = f"rows at {actual:.4g} Hz, the log says {rate:.4g} Hz"
         yield Finding(("t",), told, "wrong rate, or wrong unit of time")
-    missing = np.maximum(np.round(step / usual) - 1.0, 0.0)
-    share = float(missing.sum() / (len(t) + missing.sum()))
-    longest = float(step.max())
-    # At low rates a single late row is no gap.
-    if share > MISSING_ROWS or (longest > LONGEST_GAP and longest > 3.0 * usual):
-        told = (
-            f"{missing.sum():.0f} rows missing ({100 * share:.1f} %), longest gap "
-            f"{1e3 * longest:.0f} ms after {t[int(np.argmax(step))]:.2f} s"
-        )
+    told, gap = _lost(view)
+    if gap:
         yield Finding(("t",), told, "lost rows")
+
+
+def single_rows(view: LogView) -> Iterator[Finding]:
+    """Rows that are lost one by one, over which readings can be interpolated."""
+    if len(view.t) > 2:
+        told, gap = _lost(view)
+        if told and not gap:
+            yield Finding(("t",), told, "lost rows")
+
+
+def _lost(view: LogView) -> tuple[str, bool]:
+    """Which rows are missing, "" where too few are, and whether they leave a gap."""
+    step = np.diff(view.t)
+    usual, longest = float(np.median(step)), float(step.max())
+    missing = np.maximum(np.round(step / usual) - 1.0, 0.0)
+    share = float(missing.sum() / (len(view.t) + missing.sum()))
+    # At low rates a single late row is no gap.
+    gap = longest > LONGEST_GAP and longest > 3.0 * usual
+    if share <= MISSING_ROWS and not gap:
+        return "", False
+    told = (
+        f"{missing.sum():.0f} rows missing ({100 * share:.1f} %), longest gap "
+        f"{1e3 * longest:.0f} ms after {view.t[int(np.argmax(step))]:.2f} s"
+    )
+    return told, gap
 
 
 def speed(view: LogView) -> Iterator[Finding]:
@@ -105,7 +123,9 @@ def leaps(view: LogView) -> Iterator[Finding]:
     if not streams or not view.comparable:
         return
     x = np.column_stack(streams)
-    rate = np.abs(np.diff(x, axis=0)) / np.diff(view.t)[:, None]
+    # Of two rows that are close, the second came late or the first early: no joint leaps then.
+    step = np.diff(view.t)
+    rate = np.abs(np.diff(x, axis=0)) / np.maximum(step, 0.5 * np.median(step))[:, None]
     fast = np.quantile(rate, 0.99, axis=0)
     alive = fast > 0.0
     if alive.sum() < 3:

@@ -28,8 +28,13 @@ ZERO_OFF = 0.25
 it: feet that turn or cross a slope differ in both pairs alike."""
 _SEVERAL = 6
 """Joints from which on some torques are negative in any motion."""
-_MOVES = 0.2
-"""rad/s, root mean square, below which a joint does not move enough to be compared."""
+_MOVES, _STIRS = 0.2, 0.02
+"""rad/s, root mean square, below which a joint does not move enough to be compared: where its rate
+resembles nothing, and where it resembles the change of its angle, as noise does not."""
+_SURELY = 0.95
+"""Correlation of rate and change from which a joint that only stirs is compared by size."""
+_TURNED, _ALWAYS = 0.1, 0.9
+"""Of the correlation of a rate whose sign changes: the least before and after, and their sum."""
 
 
 def rates(view: LogView) -> Iterator[Finding]:
@@ -39,7 +44,7 @@ def rates(view: LogView) -> Iterator[Finding]:
         return
     logged, moved = view.means(log.dq), view.changes(log.q)  # the same whatever moves, if right
     size = np.sqrt(np.mean(moved**2, axis=0))
-    moves = np.flatnonzero((size > _MOVES) & (logged.std(axis=0) > 0.0))
+    moves = np.flatnonzero((size > _STIRS) & (logged.std(axis=0) > 0.0))
     if not moves.size:
         return
     # Centred, as a bias is no other joint.
@@ -49,9 +54,18 @@ def rates(view: LogView) -> Iterator[Finding]:
     own = np.diag(alike)
     slope = logged[:, moves].std(axis=0) / moved[:, moves].std(axis=0)
     names = [log.joints[j] for j in moves]
-    bad = np.flatnonzero(own < RATE_ALIKE).tolist()
+    slow = size[moves] < _MOVES
     said: set[int] = set()
-    flipped = [i for i in bad if own[i] < -RATE_ALIKE]
+    for i, j in enumerate(moves):
+        when = _sign_change(view.at, logged[:, j], moved[:, j])
+        if when is not None:
+            said.add(i)
+            told = f"from {when:.2f} s on minus the change of q_{names[i]}, before it is that, or"
+            cause = "its sign, or its angle's, changes on the way"
+            yield Finding((f"dq_{names[i]}",), f"{told} the other way round", cause)
+    bad = [i for i in np.flatnonzero(own < RATE_ALIKE).tolist() if i not in said]
+    flipped = [i for i in bad if own[i] < -(0.8 if slow[i] else RATE_ALIKE)]
+    bad = [i for i in bad if not slow[i]]
     if flipped:
         said |= set(flipped)
         columns = tuple(f"dq_{names[i]}" for i in flipped)
@@ -72,19 +86,36 @@ def rates(view: LogView) -> Iterator[Finding]:
         else:
             cause = "no rate of this joint: shuffled rows, another clock, or a broken sensor"
             yield Finding((f"dq_{names[i]}",), told, cause)
-    good = own > 0.8
+    good = own > np.where(slow, _SURELY, 0.8)
     if not good.any():
         return
     typical = float(np.median(slope[good]))
-    columns = tuple(f"dq_{n}" for n, g in zip(names, good, strict=True) if g)
-    told = f"{typical:.3g} times the change of q"
-    if abs(typical - 1.0) > RATE_OFF:
-        yield _scaled_rates(columns, typical, told)
-        return
-    for i in np.flatnonzero(good & (np.abs(slope - 1.0) > 2.0 * RATE_OFF)):
-        told = f"{slope[i]:.3g} times the change of q"
-        line = f"dq_{names[i]} = {{ ..., gain = {1.0 / slope[i]:.4g} }}"
+    together = good & (np.abs(slope / typical - 1.0) < 2.0 * RATE_OFF)
+    if abs(typical - 1.0) > RATE_OFF and 2 * together.sum() > good.sum():
+        columns = tuple(f"dq_{n}" for n, g in zip(names, together, strict=True) if g)
+        yield _scaled_rates(columns, typical, f"{typical:.3g} times the change of q")
+    else:
+        typical = 1.0
+    for i in np.flatnonzero(good & (np.abs(slope / typical - 1.0) > 2.0 * RATE_OFF)):
+        told = f"{slope[i]:.3g} times the change of q_{names[i]}"
+        line = f"dq_{names[i]} = {{ ..., gain = {typical / slope[i]:.4g} }}"
         yield Finding((f"dq_{names[i]}",), told, "scaled, or its angle is", line)
+
+
+def _sign_change(at: np.ndarray, logged: np.ndarray, moved: np.ndarray) -> float | None:
+    """When [s], of the times `at` (M,), a rate turns into minus the change (M,) of its angle, or
+    stops to be it; None where it does not."""
+    # An angle that changes its sign leaps.
+    most = [np.quantile(np.abs(x), 0.95) for x in (logged, moved)]
+    a, b = (np.clip(x, -m, m) for x, m in zip((logged, moved), most, strict=True))
+    both = np.cumsum(a * b)
+    k = int(np.argmax(np.abs(both) + np.abs(both[-1] - both)))
+    before, after = both[k], both[-1] - both[k]
+    whole = np.linalg.norm(a) * np.linalg.norm(b)
+    least = min(abs(before), abs(after))
+    if before * after >= 0.0 or least < _TURNED * whole or abs(before - after) < _ALWAYS * whole:
+        return None
+    return float(at[k])
 
 
 def _scaled_rates(columns: tuple[str, ...], typical: float, told: str) -> Finding:

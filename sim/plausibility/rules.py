@@ -329,8 +329,17 @@ RULES = (
         f"{1e3 * streams.LATE_RATE:g} ms; {1e3 * attitude.LATE:g} ms",
         "two samples; a filter's delay moves what filters and traces see",
         "nothing, if it is known: trace has rate_delay",
-        ("t", "q", "dq", "ref"),
+        ("t", "ref"),
         streams.late,
+    ),
+    Rule(
+        "single rows",
+        "stamps with even ones",
+        f"{clock.MISSING_ROWS:.0%} of the rows missing, without a gap",
+        "loops that share a computer are late for some per cent",
+        "nothing, if it is known: [even] makes rows even",
+        ("t",),
+        clock.single_rows,
     ),
     Rule(
         "derived",
@@ -338,11 +347,11 @@ RULES = (
         "equal to 1e-8 of the mean square",
         "what follows from others is no measurement, and has their errors",
         "leave the column out: surefoot derives it, and says so",
-        ("dq", "tau"),
+        (),
         streams.derived,
     ),
 )
-_MINOR = ("reference's samples", "saturated", "held", "interpolated", "late")
+_MINOR = ("single rows", "reference's samples", "saturated", "held", "interpolated", "late")
 """Rules that are silent about columns which are in doubt already, and that put none in doubt."""
 
 

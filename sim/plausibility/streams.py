@@ -2,11 +2,11 @@
 from another column."""
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from surefoot.sim.importing.streams import LateStream, held_streams, late_streams
+from surefoot.sim.importing.streams import LateStream, delay_between, held_streams, late_streams
 from surefoot.sim.log.derived import JOINT_WINDOW, REFERENCE_WINDOW, derivative
 from surefoot.sim.log.schema import joint_prefix
 from surefoot.sim.plausibility.attitude import LATE
@@ -17,6 +17,14 @@ LATE_RATE = 4e-3
 """s by which joint rates may come after the change of their angles: two samples at 500 Hz."""
 FROZEN = 0.2
 """s without a change while its siblings move: half a swing."""
+_STRAY = 0.02
+"""rad/s that a rate is off at rest, beside its mean: drives estimate it from counts."""
+_OTHER_UNIT = 3.0
+"""Times the change of its angle from which a rate, or time, is in another unit."""
+_WHOLE_TURN = 2.0 * np.pi
+"""rad that the joints of arms and legs do not turn by."""
+_MOST_HOLDS = 50
+"""Stretches without a change that are looked at, the longest: a log of rests has thousands."""
 LIMITED = 0.5
 """s, the same of torques, which drives hold at their limit for a while."""
 _SENSORS = ("gyro", "accel", "q", "dq", "tau", "ref_p", "ref_q", "foot")
@@ -40,6 +48,11 @@ SPIKES = {
 }
 """Least size of a spike, by kind: rad/s, m/s^2 (landings reach 70), rad, rad/s, m, m: within a row
 of 2 to 10 ms no body or joint does it and undoes it."""
+LONE = 4.0
+"""Standard deviations of a joint's angle, or rate, that is a spike at any size: what leaves and
+comes back within a row was nowhere near."""
+SEVERAL = 10
+"""Rows that may leap: in a log of a few seconds these are more than one in a hundred."""
 DROPS = 5
 """Rows that read exactly 0 between rows that do not, from which on they are drop-outs."""
 STRAIGHT = 0.6
@@ -61,16 +74,18 @@ def frozen(view: LogView) -> Iterator[Finding]:
     """A sensor changes while what moves with it does."""
     found: dict[str, list[str]] = defaultdict(list)
     for kind, columns in _kinds(view, _SENSORS).items():
-        if kind in ("q", "dq", "tau") and view.robot is None:
-            continue  # the joints of an arm do rest one by one
         for name in columns:
-            run = _longest_hold(view.log.frame[name].to_numpy())
-            first, last = run
-            if view.t[last] - view.t[first] < (LIMITED if kind == "tau" else FROZEN):
+            least = LIMITED if kind == "tau" else FROZEN
+            holds = _holds(view.t, view.log.frame[name].to_numpy(), least)
+            if not holds:
                 continue
-            if _rests(view, name, kind):
+            hangs = [one for one in holds if _turns_meanwhile(view, name, kind, *one)]
+            first, last = (hangs or holds)[0]
+            if not hangs and kind in ("q", "dq", "tau") and view.robot is None:
+                continue  # the joints of an arm do rest one by one
+            if not hangs and _rests(view, name, kind):
                 continue
-            if _others_move(view, name, kind, columns, first, last):
+            if hangs or _others_move(view, name, kind, columns, first, last):
                 whole = last - first >= len(view.t) - 1
                 told = (
                     "one value in every row"
@@ -106,6 +121,43 @@ def _others_move(
     elsewhere = [s for k, c in _kinds(view, ("gyro", "q", "ref_p")).items() if k != kind for s in c]
     moving = [s for s in elsewhere if _moves(frame[s].to_numpy(), first, last)]
     return len(elsewhere) > 2 and len(moving) > 0.7 * len(elsewhere)
+
+
+def _turns_meanwhile(view: LogView, name: str, kind: str, first: int, last: int) -> bool:
+    """Whether a joint's rate says that it turns between two rows at which its angle does not, or
+    its angle that it turns at another rate than the one that is read all the time.
+
+    Args:
+        view: of the log.
+        name: of the column.
+        kind: of it.
+        first: row.
+        last: row.
+    """
+    frame = view.log.frame
+    joint = name.removeprefix(f"{kind}_")
+    twin = {"q": f"dq_{joint}", "dq": f"q_{joint}"}.get(kind)
+    derived = any(d.startswith("dq") for d in view.log.meta.derived)
+    if twin not in frame or derived or not view.comparable:
+        return False
+    rows = slice(first, last + 1)
+    # A spike of the other reading is no turning.
+    t, x, other = view.t[rows], frame[name].to_numpy(), _median5(frame[twin].to_numpy())
+    steps = np.abs(np.diff(x))
+    count = float(steps[steps > 0.0].min(initial=np.inf))
+    rate, change = (
+        move(frame[[f"{one}_{joint}"]].to_numpy()).std()
+        for one, move in (("dq", view.means), ("q", view.changes))
+    )
+    in_degrees = float(np.ptp(frame[f"q_{joint}"].to_numpy())) > _WHOLE_TURN
+    if in_degrees or not change < _OTHER_UNIT * rate < _OTHER_UNIT**2 * change:
+        return False
+    if kind == "q":
+        # Without its mean: rates of a joint at rest may have an offset.
+        turned = np.cumsum((other - other.mean())[rows] * np.gradient(t))
+        return float(np.ptp(turned)) > max(RESTS, 3.0 * count) + _STRAY * float(t[-1] - t[0])
+    seconds = t - t[0]
+    return float(np.ptp(other[rows] - x[first] * seconds)) > max(RESTS, 3.0 * count * seconds[-1])
 
 
 def _rests(view: LogView, name: str, kind: str) -> bool:
@@ -171,24 +223,42 @@ def interpolated(view: LogView) -> Iterator[Finding]:
 
 def late(view: LogView) -> Iterator[Finding]:
     """A column that lags what measures the same."""
-    for one in late_streams(view.log):
+    common = late_streams(view.log)
+    for one in (*common, *_late_joints(view, common)):
         rates = one.columns[0].startswith("dq")
         if abs(one.delay) < (LATE_RATE if rates else LATE) or not _explains(view, one):
             continue
-        which = "late" if one.delay > 0 else "early"
-        told = f"{1e3 * abs(one.delay):.1f} ms {which} against {one.witness}"
+        told = f"{1e3 * abs(one.delay):.1f} ms {'late' if one.delay > 0 else 'early'}"
+        told += f" against {one.witness}"
         # A reference has a clock of its own.
-        line = f"[even] late = {{ dq = {one.delay:.4f} }}" if rates else ""
+        which = one.columns[0] if len(one.columns) < len(view.log.joints) else "dq"
+        line = f"[even] late = {{ {which} = {one.delay:.4f} }}" if rates else ""
         yield Finding(one.columns, told, "a filter, or stamps of another clock", line)
+
+
+def _late_joints(view: LogView, common: Sequence[LateStream]) -> Iterator[LateStream]:
+    """Rates of single joints that are late by another time than those of most."""
+    log = view.log
+    if len(log.joints) < 2 or not (log.has("q") and log.has("dq")):
+        return
+    moved = derivative(view.t, log.q, JOINT_WINDOW, causal=False)
+    usual = next((one.delay for one in common if one.columns[0].startswith("dq")), 0.0)
+    for j, name in enumerate(log.joints):
+        delay = delay_between(view.t, log.dq[:, [j]], moved[:, [j]])
+        if abs(delay - usual) > LATE_RATE:
+            yield LateStream((f"dq_{name}",), delay, f"the change of q_{name}")
 
 
 def _explains(view: LogView, late: LateStream) -> bool:
     """Whether the delay leaves half of what the stream differs by from what it measures."""
     log = view.log
     if late.columns[0].startswith("dq"):
-        x, witness = log.dq, derivative(view.t, log.q, JOINT_WINDOW, causal=False)
+        angles = [f"q{name.removeprefix('dq')}" for name in late.columns]
+        measured, window = log.frame[angles].to_numpy(), JOINT_WINDOW
     else:
-        x, witness = log.ref_v, derivative(view.t, log.ref_p, REFERENCE_WINDOW, causal=False)
+        measured, window = log.ref_p, REFERENCE_WINDOW
+    x = log.frame[list(late.columns)].to_numpy()
+    witness = derivative(view.t, measured, window, causal=False)
     shifted = np.column_stack([np.interp(view.t + late.delay, view.t, one) for one in x.T])
     return float(np.sum((shifted - witness) ** 2)) < 0.5 * float(np.sum((x - witness) ** 2))
 
@@ -227,7 +297,11 @@ def spikes(view: LogView) -> Iterator[Finding]:
             if _drop_outs(x) >= DROPS:
                 dropped.append((name, _drop_outs(x)))
                 continue
-            rows = np.flatnonzero(off > max(SPIKES[kind], SPIKE * float(np.quantile(off, 0.99))))
+            least = SPIKES[kind]
+            if kind in ("q", "dq"):
+                least = min(least, LONE * float(x.std()))
+            usual = float(np.quantile(off, 1.0 - max(0.01, SEVERAL / len(x))))
+            rows = np.flatnonzero(off > max(least, SPIKE * usual))
             if rows.size:
                 leaping.append(name)
                 most, first = max(most, float(off.max())), min(first, int(rows[0]))
@@ -268,12 +342,13 @@ def derived(view: LogView) -> Iterator[Finding]:
         dq, step = log.dq, np.diff(view.t)[:, None]
         change = np.diff(log.q, axis=0) / step
         central = np.gradient(log.q, view.t, axis=0)
-        for made, rows in ((change, dq[1:]), (change, dq[:-1]), (central, dq)):
-            if np.any(dq) and np.sum((made - rows) ** 2) < 1e-8 * np.sum(dq**2):
-                told = "the difference of q from row to row, to 1e-4 of its size"
-                columns = tuple(f"dq_{j}" for j in log.joints)
-                yield Finding(columns, told, "computed from q, not measured")
-                break
+        made = np.zeros(dq.shape[1], dtype=bool)
+        for one, rows in ((change, dq[1:]), (change, dq[:-1]), (central, dq)):
+            made |= np.sum((one - rows) ** 2, axis=0) < 1e-8 * np.sum(dq**2, axis=0)
+        if made.any():
+            told = "the difference of q from row to row, to 1e-4 of its size"
+            columns = tuple(f"dq_{j}" for j, m in zip(log.joints, made, strict=True) if m)
+            yield Finding(columns, told, "computed from q, not measured")
     law = log.meta.motor_law
     if law and log.has("tau") and log.has("q") and log.has("q_des") and log.has("dq"):
         commanded = np.asarray(law["kp"]) * (log.q_des - log.q) - np.asarray(law["kd"]) * log.dq
@@ -295,12 +370,15 @@ def _kinds(view: LogView, wanted: tuple[str, ...]) -> dict[str, list[str]]:
     return found
 
 
-def _longest_hold(x: np.ndarray) -> tuple[int, int]:
-    """First and last row of the longest stretch without a change."""
+def _holds(t: np.ndarray, x: np.ndarray, least: float) -> list[tuple[int, int]]:
+    """First and last row of the stretches of `least` [s] and more without a change of x (N,), at
+    the times t (N,) [s], the longest first."""
     change = np.flatnonzero(np.diff(x) != 0.0)
-    edges = np.concatenate([[-1], change, [len(x) - 1]])
-    k = int(np.argmax(np.diff(edges)))
-    return int(edges[k]) + 1, int(edges[k + 1])
+    first = np.concatenate([[0], change + 1])
+    last = np.concatenate([change, [len(x) - 1]])
+    long = np.flatnonzero(t[last] - t[first] >= least)
+    order = long[np.argsort(first[long] - last[long], kind="stable")]
+    return [(int(first[k]), int(last[k])) for k in order[:_MOST_HOLDS]]
 
 
 def _straight(x: np.ndarray) -> float:

@@ -63,7 +63,9 @@ def test_what_one_drive_lacks_is_named_with_its_size(made, name, size):
     assert (found.effects[0].name, found.effects[0].target) == (name, "shoulder")
     assert found.effects[0].value == pytest.approx(size, rel=0.1)
     assert found.channels["joint_torque"].after < 0.3 * found.channels["joint_torque"].before
-    assert "imu_gyro: not used" in summary(found)
+    said = summary(found)
+    assert "command: not used, the log lacks tau_ff" in said
+    assert "imu_gyro" not in said, "a fixed base has no use for it"
 
 
 @pytest.mark.parametrize("seconds", [4.0, 12.0])
@@ -85,6 +87,12 @@ def test_too_short_a_log_is_not_identifiable():
     found = trace_logs([swung(1.0)], PENDULUM)
     assert found.verdict == "not_identifiable"
     assert "too short: 1.0 s where 3 s are needed" in summary(found)
+
+
+def test_logs_of_one_drive_that_are_short_each_add_up():
+    found = trace_logs([swung(2.6, rotor=0.02), swung(2.4, rotor=0.02)], PENDULUM)
+    assert [(e.name, e.target) for e in found.effects] == [("armature", "shoulder")]
+    assert found.effects[0].value == pytest.approx(0.02, rel=0.1)
 
 
 def test_inverse_dynamics_is_the_pendulum_s_equation():

@@ -14,9 +14,11 @@ from surefoot.sim.common.files import bundled, measured_folder
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.recording import import_log
 from surefoot.sim.importing.reference import interpolate_reference
+from surefoot.sim.importing.report import import_lines
 from surefoot.sim.importing.sections import EVENNESS
 from surefoot.sim.importing.text_file import read_csv
 from surefoot.sim.log import JOINTS, Log
+from surefoot.sim.robot.fixed_base import machine_for_log
 from surefoot.sim.sensors.contact import contact_from_force
 
 MEASURED = measured_folder()
@@ -393,6 +395,8 @@ def test_a_pendulum_log_has_one_joint():
     assert log.joints == ("shoulder",)
     assert log.has("tau")
     assert log.rate == pytest.approx(300.0, rel=1e-3)
+    assert machine_for_log(log).name == "ak80_pendulum"
+    assert not any(line.startswith(("robot:", "feet:")) for line in import_lines(log))
 
 
 def test_a_tracked_body_elsewhere_on_another_clock_is_moved_to_the_imu(folder):

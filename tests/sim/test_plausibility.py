@@ -4,12 +4,13 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
 from surefoot.sim.common.low_pass import low_pass
 from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.log import Log
+from surefoot.sim.log import Log, Meta
 from surefoot.sim.plausibility import RULES, check_log
 from surefoot.sim.plausibility.axes import lag_of, match_axes
 from surefoot.sim.robot import Robot
@@ -301,6 +302,13 @@ CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
     "rates swapped": (
         exchanged(("dq_FL_thigh", "dq_FL_calf")), "joint rates", "the rate of FL_calf"),
     "rates from differences": (differenced, "derived", "computed from q"),
+    "a rate from differences": (
+        lambda log: edited(log, dq_FR_calf=np.gradient(log.frame["q_FR_calf"], log.t)),
+        "derived", "dq_FR_calf: computed from q"),
+    "a rate late": (late(0.02, "dq_FR_calf"), "late", "late = { dq_FR_calf = 0.0"),
+    "an angle whose sign changes": (
+        lambda log: edited(log, q_FR_thigh=np.where(log.t > 5.0, -1, 1) * log.frame["q_FR_thigh"]),
+        "joint rates", "dq_FR_thigh: its sign, or its angle's, changes on the way (from 4.9"),
     "rates late": (late(0.02, "dq_"), "late", "ms late against the change of q"),
     "torques in mN m": (times(1e3, "tau_"), "torque", 'unit = "mN m"'),
     "torques negated": (times(-1, "tau_"), "support", "wrong sign"),
@@ -323,6 +331,7 @@ CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
         exchanged(("ref_p_x", "ref_p_y"), ("ref_v_x", "ref_v_y")), "accelerometer", "x is y"),
     "reference 0.3 s late": (late(0.3, "ref_"), "reference's attitude", "offset = -0.29"),
     "reference 0.05 s late": (late(0.05, "ref_"), "reference's attitude", "is late"),
+    "reference of another clock": (late(3.0, "ref_"), "gyro", "another clock; try surefoot align"),
     "IMU late": (late(0.2, "gyro", "accel"), "reference's attitude", "is early"),
     "joints late": (late(0.2, "q_", "dq_", "tau_", "contact"), "legs", "move 0.20 s after"),
     "legs swapped, left and right": (
@@ -353,7 +362,7 @@ CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
     "gyro saturated": (clipped("gyro_x"), "saturated", "gyro_x"),
     "accelerometer saturated": (clipped("accel_z"), "saturated", "accel_z"),
     "a second lost": (dropped(slice(1000, 1500)), "rows", "500 rows missing"),
-    "every twentieth row lost": (dropped(20), "rows", "lost rows"),
+    "every twentieth row lost": (dropped(20), "single rows", "lost rows"),
     "rows lost behind even stamps": (
         dropped(slice(1000, 1240), restamped=True), "jumps", "behind even stamps"),
     "time at half its speed": (stretched(2.0), "speed of time", "2 times the change"),
@@ -422,6 +431,40 @@ def test_without_a_reference_legs_see_an_axis_that_is_not_the_gyros(log, change)
     others = {"gyro_x": "gyro_z", "gyro_y": "gyro_x", "gyro_z": "gyro_y"}
     swapped = exchanged((change, others[change]))(without(log, "ref_"))
     assert [one.rule for one in check_log(swapped, SPOT)] == ["gyro and legs"]
+
+
+def test_without_its_robot_a_joint_that_hangs_is_told_from_one_that_rests(log):
+    """Joints of an arm rest one by one: an angle hangs if its rate says that it turns."""
+    assert any(
+        line.startswith("frozen: q_FL_calf") for line in found_in(frozen("q_FL_calf")(log), None)
+    )
+    assert any(
+        line.startswith("frozen: dq_FL_calf") for line in found_in(frozen("dq_FL_calf")(log), None)
+    )
+    both_rest = frozen("q_FL_calf")(log)
+    rests = np.diff(both_rest.frame["q_FL_calf"], prepend=np.nan) == 0.0
+    both_rest = edited(both_rest, dq_FL_calf=np.where(rests, 0.0, log.frame["dq_FL_calf"]))
+    assert not [line for line in found_in(both_rest, None) if line.startswith("frozen")]
+
+
+def test_joints_of_which_one_alone_is_scaled_are_no_matter_of_the_clock(log):
+    """One of two joints with 2.3 times its rate leaves the other, and the stamps, as they are."""
+    two = log.frame[["t", "q_FL_calf", "q_FR_calf", "dq_FL_calf", "dq_FR_calf"]]
+    (found,) = found_in(edited(replace(log, frame=two), dq_FR_calf=2.3 * two["dq_FR_calf"]), None)
+    assert found.startswith("joint rates: dq_FR_calf: scaled")
+    assert "gain = 0.43" in found
+
+
+def test_few_spikes_of_a_short_log_of_an_arm_are_noticed(log):
+    t = 0.01 * np.arange(400)
+    q, rng = 0.3 * np.sin(2.0 * t), np.random.default_rng(0)
+    rate = 0.6 * np.cos(2.0 * t) + rng.normal(0.0, 0.01, len(t))
+    arm = Log(pd.DataFrame({"t": t, "q_elbow": q, "dq_elbow": rate}), Meta(rate=100.0), "arm")
+    assert found_in(arm, None) == []
+    rate[[50, 121, 200, 222, 301, 350]] += 3.0
+    assert any(
+        line.startswith("spikes: dq_elbow") for line in found_in(edited(arm, dq_elbow=rate), None)
+    )
 
 
 def test_a_joint_that_is_held_throughout_rests_and_one_whose_rate_moves_hangs(log):

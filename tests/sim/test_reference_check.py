@@ -64,9 +64,23 @@ def test_jumps_and_held_samples_and_gaps_are_counted():
     found = check_reference(Poses(t[keep], p[keep], q[keep]))
     assert (found.jumps, found.held, found.gaps) == (3, 1, 1)
     assert found.longest_gap == pytest.approx(0.1, abs=0.011)
+    assert "3 jumps of position or attitude, the largest by" in "".join(found.faults)
     np.testing.assert_array_equal(np.flatnonzero(jumps(Poses(t, p, q))), [299, 599, 603])
     left = without_jumps(Poses(t, p, q))
     np.testing.assert_array_equal(np.setdiff1d(t, left.t), t[600:604])
+
+
+def test_the_largest_jump_is_told_by_its_size_and_time():
+    """One that a tracker spreads over three samples, after a smaller one."""
+    t = 0.01 * np.arange(1000)
+    true = poses(t)
+    spread = np.interp(np.arange(1000), [834, 837], [0.0, 0.1])
+    p = true.p + np.column_stack([0.0 * t, spread, 0.03 * (t > 2.0)])
+    largest = check_reference(Poses(t + 70.0, p, true.q)).largest
+    assert largest is not None
+    assert largest.after == pytest.approx(8.36, abs=0.02)
+    assert largest.moved == pytest.approx(0.1, abs=0.005)
+    assert "s after the first sample" in largest.words
 
 
 def test_a_blow_is_no_jump_at_any_rate():
