@@ -17,6 +17,9 @@ from surefoot.sim.effects import known_effects
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
+LACKING = ": not used, the log lacks "
+"""In a note, between a channel and what it would need."""
+
 
 def readings(log: Log, settings: TraceSettings = DEFAULT) -> Log:
     """The log without anything that a measured one could not have, nor contacts that cannot be."""
@@ -85,7 +88,7 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
         needed = [g for g in channel.needs if not (fixed and g in OF_WALKS)]
         lacking = [g for g in needed if not all(c.log.has(g) for c in cases)]
         if lacking:
-            notes.append(f"{name}: not used, the log lacks {' and '.join(lacking)}")
+            notes.append(f"{name}{LACKING}{' and '.join(lacking)}")
         elif channel.on_level_ground:
             notes.append(f"{name}: not used, the ground is not level")
     if any(case.log.has("foot") and not case.log.has("q") for case in cases):

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from surefoot.models.attribution.data import LACKING
 from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.models.attribution.search import Found
 from surefoot.models.residuals.registry import channels
@@ -165,18 +166,28 @@ def _sentences(found: Trace) -> list[str]:
     ]
     lines += [f"To distinguish them: {found.motion}."] if found.rivals else []
     lines += [line.strip() + "." for line in unexplained_in_words(found)]
-    return lines + [f"Note: {note}." for note in found.notes]
+    return lines + _note_lines(found.notes)
+
+
+def _note_lines(notes: Sequence[str]) -> list[str]:
+    """A sentence a note; the channels that lack columns in one."""
+    unused = [note.split(LACKING) for note in notes if LACKING in note]
+    lines = [f"Note: {note}." for note in notes if LACKING not in note]
+    if unused:
+        each = "; ".join(f"{channel} ({lacking})" for channel, lacking in unused)
+        lines.append(f"Channels not used, and what the log lacks for them: {each}.")
+    return lines
 
 
 def _sizes(found: Sequence[Found]) -> list[dict[str, Any]]:
-    """A row an effect, with its interval."""
+    """A row an effect, with its interval in as many digits as tell its ends apart."""
     return [
         {
             "effect": f.effect.name,
             "target": f.effect.target,
-            "value": f.effect.value,
-            "low": f.interval[0],
-            "high": f.interval[1],
+            "value": f"{f.effect.value:.4g}",
+            "low": f"{f.interval[0]:.4g}",
+            "high": f"{f.interval[1]:.4g}",
             "unit": f.effect.unit,
         }
         for f in found
