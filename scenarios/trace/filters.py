@@ -1,4 +1,4 @@
-"""What an effect costs the filters: each without it in the model, and with it."""
+"""How much the effects found change each filter: run without them in the model, then with them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,15 +28,15 @@ REPORTED = (
     "nees_attitude",
 )
 DEAD_RECKONING = "dead_reckoning"
-"""Name, among filters, of the standing legs' velocity integrated along the reference's attitude."""
+"""Listed among the filters: leg odometry alone, integrated with the reference's attitude."""
 
 
 @dataclass(frozen=True)
 class BeforeAfter:
-    """One filter on one stretch of a log, declared model and with the effects explained.
+    """One filter on one stretch of a log: by the declared model, and with the effects compensated.
 
-    drift: how far off the last position is, over the length of the path [m/m], before and after.
-    lost: why the estimate is not to be trusted, before and after; empty where it is.
+    Pairs are (before, after). drift: error of the last position over the length of the path [m/m].
+    lost: why the estimate should not be trusted; empty where it can be.
     """
 
     filter: str
@@ -51,39 +51,43 @@ class BeforeAfter:
 def before_and_after(
     log: Log, robot: Robot, effects: Sequence[Effect], learnt: Learnt, begin: float, end: float
 ) -> list[BeforeAfter]:
-    """Every filter that the log and the learnt files allow, on one stretch, without and with the
-    effects compensated; started from the reference at its first row.
+    """Run every filter for which log and `learnt` suffice on one stretch, without and with effects.
 
-    Empty where the stretch is too short. The whole log is compensated before it is cut: the size of
-    some effects goes with the time since the log began.
+    Filters start from the reference at the stretch's first row. Empty where the stretch is too
+    short. The whole log is compensated before it is cut, since the size of some effects depends on
+    the time since the log began.
 
     Args:
         log: the measured log.
         robot: as declared.
-        effects: that were found.
+        effects: to compensate.
         learnt: observers and bounds.
-        begin: of the stretch [s].
+        begin: of the stretch, in the log's time [s].
         end: of the stretch [s].
     """
-    explained, informed = compensate_all(effects, log, robot)
-    part, other = stretch(log, begin, end), stretch(explained, begin, end)
-    if part is None or other is None:
+    compensated, corrected = compensate_all(effects, log, robot)
+    plain_part, compensated_part = stretch(log, begin, end), stretch(compensated, begin, end)
+    if plain_part is None or compensated_part is None:
         return []
-    truth, done = reference(part), []
+    truth, done = reference(plain_part), []
     for name in ESTIMATORS:
         try:
-            before = filtered(name, part, robot, learnt)
-            after = filtered(name, other, informed, learnt) if effects else before
-        except SurefootError:  # the log, or what was learnt, lacks what this filter takes
+            before = filtered(name, plain_part, robot, learnt)
+            after = filtered(name, compensated_part, corrected, learnt) if effects else before
+        except SurefootError:  # the log or `learnt` lacks an input of this filter
             continue
-        lost = doubts(name, part, robot, before), doubts(name, other, informed, after)
-        done.append(replace(_compared(name, part, truth, before, after), lost=lost))
-    # Those of the legs first: a model of the legs serves them.
-    own = {one.filter: traits(one.filter) for one in done}
-    done.sort(key=lambda one: own[one.filter].variant or not own[one.filter].of_legs)
-    if all(part.has(group) for group in ("q", "contact")) and part.contact.any():
-        before, after = dead_reckoned(part, robot), dead_reckoned(other, informed)
-        done.append(_compared(DEAD_RECKONING, part, truth, before, after))
+        lost = (
+            doubts(name, plain_part, robot, before),
+            doubts(name, compensated_part, corrected, after),
+        )
+        done.append(replace(_compared(name, plain_part, truth, before, after), lost=lost))
+    # Leg filters first: a better model of the legs shows in them.
+    of_filter = {one.filter: traits(one.filter) for one in done}
+    done.sort(key=lambda one: of_filter[one.filter].variant or not of_filter[one.filter].of_legs)
+    if all(plain_part.has(group) for group in ("q", "contact")) and plain_part.contact.any():
+        before = dead_reckoned(plain_part, robot)
+        after = dead_reckoned(compensated_part, corrected)
+        done.append(_compared(DEAD_RECKONING, plain_part, truth, before, after))
     return done
 
 
@@ -105,43 +109,48 @@ def _compared(
 
 
 def drift(truth: Trajectory, estimate: Trajectory) -> float:
-    """How far off the last position is once the first poses are aligned, over the length of the
-    path [m/m]."""
+    """Error of the last position after aligning the first poses, over the path's length [m/m]."""
     truth, estimate = matched(truth, estimate)
     off = align_first(truth, estimate).p_GI[-1] - truth.p_GI[-1]
     return float(np.linalg.norm(off) / max(path_length(truth.t, truth.p_GI), 1e-9))
 
 
 def dead_reckoned(log: Log, robot: Robot) -> Trajectory:
-    """Where the legs alone take the body: the mean velocity by the standing feet, integrated along
-    the reference's attitude; while no foot stands the last velocity holds."""
+    """Leg odometry: the mean velocity by the standing feet, turned by the reference's attitude and
+    integrated. While no foot stands, the last velocity in the IMU's frame is held."""
     R_GI, stands = log.ref_R_GI, log.contact
     omega = log.gyro if log.has("imu") else np.zeros((len(log.t), 3))
     v_I = leg_velocity(robot, log.q, joint_velocity(log), omega, R_GI[:, 2], stands)
-    some = np.flatnonzero(stands.any(axis=1))
-    mean = np.nansum(v_I[some], axis=1) / stands[some].sum(axis=1, keepdims=True)
-    last = np.clip(np.searchsorted(some, np.arange(len(log.t)), side="right") - 1, 0, None)
-    v_GI = np.einsum("nij,nj->ni", R_GI, mean[last])
+    supported = np.flatnonzero(stands.any(axis=1))
+    mean = np.nansum(v_I[supported], axis=1) / stands[supported].sum(axis=1, keepdims=True)
+    latest = np.searchsorted(supported, np.arange(len(log.t)), side="right") - 1
+    v_GI = np.einsum("nij,nj->ni", R_GI, mean[np.maximum(latest, 0)])
     p_GI = log.ref_p[0] + cumulative_trapezoid(v_GI, log.t, axis=0, initial=0.0)
     zeros = np.zeros_like(p_GI)
     return Trajectory(log.t, R_GI, v_GI, p_GI, zeros, zeros)
 
 
 def filtered(name: str, log: Log, robot: Robot, learnt: Learnt) -> Trajectory:
-    """One filter over a log, up to where it diverged. Raises SurefootError saying what it lacks."""
+    """One filter's estimate over a log, up to where it diverged.
+
+    Raises SurefootError naming what the log or `learnt` lacks for it.
+    """
     robot = replace(robot, foot_radius=np.maximum(robot.foot_radius, 0.0))
     (found,) = estimated_in_chunks(estimator_named(name), [log], robot, learnt)
     return found
 
 
 def doubts(name: str, log: Log, robot: Robot, estimate: Trajectory) -> str:
-    """Why a filter's estimate of a log is not to be trusted; empty where it is."""
+    """Why a filter's estimate over a log should not be trusted; empty where it can be."""
     run = [summary_of_run(estimate, log)]
     return health_of(run, estimator_named(name), robot, log).sentence(name)
 
 
 def stretch(log: Log, begin: float, end: float) -> Log | None:
-    """The log from `begin` to `end` [s], from its first row with a reference on; None if short."""
+    """The log from its first row with a reference after `begin` [s] until `end` [s].
+
+    None where that is less than a second.
+    """
     rows = np.flatnonzero((log.t >= begin) & (log.t <= end))
     good = rows[log.ref_ok[rows]]
     if len(good) < 2 or log.t[rows[-1]] - log.t[good[0]] < 1.0:
@@ -151,7 +160,7 @@ def stretch(log: Log, begin: float, end: float) -> Log | None:
 
 
 def mean_metrics(stretches: Sequence[BeforeAfter]) -> dict[str, dict[str, dict[str, float]]]:
-    """Filter -> "before", "after" -> the reported metrics and the drift, averaged over logs."""
+    """Filter -> "before" or "after" -> metric (REPORTED and "drift") -> its mean over stretches."""
     means: dict[str, dict[str, dict[str, float]]] = {}
     for name in dict.fromkeys(one.filter for one in stretches):
         own = [one for one in stretches if one.filter == name]

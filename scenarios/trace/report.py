@@ -1,4 +1,4 @@
-"""A trace as files: trace.json, effects.toml, a report with figures, and a recording."""
+"""The files that `surefoot trace` writes: trace.json, effects.toml, a report and a recording."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -8,11 +8,12 @@ from typing import Any
 from surefoot.models.attribution.data import LACKING
 from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.models.attribution.search import Found
+from surefoot.models.attribution.selection import Candidate
 from surefoot.models.residuals.registry import channels
 from surefoot.scenarios.reporting.html import Picture, Section, write_report
 from surefoot.scenarios.trace.figures import candidate_gains, residuals
 from surefoot.scenarios.trace.result import Filters, Trace
-from surefoot.scenarios.trace.words import VERDICTS, size_in_words, summary, unexplained_in_words
+from surefoot.scenarios.trace.words import VERDICTS, size_in_words, unexplained_in_words
 from surefoot.scenarios.viewer.recording import write_recording
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.effects.file import save_effects
@@ -37,12 +38,12 @@ def write_outputs(found: Trace, robot: Machine, out: Path) -> None:
     """Write the trace's files into an empty folder."""
     effects = found.effects
     if found.stretches and found.stretches[0].log.has("q"):
-        shown = found.stretches[0]
-        names = {f"{shown.filter} (declared model)": shown.before}
+        first = found.stretches[0]
+        estimates = {f"{first.filter} (declared model)": first.before}
         if effects:
-            names[f"{shown.filter} (effect added)"] = shown.after
+            estimates[f"{first.filter} (effect added)"] = first.after
         assert isinstance(robot, Robot)
-        write_recording(out / "trace.rrd", shown.log, robot, names)
+        write_recording(out / "trace.rrd", first.log, robot, estimates)
     write_report(out / "report.html", "Trace: what does the model lack?", sections(found))
     save_effects(out / "effects.toml", effects)
     with whole_file(out / "trace.json") as temporary:
@@ -65,13 +66,14 @@ def sections(found: Trace) -> list[Section]:
             for number, run in enumerate(found.runs, 1)
             for row in _sizes(run.zeros)
         ]
-        words = "Zeros and clocks are another in every run, and no effects."
+        words = "Zeros and clocks differ from run to run, so they are not counted as effects."
         parts.append(Section("What each run has for itself", words, table=rows))
     if found.channels:
         picture = Picture(
             residuals(channel_rows(found.channels)),
             "Root mean square residual of each channel on the end of the log, which no fit and no "
-            "choice has seen. The dashed line is what a robot leaves that is as its model.",
+            "choice has seen. The dashed line is the noise floor: the residual of a robot that is "
+            "exactly as its model.",
         )
         masked = f"Masked as slipping: {100 * found.masked_share:.1f} % of stance time. "
         masked = masked if "leg_velocity" in found.channels else ""
@@ -151,7 +153,7 @@ def _levels(channels: Mapping[str, ChannelLevel]) -> list[dict[str, Any]]:
 
 
 def channel_rows(levels: Mapping[str, ChannelLevel]) -> dict[str, dict[str, Any]]:
-    """What the figure shows of each channel."""
+    """Each channel as `trace.figures.residuals` takes it."""
     return {
         name: {**vars(level), "label": channels()[name].label} for name, level in levels.items()
     }
@@ -194,9 +196,7 @@ def _sizes(found: Sequence[Found]) -> list[dict[str, Any]]:
     ]
 
 
-def _gain(candidate) -> tuple[float, float, float]:
+def _gain(candidate: Candidate) -> tuple[float, float, float]:
+    """Share of the residual that a candidate explains, with the ends of its interval."""
     scale = candidate.share / candidate.gain if candidate.gain else 0.0
     return candidate.share, candidate.interval[0] * scale, candidate.interval[1] * scale
-
-
-__all__ = ["sections", "summary", "write_outputs"]

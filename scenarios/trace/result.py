@@ -7,15 +7,16 @@ from surefoot.models.attribution.diagnose import Diagnosis, plain
 from surefoot.scenarios.trace.filters import BeforeAfter
 
 Filters = dict[str, dict[str, dict[str, float]]]
-"""Filter -> "before", "after" -> metrics."""
+"""Filter -> "before" or "after" -> metric -> value."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trace(Diagnosis):
-    """A diagnosis with the filters before and after, on the end of each log.
+    """A diagnosis, and what its effects change in the filters on the last part of each log.
 
-    filters: means over logs; stretches: what they are means of; unseen_filters: the same over whole
-    held-out logs; worse: what got worse, a line each; motion: what would distinguish rivals.
+    filters: metrics averaged over logs; stretches: each log's estimates, over which they are
+    averaged; unseen_filters: as filters, over whole held-out logs; worse: channels and filters that
+    got worse; motion: what to record so that rival explanations can be told apart.
     """
 
     filters: Filters
@@ -25,7 +26,7 @@ class Trace(Diagnosis):
     motion: str = ""
 
     def as_dict(self) -> dict[str, Any]:
-        """trace.json."""
+        """The content of trace.json."""
         out = super().as_dict() | plain({"filters": self.filters, "worse": self.worse})
         if self.held_out:
             out["holdout"]["filters"] = plain(self.unseen_filters)

@@ -43,14 +43,15 @@ def trace(
         robot: the declared model.
         out: folder for trace.json, effects.toml, report.html and trace.rrd.
         seed: of the bootstrap.
-        progress: called with the share that is done.
-        force: overwrite such files.
-        declared: effects that belong to the model: compensated before anything is asked. Where they
-            are given, if only none, zeros and clocks are no effects but the log's own.
+        progress: called with the share done, 0 to 1.
+        force: overwrite these files.
+        declared: effects that belong to the model and are compensated first. With any sequence,
+            even an empty one, the question is what has *changed*: encoder zeros, biases and clocks
+            are then fitted anew for each log and are no effects. So are they for several logs.
         learnt: observers and bounds for the filters that need them.
         settings: thresholds and constants; the defaults where left out.
-        holdout: logs of the same machine that judge what was found and that no fit sees.
-        warnings: what in the logs is not plausible, kept among the notes.
+        holdout: logs of the same machine that no fit sees, on which what was found is judged.
+        warnings: sentences about the logs, such as implausible values; kept among the notes.
 
     Raises SurefootError where `out` has such files (no `force`) or a held-out log is also one to
     fit on, and LogError where a log has no reference.
@@ -82,29 +83,30 @@ def trace_logs(
     settings: TraceSettings = DEFAULT,
     holdout: Sequence[Log] = (),
 ) -> Trace:
-    """`trace` without the files.
+    """`trace` without writing files.
 
     Args:
-        logs: of one robot.
-        robot: or fixed machine, as declared.
+        logs: of one machine.
+        robot: the declared model: a legged robot, or a machine on a fixed base.
         seed: of the noise floor and the bootstraps.
-        progress: called with the share done.
-        declared: effects already in the model, None where what is asked is not a change.
-        learnt: observers and bounds for the filters, or None.
-        settings: of the trace.
-        holdout: logs that judge what was found.
+        progress: called with the share done, 0 to 1.
+        declared: effects already in the model, as in `trace`.
+        learnt: observers and bounds for the filters that need them.
+        settings: thresholds and constants.
+        holdout: logs that no fit sees.
     """
     report = progress or (lambda share: None)
-    settled = (declared, settings, holdout)
-    found = diagnose(logs, robot, seed, lambda share: report(0.88 * share), *settled)
+    found = diagnose(
+        logs, robot, seed, lambda share: report(0.88 * share), declared, settings, holdout
+    )
+    learnt = learnt or Learnt()
     stretches: tuple[BeforeAfter, ...] = ()
     unseen: tuple[BeforeAfter, ...] = ()
     if found.attribution is not None:
         cases = [run.case for run in found.runs] or cases_of(logs, robot, declared or (), settings)
-        model = (found.effects, learnt or Learnt())
-        stretches = _filtered(cases, *model, settings.report_share)
+        stretches = _filtered(cases, found.effects, learnt, settings.report_share)
         held_out = [run.case for run in found.held_out.runs] if found.held_out else []
-        unseen = _filtered(held_out, *model, 1.0)
+        unseen = _filtered(held_out, found.effects, learnt, 1.0)
     filters, unseen_filters = mean_metrics(stretches), mean_metrics(unseen)
     harm = (
         *_harm(filters, settings.harm),
@@ -122,25 +124,21 @@ def trace_logs(
     )
 
 
-def _harm(filters: Filters, more: float) -> tuple[str, ...]:
-    """The filters that are farther off with what was found, by `more` times."""
+def _harm(filters: Filters, limit: float) -> tuple[str, ...]:
+    """A sentence for each filter whose APE_trans grew by more than the factor `limit`."""
     return tuple(
         f"{name} filter: farther off with what was found"
         for name, m in filters.items()
-        if m["after"]["ape_trans"] > more * m["before"]["ape_trans"]
+        if m["after"]["ape_trans"] > limit * m["before"]["ape_trans"]
     )
 
 
 def _filtered(
     cases: Sequence[LogUnderModel], effects: Sequence[Effect], learnt: Learnt, share: float
 ) -> tuple[BeforeAfter, ...]:
-    """Every filter on the last `share` of each log, without and with the effects.
+    """Every filter on the last `share` (0 to 1) of each log, without and with the effects found.
 
-    Args:
-        cases: the logs under the declared model.
-        effects: that were found.
-        learnt: observers and bounds.
-        share: of the log, 0 to 1.
+    Logs of machines on a fixed base, or without an IMU, are left out: no filter runs on them.
     """
     done: list[BeforeAfter] = []
     for case in cases:

@@ -1,4 +1,4 @@
-"""A trace in words: what was found, how sure, and what it changes."""
+"""A trace's result as sentences, for the screen and the report."""
 
 from collections.abc import Mapping, Sequence
 from math import isfinite
@@ -47,8 +47,8 @@ _MOTIONS = {
     "contact_delay": "change the gait's frequency and speed",
     "soft_ground": "walk on hard ground",
 }
-_SORTS = {"joint": "joints", "leg": "legs", "leg_link": "links", "leg_axis": "legs"}
-"""Sort of target -> several of them."""
+_PLURALS = {"joint": "joints", "leg": "legs", "leg_link": "links", "leg_axis": "legs"}
+"""Kind of target (`Effect.targets`) -> the word for several of them."""
 _SCALE = {"rad": (1e3, "mrad"), "m": (1e3, "mm"), "s": (1e3, "ms"), "ratio": (1e2, "%")}
 
 
@@ -70,20 +70,20 @@ def size_in_words(found: Found) -> str:
 
 
 def target_in_words(one: Effect) -> str:
-    """A target as one would say it: a part by its name, 'calf' as 'of every calf', 'left' as 'of
-    the left legs'."""
-    sort = type(one).targets
-    if not type(one).groups or isinstance(sort, tuple):
+    """A target in plain words: 'left' becomes 'of the left legs', 'calf' 'of every calf'; a single
+    joint or leg keeps its name."""
+    kind = type(one).targets
+    if not type(one).groups or isinstance(kind, tuple):
         return one.target
     if one.target == "all":
-        return f"of all {_SORTS[sort]}"
+        return f"of all {_PLURALS[kind]}"
     if one.target in ("left", "right", "front", "rear"):
-        return f"of the {one.target} {_SORTS[sort]}"
+        return f"of the {one.target} {_PLURALS[kind]}"
     return f"of every {one.target}" if one.target in ("hip", "thigh", "calf") else one.target
 
 
 def unexplained_in_words(found: Trace) -> list[str]:
-    """The three strongest forms of what is left, a line each."""
+    """What the unexplained residual correlates with, its three strongest forms, a line each."""
     return [
         f"  {100 * r.share:.0f} % of what is left in {r.channel} {r.column} goes with "
         f"{', '.join(r.regressors)}"
@@ -94,7 +94,7 @@ def unexplained_in_words(found: Trace) -> list[str]:
 
 
 def summary(found: Trace) -> str:
-    """What a reader wants on the screen."""
+    """The lines that `surefoot trace` prints."""
     lines = [f"verdict: {found.verdict}: {VERDICTS[found.verdict]}"]
     lines += [f"  since {why}" for why in found.reasons]
     lines += [f"  lacks {size_in_words(one)}" for one in found.found]
@@ -121,7 +121,7 @@ def summary(found: Trace) -> str:
 
 
 def _lost_lines(stretches: Sequence[BeforeAfter]) -> list[str]:
-    """A line for each estimate that is not to be trusted."""
+    """A line for each estimate that should not be trusted."""
     return [
         f"  {one.log.name} {side}: {why}"
         for one in stretches
@@ -160,7 +160,7 @@ def _filter_lines(filters: Filters) -> list[str]:
 
 
 def caution(found: Mapping[str, Any]) -> str:
-    """What one should know, by a trace.json, before its effects are put to use; "" if nothing."""
+    """A warning for those who want to use the effects of a trace.json; "" where none is due."""
     if found["verdict"] != "none_of_these" or not found["effects"]:
         return ""
     harm = [note for note in found["notes"] if note.endswith("with what was found")]
