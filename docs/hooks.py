@@ -83,6 +83,7 @@ def _scenario_files() -> str:
         ("[ground]", scenario._GroundTable),
         ("[[ground.patch]]", scenario._PatchEntry),
         ("[[ground.strip]]", scenario._StripEntry),
+        ("[[ground.height_field]]", scenario._HeightFieldEntry),
         ("[ranges]", scenario.Ranges),
         ("[gait]", GaitOptions),
         ("[sensors]", Sensors),

@@ -14,7 +14,8 @@ from surefoot.sim.common.files import protect
 from surefoot.sim.common.limits import check_limit
 from surefoot.sim.common.toml import Count, FileName, Name, NonNegative, read_typed
 from surefoot.sim.gait.options import GaitOptions
-from surefoot.sim.ground.terrain import Ground, Patch, Strip
+from surefoot.sim.ground.own_ground import own_ground
+from surefoot.sim.ground.terrain import Ground, Layer, Patch, Strip
 from surefoot.sim.scenario_catalog import scenario_file
 from surefoot.sim.sensors.streams import Sensors
 
@@ -88,10 +89,14 @@ class Scenario:
         path = scenario_file(name_or_path)
         protect(path)
         file = read_typed(path, _File, "scenario")
+        try:
+            ground = file.ground.ground(path.resolve().parent)
+        except SurefootError as error:
+            raise SurefootError(f"scenario {path}: {error}") from None
         return cls(
             name=path.stem if file.name is None else file.name,
             segments=tuple(chain.from_iterable(entry.segments() for entry in file.segment)),
-            ground=file.ground.ground(),
+            ground=ground,
             robot=file.robot,
             role=file.role,
             ranges=file.ranges,
@@ -126,10 +131,11 @@ def drawn(scenario: Scenario, rng: np.random.Generator) -> Drawn:
         Patch(p.center_x + dx, p.center_y + dy, p.size_x, p.size_y, p.mu * mu)
         for p, (dx, dy) in zip(ground.patches, shifts, strict=True)
     )
-    if any(strip.rough for strip in ground.strips):
-        # A height field is cut along its lattice: so is the friction that is truth.
-        patches = tuple(p.snapped() for p in patches)
+    # A height field is cut along its lattice: so is the friction that is truth.
+    for layer in (*[s for s in ground.strips if s.rough][:1], *ground.fields):
+        patches = tuple(p.snapped(layer) if _on(p, layer) else p for p in patches)
     strips = tuple(_drawn_strip(s, mu, rough, rng) for s in ground.strips)
+    fields = tuple(f if f.mu is None else replace(f, mu=f.mu * mu) for f in ground.fields)
     segments = tuple(
         # Slower stretches last longer, so that the course keeps its shape.
         Segment(s.duration / k, s.forward * k, s.lateral * k, s.turn * k)
@@ -139,13 +145,24 @@ def drawn(scenario: Scenario, rng: np.random.Generator) -> Drawn:
         replace(
             scenario,
             segments=segments,
-            ground=Ground(ground.mu * mu, patches, ground.half_size, strips),
+            ground=replace(
+                ground, mu=ground.mu * mu, patches=patches, strips=strips, fields=fields
+            ),
         ),
         period,
         clearance,
         gain,
         payload,
     )
+
+
+def _on(patch: Patch, layer: Layer) -> bool:
+    """Whether a patch lies on a height field's lattice; that of rough strips is everywhere."""
+    if isinstance(layer, Strip):
+        return True
+    x0, x1, y0, y1 = layer.rectangle
+    left, right, front, back = patch.rectangle
+    return left < x1 and x0 < right and front < y1 and y0 < back
 
 
 def _drawn_strip(strip: Strip, mu: float, rough: float, rng: np.random.Generator) -> Strip:
@@ -218,6 +235,21 @@ class _StripEntry(Strip):
 
 
 @dataclass(frozen=True)
+class _HeightFieldEntry:
+    """Ground of your own on floor and strips: a grid of heights, whose rows lie along y and whose
+    columns along x, or a mesh, whose upper surface counts."""
+
+    file: Name  # in the scenario's folder: .png, .npy, .csv or .hf (MuJoCo's), .obj or .stl
+    center: tuple[float, float] = (0.0, 0.0)  # m, of a grid; where the origin of a mesh lies
+    size: tuple[Length, Length] | None = None  # m, of a grid, along x and y
+    heights: tuple[float, float] | None = None
+    """m, what a grid's lowest and highest number stand for; they are metres where left out. A
+    picture needs it."""
+    spacing: Length | None = None  # m, of the points at which a mesh's height is taken; 0.05
+    mu: Friction | None = None  # friction coefficient; the ground's where left out
+
+
+@dataclass(frozen=True)
 class _GroundTable:
     """The floor."""
 
@@ -225,20 +257,29 @@ class _GroundTable:
     half_size: Length = 100.0  # m, from the centre to the edge of the floor
     patch: tuple[_PatchEntry, ...] = ()  # [[ground.patch]], of another friction
     strip: tuple[_StripEntry, ...] = ()  # [[ground.strip]], of another height
+    height_field: tuple[_HeightFieldEntry, ...] = ()  # [[ground.height_field]], of a file
 
     def __post_init__(self):
-        pieces = sum(max(strip.steps, 1) for strip in self.strip) + 1
+        pieces = sum(max(strip.steps, 1) for strip in self.strip) + len(self.height_field) + 1
         check_limit("bodies", pieces * (len(self.patch) + 1), "pieces of ground, cut by patches")
         for patch in self.patch:
             if max(map(abs, patch.center)) > self.half_size:
                 raise SurefootError(f"patch: its center {patch.center} lies beyond half_size")
 
-    def ground(self) -> Ground:
+    def ground(self, folder: Path) -> Ground:
+        """The ground, of whose files those are relative to the scenario's folder."""
+        fields = []
+        for k, entry in enumerate(self.height_field, 1):
+            try:
+                fields.append(own_ground(folder, *vars(entry).values()))
+            except SurefootError as error:
+                raise SurefootError(f"[[ground.height_field]] {k} {error}") from None
         return Ground(
             mu=self.mu,
             patches=tuple(Patch(*p.center, *p.size, p.mu) for p in self.patch),
             half_size=self.half_size,
             strips=tuple(Strip(**vars(strip)) for strip in self.strip),
+            fields=tuple(fields),
         )
 
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.height_map import LATTICE
-from surefoot.sim.ground.terrain import Ground, Patch, Strip
+from surefoot.sim.ground.terrain import Ground, HeightField, Patch, Strip
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario
 
@@ -64,7 +64,15 @@ def _scaled_ground(ground: Ground, k: float) -> Ground:
         for p in ground.patches
     )
     strips = tuple(_scaled_strip(strip, k) for strip in ground.strips)
-    return replace(ground, patches=patches, half_size=k * ground.half_size, strips=strips)
+    fields = tuple(_scaled_field(field, k) for field in ground.fields)
+    half_size = k * ground.half_size
+    return replace(ground, patches=patches, half_size=half_size, strips=strips, fields=fields)
+
+
+def _scaled_field(field: HeightField, k: float) -> HeightField:
+    """Its edges stay where those of strips beside it do."""
+    x0, x1, y0, y1 = (_on_lattice(k * edge) for edge in field.rectangle)
+    return replace(field, rectangle=(x0, x1, y0, y1), heights=k * field.heights)
 
 
 def _scaled_strip(strip: Strip, k: float) -> Strip:

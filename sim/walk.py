@@ -17,6 +17,7 @@ from surefoot.sim.gait.controller import gait_for
 from surefoot.sim.gait.course import Course, lay_course
 from surefoot.sim.gait.irregular import irregular
 from surefoot.sim.gait.state import Gait
+from surefoot.sim.ground.kept import kept_ground
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.physics.scene import TIMESTEP, World, add_payload, build_world, robot_spec
@@ -199,7 +200,7 @@ def record(made: Plan, motion: Motion) -> Log:
             seed=made.seed,
             effects=tuple(e.as_dict() for e in made.effects) if made.declared else (),
             versions=dict(_versions()),
-            model=kept_model(robot.name, robot.file),
+            model=kept_model(robot.name, robot.file) | kept_ground(made.ground),
         ),
     )
 

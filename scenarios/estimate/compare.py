@@ -33,6 +33,7 @@ from surefoot.scenarios.reporting.tables import metrics_row, to_csv, to_markdown
 from surefoot.scenarios.viewer.recording import write_recording
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.common.progress import bar as drawn_bar
+from surefoot.sim.ground.kept import ground_of_log
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
@@ -150,7 +151,7 @@ def write_comparison(
         comparisons: one a log.
         out: folder.
         title: of the report.
-        ground: drawn in the recordings, or None.
+        ground: drawn in figures and recordings; None for that which each log keeps, if any.
         extra: sections added to the report.
         force: whether files may be replaced.
     """
@@ -161,7 +162,7 @@ def write_comparison(
         path.write_text(to_csv(found), encoding="utf-8")
     sections = _summary_sections(comparisons, found)
     for comparison in comparisons:
-        pictures = _pictures(comparison, ground.patches if ground else ())
+        pictures = _pictures(comparison, ground or ground_of_log(comparison.log))
         for name, picture in pictures.items():
             save_picture(picture, out / "figures" / f"{comparison.log.name}_{name}.png", force)
         sections.append(
@@ -232,7 +233,7 @@ def _walk_prose(comparison: Comparison) -> str:
     return text + "."
 
 
-def _pictures(comparison: Comparison, patches: Sequence) -> dict[str, Picture]:
+def _pictures(comparison: Comparison, ground: Ground | None) -> dict[str, Picture]:
     if not comparison.log.has("reference"):
         return {}
     truth = reference(comparison.log)
@@ -243,7 +244,12 @@ def _pictures(comparison: Comparison, patches: Sequence) -> dict[str, Picture]:
     }
     pictures = {
         "trajectories": Picture(
-            trajectories(comparison.log, errors, patches),
+            trajectories(
+                comparison.log,
+                errors,
+                ground.patches if ground else (),
+                fields=ground.fields if ground else (),
+            ),
             "The walk from above: truth and every estimate, aligned at the start.",
         ),
         "height": Picture(

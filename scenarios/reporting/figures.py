@@ -20,8 +20,10 @@ from surefoot.scenarios.reporting.palette import (
     friction_color,
 )
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
+from surefoot.sim.ground.terrain import HeightField
 from surefoot.sim.log import Log, reference_velocity
 
+_HILLS = "#A9A08C"  # of contour lines, as of the ground in recordings
 NAMED_AXES = (("x", "forward"), ("y", "left"), ("z", "up"))
 
 
@@ -30,6 +32,7 @@ def trajectories(
     errors: Mapping[str, ErrorSeries],
     patches: Sequence = (),
     title: str = "Path seen from above",
+    fields: Sequence[HeightField] = (),
 ) -> Figure:
     """Truth and estimates in the ground plane, with slippery patches and start and end marks.
 
@@ -39,6 +42,7 @@ def trajectories(
         (surefoot.scenarios.estimate.error_series.error_series).
         patches: things with center_x, center_y, size_x, size_y (m), mu, and perhaps yaw (rad).
         title: said above the figure.
+        fields: ground of the user's own, drawn by its contour lines.
     """
     everywhere = np.concatenate([log.ref_p[:, :2], *[e.p_GI[:, :2] for e in errors.values()]])
     span = np.maximum(np.ptp(everywhere, axis=0), 1.0)
@@ -50,6 +54,8 @@ def trajectories(
         everywhere.min(axis=0) - 0.06 * span.max(),
         everywhere.max(axis=0) + 0.06 * span.max(),
     )
+    for field in fields:
+        _draw_contours(ax, field)
     for patch in patches:
         _draw_patch(ax, patch, low, high)
     ax.plot(*log.ref_p[:, :2].T, color=TRUTH, linewidth=3.5, label="Truth", solid_capstyle="round")
@@ -181,6 +187,17 @@ def _middle(t: np.ndarray) -> tuple[float, float]:
         return float(t[0]), float(t[-1])
     centre = 0.5 * (t[0] + t[-1])
     return float(centre - 5.0), float(centre + 5.0)
+
+
+def _draw_contours(ax, field: HeightField) -> None:
+    """Where a height field ends, and six lines of equal height in it."""
+    x0, x1, y0, y1 = field.rectangle
+    look = {"linewidth": 0.6, "zorder": 0.4}
+    ax.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor=_HILLS, **look))
+    if np.ptp(field.heights) > 0.0:
+        nx, ny = field.heights.shape
+        x, y = np.linspace(x0, x1, nx), np.linspace(y0, y1, ny)
+        ax.contour(x, y, field.heights.T, levels=6, colors=_HILLS, linewidths=0.6, zorder=0.4)
 
 
 def _draw_patch(ax, patch, low: np.ndarray, high: np.ndarray) -> None:

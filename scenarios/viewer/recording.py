@@ -27,6 +27,7 @@ from surefoot.scenarios.viewer.scene import (
 from surefoot.scenarios.viewer.series import write_errors, write_feet, write_update, write_velocity
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
+from surefoot.sim.ground.kept import ground_of_log
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
@@ -65,7 +66,8 @@ def write_recording(
         trajectories: estimator name -> its estimate.
         prediction: the observer's rows (M,) of the log and v_I (M, 3) m/s there.
         bounds: of that observer; they are turned to the robot's IMU where it is mounted otherwise.
-        ground: what the robot walked on, as its seed drew it; None draws none.
+        ground: what the robot walked on, as its seed drew it; None draws the one that the log
+            keeps, if any.
         force: overwrite.
     """
     log.require("q", "reference")
@@ -86,7 +88,7 @@ def write_recording(
         stream.log("/about", about, static=True)
         stream.log("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         corners = log.ref_p.min(axis=0), log.ref_p.max(axis=0)
-        if ground is not None:
+        if ground := ground or ground_of_log(log):
             write_ground(stream, corners, ground)
         write_robot(stream, log, robot)
         write_truth_path(stream, log)

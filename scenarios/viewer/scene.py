@@ -26,6 +26,7 @@ from surefoot.scenarios.viewer.shapes import (
 )
 from surefoot.sim.common.stamps import rows_every
 from surefoot.sim.ground.height_map import height
+from surefoot.sim.ground.kept import thinned
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.ground.tiles import add_ground
 from surefoot.sim.log import Log
@@ -63,10 +64,12 @@ def write_ground(
         ground: as it was walked on, after its seed drew patches and bumps.
     """
     reach = float(np.abs(np.concatenate([c[:2] for c in corners])).max())
-    strips = [abs(edge) for strip in ground.strips for edge in strip.rectangle]
-    half = min(ground.half_size, max(reach, *strips, 0.0) + _FLOOR_MARGIN)
+    layers = (*ground.strips, *ground.fields)
+    edges = [abs(edge) for layer in layers for edge in layer.rectangle]
+    half = min(ground.half_size, max(reach, *edges, 0.0) + _FLOOR_MARGIN)
     spec = mujoco.MjSpec()
-    add_ground(spec, replace(ground, half_size=half))  # the very tiles of the walk's world
+    # The very tiles of the walk's world, but for height fields of very many points.
+    add_ground(spec, replace(thinned(ground), half_size=half))
     model = spec.compile()
     frictions = np.round(model.geom_friction[:, 0], 2)
     for mu in np.unique(frictions):

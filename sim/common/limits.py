@@ -28,6 +28,8 @@ class Limits:
 
     text: float = 4e6
     """bytes of a TOML, JSON or XML file; the largest of the house's own have 0.1 MB."""
+    terrain: float = 100e6
+    """bytes of a file of heights, or of a mesh, that is walked on."""
     recording: float = 64e9
     """bytes of a log, CSV file or bag: a day at 1 kHz as text."""
     memory: float = 8e9

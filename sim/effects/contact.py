@@ -109,6 +109,7 @@ class FootSlip(Effect):
             mu=ground.mu * keep,
             patches=tuple(replace(p, mu=p.mu * keep) for p in ground.patches),
             strips=tuple(s if s.mu is None else replace(s, mu=s.mu * keep) for s in ground.strips),
+            fields=tuple(f if f.mu is None else replace(f, mu=f.mu * keep) for f in ground.fields),
         )
 
 

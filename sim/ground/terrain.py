@@ -1,4 +1,5 @@
-"""The ground as a list of strips along the world's axes: level, sloping, stepped or rough.
+"""The ground as a list of strips along the world's axes: level, sloping, stepped or rough; and
+height fields of the user's own on them.
 
 Where strips overlap the last one counts, and the floor lies below them all. Friction patches
 change the coefficient of whatever is on top. One description serves everyone:
@@ -6,9 +7,11 @@ change the coefficient of whatever is on top. One description serves everyone:
 answers height and normal from it, `sim.ground.tiles` turns it into MuJoCo geoms.
 """
 
+import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -19,6 +22,8 @@ from surefoot.sim.ground.height_map import LATTICE, HeightMap
 
 HIGHEST_STRIP, ROUGHEST = 1e3, 1.0
 """m, of a strip's ends and of its bumps, over which no leg reaches."""
+FINEST = 0.002
+"""m, between points of a height field: a foot of 2 cm lies over hundreds of its cells."""
 COARSEST = 100.0
 """m, largest grain: bumps of a hundred metres are slopes."""
 Extent = tuple[float, float, float, float]  # x0, x1, y0, y1 [m]
@@ -39,9 +44,9 @@ class Patch:
         x, y, w, h = self.center_x, self.center_y, 0.5 * self.size_x, 0.5 * self.size_y
         return x - w, x + w, y - h, y + h
 
-    def snapped(self) -> "Patch":
-        """The patch with its edges on the lattice of height fields."""
-        x0, x1, y0, y1 = (round(edge / LATTICE) * LATTICE for edge in self.rectangle)
+    def snapped(self, layer: "Layer") -> "Patch":
+        """The patch with its edges on the lattice of a layer of heights."""
+        x0, x1, y0, y1 = (layer.on_lattice(e, k // 2) for k, e in enumerate(self.rectangle))
         return Patch(0.5 * (x0 + x1), 0.5 * (y0 + y1), x1 - x0, y1 - y0, self.mu)
 
 
@@ -148,42 +153,107 @@ class Strip:
         plane = self.ends[0] + (self.ends[1] - self.ends[0]) * u
         return self.bumps + (plane[:, None] if self.axis == 0 else plane[None, :])
 
+    @property
+    def on_grid(self) -> bool:
+        """Whether its heights are those of `nodes`."""
+        return self.rough > 0.0
+
+    def on_lattice(self, edge: float, _axis: int) -> float:
+        """The nearest line of the lattice of rough strips, which is one for all of them [m]."""
+        return round(edge / LATTICE) * LATTICE
+
+
+@dataclass(frozen=True)
+class HeightField:
+    """Ground of given heights at equally spaced points of a rectangle, edges included, and two
+    triangles a cell between them, as MuJoCo collides height fields.
+
+    Two of the same digest are the same. Raises SurefootError for one that cannot be built.
+    """
+
+    rectangle: Extent
+    heights: np.ndarray = field(compare=False, repr=False)  # (nx, ny) m, x and y rising
+    mu: float | None = None  # friction coefficient, the floor's where left out
+    digest: str = field(init=False)  # SHA-256 of the heights
+    on_grid: ClassVar[bool] = True
+    axis: ClassVar[int] = 0  # along which its one facet lies
+
+    def __post_init__(self):
+        heights = np.ascontiguousarray(self.heights, dtype=float)
+        check_limit("cells", heights.size, "points of a height field")
+        if heights.ndim != 2 or min(heights.shape) < 2:
+            shape = " x ".join(map(str, heights.shape))
+            raise SurefootError(f"a height field has 2 x 2 points at least, this one {shape}")
+        if not np.isfinite(heights).all():
+            raise SurefootError("a height is not a finite number")
+        if np.abs(heights).max() > HIGHEST_STRIP:
+            raise SurefootError(f"heights must not exceed {HIGHEST_STRIP:g} m")
+        object.__setattr__(self, "heights", heights)
+        if min(self.spacing) < FINEST:
+            raise SurefootError(f"points of a height field lie {FINEST:g} m apart at least")
+        object.__setattr__(self, "digest", hashlib.sha256(heights.tobytes()).hexdigest())
+
+    @property
+    def spacing(self) -> tuple[float, float]:
+        """Between its points, along x and y [m]."""
+        (x0, x1, y0, y1), (nx, ny) = self.rectangle, self.heights.shape
+        return (x1 - x0) / (nx - 1), (y1 - y0) / (ny - 1)
+
+    def facets(self) -> Iterator[tuple[Extent, float, float]]:
+        """Its rectangle, the one that there is to cut; its heights are those of `nodes`."""
+        yield self.rectangle, 0.0, 0.0
+
+    def nodes(self) -> np.ndarray:
+        """Heights (nx, ny) [m]."""
+        return self.heights
+
+    def on_lattice(self, edge: float, axis: int) -> float:
+        """The nearest line along which the field can be cut [m], beyond its edges too."""
+        low, step = self.rectangle[2 * axis], self.spacing[axis]
+        return low + round((edge - low) / step) * step
+
+
+Layer = Strip | HeightField
+
 
 @dataclass(frozen=True)
 class Ground:
-    """A floor of friction `mu` at height zero, strips on it, and patches of other friction."""
+    """A floor of friction `mu` at height zero, strips on it, height fields on these, and patches
+    of other friction."""
 
     mu: float
     patches: tuple[Patch, ...] = ()
     half_size: float = 100.0  # m, of the floor
     strips: tuple[Strip, ...] = ()
     softness: float = 0.0  # s, what contacts take longer to push back than on hard ground
+    fields: tuple[HeightField, ...] = ()
 
     def friction(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Coefficient of sliding friction at the points x, y [m]."""
         mu = np.full(np.shape(x), self.mu)
-        for part in (*self.strips, *self.patches):
+        for part in (*self.strips, *self.fields, *self.patches):
             x0, x1, y0, y1 = part.rectangle
             inside = (x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)
             mu[inside] = self.mu if part.mu is None else part.mu
         return mu
 
     @property
-    def layers(self) -> tuple[Strip, ...]:
-        """The floor and the strips, from the bottom up."""
+    def layers(self) -> tuple[Layer, ...]:
+        """The floor, the strips and the height fields, from the bottom up."""
         h = self.half_size
-        return (Strip((-h, 0.0), (h, 0.0), 2 * h), *self.strips)
+        return (Strip((-h, 0.0), (h, 0.0), 2 * h), *self.strips, *self.fields)
 
     @cached_property
     def relief(self) -> HeightMap:
         """Height and normal of this ground, for compiled code."""
         rows, nodes, used = [], [], 0
-        for strip in self.layers:
+        for layer in self.layers:
             shape, offset = (0, 0), -1
-            if strip.rough:
-                heights = strip.nodes()
+            if layer.on_grid:
+                heights = layer.nodes()
                 shape, offset = heights.shape, used
                 nodes.append(heights.ravel())
                 used += heights.size
-            rows.append([*strip.rectangle, strip.axis, *strip.ends, strip.steps, offset, *shape])
+            plane = (*layer.ends, layer.steps) if isinstance(layer, Strip) else (0.0, 0.0, 0)
+            rows.append([*layer.rectangle, layer.axis, *plane, offset, *shape])
         return HeightMap(np.array(rows, dtype=float), np.concatenate([*nodes, np.zeros(1)]))

@@ -4,15 +4,14 @@ A patch laid over a floor would be two contacts, so every strip is cut where a l
 and where a patch changes its friction.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import mujoco
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.ground.height_map import LATTICE
-from surefoot.sim.ground.terrain import Extent, Ground, Strip
+from surefoot.sim.ground.terrain import Extent, Ground, Layer
 
 THICKNESS = 0.5  # m, of a tile below the walking surface
 # The ground decides how a foot touches it: MuJoCo takes these from the geom of higher priority.
@@ -21,20 +20,26 @@ SOLREF = (0.004, 1.0)
 SOLIMP = (0.98, 0.995, 0.0005, 0.5, 2.0)
 TORSION, ROLLING = 0.005, 0.0001  # m
 ANYTHING = 2**31 - 1  # contact bits: whatever can touch at all touches the ground
+_Snap = Callable[[float, int], float]
 GREY, ICY = (0.5, 0.5, 0.48, 1), (0.55, 0.75, 0.9, 1)
 
 
 def add_ground(spec: mujoco.MjSpec, ground: Ground) -> None:
-    """Lay the ground into `spec`. Raises SurefootError where a strip covers part of a rough one."""
+    """Lay the ground into `spec`. Raises SurefootError where a strip or a height field covers part
+    of a rough strip or another height field."""
     layers = ground.layers
-    for k, strip in enumerate(layers):
+    for k, layer in enumerate(layers):
         hidden = [later.rectangle for later in layers[k + 1 :]]
-        if strip.rough and any(_overlap(strip.rectangle, other) for other in hidden):
-            raise SurefootError("a strip must not overlap a rough one listed before it")
-        mu = ground.mu if strip.mu is None else strip.mu
+        if layer.on_grid and any(_overlap(layer.rectangle, other) for other in hidden):
+            raise SurefootError(
+                "a strip must not overlap a rough one listed before it, "
+                "nor a height field another or a rough strip"
+            )
+        mu = ground.mu if layer.mu is None else layer.mu
         patches = [(patch.rectangle, patch.mu) for patch in ground.patches]
-        for rectangle, z_low, z_high in strip.facets():
-            for tile, tile_mu in _cut(rectangle, mu, hidden, patches, bool(strip.rough)):
+        for rectangle, z_low, z_high in layer.facets():
+            snap = layer.on_lattice if layer.on_grid else None
+            for tile, tile_mu in _cut(rectangle, mu, hidden, patches, snap):
                 # All that the robot's own default for geoms could spoil is said here.
                 geom = {
                     "contype": ANYTHING,
@@ -48,10 +53,10 @@ def add_ground(spec: mujoco.MjSpec, ground: Ground) -> None:
                     "solimp": list(SOLIMP),
                     "rgba": list(ICY if tile_mu < ground.mu else GREY),
                 }
-                if strip.rough:
-                    _add_field(spec, strip, tile, geom)
+                if layer.on_grid:
+                    _add_field(spec, layer, tile, geom)
                 else:
-                    _add_box(spec, rectangle, tile, strip.axis, z_low, z_high, geom)
+                    _add_box(spec, rectangle, tile, layer.axis, z_low, z_high, geom)
 
 
 def _add_box(
@@ -96,13 +101,15 @@ def _add_box(
     )
 
 
-def _add_field(spec: mujoco.MjSpec, strip: Strip, tile: Extent, geom: dict) -> None:
-    """The part `tile` of a rough strip as a height field on the strip's own lattice."""
+def _add_field(spec: mujoco.MjSpec, layer: Layer, tile: Extent, geom: dict) -> None:
+    """The part `tile` of a layer of heights, on the layer's own lattice."""
     x0, x1, y0, y1 = tile
-    left, _, front, _ = strip.rectangle
-    i0, i1 = round((x0 - left) / LATTICE), round((x1 - left) / LATTICE)
-    j0, j1 = round((y0 - front) / LATTICE), round((y1 - front) / LATTICE)
-    nodes = strip.nodes()[i0 : i1 + 1, j0 : j1 + 1]
+    nodes = layer.nodes()
+    left, right, front, back = layer.rectangle
+    dx, dy = (right - left) / (nodes.shape[0] - 1), (back - front) / (nodes.shape[1] - 1)
+    i0, i1 = round((x0 - left) / dx), round((x1 - left) / dx)
+    j0, j1 = round((y0 - front) / dy), round((y1 - front) / dy)
+    nodes = nodes[i0 : i1 + 1, j0 : j1 + 1]
     low, high = nodes.min(), nodes.max()
     name = f"field_{len(spec.hfields)}"
     spec.add_hfield(
@@ -125,7 +132,7 @@ def _cut(
     mu: float,
     hidden: Sequence[Extent],
     patches: Sequence[tuple[Extent, float]],
-    on_lattice: bool,
+    snap: _Snap | None,
 ) -> list[tuple[Extent, float]]:
     """The visible part of a rectangle, in abutting tiles with their friction.
 
@@ -134,12 +141,12 @@ def _cut(
         mu: friction outside the patches.
         hidden: rectangles that others cover.
         patches: rectangles with a friction of their own, the last one counts.
-        on_lattice: whether edges lie on the lattice of heights.
+        snap: the line of a layer's lattice that is nearest to an edge, of one of heights.
     """
     hidden = [r for r in hidden if _overlap(rectangle, r)]
     patches = [(r, m) for r, m in patches if _overlap(rectangle, r)]
     edges_x, edges_y = (
-        _edges([*hidden, *(r for r, _ in patches)], rectangle, axis, on_lattice) for axis in (0, 1)
+        _edges([*hidden, *(r for r, _ in patches)], rectangle, axis, snap) for axis in (0, 1)
     )
     tiles: list[tuple[Extent, float]] = []
     for x0, x1 in pairwise(edges_x):
@@ -158,12 +165,12 @@ def _cut(
 
 
 def _edges(
-    rectangles: Sequence[Extent], within: Extent, axis: int, on_lattice: bool
+    rectangles: Sequence[Extent], within: Extent, axis: int, snap: _Snap | None
 ) -> list[float]:
     low, high = within[2 * axis], within[2 * axis + 1]
     edges = {e for r in rectangles for e in r[2 * axis : 2 * axis + 2] if low < e < high}
-    if on_lattice:
-        edges = {round(e / LATTICE) * LATTICE for e in edges}
+    if snap:
+        edges = {snap(e, axis) for e in edges}
     inner = [e for e in sorted(edges) if low + 1e-9 < e < high - 1e-9]
     return [low, *inner, high]
 

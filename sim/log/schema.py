@@ -132,8 +132,9 @@ class Meta:
     `rate` is in Hz. `effects` are the declared ones, each a dict of name, target, value, unit.
     `motor_law` is {"kp": (J,), "kd": (J,)} in N m/rad and N m s/rad. `model` is what an import map
     says of the robot (p_BI in m, q_BI as w, x, y, z, foot_radius in m, feet: body or site by leg),
-    which overrides the MJCF, and of its ground (ground_evenness in m), and `file`, the model's own
-    file where no name stands for it (`sim.robot.model_of_log`). `warnings` are what was not
+    which overrides the MJCF, and of its ground (ground_evenness in m), `file`, the model's own
+    file where no name stands for it (`sim.robot.model_of_log`), and `ground`, where height fields
+    of a file lay on it (`sim.ground.kept`). `warnings` are what was not
     plausible when it was imported, a line each (`sim.plausibility`).
     """
 

@@ -29,6 +29,7 @@ KINDS = [
     scenario._GroundTable,
     scenario._PatchEntry,
     scenario._StripEntry,
+    scenario._HeightFieldEntry,
     scenario.Ranges,
     GaitOptions,
     Sensors,

@@ -1,0 +1,144 @@
+"""The ground that a log keeps of a walk over height fields of the user's own: enough to draw it,
+wherever their files have gone.
+
+The metadata of a log hold the ground as its seed drew it, rough strips as height fields; heights
+to a part in 65 535 of their range, at fewer points where there are many.
+"""
+
+import base64
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from math import ceil, sqrt
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.limits import check_limit
+from surefoot.sim.common.toml import typed
+from surefoot.sim.ground.terrain import Extent, Ground, HeightField, Patch, Strip
+
+if TYPE_CHECKING:
+    from surefoot.sim.log import Log
+
+KEY = "ground"
+MOST_POINTS = 2**18
+"""Of all height fields of a drawing: half a megabyte of a log's metadata, a mesh that is turned
+without delay."""
+_LEVELS = 2**16 - 1
+
+
+@dataclass(frozen=True)
+class _Strip:
+    start: tuple[float, float]
+    end: tuple[float, float]
+    width: float
+    heights: tuple[float, float]
+    steps: int
+    mu: float | None = None
+
+
+@dataclass(frozen=True)
+class _Field:
+    rectangle: Extent
+    shape: tuple[int, int]
+    range: tuple[float, float]
+    levels: str
+    mu: float | None = None
+
+
+@dataclass(frozen=True)
+class _Kept:
+    mu: float
+    half_size: float
+    patches: tuple[tuple[float, float, float, float, float], ...] = ()
+    strips: tuple[_Strip, ...] = ()
+    fields: tuple[_Field, ...] = ()
+
+
+def kept_ground(ground: Ground) -> dict[str, Any]:
+    """What `Meta.model` keeps of a ground: nothing where no height field of a file lies on it."""
+    if not ground.fields:
+        return {}
+    rough = [HeightField(s.rectangle, s.nodes(), s.mu) for s in ground.strips if s.rough]
+    drawn = thinned(replace(ground, fields=(*rough, *ground.fields)))
+    patches = [[p.center_x, p.center_y, p.size_x, p.size_y, p.mu] for p in ground.patches]
+    strips = [
+        {name: getattr(strip, name) for name in _Strip.__dataclass_fields__}
+        for strip in ground.strips
+        if not strip.rough
+    ]
+    return {
+        KEY: {
+            "mu": ground.mu,
+            "half_size": ground.half_size,
+            "patches": patches,
+            "strips": strips,
+            "fields": [_written(field) for field in drawn.fields],
+        }
+    }
+
+
+def ground_of_log(log: "Log") -> Ground | None:
+    """The ground that a log keeps, to be drawn; None of one that keeps none.
+
+    Raises SurefootError where it cannot be read.
+    """
+    if KEY not in log.meta.model:
+        return None
+    try:
+        kept = typed({KEY: log.meta.model[KEY]}, dict[str, _Kept])[KEY]
+        return Ground(
+            kept.mu,
+            tuple(Patch(*numbers) for numbers in kept.patches),
+            kept.half_size,
+            tuple(Strip(**vars(strip)) for strip in kept.strips),
+            fields=tuple(_read(field) for field in kept.fields),
+        )
+    except SurefootError as error:
+        raise SurefootError(f"{log.name}: metadata: {error}") from None
+
+
+def thinned(ground: Ground, most: int = MOST_POINTS) -> Ground:
+    """The ground with height fields of at most about so many points in all, to be drawn."""
+    points = sum(field.heights.size for field in ground.fields)
+    if points <= most:
+        return ground
+    every = ceil(sqrt(points / most))
+    return replace(ground, fields=tuple(_thinned(field, every) for field in ground.fields))
+
+
+def _thinned(field: HeightField, every: int) -> HeightField:
+    nx, ny = field.heights.shape
+    x, y = (np.linspace(0.0, n - 1, max(2, ceil(n / every))) for n in (nx, ny))
+    at = np.meshgrid(x, y, indexing="ij")
+    return replace(field, heights=map_coordinates(field.heights, at, order=1))
+
+
+def _written(field: HeightField) -> dict[str, Any]:
+    low, high = float(field.heights.min()), float(field.heights.max())
+    levels = np.round((field.heights - low) / max(high - low, 1e-300) * _LEVELS).astype("<u2")
+    return {
+        "rectangle": list(field.rectangle),
+        "shape": list(levels.shape),
+        "range": [low, high],
+        "levels": base64.b64encode(zlib.compress(levels.tobytes())).decode(),
+        "mu": field.mu,
+    }
+
+
+def _read(field: _Field) -> HeightField:
+    nx, ny = field.shape
+    if min(nx, ny) < 2:
+        raise SurefootError(f"[{KEY}] shape {nx} x {ny}: 2 x 2 at least")
+    check_limit("cells", nx * ny, f"[{KEY}] points of a height field")
+    try:
+        packed = base64.b64decode(field.levels, validate=True)
+        numbers = zlib.decompressobj().decompress(packed, 2 * nx * ny + 1)
+        levels = np.frombuffer(numbers, "<u2").reshape(nx, ny)
+    except (ValueError, zlib.error) as error:
+        raise SurefootError(f"[{KEY}] levels: damaged ({error})") from None
+    low, high = field.range
+    return HeightField(field.rectangle, low + (high - low) / _LEVELS * levels, field.mu)
