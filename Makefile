@@ -39,9 +39,10 @@ readme: demo
 study: setup
 	$(BIN)/pytest -m slow -s
 
-# What takes an hour or more: a million fuzzed steps of each estimator, commands ended at random moments.
+# What takes an hour or more: a million fuzzed steps of each estimator, commands ended at random moments,
+# eight hours of walking (prints peak memory).
 nightly: setup
-	$(BIN)/pytest -m slow -s tests/scenarios/test_fuzzed_streams.py tests/hostile
+	$(BIN)/pytest -m slow -s tests/scenarios/test_fuzzed_streams.py tests/scenarios/test_hours.py tests/hostile
 
 # The architectures compared over seeds, on both suites; killed, it goes on where it was.
 study-observer: setup

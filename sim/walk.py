@@ -1,8 +1,8 @@
 """One walk: a scenario, a robot and a seed become a Log."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from importlib.metadata import version
 
 import numpy as np
@@ -14,7 +14,7 @@ from surefoot.sim.common.limits import check_limit
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.effects import Effect
 from surefoot.sim.gait.controller import gait_for
-from surefoot.sim.gait.course import Course, lay_course
+from surefoot.sim.gait.course import Course, course_pieces, course_ticks
 from surefoot.sim.gait.irregular import irregular
 from surefoot.sim.gait.state import Gait
 from surefoot.sim.ground.kept import kept_ground
@@ -26,16 +26,17 @@ from surefoot.sim.physics.stepper import STEPS_PER_TICK, Fallen, simulate
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.legs import JOINTS, LEGS, find_legs
 from surefoot.sim.robot.model_of_log import kept_model
-from surefoot.sim.scenario import Drawn, Scenario, drawn
+from surefoot.sim.scenario import Drawn, Scenario, Segment, drawn
 from surefoot.sim.sensors.sampling import sampled
 from surefoot.sim.sensors.streams import (
+    ContactSwitch,
     Motion,
     Reference,
+    SensorErrors,
     Streams,
-    corrupt,
     ideal_streams,
+    rate_of,
     reference_of,
-    sensed_contact,
 )
 from surefoot.sim.similar_course import course_for
 from surefoot.sim.walking.truth import foot_truth
@@ -45,6 +46,8 @@ __all__ = ["STEPS_PER_TICK", "Fallen", "Plan", "plan", "record", "simulate", "wa
 SETTLE = 3.0  # s of standing before the log begins: a robot is switched on at rest
 BYTES_A_STEP = 3e3
 """of memory: states, readings and truth of a walk, and the copies that are made of them."""
+PIECE_TICKS = 1 << 13
+"""Ticks of a piece of a long walk, half a minute: 50 MB."""
 SHORTEST_WALK = 0.1
 """s of a log that a fall leaves."""
 SLIDE_MARGIN = 2.0
@@ -65,9 +68,33 @@ class Plan:
     draw: Drawn
     ground: Ground  # as drawn, under the effects
     world: World
-    course: Course
     gait: Gait
     sensor_seed: np.random.SeedSequence
+
+    @cached_property
+    def course(self) -> Course:
+        """The whole of the course, a row a tick.
+
+        Raises SurefootError where a walk along it does not fit into memory.
+        """
+        what = f"scenario {self.scenario.name}: bytes of a walk of {self.seconds:.0f} s"
+        check_limit("memory", BYTES_A_STEP * self.seconds / TIMESTEP, what)
+        (whole,) = self.course_pieces(self.ticks)
+        return whole
+
+    def course_pieces(self, ticks: int) -> Iterator[Course]:
+        """The course in turn, so many ticks at a time."""
+        return course_pieces(*_way(self.scenario, self.draw), ticks)
+
+    @cached_property
+    def ticks(self) -> int:
+        """Of the controller, from settling to the end."""
+        return course_ticks(*_way(self.scenario, self.draw))
+
+    @property
+    def seconds(self) -> float:
+        """Of the walk, settling included."""
+        return self.ticks * TIMESTEP * STEPS_PER_TICK
 
 
 def walk(
@@ -128,26 +155,14 @@ def plan(
         effect.members(robot.limbs)  # refuses a target that the robot does not have
         effect.edit_spec(spec, robot)
         ground = effect.alter_ground(ground)
-    seconds = (
-        SETTLE
-        + 2.0 * scenario.stand
-        + scenario.laps * sum(segment.duration for segment in draw.scenario.segments)
-    )
-    what = f"scenario {scenario.name}: bytes of a walk of {seconds:.0f} s"
-    check_limit("memory", BYTES_A_STEP * seconds / TIMESTEP, what)
+    ticks = course_ticks(*_way(scenario, draw))
+    for piece in course_pieces(*_way(scenario, draw), min(ticks, PIECE_TICKS)):
+        if np.abs(piece.pose[:, :2]).max() > ground.half_size - robot.leg_length:
+            raise SurefootError(
+                f"scenario {scenario.name}: the course leaves the floor; "
+                "give [ground] a larger half_size"
+            )
     world = build_world(robot, ground, spec)
-    course = lay_course(
-        draw.scenario.segments,
-        TIMESTEP * STEPS_PER_TICK,
-        scenario.stand,
-        scenario.laps,
-        lead=SETTLE,
-    )
-    if np.abs(course.pose[:, :2]).max() > ground.half_size - robot.leg_length:
-        raise SurefootError(
-            f"scenario {scenario.name}: the course leaves the floor; "
-            "give [ground] a larger half_size"
-        )
     start = SETTLE + scenario.stand
     # Feet of another radius are put down as such: a controller feels the ground that they stand on.
     radius = find_legs(world.model, robot.name).foot_radius
@@ -156,7 +171,8 @@ def plan(
     gait = gait_for(standing_on, start, draw.period, draw.clearance, draw.gain, scenario.gait)
     at_once = share_moved_at_once(world.model, world.springs, world.start, world.dof_adr)
     gait = gait._replace(slide_damping=min(SLIDE_MARGIN * at_once, 1.0) * gait.slide_damping)
-    gait = irregular(gait, scenario.gait, course.t, np.random.default_rng(gait_seed))
+    dt = TIMESTEP * STEPS_PER_TICK
+    gait = irregular(gait, scenario.gait, ticks, dt, np.random.default_rng(gait_seed))
     return Plan(
         scenario=scenario,
         robot=robot,
@@ -166,42 +182,68 @@ def plan(
         draw=draw,
         ground=ground,
         world=world,
-        course=course,
         gait=gait,
         sensor_seed=sensor_seed,
     )
 
 
+def _way(scenario: Scenario, draw: Drawn) -> tuple[Sequence[Segment], float, float, int, float]:
+    """What `lay_course` takes of a scenario, settling included."""
+    dt = TIMESTEP * STEPS_PER_TICK
+    return draw.scenario.segments, dt, scenario.stand, scenario.laps, SETTLE
+
+
 def record(made: Plan, motion: Motion) -> Log:
     """What the sensors say of a motion through the planned world, from the end of settling on."""
-    robot, motion = made.robot, motion.after(SETTLE)
-    mounted, reference = robot, reference_of(motion, robot)
-    for effect in made.effects:
-        mounted = effect.alter_mounting(mounted)
-        reference = effect.alter_reference(reference)
-    sensors, rng = made.scenario.sensors, np.random.default_rng(made.sensor_seed)
-    streams = ideal_streams(motion, mounted)
-    streams = replace(streams, contact_threshold=sensors.contact_threshold)
-    for effect in made.effects:
-        streams = effect.alter_streams(streams, robot)
-    streams = corrupt(streams, sensors, rng)
-    contact = sensed_contact(streams, robot.mass * GRAVITY, sensors, rng)
-    truth = foot_truth(motion, _walked(made), made.ground)
-    frame = _frame(streams, contact, reference, *truth)
-    rate = sensors.rate or 1.0 / TIMESTEP
-    if rate < 1.0 / TIMESTEP:
-        frame = sampled(frame, rate, averages=not sensors.imu_bandwidth)
-    return Log(
-        frame=frame,
-        meta=Meta(
-            rate=rate,
-            robot=robot.name,
-            scenario=made.scenario.name,
-            seed=made.seed,
-            effects=tuple(e.as_dict() for e in made.effects) if made.declared else (),
-            versions=dict(_versions()),
-            model=kept_model(robot.name, robot.file) | kept_ground(made.ground),
-        ),
+    motion = motion.after(SETTLE)
+    frame = Sensing(made, len(motion.tau), rate_of(motion.t[1:])).of(motion)
+    meta, sensors = meta_of(made), made.scenario.sensors
+    if meta.rate < 1.0 / TIMESTEP:
+        frame = sampled(frame, meta.rate, averages=not sensors.imu_bandwidth)
+    return Log(frame=frame, meta=meta)
+
+
+class Sensing:
+    """The sensors of a planned walk, whose motion may come in pieces: the readings are those of a
+    walk that is sensed whole, but for effects that alter streams, which take a whole walk."""
+
+    def __init__(self, made: Plan, rows: int, rate: float):
+        """`rows` of the log, and how many a second [Hz], before it is sampled."""
+        self._made, robot = made, made.robot
+        self._mounted = robot
+        for effect in made.effects:
+            self._mounted = effect.alter_mounting(self._mounted)
+        self._sensors, rng = made.scenario.sensors, np.random.default_rng(made.sensor_seed)
+        self._errors = SensorErrors(self._sensors, rng, (rows, len(JOINTS), len(LEGS)), rate)
+        self._contact = ContactSwitch(self._sensors, rng, robot.mass * GRAVITY, rate)
+        self._walked = _walked(made)
+
+    def of(self, motion: Motion) -> pd.DataFrame:
+        """The next rows: the steps between the states of a motion."""
+        robot, effects = self._made.robot, self._made.effects
+        reference = reference_of(motion, robot)
+        for effect in effects:
+            reference = effect.alter_reference(reference)
+        streams = ideal_streams(motion, self._mounted)
+        streams = replace(streams, contact_threshold=self._sensors.contact_threshold)
+        for effect in effects:
+            streams = effect.alter_streams(streams, robot)
+        streams = self._errors.on(streams)
+        truth = foot_truth(motion, self._walked, self._made.ground)
+        return _frame(streams, self._contact.read(streams), reference, *truth)
+
+
+def meta_of(made: Plan) -> Meta:
+    """What the log of a planned walk says of itself."""
+    robot = made.robot
+    return Meta(
+        rate=made.scenario.sensors.rate or 1.0 / TIMESTEP,
+        robot=robot.name,
+        scenario=made.scenario.name,
+        seed=made.seed,
+        effects=tuple(e.as_dict() for e in made.effects) if made.declared else (),
+        versions=dict(_versions()),
+        model=kept_model(robot.name, robot.file) | kept_ground(made.ground),
     )
 
 

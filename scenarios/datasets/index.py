@@ -23,12 +23,13 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import file_digest, whole_file
 from surefoot.sim.common.sources import code_digest, sources_digest
 from surefoot.sim.gait.patterns import pattern_named
-from surefoot.sim.log import Log
+from surefoot.sim.log import Log, LogReader
 from surefoot.sim.walk import Fallen, Plan
 from surefoot.sim.walking.batch import Job, Walked, known_robot
 from surefoot.sim.walking.truth import SLIPPING
 
 INDEX_FOLDER = "_dataset"
+MINUTE = 60.0  # s
 DRY = 0.5  # friction coefficient from which ground counts as dry
 
 
@@ -78,7 +79,8 @@ def recipe(job: Job) -> str:
     """
     declared = job.effects if job.declared else ()
     effects = [e.as_dict() for e in declared]
-    code = [sources_digest("surefoot.sim.walking.batch"), code_digest(*map(type, declared))]
+    modules = "surefoot.sim.walking.batch", "surefoot.sim.walking.long_walk"
+    code = [*map(sources_digest, modules), code_digest(*map(type, declared))]
     robot = known_robot(job.robot).digest
     gait = pattern_named(job.scenario.gait.pattern)
     strides = [*map(float, gait.phase), gait.duty, gait.period]
@@ -93,22 +95,27 @@ def _versions() -> dict[str, str]:
 
 def row_of(walked: Walked) -> IndexRow:
     """The index's row of a walk, its file's hash still empty."""
-    job, made, log = walked.job, walked.plan, walked.log
-    fell = isinstance(log, Fallen)
+    log = walked.log
+    return row_with(walked.job, walked.plan, log if isinstance(log, Fallen) else walk_facts(log))
+
+
+def row_with(job: Job, made: Plan, found: dict[str, float] | Fallen) -> IndexRow:
+    """The row of a walk of which the facts were found (`walk_facts`), or how it fell."""
+    fall = found if isinstance(found, Fallen) else None
     numbers = dict.fromkeys(("duration", "length", "slip_share", "creep"), np.nan)
     return IndexRow(
-        file="" if fell else f"{log_name(job)}.parquet",
+        file="" if fall else f"{log_name(job)}.parquet",
         scenario=job.scenario.name,
         robot=made.robot.name,
         seed=job.seed,
         effects=json.dumps([e.as_dict() for e in job.effects] if job.declared else []),
         **_drawn(made),
-        falls=int(fell),
-        fell_at=log.time if fell else np.nan,
-        **(numbers if fell else walk_facts(log)),
+        falls=int(fall is not None),
+        fell_at=fall.time if fall else np.nan,
+        **(numbers if isinstance(found, Fallen) else found),
         sha256="",
         recipe=recipe(job),
-        fall=log.how if fell else "",
+        fall=fall.how if fall else "",
     )
 
 
@@ -145,6 +152,29 @@ def slip_and_creep(log: Log) -> tuple[float, float]:
     dry = slip[loaded & (log.mu >= DRY)]
     share = float((slip[loaded] > SLIPPING).mean()) if loaded.any() else np.nan
     return share, float(np.median(dry)) if dry.size else np.nan
+
+
+def facts_of_file(reader: LogReader) -> dict[str, float]:
+    """`walk_facts` of a file that is read a minute at a time: each minute's path is sampled by
+    itself, and the creep is the median of the minutes', by their loaded samples."""
+    loaded = slipping = 0.0
+    length, duration, creeps, weights = 0.0, 0.0, [], []
+    for log in reader.chunks(MINUTE):
+        slip = log.slip
+        dry = slip[(slip > 0.0) & (log.mu >= DRY)]
+        loaded, slipping = loaded + (slip > 0.0).sum(), slipping + (slip > SLIPPING).sum()
+        if dry.size:
+            creeps.append(float(np.median(dry)))
+            weights.append(dry.size)
+        length, duration = length + path_length(log.t, log.ref_p), float(log.t[-1])
+    order = np.argsort(creeps)
+    upto = np.cumsum(np.array(weights)[order])
+    return {
+        "duration": duration,
+        "length": length,
+        "slip_share": slipping / loaded if loaded else np.nan,
+        "creep": creeps[order[np.searchsorted(upto, 0.5 * upto[-1])]] if creeps else np.nan,
+    }
 
 
 class Journal:

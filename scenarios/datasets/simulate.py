@@ -1,17 +1,21 @@
 """Many walks: scenarios times seeds, one log each, and an index; a killed run is resumed."""
 
+import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from surefoot.scenarios.datasets.cluster import walk_on_cluster
 from surefoot.scenarios.datasets.index import (
     IndexRow,
     Journal,
+    facts_of_file,
     fall_path,
     log_name,
     recipe,
     row_of,
+    row_with,
+    walk_facts,
     with_hash,
     write_index,
 )
@@ -22,10 +26,18 @@ from surefoot.sim.common.limits import check_limit
 from surefoot.sim.common.sources import code_digest
 from surefoot.sim.effects import Effect
 from surefoot.sim.effects.file import load_effects, to_toml
-from surefoot.sim.log import Log
+from surefoot.sim.log import Log, LogReader, LogWriter
 from surefoot.sim.scenario import Ranges, Scenario
-from surefoot.sim.walk import Fallen, fallen_log, plan
-from surefoot.sim.walking.batch import Job, Walked, known_robot, walk_batch
+from surefoot.sim.walk import Fallen, fallen_log, meta_of
+from surefoot.sim.walking.batch import (
+    Job,
+    Walked,
+    known_robot,
+    on_threads,
+    plan_of,
+    walk_planned,
+)
+from surefoot.sim.walking.long_walk import LONG_WALK, needs_whole, walk_in_pieces
 
 BYTES_PER_SECOND = 150e3
 """Of a log's file for each s of walking: 500 rows of some 80 columns, compressed by a half."""
@@ -90,7 +102,9 @@ def simulate_all(
         if cluster:
             rows = walk_on_cluster(cluster, todo, out, force, progress)
         else:
-            rows = walk_batch(todo, lambda walked: save_walk(walked, out, force), workers, progress)
+            rows = on_threads(
+                todo, lambda job, done: walk_and_save(job, out, force, done), workers, progress
+            )
         for row in rows:
             journal.add(row)
         progress(1.0)
@@ -109,6 +123,40 @@ def simulate_all(
     if len(fallen) == len(jobs):
         raise SurefootError(f"{out}: no walk was made, as every one ended in a fall")
     return made
+
+
+def walk_and_save(
+    job: Job, folder: Path, force: bool, progress: Callable[[float], None]
+) -> IndexRow:
+    """Make one walk and write its log, a long one piece by piece; returns the row.
+
+    Args:
+        job: the walk.
+        folder: of the dataset.
+        force: whether its file may be replaced.
+        progress: called with the share done.
+    """
+    made = plan_of(job)
+    if made.seconds <= LONG_WALK or needs_whole(made):
+        return save_walk(walk_planned(job, made, progress), folder, force)
+    path = folder / f"{log_name(job)}.parquet"
+    fall = None
+    try:
+        with whole_file(path, force) as temporary:
+            with LogWriter(temporary, meta_of(made)) as writer:
+                try:
+                    for frame in walk_in_pieces(made, progress):
+                        writer.write(frame)
+                except Fallen as error:
+                    fall = error
+            if fall:
+                if writer.rows:
+                    with whole_file(fall_path(folder, job), force=True) as kept:
+                        os.replace(temporary, kept)
+                raise fall
+    except Fallen as error:
+        return row_with(job, made, error)
+    return with_hash(row_with(job, made, facts_of_file(LogReader(path))), path)
 
 
 def save_walk(walked: Walked, folder: Path, force: bool = False) -> IndexRow:
@@ -197,13 +245,15 @@ def _done(journal: Journal, job: Job) -> bool:
         )
     if row or not path.exists():
         return row is not None
-    log = Log.read(path)
-    made = plan(job.scenario, known_robot(job.robot), job.seed, job.effects, job.declared)
+    reader, made = LogReader(path), plan_of(job)
     declared = tuple(e.as_dict() for e in job.effects) if job.declared else ()
-    found = (log.meta.scenario, log.meta.robot, log.meta.seed, log.meta.effects)
+    meta = reader.meta
+    found = (meta.scenario, meta.robot, meta.seed, meta.effects)
     if found != (job.scenario.name, made.robot.name, job.seed, declared):
         refuse_overwrite(path, False)
-    journal.add(with_hash(row_of(Walked(job, made, log)), path))
+    long = reader.rows / meta.rate > LONG_WALK
+    facts = facts_of_file(reader) if long else walk_facts(Log.read(path))
+    journal.add(with_hash(row_with(job, made, facts), path))
     return True
 
 

@@ -3,6 +3,37 @@
 import numpy as np
 from scipy.signal import lfilter
 
+from surefoot.sim.common.drawn_later import drawn_later
+
+
+class GaussMarkov:
+    """A stationary first-order Gauss-Markov process of three axes, drawn in pieces: the numbers are
+    those of one that is drawn whole."""
+
+    def __init__(self, rng: np.random.Generator, n: int, sigma: float, time: float, rate: float):
+        """`rng` is left where drawing the whole process leaves it.
+
+        Args:
+            rng: random generator.
+            n: rows in all.
+            sigma: stationary standard deviation, in the unit of the result.
+            time: correlation time [s].
+            rate: rows a second [Hz].
+        """
+        self._keep = np.exp(-1.0 / (time * rate))
+        self._drive = sigma * np.sqrt(1.0 - self._keep**2)
+        self._rng = drawn_later(rng, 3 * n)
+        self._first: np.ndarray | None = rng.normal(0.0, sigma, 3)
+        self._state = np.zeros((1, 3))
+
+    def next(self, rows: int) -> np.ndarray:
+        """The next (rows, 3) of it."""
+        drive = self._rng.normal(0.0, self._drive, (rows, 3))
+        if self._first is not None:
+            drive[0], self._first = self._first, None
+        process, self._state = lfilter([1.0], [1.0, -self._keep], drive, axis=0, zi=self._state)
+        return process
+
 
 def gauss_markov(
     rng: np.random.Generator, n: int, sigma: float, time: float, rate: float
@@ -16,7 +47,4 @@ def gauss_markov(
         time: correlation time [s].
         rate: rows a second [Hz].
     """
-    keep = np.exp(-1.0 / (time * rate))
-    drive = rng.normal(0.0, sigma * np.sqrt(1.0 - keep**2), (n, 3))
-    drive[0] = rng.normal(0.0, sigma, 3)
-    return np.asarray(lfilter([1.0], [1.0, -keep], drive, axis=0))
+    return GaussMarkov(rng, n, sigma, time, rate).next(n)

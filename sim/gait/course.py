@@ -1,6 +1,6 @@
 """The course as a reference trajectory: where the base should be, and how fast, at every tick."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,25 +33,92 @@ def lay_course(
         laps: how often the segments are walked.
         lead: further time of standing at the beginning [s].
     """
-    targets = [np.zeros((round((lead + stand) / dt), 3))]
+    ticks = course_ticks(segments, dt, stand, laps, lead)
+    (whole,) = course_pieces(segments, dt, stand, laps, lead, ticks)
+    return whole
+
+
+def course_ticks(
+    segments: Sequence[Segment], dt: float, stand: float, laps: int = 1, lead: float = 0.0
+) -> int:
+    """How many rows `lay_course` has.
+
+    Args:
+        segments, dt, stand, laps, lead: as it takes them.
+    """
+    return sum(rows for rows, _ in _stretches(segments, dt, stand, laps, lead))
+
+
+def course_pieces(
+    segments: Sequence[Segment],
+    dt: float,
+    stand: float,
+    laps: int,
+    lead: float,
+    rows: int,
+) -> Iterator[Course]:
+    """The rows of `lay_course` in turn, `rows` at a time, in the memory of one piece.
+
+    Args:
+        segments, dt, stand, laps, lead: as `lay_course` takes them.
+        rows: of a piece; the last one has what is left.
+    """
+    step = np.array([ACCELERATION, ACCELERATION, TURN_ACCELERATION]) * dt
+    first, now, sums = 0, np.zeros(3), np.zeros(3)
+    for target in _targets(_stretches(segments, dt, stand, laps, lead), rows):
+        velocity = _ramped(target, step, now)
+        yaw = _summed(velocity[:, 2], sums, 2) * dt
+        c, s = np.cos(yaw), np.sin(yaw)
+        x = _summed(c * velocity[:, 0] - s * velocity[:, 1], sums, 0) * dt
+        y = _summed(s * velocity[:, 0] + c * velocity[:, 1], sums, 1) * dt
+        t = np.arange(first, first + len(yaw)) * dt
+        yield Course(t, np.column_stack([x, y, yaw]), velocity)
+        first += len(yaw)
+
+
+def _stretches(
+    segments: Sequence[Segment], dt: float, stand: float, laps: int, lead: float
+) -> Iterator[tuple[int, tuple[float, float, float]]]:
+    """Rows of equal command, and the command: forward, lateral [m/s] and turn [rad/s].
+
+    Args:
+        segments, dt, stand, laps, lead: as `lay_course` takes them.
+    """
+    yield round((lead + stand) / dt), (0.0, 0.0, 0.0)
     for _ in range(laps):
         for s in segments:
-            targets.append(np.tile([s.forward, s.lateral, s.turn], (round(s.duration / dt), 1)))
-    targets.append(np.zeros((round((stand + 1.0) / dt), 3)))
-    target = np.concatenate(targets)
-    velocity = _ramped(target, np.array([ACCELERATION, ACCELERATION, TURN_ACCELERATION]) * dt)
-    yaw = np.cumsum(velocity[:, 2]) * dt
-    c, s = np.cos(yaw), np.sin(yaw)
-    x = np.cumsum(c * velocity[:, 0] - s * velocity[:, 1]) * dt
-    y = np.cumsum(s * velocity[:, 0] + c * velocity[:, 1]) * dt
-    return Course(np.arange(len(yaw)) * dt, np.column_stack([x, y, yaw]), velocity)
+            yield round(s.duration / dt), (s.forward, s.lateral, s.turn)
+    yield round((stand + 1.0) / dt), (0.0, 0.0, 0.0)
+
+
+def _targets(
+    stretches: Iterable[tuple[int, tuple[float, float, float]]], rows: int
+) -> Iterator[np.ndarray]:
+    """The commands (N, 3), a row a tick, at most `rows` at a time."""
+    piece, used = np.empty((rows, 3)), 0
+    for count, command in stretches:
+        while count:
+            part = min(count, rows - used)
+            piece[used : used + part] = command
+            used, count = used + part, count - part
+            if used == rows:
+                yield piece
+                used = 0
+    if used:
+        yield piece[:used]
+
+
+def _summed(x: np.ndarray, sums: np.ndarray, which: int) -> np.ndarray:
+    """The sums of x (N,) up to each row, on top of those of the pieces before, which are kept."""
+    total = np.cumsum(np.append(sums[which], x))[1:]
+    sums[which] = total[-1]
+    return total
 
 
 @kernel
-def _ramped(target, step):
-    """`target` (N, 3) followed from rest, by at most `step` (3,) a row."""
+def _ramped(target, step, now):
+    """`target` (N, 3) followed from `now` (3,), which is changed, by at most `step` (3,) a row."""
     velocity = np.empty_like(target)
-    now = np.zeros(3)
     for k in range(len(target)):
         for a in range(3):
             now[a] += min(max(target[k, a] - now[a], -step[a]), step[a])

@@ -12,9 +12,19 @@ FARTHEST_DRAW = 2.5
 """Standard deviations at which drawn periods and footholds are cut: legs reach only so far."""
 
 
-def irregular(gait: Gait, options: GaitOptions, t: np.ndarray, rng: np.random.Generator) -> Gait:
-    """The gait with what `options` ask for drawn from `rng`, for control ticks at t (N,) [s]."""
-    strides = int((t[-1] - gait.start) / gait.period * 1.5) + 4
+def irregular(
+    gait: Gait, options: GaitOptions, ticks: int, dt: float, rng: np.random.Generator
+) -> Gait:
+    """The gait with what `options` ask for drawn from `rng`.
+
+    Args:
+        gait: a regular one.
+        options: what is irregular, and how much.
+        ticks: control ticks of the walk.
+        dt: between them [s].
+        rng: random generator.
+    """
+    strides = int(((ticks - 1) * dt - gait.start) / gait.period * 1.5) + 4
 
     def cut(size: float, shape: int | tuple[int, ...]) -> np.ndarray:
         return size * np.clip(rng.standard_normal(shape), -FARTHEST_DRAW, FARTHEST_DRAW)
@@ -26,11 +36,11 @@ def irregular(gait: Gait, options: GaitOptions, t: np.ndarray, rng: np.random.Ge
     if options.foothold_jitter:
         size = options.foothold_jitter * gait.leg_length
         drawn["footholds"] = cut(size, (strides + 1, len(gait.phase), 2))
-    rate = 1.0 / float(np.median(np.diff(t)))
     for name in ("velocity", "attitude"):
         size = getattr(options, f"{name}_noise")
         if size:
-            drawn[f"{name}_error"] = gauss_markov(rng, len(t), size, options.noise_time, rate)
+            rate = 1.0 / float(np.median(np.diff(np.arange(ticks) * dt)))
+            drawn[f"{name}_error"] = gauss_markov(rng, ticks, size, options.noise_time, rate)
     return gait._replace(**drawn)
 
 

@@ -7,7 +7,6 @@ to a part in 65 535 of their range, at fewer points where there are many.
 
 import base64
 import zlib
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import ceil, sqrt
 from typing import TYPE_CHECKING, Any
@@ -23,7 +22,7 @@ from surefoot.sim.ground.terrain import Extent, Ground, HeightField, Patch, Stri
 if TYPE_CHECKING:
     from surefoot.sim.log import Log
 
-KEY = "ground"
+GROUND_KEY = "ground"
 MOST_POINTS = 2**18
 """Of all height fields of a drawing: half a megabyte of a log's metadata, a mesh that is turned
 without delay."""
@@ -71,7 +70,7 @@ def kept_ground(ground: Ground) -> dict[str, Any]:
         if not strip.rough
     ]
     return {
-        KEY: {
+        GROUND_KEY: {
             "mu": ground.mu,
             "half_size": ground.half_size,
             "patches": patches,
@@ -86,10 +85,10 @@ def ground_of_log(log: "Log") -> Ground | None:
 
     Raises SurefootError where it cannot be read.
     """
-    if KEY not in log.meta.model:
+    if GROUND_KEY not in log.meta.model:
         return None
     try:
-        kept = typed({KEY: log.meta.model[KEY]}, dict[str, _Kept])[KEY]
+        kept = typed({GROUND_KEY: log.meta.model[GROUND_KEY]}, dict[str, _Kept])[GROUND_KEY]
         return Ground(
             kept.mu,
             tuple(Patch(*numbers) for numbers in kept.patches),
@@ -132,13 +131,13 @@ def _written(field: HeightField) -> dict[str, Any]:
 def _read(field: _Field) -> HeightField:
     nx, ny = field.shape
     if min(nx, ny) < 2:
-        raise SurefootError(f"[{KEY}] shape {nx} x {ny}: 2 x 2 at least")
-    check_limit("cells", nx * ny, f"[{KEY}] points of a height field")
+        raise SurefootError(f"[{GROUND_KEY}] shape {nx} x {ny}: 2 x 2 at least")
+    check_limit("cells", nx * ny, f"[{GROUND_KEY}] points of a height field")
     try:
         packed = base64.b64decode(field.levels, validate=True)
         numbers = zlib.decompressobj().decompress(packed, 2 * nx * ny + 1)
         levels = np.frombuffer(numbers, "<u2").reshape(nx, ny)
     except (ValueError, zlib.error) as error:
-        raise SurefootError(f"[{KEY}] levels: damaged ({error})") from None
+        raise SurefootError(f"[{GROUND_KEY}] levels: damaged ({error})") from None
     low, high = field.range
     return HeightField(field.rectangle, low + (high - low) / _LEVELS * levels, field.mu)

@@ -7,6 +7,7 @@ ground to walk on.
 
 from array import array
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -69,9 +70,7 @@ def own_ground(
         raise SurefootError(f"file '{name}': {reason}") from None
 
 
-def _scaled(
-    grid: np.ndarray, heights: tuple[float, float] | None, is_picture: bool
-) -> np.ndarray:
+def _scaled(grid: np.ndarray, heights: tuple[float, float] | None, is_picture: bool) -> np.ndarray:
     """The numbers of a grid (rows along y, columns along x) as heights [m]."""
     if grid.ndim != 2 or grid.dtype.kind not in "fiu":
         raise SurefootError("needs numbers in rows and columns")
@@ -128,7 +127,7 @@ def _obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
                 # From one; from the last one back where negative.
                 own = [int(word.partition("/")[0]) for word in words]
                 own = [k - 1 if k > 0 else len(vertices) // 3 + k for k in own]
-                for b, c in zip(own[1:-1], own[2:], strict=True):
+                for b, c in pairwise(own[1:]):
                     triangles.extend((own[0], b, c))
     return np.array(vertices).reshape(-1, 3), np.array(triangles, dtype=np.int64).reshape(-1, 3)
 

@@ -22,7 +22,7 @@ from surefoot.sim.ground.height_map import LATTICE, HeightMap
 
 HIGHEST_STRIP, ROUGHEST = 1e3, 1.0
 """m, of a strip's ends and of its bumps, over which no leg reaches."""
-FINEST = 0.002
+FINEST_SPACING = 0.002
 """m, between points of a height field: a foot of 2 cm lies over hundreds of its cells."""
 COARSEST = 100.0
 """m, largest grain: bumps of a hundred metres are slopes."""
@@ -189,8 +189,8 @@ class HeightField:
         if np.abs(heights).max() > HIGHEST_STRIP:
             raise SurefootError(f"heights must not exceed {HIGHEST_STRIP:g} m")
         object.__setattr__(self, "heights", heights)
-        if min(self.spacing) < FINEST:
-            raise SurefootError(f"points of a height field lie {FINEST:g} m apart at least")
+        if min(self.spacing) < FINEST_SPACING:
+            raise SurefootError(f"points of a height field lie {FINEST_SPACING:g} m apart at least")
         object.__setattr__(self, "digest", hashlib.sha256(heights.tobytes()).hexdigest())
 
     @property

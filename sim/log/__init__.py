@@ -1,7 +1,7 @@
 """The Log, the only thing that is passed between the rooms: its file, its schema, its checks."""
 
 from surefoot.sim.log.derived import joint_velocity, reference_velocity, with_velocities
-from surefoot.sim.log.log import Log, LogError, LogReader
+from surefoot.sim.log.log import Log, LogError, LogReader, LogWriter
 from surefoot.sim.log.schema import JOINTS, LEGS, SCHEMA, Meta
 
 __all__ = [
@@ -11,6 +11,7 @@ __all__ = [
     "Log",
     "LogError",
     "LogReader",
+    "LogWriter",
     "Meta",
     "joint_velocity",
     "reference_velocity",

@@ -74,23 +74,10 @@ class Log:
         """Write the whole file or none. Raises LogError if it exists (no `force`) or is invalid."""
         path = Path(path)
         try:
-            text = json.dumps(asdict(self.meta), default=_plain, allow_nan=False, sort_keys=True)
-            read_metadata({KEY: text.encode()})
-            check_frame(self.frame, self.meta.rate)
-        except (SurefootError, TypeError, ValueError) as error:
+            with whole_file(path, force) as temporary, LogWriter(temporary, self.meta) as writer:
+                writer.write(self.frame)
+        except LogError as error:
             raise LogError(f"{path}: not written, {error}") from error
-        columns = {str(name): pa.array(self.frame[name].to_numpy()) for name in self.frame}
-        about = {KEY: text.encode(), DIGEST_KEY: metadata_digest(text.encode())}
-        table = pa.table(columns).replace_schema_metadata(about)
-        try:
-            with whole_file(path, force) as temporary:
-                pq.write_table(
-                    table,
-                    temporary,
-                    row_group_size=ROW_GROUP,
-                    compression="zstd",
-                    write_page_checksum=True,
-                )
         except SurefootError as error:
             raise LogError(str(error)) from error
 
@@ -305,6 +292,57 @@ class Log:
     def mu(self) -> np.ndarray:
         """Truth: friction coefficient (N, L) under each foot."""
         return self._leg_array("truth", "mu")
+
+
+class LogWriter:
+    """Writes the file of a log stretch by stretch, in the memory of one: the bytes are those of a
+    log that is written whole."""
+
+    def __init__(self, path: Path, meta: Meta):
+        """Raises LogError for metadata that are not valid. `whole_file` gives the path."""
+        try:
+            text = json.dumps(asdict(meta), default=_plain, allow_nan=False, sort_keys=True)
+            read_metadata({KEY: text.encode()})
+        except (SurefootError, TypeError, ValueError) as error:
+            raise LogError(str(error)) from error
+        self._path, self._rate = path, meta.rate
+        self._about = {KEY: text.encode(), DIGEST_KEY: metadata_digest(text.encode())}
+        self._file: pq.ParquetWriter | None = None
+        self._held: pa.Table | None = None  # rows that do not fill a row group yet
+        self.rows, self._last = 0, -np.inf
+
+    def __enter__(self) -> LogWriter:
+        return self
+
+    def write(self, frame: pd.DataFrame) -> None:
+        """Write the next rows. Raises LogError, with column and row, where they are not valid."""
+        try:
+            check_frame(frame, self._rate, self.rows, self._last)
+        except SurefootError as error:
+            raise LogError(str(error)) from error
+        self.rows, self._last = self.rows + len(frame), float(frame["t"].iloc[-1])
+        table = pa.table({str(name): pa.array(frame[name].to_numpy()) for name in frame})
+        if self._held is not None:
+            table = pa.concat_tables([self._held, table]).combine_chunks()
+        full = len(table) // ROW_GROUP * ROW_GROUP
+        self._write(table[:full])
+        self._held = table[full:]
+
+    def _write(self, table: pa.Table) -> None:
+        if self._file is None:
+            schema = table.schema.with_metadata(self._about)
+            self._file = pq.ParquetWriter(
+                self._path, schema, compression="zstd", write_page_checksum=True
+            )
+        if len(table):
+            table = table.replace_schema_metadata(self._about)
+            self._file.write_table(table, row_group_size=ROW_GROUP)
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        if kind is None and self._held is not None:
+            self._write(self._held)
+        if self._file is not None:
+            self._file.close()
 
 
 FEWEST_ROWS = 3

@@ -6,7 +6,7 @@ that the mujoco package has loaded, on the memory of its own MjModel and MjData.
 """
 
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,7 +22,7 @@ from surefoot.sim.common.quaternion import matrix_from_quaternion
 from surefoot.sim.gait.controller import Controller, tick
 from surefoot.sim.gait.course import Course
 from surefoot.sim.gait.irregular import estimated_base
-from surefoot.sim.gait.state import Gait, RobotState, standing
+from surefoot.sim.gait.state import Gait, LegMemory, RobotState, standing
 from surefoot.sim.ground.height_map import HeightMap, height
 from surefoot.sim.physics.scene import TIMESTEP, World
 from surefoot.sim.robot import Robot
@@ -151,6 +151,55 @@ def simulate(
     return motion_of(world, trace)
 
 
+def simulate_in_pieces(
+    world: World,
+    robot: Robot,
+    gait: Gait,
+    pieces: Iterable[Course],
+    seconds: float,
+    progress: Callable[[float], None] | None = None,
+) -> Iterator[Motion]:
+    """`simulate` along a course that comes in pieces: the motion of each, whose first state is the
+    last one of the piece before. What a robot did that falls comes before the error.
+
+    Raises Fallen, without a motion, if the robot falls.
+
+    Args:
+        world, robot, gait: as `simulate` takes them; a gait without errors of its estimate, which
+            are drawn for a whole walk.
+        pieces: of the course.
+        seconds: until its end.
+        progress: called with the share done.
+    """
+    data, memory, first = start(world), at_rest(gait), 0
+    for course in pieces:
+        ticks = len(course.t)
+        trace = recording_of(world, ticks * STEPS_PER_TICK)
+        fall = None
+        try:
+            trot(world, data, robot, gait, course, trace, ticks, memory=memory, seconds=seconds)
+        except Fallen as error:
+            fall, trace = error, first_steps(trace, len(error.motion.tau) if error.motion else 0)
+        yield motion_of(world, trace, first)
+        if fall:
+            raise Fallen(str(fall), fall.time, fall.how)
+        first += ticks * STEPS_PER_TICK
+        if progress:
+            progress(min(first * TIMESTEP / seconds, 1.0))
+
+
+class Memory(NamedTuple):
+    """What a controller keeps from tick to tick."""
+
+    legs: LegMemory
+    load: np.ndarray  # (4,) N, normal foot forces
+
+
+def at_rest(gait: Gait) -> Memory:
+    """The memory of a robot that stands."""
+    return Memory(standing(), np.full(4, gait.mass * GRAVITY / 4))
+
+
 def trot(
     world: World,
     data: mujoco.MjData,
@@ -160,6 +209,8 @@ def trot(
     trace: Recording,
     ticks: int,
     progress: Callable[[float], None] | None = None,
+    memory: Memory | None = None,
+    seconds: float | None = None,
 ) -> None:
     """Walk the first `ticks` control periods of the course.
 
@@ -170,19 +221,22 @@ def trot(
         trace: written, from its first row on.
         ticks: how many periods.
         progress: called with the share done.
+        memory: of the piece of the course before, changed; None where this one begins at rest.
+        seconds: until the end of the whole course, where this is a piece of it.
 
     Raises Fallen, saying when, if the robot falls.
     """
     target = np.column_stack([course.pose, course.velocity])
-    controller = Controller(gait, world.relief, standing())
-    load = np.full(4, gait.mass * GRAVITY / 4)
+    legs, load = memory or at_rest(gait)
+    controller = Controller(gait, world.relief, legs)
     body = mj_views(world, data)
     for first in range(0, ticks, TICKS_AT_ONCE):
         last = min(first + TICKS_AT_ONCE, ticks)
         fell = _stepper(body, robot.legs, controller, load, course.t, target, trace, (first, last))
         if fell >= 0:
             t, how = float(course.t[fell]), _how_it_fell(body, gait, world.relief)
-            words = f"robot {robot.name} fell at {t:.2f} s of {course.t[-1]:.0f} s, {how}"
+            end = course.t[-1] if seconds is None else seconds
+            words = f"robot {robot.name} fell at {t:.2f} s of {end:.0f} s, {how}"
             walked = first_steps(trace, fell * STEPS_PER_TICK)
             raise Fallen(words, t, how, motion_of(world, walked))
         if progress:
@@ -264,8 +318,9 @@ def _how_it_fell(body: MjViews, gait: Gait, relief: HeightMap) -> str:
     return where + f"the base sank to {above:.2f} m, of {gait.height:.2f} m when it stands"
 
 
-def motion_of(world: World, trace: Recording) -> Motion:
-    """The recorded states as a motion of the base and the joints in canonical order."""
+def motion_of(world: World, trace: Recording, first: int = 0) -> Motion:
+    """The recorded states, the first of which is the `first` of the walk, as a motion of the base
+    and the joints in canonical order."""
     qpos, qvel, springs = trace.qpos, trace.qvel, world.springs
     give = None
     if springs.any():
@@ -278,7 +333,7 @@ def motion_of(world: World, trace: Recording) -> Motion:
         on_link = [np.einsum("lij,nlj->nli", springs.axes, x) for x in (foot, foot_rate)]
         give = Give(q, dq, *on_link)
     return Motion(
-        t=np.arange(len(qpos)) * TIMESTEP,
+        t=np.arange(first, first + len(qpos)) * TIMESTEP,
         p_GB=qpos[:, :3],
         R_GB=matrix_from_quaternion(qpos[:, 3:7]),
         v_GB=qvel[:, :3],

@@ -5,11 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from surefoot.sim.common.drawn_later import drawn_later
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.gauss_markov import gauss_markov
+from surefoot.sim.common.gauss_markov import GaussMarkov
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.common.kernels import kernel
-from surefoot.sim.common.low_pass import low_pass
+from surefoot.sim.common.low_pass import low_pass_from
 from surefoot.sim.robot import Robot
 
 SLOWEST = 20.0
@@ -133,7 +134,12 @@ class Streams:
     @property
     def rate(self) -> float:
         """Samples a second."""
-        return float(1.0 / np.median(np.diff(self.t)))
+        return rate_of(self.t)
+
+
+def rate_of(t: np.ndarray) -> float:
+    """Samples a second of those at t (N,) [s]."""
+    return float(1.0 / np.median(np.diff(t)))
 
 
 @dataclass(frozen=True)
@@ -192,40 +198,101 @@ def between_states(
     return turn / dt, _before_turning(turn, felt)
 
 
-def corrupt(streams: Streams, sensors: Sensors, rng: np.random.Generator) -> Streams:
-    """The readings with every sensor's errors, drawn from `rng`; noise is a density, per rtHz."""
-    s = sensors
-    rate = streams.rate
-    n = len(streams.t)
+class SensorErrors:
+    """The errors of every sensor over a walk whose readings come in pieces: the numbers are those
+    of a walk that is read whole."""
 
-    def imu(reading, density, turn_on, instability, full_scale):
-        """One triad with bias, noise, bandwidth and resolution.
+    def __init__(
+        self, sensors: Sensors, rng: np.random.Generator, shape: tuple[int, int, int], rate: float
+    ):
+        """`rng` is left where `sensed_contact` draws on.
 
         Args:
-            reading: (N, 3), true value in I [rad/s or m/s^2]; all others in its unit.
-            density: of the white noise [unit/sqrt(Hz)].
-            turn_on: standard deviation of the bias at power-on.
-            instability: of the bias's Gauss-Markov part.
-            full_scale: range, to 16 bits.
+            sensors: sizes of the errors; noise is a density, per rtHz.
+            rng: random generator.
+            shape: rows of the walk, joints and legs.
+            rate: rows a second [Hz].
         """
-        bias = rng.normal(0.0, turn_on, 3) + gauss_markov(
-            rng, n, instability, s.instability_time, rate
+        s, (n, joints, legs) = sensors, shape
+        self._gyro = _ImuErrors(
+            rng, n, rate, s, (s.gyro_noise, s.gyro_turn_on, s.gyro_instability, s.gyro_range)
         )
-        noisy = reading + bias + rng.normal(0.0, density * np.sqrt(rate), (n, 3))
-        if s.imu_bandwidth:
-            noisy = low_pass(noisy, 1.0 / (2.0 * np.pi * s.imu_bandwidth), rate)
-        step = full_scale / 2**15
-        return np.clip(np.round(noisy / step) * step, -full_scale, full_scale)
+        self._accel = _ImuErrors(
+            rng, n, rate, s, (s.accel_noise, s.accel_turn_on, s.accel_instability, s.accel_range)
+        )
+        self._dq, self._tau, self._force = (
+            (drawn_later(rng, n * columns), size)
+            for columns, size in (
+                (joints, s.velocity_noise),
+                (joints, s.torque_noise),
+                (legs, s.force_noise),
+            )
+        )
+        self._offset, self._step = rng.normal(0.0, s.encoder_offset, joints), s.encoder_step
 
-    gyro = imu(streams.gyro, s.gyro_noise, s.gyro_turn_on, s.gyro_instability, s.gyro_range)
-    accel = imu(streams.accel, s.accel_noise, s.accel_turn_on, s.accel_instability, s.accel_range)
-    dq = streams.dq + rng.normal(0.0, s.velocity_noise, streams.dq.shape)
-    tau = streams.tau + rng.normal(0.0, s.torque_noise, streams.tau.shape)
-    force = np.maximum(streams.force + rng.normal(0.0, s.force_noise, streams.force.shape), 0.0)
-    q = streams.q + rng.normal(0.0, s.encoder_offset, streams.q.shape[1])
-    if s.encoder_step:
-        q = np.round(q / s.encoder_step) * s.encoder_step
-    return replace(streams, gyro=gyro, accel=accel, q=q, dq=dq, tau=tau, force=force)
+    def on(self, streams: Streams) -> Streams:
+        """The next piece of perfect readings with their errors."""
+
+        def noisy(reading: np.ndarray, of: tuple[np.random.Generator, float]) -> np.ndarray:
+            return reading + of[0].normal(0.0, of[1], reading.shape)
+
+        q = streams.q + self._offset
+        if self._step:
+            q = np.round(q / self._step) * self._step
+        return replace(
+            streams,
+            gyro=self._gyro.on(streams.gyro),
+            accel=self._accel.on(streams.accel),
+            q=q,
+            dq=noisy(streams.dq, self._dq),
+            tau=noisy(streams.tau, self._tau),
+            force=np.maximum(noisy(streams.force, self._force), 0.0),
+        )
+
+
+class _ImuErrors:
+    """Bias, noise, bandwidth and resolution of one triad."""
+
+    def __init__(
+        self,
+        rng: np.random.Generator,
+        n: int,
+        rate: float,
+        sensors: Sensors,
+        sizes: tuple[float, float, float, float],
+    ):
+        """`rng` is left behind all that the triad draws.
+
+        Args:
+            rng: random generator.
+            n: rows of the walk.
+            rate: of them [Hz].
+            sensors: bandwidth, and the correlation time of the bias.
+            sizes: density of the white noise [unit/sqrt(Hz)], standard deviations of the bias at
+                power-on and of its Gauss-Markov part, and range, to 16 bits, in the reading's unit.
+        """
+        density, turn_on, instability, self._range = sizes
+        self._turn_on = rng.normal(0.0, turn_on, 3)
+        self._bias = GaussMarkov(rng, n, instability, sensors.instability_time, rate)
+        self._noise, self._sigma = drawn_later(rng, 3 * n), density * np.sqrt(rate)
+        self._rate, self._bandwidth = rate, sensors.imu_bandwidth
+        self._filtered: np.ndarray | None = None
+
+    def on(self, reading: np.ndarray) -> np.ndarray:
+        """The next (N, 3) of the true value in I with its errors."""
+        bias = self._turn_on + self._bias.next(len(reading))
+        noisy = reading + bias + self._noise.normal(0.0, self._sigma, reading.shape)
+        if self._bandwidth:
+            time = 1.0 / (2.0 * np.pi * self._bandwidth)
+            noisy, self._filtered = low_pass_from(self._filtered, noisy, time, self._rate)
+        step = self._range / 2**15
+        return np.clip(np.round(noisy / step) * step, -self._range, self._range)
+
+
+def corrupt(streams: Streams, sensors: Sensors, rng: np.random.Generator) -> Streams:
+    """The readings with every sensor's errors, drawn from `rng`; noise is a density, per rtHz."""
+    shape = len(streams.t), streams.q.shape[1], streams.force.shape[1]
+    return SensorErrors(sensors, rng, shape, streams.rate).on(streams)
 
 
 def sensed_contact(
@@ -235,11 +302,28 @@ def sensed_contact(
 
     A threshold on the measured force, reported late, and wrong on samples drawn from `rng`.
     """
-    stands = streams.force > sensors.contact_threshold * weight
-    late = round(sensors.contact_delay * streams.rate)
-    stands = stands[np.maximum(np.arange(len(stands)) - late, 0)]
-    wrong = np.where(stands, sensors.contact_missed, sensors.contact_false)
-    return stands ^ (rng.random(stands.shape) < wrong)
+    return ContactSwitch(sensors, rng, weight, streams.rate).read(streams)
+
+
+class ContactSwitch:
+    """`sensed_contact` of a walk whose readings come in pieces."""
+
+    def __init__(self, sensors: Sensors, rng: np.random.Generator, weight: float, rate: float):
+        """`rng` is drawn from as pieces are read; the robot has a `weight` [N], its log a `rate`
+        [Hz]."""
+        self._sensors, self._rng, self._weight = sensors, rng, weight
+        self._late = round(sensors.contact_delay * rate)
+        self._before: np.ndarray | None = None  # the last rows of the piece before
+
+    def read(self, streams: Streams) -> np.ndarray:
+        """Whether each foot is reported in contact (N, L) in the next piece."""
+        stands = streams.force > self._sensors.contact_threshold * self._weight
+        if self._before is None:
+            self._before = np.repeat(stands[:1], self._late, axis=0)
+        known = np.concatenate([self._before, stands])
+        stands, self._before = known[: len(stands)], known[len(stands) :]
+        wrong = np.where(stands, self._sensors.contact_missed, self._sensors.contact_false)
+        return stands ^ (self._rng.random(stands.shape) < wrong)
 
 
 @kernel(nogil=True)

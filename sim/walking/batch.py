@@ -47,10 +47,18 @@ class _Stopped(Exception):
 
 def walk_job(job: Job, progress: Callable[[float], None] | None = None) -> Walked:
     """Make one walk; a fall is a result too. `progress` is called with the share done."""
-    robot = known_robot(job.robot)
-    made = plan(job.scenario, robot, job.seed, job.effects, job.declared)
+    return walk_planned(job, plan_of(job), progress)
+
+
+def plan_of(job: Job) -> Plan:
+    """The plan of a walk."""
+    return plan(job.scenario, known_robot(job.robot), job.seed, job.effects, job.declared)
+
+
+def walk_planned(job: Job, made: Plan, progress: Callable[[float], None] | None = None) -> Walked:
+    """Make the walk of a job along its plan, as `walk_job`."""
     try:
-        motion = simulate(made.world, robot, made.gait, made.course, progress)
+        motion = simulate(made.world, made.robot, made.gait, made.course, progress)
     except Fallen as fall:
         return Walked(job, made, fall)
     return Walked(job, made, record(made, motion))

@@ -60,7 +60,7 @@ def landing_speed(motion):
 def test_a_plain_gait_is_not_irregular_and_draws_nothing():
     gait = gait_for(SPOT, 4.0)
     generator = rng()
-    assert irregular(gait, PLAIN_GAIT, TICKS, generator) == gait
+    assert irregular(gait, PLAIN_GAIT, len(TICKS), TICKS[1], generator) == gait
     assert generator.random() == rng().random()
 
 
@@ -72,7 +72,7 @@ def test_strides_are_counted_alike_with_and_without_jitter():
             number, phase = stride_at(gait, t, leg)
             again = stride_at(regular, t, leg)
             assert again[0] + again[1] == pytest.approx(number + phase, abs=1e-9)
-    jittered = irregular(gait, GaitOptions(period_jitter=0.03), TICKS, rng())
+    jittered = irregular(gait, GaitOptions(period_jitter=0.03), len(TICKS), TICKS[1], rng())
     periods = np.diff(jittered.beats)
     assert periods.std() / periods.mean() == pytest.approx(0.03, rel=0.25)
     assert jittered.beats[-1] > TICKS[-1]
@@ -82,7 +82,7 @@ def test_strides_are_counted_alike_with_and_without_jitter():
 
 def test_the_estimate_errs_by_what_was_asked_for_and_stays_a_rotation():
     options = GaitOptions(velocity_noise=0.05, attitude_noise=0.02)
-    gait = irregular(gait_for(SPOT, 4.0), options, TICKS, rng())
+    gait = irregular(gait_for(SPOT, 4.0), options, len(TICKS), TICKS[1], rng())
     base = BaseMotion(np.zeros(3), np.eye(3), np.array([0.5, 0.0, 0.0]), np.zeros(3))
     found = [estimated_base(gait, base, k) for k in range(0, len(TICKS), 10)]
     v = np.array([one.v for one in found]) - base.v

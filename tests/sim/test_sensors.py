@@ -7,7 +7,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.sensors.streams import Sensors, Streams, corrupt, low_pass, sensed_contact
+from surefoot.sim.common.low_pass import low_pass
+from surefoot.sim.sensors.streams import Sensors, Streams, corrupt, sensed_contact
 
 WEIGHT = 300.0  # N
 RATE = 500.0  # Hz

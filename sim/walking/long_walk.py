@@ -1,0 +1,79 @@
+"""A walk of hours in the memory of minutes: simulated, sensed and given piece by piece.
+
+The rows are those of a walk that is made whole.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.effects import Effect
+from surefoot.sim.physics.scene import TIMESTEP
+from surefoot.sim.physics.stepper import simulate_in_pieces
+from surefoot.sim.walk import PIECE_TICKS, SETTLE, STEPS_PER_TICK, Plan, Sensing
+
+_AT_ONCE = 1 << 20
+LONG_WALK = 1800.0
+"""s. A longer walk is made in pieces: whole it would take gigabytes."""
+
+
+def needs_whole(made: Plan) -> str:
+    """Why a walk cannot be made in pieces, in words; empty where it can."""
+    altering = [
+        effect.name
+        for effect in made.effects
+        if type(effect).alter_streams is not Effect.alter_streams
+        or type(effect).alter_reference is not Effect.alter_reference
+    ]
+    if altering:
+        return f"effect {altering[0]} alters whole streams"
+    rate = made.scenario.sensors.rate
+    if rate and rate < 1.0 / TIMESTEP:
+        return f"[sensors] rate is not the simulation's, {1.0 / TIMESTEP:g} Hz"
+    if len(made.gait.velocity_error) or len(made.gait.attitude_error):
+        return "[gait] the errors of the controller's estimate are drawn for a whole walk"
+    return ""
+
+
+def walk_in_pieces(
+    made: Plan, progress: Callable[[float], None] | None = None, ticks: int = PIECE_TICKS
+) -> Iterator[pd.DataFrame]:
+    """The rows of the planned walk's log in turn, as `sim.walk.record` gives them of all.
+
+    Raises Fallen behind the last row before a fall, and SurefootError where `needs_whole` says why.
+
+    Args:
+        made: the plan.
+        progress: called with the share done.
+        ticks: of the controller, in a piece.
+    """
+    if why := needs_whole(made):
+        raise SurefootError(f"scenario {made.scenario.name}: cannot be walked in pieces: {why}")
+    settled = int(np.searchsorted(np.arange(2.0 * SETTLE / TIMESTEP) * TIMESTEP, SETTLE))
+    rows = made.ticks * STEPS_PER_TICK - settled
+    sensing = Sensing(made, rows, _rate(settled, rows))
+    pieces = made.course_pieces(ticks)
+    for motion in simulate_in_pieces(
+        made.world, made.robot, made.gait, pieces, made.seconds, progress
+    ):
+        begins = motion.t[0] <= SETTLE
+        motion = motion.after(SETTLE) if begins else replace(motion, t=motion.t - SETTLE)
+        if len(motion.tau):
+            yield sensing.of(motion)
+
+
+def _rate(settled: int, rows: int) -> float:
+    """`rate_of` the log's stamps, which rounding makes a few bits uneven, without all of them."""
+    counts: Counter[float] = Counter()
+    for first in range(0, rows - 1, _AT_ONCE):
+        steps = np.arange(first, min(first + _AT_ONCE, rows - 1) + 1) + settled + 1
+        values, count = np.unique(np.diff(steps * TIMESTEP - SETTLE), return_counts=True)
+        counts.update(dict(zip(values.tolist(), count.tolist(), strict=True)))
+    order = sorted(counts)
+    upto = np.cumsum([counts[value] for value in order])
+    middle = np.searchsorted(upto, [(rows - 2) // 2, (rows - 1) // 2], side="right")
+    return 1.0 / float(np.mean([order[k] for k in middle]))
