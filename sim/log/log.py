@@ -318,7 +318,7 @@ class LogWriter:
         """Write the next rows. Raises LogError, with column and row, where they are not valid."""
         try:
             check_frame(frame, self._rate, self.rows, self._last)
-        except SurefootError as error:
+        except (SurefootError, TypeError, ValueError) as error:
             raise LogError(str(error)) from error
         self.rows, self._last = self.rows + len(frame), float(frame["t"].iloc[-1])
         table = pa.table({str(name): pa.array(frame[name].to_numpy()) for name in frame})
