@@ -158,7 +158,7 @@ def update_velocity_persistent(mean, covariance, v_I, R, model, counts) -> float
     return gaussian_update(mean, covariance, 0, PHt, S, residual, R)
 
 
-@kernel
+@kernel(inline="always")
 def update_coverage_persistent(
     mean, covariance, v_I, epsilon, gamma: float, iterations: int, model, counts
 ) -> float:

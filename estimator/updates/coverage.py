@@ -39,7 +39,7 @@ FLOOR = 1e-6
 floor repeated statements about a motionless robot would make S singular to working precision."""
 
 
-@kernel
+@kernel(inline="always")  # compiled by itself it would be another copy of the box's moments
 def posterior_moments(mean, cov, lower, upper, gamma: float, mean_plus, cov_plus) -> float:
     """Moment-matched posterior of N(mean, cov) under P(lower <= z <= upper) >= gamma.
 
@@ -84,7 +84,7 @@ def update_coverage(
     return _set_update(mean, covariance, contacts, PHt, S, residual, epsilon, gamma, iterations)
 
 
-@kernel
+@kernel(inline="always")
 def update_coverage_within(
     mean, covariance, contacts: int, v_I, epsilon, gamma: float, iterations: int, max_error, counts
 ) -> float:
@@ -109,7 +109,7 @@ def update_coverage_within(
     return _set_update(mean, covariance, contacts, PHt, S, residual, epsilon, gamma, iterations)
 
 
-@kernel
+@kernel(inline="always")
 def _set_update(
     mean, covariance, contacts: int, PHt, S, residual, epsilon, gamma: float, iterations: int
 ) -> float:
