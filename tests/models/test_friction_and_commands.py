@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surefoot.models.attribution.evidence import linearise, log_under_model
+from surefoot.models.attribution.evidence import linearise, log_under_model, table_of
 from surefoot.models.attribution.fit import design, fit, normal_equations
 from surefoot.models.attribution.noise_floor import noise_floor
 from surefoot.models.attribution.robust_weights import robust_weights
@@ -50,3 +50,24 @@ def test_friction_of_a_robot_that_logs_its_commands_is_measured(log):
     assert "command" in evidence.layout
     found = fit(normal_equations(whole, weights.sigma, weights.weight), [key])
     assert found.sizes[0] == pytest.approx(STIFF.value, rel=0.02)
+
+
+@pytest.mark.parametrize("late", [3e-4, 3.1e-3])
+def test_a_command_delay_is_measured_below_a_row_too(late):
+    walked = walk(COURSE, ROBOT, 2, [effect("command_delay", "all", late)], declared=False)
+    case, key = log_under_model(walked, ROBOT), ("command_delay", "all")
+    known = [effect(*key, 0.9 * late)]
+    evidence = linearise([case], known, [key])
+    floor, whole = noise_floor([case]), design(evidence)
+    weights = robust_weights(whole, floor.sigma)
+    found = fit(normal_equations(whole, weights.sigma, weights.weight), [key])
+    assert known[0].value + found.sizes[0] == pytest.approx(late, rel=0.03)
+    # The step of a microsecond gives the slope that a hundred of them give.
+    wide = [slope_over(case, key, late, step) for step in (1e-6, 1e-4)]
+    np.testing.assert_allclose(*wide, atol=1e-6 * np.abs(wide[0]).max())
+
+
+def slope_over(case, key, late: float, step: float) -> np.ndarray:
+    """What a second of the effect adds to the table, by a difference over this step."""
+    ahead, behind = (table_of(case, [effect(*key, late + s)]) for s in (step, -step))
+    return np.nan_to_num((behind - ahead) / (2.0 * step))

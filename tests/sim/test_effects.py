@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
@@ -14,7 +15,7 @@ from surefoot.sim.effects import CATALOGUE, effect
 from surefoot.sim.effects.file import load_effects, save_effects, to_toml
 from surefoot.sim.effects.timing import reference_lag
 from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.physics.scene import robot_spec
+from surefoot.sim.physics.scene import TIMESTEP, robot_spec
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import feet
 from surefoot.sim.robot.legs import JOINTS, LEGS, find_legs
@@ -249,3 +250,18 @@ def test_contact_delay_is_late_by_its_size_whatever_the_threshold(robot, streams
             for f in (force, late.force)
         ]
         assert np.diff(streams.t[ends], axis=0).mean() == pytest.approx(0.02, abs=0.002)
+
+
+@pytest.mark.parametrize("late", [(3e-4,), (3e-4, 4e-4), (1e-3, 1.5e-3), (2e-3,), (3.1e-3,)])
+def test_motors_are_late_by_what_is_said_less_than_a_step_too(robot, late):
+    spec = robot_spec(robot)
+    for value in late:
+        effect("command_delay", "all", value).edit_spec(spec, robot)
+    spec.option.timestep = TIMESTEP
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    for k in range(40):
+        data.ctrl[:] = 0.01 * k
+        mujoco.mj_step(model, data)
+    behind = TIMESTEP * (39 - data.actuator_force / 0.01)
+    assert_allclose(behind, sum(late), atol=1e-9)
