@@ -46,9 +46,9 @@ for name, arguments in (
     found[name] = {"MB": peak, "CPU s": time.process_time() - begun}
 print(json.dumps(found))
 """
-MORE = 150.0
+MORE = {"simulate": 150.0, "estimate": 500.0}
 """MB that a walk of any length may take beyond one of two minutes: lists of a few numbers a minute,
-and what the allocator does not give back."""
+what the allocator does not give back, and the hundred thousand estimates that are judged."""
 
 
 def peaks(folder, minutes: int) -> dict[str, dict[str, float]]:
@@ -71,7 +71,7 @@ def test_memory_is_flat_and_time_linear(tmp_path, minutes):
     for name, found in long.items():
         print(f"{name}, {minutes} min: {found['MB']:.0f} MB at most, {found['CPU s']:.0f} CPU s; "
               f"2 min: {short[name]['MB']:.0f} MB, {short[name]['CPU s']:.0f} CPU s")  # fmt: skip
-        assert found["MB"] < short[name]["MB"] + MORE
+        assert found["MB"] < short[name]["MB"] + MORE[name]
         assert found["CPU s"] < 1.5 * minutes / 2 * short[name]["CPU s"]
 
 

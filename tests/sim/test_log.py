@@ -193,15 +193,14 @@ def test_nothing_is_overwritten_without_force_and_nothing_half_written(tmp_path,
     before = path.read_bytes()
     with pytest.raises(LogError, match="exists already"):
         make_log(seed=2).write(path)
-    monkeypatch.setattr("surefoot.sim.log.log.pq.write_table", _fail_half_way)
+    monkeypatch.setattr("surefoot.sim.log.log.pq.ParquetWriter.write_table", _fail_half_way)
     with pytest.raises(LogError, match="No space left"):
         make_log(seed=2).write(path, force=True)
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
 
 
-def _fail_half_way(table, where, **options):
-    Path(where).write_bytes(b"PAR1 half")
+def _fail_half_way(writer, table, **options):
     raise OSError(28, "No space left on device")
 
 
