@@ -14,6 +14,7 @@ from surefoot.estimator.core.checks import (
     spd_3,
     vector,
 )
+from surefoot.estimator.core.copies import copy_corner
 from surefoot.estimator.core.propagation import propagate, propagate_checked
 from surefoot.estimator.core.state import EXTRA, FilterNoise, NavState
 from surefoot.estimator.evaluation.innovation_sums import empty_sums, windows_of
@@ -331,8 +332,8 @@ def _run(
             add_velocity(sums[w, 0], note, counts[REJECTED] <= rejected)
             m += 1
         if out < found.rows.shape[0] and found.rows[out] == k:
-            found.mean[out] = mean[:7]
-            found.covariance[out] = P[:15, :15]
+            copy_corner(mean, found.mean[out])
+            copy_corner(P, found.covariance[out])
             out += 1
 
 

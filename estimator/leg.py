@@ -17,6 +17,7 @@ from surefoot.estimator.core.checks import (
     spd,
     spd_3,
 )
+from surefoot.estimator.core.copies import copy_corner
 from surefoot.estimator.core.state import EXTRA, FilterNoise, NavState
 from surefoot.estimator.evaluation.innovation_sums import empty_sums, windows_of
 from surefoot.estimator.evaluation.trajectory import Trajectory
@@ -282,7 +283,7 @@ def _run(imu, legs, velocities, memory, model, before, found, window, sums):
     m = out = w = 0
     for k in range(imu.t.shape[0]):
         if k > 0 and window[k] != window[k - 1]:
-            sums[w] = memory.sums
+            copy_corner(memory.sums, sums[w])
             memory.sums[:] = 0.0
             w += 1
         if not np.isnan(before):
@@ -297,10 +298,10 @@ def _run(imu, legs, velocities, memory, model, before, found, window, sums):
             add_velocity(memory.sums[feet], note, True)
             m += 1
         if out < found.rows.shape[0] and found.rows[out] == k:
-            found.mean[out] = memory.mean[:7]
-            found.covariance[out] = memory.covariance[:15, :15]
+            copy_corner(memory.mean, found.mean[out])
+            copy_corner(memory.covariance, found.covariance[out])
             out += 1
-    sums[w] = memory.sums
+    copy_corner(memory.sums, sums[w])
     memory.sums[:] = 0.0
 
 

@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from surefoot.estimator.core.copies import copy_corner
 from surefoot.estimator.moments.faces import remaining
 from surefoot.estimator.moments.quadrature import MOST, NODES, WEIGHTS
 from surefoot.sim.common.kernels import kernel
@@ -50,7 +51,7 @@ def grid_moments(C, low, high, mode, distance, mean, cov) -> float:
     frees = free[0] + free[1] + free[2]
     if frees == 3:
         mean[:] = 0.0
-        cov[:] = C
+        copy_corner(C, cov)
         return 0.0
     if frees > 0:
         determinant = _marginal_inverse(C, free, information)

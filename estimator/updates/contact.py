@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from surefoot.estimator.core.copies import copy_corner
 from surefoot.estimator.core.propagation import (
     add_cross_columns,
     propagate_covariance,
@@ -166,7 +167,7 @@ def propagate_contacts(memory, model, gyro, accel, dt: float, rates):
                 roll = radius[k] ** 2 * model.rolling_noise if i < 2 else 0.0
                 at = 15 + 3 * k + i
                 covariance[at, at] += (model.contact_noise[i] + roll) * dt
-    memory.rates[:] = rates
+    copy_corner(rates, memory.rates)
     memory.clock[SINCE] += dt
 
 
@@ -252,7 +253,7 @@ def _reopen(mean, covariance, biases):
         covariance: (15+3K, 15+3K).
         biases: b_a [m/s^2] and b_g [rad/s] at the start (2, 3).
     """
-    mean[B_A], mean[B_G] = biases[0], biases[1]
+    copy_corner(biases, mean[B_A : B_G + 1])
     covariance[9:15, :] = 0.0
     covariance[:, 9:15] = 0.0
     for axis in range(2):
