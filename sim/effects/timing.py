@@ -43,7 +43,7 @@ class JointDelay(Effect):
     needs = ("reference",)
     lossy = True
     # Longer than a row: noise must not be taken as the slope of torques and rates. Delays of 1 and
-    # 6 ms are found to 0.01 ms with any step from 0.5 to 4 ms; from zero, the longest lands nearest.
+    # 6 ms are found to 0.01 ms with any step from 0.5 to 4 ms; from zero the longest lands nearest.
     step = 4e-3
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
