@@ -192,8 +192,9 @@ def _middle(t: np.ndarray) -> tuple[float, float]:
 def _draw_contours(ax, field: HeightField) -> None:
     """Where a height field ends, and six lines of equal height in it."""
     x0, x1, y0, y1 = field.rectangle
-    look = {"linewidth": 0.6, "zorder": 0.4}
-    ax.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor=_HILLS, **look))
+    edge = Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor=_HILLS, linewidth=0.6)
+    edge.set_zorder(0.4)
+    ax.add_patch(edge)
     if np.ptp(field.heights) > 0.0:
         nx, ny = field.heights.shape
         x, y = np.linspace(x0, x1, nx), np.linspace(y0, y1, ny)
