@@ -9,6 +9,7 @@ import numpy as np
 from surefoot.models.attribution.angle_error import angle_errors
 from surefoot.models.attribution.data import cannot_tell, data_notes, dead_contacts, readings
 from surefoot.models.attribution.evidence import LogUnderModel, linearise, log_under_model
+from surefoot.models.attribution.found import Found
 from surefoot.models.attribution.friction import FootFriction, friction_of, slip_notes, slip_of
 from surefoot.models.attribution.held_out import HeldOutRuns, judged
 from surefoot.models.attribution.levels import (
@@ -19,14 +20,15 @@ from surefoot.models.attribution.levels import (
 )
 from surefoot.models.attribution.noise_floor import noise_floor
 from surefoot.models.attribution.outside_forces import outside_forces, pushed_bins
+from surefoot.models.attribution.refinement import Data
 from surefoot.models.attribution.run_offsets import of_each_run
-from surefoot.models.attribution.search import Attribution, Found, attribute
+from surefoot.models.attribution.search import Attribution, attribute
 from surefoot.models.attribution.selection import Candidate
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
-from surefoot.models.attribution.split import Split, split_of
+from surefoot.models.attribution.split import split_of
 from surefoot.models.attribution.unexplained import Unexplained, sparse_regression
 from surefoot.models.attribution.verdict import verdict_of
-from surefoot.models.attribution.zeros import Run, run_of
+from surefoot.models.attribution.zeros import Run, runs_of
 from surefoot.models.bootstrap import block_draws
 from surefoot.sim.common.errors import check_seed
 from surefoot.sim.effects import Effect, compensate_all
@@ -146,11 +148,12 @@ def diagnose(
     own = [f.effect for f in result.found if several and of_each_run(f.effect.name)]
     found = (*(f for f in result.found if f.effect not in own), *slip)
     effects = [one.effect for one in found]
-    runs = _runs(cases, effects, own, result, split) if several else ()
+    weights = result.robust_weights
+    known = Data(cases, result.floor, result.evidence, effects, weights, split.part)
+    runs = runs_of(known, effects, own) if several else ()
     now, used = [run.case for run in runs] or cases, split.fit | split.select
     before = linearise(now, (), ())
     after = linearise(now, effects, ()) if own else result.evidence
-    weights = result.robust_weights
     left = without_bias(after, weights, used)
     plainly = without_bias(before, weights, used)
     pushes = outside_forces(now, left, after)
@@ -232,30 +235,6 @@ def _stands(
     # Blocks without a bin left gain nothing; the draws are the same on every machine.
     drawn = block_draws(np.size(blocks), np.random.default_rng(0)) @ np.ravel(blocks)
     return bool(np.percentile(drawn, 2.5) > 0)
-
-
-def _runs(
-    cases: Sequence[LogUnderModel],
-    effects: Sequence[Effect],
-    own: Sequence[Effect],
-    result: Attribution,
-    split: Split,
-) -> tuple[Run, ...]:
-    """What each log has for itself, fitted on all but the part that only reports.
-
-    Args:
-        cases: the logs under the declared model.
-        effects: found, that they share.
-        own: found, that each has a size of its own of.
-        result: of the search.
-        split: the parts.
-    """
-    weights, log = result.robust_weights, result.evidence.log
-    weight = np.where((split.fit | split.select)[:, None], weights.weight, 0.0)
-    return tuple(
-        run_of(case, effects, own, result.floor, weight[log == i], weights.sigma)
-        for i, case in enumerate(cases)
-    )
 
 
 def cases_of(

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from surefoot.models.attribution.evidence import LogUnderModel
-from surefoot.models.attribution.search import Found
+from surefoot.models.attribution.found import Found
 from surefoot.models.attribution.settings import TraceSettings
 from surefoot.models.bootstrap import block_draws
 from surefoot.models.residuals.binning import base_motion

@@ -5,30 +5,39 @@ import numpy as np
 from surefoot.models.attribution.evidence import Evidence, linearise
 from surefoot.models.attribution.levels import channel_levels, without_bias
 from surefoot.models.attribution.refinement import Data
+from surefoot.models.attribution.run_offsets import of_each_run
+from surefoot.models.attribution.split import REPORT
+from surefoot.models.attribution.zeros import runs_of
 from surefoot.sim.effects import Effect
 
 
-def harmful_in(known: Data, declared: Evidence, report: np.ndarray) -> tuple[Effect, str] | None:
+def harmful_in(known: Data) -> tuple[Effect, str] | None:
     """The first channel that is the worse for what was found (`ChannelLevel.worse`), and the effect
     without which least of it is left; None where there is no such channel.
 
+    What each of several runs has for itself is taken off both sides, at that run's own size.
+
     Args:
         known: the evidence with all effects, and the floor of a model with them.
-        declared: with none.
-        report: bins (M,) that no fit has seen.
     """
-    weights = known.robust_weights
+    weights, unseen = known.robust_weights, known.part == REPORT
+    several = known.evidence.settings.own_zeros
+    own = [e for e in known.explained if several and of_each_run(e.name)]
+    shared = [e for e in known.explained if e not in own]
+    runs = runs_of(known, shared, own) if own else ()
+    cases = [run.case for run in runs] or known.cases
 
     def left(evidence: Evidence) -> np.ndarray:
-        return without_bias(evidence, weights, ~report)[report]
+        return without_bias(evidence, weights, ~unseen)[unseen]
 
-    levels = channel_levels(left(declared), left(known.evidence), known.evidence, known.floor)
+    before, after = linearise(cases, (), ()), linearise(cases, shared, ())
+    levels = channel_levels(left(before), left(after), after, known.floor)
     worse = next((name for name, level in levels.items() if level.worse), None)
-    if worse is None:
+    if worse is None or not shared:
         return None
 
     def without(one: Effect) -> float:
-        others = linearise(known.cases, [e for e in known.explained if e != one], ())
-        return float(np.nanmean(left(others)[:, declared.layout.of(worse)] ** 2))
+        others = linearise(cases, [e for e in shared if e != one], ())
+        return float(np.nanmean(left(others)[:, before.layout.of(worse)] ** 2))
 
-    return min(known.explained, key=without), worse
+    return min(shared, key=without), worse

@@ -15,6 +15,7 @@ from surefoot.models.attribution.fit import (
     normal_equations,
     overlap,
 )
+from surefoot.models.attribution.found import Found
 from surefoot.models.attribution.harm import harmful_in
 from surefoot.models.attribution.levels import gains_of
 from surefoot.models.attribution.noise_floor import NoiseFloor, is_on_the_body, noise_floor_with
@@ -35,14 +36,6 @@ from surefoot.models.bootstrap import block_draws
 from surefoot.sim.effects import Effect, effect, known_effects
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
-
-
-@dataclass(frozen=True)
-class Found:
-    """An effect with the 95 % interval of its size."""
-
-    effect: Effect
-    interval: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -131,7 +124,7 @@ def attribute(
     while True:
         # What was added after one that is unsure explains it as well.
         gone = [one.effect for one in sized if one.interval[0] <= 0.0 <= one.interval[1]]
-        if not gone and (harm := harmful_in(known, declared, split.report)):
+        if not gone and (harm := harmful_in(known)):
             gone, harmful = [harm[0]], (*harmful, harm)
         if not gone:
             break

@@ -4,11 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from surefoot.models.attribution.found import Found
 from surefoot.models.attribution.held_out import HeldOutRuns
 from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.models.attribution.outside_forces import Push
 from surefoot.models.attribution.priors import prior_of
-from surefoot.models.attribution.search import Found
 from surefoot.sim.effects import Effect
 
 

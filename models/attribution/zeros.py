@@ -14,9 +14,10 @@ from surefoot.models.attribution.evidence import (
     log_under_model,
 )
 from surefoot.models.attribution.fit import design, fit, normal_equations
+from surefoot.models.attribution.found import Found
 from surefoot.models.attribution.noise_floor import NoiseFloor
-from surefoot.models.attribution.refinement import clipped
-from surefoot.models.attribution.search import Found
+from surefoot.models.attribution.refinement import Data, clipped
+from surefoot.models.attribution.split import FIT, SELECT
 from surefoot.sim.effects import Effect, compensate_all, effect
 
 ZERO_ROUNDS = 3
@@ -66,6 +67,22 @@ def run_of(
         return Run(case, zeros, ())
     without = compensate_all(taken, case.log, case.robot)
     return Run(log_under_model(*without, case.settings), zeros, tuple(taken))
+
+
+def runs_of(known: Data, effects: Sequence[Effect], own: Sequence[Effect]) -> tuple[Run, ...]:
+    """What each log has for itself, fitted on all but the part that only reports.
+
+    Args:
+        known: the logs, and the evidence with what was found.
+        effects: found, that they share.
+        own: found, that each has a size of its own of.
+    """
+    weights, log = known.robust_weights, known.evidence.log
+    weight = np.where(np.isin(known.part, (FIT, SELECT))[:, None], weights.weight, 0.0)
+    return tuple(
+        run_of(case, effects, own, known.floor, weight[log == i], weights.sigma)
+        for i, case in enumerate(known.cases)
+    )
 
 
 def _sizes(

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from surefoot.models.attribution.data import LACKING
+from surefoot.models.attribution.found import Found
 from surefoot.models.attribution.levels import ChannelLevel
-from surefoot.models.attribution.search import Found
 from surefoot.models.attribution.selection import Candidate
 from surefoot.models.residuals.registry import channels
 from surefoot.scenarios.reporting.html import Picture, Section, write_report

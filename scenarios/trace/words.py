@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from math import isfinite
 from typing import Any
 
+from surefoot.models.attribution.found import Found
 from surefoot.models.attribution.levels import ChannelLevel
-from surefoot.models.attribution.search import Found
 from surefoot.scenarios.trace.filters import DEAD_RECKONING, BeforeAfter
 from surefoot.scenarios.trace.result import Filters, Trace
 from surefoot.sim.effects import Effect

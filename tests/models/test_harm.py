@@ -35,8 +35,7 @@ def data_with(case, *effects):
 
 
 def found(case, *effects):
-    declared = linearise([case], (), all_keys(case))
-    return harmful_in(data_with(case, *effects), declared, split_of([case]).report)
+    return harmful_in(data_with(case, *effects))
 
 
 def test_what_is_there_harms_nothing(case):

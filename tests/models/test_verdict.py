@@ -2,10 +2,10 @@
 
 import pytest
 
+from surefoot.models.attribution.found import Found
 from surefoot.models.attribution.held_out import HeldOutRuns
 from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.models.attribution.outside_forces import Push
-from surefoot.models.attribution.search import Found
 from surefoot.models.attribution.verdict import verdict_of
 from surefoot.sim.effects import effect
 

@@ -1,7 +1,7 @@
 """What the report of a trace says of channels and sizes."""
 
 from surefoot.models.attribution.data import LACKING
-from surefoot.models.attribution.search import Found
+from surefoot.models.attribution.found import Found
 from surefoot.scenarios.trace.report import _note_lines, _sizes
 from surefoot.sim.effects import effect
 

@@ -7,7 +7,7 @@ from functools import lru_cache
 import pytest
 from pendulum import swung
 
-from surefoot.models.attribution.search import Found
+from surefoot.models.attribution.found import Found
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.trace.run import trace, trace_logs
 from surefoot.scenarios.trace.words import size_in_words, summary

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pushes import pushed
 
 from surefoot.estimator.evaluation.trajectory import reference
 from surefoot.models.attribution.evidence import linearise, log_under_model
@@ -13,7 +14,6 @@ from surefoot.models.attribution.settings import DEFAULT
 from surefoot.models.residuals.binning import BIN
 from surefoot.scenarios.trace.filters import dead_reckoned, drift
 from surefoot.sim.effects import effect
-from surefoot.sim.effects.base import with_columns
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
@@ -94,19 +94,11 @@ def test_without_torques_friction_is_not_identifiable(log):
     assert "need torques" in slip_notes(None, True, DEFAULT)[0]
 
 
-def pushed(log, spans, force):
-    """The log of a robot whose feet hold against a force [N], in I, and stand as they did."""
-    t = log.t - log.t[0]
-    on = np.any([(t > begin) & (t < end) for begin, end in spans], axis=0)
-    share = log.contact * on[:, None] / np.maximum(log.contact.sum(axis=1, keepdims=True), 1)
-    held = np.einsum("nlik,i->nlk", ROBOT.feet_jacobian_I(log.q), np.asarray(force))
-    tau = log.tau + (held * share[..., None]).reshape(log.tau.shape)
-    return with_columns(log, {f"tau_{j}": tau[:, i] for i, j in enumerate(log.joints)})
-
-
 def test_outside_forces_are_found_where_they_act(log):
     for spans, there in (((), 0), (((4.0, 5.0), (10.0, 11.0)), 2)):
-        case = log_under_model(pushed(log, spans, (0.0, 25.0, -15.0)) if spans else log, ROBOT)
+        case = log_under_model(
+            pushed(log, ROBOT, spans, (0.0, 25.0, -15.0)) if spans else log, ROBOT
+        )
         known = linearise([case], (), ())
         found = outside_forces([case], known.table, known)
         assert len(found) == there
