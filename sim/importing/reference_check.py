@@ -141,7 +141,7 @@ def check_reference(poses: Poses) -> ReferenceCheck:
         held=int((same & (around > _SLOWEST)).sum()),
         gaps=int((step > MAX_GAP).sum()),
         longest_gap=float(step.max()),
-        largest=max((_jump(poses, k) for k in jumped), key=_times_least, default=None),
+        largest=max((_jump(poses, int(k)) for k in jumped), key=_times_least, default=None),
     )
 
 

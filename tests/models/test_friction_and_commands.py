@@ -63,11 +63,12 @@ def test_a_command_delay_is_measured_below_a_row_too(late):
     found = fit(normal_equations(whole, weights.sigma, weights.weight), [key])
     assert known[0].value + found.sizes[0] == pytest.approx(late, rel=0.03)
     # The step of a microsecond gives the slope that a hundred of them give.
-    wide = [slope_over(case, key, late, step) for step in (1e-6, 1e-4)]
-    np.testing.assert_allclose(*wide, atol=1e-6 * np.abs(wide[0]).max())
+    narrow, wide = (slope_over(case, key, late, step) for step in (1e-6, 1e-4))
+    np.testing.assert_allclose(narrow, wide, atol=1e-6 * np.abs(narrow).max())
 
 
 def slope_over(case, key, late: float, step: float) -> np.ndarray:
     """What a second of the effect adds to the table, by a difference over this step."""
-    ahead, behind = (table_of(case, [effect(*key, late + s)]) for s in (step, -step))
+    name, target = key
+    ahead, behind = (table_of(case, [effect(name, target, late + s)]) for s in (step, -step))
     return np.nan_to_num((behind - ahead) / (2.0 * step))
