@@ -278,6 +278,7 @@ class Compare:
 
     def run(self) -> None:
         from surefoot.scenarios.estimate.compare import compare_log, write_comparison
+        from surefoot.scenarios.estimate.comparison_words import left_out_lines
         from surefoot.scenarios.estimate.contract import Learnt
         from surefoot.scenarios.estimate.run import robot_of
         from surefoot.scenarios.estimate.settings import read_settings
@@ -308,8 +309,8 @@ class Compare:
             return
         print("\n" + to_markdown(results))
         for comparison in found:
-            for name, why in comparison.left_out.items():
-                print(f"left out on {comparison.log.name}: {name} ({why})")
+            for line in left_out_lines(comparison.log.name, comparison.left_out):
+                print(line)
             for words in comparison.doubts:
                 print(f"{comparison.log.name}: {words}")
         print(f"\nreport: {self.out / 'report.html'}")

@@ -1,5 +1,6 @@
 """Every filter on every log: one table, figures, a report and a recording."""
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,9 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+import surefoot
 from surefoot.estimator.evaluation.trajectory import reference
 from surefoot.estimator.metrics import path_length
 from surefoot.scenarios.datasets.index import slip_and_creep
+from surefoot.scenarios.estimate.comparison_words import (
+    command_line,
+    error_summary,
+    left_out_lines,
+    with_best_marked,
+)
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
 from surefoot.scenarios.estimate.estimators import estimator_named, traits
@@ -99,7 +107,7 @@ def compare_log(
     with drawn_bar(total=None, desc=f"filters on {log.name}", unit=" filter") as bar:
 
         def progress(name: str) -> None:
-            bar.set_postfix_str(name)
+            bar.set_postfix_str(name, refresh=False)  # or a pipe has a line a filter
             bar.update()
 
         results, left_out = run_all(log, robot, learnt, names, progress, settings)
@@ -188,7 +196,9 @@ def write_comparison(
                 ground,
                 force=force,
             )
-    write_report(out / "report.html", title, [*sections, *extra], force)
+    made_by = f"surefoot {surefoot.__version__}. {command_line(sys.argv)}".strip()
+    sections += [*extra, Section("Made by", made_by)]
+    write_report(out / "report.html", title, sections, force)
     return found
 
 
@@ -199,21 +209,27 @@ def _with_interval(held: "EmpiricalCoverage") -> str:
 
 def _summary_sections(comparisons: Sequence[Comparison], found: pd.DataFrame) -> list[Section]:
     """The table, and how to read it."""
-    left_out = [
-        f"Left out on {comparison.log.name}: {name} ({why})."
-        for comparison in comparisons
-        for name, why in comparison.left_out.items()
+    first = [
+        error_summary(c.log.name, {r.filter: r.metrics for r in c.results if r.metrics is not None})
+        for c in comparisons
     ]
-    left_out += [f"On {c.log.name}, {words}." for c in comparisons for words in c.doubts]
-    left_out += [
+    first += [f"On {c.log.name}, {words}." for c in comparisons for words in c.doubts]
+    first += [
         f"Not plausible in {c.log.name}: {words}." for c in comparisons for words in c.warnings
+    ]
+    left_out = [
+        f"{line[0].upper()}{line[1:]}."
+        for c in comparisons
+        for line in left_out_lines(c.log.name, c.left_out)
     ]
     ran = dict.fromkeys(result.filter for c in comparisons for result in c.results)
     glossary = [{"": name, "means": estimator_named(name).description} for name in ran]
     glossary += [{"": n, "means": text} for n, text in MEANINGS.items() if n in found.columns]
     return [
-        Section("Filters compared", "\n\n".join(left_out), found),
-        Section("How to read the table", "", glossary),
+        Section("Filters compared", "\n\n".join(first), with_best_marked(found)),
+        Section(
+            "How to read the table", "\n\n".join(["The best is in bold.", *left_out]), glossary
+        ),
     ]
 
 
@@ -232,19 +248,22 @@ def _walk_prose(comparison: Comparison) -> str:
     if comparison.bounds is not None:
         x, y, z = comparison.bounds.epsilon
         text += f". Bounds on the observer's velocity: {x:.3f}, {y:.3f}, {z:.3f} m/s"
-    if log.has("reference") and comparison.drawn is None:
+    if comparison.drawn is not None:
+        text += f". Recording: surefoot view {log.name}.rrd"
+    elif log.has("reference"):
         text += ". No recording: it would draw the joints of a robot that is known"
+    if log.meta.seed is not None:
+        text += f". Simulated from {log.meta.scenario}, seed {log.meta.seed}"
     return text + "."
 
 
 def _pictures(comparison: Comparison, patches: Sequence) -> dict[str, Picture]:
-    if not comparison.log.has("reference"):
+    if not (comparison.log.has("reference") and comparison.results):
         return {}
     truth = reference(comparison.log)
+    shown = [r for r in comparison.results if traits(r.filter).drawn] or comparison.results
     errors: dict[str, ErrorSeries] = {
-        r.filter: error_series(truth, r.trajectory, 20.0)
-        for r in comparison.results
-        if traits(r.filter).drawn
+        r.filter: error_series(truth, r.trajectory, 20.0) for r in shown
     }
     pictures = {
         "trajectories": Picture(
