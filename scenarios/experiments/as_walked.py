@@ -3,18 +3,23 @@
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
 from surefoot.sim.common.toml import Positive, read_typed, typed
 from surefoot.sim.effects import Effect, effect
 from surefoot.sim.effects.carry import carried, scale_of
 from surefoot.sim.gait.options import GaitOptions
+from surefoot.sim.ground.terrain import Strip
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario
 from surefoot.sim.sensors.streams import Sensors
 
 SHEET = 0.2
 """Friction below which a patch is a slippery sheet."""
+SLOPE = 0.1
+"""Rise over run from which ground is not level any more."""
 BUNDLED = bundled("surefoot.scenarios.experiments", "suites") / "as_walked.toml"
 
 
@@ -36,22 +41,22 @@ class AsWalked:
     """What was measured on the walk of `robot`.
 
     period: of its stride there [s]; source: of gait and sensors; gait: options, without dimension
-    but for the noise of the estimate; on_steps, on_sheets: names of `GaitOptions` and what they are
-    instead on courses with steps, or with slippery sheets, where nothing was measured; sensors:
-    names of `sim.sensors.streams.Sensors` and what they are.
+    but for the noise of the estimate; on_slopes, on_sheets: names of `GaitOptions` and what they
+    are instead on courses with slopes or steps, or with slippery sheets, where nothing was
+    measured; sensors: names of `sim.sensors.streams.Sensors` and what they are.
     """
 
     robot: str
     period: Positive
     source: str
     gait: GaitOptions = field(default_factory=GaitOptions)
-    on_steps: dict[str, float] = field(default_factory=dict)
+    on_slopes: dict[str, float] = field(default_factory=dict)
     on_sheets: dict[str, float] = field(default_factory=dict)
     sensors: dict[str, float] = field(default_factory=dict)
     size: tuple[Size, ...] = ()
 
     def __post_init__(self):
-        for name in ("sensors", "on_steps", "on_sheets"):
+        for name in ("sensors", "on_slopes", "on_sheets"):
             try:
                 typed(getattr(self, name), Sensors if name == "sensors" else GaitOptions)
             except SurefootError as error:
@@ -68,10 +73,15 @@ class AsWalked:
         ground, gait = scenario.ground, self.gait
         if any(patch.mu < SHEET for patch in ground.patches):
             gait = replace(gait, **self.on_sheets)
-        if any(strip.steps for strip in ground.strips):
-            gait = replace(gait, **self.on_steps)
+        if any(_climbs(strip) for strip in ground.strips):
+            gait = replace(gait, **self.on_slopes)
         sensors = replace(scenario.sensors, **self.sensors)
         return replace(scenario, gait=gait, sensors=sensors)
+
+
+def _climbs(strip: Strip) -> bool:
+    run = np.hypot(strip.end[0] - strip.start[0], strip.end[1] - strip.start[1])
+    return strip.steps > 0 or abs(strip.heights[1] - strip.heights[0]) > SLOPE * run
 
 
 def load_as_walked(path: str | Path = BUNDLED) -> AsWalked:
