@@ -124,7 +124,7 @@ def motion_table(found: dict[Key, dict[str, Shown]]) -> list[dict[str, object]]:
     """A row an effect: its hardest target, the motion that shows that soonest, and its rival."""
     hardest: dict[str, tuple[Key, str, Shown]] = {}
     for key, by_motion in found.items():
-        motion, best = min(by_motion.items(), key=lambda one: (one[1].seconds, one[1].deviation))
+        motion, best = _soonest(by_motion)
         held = hardest.get(key[0])
         if held is None or (best.seconds, best.deviation) > (held[2].seconds, held[2].deviation):
             hardest[key[0]] = (key, motion, best)
@@ -141,10 +141,27 @@ def motion_table(found: dict[Key, dict[str, Shown]]) -> list[dict[str, object]]:
     ]
 
 
+def recordings_to_make(found: dict[Key, dict[str, Shown]]) -> dict[str, float]:
+    """Each motion that shows some target soonest, and the seconds [s] that all of its targets take,
+    of one at least."""
+    longest: dict[str, float] = {}
+    for by_motion in found.values():
+        motion, best = _soonest(by_motion)
+        if np.isfinite(best.seconds):
+            longest[motion] = max(longest.get(motion, 1.0), best.seconds)
+    return longest
+
+
+def _soonest(by_motion: dict[str, Shown]) -> tuple[str, Shown]:
+    return min(by_motion.items(), key=lambda one: (one[1].seconds, one[1].deviation))
+
+
 def plan_text(found: dict[Key, dict[str, Shown]]) -> str:
-    """The table, and what its columns mean."""
+    """The table, what to record, and what the columns mean."""
+    record = [f"{name}, {np.ceil(s):.0f} s" for name, s in recordings_to_make(found).items()]
     return (
         f"{to_markdown(motion_table(found))}\n\n"
+        f"record at least: {'; '.join(record) or 'none of these motions shows any of them'}\n\n"
         "seconds: of that motion, until the deviation of the effect's size is a tenth of what 19 "
         "of 20 machines stay below, all other effects unknown too. hidden by: the effect whose "
         "size errs with it. Simulated, with noise of single readings alone: take several times as "

@@ -370,7 +370,12 @@ class PlanCommand:
     as_json: Json = False
 
     def run(self) -> None:
-        from surefoot.scenarios.motion_plan import motion_table, plan_motions, plan_text
+        from surefoot.scenarios.motion_plan import (
+            motion_table,
+            plan_motions,
+            plan_text,
+            recordings_to_make,
+        )
         from surefoot.scenarios.reporting.progress import percent_bar
         from surefoot.sim.robot import Robot
 
@@ -378,4 +383,7 @@ class PlanCommand:
             raise SurefootError("name at least one effect")
         with percent_bar("plan") as bar:
             found = plan_motions(Robot.load(self.robot), self.effects, bar)
-        print_json(motion_table(found)) if self.as_json else print(plan_text(found))
+        if self.as_json:
+            print_json({"effects": motion_table(found), "record": recordings_to_make(found)})
+        else:
+            print(plan_text(found))
