@@ -42,8 +42,6 @@ _MOST_JOINTS, _SMALL = 100, 4096
 """Names that a list of joints has at most, and bytes of a text with such a list."""
 _OTHER_SIDE_FIRST = ("FR", "FL", "RR", "RL")
 """The order of legs in which Unitree and MIT count them."""
-_BY_SIZE = "rad/s or deg/s?"
-"""The doubt of a gyro whose unit its size alone says."""
 _FEW = 8
 """Columns of a file of which nothing is used that are named."""
 _STRIDES = 1.0
@@ -375,9 +373,8 @@ class _Columns:
             for kind, names in triples.items()
         }
         if "gyro" in triples:
-            unit, doubt = _gyro_unit(self.file.seconds, values["gyro"], values.get("accel"))
             said = {self.file.names[name].unit for name in triples["gyro"]}
-            doubt = "" if doubt == _BY_SIZE and said == {unit} else doubt
+            unit, doubt = _gyro_unit(self.file.seconds, values["gyro"], values.get("accel"), said)
             for axis, name in zip("xyz", triples["gyro"], strict=True):
                 self.entries.append(Entry(f"gyro_{axis}", name, unit, doubt=doubt))
         if "accel" in triples:
@@ -653,10 +650,14 @@ def _gravity_doubt(mean: np.ndarray) -> dict[str, str]:
     return dict.fromkeys("xyz", f"{where}: give [robot] imu_orientation, or other axes?")
 
 
-def _gyro_unit(t: np.ndarray | None, gyro: np.ndarray, accel: np.ndarray | None) -> tuple[str, str]:
-    """From how fast gravity turns in the accelerometer, or else from the size."""
+def _gyro_unit(
+    t: np.ndarray | None, gyro: np.ndarray, accel: np.ndarray | None, said: set[str]
+) -> tuple[str, str]:
+    """From how fast gravity turns in the accelerometer, or else as the names say (`said`), or by
+    the size."""
     size = float(np.quantile(np.abs(gyro), 0.99))
-    by_size = "rad/s" if size < 12.0 else "deg/s"
+    named = next(iter(said)) if len(said) == 1 and said <= set(UNITS["gyro"]) else ""
+    by_size = named or ("rad/s" if size < 12.0 else "deg/s")
     if t is not None and accel is not None:
         dt = max(float(np.median(np.diff(t))), 1e-6)
         width = max(int(0.5 / dt), 1)
@@ -674,7 +675,7 @@ def _gyro_unit(t: np.ndarray | None, gyro: np.ndarray, accel: np.ndarray | None)
             return "deg/s", ""
         if alike < -0.7:
             return by_size, "turns against the accelerometer: signs of one of them?"
-    return by_size, "" if not 4.0 < size < 60.0 else _BY_SIZE
+    return by_size, "" if named or not 4.0 < size < 60.0 else "rad/s or deg/s?"
 
 
 def _angle_unit(values, said: set[str]) -> tuple[str, str]:

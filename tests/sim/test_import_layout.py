@@ -78,3 +78,13 @@ def test_the_files_of_euroc_and_a_trajectory_of_tum_go_in_as_they_are(tmp_path):
     log, _ = imported(tmp_path, "imu.csv", "run.tum")
     turned = 2.0 * np.arctan2(log.ref_q[:, 3], log.ref_q[:, 0])
     np.testing.assert_allclose(turned, TURN, atol=1e-6)
+
+
+def test_a_gyro_that_turns_slowly_has_the_unit_that_its_name_says(tmp_path):
+    """Ten degrees a second about the vertical: neither gravity nor their size tells the unit."""
+    slow = {f"gyro_{a}": f"Gyro {a} [°/s]" for a in "xyz"}
+    theirs = IMU.assign(**{name: np.degrees(IMU[name]) for name in slow}).rename(columns=slow)
+    theirs.to_csv(tmp_path / "run.csv", index=False)
+    log, draft = imported(tmp_path, "run.csv")
+    np.testing.assert_allclose(log.gyro, IMU.to_numpy()[:, 1:4], atol=1e-9)
+    assert not [e.name for e in draft.main if e.doubt]
