@@ -158,10 +158,11 @@ def paths_figure(walks: Mapping[str, AlignedWalk], share: float) -> Figure:
         for words, (p, color) in paths.items():
             x, y = (p - p[0])[:, :2].T
             along = np.cos(heading) * x + np.sin(heading) * y
-            aside = np.cos(heading) * y - np.sin(heading) * x
+            aside = np.sin(heading) * x - np.cos(heading) * y
             style = "--" if color == BEFORE else "-"
             ax.plot(aside, along, style, color=color, label=words)
         ax.set_aspect("equal", "datalim")
+        ax.set_xlabel("to its right [m]")
         set_title(ax, name, 9.0)
     axes[0, 0].set_ylabel("along the walk [m]")
     legend_below(drawn, axes[0, 0], 3)
