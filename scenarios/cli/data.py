@@ -100,6 +100,8 @@ class Import:
             raise SurefootError("--robot goes with --guess; the map's [robot] names it")
         recording = read_recording(files, self.map)
         log = recording.log()
+        if set(log.frame) == {"t"}:
+            raise SurefootError(f"{self.map}: names no column but the times")
         warnings = not_plausible([log], strict=self.strict).get(log.name, ())
         log = replace(log, meta=replace(log.meta, warnings=warnings))
         log.write(self.out, self.force)

@@ -1,6 +1,7 @@
 """Drafts of maps: how many of their entries are right, and that no wrong one is without a doubt."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -278,13 +279,17 @@ def test_a_file_of_which_nothing_is_used_is_asked_about(tmp_path):
     assert notes == ("nothing of more.csv is used: what are its columns when, what?",)
 
 
-def test_names_that_say_nothing_are_asked_about(tmp_path):
+def test_names_that_say_nothing_are_asked_about_and_give_no_log(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     t = 0.01 * np.arange(200)
     table = pd.DataFrame({"Zeit": t, "Kanal 1": np.sin(t), "Kanal 2": np.cos(t)})
     table.to_csv(tmp_path / "run.csv", index=False)
-    assert guess_map([tmp_path / "run.csv"]).notes == (
-        "no name says what a column is: which of those not used below is what?",
-    )
+    draft = guess_map(["run.csv"])
+    assert draft.notes == ("no name says what a column is: which of those not used below is what?",)
+    Path("map.toml").write_text(draft.text)
+    with pytest.raises(SystemExit, match="names no column but the times"):
+        main("import run.csv --map map.toml -o log.parquet".split())
+    assert not Path("log.parquet").exists()
 
 
 def test_what_export_writes_is_drafted_and_comes_back(tmp_path, walked):
