@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo test check docs readme nightly study study-observer study-trace study-hardware study-bounds study-montecarlo study-realism study-loop suites \
+.PHONY: setup demo test check docs readme nightly mutants study study-observer study-trace study-hardware study-bounds study-montecarlo study-realism study-loop suites \
 	tune tune-vision60 tune-spot lock clean
 
 setup: .venv/.ready
@@ -42,6 +42,11 @@ study: setup
 # What takes an hour or more: a million fuzzed steps of each estimator, commands ended at random moments.
 nightly: setup
 	$(BIN)/pytest -m slow -s tests/scenarios/test_fuzzed_streams.py tests/hostile
+
+# Five hundred small changes of the code that results hang on, each tried against the tests that cover
+# it; killed, it goes on where it was.
+mutants: setup
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/mutation/run.py
 
 # The architectures compared over seeds, on both suites; killed, it goes on where it was.
 study-observer: setup
