@@ -24,18 +24,21 @@ from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 
 SHOWN = 0.1
-"""Of the size that 19 of 20 machines stay below: a deviation that shows an effect."""
+"""Largest deviation of a size that counts as shown, as a share of the prior's 95 % size."""
 LONGEST_S = 600.0
-"""s of one motion: whoever needs more is better served by another one."""
+"""s, longest duration of a motion that is planned."""
 SECONDS = 4.0
-"""s of a walk, from which longer ones are calculated."""
+"""s of a simulated motion, from which longer ones are extrapolated."""
 
 
 @dataclass(frozen=True)
 class Shown:
-    """How a motion shows one effect: seconds [s] that it takes, infinite where LONGEST_S does not
-    do; deviation, as a share of the prior's size, after LONGEST_S; rival: the candidate whose size
-    errs most with it, and their correlation then."""
+    """How well a motion shows one effect.
+
+    seconds: of the motion until the effect is shown, infinite where LONGEST_S is not enough;
+    deviation: of its size after LONGEST_S, as a share of the prior's 95 % size; rival: the effect
+    whose size is most correlated with it then, None below 0.5; correlation: with that candidate.
+    """
 
     seconds: float
     deviation: float
@@ -82,7 +85,7 @@ def plan_motions(
 
 
 def _groups(key: Key, robot: Robot) -> tuple[str, ...]:
-    """Targets that stand for several others, which say nothing that these do not."""
+    """The targets of this effect that are groups of others, and so add no information."""
     return tuple(known_effects()[key[0]].group_targets(robot.limbs))
 
 

@@ -17,7 +17,7 @@ from surefoot.sim.scenario import Scenario
 from surefoot.sim.sensors.streams import Sensors
 
 SHEET = 0.2
-"""Friction below which a patch is a slippery sheet."""
+"""Friction coefficient below which a patch counts as a slippery sheet."""
 SLOPE = 0.1
 """Rise over run from which ground is not level any more."""
 BUNDLED = bundled("surefoot.scenarios.experiments", "suites") / "as_walked.toml"
@@ -38,12 +38,12 @@ class Size:
 
 @dataclass(frozen=True)
 class AsWalked:
-    """What was measured on the walk of `robot`.
+    """What was measured on a walk of `robot`.
 
-    period: of its stride there [s]; source: of gait and sensors; gait: options, without dimension
-    but for the noise of the estimate; on_slopes, on_sheets: names of `GaitOptions` and what they
-    are instead on courses with slopes or steps, or with slippery sheets, where nothing was
-    measured; sensors: names of `sim.sensors.streams.Sensors` and what they are.
+    period: of its stride [s]; source: where gait and sensors are from; gait: its options, all but
+    the noise of the estimate without dimension; on_slopes, on_sheets: options that replace those on
+    courses with slopes or steps, or with slippery sheets, where nothing was measured; sensors:
+    fields of `sim.sensors.streams.Sensors` that replace a scenario's; size: the measured effects.
     """
 
     robot: str
@@ -63,7 +63,7 @@ class AsWalked:
                 raise SurefootError(f"{name}: {error}") from None
 
     def effects_on(self, robot: Robot) -> tuple[Effect, ...]:
-        """The measured effects as `robot` would have them."""
+        """The measured effects scaled to `robot` (`sim.effects.carry`)."""
         sizes = [effect(s.effect, s.target, s.value) for s in self.size]
         measured = Robot.load(self.robot)
         return carried(sizes, scale_of(measured, self.period), scale_of(robot))
@@ -85,7 +85,7 @@ def _climbs(strip: Strip) -> bool:
 
 
 def load_as_walked(path: str | Path = BUNDLED) -> AsWalked:
-    """The file's robot, gait and sizes.
+    """Read a file of measured walking; the bundled one where left out.
 
     Raises SurefootError, one line with file and key, if bad.
     """
