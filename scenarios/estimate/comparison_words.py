@@ -51,13 +51,13 @@ def with_best_marked(found: pd.DataFrame) -> pd.DataFrame:
     marked = found.dropna(axis=1, how="all").astype(object)
     for _, rows in found.groupby("log", sort=False):
         for column in _LEAST + _CONSISTENCY:
-            if column not in marked or rows[column].count() < 2:
+            if column not in marked or len(rows[column].dropna()) < 2:
                 continue
             values = rows[column].astype(float)
             off = values
             if column in _CONSISTENCY:
                 off = np.abs(np.log(np.maximum(values, 1e-12) / CONSISTENT))
-                off = off[values.between(*ONE_WALK)]
+                off = off[values.between(ONE_WALK[0], ONE_WALK[1])]
             if off.empty:
                 continue
             best = cell(values[off.idxmin()])

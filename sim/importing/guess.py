@@ -709,7 +709,8 @@ def _reference(one: _File) -> tuple[Entry, ...]:
 
 def _pose(one: _File) -> tuple[Entry, ...]:
     """Entries of a pose: three places, and four or three numbers of an attitude."""
-    if one.t is None:
+    t = one.t
+    if t is None:
         return ()
     own = {n: named for n, named in one.names.items() if not named.leg and not named.commanded}
     inertial = any(named.kind in ("gyro", "q") and not named.reference for named in own.values())
@@ -752,7 +753,7 @@ def _pose(one: _File) -> tuple[Entry, ...]:
         found += [Entry(f"ref_{a}", n, unit, doubt=why) for a, (_, n) in angles]
     else:
         return ()
-    return (one.t, *found)
+    return (t, *found)
 
 
 def _complete(entries: list[Entry]) -> tuple[list[Entry], list[str]]:

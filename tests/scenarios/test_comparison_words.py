@@ -22,8 +22,8 @@ from surefoot.scenarios.estimate.run import Result
 
 @pytest.fixture
 def metrics() -> Metrics:
-    values: dict[str, Any] = {one.name: 1.0 for one in fields(Metrics)}
-    return Metrics(**values | {"nees_position": 3.0})
+    values: Any = {one.name: 1.0 for one in fields(Metrics)}
+    return Metrics(**(values | {"nees_position": 3.0}))
 
 
 def test_the_summary_names_the_least_error_and_who_claims_too_much(metrics):
