@@ -18,8 +18,8 @@ from surefoot.sim.sensors.streams import Sensors
 
 SHEET = 0.2
 """Friction coefficient below which a patch counts as a slippery sheet."""
-SLOPE = 0.1
-"""Rise over run from which ground is not level any more."""
+LEVEL_UP_TO = 0.1
+"""Rise over run up to which ground counts as level."""
 BUNDLED = bundled("surefoot.scenarios.experiments", "suites") / "as_walked.toml"
 
 
@@ -81,7 +81,7 @@ class AsWalked:
 
 def _climbs(strip: Strip) -> bool:
     run = np.hypot(strip.end[0] - strip.start[0], strip.end[1] - strip.start[1])
-    return strip.steps > 0 or abs(strip.heights[1] - strip.heights[0]) > SLOPE * run
+    return strip.steps > 0 or abs(strip.heights[1] - strip.heights[0]) > LEVEL_UP_TO * run
 
 
 def load_as_walked(path: str | Path = BUNDLED) -> AsWalked:
