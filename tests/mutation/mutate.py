@@ -63,7 +63,8 @@ class Mutant:
         """The line that begins the change, before and after it."""
         first = source.rfind(b"\n", 0, self.start) + 1
         changed = self.apply(source)
-        return tuple(text[first:].decode().partition("\n")[0].strip() for text in (source, changed))
+        before, after = (t[first:].decode().partition("\n")[0].strip() for t in (source, changed))
+        return before, after
 
 
 def mutants_of(file: str, source: bytes) -> list[Mutant]:
@@ -197,7 +198,7 @@ def _constant(node: ast.Constant, parent: ast.AST, text: _Text):
     start, end = text.span(node)
     if isinstance(node.value, float):
         yield "constant", start, end, repr(float(f"{node.value * 1.1:.12g}") or 0.1)
-    else:
+    elif isinstance(node.value, int):
         yield "constant", start, end, str(node.value + 1)
 
 

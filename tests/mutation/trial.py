@@ -26,11 +26,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numba
 import pytest
 from hypothesis import HealthCheck, settings
 from mutate import MODULE, Mutant
-from numba.core import event
+from numba.core import config, event
 from plan import Plan
 
 from surefoot.sim.common.files import kept_file
@@ -266,7 +265,7 @@ class Workplace:
             "SUREFOOT_CACHE": str(self.folder / "cache"),
         }
         os.environ["NUMBA_DISABLE_JIT"] = str(int(interpreted))
-        numba.config.DISABLE_JIT = int(interpreted)
+        config.DISABLE_JIT = int(interpreted)
         # A loaded machine fails no test, and chance none.
         checks = {"deadline": None, "suppress_health_check": list(HealthCheck)}
         settings.register_profile("mutants", derandomize=True, database=None, **checks)
