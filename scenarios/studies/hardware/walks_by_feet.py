@@ -151,7 +151,7 @@ def paths_figure(walks: Mapping[str, AlignedWalk], share: float) -> Figure:
         paths = {"motion capture": (truth.p_GI, INK)}
         for words, size, color in (
             ("leg filter", 0.0, BEFORE),
-            ("and a share less way", share, AFTER),
+            ("leg filter, way shortened by the fitted share", share, AFTER),
         ):
             log = with_share(walk.log, size)
             paths[words] = run_filter("leg", log, None, None, SETTINGS).trajectory.p_GI, color
