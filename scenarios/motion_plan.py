@@ -24,18 +24,21 @@ from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 
 SHOWN = 0.1
-"""Of the size that 19 of 20 machines stay below: a deviation that shows an effect."""
+"""Largest deviation of a size that counts as shown, as a share of the prior's 95 % size."""
 LONGEST_S = 600.0
-"""s of one motion: whoever needs more is better served by another one."""
+"""s, longest duration of a motion that is planned."""
 SECONDS = 4.0
-"""s of a walk, from which longer ones are calculated."""
+"""s of a simulated motion, from which longer ones are extrapolated."""
 
 
 @dataclass(frozen=True)
 class Shown:
-    """How a motion shows one effect: seconds [s] that it takes, infinite where LONGEST_S does not
-    do; deviation, as a share of the prior's size, after LONGEST_S; rival: the candidate whose size
-    errs most with it, and their correlation then."""
+    """How well a motion shows one effect.
+
+    seconds: of the motion until the effect is shown, infinite where LONGEST_S is not enough;
+    deviation: of its size after LONGEST_S, as a share of the prior's 95 % size; rival: the effect
+    whose size is most correlated with it then, None below 0.5; correlation: with that candidate.
+    """
 
     seconds: float
     deviation: float
@@ -82,7 +85,7 @@ def plan_motions(
 
 
 def _groups(key: Key, robot: Robot) -> tuple[str, ...]:
-    """Targets that stand for several others, which say nothing that these do not."""
+    """The targets of this effect that are groups of others, and so add no information."""
     return tuple(known_effects()[key[0]].group_targets(robot.limbs))
 
 
@@ -124,7 +127,7 @@ def motion_table(found: dict[Key, dict[str, Shown]]) -> list[dict[str, object]]:
     """A row an effect: its hardest target, the motion that shows that soonest, and its rival."""
     hardest: dict[str, tuple[Key, str, Shown]] = {}
     for key, by_motion in found.items():
-        motion, best = min(by_motion.items(), key=lambda one: (one[1].seconds, one[1].deviation))
+        motion, best = _soonest(by_motion)
         held = hardest.get(key[0])
         if held is None or (best.seconds, best.deviation) > (held[2].seconds, held[2].deviation):
             hardest[key[0]] = (key, motion, best)
@@ -141,10 +144,27 @@ def motion_table(found: dict[Key, dict[str, Shown]]) -> list[dict[str, object]]:
     ]
 
 
+def recordings_to_make(found: dict[Key, dict[str, Shown]]) -> dict[str, float]:
+    """Each motion that shows some target soonest, and the seconds [s] that all of its targets take,
+    of one at least."""
+    longest: dict[str, float] = {}
+    for by_motion in found.values():
+        motion, best = _soonest(by_motion)
+        if np.isfinite(best.seconds):
+            longest[motion] = max(longest.get(motion, 1.0), best.seconds)
+    return longest
+
+
+def _soonest(by_motion: dict[str, Shown]) -> tuple[str, Shown]:
+    return min(by_motion.items(), key=lambda one: (one[1].seconds, one[1].deviation))
+
+
 def plan_text(found: dict[Key, dict[str, Shown]]) -> str:
-    """The table, and what its columns mean."""
+    """The table, what to record, and what the columns mean."""
+    record = [f"{name}, {np.ceil(s):.0f} s" for name, s in recordings_to_make(found).items()]
     return (
         f"{to_markdown(motion_table(found))}\n\n"
+        f"record at least: {'; '.join(record) or 'none of these motions shows any of them'}\n\n"
         "seconds: of that motion, until the deviation of the effect's size is a tenth of what 19 "
         "of 20 machines stay below, all other effects unknown too. hidden by: the effect whose "
         "size errs with it. Simulated, with noise of single readings alone: take several times as "

@@ -147,6 +147,7 @@ def portrait(robot: Robot) -> Figure:
         axes.annotate("IMU", imu, (5, 5), textcoords="offset points", color=OUTSIDE)
         axes.set_aspect("equal")
         axes.margins(0.1)
+        axes.locator_params(axis="x", nbins=7)  # more touch each other in the narrow view
         axes.set_xlabel("forward [m]" if across == 0 else "left [m]")
         axes.set_ylabel("up [m]")
         set_title(axes, f"{robot.name}, seen from {title}")

@@ -1,1 +1,1 @@
-"""How a legged robot's log looks as a walk: gait, standing feet, forces and vibration."""
+"""Measures of how a legged robot walks: gait, standing feet, foot forces and vibration."""

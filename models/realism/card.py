@@ -1,4 +1,4 @@
-"""The realism card: one number a row, of a measured walk and of simulated ones in its manner."""
+"""The realism card: a measured walk and simulated ones compared, one quantity a row."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -15,7 +15,7 @@ from surefoot.sim.common.toml import Positive, read_typed
 from surefoot.sim.effects.carry import BodyScale, growth
 
 DRAWS = 400
-"""Of the stride bootstrap."""
+"""Resamples of the bootstrap over strides."""
 INTERVAL = (2.5, 97.5)
 """Percentiles of a 95 % interval."""
 
@@ -29,15 +29,18 @@ CARD_DIMENSIONS = {
     "rad/s": (0, 0, -1),
     "Hz": (0, 0, -1),
 }
-"""Unit of a quantity -> powers of weight, leg length and stride period that it grows by."""
+"""Unit of a quantity -> the powers of weight, leg length and stride period that it scales with."""
 
 Verdict = Literal["like", "unlike", "undecided"]
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How far simulated may be from measured: in the quantity's unit, or as a share of the measured
-    value. Why, in words."""
+    """How far the simulated value may be from the measured one.
+
+    within: in the quantity's unit, or where `relative` as a share of the measured value; reason:
+    why so far.
+    """
 
     within: Positive
     reason: str
@@ -46,7 +49,7 @@ class Tolerance:
 
 @cache
 def tolerances() -> dict[str, Tolerance]:
-    """Of every quantity, by its name."""
+    """Quantity's name -> its tolerance, from tolerances.toml."""
     return read_typed(
         bundled("surefoot.models.realism", "tolerances.toml"), dict[str, Tolerance], "tolerances"
     )
@@ -54,7 +57,7 @@ def tolerances() -> dict[str, Tolerance]:
 
 @dataclass(frozen=True)
 class Row:
-    """A quantity of both walks, with 95 % intervals by drawing strides anew, in `unit`.
+    """A quantity of the measured and the simulated walks, in `unit`, with 95 % bootstrap intervals.
 
     verdict: "like" where the difference's whole interval is within the tolerance, "unlike" where
     all of it is beyond, else "undecided".
@@ -81,7 +84,10 @@ class Row:
 
 @dataclass(frozen=True)
 class Card:
-    """rows: of what both have; missing: quantity -> why one of them has not."""
+    """A realism card.
+
+    rows: a quantity each; missing: quantity -> why a log cannot give it.
+    """
 
     rows: tuple[Row, ...]
     missing: dict[str, str]
@@ -89,8 +95,8 @@ class Card:
     @property
     def counts(self) -> dict[str, int]:
         """Rows of each verdict."""
-        said = [row.verdict for row in self.rows]
-        return {word: said.count(word) for word in ("like", "unlike", "undecided")}
+        verdicts = [row.verdict for row in self.rows]
+        return {word: verdicts.count(word) for word in ("like", "unlike", "undecided")}
 
 
 def realism_card(
@@ -99,20 +105,20 @@ def realism_card(
     rng: np.random.Generator,
     scales: tuple[BodyScale, BodyScale] | None = None,
 ) -> Card:
-    """The card of a measured walk beside simulated ones, whose strides are taken together.
+    """Compare a measured walk with simulated ones, whose strides are pooled.
 
     Args:
-        measured: the walk of the log.
-        simulated: walks in its manner.
-        rng: draws strides anew.
-        scales: of the measured robot and of the simulated one where it is another; what was
-            measured, and the tolerances, are carried to it (`sim.effects.carry`).
+        measured: the measured walk.
+        simulated: walks in the same style.
+        rng: resamples the strides.
+        scales: of the measured and of the simulated robot, where they are different robots: the
+            measured values and absolute tolerances are scaled to the latter (`sim.effects.carry`).
     """
     rows, missing = [], {}
     for quantity in QUANTITIES:
-        grown = growth(CARD_DIMENSIONS[quantity.unit], *scales) if scales else 1.0
+        scale = growth(CARD_DIMENSIONS[quantity.unit], *scales) if scales else 1.0
         try:
-            rows.append(_row(quantity, measured, simulated, rng, grown))
+            rows.append(_row(quantity, measured, simulated, rng, scale))
         except SurefootError as error:
             missing[quantity.name] = str(error)
     return Card(tuple(rows), missing)
@@ -123,36 +129,41 @@ def _row(
     measured: WalkView,
     simulated: Sequence[WalkView],
     rng: np.random.Generator,
-    grown: float,
+    scale: float,
 ) -> Row:
-    """A row, what was measured and its absolute tolerance times `grown`.
+    """One row of the card.
 
     Args:
         quantity: of the row.
-        measured: the walk of the log.
-        simulated: walks in its manner.
-        rng: draws strides anew.
-        grown: by how much the quantity is larger on the simulated robot.
+        measured: the measured walk.
+        simulated: walks in the same style.
+        rng: resamples the strides.
+        scale: factor from the measured robot to the simulated one, for the measured value and the
+            absolute tolerance.
     """
-    real, real_draws = estimate(quantity, [measured], rng)
-    real, real_draws = grown * real, grown * real_draws
-    made, made_draws = estimate(quantity, simulated, rng)
-    one = tolerances()[quantity.name]
-    within = one.within * (abs(real) if one.relative else grown)
-    low, high = _interval(made_draws - real_draws)
+    value, draws = estimate(quantity, [measured], rng)
+    value, draws = scale * value, scale * draws
+    simulated_value, simulated_draws = estimate(quantity, simulated, rng)
+    tolerance = tolerances()[quantity.name]
+    within = tolerance.within * (abs(value) if tolerance.relative else scale)
+    measured_low, measured_high = _interval(draws)
+    simulated_low, simulated_high = _interval(simulated_draws)
+    low, high = _interval(simulated_draws - draws)
     return Row(
-        quantity.name,
-        quantity.unit,
-        real,
-        *_interval(real_draws),
-        made,
-        *_interval(made_draws),
-        made - real,
-        low,
-        high,
-        within,
-        _verdict(low, high, within),
-        one.reason,
+        quantity=quantity.name,
+        unit=quantity.unit,
+        measured=value,
+        measured_low=measured_low,
+        measured_high=measured_high,
+        simulated=simulated_value,
+        simulated_low=simulated_low,
+        simulated_high=simulated_high,
+        difference=simulated_value - value,
+        difference_low=low,
+        difference_high=high,
+        tolerance=within,
+        verdict=_verdict(low, high, within),
+        reason=tolerance.reason,
     )
 
 
@@ -164,10 +175,10 @@ def _interval(draws: np.ndarray) -> tuple[float, float]:
 def estimate(
     quantity: Quantity, walks: Sequence[WalkView], rng: np.random.Generator
 ) -> tuple[float, np.ndarray]:
-    """The number of some walks together, and what it is for strides drawn anew (DRAWS,).
+    """The quantity over all walks together, and over resampled strides (DRAWS,).
 
-    Values of one stride, of all its legs, are drawn together. Raises SurefootError where a walk
-    cannot give it, or gives too little to draw from.
+    The values within one stride, of all legs, are resampled together. Raises SurefootError where a
+    walk lacks the columns, or has too few strides to resample.
     """
     values, groups = [], []
     rows = 0

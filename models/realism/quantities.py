@@ -1,6 +1,7 @@
-"""What is measured of a walk: each quantity a value a stride, stance or second, and one number.
+"""The quantities of the realism card.
 
-The number is a statistic of the values, so that drawing strides anew gives its interval.
+Each has values by stride, stance or second of a walk, and a statistic that makes one number of
+them. Resampling the strides' values gives the number's interval.
 """
 
 from collections.abc import Callable
@@ -15,23 +16,23 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY
 
 RIPPLE = 20.0
-"""Hz above which a joint's rate is ripple: a leg of a stride of half a second swings below."""
+"""Hz above which a joint's rate counts as ripple; strides and swings are far slower."""
 FREQUENCIES = np.arange(1.0, 151.0)
-"""Hz, of the spectra: pieces of a second resolve 1 Hz at any rate."""
+"""Hz, bins of the spectra: pieces of one second resolve 1 Hz at any rate."""
 LINES = (20.0, 45.0)
-"""Hz, between which feet that land, and legs on their contacts, ring."""
+"""Hz, the band in which landing feet and loaded legs ring."""
 _RINGING = slice(int(LINES[0]) - 1, int(LINES[1]))
 POWER = 0.95
 """Share of a spectrum's power that lies below its bandwidth."""
 MEAN_PIECE = 6.0
-"""s, the pieces of which the mixing time is taken: a dozen strides."""
+"""s, length of the pieces whose mixing time is estimated: a dozen strides."""
 SPACING = 0.01
-"""s between errors whose mixing time is taken: the rate of observers."""
+"""s between the errors whose mixing time is estimated: the rate of observers."""
 PARTS = {"landing": (0.0, 0.2), "middle": (0.2, 0.8), "lift-off": (0.8, 1.0)}
 """Shares of a stance."""
 DIRECTIONS_OF_FEET = ("forward", "outward", "up")
 WEIGHED = (0.8, 1.25)
-"""Mean of all forces as a share of the weight within which they count as newton."""
+"""Range of the mean sum of all foot forces over the weight in which they are taken as newtons."""
 
 Values = tuple[np.ndarray, np.ndarray]
 
@@ -40,8 +41,8 @@ Values = tuple[np.ndarray, np.ndarray]
 class Quantity:
     """One number of a walk.
 
-    values: of a walk, (K, ...) and the time (K,) [s] that each belongs to; raises SurefootError
-    where the log cannot give them. statistic: of such values, one number in `unit`.
+    values: maps a walk to values (K, ...) and the time (K,) [s] of each; raises SurefootError where
+    the log lacks what they need. statistic: maps such values to one number in `unit`.
     """
 
     name: str
@@ -51,20 +52,22 @@ class Quantity:
 
 
 def duty(walk: WalkView) -> Values:
-    """Share of its stride for which a foot is sensed to stand."""
+    """Duty factor: share of each stride for which the foot is sensed to stand."""
     each = np.concatenate(walk.strides)
     return (each[:, 1] - each[:, 0]) / (each[:, 2] - each[:, 0]), each[:, 0]
 
 
 def period(walk: WalkView) -> Values:
-    """From landing to landing [s]."""
+    """Stride period [s], from landing to landing."""
     each = np.concatenate(walk.strides)
     return each[:, 2] - each[:, 0], each[:, 0]
 
 
 def period_change(walk: WalkView) -> Values:
-    """Difference of successive periods of a foot, as a share of their mean: slow changes of the
-    gait hardly count in it."""
+    """Differences of a foot's successive periods, as a share of their median.
+
+    Slow changes of the gait hardly show in them.
+    """
     changes, times = [], []
     for one in walk.strides:
         length = one[:, 2] - one[:, 0]
@@ -74,31 +77,29 @@ def period_change(walk: WalkView) -> Values:
     return np.concatenate(changes), np.concatenate(times)
 
 
-def feet_down(walk: WalkView, share: Callable[[np.ndarray], np.ndarray]) -> Values:
-    """Share of the time of each stride for which `share` of the number of feet down is true."""
-    rows = np.flatnonzero(walk.walks)
-    is_so = share(walk.log.contact[rows].sum(axis=1))
-    stride = walk.stride_of(walk.log.t[rows])
-    count = np.bincount(stride, minlength=len(walk.clock))
-    has = count > 0
-    return np.bincount(stride, is_so, len(walk.clock))[has] / count[has], walk.clock[has]
+def feet_down(walk: WalkView, condition: Callable[[np.ndarray], np.ndarray]) -> Values:
+    """Share of each stride for which `condition` holds of the number of standing feet (N,)."""
+    return _by_stride(walk, condition(walk.log.contact.sum(axis=1)))
 
 
 def foothold_change(walk: WalkView, axis: int) -> Values:
-    """Difference of successive footholds of a foot, seen from the base [m]."""
+    """Differences of a foot's successive footholds in the heading frame, from the IMU [m]."""
     log, changes, times = walk.log, [], []
-    up = np.einsum("nij,njk->nik", walk.heading, log.ref_R_GI)
+    R_HI = np.einsum("nij,njk->nik", walk.heading, log.ref_R_GI)
     for leg, one in enumerate(walk.strides):
         rows = np.searchsorted(log.t, one[:, 0])
         feet = walk.robot.feet_I(log.q[rows])[:, leg]
-        place = np.einsum("nij,nj->ni", up[rows], feet)[:, axis]
+        place = np.einsum("nij,nj->ni", R_HI[rows], feet)[:, axis]
         changes.append(np.diff(place))
         times.append(one[1:, 0])
     return np.concatenate(changes), np.concatenate(times)
 
 
 def standing_speed(walk: WalkView, part: str, axis: int) -> Values:
-    """Mean speed over the ground [m/s] of a foot sensed to stand, in a part of its stance."""
+    """Mean apparent speed [m/s] of a standing foot over the ground, in a part of its stance.
+
+    See `WalkView.standing_velocity`; sideways, outward is positive.
+    """
     low, high = PARTS[part]
     v, inside = walk.standing_velocity, (walk.phase >= low) & (walk.phase < high)
     sign = walk.outward if axis == 1 else np.ones(len(walk.outward))
@@ -112,7 +113,7 @@ def standing_speed(walk: WalkView, part: str, axis: int) -> Values:
 
 
 def walk_stance_means(walk: WalkView) -> Values:
-    """Forward speed [m/s] of the base in each stance, and what the leg misses of it, (K, 2)."""
+    """For each stance (K, 2) [m/s]: forward speed of the base, and what the leg misses of it."""
     found, times = [], []
     for leg, (first, end) in enumerate(walk.stances):
         missed = _mean_of_runs(walk.standing_velocity[:, leg, 0], first, end)
@@ -124,30 +125,33 @@ def walk_stance_means(walk: WalkView) -> Values:
 
 
 def missed_share(values: np.ndarray) -> float:
-    """Slope of what is missed on the speed, through the origin, of values (K, 2)."""
+    """Share of the speed that legs miss: slope through the origin of `walk_stance_means` (K, 2)."""
     speed, missed = values.T
     return float(speed @ missed / (speed @ speed))
 
 
 def missed_spread(values: np.ndarray) -> float:
-    """Robust standard deviation [m/s] of what is missed about its share of the speed."""
+    """Robust standard deviation [m/s] of the missed speed about that share (K, 2)."""
     speed, missed = values.T
     return spread(missed - missed_share(values) * speed)
 
 
 def force_peak(walk: WalkView) -> Values:
-    """Largest force of a stance over its middle's median."""
+    """Largest force of each stance over the median of its middle half."""
     return _of_force(walk, lambda force: force.max() / np.median(_middle(force)))
 
 
 def force_threshold(walk: WalkView) -> Values:
-    """Force at which a foot is last sensed to stand, over the median of its stance's middle."""
+    """Force in the last row of each stance, over the median of its middle half."""
     return _of_force(walk, lambda force: force[-1] / np.median(_middle(force)))
 
 
 def force_weight(walk: WalkView) -> Values:
-    """Largest force of a stance over the robot's weight. Raises SurefootError where the feet's
-    forces do not add up to it: they are in no known unit then."""
+    """Largest force of each stance over the robot's weight.
+
+    Raises SurefootError where the feet's forces do not add up to about the weight: then their unit
+    is not newton.
+    """
     weight = walk.robot.mass * GRAVITY
     walk.log.require("force")
     total = float(walk.log.force[walk.walks].sum(axis=1).mean() / weight)
@@ -159,7 +163,7 @@ def force_weight(walk: WalkView) -> Values:
 
 
 def joint_ripple(walk: WalkView, kind: int) -> Values:
-    """Mean square [rad^2/s^2] above RIPPLE of the rates of one kind of joint: hip, thigh, calf."""
+    """Mean square [rad^2/s^2] by stride of joint rates above RIPPLE; 0 hip, 1 thigh, 2 calf."""
     rate = walk.log.rate
     if rate < 4.0 * RIPPLE:
         raise SurefootError(f"the log's {rate:g} Hz do not show what is above {RIPPLE:g} Hz")
@@ -169,7 +173,7 @@ def joint_ripple(walk: WalkView, kind: int) -> Values:
 
 
 def sway(walk: WalkView, axis: int) -> Values:
-    """Mean square [rad^2/s^2] of the base's rate about its own axis (0 roll, 1 pitch)."""
+    """Mean square [rad^2/s^2] by stride of the base's rate about its own axis (0 roll, 1 pitch)."""
     rate = walk.log.gyro @ walk.robot.R_BI[axis]
     return _by_stride(walk, rate**2)
 
@@ -180,42 +184,46 @@ def forward_speed(walk: WalkView) -> Values:
 
 
 def spectra(walk: WalkView, sensor: str) -> Values:
-    """Power spectral density (K, len(FREQUENCIES)) of each second of walk, of `gyro` or `accel`,
-    all axes together; NaN above half the log's rate. Pieces overlap by half."""
+    """Power spectral densities (K, len(FREQUENCIES)) of `gyro` or `accel`, summed over the axes.
+
+    [unit^2/Hz], one for each second of walk, overlapping by half; NaN above half the log's rate.
+    """
     reading = getattr(walk.log, sensor)
     return _spectra(walk, reading)
 
 
 def vibration(walk: WalkView, axis: int) -> Values:
-    """The same of the accelerometer along one axis of the base: forward, to the left, up."""
+    """`spectra` of the accelerometer along one axis of the base: forward, left, up."""
     return _spectra(walk, (walk.log.accel @ walk.robot.R_BI[axis])[:, None])
 
 
 def bandwidth(spectrum: np.ndarray) -> float:
-    """Frequency [Hz] below which POWER of mean spectra (K, F) lies."""
+    """Frequency [Hz] below which the share POWER of the mean of spectra (K, F) lies."""
     mean = np.nan_to_num(spectrum.mean(axis=0))
     cumulated = np.cumsum(mean) / mean.sum()
     return float(np.interp(POWER, cumulated, FREQUENCIES))
 
 
 def line(spectrum: np.ndarray) -> float:
-    """Frequency [Hz] at which mean spectra (K, F) are highest between LINES."""
+    """Frequency [Hz] of the highest peak of the mean of spectra (K, F) within LINES."""
     return float(FREQUENCIES[_RINGING][np.argmax(spectrum.mean(axis=0)[_RINGING])])
 
 
 def ringing(spectrum: np.ndarray) -> float:
-    """Root mean square between LINES."""
+    """Root mean square of the signal within LINES, from spectra (K, F)."""
     return float(np.sqrt(spectrum.mean(axis=0)[_RINGING].sum()))
 
 
 def all_power(spectrum: np.ndarray) -> float:
-    """Root mean square from 1 to 150 Hz, or to half the log's rate."""
+    """Root mean square of the signal up to 150 Hz, or half the log's rate, from spectra (K, F)."""
     return float(np.sqrt(np.nansum(spectrum.mean(axis=0))))
 
 
 def mixing_time(walk: WalkView) -> Values:
-    """Of pieces of PIECE, half overlapping, the time [s] after which errors of the velocity by the
-    standing legs are about independent (`models.calibration.mixing`)."""
+    """Mixing time [s] of leg odometry's velocity errors, in half-overlapping pieces of MEAN_PIECE.
+
+    That is the time after which errors are about independent (`models.calibration.mixing`).
+    """
     rows = np.flatnonzero(np.isfinite(walk.standing_velocity[..., 0]).sum(axis=1))
     error = np.nanmean(walk.standing_velocity[rows], axis=1)
     t = walk.log.t[rows]
@@ -230,17 +238,17 @@ def mixing_time(walk: WalkView) -> Values:
 
 
 def spread(values: np.ndarray) -> float:
-    """Robust standard deviation: that of a normal distribution of the same median deviation."""
+    """Robust standard deviation: 1.4826 times the median absolute deviation."""
     return float(1.4826 * np.median(np.abs(values - np.median(values))))
 
 
 def change_spread(values: np.ndarray) -> float:
-    """Robust standard deviation of what changes by `values` from one to the next."""
+    """Robust standard deviation of independent values whose successive differences are `values`."""
     return spread(values) / np.sqrt(2.0)
 
 
 def root_mean(values: np.ndarray) -> float:
-    """Root of the mean of squares (K,)."""
+    """Root of the mean of values (K,) that are squares already."""
     return float(np.sqrt(values.mean()))
 
 
@@ -253,7 +261,7 @@ def _median(values: np.ndarray) -> float:
 
 
 def _quantities() -> tuple[Quantity, ...]:
-    """All, in the order of the card."""
+    """All quantities, in the order of the card."""
     found = [
         Quantity("forward speed", "m/s", forward_speed, _mean),
         Quantity("stride period", "s", period, _median),
@@ -333,7 +341,7 @@ def _quantities() -> tuple[Quantity, ...]:
 
 
 def _mean_of_runs(values: np.ndarray, first: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Means (K,) of values (N,) over rows first[k] to end[k], without NaN; NaN where all are."""
+    """Means (K,) of values (N,) over rows first[k]:end[k], NaN ignored; NaN where all are."""
     known = np.isfinite(values)
     total = np.concatenate([[0.0], np.cumsum(np.where(known, values, 0.0))])
     count = np.concatenate([[0], np.cumsum(known)])
@@ -342,12 +350,13 @@ def _mean_of_runs(values: np.ndarray, first: np.ndarray, end: np.ndarray) -> np.
 
 
 def _known(values: np.ndarray, times: np.ndarray) -> Values:
-    """The values (K, ...) without NaN."""
+    """The values (K, ...) that have no NaN, with their times (K,)."""
     known = np.isfinite(values.reshape(len(values), -1)).all(axis=1)
     return values[known], times[known]
 
 
 def _of_force(walk: WalkView, number: Callable[[np.ndarray], float]) -> Values:
+    """A number of each stance's forces; stances too short, or not loaded, are left out."""
     walk.log.require("force")
     force = walk.log.force
     found = [
@@ -361,12 +370,12 @@ def _of_force(walk: WalkView, number: Callable[[np.ndarray], float]) -> Values:
 
 
 def _middle(force: np.ndarray) -> np.ndarray:
-    """Rows of the middle half of a stance."""
+    """The middle half of a stance's rows."""
     return force[len(force) // 4 : -(len(force) // 4)]
 
 
 def _by_stride(walk: WalkView, values: np.ndarray) -> Values:
-    """Means (S,) of values (N,) over the strides, while the base moves."""
+    """Means of values (N,) over each stride, while the base moves; empty strides are left out."""
     rows = np.flatnonzero(walk.walks)
     stride = walk.stride_of(walk.log.t[rows])
     count = np.bincount(stride, minlength=len(walk.clock))
@@ -393,4 +402,4 @@ def _spectra(walk: WalkView, reading: np.ndarray) -> Values:
 
 
 QUANTITIES = _quantities()
-"""All that a card shows."""
+"""The quantities of the realism card, in its order."""

@@ -86,7 +86,8 @@ class Import:
         from surefoot.sim.importing.recording import read_recording
         from surefoot.sim.importing.report import import_lines
 
-        files = self.files[1:] if self.files[:1] in (("csv",), ("bag",)) else self.files
+        kind = len(self.files) > 1 and self.files[0] in ("csv", "bag")  # alone it is a file's name
+        files = self.files[1:] if kind else self.files
         if not files:
             raise SurefootError("give the recording's file")
         if self.guess:
@@ -99,6 +100,8 @@ class Import:
             raise SurefootError("--robot goes with --guess; the map's [robot] names it")
         recording = read_recording(files, self.map)
         log = recording.log()
+        if set(log.frame) == {"t"}:
+            raise SurefootError(f"{self.map}: names no column but the times")
         warnings = not_plausible([log], strict=self.strict).get(log.name, ())
         log = replace(log, meta=replace(log.meta, warnings=warnings))
         log.write(self.out, self.force)
@@ -116,8 +119,10 @@ class Import:
             return
         with whole_file(self.out, self.force) as temporary:
             temporary.write_text(text, encoding="utf-8")
-        asked = sum("# ?" in line for line in text.splitlines()[2:])
-        print(f"{self.out}: {asked} questions in it; answer them, then import with --map")
+        # A bare "# ?" marks one more line of the question above it; the head has one in words.
+        asked = text.partition("\n")[2].count("# ? ")
+        what = f"{asked} question{'s' * (asked != 1)} in it; answer them, then import with --map"
+        print(f"{self.out}: {what if asked else 'no questions in it; import with --map'}")
 
 
 @dataclass(frozen=True)

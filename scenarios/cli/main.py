@@ -67,6 +67,7 @@ ABOUT = """A testbed for legged state estimation from proprioception alone.
 --version prints the version. --plugin FILE.py, given with any command and as often as needed, adds
 the estimators, effects, channels, architectures, calibrators and gaits of your own that the file
 names in PLUGINS: it is run as a program of yours."""
+NO_TORCH = "observers need PyTorch, which is not installed: the extra surefoot[learn] brings it"
 
 
 def _parsed(arguments: Sequence[str]) -> tuple[str, Any]:
@@ -118,6 +119,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         # Whoever read the output has gone; Python would complain once more at its end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
+    except ModuleNotFoundError as error:
+        if error.name != "torch":
+            raise
+        sys.exit(f"surefoot: {name}: {NO_TORCH}")
     except MemoryError:
         sys.exit(f"surefoot: {name}: more memory was asked for than there is")
     except OSError as error:

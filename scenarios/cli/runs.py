@@ -1,5 +1,5 @@
-"""What every run of a command has: inputs that it never writes over, an output of its own, and one
-line when it is interrupted."""
+"""Guards around every command: no input is written over, no two runs write to one output, and an
+interruption ends in one line."""
 
 import os
 import sys
@@ -27,11 +27,12 @@ try:
 except ImportError:  # where it is missing, two runs into one folder are not told apart
     fcntl = None
 
-LISTED = ("out", "report")
-KEPT = ("page", "data", "cache")
-"""Options that name what a command writes; every other path is one that it reads."""
+OUTPUTS_OF_ONE_RUN = ("out", "report")
+"""Options for outputs that one run alone may write."""
+SHARED_OUTPUTS = ("page", "data", "cache")
+"""Options for outputs that runs may share. Every other path is one that a command reads."""
 FOLDER_OPTIONS = ("data", "cache")
-"""Those of them that are folders."""
+"""Options that must not name a file."""
 BOUNDED = {
     "workers": "workers",
     "seeds": "walks",
@@ -41,7 +42,7 @@ BOUNDED = {
 }
 """Options that are counts -> the limit that they have."""
 GOES_ON = {"simulate", "train", "experiment", "suite", "loop", "montecarlo", "walking", "tune"}
-"""Commands that keep what is done when they are ended, and go on from there."""
+"""Commands that, run again after an interruption, go on from what was done."""
 SPACE = 4_000_000
 """bytes that must be free for a command to start: reports and figures have as many."""
 
@@ -54,18 +55,20 @@ def guarded(name: str, command: Any) -> Iterator[None]:
     is full, or where others can write to the cache.
     """
     given = {f.name: getattr(command, f.name) for f in fields(command)}
-    listed, kept = ([given[n] for n in ns if given.get(n) is not None] for ns in (LISTED, KEPT))
-    inputs = [path for n, v in given.items() if n not in LISTED + KEPT for path in _paths(v)]
-    for n, v in given.items():
-        if n not in LISTED + KEPT:
-            _refuse_missing(v)
+    own = [given[name] for name in OUTPUTS_OF_ONE_RUN if given.get(name) is not None]
+    shared = [given[name] for name in SHARED_OUTPUTS if given.get(name) is not None]
+    outputs = OUTPUTS_OF_ONE_RUN + SHARED_OUTPUTS
+    read = [value for name, value in given.items() if name not in outputs]
+    inputs = [path for value in read for path in _paths(value)]
+    for value in read:
+        _refuse_missing(value)
     cache_folder()
     for option, limit in BOUNDED.items():
         if isinstance(given.get(option), int):
             check_limit(limit, given[option], f"--{option}")
     with ExitStack() as stack:
         run = stack.enter_context(command_run(name, inputs))
-        for path in (*listed, *kept):
+        for path in (*own, *shared):
             refuse_input(path)
         for option in FOLDER_OPTIONS:
             if given.get(option) and Path(given[option]).is_file():
@@ -74,13 +77,13 @@ def guarded(name: str, command: Any) -> Iterator[None]:
             from surefoot.scenarios.studies.pages import check_page
 
             check_page(given["page"])
-        for path in listed:
+        for path in own:
             stack.enter_context(_alone(path))
         try:
             yield
         except Interrupted as stop:
-            # What goes on keeps parts of its output; it is done when all of it is there.
-            whole = [Path(os.path.realpath(path)) for path in listed]
+            # A command that can go on writes parts of its output first: only whole outputs count.
+            whole = [Path(os.path.realpath(path)) for path in own]
             done = [p for p in run.written if name not in GOES_ON or p in whole]
             stop.written = [str(path) for path in done]
             raise

@@ -67,14 +67,14 @@ class TraceCommand:
         logs = read_logs(self.logs)
         held_out = read_logs(self.holdout) if self.holdout else []
         declared = None if self.declared is None else load_effects(self.declared)
-        others = sorted({log.meta.robot for log in [*logs, *held_out] if log.meta.robot})
-        if not self.robot and len(others) > 1:
+        robots = sorted({log.meta.robot for log in [*logs, *held_out] if log.meta.robot})
+        if not self.robot and len(robots) > 1:
             raise SurefootError(
-                f"the logs are of {' and '.join(others)}: trace one robot at a time"
+                f"the logs are of {' and '.join(robots)}: trace one robot at a time"
             )
         robot = machine_for_log(logs[0], self.robot)
         warnings = not_plausible([*logs, *held_out], self.robot, self.strict)
-        # A trace does not know its logs by their names.
+        # A trace must not depend on the names of its logs, so notes number them.
         several = len(logs) + len(held_out) > 1
         notes = tuple(
             f"log {k + 1}: {line}" if several else line
@@ -82,8 +82,17 @@ class TraceCommand:
             for line in warnings.get(log.name, ())
         )
         with percent_bar("trace") as progress:
-            more = {"declared": declared, "holdout": held_out, "warnings": notes}
-            found = trace(logs, robot, self.out, self.seed, progress, self.force, **more)
+            found = trace(
+                logs,
+                robot,
+                self.out,
+                self.seed,
+                progress,
+                self.force,
+                declared=declared,
+                holdout=held_out,
+                warnings=notes,
+            )
         print(summary(found))
         print(f"\nreport: {self.out / 'report.html'}")
 
@@ -116,15 +125,23 @@ class LoopCommand:
         robot = Robot.for_log(log, self.robot)
         declared = None if self.declared is None else load_effects(self.declared)
         held_out = read_logs(self.holdout) if self.holdout else []
-        more = {"declared": declared, "holdout": held_out, "page": self.page}
-        table, _ = loop(log, robot, self.out, self.seed, self.force, **more)
+        table, _ = loop(
+            log,
+            robot,
+            self.out,
+            self.seed,
+            self.force,
+            declared=declared,
+            holdout=held_out,
+            page=self.page,
+        )
         print("\n" + to_markdown(table))
         print(f"\nreport: {self.out / 'report.html'}")
 
 
 @dataclass(frozen=True)
 class Realism:
-    """A measured log beside simulated walks in its manner: one number a row, with its doubt."""
+    """Compare a measured log with simulated walks in its style, quantity by quantity."""
 
     log: Annotated[Positional[Path], arg(metavar="LOG")]
     """A log with IMU, joint angles, contacts and reference."""
@@ -134,10 +151,10 @@ class Realism:
     effects: Path | None = None
     """File of effects (TOML) that the simulated robot has."""
     as_walked: bool = False
-    """Let it walk a second time as robots were measured to, in gait, sensors and effects (those of
-    --effects where given)."""
+    """Also compare walks in the gait, with the sensors and effects, that were measured on a real
+    robot; the effects are those of --effects where given."""
     walker: str | None = None
-    """Another robot that walks in simulation: what was measured is carried to its size."""
+    """Another robot to simulate: what was measured is scaled to it."""
     seed: int = 0
     """Of the walks and the intervals."""
     page: Path | None = None
@@ -253,8 +270,17 @@ class Montecarlo:
     def run(self) -> None:
         from surefoot.scenarios.studies.montecarlo.report import montecarlo
 
-        more = self.workers, self.cluster, self.data, self.page
-        print(montecarlo(self.out, self.trials, self.seed, self.force, *more))
+        text = montecarlo(
+            self.out,
+            self.trials,
+            self.seed,
+            self.force,
+            self.workers,
+            self.cluster,
+            self.data,
+            self.page,
+        )
+        print(text)
         print(f"report: {self.out / 'report.html'}")
 
 
@@ -370,7 +396,12 @@ class PlanCommand:
     as_json: Json = False
 
     def run(self) -> None:
-        from surefoot.scenarios.motion_plan import motion_table, plan_motions, plan_text
+        from surefoot.scenarios.motion_plan import (
+            motion_table,
+            plan_motions,
+            plan_text,
+            recordings_to_make,
+        )
         from surefoot.scenarios.reporting.progress import percent_bar
         from surefoot.sim.robot import Robot
 
@@ -378,4 +409,7 @@ class PlanCommand:
             raise SurefootError("name at least one effect")
         with percent_bar("plan") as bar:
             found = plan_motions(Robot.load(self.robot), self.effects, bar)
-        print_json(motion_table(found)) if self.as_json else print(plan_text(found))
+        if self.as_json:
+            print_json({"effects": motion_table(found), "record": recordings_to_make(found)})
+        else:
+            print(plan_text(found))

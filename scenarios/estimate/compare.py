@@ -1,18 +1,23 @@
 """Every filter on every log: one table, figures, a report and a recording."""
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+import surefoot
 from surefoot.estimator.evaluation.trajectory import reference
 from surefoot.estimator.metrics import path_length
-from surefoot.models.calibration.bounds import Bounds
-from surefoot.models.calibration.empirical_coverage import EmpiricalCoverage, coverage
-from surefoot.models.observer.predict import Prediction, predict, prediction_errors
 from surefoot.scenarios.datasets.index import slip_and_creep
+from surefoot.scenarios.estimate.comparison_words import (
+    command_line,
+    error_summary,
+    left_out_lines,
+    with_best_marked,
+)
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
 from surefoot.scenarios.estimate.estimators import estimator_named, traits
@@ -39,6 +44,11 @@ from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.walking.truth import SLIPPING
 
+if TYPE_CHECKING:  # only a filter that has learnt needs torch
+    from surefoot.models.calibration.bounds import Bounds
+    from surefoot.models.calibration.empirical_coverage import EmpiricalCoverage
+    from surefoot.models.observer.predict import Prediction
+
 LOST_FROM = "not to be trusted from [s]"
 MEANINGS = {
     "APE_trans [m]": "position RMSE after aligning position and yaw at the first sample",
@@ -63,9 +73,9 @@ class Comparison:
     robot: Robot | None
     results: tuple[Result, ...]
     left_out: dict[str, str]  # filter -> why
-    prediction: Prediction | None
-    bounds: Bounds | None
-    held: dict[str, EmpiricalCoverage]  # filter -> empirical coverage of its bounds
+    prediction: "Prediction | None"
+    bounds: "Bounds | None"
+    held: dict[str, "EmpiricalCoverage"]  # filter -> empirical coverage of its bounds
     warnings: tuple[str, ...] = ()  # what in the log is not plausible
 
     @property
@@ -98,7 +108,7 @@ def compare_log(
     with drawn_bar(total=None, desc=f"filters on {log.name}", unit=" filter") as bar:
 
         def progress(name: str) -> None:
-            bar.set_postfix_str(name)
+            bar.set_postfix_str(name, refresh=False)  # or a pipe has a line a filter
             bar.update()
 
         results, left_out = run_all(log, robot, learnt, names, progress, settings)
@@ -109,6 +119,9 @@ def compare_log(
         bounded_by: Any = getattr(estimator_named(name), "bounded_by", None)
         if bounded_by is None:
             continue
+        from surefoot.models.calibration.empirical_coverage import coverage
+        from surefoot.models.observer.predict import predict, prediction_errors
+
         observer, bounds = bounded_by(learnt)
         prediction = predict(observer, known, model)
         if log.has("reference"):
@@ -184,32 +197,40 @@ def write_comparison(
                 ground,
                 force=force,
             )
-    write_report(out / "report.html", title, [*sections, *extra], force)
+    made_by = f"surefoot {surefoot.__version__}. {command_line(sys.argv)}".strip()
+    sections += [*extra, Section("Made by", made_by)]
+    write_report(out / "report.html", title, sections, force)
     return found
 
 
-def _with_interval(held: EmpiricalCoverage) -> str:
+def _with_interval(held: "EmpiricalCoverage") -> str:
     low, high = 100 * held.joint_interval
     return f"{100 * held.joint:.1f} ({low:.0f}–{high:.0f})"
 
 
 def _summary_sections(comparisons: Sequence[Comparison], found: pd.DataFrame) -> list[Section]:
     """The table, and how to read it."""
-    left_out = [
-        f"Left out on {comparison.log.name}: {name} ({why})."
-        for comparison in comparisons
-        for name, why in comparison.left_out.items()
+    first = [
+        error_summary(c.log.name, {r.filter: r.metrics for r in c.results if r.metrics is not None})
+        for c in comparisons
     ]
-    left_out += [f"On {c.log.name}, {words}." for c in comparisons for words in c.doubts]
-    left_out += [
+    first += [f"On {c.log.name}, {words}." for c in comparisons for words in c.doubts]
+    first += [
         f"Not plausible in {c.log.name}: {words}." for c in comparisons for words in c.warnings
+    ]
+    left_out = [
+        f"{line[0].upper()}{line[1:]}."
+        for c in comparisons
+        for line in left_out_lines(c.log.name, c.left_out)
     ]
     ran = dict.fromkeys(result.filter for c in comparisons for result in c.results)
     glossary = [{"": name, "means": estimator_named(name).description} for name in ran]
     glossary += [{"": n, "means": text} for n, text in MEANINGS.items() if n in found.columns]
     return [
-        Section("Filters compared", "\n\n".join(left_out), found),
-        Section("How to read the table", "", glossary),
+        Section("Filters compared", "\n\n".join(first), with_best_marked(found)),
+        Section(
+            "How to read the table", "\n\n".join(["The best is in bold.", *left_out]), glossary
+        ),
     ]
 
 
@@ -228,19 +249,22 @@ def _walk_prose(comparison: Comparison) -> str:
     if comparison.bounds is not None:
         x, y, z = comparison.bounds.epsilon
         text += f". Bounds on the observer's velocity: {x:.3f}, {y:.3f}, {z:.3f} m/s"
-    if log.has("reference") and comparison.drawn is None:
+    if comparison.drawn is not None:
+        text += f". Recording: surefoot view {log.name}.rrd"
+    elif log.has("reference"):
         text += ". No recording: it would draw the joints of a robot that is known"
+    if log.meta.seed is not None:
+        text += f". Simulated from {log.meta.scenario}, seed {log.meta.seed}"
     return text + "."
 
 
 def _pictures(comparison: Comparison, ground: Ground | None) -> dict[str, Picture]:
-    if not comparison.log.has("reference"):
+    if not (comparison.log.has("reference") and comparison.results):
         return {}
     truth = reference(comparison.log)
+    shown = [r for r in comparison.results if traits(r.filter).drawn] or comparison.results
     errors: dict[str, ErrorSeries] = {
-        r.filter: error_series(truth, r.trajectory, 20.0)
-        for r in comparison.results
-        if traits(r.filter).drawn
+        r.filter: error_series(truth, r.trajectory, 20.0) for r in shown
     }
     pictures = {
         "trajectories": Picture(

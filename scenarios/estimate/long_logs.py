@@ -107,7 +107,7 @@ def _in_pieces(
         reader: of the log.
         robot_name: or None for the log's own.
         learnt: observers and bounds.
-        out: folder for the estimate, or None.
+        out: file for the trajectory, or None.
         force: whether its file may be replaced.
         settings: noise, priors and start.
         warnings: what in the log was not plausible.

@@ -3,18 +3,23 @@
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
 from surefoot.sim.common.toml import Positive, read_typed, typed
 from surefoot.sim.effects import Effect, effect
 from surefoot.sim.effects.carry import carried, scale_of
 from surefoot.sim.gait.options import GaitOptions
+from surefoot.sim.ground.terrain import Strip
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario
 from surefoot.sim.sensors.streams import Sensors
 
 SHEET = 0.2
-"""Friction below which a patch is a slippery sheet."""
+"""Friction coefficient below which a patch counts as a slippery sheet."""
+LEVEL_UP_TO = 0.1
+"""Rise over run up to which ground counts as level."""
 BUNDLED = bundled("surefoot.scenarios.experiments", "suites") / "as_walked.toml"
 
 
@@ -33,32 +38,32 @@ class Size:
 
 @dataclass(frozen=True)
 class AsWalked:
-    """What was measured on the walk of `robot`.
+    """What was measured on a walk of `robot`.
 
-    period: of its stride there [s]; source: of gait and sensors; gait: options, without dimension
-    but for the noise of the estimate; on_steps, on_sheets: names of `GaitOptions` and what they are
-    instead on courses with steps, or with slippery sheets, where nothing was measured; sensors:
-    names of `sim.sensors.streams.Sensors` and what they are.
+    period: of its stride [s]; source: where gait and sensors are from; gait: its options, all but
+    the noise of the estimate without dimension; on_slopes, on_sheets: options that replace those on
+    courses with slopes or steps, or with slippery sheets, where nothing was measured; sensors:
+    fields of `sim.sensors.streams.Sensors` that replace a scenario's; size: the measured effects.
     """
 
     robot: str
     period: Positive
     source: str
     gait: GaitOptions = field(default_factory=GaitOptions)
-    on_steps: dict[str, float] = field(default_factory=dict)
+    on_slopes: dict[str, float] = field(default_factory=dict)
     on_sheets: dict[str, float] = field(default_factory=dict)
     sensors: dict[str, float] = field(default_factory=dict)
     size: tuple[Size, ...] = ()
 
     def __post_init__(self):
-        for name in ("sensors", "on_steps", "on_sheets"):
+        for name in ("sensors", "on_slopes", "on_sheets"):
             try:
                 typed(getattr(self, name), Sensors if name == "sensors" else GaitOptions)
             except SurefootError as error:
                 raise SurefootError(f"{name}: {error}") from None
 
     def effects_on(self, robot: Robot) -> tuple[Effect, ...]:
-        """The measured effects as `robot` would have them."""
+        """The measured effects scaled to `robot` (`sim.effects.carry`)."""
         sizes = [effect(s.effect, s.target, s.value) for s in self.size]
         measured = Robot.load(self.robot)
         return carried(sizes, scale_of(measured, self.period), scale_of(robot))
@@ -68,14 +73,19 @@ class AsWalked:
         ground, gait = scenario.ground, self.gait
         if any(patch.mu < SHEET for patch in ground.patches):
             gait = replace(gait, **self.on_sheets)
-        if any(strip.steps for strip in ground.strips):
-            gait = replace(gait, **self.on_steps)
+        if any(_climbs(strip) for strip in ground.strips):
+            gait = replace(gait, **self.on_slopes)
         sensors = replace(scenario.sensors, **self.sensors)
         return replace(scenario, gait=gait, sensors=sensors)
 
 
+def _climbs(strip: Strip) -> bool:
+    run = np.hypot(strip.end[0] - strip.start[0], strip.end[1] - strip.start[1])
+    return strip.steps > 0 or abs(strip.heights[1] - strip.heights[0]) > LEVEL_UP_TO * run
+
+
 def load_as_walked(path: str | Path = BUNDLED) -> AsWalked:
-    """The file's robot, gait and sizes.
+    """Read a file of measured walking; the bundled one where left out.
 
     Raises SurefootError, one line with file and key, if bad.
     """

@@ -1,4 +1,4 @@
-"""The cells of an experiment's grid, one a walk, and what decides each."""
+"""The cells of an experiment's grid, one a walk, and the inputs that each depends on."""
 
 import hashlib
 import json
@@ -20,7 +20,7 @@ from surefoot.sim.scenario import Scenario
 from surefoot.sim.walking.batch import Job, known_robot
 
 Group = tuple[str, str, int]
-"""What shares observers and bounds: a robot, a condition and a seed."""
+"""Robot, condition and seed: the cells of a group share observers and bounds."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Cell:
 
     @property
     def group(self) -> Group:
-        """Of the cells with the same observers and bounds."""
+        """The cells that share observers and bounds with this one."""
         return self.robot, self.condition.name, self.seed
 
     @property
@@ -44,11 +44,11 @@ class Cell:
 
     @property
     def learnt_from(self) -> bool:
-        """Whether observers are trained on it, or bounds calibrated."""
+        """Whether observers are trained, or bounds calibrated, on this walk."""
         return self.scenario.role in ("train", "calibrate")
 
     def title(self, experiment: Experiment) -> str:
-        """The sequence's name, and whatever else the experiment has more than one of."""
+        """The sequence's name, with robot and condition where the experiment has several."""
         parts = [self.scenario.name]
         if len(experiment.robots_of(self.scenario)) > 1:
             parts.append(self.robot)
@@ -69,10 +69,10 @@ def cells_of(experiment: Experiment) -> list[Cell]:
 
 
 def cell_inputs(experiment: Experiment, cell: Cell) -> dict[str, Any]:
-    """What decides a cell's row beside the code of estimating, known before anything is made.
+    """A digest of the inputs of a cell's row, known before anything is made.
 
-    That is its walk, those that its observers and bounds are learnt from, how they are learnt, and
-    the filters; as a digest.
+    They are the walk, the walks that its observers and bounds are learnt from, how these are learnt
+    and the filters. The code that estimates is not among them: rows are kept by it as well.
     """
     mine = [other for other in cells_of(experiment) if other.group == cell.group]
     learnings = experiment.learnings

@@ -56,11 +56,12 @@ class Learning:
 
 @dataclass(frozen=True)
 class Condition:
-    """What the walks are made under besides their scenario, unknown to the filters.
+    """How robots deviate from their model on all walks of a grid, beyond what the scenarios say.
 
-    effects: of every robot; imperfections: drawn by each seed, which stands for one robot.
-    sensors: names of `sim.sensors.streams.Sensors` and what they are instead of the scenario's.
-    walked: what was measured of a robot's walk, carried to each robot by a rule.
+    effects: of every robot, which the filters know only where `declared`; imperfections: drawn anew
+    for each seed, which stands for one robot; sensors: (name, value) of fields of
+    `sim.sensors.streams.Sensors` that replace the scenario's; walked: gait, sensors and effects
+    measured on a robot's walk, scaled to each robot (`sim.effects.carry`).
     """
 
     name: str
@@ -72,7 +73,7 @@ class Condition:
     walked: AsWalked | None = field(default=None, hash=False)
 
     def effects_of(self, seed: int, robot: Robot) -> tuple[Effect, ...]:
-        """All that robot number `seed` of its kind has."""
+        """The effects of robot number `seed` of its kind: given, drawn and measured."""
         drawn = [one for part in self.imperfections for one in part.drawn(seed, robot.limbs)]
         walked = self.walked.effects_on(robot) if self.walked else ()
         return (*self.effects, *drawn, *walked)
@@ -80,8 +81,10 @@ class Condition:
 
 @dataclass(frozen=True)
 class Further:
-    """Other inputs of the observers and other methods of calibration, each with each, beside those
-    of `Learning`; at the first gamma."""
+    """Further observer inputs and calibration methods, at the first gamma alone.
+
+    All combinations of them and those of `Learning` are run.
+    """
 
     inputs: tuple[str, ...] = ()
     methods: tuple[str, ...] = ()
@@ -106,10 +109,12 @@ class Sweep:
 
 @dataclass(frozen=True)
 class Experiment:
-    """A grid, and what to learn from it. The first of `gammas` is the one that tables show first.
+    """A grid of scenarios, robots, conditions and seeds, and the filters that run on it.
 
-    scenarios carry their roles: observers learn from those to train on, bounds from the one to
-    calibrate with, and averages are over those to test on. robots None: each scenario's own.
+    scenarios: each has a role: observers are trained on the walks of "train", bounds calibrated on
+    that of "calibrate", averages taken over those of "test". robots: None for each scenario's own.
+    gammas: joint levels of the bounds, of which the tables show the first. published: the table of
+    the paper's figures to print beside. further, sweep: see these classes.
     """
 
     title: str
@@ -149,15 +154,17 @@ class Experiment:
 
     @property
     def learnings(self) -> tuple[Learning, ...]:
-        """That of the tables first, then the further ones."""
+        """`learning`, which the main tables show, first; then its combinations with `further`."""
         inputs = dict.fromkeys((self.learning.inputs, *self.further.inputs))
         methods = dict.fromkeys((self.learning.method, *self.further.methods))
         return tuple(replace(self.learning, inputs=i, method=m) for i in inputs for m in methods)
 
     def filters_of(self, learning: Learning) -> tuple[str, ...]:
-        """All filters for the first learning, for a further one those to which it makes a
-        difference: with other inputs what reads the observers, with another method what takes
-        the bounds of velocities."""
+        """The filters to run with a learning: all with the first, else those that it can change.
+
+        Other inputs change every filter that uses observers; another method of calibration only
+        those that use bounds on velocities.
+        """
         if learning == self.learning:
             return self.filters
         known = {name: estimator_named(name) for name in self.filters}
@@ -184,7 +191,7 @@ class Experiment:
 
 
 def walk_seed(scenario: Scenario, seed: int) -> int:
-    """Another seed a sequence: the same robot, switched on anew, on ground laid anew."""
+    """A seed for each sequence, so that noise and ground differ from walk to walk of one robot."""
     return crc32(f"{scenario.name}/{seed}".encode())
 
 

@@ -12,8 +12,8 @@ from surefoot.scenarios.experiments.file import Condition, Experiment
 from surefoot.scenarios.experiments.tables import SHARE
 from surefoot.scenarios.reporting.palette import estimator_label
 
-DIVERGED = 5.0  # % of the path
-HIGHEST = "APE_trans [m]"
+DIVERGED = 5.0  # % of the path, from which a filter counts as lost on a sequence
+RANKED_BY = "APE_trans [m]"
 
 
 def findings(rows: pd.DataFrame, experiment: Experiment) -> list[tuple[str, str]]:
@@ -40,7 +40,7 @@ def _condition(rows: pd.DataFrame, condition: Condition) -> list[str]:
     test = ranked[ranked["role"] == "test"]
     if test.empty:
         return paragraphs
-    means = test.groupby("filter")[HIGHEST].mean().sort_values()
+    means = test.groupby("filter")[RANKED_BY].mean().sort_values()
     order = ", ".join(f"{estimator_label(str(n))} {v:.3f} m" for n, v in means.items())
     paragraphs.append(f"Position error averaged over the test sequences, lowest first: {order}.")
     paragraphs += [_divergence(ranked), _consistency(test)]
@@ -83,7 +83,7 @@ def _consistency(test: pd.DataFrame) -> str:
 
 def _losses(rows: pd.DataFrame, ours: str, condition: Condition) -> list[str]:
     """On which sequences another proprioceptive filter errs less, by how much, and why."""
-    means = rows.groupby(["sequence", "filter"], sort=False)[HIGHEST].mean().unstack()
+    means = rows.groupby(["sequence", "filter"], sort=False)[RANKED_BY].mean().unstack()
     ahead = {}
     for sequence, values in means.iterrows():
         best = values.idxmin()

@@ -1,4 +1,4 @@
-"""How robots as built differ from their drawing: each instance draws its own, once and for all."""
+"""How built robots deviate from their model: each robot (a seed) draws its own, fixed effects."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,11 +16,11 @@ LAWS = ("normal", "uniform", "fixed")
 
 @dataclass(frozen=True)
 class Imperfection:
-    """One effect on some targets, each drawn for itself.
+    """One kind of effect, its value drawn independently for each target.
 
     law: "normal" (standard deviation `size`), "uniform" (within +-`size`) or "fixed" (`size`), in
-    the effect's unit. targets: None for every single target that the robot has. source: where the
-    size comes from.
+    the effect's unit; targets: None for each single joint, leg or axis that the robot has; source:
+    where the size comes from.
     """
 
     effect: str
@@ -30,8 +30,10 @@ class Imperfection:
     source: str
 
     def drawn(self, instance: int, limbs: Limbs) -> list[Effect]:
-        """The effects of this kind that robot number `instance`, which has these limbs, has: the
-        same at every call."""
+        """The effects of this kind on robot number `instance`, with limbs `limbs`.
+
+        The same at every call, and independent of what other imperfections draw.
+        """
         # A stream of its own: one imperfection more does not change the others.
         rng = np.random.default_rng([instance, crc32(self.effect.encode())])
         shares = {"normal": rng.standard_normal, "uniform": lambda n: rng.uniform(-1.0, 1.0, n)}

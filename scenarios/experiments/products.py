@@ -1,4 +1,7 @@
-"""What an experiment is made of: walks, observers, bounds and estimates, each found or made."""
+"""The products of an experiment: walks, observers, bounds and estimates, each found or made.
+
+A product is kept under a digest of its inputs and of the code that makes it (`scenarios.cache`).
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -50,7 +53,7 @@ class LearntFiles:
 
 
 def make_walk(folder: Path, job: Job) -> Product:
-    """The log of a walk; of one that fell, a file that says so."""
+    """The log of a walk; where the robot fell, a text file that says so."""
 
     def make(path: Path) -> dict[str, Any]:
         walked = walk_job(job)
@@ -68,7 +71,7 @@ def make_walk(folder: Path, job: Job) -> Product:
 
 
 def job_inputs(job: Job) -> dict[str, Any]:
-    """What decides a walk beside the code of walking."""
+    """The inputs of a walk beside the code of the simulation."""
     return {
         "recipe": recipe(job),
         "effects": [e.as_dict() for e in job.effects],
@@ -78,9 +81,10 @@ def job_inputs(job: Job) -> dict[str, Any]:
 
 
 def walk_inputs(walk: Product) -> list[str]:
-    """What decides a walk as a model of its robot sees it, which its declared effects are part of.
+    """The inputs that a walk is to later products.
 
-    The digests of its log, of the code of the effects and of the robot.
+    They are digests of its log, of the code of its declared effects, which the model compensates,
+    and of the robot.
     """
     known = known_effects()
     effects = code_digest(*(known[name] for name in walk.facts["declared"]))
@@ -88,7 +92,7 @@ def walk_inputs(walk: Product) -> list[str]:
 
 
 def filter_inputs(name: str, robot: Robot) -> dict[str, Any]:
-    """What decides a filter's estimate beside the log: its code, and what it is tuned to."""
+    """The inputs of a filter's estimate beside the log: its code, parameters and IMU mounting."""
     entry = tuned(robot)
     parameters = entry.of(estimator_named(name))
     return {"code": estimator_code(name), "parameters": parameters, "mounting": entry.mounting}
@@ -131,7 +135,7 @@ def make_observer(
 
 
 def learning_choices(learning: Learning) -> dict[str, Any]:
-    """What decides an observer beside its logs, a network of a user's own with its sources."""
+    """The inputs of an observer beside its logs; a network of the user's own with its sources."""
     return {
         "inputs": learning.inputs,
         "steps": learning.steps,
@@ -164,12 +168,12 @@ def make_bounds(
 
 
 def method_inputs(method: str) -> list[str]:
-    """What decides a method of calibration."""
+    """The inputs of bounds beside observer, log and level: the method's name and code."""
     return [method, code_digest(CALIBRATORS[method])]
 
 
 def read_walk(walk: Product, name: str) -> Log:
-    """A walk's log under its scenario's name, with the effects that it declares undone."""
+    """A walk's log, named `name`, with the effects that it declares compensated."""
     log = replace(Log.read(walk.path), name=name)
     return declared_model(log, known_robot(walk.facts["robot"]))[0]
 

@@ -143,7 +143,10 @@ def report_sections(
     main = shown_first(rows, found)
     shown = _narrow(averages(main))
     pages = [Section("Averages over the test sequences", _setting(found, rows), shown)]
-    pages += [Section(f"Findings: {name}", text) for name, text in findings(main, found)]
+    pages += [
+        Section(f"Findings: {name}", "\n\n".join(filter(None, (text, falls(outcome, name)))))
+        for name, text in findings(main, found)
+    ]
     learnt = by_learning(rows, found)
     if len(learnt):
         pages.append(Section("What observers read, and how bounds are calibrated", LEARNT, learnt))
@@ -168,6 +171,22 @@ def report_sections(
         pages.append(Section(f"Every sequence: {condition.name}", text, per_sequence(part)))
     pages.append(Section("How to read the tables", "", _glossary(main, outcome)))
     return pages
+
+
+def falls(outcome: Outcome, condition: str) -> str:
+    """On which walks under a condition the robot fell, in words; nothing where it fell on none."""
+    seeds: dict[str, list[str]] = {}
+    for cell, result in outcome.cells.items():
+        if cell.condition.name == condition and result.walk["falls"]:
+            role = f", to {cell.scenario.role} with" if cell.learnt_from else ""
+            seeds.setdefault(cell.scenario.name + role, []).append(str(cell.seed))
+    if not seeds:
+        return ""
+    walks = "; ".join(f"{name} (seed {', '.join(own)})" for name, own in seeds.items())
+    return (
+        f"The robot fell, so that there is nothing to estimate or to learn from: {walks}. What "
+        "learns from such a walk has no row under that seed."
+    )
 
 
 def _narrow(table: pd.DataFrame) -> pd.DataFrame:

@@ -1,8 +1,9 @@
-"""Runs an experiment: walks, observers, bounds and estimates, each made once and then found again.
+"""Run an experiment: walks, observers, bounds and estimates, each made once and then reused.
 
-Every piece is a product in a folder that outlives the run: a run that was killed goes on where it
-stopped, and one whose file changed makes only what the change decides. What the tables show of a
-cell is a small row, which can be kept apart, for another sitting on another machine.
+Every product lies in a folder that outlives the run: a run that was killed goes on where it
+stopped, and after a change to the file only what depends on the change is made again. What the
+tables show of a cell is a small row, which can be kept apart from the products (`data`), so that
+the experiment can go on elsewhere without them.
 """
 
 from concurrent.futures import ProcessPoolExecutor
@@ -27,15 +28,16 @@ from surefoot.scenarios.experiments.products import (
 from surefoot.scenarios.stages import processes, stage
 
 Learnings = dict[Learning, LearntFiles]
-"""What a group of cells has learnt, in each way."""
+"""Observers and bounds of a group of cells, by how they were learnt."""
 
 
 @dataclass(frozen=True)
 class Estimated:
     """A filter's estimate of a walk.
 
-    gamma, method: of the bounds, None where it uses none; inputs: of the observers, likewise;
-    facts: `surefoot.scenarios.estimate.facts`; errors: name of the file of its errors over time.
+    gamma, method: of the bounds, None where it uses none; inputs: of the observers, None where it
+    uses none; facts: metrics, from `surefoot.scenarios.estimate.facts`; errors: name of the file
+    with its errors over time.
     """
 
     filter: str
@@ -50,7 +52,7 @@ class Estimated:
 class CellResult:
     """What the tables show of a cell.
 
-    walk: facts of the walk; left_out: filter -> why.
+    walk: facts of the walk; left_out: filter -> why it could not run.
     """
 
     walk: dict[str, Any]
@@ -60,8 +62,11 @@ class CellResult:
 
 @dataclass(frozen=True)
 class Outcome:
-    """All that an experiment made; errors over time lie in `errors`, but for those of rows that
-    another sitting made."""
+    """The results of an experiment.
+
+    cells: in the grid's order; errors: folder of the errors over time, which lacks those of cells
+    whose rows came from `data`; recordings: by title.
+    """
 
     cells: dict[Cell, CellResult]
     errors: Path
@@ -70,7 +75,18 @@ class Outcome:
     @property
     def left_out(self) -> dict[str, str]:
         """Filter -> why it was left out on a walk."""
-        return {k: v for one in self.cells.values() for k, v in (one.left_out or {}).items()}
+        fell = {
+            cell.group: f"{cell.condition.name}: the walk to {cell.scenario.role} with fell"
+            for cell, one in self.cells.items()
+            if cell.learnt_from and one.walk["falls"]
+        }
+        reasons: dict[str, dict[str, None]] = {}
+        for cell, one in self.cells.items():
+            for name, why in (one.left_out or {}).items():
+                learns = estimator_named(name.partition(",")[0]).needs.learnt
+                why = fell.get(cell.group, why) if learns else why
+                reasons.setdefault(name, {})[why] = None
+        return {name: "; ".join(why) for name, why in reasons.items()}
 
 
 def run(
@@ -87,7 +103,8 @@ def run(
         folder: of the products.
         workers: processes at once; each stage shows its own bar.
         recordings: also one of each sequence under each condition, of the first seed.
-        data: folder of finished rows, for which nothing is made; kept nowhere where left out.
+        data: folder of finished rows: cells found there are not run, others are added to it. None:
+            rows are not kept.
     """
     found: dict[Cell, CellResult] = {}
     recorded: dict[str, Product] = {}
@@ -99,8 +116,9 @@ def run(
             record = recordings and seed == experiment.seeds[0]
             wanted = [cell for cell in mine if record or cell not in kept]
             groups = {cell.group for cell in wanted}
-            more = [c for c in mine if c.learnt_from and c.group in groups and c not in wanted]
-            tasks = {cell: (make_walk, folder, cell.job) for cell in wanted + more}
+            # Walks that the wanted cells' observers and bounds are learnt from.
+            further = [c for c in mine if c.learnt_from and c.group in groups and c not in wanted]
+            tasks = {cell: (make_walk, folder, cell.job) for cell in wanted + further}
             walks = stage(pool, f"seed {seed}: walks", tasks)
             learnt = _learn(pool, experiment, folder, walks)
             made = {
@@ -116,11 +134,11 @@ def run(
 
 
 def _kept(experiment: Experiment, cells: list[Cell], data: Path) -> dict[Cell, CellResult]:
-    """The cells that another sitting finished, by the same code from the same inputs."""
+    """The cells whose rows are in `data`, made by the same code from the same inputs."""
     found = {}
     for cell in cells:
-        case = _case_name(experiment, cell), cell_inputs(experiment, cell), ESTIMATION
-        row = read_case(data, *case)
+        name, inputs = _case_name(experiment, cell), cell_inputs(experiment, cell)
+        row = read_case(data, name, inputs, ESTIMATION)
         if row is not None:
             found[cell] = _from_row(row)
     return found
@@ -141,7 +159,7 @@ def _learn(
     folder: Path,
     walks: dict[Cell, Product],
 ) -> dict[Group, Learnings]:
-    """Observers and bounds of every group, as far as it has walks to learn from."""
+    """Observers and bounds of every group that has walks to learn from."""
     by_role: dict[str, dict[Group, list[tuple[str, Product]]]] = {"train": {}, "calibrate": {}}
     for cell, walk in walks.items():
         if cell.learnt_from and not walk.facts["falls"]:
@@ -165,9 +183,13 @@ def _learn(
         f"{label}: bounds",
         {
             (group, one, gamma, loss): (
-                *(_bounds, one == experiment.learning),
-                *(folder, observers[group, one.inputs, loss], held_out[group][0]),
-                *(gamma, one.method),
+                _bounds,
+                one == experiment.learning,
+                folder,
+                observers[group, one.inputs, loss],
+                held_out[group][0],
+                gamma,
+                one.method,
             )
             for group in by_role["train"]
             if group in held_out
@@ -190,7 +212,7 @@ def _learn(
 
 
 def _bounds(required: bool, *arguments: Any) -> Product | None:
-    """`make_bounds`; None where the walk is too short for a method that need not be."""
+    """`make_bounds`; where the walk is too short, None unless the bounds are required."""
     try:
         return make_bounds(*arguments)
     except BoundsError:
@@ -207,7 +229,7 @@ def _result(
     learnt: Learnings,
     data: Path | None,
 ) -> CellResult:
-    """Every filter on a walk, with everything learnt.
+    """Every filter on a walk, with everything that was learnt; kept as a row of `data`.
 
     Args:
         experiment: filters and levels.
@@ -223,21 +245,21 @@ def _result(
 
     if data is None:
         return _from_row(make())
-    case = _case_name(experiment, cell), cell_inputs(experiment, cell), ESTIMATION
-    return _from_row(finished_case(data, *case, make))
+    name, inputs = _case_name(experiment, cell), cell_inputs(experiment, cell)
+    return _from_row(finished_case(data, name, inputs, ESTIMATION, make))
 
 
 def _estimates(
     experiment: Experiment, folder: Path, cell: Cell, walk: Product, learnt: Learnings
 ) -> CellResult:
-    """The same, made or found in `folder`; a walk that fell has none.
+    """Every filter on a walk, made or found in `folder`; a walk that fell has no estimates.
 
     Args:
-        experiment: names filters and levels.
-        folder: of what is kept.
-        cell: scenario, robot and seed.
+        experiment: filters and levels.
+        folder: of the products.
+        cell: of the walk.
         walk: its log.
-        learnt: observers and bounds by how they were learnt.
+        learnt: files of observers and bounds.
     """
     if walk.facts["falls"]:
         return CellResult(walk.facts)
@@ -284,6 +306,13 @@ def _record(
     for cell, walk in walks.items():
         if not walk.facts["falls"]:
             files = learnt[cell.group][experiment.learning]
-            what = (cell.job, files, experiment.filters, experiment.gammas[0])
-            tasks[cell.title(experiment)] = (make_recording, folder, walk, *what)
+            tasks[cell.title(experiment)] = (
+                make_recording,
+                folder,
+                walk,
+                cell.job,
+                files,
+                experiment.filters,
+                experiment.gammas[0],
+            )
     return stage(pool, "recordings", tasks)

@@ -19,8 +19,8 @@ from surefoot.sim.common.toml import read_toml
 
 PUBLISHED = SUITES_FOLDER / "published.toml"
 TABLE_METRICS = {**METRICS, "step [us]": "step_us"}
-LOST = "lost walks"
 """Columns of the tables and the facts of an estimate that they show."""
+LOST = "lost walks"
 SHARE = "APE [% of path]"
 HELD = "coverage [%]"
 SHOWN_COLUMNS = [name for name in MEANINGS if name in TABLE_METRICS or name == HELD]
@@ -71,14 +71,14 @@ def tidy(outcome: Outcome) -> pd.DataFrame:
 
 
 def shown_first(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
-    """The rows of the first gamma, inputs and method; of filters that use none, all."""
+    """The rows of the first gamma, inputs and method, and those of filters that use none."""
     first = {"gamma": experiment.gammas[0]}
     first |= {name: getattr(experiment.learning, name) for name in ("inputs", "method")}
     return _of(rows[rows["filter"].notna()], first)
 
 
 def _of(rows: pd.DataFrame, values: Mapping[str, object]) -> pd.DataFrame:
-    """The rows that have these values, or none."""
+    """The rows whose columns have these values or are empty."""
     mine = [rows[name].isna() | (rows[name] == value) for name, value in values.items()]
     return pd.DataFrame(rows[np.logical_and.reduce(mine)])
 
@@ -136,8 +136,10 @@ def sweep(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
 
 
 def by_learning(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
-    """Averages over test sequences of all filters that learn, by what their observers read and how
-    their bounds are calibrated, at the first gamma; empty where there is one way alone."""
+    """Averages over test sequences by observer inputs and calibration method, at the first gamma.
+
+    Of the filters that use observers; empty where the experiment has one learning only.
+    """
     if len(experiment.learnings) == 1:
         return pd.DataFrame()
     learnt = rows[(rows["role"] == "test") & rows["inputs"].notna()]
@@ -190,7 +192,7 @@ def _rounded(value: float, scale: float) -> str:
 
 
 def _lost(part: pd.DataFrame) -> str | None:
-    """On how many of these walks the filter is not to be trusted; None where on none."""
+    """On how many of these walks the filter was lost, as text; None where on none."""
     lost = int(part[LOST_FROM].notna().sum())
     return f"{lost} of {len(part)}" if lost else None
 

@@ -1,12 +1,12 @@
 """Figures of one walk: where it went, how high, how fast, and how wrong each estimator was."""
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from surefoot.models.observer.predict import Prediction
 from surefoot.scenarios.estimate.error_series import ErrorSeries
 from surefoot.scenarios.reporting.palette import (
     BOUNDS,
@@ -22,6 +22,9 @@ from surefoot.scenarios.reporting.palette import (
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
 from surefoot.sim.ground.terrain import HeightField
 from surefoot.sim.log import Log, reference_velocity
+
+if TYPE_CHECKING:
+    from surefoot.models.observer.predict import Prediction
 
 _HILLS = "#A9A08C"  # of contour lines, as of the ground in recordings
 NAMED_AXES = (("x", "forward"), ("y", "left"), ("z", "up"))
@@ -103,7 +106,7 @@ def height_figure(
 
 def velocity_figure(
     log: Log,
-    prediction: Prediction,
+    prediction: "Prediction",
     epsilon: np.ndarray | None = None,
     window: tuple[float, float] | None = None,
     title: str = "Body velocity: truth, observer and its bounds",

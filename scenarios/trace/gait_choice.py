@@ -1,5 +1,7 @@
-"""How the simulated robot walks: the plainest gait, or one that was measured on a real robot,
-whichever a realism card finds more like the log. No filter has a say in it."""
+"""The gait of simulated walks: the controller's plain one, or one measured on a real robot.
+
+The realism card decides, by which walks are more like the log; no filter's error enters.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -16,8 +18,11 @@ from surefoot.sim.robot import Robot
 
 @dataclass(frozen=True)
 class GaitChoice:
-    """walked: whether it is the measured gait; words: why; rows: of its realism card, none where
-    the log does not allow one."""
+    """A choice between the two gaits.
+
+    walked: whether the measured gait was chosen; words: why; rows: of the chosen gait's realism
+    card, empty where the log is not enough for a card.
+    """
 
     walked: bool
     words: str
@@ -35,14 +40,16 @@ def choose_gait(
     seed: int,
     progress: Callable[[float], None] = lambda share: None,
 ) -> GaitChoice:
-    """The gait with more rows `like` the log's, those `unlike` it counted off.
+    """Choose the gait whose realism card has more rows `like` than `unlike` the log's.
+
+    The score is the number of `like` less that of `unlike`; a tie goes to the plain gait.
 
     Args:
         log: the measured log.
         robot: as declared.
         effects: that the simulated robot has.
         seed: of the walks.
-        progress: called with the share done.
+        progress: called with the share done, 0 to 1.
     """
     gaits = {"the plain gait": None, "the gait as walked": replace(load_as_walked(), size=())}
     try:

@@ -1,11 +1,12 @@
-"""The loop closed: trace a measured log, put what it lacks into the simulation, retrain,
-estimate the same log again, and compare.
+"""Close the loop: trace a measured log, simulate with what was found, train anew, estimate again.
 
-Worlds are simulated: `before` as the model was declared, `effects` with what was found, and `after`
-in the gait too that is more like the measured one; where that is the plain one there is no
-`effects`. In each a robot walks in the style of the measured log (`sim.walking.imitation`), an
-observer is trained and calibrated on those walks alone, and every filter estimates the measured log
-with that world's model and that world's observer.
+Up to three worlds are simulated. In `before` the robot is as declared. In `effects` it also has the
+effects that the trace found. In `after` it also walks in the measured gait; where the plain gait is
+more like the log, `after` has the effects alone and there is no `effects`.
+
+In each world the robot walks in the style of the measured log (`sim.walking.imitation`), observers
+are trained and calibrated on those walks alone, and every filter estimates the measured log with
+that world's model and observers.
 """
 
 import json
@@ -25,7 +26,7 @@ from surefoot.scenarios.experiments.as_walked import load_as_walked
 from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.scenarios.studies.pages import check_page
 from surefoot.scenarios.trace.gait_choice import GaitChoice, choose_gait
-from surefoot.scenarios.trace.loop_report import Side, write_loop
+from surefoot.scenarios.trace.loop_report import LoopWorld, write_loop
 from surefoot.scenarios.trace.observer_errors import (
     ErrorParts,
     error_parts,
@@ -64,12 +65,13 @@ def loop(
     declared: Sequence[Effect] | None = None,
     holdout: Sequence[Log] = (),
     page: Path | None = None,
-) -> tuple[pd.DataFrame, tuple[Side, ...]]:
+) -> tuple[pd.DataFrame, tuple[LoopWorld, ...]]:
     """Close the loop on one log into `out`; a run that was killed goes on where it stopped.
 
-    Returns the table, one row a filter with each metric in each world, and the worlds (one where
-    nothing was found to add). Raises LogError where the log lacks IMU, joints or reference,
-    and SurefootError where `out` holds another loop's files and `force` is not given.
+    Returns the table, one row a filter with each metric in each world, and the worlds: `before`
+    alone where nothing was found and the plain gait is the better one. Raises LogError where the
+    log lacks IMU, joints or reference, and SurefootError where `out` holds another loop's files and
+    `force` is not given.
 
     Args:
         log: the measured log.
@@ -78,16 +80,16 @@ def loop(
         seed: of trace, walks and training.
         force: whether the files of another loop may be replaced.
         plan: how much to walk and train.
-        declared: effects that belong to the model, beyond those that the log declares; what is
-            traced is then what has changed since.
-        holdout: logs of the same machine that judge what was found.
+        declared: effects that belong to the model, beyond those that the log declares; the trace
+            then asks what has changed since (see `trace`).
+        holdout: logs of the same machine that no fit sees, on which what was found is judged.
         page: page of results (Markdown) to write as well.
     """
     check_seed(seed)
     log.require("imu", "q", "reference")
     if page:
         check_page(page)
-    shown = walking_style(*declared_model(log, robot))
+    style = walking_style(*declared_model(log, robot))
     recipe = {
         "log": contents_digest(log),
         "robot": [robot.name, robot.digest],
@@ -110,29 +112,30 @@ def loop(
         ):
             (out / stale).unlink(missing_ok=True)
     model = (*declared_effects(log), *(declared or ()))
-    known = model or declared
-    found = _traced(log, robot, out / "trace", seed, known, holdout)
+    found = _traced(log, robot, out / "trace", seed, model or declared, holdout)
     choice = _gait(log, robot, (*model, *found), out / "gait.json", seed)
-    worlds: dict[str, tuple[tuple[Effect, ...], GaitOptions]] = {"before": (model, PLAIN_GAIT)}
+    planned: dict[str, tuple[tuple[Effect, ...], GaitOptions]] = {"before": (model, PLAIN_GAIT)}
     if found and choice.walked:
-        worlds["effects"] = (*model, *found), PLAIN_GAIT
+        planned["effects"] = (*model, *found), PLAIN_GAIT
     if found or choice.walked:
-        worlds["after"] = (*model, *found), choice.gait
-    sides = []
-    for name, (effects, gait) in worlds.items():
-        learnt, simulated = _learnt(shown, log, robot, effects, gait, out / name, seed, plan)
-        compared = compare_log(*_modelled(log, robot, effects), learnt)
-        sides.append(Side(name, effects, learnt, compared, simulated))
-    last = sides[-1].comparison
+        planned["after"] = (*model, *found), choice.gait
+    worlds = []
+    for name, (effects, gait) in planned.items():
+        learnt, simulated = _learnt(style, log, robot, effects, gait, out / name, seed, plan)
+        comparison = compare_log(*_compensated(log, robot, effects), learnt)
+        worlds.append(LoopWorld(name, effects, learnt, comparison, simulated))
+    last = worlds[-1].comparison
     assert last.robot is not None
-    taught = _from_measured(last.log, last.robot, out / "measured.json", seed, plan)
-    return write_loop(log, robot, sides, out, choice, taught, page), tuple(sides)
+    trained_on_measured = _from_measured(last.log, last.robot, out / "measured.json", seed, plan)
+    table = write_loop(log, robot, worlds, out, choice, trained_on_measured, page)
+    return table, tuple(worlds)
 
 
 def inputs_of(log: Log) -> str:
-    """What an observer of this log reads: feet by the declared legs, and torques where it has them.
+    """Inputs of an observer for this log: feet by leg odometry, and torques where it has them.
 
-    Legs of the declared model carry over to the robot what a network learns in simulation alone.
+    Leg odometry by the declared model transfers from simulation to the robot better than joint
+    angles do.
     """
     return "tau,feet" if log.has("tau") else "feet"
 
@@ -145,20 +148,28 @@ def _traced(
     declared: Sequence[Effect] | None,
     holdout: Sequence[Log],
 ) -> tuple[Effect, ...]:
-    """The effects found on the log, and its own zeros, traced unless a trace is there.
+    """The effects found on the log, and its own zeros and clocks; traced unless that was done.
 
     Args:
         log: the measured log.
         robot: as declared.
-        out: folder.
+        out: folder of the trace.
         seed: of the trace.
-        declared: effects already in the model, None where what is asked is not a change.
-        holdout: logs that judge what was found.
+        declared: effects already in the model (see `trace`).
+        holdout: logs that no fit sees.
     """
     if not (out / "trace.json").exists():
-        more = {"declared": declared, "holdout": holdout}
         with percent_bar("trace") as progress:
-            found = trace([log], robot, out, seed, progress, force=True, **more)
+            found = trace(
+                [log],
+                robot,
+                out,
+                seed,
+                progress,
+                force=True,
+                declared=declared,
+                holdout=holdout,
+            )
         print(summary(found))
         if warned := caution(found.as_dict()):
             print(warned)
@@ -169,7 +180,7 @@ def _traced(
 
 
 def _gait(log: Log, robot: Robot, effects: Sequence[Effect], kept: Path, seed: int) -> GaitChoice:
-    """The gait of the simulated walks, chosen unless that was done.
+    """The gait of the simulated walks; chosen unless that was done.
 
     Args:
         log: the measured log.
@@ -185,15 +196,19 @@ def _gait(log: Log, robot: Robot, effects: Sequence[Effect], kept: Path, seed: i
     return GaitChoice(**json.loads(kept.read_text(encoding="utf-8")))
 
 
-def _modelled(log: Log, robot: Robot, effects: Sequence[Effect]) -> tuple[Log, Robot]:
-    """The measured log and the robot, the effects compensated, with joint rates to read."""
-    told = replace(log, meta=replace(log.meta, effects=tuple(e.as_dict() for e in effects)))
-    known, model = declared_model(told, robot)
-    return rates_as_of(replace(known, meta=replace(known.meta, effects=())), log), model
+def _compensated(log: Log, robot: Robot, effects: Sequence[Effect]) -> tuple[Log, Robot]:
+    """The measured log and the robot with the effects compensated, and with joint rates.
+
+    The log declares no effects any more, so that nothing compensates them twice.
+    """
+    declaring = replace(log, meta=replace(log.meta, effects=tuple(e.as_dict() for e in effects)))
+    compensated, model = declared_model(declaring, robot)
+    compensated = replace(compensated, meta=replace(compensated.meta, effects=()))
+    return rates_as_of(compensated, log), model
 
 
 def _learnt(
-    shown: WalkingStyle,
+    style: WalkingStyle,
     log: Log,
     robot: Robot,
     effects: Sequence[Effect],
@@ -202,25 +217,28 @@ def _learnt(
     seed: int,
     plan: TrainingPlan,
 ) -> tuple[Learnt, ErrorParts]:
-    """Observers and bounds by the model with the effects, trained unless they are there, and what
-    the errors on the walk to calibrate on are made of.
+    """Observers and bounds from walks of a robot with the effects; trained unless that was done.
+
+    Beside them, the parts of the observer's errors on the simulated walk of the calibration.
 
     Args:
-        shown: style of the measured walk.
-        log: whose inputs the observer has.
+        style: of the measured walk.
+        log: the measured log, whose columns decide what the observers read.
         robot: as declared.
-        effects: added to the model.
+        effects: that the simulated robot has.
         gait: of the walks.
-        out: folder.
+        out: folder of this world.
         seed: of walks and training.
         plan: how much to walk and train.
     """
     done = out / "done"
     if not done.exists():
         with percent_bar(f"walking: {out.name}") as progress:
-            walks = simulate_training(shown, robot, effects, seed, plan, gait, progress)
-        training = [rates_as_of(one, log) for one in walks[0]]
-        calibration = rates_as_of(walks[1], log)
+            training, calibration = simulate_training(
+                style, robot, effects, seed, plan, gait, progress
+            )
+        training = [rates_as_of(one, log) for one in training]
+        calibration = rates_as_of(calibration, log)
         learnt = learn(
             training, calibration, out, seed, inputs_of(log), force=True, schedule=plan.schedule
         )
@@ -233,21 +251,21 @@ def _learnt(
 def _from_measured(
     log: Log, robot: Robot, kept: Path, seed: int, plan: TrainingPlan
 ) -> list[float] | str:
-    """Errors (3,) [m/s] of observers of halves of the measured walk, or why there are none.
+    """RMS errors (3,) [m/s] of observers trained on the measured walk, or why there are none.
 
     Args:
-        log: the measured log, what was found compensated.
-        robot: the same.
+        log: the measured log with the effects compensated.
+        robot: with the effects compensated.
         kept: file of the result.
         seed: of the training.
         plan: how much to train.
     """
     if not kept.exists():
         try:
-            left = learnt_from_measured(log, robot, inputs_of(log), seed, plan.schedule)
+            result = learnt_from_measured(log, robot, inputs_of(log), seed, plan.schedule)
         except ObserverError as error:
-            left = str(error)
-        _write(kept, left)
+            result = str(error)
+        _write(kept, result)
     return json.loads(kept.read_text(encoding="utf-8"))
 
 

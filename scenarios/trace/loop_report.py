@@ -1,5 +1,4 @@
-"""The loop as files: one table of all worlds, a report that says where errors come from, a page
-and a recording."""
+"""The files that `surefoot loop` writes: tables, a report, a page of results and a recording."""
 
 import json
 from collections.abc import Sequence
@@ -48,9 +47,13 @@ LOOP_METRICS = {
 
 
 @dataclass(frozen=True)
-class Side:
-    """One of the worlds: its model's effects, what was learnt in it, the estimates, and what the
-    observer's errors on the simulated walk are made of."""
+class LoopWorld:
+    """One simulated world of the loop, and the measured log estimated with what was learnt in it.
+
+    name: "before", "effects" or "after"; effects: of the robot in it; learnt: observers and bounds
+    from its walks; comparison: every filter on the measured log; simulated: parts of the observer's
+    errors on a simulated walk that it was not trained on.
+    """
 
     name: str
     effects: tuple[Effect, ...]
@@ -60,18 +63,17 @@ class Side:
 
     @property
     def measured(self) -> ErrorParts:
-        """The same of its errors on the measured walk."""
-        seen = self.comparison
-        return error_parts(self.learnt.observers[0], seen.log, seen.robot)
+        """Parts of the observer's errors on the measured walk."""
+        return error_parts(self.learnt.observers[0], self.comparison.log, self.comparison.robot)
 
 
 def write_loop(
     log: Log,
     robot: Robot,
-    sides: Sequence[Side],
+    worlds: Sequence[LoopWorld],
     out: Path,
     gait: GaitChoice,
-    taught: list[float] | str,
+    trained_on_measured: list[float] | str,
     page: Path | None = None,
 ) -> pd.DataFrame:
     """Write table.md, table.csv, loop.json, report.html and loop.rrd; returns the table.
@@ -79,36 +81,36 @@ def write_loop(
     Args:
         log: the measured log.
         robot: as declared.
-        sides: the worlds.
+        worlds: `before` first.
         out: folder.
         gait: of the last world's walks, and why.
-        taught: errors (3,) [m/s] of observers of the measured walk itself, or why there are none.
+        trained_on_measured: RMS errors (3,) [m/s] of observers trained on the measured walk itself,
+            or why there are none.
         page: page of results to write as well.
     """
-    table = pd.DataFrame(_rows(sides))
+    table = pd.DataFrame(_rows(worlds))
     for name, text in (("table.md", to_markdown(table) + "\n"), ("table.csv", to_csv(table))):
         with whole_file(out / name, True) as path:
             path.write_text(text, encoding="utf-8")
     found = json.loads((out / "trace" / "trace.json").read_text(encoding="utf-8"))
-    measured = {side.name: side.measured for side in sides}
+    measured = {world.name: world.measured for world in worlds}
     summary = {
         "trace": found,
         "gait": gait.words,
-        "taught": taught,
-        "sides": {s.name: _summary(s, measured[s.name]) for s in sides},
+        "taught": trained_on_measured,
+        "sides": {s.name: _summary(s, measured[s.name]) for s in worlds},
     }
     with whole_file(out / "loop.json", True) as path:
         path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-    shown = _trajectories(sides)
-    last = sides[-1].comparison
-    seen = (last.prediction, last.bounds)
-    write_recording(out / "loop.rrd", log, robot, shown, *seen, force=True)
+    drawn = _trajectories(worlds)
+    last = worlds[-1].comparison
+    write_recording(out / "loop.rrd", log, robot, drawn, last.prediction, last.bounds, force=True)
     sections = [
-        Section("Before and after", _prose(found, sides), table),
-        *_of_observers(sides, measured, taught),
+        Section("Before and after", _prose(found, worlds), table),
+        *_of_observers(worlds, measured, trained_on_measured),
         Section("How the simulated robot walks", gait.words, gait.rows or None),
         *_of_trace(found),
-        *_pictures(log, sides, shown),
+        *_pictures(log, worlds, drawn),
     ]
     write_report(out / "report.html", LOOP_TITLE, sections, True)
     if page:
@@ -117,9 +119,11 @@ def write_loop(
 
 
 def _of_observers(
-    sides: Sequence[Side], measured: dict[str, ErrorParts], taught: list[float] | str
+    worlds: Sequence[LoopWorld],
+    measured: dict[str, ErrorParts],
+    trained_on_measured: list[float] | str,
 ) -> list[Section]:
-    """How the observers err in simulation and on the measured walk, and what their bounds hold."""
+    """The observers' errors in simulation and on the measured walk, and their bounds' coverage."""
     words = (
         "Root mean square [m/s] of the mse observer's errors while the robot moves, forward, "
         "lateral, vertical; half the width of its bounds; the share of errors within them. "
@@ -127,23 +131,27 @@ def _of_observers(
         "second, which they have not seen."
     )
     rows: list[dict[str, Any]] = []
-    for side in sides:
-        row: dict[str, Any] = {"walks": side.name}
-        row["simulated [m/s]"] = _three(side.simulated.rms["moving"])
-        row["measured [m/s]"] = _three(measured[side.name].rms["moving"])
-        rows.append(row | _bounds_row(side))
-    if isinstance(taught, str):
-        words += f"\n\nNo observer was trained on the measured walk: {taught}."
+    for world in worlds:
+        row: dict[str, Any] = {"walks": world.name}
+        row["simulated [m/s]"] = _three(world.simulated.rms["moving"])
+        row["measured [m/s]"] = _three(measured[world.name].rms["moving"])
+        rows.append(row | _bounds_row(world))
+    if isinstance(trained_on_measured, str):
+        words += f"\n\nNo observer was trained on the measured walk: {trained_on_measured}."
     else:
         rows.append(
-            {"walks": "the other half of the measured walk", "measured [m/s]": _three(taught)}
+            {
+                "walks": "the other half of the measured walk",
+                "measured [m/s]": _three(trained_on_measured),
+            }
         )
         words += (
             "\n\nThe last row is an observer that has seen the robot: trained on one half of the "
-            "measured walk, judged on the other, each in turn. What an observer of simulated walks "
-            "errs by beyond it, simulation lacks; the rest no walk as short as this one teaches."
+            "measured walk, judged on the other, each in turn. Where observers trained in "
+            "simulation err by more, the simulation lacks something; the rest cannot be learnt "
+            "from a walk as short as this one."
         )
-    last = sides[-1]
+    last = worlds[-1]
     parts = (
         f"Errors of the mse observer, {last.name}, root mean square [m/s]. Those while the robot "
         "moves are the sum of the parts below: "
@@ -158,10 +166,10 @@ def _of_observers(
     ]
 
 
-def _bounds_row(side: Side) -> dict[str, Any]:
-    """What an observer's bounds hold, as calibrated and recalibrated on the measured walk."""
-    observer, bounds = side.learnt.observers[0], side.learnt.bounds[0]
-    log, robot = side.comparison.log, side.comparison.robot
+def _bounds_row(world: LoopWorld) -> dict[str, Any]:
+    """Bounds and their coverage of the measured walk, as calibrated and after recalibration."""
+    observer, bounds = world.learnt.observers[0], world.learnt.bounds[0]
+    log, robot = world.comparison.log, world.comparison.robot
     assert robot is not None
     row: dict[str, Any] = {
         "bounds [m/s]": _three(bounds.epsilon),
@@ -205,18 +213,18 @@ def _channel_rows(channels: dict[str, Any]) -> list[dict[str, Any]]:
     ]
 
 
-def _rows(sides: Sequence[Side]) -> list[dict[str, Any]]:
-    filters = dict.fromkeys(r.filter for side in sides for r in side.comparison.results)
+def _rows(worlds: Sequence[LoopWorld]) -> list[dict[str, Any]]:
+    filters = dict.fromkeys(r.filter for world in worlds for r in world.comparison.results)
     rows = []
     for name in filters:
         row: dict[str, Any] = {"filter": name}
         for key, heading in LOOP_METRICS.items():
-            for side in sides:
-                metrics = _metrics(side.comparison, name)
-                row[f"{heading} {side.name}"] = getattr(metrics, key) if metrics else None
-        for side in sides:
-            held = side.comparison.held.get(name)
-            row[f"coverage [%] {side.name}"] = 100 * held.joint if held else None
+            for world in worlds:
+                metrics = _metrics(world.comparison, name)
+                row[f"{heading} {world.name}"] = getattr(metrics, key) if metrics else None
+        for world in worlds:
+            held = world.comparison.held.get(name)
+            row[f"coverage [%] {world.name}"] = 100 * held.joint if held else None
         rows.append(row)
     return rows
 
@@ -225,32 +233,32 @@ def _metrics(comparison: Comparison, name: str):
     return next((r.metrics for r in comparison.results if r.filter == name), None)
 
 
-def _summary(side: Side, measured: ErrorParts) -> dict[str, Any]:
+def _summary(world: LoopWorld, measured: ErrorParts) -> dict[str, Any]:
     filters = {
         r.filter: {key: float(getattr(r.metrics, key)) for key in LOOP_METRICS}
-        for r in side.comparison.results
+        for r in world.comparison.results
         if r.metrics is not None
     }
     return {
-        "effects": [e.as_dict() for e in side.effects],
-        "observer_errors": {"simulated": side.simulated.rms, "measured": measured.rms},
-        "coverage": {name: held.joint for name, held in side.comparison.held.items()},
+        "effects": [e.as_dict() for e in world.effects],
+        "observer_errors": {"simulated": world.simulated.rms, "measured": measured.rms},
+        "coverage": {name: held.joint for name, held in world.comparison.held.items()},
         "filters": filters,
     }
 
 
-def _trajectories(sides: Sequence[Side]) -> dict[str, Trajectory]:
+def _trajectories(worlds: Sequence[LoopWorld]) -> dict[str, Trajectory]:
     """Estimates of the first world and of the last, for the pictures."""
-    ends = {sides[0].name: sides[0], sides[-1].name: sides[-1]}
+    ends = {worlds[0].name: worlds[0], worlds[-1].name: worlds[-1]}
     return {
-        f"{r.filter} {side.name}": r.trajectory
-        for side in ends.values()
-        for r in side.comparison.results
+        f"{r.filter} {world.name}": r.trajectory
+        for world in ends.values()
+        for r in world.comparison.results
         if (own := traits(r.filter)).drawn and not own.variant
     }
 
 
-def _prose(found: dict[str, Any], sides: Sequence[Side]) -> str:
+def _prose(found: dict[str, Any], worlds: Sequence[LoopWorld]) -> str:
     form = "{name} of {target}, {value:.4g} {unit}"
     zeros = [one for run in found["runs"] for one in run if one["compensated"]]
     added = [form.format(**effect) for effect in (*found["effects"], *zeros)]
@@ -263,23 +271,23 @@ def _prose(found: dict[str, Any], sides: Sequence[Side]) -> str:
         "the measured one; the coverage column is the share of the measured errors within the "
         "bounds, and the level asked for holds only as far as the simulation is like the robot."
     )
-    for side in sides:
-        for name, why in side.comparison.left_out.items():
-            text += f"\n\n{side.name}: {name} was left out ({why})."
+    for world in worlds:
+        for name, why in world.comparison.left_out.items():
+            text += f"\n\n{world.name}: {name} was left out ({why})."
     return text
 
 
-def _pictures(log: Log, sides: Sequence[Side], shown: dict[str, Trajectory]) -> list[Section]:
+def _pictures(log: Log, worlds: Sequence[LoopWorld], drawn: dict[str, Trajectory]) -> list[Section]:
     truth = reference(log)
-    errors = {name: error_series(truth, t, 20.0) for name, t in shown.items()}
+    errors = {name: error_series(truth, t, 20.0) for name, t in drawn.items()}
     paths = (
         Picture(trajectories(log, errors), "The walk from above, aligned at the start."),
         Picture(height_figure(log, errors), "Height over time: nothing on board sees it."),
     )
     sections = [Section("Where each estimate went", pictures=paths)]
-    for side in sides:
-        seen, bounds = side.comparison.prediction, side.comparison.bounds
-        robot = side.comparison.robot
+    for world in worlds:
+        seen, bounds = world.comparison.prediction, world.comparison.bounds
+        robot = world.comparison.robot
         if seen is None or bounds is None or robot is None:
             continue
         epsilon = bounds.epsilon_at(robot.R_BI)
@@ -287,5 +295,5 @@ def _pictures(log: Log, sides: Sequence[Side], shown: dict[str, Trajectory]) -> 
             velocity_figure(log, seen, epsilon),
             "Body velocity: the observer's prediction, its bounds, and the reference.",
         )
-        sections.append(Section(f"The observer, {side.name}", pictures=(picture,)))
+        sections.append(Section(f"The observer, {world.name}", pictures=(picture,)))
     return sections

@@ -1,4 +1,7 @@
-"""What the errors of an observer on a measured walk are made of, beside those in simulation."""
+"""Split an observer's velocity errors into parts: a constant, with the motion, slow, fast, ...
+
+The loop prints the parts on a measured walk beside those in simulation.
+"""
 
 from dataclasses import dataclass
 
@@ -17,31 +20,34 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.walking.imitation import moving
 
 _SLOW, _FAST = 1.0, 0.2
-"""s, of the running means whose output is the slow part, and what they leave the fast one: two
+"""s, lengths of the running means that give the slow part and the part from stride to stride: two
 strides of a trot, and less than half of one."""
 STRIDE_BINS = 5 * len(QUARTERS)
-"""Bins of a stride."""
+"""Bins of a stride's phase."""
 _STANDING = "standing"
 ERROR_PARTS = {
     "constant": "the mean",
-    "with the motion": "what goes with velocity and turn rate, by least squares",
+    "with the motion": "linear in velocity and turn rate, by least squares",
     "slow": f"a running mean over {_SLOW:g} s of what is left then",
-    "with the stride": "what is left then and repeats with the stride, by phase",
+    "with the stride": "of what is left then, the mean by phase of the stride",
     "from stride to stride": f"a running mean over {_FAST:g} s of what is left then",
     "fast": "the rest",
 }
-"""Parts of the errors while the robot moves, each of what those before it leave."""
+"""Parts of the errors while the robot moves, each taken of what those before it leave over."""
 
 
 @dataclass(frozen=True)
 class ErrorParts:
-    """Root mean squares (3,) [m/s] of errors: `all`, while it stands, while it moves, and of the
-    ERROR_PARTS of the latter."""
+    """Root mean squares (3,) [m/s] of an observer's errors, forward, lateral and vertical.
+
+    rms: of "all" errors, of those while the robot is "standing" and "moving", and of the
+    ERROR_PARTS of the last.
+    """
 
     rms: dict[str, list[float]]
 
     def table(self, other: "ErrorParts") -> list[dict[str, object]]:
-        """Rows of both, this one simulated, the other measured."""
+        """A row a part: these errors as the simulated ones, `other` as the measured ones."""
         rows = []
         for name, simulated in self.rms.items():
             row: dict[str, object] = {"part": name}
@@ -52,8 +58,10 @@ class ErrorParts:
         return rows
 
     def excess(self, measured: "ErrorParts") -> dict[str, float]:
-        """Shares of ERROR_PARTS, the largest first, in the squares that measured errors have beyond
-        these, all axes together; a part that is no larger has none."""
+        """Share of each of ERROR_PARTS in the excess of the measured squared errors over these.
+
+        All axes together, largest share first; a part that is not larger when measured has 0.
+        """
         beyond = {
             name: max(0.0, float(np.sum(np.square(measured.rms[name]) - np.square(self.rms[name]))))
             for name in ERROR_PARTS
@@ -66,7 +74,7 @@ class ErrorParts:
 def error_parts(observer: Observer, log: Log, robot: Robot | None = None) -> ErrorParts:
     """Parts of an observer's errors on a log, in the frame of its IMU.
 
-    robot is the log's (Robot.for_log where left out).
+    robot: the model of the log's robot; Robot.for_log where left out.
     """
     rows, errors = prediction_errors(observer, log, robot)
     moves = moving(log)[rows]
@@ -81,13 +89,13 @@ def error_parts(observer: Observer, log: Log, robot: Robot | None = None) -> Err
 def split_errors(
     errors: np.ndarray, motion: np.ndarray, phase: np.ndarray | None, moves: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """ERROR_PARTS (K, 3) of errors (M, 3) at 100 Hz, at the K rows that move; they add up to them.
+    """ERROR_PARTS, each (K, 3) [m/s], at the K rows in which the robot moves; sum: `errors`.
 
     Args:
-        errors: of the velocity [m/s].
-        motion: regressors (M, R).
-        phase: of the stride (M,), 0 to 1, NaN outside; None of a log without contacts.
-        moves: rows (M,) to split.
+        errors: of the velocity (M, 3) [m/s], at 100 Hz.
+        motion: regressors (M, R): velocity and turn rate.
+        phase: of the stride (M,), 0 to 1, NaN outside strides; None for a log without contacts.
+        moves: (M,) bool, whether the robot moves.
     """
     left, parts = errors[moves], {}
     parts["constant"] = np.broadcast_to(left.mean(axis=0), left.shape)
@@ -116,51 +124,54 @@ def split_errors(
 def recalibrated(
     observer: Observer, bounds: Bounds, log: Log, robot: Robot
 ) -> tuple[np.ndarray, float]:
-    """Bounds (3,) [m/s] from the first half of a measured log, and the share of the errors of its
-    second half that they hold. Errors are taken as far apart as in the simulated calibration.
+    """Bounds (3,) [m/s] from the first half of a measured log, and their coverage of the second.
 
-    Raises BoundsError where half of the log is too short.
+    The coverage is the share of samples with all three errors within the bounds. Method, level and
+    spacing K of the errors are those of `bounds`. Raises BoundsError where half of the log is too
+    short.
     """
     half = len(log.t) // 2
-    seen = log.rows(slice(0, half))
-    again = calibrate(observer, seen, bounds.gamma, bounds.method, robot, bounds.K)
+    first = log.rows(slice(0, half))
+    new = calibrate(observer, first, bounds.gamma, bounds.method, robot, bounds.K)
     rows, errors = prediction_errors(observer, log, robot)
-    inside = np.abs(errors[rows >= half]) <= again.epsilon
-    return again.epsilon, float(inside.all(axis=1).mean())
+    inside = np.abs(errors[rows >= half]) <= new.epsilon
+    return new.epsilon, float(inside.all(axis=1).mean())
 
 
 def learnt_from_measured(
     log: Log, robot: Robot, inputs: str, seed: int, schedule: Schedule
 ) -> list[float]:
-    """Errors (3,) [m/s], root mean square while the robot moves, of observers each trained on one
-    half of the measured log, on the other half: about what so much of a real walk can teach.
+    """Cross-validated RMS errors (3,) [m/s] of observers trained on the measured walk itself.
+
+    One observer is trained on each half of the log and judged on the other, while the robot moves:
+    about the accuracy that this much real walking can teach.
 
     Args:
         log: the measured log.
         robot: as declared.
-        inputs: of the observers.
+        inputs: of the observers, such as "tau,feet".
         seed: of their training.
-        schedule: of it.
+        schedule: of their training.
 
     Raises ObserverError where half of the log is too short.
     """
     half = len(log.t) // 2
     halves = log.rows(slice(0, half)), log.rows(slice(half, None))
-    left = []
-    for own, other in (halves, halves[::-1]):
-        observer = train(own, robot, inputs, "mse", seed, schedule=schedule)
-        rows, errors = prediction_errors(observer, other, robot)
-        left.append(errors[moving(other)[rows]])
-    return root_mean_square(np.concatenate(left))
+    found = []
+    for training, validation in (halves, halves[::-1]):
+        observer = train(training, robot, inputs, "mse", seed, schedule=schedule)
+        rows, errors = prediction_errors(observer, validation, robot)
+        found.append(errors[moving(validation)[rows]])
+    return root_mean_square(np.concatenate(found))
 
 
 def root_mean_square(errors: np.ndarray) -> list[float]:
-    """Root mean square (3,) of errors (N, 3); zero of none."""
+    """Root mean square (3,) over rows of errors (N, 3); zero where there are none."""
     return np.sqrt((errors**2).sum(axis=0) / max(len(errors), 1)).tolist()
 
 
 def _running_mean(values: np.ndarray, span: float) -> np.ndarray:
-    """Means (N, 3) over `span` [s] about each row; over what there is of it at the ends."""
+    """Centred running mean (N, 3) over `span` [s] at 100 Hz; over fewer rows near the ends."""
     n = round(span * RATE)
     weight = np.ones(n)
     count = np.convolve(np.ones(len(values)), weight, "same")

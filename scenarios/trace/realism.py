@@ -1,4 +1,4 @@
-"""The realism of simulated walks: a measured log beside walks of its robot in its manner."""
+"""Realism of simulated walks: a measured log compared with simulated walks in the same style."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -16,7 +16,7 @@ from surefoot.scenarios.reporting.html import Section
 from surefoot.scenarios.studies.pages import origin_of, write_page, write_results
 from surefoot.scenarios.trace.realism_drift import FILTER, drift_table
 from surefoot.scenarios.trace.realism_figures import pictures
-from surefoot.scenarios.trace.training_walks import bodily, world_of
+from surefoot.scenarios.trace.training_walks import beyond_simulated, simulated_robot
 from surefoot.scenarios.trace.walk_comparison import WalkComparison
 from surefoot.sim.common.errors import SurefootError, check_seed
 from surefoot.sim.common.files import refuse_overwrite, whole_file, whole_folder
@@ -30,9 +30,9 @@ from surefoot.sim.walk import Fallen, walk
 from surefoot.sim.walking.imitation import replica, slower, style_of, walking_style
 
 WALKS_EACH = 3
-"""Simulated walks, each with a seed of its own."""
+"""Simulated walks in a comparison, each with a seed of its own."""
 REALISM_PACES = (1.0, 0.9, 0.8, 0.7)
-"""Shares of the measured velocities that are tried until the robot does not fall."""
+"""Factors on the measured velocities, tried in turn until no simulated robot falls."""
 _MODULE = "surefoot.scenarios.trace.realism"
 TITLE = "Realism: a measured walk beside simulated ones in its manner"
 REALISM_FILES = ("realism.json", "realism.csv", "drift.csv", "table.md", "report.html")
@@ -58,19 +58,20 @@ def realism(
 ) -> tuple[WalkComparison, ...]:
     """Compare and write realism.json, realism.csv, drift.csv, table.md and report.html into `out`.
 
-    The simulated robot as drawn comes first; where effects or `walked` are given, with them second.
+    Compared are walks of the robot as drawn and, where effects or `walked` are given, of the robot
+    with these.
 
     Args:
-        log: measured, or simulated: IMU, angles, contacts and reference are needed.
+        log: the measured log, with IMU, joint angles, contacts and reference.
         robot: as declared.
         out: folder.
         effects: that the simulated robot has; those of `walked` where left out.
-        walked: gait, sensors and effects that were measured of a robot's walk.
-        walker: another robot that walks in simulation; what was measured is carried to it.
+        walked: gait, sensors and effects measured on a robot's walk.
+        walker: another robot to simulate; what was measured is scaled to it (`sim.effects.carry`).
         seed: of the walks and of the intervals.
         page: page of results (Markdown) to write as well.
         force: overwrite the files.
-        progress: called with the share done.
+        progress: called with the share done, 0 to 1.
 
     Raises SurefootError where the log lacks a column or has too few strides, where the simulated
     robot falls at every pace, and where a file exists and `force` is not given.
@@ -116,54 +117,56 @@ def compare_walks(
     seed: int = 0,
     progress: Callable[[float], None] = lambda share: None,
 ) -> WalkComparison:
-    """`realism` of one simulated robot, without the files.
+    """Compare a measured log with walks of one simulated robot.
 
     Args:
-        log: measured.
+        log: the measured log.
         robot: as declared.
-        words: what the simulated robot is.
+        words: name of the simulated robot in the report, such as "as drawn".
         effects: that it has; those of `walked` where left out.
-        walked: how it walks, and with what sensors; as drawn where left out.
-        walker: another robot that walks in simulation; what was measured is carried to it.
+        walked: measured gait and sensors that it walks with; the plain ones where left out.
+        walker: another robot to simulate; what was measured is scaled to it.
         seed: of the walks and of the intervals.
-        progress: called with the share done.
+        progress: called with the share done, 0 to 1.
     """
     measured = WalkView(log, robot)
-    world, style, seen, scales = world_of(robot), walking_style(log, robot), robot, None
+    style = walking_style(log, robot)
+    simulated, declared = simulated_robot(robot), robot
+    scales = None
     if walker:
         stride = float(np.median(period(measured)[0]))
         scales = scale_of(robot, stride), scale_of(walker)
-        faster = [growth(CARD_DIMENSIONS[unit], *scales) for unit in ("m/s", "rad/s")]
-        world, style = walker, style_of(style, walker, *faster)
+        speed, turn = (growth(CARD_DIMENSIONS[unit], *scales) for unit in ("m/s", "rad/s"))
+        style = style_of(style, walker, speed, turn)
         effects = carried(effects, *scales)
-        # Seen with feet as points where the measured robot's are declared so.
-        seen = replace(walker, foot_radius=walker.foot_radius * (robot.foot_radius.max() > 0.0))
-    scenario, poised = replica(style, world, "replica")
+        # The model that its walks are seen by has point feet where the measured robot's has.
+        has_radius = robot.foot_radius.max() > 0.0
+        simulated, declared = walker, replace(walker, foot_radius=walker.foot_radius * has_radius)
+    scenario, poised = replica(style, simulated, "replica")
     rate = min(log.rate, 1.0 / TIMESTEP)
     scenario = replace(scenario, sensors=replace(scenario.sensors, rate=rate))
-    own = bodily(effects, seen, world)
+    added = beyond_simulated(effects, declared, simulated)
     if walked:
         scenario = walked.scenario(scenario)
-        own = own or walked.effects_on(world)
-    logs, pace = _walks(scenario, poised, own, seed, progress)
-    simulated = tuple(
-        WalkView(seen_as(replace(one, name=f"{words} {k}"), log, [seed, k]), seen)
+        added = added or walked.effects_on(simulated)
+    logs, pace = _walks(scenario, poised, added, seed, progress)
+    walks = tuple(
+        WalkView(seen_as(replace(one, name=f"{words} {k}"), log, [seed, k]), declared)
         for k, one in enumerate(logs)
     )
-    card = realism_card(measured, simulated, np.random.default_rng(seed), scales)
-    return WalkComparison(words, measured, simulated, card, pace)
+    card = realism_card(measured, walks, np.random.default_rng(seed), scales)
+    return WalkComparison(words, measured, walks, card, pace)
 
 
 def seen_as(log: Log, measured: Log, seed: Sequence[int]) -> Log:
-    """A simulated log with the groups of columns of a measured one, and a reference as coarse."""
+    """A simulated log with only the optional columns that a measured log has, and with a reference
+    as coarse as its one."""
     groups = {"dq": "dq_", "tau": "tau_", "ref_v": "ref_v_", "force": "force_"}
     lacking = tuple(prefix for group, prefix in groups.items() if not measured.has(group))
-    kept = (
-        [c for c in log.frame if not str(c).startswith(lacking)] if lacking else log.frame.columns
-    )
-    seen = replace(log, frame=log.frame[list(kept)])
+    kept = [c for c in log.frame if not str(c).startswith(lacking)]
+    reduced = replace(log, frame=log.frame[kept])
     coarse = coarseness(measured)
-    return as_coarse(seen, coarse, np.random.default_rng(seed)) if coarse else seen
+    return as_coarse(reduced, coarse, np.random.default_rng(seed)) if coarse else reduced
 
 
 def _walks(
@@ -173,13 +176,13 @@ def _walks(
     seed: int,
     progress: Callable[[float], None],
 ) -> tuple[list[Log], float]:
-    """WALKS walks, all at the fastest share of the measured speeds at which none falls.
+    """WALKS_EACH walks, all at the fastest of REALISM_PACES at which none falls, and that pace.
 
     Args:
         scenario: at the measured speeds.
         robot: that walks.
-        effects: that it has.
-        seed: of the first walk.
+        effects: that it has and that the logs do not declare.
+        seed: of the first walk; the others count up from it.
         progress: called with the share of the walks done at a pace.
     """
     fallen = None
@@ -187,9 +190,9 @@ def _walks(
         logs: list[Log] = []
         try:
             for k in range(WALKS_EACH):
-                # The effects stay untold: all is seen by the declared model, as the log is.
-                shown = slower(scenario, pace)
-                logs.append(walk(shown, robot, seed + k, effects, declared=False))
+                # Undeclared: the walks are judged by the declared model, as the measured log is.
+                paced = slower(scenario, pace)
+                logs.append(walk(paced, robot, seed + k, effects, declared=False))
                 progress((k + 1) / WALKS_EACH)
             return logs, pace
         except Fallen as fall:
@@ -201,7 +204,7 @@ def _walks(
 
 
 def card_sections(found: Sequence[WalkComparison]) -> list[Section]:
-    """The report's parts."""
+    """The report: a card for each simulated robot, pictures, and the tolerances with reasons."""
     parts = []
     for one in found:
         card, log = one.card, one.measured.log
@@ -232,7 +235,7 @@ def card_sections(found: Sequence[WalkComparison]) -> list[Section]:
 
 
 def card_table(card: Card) -> list[dict[str, str | float]]:
-    """The card's rows as a reader wants them."""
+    """The card as table rows: values with their 95 % intervals, tolerance and verdict as text."""
     return [
         {
             "quantity": r.quantity,

@@ -1,7 +1,7 @@
-"""Whether a simulated robot is as hard for the leg filter as the measured one: its drift on both.
+"""Drift of the leg filter on measured and simulated walks: are they equally hard for it?
 
-No size of a simulated robot is chosen by it: sizes come from `trace` and from the realism card, and
-this is what they are judged by.
+The drift only judges a simulated robot. Its effects and gait are chosen by `trace` and by the
+realism card, never by this comparison.
 """
 
 from collections.abc import Sequence
@@ -17,14 +17,14 @@ from surefoot.sim.robot import Robot
 
 FILTER = "leg"
 WITHIN = 0.15
-"""Share of the measured drift by which the simulated one may differ, set before comparing any."""
+"""Share of the measured drift by which the simulated drift may differ; set beforehand."""
 
 
 @dataclass(frozen=True)
 class Drift:
-    """The filter's RPE [m/m] with one model of the feet; NaN where it diverged or is not judged."""
+    """The filter's RPE over 1 m [m/m] with one model of the feet; NaN where it diverged."""
 
-    feet: str  # what the model takes them for
+    feet: str  # whose radius the model has, and the radius
     measured: float
     simulated: tuple[float, ...]  # of each walk
 
@@ -49,8 +49,8 @@ class Drift:
 
 
 def leg_drifts(found: WalkComparison) -> tuple[Drift, ...]:
-    """Of feet as the measured log declares them and, where that is another, of the radius that the
-    robot's file gives them."""
+    """The drift with feet as the measured log declares them and, where it differs, with the foot
+    radius of the robot's file."""
     views = (found.measured, *found.simulated)
     drifts = []
     for feet in ("as declared", "as in the robot's file"):
@@ -67,7 +67,7 @@ def leg_drifts(found: WalkComparison) -> tuple[Drift, ...]:
 
 
 def with_own_feet(robot: Robot) -> Robot:
-    """The robot with feet of the radius that its file gives them."""
+    """The robot with the foot radius of its file."""
     return replace(robot, foot_radius=Robot.load(robot.file).foot_radius)
 
 

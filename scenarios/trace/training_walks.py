@@ -1,4 +1,4 @@
-"""Walks to train and calibrate observers on: in simulation, in the style of a measured walk."""
+"""Simulated walks in the style of a measured one, to train and calibrate observers on."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ from surefoot.sim.walk import Fallen, walk
 from surefoot.sim.walking.imitation import WalkingStyle, imitation, slower
 
 PACES = (1.0, 0.8, 0.6, 0.4)
-"""Shares of the measured velocities that are tried until the robot does not fall."""
+"""Factors on the measured velocities, tried in turn until the simulated robot does not fall."""
 
 
 @dataclass(frozen=True)
@@ -35,27 +35,30 @@ class TrainingPlan:
 DEFAULT_PLAN = TrainingPlan()
 
 
-def world_of(robot: Robot) -> Robot:
-    """The robot that walks in simulation: the file's own body, with the declared IMU mounting."""
+def simulated_robot(robot: Robot) -> Robot:
+    """The robot that walks in simulation: body and feet of its file, IMU mounted as declared."""
     return replace(Robot.load(robot.file), name=robot.name, p_BI=robot.p_BI, R_BI=robot.R_BI)
 
 
-def bodily(effects: Sequence[Effect], robot: Robot, world: Robot) -> tuple[Effect, ...]:
-    """The effects as amounts beyond the simulated robot, whose feet have their file's radius.
+def beyond_simulated(
+    effects: Sequence[Effect], robot: Robot, simulated: Robot
+) -> tuple[Effect, ...]:
+    """Effects found with the declared `robot`, as amounts beyond what `simulated` already has.
 
-    A declared model may have feet as points; what was found then is their whole radius.
+    Only `foot_rolling` differs: a declared model may have point feet, so that the size found is the
+    whole radius, of which the simulated feet have their file's.
     """
-    missing = float(np.mean(robot.foot_radius - world.foot_radius))
-    if abs(missing) < 1e-9:
+    difference = float(np.mean(robot.foot_radius - simulated.foot_radius))
+    if abs(difference) < 1e-9:
         return tuple(effects)
     return tuple(
-        effect(e.name, e.target, e.value + missing) if e.name == "foot_rolling" else e
+        effect(e.name, e.target, e.value + difference) if e.name == "foot_rolling" else e
         for e in effects
     )
 
 
 def simulate_training(
-    shown: WalkingStyle,
+    style: WalkingStyle,
     robot: Robot,
     effects: Sequence[Effect],
     seed: int,
@@ -63,32 +66,36 @@ def simulate_training(
     gait: GaitOptions = PLAIN_GAIT,
     progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[list[Log], Log]:
-    """Logs to train on and one to calibrate on, by the model with the effects.
+    """Logs to train on, and one to calibrate on, of a robot that has the effects.
+
+    In the logs the effects are compensated, as they are for the filters afterwards.
 
     Args:
-        shown: style of the measured walk.
+        style: of the measured walk.
         robot: as declared.
-        effects: added to the model.
+        effects: that the simulated robot has.
         seed: of the walks.
         plan: how many walks and how long.
         gait: how the robot walks.
-        progress: called with the share done.
+        progress: called with the share done, 0 to 1.
     """
-    world = world_of(robot)
-    added = bodily(effects, robot, world)
+    simulated = simulated_robot(robot)
+    added = beyond_simulated(effects, robot, simulated)
     logs = []
     for k, seconds in enumerate([*[plan.seconds] * plan.walks, plan.calibration]):
         rng = np.random.default_rng([seed, k])
-        scenario, poised = imitation(shown, world, f"imitation_{k}", seconds, rng)
+        scenario, poised = imitation(style, simulated, f"imitation_{k}", seconds, rng)
         walked = _walk(replace(scenario, gait=gait), poised, seed + k, added)
-        logs.append(_modelled(replace(walked, name=scenario.name), world))
+        logs.append(_compensated(replace(walked, name=scenario.name), simulated))
         progress((k + 1) / (plan.walks + 1))
     return logs[:-1], logs[-1]
 
 
 def rates_as_of(log: Log, measured: Log) -> Log:
-    """A log with the joint rates that a filter has of the measured one: where that lacks them, they
-    are derived, causally, from the angles."""
+    """A simulated log with joint rates of the same origin as the measured log's.
+
+    Where that logs none, a filter derives them from past angles; they are derived so here too.
+    """
     if measured.has("dq"):
         return log
     kept = log.frame[[c for c in log.frame if not str(c).startswith("dq_")]]
@@ -98,20 +105,20 @@ def rates_as_of(log: Log, measured: Log) -> Log:
     return replace(log, frame=kept.assign(**columns), meta=meta)
 
 
-def _modelled(walked: Log, world: Robot) -> Log:
-    """A simulated log with its effects compensated, that says how the IMU is then mounted and what
-    the feet roll at: an observer keeps the mounting that it learnt with."""
-    log, model = declared_model(walked, world)
-    told = {
+def _compensated(walked: Log, simulated: Robot) -> Log:
+    """A simulated log with its effects compensated. Its metadata names the IMU's mounting and the
+    feet's radius after that: an observer stores the mounting that it was trained with."""
+    log, model = declared_model(walked, simulated)
+    corrected = {
         "p_BI": model.p_BI.tolist(),
         "q_BI": quaternion_from_matrix(model.R_BI).tolist(),
         "foot_radius": model.foot_radius.tolist(),
     }
-    return replace(log, meta=replace(log.meta, model=log.meta.model | told))
+    return replace(log, meta=replace(log.meta, model=log.meta.model | corrected))
 
 
 def _walk(scenario: Scenario, robot: Robot, seed: int, effects: Sequence[Effect]) -> Log:
-    """At the measured pace, or at the fastest share of it at which the robot does not fall."""
+    """The walk at the fastest of PACES at which the robot does not fall."""
     fallen = None
     for pace in PACES:
         try:

@@ -8,9 +8,10 @@ from surefoot.models.realism.walk_view import WalkView
 
 @dataclass(frozen=True)
 class WalkComparison:
-    """A measured walk, simulated ones and the card of the two.
+    """A measured walk, simulated walks in its manner, and the realism card that compares them.
 
-    pace: share of the measured speed at which the simulated robot walks; words: what it was.
+    words: which simulated robot it is, such as "as drawn"; pace: the share of the measured speed at
+    which it walks.
     """
 
     words: str

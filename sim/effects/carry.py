@@ -1,10 +1,10 @@
-"""Sizes of effects that were measured on one robot, carried to another: the rule, set beforehand.
+"""Scale the sizes of effects measured on one robot to another robot, by a rule set beforehand.
 
-What a leg's elasticity does is a share of the leg, whatever the robot weighs: a joint gives by the
-same angle under the robot's own weight at its own leg's length, a foot by the same share of the
-leg, and both take the same share of a stride. So every size is scaled by its dimension, in units of
-the robot's weight, its leg length and its stride period; what feet roll on, by the foot's radius.
-Angles and ratios, and what belongs to a sensor (biases, densities), stay as they are.
+Robots are taken to be dynamically similar: under its own weight a joint gives by the same angle and
+a foot by the same share of the leg's length, and both take the same share of a stride. So every
+size is scaled by its dimension, in units of the robot's weight, leg length and stride period, and
+the rolling radius of feet by the foot's radius. Angles, ratios and errors of sensors (biases, noise
+densities) stay as they are.
 """
 
 from collections.abc import Sequence
@@ -32,15 +32,15 @@ DIMENSIONS = {
     "rad/s": (0, 0, 0),
     "m/s^2": (0, 0, 0),
 }
-"""Unit of an effect -> powers of weight, leg length and stride period that its size grows by. Rates
-and accelerations are those of an IMU's errors, which are no matter of the robot's size."""
+"""Unit of an effect -> powers of weight, leg length and stride period that its size scales with.
+Rates and accelerations are errors of an IMU, which do not depend on the robot's size."""
 ON_FEET = ("foot_rolling",)
 """Effects whose lengths are the foot's and not the leg's."""
 
 
 @dataclass(frozen=True)
 class BodyScale:
-    """What the sizes of a robot's effects are measured by."""
+    """The scales of a robot by which the sizes of its effects are made dimensionless."""
 
     weight: float  # N
     leg_length: float  # m
@@ -59,8 +59,10 @@ def scale_of(robot: Robot, period: float | None = None) -> BodyScale:
 
 
 def growth(dimension: tuple[int, int, int], measured: BodyScale, to: BodyScale) -> float:
-    """Factor by which a size grows from one robot to another, of these powers of weight, leg length
-    and stride period."""
+    """Factor from a size on one robot to that on another.
+
+    dimension: powers of weight, leg length and stride period that the size scales with.
+    """
     weight, length, time = dimension
     factor = (to.weight / measured.weight) ** weight
     factor *= (to.leg_length / measured.leg_length) ** length
@@ -68,8 +70,10 @@ def growth(dimension: tuple[int, int, int], measured: BodyScale, to: BodyScale) 
 
 
 def carried(effects: Sequence[Effect], measured: BodyScale, to: BodyScale) -> tuple[Effect, ...]:
-    """The effects of a robot of scale `measured` as one of scale `to` would have them, cut at the
-    bounds of each. Raises SurefootError for a unit that the rule does not know."""
+    """Effects measured on a robot of scale `measured`, scaled to one of scale `to`.
+
+    Sizes are clipped to each effect's bounds. Raises SurefootError for a unit without a rule.
+    """
     found = []
     for one in effects:
         if one.unit not in DIMENSIONS:

@@ -18,7 +18,7 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.importing.bag import RECEIVED, bag_fields, read_bag
 from surefoot.sim.importing.columns import DEGREE, STANDARD_GRAVITY, UNITS, kind_of
 from surefoot.sim.importing.layout import layout_of
-from surefoot.sim.importing.names import Named, by_their_legs, read_name
+from surefoot.sim.importing.names import Named, by_their_legs, read_name, words_of
 from surefoot.sim.importing.recording import is_bag, is_text, read_table
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.table import columns_of
@@ -42,8 +42,6 @@ _MOST_JOINTS, _SMALL = 100, 4096
 """Names that a list of joints has at most, and bytes of a text with such a list."""
 _OTHER_SIDE_FIRST = ("FR", "FL", "RR", "RL")
 """The order of legs in which Unitree and MIT count them."""
-_BY_SIZE = "rad/s or deg/s?"
-"""The doubt of a gyro whose unit its size alone says."""
 _FEW = 8
 """Columns of a file of which nothing is used that are named."""
 _STRIDES = 1.0
@@ -137,8 +135,13 @@ class Draft:
 
 @dataclass(frozen=True)
 class _File:
+    """A file, or the part of one that has a clock of its own. columns: (N,) on one clock, those of
+    a bag interpolated to it; recorded: as they are in the file."""
+
     path: Path
+    label: str
     columns: dict[str, np.ndarray]
+    recorded: dict[str, np.ndarray]
     names: dict[str, Named]
     lists: dict[str, tuple[str, ...]]
     layout: dict[str, Any]
@@ -157,7 +160,7 @@ def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
     if not paths:
         raise SurefootError(f"{files[0]}: no .csv, .json or .mat in this folder")
     machine = load_machine(robot) if robot else None
-    read = [one for one in (_read(path, machine) for path in paths) if one is not None]
+    read = [one for path in paths for one in _read(path, machine)]
     if not read:
         raise SurefootError(f"{paths[0]}: no columns of numbers in it")
     main = max(read, key=_richness)
@@ -170,7 +173,7 @@ def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
     for one in others:
         if one in poses or one.t is None:
             continue
-        label = one.path.stem.replace(" ", "_").replace(".", "_")
+        label = one.label
         there = {entry.name for entry in entries}
         added = [e for e in _Columns(one, machine, label).entries if e.name not in there]
         added = [e for e in added if e.name != "t"]
@@ -178,11 +181,14 @@ def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
             sources[label] = (one.path, one.t)
             entries += [replace(e, theirs=f"{label}:{e.theirs}") for e in added]
     for one in others:
-        if one not in poses and one.path not in [path for path, _ in sources.values()]:
+        if one not in poses and one.label not in sources:
             columns = ", ".join([*one.columns][:_FEW])
-            notes.append(f"nothing of {one.path.name} is used: what are its columns {columns}?")
+            what = one.path.name if one.path != main.path else f"{one.label} in {one.path.name}"
+            notes.append(f"nothing of {what} is used: what are its columns {columns}?")
     entries, dropped = _complete(entries)
     notes += [*found.notes, *dropped]
+    if not any(one.name != "t" for one in entries):
+        notes.append("no name says what a column is: which of those not used below is what?")
     at = poses[0] if poses else main
     reference = _reference(at)
     if reference and at is not main:
@@ -190,7 +196,7 @@ def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
     used = {entry.theirs for entry in (*entries, *reference)}
     contact = _threshold(main, entries)
     return Draft(
-        files=(main.path, *(one.path for one in others)),
+        files=tuple(dict.fromkeys((main.path, *(one.path for one in others)))),
         main=tuple(entries),
         reference=reference,
         reference_file=at.path if reference else None,
@@ -222,33 +228,80 @@ def _parts(path: Path) -> list[Path]:
     return [path]
 
 
-def _read(path: Path, machine: Machine | None) -> _File | None:
-    layout, lists = {}, {}
+def _read(path: Path, machine: Machine | None) -> list[_File]:
+    """The file by its clocks: a bag on one, another file apart where its clocks differ."""
     if is_bag(path):
-        fields = bag_fields(path)
-        seen = read_bag(path, fields) if fields else {}
-        topics: dict[str, int] = {}
-        for column in seen:
-            topics[column.partition(":")[0]] = len(seen[column][1])
-        columns = {name: values for name, (_, values) in seen.items()}
-    else:
-        layout = layout_of(path) if is_text(path) else {}
-        table = read_table(path, Source(**layout))
-        columns = columns_of(table)
-        lists = {
-            name: tuple(map(str, cells))
-            for name, cells in table.cells.items()
-            if len(cells) <= _MOST_JOINTS and all(isinstance(one, str) for one in cells)
-        }
-        rows = [len(values) for values in columns.values() if len(values) > 1]
-        if not rows:
-            return None
-        most = max(set(rows), key=rows.count)
-        columns = {n: v for n, v in columns.items() if len(v) == most}
-    names = by_their_legs({name: read_name(_in_our_words(name, machine)) for name in columns})
-    t = _time(columns, names)
-    seconds = t.scale * columns[t.theirs] if t else None
-    return _File(path, columns, names, lists, layout, t, seconds)
+        return _read_bag(path, machine)
+    layout = layout_of(path) if is_text(path) else {}
+    table = read_table(path, Source(**layout))
+    columns = columns_of(table)
+    lists = {
+        name: tuple(map(str, cells))
+        for name, cells in table.cells.items()
+        if len(cells) <= _MOST_JOINTS and all(isinstance(one, str) for one in cells)
+    }
+    found = []
+    for part in _by_clock({n: v for n, v in columns.items() if len(v) > 1}):
+        names = _names(part, machine)
+        t = _time(part, names)
+        seconds = t.scale * part[t.theirs] if t else None
+        label = _label(path, part, columns)
+        found.append(_File(path, label, part, part, names, lists, layout, t, seconds))
+    return found
+
+
+def _read_bag(path: Path, machine: Machine | None) -> list[_File]:
+    fields = bag_fields(path)
+    if not fields:
+        return []
+    seen = read_bag(path, fields)
+    recorded = {name: values for name, (_, values) in seen.items()}
+    names = _names(recorded, machine)
+    # The rows are those of the IMU, or else of the most frequent topic.
+    gyro = [n for n, one in names.items() if one.kind == "gyro" and not one.reference]
+    first = gyro[0] if gyro else max(recorded, key=lambda n: len(recorded[n]))
+    topic, seconds = first.partition(":")[0], seen[first][0]
+    t = _time_of_topic(topic, recorded, names)
+    columns = {n: np.interp(seconds, *one) for n, one in seen.items()}
+    return [_File(path, _plain(path.stem), columns, recorded, names, {}, {}, t, seconds)]
+
+
+def _time_of_topic(
+    topic: str, columns: Mapping[str, np.ndarray], names: Mapping[str, Named]
+) -> Entry:
+    """The stamps in a topic's messages, or where they have none when these were received."""
+    own = {n: v for n, v in columns.items() if n.startswith(f"{topic}:") and names[n].kind == "t"}
+    return _time(own, names) or Entry("t", f"{topic}:{RECEIVED}", "s")
+
+
+def _names(columns: Mapping[str, np.ndarray], machine: Machine | None) -> dict[str, Named]:
+    return by_their_legs({name: read_name(_in_our_words(name, machine)) for name in columns})
+
+
+def _by_clock(columns: Mapping[str, np.ndarray]) -> list[dict[str, np.ndarray]]:
+    """The columns of as many rows together; of those, groups apart whose times are not the same."""
+    parts: dict[tuple[int, str], dict[str, np.ndarray]] = {}
+    for rows in dict.fromkeys(map(len, columns.values())):
+        own = {n: v for n, v in columns.items() if len(v) == rows}
+        clocks = [n for n in own if read_name(n).kind == "t" and np.all(np.diff(own[n]) > 0.0)]
+        apart = any(not np.array_equal(own[n], own[clocks[0]]) for n in clocks)
+        groups = {n.rpartition("/")[0] for n in clocks} if apart else set()
+        for name, values in own.items():
+            group = name.rpartition("/")[0]
+            parts.setdefault((rows, group if group in groups else ""), {})[name] = values
+    return list(parts.values())
+
+
+def _label(path: Path, part: Mapping[str, np.ndarray], whole: Mapping[str, np.ndarray]) -> str:
+    """A name for a part of a file: the file's, or of one in several parts that of its groups."""
+    if len(part) == len(whole):
+        return _plain(path.stem)
+    groups = dict.fromkeys(name.rpartition("/")[0] or name.partition("[")[0] for name in part)
+    return _plain("_".join(groups))
+
+
+def _plain(text: str) -> str:
+    return re.sub(r"[^A-Za-z0-9_-]+", "_", text)
 
 
 def _in_our_words(name: str, machine: Machine | None) -> str:
@@ -272,7 +325,7 @@ def _richness(one: _File) -> int:
     )
 
 
-def _time(columns: dict[str, np.ndarray], names: dict[str, Named]) -> Entry | None:
+def _time(columns: Mapping[str, np.ndarray], names: Mapping[str, Named]) -> Entry | None:
     """The column of times: named so, or else one that rises by even steps."""
     rising = [n for n, v in columns.items() if len(v) > 2 and np.all(np.diff(v) > 0.0)]
     named = [n for n in rising if names[n].kind == "t"]
@@ -320,9 +373,8 @@ class _Columns:
             for kind, names in triples.items()
         }
         if "gyro" in triples:
-            unit, doubt = _gyro_unit(self.file.seconds, values["gyro"], values.get("accel"))
             said = {self.file.names[name].unit for name in triples["gyro"]}
-            doubt = "" if doubt == _BY_SIZE and said == {unit} else doubt
+            unit, doubt = _gyro_unit(self.file.seconds, values["gyro"], values.get("accel"), said)
             for axis, name in zip("xyz", triples["gyro"], strict=True):
                 self.entries.append(Entry(f"gyro_{axis}", name, unit, doubt=doubt))
         if "accel" in triples:
@@ -370,14 +422,16 @@ class _Columns:
     def _joint(self, name: str, one: Named, found: dict[str, Named]) -> tuple[str, str]:
         legs = {n.leg for n in found.values() if n.leg}
         leg = _leg(one.leg, legs)
+        alike = [n for n in found.values() if n.kind == one.kind and n.commanded == one.commanded]
+        # A word before the numbers of a list, as of the group it is in, names no joint.
+        part = "" if len({n.place for n in alike if n.part == one.part}) > 1 else one.part
         if leg:
             places = ("hip", "thigh", "calf")
             part = one.part or ("" if one.place is None else places[one.place % 3])
             joint = f"{leg if leg in LEGS else one.written}_{part}".rstrip("_")
             return joint, "" if one.part else f"which joint of {leg} is {name}?"
-        if one.part:
-            return one.part, ""
-        alike = [n for n in found.values() if n.kind == one.kind and n.commanded == one.commanded]
+        if part:
+            return part, ""
         if one.place is None or len(alike) == 1:
             return "joint", "" if len(alike) == 1 else f"which joint is {name}?"
         # Whether they count from 0 or from 1, and by legs first or not.
@@ -588,15 +642,22 @@ def _gravity_doubt(mean: np.ndarray) -> dict[str, str]:
         return {}
     where = f"gravity reads {'+' if mean[axis] > 0 else '-'} on {'xyz'[axis]}"
     if axis == 2:
-        why = f"{where}: an IMU upside down, the sign, or gravity itself (offset = 19.62)?"
+        why = (
+            f"{where}: an IMU upside down ([robot] imu_orientation), the sign, or gravity itself"
+            " (offset = 19.62)?"
+        )
         return {"z": why, "x": why, "y": why}
     return dict.fromkeys("xyz", f"{where}: give [robot] imu_orientation, or other axes?")
 
 
-def _gyro_unit(t: np.ndarray | None, gyro: np.ndarray, accel: np.ndarray | None) -> tuple[str, str]:
-    """From how fast gravity turns in the accelerometer, or else from the size."""
+def _gyro_unit(
+    t: np.ndarray | None, gyro: np.ndarray, accel: np.ndarray | None, said: set[str]
+) -> tuple[str, str]:
+    """From how fast gravity turns in the accelerometer, or else as the names say (`said`), or by
+    the size."""
     size = float(np.quantile(np.abs(gyro), 0.99))
-    by_size = "rad/s" if size < 12.0 else "deg/s"
+    named = next(iter(said)) if len(said) == 1 and said <= set(UNITS["gyro"]) else ""
+    by_size = named or ("rad/s" if size < 12.0 else "deg/s")
     if t is not None and accel is not None:
         dt = max(float(np.median(np.diff(t))), 1e-6)
         width = max(int(0.5 / dt), 1)
@@ -614,7 +675,7 @@ def _gyro_unit(t: np.ndarray | None, gyro: np.ndarray, accel: np.ndarray | None)
             return "deg/s", ""
         if alike < -0.7:
             return by_size, "turns against the accelerometer: signs of one of them?"
-    return by_size, "" if not 4.0 < size < 60.0 else _BY_SIZE
+    return by_size, "" if named or not 4.0 < size < 60.0 else "rad/s or deg/s?"
 
 
 def _angle_unit(values, said: set[str]) -> tuple[str, str]:
@@ -635,11 +696,11 @@ def _reference(one: _File) -> tuple[Entry, ...]:
     or else the first that has a pose."""
     if not is_bag(one.path):
         return _pose(one)
-    topics = list(dict.fromkeys(name.partition(":")[0] for name in one.columns))
+    topics = list(dict.fromkeys(name.partition(":")[0] for name in one.recorded))
     topics.sort(key=lambda topic: not read_name(topic.strip("/") + "/x").reference)
     for topic in topics:
-        columns = {n: v for n, v in one.columns.items() if n.startswith(f"{topic}:")}
-        t = _time(columns, one.names) or Entry("t", f"{topic}:{RECEIVED}", "s")
+        columns = {n: v for n, v in one.recorded.items() if n.startswith(f"{topic}:")}
+        t = _time_of_topic(topic, columns, one.names)
         names = {n: one.names[n] for n in columns}
         if found := _pose(replace(one, columns=columns, names=names, t=t)):
             return found
@@ -648,7 +709,8 @@ def _reference(one: _File) -> tuple[Entry, ...]:
 
 def _pose(one: _File) -> tuple[Entry, ...]:
     """Entries of a pose: three places, and four or three numbers of an attitude."""
-    if one.t is None:
+    t = one.t
+    if t is None:
         return ()
     own = {n: named for n, named in one.names.items() if not named.leg and not named.commanded}
     inertial = any(named.kind in ("gyro", "q") and not named.reference for named in own.values())
@@ -677,9 +739,10 @@ def _pose(one: _File) -> tuple[Entry, ...]:
         found += [Entry(f"ref_{n}", euler[n], unit, doubt=doubt) for n in ("roll", "pitch", "yaw")]
     elif len(places) == 4:
         q = np.column_stack([one.columns[n] for _, n in places])
+        said = [one for one in ("wxyz", "xyzw") if all(one in words_of(n) for _, n in places)]
         first = np.mean(np.abs(q[:, 0])) > np.mean(np.abs(q[:, 3]))
-        why = "is w the first, or the last?"
-        order = "wxyz" if first else "xyzw"
+        why = "" if said else "is w the first, or the last?"
+        order = said[0] if said else "wxyz" if first else "xyzw"
         found += [
             Entry(f"ref_q_{a}", n, doubt=why) for a, (_, n) in zip(order, places, strict=True)
         ]
@@ -690,7 +753,7 @@ def _pose(one: _File) -> tuple[Entry, ...]:
         found += [Entry(f"ref_{a}", n, unit, doubt=why) for a, (_, n) in angles]
     else:
         return ()
-    return (one.t, *found)
+    return (t, *found)
 
 
 def _complete(entries: list[Entry]) -> tuple[list[Entry], list[str]]:

@@ -28,7 +28,7 @@ _SHORTEST = 1.0
 def contradicted(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, poses: Poses) -> np.ndarray:
     """Samples (K,) bool around which the reference changes its velocity as the IMU did not.
 
-    None where the reference as a whole does not move with the IMU, or has too few samples.
+    None of them where the reference as a whole does not move with the IMU, or has too few samples.
 
     Args:
         t: (N,) of the IMU's rows [s].

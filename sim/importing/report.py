@@ -33,9 +33,10 @@ def reference_lines(log: Log, poses: Poses | None = None) -> tuple[str, ...]:
     if noise:
         return (*lines, noise.line)
     missed = turning_missed(beside_imu(log.t, log.gyro, log.accel, within))
+    by = f"{100 * missed:.0f} % of it" if missed < 1.0 else "more than it turns"
     return (
         *lines,
-        f"reference: does not turn as the IMU does (differs by {100 * missed:.0f} % of it):"
+        f"reference: does not turn as the IMU does (differs by {by}):"
         " another clock, other axes or another body; try surefoot align",
     )
 

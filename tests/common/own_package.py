@@ -7,6 +7,13 @@ from pathlib import Path
 
 COMMON = Path(__file__).resolve().parent
 PACKAGES = COMMON.parent / "packages"
+WALK = """
+name = "walk"
+robot = "spot_class"
+[[segment]]
+duration = 2.0
+forward = 0.5
+"""
 
 
 def run_with(package: str, *arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess:
@@ -23,3 +30,21 @@ def run_with(package: str, *arguments: str, cwd: Path | None = None) -> subproce
         text=True,
         timeout=300,
     )
+
+
+def lines_of_script(package: str, script: str, observer: str, folder: Path) -> list[str]:
+    """What a script prints beside an experiment file, `grid.toml`, with that line in [observer].
+
+    Args:
+        package: of the user, whose names the experiment may use.
+        script: its text.
+        observer: a line of the experiment's [observer].
+        folder: to run it in.
+    """
+    (folder / "grid.toml").write_text(f'scenarios = ["walk.toml"]\n[observer]\n{observer}\n')
+    (folder / "walk.toml").write_text(WALK)
+    file = folder / "use.py"
+    file.write_text(script)
+    done = run_with(package, str(file), cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()

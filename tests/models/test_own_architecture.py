@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from own_package import run_with
+from own_package import lines_of_script, run_with
 
 from surefoot.models.observer.observer import Observer, ObserverError
 from surefoot.models.registry import ARCHITECTURES
@@ -39,28 +39,10 @@ assert np.allclose([loop.step(row)[0] for row in x[:50]], v_I[:50], atol=1e-5)
 learning = Experiment.load("grid.toml").learning
 print(learning.model, learning_choices(learning)["model"])
 """
-GRID = """
-scenarios = ["walk.toml"]
-[observer]
-model = "averages"
-"""
-WALK = """
-name = "walk"
-robot = "spot_class"
-[[segment]]
-duration = 2.0
-forward = 0.5
-"""
 
 
 def test_an_own_network_is_offered_trained_and_run(tmp_path):
-    (tmp_path / "grid.toml").write_text(GRID)
-    (tmp_path / "walk.toml").write_text(WALK)
-    script = tmp_path / "use.py"
-    script.write_text(USE)
-    done = run_with("own_architecture", str(script), cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    names, learning = done.stdout.splitlines()
+    names, learning = lines_of_script("own_architecture", USE, 'model = "averages"', tmp_path)
     assert names == "gru mlp rnn lstm bigru tcn averages"
     assert learning.startswith("averages ['averages', '")
     with pytest.raises(ObserverError, match=r"--model averages: choose gru \| mlp"):

@@ -1,6 +1,6 @@
 """A calibration method in a package of a user's own is one like ours: in help, files, tables."""
 
-from own_package import run_with
+from own_package import lines_of_script, run_with
 
 USE = """
 import numpy as np
@@ -34,28 +34,10 @@ table = methods_table(
 print(*table.method)
 print(Experiment.load("grid.toml").learning.method)
 """
-GRID = """
-scenarios = ["walk.toml"]
-[observer]
-method = "horizontal"
-"""
-WALK = """
-name = "walk"
-robot = "spot_class"
-[[segment]]
-duration = 2.0
-forward = 0.5
-"""
 
 
 def test_an_own_method_is_offered_calibrates_and_is_compared(tmp_path):
-    (tmp_path / "grid.toml").write_text(GRID)
-    (tmp_path / "walk.toml").write_text(WALK)
-    script = tmp_path / "use.py"
-    script.write_text(USE)
-    done = run_with("own_calibrator", str(script), cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    names, table, chosen = done.stdout.splitlines()
+    names, table, chosen = lines_of_script("own_calibrator", USE, 'method = "horizontal"', tmp_path)
     assert names == "conformal bonferroni outer maxnorm ellipsoid scenario horizontal"
     assert (
         table

@@ -9,7 +9,7 @@ from synthetic import synthetic_walk
 from surefoot.models.attribution.data import readings
 from surefoot.models.attribution.evidence import all_keys, log_under_model
 from surefoot.models.residuals.registry import channels
-from surefoot.sim.effects import CATALOGUE, add
+from surefoot.sim.effects import add
 from surefoot.sim.effects.base import Effect
 from surefoot.sim.log import LogError
 from surefoot.sim.robot import Robot
@@ -29,15 +29,6 @@ class GyroByTemperature(Effect):
     def compensate(self, log, robot):
         gyro = log.frame["gyro_x"] - self.value * log.frame["x_temperature"]
         return replace(log, frame=log.frame.assign(gyro_x=gyro)), robot
-
-
-@pytest.fixture
-def catalogue():
-    """The catalogue, as it was again after the test."""
-    before = dict(CATALOGUE)
-    yield CATALOGUE
-    CATALOGUE.clear()
-    CATALOGUE.update(before)
 
 
 def test_it_is_read_and_its_effect_a_candidate_where_the_log_has_it(catalogue):

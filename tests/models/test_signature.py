@@ -48,15 +48,6 @@ def case():
     return log_under_model(walk(SCENARIO, SPOT, 7), SPOT)
 
 
-@pytest.fixture
-def catalogue():
-    """The catalogue, as it was again after the test."""
-    before = dict(CATALOGUE)
-    yield CATALOGUE
-    CATALOGUE.clear()
-    CATALOGUE.update(before)
-
-
 def slope_of(case, key, step):
     """What a unit of the effect adds to the table, by the residual itself."""
     table = table_of(case, ())

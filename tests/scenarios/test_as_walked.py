@@ -19,7 +19,7 @@ period = 0.5
 source = "a test"
 [gait]
 duty = 0.7
-[on_steps]
+[on_slopes]
 level = 0.9
 [on_sheets]
 duty = 0.75
@@ -55,9 +55,12 @@ def test_a_walk_has_the_gait_the_sensors_and_the_sizes_carried_to_its_robot(tmp_
     mine = walked.scenario(slipped)
     assert (mine.gait.duty, mine.sensors.contact_threshold) == (0.75, 0.2)
     assert mine.ground == slipped.ground
-    stairs = next(s for s in Experiment.load("spot").scenarios if s.name == "Upstair")
-    gaits = [walked.scenario(s).gait for s in (slipped, stairs)]
-    assert [(gait.level, gait.duty) for gait in gaits] == [(1.0, 0.75), (0.9, 0.7)]
+    courses = {s.name: s for s in Experiment.load("spot").scenarios}
+    # Sheets; steps of 12 cm; slopes of 8 and of 2 degrees.
+    tried = (slipped, courses["Upstair"], courses["Quad"], courses["Tunnel"])
+    gaits = [walked.scenario(s).gait for s in tried]
+    assert [gait.duty for gait in gaits] == [0.75, 0.7, 0.7, 0.7]
+    assert [gait.level for gait in gaits] == [1.0, 0.9, 0.9, 1.0]
     robots = [Robot.load(name) for name in ("spot_class", "v60_class")]
     scales = scale_of(robots[0], 0.5), scale_of(robots[1])
     (expected,) = carried([effect("joint_compliance", "all", 1e-3)], *scales)
@@ -71,7 +74,7 @@ def test_a_walk_has_the_gait_the_sensors_and_the_sizes_carried_to_its_robot(tmp_
         ("spot_class", "wings", "walked.toml"),
         ('target = "all"', 'target = "tail"\nunknown = 1', "unknown key 'unknown'"),
         ("duty = 0.7", "duty = 7", r"\[gait\] duty must lie between"),
-        ("level = 0.9", "levels = 0.9", "on_steps: unknown key 'levels'"),
+        ("level = 0.9", "levels = 0.9", "on_slopes: unknown key 'levels'"),
         ("contact_threshold = 0.2", "smell = 1", "sensors: unknown key 'smell'"),
         ("value = 1e-3", "value = 1e3", "must lie between"),
     ],

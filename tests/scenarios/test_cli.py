@@ -137,7 +137,8 @@ def test_compare_says_why_filters_were_left_out(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     main("compare log.parquet -o compared".split())
     out = capsys.readouterr().out
-    assert "left out on log: coverage (needs --observer and --bounds)" in out
+    assert "left out on log: coverage, coverage_gml, coverage_persistent" in out
+    assert out.count("(needs --observer and --bounds)") == 1
     for name in ("table.md", "table.csv", "report.html", "log.rrd"):
         assert (folder / "compared" / name).stat().st_size > 100
     table = (folder / "compared" / "table.csv").read_text()

@@ -13,7 +13,8 @@ import pytest
 
 from surefoot.scenarios.experiments.cells import cell_inputs, cells_of
 from surefoot.scenarios.experiments.file import Experiment
-from surefoot.scenarios.experiments.report import experiment
+from surefoot.scenarios.experiments.report import experiment, falls
+from surefoot.scenarios.experiments.run import CellResult, Outcome
 from surefoot.scenarios.experiments.tables import (
     averages,
     published,
@@ -291,3 +292,20 @@ def test_a_mean_of_one_has_no_spread():
     assert with_spread(pd.Series([1.0])) == "1.000"
     assert with_spread(pd.Series([np.nan])) is None
     assert with_spread(pd.Series([10.0, 12.0])) == "11.00 ± 1.41"
+
+
+def test_what_a_fall_leaves_out_is_said():
+    suite = Experiment.load("spot").with_seeds((4,))
+
+    def result(cell):
+        fell = cell.condition.name == "as walked" and cell.scenario.role == "calibrate"
+        lacking = {"coverage": "needs --bounds"} if cell.condition.name == "as walked" else {}
+        return CellResult({"falls": int(fell)}, (), lacking | {"radar_leg": "no radar"})
+
+    cells = {cell: result(cell) for cell in cells_of(suite)}
+    outcome = Outcome(cells, Path(), {})
+    assert falls(outcome, "as walked").startswith("The robot fell")
+    assert "Quad, to calibrate with (seed 4)" in falls(outcome, "as walked")
+    assert falls(outcome, "as drawn") == ""
+    assert outcome.left_out["coverage"] == "as walked: the walk to calibrate with fell"
+    assert outcome.left_out["radar_leg"] == "no radar"  # learns nothing

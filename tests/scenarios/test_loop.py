@@ -17,10 +17,10 @@ from surefoot.scenarios.trace.loop import RECIPE, inputs_of, loop
 from surefoot.scenarios.trace.observer_errors import ERROR_PARTS, ErrorParts, split_errors
 from surefoot.scenarios.trace.training_walks import (
     TrainingPlan,
-    bodily,
+    beyond_simulated,
     rates_as_of,
     simulate_training,
-    world_of,
+    simulated_robot,
 )
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
@@ -48,17 +48,17 @@ def log(robot):
 
 def test_the_simulated_robot_has_the_files_feet_and_the_declared_mounting(robot):
     told = replace(robot, foot_radius=np.zeros(4), p_BI=np.array([0.1, 0.0, 0.02]))
-    world = world_of(told)
-    np.testing.assert_array_equal(world.foot_radius, robot.foot_radius)
-    np.testing.assert_array_equal(world.p_BI, told.p_BI)
+    simulated = simulated_robot(told)
+    np.testing.assert_array_equal(simulated.foot_radius, robot.foot_radius)
+    np.testing.assert_array_equal(simulated.p_BI, told.p_BI)
     # Point feet of which 30 mm were found lacking roll at 30 mm, whatever the file's radius is.
-    (added,) = bodily([effect("foot_rolling", "all", 0.03)], told, world)
+    (added,) = beyond_simulated([effect("foot_rolling", "all", 0.03)], told, simulated)
     assert added.value == pytest.approx(0.03 - robot.foot_radius.mean())
     same = [effect("link_length", "FL_calf", 0.01)]
-    assert bodily(same, told, world) == tuple(same)
+    assert beyond_simulated(same, told, simulated) == tuple(same)
 
 
-def test_lessons_are_walked_with_the_effects_and_seen_by_a_model_that_knows_them(robot, log):
+def test_training_walks_have_the_effects_and_are_seen_by_a_model_that_knows_them(robot, log):
     shown = walking_style(log, robot)
     plain = simulate_training(shown, robot, (), 0, SHORT)
     offset = effect("encoder_offset", "FR_thigh", 0.05)

@@ -7,9 +7,12 @@ from surefoot.scenarios.motion_plan import (
     LONGEST_S,
     SECONDS,
     SHOWN,
+    Shown,
     _shown,
     motion_table,
     plan_motions,
+    plan_text,
+    recordings_to_make,
 )
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.robot import Robot
@@ -35,6 +38,20 @@ def test_two_that_look_alike_hide_each_other():
     assert found.deviation == pytest.approx(np.sqrt(0.5) / 1.96, rel=1e-2)
     assert (found.rival, found.correlation) == (KEYS[1], pytest.approx(-1.0, abs=1e-3))
     assert LONGEST_S > SECONDS
+
+
+def test_each_motion_is_recorded_for_the_target_that_takes_longest_of_those_it_shows_first():
+    def shown(seconds):
+        return Shown(seconds, 0.05, None, 0.0)
+
+    found = {
+        ("one", "x"): {"stand": shown(np.inf), "walk": shown(12.0)},
+        ("one", "y"): {"stand": shown(90.0), "walk": shown(30.3)},
+        ("two", "x"): {"stand": shown(0.2), "walk": shown(5.0)},
+        ("three", "x"): {"stand": shown(np.inf), "walk": shown(np.inf)},
+    }
+    assert recordings_to_make(found) == {"walk": 30.3, "stand": 1.0}
+    assert "record at least: walk, 31 s; stand, 1 s\n" in plan_text(found)
 
 
 def test_an_unknown_effect_is_answered_by_the_nearest():

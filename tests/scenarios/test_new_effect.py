@@ -49,15 +49,6 @@ def settled(t):
     return 1.0 - np.exp(-(t - t[0]) / 16.0)
 
 
-@pytest.fixture
-def catalogue():
-    """The catalogue, as it was again after the test."""
-    before = dict(CATALOGUE)
-    yield CATALOGUE
-    CATALOGUE.clear()
-    CATALOGUE.update(before)
-
-
 @pytest.fixture(scope="module")
 def log():
     course = (Segment(10.0, 0.6, turn=0.3), Segment(10.0, 0.5, turn=-0.4), Segment(10.0, 0.6))

@@ -10,6 +10,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
+from surefoot.scenarios.cli.main import main
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.importing.recording import import_log
 from surefoot.sim.log import Log
@@ -162,3 +163,20 @@ def test_what_is_no_bag_is_said_in_one_line(tmp_path, map_file):
             import_log(tmp_path / name, map_file)
         assert name in str(caught.value)
         assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["run", "bag"])
+def test_topics_of_different_rates_are_drafted_together(tmp_path, monkeypatch, capsys, name):
+    """`import bag --guess` too, where "bag" is no kind of file but its name."""
+    monkeypatch.chdir(tmp_path)
+    write_bag(Path(name), "mcap")
+    main(["import", name, "--guess"])
+    said = capsys.readouterr().out
+    for line in (
+        't = { column = "/imu:header.stamp", unit = "s" }',
+        'q_knee = { column = "/joints:position[knee]", unit = "rad" }',
+        'dq_knee = { column = "/joints:velocity[knee]", unit = "rad/s" }',
+        't = { column = "/mocap:received", unit = "s" }',
+        'ref_p_x = { column = "/mocap:pose.position.x", unit = "m" }',
+    ):
+        assert f"\n{line}" in said

@@ -1,7 +1,9 @@
 """Drafts of maps: how many of their entries are right, and that no wrong one is without a doubt."""
 
 from dataclasses import replace
+from pathlib import Path
 
+import h5py
 import numpy as np
 import pandas as pd
 import pytest
@@ -50,6 +52,11 @@ def same(a: tuple, b: tuple) -> bool:
     """Whether two entries read the same; the place of a single column may be left out."""
     plain = (str(x[0]).removesuffix("[0]") for x in (a, b))
     return len(set(plain)) == 1 and a[1] == pytest.approx(b[1]) and a[2] == pytest.approx(b[2])
+
+
+def xyzw(log: Log) -> np.ndarray:
+    """The reference's attitude (N, 4) with its scalar last."""
+    return log.frame[[f"ref_q_{a}" for a in "xyzw"]].to_numpy()
 
 
 def judged(draft: Draft, truth: Truth) -> tuple[int, int, list[str]]:
@@ -272,6 +279,19 @@ def test_a_file_of_which_nothing_is_used_is_asked_about(tmp_path):
     assert notes == ("nothing of more.csv is used: what are its columns when, what?",)
 
 
+def test_names_that_say_nothing_are_asked_about_and_give_no_log(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    t = 0.01 * np.arange(200)
+    table = pd.DataFrame({"Zeit": t, "Kanal 1": np.sin(t), "Kanal 2": np.cos(t)})
+    table.to_csv(tmp_path / "run.csv", index=False)
+    draft = guess_map(["run.csv"])
+    assert draft.notes == ("no name says what a column is: which of those not used below is what?",)
+    Path("map.toml").write_text(draft.text)
+    with pytest.raises(SystemExit, match="names no column but the times"):
+        main("import run.csv --map map.toml -o log.parquet".split())
+    assert not Path("log.parquet").exists()
+
+
 def test_what_export_writes_is_drafted_and_comes_back(tmp_path, walked):
     start = replace(walked, frame=walked.frame[:1000])
     start.write(tmp_path / "log.parquet")
@@ -337,7 +357,7 @@ def test_the_command_prints_a_draft_or_writes_it(tmp_path, capsys):
     main(["import", "--guess", str(tmp_path / "run.csv")])
     assert 'q_knee = { column = "angle_knee", unit = "rad" }' in capsys.readouterr().out
     main(["import", "--guess", str(tmp_path / "run.csv"), "-o", str(tmp_path / "map.toml")])
-    assert "0 questions" in capsys.readouterr().out
+    assert "no questions in it" in capsys.readouterr().out
     out = tmp_path / "log.parquet"
     main(["import", str(tmp_path / "run.csv"), "--map", str(tmp_path / "map.toml"), "-o", str(out)])
     assert Log.read(out).joints == ("knee",)
@@ -348,3 +368,30 @@ def test_the_command_prints_a_draft_or_writes_it(tmp_path, capsys):
     for words in (["import", "run.csv"], ["import", "csv"]):
         with pytest.raises(SystemExit, match="surefoot: "):
             main(words)
+
+
+def test_groups_of_a_file_that_have_clocks_of_their_own_are_all_drafted(tmp_path, walked):
+    """An HDF5 with nanoseconds since 1970 in each group: IMU at 250 Hz, the rest slower."""
+    groups = {
+        "sensors/imu0": (2, {"angular_velocity": (DEGREES * walked.gyro), "acc": walked.accel}),
+        "actuators": (5, {"position": walked.q, "velocity": walked.dq, "torque": walked.tau}),
+        "mocap/dog": (4, {"position_mm": 1e3 * walked.ref_p, "quat_xyzw": xyzw(walked)}),
+    }
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        for name, (every, arrays) in groups.items():
+            file[f"{name}/stamp_ns"] = np.round(1e9 * (1.7e9 + walked.t[::every])).astype(np.int64)
+            for array, values in arrays.items():
+                file[f"{name}/{array}"] = values[::every]
+    draft = guess_map([tmp_path / "run.h5"])
+    assert {e.name for e in draft.main if e.doubt} == {
+        *(f"gyro_{a}" for a in "xyz"),
+        *(f"{kind}_{joint}" for kind in ("q", "dq", "tau") for joint in walked.joints),
+    }
+    assert not [e.name for e in draft.reference if e.doubt]
+    (tmp_path / "map.toml").write_text(draft.text)
+    log = import_log(tmp_path / "run.h5", tmp_path / "map.toml")
+    assert log.rate == pytest.approx(250.0, rel=1e-4)
+    rows = 2 * np.arange(len(log.t))  # all begin at the same time
+    assert len(rows) > 3000
+    for stream, close in (("gyro", 1e-9), ("q", 0.02), ("ref_p", 1e-3)):
+        np.testing.assert_allclose(getattr(log, stream), getattr(walked, stream)[rows], atol=close)

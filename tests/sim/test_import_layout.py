@@ -94,3 +94,13 @@ def test_what_is_no_text_is_still_refused(tmp_path):
     (tmp_path / "run.csv").write_bytes(b"\x89PNG\r\n\x1a\n\0\0\xff" * 9)
     with pytest.raises(SurefootError, match="not a text file"):
         guess_map([tmp_path / "run.csv"])
+
+
+def test_a_gyro_that_turns_slowly_has_the_unit_that_its_name_says(tmp_path):
+    """Ten degrees a second about the vertical: neither gravity nor their size tells the unit."""
+    slow = {f"gyro_{a}": f"Gyro {a} [°/s]" for a in "xyz"}
+    theirs = IMU.assign(**{name: np.degrees(IMU[name]) for name in slow}).rename(columns=slow)
+    theirs.to_csv(tmp_path / "run.csv", index=False)
+    log, draft = imported(tmp_path, "run.csv")
+    np.testing.assert_allclose(log.gyro, IMU.to_numpy()[:, 1:4], atol=1e-9)
+    assert not [e.name for e in draft.main if e.doubt]

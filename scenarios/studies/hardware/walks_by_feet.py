@@ -151,17 +151,18 @@ def paths_figure(walks: Mapping[str, AlignedWalk], share: float) -> Figure:
         paths = {"motion capture": (truth.p_GI, INK)}
         for words, size, color in (
             ("leg filter", 0.0, BEFORE),
-            ("and a share less way", share, AFTER),
+            ("leg filter, way shortened by the fitted share", share, AFTER),
         ):
             log = with_share(walk.log, size)
             paths[words] = run_filter("leg", log, None, None, SETTINGS).trajectory.p_GI, color
         for words, (p, color) in paths.items():
             x, y = (p - p[0])[:, :2].T
             along = np.cos(heading) * x + np.sin(heading) * y
-            aside = np.cos(heading) * y - np.sin(heading) * x
+            aside = np.sin(heading) * x - np.cos(heading) * y
             style = "--" if color == BEFORE else "-"
             ax.plot(aside, along, style, color=color, label=words)
         ax.set_aspect("equal", "datalim")
+        ax.set_xlabel("to its right [m]")
         set_title(ax, name, 9.0)
     axes[0, 0].set_ylabel("along the walk [m]")
     legend_below(drawn, axes[0, 0], 3)
