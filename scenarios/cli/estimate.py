@@ -196,7 +196,6 @@ class Estimate:
     force: Force = False
 
     def run(self) -> None:
-        from surefoot.scenarios.estimate.contract import Learnt
         from surefoot.scenarios.estimate.long_logs import estimate_file, first_minutes
         from surefoot.scenarios.estimate.settings import read_settings
         from surefoot.sim.common.files import refuse_overwrite
@@ -208,8 +207,7 @@ class Estimate:
                 raise SurefootError(f"-o {self.out}: name the .parquet; the .tum goes beside it")
             refuse_overwrite(self.out, self.force)
             refuse_overwrite(self.out.with_suffix(".tum"), self.force)
-        learned = self.observer or self.bounds  # without, nothing needs torch
-        learnt = learnt_from(self.observer, self.bounds) if learned else Learnt()
+        learnt = learnt_from(self.observer, self.bounds)
         settings = read_settings(self.settings, self.set_lines)
         warnings = not_plausible([first_minutes(reader)], self.robot, self.strict)
         found, health = estimate_file(
@@ -279,15 +277,13 @@ class Compare:
     def run(self) -> None:
         from surefoot.scenarios.estimate.compare import compare_log, write_comparison
         from surefoot.scenarios.estimate.comparison_words import left_out_lines
-        from surefoot.scenarios.estimate.contract import Learnt
         from surefoot.scenarios.estimate.run import robot_of
         from surefoot.scenarios.estimate.settings import read_settings
         from surefoot.scenarios.reporting.tables import to_markdown
         from surefoot.sim.common.files import refuse_full, whole_folder
 
         refuse_full(self.out, self.force)
-        learned = self.observer or self.bounds  # without, nothing needs torch
-        learnt = learnt_from(self.observer, self.bounds) if learned else Learnt()
+        learnt = learnt_from(self.observer, self.bounds)
         logs = read_logs(self.logs)
         names = [log.name for log in logs]
         for path, name in zip(self.logs, names, strict=True):

@@ -110,10 +110,14 @@ def as_declared(logs: Sequence["Log"]) -> list:
 
 
 def learnt_from(observers: tuple[Path, ...], bounds: tuple[Path, ...]):
-    """The observers and bounds of these files, as `scenarios.estimate.run.Learnt`."""
+    """The observers and bounds of these files, as `scenarios.estimate.contract.Learnt`."""
+    from surefoot.scenarios.estimate.contract import Learnt
+
+    if not (observers or bounds):
+        return Learnt()
+    # Only what is learnt needs torch, an extra.
     from surefoot.models.calibration.bounds import Bounds
     from surefoot.models.observer.observer import Observer
-    from surefoot.scenarios.estimate.run import Learnt
 
     return Learnt(
         tuple(Observer.load(path) for path in observers),

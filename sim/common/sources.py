@@ -1,7 +1,8 @@
 """Which sources a module is made of: its own and those of every module that it imports in turn.
 
-Compiled kernels and products of long runs are kept under a digest of them. What is installed, numpy
-say, and the standard library do not count, but for the package that the module itself is of.
+Compiled kernels and products of long runs are kept under a digest of their code: docstrings, lines
+of comment and empty lines may change. What is installed, numpy say, and the standard library do not
+count, but for the package that the module itself is of.
 """
 
 import ast
@@ -9,6 +10,7 @@ import hashlib
 import re
 import secrets
 import sys
+from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib.machinery import all_suffixes
 from importlib.util import find_spec, resolve_name
@@ -34,7 +36,7 @@ def code_digest(*members: Any) -> str:
 
 @cache
 def sources_digest(module: str, file: str | None = None) -> str:
-    """SHA-256 of the names and sources of `imported_sources`.
+    """SHA-256 of the names of `imported_sources` and the lines of each that are code.
 
     Of a module without any, one typed at a prompt say, it is another in each process: what cannot
     be compared is made again.
@@ -44,7 +46,7 @@ def sources_digest(module: str, file: str | None = None) -> str:
         return secrets.token_hex(32)
     digest = hashlib.sha256()
     for name, path in sorted(sources.items()):
-        digest.update(name.encode() + b"\0" + path.read_bytes() + b"\0")
+        digest.update(name.encode() + b"\0" + _contents(path).code + b"\0")
     return digest.hexdigest()
 
 
@@ -83,10 +85,11 @@ def imported_sources(module: str, file: str | None = None) -> dict[str, Path]:
 
 
 class _Contents(NamedTuple):
-    """Level, module and names of each import of a source; key -> module of its dictionaries."""
+    """Level, module and names of each import; key -> module of its dictionaries; lines of code."""
 
     imports: tuple[tuple[int, str, tuple[str, ...]], ...]
     late: dict[str, str]
+    code: bytes
 
 
 def _counts(top: str, own: str) -> bool:
@@ -106,7 +109,7 @@ def _imported_late(base: str, names: tuple[str, ...], own: str) -> list[str]:
 
 def _contents(path: Path) -> _Contents:
     if path.suffix != ".py":
-        return _Contents((), {})
+        return _Contents((), {}, path.read_bytes())
     stat = path.stat()
     return _parsed(path, stat.st_mtime_ns, stat.st_size)
 
@@ -115,10 +118,17 @@ def _contents(path: Path) -> _Contents:
 def _parsed(path: Path, _changed: int, _size: int) -> _Contents:
     imports: list[tuple[int, str, tuple[str, ...]]] = []
     late: dict[str, str] = {}
-    tree = ast.parse(path.read_bytes())
+    source = path.read_bytes()
+    tree = ast.parse(source)
+    texts: list[ast.expr | ast.Expr] = []
     waiting: list[ast.AST] = [tree]
     while waiting:
         node = waiting.pop()
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            texts.append(node)
+            continue
+        if isinstance(node, ast.Constant | ast.JoinedStr):
+            texts.append(node)
         if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING"):
             waiting += node.orelse
             continue
@@ -139,7 +149,31 @@ def _parsed(path: Path, _changed: int, _size: int) -> _Contents:
                 module = _member(value)
                 if module and isinstance(key, ast.Constant):
                     late[str(key.value)] = module
-    return _Contents(tuple(imports), late)
+    return _Contents(tuple(imports), late, _code(source, texts))
+
+
+def _code(source: bytes, texts: Iterable[ast.expr | ast.Expr]) -> bytes:
+    """The lines of a source without docstrings, lines of comment and empty ones."""
+    lines = dict(enumerate(source.splitlines(), 1))
+    within: set[int] = set()  # a string of several lines, where "#" begins no comment
+    for node in texts:
+        rows = range(node.lineno, (node.end_lineno or node.lineno) + 1)
+        if _is_docstring(node, lines):
+            lines |= dict.fromkeys(rows, b"")
+        else:
+            within.update(rows[1:])
+    return b"\n".join(
+        line
+        for number, line in lines.items()
+        if number in within or (line.strip() and line.lstrip()[:1] != b"#")
+    )
+
+
+def _is_docstring(node: ast.expr | ast.Expr, lines: Mapping[int, bytes]) -> bool:
+    """Whether a string stands alone on its lines, and is no more than a remark."""
+    before = lines[node.lineno][: node.col_offset]
+    after = lines[node.end_lineno or node.lineno][node.end_col_offset :]
+    return isinstance(node, ast.Expr) and not before.strip() and not after.split(b"#")[0].strip()
 
 
 def _member(node: ast.AST) -> str:

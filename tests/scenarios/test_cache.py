@@ -46,7 +46,7 @@ def test_what_a_module_imports_decides_too_and_nothing_else_does(tmp_path, house
     log = []
     made(tmp_path, {}, log)
     for name, remade in (("c", False), ("b", True), ("a", True)):
-        (house / f"{name}.py").write_text((house / f"{name}.py").read_text() + "# edited\n")
+        (house / f"{name}.py").write_text((house / f"{name}.py").read_text() + "edited = 1\n")
         sources_digest.cache_clear()
         before = len(log)
         made(tmp_path, {}, log)

@@ -80,7 +80,7 @@ def edited(path):
     """Change a source in a comment alone, a robot in one number."""
     text = path.read_text()
     path.write_text(
-        text.replace('damping="', 'damping="1') if path.suffix == ".xml" else text + "# x\n"
+        text.replace('damping="', 'damping="1') if path.suffix == ".xml" else text + "x = 1\n"
     )
     assert path.read_text() != text
     forget()

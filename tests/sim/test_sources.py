@@ -56,9 +56,36 @@ def test_every_way_to_import_counts(house):
 def test_an_edit_of_any_of_them_changes_the_digest(house, name):
     before = sources_digest("house.start")
     path = house / f"{name}.py"
-    path.write_text(path.read_text() + "# edited\n")
+    path.write_text(path.read_text() + "edited = 1\n")
     sources_digest.cache_clear()
     assert sources_digest("house.start") != before
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "same"),
+    [
+        ("x = 1\n", '"""What x is."""\n\n# one\nx = 1\n', True),
+        ('def f():\n    """One."""\n    return 1\n', "def f():\n    return 1\n", True),
+        (
+            'class A:\n    x: int\n    """m"""\n',
+            'class A:\n    x: int\n    """A\n\n    # foot."""\n',
+            True,
+        ),
+        ('x = """a\n# b\n"""\n', 'x = """a\n# c\n"""\n', False),
+        ('x = f"""a\n# {1}\n"""\n', 'x = f"""a\n# {2}\n"""\n', False),
+        ('x = """a\n\nb"""\n', 'x = """a\nb"""\n', False),
+        ('"""a"""; x = 1\n', '"""a"""; x = 2\n', False),
+        ('def f():\n    """a"""\n', "def f():\n    return 1\n", False),
+        ("if y:\n    x = 1\n", "if y:\n  x = 1\n", False),
+    ],
+)
+def test_docstrings_and_lines_of_comment_may_change(house, one, other, same):
+    digests = set()
+    for text in (one, other):
+        (house / "start.py").write_text(text)
+        sources_digest.cache_clear()
+        digests.add(sources_digest("house.start"))
+    assert (len(digests) == 1) is same
 
 
 def test_an_edit_of_another_module_does_not(house):
