@@ -35,9 +35,9 @@ _UNIT_TOLERANCE = 1e-2
 class RawRecording:
     """A recording read by a map, before it is a log.
 
-    main: log columns in SI units, each (N,), with `t`; poses: of a
-    reference with a clock of its own, as recorded; rules: the map; path: the file; notes: what to
-    say of how it was read.
+    main: log columns in SI units, each (N,), with `t`; poses: those of a reference with a clock of
+    its own, as recorded, or None; rules: the map; path: the main file; notes: sentences for the
+    user on how it was read.
     """
 
     main: Columns
@@ -52,8 +52,10 @@ class RawRecording:
         return self.path.stem
 
     def reference(self) -> tuple[Poses, np.ndarray] | tuple[None, None]:
-        """Poses of the IMU frame on the log's clock, and which of them (K,) the IMU contradicts,
-        so that the log does without; None without a reference of its own."""
+        """K poses of the IMU frame on the log's clock, and which of them (K,) the IMU contradicts.
+
+        The log leaves these out. Both are None without a reference with a clock of its own.
+        """
         if self.poses is None:
             return None, None
         poses = imu_poses(self.poses, self.rules, self.name)
@@ -64,7 +66,7 @@ class RawRecording:
         return poses, contradicted(self.main["t"], columns[:, :3], columns[:, 3:], poses)
 
     def without_reference(self) -> "RawRecording":
-        """All its rows, none of its poses."""
+        """The recording with all its rows, but without its reference."""
         return replace(self, poses=None, rules=replace(self.rules, reference=None))
 
     def log(self) -> Log:

@@ -31,7 +31,7 @@ def encoding_of(path: Path) -> str:
 
 
 def layout_of(path: Path) -> dict[str, Any]:
-    """Keys of a map's [source] for this text that are not as they are by default."""
+    """Keys of a map's [source] that this text needs, where the defaults do not fit."""
     with path.open(encoding=encoding_of(path), errors="replace", newline="") as stream:
         lines = stream.read(_LOOKED_AT).splitlines()[:-1]
     if len(lines) < 2:
@@ -47,7 +47,7 @@ def layout_of(path: Path) -> dict[str, Any]:
     begin = named[-1] if named else max(after, first)
     if begin:
         found["skip"] = begin
-    if all(_is_number(cell) or _COMMA.fullmatch(cell) for cell in rows[begin]):
+    if all(is_number(cell) or _COMMA.fullmatch(cell) for cell in rows[begin]):
         found["header"] = False
     if separator != "," and any(_COMMA.fullmatch(cell) for cell in rows[-1]):
         found |= {"separator": separator, "decimal": ","}
@@ -62,7 +62,7 @@ def _separator(line: str) -> str:
     if (
         re.search(r"\S +\S", line)
         and "," in line
-        and all(_is_number(cell) or _COMMA.fullmatch(cell) for cell in line.split())
+        and all(is_number(cell) or _COMMA.fullmatch(cell) for cell in line.split())
     ):
         return r"\s+"
     return "," if "," in line else r"\s+"
@@ -75,7 +75,8 @@ def _cells(line: str, separator: str) -> list[str]:
     return next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
 
 
-def _is_number(text: str) -> bool:
+def is_number(text: str) -> bool:
+    """Whether a text is a number as Python reads it."""
     try:
         float(text)
     except ValueError:

@@ -22,13 +22,13 @@ _MOST = 0.05
 """Share of samples above which reference and IMU do not belong together at all: another clock,
 other axes or another place, which `surefoot align` solves."""
 _SHORTEST = 1.0
-"""s of reference between two contradictions, or at an end, below which it is left out with them."""
+"""s: reference between two contradictions, or at an end, that lasts less is marked with them."""
 
 
 def contradicted(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, poses: Poses) -> np.ndarray:
-    """Samples (K,) bool around which the reference changes its velocity as the IMU did not.
+    """(K,) bool: the samples around which the reference's velocity changes and the IMU's does not.
 
-    None of them where the reference as a whole does not move with the IMU, or has too few samples.
+    All False where the reference as a whole does not move with the IMU, or has too few samples.
 
     Args:
         t: (N,) of the IMU's rows [s].

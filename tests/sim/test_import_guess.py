@@ -12,7 +12,9 @@ from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.export import export
 from surefoot.sim.common.files import measured_folder
 from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.importing.guess import Draft, guess_map, stride_in_turns
+from surefoot.sim.importing.draft import Draft
+from surefoot.sim.importing.guess import guess_map
+from surefoot.sim.importing.guess_units import stride_in_turns
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.recording import import_log
 from surefoot.sim.log import LEGS, Log

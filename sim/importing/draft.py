@@ -1,0 +1,133 @@
+"""A draft of an import map: its entries, and its text with a question for each doubt.
+
+`sim.importing.guess` makes drafts from the files of a recording.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from surefoot.sim.importing.columns import UNITS, kind_of
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A column of the log, and the column of the recording that it is read from.
+
+    name: the log's column; theirs: the recording's; unit: of theirs, None where it has none; sign,
+    gain, offset: as in a map; doubt: a question for the user, empty where there is none.
+    """
+
+    name: str
+    theirs: str
+    unit: str | None = None
+    sign: float = 1.0
+    gain: float = 1.0
+    offset: float = 0.0
+    doubt: str = ""
+
+    @property
+    def scale(self) -> float:
+        """Factor from the recording's numbers to SI units; the offset left out."""
+        units = UNITS.get(kind_of(self.name), {})
+        return self.sign * self.gain * (units[self.unit] if self.unit else 1.0)
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A draft of a map.
+
+    files: the main file first; main: entries of [columns]; reference: those of
+    [reference.columns], from reference_file; sources: further files by name, with the entry of
+    their times; layouts: keys of [source] for files that are texts; rate: of the rows [Hz], where
+    no times were found; contact: on and off force of [contact]; notes: questions that concern no
+    single column; unused: columns of the main file without a use.
+    """
+
+    files: tuple[Path, ...]
+    main: tuple[Entry, ...]
+    reference: tuple[Entry, ...] = ()
+    reference_file: Path | None = None
+    sources: Mapping[str, tuple[Path, Entry]] = field(default_factory=dict)
+    layouts: Mapping[Path, Mapping[str, object]] = field(default_factory=dict)
+    rate: float | None = None
+    robot: str | None = None
+    contact: tuple[float, float] | None = None
+    notes: tuple[str, ...] = ()
+    unused: tuple[str, ...] = ()
+
+    @property
+    def text(self) -> str:
+        """The draft as the text of a map's file (TOML)."""
+        lines = [
+            "# A draft by `surefoot import --guess`. A line with a # ? is a question: answer it by",
+            "# what you know of the robot, then delete it. No log tells the signs of joints.",
+            *(f"# ? {' '.join(note.split())}" for note in self.notes),
+            "",
+            "[source]",
+            f"file = {_text(self.files[0].name)}",
+        ]
+        lines += self._layout(self.files[0])
+        lines += [f"rate = {self.rate:.6g} # ? no times found"] if self.rate else []
+        for name, (path, clock) in self.sources.items():
+            lines += [
+                "",
+                f"[sources.{name}]",
+                f"file = {_text(path.name)}",
+                *self._layout(path),
+                _line(replace(clock, name="t")),
+            ]
+        lines += ["", "[columns]", *_lines(self.main)]
+        if self.reference:
+            lines += ["", "[reference]"]
+            if self.reference_file is not None and self.reference_file != self.files[0]:
+                lines.append(f"file = {_text(self.reference_file.name)}")
+                lines += self._layout(self.reference_file)
+            lines += [
+                'frame = "imu" # ? whose pose is it, and on which clock: try surefoot align',
+                "",
+                "[reference.columns]",
+                *_lines(self.reference),
+            ]
+        lines += ["", "[robot]", f"name = {_text(self.robot)}"] if self.robot else []
+        if self.contact:
+            on, off = self.contact
+            lines += ["", "[contact] # ? half way between swing and stance", f"on = {on:.4g}"]
+            lines += [f"off = {off:.4g}"]
+        if self.unused:
+            lines += ["", f"# not used: {' '.join(', '.join(self.unused).split())}"]
+        return "\n".join(lines) + "\n"
+
+    def _layout(self, path: Path) -> list[str]:
+        return [f"{key} = {json.dumps(one)}" for key, one in self.layouts.get(path, {}).items()]
+
+
+def _lines(entries: Sequence[Entry]) -> list[str]:
+    """Lines of entries; a doubt stands above the first of those that share it, and marks each."""
+    lines, above = [], ""
+    for entry in entries:
+        if entry.doubt and entry.doubt != above:
+            lines.append(f"# ? {' '.join(entry.doubt.split())}")
+        above = entry.doubt
+        lines.append(_line(entry))
+    return lines
+
+
+def _line(entry: Entry) -> str:
+    keys = [f"column = {_text(entry.theirs)}"]
+    keys += [f'unit = "{entry.unit}"'] if entry.unit else []
+    keys += [f"sign = {entry.sign:g}"] if entry.sign != 1.0 else []
+    keys += [f"gain = {entry.gain:g}"] if entry.gain != 1.0 else []
+    keys += [f"offset = {entry.offset:g}"] if entry.offset else []
+    return f"{_key(entry.name)} = {{ {', '.join(keys)} }}" + (" # ?" if entry.doubt else "")
+
+
+def _key(name: str) -> str:
+    plain = all(c.isalnum() or c in "_-" for c in name)
+    return name if plain else _text(name)
+
+
+def _text(text: str) -> str:
+    """A text in TOML, whose basic strings escape as JSON's do."""
+    return json.dumps(text, ensure_ascii=False)

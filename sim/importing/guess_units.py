@@ -1,0 +1,177 @@
+"""Units and signs of a recording's columns, from their numbers.
+
+Units come from magnitudes, and from columns that measure the same: rates against the change of
+angles, the gyro against the turning of gravity. Left and right come from the strides in turns.
+"""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from surefoot.sim.importing.columns import DEGREE, STANDARD_GRAVITY, UNITS
+from surefoot.sim.log.derived import JOINT_WINDOW, derivative
+
+_LARGEST_ANGLE = 4.0 * np.pi
+"""rad that a joint turns at most: two turns. Beyond, it is in degrees."""
+_SURE_ANGLE = 3.5
+"""rad that a joint in radians may reach without a doubt."""
+_NEAR = 1.25
+"""A ratio may be off by this factor and still say which unit it is."""
+_AGREE = 0.5
+"""Correlation from which two columns measure the same."""
+_CAN_TURN = 0.1
+"""rad/s, standard deviation of the yaw rate from which strides tell left from right."""
+_STRIDES = 1.0
+"""s over which the size of strides is taken."""
+_ASSUMED_STEP = 0.005
+"""s between the rows of a recording without times, where a rate is compared with its angle."""
+
+
+def unit_of_angles(values: Iterable[np.ndarray], named: set[str]) -> tuple[str, str]:
+    """Unit of angles, each (N,), and a doubt; `named` are the units that the columns' names say."""
+    if "deg" in named:
+        return "deg", ""
+    if "rad" in named:
+        return "rad", ""
+    most = max(float(np.quantile(np.abs(v), 0.99)) for v in values)
+    if most > 800.0:
+        return "rad", f"reaches {most:.3g}: counts, with which gain?"
+    if most > _LARGEST_ANGLE:
+        return "deg", ""
+    return "rad", "" if most < _SURE_ANGLE else "rad or deg?"
+
+
+def unit_of_rates(
+    t: np.ndarray | None, rates: Sequence[np.ndarray], angles: Sequence[np.ndarray]
+) -> tuple[str, str, float | None]:
+    """Unit of joint rates, by the change of their angles, and a doubt.
+
+    Where the recording has no times, rates are taken as rad/s and give the rate of the rows [Hz],
+    the third value, instead.
+
+    Args:
+        t: (N,) [s], or None.
+        rates: of joints, each (N,).
+        angles: of the same joints, each (N,), in any unit; may be empty.
+    """
+    if not angles:
+        most = max(float(np.quantile(np.abs(v), 0.99)) for v in rates)
+        return (
+            ("rad/s", "rad/s or deg/s?", None)
+            if most < 60.0
+            else ("deg/s", "deg/s or rad/s?", None)
+        )
+    q, dq = np.column_stack(angles), np.column_stack(rates)
+    scale = 1.0 if unit_of_angles(angles, set())[0] == "rad" else DEGREE
+    times = t if t is not None else _ASSUMED_STEP * np.arange(len(q))
+    window = max(JOINT_WINDOW, 5.0 * float(np.median(np.diff(times))))
+    change = scale * derivative(times, q, window, causal=False)
+    alike = np.sum(change * dq) / max(np.linalg.norm(change) * np.linalg.norm(dq), 1e-12)
+    ratio = np.sum(change * dq) / max(float(np.sum(dq**2)), 1e-12)
+    if abs(alike) < _AGREE:
+        return "rad/s", "does not follow its angle: of which joint, in which unit?", None
+    if t is None:
+        # The ratio is the assumed rate of the rows over the true one.
+        rows = float(f"{1.0 / _ASSUMED_STEP / abs(ratio):.3g}") if abs(ratio) > 1e-3 else None
+        return "rad/s", "rad/s, if the rate of the rows is right?", rows
+    for unit, size in UNITS["dq"].items():
+        if 1.0 / _NEAR < abs(ratio) / size < _NEAR:
+            return unit, "" if ratio > 0.0 else "counts against its angle: sign = -1?", None
+    return "rad/s", f"is {1.0 / ratio:.3g} times the change of its angle: in which unit?", None
+
+
+def unit_of_gyro(
+    t: np.ndarray | None, gyro: np.ndarray, accel: np.ndarray | None, named: set[str]
+) -> tuple[str, str]:
+    """Unit of a gyro (N, 3), and a doubt: from how fast gravity turns in the accelerometer.
+
+    Where that says nothing, from the units that names say, or else from the gyro's size.
+
+    Args:
+        t: (N,) [s], or None.
+        gyro: (N, 3), in an unknown unit.
+        accel: (N, 3) in any unit, or None.
+        named: units in the columns' names.
+    """
+    size = float(np.quantile(np.abs(gyro), 0.99))
+    by_name = next(iter(named)) if len(named) == 1 and named <= set(UNITS["gyro"]) else ""
+    by_size = "rad/s" if size < 12.0 else "deg/s"
+    unit = by_name or by_size
+    if t is not None and accel is not None:
+        dt = max(float(np.median(np.diff(t))), 1e-6)
+        width = max(int(0.5 / dt), 1)
+        smooth = np.column_stack([_smoothed(x, width) for x in accel.T])
+        up = smooth / np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-9)
+        turned = np.gradient(up, t, axis=0)[width:-width]
+        rate = np.column_stack([_smoothed(x, width) for x in gyro.T])[width:-width]
+        by_gyro = -np.cross(rate, up[width:-width])
+        both = float(np.linalg.norm(turned) * np.linalg.norm(by_gyro))
+        alike = float(np.sum(turned * by_gyro)) / max(both, 1e-12)
+        ratio = float(np.sum(turned * by_gyro)) / max(float(np.sum(by_gyro**2)), 1e-12)
+        if alike > 0.7 and 1 / 3 < ratio < 3:
+            return "rad/s", ""
+        if alike > 0.7 and 1 / 3 < ratio / DEGREE < 3:
+            return "deg/s", ""
+        if alike < -0.7:
+            return unit, "turns against the accelerometer: signs of one of them?"
+    return unit, "" if by_name or not 4.0 < size < 60.0 else "rad/s or deg/s?"
+
+
+def unit_of_accel(accel: np.ndarray) -> tuple[str, float, str]:
+    """Unit of an accelerometer (N, 3), gain and a doubt: its usual length is taken for gravity."""
+    size = float(np.median(np.linalg.norm(accel, axis=1)))
+    if 8.0 < size < 12.0:
+        return "m/s^2", 1.0, ""
+    for unit, one in (("g", 1.0), ("mg", 1e3)):
+        if 0.8 * one < size < 1.2 * one:
+            return unit, 1.0, ""
+    gain = float(f"{STANDARD_GRAVITY / max(size, 1e-9):.4g}")
+    return "m/s^2", gain, f"its length is {size:.3g} at rest: in which unit?"
+
+
+def gravity_doubt(mean: np.ndarray) -> dict[str, str]:
+    """Axis -> a doubt about its sign, from the mean specific force (3,), which is up: +z."""
+    axis = int(np.argmax(np.abs(mean)))
+    if axis == 2 and mean[2] > 0.0:
+        return {}
+    where = f"gravity reads {'+' if mean[axis] > 0 else '-'} on {'xyz'[axis]}"
+    if axis == 2:
+        why = (
+            f"{where}: an IMU upside down ([robot] imu_orientation), the sign, or gravity itself"
+            " (offset = 19.62)?"
+        )
+        return {"z": why, "x": why, "y": why}
+    return dict.fromkeys("xyz", f"{where}: give [robot] imu_orientation, or other axes?")
+
+
+def stride_in_turns(
+    t: np.ndarray, yaw: np.ndarray, left: Sequence[np.ndarray], right: Sequence[np.ndarray]
+) -> float | None:
+    """How the strides of right legs grow over those of left ones with the rate of turning to the
+    left, in log units per rad/s: positive, for the outer legs go further. None where it cannot be
+    told.
+
+    Args:
+        t: (N,) [s].
+        yaw: (N,) rate of turning to the left [rad/s].
+        left: angles (N,) of the left legs' thighs, in any unit.
+        right: of the right legs'.
+    """
+    edges = np.arange(t[0], t[-1], _STRIDES)
+    parts = np.split(np.arange(len(t)), np.searchsorted(t, edges[1:]))
+    parts = [rows for rows in parts if len(rows) > 10]
+    sizes = [[np.mean([np.std(v[rows]) for v in side]) for rows in parts] for side in (left, right)]
+    turning = np.array([yaw[rows].mean() for rows in parts])
+    strides = np.array(sizes)
+    walking = strides.min(axis=0) > 0.3 * np.median(strides)
+    if walking.sum() < 4 or np.std(turning[walking]) < _CAN_TURN:
+        return None
+    more = np.log(strides[1] / np.maximum(strides[0], 1e-12))[walking]
+    turning = turning[walking]
+    if abs(np.corrcoef(turning, more)[0, 1]) < _AGREE:
+        return None
+    return float(np.polyfit(turning, more, 1)[0])
+
+
+def _smoothed(x: np.ndarray, width: int) -> np.ndarray:
+    return np.convolve(x, np.ones(width) / width, mode="same")

@@ -1,0 +1,153 @@
+"""A file of a recording as read, before a map says what its columns are."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from surefoot.sim.importing.bag import RECEIVED, bag_fields, read_bag
+from surefoot.sim.importing.columns import UNITS
+from surefoot.sim.importing.draft import Entry
+from surefoot.sim.importing.layout import layout_of
+from surefoot.sim.importing.names import Named, by_their_legs, read_name
+from surefoot.sim.importing.recording import is_bag, is_text, read_table
+from surefoot.sim.importing.sections import Source
+from surefoot.sim.importing.table import columns_of
+from surefoot.sim.robot.fixed_base import Machine
+
+_RATES = (8.0, 5000.0)
+"""Hz between which a log's rate lies."""
+_MOST_JOINTS = 100
+"""Words that a list of joints has at most."""
+
+
+@dataclass(frozen=True)
+class RecordedFile:
+    """A file of a recording, or the part of one that has a clock of its own, before a map.
+
+    label: a name for it; columns: by name, each (N,) on one clock, those of a bag interpolated to
+    it; recorded: the same as they are in the file; names: what each column's name says; lists:
+    names of joints that the file lists, by the list's name; layout: keys of [source] for a text; t:
+    the column of times, or None; seconds: (N,), its times [s].
+    """
+
+    path: Path
+    label: str
+    columns: dict[str, np.ndarray]
+    recorded: dict[str, np.ndarray]
+    names: dict[str, Named]
+    lists: dict[str, tuple[str, ...]]
+    layout: dict[str, Any]
+    t: Entry | None
+    seconds: np.ndarray | None
+
+
+def recorded_files(path: Path, machine: Machine | None) -> list[RecordedFile]:
+    """Read the columns of numbers of a file: of a bag on one clock, else apart by their clocks.
+
+    Empty where it has none. machine: its joints' names are known in those of columns; or None.
+    """
+    if is_bag(path):
+        return _of_bag(path, machine)
+    layout = layout_of(path) if is_text(path) else {}
+    table = read_table(path, Source(**layout))
+    columns = columns_of(table)
+    lists = {
+        name: tuple(map(str, cells))
+        for name, cells in table.cells.items()
+        if len(cells) <= _MOST_JOINTS and all(isinstance(one, str) for one in cells)
+    }
+    found = []
+    for part in _by_clock({n: v for n, v in columns.items() if len(v) > 1}):
+        names = _names(part, machine)
+        t = column_of_times(part, names)
+        seconds = t.scale * part[t.theirs] if t else None
+        label = _label(path, part, columns)
+        found.append(RecordedFile(path, label, part, part, names, lists, layout, t, seconds))
+    return found
+
+
+def _of_bag(path: Path, machine: Machine | None) -> list[RecordedFile]:
+    fields = bag_fields(path)
+    if not fields:
+        return []
+    readings = read_bag(path, fields)
+    recorded = {name: values for name, (_, values) in readings.items()}
+    names = _names(recorded, machine)
+    # The rows are those of the IMU, or else of the most frequent topic.
+    gyro = [n for n, one in names.items() if one.kind == "gyro" and not one.reference]
+    first = gyro[0] if gyro else max(recorded, key=lambda n: len(recorded[n]))
+    seconds = readings[first][0]
+    t = times_of_topic(first.partition(":")[0], recorded, names)
+    columns = {n: np.interp(seconds, *one) for n, one in readings.items()}
+    return [RecordedFile(path, _plain(path.stem), columns, recorded, names, {}, {}, t, seconds)]
+
+
+def times_of_topic(
+    topic: str, columns: Mapping[str, np.ndarray], names: Mapping[str, Named]
+) -> Entry:
+    """The stamps in a topic's messages, or where they have none when these were received."""
+    own = {n: v for n, v in columns.items() if n.startswith(f"{topic}:") and names[n].kind == "t"}
+    return column_of_times(own, names) or Entry("t", f"{topic}:{RECEIVED}", "s")
+
+
+def column_of_times(columns: Mapping[str, np.ndarray], names: Mapping[str, Named]) -> Entry | None:
+    """The column of times: one that is named so, or else one that rises in even steps."""
+    rising = [n for n, v in columns.items() if len(v) > 2 and np.all(np.diff(v) > 0.0)]
+    named = [n for n in rising if names[n].kind == "t"]
+    even = [n for n in rising if np.std(np.diff(columns[n])) < 0.5 * np.mean(np.diff(columns[n]))]
+    for name in (*named, *even):
+        step = float(np.median(np.diff(columns[name])))
+        named_unit = names[name].unit
+        fits = [u for u, s in UNITS["t"].items() if _RATES[0] < 1.0 / (step * s) < _RATES[1]]
+        if named_unit in fits:
+            return Entry("t", name, named_unit)
+        if fits:
+            doubt = "" if name in named and len(fits) == 1 else "is this the time?"
+            return Entry("t", name, fits[0], doubt=doubt)
+    return None
+
+
+def _names(columns: Mapping[str, np.ndarray], machine: Machine | None) -> dict[str, Named]:
+    return by_their_legs({name: read_name(_in_our_words(name, machine)) for name in columns})
+
+
+def _by_clock(columns: Mapping[str, np.ndarray]) -> list[dict[str, np.ndarray]]:
+    """The columns of as many rows together; of those, groups apart whose times are not the same."""
+    parts: dict[tuple[int, str], dict[str, np.ndarray]] = {}
+    for rows in dict.fromkeys(map(len, columns.values())):
+        own = {n: v for n, v in columns.items() if len(v) == rows}
+        clocks = [n for n in own if read_name(n).kind == "t" and np.all(np.diff(own[n]) > 0.0)]
+        apart = any(not np.array_equal(own[n], own[clocks[0]]) for n in clocks)
+        groups = {n.rpartition("/")[0] for n in clocks} if apart else set()
+        for name, values in own.items():
+            group = name.rpartition("/")[0]
+            parts.setdefault((rows, group if group in groups else ""), {})[name] = values
+    return list(parts.values())
+
+
+def _label(path: Path, part: Mapping[str, np.ndarray], whole: Mapping[str, np.ndarray]) -> str:
+    """A name for a part of a file: the file's, or of one in several parts that of its groups."""
+    if len(part) == len(whole):
+        return _plain(path.stem)
+    groups = dict.fromkeys(name.rpartition("/")[0] or name.partition("[")[0] for name in part)
+    return _plain("_".join(groups))
+
+
+def _plain(text: str) -> str:
+    return re.sub(r"[^A-Za-z0-9_-]+", "_", text)
+
+
+def _in_our_words(name: str, machine: Machine | None) -> str:
+    """A column's name with our name of the joint in place of the one in the robot's file."""
+    if machine is None:
+        return name
+    both = zip(machine.joint_names, machine.limbs.joints, strict=True)
+    for theirs, ours in sorted(both, key=lambda pair: -len(pair[0])):
+        alone = rf"(?<![A-Za-z0-9]){re.escape(theirs)}(?![A-Za-z0-9])"
+        if theirs != ours and re.search(alone, name, re.IGNORECASE):
+            return re.sub(alone, ours, name, flags=re.IGNORECASE)
+    return name
