@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from surefoot.scenarios.cli.named import file_there
 from surefoot.scenarios.cli.options import (
     Cluster,
     Force,
@@ -18,7 +19,7 @@ from surefoot.scenarios.cli.options import (
     read_logs,
 )
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.scenario_catalog import bundled_scenarios
+from surefoot.sim.scenario_catalog import bundled_scenarios, scenario_file
 
 if TYPE_CHECKING:
     from surefoot.sim.log import Log
@@ -83,13 +84,12 @@ class Import:
     force: Force = False
 
     def run(self) -> None:
-        from surefoot.sim.importing.recording import read_recording
-        from surefoot.sim.importing.report import import_lines
-
         kind = len(self.files) > 1 and self.files[0] in ("csv", "bag")  # alone it is a file's name
         files = self.files[1:] if kind else self.files
         if not files:
             raise SurefootError("give the recording's file")
+        for file in files:
+            file_there(file)
         if self.guess:
             self._draft(files)
             return
@@ -98,6 +98,9 @@ class Import:
             raise SurefootError(f"--{name} is missing (or --guess, to draft a map)")
         if self.robot:
             raise SurefootError("--robot goes with --guess; the map's [robot] names it")
+        from surefoot.sim.importing.recording import read_recording
+        from surefoot.sim.importing.report import import_lines
+
         recording = read_recording(files, self.map)
         log = recording.log()
         if set(log.frame) == {"t"}:
@@ -239,9 +242,13 @@ class View:
     def run(self) -> None:
         from tempfile import TemporaryDirectory
 
+        path = Path(self.file)
+        if not path.exists():
+            if path.suffix in (".rrd", ".parquet"):
+                file_there(path)
+            scenario_file(path)
         from surefoot.scenarios.viewer.view import view
 
-        path = Path(self.file)
         if path.suffix == ".rrd" or (path.exists() and path.suffix not in (".parquet", ".toml")):
             if self.out:
                 raise SurefootError("-o is for a log or a scenario; this has its recording")

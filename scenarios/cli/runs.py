@@ -10,6 +10,7 @@ from glob import escape
 from pathlib import Path
 from typing import Any
 
+from surefoot.scenarios.cli.named import refuse_unnamed
 from surefoot.scenarios.cli.signals import Interrupted
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import (
@@ -51,17 +52,16 @@ SPACE = 4_000_000
 def guarded(name: str, command: Any) -> Iterator[None]:
     """While it lasts, the command has its output to itself and never writes over what it reads.
 
-    Raises SurefootError where its output is an input or another run is writing it, where the disk
-    is full, or where others can write to the cache.
+    Raises SurefootError where what it reads is not there, where its output is an input or another
+    run is writing it, where the disk is full, or where others can write to the cache.
     """
     given = {f.name: getattr(command, f.name) for f in fields(command)}
     own = [given[name] for name in OUTPUTS_OF_ONE_RUN if given.get(name) is not None]
     shared = [given[name] for name in SHARED_OUTPUTS if given.get(name) is not None]
     outputs = OUTPUTS_OF_ONE_RUN + SHARED_OUTPUTS
-    read = [value for name, value in given.items() if name not in outputs]
-    inputs = [path for value in read for path in _paths(value)]
-    for value in read:
-        _refuse_missing(value)
+    read = {name: value for name, value in given.items() if name not in outputs}
+    inputs = [path for value in read.values() for path in _paths(value)]
+    refuse_unnamed(read)
     cache_folder()
     for option, limit in BOUNDED.items():
         if isinstance(given.get(option), int):
@@ -87,13 +87,6 @@ def guarded(name: str, command: Any) -> Iterator[None]:
             done = [p for p in run.written if name not in GOES_ON or p in whole]
             stop.written = [str(path) for path in done]
             raise
-
-
-def _refuse_missing(value: Any) -> None:
-    """Raise SurefootError for a file to read that is not there, before anything is imported."""
-    for one in value if isinstance(value, tuple) else (value,):
-        if isinstance(one, Path) and not one.exists():
-            raise SurefootError(f"{one}: no such file")
 
 
 def _paths(value: Any) -> list[Path]:

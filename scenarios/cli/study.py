@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from tyro.conf import Positional, UseAppendAction, arg
 
@@ -20,10 +20,13 @@ from surefoot.scenarios.cli.options import (
     Workers,
     learnt_from,
     not_plausible,
+    one_of,
     print_json,
     read_logs,
 )
 from surefoot.sim.common.errors import SurefootError
+
+BUNDLED_EXPERIMENTS = ("spot", "vision60")
 
 
 @dataclass(frozen=True)
@@ -237,6 +240,9 @@ class ExperimentCommand(GridOptions):
     """Experiment file (TOML), or the name of a bundled one: spot, vision60."""
 
     def run(self) -> None:
+        if self.file not in BUNDLED_EXPERIMENTS and not Path(self.file).exists():
+            names = ", ".join(BUNDLED_EXPERIMENTS)
+            raise SurefootError(f"experiment {self.file}: no such file; bundled are {names}")
         self.experiment(self.file)
 
 
@@ -244,7 +250,7 @@ class ExperimentCommand(GridOptions):
 class Suite(GridOptions):
     """The paper's two tables on the simulated suites, from simulation to table."""
 
-    name: Positional[Literal["spot", "vision60"]]
+    name: Positional[one_of(BUNDLED_EXPERIMENTS)]  # pyright: ignore[reportInvalidTypeForm]
 
     def run(self) -> None:
         self.experiment(self.name)

@@ -54,17 +54,39 @@ def test_a_slip_of_the_pen_is_answered_by_what_was_meant(arguments, suggestion, 
     assert suggestion in f"{message}{capsys.readouterr().err}"
 
 
-def test_every_path_that_is_read_is_looked_for_before_anything_is_imported(tmp_path, capsys):
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("train gone.parquet -o o.pt", "gone.parquet: no such file"),
+        ("import gone.csv --map go1_square -o l.parquet", "gone.csv: no such file"),
+        ("import --guess gone.csv", "gone.csv: no such file"),
+        ("import here.csv --map go1_sqare -o l.parquet", "; did you mean 'go1_square'?"),
+        ("import here.csv --map gone.toml -o l.parquet", "gone.toml: no such import map"),
+        ("simulate demo/wlak -o new", "; did you mean 'demo/walk'?"),
+        ("simulate demo/walk --robot gone.xml -o new", "gone.xml: no such MJCF file"),
+        ("walking --course gone.toml -o new", "scenario gone.toml: No such file"),
+        ("view demo/wlak", "; did you mean 'demo/walk'?"),
+        ("view gone.rrd", "gone.rrd: no such file"),
+        ("robots spot_clas", "; did you mean 'spot_class'?"),
+        ("plan --robot spot_clas payload", "; did you mean 'spot_class'?"),
+        ("realism here.csv --walker spot_clas -o new", "; did you mean 'spot_class'?"),
+        ("estimate here.csv --filter lag", "; did you mean 'leg'?"),
+        ("experiment gone.toml -o new", "experiment gone.toml: no such file"),
+    ],
+)
+def test_what_is_not_there_is_said_before_anything_is_imported(line, message, tmp_path):
+    """Those that take a second or more to import are what a slip of the pen should not wait for."""
+    (tmp_path / "here.csv").write_text("t,a\n0,1\n")
     script = (
         "import sys; from surefoot.scenarios.cli.main import main\n"
         "try: main()\n"
         "finally: print(*[m for m in ('torch', 'pandas', 'mujoco', 'numba') if m in sys.modules])"
     )
-    for line in ("train gone.parquet -o o.pt", "estimate gone.parquet --filter leg"):
-        arguments = [sys.executable, "-c", script, *line.split()]
-        run = subprocess.run(arguments, capture_output=True, text=True, cwd=tmp_path, check=False)
-        assert (run.returncode, run.stdout.split()) == (1, [])
-        assert run.stderr.splitlines() == ["surefoot: gone.parquet: no such file"]
+    arguments = [sys.executable, "-c", script, *line.split()]
+    run = subprocess.run(arguments, capture_output=True, text=True, cwd=tmp_path, check=False)
+    assert (run.returncode, run.stdout.split()) == (1, [])
+    (said,) = run.stderr.splitlines()
+    assert message in said
 
 
 def test_results_are_json_where_that_is_asked_for(capsys):

@@ -1,0 +1,52 @@
+"""What a command's options name is looked for before anything heavy is imported."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import bundled
+from surefoot.sim.importing.map_catalog import map_file
+from surefoot.sim.robot.catalog import robot_file
+from surefoot.sim.scenario_catalog import scenario_file
+
+
+def refuse_unnamed(given: Mapping[str, Any]) -> None:
+    """Raise SurefootError for a file that is not there, or a name that is of nothing known.
+
+    given: the values of a command's options that it reads, by their names.
+    """
+    for option, value in given.items():
+        for one in value if isinstance(value, tuple) else (value,):
+            if isinstance(one, Path):
+                file_there(one)
+            elif isinstance(one, str) and one and option in _LOOKED_UP:
+                _LOOKED_UP[option](one)
+
+
+def file_there(path: str | Path) -> None:
+    """Raise SurefootError where neither a file nor a folder is."""
+    if not Path(path).exists():
+        raise SurefootError(f"{path}: no such file")
+
+
+def _machine_file(name: str) -> None:
+    if not (bundled("surefoot.sim.robot", "machines") / f"{name}.xml").is_file():
+        robot_file(name)
+
+
+def _known_filter(name: str) -> None:
+    if name not in ESTIMATORS:
+        estimator_named(name)
+
+
+_LOOKED_UP = {
+    "filter": _known_filter,
+    "robot": _machine_file,
+    "walker": robot_file,
+    "scenarios": scenario_file,
+    "course": scenario_file,
+    "map": map_file,
+}
+"""Options that are names, some of them files as well -> what raises SurefootError if unknown."""

@@ -1,0 +1,26 @@
+"""Where an import map's file lies, by name or path."""
+
+from pathlib import Path
+
+from surefoot.sim.common.errors import SurefootError, did_you_mean
+from surefoot.sim.common.files import bundled
+
+
+def bundled_maps() -> dict[str, Path]:
+    """Names of the maps that come with surefoot, such as "go1_square", and their files."""
+    files = bundled("surefoot.sim.importing", "maps").glob("*.toml")
+    return {file.stem: file for file in sorted(files)}
+
+
+def map_file(name_or_path: str | Path) -> Path:
+    """The file of a map: a path, or the name of a bundled one, with or without its ending.
+
+    Raises SurefootError, listing the names, where it is neither.
+    """
+    path, known = Path(name_or_path), bundled_maps()
+    if path.is_file():
+        return path
+    if path.parent == Path() and (found := known.get(path.name.removesuffix(".toml"))):
+        return found
+    hint = did_you_mean(path.name, known)
+    raise SurefootError(f"{path}: no such import map (bundled: {', '.join(known)}){hint}")
