@@ -4,6 +4,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from surefoot.sim.importing.german_names import in_english, in_plain_letters
 from surefoot.sim.log.schema import LEGS
 
 
@@ -96,10 +97,10 @@ def words_of(name: str) -> list[str]:
     """The words of a name in small letters: parts between signs and capitals."""
     # Between frames, as in a_RS_S_x of EuRoC.
     name = re.sub(r"\b([apqw])_[A-Z]{2}(?:_[A-Z])?_([wxyz])\b", r"\1\2", name)
-    name = name.replace("°", " deg ")
+    name = in_plain_letters(name).replace("°", " deg ")
     apart = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z]{2})", " ", name)
     words = [word.lower() for word in re.split(r"[^A-Za-z0-9]+", apart) if word]
-    return _legs_in_one(words)
+    return _legs_in_one(in_english(words))
 
 
 def _legs_in_one(words: list[str]) -> list[str]:
@@ -162,6 +163,8 @@ def read_name(name: str) -> Named:
     if kind == "force" and leg in LEGS and _of_a_leg(part) in ("hip", "thigh", "calf"):
         kind = "tau"  # the load of a joint
     tracked = bool(_REFERENCE & set(words))
+    if kind == "gyro" and leg and not axis:
+        kind = "dq"  # "angular velocity" of a joint
     if not kind and axis and tracked and not part and not leg:
         kind = "ref_p"
     if kind == "q" and axis and tracked and "q" in words:

@@ -1,0 +1,55 @@
+"""German words in the names of columns, in those of English that `names` reads."""
+
+_WORDS = {
+    german: english
+    for english, words in {
+        "time": "zeit zeitpunkt zeitstempel uhrzeit sekunden",
+        "angular velocity": "drehrate drehraten winkelgeschwindigkeit drehgeschwindigkeit kreisel",
+        "acceleration": "beschleunigung beschleunigungen linearbeschleunigung",
+        "angle": "winkel gelenkwinkel gelenkstellung stellung",
+        "velocity": "geschwindigkeit gelenkgeschwindigkeit drehzahl",
+        "torque": "moment momente drehmoment gelenkmoment motormoment",
+        "force": "kraft",
+        "foot force": "fusskraft bodenkraft aufstandskraft",
+        "contact": "kontakt bodenkontakt",
+        "foot contact": "fusskontakt",
+        "foot": "fuss fuesse",
+        "joint": "gelenk gelenke",
+        "hip": "huefte hueftgelenk",
+        "thigh": "oberschenkel",
+        "knee": "knie kniegelenk",
+        "calf": "unterschenkel",
+        "leg": "bein",
+        "front": "vorn vorne vorder vorderes",
+        "rear": "hinten hinter hinteres",
+        "left": "links linker linkes linke",
+        "right": "rechts rechter rechtes rechte",
+        "attitude": "lage orientierung ausrichtung",
+        "reference": "referenz",
+        "desired": "soll sollwert",
+        "measured": "ist istwert gemessen",
+        "body": "rumpf koerper",
+        "roll": "rollen rollwinkel wankwinkel",
+        "pitch": "nicken nickwinkel",
+        "yaw": "gieren gierwinkel",
+        "fl": "vl",  # of "vorne links"; "hinten" begins as "hind" does
+        "fr": "vr",
+        "deg": "grad",
+    }.items()
+    for german in words.split()
+}
+_LETTERS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"} | {"Ä": "Ae", "Ü": "Ue"})
+
+
+def in_plain_letters(name: str) -> str:
+    """The name without umlauts: "Hüfte" as "Huefte"."""
+    return name.translate(_LETTERS)
+
+
+def in_english(words: list[str]) -> list[str]:
+    """Words in small and plain letters: those that are German in English, with their numbers."""
+    english: list[str] = []
+    for word in words:
+        letters = word.rstrip("0123456789")
+        english += (_WORDS.get(letters, letters) + word[len(letters) :]).split()
+    return english
