@@ -159,7 +159,7 @@ def velocity_figure(
 
 def position_error(
     errors: Mapping[str, ErrorSeries],
-    title: str = "Distance between estimate and truth, and each filter's own 3σ",
+    title: str = "Distance between estimate and truth, and each filter's own 3σ (dashed)",
 ) -> Figure:
     """Position error norm and the filter's own 3 sigma (of the covariance's trace) over time."""
     figure, axes = new_figure(size=(7.5, 4.0))
@@ -167,14 +167,13 @@ def position_error(
     top = 0.0
     for name, error in errors.items():
         color, label = estimator_color(name), estimator_label(name)
-        ax.plot(error.t, error.distance, color=color, linewidth=1.6, label=label)
-        top = max(top, float(error.distance.max()))
         sigma = error.distance_sigma
         if sigma is not None:
             inside = 100.0 * (error.distance <= 3.0 * sigma).mean()
-            label = f"{label}: own 3σ, holds {inside:.0f} % of the time"
-            line = {"color": color, "linewidth": 1.0, "linestyle": (0, (4, 2))}
-            ax.plot(error.t, 3.0 * sigma, **line, label=label)
+            label = f"{label} ({inside:.0f} % within 3σ)"
+            ax.plot(error.t, 3.0 * sigma, color=color, linewidth=1.0, linestyle=(0, (4, 2)))
+        ax.plot(error.t, error.distance, color=color, linewidth=1.6, label=label)
+        top = max(top, float(error.distance.max()))
     if errors:
         ax.set_xlim(min(e.t[0] for e in errors.values()), max(e.t[-1] for e in errors.values()))
     ax.set(xlabel="time [s]", ylabel="position error [m]")

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from surefoot.estimator.evaluation.trajectory import reference
 from surefoot.models.calibration.mixing import mixing
 from surefoot.scenarios.estimate.error_series import error_series
+from surefoot.scenarios.estimate.estimators import ESTIMATORS
 from surefoot.scenarios.experiments.figures import by_sequence, paths
 from surefoot.scenarios.reporting import figures, observer_figures
 from surefoot.scenarios.reporting.palette import estimator_color, estimator_label, estimator_line
@@ -60,7 +61,7 @@ def drawn(walk, errors) -> dict[str, Figure]:
         ("trajectories", ["x [m]", "y [m]", "Truth", "Leg IEKF", "Start", "friction 0.20"]),
         ("height", ["time [s]", "height z [m]", "Coverage"]),
         ("velocity", ["m/s", "time [s]", "forward", "inside ± 0.05", "Truth outside"]),
-        ("error", ["position error [m]", "Coverage: own 3σ, holds 100 % of the time"]),
+        ("error", ["position error [m]", "Coverage (100 % within 3σ)"]),
         ("distributions", ["error [m/s]", "Gaussian fit, test", "meant: at least 80 %"]),
         ("mixing", ["lag [samples of 10 ms]", "β(lag)"]),
         ("residuals", ["RMS [m/s]", "leg velocity", "0.3", "0.1", "noise floor"]),
@@ -79,6 +80,21 @@ def test_every_estimator_keeps_its_colour(drawn, name):
         for estimator in ("coverage", "leg"):
             if str(line.get_label()).startswith(estimator_label(estimator)):
                 assert to_hex(line.get_color()).upper() == estimator_color(estimator)
+
+
+def test_no_legend_is_cut_off_where_every_estimator_is_drawn(walk, errors):
+    all_of_them = dict.fromkeys(ESTIMATORS, errors["leg"])
+    for figure in (
+        figures.position_error(all_of_them),
+        figures.height_figure(walk.log, all_of_them),
+        figures.trajectories(walk.log, all_of_them, walk.patches),
+    ):
+        png(figure)
+        (legend,) = figure.legends
+        whole, box = figure.bbox, legend.get_window_extent()
+        assert whole.x0 <= box.x0
+        assert box.x1 <= whole.x1
+        assert whole.y0 <= box.y0
 
 
 def test_heights_and_paths_are_those_of_the_walk(drawn, walk, errors):
