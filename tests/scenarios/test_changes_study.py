@@ -121,6 +121,14 @@ def test_a_change_put_into_a_log_is_the_one_that_inverse_dynamics_asks_for(machi
     np.testing.assert_array_equal(turned.tau, plain.tau)
 
 
+def test_half_of_the_changes_at_the_threshold_are_named_by_chance():
+    least = {"key": ("link_mass", "low"), "size": 1.0, "least": 1.0}
+    at = {**least, "size": changes.NAMED / (changes.NAMED + changes.SURE)}
+    unchanged = {"key": None, "size": 0.0, "least": None}
+    chances = [changes.chance_of_a_name(row) for row in (least, at, unchanged)]
+    assert chances == pytest.approx([0.95, 0.5, 0.0], abs=1e-3)
+
+
 def test_drawn_changes_are_tried_once_and_kept(machine, runs, tmp_path, monkeypatch):
     done = runs_left_out(
         {r: [window_rows(x, machine, WINDOW) for x in own] for r, own in runs.items()}

@@ -15,6 +15,7 @@ import pandas as pd
 from scipy.interpolate import CubicSpline
 from scipy.linalg import cho_factor, cho_solve
 from scipy.ndimage import gaussian_filter1d
+from scipy.stats import norm
 
 from surefoot.scenarios.cache import finished_case
 from surefoot.scenarios.studies.hardware.drives import FIRST
@@ -231,7 +232,7 @@ def changes_table(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
             "run": row["run"],
             "changed": _words(row["key"]) if row["key"] else "nothing",
             "by": _sized(row["key"], row["size"]) if row["key"] else "",
-            "of the least named": f"{abs(row['size']) / row['least']:.2f}" if row["key"] else "",
+            "of the least named": f"{_ratio(row):.2f}" if row["key"] else "",
             "named": " or ".join(_of(one) for one in row["named"]) or "nothing",
             "verdict": verdict(row),
         }
@@ -250,19 +251,30 @@ def verdict(row: Mapping[str, Any]) -> str:
 
 
 def counts_table(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
-    """How many cases ended how: by size, and without a change."""
+    """How many cases ended how, by size, and how many of them chance alone has named."""
 
     def part(words: str, own: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         verdicts = [verdict(row) for row in own]
         ends = ("right", "not alone", "wrong", "nothing")
-        return {"changed": words, "cases": len(own)} | {e: verdicts.count(e) for e in ends}
+        counts = {end: verdicts.count(end) for end in ends}
+        expected = f"{sum(map(chance_of_a_name, own)):.1f}"
+        return {"changed": words, "cases": len(own), "expected named": expected} | counts
 
     changed = [row for row in rows if row["key"]]
+    passes = NAMED / (NAMED + SURE)
     return pd.DataFrame([
-        part("at least the least that is named", [r for r in changed if _above(r)]),
-        part("less", [r for r in changed if not _above(r)]),
+        part("at least the least that is named", [r for r in changed if _ratio(r) >= 1.0]),
+        part("less, but beyond the threshold", [r for r in changed if passes <= _ratio(r) < 1.0]),
+        part("less than the threshold", [r for r in changed if _ratio(r) < passes]),
         part("nothing", [r for r in rows if not r["key"]]),
     ])  # fmt: skip
+
+
+def chance_of_a_name(row: Mapping[str, Any]) -> float:
+    """Probability that an estimate of this case's change, or of none, with the deviation that the
+    run gives it and nothing else, is beyond the threshold: of one change, its sign either way."""
+    true = (NAMED + SURE) * _ratio(row) if row["key"] else 0.0
+    return float(norm.cdf(true - NAMED) + norm.cdf(-true - NAMED))
 
 
 def least_table(done: Sequence[HeldOutRun]) -> pd.DataFrame:
@@ -290,8 +302,9 @@ def unchanged_table(by_length: Mapping[float, Sequence[HeldOutRun]]) -> pd.DataF
     return pd.DataFrame(rows.values())
 
 
-def _above(row: Mapping[str, Any]) -> bool:
-    return abs(row["size"]) >= row["least"]
+def _ratio(row: Mapping[str, Any]) -> float:
+    """Of a change's size to the least that is named in 95 of 100 runs."""
+    return abs(row["size"]) / row["least"]
 
 
 def _words(key: Sequence[str]) -> str:
