@@ -8,7 +8,14 @@ from scipy.integrate import cumulative_trapezoid
 
 from surefoot.estimator.evaluation.run_summary import summary_of_run
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
-from surefoot.estimator.metrics import Metrics, align_first, evaluate, matched, path_length
+from surefoot.estimator.metrics import (
+    SEGMENT,
+    Metrics,
+    align_first,
+    evaluate,
+    matched,
+    path_length,
+)
 from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named, traits
 from surefoot.scenarios.estimate.run import Learnt, estimated_in_chunks, health_of
@@ -109,10 +116,12 @@ def _compared(
 
 
 def drift(truth: Trajectory, estimate: Trajectory) -> float:
-    """Error of the last position after aligning the first poses, over the path's length [m/m]."""
+    """Error of the last position after aligning the first poses, over the path's length [m/m]; NaN
+    of a path shorter than the segments of the relative error: who sways has gone nowhere."""
     truth, estimate = matched(truth, estimate)
     off = align_first(truth, estimate).p_GI[-1] - truth.p_GI[-1]
-    return float(np.linalg.norm(off) / max(path_length(truth.t, truth.p_GI), 1e-9))
+    length = path_length(truth.t, truth.p_GI)
+    return float(np.linalg.norm(off) / length) if length >= SEGMENT else float("nan")
 
 
 def dead_reckoned(log: Log, robot: Robot) -> Trajectory:

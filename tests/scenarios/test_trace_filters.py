@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from surefoot.estimator.evaluation.trajectory import Trajectory
 from surefoot.scenarios.estimate.run import Learnt
-from surefoot.scenarios.trace.filters import before_and_after
+from surefoot.scenarios.trace.filters import before_and_after, drift
 from surefoot.sim.effects.base import Effect, with_columns
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
@@ -41,3 +42,16 @@ def test_an_effect_that_grows_with_time_is_explained_before_the_log_is_cut():
     imu = next(one for one in found if one.filter == "imu")
     assert imu.metrics[0].ape_rot > 5 * imu.metrics[1].ape_rot
     assert np.isfinite(imu.metrics[1].ape_trans)
+
+
+def test_who_sways_on_the_spot_has_no_drift_by_the_metre():
+    t = np.linspace(0.0, 10.0, 1001)
+    still = np.broadcast_to(np.eye(3), (len(t), 3, 3))
+
+    def path(x):
+        p_GI = np.column_stack([x, np.zeros((len(t), 2))])
+        return Trajectory(t=t, R_GI=still, v_GI=0 * p_GI, p_GI=p_GI, b_a=0 * p_GI, b_g=0 * p_GI)
+
+    away = 0.1 * t
+    assert drift(path(0.5 * t), path(0.5 * t + away)) == pytest.approx(0.2)
+    assert np.isnan(drift(path(0.01 * np.sin(t)), path(0.01 * np.sin(t) + away)))

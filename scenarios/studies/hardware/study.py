@@ -129,7 +129,10 @@ def go2_in_air(folder: Path, options: HardwareStudy) -> Chapter:
         "declares. Positions against rates give the time of a row, joint by joint and row by row; "
         f"then the balance of torques, through a kernel of {1e3 * go2.HANGING_WIDTH:g} ms, chosen "
         f"and sized on the first {1 - go2.REPORT_SHARE:.0%} and reported on the rest. Rows within "
-        f"{go2.STOPS:g} rad of a joint's stop are left out. The base is taken to hang still."
+        f"{go2.STOPS:g} rad of a joint's stop are left out. The base is taken to hang still. A "
+        "row takes as long for every joint: what joints differ by in the first table is the rates' "
+        "own, their scale or filter, and nothing that a drive lacks; the motor law takes them as "
+        "they are logged."
     )
     return Chapter("Go2 in the air", words, tables, go2.hanging_figure(times, log.joints, nominal))
 
