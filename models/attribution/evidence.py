@@ -101,10 +101,11 @@ class LogUnderModel:
 
 
 def log_under_model(log: Log, robot: Machine, settings: TraceSettings = DEFAULT) -> LogUnderModel:
-    """The log held against the robot. Without a reference only a fixed base can be traced: a
-    machine that has one, or a robot whose log shows no foot on the ground."""
+    """The log held against the robot. Without a reference a base is taken to be fixed whose log
+    shows neither a foot on the ground nor a turn of the body."""
     stands = log.has("contact") and log.contact.any()
-    hung = not log.has("reference") and not stands and log.has("q")
+    turns = log.has("imu") and np.sqrt(np.mean(np.square(log.gyro))) > settings.held_still
+    hung = not log.has("reference") and not (stands or turns) and log.has("q")
     fixed = not isinstance(robot, Robot) or hung
     log = log.keeping()
     frame = motion_under_model(log, robot, fixed)
@@ -311,7 +312,7 @@ class _Linear:
         layout, table = self.parts.layout, self.parts.table
         inputs, change = ResidualInputs(log, robot, self.frame), np.zeros(table.shape)
         for name, columns in layout.channels.items():
-            if not channels()[name].chained:
+            if not channels()[name].chained and channels()[name].answers(log, self.frame):
                 values = channels()[name].residual(inputs)
                 if values is not None:
                     change[:, columns] = np.nan_to_num(values - table[:, columns]) / step

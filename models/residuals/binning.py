@@ -54,6 +54,9 @@ class ReferenceMotion:
     """s that feet still move after their contacts begin."""
     late: float = 0.0
     """s that feet already move before their contacts end."""
+    by_reference: bool = True
+    """Whether it is a reference's. Without one, velocity and place are zero, and feet are held
+    against each other (`models.residuals.without_reference`)."""
 
     @property
     def up_I(self) -> np.ndarray:
