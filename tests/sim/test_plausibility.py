@@ -13,6 +13,7 @@ from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.plausibility import RULES, check_log
 from surefoot.sim.plausibility.axes import lag_of, match_axes
+from surefoot.sim.plausibility.streams import _drop_outs
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
@@ -509,6 +510,18 @@ def test_few_spikes_of_a_short_log_of_an_arm_are_noticed(log):
     assert any(
         line.startswith("spikes: dq_elbow") for line in found_in(edited(arm, dq_elbow=rate), None)
     )
+
+
+def test_coarse_readings_that_pass_by_zero_are_no_drop_outs():
+    """At impacts a reading of 0.1 is as frequent as one of 0."""
+    usual = np.random.default_rng(0).normal(5.0, 0.3, 4000).round(1)
+    at = np.arange(10, 4000, 40)
+    impacts, dropped = usual.copy(), usual.copy()
+    impacts[at] = 0.1 * (np.arange(len(at)) % 5 - 2)
+    dropped[at] = 0.0
+    assert np.sum(impacts == 0.0) == 20
+    assert _drop_outs(impacts) == 0
+    assert _drop_outs(dropped) == len(at)
 
 
 def test_a_joint_that_is_held_throughout_rests_and_one_whose_rate_moves_hangs(log):
