@@ -97,6 +97,10 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
         )
     if fixed:
         notes.append("without a reference the base is taken to be held still and level")
+        if any(case.frame.rates_of_angles for case in cases):
+            notes.append(
+                "torques: by the slopes of the angles, which are less noisy than the logged rates"
+            )
     elif not all(case.log.has("reference") for case in cases):
         notes.append(
             "without a reference feet that stand at the same time are held against each other, and "

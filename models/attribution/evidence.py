@@ -10,6 +10,7 @@ from surefoot.models.attribution.run_offsets import deviations, of_each_run
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.residuals.binning import (
     ReferenceMotion,
+    angles_are_quieter,
     at_rows,
     at_torques,
     bin_mean,
@@ -109,6 +110,8 @@ def log_under_model(log: Log, robot: Machine, settings: TraceSettings = DEFAULT)
     fixed = not isinstance(robot, Robot) or hung
     log = log.keeping()
     frame = motion_under_model(log, robot, fixed)
+    if fixed and log.has("tau") and angles_are_quieter(log, frame):
+        frame = replace(frame, rates_of_angles=True)
     return LogUnderModel(log, robot, with_ground(frame, log, robot), fixed, settings)
 
 
@@ -402,12 +405,14 @@ def _change(
         means = {stream: mean(rows)}
         if stream == "gyro":
             means["omega"] = mean(at_rows(rows))
-        elif stream in ("q", "dq"):
+        elif stream == "q" or (stream == "dq" and not frame.rates_of_angles):
             means |= _of_joint(stream, rows, old.t, frame)
-        if stream == "q" and not old.has("dq"):
+        if stream == "q" and (frame.rates_of_angles or not old.has("dq")):
             # Rates that were not logged are those of the angles.
             rates = derivative(old.t, rows[:, None], JOINT_WINDOW, causal=False)[:, 0]
-            means |= {"dq": mean(rates), **_of_joint("dq", rates, old.t, frame)}
+            means |= _of_joint("dq", rates, old.t, frame)
+            if not old.has("dq"):
+                means["dq"] = mean(rates)
         for kind, values in means.items():
             change.setdefault(kind, {})[place] = values / step
     return change
