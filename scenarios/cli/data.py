@@ -18,7 +18,7 @@ from surefoot.scenarios.cli.options import (
     print_json,
     read_logs,
 )
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, did_you_mean
 from surefoot.sim.scenario_catalog import bundled_scenarios, scenario_file
 
 if TYPE_CHECKING:
@@ -243,10 +243,14 @@ class View:
         from tempfile import TemporaryDirectory
 
         path = Path(self.file)
-        if not path.exists():
-            if path.suffix in (".rrd", ".parquet"):
-                file_there(path)
+        if path.suffix in (".rrd", ".parquet"):
+            file_there(path)
+        elif path.suffix == ".toml":
             scenario_file(path)
+        elif not path.exists() and self.file not in bundled_scenarios():
+            hint = did_you_mean(self.file, bundled_scenarios())
+            what = "recordings (.rrd), logs and scenarios (.toml)"
+            raise SurefootError(f"{self.file}: view opens {what}{hint}")
         from surefoot.scenarios.viewer.view import view
 
         if path.suffix == ".rrd" or (path.exists() and path.suffix not in (".parquet", ".toml")):
