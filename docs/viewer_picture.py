@@ -1,4 +1,4 @@
-"""The picture of the viewer in the README, from the recording of `surefoot demo`.
+"""The picture of the viewer in the README, from the walk of `surefoot demo`.
 
 `python docs/viewer_picture.py out/demo` (or `make readme`, which runs the demo first). It needs a
 Vulkan driver, on Debian mesa-vulkan-drivers, and no screen.
@@ -8,14 +8,37 @@ import os
 import sys
 import time
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from rerun.experimental import ViewerClient
+
+import surefoot
+from surefoot.models.observer.predict import predict
+from surefoot.scenarios.cli.options import learnt_from
+from surefoot.scenarios.estimate.estimators import ESTIMATORS, traits
+from surefoot.scenarios.estimate.run import declared_model, run_all
+from surefoot.scenarios.viewer.recording import write_recording
 
 PICTURE = Path(__file__).resolve().parent / "viewer.png"
 MOMENT = 38.0
 """s of the walk: the robot steps onto the second slippery patch."""
 PATIENCE = 60.0
 """s until the recording is loaded."""
+
+
+def overview(demo: Path, path: Path) -> None:
+    """Write the recording of the demo's walk once more, to open at its overview."""
+    log = surefoot.Log.read(demo / "logs" / "walk.parquet")
+    robot = surefoot.Robot.for_log(log)
+    learnt = learnt_from(
+        (demo / "observer_mse.pt", demo / "observer_gml.pt"),
+        (demo / "bounds_mse.json", demo / "bounds_gml.json"),
+    )
+    results, _ = run_all(log, robot, learnt, [name for name in ESTIMATORS if traits(name).drawn])
+    observer, bounds = learnt.bounded()
+    seen = predict(observer, *declared_model(log, robot))
+    estimates = {result.filter: result.trajectory for result in results}
+    write_recording(path, log, robot, estimates, seen, bounds, tab="Overview")
 
 
 def draw(recording: Path) -> None:
@@ -35,4 +58,7 @@ def draw(recording: Path) -> None:
 
 
 if __name__ == "__main__":
-    draw(Path(sys.argv[1]) / "walk.rrd")
+    with TemporaryDirectory() as folder:
+        made = Path(folder) / "walk.rrd"
+        overview(Path(sys.argv[1]), made)
+        draw(made)

@@ -34,6 +34,8 @@ class Coarse:
 def coarseness(log: Log, settings: TraceSettings = DEFAULT) -> Coarse | None:
     """How coarse the reference of a log is; None where it has too few samples, or one a row and a
     velocity of its own, as simulated ones have."""
+    if not log.has("reference"):
+        return None
     poses = reference_poses(log)
     every_row = len(poses.t) > settings.coarse_share * len(log.t)
     if len(poses.t) < settings.coarse_samples or (every_row and log.has("ref_v")):

@@ -11,7 +11,6 @@ from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.attribution.split import Split
 from surefoot.models.residuals.binning import BIN, bin_mean
-from surefoot.models.residuals.channel import OF_WALKS
 from surefoot.models.residuals.registry import CHANNELS, channels
 from surefoot.sim.effects import known_effects
 from surefoot.sim.log import Log
@@ -55,7 +54,7 @@ def cannot_tell(cases: Sequence[LogUnderModel], split: Split) -> str:
         lacking = [g for g in groups if not all(case.log.has(g) for case in cases)]
         return (
             f"no channel: the log lacks {', '.join(lacking)}; needs imu, or q and contact, beside "
-            "the reference; or q and tau of a fixed base"
+            "the reference; without one imu, q and contact; or q and tau of a fixed base"
         )
     s = cases[0].settings
     spans = [float(case.frame.t[-1] - case.frame.t[0]) for case in cases]
@@ -85,8 +84,7 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
     for name, channel in channels().items():
         if name in there or (fixed and not channel.on_fixed_base):
             continue
-        needed = [g for g in channel.needs if not (fixed and g in OF_WALKS)]
-        lacking = [g for g in needed if not all(c.log.has(g) for c in cases)]
+        lacking = dict.fromkeys(g for case in cases for g in channel.lacking(case.log, fixed))
         if lacking:
             notes.append(f"{name}{LACKING}{' and '.join(lacking)}")
         elif channel.on_level_ground:
@@ -99,6 +97,16 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
         )
     if fixed:
         notes.append("without a reference the base is taken to be held still and level")
+        if any(case.frame.rates_of_angles for case in cases):
+            notes.append(
+                "torques: by the slopes of the angles, which are less noisy than the logged rates"
+            )
+    elif not all(case.log.has("reference") for case in cases):
+        notes.append(
+            "without a reference feet that stand at the same time are held against each other, and "
+            "joints against themselves"
+        )
+        notes += _not_identifiable(cases)
     elif not all(case.log.has("ref_v") for case in cases):
         notes.append("the reference's velocity is derived from its positions, which smooths it")
         coarse = floor.plan.coarse if floor.plan else None
@@ -112,3 +120,15 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
     if any(isinstance(c.robot, Robot) and np.any(c.robot.foot_radius == 0) for c in cases):
         notes.append("the model's feet are points; the floor is from walks with the file's feet")
     return tuple(notes)
+
+
+def _not_identifiable(cases: Sequence[LogUnderModel]) -> list[str]:
+    """A sentence for each effect that walks without a reference cannot show."""
+    told = {name for case in cases for name, _ in all_keys(case)}
+    there = set.intersection(*(set(channels_of(case)) for case in cases))
+    return [
+        f"{name}: not identifiable without a reference; it shows in "
+        f"{' and '.join(one for one in kind.channels if one not in there)}"
+        for name, kind in sorted(known_effects().usable()[0].items())
+        if kind.is_compensated() and name not in told
+    ]

@@ -35,6 +35,11 @@ from surefoot.sim.effects import Effect, compensate_all
 from surefoot.sim.log import Log
 from surefoot.sim.robot.fixed_base import Machine
 
+ONLY_BETWEEN_FEET = (
+    "seen between standing feet alone, where an effect that needs a reference may look the same: "
+    "log one"
+)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Diagnosis:
@@ -117,7 +122,8 @@ def diagnose(
         settings: thresholds and constants.
         holdout: logs of the same machine that judge what was found and that no fit sees.
 
-    Raises LogError where a log lacks a reference that it needs.
+    A walk without a reference is traced by what feet that stand at the same time say of each other,
+    and joints of themselves; what only a reference would show is named among the notes.
     """
     check_seed(seed)
     model = declared or ()
@@ -172,6 +178,13 @@ def diagnose(
     verdict, reasons = verdict_of(
         found, channels, bool(curves), result.rivals, held_out, pushes, gone, result.harmful
     )
+    if verdict == "attributed" and not all(case.frame.by_reference for case in cases):
+        by_feet = [
+            f.effect for f in found if "leg_velocity" in f.effect.channels_of(f.effect.target)
+        ]
+        if by_feet:
+            names = ", ".join(f"{one.name} {one.target}" for one in by_feet)
+            verdict, reasons = "confounded", (f"{names}: {ONLY_BETWEEN_FEET}",)
     unexplained: tuple[Unexplained, ...] = ()
     if verdict == "none_of_these":
         above = [name for name, c in channels.items() if not c.at_floor or c.worse]

@@ -10,6 +10,7 @@ from surefoot.models.attribution.run_offsets import deviations, of_each_run
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.residuals.binning import (
     ReferenceMotion,
+    angles_are_quieter,
     at_rows,
     at_torques,
     bin_mean,
@@ -101,13 +102,16 @@ class LogUnderModel:
 
 
 def log_under_model(log: Log, robot: Machine, settings: TraceSettings = DEFAULT) -> LogUnderModel:
-    """The log held against the robot. Without a reference only a fixed base can be traced: a
-    machine that has one, or a robot whose log shows no foot on the ground."""
+    """The log held against the robot. Without a reference a base is taken to be fixed whose log
+    shows neither a foot on the ground nor a turn of the body."""
     stands = log.has("contact") and log.contact.any()
-    hung = not log.has("reference") and not stands and log.has("q")
+    turns = log.has("imu") and np.sqrt(np.mean(np.square(log.gyro))) > settings.held_still
+    hung = not log.has("reference") and not (stands or turns) and log.has("q")
     fixed = not isinstance(robot, Robot) or hung
     log = log.keeping()
     frame = motion_under_model(log, robot, fixed)
+    if fixed and log.has("tau") and angles_are_quieter(log, frame):
+        frame = replace(frame, rates_of_angles=True)
     return LogUnderModel(log, robot, with_ground(frame, log, robot), fixed, settings)
 
 
@@ -311,7 +315,7 @@ class _Linear:
         layout, table = self.parts.layout, self.parts.table
         inputs, change = ResidualInputs(log, robot, self.frame), np.zeros(table.shape)
         for name, columns in layout.channels.items():
-            if not channels()[name].chained:
+            if not channels()[name].chained and channels()[name].answers(log, self.frame):
                 values = channels()[name].residual(inputs)
                 if values is not None:
                     change[:, columns] = np.nan_to_num(values - table[:, columns]) / step
@@ -401,12 +405,14 @@ def _change(
         means = {stream: mean(rows)}
         if stream == "gyro":
             means["omega"] = mean(at_rows(rows))
-        elif stream in ("q", "dq"):
+        elif stream == "q" or (stream == "dq" and not frame.rates_of_angles):
             means |= _of_joint(stream, rows, old.t, frame)
-        if stream == "q" and not old.has("dq"):
+        if stream == "q" and (frame.rates_of_angles or not old.has("dq")):
             # Rates that were not logged are those of the angles.
             rates = derivative(old.t, rows[:, None], JOINT_WINDOW, causal=False)[:, 0]
-            means |= {"dq": mean(rates), **_of_joint("dq", rates, old.t, frame)}
+            means |= _of_joint("dq", rates, old.t, frame)
+            if not old.has("dq"):
+                means["dq"] = mean(rates)
         for kind, values in means.items():
             change.setdefault(kind, {})[place] = values / step
     return change

@@ -30,6 +30,9 @@ class ChannelLevel:
     settings: TraceSettings = DEFAULT
     judges: bool = False
     """Whether no fit sees it: it need not come to its floor, but must not get worse."""
+    same_bins: tuple[float, float] | None = None
+    """Before and after of the bins that both have, where these are not all: with an effect on
+    contacts undone there are other stances. Zeros where there is no such bin."""
     by_chance: bool = False
     """Whether what is left is more than before by no more than so few events differ by chance."""
 
@@ -55,11 +58,12 @@ class ChannelLevel:
         """Whether what was added to the model does harm on data that no fit has seen: it leaves
         more than before, by more than walks of a robot differ that has these effects and a model
         that knows of them, and more than those walks leave."""
-        if self.by_chance or self.after <= self.settings.worse * self.before:
+        before, after = self.same_bins or (self.before, self.after)
+        if self.by_chance or after <= self.settings.worse * before:
             return False
         if self.noise_floor is None:
             return True
-        differ = self.after - self.before > self.highest - self.noise_floor
+        differ = after - before > self.highest - self.noise_floor
         return differ and not self._as_the_model
 
 
@@ -100,6 +104,8 @@ def channel_levels(
             # Neighbours share noise, so that a level of n bins is known to one part in sqrt(n).
             count = np.isfinite(after[:, columns]).sum()
             most = own * (1.0 + 2.0 / float(np.sqrt(max(count, 1))))
+        both = np.isfinite(before[:, columns]) & np.isfinite(after[:, columns])
+        same = [_rms(part[:, columns][both]) for part in (before, after)] if both.any() else [0, 0]
         levels[name] = ChannelLevel(
             before=_rms(before[:, columns]),
             after=_rms(after[:, columns]),
@@ -108,6 +114,7 @@ def channel_levels(
             highest=most,
             settings=known.settings,
             judges=channel.judges,
+            same_bins=(same[0], same[1]),
             by_chance=channel.of_events and _by_chance(before[:, columns], after[:, columns]),
         )
     return levels

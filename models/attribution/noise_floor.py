@@ -24,10 +24,12 @@ from surefoot.models.attribution.whiteness import variance_inflation
 from surefoot.models.residuals.layout import Layout, layout_for
 from surefoot.models.residuals.registry import channels
 from surefoot.models.residuals.torques import declared
+from surefoot.models.residuals.without_reference import can_reckon, reckoned_by_legs
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect, known_effects
 from surefoot.sim.ground.terrain import Ground, Strip
 from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
 from surefoot.sim.robot.limbs import QUADRUPED, Limbs
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
@@ -175,12 +177,12 @@ def noise_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect] = ()) -
     if first.fixed:
         source = "how the readings differ from one row to the next"
         return NoiseFloor(reading_noise(cases), (), source, readings=tuple(cases))
-    known = ("imu", "q", "dq", "tau", "contact", "ref_v")
+    known = ("imu", "q", "dq", "tau", "contact", "reference", "ref_v")
     walks = first.robot.limbs == QUADRUPED
     evenness = max(float(case.log.meta.model.get("ground_evenness", 0.0)) for case in cases)
     plan = FloorPlan(
         file=first.robot.file,
-        courses=tuple(courses([case.log for case in cases], first.settings)) if walks else (),
+        courses=tuple(courses([_walked(c) for c in cases], first.settings)) if walks else (),
         groups=tuple(g for g in known if all(case.log.has(g) for case in cases)),
         evenness=evenness,
         coarse=coarseness(first.log, first.settings),
@@ -249,6 +251,15 @@ def _least(layout: Layout) -> np.ndarray:
     return least
 
 
+def _walked(case: LogUnderModel) -> Log:
+    """The log of a walk, without a reference as it walked by its IMU and legs: a floor's course
+    need not be exact."""
+    log, robot = case.log, case.robot
+    if log.has("reference") or not isinstance(robot, Robot) or not can_reckon(log):
+        return log
+    return reckoned_by_legs(log, robot)
+
+
 def courses(logs: Sequence[Log], settings: TraceSettings = DEFAULT) -> list[Twists]:
     """Commanded forward, lateral velocity [m/s] and turn [rad/s] a second, for each repeat; none
     where the robot stands on all its feet throughout."""
@@ -258,6 +269,7 @@ def courses(logs: Sequence[Log], settings: TraceSettings = DEFAULT) -> list[Twis
     motion = [
         (round(float(forward), 2), round(float(lateral), 2), round(float(turn), 2))
         for log in logs
+        if log.has("reference")
         for forward, lateral, turn in body_twists(log)
     ]
     length = max(1, min(round(settings.floor_seconds / PIECE), len(motion)))
@@ -322,8 +334,9 @@ def ground_of(
 
 def _with_groups(log: Log, groups: Groups) -> Log:
     """The walk with no more columns than the measured log has."""
-    drop = [g for g in ("imu", "q", "dq", "tau", "contact", "ref_v") if g not in groups]
-    prefixes = {"imu": ("gyro_", "accel_"), "ref_v": ("ref_v_",)}
+    every = ("imu", "q", "dq", "tau", "contact", "reference", "ref_v")
+    drop = [g for g in every if g not in groups]
+    prefixes = {"imu": ("gyro_", "accel_"), "reference": ("ref_",), "ref_v": ("ref_v_",)}
     gone = tuple(p for g in drop for p in prefixes.get(g, (f"{g}_",)))
     names = [n for n in log.frame if gone and str(n).startswith(gone)]
     return Log(log.frame.drop(columns=names), log.meta, log.name)

@@ -123,7 +123,7 @@ def attribute(
     sized, harmful = _with_intervals(data, known.explained, floor), ()
     while True:
         # What was added after one that is unsure explains it as well.
-        gone = [one.effect for one in sized if one.interval[0] <= 0.0 <= one.interval[1]]
+        gone = [one.effect for one in sized if _none(one)]
         if not gone and (harm := harmful_in(known)):
             gone, harmful = [harm[0]], (*harmful, harm)
         if not gone:
@@ -137,6 +137,14 @@ def attribute(
     rivals = tuple(rival for rival in rivals if rival[0] not in named)
     weights, evidence = known.robust_weights, known.evidence
     return Attribution(sized, tuple(rounds), rivals, weights, evidence, floor, harmful)
+
+
+def _none(one: Found) -> bool:
+    """Whether a size may as well be zero: it is inside its interval, or the effect cannot be less
+    than none and is as little as it can be."""
+    low = type(one.effect).inside(one.effect.target)[0]
+    at_none = type(one.effect).bounds[0] == 0.0 and one.effect.value <= low
+    return at_none or one.interval[0] <= 0.0 <= one.interval[1]
 
 
 def _certain(keys: Sequence[Key], robot: Machine) -> set[Key]:

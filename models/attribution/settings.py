@@ -25,6 +25,9 @@ class TraceSettings:
     """s below which there is too little to split: of a log of 12 s, whose ends have no residual."""
     shortest_fixed: float = 3.0
     """s, of all logs of a machine on a fixed base, every row of which is informative."""
+    held_still: float = 0.1
+    """rad/s, of the gyro in the mean square, above which no base is held still: a trot has 0.2 and
+    more, a bad gyro's bias 0.05."""
     farthest_carried: float = 0.5
     """m that no robot moves whose feet do not step: contacts that never change are then dead."""
 

@@ -59,6 +59,9 @@ def verdict_of(
     below = [why for one in found if (why := _below_floor(one.effect, channels))]
     if below:
         return "not_identifiable", tuple(below)
+    if not _gains(found, channels):
+        why = "what was found takes nothing off the part that no fit has seen"
+        return "not_identifiable", (why,)
     return ("confounded" if rivals else "attributed"), ()
 
 
@@ -82,6 +85,16 @@ def _implausible(one: Found) -> str:
         return ""
     name, unit = f"{one.effect.name} {one.effect.target}", one.effect.unit
     return f"{name}: no part is off by {one.effect.value:.2g} {unit}, {most:.2g} at most"
+
+
+def _gains(found: Sequence[Found], channels: dict[str, ChannelLevel]) -> bool:
+    """Whether effects leave less of any channel that they show in on what no fit has seen; of those
+    that no model compensates nothing is asked."""
+    if not all(type(one.effect).is_compensated() for one in found):
+        return True
+    shown = {name for one in found for name in one.effect.channels_of(one.effect.target)}
+    own = [channels[name] for name in shown if name in channels]
+    return not own or any(c.after < c.before for c in own)
 
 
 def _below_floor(one: Effect, channels: dict[str, ChannelLevel]) -> str:

@@ -10,6 +10,7 @@ from scipy.ndimage import uniform_filter1d
 
 from surefoot.sim.common.low_pass import low_pass
 from surefoot.sim.log import Log, joint_velocity, reference_velocity
+from surefoot.sim.log.derived import JOINT_WINDOW, derivative
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
 from surefoot.sim.robot.limbs import Limbs
@@ -20,6 +21,9 @@ BIN = 0.02
 """s, the length of a bin."""
 EDGE = 0.03
 """s at either end of a stance that are left out: there the foot lands, rocks or already lifts."""
+QUIETER = 1.5
+"""Ratio of the noise of accelerations by rates to that by angles from which angles serve: below it
+either is as good, and rates have no window."""
 ENDS = 0.006
 """s, over which a rate is averaged at either end of a bin before its change is taken."""
 
@@ -54,6 +58,11 @@ class ReferenceMotion:
     """s that feet still move after their contacts begin."""
     late: float = 0.0
     """s that feet already move before their contacts end."""
+    by_reference: bool = True
+    """Whether it is a reference's. Without one, velocity and place are zero, and feet are held
+    against each other (`models.residuals.without_reference`)."""
+    rates_of_angles: bool = False
+    """Whether inverse dynamics takes slopes of angles for the rates (`angles_are_quieter`)."""
 
     @property
     def up_I(self) -> np.ndarray:
@@ -164,6 +173,8 @@ def binned(log: Log, robot: Machine, frame: ReferenceMotion) -> Bins:
     # A reference without velocities is too coarse for accelerations of the base.
     known = log.has("ref_v") or not log.has("imu")
 
+    moving = derivative(log.t, q, JOINT_WINDOW, causal=False) if frame.rates_of_angles else dq
+
     def base() -> np.ndarray:
         if not isinstance(robot, Robot):
             return np.zeros((len(frame.t), 9))
@@ -190,8 +201,8 @@ def binned(log: Log, robot: Machine, frame: ReferenceMotion) -> Bins:
         **frame.means,
         lag=log.once("binned lag", rates, lag),
         q_step=log.once("binned q_step", angles, lambda: mean(at_torques(q, frame)), frame),
-        dq_step=log.once("binned dq_step", rates, lambda: mean(at_torques(dq, frame)), frame),
-        ddq=log.once("ddq", rates, lambda: mean_rate_of_change(dq, log.t, frame), frame),
+        dq_step=log.once("binned dq_step", rates, lambda: mean(at_torques(moving, frame)), frame),
+        ddq=log.once("ddq", rates, lambda: mean_rate_of_change(moving, log.t, frame), frame),
     )
 
 
@@ -234,6 +245,24 @@ def mean_rate_of_change(x: np.ndarray, t: np.ndarray, frame: ReferenceMotion) ->
     before = np.maximum(frame.first - 1, 0)
     time = np.maximum(t[last] - t[before], 1e-9).reshape(-1, *[1] * (x.ndim - 1))
     return (x[last] - x[before]) / time
+
+
+def angles_are_quieter(log: Log, frame: ReferenceMotion) -> bool:
+    """Whether slopes of a log's angles give accelerations with less noise than its rates do: by
+    QUIETER at most of the joints.
+
+    Drives log rates that jitter by tenths of a rad/s from row to row. The noise of a reading is
+    what its second differences have, six times its variance and little of a motion.
+    """
+    if not (log.has("q") and log.has("dq")):
+        return False
+    unit = np.random.default_rng(0).normal(size=log.q.shape)
+    q, dq = (unit * np.std(np.diff(x, n=2, axis=0), axis=0) / np.sqrt(6.0) for x in (log.q, log.dq))
+    slopes = derivative(log.t, q, JOINT_WINDOW, causal=False)
+    by_angles, by_rates = (
+        np.std(mean_rate_of_change(x, log.t, frame), axis=0) for x in (slopes, dq)
+    )
+    return bool(np.median(by_rates - QUIETER * by_angles) > 0.0)
 
 
 def base_motion(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, robot: Robot) -> np.ndarray:

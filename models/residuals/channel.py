@@ -23,7 +23,7 @@ from typing import ClassVar
 import numpy as np
 
 from surefoot.models.residuals.binning import Bins, ReferenceMotion, binned
-from surefoot.models.residuals.feet import HALFWAY, leg_velocities
+from surefoot.models.residuals.feet import HALFWAY, between_feet, leg_velocities
 from surefoot.models.residuals.foot_loads import foot_loads
 from surefoot.models.residuals.soft_ground import foot_sinking
 from surefoot.models.residuals.torques import InverseDynamics, Steps, inverse_dynamics, steps_of
@@ -69,6 +69,7 @@ class ResidualInputs:
     def bins(self) -> Bins:
         """Means of readings over bins, and how deep feet are in ground that gives."""
         bins, stands = self._readings, self.log.has("q") and self._readings.standing.any()
+        stands = stands and self.motion.by_reference
         if not (isinstance(self.robot, Robot) and stands and self.robot.extras.softness):
             return bins
         known = self.log, self.robot, self.motion, bins
@@ -89,12 +90,13 @@ class ResidualInputs:
 
     @cached_property
     def leg_velocities(self) -> np.ndarray | None:
-        """Velocity of the body by each standing foot minus the reference's (M, 3 L) [m/s] in I;
-        None where no foot stands, or the log has no angles."""
+        """Velocity of the body by each standing foot minus the reference's, or without one against
+        other feet's, (M, 3 L) [m/s] in I; None where no foot stands, or the log has no angles."""
         if not (self.log.has("q") and self.bins.standing.any()):
             return None
         assert isinstance(self.robot, Robot)
-        return leg_velocities(self.bins, self.robot)
+        v = leg_velocities(self.bins, self.robot)
+        return v if self.motion.by_reference else between_feet(v)
 
     @cached_property
     def _readings(self) -> Bins:
@@ -119,6 +121,8 @@ class Channel:
     """Groups of a log's columns, as of `Log.require`, without which it has no values."""
     on_fixed_base: ClassVar[bool] = False
     """Whether a machine on a fixed base has it, without contacts and a reference."""
+    imu_serves: ClassVar[bool] = False
+    """Whether the IMU takes the reference's part where a walk has none."""
     on_level_ground: ClassVar[bool] = False
     """Whether it means anything on level ground alone; its level is then judged on ground that no
     fit has seen."""
@@ -164,4 +168,17 @@ class Channel:
         """Whether a log can fill it; of a `fixed` base or not, on `level` ground or not."""
         if (fixed and not self.on_fixed_base) or (self.on_level_ground and not level):
             return False
-        return all(log.has(g) for g in self.needs if not (fixed and g in OF_WALKS))
+        return not self.lacking(log, fixed)
+
+    def lacking(self, log: Log, fixed: bool) -> tuple[str, ...]:
+        """Groups of columns that it would need and a log of a `fixed` base, or not, lacks."""
+        needed = [g for g in self.needs if not (fixed and g in OF_WALKS)]
+        if self.imu_serves and not fixed and not log.has("reference"):
+            needed = ["imu", *(g for g in needed if g != "reference")]
+        return tuple(g for g in needed if not log.has(g))
+
+    def answers(self, log: Log, motion: ReferenceMotion) -> bool:
+        """Whether it means anything of a log beside this motion, which may be no reference's."""
+        if motion.by_reference:
+            return True
+        return log.has("imu") if self.imu_serves else "reference" not in self.needs

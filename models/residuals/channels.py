@@ -79,6 +79,7 @@ class LegVelocity(Channel):
     name = "leg_velocity"
     unit = "m/s"
     needs = ("q", "contact", "reference")
+    imu_serves = True
     masked_by = ("slid", "elsewhere")
     chained = True
 
@@ -98,6 +99,7 @@ class StanceVelocity(Channel):
     name = "stance_velocity"
     unit = "m/s"
     needs = ("q", "contact", "reference")
+    imu_serves = True
     masked_by = ("slid", "elsewhere")
     chained = True
 
@@ -105,11 +107,11 @@ class StanceVelocity(Channel):
         return _of_legs("stance", self.unit, limbs)
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
-        v, bins = inputs.leg_velocities, inputs.bins
+        v = inputs.leg_velocities
         if v is None:
             return None
         by_leg = v.reshape(len(v), -1, 3)
-        return stance_means(bins.t, by_leg, bins.standing).reshape(v.shape)
+        return stance_means(inputs.bins.t, by_leg, np.isfinite(by_leg[..., 0])).reshape(v.shape)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
         return sensors.velocity_noise * REACH * np.sqrt(3 / rows_of_bin(rate) / STANCE_BINS)
@@ -183,6 +185,7 @@ class JointTorque(Channel):
     name = "joint_torque"
     unit = "N m"
     needs = ("q", "tau", "contact")
+    imu_serves = True
     on_fixed_base = True
     chained = True
 

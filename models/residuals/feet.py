@@ -25,6 +25,23 @@ def leg_velocities(bins: Bins, robot: Robot) -> np.ndarray:
     return v.reshape(len(v), -1)
 
 
+def between_feet(v: np.ndarray) -> np.ndarray:
+    """Velocities of the body by L feet (M, 3 L), NaN of those that do not stand, against each
+    other: what is left once the body's own, which all of them share, is free.
+
+    Of the feet that stand, each against the mean of those before it, scaled to the noise of one
+    (Helmert contrasts): with white noise they are white, and none counts twice. The first is NaN.
+    """
+    by_leg = v.reshape(len(v), -1, 3)
+    there = np.isfinite(by_leg)
+    before = np.cumsum(there, axis=1) - there
+    mean = (np.cumsum(np.where(there, by_leg, 0.0), axis=1) - np.where(there, by_leg, 0.0)) / (
+        np.maximum(before, 1)
+    )
+    against = np.sqrt(before / (before + 1.0)) * (by_leg - mean)
+    return np.where(before > 0, against, np.nan).reshape(v.shape)
+
+
 def foot_heights(bins: Bins, robot: Robot) -> np.ndarray:
     """Height (M, legs) [m] of each standing foot's sole in the world, on level ground."""
     feet_I = robot.feet_I(bins.q)

@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from surefoot.models.residuals.feet import foot_heights, leg_velocities
+from surefoot.models.residuals.feet import between_feet, foot_heights, leg_velocities
 from surefoot.models.residuals.registry import BUNDLED_CHANNELS, channels
 from surefoot.models.residuals.residual import ResidualTable, filled
 from surefoot.models.residuals.stance_motion import stance_means
@@ -90,9 +90,10 @@ def residual_jacobians(parts: ResidualTable, robot: Machine) -> ResidualJacobian
     per = max(map(len, chains), default=0)
     leg_omega, leg = np.zeros((m, 3 * legs, 3)), np.zeros((2, m, legs, 3, per))
     height_q = np.zeros((m, legs, per))
-    velocities = parts.table[:, layout.of("leg_velocity")]
-    if np.isfinite(velocities).any():
+    if np.isfinite(parts.table[:, layout.of("leg_velocity")]).any():
         assert isinstance(robot, Robot)
+        # Foot by foot: what they are held against is taken off in `wrt_readings`.
+        velocities = leg_velocities(bins, robot)
 
         def by(**moved) -> np.ndarray:
             ahead = leg_velocities(replace(bins, **moved), robot)
@@ -189,6 +190,9 @@ def wrt_readings(
             out[:, velocity[leg]] += known.leg_dq[:, leg, :, j] * x[:, None]
         out[:, rate[joint]] -= smooth_121(x)
     if len(legs) and any(change.get(stream) for stream in ("omega", "q", "dq")):
+        if not parts.inputs.motion.by_reference:
+            stood = np.repeat(parts.inputs.bins.standing, 3, axis=1)
+            out[:, legs] = np.nan_to_num(between_feet(np.where(stood, out[:, legs], np.nan)))
         by_leg = out[:, velocity]
         stands = np.isfinite(parts.table[:, velocity[:, 0]])
         means = stance_means(parts.t, by_leg, stands)

@@ -11,6 +11,7 @@ from surefoot.models.residuals.contact_timing import within_windows
 from surefoot.models.residuals.feet import level_ground
 from surefoot.models.residuals.layout import Layout, layout_for
 from surefoot.models.residuals.registry import channels
+from surefoot.models.residuals.without_reference import motion_without_reference
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
@@ -46,7 +47,7 @@ def filled(layout: Layout, inputs: ResidualInputs, names: Collection[str]) -> np
     """The table (M, W) with the residuals of these channels."""
     table = np.full((len(inputs.motion.t), layout.width), np.nan)
     for name, columns in layout.channels.items():
-        if name in names:
+        if name in names and channels()[name].answers(inputs.log, inputs.motion):
             values = channels()[name].residual(inputs)
             if values is not None:
                 table[:, columns] = values
@@ -54,8 +55,10 @@ def filled(layout: Layout, inputs: ResidualInputs, names: Collection[str]) -> np
 
 
 def motion_under_model(log: Log, robot: Machine, fixed: bool) -> ReferenceMotion:
-    """The reference motion of a log, and the rows in which its feet stand by this model. Raises
-    LogError where it has no reference, unless its base is `fixed`."""
+    """The reference motion of a log, or without one its motion by IMU and legs, and the rows in
+    which its feet stand by this model."""
+    if not fixed and isinstance(robot, Robot) and not log.has("reference"):
+        return motion_without_reference(log, robot)
     motion = reference_motion(log, robot.limbs, fixed)
     if fixed or not isinstance(robot, Robot) or not (log.has("q") and motion.standing.any()):
         return motion
@@ -64,6 +67,7 @@ def motion_under_model(log: Log, robot: Machine, fixed: bool) -> ReferenceMotion
 
 def with_ground(motion: ReferenceMotion, log: Log, robot: Machine) -> ReferenceMotion:
     """The reference motion, knowing whether heights of feet mean anything."""
-    if not isinstance(robot, Robot) or not log.has("q") or not motion.standing.any():
+    stands = motion.by_reference and log.has("q") and motion.standing.any()
+    if not (isinstance(robot, Robot) and stands):
         return motion
     return replace(motion, level=level_ground(binned(log, robot, motion), robot))

@@ -98,7 +98,7 @@ class Coverage:
 class CoverageGml(Coverage):
     """The same with the gml observer's mean and its bounds."""
 
-    name, label, color, line = "coverage_gml", "Coverage on GML mean", "#9C3D00", ":"
+    name, label, color, line = "coverage_gml", "Coverage on GML mean", "#E0AC65", ":"
     description = "Set-coverage IEKF on the gml observer's mean: compares update, not network."
     variant, proposed = True, 0
     loss = "gml"
@@ -108,7 +108,7 @@ class CoveragePersistent:
     """Set-coverage updates with the persistent error as states."""
 
     name, label = "coverage_persistent", "Coverage, persistent error"
-    color, line = "#F2A07B", "--"
+    color, line = "#7A3DFF", "--"
     description = (
         "Set-coverage IEKF with the observer's persistent error as states, bounds on window means."
     )
@@ -147,7 +147,7 @@ class VelocityInflated(Velocity):
     """The same with the covariance times a factor."""
 
     name, label = "velocity_inflated", "Velocity IEKF, covariance inflated"
-    color, line = "#3C6E5D", ":"
+    color, line = "#455815", ":"
     variant = True
     description = (
         "The same, its covariance times a factor chosen on training and calibration courses."
@@ -162,7 +162,7 @@ class VelocityPersistent:
     """Gaussian velocity updates with the persistent error as states."""
 
     name, label = "velocity_persistent", "Velocity IEKF, persistent error"
-    color, line = "#74CDB2", "--"
+    color, line = "#28C3DA", "--"
     description = (
         "Gaussian-velocity IEKF with the persistent error as states, covariance of the rest."
     )
@@ -204,7 +204,7 @@ class Leg:
 class LegSlip(Leg):
     """Contacts as states, and a gate for those that slip."""
 
-    name, label, color, line = "leg_slip", "Leg IEKF, slip rejected", "#8CBBEA", "--"
+    name, label, color, line = "leg_slip", "Leg IEKF, slip rejected", "#3663EC", "--"
     description = "Leg IEKF that restarts a contact whose innovation fails a chi-square gate."
     parameters = LEG_SLIP
     variant = True
@@ -217,7 +217,7 @@ class RadarLeg(Leg):
     right-invariant filter the same velocities make roll and pitch observable already.
     """
 
-    name, label, color, line = "radar_leg", "Radar and legs", "#9A9A2E", "-"
+    name, label, color, line = "radar_leg", "Radar and legs", "#C4BA15", "-"
     description = (
         "Perceptive: a simulated radar's ego velocity with leg_slip; sees gravity through the IEKF."
     )
@@ -236,7 +236,7 @@ class RadarLeg(Leg):
 class Imu:
     """The IMU integrated: what every other estimator must improve on."""
 
-    name, label, color, line = "imu", "IMU alone", "#CC79A7", "-"
+    name, label, color, line = "imu", "IMU alone", "#7F3485", "-"
     description = "IMU alone: the floor."
     needs = Needs(robot=False)
     parameters = _imu_parameters(0.01)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
@@ -76,6 +77,17 @@ def traits(name: str) -> Traits:
         kind = None
     names = [each.name for each in fields(Traits) if hasattr(kind, each.name)]
     return Traits(**{name: getattr(kind, name) for name in names})
+
+
+AT_FIRST = 4
+"""Estimators that a recording shows at first: more hide each other."""
+
+
+def shown_at_first(names: Sequence[str]) -> tuple[str, ...]:
+    """Of these estimators those that are proposed, then those that are no variants, then others, in
+    their order."""
+    ranked = sorted(names, key=lambda name: (not traits(name).proposed, traits(name).variant))
+    return tuple(name for name in names if name in ranked[:AT_FIRST])
 
 
 def estimator_code(name: str) -> str:

@@ -1,8 +1,9 @@
 """One colour and one name for each estimator, in every figure, recording and report.
 
-The hues are Okabe and Ito's colour-blind safe set; variants of one estimator share its hue and
-differ in lightness and in line style, so that a picture printed in grey can still be read.
-All are legible on the white of a page and on the dark background of the viewer.
+The colours of the bundled estimators are those that a search found furthest apart, seen with and
+without red-green blindness, of those legible on the white of a page and on the dark background of
+the viewer; variants of one estimator differ in line style too, so that a picture printed in grey
+can still be read.
 """
 
 from zlib import crc32
@@ -13,6 +14,7 @@ TRUTH = "#8C8C8C"
 OBSERVER = "#E69F00"
 BOUNDS = "#B8913D"
 OUTSIDE = "#EE3377"
+STANDING_FOOT = "#6E8CA8"
 INK = "#222222"
 TRAIN, TEST = "#2E8B57", "#C8102E"
 BEFORE, AFTER = "#8C8C8C", "#0072B2"

@@ -54,7 +54,7 @@ def trace(
         warnings: sentences about the logs, such as implausible values; kept among the notes.
 
     Raises SurefootError where `out` has such files (no `force`) or a held-out log is also one to
-    fit on, and LogError where a log has no reference.
+    fit on.
     """
     out = Path(out)
     if not logs:
@@ -138,11 +138,14 @@ def _filtered(
 ) -> tuple[BeforeAfter, ...]:
     """Every filter on the last `share` (0 to 1) of each log, without and with the effects found.
 
-    Logs of machines on a fixed base, or without an IMU, are left out: no filter runs on them.
+    Left out are logs of machines on a fixed base or without an IMU, on which no filter runs, and
+    those without a reference, by which none is judged.
     """
     done: list[BeforeAfter] = []
     for case in cases:
-        if case.fixed or not isinstance(case.robot, Robot) or not case.log.has("imu"):
+        if case.fixed or not isinstance(case.robot, Robot):
+            continue
+        if not (case.log.has("imu") and case.log.has("reference")):
             continue
         t = case.log.t
         begin = t[0] + (1 - share) * (t[-1] - t[0])

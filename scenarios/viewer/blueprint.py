@@ -1,18 +1,28 @@
-"""How the viewer lays a recording out: the scene on the left, one question a tab on the right."""
+"""How the viewer lays a recording out: the scene on the left, one question a tab on the right.
+
+Legends would lie on the curves: plots of a whole walk have room for theirs before its begin, and
+those about the cursor say in their titles which colour is what.
+"""
 
 from collections.abc import Sequence
 
 import rerun as rr
 import rerun.blueprint as rrb
 
+from surefoot.scenarios.estimate.estimators import shown_at_first
 from surefoot.scenarios.viewer.scene import estimate_path
-from surefoot.scenarios.viewer.series import ANGLES
+from surefoot.scenarios.viewer.series import ANGLES, BANDS, series_part
 from surefoot.sim.effects.base import AXES
 
 _WINDOW = 3.0  # s on each side of the time cursor, about six strides
 _LEGEND = rrb.PlotLegend(rrb.Corner2D.LeftTop)
+_NO_LEGEND = rrb.PlotLegend(visible=False)
+_ROOM = 0.45  # of a walk's duration, before its begin: for the legend
 _TRAIL = 10.0  # s of path behind the robot
-_THIN = "thin: ±3σ"
+_THIN = "band: ±3σ"
+_SHARES = (4, 6, 5, 4)  # heights of the overview's plots: legends need the second's
+EXPLANATION = "What is this?"
+"""The tab that is open at first."""
 _AXIS_WORDS = {"x": "forward", "y": "left", "z": "up"}
 _ANGLE_WORDS = {"roll": "about forward", "pitch": "about left", "yaw": "about up"}
 
@@ -22,9 +32,11 @@ def layout(
     eye: tuple[float, float, float],
     centre: tuple[float, float, float],
     span: float,
+    times: tuple[float, float],
     has_feet: bool,
     has_slip: bool,
     has_update: bool,
+    tab: str = EXPLANATION,
 ) -> rrb.Blueprint:
     """The blueprint of one recording.
 
@@ -33,45 +45,58 @@ def layout(
         eye: (3,) m, where the following camera stands, seen from the robot's place on the ground.
         centre: (3,) m, middle of the walk.
         span: m, its longer side on the ground.
+        times: begin and end of the walk [s], on the recording's timeline.
         has_feet: contacts were written.
         has_slip: slip speeds were written.
         has_update: masses of the coverage update were written.
+        tab: that is open at first.
     """
-    scene = rrb.Vertical(_following(estimators, eye), _map(estimators, centre, span))
+    shown = shown_at_first(estimators)
+    scene = rrb.Vertical(_following(estimators, shown, eye), _map(estimators, shown, centre, span))
     scene.row_shares = [3, 2]
-    feet = _feet(has_slip) if has_feet else []
     distance = "Distance between estimate and truth [m], thin: the filter's own 3σ"
-    errors = [_plot("/distance", distance, whole_walk=True)] if estimators else []
+    errors = [_whole_walk("/distance", distance, shown, times)] if estimators else []
     tabs: dict[str, list[rrb.View]] = {
-        "Overview": [_velocity("x"), *errors, *feet],
+        "Overview": [_velocity("x"), *errors, *(_feet(has_slip) if has_feet else [])],
         "Velocity and bounds": [_velocity(axis) for axis in AXES],
     }
     if estimators:
         tabs["Position error"] = [
-            _plot(
+            _whole_walk(
                 f"/position_error/{axis}",
                 f"Position error along {axis} of the world [m], {_THIN}",
-                whole_walk=True,
+                shown,
+                times,
             )
             for axis in AXES
         ]
         tabs["Attitude error"] = [
-            _plot(
+            _whole_walk(
                 f"/attitude_error/{angle}",
                 f"{angle.capitalize()} error ({_ANGLE_WORDS[angle]}) [deg], {_THIN}",
-                whole_walk=True,
+                shown,
+                times,
             )
             for angle in ANGLES
         ]
+    if set(shown) != set(estimators):
+        tabs["All estimators"] = [
+            _map(estimators, estimators, centre, span),
+            _whole_walk("/distance", distance, estimators, times),
+        ]
     if has_feet:
-        tabs["Feet"] = feet
+        tabs["Feet"] = _feet(has_slip)
     if has_update:
         name = "Prior mass π inside the bounds: an update acts where it is below γ"
-        tabs["Coverage update"] = [_plot("/update", name)]
-    about = rrb.TextDocumentView(origin="/about", name="What is this?")
-    columns = [rrb.Vertical(*views, name=name) for name, views in tabs.items()]
+        tabs["Coverage update"] = [_plot("/update", name, _LEGEND)]
+    about = rrb.TextDocumentView(origin="/about", name=EXPLANATION)
+    columns = {name: rrb.Vertical(*views, name=name) for name, views in tabs.items()}
+    columns["Overview"].row_shares = _SHARES[: len(tabs["Overview"])] if estimators else None
+    opened = [EXPLANATION, *tabs].index(tab)
     return rrb.Blueprint(
-        rrb.Horizontal(scene, rrb.Tabs(*columns, about, active_tab=0), column_shares=[1, 1]),
+        rrb.Horizontal(
+            scene, rrb.Tabs(about, *columns.values(), active_tab=opened), column_shares=[1, 1]
+        ),
         rrb.TimePanel(state="collapsed", timeline="time", play_state="paused"),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
@@ -79,7 +104,13 @@ def layout(
     )
 
 
-def _following(estimators: Sequence[str], eye) -> rrb.Spatial3DView:
+def _hidden(estimators: Sequence[str], shown: Sequence[str]) -> dict[str, rrb.EntityBehavior]:
+    """What makes the others invisible, until their eye in the list of the view is clicked."""
+    others = [estimate_path(name) for name in estimators if name not in shown]
+    return {path: rrb.EntityBehavior(visible=False) for path in others}
+
+
+def _following(estimators: Sequence[str], shown: Sequence[str], eye) -> rrb.Spatial3DView:
     """Seen from a frame that moves with the robot without turning, so the robot stays in view."""
     estimates = [
         f"- /{estimate_path(n)}/{part}"
@@ -87,9 +118,10 @@ def _following(estimators: Sequence[str], eye) -> rrb.Spatial3DView:
         for part in ("path", "body/dot", "ellipsoid")
     ]
     return rrb.Spatial3DView(
+        overrides=_hidden(estimators, shown),
         origin="/world/follow",
         contents=["/world/**", "- /world/robot/dot", "- /world/truth/path", *estimates],
-        name=f"Robot, boxes: its trunk as estimated, last {_TRAIL:g} s of path",
+        name=f"Robot, boxes: its trunk as estimated, last {_TRAIL:g} s of path; lines 1 m apart",
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital,
             position=eye,
@@ -105,10 +137,11 @@ def _following(estimators: Sequence[str], eye) -> rrb.Spatial3DView:
     )
 
 
-def _map(estimators: Sequence[str], centre, span: float) -> rrb.Spatial3DView:
+def _map(estimators: Sequence[str], shown: Sequence[str], centre, span: float) -> rrb.Spatial3DView:
     hidden = ("trail", "body/outline", "body/forward", "body/pole", "body/flag")
     estimates = [f"- /{estimate_path(n)}/{part}" for n in estimators for part in hidden]
     return rrb.Spatial3DView(
+        overrides=_hidden(estimators, shown),
         origin="/world",
         contents=["/world/**", "- /world/truth/trail", *estimates],
         name="Whole walk from above: truth (grey), estimates, dots where they are now, wire: 3σ",
@@ -122,33 +155,54 @@ def _map(estimators: Sequence[str], centre, span: float) -> rrb.Spatial3DView:
     )
 
 
-def _plot(origin: str, name: str, whole_walk: bool = False) -> rrb.TimeSeriesView:
-    """Series under `origin`, over the whole walk or a few strides about the time cursor."""
-    axis = _axis(None if whole_walk else _WINDOW)
-    return rrb.TimeSeriesView(origin=origin, name=name, axis_x=axis, plot_legend=_LEGEND)
+def _plot(origin: str, name: str, legend: rrb.PlotLegend) -> rrb.TimeSeriesView:
+    """Series under `origin`, a few strides about the time cursor."""
+    return rrb.TimeSeriesView(origin=origin, name=name, axis_x=_about_cursor(), plot_legend=legend)
+
+
+def _whole_walk(
+    origin: str, name: str, estimators: Sequence[str], times: tuple[float, float]
+) -> rrb.TimeSeriesView:
+    """Series of estimators under `origin` over the whole walk, its legend before its begin."""
+    start, end = times
+    return rrb.TimeSeriesView(
+        origin=origin,
+        contents=[
+            f"{origin}/{kind}/{series_part(n)}" for n in estimators for kind in (BANDS, "error")
+        ],
+        name=name,
+        axis_x=rrb.TimeAxis(view_range=_seconds(start - _ROOM * (end - start), end)),
+        plot_legend=_LEGEND,
+    )
 
 
 def _velocity(axis: str) -> rrb.TimeSeriesView:
-    name = f"Body velocity along {axis} of the IMU ({_AXIS_WORDS[axis]}) [m/s]"
-    return _plot(f"/velocity/{axis}", name)
+    along = f"{axis} of the IMU ({_AXIS_WORDS[axis]})"
+    colours = "truth grey, magenta outside the bounds (band); observer orange"
+    return _plot(f"/velocity/{axis}", f"Velocity along {along} [m/s]: {colours}", _NO_LEGEND)
 
 
 def _feet(has_slip: bool) -> list[rrb.View]:
     lanes = rrb.StateTimelineView(
         origin="/feet/contact",
         name="Feet on the ground (magenta: slipping)",
-        time_view=_axis(_WINDOW),
+        time_view=_about_cursor(),
     )
-    slip = _plot("/feet/slip", "Slip speed of loaded feet over the ground [m/s]")
+    colours = "left amber and teal, right rose and violet"
+    slip = _plot("/feet/slip", f"Slip speed of loaded feet [m/s]: {colours}", _NO_LEGEND)
     return [lanes, slip] if has_slip else [lanes]
 
 
-def _axis(around: float | None) -> rrb.TimeAxis:
-    """All times, or those within `around` seconds of the time cursor."""
+def _about_cursor() -> rrb.TimeAxis:
+    """The times within a few strides of the time cursor."""
     boundary = rrb.TimeRangeBoundary
-    if around is None:
-        start, end = boundary.infinite(), boundary.infinite()
-    else:
-        start = boundary.cursor_relative(seconds=-around)
-        end = boundary.cursor_relative(seconds=around)
-    return rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end))
+    start = boundary.cursor_relative(seconds=-_WINDOW)
+    return rrb.TimeAxis(
+        view_range=rr.TimeRange(start=start, end=boundary.cursor_relative(seconds=_WINDOW))
+    )
+
+
+def _seconds(start: float, end: float) -> rr.TimeRange:
+    """Fixed times of the recording's timeline, of seconds or of the calendar."""
+    boundary = rrb.TimeRangeBoundary
+    return rr.TimeRange(start=boundary.absolute(seconds=start), end=boundary.absolute(seconds=end))

@@ -9,19 +9,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import rerun as rr
+from rerun.blueprint import Blueprint
 
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
-from surefoot.scenarios.estimate.estimators import traits
+from surefoot.scenarios.estimate.estimators import shown_at_first, traits
 from surefoot.scenarios.estimate.run import Learnt, declared_model, run_all
 from surefoot.scenarios.reporting.palette import estimator_label
-from surefoot.scenarios.viewer.blueprint import layout
+from surefoot.scenarios.viewer.blueprint import EXPLANATION, layout
 from surefoot.scenarios.viewer.scene import (
     trunk_size,
     write_estimates,
     write_footprints,
     write_ground,
     write_robot,
+    write_shadow,
     write_truth_path,
 )
 from surefoot.scenarios.viewer.series import write_errors, write_feet, write_update, write_velocity
@@ -40,6 +42,10 @@ if TYPE_CHECKING:
     from surefoot.models.observer.predict import Prediction
 
 _LAST = b"RRF2FOOT"  # in the last bytes of every recording that was written to its end
+_AT_FIRST = (
+    "Shown at first: {}. The tab *All estimators* has the others; the panel on the left, which a "
+    "button above opens, has an eye for each."
+)
 _ERROR_RATE = 20.0  # Hz; errors and paths change over seconds, not over milliseconds
 
 
@@ -52,6 +58,7 @@ def write_recording(
     bounds: Bounds | None = None,
     ground: Ground | None = None,
     force: bool = False,
+    tab: str = EXPLANATION,
 ) -> None:
     """Write the .rrd. Raises SurefootError where it exists (no `force`) or the log lacks a group.
 
@@ -69,6 +76,7 @@ def write_recording(
         ground: what the robot walked on, as its seed drew it; None draws the one that the log
             keeps, if any.
         force: overwrite.
+        tab: of the viewer that is open at first.
     """
     log.require("q", "reference")
     _check_name(path)
@@ -78,7 +86,7 @@ def write_recording(
     records = {name: estimate.updates for name, estimate in trajectories.items()}
     records = {n: r for n, r in records.items() if r is not None and r.pi is not None}
     with whole_file(path, force) as temporary:
-        blueprint = _layout(log, robot, trajectories, bool(records))
+        blueprint = _layout(log, robot, tuple(trajectories), bool(records), tab)
         try:
             stream.save(temporary, default_blueprint=blueprint)
         except RuntimeError as error:  # what rerun makes of a full disk
@@ -90,6 +98,7 @@ def write_recording(
         corners = log.ref_p.min(axis=0), log.ref_p.max(axis=0)
         if ground := ground or ground_of_log(log):
             write_ground(stream, corners, ground)
+            write_shadow(stream, log, robot, ground)
         write_robot(stream, log, robot)
         write_truth_path(stream, log)
         write_estimates(stream, errors, robot, trunk_size(robot))
@@ -118,23 +127,37 @@ def _check_name(path: str | Path) -> None:
         raise SurefootError(f"{path}: a recording's name ends in .rrd")
 
 
-def _layout(log: Log, robot: Robot, trajectories: Mapping, has_update: bool):
+def _layout(
+    log: Log, robot: Robot, estimators: tuple[str, ...], has_update: bool, tab: str
+) -> Blueprint:
+    """The blueprint of a recording.
+
+    Args:
+        log: the walk.
+        robot: whose size the camera's distance is of.
+        estimators: their names.
+        has_update: masses of the coverage update were written.
+        tab: that is open at first.
+    """
     lower, upper = log.ref_p.min(axis=0), log.ref_p.max(axis=0)
     reach = 4.0 * float(trunk_size(robot)[0])
     return layout(
-        estimators=tuple(trajectories),
+        estimators=estimators,
         eye=tuple(reach * np.array([-0.9, -1.2, 0.8])),
         centre=tuple(0.5 * (lower + upper)),
         span=float((upper - lower)[:2].max()) + 1.0,
+        times=(float(log.t[0]), float(log.t[-1])),
         has_feet=log.has("contact"),
         has_slip=log.has("contact") and log.has("truth"),
         has_update=has_update,
+        tab=tab,
     )
 
 
 def _about(log: Log, robot: Robot, errors: Mapping[str, ErrorSeries]) -> str:
     """What the reader sees, in Markdown, with each estimator's error at the end of the walk."""
     ends = [f"| {estimator_label(n)} | {e.distance[-1]:.2f} m |" for n, e in errors.items()]
+    shown = [estimator_label(name) for name in shown_at_first(tuple(errors))]
     table = ["| estimator | distance from the truth at the end |", "|---|---|", *ends, ""]
     return "\n".join(
         [
@@ -148,14 +171,16 @@ def _about(log: Log, robot: Robot, errors: Mapping[str, ErrorSeries]) -> str:
             "estimator's own position covariance.",
             "",
             *(table if errors else []),
+            *([_AT_FIRST.format(", ".join(shown)), ""] if len(shown) < len(errors) else []),
             "- **Ground**: the paler and bluer, the more slippery; labels give the friction "
             "coefficient.",
             "- **Dots on the ground**: where feet stood; magenta where one slipped.",
             "- **Velocity and bounds**: velocity of the IMU along its own axes. The observer's "
-            "prediction lies midway between its calibrated bounds; magenta marks true velocities "
-            "outside them.",
-            "- **Errors**: estimate minus truth. Thin lines are three of the filter's own standard "
-            "deviations: a consistent filter stays inside them nearly always.",
+            "prediction lies midway between its calibrated bounds, the band; magenta marks true "
+            "velocities outside them.",
+            "- **Errors**: estimate minus truth. Bands, and thin lines of the distance, are three "
+            "of the filter's own standard deviations: a consistent filter stays inside them nearly "
+            "always.",
             f"- **Feet**: stance of each foot, magenta while a loaded foot slides faster than "
             f"{SLIPPING} m/s.",
             "",

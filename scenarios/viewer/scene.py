@@ -9,6 +9,7 @@ import numpy as np
 import rerun as rr
 
 from surefoot.scenarios.estimate.error_series import ErrorSeries
+from surefoot.scenarios.estimate.estimators import shown_at_first
 from surefoot.scenarios.reporting.palette import (
     OUTSIDE,
     TRUTH,
@@ -39,6 +40,12 @@ _ELLIPSOID_RATE = 5.0  # Hz
 _PIECE = 5  # samples of a trail that appear at once
 _FLOOR_MARGIN = 2.0  # m of floor around the walk
 _FOOTPRINT = (0x2B, 0x2B, 0x2B, 255)
+_SHADOW = (0, 0, 0, 90)
+_EDGE = (0x40, 0x3C, 0x38, 255)
+_GRID_LINE = (0x40, 0x3C, 0x38, 110)
+_GRID = 1.0  # m between the lines on the ground
+_GRID_STEP = 0.1  # m along a line between points, on ground that is not level
+_ABOVE = 0.01  # m, by which what is drawn on the ground lies above it
 
 
 def time_column(t: np.ndarray) -> rr.TimeColumn:
@@ -77,8 +84,12 @@ def write_ground(
         root, color = f"world/ground/friction_{mu:.2f}", rgba(friction_color(mu))
         for name, shape in geom_shapes(model, alike, color):
             stream.log(f"{root}/{name}", shape, static=True)
+        boxes = alike[model.geom_type[alike] == mujoco.mjtGeom.mjGEOM_BOX]
+        for name, shape in geom_shapes(model, boxes, _EDGE, "majorwireframe"):
+            stream.log(f"{root}/{name}_edges", shape, static=True)
         for geom in alike[model.geom_type[alike] == mujoco.mjtGeom.mjGEOM_HFIELD]:
             stream.log(f"{root}/field_{geom}", height_field(model, int(geom), color), static=True)
+    stream.log("world/ground/grid", _grid(ground, half), static=True)
     for k, patch in enumerate(ground.patches):
         above = height(ground.relief, patch.center_x, patch.center_y) + 0.02
         label = rr.Points3D(
@@ -89,6 +100,35 @@ def write_ground(
             show_labels=True,
         )
         stream.log(f"world/ground/patch_{k}", label, static=True)
+
+
+def _grid(ground: Ground, half: float) -> rr.LineStrips3D:
+    """Lines on the ground a metre apart, to +-half [m]."""
+    level = not (ground.strips or ground.fields)
+    places = _GRID * np.arange(np.ceil(-half / _GRID), np.floor(half / _GRID) + 1.0)
+    along = np.array([-half, half]) if level else np.arange(-half, half, _GRID_STEP)
+    lines = []
+    for place in places:
+        for x, y in ((along, np.full(len(along), place)), (np.full(len(along), place), along)):
+            z = np.array([height(ground.relief, *at) for at in zip(x, y, strict=True)])
+            lines.append(np.column_stack([x, y, z + _ABOVE]).astype(np.float32))
+    return rr.LineStrips3D(lines, colors=[_GRID_LINE], radii=[_pixels(0.4)])
+
+
+def write_shadow(stream: rr.RecordingStream, log: Log, robot: Robot, ground: Ground) -> None:
+    """The trunk's shadow on the ground straight below it."""
+    rows = np.arange(0, len(log.t), max(1, round(log.rate / POSE_RATE)))
+    R_GB = log.ref_R_GI[rows] @ robot.R_BI.T
+    p = log.ref_p[rows] - R_GB @ robot.p_BI
+    p[:, 2] = [height(ground.relief, x, y) + _ABOVE for x, y, _ in p]
+    yaw = np.arctan2(R_GB[:, 1, 0], R_GB[:, 0, 0])
+    zero, one = np.zeros(len(rows)), np.ones(len(rows))
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    R = np.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one], axis=1).reshape(-1, 3, 3)
+    _send_poses(stream, "world/shadow", [time_column(log.t[rows])], p, R)
+    flat = [*(1.1 * trunk_size(robot)[:2]), 0.5 * _ABOVE]
+    shape = rr.Ellipsoids3D(half_sizes=[flat], colors=[_SHADOW], fill_mode="solid")
+    stream.log("world/shadow/shape", shape, static=True)
 
 
 def write_robot(stream: rr.RecordingStream, log: Log, robot: Robot) -> None:
@@ -157,7 +197,9 @@ def write_estimates(
         robot: gives the IMU's place in the trunk.
         size: (3,) m, half sizes of the trunk.
     """
-    for k, (name, error) in enumerate(errors.items()):
+    first = shown_at_first(tuple(errors))
+    for k, name in enumerate([*first, *(n for n in errors if n not in first)]):
+        error = errors[name]
         color, root = estimator_color(name), estimate_path(name)
         path = rr.LineStrips3D([error.p_GI], colors=[rgba(color)], radii=[_pixels(1.2)])
         stream.log(f"{root}/path", path, static=True)
@@ -166,7 +208,7 @@ def write_estimates(
         _send_poses(
             stream, f"{root}/body", [time_column(error.t)], error.p_GI - R_GB @ robot.p_BI, R_GB
         )
-        _write_marker(stream, f"{root}/body", name, size, height=2.0 + 0.7 * k)
+        _write_marker(stream, f"{root}/body", name, error, size, height=2.0 + 0.7 * k)
         if error.position_covariance is not None:
             ellipsoid = f"{root}/ellipsoid"
             _write_ellipsoid(stream, ellipsoid, error, error.position_covariance, color)
@@ -199,8 +241,11 @@ def _write_ellipsoid(
     stream.send_columns(path, indexes=[time_column(error.t[rows])], columns=columns)
 
 
-def _write_marker(stream, path: str, name: str, size: np.ndarray, height: float) -> None:
-    """A box about the trunk with an arrow forward, and the estimator's name on a flag above it.
+def _write_marker(
+    stream, path: str, name: str, error: ErrorSeries, size: np.ndarray, height: float
+) -> None:
+    """A box about the trunk with an arrow forward, and on a flag above it the estimator's name and
+    how far it is from the truth at the end.
 
     Flags differ in height (in trunk widths), or estimators that agree would hide each other's name.
 
@@ -208,6 +253,7 @@ def _write_marker(stream, path: str, name: str, size: np.ndarray, height: float)
         stream: rerun's recording.
         path: of the entity.
         name: of the estimator.
+        error: its distance from the truth.
         size: (3,) [m], half sizes of the trunk.
         height: of the flag, in trunk widths.
     """
@@ -225,11 +271,12 @@ def _write_marker(stream, path: str, name: str, size: np.ndarray, height: float)
     top = [0.0, 0.0, height * 2.0 * size[1]]
     pole = rr.LineStrips3D([[[0.0, 0.0, size[2]], top]], colors=color, radii=thin)
     stream.log(f"{path}/pole", pole, static=True)
+    # A label that changed would not be drawn where the view shows a range of times.
     flag = rr.Points3D(
         [top],
         colors=color,
         radii=[_pixels(4.0)],
-        labels=[estimator_label(name)],
+        labels=[f"{estimator_label(name)}, {error.distance[-1]:.2f} m at the end"],
         show_labels=True,
     )
     stream.log(f"{path}/flag", flag, static=True)

@@ -14,6 +14,7 @@ from surefoot.scenarios.reporting.palette import (
     BOUNDS,
     OBSERVER,
     OUTSIDE,
+    STANDING_FOOT,
     TRUTH,
     estimator_color,
     estimator_label,
@@ -29,7 +30,16 @@ if TYPE_CHECKING:
     from surefoot.models.observer.predict import Prediction
 
 SERIES_RATE = 100.0  # Hz
+BANDS = "3_sigma"
+"""Where bands of estimators are: series are drawn in the order of their names, "error" after it."""
+_BAND, _FAINT = 0.25, 0.06
+"""Opacity of the strokes of a single band, and of one of several on each other."""
 ANGLES = ("roll", "pitch", "yaw")
+
+
+def series_part(name: str) -> str:
+    """The part of an entity's path that is an estimator's name; any name will do."""
+    return rr.escape_entity_path_part(name)
 
 
 def write_velocity(
@@ -61,8 +71,7 @@ def write_velocity(
         v = np.asarray(prediction.v_I)[:, k]
         if epsilon is not None:
             half = np.broadcast_to(epsilon, prediction.v_I.shape)[:, k]
-            _line(stream, f"{root}/upper", t, v + half, "Upper bound", BOUNDS, 1.0)
-            _line(stream, f"{root}/lower", t, v - half, "Lower bound", BOUNDS, 1.0)
+            _band(stream, f"{root}/bounds", t, (v - half, v + half), "Bounds", BOUNDS, _BAND)
             outside = ok & (np.abs(truth[:, k] - v) > half)
             _points(stream, f"{root}/outside", t[outside], truth[outside, k])
         _line(stream, f"{root}/observer", t, v, "Observer", OBSERVER, 1.5)
@@ -71,21 +80,23 @@ def write_velocity(
 def write_errors(stream: rr.RecordingStream, errors: Mapping[str, ErrorSeries]) -> None:
     """Each estimator's position error [m] and attitude error [deg] by axis, and their 3 sigma."""
     for name, error in errors.items():
-        part = rr.escape_entity_path_part(name)
+        part = series_part(name)
         label, color = estimator_label(name), estimator_color(name)
-        _line(stream, f"distance/{part}/error", error.t, error.distance, label, color, 2.0)
+        far = f"{label}: {error.distance[-1]:.2f} m at the end"
+        _line(stream, f"distance/error/{part}", error.t, error.distance, far, color, 2.0)
         if error.distance_sigma is not None:
-            root, sigma = f"distance/{part}/three_sigma", error.distance_sigma
+            root, sigma = f"distance/{BANDS}/{part}", error.distance_sigma
             _line(stream, root, error.t, 3.0 * sigma, f"{label} 3σ", color, 1.0, 0.5)
         for kind, names, values, sigma, scale in (
             ("position_error", AXES, error.position, error.position_sigma, 1.0),
             ("attitude_error", ANGLES, error.attitude, error.attitude_sigma, 180.0 / np.pi),
         ):
             for k, axis in enumerate(names):
-                root = f"{kind}/{axis}/{part}"
-                _line(stream, f"{root}/error", error.t, scale * values[:, k], label, color, 2.0)
+                root, off = f"{kind}/{axis}", scale * values[:, k]
+                _line(stream, f"{root}/error/{part}", error.t, off, label, color, 2.0)
                 if sigma is not None:
-                    _band(stream, root, error.t, 3.0 * (scale * sigma[:, k]), f"{label} ±3σ", color)
+                    half, path = 3.0 * scale * sigma[:, k], f"{root}/{BANDS}/{part}"
+                    _band(stream, path, error.t, (-half, half), f"{label} ±3σ", color, _FAINT)
 
 
 def write_update(
@@ -93,7 +104,7 @@ def write_update(
 ) -> None:
     """How much prior mass the coverage update found inside the bounds; it acts below gamma."""
     label, color = estimator_label(name), estimator_color(name)
-    root = f"update/{rr.escape_entity_path_part(name)}"
+    root = f"update/{series_part(name)}"
     _line(stream, f"{root}/mass", record.t, record.pi, f"{label}: mass π", color, 1.5)
     if gamma is not None:
         level = np.full(2, gamma)
@@ -113,7 +124,7 @@ def write_feet(stream: rr.RecordingStream, log: Log) -> None:
         path = f"feet/contact/{leg}"
         style = rr.StateConfiguration(
             values=["swing", "stance", "slipping"],
-            colors=[rgba(TRUTH), rgba(leg_color(leg)), rgba(OUTSIDE)],
+            colors=[rgba(TRUTH), rgba(STANDING_FOOT), rgba(OUTSIDE)],
             visible=[False, True, True],
         )
         stream.log(path, style, static=True)
@@ -130,22 +141,28 @@ def write_feet(stream: rr.RecordingStream, log: Log) -> None:
             _line(stream, f"feet/slip/{leg}", t[starts], peak, leg, leg_color(leg), 1.5)
 
 
-def _band(stream, root, t, half, name, color) -> None:
-    """Draw plus and minus a half width over time.
+def _band(stream, path, t, sides, name, color, alpha) -> None:
+    """Draw the band between two curves: strokes from side to side, so close that they fill it.
+
+    The viewer fills no area between series.
 
     Args:
         stream: rerun's recording.
-        root: of the entity.
+        path: of the entity.
         t: (N,) [s].
-        half: (N,), half width in the unit of the plot.
+        sides: lower and upper (N,), in the unit of the plot.
         name: in the legend.
-        color: of the lines.
+        color: of the band.
+        alpha: opacity of a stroke, 0 to 1.
     """
-    style = rr.SeriesLines(colors=[rgba(color, 0.5)] * 2, widths=[1.0] * 2, names=[name] * 2)
-    stream.log(f"{root}/three_sigma", style, static=True)
-    both = np.stack([half, -half], axis=1)
-    columns = rr.Scalars.columns(scalars=both.ravel()).partition(np.full(len(t), 2))
-    stream.send_columns(f"{root}/three_sigma", indexes=[time_column(t)], columns=columns)
+    between = np.append(0.5 * (t[1:] + t[:-1]), t[-1:] + 1e-9)
+    times = np.stack([t, between], axis=1).ravel()
+    style = rr.SeriesLines(
+        colors=[rgba(color, alpha)], widths=[2.0], names=[name], aggregation_policy="MinMax"
+    )
+    stream.log(path, style, static=True)
+    columns = rr.Scalars.columns(scalars=np.stack(sides, axis=1).ravel())
+    stream.send_columns(path, indexes=[time_column(times)], columns=columns)
 
 
 def _line(stream, path, t, values, name, color, width, alpha=1.0) -> None:

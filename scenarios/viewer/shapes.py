@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -87,7 +87,10 @@ def link_shapes(model: mujoco.MjModel, body: int) -> Iterator[tuple[str, rr.AsCo
 
 
 def geom_shapes(
-    model: mujoco.MjModel, geoms: np.ndarray, color: tuple[int, int, int, int] | None = None
+    model: mujoco.MjModel,
+    geoms: np.ndarray,
+    color: tuple[int, int, int, int] | None = None,
+    fill: Literal["solid", "majorwireframe"] = "solid",
 ) -> Iterator[tuple[str, rr.AsComponents]]:
     """(entity name, archetype) for the geoms, in their body's frame; planes are left out."""
     for kind, (archetype, sizes) in _PRIMITIVES.items():
@@ -107,7 +110,7 @@ def geom_shapes(
                     **place,
                     quaternions=rerun_quaternion(R),
                     colors=[color or _geom_color(model, int(geom)) for geom in mine],
-                    fill_mode="solid",
+                    fill_mode=fill,
                 ),
             )
     for geom in geoms[model.geom_type[geoms] == _GEOM.mjGEOM_MESH]:

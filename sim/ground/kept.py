@@ -1,11 +1,11 @@
-"""The ground that a log keeps of a walk over height fields of the user's own: enough to draw it,
-wherever their files have gone.
+"""The ground that a log keeps of its walk: enough to draw it, wherever its files have gone.
 
 The metadata of a log hold the ground as its seed drew it, rough strips as height fields; heights
 to a part in 65 535 of their range, at fewer points where there are many.
 """
 
 import base64
+import json
 import zlib
 from dataclasses import dataclass, replace
 from math import ceil, sqrt
@@ -58,9 +58,7 @@ class _Kept:
 
 
 def kept_ground(ground: Ground) -> dict[str, Any]:
-    """What `Meta.model` keeps of a ground: nothing where no height field of a file lies on it."""
-    if not ground.fields:
-        return {}
+    """What `Meta.model` keeps of a ground."""
     rough = [HeightField(s.rectangle, s.nodes(), s.mu) for s in ground.strips if s.rough]
     drawn = thinned(replace(ground, fields=(*rough, *ground.fields)))
     patches = [[p.center_x, p.center_y, p.size_x, p.size_y, p.mu] for p in ground.patches]
@@ -69,15 +67,15 @@ def kept_ground(ground: Ground) -> dict[str, Any]:
         for strip in ground.strips
         if not strip.rough
     ]
-    return {
-        GROUND_KEY: {
-            "mu": ground.mu,
-            "half_size": ground.half_size,
-            "patches": patches,
-            "strips": strips,
-            "fields": [_written(field) for field in drawn.fields],
-        }
+    kept = {
+        "mu": ground.mu,
+        "half_size": ground.half_size,
+        "patches": patches,
+        "strips": strips,
+        "fields": [_written(field) for field in drawn.fields],
     }
+    # Plain numbers and lists, as they come back from a file.
+    return {GROUND_KEY: json.loads(json.dumps(kept))}
 
 
 def ground_of_log(log: "Log") -> Ground | None:

@@ -58,6 +58,9 @@ SAME_SIZE = 1e-3
 several times gravity's."""
 NOT_LEVEL = 8.0
 """deg between gravity and the reference's vertical: an accelerometer 80 mg out is 5 deg off."""
+NOISY = 0.2
+"""rad/s of a gyro's noise from row to row: data sheets have 0.01 (MPU-6050, 0.05 deg/s behind a
+filter, 0.005 deg/s/√Hz), logs of a Go1 and a SCALER 0.03 with all that shakes."""
 _BLOCK = 2.0
 """s, four strides, over which a gyro's bias is taken."""
 _AXES_P = tuple(f"ref_p_{a}" for a in AXIS_NAMES)
@@ -269,6 +272,18 @@ def gyro(view: LogView) -> Iterator[Finding]:
         if abs(apart[i]) < ZERO_RATE:
             told = f"up to {worst[i]:.2f} rad/s off the reference's turning for {_BLOCK:g} s"
         yield Finding((_AXES_GYRO[i],), told, "a bias")
+
+
+def gyro_noise(view: LogView) -> Iterator[Finding]:
+    """A body turns smoothly: what third differences of a gyro are made of is noise."""
+    if not view.log.has("imu") or not view.comparable:
+        return
+    # Of white noise they have 20 times the variance; landings are few, and the median of others.
+    rough = np.median(np.abs(np.diff(view.log.gyro, n=3, axis=0)), axis=0) / 0.6745 / np.sqrt(20.0)
+    if (noisy := np.flatnonzero(rough > NOISY)).size:
+        told = f"{rough[noisy].max():.2f} rad/s from row to row"
+        cause = "noise of a broken sensor, or readings of several samples mixed up"
+        yield Finding(tuple(_AXES_GYRO[i] for i in noisy), told, cause)
 
 
 def _turned(gyro: np.ndarray, turning: np.ndarray) -> np.ndarray | None:

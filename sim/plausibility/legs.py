@@ -1,6 +1,6 @@
 """Leg kinematics against the body's motion: swapped legs and joints, signs, sizes, clocks."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import permutations, product
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.plausibility.attitude import LATE
+from surefoot.sim.plausibility.axes import lag_of
 from surefoot.sim.plausibility.finding import Finding
 from surefoot.sim.plausibility.stance import Stance
 from surefoot.sim.plausibility.view import STEP, LogView
@@ -34,6 +35,9 @@ _TURNING = 0.5
 """Quantile of the gyro above which rows are looked at: legs differ where the body turns."""
 LATEST_LEGS = 1.0
 """s up to which late legs are looked for: two strides."""
+LATE_PART, LATEST_PART = 0.03, 0.16
+"""s by which contacts, or one leg, are said to be late: 0.02 on a measured Go1, whose feet spring
+back before they are off; and up to which it is looked for: beyond, the next step comes."""
 _MOVES = 0.1
 """m/s below which the body's velocity says nothing."""
 _FEWEST = 50
@@ -43,6 +47,13 @@ _TRIED = 600
 CLIMBS = 0.15
 """m/s by which a reference may rise against standing feet: stairs at 0.5 m/s rise by 0.3, and feet
 that roll and give by some hundredths."""
+LATE_LOAD, LATEST_LOAD = 0.025, 0.15
+"""s by which torques are said to load legs after they stand: 0.002 in clean walks, foot sensors
+lag by ten; and up to which it is looked for."""
+LOADS = 0.7
+"""Correlation of the loads with the contacts from which on they are compared: 0.82 to 0.87."""
+_LOADED, _MOST_LOADED = 20.0, 10_000
+"""s of a log in which loads are compared, some tens of strides, and rows there at most."""
 SUPPORT = (0.5, 1.7)
 """Weight that torques of standing legs carry, over the model's: payloads add a third, single legs
 of a stride carry twice."""
@@ -96,12 +107,14 @@ def kinematics(view: LogView) -> Iterator[Finding]:
     moving = Moving(gyro, truth, used & turning)
     u = legs.body_velocity(gyro)
     base = moving.misfit(u, legs.contact)
-    if not base > MISFIT:
-        return
-    late = None if truth is None else _late(legs, Moving(gyro, truth, used))
-    found = [late] if late else _put_right(view, legs, moving, base)
+    found: list[Finding] = []
+    if base > MISFIT:
+        late = None if truth is None else _late(view, legs, Moving(gyro, truth, used))
+        found = [late] if late else _put_right(view, legs, moving, base)
+    if not found and truth is not None:
+        found = _late_parts(view, legs, Moving(gyro, truth, used))
     yield from found
-    if found or truth is None:
+    if found or truth is None or not base > MISFIT:
         return
     size, alike = _size(u, legs.contact, moving)
     if alike > 0.6 and not SIZE[0] < size < SIZE[1]:
@@ -132,27 +145,67 @@ def climbing(view: LogView) -> Iterator[Finding]:
         yield Finding(("ref_p_z",), told, "an estimate that drifts, or a world that is not level")
 
 
-def _late(legs: Stance, moving: Moving) -> Finding | None:
+def _late(view: LogView, legs: Stance, moving: Moving) -> Finding | None:
     """Joints and contacts that come later, or earlier, than gyro and reference together."""
-    assert moving.truth is not None
-    step = float(np.median(np.diff(legs.which))) * STEP
-    rows = np.arange(len(legs.which))
 
     def left(late: float) -> float:
-        there = np.clip(np.round(rows - late / step).astype(int), 0, len(rows) - 1)
-        shifted = moving.rows(there)
-        return shifted.misfit(legs.body_velocity(shifted.gyro), legs.contact)
+        then = _earlier(view, legs, moving, late)
+        return then.misfit(legs.body_velocity(then.gyro), legs.contact)
 
-    base = left(0.0)
-    tried = np.arange(-LATEST_LEGS, LATEST_LEGS + 0.5 * step, step)
-    misfits = [left(late) for late in tried]
-    best = int(np.nanargmin(misfits)) if np.isfinite(misfits).any() else 0
-    late = float(tried[best])
-    if abs(late) < 2.0 * LATE or not misfits[best] < MENDED * base:
+    late, share = _lag(left, LATEST_LEGS)
+    if abs(late) < 2.0 * LATE or not share < MENDED:
         return None
     which = "after" if late > 0 else "before"
     told = f"move {abs(late):.2f} s {which} the reference and the IMU"
     return Finding(("q", "contact"), told, "another clock, or lost rows")
+
+
+def _late_parts(view: LogView, legs: Stance, moving: Moving) -> list[Finding]:
+    """Contacts that come later, or earlier, than joints, and single legs than the others."""
+    u = legs.body_velocity(moving.gyro)
+
+    def contacts_later(late: float) -> float:
+        rows = np.searchsorted(view.t, view.at[legs.which] + late)
+        return moving.misfit(u, view.log.contact[np.clip(rows, 0, len(view.t) - 1)])
+
+    late, share = _lag(contacts_later, LATEST_PART)
+    if abs(late) > LATE_PART and share < MENDED:
+        columns = tuple(f"contact_{leg}" for leg in view.log.legs)
+        told = f"standing feet move {1.0 / share:.1f} times less (squared) {abs(late):.2f} s "
+        told += "earlier" if late > 0 else "later"
+        cause = "a filter, or another clock" if late > 0 else "early, or the joints are late"
+        return [Finding(columns, told, cause)]
+    found = []
+    for i, leg in enumerate(view.log.legs):
+
+        def leg_later(late: float, i: int = i) -> float:
+            then = _earlier(view, legs, moving, late)
+            one = legs.body_velocity(then.gyro)[:, [i]]
+            return then.misfit(one, legs.contact[:, [i]])
+
+        late, share = _lag(leg_later, LATEST_PART)
+        if abs(late) > LATE_PART and share < MENDED:
+            told = f"{leg} moves {abs(late):.2f} s {'after' if late > 0 else 'before'} the body"
+            found.append(Finding((f"q_{leg}", f"contact_{leg}"), told, "a clock of its own"))
+    return found if 2 * len(found) <= len(view.log.legs) else []
+
+
+def _earlier(view: LogView, legs: Stance, moving: Moving, late: float) -> Moving:
+    """What legs that are late by some seconds are to be compared with."""
+    assert moving.truth is not None
+    then = np.clip(legs.which - round(late / STEP), 0, len(view.at) - 1)
+    return Moving(view.gyro[then], view.v_I[then], moving.used & view.ok[then])
+
+
+def _lag(left: Callable[[float], float], latest: float) -> tuple[float, float]:
+    """The lateness [s], up to `latest`, at which least is left, and its share of that at 0."""
+    tried = STEP * np.arange(-round(latest / STEP), round(latest / STEP) + 1)
+    misfits = np.array([left(float(late)) for late in tried])
+    base = misfits[len(tried) // 2]
+    if not np.isfinite(misfits).any() or not base > 0.0:
+        return 0.0, 1.0
+    best = int(np.nanargmin(misfits))
+    return float(tried[best]), float(misfits[best] / base)
 
 
 def _put_right(view: LogView, legs: Stance, moving: Moving, base: float) -> list[Finding]:
@@ -335,23 +388,14 @@ def _size(u: np.ndarray, contact: np.ndarray, moving: Moving) -> tuple[float, fl
 def weight_carried(view: LogView) -> Iterator[Finding]:
     """Torques of standing legs carry the robot's weight."""
     legs, robot, log = view.stance, view.robot, view.log
-    if legs is None or robot is None or not log.has("tau") or not log.has("imu"):
-        return
-    if not log.has("q") or any(len(c) != 3 for c in robot.limbs.chains):
+    if legs is None or robot is None:
         return
     rows = legs.rows[1][:: max(1, len(legs.which) // _TRIED)]
-    contact = log.contact[rows]
-    J = robot.feet_jacobian_I(log.q[rows])
-    tau = log.tau[rows][:, np.array(robot.limbs.chains)]
-    up = view.up_by_body
-    usable = np.abs(np.linalg.det(J)) > 1e-4
-    if up is None or not usable.any():
+    loads, contact = _loads(view, robot, rows), log.contact[rows]
+    if loads is None:
         return
-    pushed = -np.linalg.solve(
-        np.where(usable[..., None, None], np.swapaxes(J, 2, 3), np.eye(3)), tau[..., None]
-    )[..., 0]
-    carried = np.sum(pushed * (contact & usable)[:, :, None], axis=1)
-    share = float(np.median(carried[contact.any(axis=1)] @ up)) / (robot.mass * GRAVITY)
+    share = float(np.median(np.sum(loads * contact, axis=1)[contact.any(axis=1)]))
+    share /= robot.mass * GRAVITY
     told = f"legs in contact carry {share:.2f} times the weight of {robot.name}"
     columns = tuple(f"tau_{joint}" for joint in log.joints)
     if SUPPORT[0] < share < SUPPORT[1] or contact.mean() < 0.2:
@@ -365,3 +409,45 @@ def weight_carried(view: LogView) -> Iterator[Finding]:
     else:
         cause = "swapped joints, another unit, a motor's side of the gear, or another robot"
         yield Finding(columns, told, cause)
+
+
+def late_torques(view: LogView) -> Iterator[Finding]:
+    """Torques load legs while they stand."""
+    if view.stance is None or view.robot is None:
+        return
+    t = view.t
+    period = max(float(np.median(np.diff(t))), _LOADED / _MOST_LOADED)
+    middle = 0.5 * (t[0] + t[-1])
+    times = np.arange(max(t[0], middle - 0.5 * _LOADED), min(t[-1], middle + 0.5 * _LOADED), period)
+    rows = np.clip(np.searchsorted(t, times), 0, len(t) - 1)
+    loads = _loads(view, view.robot, rows)
+    if loads is None or len(rows) < _FEWEST:
+        return
+    contact = view.log.contact[rows]
+    walks = (contact.std(axis=0) > 0.2) & (loads.std(axis=0) > 0.0)
+    if not walks.any():
+        return
+    late, alike = lag_of(loads[:, walks], contact[:, walks].astype(float), period, LATEST_LOAD)
+    if alike > LOADS and abs(late) > LATE_LOAD:
+        told = f"load legs {abs(late):.3f} s {'after' if late > 0 else 'before'} they stand"
+        columns = tuple(f"tau_{joint}" for joint in view.log.joints)
+        yield Finding(columns, told, "a filter, or another clock (or that of the contacts)")
+
+
+def _loads(view: LogView, robot: Robot, rows: np.ndarray) -> np.ndarray | None:
+    """Force (K, L) [N] upwards from the ground that each leg's torques mean, if nothing else moves
+    it, at rows (K,); 0 where a leg is stretched, None where they are not known."""
+    log, up = view.log, view.up_by_body
+    if up is None or not (log.has("tau") and log.has("imu") and log.has("q")):
+        return None
+    if any(len(c) != 3 for c in robot.limbs.chains):
+        return None
+    J = robot.feet_jacobian_I(log.q[rows])
+    tau = log.tau[rows][:, np.array(robot.limbs.chains)]
+    usable = np.abs(np.linalg.det(J)) > 1e-4
+    if not usable.any():
+        return None
+    pushed = -np.linalg.solve(
+        np.where(usable[..., None, None], np.swapaxes(J, 2, 3), np.eye(3)), tau[..., None]
+    )[..., 0]
+    return (pushed @ up) * usable

@@ -406,8 +406,11 @@ def _median5(x: np.ndarray) -> np.ndarray:
 
 
 def _drop_outs(x: np.ndarray) -> int:
-    """Rows that are exactly 0 while the median around them is far from it."""
+    """Rows that are exactly 0 while the median around them is far from it; none where as many are
+    nearly 0, as of coarse readings that pass by it."""
     if np.mean(x == 0.0) > 0.5:
         return 0
     usual = np.quantile(np.abs(np.diff(x)), 0.9)
-    return int(np.sum((x == 0.0) & (np.abs(_median5(x)) > 3.0 * usual)))
+    far = np.abs(_median5(x)) > 3.0 * usual
+    dropped = int(np.sum((x == 0.0) & far))
+    return dropped if dropped > np.sum((x != 0.0) & (np.abs(x) < usual) & far) else 0

@@ -1,5 +1,7 @@
 """When a channel is at its floor, and when what was added to the model does harm to it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -19,6 +21,15 @@ from surefoot.models.attribution.levels import ChannelLevel, _by_chance, scatter
 )
 def test_harm_is_more_than_the_floors_walks_differ_by(before, after, worse):
     assert ChannelLevel(before, after, 1.0, "m", 1.2).worse == worse
+
+
+def test_other_bins_are_no_harm():
+    """Undone late touch-downs leave whole stances, of which the log as it is has few."""
+    level = ChannelLevel(0.2, 1.1, 0.2, "mm", 0.4)
+    assert level.worse
+    assert not replace(level, same_bins=(0.2, 0.3)).worse
+    assert replace(level, same_bins=(0.2, 0.9)).worse
+    assert not replace(level, same_bins=(0.0, 0.0)).worse  # it has none of them
 
 
 def test_without_a_floor_any_more_is_harm():

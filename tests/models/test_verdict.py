@@ -43,6 +43,12 @@ def test_nothing_is_attributed_below_the_floor():
     assert verdict_of([CALF], levels, False, (), None)[0] == "attributed"
 
 
+def test_nothing_is_attributed_that_takes_nothing_off_what_no_fit_has_seen():
+    name, (why,) = verdict([CALF], 0.95, 0.96)
+    assert name == "not_identifiable"
+    assert why == "what was found takes nothing off the part that no fit has seen"
+
+
 def test_a_size_at_its_bound_fails():
     long = Found(effect("link_length", "FL_calf", 0.03), (0.02, 0.04))
     name, (why,) = verdict([long], 2.0, 1.0)

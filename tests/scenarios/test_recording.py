@@ -11,13 +11,15 @@ from arc_walk import DRIFT, RATE, Walk
 from rerun.chunk import RrdReader
 
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
+from surefoot.scenarios.estimate.estimators import ESTIMATORS, shown_at_first, traits
 from surefoot.scenarios.reporting.palette import estimator_color, friction_color
 from surefoot.scenarios.viewer.recording import write_recording
 from surefoot.scenarios.viewer.scene import write_estimates
 from surefoot.scenarios.viewer.shapes import geom_shapes
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import matrix_from_quaternion
-from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.ground.height_map import height
+from surefoot.sim.ground.terrain import Ground, Strip
 from surefoot.sim.log import LEGS, Log
 
 
@@ -72,9 +74,9 @@ def test_every_panel_has_its_entities(contents):
             ("attitude_error", ("roll", "pitch", "yaw")),
         ):
             for part in parts:
-                assert {f"/{group}/{part}/{name}/{s}" for s in ("error", "three_sigma")} <= moving
+                assert {f"/{group}/{part}/{s}/{name}" for s in ("error", "3_sigma")} <= moving
     for axis in "xyz":
-        series = ("truth", "observer", "upper", "lower", "outside")
+        series = ("truth", "observer", "bounds", "outside")
         assert {f"/velocity/{axis}/{s}" for s in series} <= moving
     assert {f"/feet/{kind}/{leg}" for kind in ("contact", "slip") for leg in LEGS} <= moving
     assert {"/update/coverage/mass", "/update/coverage/gamma"} <= moving
@@ -126,9 +128,9 @@ def test_velocity_bounds_lie_epsilon_about_the_observer_and_misses_are_marked(co
     for k, axis in enumerate("xyz"):
         observer = contents.values(f"/velocity/{axis}/observer")[:, 0]
         np.testing.assert_allclose(observer, walk.prediction.v_I[:, k])
-        for side, sign in (("upper", 1), ("lower", -1)):
-            bound = contents.values(f"/velocity/{axis}/{side}")[:, 0]
-            np.testing.assert_allclose(bound - observer, sign * walk.bounds.epsilon[k])
+        band = contents.values(f"/velocity/{axis}/bounds")[:, 0].reshape(-1, 2)
+        for side, sign in ((0, -1), (1, 1)):
+            np.testing.assert_allclose(band[:, side] - observer, sign * walk.bounds.epsilon[k])
         missed = np.abs(truth[:, k] - observer) > walk.bounds.epsilon[k]
         assert 0 < missed.sum() < len(missed)
         np.testing.assert_allclose(
@@ -138,15 +140,15 @@ def test_velocity_bounds_lie_epsilon_about_the_observer_and_misses_are_marked(co
 
 def test_errors_are_those_of_the_estimates(contents, walk):
     for k, axis in enumerate("xyz"):
-        t = contents.time(f"/position_error/{axis}/leg/error")
+        t = contents.time(f"/position_error/{axis}/error/leg")
         np.testing.assert_allclose(np.diff(t), 0.05, atol=1e-9)
-        error = contents.values(f"/position_error/{axis}/leg/error")[:, 0]
+        error = contents.values(f"/position_error/{axis}/error/leg")[:, 0]
         np.testing.assert_allclose(error, DRIFT[k] * (t - t[0]), atol=1e-9)
-        right = contents.values(f"/position_error/{axis}/coverage/error")
+        right = contents.values(f"/position_error/{axis}/error/coverage")
         np.testing.assert_allclose(right, 0.0, atol=1e-9)
-        bands = contents.values(f"/position_error/{axis}/leg/three_sigma")
+        bands = contents.values(f"/position_error/{axis}/3_sigma/leg").reshape(-1, 2)
         np.testing.assert_allclose(bands[:, 0], -bands[:, 1])
-        assert np.all(bands[:, 0] >= 3 * 0.1)
+        assert np.all(bands[:, 1] >= 3 * 0.1)
 
 
 def test_the_trail_in_pieces_is_the_path(contents):
@@ -174,7 +176,7 @@ def test_slip_keeps_the_peak_of_every_ten_milliseconds(contents, walk):
 
 
 def test_colours_are_those_of_the_palette(contents):
-    color = contents.static["/position_error/x/leg/error"]["SeriesLines:colors"][0][0]
+    color = contents.static["/position_error/x/error/leg"]["SeriesLines:colors"][0][0]
     assert f"#{color >> 8:06X}" == estimator_color("leg")
     patch = contents.static["/world/ground/friction_0.20/box"]["Boxes3D:colors"][0][0]
     assert f"#{patch >> 8:06X}" == friction_color(0.2)
@@ -184,6 +186,35 @@ def test_a_blueprint_comes_with_it(walk, tmp_path):
     path = tmp_path / "walk.rrd"
     written(path, walk)
     assert len(RrdReader(path).blueprints()) == 1
+
+
+def test_four_are_shown_at_first_those_that_are_proposed_before_variants():
+    all_of_them = [name for name in ESTIMATORS if traits(name).drawn]
+    first = ("coverage", "coverage_persistent", "velocity", "leg")
+    assert shown_at_first(all_of_them) == first
+    assert shown_at_first(["imu", "leg"]) == ("imu", "leg")
+
+
+def test_a_band_lies_between_its_sides_at_each_time(contents, walk):
+    t = contents.time("/velocity/x/bounds").reshape(-1, 2)
+    np.testing.assert_allclose(t[:, 0], walk.prediction.t, atol=1e-9)
+    assert np.all(np.diff(t.ravel()) > 0.0)
+
+
+def test_the_shadow_lies_on_the_ground_below_the_trunk(walk, tmp_path):
+    ramp = Strip((-1.0, 2.0), (3.0, 2.0), 8.0, heights=(0.0, 0.4))
+    ground = Ground(0.8, strips=(ramp,))
+    contents = written(tmp_path / "ramp.rrd", walk, ground=ground)
+    p = contents.values("/world/shadow", "Transform3D:translation")[:, 0]
+    above = [z - height(ground.relief, x, y) for x, y, z in p]
+    np.testing.assert_allclose(above, 0.01, atol=1e-5)
+    robot = contents.values("/world/robot", "Transform3D:translation")[:, 0]
+    np.testing.assert_allclose(p[:, :2], robot[:, :2], atol=1e-5)
+    assert "/world/ground/friction_0.80/box_edges" in contents.static
+    (lines,) = contents.static["/world/ground/grid"]["LineStrips3D:strips"]
+    x, y, z = np.concatenate(lines).T
+    off = [b - height(ground.relief, *a) for *a, b in zip(x, y, z, strict=True)]
+    assert np.quantile(np.abs(np.array(off) - 0.01), 0.99) < 1e-5  # all but at the ramp's edges
 
 
 def test_without_estimates_contacts_and_truth_there_is_still_a_robot(walk, tmp_path):
@@ -206,7 +237,7 @@ def test_an_estimator_may_have_any_name_and_a_log_may_have_calendar_time(walk, t
     contents = Contents(tmp_path / "a.rrd")
     entity = next(e for e in contents.moving if e.startswith("/distance"))
     assert contents.moving[entity]["time"][0].year == 2023
-    assert not any(e.endswith("three_sigma") for e in contents.moving)
+    assert not any("3_sigma" in e for e in contents.moving)
 
 
 def test_errors_are_one_clear_line(walk, tmp_path):

@@ -120,7 +120,7 @@ def test_the_picture_shows_robot_ground_estimates_and_series(viewer, walk: Walk,
     recording = tmp_path / "walk.rrd"
     write_recording(
         recording, walk.log, walk.robot, walk.trajectories, walk.prediction, walk.bounds,
-        ground=Ground(0.8, walk.patches),
+        ground=Ground(0.8, walk.patches), tab="Overview",
     )  # fmt: skip
     image = picture(viewer, recording, 2.0, tmp_path / "walk.png")
     rows, columns, _ = image.shape

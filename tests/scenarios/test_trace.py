@@ -18,7 +18,7 @@ from surefoot.sim.effects import effect
 from surefoot.sim.effects.file import load_effects
 from surefoot.sim.ground.terrain import Ground, Patch
 from surefoot.sim.importing.sections import EVENNESS
-from surefoot.sim.log import Log, LogError, Meta
+from surefoot.sim.log import Log, Meta
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
@@ -182,12 +182,13 @@ def test_contacts_that_never_change_while_the_robot_walks_are_not_believed(dead)
     assert (dead_contacts(still) == "") == (len(dead) == 4)  # one that stands or hangs still
 
 
-def test_without_a_reference_there_is_nothing_to_trace(tmp_path):
+def test_a_walk_without_a_reference_and_legs_ends_in_a_verdict(tmp_path):
     log = log_with()
-    names = [n for n in log.frame if not str(n).startswith("ref_")]
-    with pytest.raises(LogError, match="reference"):
-        trace([replace(log, frame=log.frame[names])], ROBOT, tmp_path / "out")
-    assert not (tmp_path / "out").exists()
+    names = [n for n in log.frame if str(n).startswith(("t", "gyro_", "accel_"))]
+    found = trace([Log(log.frame[names], log.meta, log.name)], ROBOT, tmp_path / "out")
+    assert found.verdict == "not_identifiable"
+    assert "no channel: the log lacks" in summary(found)
+    assert (tmp_path / "out" / "report.html").exists()
 
 
 def test_rivals_are_named_and_the_motion_that_tells_them_apart_is_said_once():

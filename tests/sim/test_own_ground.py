@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.interpolate import RegularGridInterpolator
 from test_terrain import rays
@@ -15,9 +16,10 @@ from surefoot.sim.ground.height_map import surfaces
 from surefoot.sim.ground.kept import MOST_POINTS, ground_of_log, kept_ground, thinned
 from surefoot.sim.ground.terrain import Ground, HeightField, Patch
 from surefoot.sim.ground.tiles import add_ground
-from surefoot.sim.log import Log
+from surefoot.sim.log import Log, Meta
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, drawn
+from surefoot.sim.scenario_catalog import bundled_scenarios
 from surefoot.sim.similar_course import course_for
 from surefoot.sim.walk import plan, walk
 
@@ -250,3 +252,17 @@ def test_a_patch_that_slips_follows_the_fields_lattice(tmp_path):
     assert patch.rectangle == pytest.approx((0.6, 1.4, -0.25, 0.75))
     far = Patch(-5.0, 0.03, 0.7, 0.9, 0.2)
     assert far.snapped(grid(tmp_path).ground.fields[0]) != far
+
+
+def test_a_walk_over_any_bundled_course_keeps_its_ground():
+    for name in bundled_scenarios():
+        scenario = Scenario.load(name)
+        ground = plan(scenario, Robot.load(str(scenario.robot)), 0).ground
+        log = Log(pd.DataFrame({"t": [0.0, 1.0]}), Meta(1.0, model=kept_ground(ground)))
+        kept = ground_of_log(log)
+        assert kept is not None
+        assert kept.patches == ground.patches
+        (x, y), half = np.random.default_rng(0).uniform(-1.0, 1.0, (2, 500)), ground.half_size
+        there = surfaces(ground.relief, half * x, half * y)[0]
+        drawn = surfaces(kept.relief, half * x, half * y)[0]
+        assert np.quantile(np.abs(drawn - there), 0.98) < 1e-5, name

@@ -13,6 +13,7 @@ from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.plausibility import RULES, check_log
 from surefoot.sim.plausibility.axes import lag_of, match_axes
+from surefoot.sim.plausibility.streams import _drop_outs
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
@@ -269,6 +270,35 @@ def reversed_in_time(log: Log) -> Log:
     return replace(log, frame=log.frame.iloc[::-1].reset_index(drop=True).assign(t=log.t))
 
 
+def noisy_gyro(log: Log) -> Log:
+    noise = np.random.default_rng(0).normal(0.0, 0.5, log.gyro.shape)
+    return vectors(gyro=log.gyro + noise)(log)
+
+
+def of_another_point(x: float, y: float, z: float) -> Callable[[Log], Log]:
+    def change(log: Log) -> Log:
+        p_IM, R = np.array([x, y, z]), log.ref_R_GI
+        turning = np.einsum("nij,nj->ni", R, np.cross(log.gyro, p_IM))
+        return vectors(ref_p=log.ref_p + R @ p_IM, ref_v=log.ref_v + turning)(log)
+
+    return change
+
+
+def positions_turned(log: Log) -> Log:
+    R = Rotation.from_euler("z", 30, degrees=True)
+    return vectors(ref_p=R.apply(log.ref_p), ref_v=R.apply(log.ref_v))(log)
+
+
+def leg_odometry(log: Log) -> Log:
+    """The reference's positions as legs and gyro have them."""
+    feet, on = SPOT.feet_I(log.q), log.contact[:, :, None]
+    by_leg = -(np.gradient(feet, log.t, axis=0) + np.cross(log.gyro[:, None], feet))
+    v_I = np.sum(by_leg * on, axis=1) / np.maximum(on.sum(axis=1), 1)
+    v_GI = np.einsum("nij,nj->ni", log.ref_R_GI, v_I)
+    p = log.ref_p[0] + np.cumsum(v_GI, axis=0) / log.rate
+    return vectors(ref_p=p, ref_v=v_GI)(log)
+
+
 z_down = both(times(-1, "ref_p_y", "ref_v_y"), times(-1, "ref_p_z", "ref_v_z"))
 
 CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
@@ -399,6 +429,21 @@ CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
         imu_turned(Rotation.from_euler("z", 30, degrees=True)), "gyro", "the IMU is turned"),
     "reference's world not level": (tilted_world, "accelerometer", "not level"),
     "reference that sinks": (sinking, "climbing", "sinks by 0.30 m/s"),
+    "gyro that is noise": (noisy_gyro, "gyro's noise", "gyro_x, gyro_y, gyro_z"),
+    "reference of a point before the IMU": (
+        of_another_point(0.5, 0.0, 0.0), "reference's point", "of a point at (0.5"),
+    "reference of a point above the IMU": (
+        of_another_point(0.0, 0.0, 0.5), "reference's point", "0.50) m in the IMU's axes"),
+    "reference scaled": (
+        times(1.2, "ref_p", "ref_v"), "reference's motion", "1.2 times as much"),
+    "reference's positions turned": (positions_turned, "reference's motion", "29 deg about z"),
+    "reference made of the legs": (leg_odometry, "reference from legs", "made of the legs"),
+    "joints late by some rows": (late(0.05, "q_", "dq_"), "legs", "or the joints are late"),
+    "contacts late": (late(0.06, "contact_"), "legs", "0.06 s earlier"),
+    "one leg late": (
+        late(0.05, "q_FL", "dq_FL", "tau_FL", "contact_FL"), "legs", "FL moves 0.04 s after"),
+    "torques late": (late(0.04, "tau_"), "late torques", "load legs 0.04"),
+    "a hip's wrong zero": (plus(0.2, "q_RL_hip"), "zeros", "q_RL_hip, q_RR_hip"),
     "velocities late": (late(0.1, "ref_v"), "late", "ms late against the change of ref_p"),
     "a wrong zero": (plus(0.4, "q_FL_thigh"), "zeros", "q_FL_thigh, q_FR_thigh"),
     "torques without a sign": (
@@ -465,6 +510,18 @@ def test_few_spikes_of_a_short_log_of_an_arm_are_noticed(log):
     assert any(
         line.startswith("spikes: dq_elbow") for line in found_in(edited(arm, dq_elbow=rate), None)
     )
+
+
+def test_coarse_readings_that_pass_by_zero_are_no_drop_outs():
+    """At impacts a reading of 0.1 is as frequent as one of 0."""
+    usual = np.random.default_rng(0).normal(5.0, 0.3, 4000).round(1)
+    at = np.arange(10, 4000, 40)
+    impacts, dropped = usual.copy(), usual.copy()
+    impacts[at] = 0.1 * (np.arange(len(at)) % 5 - 2)
+    dropped[at] = 0.0
+    assert np.sum(impacts == 0.0) == 20
+    assert _drop_outs(impacts) == 0
+    assert _drop_outs(dropped) == len(at)
 
 
 def test_a_joint_that_is_held_throughout_rests_and_one_whose_rate_moves_hangs(log):

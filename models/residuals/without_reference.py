@@ -1,0 +1,75 @@
+"""The motion of a walk whose log has no reference, by its IMU and legs alone.
+
+It is none that readings could be held against, being made of them: it says where the vertical is,
+while which feet stand, and the course along which walks of a noise floor go. What is a residual
+then is what feet that stand at the same time say of each other (`feet.between_feet`), and what
+joints say of themselves.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.integrate import cumulative_trapezoid
+from scipy.ndimage import uniform_filter1d
+
+from surefoot.models.residuals.binning import ReferenceMotion, reference_motion
+from surefoot.models.residuals.contact_timing import within_windows
+from surefoot.models.residuals.leg_velocity import leg_velocity
+from surefoot.sim.common.quaternion import quaternion_from_matrix
+from surefoot.sim.log import Log, joint_velocity
+from surefoot.sim.robot import Robot
+
+LEVELLED = 1.0
+"""s over which the specific force is averaged for the vertical: accelerations of a walk average to
+a few hundredths of gravity, and the vertical decides no more than where under a foot it rolls."""
+
+
+def can_reckon(log: Log) -> bool:
+    """Whether a log has what `reckoned_by_legs` needs."""
+    return all(map(log.has, ("imu", "q", "contact"))) and bool(log.contact.any())
+
+
+def motion_without_reference(log: Log, robot: Robot) -> ReferenceMotion:
+    """Stances, bins and vertical of a walk without a reference; no foot stands or swings where the
+    log lacks IMU, angles or contacts."""
+    if not can_reckon(log):
+        motion = reference_motion(log, robot.limbs, fixed=True)
+        return replace(motion, lifted=motion.standing, by_reference=False)
+    reckoned = reckoned_by_legs(log, robot)
+    motion = within_windows(reference_motion(reckoned, robot.limbs), reckoned, robot)
+    nothing = np.zeros((len(log.t), 3))
+    unknown = np.full_like(nothing, np.nan)
+    return replace(
+        motion, gyro=unknown, accel=unknown, v_I=nothing, p_GI=nothing, by_reference=False
+    )
+
+
+def reckoned_by_legs(log: Log, robot: Robot) -> Log:
+    """The log with its dead reckoning in the reference's place: the velocity is the mean by the
+    feet that stand, up the direction of the mean specific force, the heading the gyro's integral.
+
+    log: of a walk, with IMU, angles and contacts.
+    """
+    up = uniform_filter1d(log.accel, max(1, round(LEVELLED * log.rate)), axis=0)
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    by_foot = leg_velocity(robot, log.q, joint_velocity(log), log.gyro, up, log.contact)
+    count = log.contact.sum(axis=1)
+    v_I = np.nansum(by_foot, axis=1) / np.maximum(count, 1)[:, None]
+    stands = np.flatnonzero(count)
+    v_I = np.stack([np.interp(log.t, log.t[stands], v_I[stands, a]) for a in range(3)], axis=1)
+    yaw = cumulative_trapezoid(np.sum(log.gyro * up, axis=1), log.t, initial=0.0)
+    # Rows: the level heading, left of it, and up, as seen in I.
+    ahead = np.array([1.0, 0.0, 0.0]) - up[:, :1] * up
+    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    R_levelled = np.stack([ahead, np.cross(up, ahead), up], axis=1)
+    turned = np.zeros_like(R_levelled)
+    turned[:, 0, 0] = turned[:, 1, 1] = np.cos(yaw)
+    turned[:, 1, 0], turned[:, 0, 1], turned[:, 2, 2] = np.sin(yaw), -np.sin(yaw), 1.0
+    R_GI = turned @ R_levelled
+    v_GI = np.einsum("nij,nj->ni", R_GI, v_I)
+    p_GI = cumulative_trapezoid(v_GI, log.t, axis=0, initial=0.0)
+    q_GI = quaternion_from_matrix(R_GI)
+    columns = {f"ref_q_{a}": q_GI[:, i] for i, a in enumerate("wxyz")}
+    columns |= {f"ref_p_{a}": p_GI[:, i] for i, a in enumerate("xyz")}
+    columns |= {f"ref_v_{a}": v_GI[:, i] for i, a in enumerate("xyz")}
+    return log.with_columns(columns)

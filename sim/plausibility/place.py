@@ -1,0 +1,119 @@
+"""Where a reference's motion comes from: of which point it is, how large it is and whether it is
+turned by the accelerometer, and whether legs are all that it was made of."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.integrate import cumulative_trapezoid
+
+from surefoot.sim.common.gravity import GRAVITY_G
+from surefoot.sim.plausibility.axes import AXIS_NAMES
+from surefoot.sim.plausibility.finding import Finding
+from surefoot.sim.plausibility.view import STEP, LogView
+
+FARTHEST_POINT = 0.2
+"""m between the IMU and the point that the reference is of: 0.05 in clean walks, 0.02 on a measured
+Go1, 0.15 where nothing goes together."""
+ARM_EXPLAINS = 0.5
+"""Share of what accelerometer and reference differ by that a lever arm takes away: 0.14 at most
+where there is none, 0.92 to 0.97 where it is half a metre."""
+SPEEDING = 0.3
+"""s over which velocities change: a stance. Tilts hardly matter, and impacts are over."""
+SURELY = 0.95
+"""Correlation of the two changes of velocity from which on they are compared: 0.97 to 1.0 where
+both sensors are good."""
+SIZE_OFF = 0.1
+"""Share by which a reference's motion may be larger or smaller: 0.02 in clean walks and a measured
+Go1."""
+POSITIONS_TURNED = 10.0
+"""deg about the vertical between a reference's positions and attitudes: 1 in clean walks."""
+MADE_OF_LEGS = 0.01
+"""Of the body's speed, the median by which leg odometry differs: 0.0003 to 0.002 from a reference
+made of it; 0.07 in clean walks, whose feet roll, and 0.15 on a measured Go1."""
+_WALKS = 0.05
+"""m/s below which there is nothing to compare."""
+_STRETCH = 20.0
+"""s in the middle of a log that are looked at for it: some tens of strides."""
+_AXES_P = tuple(f"ref_p_{a}" for a in AXIS_NAMES)
+
+
+def point(view: LogView) -> Iterator[Finding]:
+    """The reference is of the IMU: another point of the body accelerates as it turns.
+
+    a_M = a_I + (alpha x + omega x omega x) p_IM, for p_IM and a constant, by least squares.
+    """
+    if not view.trusts_reference:
+        return
+    turning, speeding_up = _cross(view.gyro), _cross(np.gradient(view.gyro, STEP, axis=0))
+    arm = (speeding_up + turning @ turning)[view.ok]
+    missed = (view.felt - view.accel)[view.ok]
+    missed = missed - missed.mean(axis=0)
+    arm = arm - arm.mean(axis=0)
+    p_IM = np.linalg.lstsq(arm.reshape(-1, 3), missed.reshape(-1), rcond=None)[0]
+    explained = 1.0 - np.sum((missed - arm @ p_IM) ** 2) / max(float(np.sum(missed**2)), 1e-12)
+    if np.linalg.norm(p_IM) > FARTHEST_POINT and explained > ARM_EXPLAINS:
+        where = ", ".join(f"{x:.2f}" for x in p_IM.round(2) + 0.0)
+        told = f"{100 * explained:.0f} % of what the accelerometer differs by"
+        cause = f"of a point at ({where}) m in the IMU's axes, not of the IMU"
+        yield Finding(_AXES_P, told, cause, f"[reference] p_IM, moved by [{where}]; surefoot align")
+
+
+def motion(view: LogView) -> Iterator[Finding]:
+    """The reference gains and loses speed in the plane as the accelerometer says."""
+    if not view.trusts_reference:
+        return
+    steps = round(SPEEDING / STEP)
+    gained = cumulative_trapezoid(
+        view.R_GI.apply(view.accel) + GRAVITY_G, dx=STEP, axis=0, initial=0.0
+    )
+    throughout = view.ok[steps:] & view.ok[:-steps]
+    by_imu, by_reference = (
+        (x[steps:] - x[:-steps])[throughout, :2] @ [1.0, 1.0j] for x in (gained, view.ref_v)
+    )
+    if len(by_imu) * STEP < 1.0:
+        return
+    by_imu, by_reference = by_imu - by_imu.mean(), by_reference - by_reference.mean()
+    both = np.vdot(by_imu, by_reference)
+    power = [float(np.vdot(x, x).real) for x in (by_imu, by_reference)]
+    if abs(both) < SURELY * np.sqrt(power[0] * power[1]) or not power[0]:
+        return
+    turned = float(np.degrees(np.angle(both)))
+    size = float(np.sqrt(power[1] / power[0]))
+    if abs(turned) > POSITIONS_TURNED:
+        told = f"it speeds up {turned:.0f} deg about z from where accelerometer and ref_q say"
+        yield Finding(_AXES_P, told, "positions and attitudes are in different worlds")
+    elif abs(np.log(size)) > np.log1p(SIZE_OFF):
+        told = f"it speeds up {size:.3g} times as much as the accelerometer says"
+        yield Finding(_AXES_P, told, "scaled: the tracker's calibration, or another unit")
+
+
+def from_legs(view: LogView) -> Iterator[Finding]:
+    """The reference is no leg odometry: feet that are taken to stand roll and slip in truth."""
+    log = view.log
+    if not (log.has("reference") and log.has("imu") and log.has("contact")) or not view.comparable:
+        return
+    if not (log.has("foot") or (view.robot is not None and log.has("q"))):
+        return
+    begin = 0.5 * (view.t[0] + view.t[-1] - _STRETCH)
+    few = LogView(log.rows((view.t >= begin) & (view.t <= begin + _STRETCH)), view.machine)
+    log = few.log
+    if not few.comparable:
+        return
+    feet = log.foot_I if log.has("foot") or few.robot is None else few.robot.feet_I(log.q)
+    standing = log.contact[:, :, None]
+    by_leg = -(np.gradient(feet, few.t, axis=0) + np.cross(log.gyro[:, None], feet))
+    count = standing.sum(axis=1)
+    odometry = few.means(np.sum(by_leg * standing, axis=1) / np.maximum(count, 1))
+    throughout = (few.means((count > 0).astype(float))[:, 0] > 0.999) & few.ok
+    if throughout.sum() * STEP < 1.0:
+        return
+    speed = float(np.median(np.linalg.norm(few.v_I[throughout], axis=1)))
+    missed = np.median(np.linalg.norm((odometry - few.v_I)[throughout], axis=1))
+    if speed > _WALKS and missed < MADE_OF_LEGS * speed:
+        told = f"the velocity by standing feet to {100 * missed / speed:.1g} %"
+        yield Finding(_AXES_P, told, "made of the legs, not measured: it tells nothing of them")
+
+
+def _cross(w: np.ndarray) -> np.ndarray:
+    """Matrices (M, 3, 3) of the cross products with w (M, 3)."""
+    return np.cross(w[:, None], np.eye(3)).swapaxes(1, 2)

@@ -1,0 +1,50 @@
+"""A drive whose logged rates are noise: its inverse dynamics takes the slopes of its angles."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from surefoot.models.attribution.evidence import _Linear, all_keys, log_under_model, table_of
+from surefoot.models.residuals.layout import layout_for
+from surefoot.sim.effects import effect
+from surefoot.sim.log import Log, Meta
+from surefoot.sim.robot.fixed_base import load_machine
+
+PENDULUM = load_machine("ak80_pendulum")
+
+
+def swinging(rate_noise):
+    """5 s of a swing at 300 Hz with its rates' noise [rad/s]; None: no rates."""
+    t = np.arange(0.0, 5.0, 1 / 300)
+    rng = np.random.default_rng(0)
+    columns = {"t": t, "q_shoulder": np.sin(3 * t) + rng.normal(0.0, 1e-3, len(t))}
+    columns["tau_shoulder"] = np.cos(2 * t) + rng.normal(0.0, 0.05, len(t))
+    if rate_noise is not None:
+        columns["dq_shoulder"] = 3 * np.cos(3 * t) + rng.normal(0.0, rate_noise, len(t))
+    return Log(pd.DataFrame(columns), Meta(rate=300.0, robot="ak80_pendulum"), "swing")
+
+
+def test_angles_serve_where_rates_are_noisier_and_nowhere_else():
+    noisy, quiet, none = (log_under_model(swinging(x), PENDULUM) for x in (1.0, 1e-3, None))
+    assert noisy.frame.rates_of_angles
+    assert not quiet.frame.rates_of_angles
+    layout = layout_for(PENDULUM.limbs)
+    torque, rate = layout.of("joint_torque"), layout.of("joint_rate")
+    tables = [table_of(case, ()) for case in (noisy, none)]
+    np.testing.assert_allclose(tables[0][:, torque], tables[1][:, torque], atol=1e-9)
+    assert np.nanstd(tables[0][:, rate]) > 0.1  # the rates themselves are held against the angles
+
+
+@pytest.mark.parametrize("name", ["encoder_offset", "viscous_friction", "armature", "torque_bias"])
+def test_regressors_are_the_slopes_of_the_residual(name):
+    case = log_under_model(swinging(1.0), PENDULUM)
+    key = next(key for key in all_keys(case) if key[0] == name)
+    step = 1e-2 * type(effect(*key, 0.0)).step_of(key[1])
+    table = table_of(case, ())
+    slope = np.nan_to_num(table - table_of(case, [effect(*key, step)])) / step
+    one = _Linear(case, ()).regressor(key)
+    whole = np.zeros_like(table)
+    whole[:, one.columns] = one.values
+    torque = layout_for(PENDULUM.limbs).of("joint_torque")
+    apart = np.linalg.norm(whole[:, torque] - slope[:, torque])
+    assert apart < 0.03 * np.linalg.norm(slope[:, torque])

@@ -1,0 +1,128 @@
+"""A walk without a reference: what feet and joints say of each other, and nothing else."""
+
+import numpy as np
+import pytest
+
+from surefoot.models.attribution.diagnose import diagnose
+from surefoot.models.attribution.evidence import (
+    _Linear,
+    all_keys,
+    channels_of,
+    log_under_model,
+    table_of,
+)
+from surefoot.models.residuals.feet import between_feet
+from surefoot.models.residuals.layout import layout_for
+from surefoot.models.residuals.without_reference import reckoned_by_legs
+from surefoot.sim.effects import effect
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
+from surefoot.sim.walking.imitation import body_twists
+
+SPOT = Robot.load("spot_class")
+SHORT = Scenario("short", (Segment(4.0, 0.5, 0.1, 0.3),), Ground(0.8))
+TURNS = ((0.5, 0.0, 0.2), (0.6, 0.0, 0.5), (0.3, 0.1, -0.5), (0.6, 0.0, 0.0))
+LONG = Scenario("long", tuple(Segment(4.0, *twist) for twist in TURNS), Ground(0.8))
+
+
+def without_reference(log, *groups):
+    """The log less its reference, what only a simulation has, and columns of these prefixes."""
+    gone = ("ref_", "slip_", "mu_", *groups)
+    kept = [name for name in log.frame if not str(name).startswith(gone)]
+    return Log(log.frame[kept].copy(), log.meta, log.name)
+
+
+@pytest.fixture(scope="module")
+def log():
+    return walk(SHORT, SPOT, 7)
+
+
+@pytest.fixture(scope="module")
+def case(log):
+    return log_under_model(without_reference(log), SPOT)
+
+
+def test_feet_against_each_other_know_nothing_of_the_body_and_count_once():
+    rng = np.random.default_rng(0)
+    v = rng.normal(size=(20_000, 4, 3))
+    v[:, 1] = np.nan
+    v[:100, 2:] = np.nan
+    against = between_feet(v.reshape(len(v), -1))
+    moved = between_feet((v + rng.normal(size=(len(v), 1, 3))).reshape(len(v), -1))
+    np.testing.assert_allclose(against, moved, atol=1e-12)
+    # One foot alone is held against none; of three, two differences, white as the feet were.
+    by_leg = against.reshape(v.shape)
+    assert np.isnan(by_leg[:100]).all()
+    assert np.isnan(by_leg[:, :2]).all()
+    white = np.cov(by_leg[100:, 2:, 0].T)
+    np.testing.assert_allclose(white, np.eye(2), atol=0.03)
+
+
+def test_legs_and_imu_reckon_the_course_of_a_walk(log):
+    # Feet creep and roll: a floor's course needs no more.
+    found, known = (
+        body_twists(one) for one in (reckoned_by_legs(without_reference(log), SPOT), log)
+    )
+    np.testing.assert_allclose(found, known, atol=0.05)
+
+
+def test_channels_that_need_a_reference_are_left_out(case, log):
+    there = {"leg_velocity", "stance_velocity", "joint_torque", "joint_rate"}
+    assert not case.fixed
+    assert set(channels_of(case)) - {"command"} == there
+    layout, table = layout_for(SPOT.limbs), table_of(case, ())
+    for name, columns in layout.channels.items():
+        assert np.isfinite(table[:, columns]).any() == (name in channels_of(case)), name
+    names = {name for name, _ in all_keys(case)}
+    assert {"encoder_offset", "link_length", "gyro_bias", "backlash"} & names
+    assert not names & {"imu_position", "accel_bias", "payload", "reference_delay", "contact_delay"}
+    # Without an IMU legs say nothing of each other either.
+    bare = log_under_model(without_reference(log, "gyro_", "accel_"), SPOT)
+    assert set(channels_of(bare)) - {"command"} == {"joint_rate"}
+    columns = layout.of("joint_torque", "leg_velocity")
+    assert not np.isfinite(table_of(bare, ())[:, columns]).any()
+
+
+@pytest.mark.parametrize(
+    ("name", "target"),
+    [
+        ("encoder_offset", "RL_calf"),
+        ("link_length", "FR_calf"),
+        ("gyro_bias", "z"),
+        ("foot_rolling", "all"),
+    ],
+)
+def test_regressors_are_the_slopes_of_what_feet_say_of_each_other(case, name, target):
+    step = 1e-2 * type(effect(name, target, 0.0)).step_of(target)
+    table = table_of(case, ())
+    slope = (table - table_of(case, [effect(name, target, step)])) / step
+    one = _Linear(case, ()).regressor((name, target))
+    whole = np.zeros_like(table)
+    whole[:, one.columns] = one.values
+    for channel in ("leg_velocity", "stance_velocity"):
+        columns = layout_for(SPOT.limbs).of(channel)
+        true = np.nan_to_num(slope[:, columns])
+        assert np.linalg.norm(true) > 0
+        apart = np.linalg.norm(whole[:, columns] - true)
+        assert apart < 0.03 * np.linalg.norm(true), channel
+
+
+@pytest.mark.slow
+def test_what_two_standing_feet_contradict_is_named_and_nothing_else_is():
+    clean = diagnose([without_reference(walk(LONG, SPOT, 7))], SPOT)
+    assert clean.verdict == "no_residual"
+    assert not clean.found
+    assert any("imu_position: not identifiable without a reference" in n for n in clean.notes)
+    off = effect("encoder_offset", "FL_calf", 0.05)
+    seen = without_reference(walk(LONG, SPOT, 7, (off,), declared=False))
+    found = diagnose([seen], SPOT)
+    named = {(f.effect.name, f.effect.target) for f in found.found}
+    named |= {(r["name"], r["target"]) for r in found.rivals}
+    assert ("encoder_offset", "FL_calf") in named
+    # The accelerometer alone has nothing to contradict it.
+    blind = effect("accel_bias", "x", 0.5)
+    seen = without_reference(walk(LONG, SPOT, 7, (blind,), declared=False))
+    assert diagnose([seen], SPOT).verdict != "attributed"
