@@ -109,7 +109,7 @@ def slip_notes(
         settings: of the trace.
     """
     if friction is None:
-        lacking = "foot_slip: not identifiable, it takes torques, IMU, contacts and a reference"
+        lacking = "foot_slip: not identifiable without torques, IMU, contacts and a reference"
         return (lacking,) if walks else ()
     dry, many = settings.floor_friction, f"{friction.slides} slides under load"
     if friction.limit is None:

@@ -91,7 +91,7 @@ def test_another_effect_is_not_taken_for_lost_friction(log, one):
 def test_without_torques_friction_is_not_identifiable(log):
     bare = log.frame.drop(columns=[c for c in log.frame if str(c).startswith("tau_")])
     assert friction(replace(log, frame=bare)) is None
-    assert "need torques" in slip_notes(None, True, DEFAULT)[0]
+    assert "without torques" in slip_notes(None, True, DEFAULT)[0]
 
 
 def test_outside_forces_are_found_where_they_act(log):
