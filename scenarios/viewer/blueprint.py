@@ -5,6 +5,7 @@ those about the cursor say in their titles which colour is what.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import rerun as rr
 import rerun.blueprint as rrb
@@ -104,7 +105,7 @@ def layout(
     )
 
 
-def _hidden(estimators: Sequence[str], shown: Sequence[str]) -> dict[str, rrb.EntityBehavior]:
+def _hidden(estimators: Sequence[str], shown: Sequence[str]) -> dict[Any, Any]:
     """What makes the others invisible, until their eye in the list of the view is clicked."""
     others = [estimate_path(name) for name in estimators if name not in shown]
     return {path: rrb.EntityBehavior(visible=False) for path in others}

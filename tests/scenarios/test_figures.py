@@ -1,6 +1,7 @@
 """Figures show the numbers they are given, with units, and are the same twice."""
 
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -83,7 +84,7 @@ def test_every_estimator_keeps_its_colour(drawn, name):
 
 
 def test_no_legend_is_cut_off_where_every_estimator_is_drawn(walk, errors):
-    all_of_them = dict.fromkeys(ESTIMATORS, errors["leg"])
+    all_of_them: dict[str, Any] = dict.fromkeys(ESTIMATORS, errors["leg"])
     for figure in (
         figures.position_error(all_of_them),
         figures.height_figure(walk.log, all_of_them),

@@ -185,7 +185,7 @@ def test_contacts_that_never_change_while_the_robot_walks_are_not_believed(dead)
 def test_a_walk_without_a_reference_and_legs_ends_in_a_verdict(tmp_path):
     log = log_with()
     names = [n for n in log.frame if str(n).startswith(("t", "gyro_", "accel_"))]
-    found = trace([Log(log.frame[names], log.meta, log.name)], ROBOT, tmp_path / "out")
+    found = trace([Log(log.frame.loc[:, names], log.meta, log.name)], ROBOT, tmp_path / "out")
     assert found.verdict == "not_identifiable"
     assert "no channel: the log lacks" in summary(found)
     assert (tmp_path / "out" / "report.html").exists()
