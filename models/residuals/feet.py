@@ -35,9 +35,8 @@ def between_feet(v: np.ndarray) -> np.ndarray:
     by_leg = v.reshape(len(v), -1, 3)
     there = np.isfinite(by_leg)
     before = np.cumsum(there, axis=1) - there
-    mean = (np.cumsum(np.where(there, by_leg, 0.0), axis=1) - np.where(there, by_leg, 0.0)) / (
-        np.maximum(before, 1)
-    )
+    standing = np.where(there, by_leg, 0.0)
+    mean = (np.cumsum(standing, axis=1) - standing) / np.maximum(before, 1)
     against = np.sqrt(before / (before + 1.0)) * (by_leg - mean)
     return np.where(before > 0, against, np.nan).reshape(v.shape)
 

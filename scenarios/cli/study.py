@@ -24,9 +24,8 @@ from surefoot.scenarios.cli.options import (
     print_json,
     read_logs,
 )
+from surefoot.scenarios.experiments.catalog import SUITES, experiment_file
 from surefoot.sim.common.errors import SurefootError
-
-BUNDLED_EXPERIMENTS = ("spot", "vision60")
 
 
 @dataclass(frozen=True)
@@ -240,9 +239,7 @@ class ExperimentCommand(GridOptions):
     """Experiment file (TOML), or the name of a bundled one: spot, vision60."""
 
     def run(self) -> None:
-        if self.file not in BUNDLED_EXPERIMENTS and not Path(self.file).exists():
-            names = ", ".join(BUNDLED_EXPERIMENTS)
-            raise SurefootError(f"experiment {self.file}: no such file; bundled are {names}")
+        experiment_file(self.file)  # before anything heavy is imported
         self.experiment(self.file)
 
 
@@ -250,7 +247,7 @@ class ExperimentCommand(GridOptions):
 class Suite(GridOptions):
     """The paper's two tables on the simulated suites, from simulation to table."""
 
-    name: Positional[one_of(BUNDLED_EXPERIMENTS)]  # pyright: ignore[reportInvalidTypeForm]
+    name: Positional[one_of(SUITES)]  # pyright: ignore[reportInvalidTypeForm]
 
     def run(self) -> None:
         self.experiment(self.name)

@@ -13,9 +13,10 @@ from surefoot.models.observer.training import DEFAULT_SCHEDULE
 from surefoot.models.registry import CALIBRATORS, LOSSES
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
 from surefoot.scenarios.experiments.as_walked import AsWalked, load_as_walked
+from surefoot.scenarios.experiments.catalog import experiment_file
 from surefoot.scenarios.experiments.imperfections import Imperfection, load_imperfections
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import bundled, protect
+from surefoot.sim.common.files import protect
 from surefoot.sim.common.limits import check_limit
 from surefoot.sim.common.toml import FileName, Level, Name, Seed, read_toml, typed
 from surefoot.sim.effects import Effect
@@ -26,8 +27,6 @@ from surefoot.sim.scenario_catalog import scenario_file
 from surefoot.sim.sensors.streams import Sensors
 from surefoot.sim.walking.batch import Job, known_robot
 
-SUITES_FOLDER = bundled("surefoot.scenarios.experiments", "suites")
-SUITES = ("spot", "vision60")
 TrainingSteps = Annotated[int, msgspec.Meta(ge=1, le=10**6)]
 
 
@@ -135,11 +134,7 @@ class Experiment:
 
         Raises SurefootError naming the file and the key at fault.
         """
-        path = Path(name_or_path)
-        if str(name_or_path) in SUITES:
-            path = SUITES_FOLDER / f"{name_or_path}.toml"
-        elif not path.is_file():
-            raise SurefootError(f"experiment {path}: No such file; bundled are {', '.join(SUITES)}")
+        path = experiment_file(name_or_path)
         protect(path)
         table = read_toml(path, "experiment")
         try:

@@ -12,6 +12,7 @@ import pandas as pd
 
 from surefoot.scenarios.datasets.simulate import seed_range
 from surefoot.scenarios.estimate.estimators import estimator_named, traits
+from surefoot.scenarios.experiments.catalog import SUITES
 from surefoot.scenarios.experiments.figures import (
     FACTOR,
     NOMINAL,
@@ -20,7 +21,7 @@ from surefoot.scenarios.experiments.figures import (
     gamma_sweep,
     paths,
 )
-from surefoot.scenarios.experiments.file import SUITES, Condition, Experiment
+from surefoot.scenarios.experiments.file import Condition, Experiment
 from surefoot.scenarios.experiments.findings import findings
 from surefoot.scenarios.experiments.run import Outcome, run
 from surefoot.scenarios.experiments.tables import (

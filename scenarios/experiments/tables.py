@@ -11,7 +11,8 @@ import pandas as pd
 
 from surefoot.models.calibration.empirical_coverage import binomial_interval
 from surefoot.scenarios.estimate.compare import LOST_FROM, MEANINGS
-from surefoot.scenarios.experiments.file import SUITES_FOLDER, Experiment
+from surefoot.scenarios.experiments.catalog import SUITES_FOLDER
+from surefoot.scenarios.experiments.file import Experiment
 from surefoot.scenarios.experiments.run import Outcome
 from surefoot.scenarios.reporting.tables import METRICS
 from surefoot.sim.common.errors import SurefootError

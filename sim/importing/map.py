@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import bundled
 from surefoot.sim.common.toml import read_typed
 from surefoot.sim.importing.columns import EULER, Entries, MapColumn, read_column, read_columns
+from surefoot.sim.importing.map_catalog import map_file
 from surefoot.sim.importing.sections import (
     ContactTable,
     EvenTable,
@@ -22,8 +22,6 @@ from surefoot.sim.importing.sections import (
     Source,
 )
 from surefoot.sim.log.schema import GROUPS, leg_names
-
-BUNDLED_MAPS = bundled("surefoot.sim.importing", "maps")
 
 
 @dataclass(frozen=True)
@@ -56,24 +54,12 @@ class ImportMap:
 
         Raises SurefootError naming file, section and key.
         """
-        path = find_map(path)
+        path = map_file(path)
         file = read_typed(path, MapFile)
         try:
             return file.checked(path)
         except SurefootError as error:
             raise SurefootError(f"{path}: {error}") from None
-
-
-def find_map(path: str | Path) -> Path:
-    """The file of a map given by path, or by the name of a bundled one."""
-    path = Path(path)
-    bundled = BUNDLED_MAPS / f"{path.name.removesuffix('.toml')}.toml"
-    if path.is_file():
-        return path
-    if path.parent == Path() and bundled.is_file():
-        return bundled
-    names = ", ".join(sorted(file.stem for file in BUNDLED_MAPS.glob("*.toml")))
-    raise SurefootError(f"{path}: no such import map (bundled: {names})")
 
 
 @dataclass(frozen=True)
