@@ -1,10 +1,12 @@
 """An effect that leaves more of a channel than the declared model does, on data no fit has seen."""
 
+import numpy as np
 import pytest
 
 from surefoot.models.attribution.evidence import all_keys, linearise, log_under_model
 from surefoot.models.attribution.fit import design
 from surefoot.models.attribution.harm import harmful_in
+from surefoot.models.attribution.levels import channel_levels, without_bias
 from surefoot.models.attribution.noise_floor import noise_floor
 from surefoot.models.attribution.refinement import Data
 from surefoot.models.attribution.robust_weights import robust_weights
@@ -49,6 +51,22 @@ def test_what_is_not_there_is_left_out_and_the_truth_is_kept(case):
     one, channel = harm
     assert one == wrong
     assert channel in known_channels()
+
+
+def test_bins_that_were_not_there_before_do_no_harm(case):
+    """Undone late touch-downs leave whole stances, which the log as it is has not."""
+    data = data_with(case)
+    everywhere = np.ones(len(data.evidence.t), dtype=bool)
+    before = without_bias(data.evidence, data.robust_weights, everywhere)
+    first = slice(None, len(before) // 2), data.evidence.layout.of("leg_velocity")
+    after = before.copy()
+    after[first] *= 20.0
+    levels = channel_levels(before, after, data.evidence, data.floor)
+    assert levels["leg_velocity"].worse
+    before[first] = np.nan
+    levels = channel_levels(before, after, data.evidence, data.floor)
+    assert levels["leg_velocity"].after > 1.1 * levels["leg_velocity"].before
+    assert not levels["leg_velocity"].worse
 
 
 def test_what_a_sensor_explains_costs_no_other_effect_its_place(case):
