@@ -182,7 +182,7 @@ def gtsam_row(rounds: int, progress: Progress | None = None) -> Ratio:
     try:
         import gtsam  # pyright: ignore[reportMissingImports]
     except ImportError:
-        return Ratio(what, against, None, 5.0, 'gtsam is not installed: pip install ".[bench]"')
+        return Ratio(what, against, None, 5.0, "not installed: the extra surefoot[gtsam]")
     ours, theirs = velocity_filter(), gtsam_filter(gtsam)
     fast, slow = in_turn(ours, theirs, rounds, progress)
     ours_us, theirs_us = 1e6 * fast / PYTHON_STEPS, 1e6 * slow / PYTHON_STEPS

@@ -97,7 +97,7 @@ def bench(rounds: int, only: Sequence[str] = (), page: Path | None = None) -> st
     if page:
         text = (
             "Each ratio is taken in one run, ours and its peer in turn, the smallest time of "
-            f"{rounds} rounds counting. gtsam is the extra `bench`."
+            f"{rounds} rounds counting. gtsam is the extra `gtsam`."
         )
         write_page(
             page, "Speed", [Section("Ratios", text, rows)], origin_of(__name__, "surefoot bench")
