@@ -33,6 +33,11 @@ class ScaledLog:
     train: torch.Tensor
     validation: torch.Tensor
 
+    def to(self, device: torch.device) -> ScaledLog:
+        """The same log on another device."""
+        parts = (self.x, self.y, self.train, self.validation)
+        return ScaledLog(*(part.to(device) for part in parts))
+
 
 @dataclass(frozen=True)
 class Dataset:
@@ -113,7 +118,7 @@ def draw(
     x = torch.stack([log.x[window] for log, window in windows], 1)
     y = torch.stack([log.y[window] for log, window in windows], 1)
     train = torch.stack([log.train[window] for log, window in windows], 1)
-    inside = torch.tensor([window.start > 0 for _, window in windows])
+    inside = torch.tensor([window.start > 0 for _, window in windows], device=train.device)
     train[:unsettled, inside] = False
     return x, y, train
 

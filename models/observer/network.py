@@ -5,7 +5,7 @@
 `mse` reads a velocity off the head. `gml` reads a Gaussian's mean and the Cholesky factor L of its
 covariance L L^T, and maximises its likelihood (Russell and Reale, Multivariate Uncertainty in Deep
 Learning, TNNLS 2022). With leg odometry the head adds to that of the contact points
-(`surefoot.models.observer.odometry`). Everything here is in scaled units, float32, on the CPU.
+(`surefoot.models.observer.odometry`). Everything here is in scaled units and float32.
 """
 
 from __future__ import annotations

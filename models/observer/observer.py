@@ -214,12 +214,13 @@ def check_model(model: str) -> str:
 
 
 def torch_bytes(values: dict[str, Any]) -> bytes:
-    """A torch file of plain values; equal ones give equal bytes, by whatever way they were made."""
+    """A torch file of plain values; equal ones give equal bytes, by whatever way they were made,
+    and tensors are the CPU's."""
 
     def own(value: Any) -> Any:
         """With tensors that share no memory and objects that are each there once."""
         if isinstance(value, torch.Tensor):
-            return value.detach().clone(memory_format=torch.contiguous_format)
+            return value.detach().cpu().clone(memory_format=torch.contiguous_format)
         if isinstance(value, dict):
             return {key: own(item) for key, item in value.items()}
         if isinstance(value, list | tuple):

@@ -8,7 +8,6 @@ a training is kept on disk, so that a killed one goes on from there, to the same
 
 from __future__ import annotations
 
-import copy
 import hashlib
 import json
 import math
@@ -91,6 +90,7 @@ def train(
     model: str = "gru",
     partial: Path | None = None,
     width: int | None = None,
+    device: str = "cpu",
 ) -> Observer:
     """An observer of `logs`' robot from `inputs`; the same seed and logs give the same one.
 
@@ -107,11 +107,15 @@ def train(
         partial: file for the state after each validation; a training that was killed goes on from
             there. The caller deletes it once the observer is saved.
         width: of the network's layers (the architecture's own where left out).
+        device: of torch's, such as "cuda" or "mps", on which the steps are taken. The observer is
+            judged and kept on the CPU, where it will run.
 
-    One thread is used, whatever the machine has: more would sum in another order. Raises
-    ObserverError where a log is too short, lacks an input, or where the logs disagree on robot,
-    mounting or joints; LogError where one has no reference.
+    One thread is used, whatever the machine has: more would sum in another order, as other devices
+    do. Raises ObserverError where a log is too short, lacks an input, where the logs disagree on
+    robot, mounting or joints, or where torch has no such device; LogError where one has no
+    reference.
     """
+    at = torch_device(device)
     logs = [logs] if isinstance(logs, Log) else list(logs)
     check_seed(seed)
     inputs, loss, model = check_inputs(inputs), check_loss(loss), check_model(model)
@@ -122,8 +126,8 @@ def train(
         raise ObserverError(f"train: width must be within 1 and {WIDEST}, is {units}")
     dataset = prepare(logs, robot, inputs)
     with _one_thread():
-        fitted = _fit(model, units, loss, dataset, seed, schedule, progress, partial)
-        network = fitted.network
+        fitted = _fit(model, units, loss, dataset, seed, schedule, progress, partial, at)
+        network = fitted.network.cpu()
         network.load_state_dict(fitted.best)
         errors = _errors(network, dataset)
     return Observer(
@@ -150,6 +154,18 @@ def train(
     )
 
 
+def torch_device(name: str) -> torch.device:
+    """Torch's device of that name. Raises ObserverError where torch cannot compute on it here."""
+    try:
+        device = torch.device(name)
+        torch.zeros(1, device=device).item()
+    except Exception as error:
+        # torch raises many kinds here, by device, build and driver.
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise ObserverError(f"--device {name}: torch cannot use it here ({reason[:200]})") from None
+    return device
+
+
 def partial_path(observer: Path) -> Path:
     """Where the training of `observer` keeps its state: beside it, with `.partial` added."""
     return observer.with_name(observer.name + ".partial")
@@ -159,8 +175,8 @@ def partial_path(observer: Path) -> Path:
 class Training:
     """A training under way: all that its next step depends on, after `step` of them.
 
-    best: weights with the lowest `score` on the validation rows, and rmse (3,) in m/s theirs;
-    since: validations without better ones.
+    best: weights with the lowest `score` on the validation rows, on the CPU, and rmse (3,) in m/s
+    theirs; since: validations without better ones.
     """
 
     network: Network
@@ -218,7 +234,7 @@ class Training:
         """Keep the weights if no earlier ones scored better."""
         self.since += 1
         if score < self.score:
-            self.best = copy.deepcopy(self.network.state_dict())
+            self.best = _kept_weights(self.network)
             self.score, self.rmse, self.since = score, rmse, 0
 
 
@@ -241,6 +257,7 @@ def _fit(
     schedule: Schedule,
     progress: bool | TrainingProgress,
     partial: Path | None,
+    device: torch.device,
 ) -> Training:
     """Train until the schedule ends; all as of `train`.
 
@@ -253,13 +270,17 @@ def _fit(
         schedule: how long and how fast.
         progress: True draws a bar; a function is called after each validation.
         partial: file for the state after each validation, or None.
+        device: on which the steps are taken.
     """
-    architecture, logs = ARCHITECTURES[model], dataset.logs
+    architecture = ARCHITECTURES[model]
     rate = schedule.rate or architecture.rate
     unsettled = max(WARM_UP, (architecture.receptive_field or 0) - 1)
     settings = {"model": model, "loss": loss, "seed": seed, "rate": rate, "width": width}
-    task = task_digest(logs, schedule=asdict(schedule), **settings)
-    now = _begin(model, width, loss, dataset, seed, rate)
+    if device.type != "cpu":  # which sums in another order
+        settings["device"] = device.type
+    task = task_digest(dataset.logs, schedule=asdict(schedule), **settings)
+    logs = [log.to(device) for log in dataset.logs]
+    now = _begin(model, width, loss, dataset, seed, rate, device)
     if partial:
         now.restore(partial, task)
 
@@ -304,8 +325,16 @@ def _fit(
     return now
 
 
-def _begin(model: str, width: int, loss: str, dataset: Dataset, seed: int, rate: float) -> Training:
-    """A training before its first step.
+def _begin(
+    model: str,
+    width: int,
+    loss: str,
+    dataset: Dataset,
+    seed: int,
+    rate: float,
+    device: torch.device,
+) -> Training:
+    """A training before its first step; its weights are drawn on the CPU, alike for every device.
 
     Args:
         model: name of the architecture.
@@ -314,6 +343,7 @@ def _begin(model: str, width: int, loss: str, dataset: Dataset, seed: int, rate:
         dataset: of training and validation, with the units of inputs and outputs.
         seed: of weights and windows.
         rate: learning rate of Adam.
+        device: on which the steps are taken.
     """
     rng = np.random.default_rng(seed)
     inputs = len(dataset.x_mean)
@@ -322,8 +352,15 @@ def _begin(model: str, width: int, loss: str, dataset: Dataset, seed: int, rate:
     network.initialise(torch.Generator().manual_seed(int(rng.integers(2**63))))
     if network.odometry is not None:
         network.odometry.set_units(dataset.x_mean, dataset.x_scale, dataset.y_scale)
+    best = _kept_weights(network)
+    network.to(device)  # before Adam, which keeps its state where the weights are
     optimiser = torch.optim.Adam(network.parameters(), lr=rate)
-    return Training(network, optimiser, rng, copy.deepcopy(network.state_dict()))
+    return Training(network, optimiser, rng, best)
+
+
+def _kept_weights(network: Network) -> dict[str, torch.Tensor]:
+    """A copy of the weights as they are now, on the CPU."""
+    return {name: w.detach().cpu().clone() for name, w in network.state_dict().items()}
 
 
 @torch.no_grad()
@@ -336,7 +373,7 @@ def _score(
         outputs, target = network(log.x[:, None])[:, 0][log.validation], log.y[log.validation]
         losses.append(loss_of(loss, outputs, target))
         squares.append((outputs[:, :3] - target).square())
-    rmse = torch.cat(squares).mean(0).sqrt().double().numpy() * y_scale
+    rmse = torch.cat(squares).mean(0).sqrt().cpu().double().numpy() * y_scale
     return float(torch.cat(losses).mean()), rmse
 
 

@@ -67,6 +67,8 @@ class Train:
     """Highest learning rate; the architecture's own where left out."""
     width: int | None = None
     """Of the network's layers; the architecture's own, of some 20 000 weights, where left out."""
+    device: str = "cpu"
+    """Of PyTorch's, such as cuda or mps, to train on; the observer runs on the CPU."""
     robot: RobotName = None
     seed: int = 0
     strict: Strict = False
@@ -74,10 +76,11 @@ class Train:
     force: Force = False
 
     def run(self) -> None:
-        from surefoot.models.observer.training import Schedule, partial_path, train
+        from surefoot.models.observer.training import Schedule, partial_path, torch_device, train
         from surefoot.sim.common.files import refuse_overwrite
 
         refuse_overwrite(self.out, self.force)
+        torch_device(self.device)  # before the logs are read
         schedule = Schedule(self.steps, self.batch, self.rate)
         recorded = read_logs(self.logs, self.robot)
         warnings = not_plausible(recorded, strict=self.strict)
@@ -85,7 +88,7 @@ class Train:
         partial = partial_path(self.out)
         observer = train(
             logs, None, self.inputs, self.loss, self.seed, True, schedule, self.model, partial,
-            self.width,
+            self.width, self.device,
         )  # fmt: skip
         seen = [replace(one, warnings=warnings.get(one.name, ())) for one in observer.logs]
         observer = replace(observer, logs=tuple(seen))

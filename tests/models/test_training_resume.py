@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 import synthetic
+import torch
 from synthetic import Body, synthetic_walk
 
 from surefoot.models.observer.data import prepare
@@ -69,7 +70,7 @@ def test_an_early_end_stays_an_early_end(tmp_path):
     patient = replace(PLAN, every=1, patience=2, rate=0.5, steps=40)
     first = fit(partial, loss="mse", schedule=patient)
     dataset = prepare([synthetic_walk(0, 15, noise=0.1)], Body(), ("q",))
-    fresh = _begin("gru", first.width, "mse", dataset, 3, 0.5)
+    fresh = _begin("gru", first.width, "mse", dataset, 3, 0.5, torch.device("cpu"))
     assert not fresh.restore(partial, "another task")
     assert fresh.step == 0
     told = []

@@ -1,0 +1,55 @@
+"""Training on another device than the CPU. None is at hand here: torch's "meta", which has shapes
+and devices but no values, refuses what was left behind on the CPU."""
+
+import pytest
+import torch
+from synthetic import Body, synthetic_walk
+
+from surefoot.models.observer.data import draw, prepare
+from surefoot.models.observer.network import loss_of
+from surefoot.models.observer.observer import ObserverError, torch_bytes
+from surefoot.models.observer.training import Schedule, _begin, torch_device, train
+
+META = torch.device("meta")
+BUNDLED = ("gru", "rnn", "lstm", "bigru", "mlp", "tcn")
+
+
+def dataset():
+    return prepare([synthetic_walk(0, 15, noise=0.1)], Body(), ("q",))
+
+
+@pytest.mark.parametrize(("model", "loss"), [*((m, "mse") for m in BUNDLED), ("gru", "gml")])
+def test_a_step_is_taken_where_the_device_is(model, loss):
+    data = dataset()
+    training = _begin(model, 8, loss, data, 0, 1e-2, META)
+    x, y, trains = draw([log.to(META) for log in data.logs], 2, 25, training.rng)
+    few = slice(40)  # of a thousand: torch takes recurrent layers there one by one
+    loss_of(loss, training.network(x[few]), y[few]).mean().backward()
+    training.optimiser.step()
+    weights = list(training.network.parameters())
+    assert {t.device for t in (x, y, trains, *weights)} == {META}
+    assert all(weight.grad is not None and weight.grad.device == META for weight in weights)
+
+
+def test_weights_are_drawn_and_kept_on_the_cpu():
+    """The same ones for every device, and the best so far can be written from any."""
+    data = dataset()
+    there, here = (_begin("gru", 8, "mse", data, 0, 1e-2, d) for d in (META, torch.device("cpu")))
+    for name, weight in here.best.items():
+        torch.testing.assert_close(there.best[name], weight, rtol=0, atol=0)
+    assert torch_bytes(there.best) == torch_bytes(here.best)
+
+
+@pytest.mark.parametrize("name", ["meta", "gpu", "cuda:99"])
+def test_a_device_that_torch_cannot_use_is_one_line(name):
+    with pytest.raises(ObserverError, match=f"--device {name}: torch cannot use it here") as error:
+        train(synthetic_walk(0, 15, noise=0.1), Body(), "q", device=name)
+    assert "\n" not in str(error.value)
+
+
+def test_the_cpu_is_the_default():
+    assert torch_device("cpu") == torch.device("cpu")
+    walk, few = synthetic_walk(0, 15, noise=0.1), Schedule(steps=4, every=2)
+    first = train(walk, Body(), "q", schedule=few, model="mlp")
+    again = train(walk, Body(), "q", schedule=few, model="mlp", device="cpu")
+    assert first.hash == again.hash
