@@ -168,10 +168,9 @@ class _Recurrence(torch.autograd.Function):
 
 
 class GRU(torch.nn.Module):
-    """A GRU layer in float32, with torch.nn.GRU's equations and parameter names.
+    """A GRU layer on the CPU in float32, with torch.nn.GRU's equations and parameter names.
 
     `forward(x (T, B, inputs), h0 (B, hidden) | None) -> h (T, B, hidden)`; no h0 means zeros.
-    On the CPU it runs in `scan`, on other devices in torch's own layer.
     `stepper()` is the same for a robot's own loop: from x (inputs,) to h (hidden,), state kept.
     """
 
@@ -192,16 +191,9 @@ class GRU(torch.nn.Module):
         draw_uniform(self, self.features, generator)
 
     def forward(self, x: torch.Tensor, h0: torch.Tensor | None = None) -> torch.Tensor:
-        h0 = x.new_zeros(x.shape[1], self.features) if h0 is None else h0
-        if x.device.type != "cpu":
-            return self.by_torch(x, h0)
         gates = torch.nn.functional.linear(x, self.weight_ih_l0, self.bias_ih_l0)
+        h0 = x.new_zeros(x.shape[1], self.features) if h0 is None else h0
         return _Recurrence.apply(gates, self.weight_hh_l0, self.bias_hh_l0, h0)  # pyright: ignore[reportReturnType]
-
-    def by_torch(self, x: torch.Tensor, h0: torch.Tensor) -> torch.Tensor:
-        """The same by torch's layer, wherever the weights are."""
-        weights = self.weight_ih_l0, self.weight_hh_l0, self.bias_ih_l0, self.bias_hh_l0
-        return torch.gru(x, h0[None], weights, True, 1, 0.0, self.training, False, False)[0]
 
     def stepper(self) -> Callable[[np.ndarray], np.ndarray]:
         W_x, W_h = _transposed(self.weight_ih_l0), _transposed(self.weight_hh_l0)

@@ -22,6 +22,7 @@ import torch
 
 from surefoot.models.observer.data import Dataset, ScaledLog, draw, prepare
 from surefoot.models.observer.decimate import RATE
+from surefoot.models.observer.device import CPU, move, torch_device
 from surefoot.models.observer.imu_mounting import Mounted
 from surefoot.models.observer.network import LOSS_OUTPUTS, Network, loss_of
 from surefoot.models.observer.observer import (
@@ -127,7 +128,8 @@ def train(
     dataset = prepare(logs, robot, inputs)
     with _one_thread():
         fitted = _fit(model, units, loss, dataset, seed, schedule, progress, partial, at)
-        network = fitted.network.cpu()
+        network = fitted.network
+        move(network, CPU)
         network.load_state_dict(fitted.best)
         errors = _errors(network, dataset)
     return Observer(
@@ -152,18 +154,6 @@ def train(
         causal_dq=dataset.causal_dq,
         legs=dataset.legs,
     )
-
-
-def torch_device(name: str) -> torch.device:
-    """Torch's device of that name. Raises ObserverError where torch cannot compute on it here."""
-    try:
-        device = torch.device(name)
-        torch.zeros(1, device=device).item()
-    except Exception as error:
-        # torch raises many kinds here, by device, build and driver.
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise ObserverError(f"--device {name}: torch cannot use it here ({reason[:200]})") from None
-    return device
 
 
 def partial_path(observer: Path) -> Path:
@@ -276,7 +266,7 @@ def _fit(
     rate = schedule.rate or architecture.rate
     unsettled = max(WARM_UP, (architecture.receptive_field or 0) - 1)
     settings = {"model": model, "loss": loss, "seed": seed, "rate": rate, "width": width}
-    if device.type != "cpu":  # which sums in another order
+    if device.type != CPU.type:  # which sums in another order
         settings["device"] = device.type
     task = task_digest(dataset.logs, schedule=asdict(schedule), **settings)
     logs = [log.to(device) for log in dataset.logs]
@@ -353,7 +343,7 @@ def _begin(
     if network.odometry is not None:
         network.odometry.set_units(dataset.x_mean, dataset.x_scale, dataset.y_scale)
     best = _kept_weights(network)
-    network.to(device)  # before Adam, which keeps its state where the weights are
+    move(network, device)  # before Adam, which keeps its state where the weights are
     optimiser = torch.optim.Adam(network.parameters(), lr=rate)
     return Training(network, optimiser, rng, best)
 

@@ -76,7 +76,8 @@ class Train:
     force: Force = False
 
     def run(self) -> None:
-        from surefoot.models.observer.training import Schedule, partial_path, torch_device, train
+        from surefoot.models.observer.device import torch_device
+        from surefoot.models.observer.training import Schedule, partial_path, train
         from surefoot.sim.common.files import refuse_overwrite
 
         refuse_overwrite(self.out, self.force)

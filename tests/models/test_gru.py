@@ -35,13 +35,6 @@ def test_values_and_gradients_are_those_of_torch(pair):
         torch.testing.assert_close(mine, theirs, rtol=2e-5, atol=2e-5)
 
 
-def test_on_other_devices_the_layer_is_torchs(pair):
-    _, ours = pair
-    x, h0 = torch.randn(60, 3, 7), torch.full((3, 10), 0.2)
-    torch.testing.assert_close(ours.by_torch(x, h0), ours(x, h0), rtol=2e-5, atol=2e-5)
-    assert ours.to("meta")(x.to("meta")).device.type == "meta"
-
-
 def test_running_on_from_a_state_is_running_through(pair):
     _, ours = pair
     x = torch.randn(40, 2, 7)

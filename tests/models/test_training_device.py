@@ -6,9 +6,11 @@ import torch
 from synthetic import Body, synthetic_walk
 
 from surefoot.models.observer.data import draw, prepare
-from surefoot.models.observer.network import loss_of
+from surefoot.models.observer.device import CPU, TorchGRU, move, torch_device
+from surefoot.models.observer.gru import GRU
+from surefoot.models.observer.network import Network, loss_of
 from surefoot.models.observer.observer import ObserverError, torch_bytes
-from surefoot.models.observer.training import Schedule, _begin, torch_device, train
+from surefoot.models.observer.training import Schedule, _begin, train
 
 META = torch.device("meta")
 BUNDLED = ("gru", "rnn", "lstm", "bigru", "mlp", "tcn")
@@ -31,10 +33,30 @@ def test_a_step_is_taken_where_the_device_is(model, loss):
     assert all(weight.grad is not None and weight.grad.device == META for weight in weights)
 
 
+def test_torchs_recurrence_is_the_compiled_one():
+    ours = GRU(7, 10)
+    ours.initialise(torch.Generator().manual_seed(3))
+    theirs = TorchGRU(7, 10)
+    theirs.load_state_dict(ours.state_dict())
+    x, h0 = torch.sin(torch.arange(60.0 * 3 * 7)).reshape(60, 3, 7), torch.full((3, 10), 0.2)
+    torch.testing.assert_close(theirs(x, h0), ours(x, h0), rtol=2e-5, atol=2e-5)
+    torch.testing.assert_close(theirs(x), ours(x), rtol=2e-5, atol=2e-5)
+
+
+def test_a_network_that_comes_back_runs_compiled():
+    network = Network("bigru", 7, 3, 5)
+    layers = [layer for layer in network.modules() if isinstance(layer, GRU)]
+    move(network, META)
+    assert {type(layer) for layer in layers} == {TorchGRU}
+    network.to_empty(device=CPU)
+    move(network, CPU)
+    assert {type(layer) for layer in layers} == {GRU}
+
+
 def test_weights_are_drawn_and_kept_on_the_cpu():
     """The same ones for every device, and the best so far can be written from any."""
     data = dataset()
-    there, here = (_begin("gru", 8, "mse", data, 0, 1e-2, d) for d in (META, torch.device("cpu")))
+    there, here = (_begin("gru", 8, "mse", data, 0, 1e-2, d) for d in (META, CPU))
     for name, weight in here.best.items():
         torch.testing.assert_close(there.best[name], weight, rtol=0, atol=0)
     assert torch_bytes(there.best) == torch_bytes(here.best)
@@ -48,7 +70,7 @@ def test_a_device_that_torch_cannot_use_is_one_line(name):
 
 
 def test_the_cpu_is_the_default():
-    assert torch_device("cpu") == torch.device("cpu")
+    assert torch_device("cpu") == CPU
     walk, few = synthetic_walk(0, 15, noise=0.1), Schedule(steps=4, every=2)
     first = train(walk, Body(), "q", schedule=few, model="mlp")
     again = train(walk, Body(), "q", schedule=few, model="mlp", device="cpu")
