@@ -18,7 +18,7 @@ from surefoot.models.attribution.levels import (
     gains_of,
     without_bias,
 )
-from surefoot.models.attribution.noise_floor import noise_floor
+from surefoot.models.attribution.noise_floor import Unchanged, noise_floor
 from surefoot.models.attribution.outside_forces import outside_forces, pushed_bins
 from surefoot.models.attribution.refinement import Data
 from surefoot.models.attribution.run_offsets import of_each_run
@@ -26,6 +26,7 @@ from surefoot.models.attribution.search import Attribution, attribute
 from surefoot.models.attribution.selection import Candidate
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.attribution.split import split_of
+from surefoot.models.attribution.unchanged import unchanged
 from surefoot.models.attribution.unexplained import Unexplained, sparse_regression
 from surefoot.models.attribution.verdict import verdict_of
 from surefoot.models.attribution.zeros import Run, runs_of
@@ -51,7 +52,8 @@ class Diagnosis:
     data that no fit has seen; held_out: the same on logs that no fit has seen; rivals: other
     explanations of an effect; unexplained: the form of what is left; floor: where the noise floor
     is from; masked_share: of the stance, masked as slipping; friction: of the feet, None where the
-    logs lack what shows it; notes: for the reader.
+    logs lack what shows it; notes: for the reader; unchanged: what these runs differ by with all
+    that was found, for runs to come.
     """
 
     verdict: str
@@ -67,6 +69,7 @@ class Diagnosis:
     rivals: tuple[dict[str, Any], ...] = ()
     notes: tuple[str, ...] = ()
     unexplained: tuple[Unexplained, ...] = ()
+    unchanged: Unchanged | None = None
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -96,6 +99,8 @@ class Diagnosis:
             }
         if self.verdict == "none_of_these":
             out["remainder"] = [asdict(form) for form in self.unexplained]
+        if self.unchanged:
+            out["unchanged"] = _unchanged(self.unchanged)
         if self.rivals:
             out["rivals"] = list(self.rivals)
         return plain(out)
@@ -109,6 +114,7 @@ def diagnose(
     declared: Sequence[Effect] | None = None,
     settings: TraceSettings = DEFAULT,
     holdout: Sequence[Log] = (),
+    since: Unchanged | None = None,
 ) -> Diagnosis:
     """Find which effect `robot` lacks as a model of the logs.
 
@@ -121,6 +127,8 @@ def diagnose(
             are given, if only none, zeros and clocks are no effects but the log's own.
         settings: thresholds and constants.
         holdout: logs of the same machine that judge what was found and that no fit sees.
+        since: what runs differ by in which nothing had changed yet, by the trace that gave
+            `declared`: sizes must stand out from it.
 
     A walk without a reference is traced by what feet that stand at the same time say of each other,
     and joints of themselves; what only a reference would show is named among the notes.
@@ -139,7 +147,7 @@ def diagnose(
     friction = friction_of(cases, np.random.default_rng(seed))
     slip = slip_of(friction, settings)
     while True:
-        floor = noise_floor(cases, [one.effect for one in slip])
+        floor = noise_floor(cases, [one.effect for one in slip], since)
         progress(0.4)
         rng = np.random.default_rng(seed)
         result = attribute(cases, floor, split, rng, lambda share: progress(0.4 + 0.5 * share))
@@ -193,6 +201,9 @@ def diagnose(
             Unexplained(one.channel, one.joint, (f"curve_of_angle_{one.joint}",), one.share)
             for one in curves
         ) + sparse_regression(now, left, weights, above, split.fit, split.select)
+    if declared is not None and verdict == "not_identifiable":
+        # Nothing is named as changed that cannot be told from noise; the reasons have it.
+        found = ()
     dead = dict.fromkeys(note for log in logs if (note := dead_contacts(log, settings)))
     progress(1.0)
     return Diagnosis(
@@ -216,8 +227,10 @@ def diagnose(
             *slip_notes(friction, "leg_velocity" in channels, settings),
             *(f"not judged by: {why}" for p in pushes if (why := p.in_words()) not in reasons),
             *_result_notes(found, channels),
+            *_notes_of_unchanged(since, channels),
         ),
         unexplained=unexplained,
+        unchanged=unchanged(runs, effects, result.floor, after, left, weights),
     )
 
 
@@ -274,6 +287,16 @@ def _result_notes(found: Sequence[Found], channels: dict[str, ChannelLevel]) -> 
     return notes
 
 
+def _notes_of_unchanged(since: Unchanged | None, channels: dict[str, ChannelLevel]) -> list[str]:
+    """What is above the floor and yet no more than runs in which nothing changed have."""
+    return [
+        f"{name}: {c.after:.3g} {c.unit} is left; runs in which nothing changed leave up to "
+        f"{since.left[name]:.3g}"
+        for name, c in channels.items()
+        if since and name in since.left and c.noise_floor and c.after > c.noise_floor
+    ]
+
+
 def _sized(one: Found) -> dict[str, Any]:
     return {**one.effect.as_dict(), "interval": list(one.interval)}
 
@@ -281,6 +304,14 @@ def _sized(one: Found) -> dict[str, Any]:
 def _own(run: Run) -> list[dict[str, Any]]:
     """A run's zeros, and whether they stand out from what its sensors are declared to have."""
     return [{**_sized(one), "compensated": one.effect in run.taken} for one in run.zeros]
+
+
+def _unchanged(one: Unchanged) -> dict[str, Any]:
+    differ = [
+        {"name": name, "target": target, "deviation": deviation}
+        for (name, target), deviation in one.differ.items()
+    ]
+    return {"runs": one.runs, "differ": differ, "left": dict(one.left)}
 
 
 def _levels(channels: dict[str, ChannelLevel]) -> dict[str, dict[str, Any]]:

@@ -90,7 +90,7 @@ def channel_levels(
         channel = channels()[name]
         least = channel.least_noise if channel.on_level_ground else 0.0
         level = [
-            max(_rms(part[:, columns]), least)
+            max(trimmed_rms(part[:, columns]), least)
             for part in (ahead if channel.on_level_ground else floors)
             if np.isfinite(part[:, columns]).any()
         ]
@@ -104,11 +104,17 @@ def channel_levels(
             # Neighbours share noise, so that a level of n bins is known to one part in sqrt(n).
             count = np.isfinite(after[:, columns]).sum()
             most = own * (1.0 + 2.0 / float(np.sqrt(max(count, 1))))
+        if floor.unchanged:
+            most = max(most, floor.unchanged.left.get(name, 0.0))
         both = np.isfinite(before[:, columns]) & np.isfinite(after[:, columns])
-        same = [_rms(part[:, columns][both]) for part in (before, after)] if both.any() else [0, 0]
+        same = (
+            [trimmed_rms(part[:, columns][both]) for part in (before, after)]
+            if both.any()
+            else [0, 0]
+        )
         levels[name] = ChannelLevel(
-            before=_rms(before[:, columns]),
-            after=_rms(after[:, columns]),
+            before=trimmed_rms(before[:, columns]),
+            after=trimmed_rms(after[:, columns]),
             noise_floor=own,
             unit=channel.unit,
             highest=most,
@@ -180,7 +186,8 @@ def scatter_of_rms(values: np.ndarray, count: int) -> float:
     return float(np.sqrt(max(kurtosis - 1.0, 0.0) / (4.0 * max(count, 1))))
 
 
-def _rms(values: np.ndarray) -> float:
+def trimmed_rms(values: np.ndarray) -> float:
+    """Root mean square of what is finite, without its largest hundredth; NaN of nothing."""
     # A few bins in which a foot lands between two looks would say all of a torque's level.
     square = np.sort(values[np.isfinite(values)] ** 2)
     return float(np.sqrt(square[: max(1, round(0.99 * len(square)))].mean()))

@@ -1,6 +1,6 @@
 """What residual the declared model leaves by itself: the log's own motion, simulated again."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -66,12 +66,26 @@ class FloorPlan:
 
 
 @dataclass(frozen=True)
+class Unchanged:
+    """What runs in which nothing changed show once all that was found is in the model.
+
+    runs: how many; differ: candidate -> standard deviation [its unit] of its size in a new run;
+    left: channel -> the most that the runs leave, and as far again as they differ, root mean
+    square [its unit].
+    """
+
+    runs: int
+    differ: Mapping[Key, float]
+    left: Mapping[str, float]
+
+
+@dataclass(frozen=True)
 class NoiseFloor:
     """The residual of a robot that is as its model says.
 
     sigma (W,): noise of each column of the residual table, in its unit; repeats: the walks that it
     is from, walked by `plan`; source: in words; readings: the logs, where their own noise is the
-    floor.
+    floor; unchanged: what other runs of the machine show, where they are known.
     """
 
     sigma: np.ndarray
@@ -79,6 +93,7 @@ class NoiseFloor:
     source: str
     plan: FloorPlan | None = None
     readings: tuple[LogUnderModel, ...] = ()
+    unchanged: Unchanged | None = None
     _known: dict = field(default_factory=dict, compare=False, repr=False)
 
     @property
@@ -104,6 +119,11 @@ class NoiseFloor:
 
         Contacts that give and creep look a little like effects, the same way on every walk.
         """
+        mean, spread = self._of_walks(chosen, key)
+        differ = self.unchanged.differ.get(key, 0.0) if self.unchanged else 0.0
+        return mean, float(np.hypot(spread, differ))
+
+    def _of_walks(self, chosen: Sequence[Key], key: Key) -> tuple[float, float]:
         if key not in self._keys:
             return 0.0, 0.0
         limbs = self.repeats[0].evidence.layout.limbs
@@ -161,7 +181,11 @@ def _part(key: Key, limbs: Limbs) -> str:
     return target
 
 
-def noise_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect] = ()) -> NoiseFloor:
+def noise_floor(
+    cases: Sequence[LogUnderModel],
+    ground: Sequence[Effect] = (),
+    unchanged: Unchanged | None = None,
+) -> NoiseFloor:
     """Repeats of the logs' own motion by the declared robot, in simulation.
 
     Each of a few short walks follows a stretch of the reference's body velocities. Seeds are fixed,
@@ -172,7 +196,17 @@ def noise_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect] = ()) -
     Args:
         cases: the logs under the declared model.
         ground: effects that every walk has and no model compensates.
+        unchanged: what other runs of the machine show.
     """
+    floor = replace(_plain_floor(cases, ground), unchanged=unchanged)
+    if unchanged is None:
+        return floor
+    beside = f"{floor.source}, and what {unchanged.runs} runs in which nothing changed differ by"
+    return replace(floor, source=beside)
+
+
+def _plain_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect]) -> NoiseFloor:
+    """The floor by these logs alone."""
     first = cases[0]
     if first.fixed:
         source = "how the readings differ from one row to the next"
@@ -215,7 +249,7 @@ def noise_floor_with(floor: NoiseFloor, effects: Sequence[Effect]) -> NoiseFloor
     if not telling or floor.plan is None or not floor.repeats:
         return floor
     other = _floor(floor.plan, telling)
-    return other if other.repeats else floor
+    return replace(other, unchanged=floor.unchanged) if other.repeats else floor
 
 
 def is_on_the_body(one: Effect) -> bool:

@@ -295,6 +295,8 @@ def _with_intervals(
         half = float(np.hypot(1.96 * np.sqrt(covariance[i, i]), faked))
         if repeats > 1:
             half = float(np.hypot(half, t.ppf(0.975, repeats - 1) * spread))
+        elif floor.unchanged:
+            half = float(np.hypot(half, 1.96 * spread))
         at = 1 + data.keys.index(keys[i])
         strength = float(total[at, at] * one.value**2)
         found.append((strength, Found(one, (one.value - half, one.value + half))))

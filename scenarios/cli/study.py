@@ -62,6 +62,7 @@ class TraceCommand:
     def run(self) -> None:
         from surefoot.scenarios.reporting.progress import percent_bar
         from surefoot.scenarios.trace.run import trace
+        from surefoot.scenarios.trace.since import unchanged_beside
         from surefoot.scenarios.trace.words import summary
         from surefoot.sim.effects.file import load_effects
         from surefoot.sim.robot.fixed_base import machine_for_log
@@ -94,6 +95,7 @@ class TraceCommand:
                 declared=declared,
                 holdout=held_out,
                 warnings=notes,
+                since=unchanged_beside(self.declared, declared or ()) if self.declared else None,
             )
         print(summary(found))
         print(f"\nreport: {self.out / 'report.html'}")

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from surefoot.models.attribution.diagnose import cases_of, diagnose
 from surefoot.models.attribution.evidence import LogUnderModel
+from surefoot.models.attribution.noise_floor import Unchanged
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.scenarios.cache import contents_digest
 from surefoot.scenarios.estimate.run import Learnt
@@ -35,6 +36,7 @@ def trace(
     settings: TraceSettings | None = None,
     holdout: Sequence[Log] = (),
     warnings: Sequence[str] = (),
+    since: Unchanged | None = None,
 ) -> Trace:
     """Find which effect `robot` lacks as a model of the logs, and what adding it changes.
 
@@ -52,6 +54,7 @@ def trace(
         settings: thresholds and constants; the defaults where left out.
         holdout: logs of the same machine that no fit sees, on which what was found is judged.
         warnings: sentences about the logs, such as implausible values; kept among the notes.
+        since: what runs differed by when nothing had changed, of the trace that found `declared`.
 
     Raises SurefootError where `out` has such files (no `force`) or a held-out log is also one to
     fit on.
@@ -66,7 +69,7 @@ def trace(
     for name in OUTPUTS:
         refuse_overwrite(out / name, force)
     settings = settings or DEFAULT
-    found = trace_logs(logs, robot, seed, progress, declared, learnt, settings, holdout)
+    found = trace_logs(logs, robot, seed, progress, declared, learnt, settings, holdout, since)
     found = replace(found, notes=(*warnings, *found.notes))
     with whole_folder(out, force) as folder:
         write_outputs(found, robot, folder)
@@ -82,6 +85,7 @@ def trace_logs(
     learnt: Learnt | None = None,
     settings: TraceSettings = DEFAULT,
     holdout: Sequence[Log] = (),
+    since: Unchanged | None = None,
 ) -> Trace:
     """`trace` without writing files.
 
@@ -94,10 +98,11 @@ def trace_logs(
         learnt: observers and bounds for the filters that need them.
         settings: thresholds and constants.
         holdout: logs that no fit sees.
+        since: what unchanged runs differ by, as in `trace`.
     """
     report = progress or (lambda share: None)
     found = diagnose(
-        logs, robot, seed, lambda share: report(0.88 * share), declared, settings, holdout
+        logs, robot, seed, lambda share: report(0.88 * share), declared, settings, holdout, since
     )
     learnt = learnt or Learnt()
     stretches: tuple[BeforeAfter, ...] = ()

@@ -10,11 +10,12 @@ from pendulum import swung
 from surefoot.models.attribution.found import Found
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.trace.run import trace, trace_logs
+from surefoot.scenarios.trace.since import unchanged_beside
 from surefoot.scenarios.trace.words import size_in_words, summary
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
 from surefoot.sim.effects.base import with_columns
-from surefoot.sim.effects.file import save_effects
+from surefoot.sim.effects.file import load_effects, save_effects
 from surefoot.sim.robot.fixed_base import load_machine
 
 PENDULUM = load_machine("ak80_pendulum")
@@ -123,3 +124,45 @@ def test_targets_read_as_one_would_say_them(name, target, words):
 def test_a_held_out_log_is_no_log_to_fit_on(tmp_path):
     with pytest.raises(SurefootError, match="is also a log to fit on"):
         trace([run(0)], PENDULUM, tmp_path, holdout=[run(0)])
+
+
+def test_what_has_changed_stands_out_from_what_unchanged_runs_differ_by(tmp_path, capsys):
+    """A rotor seems another in each run: one more such run is no change, friction is one."""
+    logs = [run(0, armature=0.01), run(1, armature=0.03), run(2, armature=0.05)]
+    out = tmp_path / "calibrated"
+    before = trace(logs, PENDULUM, out, declared=[])
+    assert before.unchanged is not None
+    declared = load_effects(out / "effects.toml")
+    since = unchanged_beside(out / "effects.toml", declared)
+    assert since is not None
+    assert since == before.unchanged
+    assert since.differ["armature", "shoulder"] == pytest.approx(0.02, rel=0.5)
+    one_more = run(3, armature=0.05)
+    assert names(trace_logs([one_more], PENDULUM, declared=declared)) != []
+    again = trace_logs([one_more], PENDULUM, declared=declared, since=since)
+    assert (again.verdict, names(again)) == ("no_residual", [])
+    one_more.write(tmp_path / "new.parquet")
+    main(["trace", str(tmp_path / "new.parquet"), "--declared", str(out / "effects.toml"), "-o",
+          str(tmp_path / "new")])  # fmt: skip
+    assert "3 runs in which nothing changed" in capsys.readouterr().out
+    rubs = run(4, armature=0.03, friction=0.5)
+    changed = trace_logs([rubs], PENDULUM, declared=declared, since=since)
+    assert names(changed)[0] == ("coulomb_friction", "shoulder")
+    assert changed.found[0].interval[0] < 0.5 < changed.found[0].interval[1]
+
+
+def test_another_traces_runs_say_nothing_and_damaged_ones_are_one_line(tmp_path):
+    save_effects(tmp_path / "effects.toml", [ROTOR])
+    file = tmp_path / "trace.json"
+    assert unchanged_beside(tmp_path / "effects.toml", [ROTOR]) is None
+    said = {"effects": [{**ROTOR.as_dict(), "interval": [0.02, 0.04]}]}
+    sizes = {"runs": 3, "differ": [{"name": "armature", "target": "shoulder", "deviation": 0.01}]}
+    file.write_text(json.dumps(said | {"unchanged": {**sizes, "left": {"joint_torque": 0.5}}}))
+    known = unchanged_beside(tmp_path / "effects.toml", [ROTOR])
+    assert known is not None
+    assert known.differ == {("armature", "shoulder"): 0.01}
+    assert unchanged_beside(tmp_path / "effects.toml", []) is None
+    for damaged in (sizes, {**sizes, "left": {"joint_torque": -1}}, {**sizes, "left": []}, 3):
+        file.write_text(json.dumps(said | {"unchanged": damaged}))
+        with pytest.raises(SurefootError, match="'unchanged' is damaged; trace the runs again"):
+            unchanged_beside(tmp_path / "effects.toml", [ROTOR])
