@@ -7,12 +7,14 @@ bound is wider, it was chosen.
 """
 
 from dataclasses import replace
+from itertools import pairwise
 
 import mujoco
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import correlate, correlation_lags
 from scipy.spatial.transform import Rotation, Slerp
+from scipy.stats import theilslopes
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY
@@ -27,6 +29,8 @@ from surefoot.sim.sensors.streams import Reference, Streams
 
 NONLINEAR = 0.008
 """s. A walk shakes its body at 10 Hz and more, a sine of which is linear over an eighth of it."""
+LAG_PIECE = 4.0
+"""s of a log in which its streams' lag is taken to be one: some strides."""
 STREAMS = {"imu": ("gyro", "accel"), "joints": ("q", "dq", "tau"), "feet": ("force",)}
 STREAM_COLUMNS = {**STREAMS, "feet": ("force", "contact"), "reference": ("ref",)}
 """A log's columns of each stream: contacts are derived from the feet's forces."""
@@ -264,6 +268,17 @@ def reference_lag(log: Log, most: float) -> float:
     return float(lags[near][np.argmax(shared[near])])
 
 
+def reference_lag_drift(log: Log, most: float) -> float:
+    """By how much more [s/s], up to `most`, the reference's turning is late against the gyro every
+    second: the median slope of the lags of pieces of the log (Theil and Sen)."""
+    pieces = max(2, round((log.t[-1] - log.t[0]) / LAG_PIECE))
+    ends = np.linspace(0, len(log.t), pieces + 1).round().astype(int)
+    parts = [replace(log, frame=log.frame[i:j]) for i, j in pairwise(ends)]
+    farthest = most * (log.t[-1] - log.t[0])
+    lags = [reference_lag(part, farthest) for part in parts if len(part.t) > 2]
+    return float(theilslopes(lags, [part.t.mean() for part in parts if len(part.t) > 2]).slope)
+
+
 class ClockScale(Effect):
     """One stream's clock runs slow against the others': its sample period is longer by this share.
 
@@ -303,6 +318,16 @@ class ClockScale(Effect):
     def step_of(cls, target: str) -> float:
         # Contacts move by whole rows, which a small step leaves where they are.
         return 10 * cls.step if target == "feet" else cls.step
+
+    @classmethod
+    def starts_on(cls, target: str, log: Log) -> tuple[float, ...]:
+        step = cls.step_of(target)
+        if target not in ("imu", "reference") or not (log.has("imu") and log.has("reference")):
+            return (step,)
+        drift = reference_lag_drift(log, cls.bounds[1])
+        drift = drift if target == "imu" else -drift
+        far = abs(drift) * (log.t[-1] - log.t[0]) > NONLINEAR
+        return (step, float(np.clip(drift, *cls.bounds))) if far else (step,)
 
     def _then(self, t: np.ndarray) -> np.ndarray:
         return t[0] + (1.0 + self.value) * (t - t[0])
