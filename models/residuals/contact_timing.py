@@ -24,6 +24,8 @@ LEAST_SHIFT = 0.01
 half a bin, and ten times what they vary by on simulated walks."""
 FEWEST_CHANGES = 8
 """Changes of contact whose median is known."""
+MOST_STEPS = 95.0
+"""Percentile of the contacts' lateness by which nearly all have begun."""
 CHANGE_WINDOW = 0.08
 """s on either side of a change of contact in which the foot is looked at."""
 USUAL = (-0.0005, -0.018)
@@ -59,18 +61,25 @@ def contact_timing(log: Log, robot: Robot, frame: ReferenceMotion) -> np.ndarray
 
 
 def within_windows(frame: ReferenceMotion, log: Log, robot: Robot) -> ReferenceMotion:
-    """The reference motion, whose feet stand only while they do by their own motion.
+    """The reference motion, whose feet stand and swing only while they do by their own motion.
 
     Where contacts end late, or begin early, by the legs' kinematics, that much more is left out at
     the ends of every stance. What the foot does there as it leaves is a hundred times the noise of
-    one that stands, and a foot's radius or a spring in its leg would be fitted to it.
+    one that stands, and a foot's radius or a spring in its leg would be fitted to it. Where they
+    begin late, the ends of swings are left out, in which legs already carry: as many as nearly all
+    steps are late by, for each is late by its own time.
     """
     timing = contact_timing(log, robot, frame)
     legs = timing.shape[1] // 2
     begins, ends = timing[:, :legs], timing[:, legs:]
-    known = [one[np.isfinite(one)] for one in (begins, ends)]
-    early, late = (float(np.median(x)) if len(x) >= FEWEST_CHANGES else 0.0 for x in known)
-    early = max(-early - log.meta.model.get("contact_debounce", 0.0), 0.0)
+    begins, ends = (x[np.isfinite(x)] for x in (begins, ends))
+    behind = float(np.median(begins)) if len(begins) >= FEWEST_CHANGES else 0.0
+    late = float(np.median(ends)) if len(ends) >= FEWEST_CHANGES else 0.0
+    if behind > LEAST_SHIFT:
+        loaded = EDGE + float(np.percentile(begins, MOST_STEPS))
+        swings = inside_stances(log.t, ~log.contact, EDGE, loaded)
+        frame = replace(frame, lifted=swings & frame.ok[:, None])
+    early = max(-behind - log.meta.model.get("contact_debounce", 0.0), 0.0)
     if max(early, late) < LEAST_SHIFT:
         return frame
     late = max(late, 0.0)

@@ -37,7 +37,8 @@ ON_TORQUES = ("joint_torque", "base_wrench")
 TOUCHES = {
     **dict.fromkeys(("legs", "foot_radius"), (*ON_LEGS, *ON_CONTACTS, *ON_TORQUES)),
     **dict.fromkeys(("payload", "com_shift", "links"), ON_TORQUES),
-    **dict.fromkeys(("touchdown_late", "liftoff_late"), ON_CONTACTS),
+    "touchdown_late": ("contact_timing",),
+    "liftoff_late": ON_CONTACTS,
     "softness": (*ON_LEGS, *ON_TORQUES),
     "imu_lowpass": ("imu_gyro", "imu_accel"),
     "command_late": ("command",),

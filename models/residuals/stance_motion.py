@@ -63,7 +63,7 @@ def stance_displacement(log: Log, robot: Robot, frame: ReferenceMotion) -> np.nd
     out = np.full((len(frame.first), *around.shape[1:], 2), np.nan)
     for leg in range(around.shape[1]):
         first, end = stances(log.contact[:, leg])
-        begin = edges[first] - max(robot.extras.touchdown_late, 0.0) + frame.early
+        begin = edges[first] + frame.early
         until = edges[end] - robot.extras.liftoff_late - frame.late
         use = (until - begin > SHORTEST) & (lost[end] == lost[first])
         use &= (first > 0) & (end < len(log.t))

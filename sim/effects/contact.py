@@ -77,7 +77,7 @@ class Armature(Effect):
     channels = ("joint_torque",)
     targets = "joint"
     groups = True
-    step = 1e-3
+    step = 1e-5
     chain_rule = "readings"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:

@@ -78,7 +78,7 @@ class LinkInertia(Effect):
     channels = ("joint_torque", "base_wrench")
     targets = "joint"
     groups = True
-    step = 1e-3
+    step = 1e-5
     chain_rule = "mass"
 
     @classmethod

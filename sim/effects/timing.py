@@ -199,18 +199,19 @@ class ContactDelay(Effect):
         return replace(streams, force=force)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        late = self.value
-        if late < 0.0:
+        undone = self.value
+        if self.target == "touchdown":
             # What the debouncing of contacts takes off their beginnings need not be taken again.
-            late = min(late + log.meta.model.get("contact_debounce", 0.0), 0.0)
-        rows, contact = int(late * log.rate), log.contact.copy()
-        for leg in range(contact.shape[1]):
+            # Feet that stood before they were sensed mislead nobody, while each step is late by its
+            # own time: stances moved by the mean would begin in the air.
+            undone = min(undone + log.meta.model.get("contact_debounce", 0.0), 0.0)
+        rows, contact = int(undone * log.rate), log.contact.copy()
+        for leg in range(contact.shape[1] if rows else 0):
             lifts, lands = swings(log.t, log.contact[:, leg])
             for edge in lands if self.target == "touchdown" else lifts:
-                begin, end = max(edge - max(rows, 0), 0), edge + max(-rows, 0)
-                contact[begin:end, leg] = self.target == "touchdown" and rows > 0
+                contact[max(edge - max(rows, 0), 0) : edge + max(-rows, 0), leg] = False
         columns = {f"contact_{leg}": contact[:, i].astype(float) for i, leg in enumerate(log.legs)}
-        # Less than a row cannot be undone in the log: it goes into the declared model.
+        # What is not undone in the log goes into the declared model.
         name, rest = f"{self.target}_late", self.value - rows / log.rate
         known = replace(robot.extras, **{name: getattr(robot.extras, name) + rest})
         return with_columns(log, columns), replace(robot, extras=known)
