@@ -257,7 +257,7 @@ def is_on_the_body(one: Effect) -> bool:
     a model that knows of it leaves another residual than one that need not."""
     kind = type(one)
     on_body = kind.edit_spec is not Effect.edit_spec
-    return on_body or kind.alter_ground is not Effect.alter_ground or kind.lossy
+    return on_body or kind.alter_ground is not Effect.alter_ground or kind.is_lossy(one.target)
 
 
 def _floor(plan: FloorPlan, effects: tuple[Effect, ...]) -> NoiseFloor:

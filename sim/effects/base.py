@@ -163,6 +163,11 @@ class Effect:
         return low + 1.1 * step, high - 1.1 * step
 
     @classmethod
+    def is_lossy(cls, target: str) -> bool:
+        """Whether undoing it on this target leaves worse readings (`lossy`)."""
+        return cls.lossy
+
+    @classmethod
     def is_compensated(cls) -> bool:
         """Whether a model can know of the effect, so that `trace` has it as a candidate."""
         return cls.compensate is not Effect.compensate

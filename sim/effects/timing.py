@@ -217,6 +217,11 @@ class ContactDelay(Effect):
         return with_columns(log, columns), replace(robot, extras=known)
 
     @classmethod
+    def is_lossy(cls, target: str) -> bool:
+        # Of each stance the part before a late touch-down is not known.
+        return target == "touchdown"
+
+    @classmethod
     def is_certain(cls, target: str, robot: Robot) -> bool:
         # A pad springs back, and a threshold is crossed, in some time.
         return target == "liftoff" and not robot.extras.liftoff_late
