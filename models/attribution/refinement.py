@@ -195,20 +195,20 @@ def reconsidered(
     """
     chosen, limbs = list(chosen), data.evidence.layout.limbs
 
-    def unlikely(effects: Sequence[Effect]) -> float:
-        return _unlikely(data, effects)
-
     for i, one in enumerate(chosen[:-1]):
         others = instead.get((one.name, one.target), ())
         doubt = surprise(one.name, one.target, one.value, limbs)
         if not others or doubt <= data.evidence.settings.positive_evidence:
             continue
         tried = [[*chosen[:i], other, *chosen[i + 1 :]] for other in others]
-        chosen = min([chosen, *(refined(data, effects, REPORT) for effects in tried)], key=unlikely)
+        chosen = min(
+            [chosen, *(refined(data, effects, REPORT) for effects in tried)],
+            key=lambda effects: unlikely(data, effects),
+        )
     return chosen
 
 
-def _unlikely(data: Data, effects: Sequence[Effect]) -> float:
+def unlikely(data: Data, effects: Sequence[Effect]) -> float:
     """What effects leave of the residual, and the surprise of their sizes: -2 log of likelihood and
     prior."""
     limbs = data.evidence.layout.limbs
@@ -235,7 +235,7 @@ def merged(data: Data, chosen: Sequence[Effect]) -> list[Effect]:
         target = min(covers, key=lambda t: len(covers[t]))
         one = effect(name, target, float(np.median([e.value for e in alike])))
         tried = refined(data, [one, *(e for e in chosen if e.name != name)], REPORT)
-        if _unlikely(data, tried) < _unlikely(data, chosen) + (len(alike) - 1) * price:
+        if unlikely(data, tried) < unlikely(data, chosen) + (len(alike) - 1) * price:
             chosen = tried
     return chosen
 

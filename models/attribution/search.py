@@ -28,6 +28,7 @@ from surefoot.models.attribution.refinement import (
     reconsidered,
     refined,
     rerank,
+    unlikely,
 )
 from surefoot.models.attribution.robust_weights import RobustWeights, far_samples, robust_weights
 from surefoot.models.attribution.selection import Candidate, distinct, judge, left_unseen
@@ -66,10 +67,10 @@ def attribute(
     above the one it has on walks of the declared model, it is not at its bound, it adds a share
     WORTH of what the others explain or is CLEAR by itself, and it pays for its parameter and for
     having been one of many (extended BIC, blocks as samples). What the model lacks for certain
-    comes before all else. One that adds to the drift of the legs is refuted. When none earns a
-    place, what may be hidden in an effect that was found is fitted jointly with it (`_hidden`). At
-    the end those are left out whose interval holds zero, or that make a channel worse on the part
-    that no fit has seen.
+    comes before all else. One that adds to the drift of the legs is refuted. What may be hidden in
+    an effect that was found is fitted jointly with it (`_hidden`), and is taken where none earns a
+    place, or where the best that does leaves more. At the end those are left out whose interval
+    holds zero, or that make a channel worse on the part that no fit has seen.
 
     Args:
         cases: the logs under the declared model.
@@ -104,6 +105,10 @@ def attribute(
             others = distinct(data, candidates, limbs)
             few = contenders(data, others, found)
             best, chosen_with, worse = rerank(known, few)
+            _, jointly_with = _hidden(known, explained, rng, refuted)
+            if jointly_with and unlikely(known, jointly_with) < unlikely(known, chosen_with):
+                chosen, floor = jointly_with, noise_floor_with(plain, jointly_with)
+                continue
             floor_with = noise_floor_with(plain, chosen_with)
             if adds_drift(cases, declared, known.evidence, chosen_with, use, floor_with):
                 refuted.append(best.key)
@@ -123,7 +128,7 @@ def attribute(
     sized, harmful = _with_intervals(data, known.explained, floor), ()
     while True:
         # What was added after one that is unsure explains it as well.
-        gone = [one.effect for one in sized if _none(one)]
+        gone = [one.effect for one in sized if _none(one, _key(one.effect) in certain)]
         if not gone and (harm := harmful_in(known)):
             gone, harmful = [harm[0]], (*harmful, harm)
         if not gone:
@@ -139,12 +144,12 @@ def attribute(
     return Attribution(sized, tuple(rounds), rivals, weights, evidence, floor, harmful)
 
 
-def _none(one: Found) -> bool:
-    """Whether a size may as well be zero: it is inside its interval, or the effect cannot be less
-    than none and is as little as it can be."""
+def _none(one: Found, certain: bool) -> bool:
+    """Whether a size may as well be zero: it is inside its interval, unless every machine has the
+    effect for `certain`, or the effect cannot be less than none and is as little as it can be."""
     low = type(one.effect).inside(one.effect.target)[0]
     at_none = type(one.effect).bounds[0] == 0.0 and one.effect.value <= low
-    return at_none or one.interval[0] <= 0.0 <= one.interval[1]
+    return at_none or (not certain and one.interval[0] <= 0.0 <= one.interval[1])
 
 
 def _certain(keys: Sequence[Key], robot: Machine) -> set[Key]:

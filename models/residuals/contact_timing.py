@@ -15,6 +15,7 @@ from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.log import Log, joint_velocity
 from surefoot.sim.robot import Robot
+from surefoot.sim.sensors.contact import SHORTEST_FLIGHT
 from surefoot.sim.sensors.stances import changes, inside_stances
 
 MOVES = 0.2
@@ -38,7 +39,7 @@ def contact_timing(log: Log, robot: Robot, frame: ReferenceMotion) -> np.ndarray
 
     Each change is in the bin in which the foot stopped or started; all other bins are NaN.
     """
-    rows = max(1, round(CHANGE_WINDOW * log.rate))
+    rows, bounce = max(1, round(CHANGE_WINDOW * log.rate)), round(SHORTEST_FLIGHT * log.rate)
     turns = [changes(stands) for stands in log.contact.T]
     speed = log.once(
         "speed of touching points",
@@ -51,7 +52,7 @@ def contact_timing(log: Log, robot: Robot, frame: ReferenceMotion) -> np.ndarray
     begins = USUAL[0] + log.meta.model.get("contact_debounce", 0.0) + robot.extras.touchdown_late
     usual = (begins, USUAL[1] + robot.extras.liftoff_late)
     for leg, change in enumerate(turns):
-        at, when, lifts = moments(log.t, log.contact[:, leg], speed[:, leg], change, rows)
+        at, when, lifts = moments(log.t, log.contact[:, leg], speed[:, leg], change, rows, bounce)
         behind = 0.5 * (log.t[change] + log.t[change - 1]) - when
         known = np.isfinite(when)
         bins = np.searchsorted(frame.first, at[known], side="right") - 1
@@ -112,9 +113,10 @@ def over_ground(log: Log, robot: Robot, frame: ReferenceMotion, where: np.ndarra
 
 
 @kernel
-def moments(t, stands, speed, changes, rows):
+def moments(t, stands, speed, changes, rows, bounce):
     """Of each change (K,), the row and time [s] at which the foot stopped or started to move, and
-    whether it lifts. NaN where that is not seen within `rows`, or where the foot bounced.
+    whether it lifts. NaN where that is not seen within `rows`, or where the foot bounced: one that
+    stands again has landed before.
 
     Searched from the middle of the swing, or from as far into it as `rows` go, towards the stance:
     a slip in mid-stance does not count.
@@ -125,6 +127,7 @@ def moments(t, stands, speed, changes, rows):
         speed: (N,) [m/s], of the foot.
         changes: (K,), rows at which `stands` changes.
         rows: to search on either side.
+        bounce: rows up to which a foot in the air has only bounced.
     """
     at, when = np.zeros(len(changes), np.int64), np.full(len(changes), np.nan)
     lifts = np.zeros(len(changes), np.bool_)
@@ -134,6 +137,8 @@ def moments(t, stands, speed, changes, rows):
         if other < 0 or other >= len(changes):
             continue
         swing = abs(changes[other] - change)
+        if not lifts[k] and swing <= bounce:
+            continue
         far = min(rows, swing // 2)
         step = -1 if lifts[k] else 1
         row = change - step * far

@@ -42,14 +42,14 @@ def test_moments_are_those_at_which_a_foot_stops_and_starts():
     speed = np.clip(ramp, 0.0, 1.0) + 0.05
     stands = (t < 0.12) | (t > 0.41)
     changes = 1 + np.flatnonzero(stands[1:] != stands[:-1])
-    at, when, lifts = moments(t, stands, speed, changes, 40)
+    at, when, lifts = moments(t, stands, speed, changes, 40, 25)
     assert lifts.tolist() == [True, False]
     early = (MOVES - 0.05) / 20.0
     assert_allclose(when, [0.103 + early, 0.397 - early], atol=1e-9)
     assert (np.abs(t[at] - when) <= 0.002).all()
     # Too slow ever to be seen to move, and one whose reference has a hole.
-    assert np.isnan(moments(t, stands, 0.5 * MOVES + 0 * t, changes, 40)[1]).all()
-    assert np.isnan(moments(t, stands, np.full(400, np.nan), changes, 40)[1]).all()
+    assert np.isnan(moments(t, stands, 0.5 * MOVES + 0 * t, changes, 40, 25)[1]).all()
+    assert np.isnan(moments(t, stands, np.full(400, np.nan), changes, 40, 25)[1]).all()
 
 
 @pytest.mark.parametrize(("target", "columns"), [("touchdown", TOUCHDOWN), ("liftoff", LIFTOFF)])
