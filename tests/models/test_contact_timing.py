@@ -22,6 +22,7 @@ from surefoot.sim.walk import walk
 ROBOT = Robot.load("spot_class")
 COURSE = (Segment(4.0, 0.5), Segment(4.0, 0.4, turn=0.4))
 TIMING = layout_for(QUADRUPED).channels["contact_timing"]
+MOVED = layout_for(QUADRUPED).channels["stance_displacement"]
 TOUCHDOWN, LIFTOFF = (slice(TIMING.start + k, TIMING.start + k + 4) for k in (0, 4))
 
 
@@ -77,6 +78,39 @@ def test_feet_that_already_move_are_not_asked_where_contacts_end_late(plain):
     velocities = layout_for(QUADRUPED).channels["leg_velocity"]
     worst = [np.nanmax(np.abs(table_of(case, ())[:, velocities])) for case in (plain, late)]
     assert worst[1] < 1.5 * worst[0]
+
+
+def test_a_foot_that_bounces_has_landed_once():
+    """It stops at 0.2 s, is sensed 10 ms sooner for 4 ms, and again 2 ms after."""
+    t = 0.002 * np.arange(200)
+    speed = np.where((t > 0.1) & (t < 0.2), 1.0, 0.0)
+    stands = (t < 0.095) | ((t > 0.189) & (t < 0.193)) | (t > 0.201)
+    changes = 1 + np.flatnonzero(stands[1:] != stands[:-1])
+    _, when, lifts = moments(t, stands, speed, changes, 40, 25)
+    assert np.isfinite(when[~lifts]).tolist() == [True, False]
+    behind = t[changes[~lifts]][0] - when[~lifts][0]
+    assert behind == pytest.approx(-0.01, abs=2e-3)
+    _, when, lifts = moments(t, stands, speed, changes, 40, 0)
+    assert np.isfinite(when[~lifts]).all(), "else this tests nothing"
+
+
+def test_late_touchdowns_leave_stances_as_they_were_sensed_and_swings_end_before(plain):
+    """Each step is late by its own time: moved by the mean, some stances would begin in the air."""
+    one = effect("contact_delay", "touchdown", 0.04)
+    late = case_with(one)
+    log, robot = one.compensate(late.log, ROBOT)
+    assert (log.contact == late.log.contact).all()
+    assert robot.extras.touchdown_late == one.value
+    assert squared_drift(late, [one]) < 1.1 * squared_drift(late, []) + 1e-6
+    # Legs carry before their contacts begin: these rows are of no swing.
+    layout = layout_for(QUADRUPED)
+    torques = [table_of(case, ())[:, layout.channels["joint_torque"]] for case in (plain, late)]
+    assert np.nanstd(torques[1]) < 1.2 * np.nanstd(torques[0])
+
+
+def squared_drift(case, known):
+    """Square of how far feet seem to move while they stand, m^2."""
+    return np.nansum(table_of(case, known)[:, MOVED]) ** 2
 
 
 def test_contacts_that_begin_early_are_found_and_cut(plain):

@@ -13,7 +13,7 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.effects import CATALOGUE, effect
 from surefoot.sim.effects.file import load_effects, save_effects, to_toml
-from surefoot.sim.effects.timing import reference_lag
+from surefoot.sim.effects.timing import reference_lag, reference_lag_drift
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.physics.scene import TIMESTEP, robot_spec
 from surefoot.sim.robot import Robot
@@ -235,6 +235,20 @@ def test_a_search_for_a_delay_begins_where_gyro_and_reference_turn_alike(log, ro
     assert len(found["imu_delay"]) == len(found["reference_delay"]) == (2 if late else 1)
     if late:
         assert found["imu_delay"][1] == -found["reference_delay"][1]
+
+
+@pytest.mark.parametrize("drift", [-0.004, 3e-5, 0.006])
+def test_a_search_for_a_clock_begins_where_the_lag_drifts(robot, drift):
+    """A clock that is out by 4 parts in a thousand is 36 ms late after 9 s, and 28 ms are far from
+    linear."""
+    scenario = Scenario("clock", (Segment(8.5, 0.5, turn=0.4),), Ground(0.8), stand=0.5)
+    log = walk(scenario, robot, 3, [effect("clock_scale", "imu", drift)], declared=False)
+    assert reference_lag_drift(log, 0.02) == pytest.approx(drift, abs=3e-4)
+    kind, far = CATALOGUE["clock_scale"], abs(drift) > 1e-3
+    starts = {stream: kind.starts_on(stream, log) for stream in ("imu", "reference", "joints")}
+    assert [len(of) for of in starts.values()] == [1 + far, 1 + far, 1]
+    if far:
+        assert starts["imu"][1] == -starts["reference"][1] == pytest.approx(drift, abs=3e-4)
 
 
 def test_contact_delay_is_late_by_its_size_whatever_the_threshold(robot, streams):
