@@ -25,7 +25,7 @@ LEAST_SHIFT = 0.01
 half a bin, and ten times what they vary by on simulated walks."""
 FEWEST_CHANGES = 8
 """Changes of contact whose median is known."""
-MOST_STEPS = 95.0
+NEARLY_ALL = 95.0
 """Percentile of the contacts' lateness by which nearly all have begun."""
 CHANGE_WINDOW = 0.08
 """s on either side of a change of contact in which the foot is looked at."""
@@ -77,7 +77,7 @@ def within_windows(frame: ReferenceMotion, log: Log, robot: Robot) -> ReferenceM
     behind = float(np.median(begins)) if len(begins) >= FEWEST_CHANGES else 0.0
     late = float(np.median(ends)) if len(ends) >= FEWEST_CHANGES else 0.0
     if behind > LEAST_SHIFT:
-        loaded = EDGE + float(np.percentile(begins, MOST_STEPS))
+        loaded = EDGE + float(np.percentile(begins, NEARLY_ALL))
         swings = inside_stances(log.t, ~log.contact, EDGE, loaded)
         frame = replace(frame, lifted=swings & frame.ok[:, None])
     early = max(-behind - log.meta.model.get("contact_debounce", 0.0), 0.0)

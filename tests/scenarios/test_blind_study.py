@@ -49,7 +49,7 @@ def test_the_plan_has_the_whole_catalogue_and_the_kinds_it_must():
     planned = cases(read_toml(PLAN, "study"))
     single = [c.effects[0].name for c in planned if c.kind == "single"]
     assert len(single) >= 200
-    assert {single.count(name) for name in CATALOGUE} == {7}
+    assert {single.count(name) for name in CATALOGUE} == {6}
     outside = [c.effects[0].name for c in planned if c.kind == "outside"]
     assert len(outside) >= 40
     assert min(outside.count(name) for name in OUTSIDE_EFFECTS) == 7
