@@ -17,12 +17,8 @@ from surefoot.scenarios.studies.blind.report import (
     sized,
     write_report_of,
 )
-from surefoot.scenarios.studies.blind.study import (
-    ground_and_course,
-    over_floor,
-    run_blind_study,
-    standing_part,
-)
+from surefoot.scenarios.studies.blind.study import run_blind_study
+from surefoot.scenarios.studies.blind.trial import ground_and_course, over_floor, standing_part
 from surefoot.sim.common.toml import read_toml
 from surefoot.sim.effects import CATALOGUE, effect
 from surefoot.sim.robot import Robot

@@ -109,7 +109,6 @@ def test_every_member_of_a_registry_counts_where_it_is_named(registry, holder):
         "surefoot.scenarios.viewer.recording",
         "surefoot.scenarios.experiments.products",
         "surefoot.scenarios.studies.hardware.go1",
-        "surefoot.scenarios.studies.blind.study",
         "surefoot.scenarios.tune",
     ],
 )
