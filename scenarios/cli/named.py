@@ -5,11 +5,24 @@ from pathlib import Path
 from typing import Any
 
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
-from surefoot.sim.common.errors import SurefootError
+from surefoot.scenarios.studies.bench.items import check_item
+from surefoot.sim.common.errors import SurefootError, did_you_mean
 from surefoot.sim.common.files import bundled
+from surefoot.sim.common.plugins import plugins
 from surefoot.sim.importing.map_catalog import map_file
 from surefoot.sim.robot.catalog import robot_file
 from surefoot.sim.scenario_catalog import scenario_file
+
+EFFECTS = (
+    *("encoder_offset", "link_length", "foot_rolling", "imu_rotation", "gyro_scale", "joint_delay"),
+    *("gyro_bias", "accel_bias", "accel_scale", "imu_position", "gyro_g_sensitivity", "imu_delay"),
+    *("imu_lowpass", "encoder_scale", "leg_compliance", "foot_elasticity", "backlash", "payload"),
+    *("hip_offset", "mounting_rotation", "viscous_friction", "coulomb_friction", "armature"),
+    *("torque_scale", "torque_bias", "torque_delay", "com_offset", "foot_slip", "soft_ground"),
+    *("contact_delay", "reference_delay", "clock_scale", "leg_heading", "rate_delay"),
+    *("command_delay", "link_mass", "link_com", "link_inertia"),
+)
+"""Names of the bundled effects; the catalogue itself takes seconds to import."""
 
 
 def refuse_unnamed(given: Mapping[str, Any]) -> None:
@@ -41,6 +54,13 @@ def _known_filter(name: str) -> None:
         estimator_named(name)
 
 
+def _known_effect(name: str) -> None:
+    known = (*EFFECTS, *plugins("surefoot.effects"))
+    if name not in known:
+        hint = did_you_mean(name, known)
+        raise SurefootError(f"unknown effect '{name}'; known: {', '.join(known)}{hint}")
+
+
 _LOOKED_UP = {
     "filter": _known_filter,
     "robot": _machine_file,
@@ -48,5 +68,7 @@ _LOOKED_UP = {
     "scenarios": scenario_file,
     "course": scenario_file,
     "map": map_file,
+    "effects": _known_effect,
+    "only": check_item,
 }
 """Options that are names, some of them files as well -> what raises SurefootError if unknown."""

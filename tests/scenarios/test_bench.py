@@ -19,7 +19,8 @@ from surefoot.scenarios.studies.bench.filter import (
     velocity_filter,
 )
 from surefoot.scenarios.studies.bench.ratio import Ratio, in_turn
-from surefoot.scenarios.studies.bench.run import ITEMS
+from surefoot.scenarios.studies.bench.items import ITEMS
+from surefoot.scenarios.studies.bench.run import ROWS
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.scenario import Scenario, Segment
 
@@ -51,7 +52,10 @@ def test_in_turn_tells_the_smallest_times():
 def test_the_command_prints_a_table(capsys):
     main("bench --only walking --rounds 1".split())
     assert "mujoco.rollout" in capsys.readouterr().out
-    assert "walking" in ITEMS
+
+
+def test_every_item_has_its_rows():
+    assert tuple(ROWS) == ITEMS
 
 
 def test_an_unknown_item_is_one_line(capsys):

@@ -12,7 +12,9 @@ import pytest
 
 import surefoot
 from surefoot.scenarios.cli.main import main
+from surefoot.scenarios.cli.named import EFFECTS
 from surefoot.sim.common import progress
+from surefoot.sim.effects import CATALOGUE
 from surefoot.sim.log import Log, Meta
 
 PLUGIN = """
@@ -71,6 +73,8 @@ def test_a_slip_of_the_pen_is_answered_by_what_was_meant(arguments, suggestion, 
         ("plan --robot spot_clas payload", "; did you mean 'spot_class'?"),
         ("realism here.csv --walker spot_clas -o new", "; did you mean 'spot_class'?"),
         ("estimate here.csv --filter lag", "; did you mean 'leg'?"),
+        ("plan --robot spot_class gyro_scal", "; did you mean 'gyro_scale'?"),
+        ("bench --only boxx", "; did you mean 'box'?"),
         ("experiment gone.toml -o new", "experiment gone.toml: no such file"),
     ],
 )
@@ -87,6 +91,11 @@ def test_what_is_not_there_is_said_before_anything_is_imported(line, message, tm
     assert (run.returncode, run.stdout.split()) == (1, [])
     (said,) = run.stderr.splitlines()
     assert message in said
+
+
+def test_the_effects_that_are_known_early_are_those_of_the_catalogue():
+    assert set(EFFECTS) == set(CATALOGUE)
+    assert len(EFFECTS) == len(set(EFFECTS))
 
 
 def test_results_are_json_where_that_is_asked_for(capsys):

@@ -15,6 +15,7 @@ from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.scenarios.studies.bench.box import box_rows
 from surefoot.scenarios.studies.bench.filter import coverage_row, gtsam_row, step_row
+from surefoot.scenarios.studies.bench.items import check_item
 from surefoot.scenarios.studies.bench.ratio import Progress, Ratio, in_turn, part_of
 from surefoot.scenarios.studies.bench.walking import race
 from surefoot.scenarios.studies.montecarlo.numpy_reference import numpy_trial
@@ -70,7 +71,7 @@ def walking(
     )
 
 
-ITEMS: dict[str, Callable[[int, Progress | None], list[Ratio]]] = {
+ROWS: dict[str, Callable[[int, Progress | None], list[Ratio]]] = {
     "box": box_rows,
     "coverage": lambda rounds, progress: [coverage_row(rounds, progress)],
     "step": lambda rounds, progress: [step_row(rounds, progress)],
@@ -86,14 +87,13 @@ def bench(rounds: int, only: Sequence[str] = (), page: Path | None = None) -> st
     Raises SurefootError for an unknown item or no round; writes the page of results where named.
     """
     for name in only:
-        if name not in ITEMS:
-            raise SurefootError(f"--only {name}: known are {', '.join(ITEMS)}")
+        check_item(name)
     if rounds < 1:
         raise SurefootError(f"--rounds {rounds}: at least 1")
     rows = []
-    for name in only or ITEMS:
+    for name in only or ROWS:
         with percent_bar(name) as progress:
-            rows += [ratio.as_row() for ratio in ITEMS[name](rounds, progress)]
+            rows += [ratio.as_row() for ratio in ROWS[name](rounds, progress)]
     if page:
         text = (
             "Each ratio is taken in one run, ours and its peer in turn, the smallest time of "
