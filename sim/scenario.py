@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated, ClassVar, Literal, get_args
 
 import msgspec
 import numpy as np
@@ -183,6 +183,13 @@ class _SegmentEntry:
     repeat: Count | None = None  # rounds of the segments below it
     segment: tuple["_SegmentEntry", ...] = ()  # what is repeated, [[segment.segment]]
 
+    OTHER_WORDS: ClassVar = {
+        **dict.fromkeys(("speed", "velocity", "vx", "v"), "forward"),
+        **dict.fromkeys(("sideways", "vy"), "lateral"),
+        **dict.fromkeys(("yaw", "yaw_rate", "omega", "wz"), "turn"),
+        **dict.fromkeys(("time", "seconds"), "duration"),
+    }
+
     def __post_init__(self):
         lasts = [self.duration, self.distance, self.angle]
         moves = [*lasts, self.forward, self.lateral, self.turn]
@@ -259,6 +266,8 @@ class _GroundTable:
     strip: tuple[_StripEntry, ...] = ()  # [[ground.strip]], of another height
     height_field: tuple[_HeightFieldEntry, ...] = ()  # [[ground.height_field]], of a file
 
+    OTHER_WORDS: ClassVar = {"friction": "mu", "ramp": "[[ground.strip]]"}
+
     def __post_init__(self):
         pieces = sum(max(strip.steps, 1) for strip in self.strip) + len(self.height_field) + 1
         check_limit("bodies", pieces * (len(self.patch) + 1), "pieces of ground, cut by patches")
@@ -297,6 +306,12 @@ class _File:
     ranges: Ranges = field(default_factory=Ranges)  # [ranges], which the seed draws from
     sensors: Sensors = field(default_factory=Sensors)  # [sensors], their errors
     gait: GaitOptions = field(default_factory=GaitOptions)  # [gait]
+
+    OTHER_WORDS: ClassVar = {
+        **dict.fromkeys(("friction", "mu"), "[ground] mu"),
+        **{name: f"[[ground.{name}]]" for name in ("patch", "strip", "height_field")},
+        **dict.fromkeys(("terrain", "floor"), "[ground]"),
+    }
 
     def __post_init__(self):
         if not self.segment:

@@ -9,8 +9,6 @@ k = ceil((N + 1) gamma^(1/3)), and the joint level gamma follows if the axes are
 
 from __future__ import annotations
 
-from itertools import count
-
 import numpy as np
 
 from surefoot.models.calibration.bias_model import estimate_bias_model, long_enough
@@ -18,6 +16,7 @@ from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.conformal import BoundsError
 from surefoot.models.calibration.mixing import mixing
 from surefoot.models.calibration.regions import CONFIDENCE, Calibrator, Region, calibrator
+from surefoot.models.calibration.walk_length import errors_needed
 from surefoot.models.observer.decimate import RATE
 from surefoot.models.observer.imu_mounting import Mounted
 from surefoot.models.observer.observer import Observer, log_digest
@@ -113,8 +112,7 @@ def require_samples(how: Calibrator, n: int, K: int, name: str = "log") -> None:
     """Raise BoundsError where n errors of the log `name`, K apart, are too few for this method."""
     if K < 1:
         raise BoundsError(f"K = {K}: must be 1 at least")
-    least = how.samples_needed()
-    needed = next(m for m in count(least) if m - int(how.fit_share * m) >= least)
+    needed = errors_needed(how)
     if n // K < needed:
         raise BoundsError(
             f"{name}: {n // K} independent samples ({n} at K = {K}), gamma {how.gamma:g} needs "

@@ -27,11 +27,20 @@ if TYPE_CHECKING:
 SCENARIOS = f"Scenario files (TOML), or names of bundled ones: {', '.join(bundled_scenarios())}."
 
 
+def _for_observers(_default: str) -> str:
+    from surefoot.models.calibration.walk_length import walk_enough
+
+    return f"Walks of {walk_enough():g} s or more suffice to train observers and calibrate bounds."
+
+
 @dataclass(frozen=True)
 class Simulate:
     """Walk scenarios, a log for each seed, and an index of them; a killed run is resumed."""
 
-    scenarios: Annotated[Positional[tuple[str, ...]], arg(help=SCENARIOS, metavar="SCENARIO...")]
+    scenarios: Annotated[
+        Positional[tuple[str, ...]],
+        arg(help=SCENARIOS, metavar="SCENARIO...", help_behavior_hint=_for_observers),
+    ]
     out: Out
     """Folder for the logs."""
     robot: str | None = None
@@ -124,8 +133,13 @@ class Import:
             temporary.write_text(text, encoding="utf-8")
         # A bare "# ?" marks one more line of the question above it; the head has one in words.
         asked = text.partition("\n")[2].count("# ? ")
-        what = f"{asked} question{'s' * (asked != 1)} in it; answer them, then import with --map"
-        print(f"{self.out}: {what if asked else 'no questions in it; import with --map'}")
+        if asked == 0:
+            what = "no questions in it; import with --map"
+        elif asked == 1:
+            what = "1 question in it; answer it, then import with --map"
+        else:
+            what = f"{asked} questions in it; answer them, then import with --map"
+        print(f"{self.out}: {what}")
 
 
 @dataclass(frozen=True)

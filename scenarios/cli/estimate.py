@@ -42,6 +42,13 @@ def _labels(default: str) -> str:
     return "; ".join(f"{name}: {kind.label}" for name, kind in methods) + f". (default: {default})"
 
 
+def _walk_enough(gamma: str) -> str:
+    from surefoot.models.calibration.walk_length import walk_enough
+
+    seconds = walk_enough(float(gamma))
+    return f"{seconds:g} s of walk with a reference suffice at {gamma}. (default: {gamma})"
+
+
 Method = Annotated[one_of(CALIBRATORS), arg(help_behavior_hint=_labels)]
 
 
@@ -50,6 +57,7 @@ class Train:
     """Train a velocity observer on one or more logs; a killed training is resumed."""
 
     logs: Annotated[Positional[tuple[Path, ...]], arg(metavar="LOG...")]
+    """Each of ten seconds at least, with a reference."""
     out: Out
     """File for the observer."""
     loss: one_of(LOSSES) = "mse"  # pyright: ignore[reportInvalidTypeForm]
@@ -76,6 +84,7 @@ class Train:
     force: Force = False
 
     def run(self) -> None:
+        from surefoot.models.calibration.walk_length import walk_enough
         from surefoot.models.observer.device import torch_device
         from surefoot.models.observer.training import Schedule, partial_path, train
         from surefoot.sim.common.files import refuse_overwrite
@@ -101,7 +110,9 @@ class Train:
             return
         print(
             f"{self.out}: validation RMSE {x:.4f}, {y:.4f}, {z:.4f} m/s "
-            "(forward, lateral, vertical)"
+            "(forward, lateral, vertical)\n"
+            f"next: surefoot calibrate {self.out} LOG -o BOUNDS.json, LOG a walk that it has not "
+            f"seen, of {walk_enough():g} s with a reference"
         )
 
 
@@ -111,9 +122,10 @@ class Calibrate:
 
     observer: Annotated[Positional[Path], arg(metavar="OBSERVER")]
     log: Annotated[Positional[Path], arg(metavar="LOG")]
+    """One that the observer was not trained on."""
     out: Out
     """File for the bounds (JSON)."""
-    gamma: float = 0.8
+    gamma: Annotated[float, arg(help_behavior_hint=_walk_enough)] = 0.8
     """Joint level."""
     method: Method = "conformal"  # pyright: ignore[reportInvalidTypeForm]
     """What the bounds state."""

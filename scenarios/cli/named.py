@@ -13,7 +13,7 @@ from surefoot.sim.importing.map_catalog import map_file
 from surefoot.sim.robot.catalog import robot_file
 from surefoot.sim.scenario_catalog import scenario_file
 
-EFFECTS = (
+EFFECT_NAMES = (
     *("encoder_offset", "link_length", "foot_rolling", "imu_rotation", "gyro_scale", "joint_delay"),
     *("gyro_bias", "accel_bias", "accel_scale", "imu_position", "gyro_g_sensitivity", "imu_delay"),
     *("imu_lowpass", "encoder_scale", "leg_compliance", "foot_elasticity", "backlash", "payload"),
@@ -55,7 +55,7 @@ def _known_filter(name: str) -> None:
 
 
 def _known_effect(name: str) -> None:
-    known = (*EFFECTS, *plugins("surefoot.effects"))
+    known = (*EFFECT_NAMES, *plugins("surefoot.effects"))
     if name not in known:
         hint = did_you_mean(name, known)
         raise SurefootError(f"unknown effect '{name}'; known: {', '.join(known)}{hint}")

@@ -11,6 +11,8 @@ from surefoot.sim.ground.height_map import height
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.log.schema import JOINTS
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.model_of_log import robot_of_log
+from surefoot.sim.robot.robot import NO_ROBOT
 from surefoot.sim.scenario import Scenario
 from surefoot.sim.scenario_catalog import bundled_scenarios
 from surefoot.sim.walk import SETTLE, Plan, plan
@@ -34,6 +36,8 @@ def write_preview(
     """
     if Path(source).suffix == ".parquet":
         log = Log.read(source)
+        if not (robot or robot_of_log(log)):
+            raise SurefootError(f"{source}: {NO_ROBOT}")
         write_recording(path, log, Robot.for_log(log, robot), {}, force=force)
         return
     if source not in bundled_scenarios() and Path(source).suffix != ".toml":

@@ -3,7 +3,8 @@
 A field without a default is required, a key that no field has is an error. Ranges go into the
 annotation (`Annotated[float, msgspec.Meta(gt=0)]`, or `Positive` and its like below), choices are a
 `Literal`, and what concerns several keys is checked in the dataclass's `__post_init__`, which
-raises SurefootError.
+raises SurefootError. `OTHER_WORDS`, where a dataclass has it, are keys that it lacks -> what is
+meant by them.
 """
 
 import re
@@ -17,7 +18,7 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 import msgspec
 import numpy as np
 
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, did_you_mean
 from surefoot.sim.common.limits import bounded_text, check_limit, check_toml_keys
 
 T = TypeVar("T")
@@ -97,7 +98,11 @@ def _dataclass(table: dict[str, Any], kind: Any, place: _Place) -> Any:
     names = [field.name for field in known]
     for name in table:
         if name not in names:
-            raise SurefootError(f"{_section(place)}unknown key '{name}'; known: {', '.join(names)}")
+            meant = getattr(kind, "OTHER_WORDS", {}).get(name)
+            hint = f"; did you mean {meant}?" if meant else did_you_mean(name, names)
+            raise SurefootError(
+                f"{_section(place)}unknown key '{name}'; known: {', '.join(names)}{hint}"
+            )
     for field in known:
         required = field.default is MISSING and field.default_factory is MISSING
         if required and field.name not in table:

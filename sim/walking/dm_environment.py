@@ -15,8 +15,6 @@ from typing import Any, Literal, NamedTuple
 import dm_env
 import mujoco
 import numpy as np
-from dm_control.mujoco import Physics
-from dm_control.mujoco.wrapper import MjModel
 from dm_env import specs
 
 from surefoot.sim.common.errors import SurefootError
@@ -40,6 +38,15 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.robot.legs import JOINTS
 from surefoot.sim.scenario import Scenario
 from surefoot.sim.walk import SETTLE, plan, record
+
+try:
+    from dm_control.mujoco import Physics
+    from dm_control.mujoco.wrapper import MjModel
+except ModuleNotFoundError as error:
+    raise SurefootError(
+        "the dm_env environment needs dm-control (pip install dm-control), which surefoot does not "
+        "bring on Python 3.13 and later: there one of its dependencies is built by a compiler"
+    ) from error
 
 SETTLING_PERIODS = (
     round(SETTLE / TIMESTEP) // STEPS_PER_TICK

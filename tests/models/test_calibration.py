@@ -26,10 +26,24 @@ from surefoot.models.calibration.empirical_coverage import (
     coverage_by,
     worst_case,
 )
+from surefoot.models.calibration.mixing import LONGEST_LAG
 from surefoot.models.calibration.regions import calibrator
+from surefoot.models.calibration.walk_length import ERROR_STEP, walk_enough
 from surefoot.models.calibration.walking_conditions import stride_phase
+from surefoot.models.observer.decimate import RATE
 from surefoot.models.observer.predict import prediction_errors
 from surefoot.sim.log import LEGS, Log
+
+
+def test_what_is_said_to_suffice_does_however_slowly_errors_forget():
+    """At the longest lag that the mixing curve looks at, and with no error less."""
+    for gamma, method in ((0.8, "conformal"), (0.8, "maxnorm"), (0.95, "bonferroni")):
+        how = calibrator(method, gamma)
+        enough = round(walk_enough(gamma, method) * RATE)
+        require_samples(how, enough, LONGEST_LAG)
+        with pytest.raises(BoundsError, match="independent samples"):
+            require_samples(how, enough - 1, LONGEST_LAG)
+    assert ERROR_STEP == 1.0 / RATE
 
 
 def test_the_counts_of_the_paper():

@@ -18,8 +18,8 @@ from surefoot.scenarios.studies.bench.filter import (
     trial,
     velocity_filter,
 )
-from surefoot.scenarios.studies.bench.ratio import Ratio, in_turn
 from surefoot.scenarios.studies.bench.items import ITEMS
+from surefoot.scenarios.studies.bench.ratio import Ratio, in_turn
 from surefoot.scenarios.studies.bench.run import ROWS
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.scenario import Scenario, Segment

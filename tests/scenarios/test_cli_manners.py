@@ -12,7 +12,7 @@ import pytest
 
 import surefoot
 from surefoot.scenarios.cli.main import main
-from surefoot.scenarios.cli.named import EFFECTS
+from surefoot.scenarios.cli.named import EFFECT_NAMES
 from surefoot.sim.common import progress
 from surefoot.sim.effects import CATALOGUE
 from surefoot.sim.log import Log, Meta
@@ -94,8 +94,8 @@ def test_what_is_not_there_is_said_before_anything_is_imported(line, message, tm
 
 
 def test_the_effects_that_are_known_early_are_those_of_the_catalogue():
-    assert set(EFFECTS) == set(CATALOGUE)
-    assert len(EFFECTS) == len(set(EFFECTS))
+    assert set(EFFECT_NAMES) == set(CATALOGUE)
+    assert len(EFFECT_NAMES) == len(set(EFFECT_NAMES))
 
 
 def test_results_are_json_where_that_is_asked_for(capsys):

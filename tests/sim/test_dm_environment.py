@@ -1,5 +1,7 @@
 """The dm_env environment: a foreign controller drives, and the Log is as if we had walked."""
 
+import subprocess
+import sys
 import unittest
 
 import dm_env
@@ -126,3 +128,15 @@ def test_bad_actions_and_early_logs_are_refused():
     with pytest.raises(SurefootError, match="torque or position"):
         WalkingEnvironment(COURSE, SPOT, actions="speed")  # type: ignore[arg-type]
     assert isinstance(env, dm_env.Environment)
+
+
+def test_without_dm_control_it_is_one_line_that_says_what_to_install():
+    script = (
+        "import sys; sys.modules['dm_control'] = None\n"
+        "from surefoot.sim.common.errors import SurefootError\n"
+        "try: import surefoot.sim.walking.dm_environment\n"
+        "except SurefootError as error: print(error)"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    (line,) = done.stdout.splitlines()
+    assert "pip install dm-control" in line

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -422,3 +423,17 @@ def test_groups_of_a_file_that_have_clocks_of_their_own_are_all_drafted(tmp_path
     assert len(rows) > 3000
     for stream, close in (("gyro", 1e-9), ("q", 0.02), ("ref_p", 1e-3)):
         np.testing.assert_allclose(getattr(log, stream), getattr(walked, stream)[rows], atol=close)
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [(0, "no questions in it"), (1, "answer it, then"), (2, "answer them, then")],
+)
+def test_the_command_counts_the_questions_of_a_draft(tmp_path, capsys, monkeypatch, asked, words):
+    (tmp_path / "run.csv").write_text("t,a\n0,1\n")
+    text = "# A line with a # ? is a question\n" + "# ? which one\n" * asked
+    monkeypatch.setattr(
+        "surefoot.sim.importing.guess.guess_map", lambda *_: SimpleNamespace(text=text)
+    )
+    main(["import", "--guess", str(tmp_path / "run.csv"), "-o", str(tmp_path / "map.toml")])
+    assert words in capsys.readouterr().out
