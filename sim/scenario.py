@@ -44,7 +44,8 @@ class Segment:
 class Ranges:
     """What a seed draws, uniformly, each a factor or an amount about the file's own value.
 
-    The bumps of rough strips are always drawn.
+    The bumps of rough strips are always drawn. Without any of these seeds walk alike, and only the
+    sensors' noise differs.
     """
 
     mu: tuple[Factor, Factor] = (1.0, 1.0)  # factor on every friction coefficient
