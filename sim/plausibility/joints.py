@@ -58,7 +58,7 @@ def rates(view: LogView) -> Iterator[Finding]:
     slow = size[moves] < _MOVES
     said: set[int] = set()
     for i, j in enumerate(moves):
-        when = _sign_change(view.at, logged[:, j], moved[:, j])
+        when = sign_change(view.at, logged[:, j], moved[:, j])
         if when is not None:
             said.add(i)
             told = f"from {when:.2f} s on minus the change of q_{names[i]}, before it is that, or"
@@ -103,9 +103,17 @@ def rates(view: LogView) -> Iterator[Finding]:
         yield Finding((f"dq_{names[i]}",), told, "scaled, or its angle is", line)
 
 
-def _sign_change(at: np.ndarray, logged: np.ndarray, moved: np.ndarray) -> float | None:
-    """When [s], of the times `at` (M,), a rate turns into minus the change (M,) of its angle, or
-    stops to be it; None where it does not."""
+def sign_change(
+    at: np.ndarray, logged: np.ndarray, moved: np.ndarray, always: float = _ALWAYS
+) -> float | None:
+    """When a stream turns into minus what it should be, or stops to be that; None where not.
+
+    Args:
+        at: times (M,) [s].
+        logged: the stream (M,), such as a joint's rate.
+        moved: what it should be (M,), such as the change of the joint's angle.
+        always: sum of the correlations before and after from which it is one of both throughout.
+    """
     # An angle that changes its sign leaps.
     most = [np.quantile(np.abs(x), 0.95) for x in (logged, moved)]
     a, b = (np.clip(x, -m, m) for x, m in zip((logged, moved), most, strict=True))
@@ -114,7 +122,7 @@ def _sign_change(at: np.ndarray, logged: np.ndarray, moved: np.ndarray) -> float
     before, after = both[k], both[-1] - both[k]
     whole = np.linalg.norm(a) * np.linalg.norm(b)
     least = min(abs(before), abs(after))
-    if before * after >= 0.0 or least < _TURNED * whole or abs(before - after) < _ALWAYS * whole:
+    if before * after >= 0.0 or least < _TURNED * whole or abs(before - after) < always * whole:
         return None
     return float(at[k])
 

@@ -13,6 +13,7 @@ from surefoot.sim.plausibility import (
     axes,
     clock,
     contacts,
+    drives,
     imu,
     joints,
     legs,
@@ -119,7 +120,7 @@ RULES = (
         f"{streams.DROPS} rows of exactly 0 between others",
         "nothing with mass leaps for a few milliseconds and back",
         "leave such rows out before the import",
-        ("t", "q", "dq", "gyro"),
+        ("t", "q", "dq", "tau", "gyro"),
         streams.spikes,
     ),
     Rule(
@@ -319,6 +320,17 @@ RULES = (
         joints.magnitudes,
     ),
     Rule(
+        "torques of a fixed base",
+        "torques with what the machine's model asks for along the motion, and friction beside it",
+        f"correlation below {drives.OPPOSITE:g}; a sign that changes on the way; not "
+        f"{drives.SCALED[0]:g} to {drives.SCALED[1]:g} times as large; no change for "
+        f"{streams.LIMITED:g} s while {drives.STRAYS:g} times as much is missed as else",
+        "three measured machines have 0.6 to 1.3 times what their models ask for",
+        "sign, unit or gain of tau; torques of the output, not of the motor",
+        ("t", "q", "tau"),
+        drives.driving,
+    ),
+    Rule(
         "support",
         "the weight that torques of legs in contact carry with the robot's",
         f"{legs.SUPPORT[0]:g} to {legs.SUPPORT[1]:g} times",
@@ -344,6 +356,18 @@ RULES = (
         'unit = "deg"',
         ("q",),
         joints.commands,
+    ),
+    Rule(
+        "commands of a fixed base",
+        f"q_des with q, joint by joint, and their moves within {drives.MOVE:g} s",
+        f"correlation below {drives.OPPOSITE:g}; a sign that changes on the way; not "
+        f"{drives.SCALED[0]:g} to {drives.SCALED[1]:g} times as far; no change for "
+        f"{drives.COMMANDED:g} s while the joint goes {drives.SWEPT:.0%} of its range, or "
+        f"{drives.STRAYS:g} times as far off as else",
+        "nothing but its drive moves a joint of an arm as far",
+        "sign, unit or gain of q_des",
+        ("t", "q", "q_des"),
+        drives.followed,
     ),
     Rule(
         "saturated",

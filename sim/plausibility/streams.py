@@ -43,14 +43,15 @@ SPIKES = {
     "accel": 150.0,
     "q": 0.15,
     "dq": 8.0,
+    "tau": np.inf,
     "ref_p": 0.1,
     "foot": 0.05,
 }
-"""Least size of a spike, by kind: rad/s, m/s^2 (landings reach 70), rad, rad/s, m, m: within a row
-of 2 to 10 ms no body or joint does it and undoes it."""
+"""Least size of a spike, by kind: rad/s, m/s^2 (landings reach 70), rad, rad/s, N m (none, see
+LONE), m, m: within a row of 2 to 10 ms no body or joint does it and undoes it."""
 LONE = 4.0
-"""Standard deviations of a joint's angle, or rate, that is a spike at any size: what leaves and
-comes back within a row was nowhere near."""
+"""Standard deviations of a joint's angle, rate or torque that is a spike at any size: what leaves
+and comes back within a row was nowhere near."""
 SEVERAL = 10
 """Rows that may leap: in a log of a few seconds these are more than one in a hundred."""
 DROPS = 5
@@ -76,7 +77,7 @@ def frozen(view: LogView) -> Iterator[Finding]:
     for kind, columns in _kinds(view, _SENSORS).items():
         for name in columns:
             least = LIMITED if kind == "tau" else FROZEN
-            holds = _holds(view.t, view.log.frame[name].to_numpy(), least)
+            holds = stretches_without_change(view.t, view.log.frame[name].to_numpy(), least)
             if not holds:
                 continue
             hangs = [one for one in holds if _turns_meanwhile(view, name, kind, *one)]
@@ -288,6 +289,8 @@ def saturated(view: LogView) -> Iterator[Finding]:
 def spikes(view: LogView) -> Iterator[Finding]:
     """Nothing leaps for a row and back."""
     for kind, columns in _kinds(view, tuple(SPIKES)).items():
+        if kind == "tau" and not view.on_fixed_base:
+            continue  # a leg that lands asks for any torque
         dropped, leaping, most, first = [], [], 0.0, len(view.t)
         for name in columns:
             x = view.log.frame[name].to_numpy()
@@ -298,7 +301,7 @@ def spikes(view: LogView) -> Iterator[Finding]:
                 dropped.append((name, _drop_outs(x)))
                 continue
             least = SPIKES[kind]
-            if kind in ("q", "dq"):
+            if kind in ("q", "dq", "tau"):
                 least = min(least, LONE * float(x.std()))
             usual = float(np.quantile(off, 1.0 - max(0.01, SEVERAL / len(x))))
             rows = np.flatnonzero(off > max(least, SPIKE * usual))
@@ -370,7 +373,7 @@ def _kinds(view: LogView, wanted: tuple[str, ...]) -> dict[str, list[str]]:
     return found
 
 
-def _holds(t: np.ndarray, x: np.ndarray, least: float) -> list[tuple[int, int]]:
+def stretches_without_change(t: np.ndarray, x: np.ndarray, least: float) -> list[tuple[int, int]]:
     """First and last row of the stretches of `least` [s] and more without a change of x (N,), at
     the times t (N,) [s], the longest first."""
     change = np.flatnonzero(np.diff(x) != 0.0)

@@ -61,6 +61,11 @@ class LogView:
         """The machine, where it has legs."""
         return self.machine if isinstance(self.machine, Robot) else None
 
+    @property
+    def on_fixed_base(self) -> bool:
+        """Whether the machine is known, and has no legs."""
+        return self.machine is not None and self.robot is None
+
     def means(self, x: np.ndarray) -> np.ndarray:
         """Means (M, D) of a stream x (N, D) about the times `at`."""
         total = cumulative_trapezoid(x, self.t, axis=0, initial=0.0)
