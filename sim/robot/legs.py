@@ -72,6 +72,8 @@ def find_legs(model: mujoco.MjModel, name: str, feet: Mapping[str, str] | None =
         chains, found = _standing_chains(model, data, base, name)
         order, legs = _named_by_place(model, base, chains, name)
         chains, found = [chains[i] for i in order], [found[i] for i in order]
+    for foot in found:
+        _refuse_what_is_no_hinge(model, base, foot.body, name)
     joints = [joint for chain in chains for joint in chain]
     if len(set(joints)) < len(joints):
         raise SurefootError(
@@ -155,6 +157,37 @@ def _chain_to(model: mujoco.MjModel, body: int, base: int) -> list[int]:
         chain = own + chain
         body = int(model.body_parentid[body])
     return chain
+
+
+def _refuse_what_is_no_hinge(model: mujoco.MjModel, base: int, foot: int, name: str) -> None:
+    """Raise SurefootError where hinges alone do not say where a foot is: a slide that no spring
+    holds, a ball joint, or a loop that is closed by a constraint.
+
+    Args:
+        model: compiled.
+        base: the floating body.
+        foot: the body that carries the foot.
+        name: of the robot, for messages.
+    """
+    link = {foot}
+    while (body := int(model.body_parentid[min(link)])) not in (0, base):
+        link.add(body)
+    for joint in np.flatnonzero(np.isin(model.jnt_bodyid, list(link))).tolist():
+        kind, called = model.jnt_type[joint], model.joint(joint).name
+        slides = kind == mujoco.mjtJoint.mjJNT_SLIDE and model.jnt_stiffness[joint] == 0.0
+        if slides or kind == mujoco.mjtJoint.mjJNT_BALL:
+            what = "slides" if slides else "is a ball joint"
+            raise SurefootError(f"robot {name}: joint {called} of a leg {what}: legs are of hinges")
+    closes = np.isin(model.eq_type, (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD))
+    for loop in np.flatnonzero(closes):
+        ends = [int(model.eq_obj1id[loop]), int(model.eq_obj2id[loop])]
+        if model.eq_objtype[loop] == mujoco.mjtObj.mjOBJ_SITE:
+            ends = [int(model.site_bodyid[site]) for site in ends]
+        if link & set(ends):
+            raise SurefootError(
+                f"robot {name}: a leg is a closed loop (constraint on {model.body(ends[0]).name}), "
+                "whose feet hinges alone do not place; a log with foot positions does without them"
+            )
 
 
 def _is_spring(model: mujoco.MjModel, joint: int) -> bool:

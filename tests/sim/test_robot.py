@@ -106,6 +106,24 @@ def test_names_and_order_in_the_file_do_not_matter(tmp_path):
         (MODEL.format(legs="", actuators=""), "none of its 0 chains"),
         (odd_robot([(0.1, 0.1), (0.2, 0.1), (0.3, 0.1), (0.4, 0.1)]), "front, rear"),
         (odd_robot(CORNERS, foot="capsule"), "for a foot"),
+        (odd_robot(CORNERS, foot="cylinder"), "for a foot"),  # of a wheel
+        (
+            odd_robot(CORNERS).replace('name="c0" axis', 'name="c0" type="slide" axis'),
+            "joint c0 of a leg slides",
+        ),
+        (
+            odd_robot(CORNERS, motors=False).replace(
+                'name="h1" axis', 'name="h1" type="ball" axis'
+            ),
+            "joint h1 of a leg is a ball joint",
+        ),
+        (
+            odd_robot(CORNERS).replace(
+                "<actuator>",
+                '<equality><connect body1="c2" body2="base" anchor="0 0 0"/></equality><actuator>',
+            ),
+            "a closed loop",
+        ),
         ("<mujoco", "cannot read"),
     ],
 )
