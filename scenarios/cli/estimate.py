@@ -111,8 +111,8 @@ class Train:
         print(
             f"{self.out}: validation RMSE {x:.4f}, {y:.4f}, {z:.4f} m/s "
             "(forward, lateral, vertical)\n"
-            f"next: surefoot calibrate {self.out} LOG -o BOUNDS.json, LOG a walk that it has not "
-            f"seen, of {walk_enough():g} s with a reference"
+            f"next: surefoot calibrate {self.out} LOG -o BOUNDS.json; LOG is a walk that it has "
+            f"not seen, of which {walk_enough():g} s with a reference suffice"
         )
 
 

@@ -29,7 +29,9 @@ _KINDS: dict[str, str] = {
     for word in words.split()
 }
 _COMMANDED = _words("des desired cmd command commanded target setpoint goal sp ff feedforward")
-_REFERENCE = _words("ref reference vicon mocap gt truth groundtruth optitrack qualisys base pose")
+_REFERENCE = _words(
+    "ref reference vicon mocap gt truth groundtruth optitrack opti motive qualisys base pose"
+)
 _FEET = _words("foot feet toe")
 _SIDES = {"left": "L", "l": "L", "right": "R", "r": "R"}
 _ENDS = {"front": "F", "fore": "F", "rear": "R", "hind": "R", "back": "R"}
@@ -56,6 +58,7 @@ _OF_A_LEG = {
 """Of a quadruped: the hinge's name in ours. One with an abduction has its hip where we have the
 thigh (`by_their_legs`)."""
 _UNITS = _words("ms us ns deg rad mm cm nm rpm turn degs rads dps mg g m s")
+_OF_A_SECOND = {"dps": "deg/s", "degs": "deg/s", "rads": "rad/s"}
 _FILLER = _words(
     "joint joints jnt motor motors state states imu body link linear measured meas actual of robot"
     " data estimator sensor header msg value raw leg ang per est estimate estimated lin is in flag"
@@ -182,7 +185,7 @@ def read_name(name: str) -> Named:
         written=written,
         place=place,
         axis=axis,
-        unit=unit,
+        unit=_OF_A_SECOND.get(unit, unit),
         commanded=bool(_COMMANDED & set(words)),
         reference=tracked,
     )

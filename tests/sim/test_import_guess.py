@@ -17,6 +17,7 @@ from surefoot.sim.importing.draft import Draft
 from surefoot.sim.importing.guess import guess_map
 from surefoot.sim.importing.guess_units import stride_in_turns
 from surefoot.sim.importing.map import ImportMap
+from surefoot.sim.importing.names import read_name
 from surefoot.sim.importing.recording import import_log
 from surefoot.sim.log import LEGS, Log
 from surefoot.sim.robot import Robot
@@ -423,6 +424,20 @@ def test_groups_of_a_file_that_have_clocks_of_their_own_are_all_drafted(tmp_path
     assert len(rows) > 3000
     for stream, close in (("gyro", 1e-9), ("q", 0.02), ("ref_p", 1e-3)):
         np.testing.assert_allclose(getattr(log, stream), getattr(walked, stream)[rows], atol=close)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "axis", "unit", "reference"),
+    [
+        ("Imu/AngVel.X (dps)", "gyro", "x", "deg/s", False),
+        ("gyro_z [rads]", "gyro", "z", "rad/s", False),
+        ("opti_y [mm]", "ref_p", "y", "mm", True),
+        ("opti_qw", "ref_q", "w", "", True),
+    ],
+)
+def test_a_name_says_kind_axis_and_unit(name, kind, axis, unit, reference):
+    found = read_name(name)
+    assert (found.kind, found.axis, found.unit, found.reference) == (kind, axis, unit, reference)
 
 
 @pytest.mark.parametrize(
