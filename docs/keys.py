@@ -57,7 +57,7 @@ def keys(kind: type) -> list[tuple[str, str, str, str]]:
         comment = lines[field.end_lineno - 1].partition("  # ")[2] if field.end_lineno else ""
         if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
             comment = " ".join(str(after.value.value).split())
-        if "bumps" in field.target.id:
+        if "bumps" in field.target.id or "ClassVar" in ast.unparse(field.annotation):
             continue
         default = "required" if field.value is None else _default(ast.unparse(field.value))
         found.append(
