@@ -98,6 +98,7 @@ def attribute(
         if len(found) == settings.most_effects:
             break
         candidates = tuple(c for c in candidates if c.key not in refuted)
+        hidden = [key for key in joint_rivals(keys, found, limbs) if key not in refuted]
         # What the model lacks for certain comes first: others would stand for it.
         first = tuple(c for c in candidates if c.earned and c.key in certain)
         candidates = first or candidates
@@ -105,7 +106,10 @@ def attribute(
             others = distinct(data, candidates, limbs)
             few = contenders(data, others, found)
             best, chosen_with, worse = rerank(known, few)
-            _, jointly_with = _hidden(known, explained, rng, refuted)
+            # A straight line is worth little beside an effect that this one may hide in.
+            tried = {c.key for c in few}
+            alike = [key for key in hidden if key[0] == best.key[0] and key not in tried]
+            _, jointly_with = _hidden(known, explained, rng, alike)
             if jointly_with and unlikely(known, jointly_with) < unlikely(known, chosen_with):
                 chosen, floor = jointly_with, noise_floor_with(plain, jointly_with)
                 continue
@@ -121,7 +125,7 @@ def attribute(
             ]
             chosen_with = merged(known, reconsidered(known, chosen_with, instead))
         else:
-            best, chosen_with = _hidden(known, explained, rng, refuted)
+            best, chosen_with = _hidden(known, explained, rng, hidden)
             if best is None:
                 break
         chosen, floor = chosen_with, noise_floor_with(plain, chosen_with)
@@ -148,7 +152,7 @@ def _none(one: Found, certain: bool) -> bool:
     """Whether a size may as well be zero: it is inside its interval, unless every machine has the
     effect for `certain`, or the effect cannot be less than none and is as little as it can be."""
     low = type(one.effect).inside(one.effect.target)[0]
-    at_none = type(one.effect).bounds[0] == 0.0 and one.effect.value <= low
+    at_none = low > 0.0 and one.effect.value <= low
     return at_none or (not certain and one.interval[0] <= 0.0 <= one.interval[1])
 
 
@@ -177,17 +181,17 @@ def _hidden(
     known: Data,
     explained: Mapping[str, float],
     rng: np.random.Generator,
-    refuted: Sequence[Key],
+    keys: Sequence[Key],
 ) -> tuple[Candidate | None, list[Effect]]:
-    """The best candidate that earns its place where it is fitted jointly with one that stands for
-    it, and the sizes of all; none where the legs are nearly as their floor. Every leg gives, and
-    every foot rolls: how much is in question.
+    """Of `keys` the best candidate that earns its place where it is fitted jointly with one that
+    stands for it, and the sizes of all; none where the legs are nearly as their floor. Every leg
+    gives, and every foot rolls: how much is in question.
 
     Args:
         known: the evidence, and what is explained.
         explained: channel -> what that takes off it.
         rng: draws the bootstrap's blocks.
-        refuted: candidates that are out of question.
+        keys: of the candidates that may be hidden (`priors.joint_rivals`).
     """
     layout, every = known.evidence.layout, known.evidence.keys
     chosen, limbs = [_key(e) for e in known.explained], layout.limbs
@@ -195,9 +199,7 @@ def _hidden(
     far = known.evidence.settings.far
     if not len(far_samples(layout, known.robust_weights.sigma, known.floor.sigma, far)):
         return best
-    for key in joint_rivals(every, chosen, limbs):
-        if key in refuted:
-            continue
+    for key in keys:
         data, effects = jointly(known, key)
         one = judge(data, known.floor, chosen, explained, limbs, rng, {key}, len(every))[0]
         if one.earned and (best[0] is None or one.score > best[0].score):
