@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from surefoot.scenarios.cli.named import refuse_unnamed
-from surefoot.scenarios.cli.signals import Interrupted
+from surefoot.scenarios.cli.signals import Interrupted, unwrapped
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import (
     cache_folder,
@@ -80,7 +80,8 @@ def guarded(name: str, command: Any) -> Iterator[None]:
         for path in own:
             stack.enter_context(_alone(path))
         try:
-            yield
+            with unwrapped():
+                yield
         except Interrupted as stop:
             # A command that can go on writes parts of its output first: only whole outputs count.
             whole = [Path(os.path.realpath(path)) for path in own]

@@ -72,6 +72,24 @@ def interruptions() -> Iterator[None]:
             signal.signal(number, handler)  # pyright: ignore[reportArgumentType]
 
 
+@contextmanager
+def unwrapped() -> Iterator[None]:
+    """While it lasts, an Interrupted that a library turned into an error of its own is raised.
+
+    Signals are taken between two instructions of Python, also in what compiled code calls (numba
+    reads a kernel from its cache so): there it becomes the cause of a SystemError.
+    """
+    try:
+        yield
+    except Exception as error:
+        cause: BaseException | None = error
+        while cause is not None and not isinstance(cause, Interrupted):
+            cause = cause.__cause__ or cause.__context__
+        if cause is None:
+            raise
+        raise cause from None
+
+
 def ignore_signals() -> None:
     """For the process's last moments: Python puts default handlers back before it has ended, and a
     signal would take the exit code from a command that is done."""

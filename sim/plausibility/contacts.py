@@ -18,6 +18,8 @@ FLICKERS = 30.0
 ten."""
 LASTING = 0.05
 """s, a fifth of the shortest stance: contacts of a robot that stands still flicker for less."""
+BOUNCES = 0.1
+"""s that a foot may bounce as it lands or lifts; on ice it does so for some rows, seven times."""
 HIGHER = 0.005
 """m by which feet in contact are higher than lifted ones: trotting robots lift by 30 to 80 mm."""
 _CLEAR = 0.3
@@ -62,18 +64,33 @@ def flickering(view: LogView) -> Iterator[Finding]:
     log = view.log
     if not log.has("contact") or not view.comparable:
         return
-    rate = np.abs(np.diff(log.contact.astype(int), axis=0)).sum(axis=0) / (view.t[-1] - view.t[0])
+    rate = np.array([_changes(view.t, x) for x in log.contact.T]) / (view.t[-1] - view.t[0])
     if (bad := np.flatnonzero(rate > FLICKERS)).size:
         columns = tuple(f"contact_{log.legs[i]}" for i in bad)
         told = f"{rate[bad].max():.0f} changes a second"
         yield Finding(columns, told, "noise about the threshold", "[contact] debounce")
 
 
+def _changes(t: np.ndarray, contact: np.ndarray) -> int:
+    """Changes of a contact (N,) at t; those of a foot that bounces as it lands or lifts are one."""
+    start, lasts = _states(t, contact)
+    kept = np.flatnonzero(lasts)
+    between = np.diff(kept)  # changes from one lasting state to the next, odd if it is the other
+    took = t[start[kept[1:]]] - t[start[kept[:-1] + 1]]
+    bounces = (between % 2 == 1) & (took < BOUNCES)
+    return len(start) - 1 - int(np.sum(between[bounces] - 1))
+
+
 def _lasting(t: np.ndarray, contact: np.ndarray) -> int:
     """Changes of a contact (N,) at t from one lasting state to the other."""
-    start = np.concatenate([[0], np.flatnonzero(np.diff(contact.astype(int))) + 1])
-    lasts = np.diff(t[[*start, len(t) - 1]]) >= LASTING
+    start, lasts = _states(t, contact)
     return int(np.sum(np.diff(contact[start[lasts]].astype(int)) != 0))
+
+
+def _states(t: np.ndarray, contact: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First rows of the states of a contact (N,), and which of them are lasting."""
+    start = np.concatenate([[0], np.flatnonzero(np.diff(contact.astype(int))) + 1])
+    return start, np.diff(t[[*start, len(t) - 1]]) >= LASTING
 
 
 def _legs_swing(view: LogView) -> bool:

@@ -1,21 +1,30 @@
 """Commands that are ended at random moments, or run out of disk: what is there is whole, what goes
 on ends with the same bytes, nothing runs on, and one line says how to go on."""
 
+import json
 import os
 import resource
 import signal
 import subprocess
 import sys
 import time
+import tomllib
+from dataclasses import replace
 from pathlib import Path
+from shutil import rmtree
 
 import numpy as np
 import pytest
 from forked import contents, copied
+from good_files import FILES
+from PIL import Image
+from pyarrow import parquet
 from synthetic import synthetic_walk
 
 from surefoot.models.observer.observer import Observer
+from surefoot.scenarios.datasets.simulate import simulate_all
 from surefoot.sim.common.files import MANIFEST
+from surefoot.sim.log import Log
 
 WALK = """
 name = "{name}"
@@ -38,14 +47,40 @@ inputs = "q,dq"
 COMMANDS = {
     "simulate": ("simulate a.toml --seeds 0:4 --workers 2 -o out", "*.parquet"),
     "train": ("train walk.parquet --inputs q,dq --model mlp -o out/o.pt", "o.pt"),
+    "calibrate": ("calibrate observer.pt walk.parquet -o out/bounds.json", "bounds.json"),
     "experiment": ("experiment grid.toml --workers 2 --no-recordings -o out", "cache/*/*.parquet"),
     "compare": ("compare walk.parquet -o out", "*.none"),
     "estimate": ("estimate walk.parquet --filter imu -o out/imu.parquet", "imu.*"),
+    "import": ("import walk.csv --map map.toml -o out/log.parquet", "log.parquet"),
+    "export": ("export walk.parquet -o out/walk.mcap", "walk.mcap"),
+    "noise": ("noise rest.parquet -o out/noise.toml", "noise.*"),
+    "align": ("align a.parquet -o out", "*.*"),
+    "view": ("view a.parquet -o out/walk.rrd", "*.none"),
+    "tune": ("tune a.parquet --filter imu --filter leg --budget 4 --workers 2 -o out", "tuned.*"),
+    "plan": ("plan encoder_offset --robot spot_class", "*"),
+    "bench": ("bench --rounds 1 --only box --page out/bench.md", "*.none"),
+    "montecarlo": ("montecarlo --trials 2 --workers 2 -o out", "beyond.csv"),
+    "walking": ("walking --course c.toml --seeds 2 --workers 2 -o out", "walking.*"),
+    "realism": ("realism a.parquet -o out", "drift.csv"),
+    "trace": ("trace a.parquet -o out", "effects.toml"),
 }
 """Command, and those of its files whose bytes depend on nothing but its input."""
+BEGUN = {
+    "suite": "suite spot --seeds 0 --workers 2 --no-recordings -o out",
+    "loop": "loop a.parquet -o out",
+    "demo": "demo -o out",
+}
+"""Commands of minutes and more, which are not run to their end here."""
+BEGUN_FOR = 30.0
+"""s"""
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
-QUICK = ("simulate", "estimate")
+QUICK = ("simulate", "estimate", "import", "export")
 """Commands of a few seconds."""
+MAP = """
+[source]
+[columns]
+{columns}
+"""
 
 
 @pytest.fixture(scope="module")
@@ -55,8 +90,29 @@ def inputs(tmp_path_factory) -> Path:
     for name, role, seconds in (("a", "train", 10.0), ("c", "test", 2.0)):
         (folder / f"{name}.toml").write_text(WALK.format(name=name, role=role, seconds=seconds))
     (folder / "grid.toml").write_text(GRID)
-    synthetic_walk(0, 12.0, noise=0.1, robot="spot_class").write(folder / "walk.parquet")
+    walk = synthetic_walk(0, 15.0, noise=0.1, robot="spot_class")
+    walk.write(folder / "walk.parquet")
+    walk.frame.to_csv(folder / "walk.csv", index=False)
+    columns = "\n".join(f'{n} = "{n}"' for n in walk.frame)
+    (folder / "map.toml").write_text(MAP.format(columns=columns))
+    resting(walk).write(folder / "rest.parquet")
+    observer = Observer.load(FILES / "observer_q_dq_gml.pt")
+    replace(observer, robot="spot_class").save(folder / "observer.pt")
+    simulate_all([folder / "a.toml"], folder / "walks")
+    (folder / "walks" / "a_0.parquet").rename(folder / "a.parquet")
+    rmtree(folder / "walks")
     return folder
+
+
+def resting(walk: Log) -> Log:
+    """As long, at a standstill, its sensors noisy."""
+    rng = np.random.default_rng(0)
+    frame = walk.frame.copy()
+    frame[:] = np.broadcast_to(frame.iloc[:1], frame.shape)
+    frame["t"] = walk.frame["t"]
+    for name in (n for n in frame if n.startswith(("gyro", "accel", "q_", "dq_"))):
+        frame[name] += 1e-3 * rng.standard_normal(len(frame))
+    return replace(walk, frame=frame)
 
 
 def started(command: str, folder: Path, **more) -> subprocess.Popen:
@@ -83,6 +139,31 @@ def running(group: int) -> list[int]:
         if int(of_group) == group and state != "Z":
             found.append(int(stat.parent.name))
     return found
+
+
+def check_whole(folder: Path) -> None:
+    """Every file that is not hidden can be read to its end."""
+    for path in folder.rglob("*"):
+        hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
+        if hidden or not path.is_file():
+            continue
+        if path.suffix in WHOLE:
+            WHOLE[path.suffix](path)
+        assert path.stat().st_size, f"{path} is empty"
+
+
+def _ends(path: Path) -> None:
+    assert path.read_text(encoding="utf-8").rstrip().endswith("</html>"), path
+
+
+WHOLE = {
+    ".parquet": parquet.read_table,
+    ".json": lambda path: json.loads(path.read_text(encoding="utf-8")),
+    ".toml": lambda path: tomllib.loads(path.read_text(encoding="utf-8")),
+    ".pt": Observer.load,
+    ".png": lambda path: Image.open(path).load(),
+    ".html": _ends,
+}
 
 
 def finished(command: str, folder: Path) -> tuple[float, str]:
@@ -116,11 +197,13 @@ def interrupted_once(command: str, folder: Path, number: int, after: float) -> b
     if number != signal.SIGKILL and process.returncode != 0:
         assert "Traceback" not in err, err[-3000:]
         assert process.returncode == 128 + number, err[-3000:]
-        assert "surefoot: interrupted" in err
+        (last,) = [line for line in err.splitlines() if line.startswith("surefoot: ")]
+        assert last.startswith("surefoot: interrupted"), err[-3000:]
     waiting_until = time.monotonic() + 5.0
     while running(process.pid) and time.monotonic() < waiting_until:
         time.sleep(0.05)
     assert not running(process.pid), "processes run on"
+    check_whole(folder)
     return True
 
 
@@ -149,8 +232,19 @@ def test_ended_at_random_moments(name, inputs, tmp_path):
     else:
         assert process.returncode == 0
     same_bytes(whole / "out", folder / "out", pattern)
+    check_whole(folder)
     assert not list(folder.rglob("*.tmp")), "debris"
     assert not list(folder.rglob("*.lock")), "locks"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", BEGUN)
+def test_a_long_job_ended_at_random_moments(name, inputs, tmp_path):
+    """Six times in its first half minute; each time it begins again, or goes on, without a word."""
+    rng = np.random.default_rng(sum(name.encode()))
+    folder = copied(inputs, tmp_path / "ended")
+    for number in SIGNALS * 2:
+        assert interrupted_once(BEGUN[name], folder, number, rng.uniform(0.1, BEGUN_FOR))
 
 
 @pytest.mark.slow
@@ -195,13 +289,13 @@ def test_two_runs_into_one_folder(inputs, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", COMMANDS | BEGUN)
 @pytest.mark.parametrize("most", [0, 1_000, 20_000, 200_000])
 def test_a_full_disk(name, most, inputs, tmp_path):
     """No file may be longer than `most` bytes: one line, and nothing that looks whole."""
     folder = copied(inputs, tmp_path / "full")
     before = contents(folder)
-    command, _ = COMMANDS[name]
+    command = BEGUN.get(name) or COMMANDS[name][0]
 
     def limit() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))

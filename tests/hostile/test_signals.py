@@ -43,6 +43,13 @@ def command(within: str = "pass", written: str = "pass", around: str = "pass") -
     return COMMAND.format(within=within, written=written, around=around)
 
 
+LIBRARY = f"""
+def library():
+    try:
+        {SOON}
+    except BaseException as error:
+        raise SystemError("a result with an exception set") from error
+"""
 DEFAULT = {"SIGINT": "default_int_handler"}
 BEFORE = "surefoot: interrupted before it began"
 WITHIN = "surefoot: interrupted; nothing was written, the same command begins anew"
@@ -52,6 +59,7 @@ STAGES = {
     "within": ("SIGINT", command(within=SOON), WITHIN),
     "within, twice": ("SIGTERM", command(within=f"{HERE}, {SOON}"), WITHIN),
     "in a destructor": ("SIGTERM", command(within="Last(); time.sleep(20.0)"), WITHIN),
+    "in what compiled code calls": ("SIGINT", command(within="library()", around=LIBRARY), WITHIN),
     "when all is written": ("SIGHUP", command(written=SOON), WRITTEN),
     "at Python's end": ("SIGINT", command(around=f"atexit.register(lambda: {HERE})"), ""),
     "at the last moment": ("SIGTERM", command(around="sys.last_of_all = Last()"), ""),

@@ -35,7 +35,8 @@ def read_plan(path: Path = PLAN) -> Plan:
 
 
 def drawn(plan: Plan, root: Path) -> list[Mutant]:
-    """The mutants of a plan, in turns over the files, so that a part of them is a fair sample too.
+    """The mutants of a plan, in turns over the files, so that the first of them are a fair sample
+    of all: each file by its share, none sooner by its name or size.
 
     A mutant is drawn by the digest of the seed and its key, so that a line that changes redraws
     no other.
@@ -49,11 +50,11 @@ def drawn(plan: Plan, root: Path) -> list[Mutant]:
             ranked[name] = sorted(every, key=lambda mutant: _rank(plan.seed, mutant))
     shares = quotas({name: len(every) for name, every in ranked.items()}, plan.mutants, plan.each)
     turns = [
-        ((place + 0.5) / shares[name], name, mutant.key, mutant)
+        ((place + _uniform(plan.seed, mutant)) / shares[name], mutant.key, mutant)
         for name, every in ranked.items()
         for place, mutant in enumerate(every[: shares[name]])
     ]
-    return [mutant for *_, mutant in sorted(turns, key=lambda turn: turn[:3])]
+    return [mutant for *_, mutant in sorted(turns, key=lambda turn: turn[:2])]
 
 
 def quotas(counts: dict[str, int], total: int, each: int) -> dict[str, int]:
@@ -69,6 +70,11 @@ def quotas(counts: dict[str, int], total: int, each: int) -> dict[str, int]:
     for name in rest[: total - sum(shares.values())]:
         shares[name] += 1
     return shares
+
+
+def _uniform(seed: int, mutant: Mutant) -> float:
+    """From 0 to 1, by other digits than those of its rank."""
+    return int(_rank(seed, mutant)[-8:], 16) / 16**8
 
 
 def _rank(seed: int, mutant: Mutant) -> str:

@@ -166,18 +166,20 @@ class Workplace:
         return Outcome(outcome, "", tests, tuple(files), round(used, 2))
 
     def _chosen(self, mutant: Mutant, interpreted: bool) -> Iterator[tuple[Path, list[Covering]]]:
-        """Tests that cover a mutant by file, as far as the budget goes."""
+        """Tests that cover a mutant by file, as far as the budget goes, and one at least."""
         calls, of_file = f"{mutant.file}:{mutant.scope}", f"{mutant.file}:"
         at_import = mutant.scope == MODULE
-        left = self.plan.budget
+        left, any_yet = self.plan.budget, False
         for path in self.nearest_tests(dotted(mutant.file))[: self.plan.nearest]:
             chosen = []
             for test in sorted(self.covering(path, interpreted), key=lambda test: test.seconds):
                 # What is made at the import is read by functions of the module, mostly.
                 reads = at_import and any(f.startswith(of_file) for f in test.functions)
-                if (reads or calls in test.functions) and test.seconds <= left:
+                covers = reads or calls in test.functions
+                if covers and (test.seconds <= left or not any_yet):
                     chosen.append(test)
                     left -= test.seconds
+                    any_yet = True
             if chosen:
                 yield path, chosen
 

@@ -43,6 +43,13 @@ def test_a_clean_walk_without_a_reference_is_plausible(log):
     assert found_in(without(log, "ref_")) == []
 
 
+def test_feet_that_bounce_are_no_noise_about_a_threshold(log):
+    changed = bouncing(log)
+    rate = np.abs(np.diff(changed.contact.astype(int), axis=0)).sum(axis=0) / log.t[-1]
+    assert rate.min() > 30.0
+    assert not [line for line in found_in(changed) if line.startswith("flickering")]
+
+
 # What is done to a log.
 
 
@@ -264,6 +271,16 @@ def noisy_contacts(log: Log) -> Log:
     wrong = np.random.default_rng(0).random(log.contact.shape) < 0.1
     both = (log.contact ^ wrong).astype(float)
     return edited(log, **{f"contact_{leg}": both[:, i] for i, leg in enumerate(log.legs)})
+
+
+def bouncing(log: Log) -> Log:
+    """Each landing and lift is followed by eight short changes, as on ice."""
+    at = np.flatnonzero(np.diff(log.contact.astype(int), axis=0).any(axis=1))
+    contact = log.contact.copy()
+    for row in at[at < len(contact) - 20]:
+        changed = contact[row] != contact[row + 1]
+        contact[row + 2 : row + 17 : 4, changed] = log.contact[row, changed]
+    return edited(log, **{f"contact_{x}": contact[:, i] for i, x in enumerate(log.legs)})
 
 
 def reversed_in_time(log: Log) -> Log:
