@@ -83,22 +83,21 @@ def driving(view: LogView) -> Iterator[Finding]:
             told = f"no change from {hangs[0]:.2f} to {hangs[1]:.2f} s while what it drives goes on"
             yield Finding((column,), told, "a sensor that hangs")
             continue
-        alike = _correlation(one.tau, one.rigid)
+        alike, (fitted, scale) = _correlation(one.tau, one.rigid), one.fitted(everywhere)
+        # Of a machine that pushes against something the model alone tells little.
+        told_by_model = _correlation(one.tau, fitted) > TOLD
         when = sign_change(view.at, one.tau, one.rigid, TOLD)
         if when is not None:
             told = f"from {when:.2f} s on minus what the model asks for, before it is that, or"
             cause = "its sign, or its angle's, changes on the way"
             yield Finding((column,), f"{told} the other way round", cause)
-        elif alike < OPPOSITE:
+        elif told_by_model and alike < OPPOSITE:
             told = f"correlation with what the model asks for {alike:.2f}"
             yield Finding((column,), told, "wrong sign", f"{column} = {{ ..., sign = -1 }}")
-        else:
-            fitted, scale = one.fitted(everywhere)
-            if _correlation(one.tau, fitted) > TOLD and not SCALED[0] < scale < SCALED[1]:
-                told = f"{scale:.3g} times what the model asks for"
-                line = f"{column} = {{ ..., gain = {1.0 / scale:.3g} }}"
-                cause = "another unit, or of the motor's side"
-                yield Finding((column,), told, cause, line)
+        elif told_by_model and not SCALED[0] < scale < SCALED[1]:
+            told = f"{scale:.3g} times what the model asks for"
+            line = f"{column} = {{ ..., gain = {1.0 / scale:.3g} }}"
+            yield Finding((column,), told, "another unit, or of the motor's side", line)
 
 
 def _hangs(view: LogView, column: str, one: _Torque) -> tuple[float, float] | None:
