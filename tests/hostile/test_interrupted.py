@@ -90,7 +90,7 @@ def inputs(tmp_path_factory) -> Path:
     for name, role, seconds in (("a", "train", 10.0), ("c", "test", 2.0)):
         (folder / f"{name}.toml").write_text(WALK.format(name=name, role=role, seconds=seconds))
     (folder / "grid.toml").write_text(GRID)
-    walk = synthetic_walk(0, 15.0, noise=0.1, robot="spot_class")
+    walk = synthetic_walk(0, 30.0, noise=0.1, robot="spot_class")
     walk.write(folder / "walk.parquet")
     walk.frame.to_csv(folder / "walk.csv", index=False)
     columns = "\n".join(f'{n} = "{n}"' for n in walk.frame)
