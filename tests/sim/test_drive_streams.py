@@ -89,6 +89,15 @@ def test_a_drive_at_its_limit_holds_its_torque():
     assert not any("hangs" in one.cause for one in found)
 
 
+def test_of_a_machine_that_pushes_against_something_no_sign_is_told():
+    """Its motion explains a part of its torque alone, of whichever sign."""
+    log = drive()
+    tau = log.tau[:, 0]
+    push = np.sin(7.0 * log.t) * np.sqrt(2.0) * tau.std()
+    pushed = log.with_columns({"tau_shoulder": -0.75 * tau + push})
+    assert check_log(pushed, PENDULUM) == ()
+
+
 @pytest.mark.skipif(not MEASURED.is_dir(), reason=f"the measured logs are not here ({MEASURED})")
 @pytest.mark.parametrize("machine", ["ak80_pendulum", "ricmonk"])
 def test_measured_drives_have_no_such_fault(machine):
