@@ -6,6 +6,7 @@ from surefoot.models.attribution.found import Found
 from surefoot.models.attribution.held_out import HeldOutRuns
 from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.models.attribution.outside_forces import Push
+from surefoot.models.attribution.search import _none
 from surefoot.models.attribution.verdict import verdict_of
 from surefoot.sim.effects import effect
 
@@ -90,3 +91,13 @@ def test_outside_forces_are_no_effect_of_the_robot(found, away, name):
         assert reasons[-1] == "outside forces of up to 21 N from 4.0 to 5.0 s of run 1"
     if away:
         assert reasons[0] == "link_length FL_calf: explains nothing but outside forces"
+
+
+def test_what_every_machine_has_is_left_out_only_where_it_is_as_little_as_can_be():
+    late = effect("contact_delay", "liftoff", 0.0145)
+    unsure, sure = Found(late, (-0.0002, 0.029)), Found(late, (0.001, 0.028))
+    assert _none(unsure, certain=False)
+    assert not _none(unsure, certain=True)
+    assert not _none(sure, certain=False)
+    least = effect("contact_delay", "liftoff", type(late).inside("liftoff")[0])
+    assert _none(Found(least, (0.001, 0.002)), certain=True)
