@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.effects import CATALOGUE, effect
+from surefoot.sim.effects.base import with_columns
 from surefoot.sim.effects.file import load_effects, save_effects, to_toml
 from surefoot.sim.effects.timing import reference_lag, reference_lag_drift
 from surefoot.sim.ground.terrain import Ground
@@ -249,6 +250,16 @@ def test_a_search_for_a_clock_begins_where_the_lag_drifts(robot, drift):
     assert [len(of) for of in starts.values()] == [1 + far, 1 + far, 1]
     if far:
         assert starts["imu"][1] == -starts["reference"][1] == pytest.approx(drift, abs=3e-4)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_no_drift_is_seen_in_a_gyro_that_shows_nothing_of_the_turning(log, seed):
+    """Each piece's lag is any; the search for a clock begins at a small size alone."""
+    noise = np.random.default_rng(seed).normal(0.0, 0.01, log.gyro.shape)
+    columns = {f"gyro_{axis}": noise[:, i] for i, axis in enumerate("xyz")}
+    deaf = with_columns(log, columns)
+    assert reference_lag_drift(deaf, 0.02) == 0.0
+    assert len(CATALOGUE["clock_scale"].starts_on("imu", deaf)) == 1
 
 
 def test_contact_delay_is_late_by_its_size_whatever_the_threshold(robot, streams):
