@@ -33,6 +33,7 @@ LAG_PIECE = 4.0
 """s of a log in which its streams' lag is taken to be one: some strides."""
 FEWEST_LAGS = 6
 """Three lags that mean nothing look like a drift in a third of all draws, six in 2 %."""
+_TURNING = ("t", "gyro_x", "gyro_y", "gyro_z", "ref_q_w", "ref_q_x", "ref_q_y", "ref_q_z")
 STREAMS = {"imu": ("gyro", "accel"), "joints": ("q", "dq", "tau"), "feet": ("force",)}
 STREAM_COLUMNS = {**STREAMS, "feet": ("force", "contact"), "reference": ("ref",)}
 """A log's columns of each stream: contacts are derived from the feet's forces."""
@@ -265,6 +266,10 @@ def _starts(kind: type[Effect], late: float) -> tuple[float, ...]:
 def reference_lag(log: Log, most: float) -> float:
     """By how much [s], up to `most`, the reference's turning is late against the gyro: where their
     correlation is largest, to the row."""
+    return log.once(f"reference lag within {most}", _TURNING, lambda: _reference_lag(log, most))
+
+
+def _reference_lag(log: Log, most: float) -> float:
     turning = Rotation.from_quat(log.ref_q, scalar_first=True)
     row = float(np.mean(np.diff(log.t)))
     turned = (turning[:-1].inv() * turning[1:]).as_rotvec() / np.diff(log.t)[:, None]
@@ -280,13 +285,17 @@ def reference_lag_drift(log: Log, most: float) -> float:
     """By how much more [s/s], up to `most`, the reference's turning is late against the gyro every
     second: the median slope of the lags of pieces of the log (Theil and Sen), 0 where its 95 %
     interval holds 0, as it does where the pieces turn too little to show a lag."""
+    return log.once(f"reference drift within {most}", _TURNING, lambda: _lag_drift(log, most))
+
+
+def _lag_drift(log: Log, most: float) -> float:
     duration = log.t[-1] - log.t[0]
     pieces = max(FEWEST_LAGS, round(duration / LAG_PIECE))
     ends = np.linspace(0, len(log.t), pieces + 1).round().astype(int)
     parts = [replace(log, frame=log.frame[i:j]) for i, j in pairwise(ends) if j - i > 2]
     if len(parts) < FEWEST_LAGS:
         return 0.0
-    lags = [reference_lag(part, most * duration) for part in parts]
+    lags = [_reference_lag(part, most * duration) for part in parts]
     drift = theilslopes(lags, [part.t.mean() for part in parts])
     return float(drift.slope) if drift.low_slope * drift.high_slope > 0.0 else 0.0
 
