@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 
 from surefoot.estimator.box import box_moments
 from surefoot.estimator.moments.faces import nearest_in_box
+from surefoot.estimator.moments.grid import grid_moments
 
 # name: smallest eigen-deviation, distance of the box in sigma, half widths in sigma, panels
 KINDS = {
@@ -129,6 +130,26 @@ def test_a_box_is_the_sum_of_its_halves():
             assert_allclose((C - whole[2]) / np.outer(s, s), 0, atol=1e-9)
 
 
+@pytest.mark.parametrize("bounded", [1, 2])
+def test_axes_without_bounds_follow_the_others_by_regression(bounded):
+    """x_b given x_a is Gaussian whatever x_a is held to: mean K m, covariance V + K S K^T. Of the
+    grid alone, for what exceeds the prior is clipped afterwards."""
+    rng = np.random.default_rng(9)
+    for _ in range(5):
+        _, cov, lower, upper = box(rng, 0.3, 0.0, (0.2, 1.0))
+        spread = np.sqrt(np.diag(cov))
+        C, low, high = cov / np.outer(spread, spread), lower / spread, upper / spread
+        a, b = slice(bounded), slice(bounded, 3)
+        low[b], high[b] = -np.inf, np.inf
+        mode, m, S = np.empty(3), np.empty(3), np.empty((3, 3))
+        distance = nearest_in_box(C, low, high, mode)
+        assert np.isfinite(grid_moments(C, low, high, mode, distance, m, S))
+        K = np.linalg.solve(C[a, a], C[a, b]).T
+        assert_allclose(m[b], K @ m[a], atol=1e-10)
+        assert_allclose(S[b, a], K @ S[a, a], atol=1e-10)
+        assert_allclose(S[b, b], C[b, b] - K @ (C[a, a] - S[a, a]) @ K.T, atol=1e-10)
+
+
 def test_order_and_units_of_the_axes_do_not_matter():
     rng = np.random.default_rng(5)
     mean, cov, lower, upper = box(rng, 0.2, 2.0, (0.5, 2.0))
@@ -187,9 +208,10 @@ def test_nearest_point_is_the_minimum_of_the_distance():
     for _ in range(200):
         A = rng.normal(size=(3, 3))
         C = A @ A.T + 0.01 * np.eye(3)
-        C /= np.sqrt(np.outer(np.diag(C), np.diag(C)))
-        centre = 3 * rng.normal(size=3)
-        half = rng.uniform(0.1, 2.0, size=3)
+        spread = rng.uniform(0.3, 3.0, size=3)
+        C *= np.outer(spread, spread) / np.sqrt(np.outer(np.diag(C), np.diag(C)))
+        centre = 3 * rng.normal(size=3) * spread
+        half = rng.uniform(0.1, 2.0, size=3) * spread
         lower, upper, point = centre - half, centre + half, np.empty(3)
         distance = nearest_in_box(C, lower, upper, point)
         information = np.linalg.inv(C)

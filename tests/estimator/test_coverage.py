@@ -9,6 +9,7 @@ from surefoot.estimator.core import lie
 from surefoot.estimator.core.state import NavState, retract
 from surefoot.estimator.filter import InvariantFilter
 from surefoot.estimator.updates.coverage import posterior_moments, update_coverage
+from surefoot.estimator.updates.outliers import SIGMAS, fresh_counts, is_outlier
 from surefoot.estimator.updates.velocity_output import velocity_output
 
 WIDE = 60.0
@@ -99,6 +100,17 @@ def test_limits_of_pi():
     pi, mean, out = posterior(np.zeros(3), np.eye(3), -box, box, 1 - 1e-16)
     assert_allclose(out, np.eye(3), atol=1e-12)
     assert_allclose(mean, 0, atol=1e-12)
+
+
+def test_outliers_are_rejected_so_often_in_a_row_and_no_more():
+    """Three of them; the fourth says that the estimate is wrong. One that fits counts anew."""
+    S, most, counts = np.diag([0.04, 0.01, 0.01]), np.array([0.1, 0.2, 0.3]), fresh_counts()
+    fits = most + 0.999 * SIGMAS * np.sqrt(np.diag(S))
+    for axis in range(3):
+        beyond = fits * np.where(np.arange(3) == axis, -1.002, 1.0)
+        found = [is_outlier(S, beyond, most, 3, counts) for _ in range(5)]
+        assert found == [True, True, True, False, False]
+        assert not is_outlier(S, fits, most, 3, counts)
 
 
 def test_output_jacobian_by_differences():

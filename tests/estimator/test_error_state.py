@@ -11,6 +11,7 @@ from surefoot.estimator.core.state import NavState, retract
 from surefoot.estimator.initial import InitialStd, start_covariance
 from surefoot.estimator.updates.coverage import update_coverage
 from surefoot.estimator.updates.velocity_output import velocity_output
+from surefoot.sim.common.errors import SurefootError
 
 D = np.array([0.0, 0.0, 0.0, -1.0, 0.0])
 """The paper's d of the velocity output."""
@@ -50,6 +51,13 @@ def test_a_state_is_packed_in_the_papers_order(state):
     wanted = [*state.R_GI, state.v_GI, state.p_GI, state.b_a, state.b_g]
     assert_array_equal(mean, wanted)
     assert_array_equal(NavState.unpack(mean).pack(), mean)
+
+
+@pytest.mark.parametrize("name", ["v_GI", "p_GI", "b_a", "b_g"])
+def test_a_state_has_three_finite_numbers_of_each(name):
+    for bad in (np.zeros(2), np.array([0.0, np.nan, 0.0])):
+        with pytest.raises(SurefootError, match=name):
+            NavState(**{name: bad})
 
 
 def test_the_error_is_right_invariant(state, rng):

@@ -10,7 +10,8 @@ from numpy.testing import assert_allclose
 
 from surefoot.estimator.core.state import FilterNoise, retract
 from surefoot.estimator.evaluation.health import health
-from surefoot.estimator.evaluation.run_summary import joined_summary, summary_of_run
+from surefoot.estimator.evaluation.innovation_sums import windows_of
+from surefoot.estimator.evaluation.run_summary import RunSummary, joined_summary, summary_of_run
 from surefoot.estimator.filter import InvariantFilter
 from surefoot.estimator.leg import LegFilter, LegNoise
 from surefoot.estimator.metrics import evaluate
@@ -90,6 +91,42 @@ def test_a_right_filter_is_consistent_and_believed(walk, legs):
             # One update in a thousand fails each of two tests, and keeps its foot out for 25.
             assert one.rejected < 0.15
         assert found.sentence("leg") == ""
+
+
+def test_a_sensor_is_judged_by_every_window_that_it_updates_in():
+    """One of a single update counts as one of many: r^2 is 1 in the first window, 4 in the second,
+    of claimed variance 1."""
+    sums = np.zeros((3, 1, 10))
+    sums[:2, 0, 0] = 1.0, 9.0
+    sums[:2, 0, 2] = 3.0, 9 * 3.0
+    sums[:2, 0, 3:6] = np.array([[1.0], [6.0]])
+    sums[:2, 0, 6:9] = np.array([[1.0], [9.0]])
+    found = health(summary(sums), (), (1e-3, 1e-4))
+    assert found.sensors[0].drift == pytest.approx((1.0 + 4.0) / 2)
+    assert found.sensors[0].nis / 3 == pytest.approx(1.0)
+
+
+def summary(sums, start=0.0):
+    """Of windows that begin at `start`, a gyro's bias moving by its deviation in the last."""
+    n = len(sums)
+    none, bias = np.zeros(n), np.zeros((n, 6))
+    bias[-1, 3] = 1e-3
+    return RunSummary(
+        start + np.arange(n), sums, bias, none, none, none, np.ones(n, dtype=bool),
+        np.zeros(6), np.full(6, 1e-3), False,
+    )  # fmt: skip
+
+
+def test_biases_are_judged_by_the_time_that_they_had_whatever_the_clock_says():
+    for start in (0.0, 1e6):
+        found = health(summary(np.zeros((3, 1, 10)), start), (), (0.0, 1e-3))
+        # Of a prior and three seconds of walk, each of 1e-3.
+        assert found.biases[3] == pytest.approx(1.0 / np.sqrt(1.0 + 3.0))
+
+
+def test_windows_are_of_a_second():
+    """As doubts say: "by so many m/s in a second"."""
+    assert windows_of(np.array([-0.1, 0.0, 0.99, 1.0, 1.05, 2.0])).tolist() == [-1, 0, 0, 1, 1, 2]
 
 
 def test_a_gyro_beyond_its_prior_is_named(walk, legs):

@@ -11,6 +11,7 @@ from surefoot.estimator.leg import LegFilter, LegNoise, encoder_covariance, run_
 from surefoot.estimator.metrics import evaluate, nees
 from surefoot.estimator.updates.contact import (
     ContactModel,
+    _slips,
     contact_memory,
     contact_output,
     propagate_contacts,
@@ -159,6 +160,17 @@ def test_slip_gate_finds_the_slipping_foot(walk):
         named += leg.update_contacts(legs.feet_I[k], legs.contact[k], cov[k])
     assert named[0] > 0
     assert named[1:].sum() == 0
+
+
+def test_the_gate_is_on_the_mahalanobis_distance():
+    """r^T (S + R)^-1 r, whatever its axes have in common."""
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        A, r = rng.normal(size=(3, 3)), rng.normal(size=3)
+        S, R = A @ A.T, np.diag(rng.uniform(0.01, 0.1, size=3))
+        distance = r @ np.linalg.solve(S + R, r)
+        for gate, beyond in ((0.999 * distance, True), (1.001 * distance, False)):
+            assert _slips(S, R, r, gate, 0.0, np.zeros(3)) == beyond
 
 
 def test_nees_is_within_its_chi_square_bounds(walk, rolling):

@@ -13,7 +13,7 @@ from surefoot.estimator.core.lie import hat
 from surefoot.estimator.core.state import NavState
 from surefoot.estimator.evaluation.trajectory import Trajectory, TrajectoryError, reference
 from surefoot.estimator.filter import run_coverage
-from surefoot.estimator.initial import GRAVITY_STD, initial_state, level
+from surefoot.estimator.initial import GRAVITY_STD, initial_state, level, still_gyro_bias
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.log import Log, Meta
@@ -132,6 +132,20 @@ def test_start_without_a_reference_is_gravity():
     falling = frame.assign(accel_x=0.0, accel_y=0.0, accel_z=0.1)
     with pytest.raises(SurefootError, match="gravity is unknown"):
         initial_state(Log(falling, bare.meta))
+
+
+@pytest.mark.parametrize(("shaken", "known"), [(0.01, True), (0.1, False)])
+def test_a_gyro_bias_is_read_where_the_log_starts_still(shaken, known):
+    """With 0.1 rad/s of shaking it is none that a standing robot has, though no force says so."""
+    walk, bias = motion(1.0, 500.0), np.array([0.02, -0.01, 0.005])
+    bare, rng = log(walk), np.random.default_rng(4)
+    gyro = bias + shaken * rng.normal(size=walk.gyro.shape)
+    still = np.tile([0.0, 0.0, 9.81], (len(walk.t), 1))
+    frame = bare.frame.assign(**{f"gyro_{a}": gyro[:, i] for i, a in enumerate("xyz")})
+    frame = frame.assign(**{f"accel_{a}": still[:, i] for i, a in enumerate("xyz")})
+    found, std = still_gyro_bias(Log(frame, bare.meta), GRAVITY_STD)
+    assert_allclose(found, known * bias, atol=3e-3 * known)
+    assert (std.b_g < GRAVITY_STD.b_g) == known
 
 
 def test_level_turns_the_force_upwards():
