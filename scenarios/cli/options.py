@@ -103,9 +103,11 @@ def not_plausible(
 
 def as_declared(logs: Sequence["Log"]) -> list:
     """The logs as the filters see them: the effects that they declare undone."""
-    from surefoot.scenarios.estimate.run import declared_model
+    from surefoot.scenarios.estimate.run import declared_model, refuse_without_robot
     from surefoot.sim.robot import Robot
 
+    for log in logs:
+        refuse_without_robot(log)
     return [declared_model(log, Robot.for_log(log))[0] for log in logs]
 
 

@@ -60,6 +60,7 @@ class TraceCommand:
     force: Force = False
 
     def run(self) -> None:
+        from surefoot.scenarios.estimate.run import refuse_without_robot
         from surefoot.scenarios.reporting.progress import percent_bar
         from surefoot.scenarios.trace.run import trace
         from surefoot.scenarios.trace.since import unchanged_beside
@@ -75,6 +76,8 @@ class TraceCommand:
             raise SurefootError(
                 f"the logs are of {' and '.join(robots)}: trace one robot at a time"
             )
+        for log in [*logs, *held_out]:
+            refuse_without_robot(log, self.robot)
         robot = machine_for_log(logs[0], self.robot)
         warnings = not_plausible([*logs, *held_out], self.robot, self.strict)
         # A trace must not depend on the names of its logs, so notes number them.
@@ -119,6 +122,7 @@ class LoopCommand:
     force: Force = False
 
     def run(self) -> None:
+        from surefoot.scenarios.estimate.run import refuse_without_robot
         from surefoot.scenarios.reporting.tables import to_markdown
         from surefoot.scenarios.trace.loop import loop
         from surefoot.sim.effects.file import load_effects
@@ -126,6 +130,7 @@ class LoopCommand:
         from surefoot.sim.robot import Robot
 
         log = Log.read(self.log)
+        refuse_without_robot(log, self.robot)
         robot = Robot.for_log(log, self.robot)
         declared = None if self.declared is None else load_effects(self.declared)
         held_out = read_logs(self.holdout) if self.holdout else []
@@ -166,6 +171,7 @@ class Realism:
     force: Force = False
 
     def run(self) -> None:
+        from surefoot.scenarios.estimate.run import refuse_without_robot
         from surefoot.scenarios.experiments.as_walked import load_as_walked
         from surefoot.scenarios.reporting.progress import percent_bar
         from surefoot.scenarios.reporting.tables import to_markdown
@@ -175,6 +181,7 @@ class Realism:
         from surefoot.sim.robot import Robot
 
         log = Log.read(self.log)
+        refuse_without_robot(log, self.robot)
         robot = Robot.for_log(log, self.robot)
         effects = load_effects(self.effects) if self.effects else ()
         with percent_bar("walking") as bar:

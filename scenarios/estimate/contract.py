@@ -79,7 +79,7 @@ class Needs:
                 "them says where the feet are"
             )
         if robot is None and (self.robot or by_joints):
-            raise SurefootError(NO_ROBOT)
+            raise SurefootError(f"{log.name}: {NO_ROBOT}")
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from time import perf_counter
 from typing import Any, TypeVar, cast
 
@@ -32,6 +33,7 @@ from surefoot.scenarios.estimate.tuned import Parameters, tuned
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import compensate_all, declared_effects
 from surefoot.sim.log import Log
+from surefoot.sim.robot.model_of_log import robot_of_log
 from surefoot.sim.robot.robot import NO_ROBOT, Robot
 
 _R = TypeVar("_R", Robot, Robot | None)
@@ -131,6 +133,13 @@ def robot_of(log: Log, name: str | None = None) -> Robot | None:
     return Robot.for_log(log, name) if name or log.meta.robot else None
 
 
+def refuse_without_robot(log: Log, name: str | Path | None = None) -> None:
+    """Raise SurefootError, with the log's name, where neither it nor `name` says which robot."""
+    if not (name or robot_of_log(log)):
+        feet = "; where its feet are is enough for estimate, compare and align, but not here"
+        raise SurefootError(f"{log.name}: {NO_ROBOT}{feet if log.has('foot') else ''}")
+
+
 def declared_model(log: Log, robot: _R) -> tuple[Log, _R]:
     """The log and robot with the effects that the log declares compensated.
 
@@ -138,7 +147,7 @@ def declared_model(log: Log, robot: _R) -> tuple[Log, _R]:
     """
     effects = declared_effects(log)
     if effects and robot is None:
-        raise SurefootError(f"{NO_ROBOT}, whose effects it declares")
+        raise SurefootError(f"{log.name}: {NO_ROBOT}, whose effects it declares")
     return compensate_all(effects, log, robot)
 
 
@@ -168,7 +177,8 @@ def run_all(
         try:
             results.append(run_filter(name, log, robot, learnt, settings))
         except SurefootError as error:
-            left_out[name] = str(error).removeprefix(f"filter {name}: ")
+            reason = str(error).removeprefix(f"filter {name}: ")
+            left_out[name] = reason.removeprefix(f"{log.name}: ")
     return results, left_out
 
 

@@ -5,14 +5,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from surefoot.scenarios.estimate.run import refuse_without_robot
 from surefoot.scenarios.viewer.recording import write_recording
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.height_map import height
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.log.schema import JOINTS
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.model_of_log import robot_of_log
-from surefoot.sim.robot.robot import NO_ROBOT
 from surefoot.sim.scenario import Scenario
 from surefoot.sim.scenario_catalog import bundled_scenarios
 from surefoot.sim.walk import SETTLE, Plan, plan
@@ -36,8 +35,7 @@ def write_preview(
     """
     if Path(source).suffix == ".parquet":
         log = Log.read(source)
-        if not (robot or robot_of_log(log)):
-            raise SurefootError(f"{source}: {NO_ROBOT}")
+        refuse_without_robot(log, robot)
         write_recording(path, log, Robot.for_log(log, robot), {}, force=force)
         return
     if source not in bundled_scenarios() and Path(source).suffix != ".toml":

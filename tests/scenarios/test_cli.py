@@ -4,12 +4,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from surefoot.scenarios.cli.main import main
-from surefoot.sim.log import Log
+from surefoot.sim.log import Log, Meta
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario
 from surefoot.sim.walk import walk
@@ -113,6 +114,27 @@ def test_bad_input_is_one_clear_line(case, folder, monkeypatch, capsys):
     assert named in message
     assert "\n" not in message
     assert sorted(folder.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "view mine.parquet -o mine.rrd",
+        "train mine.parquet -o observer.pt",
+        "estimate mine.parquet --filter leg",
+        "trace mine.parquet -o traced",
+        "loop mine.parquet -o looped",
+        "realism mine.parquet -o card",
+        "tune mine.parquet -o tuned",
+    ],
+)
+def test_a_log_whose_robot_nobody_names_is_named(line, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    columns = {f"{group}_{axis}": 0.0 for group in ("gyro", "accel") for axis in "xyz"}
+    log = pd.DataFrame({"t": 0.01 * np.arange(200), "q_knee": 0.0, "contact_a": 1.0, **columns})
+    Log(log, Meta(rate=100.0)).write("mine.parquet")
+    with pytest.raises(SystemExit, match=r"mine: the log names no robot: say which with --robot"):
+        main(line.split())
 
 
 def test_unknown_options_are_refused(folder, monkeypatch, capsys):

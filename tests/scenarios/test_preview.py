@@ -1,13 +1,10 @@
 """`surefoot view` of what has no recording yet: a course, and a log."""
 
-import numpy as np
-import pandas as pd
 import pytest
 from rerun.chunk import RrdReader
 
 from surefoot.scenarios.cli.main import main
 from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.log import Log, Meta
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
@@ -29,14 +26,6 @@ def test_a_log_is_shown_as_it_is(tmp_path):
     walk(flat, Robot.load("spot_class"), 0).write(tmp_path / "log.parquet")
     main(["view", str(tmp_path / "log.parquet"), "-o", str(tmp_path / "log.rrd")])
     assert {"/world/truth/path", "/feet/contact/FL"} <= entities(tmp_path / "log.rrd")
-
-
-def test_a_log_without_a_robot_is_named(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    log = Log(pd.DataFrame({"t": 0.01 * np.arange(200), "q_knee": 0.0}), Meta(rate=100.0))
-    log.write("mine.parquet")
-    with pytest.raises(SystemExit, match=r"mine\.parquet: the log names no robot: say .* --robot"):
-        main("view mine.parquet -o mine.rrd".split())
 
 
 def test_what_is_neither_is_one_line(tmp_path, monkeypatch):
