@@ -1,1 +1,1 @@
-"""Which effect does the model lack? Evidence, fit, noise floor, selection, search."""
+"""Attribution of a residual to the effects that a robot's model lacks."""

@@ -1,9 +1,10 @@
-"""Is what was found at a joint the whole story of its readings, or only the catalogue's nearest?
+"""Joint encoder errors that no effect of the catalogue describes.
 
-An encoder that is off, or scaled, or behind a spring reads a joint's angle wrong by a constant, by
-a line of the angle, by a constant times the torque. A curve of the angle, alone or times the
-torque, is in no catalogue: eccentric magnets, ripples and cross-talk have one, and over the little
-that a leg turns most of it looks like a line.
+An encoder offset, an encoder scale and joint compliance change the measured angle by a constant,
+linearly in the angle, and in proportion to the torque. Eccentric magnets, ripple and cross-talk
+change it by a nonlinear function of the angle, alone or times the torque, which no effect of the
+catalogue models. Over the small range that a leg moves through, such a curve looks much like a
+line, so an effect found at a joint is checked against Legendre polynomials of the angle.
 """
 
 from collections.abc import Sequence
@@ -31,8 +32,13 @@ SHOWS = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
 
 @dataclass(frozen=True)
 class AngleError:
-    """A joint whose readings err by a curve of its angle; channel: where that shows most; share:
-    what it explains on unseen blocks, over what the effects found there do."""
+    """A joint whose measured angle is off by a nonlinear function of the angle.
+
+    Attributes:
+        joint: name of the joint.
+        channel: channel in which the error shows most.
+        share: what the curve explains on unseen blocks, relative to the effects found at the joint.
+    """
 
     joint: str
     channel: str
@@ -42,7 +48,7 @@ class AngleError:
 def angle_errors(
     cases: Sequence[LogUnderModel], result: Attribution, split: Split, rng: np.random.Generator
 ) -> tuple[AngleError, ...]:
-    """The joints with an effect found whose readings a curve explains better, on unseen blocks."""
+    """Joints with an effect whose unseen blocks are explained better by a curve of the angle."""
     s, found = cases[0].settings, [f.effect for f in result.found]
     limbs = result.evidence.layout.limbs
     kind = {joint: limbs.kind(i) for i, joint in enumerate(limbs.joints)}
@@ -92,7 +98,7 @@ def _curves_of(evidence: Evidence, joint: str) -> list[tuple[str, str]]:
 def _with_curves(
     cases: Sequence[LogUnderModel], result: Attribution, joints: Sequence[str]
 ) -> Evidence:
-    """The evidence of the effects found, and of curves of these joints' angles."""
+    """Evidence of the effects found, extended by curves of the angles of these joints."""
     effects = [f.effect for f in result.found]
     known = result.evidence.only([(e.name, e.target) for e in effects])
     settings = cases[0].settings
@@ -111,8 +117,10 @@ def _with_curves(
 def angle_error_basis(
     log: Log, joint: str, settings: TraceSettings = DEFAULT
 ) -> list[dict[str, np.ndarray]]:
-    """Changes of a joint's angle [rad] and rate [rad/s], each (N,): curves of its angle, alone and
-    times its torque where the log has one."""
+    """Basis of the error of a joint's measured angle [rad] and rate [rad/s], each (N,).
+
+    Legendre polynomials of the angle, alone and, where the log has it, times the torque.
+    """
     q = log.columns[f"q_{joint}"]
     weights = [(np.ones_like(q), settings.curve_degrees)]
     if f"tau_{joint}" in log.frame:

@@ -1,8 +1,8 @@
-"""How coarse a measured reference is, and a walk of the model seen by one that is as coarse.
+"""Sampling interval and noise of a measured reference, and their simulation.
 
-A log's reference is interpolated between its samples, which are found again (`sim.log.reference`);
-how much they and their stamps err follows from the IMU (`sim.importing.reference_noise`). Simulated
-references have a sample a row and no error.
+The reference in a log is interpolated between the samples of the motion capture, which
+`sim.log.reference` recovers; the noise of their poses and time stamps is estimated from the IMU
+(`sim.importing.reference_noise`). Simulated references have one sample a row and no noise.
 """
 
 from dataclasses import dataclass
@@ -22,8 +22,14 @@ from surefoot.sim.log.reference import reference_poses
 
 @dataclass(frozen=True)
 class Coarse:
-    """Times between samples of a reference (K,) [s], none where there is one a row; standard
-    deviations of a sample's position [m], attitude [rad] and stamp [s]."""
+    """Sampling and noise of a reference.
+
+    Attributes:
+        intervals: times between samples (K,) [s], empty where there is one in every row.
+        position: standard deviation of a sample's position [m].
+        angle: standard deviation of a sample's attitude [rad].
+        stamp: standard deviation of a sample's time stamp [s].
+    """
 
     intervals: tuple[float, ...]
     position: float
@@ -32,8 +38,11 @@ class Coarse:
 
 
 def coarseness(log: Log, settings: TraceSettings = DEFAULT) -> Coarse | None:
-    """How coarse the reference of a log is; None where it has too few samples, or one a row and a
-    velocity of its own, as simulated ones have."""
+    """Estimate the sampling and noise of a log's reference.
+
+    None where it has too few samples, or one in every row and a velocity of its own, as simulated
+    references have.
+    """
     if not log.has("reference"):
         return None
     poses = reference_poses(log)
@@ -48,7 +57,7 @@ def coarseness(log: Log, settings: TraceSettings = DEFAULT) -> Coarse | None:
 
 
 def as_coarse(log: Log, coarse: Coarse, rng: np.random.Generator) -> Log:
-    """The log with its reference sampled, in error and interpolated as in `coarse`."""
+    """Resample the reference of a log, with noise and interpolation as in `coarse`."""
     t = then = log.t
     if coarse.intervals:
         repeats = int(np.ceil((t[-1] - t[0]) / sum(coarse.intervals)))
@@ -67,8 +76,9 @@ def as_coarse(log: Log, coarse: Coarse, rng: np.random.Generator) -> Log:
 
 
 def reference_notes(log: Log, coarse: Coarse | None) -> tuple[str, ...]:
-    """What a trace's reader should know of a measured reference: wrong samples, how much they err,
-    and a clock or place that IMU and reference alone say is another, before legs are asked."""
+    """Notes on a measured reference: wrong samples, their noise, and any error of its clock or
+    tracked point that the IMU alone reveals.
+    """
     if coarse is None:
         return ()
     notes = list(check_reference(reference_poses(log)).faults)
@@ -93,11 +103,11 @@ def reference_notes(log: Log, coarse: Coarse | None) -> tuple[str, ...]:
 
 
 _MOST = 0.25
-"""s of offset that a reference in a log may still have: half a stride."""
+"""Largest remaining clock offset of a logged reference [s]: half a stride."""
 _LATE, _FAR = 1e-3, 0.02
-"""s and m of clock and place below which a trace hardly differs."""
+"""Clock offset [s] and distance of the tracked point [m] below which a trace hardly differs."""
 
 
 def _at(then: np.ndarray, t: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """values (N, 3), of the times t (N,), at the times `then` (K,)."""
+    """Interpolate values (N, 3), given at times t (N,), at the times `then` (K,)."""
     return np.column_stack([np.interp(then, t, x) for x in values.T])

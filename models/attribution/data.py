@@ -1,4 +1,4 @@
-"""What a trace reads of its logs, and what can be identified from them."""
+"""What a trace reads from its logs, and what can be identified from them."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,11 +17,11 @@ from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
 LACKING = ": not used, the log lacks "
-"""In a note, between a channel and what it would need."""
+"""Separates, in a note, a channel from the columns that it would need."""
 
 
 def readings(log: Log, settings: TraceSettings = DEFAULT) -> Log:
-    """The log without anything that a measured one could not have, nor contacts that cannot be."""
+    """Keep only the columns that a measured log could have, without contacts that never change."""
     known = ("gyro_", "accel_", "q_", "dq_", "tau_", "contact_", "force_", "foot_", "ref_")
     if dead_contacts(log, settings):
         known = tuple(name for name in known if name != "contact_")
@@ -33,7 +33,7 @@ def readings(log: Log, settings: TraceSettings = DEFAULT) -> Log:
 
 
 def dead_contacts(log: Log, settings: TraceSettings = DEFAULT) -> str:
-    """What is wrong with contacts that never change although the robot walks; "" if nothing is."""
+    """Say which contacts never change although the robot walks; "" if all do."""
     if not log.has("contact") or not log.has("reference"):
         return ""
     legs = log.legs
@@ -48,7 +48,7 @@ def dead_contacts(log: Log, settings: TraceSettings = DEFAULT) -> str:
 
 
 def cannot_tell(cases: Sequence[LogUnderModel], split: Split) -> str:
-    """Why these logs cannot be traced, in a line; "" where they can."""
+    """Say in one line why these logs cannot be traced; "" if they can."""
     if not any(all_keys(case) for case in cases):
         groups = ("imu", "q", "contact", "tau", "reference")
         lacking = [g for g in groups if not all(case.log.has(g) for case in cases)]
@@ -76,7 +76,7 @@ def cannot_tell(cases: Sequence[LogUnderModel], split: Split) -> str:
 
 
 def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, ...]:
-    """What the reader should know of the data before the result."""
+    """Notes on the data, for the reader of the result."""
     plugins = (known_effects(), CHANNELS)
     notes = [f"{why}; not used" for one in plugins for why in one.usable()[1].values()]
     there = set.intersection(*(set(channels_of(case)) for case in cases))
@@ -123,7 +123,7 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
 
 
 def _not_identifiable(cases: Sequence[LogUnderModel]) -> list[str]:
-    """A sentence for each effect that walks without a reference cannot show."""
+    """One sentence for each effect that cannot be identified without a reference."""
     told = {name for case in cases for name, _ in all_keys(case)}
     there = set.intersection(*(set(channels_of(case)) for case in cases))
     return [

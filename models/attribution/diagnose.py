@@ -1,4 +1,4 @@
-"""Which effect does the model of a robot lack? From logs to the verdict."""
+"""Trace logs to the effects that a robot's model lacks: from logs to a verdict."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -44,16 +44,24 @@ ONLY_BETWEEN_FEET = (
 
 @dataclass(frozen=True, kw_only=True)
 class Diagnosis:
-    """What logs show of their model.
+    """Result of a trace.
 
-    verdict: attributed, confounded, none_of_these, not_identifiable or no_residual; reasons: why it
-    is no better one; attribution: the search, None where there was none; found: effects that all
-    logs share, strongest first; runs: what each log has for itself; channels: levels by channel on
-    data that no fit has seen; held_out: the same on logs that no fit has seen; rivals: other
-    explanations of an effect; unexplained: the form of what is left; floor: where the noise floor
-    is from; masked_share: of the stance, masked as slipping; friction: of the feet, None where the
-    logs lack what shows it; notes: for the reader; unchanged: what these runs differ by with all
-    that was found, for runs to come.
+    Attributes:
+        verdict: attributed, confounded, none_of_these, not_identifiable or no_residual.
+        reasons: why the verdict is not better.
+        attribution: the search; None where there was none.
+        found: effects common to all logs, strongest first.
+        runs: per-log effects, such as encoder zeros and the reference's clock.
+        channels: residual of each channel on data that no fit has seen.
+        held_out: the same on held-out logs.
+        masked_share: share of the stance that was masked as slipping.
+        friction: of the feet; None where the logs lack what it takes.
+        floor: source of the noise floor.
+        rivals: other effects that explain the data as well.
+        notes: for the reader.
+        unexplained: form of the remaining residual.
+        unchanged: how much these runs differ once `found` is compensated, for comparison with later
+            runs.
     """
 
     verdict: str
@@ -77,7 +85,7 @@ class Diagnosis:
         return tuple(one.effect for one in self.found)
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON: nothing in it depends on what a log is called or what its metadata are."""
+        """The result as plain JSON types, independent of the logs' names and metadata."""
         rounds = self.attribution.rounds if self.attribution else ()
         out: dict[str, Any] = {
             "verdict": self.verdict,
@@ -116,22 +124,22 @@ def diagnose(
     holdout: Sequence[Log] = (),
     since: Unchanged | None = None,
 ) -> Diagnosis:
-    """Find which effect `robot` lacks as a model of the logs.
+    """Find which effects `robot` lacks as a model of the logs.
 
     Args:
-        logs: of one machine; time, IMU, joints, feet, reference and rate are read, nothing else.
+        logs: of one machine. Only time, IMU, joints, feet, reference and rate are read.
         robot: the declared model.
         seed: of the bootstrap.
         progress: called with the share that is done.
-        declared: effects that belong to the model: compensated before anything is asked. Where they
-            are given, if only none, zeros and clocks are no effects but the log's own.
+        declared: effects that belong to the model and are compensated first. If given, even if
+            empty, zeros and clock offsets count as properties of each log and not as effects.
         settings: thresholds and constants.
-        holdout: logs of the same machine that judge what was found and that no fit sees.
-        since: what runs differ by in which nothing had changed yet, by the trace that gave
-            `declared`: sizes must stand out from it.
+        holdout: logs of the same machine, on which the result is judged and nothing is fitted.
+        since: variation between runs of the unchanged machine, from the trace that gave `declared`;
+            an effect must stand out from it.
 
-    A walk without a reference is traced by what feet that stand at the same time say of each other,
-    and joints of themselves; what only a reference would show is named among the notes.
+    Without a reference, a walk is traced by the relative motion of feet in simultaneous stance and
+    by the joints alone; the notes name what only a reference would show.
     """
     check_seed(seed)
     model = declared or ()
@@ -153,7 +161,7 @@ def diagnose(
         result = attribute(cases, floor, split, rng, lambda share: progress(0.4 + 0.5 * share))
         if not slip:
             break
-        # Feet slide by the model with what was found, too, or did not.
+        # Whether the feet slide may depend on the effects that have been found.
         explained = cases_of(logs, robot, (*model, *(f.effect for f in result.found)), settings)
         friction = friction_of(explained, np.random.default_rng(seed))
         slip = slip_of(friction, settings)
@@ -202,7 +210,7 @@ def diagnose(
             for one in curves
         ) + sparse_regression(now, left, weights, above, split.fit, split.select)
     if declared is not None and verdict == "not_identifiable":
-        # Nothing is named as changed that cannot be told from noise; the reasons have it.
+        # Without a significant effect, no change is reported; the reasons say so.
         found = ()
     dead = dict.fromkeys(note for log in logs if (note := dead_contacts(log, settings)))
     progress(1.0)
@@ -241,14 +249,14 @@ def _stands(
     result: Attribution,
     weight: np.ndarray,
 ) -> bool:
-    """Whether an effect explains anything where `weight` (M, W) is not zero.
+    """Whether an effect still explains anything on the bins whose `weight` is not zero.
 
     Args:
         one: the effect.
-        effects: all that were found.
+        effects: all effects found.
         cases: the logs under the declared model.
         result: of the search.
-        weight: of the bins.
+        weight: (M, W) of the bins.
     """
     if not type(one).is_compensated():
         return True
@@ -258,7 +266,7 @@ def _stands(
     sigma = result.floor.counted(result.robust_weights.sigma)
     gains = gains_of(without, known, weight, sigma)
     blocks = sum(gains[name] for name in one.channels_of(one.target) if name in gains)
-    # Blocks without a bin left gain nothing; the draws are the same on every machine.
+    # Blocks that are masked entirely gain nothing. The seed is fixed for reproducibility.
     drawn = block_draws(np.size(blocks), np.random.default_rng(0)) @ np.ravel(blocks)
     return bool(np.percentile(drawn, 2.5) > 0)
 
@@ -269,7 +277,7 @@ def cases_of(
     declared: Sequence[Effect],
     settings: TraceSettings = DEFAULT,
 ) -> list[LogUnderModel]:
-    """The logs' readings under the model with its declared effects."""
+    """The logs' readings with the declared effects compensated, each with its model."""
     return [
         log_under_model(*compensate_all(declared, readings(log, settings), robot), settings)
         for log in logs
@@ -288,7 +296,7 @@ def _result_notes(found: Sequence[Found], channels: dict[str, ChannelLevel]) -> 
 
 
 def _notes_of_unchanged(since: Unchanged | None, channels: dict[str, ChannelLevel]) -> list[str]:
-    """What is above the floor and yet no more than runs in which nothing changed have."""
+    """Notes on channels above the noise floor, but no higher than in unchanged runs."""
     return [
         f"{name}: {c.after:.3g} {c.unit} is left; runs in which nothing changed leave up to "
         f"{since.left[name]:.3g}"
@@ -302,7 +310,7 @@ def _sized(one: Found) -> dict[str, Any]:
 
 
 def _own(run: Run) -> list[dict[str, Any]]:
-    """A run's zeros, and whether they stand out from what its sensors are declared to have."""
+    """A run's own effects, and which of them were compensated."""
     return [{**_sized(one), "compensated": one.effect in run.taken} for one in run.zeros]
 
 
@@ -332,7 +340,7 @@ def _candidate(c: Candidate) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """The same for JSON, which has neither NaN nor numpy."""
+    """Convert to plain JSON types; values that are not finite become None."""
     if isinstance(value, dict):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,7 @@
-"""Does an effect make the odometry of the legs worse? What a channel gains by it is no proof."""
+"""Check that an effect does not increase the drift of leg odometry.
+
+An effect may improve one channel and still make the odometry worse.
+"""
 
 from collections.abc import Sequence
 
@@ -10,8 +13,9 @@ from surefoot.models.bootstrap import block_draws
 from surefoot.sim.effects import Effect
 
 GROWN = 0.1
-"""Share of the declared model's drift, as a sum of squares, by which it must grow: sizes that are
-settled again move it by hundredths."""
+"""Least growth of the drift, as a share of the declared model's sum of squares; refitting the other
+effects alone changes it by some hundredths.
+"""
 
 
 def adds_drift(
@@ -22,20 +26,20 @@ def adds_drift(
     use: np.ndarray,
     floor: NoiseFloor | None = None,
 ) -> bool:
-    """Whether the drift of dead reckoning by the legs grows from one set of effects to another.
+    """Whether the drift of leg odometry grows from one set of effects to another.
 
-    The drift is what the feet seem to move over the ground while they stand, added up over blocks
-    in which chance averages out; it grows if the sum of its squares does in 19 of 20 draws of the
-    blocks, by a share GROWN of what it was with nothing explained, and by more than a walk may
-    drift of a robot that has these effects, for a model that knows of them.
+    The drift is the apparent motion of the feet over the ground during stance, summed over blocks
+    so that noise averages out. It grows if the sum of its squares does in 95 % of the bootstrap
+    draws, by more than the share GROWN of its value with nothing compensated, and by more than the
+    drift that simulated walks with these effects show even when they are compensated.
 
     Args:
         cases: the logs under the declared model.
-        declared: with nothing explained.
-        evidence: once the effects found so far are explained.
-        chosen_with: the same effects and another, sizes settled.
-        use: bins (M,) of all logs that may be looked at.
-        floor: those walks; without them they have no drift.
+        declared: evidence with nothing compensated.
+        evidence: with the effects found so far compensated.
+        chosen_with: these effects and the new one, refitted.
+        use: mask (M,) of the bins that may be used.
+        floor: noise floor with those simulated walks; without it their drift counts as zero.
     """
     feet = evidence.layout.by_leg("stance_displacement")
     if not len(feet):
@@ -51,10 +55,10 @@ def adds_drift(
 
 
 def _own_drift(floor: NoiseFloor | None) -> float:
-    """The most [m^2] that the drift over a block of a floor's walks is, in the mean square.
+    """Upper limit [m^2] of the mean squared drift per block on the walks of a noise floor.
 
-    A walk's blocks drift alike, by how feet creep on it, so it is the walks that differ: as far
-    again as those walked do.
+    The blocks of one walk drift alike, because its feet creep alike, so the spread is taken between
+    walks: the largest value plus the range.
     """
     walks = [repeat.evidence for repeat in floor.repeats] if floor else []
     own = []
@@ -65,8 +69,11 @@ def _own_drift(floor: NoiseFloor | None) -> float:
 
 
 def _squared_drifts(evidence: Evidence, moved: np.ndarray, use: np.ndarray) -> np.ndarray:
-    """Square (K,) [m^2] of the forward and lateral drift over each block: the mean over the feet of
-    what each moves while it stands, (M, L, 2), added up."""
+    """Squared horizontal drift (K,) [m^2] of each block.
+
+    `moved` (M, L, 2) is the forward and lateral motion of each foot during stance; the drift is its
+    sum over a block, averaged over the feet.
+    """
     block = np.floor((evidence.t - evidence.t.min()) / evidence.settings.block).astype(int)
     number = evidence.log * (block.max() + 1) + block
     own = [moved[use & (number == one)] for one in np.unique(number[use])]

@@ -1,4 +1,4 @@
-"""How the residual of a log answers to each candidate effect: linear regressors by its size."""
+"""Evidence of a trace: residuals of logs and their derivatives with respect to each effect."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -46,23 +46,33 @@ from surefoot.sim.robot.fixed_base import Machine
 from surefoot.sim.sensors.streams import Sensors
 
 Key = tuple[str, str]
-"""A candidate: effect name and target."""
+"""A candidate: name and target of an effect."""
 
 
 FEW_BINS = 0.02
-"""Share of the numbers of a table that may come and go before its derivatives are taken anew."""
+"""Share of a table's entries that may appear or vanish before its derivatives are recomputed."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Residuals of M bins and what would explain them: table = X sizes + Z biases + noise.
+    """Residuals of M bins as a linear model: table = X sizes + Z nuisance parameters + noise.
 
-    t (M,) s; log (M,) which log a bin is from; table (M, W), its columns as `layout` says, NaN
-    where a bin has none; X: by the size of each of `keys`; Z: by what may be free in each log, the
-    turn-on biases of its IMU, up to +-limits (B,), and the plane that it stands on. `stands_for`:
-    of each of Z, the candidate that takes its place without a limit; `comes_with`: of each, the
-    candidate that it is free with, since the size of that one may differ from log to log. groups:
-    the candidates whose regressor is the sum of others'.
+    Attributes:
+        layout: names and groups of the W columns.
+        t: time of each bin (M,) [s].
+        log: index of the log that each bin is from (M,).
+        table: residuals (M, W), NaN where a bin has none.
+        keys: the C candidates.
+        X: regressor of each candidate.
+        Z: regressors of the B nuisance parameters: turn-on biases of each log's IMU, the ground
+            plane of each log, and deviations of a candidate's size between logs.
+        limits: bounds of the nuisance parameters, +-(B,).
+        stands_for: for each of Z, the candidate that describes the same error without a bound, if
+            any.
+        comes_with: for each of Z, the candidate it is fitted along with, as a deviation of that
+            candidate's size between logs, if any.
+        settings: of the trace.
+        groups: candidates whose regressor is the sum of those of other candidates.
     """
 
     layout: Layout
@@ -80,19 +90,19 @@ class Evidence:
 
     @cached_property
     def single(self) -> np.ndarray:
-        """Which of the candidates and the free parts (C + B,) are no sum of others."""
+        """Mask (C + B,) of the candidates and nuisance parameters that are no sum of others."""
         along = self.comes_with or (None,) * len(self.Z)
         return np.array([key not in self.groups for key in (*self.keys, *along)])
 
     def only(self, keys: Sequence[Key]) -> "Evidence":
-        """The evidence with no other candidates than these."""
+        """The evidence restricted to these candidates."""
         X = tuple(self.X[self.keys.index(key)] for key in keys)
         return replace(self, keys=tuple(keys), X=X)
 
 
 @dataclass(frozen=True)
 class LogUnderModel:
-    """A log, the declared model it is held against, and its reference."""
+    """A log, the model that it is compared with, and the motion of its reference."""
 
     log: Log
     robot: Machine
@@ -102,8 +112,11 @@ class LogUnderModel:
 
 
 def log_under_model(log: Log, robot: Machine, settings: TraceSettings = DEFAULT) -> LogUnderModel:
-    """The log held against the robot. Without a reference a base is taken to be fixed whose log
-    shows neither a foot on the ground nor a turn of the body."""
+    """Prepare a log for comparison with a robot model.
+
+    Without a reference, the base is assumed to be fixed if the log shows neither ground contact nor
+    rotation of the body.
+    """
     stands = log.has("contact") and log.contact.any()
     turns = log.has("imu") and np.sqrt(np.mean(np.square(log.gyro))) > settings.held_still
     hung = not log.has("reference") and not (stands or turns) and log.has("q")
@@ -116,7 +129,7 @@ def log_under_model(log: Log, robot: Machine, settings: TraceSettings = DEFAULT)
 
 
 def channels_of(case: LogUnderModel) -> tuple[str, ...]:
-    """The channels that a log can fill at all."""
+    """The channels that a log has the columns for."""
     layout = layout_for(case.robot.limbs)
     return tuple(
         name
@@ -126,7 +139,7 @@ def channels_of(case: LogUnderModel) -> tuple[str, ...]:
 
 
 def all_keys(case: LogUnderModel) -> tuple[Key, ...]:
-    """Every candidate that a model can know of and whose channels the log has."""
+    """Every candidate that can be compensated and has a channel in the log."""
     there, keys = {*channels_of(case)}, []
     for kind in known_effects().usable()[0].values():
         lacks = case.fixed and "reference" in kind.needs
@@ -142,7 +155,7 @@ def all_keys(case: LogUnderModel) -> tuple[Key, ...]:
 
 
 def candidates_code() -> str:
-    """Digest of the code of every effect and residual channel, users' own too."""
+    """Digest of the code of every effect and residual channel, plug-ins included."""
     kinds = [*known_effects().values(), *map(type, channels().values())]
     return code_digest(*kinds)
 
@@ -154,18 +167,18 @@ def linearise(
     before: Evidence | None = None,
     judged: bool = True,
 ) -> Evidence:
-    """Residuals once `chosen` are explained, and their derivatives by the sizes of `keys`.
+    """Compute residuals with `chosen` compensated, and their derivatives with respect to `keys`.
 
-    A key among the chosen is varied about its value, by central differences of the true residual;
-    any other about zero, by the chain rule. Derivatives by the latter change by no more than a
-    chosen effect's own share of what is read: those of an evidence `before` may serve again.
+    A candidate among the chosen is linearised at its value, by central differences of the residual;
+    any other at zero, by the chain rule where it has one. The latter derivatives change little with
+    the chosen effects, so those of an evidence `before` may be reused.
 
     Args:
         cases: the logs under the declared model.
-        chosen: effects that are explained.
+        chosen: effects that are compensated.
         keys: of the candidates.
-        before: an evidence whose derivatives may serve again.
-        judged: whether channels that only judge have numbers, as no fit needs them.
+        before: an evidence whose derivatives may be reused.
+        judged: whether to compute the channels that are only evaluated and never fitted.
     """
     parts = [_Linear(case, chosen, judged) for case in cases]
     tables = [p.parts.table for p in parts]
@@ -173,7 +186,7 @@ def linearise(
     if before is not None and _same_bins(before, np.concatenate(tables)):
         own = {(e.name, e.target) for e in chosen}
         if any(part.contacts_differ for part in parts):
-            # Which feet share the weight is another, even where the same bins are inside a stance.
+            # The same bins may be in stance and yet a different set of feet share the load.
             own |= {key for key in before.keys if known_effects()[key[0]].takes_loads}
         X = tuple(
             joined_regressor([p.regressor(key) for p in parts], starts) if key in own else one
@@ -223,14 +236,16 @@ def wrt_columns(
     chosen: Sequence[Effect],
     altered: Callable[[Log], Sequence[Mapping[str, np.ndarray]]],
 ) -> list[Regressor]:
-    """What changes of a log's columns, each (N,), add to its table once `chosen` are explained."""
+    """Regressors of given changes to a log's columns, each (N,), with `chosen` compensated."""
     linear = _Linear(case, chosen)
     return [linear.by_columns(columns) for columns in altered(linear.log)]
 
 
 def table_of(case: LogUnderModel, chosen: Sequence[Effect], judged: bool = True) -> np.ndarray:
-    """Residual table (M, W) of a case once `chosen` are explained; channels that only judge have
-    no numbers in it where nothing is `judged`."""
+    """Residual table (M, W) of a case with `chosen` compensated.
+
+    Without `judged`, the channels that are only evaluated and never fitted are NaN.
+    """
     return _parts(case, chosen, judged)[2].table
 
 
@@ -246,7 +261,7 @@ def _parts(
 
 
 class _Linear:
-    """One log's residual with the chosen effects explained, and its derivatives."""
+    """Residual of one log with the chosen effects compensated, and its derivatives."""
 
     def __init__(self, case: LogUnderModel, chosen: Sequence[Effect], judged: bool = True):
         self.case, self.chosen, self.judged = case, list(chosen), judged
@@ -262,7 +277,7 @@ class _Linear:
         return residual_jacobians(self.parts, self.robot)
 
     def regressor(self, key: Key) -> Regressor:
-        """What one unit of the effect `key` adds to the table."""
+        """Derivative of the residual table with respect to the size of `key`."""
         if key not in self._known:
             self._known[key] = self._regressor(key)
         return self._known[key]
@@ -273,18 +288,18 @@ class _Linear:
         kind = known_effects()[key[0]]
         members = kind.members_of(key[1], self.robot.limbs)
         if members != (key[1],):
-            # One size for all: to first order each adds what it would alone.
+            # To first order, a group of equal sizes is the sum of its members.
             return summed_regressor([self.regressor((key[0], member)) for member in members])
         sizes = kind.starts_on(key[1], self.log)
         tried = [self._from_zero(key, size) for size in sizes]
         if len(tried) == 1:
             return tried[0]
-        # Each start for sizes of its own sign.
+        # A start of either sign is valid for sizes of that sign; take the one that agrees best.
         shares = [explained_share(one, self.parts.table) for one in tried]
         return tried[int(np.argmax(np.sign(sizes) * shares))]
 
     def _from_zero(self, key: Key, step: float) -> Regressor:
-        """By a difference of the residual, or by the chain rule that the effect declares."""
+        """Derivative at zero, by a difference of the residual or the effect's chain rule."""
         log, robot = compensate_all([effect(*key, step)], self.log, self.robot)
         rule = known_effects()[key[0]].chain_rule
         if rule == "readings":
@@ -297,7 +312,7 @@ class _Linear:
         return Regressor(one.columns, -one.values)
 
     def by_columns(self, added: Mapping[str, np.ndarray]) -> Regressor:
-        """What these additions (N,) to the readings add to the table."""
+        """Regressor of additions (N,) to columns of the log."""
         columns = {name: self.log.columns[name] + x for name, x in added.items()}
         change = self._by_chain_rule(with_columns(self.log, columns), 1.0)
         share = self.case.settings.small_change
@@ -306,12 +321,14 @@ class _Linear:
         return sparse(change + others, self.parts.table)
 
     def _by_chain_rule(self, log: Log, step: float) -> np.ndarray:
-        """Change (M, W) of the table, per unit, with the readings of `log`, `step` units away."""
+        """Change of the table (M, W) per unit, by the chain rule, for a `log` that is `step` units
+        away.
+        """
         change = _change(self.log, log, self.joints, self.frame, step)
         return wrt_readings(self.parts, self.jacobians, change)
 
     def _of_others(self, log: Log, robot: Machine, step: float) -> np.ndarray:
-        """The same (M, W) in the channels that the chain rule does not know, by a difference."""
+        """The same (M, W) by differences, for the channels that the chain rule does not cover."""
         layout, table = self.parts.layout, self.parts.table
         inputs, change = ResidualInputs(log, robot, self.frame), np.zeros(table.shape)
         for name, columns in layout.channels.items():
@@ -329,9 +346,11 @@ class _Linear:
         return self._own(key, sparse((behind - ahead) / (2 * step), self.parts.table))
 
     def _own(self, key: Key, one: Regressor) -> Regressor:
-        """The regressor of an effect that shows only in the times of events, without what more or
-        fewer samples of a stance do to other channels, and without events that were lost or taken
-        for their neighbours."""
+        """Restrict the regressor of an effect that shows only in the times of events.
+
+        Removes the changes of other channels, which come from stances with more or fewer samples,
+        and events that were lost or matched to a neighbour.
+        """
         names = known_effects()[key[0]].channels_of(key[1])
         if not all(name in channels() and channels()[name].of_events for name in names):
             return one
@@ -351,7 +370,9 @@ class _Linear:
         return (residual(log, robot, frame, again).table - self.parts.table) / step
 
     def free(self) -> list[tuple[Regressor, float, Key | None]]:
-        """What may be free in a log, its limit, and the candidate that stands for it."""
+        """Nuisance parameters of the log: regressor, bound, and the candidate with the same
+        meaning.
+        """
         out: list[tuple[Regressor, float, Key | None]] = []
         parts, sensors = self.parts, Sensors()
         if not self.case.fixed and self.case.log.has("imu"):
@@ -382,7 +403,7 @@ def _moved(chosen: Sequence[Effect], key: Key, step: float) -> list[Effect]:
 def _change(
     old: Log, new: Log, joints: Sequence[str], frame: ReferenceMotion, step: float
 ) -> dict[str, dict[int, np.ndarray]]:
-    """Change of each stream for one unit of an effect: stream -> place -> means over bins (M,).
+    """Change of each stream per unit of an effect: stream -> index -> means over bins (M,).
 
     Args:
         old: log before the change.
@@ -408,7 +429,7 @@ def _change(
         elif stream == "q" or (stream == "dq" and not frame.rates_of_angles):
             means |= _of_joint(stream, rows, old.t, frame)
         if stream == "q" and (frame.rates_of_angles or not old.has("dq")):
-            # Rates that were not logged are those of the angles.
+            # Joint rates that were not logged are derived from the angles.
             rates = derivative(old.t, rows[:, None], JOINT_WINDOW, causal=False)[:, 0]
             means |= _of_joint("dq", rates, old.t, frame)
             if not old.has("dq"):
@@ -421,8 +442,9 @@ def _change(
 def _of_joint(
     stream: str, rows: np.ndarray, t: np.ndarray, frame: ReferenceMotion
 ) -> dict[str, np.ndarray]:
-    """Means over the times of torques of a change of angle or rate (N,), and how fast a rate
-    changes."""
+    """Bin means, at the times of the torques, of a change of angle or rate (N,); for a rate, also
+    of its derivative.
+    """
     means = {f"{stream}_step": bin_mean(frame)(at_torques(rows, frame))}
     if stream == "dq":
         means["ddq"] = mean_rate_of_change(rows, t, frame)
@@ -430,9 +452,9 @@ def _of_joint(
 
 
 def _same_bins(before: Evidence, table: np.ndarray) -> bool:
-    """Whether a table (M, W) has numbers where the evidence has, of the channels that are fitted.
+    """Whether a table (M, W) has values in nearly the same fitted entries as the evidence.
 
-    Other contacts are other stances; a bin at the end of a few of them is none.
+    Different contacts mean different stances; a few bins at their ends do not matter.
     """
     fitted = before.layout.fitted
     there, now = np.isfinite(before.table[:, fitted]), np.isfinite(table[:, fitted])
@@ -442,7 +464,7 @@ def _same_bins(before: Evidence, table: np.ndarray) -> bool:
 
 
 def summed_regressor(parts: Sequence[Regressor]) -> Regressor:
-    """The sum of some regressors of one log."""
+    """The sum of several regressors of one log."""
     columns = np.unique(np.concatenate([p.columns for p in parts]))
     values = np.zeros((len(parts[0].values), len(columns)))
     for part in parts:
@@ -451,7 +473,7 @@ def summed_regressor(parts: Sequence[Regressor]) -> Regressor:
 
 
 def joined_regressor(parts: Sequence[Regressor], starts: np.ndarray) -> Regressor:
-    """One regressor over several logs."""
+    """Concatenate the regressors of several logs."""
     if len(parts) == 1:
         return parts[0]
     columns = np.unique(np.concatenate([p.columns for p in parts]))

@@ -1,7 +1,7 @@
-"""Weighted least squares on an evidence: sizes of effects, their errors, and what they gain.
+"""Weighted least squares on an evidence: sizes of effects, their covariance, and the gain.
 
-Everything is computed from sums of products over blocks of two seconds, so that trying hundreds of
-combinations of candidates costs no more passes over the data.
+Normal equations are summed over blocks of two seconds once; every combination of candidates is then
+solved from these sums, without another pass over the data.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,8 +16,16 @@ from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 
 @dataclass(frozen=True)
 class Design:
-    """An evidence by the table's columns: for each, its numbers y (M,), which of the candidates and
-    the free parts touch it (k,), its bins with a number (n,) and the regressors there (n, k)."""
+    """An evidence sorted by column of the table.
+
+    Attributes:
+        evidence: the evidence.
+        y: residuals, zero where missing.
+        there: where the table has a value.
+        which: per column, indices (k,) of the candidates and nuisance parameters that affect it.
+        rows: per column, indices (n,) of the bins with a value.
+        X: per column, their regressors (n, k).
+    """
 
     evidence: Evidence
     y: np.ndarray  # (M, W), zero where missing
@@ -28,13 +36,14 @@ class Design:
 
     @property
     def size(self) -> int:
-        """Candidates and free parts."""
+        """Number of candidates and nuisance parameters."""
         return len(self.evidence.X) + len(self.evidence.Z)
 
     @cached_property
     def singles(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-        """Of each column X (n, k) and `which` (k,) without groups, which could say nothing that
-        their members do not."""
+        """X (n, k) and `which` (k,) of each column without groups, which are sums of their
+        members.
+        """
         single = self.evidence.single
         own = (single[which] for which in self.which)
         return tuple(
@@ -43,7 +52,7 @@ class Design:
         )
 
     def explained(self, sizes: np.ndarray) -> np.ndarray:
-        """X sizes (M, W), sizes (C + B,) of candidates and free parts."""
+        """X sizes (M, W), for sizes (C + B,) of the candidates and nuisance parameters."""
         out = np.zeros_like(self.y)
         for column, (rows, X, which) in enumerate(zip(self.rows, self.X, self.which, strict=True)):
             out[rows, column] = X @ sizes[which]
@@ -51,7 +60,7 @@ class Design:
 
 
 def design(evidence: Evidence) -> Design:
-    """The evidence by columns."""
+    """Sort an evidence by column."""
     there = np.isfinite(evidence.table)
     which: list[list[int]] = [[] for _ in range(evidence.layout.width)]
     X: list[list[np.ndarray]] = [[] for _ in range(evidence.layout.width)]
@@ -76,10 +85,19 @@ def design(evidence: Evidence) -> Design:
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """Sums of products over K blocks. G (K, P, P), P = 1 + C + B, of the whitened numbers, the
-    candidates `keys` and the free parts with their `limits` (B,), which stand for a candidate or
-    come with one as in `Evidence`; entries (K,) of each block; part (K,): which part of the split a
-    block belongs to."""
+    """Normal equations of K blocks.
+
+    Attributes:
+        G: Gram matrices (K, P, P) of the whitened residual, the candidates and the nuisance
+            parameters, P = 1 + C + B.
+        keys: the C candidates.
+        limits: bounds of the nuisance parameters (B,).
+        stands_for: see `Evidence`.
+        entries: number of table entries in each block (K,).
+        part: part of the split that each block belongs to (K,).
+        comes_with: see `Evidence`.
+        settings: of the trace.
+    """
 
     G: np.ndarray
     keys: tuple[Key, ...]
@@ -92,15 +110,15 @@ class NormalEquations:
 
     @cached_property
     def whole(self) -> np.ndarray:
-        """Sums of products over all blocks (P, P)."""
+        """Gram matrix summed over all blocks (P, P)."""
         return self.G.sum(axis=0)
 
     def rows(self, which: np.ndarray) -> "NormalEquations":
-        """Some of the blocks: mask (K,) or indices."""
+        """Select blocks by a mask (K,) or indices."""
         return replace(self, G=self.G[which], entries=self.entries[which], part=self.part[which])
 
     def free(self, keys: Sequence[Key]) -> list[int]:
-        """Places in G of the parts that are free in a fit of these keys."""
+        """Indices in G of the nuisance parameters that are free in a fit of these keys."""
         along = self.comes_with or (None,) * len(self.stands_for)
         return [
             1 + len(self.keys) + i
@@ -109,14 +127,15 @@ class NormalEquations:
         ]
 
     def by_run(self, key: Key, vector: np.ndarray) -> np.ndarray:
-        """How far the size of a key in each log (L,) is from the shared one, by a fit's `vector`;
-        (1,) zero of one that has no size of its own in each."""
+        """Deviation of a candidate's size in each log (L,) from the shared one, by a fit's
+        `vector`; a zero (1,) where it has one size for all.
+        """
         first = 1 + len(self.keys)
         own = -vector[[first + i for i, one in enumerate(self.comes_with) if one == key]]
         return np.append(own, -own.sum())
 
     def total(self) -> "NormalEquations":
-        """All blocks as one: enough for sizes, not for their errors."""
+        """Sum all blocks into one: enough for sizes, not for their covariance."""
         entries = self.entries.sum(keepdims=True)
         return replace(self, G=self.G.sum(0, keepdims=True), entries=entries, part=self.part[:1])
 
@@ -124,18 +143,18 @@ class NormalEquations:
 def normal_equations(
     data: Design, sigma: np.ndarray, weight: np.ndarray, part: np.ndarray | None = None
 ) -> NormalEquations:
-    """The sums of products of a design whose columns have noise sigma (W,) and weight (M, W).
+    """Sum a design over blocks, its columns having noise sigma (W,) and weight (M, W).
 
-    part (M,): which part of a split each bin belongs to, negative for none.
+    part (M,): part of the split that each bin belongs to, negative for none.
     """
     evidence = data.evidence
     part = np.zeros(len(evidence.t), dtype=int) if part is None else part
     stretch = np.floor((evidence.t - evidence.t.min()) / evidence.settings.block).astype(int)
     number = (evidence.log * (stretch.max() + 1) + stretch) * (part.max() + 1) + part
-    # Parts of a short log take turns more often than that: each turn is a block of its own.
+    # In a short log the parts alternate faster than blocks end; each turn is its own block.
     turns = np.cumsum(np.diff(np.where(part < 0, -1, number), prepend=-1) != 0)
     label = np.where(part < 0, -1, turns)
-    # Rows of a block follow each other: from its first on, `many` of them.
+    # The rows of a block are contiguous: `many` of them from `first` on.
     blocks, first, many = np.unique(label, return_index=True, return_counts=True)
     blocks, first, many = (x[blocks >= 0] for x in (blocks, first, many))
     size = 1 + data.size
@@ -165,8 +184,13 @@ def normal_equations(
 
 @dataclass(frozen=True)
 class Fit:
-    """Sizes of the keys fitted, (C,), with their covariance from blocks, and `vector` (P,): one for
-    the numbers, minus each size; G vector is what is left."""
+    """Result of a fit.
+
+    Attributes:
+        sizes: of the keys (C,).
+        covariance: of the sizes (C, C), from the scatter between blocks.
+        vector: (P,) one for the residual and minus each size; G vector is what remains.
+    """
 
     sizes: np.ndarray
     covariance: np.ndarray
@@ -179,11 +203,11 @@ def fit(
     errors: bool = True,
     given: Mapping[Key, float] | None = None,
 ) -> Fit:
-    """Least squares of these keys and the free parts within their limits, others being at the sizes
-    `given`.
+    """Least squares of these keys and the nuisance parameters within their bounds.
 
-    A free part whose candidate is among the keys gives way to it. A column that the data do not
-    excite at all gets size zero and infinite variance. Errors are the sandwich's over blocks.
+    Other candidates are held at the sizes `given`. A nuisance parameter that stands for one of the
+    keys is dropped. A column without excitation gets size zero and infinite variance. The
+    covariance is the sandwich estimator over blocks.
     """
     G = data.whole
     first = 1 + len(data.keys)
@@ -210,7 +234,7 @@ def fit(
         scores = data.G[:, np.array(use, dtype=int)[:, None], there] @ vector[there]
         covariance = (inverse @ (scores.T @ scores) @ inverse)[: len(keys), : len(keys)]
         covariance[dead[: len(keys)], dead[: len(keys)]] = np.inf
-        # A bias that an effect stands for is not known better than it is declared.
+        # A bias effect is known no better than the declared turn-on bias that it stands for.
         for i, key in enumerate(keys):
             if key in data.stands_for:
                 limit = data.limits[data.stands_for.index(key)]
@@ -231,15 +255,16 @@ def _solve(G: np.ndarray, vector: np.ndarray, use: list[int], held: list[int]):
 
 
 def loss(data: NormalEquations, vector: np.ndarray) -> np.ndarray:
-    """Weighted squared error (K,) of each block with the sizes of `vector` taken off."""
+    """Weighted squared error (K,) of each block that remains with the sizes in `vector`."""
     there = np.flatnonzero(vector)
     return (data.G[:, there[:, None], there] @ vector[there]) @ vector[there]
 
 
 def overlap(data: NormalEquations, one: Key, other: Key, given: Sequence[Key]) -> float:
-    """Cosine (0..1) between two regressors once `given` and the free parts are projected out.
+    """Cosine (0 to 1) between two regressors after projecting out `given` and the nuisance
+    parameters.
 
-    At one, no size of the other could be distinguished from some size of the first with these data.
+    At one, the data cannot distinguish the two candidates.
     """
     G = data.whole
     pair = [1 + data.keys.index(one), 1 + data.keys.index(other)]

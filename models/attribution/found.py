@@ -1,4 +1,4 @@
-"""An effect that the model lacks, as a trace gives it."""
+"""An effect found by a trace, with its confidence interval."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from surefoot.sim.effects import Effect
 
 @dataclass(frozen=True)
 class Found:
-    """An effect with the 95 % interval of its size."""
+    """An effect and the 95 % interval of its size."""
 
     effect: Effect
     interval: tuple[float, float]

@@ -1,9 +1,9 @@
-"""How much friction the feet have, by those that slide: a foot slides at its friction's limit.
+"""Friction of the feet, estimated from those that slide.
 
-Of a foot that slides with the velocity v along the ground, under a normal force n, the ground's
-force along the ground is -mu n v / |v| (Coulomb). The force follows from the leg's torques,
-J^T f = inverse dynamics - measured torque, the velocity from its kinematics and the reference. A
-foot that holds says only that friction is at least what it uses.
+A foot sliding along the ground with velocity v under the normal force n feels the tangential force
+-mu n v / |v| (Coulomb). The force follows from the leg's torques, J^T f = inverse dynamics -
+measured torque, and the velocity from kinematics and the reference. A foot that sticks gives only a
+lower bound of mu.
 """
 
 from collections.abc import Sequence
@@ -28,11 +28,14 @@ from surefoot.sim.robot import Robot
 
 @dataclass(frozen=True)
 class FootFriction:
-    """What logs say of their feet's friction.
+    """Friction of the feet.
 
-    limit: coefficient at which feet slid, with its 95 % interval, None where they hardly did;
-    slides: how often they did; everywhere: whether on most of the way, not on patches of it; held:
-    the coefficient that feet used without sliding, 99 % of the time, a lower bound.
+    Attributes:
+        limit: coefficient of friction at which feet slid; None where they hardly did.
+        interval: 95 % interval of `limit`.
+        slides: number of slides.
+        everywhere: whether slides occur on most of the way and not on patches only.
+        held: 99 % quantile of the friction used without sliding, a lower bound.
     """
 
     limit: float | None
@@ -42,8 +45,10 @@ class FootFriction:
     held: float
 
     def consistent(self, settings: TraceSettings) -> bool:
-        """Whether slides are at one friction, and feet that hold use nearly all of it and no more:
-        otherwise a delay, or a leg on its springs, looks like a slide."""
+        """Whether slides occur at one friction, and sticking feet use nearly all of it and no more.
+
+        Otherwise a delay or leg compliance may look like sliding.
+        """
         if self.limit is None:
             return False
         low, high = settings.held_share
@@ -52,12 +57,13 @@ class FootFriction:
 
 
 def friction_of(cases: Sequence[LogUnderModel], rng: np.random.Generator) -> FootFriction | None:
-    """The friction of the feet of these logs; None where no log has what it takes: torques, IMU,
-    contacts and the reference of a robot that walks.
+    """Estimate the friction of the feet in these logs.
+
+    None unless some log of a walking robot has torques, IMU, contacts and reference.
 
     Args:
         cases: logs under the model.
-        rng: draws the bootstrap's slides.
+        rng: of the bootstrap over slides.
     """
     able = [case for case in cases if _can_tell(case)]
     if not able:
@@ -88,7 +94,7 @@ def friction_of(cases: Sequence[LogUnderModel], rng: np.random.Generator) -> Foo
 
 
 def slip_of(friction: FootFriction | None, settings: TraceSettings) -> tuple[Found, ...]:
-    """The effect `foot_slip`, where friction is lower all over than dry floors have."""
+    """The effect `foot_slip`, where friction is lower everywhere than on a dry floor."""
     if friction is None or friction.limit is None or not friction.everywhere:
         return ()
     dry, (low, high) = settings.floor_friction, friction.interval
@@ -101,11 +107,11 @@ def slip_of(friction: FootFriction | None, settings: TraceSettings) -> tuple[Fou
 def slip_notes(
     friction: FootFriction | None, walks: bool, settings: TraceSettings
 ) -> tuple[str, ...]:
-    """What the reader should know of the feet's friction.
+    """Notes on the friction of the feet.
 
     Args:
-        friction: as found.
-        walks: whether the logs are of a robot whose feet stand.
+        friction: as estimated.
+        walks: whether the logs show feet in stance.
         settings: of the trace.
     """
     if friction is None:
@@ -113,7 +119,7 @@ def slip_notes(
         return (lacking,) if walks else ()
     dry, many = settings.floor_friction, f"{friction.slides} slides under load"
     if friction.limit is None:
-        # Of a foot that holds, friction is at least what it uses.
+        # The friction of a foot that sticks is at least what it uses.
         share = max(0.0, 1.0 - friction.held / dry)
         return (
             f"foot_slip: not identifiable, feet hardly slide ({many}); they used a friction of up "
@@ -134,8 +140,11 @@ def _can_tell(case: LogUnderModel) -> bool:
 
 
 def _feet(case: LogUnderModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of each loaded foot (N, L), NaN elsewhere: its speed over the ground [m/s], and the ground's
-    force on it, over the normal force: against its motion, and in all along the ground."""
+    """Speed and friction use of each loaded foot (N, L), NaN elsewhere.
+
+    Returns the speed over the ground [m/s], and the ratio of tangential to normal force: the
+    component against the motion, and the magnitude.
+    """
     log, frame, robot, s = case.log, case.frame, case.robot, case.settings
     assert isinstance(robot, Robot)
     stands, dq = log.contact & frame.ok[:, None], joint_velocity(log)
@@ -145,7 +154,7 @@ def _feet(case: LogUnderModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return uniform_filter1d(x, rows, axis=0)
 
     v_I = leg_velocity(robot, log.q, dq, log.gyro, frame.up_I, stands)
-    # By a foot at rest the body moves as the reference does: what it lacks is the foot's own.
+    # A foot at rest reproduces the reference's velocity; the difference is the foot's own.
     v_B = smooth(np.nan_to_num(frame.v_I[:, None] - v_I) @ robot.R_BI.T)
     up_B = frame.up_I @ robot.R_BI.T
     ddq = np.gradient(smooth(dq), log.t, axis=0)

@@ -1,4 +1,4 @@
-"""Does an effect that was found make a channel worse on data that no fit has seen?"""
+"""Check whether an effect makes a channel worse on data that no fit has seen."""
 
 import numpy as np
 
@@ -12,13 +12,13 @@ from surefoot.sim.effects import Effect
 
 
 def harmful_in(known: Data) -> tuple[Effect, str] | None:
-    """The first channel that is the worse for what was found (`ChannelLevel.worse`), and the effect
-    without which least of it is left; None where there is no such channel.
+    """The first channel that the effects make worse (`ChannelLevel.worse`), and the effect whose
+    removal improves it most; None where there is no such channel.
 
-    What each of several runs has for itself is taken off both sides, at that run's own size.
+    Per-run effects are compensated on both sides, at each run's own size.
 
     Args:
-        known: the evidence with all effects, and the floor of a model with them.
+        known: the evidence with all effects compensated, and the matching noise floor.
     """
     weights, unseen = known.robust_weights, known.part == REPORT
     several = known.evidence.settings.own_zeros

@@ -1,4 +1,4 @@
-"""What was found, judged on logs that no fit has seen."""
+"""Evaluate the effects found on held-out logs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,8 +22,13 @@ from surefoot.sim.effects import Effect
 
 @dataclass(frozen=True)
 class HeldOutRuns:
-    """Held-out logs: levels of their channels together; what each run has for itself; against: a
-    sentence for each effect that makes its own channel worse on one of them."""
+    """Result on held-out logs.
+
+    Attributes:
+        channels: residual of each channel over all logs.
+        runs: effects of each log's own.
+        against: one sentence for each effect that makes its own channel worse on a log.
+    """
 
     channels: dict[str, ChannelLevel]
     runs: tuple[Run, ...]
@@ -37,14 +42,14 @@ def judged(
     floor: NoiseFloor,
     rng: np.random.Generator,
 ) -> HeldOutRuns:
-    """The effects on held-out logs, of which nothing is fitted but their own zeros and biases.
+    """Evaluate effects on held-out logs, fitting only each log's own zeros and biases.
 
     Args:
         cases: the held-out logs under the declared model.
-        effects: that were found, shared by all runs.
-        start: effects of each run that were found, which held-out runs have sizes of their own of.
+        effects: found, shared by all runs.
+        start: per-run effects found, refitted on each held-out run.
         floor: noise floor of the model with the effects.
-        rng: draws the bootstrap's blocks.
+        rng: of the block bootstrap.
     """
     runs, against, before, after = [], [], [], []
     known = None
@@ -75,16 +80,16 @@ def _made_worse(
     weights: RobustWeights,
     rng: np.random.Generator,
 ) -> str:
-    """The channel that an effect changes most, where it leaves more with it than without; else "".
+    """The channel that an effect changes most, if the effect makes it worse; else "".
 
-    By the weighted squared error of blocks, with a bootstrap interval of 95 %.
+    Judged by the weighted squared error of blocks, with a 95 % bootstrap interval.
 
     Args:
-        without: evidence with all effects but this one.
-        known: evidence with all.
+        without: evidence with all effects but this one compensated.
+        known: with all effects compensated.
         floor: noise floor.
         weights: of the log.
-        rng: draws the blocks.
+        rng: of the block bootstrap.
     """
     gains = gains_of(without, known, weights.weight, floor.counted(weights.sigma))
     if not gains:

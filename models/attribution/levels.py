@@ -1,4 +1,4 @@
-"""How large the residual is, channel by channel: before, after, and with nothing to explain."""
+"""Residual of each channel before and after compensation, and its noise floor."""
 
 from dataclasses import dataclass
 
@@ -14,10 +14,9 @@ from surefoot.models.residuals.registry import channels
 
 @dataclass(frozen=True)
 class ChannelLevel:
-    """Root mean square residual of bins that no fit has seen, in `unit`; the sensor's biases are
-    taken off.
+    """Root mean square residual of a channel on bins that no fit has seen, in `unit`.
 
-    None for the floor where no repeat of the declared model has the channel.
+    Turn-on biases are subtracted. The floor is None where no simulated walk has the channel.
     """
 
     before: float
@@ -25,20 +24,22 @@ class ChannelLevel:
     noise_floor: float | None
     unit: str
     highest: float = np.inf
-    """The most that walks of the floor have: of those walked, and as far again as they differ. Of
-    noise alone, the most that so few bins reach by chance."""
+    """Upper limit of the noise floor: the highest of the simulated walks plus their range or, where
+    noise alone is the floor, two standard errors above it.
+    """
     settings: TraceSettings = DEFAULT
     judges: bool = False
-    """Whether no fit sees it: it need not come to its floor, but must not get worse."""
+    """Whether no fit uses the channel: it need not reach its floor, but must not get worse."""
     same_bins: tuple[float, float] | None = None
-    """Before and after of the bins that both have, where these are not all: with an effect on
-    contacts undone there are other stances. Zeros where there is no such bin."""
+    """Before and after on the bins that both have: compensating contacts changes the stances. Zeros
+    where there are none.
+    """
     by_chance: bool = False
-    """Whether what is left is more than before by no more than so few events differ by chance."""
+    """Whether the increase, over a channel's few events, is within chance."""
 
     @property
     def at_floor(self) -> bool:
-        """Whether what is left is what the declared model leaves by itself."""
+        """Whether the remaining residual is at the noise floor."""
         return self.judges or self._as_the_model
 
     @property
@@ -47,17 +48,18 @@ class ChannelLevel:
 
     @property
     def below_floor(self) -> bool:
-        """Whether the declared model leaves less than a robot does that is as its model, by more
-        than the floor's walks differ."""
+        """Whether the residual lies below the noise floor by more than the spread of its walks."""
         if self.noise_floor is None:
             return False
         return self.before < self.noise_floor - (self.highest - self.noise_floor)
 
     @property
     def worse(self) -> bool:
-        """Whether what was added to the model does harm on data that no fit has seen: it leaves
-        more than before, by more than walks of a robot differ that has these effects and a model
-        that knows of them, and more than those walks leave."""
+        """Whether compensation increases the residual on unseen data.
+
+        The increase must exceed both the scatter between walks simulated with these effects and
+        their noise floor.
+        """
         before, after = self.same_bins or (self.before, self.after)
         if self.by_chance or after <= self.settings.worse * before:
             return False
@@ -70,11 +72,11 @@ class ChannelLevel:
 def channel_levels(
     before: np.ndarray, after: np.ndarray, known: Evidence, floor: NoiseFloor
 ) -> dict[str, ChannelLevel]:
-    """Level of each channel of a table.
+    """Residual of each channel of a table.
 
     Args:
-        before: what the declared model leaves (M, W), of bins that no fit has seen.
-        after: what is left with the effects found, of the same bins.
+        before: residual (M, W) of the declared model on unseen bins.
+        after: the same with the effects found compensated.
         known: evidence whose columns these are.
         floor: noise floor of the model with the effects.
     """
@@ -101,7 +103,8 @@ def channel_levels(
             most *= 1.0 + 2.0 * scatter_of_rms(known_values, np.isfinite(after[:, columns]).sum())
         if own is None and not floor.repeats:
             own = float(np.sqrt(np.mean(floor.sigma[columns] ** 2)))
-            # Neighbours share noise, so that a level of n bins is known to one part in sqrt(n).
+            # Noise of neighbouring bins is correlated, so n bins determine the RMS to about
+            # 1/sqrt(n).
             count = np.isfinite(after[:, columns]).sum()
             most = own * (1.0 + 2.0 / float(np.sqrt(max(count, 1))))
         if floor.unchanged:
@@ -127,15 +130,17 @@ def channel_levels(
 
 
 def _by_chance(before: np.ndarray, after: np.ndarray) -> bool:
-    """Whether events, each its own before and after, are not worse on the mean by two standard
-    errors: a few that land badly are most of a level."""
+    """Whether the mean paired increase over events is less than two standard errors.
+
+    A few bad touchdowns dominate the RMS.
+    """
     more = after**2 - before**2
     more = more[np.isfinite(more)]
     return bool(np.mean(more) <= 2.0 * np.std(more) / np.sqrt(len(more))) if len(more) else True
 
 
 def without_bias(evidence: Evidence, weights: RobustWeights, use: np.ndarray) -> np.ndarray:
-    """The residual table (M, W) less the free parts as fitted on `use`; NaN where masked."""
+    """Residual table (M, W) less the nuisance parameters as fitted on `use`; NaN where masked."""
     data = design(evidence.only(()))
     sums = normal_equations(data, weights.sigma, weights.weight, np.where(use, 0, -1)).total()
     vector = fit(sums, (), errors=False).vector
@@ -146,14 +151,15 @@ def without_bias(evidence: Evidence, weights: RobustWeights, use: np.ndarray) ->
 def gains_of(
     without: Evidence, known: Evidence, weight: np.ndarray, sigma: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """By channel, how much less of each block's weighted squared error (K,) `known` leaves than an
-    evidence `without` some of its effects, in units of noise.
+    """Reduction of each block's weighted squared error (K,) from `without` to `known`, by channel.
+
+    In units of the noise.
 
     Args:
-        without: evidence with some effects.
-        known: evidence with more of them.
+        without: evidence with some effects compensated.
+        known: evidence with more of them compensated.
         weight: (M, W) of the bins.
-        sigma: (W,) noise of each column as it counts (`NoiseFloor.counted`).
+        sigma: (W,) effective noise of each column (`NoiseFloor.counted`).
     """
     tables = design(without), design(known)
     both = tables[0].there & tables[1].there
@@ -169,17 +175,19 @@ def gains_of(
 
 
 def _ahead(one: Repeat) -> np.ndarray:
-    """The end of a walk, over ground that the plane fitted to its beginning has not seen."""
+    """Residual at the end of a walk, on ground that the plane fitted to its beginning has not
+    seen.
+    """
     t = one.evidence.t
     use = t < t[0] + (1.0 - one.evidence.settings.ahead) * (t[-1] - t[0])
     return without_bias(one.evidence, one.robust_weights, use)[~use]
 
 
 def scatter_of_rms(values: np.ndarray, count: int) -> float:
-    """Standard deviation, as a share of it, of the root mean square of `count` independent draws
-    from what `values` are drawn from: sqrt((kurtosis - 1) / (4 count)).
+    """Relative standard deviation of the RMS of `count` independent draws from the distribution of
+    `values`: sqrt((kurtosis - 1) / (4 count)).
 
-    A log has few contacts that change, and some of them are out by far.
+    A log has few changes of contact, and some are far outliers.
     """
     square = values[np.isfinite(values)] ** 2
     kurtosis = np.mean(square**2) / max(np.mean(square) ** 2, 1e-300)
@@ -187,7 +195,7 @@ def scatter_of_rms(values: np.ndarray, count: int) -> float:
 
 
 def trimmed_rms(values: np.ndarray) -> float:
-    """Root mean square of what is finite, without its largest hundredth; NaN of nothing."""
-    # A few bins in which a foot lands between two looks would say all of a torque's level.
+    """Root mean square of the finite values without the largest 1 %; NaN if there are none."""
+    # A few bins with an impact between two samples would otherwise dominate a torque's RMS.
     square = np.sort(values[np.isfinite(values)] ** 2)
     return float(np.sqrt(square[: max(1, round(0.99 * len(square)))].mean()))

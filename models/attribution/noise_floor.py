@@ -1,4 +1,8 @@
-"""What residual the declared model leaves by itself: the log's own motion, simulated again."""
+"""Noise floor of a trace: the residual of the declared model itself.
+
+The motion of the log is simulated again with the declared robot; the residual of these walks is
+what remains when the model lacks nothing.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -41,8 +45,14 @@ Groups = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Repeat:
-    """One walk of the declared model: its evidence, robust weights, normal equations,
-    and how far each column (W,) is from white (`models.attribution.whiteness`)."""
+    """One simulated walk of the declared model.
+
+    Attributes:
+        evidence: of the walk.
+        robust_weights: of its bins.
+        normal_equations: of its blocks.
+        variance_inflation: of each column (W,), see `models.attribution.whiteness`.
+    """
 
     evidence: Evidence
     robust_weights: RobustWeights
@@ -52,9 +62,17 @@ class Repeat:
 
 @dataclass(frozen=True)
 class FloorPlan:
-    """What is walked for a floor: the robot's file, a course a walk, the groups of columns that the
-    logs have, how far the ground is from a plane [m, standard deviation], how coarse the reference
-    is, and effects of the ground that no model can compensate."""
+    """What to simulate for a noise floor.
+
+    Attributes:
+        file: the robot's model.
+        courses: commanded velocities, one course for each walk.
+        groups: groups of columns that the logs have.
+        evenness: standard deviation of the ground's height from a plane [m].
+        coarse: sampling and noise of the reference, if measured.
+        settings: of the trace.
+        ground: effects of the ground, which no model can compensate.
+    """
 
     file: Path
     courses: tuple[Twists, ...]
@@ -67,11 +85,13 @@ class FloorPlan:
 
 @dataclass(frozen=True)
 class Unchanged:
-    """What runs in which nothing changed show once all that was found is in the model.
+    """Variation between runs of an unchanged machine, with all effects found compensated.
 
-    runs: how many; differ: candidate -> standard deviation [its unit] of its size in a new run;
-    left: channel -> the most that the runs leave, and as far again as they differ, root mean
-    square [its unit].
+    Attributes:
+        runs: number of runs.
+        differ: candidate -> standard deviation of its size in a new run [its unit].
+        left: channel -> upper limit of the residual's root mean square [its unit]: the largest of
+            the runs plus their range.
     """
 
     runs: int
@@ -81,11 +101,15 @@ class Unchanged:
 
 @dataclass(frozen=True)
 class NoiseFloor:
-    """The residual of a robot that is as its model says.
+    """Residual of a robot that matches its model.
 
-    sigma (W,): noise of each column of the residual table, in its unit; repeats: the walks that it
-    is from, walked by `plan`; source: in words; readings: the logs, where their own noise is the
-    floor; unchanged: what other runs of the machine show, where they are known.
+    Attributes:
+        sigma: noise of each column of the residual table (W,), in its unit.
+        repeats: the simulated walks.
+        source: of the floor, in words.
+        plan: what was simulated.
+        readings: the logs, where the noise of their own readings is the floor.
+        unchanged: variation between runs of the same machine, where known.
     """
 
     sigma: np.ndarray
@@ -98,15 +122,15 @@ class NoiseFloor:
 
     @property
     def evenness(self) -> float:
-        """How far the ground of the walks is from a plane, m."""
+        """Standard deviation of the walks' ground from a plane [m]."""
         return self.plan.evenness if self.plan else 0.0
 
     def counted(self, sigma: np.ndarray, alike: np.ndarray | float = 1.0) -> np.ndarray:
-        """Noise sigma (W,) as it counts in a fit: what is not white is less informative.
+        """Effective noise (W,) of columns with noise sigma (W,), larger where it is not white.
 
-        Two parts, each with its own correlation: what the declared model leaves, which resembles
-        the candidates as far as its contacts do, and what the log has beyond it, of which `alike`
-        (W,) entries in a row are worth one.
+        The sum of two parts: that of the declared model, inflated by its correlation with the
+        candidates, and the excess of the log over it, of which `alike` (W,) successive entries
+        count as one independent value.
         """
         if not self.repeats:
             return sigma
@@ -115,9 +139,10 @@ class NoiseFloor:
         return np.sqrt(least * faked + (sigma**2 - least) * alike)
 
     def sizes(self, chosen: Sequence[Key], key: Key) -> tuple[float, float]:
-        """Mean and spread of the size that `key`, fitted along with `chosen`, has where it is not.
+        """Mean and spread of the apparent size of `key`, fitted along with `chosen`, without the
+        effect.
 
-        Contacts that give and creep look a little like effects, the same way on every walk.
+        Compliant, creeping contacts resemble some effects a little, in the same way on every walk.
         """
         mean, spread = self._of_walks(chosen, key)
         differ = self.unchanged.differ.get(key, 0.0) if self.unchanged else 0.0
@@ -130,21 +155,24 @@ class NoiseFloor:
         alike = [k for k in self._keys if k[0] == key[0] and _part(k, limbs) == _part(key, limbs)]
         free = self.repeats[0].normal_equations
         if key in free.stands_for:
-            # A bias is drawn whenever the sensor is switched on: `fit` puts that in its error.
+            # A turn-on bias is drawn anew at every start; `fit` adds that to the covariance.
             return 0.0, 0.0
         own = self._sizes(chosen, key)
         mean, count = float(np.mean(own)), len(own)
         if count < 2:
             return mean, 0.0
-        # A few walks are few samples of how far a size varies: its like on other legs are more.
+        # A few walks are a small sample; include the variance of the same part on other legs.
         spreads = [np.var(self._sizes(chosen, k), ddof=1) for k in alike if k not in chosen]
         spread = float(np.sqrt(max(np.var(own, ddof=1), np.mean(spreads)) * (1 + 1 / count)))
-        # Only what the walks agree on is the contacts' doing; the rest is chance.
+        # Only a mean that is significant over the walks is a property of the contacts.
         return (mean if abs(mean) > 2.0 * spread / np.sqrt(count) else 0.0), spread
 
     def doubt(self, key: Key, offset: float) -> float:
-        """Standard deviation of the size `offset` that `key` has where it is not: that of the
-        channels it shows in, where they know it, or else a share of it."""
+        """Standard deviation of the apparent size `offset` that `key` has without the effect.
+
+        Taken from the channels in which the effect shows if all of them declare it, else a share of
+        the offset.
+        """
         if not self.repeats:
             return 0.0
         kind = known_effects()[key[0]]
@@ -159,7 +187,9 @@ class NoiseFloor:
         return self.repeats[0].normal_equations.keys if self.repeats else ()
 
     def _sizes(self, chosen: Sequence[Key], key: Key) -> np.ndarray:
-        """Size of `key` (R,), fitted along with `chosen`, on each walk that knows of all."""
+        """Apparent size of `key` (R,), fitted along with `chosen`, on each walk that has all of
+        them.
+        """
         asked = (tuple(chosen), key)
         if asked not in self._known:
             keys = [*chosen, key]
@@ -170,7 +200,7 @@ class NoiseFloor:
 
 
 def _part(key: Key, limbs: Limbs) -> str:
-    """What a target has in common with its like on other legs: 'FL_calf' is 'of a calf'."""
+    """What a target shares with its counterparts on other legs: 'of a calf' for 'FL_calf'."""
     name, target = key
     if target in limbs.joints:
         return f"of a {limbs.kind(limbs.joints.index(target))}"
@@ -186,17 +216,17 @@ def noise_floor(
     ground: Sequence[Effect] = (),
     unchanged: Unchanged | None = None,
 ) -> NoiseFloor:
-    """Repeats of the logs' own motion by the declared robot, in simulation.
+    """Simulate the motion of the logs with the declared robot.
 
-    Each of a few short walks follows a stretch of the reference's body velocities. Seeds are fixed,
-    so the floor is a function of the logs. A stretch on which the robot falls is tried again
-    slower; where it cannot walk at all, and for a machine on a fixed base, the noise of the
-    readings alone is the floor.
+    Each of a few short walks follows a section of the reference's body velocities. Seeds are fixed,
+    so the floor is a function of the logs. A section on which the robot falls is repeated at lower
+    speed. For a robot that cannot walk at all the floor is the sensors' noise by their data sheets,
+    for a machine on a fixed base the noise of its readings.
 
     Args:
         cases: the logs under the declared model.
-        ground: effects that every walk has and no model compensates.
-        unchanged: what other runs of the machine show.
+        ground: effects of the ground that every walk has and no model compensates.
+        unchanged: variation between runs of the same machine.
     """
     floor = replace(_plain_floor(cases, ground), unchanged=unchanged)
     if unchanged is None:
@@ -206,7 +236,7 @@ def noise_floor(
 
 
 def _plain_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect]) -> NoiseFloor:
-    """The floor by these logs alone."""
+    """The floor from these logs alone."""
     first = cases[0]
     if first.fixed:
         source = "how the readings differ from one row to the next"
@@ -231,16 +261,16 @@ def _plain_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect]) -> No
 
 
 def noise_floor_with(floor: NoiseFloor, effects: Sequence[Effect]) -> NoiseFloor:
-    """The floor of a robot that has these effects and a model that knows of them.
+    """The noise floor of a robot with these effects, compensated by its model.
 
-    An effect on the body changes how feet land, so the model with it leaves another residual than
-    the model without, as do readings of which undoing it loses something. The same floor for all
-    others, or where the robot falls. Of a fixed base noise alone is the floor, and an effect may
-    carry more of it into the residual.
+    An effect on the body changes how the feet land, and compensating some effects loses
+    information; either changes the residual. The floor is unchanged for all other effects, and
+    where the robot falls. On a fixed base the floor is the noise of the readings as the
+    compensation propagates it.
     """
     if floor.readings:
         return replace(floor, sigma=reading_noise(floor.readings, effects))
-    # Two digits: sizes that differ by less walk alike, and are walked once.
+    # Rounded to two digits, so that nearly equal sizes share one simulated walk.
     telling = tuple(
         replace(e, value=float(np.clip(float(f"{e.value:.1e}"), *type(e).inside(e.target))))
         for e in effects
@@ -253,8 +283,11 @@ def noise_floor_with(floor: NoiseFloor, effects: Sequence[Effect]) -> NoiseFloor
 
 
 def is_on_the_body(one: Effect) -> bool:
-    """Whether a robot that has it walks otherwise, or undoing it in the readings loses something:
-    a model that knows of it leaves another residual than one that need not."""
+    """Whether an effect changes the robot's motion, or compensating it loses information.
+
+    In either case the residual differs from that of a robot without the effect even if it is
+    compensated exactly.
+    """
     kind = type(one)
     on_body = kind.edit_spec is not Effect.edit_spec
     return on_body or kind.alter_ground is not Effect.alter_ground or kind.is_lossy(one.target)
@@ -263,7 +296,7 @@ def is_on_the_body(one: Effect) -> bool:
 def _floor(plan: FloorPlan, effects: tuple[Effect, ...]) -> NoiseFloor:
     known = tuple(known_effects())
     seed = plan.settings.floor_seed
-    # A course that other logs have too is walked once for all.
+    # Without the other courses, so that a walk is cached once for all logs that contain it.
     alone = replace(plan, courses=())
     walks = [_repeat(alone, one, seed + i, effects, known) for i, one in enumerate(plan.courses)]
     repeats = tuple(one for one in walks if one is not None)
@@ -278,7 +311,7 @@ def _floor(plan: FloorPlan, effects: tuple[Effect, ...]) -> NoiseFloor:
 
 
 def _least(layout: Layout) -> np.ndarray:
-    """The least noise (W,) that columns count with."""
+    """Smallest noise (W,) that columns may have."""
     least = np.zeros(layout.width)
     for name, columns in layout.channels.items():
         least[columns] = channels()[name].least_noise
@@ -286,8 +319,10 @@ def _least(layout: Layout) -> np.ndarray:
 
 
 def _walked(case: LogUnderModel) -> Log:
-    """The log of a walk, without a reference as it walked by its IMU and legs: a floor's course
-    need not be exact."""
+    """The log, with a reference reckoned from IMU and legs where it has none.
+
+    That is accurate enough for the course of a simulated walk.
+    """
     log, robot = case.log, case.robot
     if log.has("reference") or not isinstance(robot, Robot) or not can_reckon(log):
         return log
@@ -295,11 +330,12 @@ def _walked(case: LogUnderModel) -> Log:
 
 
 def courses(logs: Sequence[Log], settings: TraceSettings = DEFAULT) -> list[Twists]:
-    """Commanded forward, lateral velocity [m/s] and turn [rad/s] a second, for each repeat; none
-    where the robot stands on all its feet throughout."""
+    """Commanded forward and lateral velocity [m/s] and yaw rate [rad/s] in steps of 1 s, for each
+    walk; empty where the robot stands on all feet throughout.
+    """
     if all(log.has("contact") and np.mean(log.contact) > settings.standing_share for log in logs):
         return [()] * settings.floor_walks
-    # Two decimals: rounding makes equal courses equal, so that they are walked once.
+    # Rounded to two decimals, so that nearly equal courses share one simulated walk.
     motion = [
         (round(float(forward), 2), round(float(lateral), 2), round(float(turn), 2))
         for log in logs
@@ -319,9 +355,9 @@ def _repeat(
 
     Args:
         plan: robot file, groups of columns and settings.
-        course: (forward, lateral, turn) of each segment [m/s, m/s, rad/s]; empty for standing.
+        course: (forward, lateral, yaw rate) of each segment [m/s, m/s, rad/s]; empty for standing.
         seed: of the walk.
-        effects: that the walk is simulated with.
+        effects: with which the walk is simulated.
         known: names of the effects that the fit may use.
     """
     robot, s = declared(plan.file), plan.settings
@@ -343,11 +379,11 @@ def _repeat(
             log = as_coarse(log, plan.coarse, np.random.default_rng(seed))
         case = log_under_model(log, robot, s)
         data = design(linearise([case], effects, all_keys(case)))
-        # The same least noise as of the log: each channel then weighs alike in both.
+        # The same minimum noise as for the log, so that channels have the same relative weight.
         weights = robust_weights(data, _least(data.evidence.layout))
         beyond = variance_inflation(data, weights)
         sums = normal_equations(data, weights.sigma * np.sqrt(beyond), weights.weight).total()
-        # Of the walk itself only what is left of it matters from here on.
+        # The candidates' regressors are no longer needed.
         return Repeat(data.evidence.only(()), weights, sums, beyond)
     return None
 
@@ -355,9 +391,9 @@ def _repeat(
 def ground_of(
     segments: Sequence[Segment], evenness: float, settings: TraceSettings = DEFAULT
 ) -> Ground:
-    """Ground for a walk, whose heights differ from a plane by `evenness` [m, standard deviation].
+    """Ground whose height deviates from a plane by `evenness` [m, standard deviation].
 
-    The bumps of a rough strip deviate by a quarter of the highest.
+    The bumps of a rough strip have a standard deviation of a quarter of their height.
     """
     if not evenness:
         return Ground(settings.floor_friction)
@@ -367,7 +403,7 @@ def ground_of(
 
 
 def _with_groups(log: Log, groups: Groups) -> Log:
-    """The walk with no more columns than the measured log has."""
+    """Drop the groups of columns that the measured log does not have."""
     every = ("imu", "q", "dq", "tau", "contact", "reference", "ref_v")
     drop = [g for g in every if g not in groups]
     prefixes = {"imu": ("gyro_", "accel_"), "reference": ("ref_",), "ref_v": ("ref_v_",)}

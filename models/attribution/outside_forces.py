@@ -1,7 +1,7 @@
-"""Stretches in which something else than the ground pushed the robot: a hand, a cable, a wall.
+"""Sections in which a hand, a cable or a wall pushed the robot.
 
-The feet's forces then miss what the base's motion takes (`base_wrench`), for a while and not at
-every stride: what the robot itself lacks comes back with its gait or its motion.
+The feet's forces then differ from what the base's motion requires (`base_wrench`), for a while and
+not at every stride; an error of the robot's model recurs with its gait or motion.
 """
 
 from collections.abc import Sequence
@@ -16,8 +16,14 @@ from surefoot.sim.robot import Robot
 
 @dataclass(frozen=True)
 class Push:
-    """An outside force on the log of this number (from 0), from `begin` to `end` [s since its first
-    row], of `force` at most [N]."""
+    """An outside force on a log.
+
+    Attributes:
+        log: index of the log, from 0.
+        begin: start [s since the log's first row].
+        end: end [s since the log's first row].
+        force: its maximum [N].
+    """
 
     log: int
     begin: float
@@ -25,7 +31,7 @@ class Push:
     force: float
 
     def in_words(self) -> str:
-        """Such as 'outside forces of up to 21 N from 4.0 to 5.1 s of run 1'."""
+        """A phrase such as 'outside forces of up to 21 N from 4.0 to 5.1 s of run 1'."""
         when = f"from {self.begin:.1f} to {self.end:.1f} s of run {self.log + 1}"
         return f"outside forces of up to {self.force:.2g} N {when}"
 
@@ -33,12 +39,13 @@ class Push:
 def outside_forces(
     cases: Sequence[LogUnderModel], left: np.ndarray, known: Evidence
 ) -> tuple[Push, ...]:
-    """The pushes in what is left (M, W) of the logs' residual; none of logs that have them at every
-    turn, which is no outside force.
+    """Find outside forces in the residual of logs.
+
+    A log with such forces for much of its length has none: the cause is then the robot.
 
     Args:
         cases: the logs under the model.
-        left: what no effect that was found explains; NaN where there is nothing.
+        left: residual (M, W) with the effects found compensated; NaN where there is none.
         known: evidence whose columns and bins these are.
     """
     s = known.settings
@@ -49,7 +56,8 @@ def outside_forces(
     for number, case in enumerate(cases):
         own = known.log == number
         force = np.linalg.norm(left[own][:, columns], axis=1)
-        # A robot that stands on all its feet loads them in another way than one that walks.
+        # In standing, the feet share the load differently; judge whichever of the two is more
+        # common.
         stands = np.isfinite(known.table[own][:, feet]).all(axis=(1, 2))
         walks = ~stands if stands.mean() < 0.5 else stands
         there = np.flatnonzero(np.isfinite(force) & walks)
@@ -74,7 +82,9 @@ def outside_forces(
 def pushed_bins(
     cases: Sequence[LogUnderModel], known: Evidence, pushes: Sequence[Push]
 ) -> np.ndarray:
-    """The bins (M,) in or near a push: what it does to the motion takes a while to end."""
+    """Mask (M,) of the bins in or near a push, whose influence on the motion takes a while to
+    decay.
+    """
     pushed = np.zeros(len(known.t), dtype=bool)
     for one in pushes:
         t = known.t - cases[one.log].log.t[0]

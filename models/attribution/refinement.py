@@ -1,9 +1,9 @@
-"""Sizes on the residual itself, in which hardly any effect is linear, and the best of those
-candidates that linear regressors can barely distinguish.
+"""Nonlinear refinement of effects' sizes, and selection among nearly collinear candidates.
 
-An IMU that is late looks like a reference that is early in all that the two have in common, which
-is by far the loudest. The legs agree with only one of the two, but they count only where the loud
-channel does not choose by how streams are interpolated between their rows.
+Hardly any effect is linear in its size. A delay of the IMU, for instance, looks like an advance of
+the reference in the channels where both appear, which have by far the highest signal-to-noise
+ratio. Only the legs tell the two apart, and they matter only if interpolation errors between rows
+do not decide the choice first.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,8 +31,16 @@ from surefoot.sim.effects import Effect, effect, known_effects
 
 @dataclass(frozen=True)
 class Data:
-    """What sizes are refined on: the evidence once `explained` are; part (M,) of each bin, as in
-    `Split.part`."""
+    """What sizes are refined on.
+
+    Attributes:
+        cases: the logs under the declared model.
+        floor: noise floor.
+        evidence: with `explained` compensated.
+        explained: effects found so far.
+        robust_weights: of the evidence.
+        part: part of the split of each bin (M,), as in `Split.part`.
+    """
 
     cases: Sequence[LogUnderModel]
     floor: NoiseFloor
@@ -42,19 +50,20 @@ class Data:
     part: np.ndarray
 
     def summed(self, evidence: Evidence) -> NormalEquations:
-        """Sums of products of an evidence, with the noise and the weights of this one."""
+        """Normal equations of an evidence, with the noise and weights of this one."""
         weight = self.robust_weights.weight
         return normal_equations(design(evidence), self.counted, weight, self.part)
 
     @property
     def counted(self) -> np.ndarray:
-        """Noise (W,) of the columns as it counts in a fit."""
+        """Effective noise (W,) of the columns in a fit."""
         return self.floor.counted(self.robust_weights.sigma, self.robust_weights.alike)
 
 
 def refined(data: Data, chosen: Sequence[Effect], report: int) -> list[Effect]:
-    """The effects at the sizes that leave least on all blocks but those of the part `report`, by
-    Gauss-Newton, whose derivatives serve as long as no size moves far from where they were taken.
+    """Refine the sizes of effects on all blocks but those of the part `report`.
+
+    Gauss-Newton iterations, which recompute derivatives only after a size has moved far.
     """
     chosen = [clipped(e, e.value) for e in chosen]
     settings, keys = data.evidence.settings, [(e.name, e.target) for e in chosen]
@@ -78,14 +87,15 @@ def refined(data: Data, chosen: Sequence[Effect], report: int) -> list[Effect]:
 
 
 def _moved(before: Sequence[Effect], after: Sequence[Effect], share: float) -> bool:
-    """Whether there are none before, or any size has moved by this share of it."""
+    """Whether a size has moved by this share of it; also true if there are no sizes `before`."""
     pairs = zip(before, after, strict=False)
     return not before or any(abs(a.value - b.value) >= share * abs(b.value) for a, b in pairs)
 
 
 def left_near(data: Data, chosen: Sequence[Effect], report: int) -> np.ndarray:
-    """Weighted squared error (K,) of each block, of all but those of the part `report`, that the
-    effects leave at the best sizes in a straight line from theirs."""
+    """Weighted squared error (K,) of each block outside the part `report`, with the effects
+    refitted linearly about their sizes.
+    """
     keys = [(e.name, e.target) for e in chosen]
     evidence = data.evidence.only(keys)
     if list(chosen) != list(data.explained):
@@ -96,21 +106,24 @@ def left_near(data: Data, chosen: Sequence[Effect], report: int) -> np.ndarray:
 
 
 def _offsets(floor: NoiseFloor, keys: Sequence[Key]) -> np.ndarray:
-    """Sizes (C,) that these keys, fitted together, have on walks that lack them."""
+    """Apparent sizes (C,) of these candidates, fitted together, on walks without the effects."""
     return np.array([floor.sizes([k for k in keys if k != key], key)[0] for key in keys])
 
 
 def clipped(one: Effect, value: float) -> Effect:
-    """The effect of this size, or of the nearest inside its bounds."""
+    """The effect with its value clipped to its bounds."""
     return replace(one, value=float(np.clip(value, *type(one).inside(one.target))))
 
 
 def jointly(data: Data, key: Key) -> tuple[NormalEquations, list[Effect]]:
-    """A candidate with what is explained, at the sizes at which all leave least; and the sums of
-    products of a straight line through that residual, its sizes counted from zero.
+    """Refine a candidate together with the effects found.
 
-    Linear regressors of effects that stand for one another are worth little where only one of them
-    is explained, and has taken a part of the other.
+    Needed for effects that resemble one another: while only one of them is compensated it absorbs a
+    part of the other, and linear regressors say little.
+
+    Returns:
+        The normal equations of the problem linearised at the refined sizes, with sizes counted from
+        zero, and the effects.
     """
     effects = refined(data, [*data.explained, effect(*key, 0.0)], REPORT)
     keys = [(e.name, e.target) for e in effects]
@@ -124,8 +137,11 @@ def jointly(data: Data, key: Key) -> tuple[NormalEquations, list[Effect]]:
 def contenders(
     data: NormalEquations, candidates: Sequence[Candidate], chosen: Sequence[Key]
 ) -> list[Candidate]:
-    """The few that might be the best, by score: of those that earn a place, and of those that
-    explain what the first of them does, and more, but are too small to earn one alone."""
+    """The few candidates that might be the best, by score.
+
+    Those that earn a place with nearly the best score, and those too small to earn one alone that
+    explain all that the best does and more.
+    """
     earned = [c for c in candidates if c.earned]
     near = [c for c in earned if c.score > data.settings.close_behind * earned[0].score]
     near += [c for c in candidates if earned and _outdoes(data, c, earned[0], chosen)]
@@ -134,7 +150,8 @@ def contenders(
 
 def _outdoes(data: NormalEquations, one: Candidate, best: Candidate, chosen: Sequence[Key]) -> bool:
     """Whether a candidate that did not earn a place gains more than the best that did, and leaves
-    little for that one to explain."""
+    little for that one to explain.
+    """
     sized = abs(one.size) > data.settings.contender_size * np.hypot(one.error, one.floor)
     if one.earned or one.at_bound or not sized or one.interval[0] <= best.gain:
         return False
@@ -146,12 +163,15 @@ def _outdoes(data: NormalEquations, one: Candidate, best: Candidate, chosen: Seq
 
 
 def rerank(data: Data, few: Sequence[Candidate]) -> tuple[Candidate, list[Effect], tuple[Key, ...]]:
-    """The candidate that leaves least of the true residual, all effects at their sizes with it, and
-    which of the others leave more of it, beyond chance.
+    """Select the candidate that leaves the smallest error on the true residual.
 
-    For the choice an IMU, and torques against commands, count as far as they are known between
-    rows. Of candidates whose difference is within the chance of the blocks, one is taken whose size
-    is likelier by more than `positive_evidence`.
+    All effects are refined along with each candidate. The IMU, and torques against commands, are
+    weighted by how well they are known between rows. If the difference to the best is within
+    chance, a candidate whose size is likelier by more than `positive_evidence` is preferred.
+
+    Returns:
+        The candidate, all effects with it, and the keys of the candidates that are significantly
+        worse.
     """
     before = list(data.explained)
     tried = [(c, refined(data, [*before, effect(*c.key, c.size)], REPORT)) for c in few]
@@ -167,14 +187,14 @@ def rerank(data: Data, few: Sequence[Candidate]) -> tuple[Candidate, list[Effect
     least = data.evidence.settings.positive_evidence
     likelier = [i for i, one in enumerate(doubt) if behind[i] <= 0.0 and doubt[best] - one > least]
     found, chosen = tried[min(likelier, key=lambda i: doubt[i], default=best)]
-    # A scale that is undone scales the noise too: a few hundredths of it tell nothing.
+    # Compensating a scale also scales the noise; differences of a few percent are insignificant.
     differs = (data.evidence.settings.at_floor - 1.0) * float(left[best].sum())
     worse = tuple(c.key for (c, _), by in zip(tried, behind, strict=True) if by > differs)
     return found, chosen, worse
 
 
 def _doubt(candidate: Candidate, newest: Effect, data: Data) -> float:
-    """The surprise of the size that an effect got, unless sizes of its kind are none."""
+    """Penalty on the refined size of a candidate, unless its kind has none."""
     if candidate.surprise < 0.0:
         return candidate.surprise
     return surprise(newest.name, newest.target, newest.value, data.evidence.layout.limbs)
@@ -183,15 +203,16 @@ def _doubt(candidate: Candidate, newest: Effect, data: Data) -> float:
 def reconsidered(
     data: Data, chosen: Sequence[Effect], instead: Mapping[Key, Sequence[Effect]]
 ) -> list[Effect]:
-    """The effects, each whose size became a surprise by the newest of them replaced by what could
-    hardly be told from it when it was chosen, if that leaves less.
+    """Replace effects whose refitted size has become implausible.
 
-    Two effects of a joint may have grown against each other to follow what neither of them is.
+    Two effects at one joint may grow against each other to fit what is neither. An effect with such
+    a size is replaced by one that was nearly collinear with it when it was chosen, if that lowers
+    the total cost.
 
     Args:
-        data: the evidence and what its sizes are refined on.
+        data: the evidence on which sizes are refined.
         chosen: effects found so far, with their sizes.
-        instead: of the key of each, those of its near equals.
+        instead: for each effect's key, its nearly collinear alternatives.
     """
     chosen, limbs = list(chosen), data.evidence.layout.limbs
 
@@ -209,22 +230,21 @@ def reconsidered(
 
 
 def unlikely(data: Data, effects: Sequence[Effect]) -> float:
-    """What effects leave of the residual, and the surprise of their sizes: -2 log of likelihood and
-    prior."""
+    """Cost of a set of effects, -2 log of likelihood and prior: remaining error plus penalties."""
     limbs = data.evidence.layout.limbs
     doubt = sum(surprise(e.name, e.target, e.value, limbs) for e in effects)
     return float(left_near(data, effects, REPORT).sum()) + doubt
 
 
 def merged(data: Data, chosen: Sequence[Effect]) -> list[Effect]:
-    """The effects, those of one name on several parts replaced by one on the least group that has
-    them all, where the sizes that this saves are worth more than what it leaves.
+    """Merge effects of one name on several parts into one on the smallest group that has them all,
+    where the saved parameters outweigh the larger error.
 
-    Found one after the other, the parts of a group have the size that each has beside those found
-    before it.
+    Found one after the other, the members of a group have different sizes, each fitted beside those
+    found before it.
     """
     chosen, limbs = list(chosen), data.evidence.layout.limbs
-    # BIC's price of a size, and of having been one of many (`selection.judge`).
+    # BIC's price of a parameter, and of choosing it among many (`selection.judge`).
     price = np.log(max(2, len(np.unique(data.part)))) + 2.0 * np.log(len(data.evidence.keys))
     for name in {e.name for e in chosen}:
         kind, alike = known_effects()[name], [e for e in chosen if e.name == name]
@@ -241,14 +261,14 @@ def merged(data: Data, chosen: Sequence[Effect]) -> list[Effect]:
 
 
 def known_between_rows(data: Data) -> np.ndarray:
-    """Weights (M, W) in 0..1 against what a stream that was moved in time, and back, has lost.
+    """Weights (M, W) in 0..1 for the interpolation error of streams that are shifted in time.
 
-    A line from row to row errs by up to an eighth of the second difference of what it follows, and
-    as much again when the move is undone; at the touch of a foot that is far more than noise. Undo
-    the delay of the other stream instead, and it is lost once. The IMU's own readings show how fast
-    they change: a reference may have been smoothed before it was written down. The loss is no
-    noise, which would be as large for each candidate: where it is larger the bin is worthless.
-    What was commanded, which has no noise, shows how fast torques change.
+    Linear interpolation between rows errs by up to an eighth of the second difference, and as much
+    again when the shift is undone; at touchdown that is far more than the noise. Compensating a
+    delay of the other stream instead causes the error only once, which would bias the choice. The
+    second differences come from the IMU's readings, since a reference may have been smoothed, and
+    from commanded torques, which are free of noise. Unlike noise, the error differs between
+    candidates, so a bin in which it dominates is practically dropped.
     """
     weight, begin = np.ones_like(data.robust_weights.weight), 0
     imu = data.evidence.layout.of("imu_gyro", "imu_accel")

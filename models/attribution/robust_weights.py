@@ -1,9 +1,8 @@
-"""How much each part of a residual counts: robust weights, and masks of stances on which a foot
-slid or stood on something else than at its other steps.
+"""Robust weights of a residual, and masks of stances in which a foot slid or stood on an edge.
 
-Both are judged by what the whole catalogue together cannot explain, so that neither can hide an
-effect of the catalogue: a mask takes a stance that stands out from its own foot's bulk, not a foot
-that is wrong at every step.
+Both are computed after fitting the whole catalogue, so that neither can remove an effect of the
+catalogue: a stance is masked if it stands out from the other stances of its foot, not if all of
+them are wrong.
 """
 
 from dataclasses import dataclass
@@ -15,14 +14,20 @@ from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.layout import Layout
 
 FARTHEST = 15
-"""Entries over which a residual is asked how long it resembles itself: those of a stance."""
+"""Lags over which autocorrelations are summed, in entries: the length of a stance."""
 
 
 @dataclass(frozen=True)
 class RobustWeights:
-    """sigma (W,): noise of each column in the residual's unit; weight (M, W) in 0..1, zero where
-    missing or masked; masked (M, legs): foot bins so masked, of which share is the share; alike
-    (W,): how many entries of a column that follow each other are worth one of white noise."""
+    """Noise and weights of a residual table.
+
+    Attributes:
+        sigma: noise of each column (W,), in the residual's unit.
+        weight: (M, W) in 0..1, zero where missing or masked.
+        masked: masked foot bins (M, legs).
+        share: share of the bins in stance that is masked.
+        alike: successive entries of each column that count as one of white noise (W,).
+    """
 
     sigma: np.ndarray
     weight: np.ndarray
@@ -32,7 +37,7 @@ class RobustWeights:
 
 
 def robust_weights(data: Design, floor: np.ndarray) -> RobustWeights:
-    """Weights of an evidence whose columns the declared model leaves at `floor` (W,)."""
+    """Compute robust weights of an evidence with noise floor `floor` (W,)."""
     layout, settings, there = data.evidence.layout, data.evidence.settings, data.there
     feet = layout.by_leg("leg_velocity")
     legged = len(feet) > 0
@@ -52,23 +57,26 @@ def robust_weights(data: Design, floor: np.ndarray) -> RobustWeights:
     share = float(masked.sum() / max(standing, 1))
     z = np.clip(left / sigma, -settings.outlier, settings.outlier)
     alike = correlated_entries(layout, np.where(weight > 0, z, np.nan))
-    # What misfits in the samples of a stance does so in every stance, and however many there are
-    # they would be wrong together: their mean, a channel of its own, decides.
+    # A model error within the stance recurs in every stance, so more stances do not make it more
+    # certain: a column far above the floor counts as one entry, and the mean over the stance, which
+    # is a channel of its own, decides.
     columns = far_samples(layout, sigma, floor, settings.far)
     alike[columns] = np.count_nonzero(weight[:, columns], axis=0).clip(1)
     return RobustWeights(sigma, weight, masked, share, alike)
 
 
 def far_samples(layout: Layout, sigma: np.ndarray, floor: np.ndarray, far: float) -> np.ndarray:
-    """Columns of the legs' samples whose noise sigma (W,) is more than `far` times the floor's."""
+    """Columns of `leg_velocity` whose noise sigma (W,) exceeds `far` times the floor."""
     columns = layout.of("leg_velocity")
     return columns[sigma[columns] > far * floor[columns]]
 
 
 def correlated_entries(layout: Layout, z: np.ndarray) -> np.ndarray:
-    """How many entries (W,) that follow each other are worth one of white noise: one and twice the
-    sum of the autocorrelations of z (M, W) until they vanish, of columns that are alike together.
-    Entries that are missing are skipped, so that stances follow each other."""
+    """Integrated autocorrelation (W,): successive entries that count as one of white noise.
+
+    One plus twice the sum of the autocorrelations of z (M, W) up to their first zero, pooled over
+    similar columns. Missing entries are skipped, so that successive stances adjoin.
+    """
     worth = np.ones(layout.width)
     for columns in layout.alike:
         products = np.zeros(FARTHEST + 1)
@@ -84,8 +92,11 @@ def correlated_entries(layout: Layout, z: np.ndarray) -> np.ndarray:
 
 
 def _spoiled(layout: Layout, slid: np.ndarray, elsewhere: np.ndarray) -> np.ndarray:
-    """Entries (M, W) that are masked, where feet (M, legs) slid or stood elsewhere: columns of such
-    a foot, and columns of no foot where any foot did, of the channels that mind."""
+    """Mask (M, W) of the entries affected by feet (M, legs) that slid or stood elsewhere.
+
+    A foot affects its own columns and those that belong to no foot, of the channels that declare
+    the cause.
+    """
     spoiled = np.zeros((len(slid), layout.width), dtype=bool)
     flags = {"slid": slid, "elsewhere": elsewhere}
     for c, (column, causes) in enumerate(zip(layout.columns, layout.masked_by, strict=True)):
@@ -96,13 +107,12 @@ def _spoiled(layout: Layout, slid: np.ndarray, elsewhere: np.ndarray) -> np.ndar
 
 
 def slips(data: Design, left: np.ndarray) -> np.ndarray:
-    """Foot bins (2, M, legs) of the stances that stand out from their foot's own bulk, by their
-    speed and by their height.
+    """Foot bins (2, M, legs) of the stances that stand out from their foot's others, by speed and
+    by height.
 
-    left (M, W): what the catalogue does not explain. A stance is judged by the speed of its
-    fastest bin: a foot that slides sticks again before the stance is over, and a mean over the
-    stance would leave every second slip in. And by its height, since one that stands on an edge
-    does not slide.
+    `left` (M, W) is the residual that the catalogue does not explain. A stance is judged by its
+    fastest bin, since a sliding foot sticks again before the stance is over and a mean would miss
+    every second slip; and by its height, since a foot on an edge does not slide.
     """
     layout, settings = data.evidence.layout, data.evidence.settings
     velocity, heights = layout.by_leg("leg_velocity"), layout.by_leg("foot_height")
@@ -124,15 +134,19 @@ def slips(data: Design, left: np.ndarray) -> np.ndarray:
 
 
 def _stands_out(score: np.ndarray, least: float, outlier: float) -> np.ndarray:
-    """Which stances (K,) score `outlier` deviations above their foot's bulk, and above `least`."""
+    """Which stances (K,) score more than `outlier` deviations above the median, and above
+    `least`.
+    """
     middle = np.median(score)
-    # From below: slips only add to it, and many of them would widen a spread from both sides.
+    # Spread from the lower quartile, since slips inflate the upper side only.
     spread = 1.4826 * (middle - np.quantile(score, 0.25))
     return score > max(middle + outlier * spread, least)
 
 
 def stance_bins(t: np.ndarray, log: np.ndarray, there: np.ndarray) -> list[np.ndarray]:
-    """Bins of each stance: neighbours in time and log where a foot has a value."""
+    """Indices of the bins of each stance: adjacent in time, in one log, with a value of the
+    foot.
+    """
     rows = np.flatnonzero(there)
     if not len(rows):
         return []
@@ -141,7 +155,7 @@ def stance_bins(t: np.ndarray, log: np.ndarray, there: np.ndarray) -> list[np.nd
 
 
 def _explained(data: Design, sigma: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Best joint fit (M, W) of every candidate and free part, in the table's unit."""
+    """Joint fit (M, W) of all candidates and nuisance parameters, in the table's unit."""
     size, single = data.size, data.evidence.single
     normal, right = np.zeros((size, size)), np.zeros(size)
     for column in data.evidence.layout.fitted:
@@ -153,7 +167,7 @@ def _explained(data: Design, sigma: np.ndarray, weight: np.ndarray) -> np.ndarra
         normal[np.ix_(which, which)] += A.T @ A
         right[which] += A.T @ (root * data.y[rows, column])
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    # A ridge far below the data keeps twins apart and moves nothing that they determine.
+    # A ridge far below the data makes collinear candidates solvable without affecting others.
     normal = normal / scale / scale[:, None] + 1e-9 * np.eye(size)
     sizes = np.zeros(size)
     sizes[single] = np.linalg.solve(normal[np.ix_(single, single)], (right / scale)[single])
@@ -161,7 +175,7 @@ def _explained(data: Design, sigma: np.ndarray, weight: np.ndarray) -> np.ndarra
 
 
 def _pooled(layout: Layout, left: np.ndarray) -> np.ndarray:
-    """Robust standard deviation of each column, pooled over those that are alike."""
+    """Robust standard deviation of each column, pooled over similar ones."""
     sigma = np.zeros(layout.width)
     for columns in layout.alike:
         values = np.abs(left[:, columns])
@@ -171,8 +185,7 @@ def _pooled(layout: Layout, left: np.ndarray) -> np.ndarray:
 
 
 def _soft(layout: Layout, z: np.ndarray, outlier: float) -> np.ndarray:
-    """Weights (M, W): one for the bulk, falling as the inverse square beyond `outlier`
-    deviations."""
+    """Weights (M, W): one up to `outlier` deviations, then falling as the inverse square."""
     weight = np.ones_like(z)
     for group in layout.groups:
         size = np.sqrt(np.nansum(z[:, group] ** 2, axis=1) / len(group))

@@ -1,8 +1,8 @@
-"""What each run of a machine has for itself: zeros of its sensors, and its reference's clock.
+"""Effects whose size differs between runs of one machine.
 
-Encoders are homed, an IMU's biases drawn and a reference's clock started anew with every run, while
-lengths, masses and frictions are the machine's. Of several logs such a candidate is fitted with a
-size for each.
+Encoder zeros, IMU biases and the offset of the reference's clock change with every start, while
+lengths, masses and friction belong to the machine. Over several logs, such a candidate is fitted
+with a size for each.
 """
 
 import numpy as np
@@ -19,18 +19,19 @@ OF_EACH_RUN = frozenset(
         "clock_scale",
     }
 )
-"""Effects whose size is another in every run."""
+"""Effects whose size differs between runs."""
 
 
 def of_each_run(name: str) -> bool:
-    """Whether the effect of this name has another size in every run."""
+    """Whether the effect of this name has a different size in every run."""
     return name in OF_EACH_RUN
 
 
 def deviations(one: Regressor, log: np.ndarray) -> list[Regressor]:
-    """How a candidate's size may differ between L logs: L - 1 regressors, whose sizes sum to zero.
+    """Regressors of the deviations of a candidate's size between L logs.
 
-    log (M,): which log each bin is from; `one` is by a size that all of them share.
+    L - 1 regressors, whose deviations sum to zero over the logs. log (M,): index of each bin's log;
+    `one`: regressor of the shared size.
     """
     last = int(log.max(initial=0))
     shares = ((log == i).astype(float) - (log == last) for i in range(last))

@@ -1,4 +1,4 @@
-"""Which effect does the model lack? Every candidate is fitted; one that earns its place stays."""
+"""Stepwise search for the effects that the model lacks."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -41,9 +41,17 @@ from surefoot.sim.robot.fixed_base import Machine
 
 @dataclass(frozen=True)
 class Attribution:
-    """What was found: effects, strongest first; candidates by round; rivals of any effect;
-    robust weights of the final evidence; floor: that of the model with the effects; harmful:
-    effects that were left out, and the channel that each made worse."""
+    """Result of the search.
+
+    Attributes:
+        found: effects, strongest first.
+        rounds: candidates of each round.
+        rivals: key and overlap of the candidates that explain the data as well as an effect found.
+        robust_weights: of the final evidence.
+        evidence: with all effects compensated.
+        floor: noise floor of the model with the effects.
+        harmful: effects that were dropped, and the channel that each made worse.
+    """
 
     found: tuple[Found, ...]
     rounds: tuple[tuple[Candidate, ...], ...]
@@ -61,22 +69,23 @@ def attribute(
     rng: np.random.Generator,
     progress: Callable[[float], None] | None = None,
 ) -> Attribution:
-    """Greedy search: add the candidate that gains most on unseen blocks while one earns its place.
+    """Greedy forward selection: add the best candidate on unseen blocks while one earns its place.
 
-    A candidate earns it if its gain's interval lies above zero, its size stands ABOVE_FLOOR times
-    above the one it has on walks of the declared model, it is not at its bound, it adds a share
-    WORTH of what the others explain or is CLEAR by itself, and it pays for its parameter and for
-    having been one of many (extended BIC, blocks as samples). What the model lacks for certain
-    comes before all else. One that adds to the drift of the legs is refuted. What may be hidden in
-    an effect that was found is fitted jointly with it (`_hidden`), and is taken where none earns a
-    place, or where the best that does leaves more. At the end those are left out whose interval
-    holds zero, or that make a channel worse on the part that no fit has seen.
+    A candidate earns its place if the interval of its gain lies above zero, its size is
+    `above_floor` times its spread on walks without the effect, it is not at a bound, it adds a
+    share `worth` of what the others explain or is `clear` by itself, and the gain exceeds the price
+    of its parameters in the extended BIC, with blocks as samples. Effects that every machine has
+    are chosen first. A candidate that increases the drift of leg odometry is rejected. One that may
+    be masked by a similar effect found before is fitted jointly with it (`_hidden`), and is chosen
+    where no other earns a place, or where the best other one leaves a larger error. Finally,
+    effects are dropped whose interval contains zero, or that make a channel worse on the part that
+    no fit has seen.
 
     Args:
         cases: the logs under the declared model.
         floor: noise floor, from walks of the declared model.
         split: which blocks fit and which select.
-        rng: draws the bootstrap's blocks.
+        rng: of the block bootstrap.
         progress: called with the share done, from 0 to 1.
     """
     keys = tuple(dict.fromkeys(key for case in cases for key in all_keys(case)))
@@ -99,14 +108,15 @@ def attribute(
             break
         candidates = tuple(c for c in candidates if c.key not in refuted)
         hidden = [key for key in joint_rivals(keys, found, limbs) if key not in refuted]
-        # What the model lacks for certain comes first: others would stand for it.
+        # Effects that every machine has come first, or others would absorb them.
         first = tuple(c for c in candidates if c.earned and c.key in certain)
         candidates = first or candidates
         if candidates and candidates[0].earned:
             others = distinct(data, candidates, limbs)
             few = contenders(data, others, found)
             best, chosen_with, worse = rerank(known, few)
-            # A straight line is worth little beside an effect that this one may hide in.
+            # Linear regressors are unreliable next to a similar effect, so try the joint fit as
+            # well.
             tried = {c.key for c in few}
             alike = [key for key in hidden if key[0] == best.key[0] and key not in tried]
             _, jointly_with = _hidden(known, explained, rng, alike)
@@ -131,7 +141,7 @@ def attribute(
         chosen, floor = chosen_with, noise_floor_with(plain, chosen_with)
     sized, harmful = _with_intervals(data, known.explained, floor), ()
     while True:
-        # What was added after one that is unsure explains it as well.
+        # One at a time: effects added later may explain what an unsure one did.
         gone = [one.effect for one in sized if _none(one, _key(one.effect) in certain)]
         if not gone and (harm := harmful_in(known)):
             gone, harmful = [harm[0]], (*harmful, harm)
@@ -141,7 +151,7 @@ def attribute(
         floor = noise_floor_with(plain, chosen)
         known, data = _settled(cases, chosen, keys, known, floor, split)
         sized = _with_intervals(data, known.explained, floor)
-    # What was found beside an effect is no other explanation of it.
+    # An effect that was found later is not a rival of another.
     named = [_key(e) for e in known.explained]
     rivals = tuple(rival for rival in rivals if rival[0] not in named)
     weights, evidence = known.robust_weights, known.evidence
@@ -149,15 +159,16 @@ def attribute(
 
 
 def _none(one: Found, certain: bool) -> bool:
-    """Whether a size may as well be zero: it is inside its interval, unless every machine has the
-    effect for `certain`, or the effect cannot be less than none and is as little as it can be."""
+    """Whether an effect is insignificant: at a lower bound above zero, or, unless every machine has
+    it for `certain`, with zero inside its interval.
+    """
     low = type(one.effect).inside(one.effect.target)[0]
     at_none = low > 0.0 and one.effect.value <= low
     return at_none or (not certain and one.interval[0] <= 0.0 <= one.interval[1])
 
 
 def _certain(keys: Sequence[Key], robot: Machine) -> set[Key]:
-    """Of the candidates those that every machine has, and the model lacks."""
+    """Candidates that every machine has, and that the model lacks."""
     if not isinstance(robot, Robot):
         return set()
     kinds = known_effects()
@@ -165,8 +176,10 @@ def _certain(keys: Sequence[Key], robot: Machine) -> set[Key]:
 
 
 def explained_on_the_body(known: Data) -> dict[str, float]:
-    """What the effects found so far that a model knows only nearly take off each channel, of the
-    bins that may be looked at: errors of sensors are undone exactly, and leave nothing to others.
+    """Reduction of each channel's error, outside REPORT, by the effects found that a model
+    compensates only approximately.
+
+    Sensor errors are compensated exactly and leave nothing for others to absorb.
     """
     exact = [e for e in known.explained if not is_on_the_body(e)]
     if len(exact) == len(known.explained):
@@ -183,15 +196,17 @@ def _hidden(
     rng: np.random.Generator,
     keys: Sequence[Key],
 ) -> tuple[Candidate | None, list[Effect]]:
-    """Of `keys` the best candidate that earns its place where it is fitted jointly with one that
-    stands for it, and the sizes of all; none where the legs are nearly as their floor. Every leg
-    gives, and every foot rolls: how much is in question.
+    """The best of `keys` that earns its place when fitted jointly with a similar effect found
+    before, and all effects with it.
+
+    (None, []) where there is none, or the legs' residual is near its noise floor. Every leg is
+    compliant and every foot rolls; only by how much is in question.
 
     Args:
-        known: the evidence, and what is explained.
-        explained: channel -> what that takes off it.
-        rng: draws the bootstrap's blocks.
-        keys: of the candidates that may be hidden (`priors.joint_rivals`).
+        known: the evidence and the effects found so far.
+        explained: channel -> reduction of its error (`explained_on_the_body`).
+        rng: of the block bootstrap.
+        keys: candidates that may be masked (`priors.joint_rivals`).
     """
     layout, every = known.evidence.layout, known.evidence.keys
     chosen, limbs = [_key(e) for e in known.explained], layout.limbs
@@ -215,18 +230,20 @@ def _settled(
     floor: NoiseFloor,
     split: Split,
 ) -> tuple[Data, NormalEquations]:
-    """The data once the chosen effects are explained, at the sizes that settle with the robust
-    weights, and their normal equations.
+    """Refine the chosen effects and the robust weights in turn until the sizes settle.
 
-    A large effect that is not linear spoils much of the evidence before it is explained.
+    A large nonlinear effect distorts much of the evidence until it is compensated.
 
     Args:
         cases: the logs under the declared model.
         chosen: effects found so far, with their sizes.
         keys: of all candidates.
-        before: the data whose derivatives may serve again, or None.
+        before: data whose derivatives may be reused, or None.
         floor: noise floor.
         split: which blocks fit and which select.
+
+    Returns:
+        The data with the effects compensated, and their normal equations.
     """
     settings, times = cases[0].settings, 0
     evidence = before.evidence if before else None
@@ -257,20 +274,19 @@ def _rivals(
     chosen: Sequence[Key],
     rng: np.random.Generator,
 ) -> tuple[tuple[Key, float], ...]:
-    """Candidates inside their bounds that explain the unseen blocks as well as the best, with their
-    overlap.
+    """Candidates that explain the unseen blocks as well as the best, with their overlap with it.
 
     Args:
         data: normal equations of the blocks.
         best: the candidate that is added.
         candidates: all of this round.
         chosen: keys of the effects found before it.
-        rng: draws the bootstrap's blocks.
+        rng: of the block bootstrap.
     """
     of_best = left_unseen(data, [*chosen, best.key])
     gained = float(np.sum(left_unseen(data, chosen) - of_best))
     counts = block_draws(len(of_best), rng)
-    # What is no better by the price of one parameter is as good.
+    # Candidates within the price of one parameter are equally good.
     price = np.log(max(2, len(of_best)))
     rivals = []
     for other in candidates:
@@ -289,7 +305,9 @@ def _rivals(
 def _with_intervals(
     data: NormalEquations, chosen: Sequence[Effect], floor: NoiseFloor
 ) -> tuple[Found, ...]:
-    """Effects by what they explain, with intervals from blocks and from the floor's own sizes."""
+    """Effects, strongest first, with intervals from the blocks and the spread on the floor's
+    walks.
+    """
     keys = [_key(e) for e in chosen]
     used = data.rows(data.part != REPORT)
     covariance = fit(used, keys).covariance

@@ -1,4 +1,4 @@
-"""What each candidate is worth beside those chosen before it, and whether it earns its place."""
+"""Gain of each candidate over the effects chosen so far, and whether it earns a place."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,12 +19,19 @@ from surefoot.sim.robot.limbs import Limbs
 
 @dataclass(frozen=True)
 class Candidate:
-    """One candidate, fitted with what was chosen before it.
+    """A candidate, fitted along with the effects chosen before it.
 
-    size and error [its unit], less the size it has on walks that lack it; floor: how far that
-    varies [its unit]; gain: squared error it takes off the unseen blocks, in units of noise, with
-    its 95 % interval; share: the same as a share of what there is to explain; surprise: what its
-    prior takes off the gain (`priors.surprise`).
+    Attributes:
+        key: name and target.
+        size: less its apparent size on walks without the effect [its unit].
+        error: standard error of the size [its unit].
+        floor: spread of the apparent size on such walks [its unit].
+        gain: reduction of the squared error on unseen blocks, in units of noise.
+        interval: 95 % interval of the gain.
+        share: the gain relative to the error before.
+        at_bound: whether a size is at or beyond its bounds.
+        earned: whether the candidate earns a place.
+        surprise: penalty of the prior on the size (`priors.surprise`).
     """
 
     key: Key
@@ -40,7 +47,9 @@ class Candidate:
 
     @property
     def score(self) -> float:
-        """What candidates are ranked by: -2 log of likelihood and prior."""
+        """Gain less the prior's penalty, -2 log of a posterior ratio, by which candidates are
+        ranked.
+        """
         return self.gain - self.surprise
 
 
@@ -54,25 +63,26 @@ def judge(
     certain: Collection[Key] = (),
     among: int = 0,
 ) -> tuple[Candidate, ...]:
-    """Every candidate that is not chosen yet, those that earn a place first, by score.
+    """Evaluate every candidate that is not chosen yet; those that earn a place first, by score.
 
     Args:
         data: normal equations of the blocks.
         floor: noise floor.
         chosen: keys of the effects found so far.
-        explained: channel -> what they take off its squared error, in units of noise.
+        explained: channel -> reduction of its squared error by them, in units of noise.
         limbs: of the machine.
-        rng: draws the bootstrap's blocks.
+        rng: of the block bootstrap.
         certain: keys of effects that every machine has and the model lacks.
-        among: how many candidates there are, where the data have only some of them.
+        among: number of candidates, where the data have only some of them.
     """
     s, parts = data.settings, (data.rows(data.part == FIT), data.rows(data.part == SELECT))
-    # Halves that judge each other are not two: together they are worth the blocks of one.
+    # The two halves are validated on each other and are not independent, so the effective number of
+    # blocks is that of one.
     half = max(1, len(parts[0].G))
     counts = block_draws(sum(len(part.G) for part in parts), rng, drawn=half)
     plain = [fit(seen, chosen, errors=False).vector for seen in parts]
-    # Chen and Chen 2008, extended BIC: one of many costs more than one alone, and one with a size
-    # for each log as many times as it has sizes.
+    # Extended BIC (Chen and Chen 2008): choosing among many candidates adds to the price of a
+    # parameter, and a candidate with a size for each log pays for all of them.
     per_size, chance = np.log(max(2, len(parts[0].G))), 2.0 * np.log(among or len(data.keys))
     judged = []
     for key in data.keys:
@@ -88,20 +98,21 @@ def judge(
             given = {key: offset} if offset else None
             without = [fit(seen, known, errors=False, given=given).vector for seen in parts]
         before = _left(parts, without[::-1])
-        # Each half of the blocks at the sizes of the other half; what they gain on the mean.
+        # Cross-validation: each half is evaluated at the sizes fitted to the other; mean of both.
         blocks = 0.5 * (before - _left(parts, (again.vector, fitted.vector)))
         gain = float(blocks.sum())
         low, high = np.percentile(counts @ blocks, [2.5, 97.5]) * len(blocks) / half
         at_seen = 0.5 * float(
             np.sum(_left(parts, without) - _left(parts, (fitted.vector, again.vector)))
         )
-        # Of one with a size for each log the largest counts, which one log alone determines.
+        # A candidate with a size for each log is judged by the largest, which a single log
+        # determines.
         sizes = size + data.by_run(key, fitted.vector)
         most, error = float(np.max(np.abs(sizes))), error * np.sqrt(len(sizes))
-        # The floor's own offset is only as sure as its contact model.
+        # The apparent size on the floor's walks is only as certain as their contact model.
         spread = float(np.hypot(spread, floor.doubt(key, offset)))
         low_end, high_end = known_effects()[key[0]].inside(key[1])
-        # A fit beyond them is no size either, however much of it the floor's walks have.
+        # Also at a bound if the size is beyond it before the floor's offset is subtracted.
         fitted_beyond = abs(fitted.sizes[-1]) > max(-low_end, high_end)
         at_bound = fitted_beyond or not low_end < sizes.min() <= sizes.max() < high_end
         share = gain / max(0.5 * float(before.sum()), 1e-300)
@@ -112,7 +123,8 @@ def judge(
         price = len(sizes) * per_size + chance
         doubt = sum(surprise(*key, float(one), limbs) for one in sizes)
         if s.own_zeros and of_each_run(key[0]):
-            # It is another in every run anyway: nothing is a surprise, and its price is paid.
+            # A size that differs between runs anyway needs no prior and is not charged as a
+            # parameter.
             doubt = -price
         earned = (
             low > 0
@@ -140,8 +152,10 @@ def judge(
 
 
 def _levels(key: Key, keys: Sequence[Key], chosen: Sequence[Key]) -> list[Key]:
-    """What is fitted along with a candidate that shows only in channels whose level is not known
-    well: the other candidates that are such a level."""
+    """Candidates to fit along with one whose channels have an uncertain level.
+
+    These are the other candidates that describe that level.
+    """
     shows_in = known_effects()[key[0]].channels_of(key[1])
     known_to = [channels()[name].known_to for name in shows_in if name in channels()]
     if not all(known_to) or any(key[1] in one for one in known_to):
@@ -152,10 +166,10 @@ def _levels(key: Key, keys: Sequence[Key], chosen: Sequence[Key]) -> list[Key]:
 def distinct(
     data: NormalEquations, candidates: Sequence[Candidate], limbs: Limbs
 ) -> tuple[Candidate, ...]:
-    """The candidates without those that are one effect on parts that a better one is on too.
+    """Drop candidates of one name that share parts with a better one.
 
-    A group and its members, or two groups, say the same of the parts that they share. The better
-    one scores more by at least the price of a parameter, or stands for fewer parts.
+    A group and its members, or two groups, are equivalent on the parts that they share. A candidate
+    is better if its score is higher by the price of a parameter, or if it covers fewer parts.
     """
     price = np.log(max(2, np.count_nonzero(data.part == FIT)))
     parts = {c.key: set(known_effects()[c.key[0]].members_of(c.key[1], limbs)) for c in candidates}
@@ -170,13 +184,14 @@ def distinct(
 
 
 def _left(parts: Sequence[NormalEquations], vectors: Sequence[np.ndarray]) -> np.ndarray:
-    """Squared error (K,) that fits leave of the blocks of some parts, one after the other."""
+    """Squared error (K,) of the blocks of some parts, each with its vector, concatenated."""
     return np.concatenate([loss(part, v) for part, v in zip(parts, vectors, strict=True)])
 
 
 def left_unseen(data: NormalEquations, keys: Sequence[Key]) -> np.ndarray:
-    """Squared error (K,) that these keys leave of the blocks of FIT and SELECT, in units of noise,
-    at the sizes that the other of the two parts gives them."""
+    """Cross-validated squared error (K,) of the blocks of FIT and SELECT, in units of noise: each
+    part with the sizes fitted to the other.
+    """
     parts = data.rows(data.part == FIT), data.rows(data.part == SELECT)
     vectors = [fit(seen, keys, errors=False).vector for seen in parts]
     return _left(parts[::-1], vectors)

@@ -1,4 +1,4 @@
-"""What the noise of readings alone leaves in a residual: by data sheets, and by the readings."""
+"""Residual caused by sensor noise alone, from data sheets or from the readings."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,7 +14,7 @@ from surefoot.sim.sensors.streams import Sensors
 
 
 def sheet_noise(rate: float, layout: Layout, evenness: float = 0.0) -> np.ndarray:
-    """Standard deviation (W,) of a bin's residual from the sensors' noise and the ground alone."""
+    """Standard deviation (W,) of a bin's residual from the sensors' noise and uneven ground."""
     sigma = np.zeros(layout.width)
     for name, columns in layout.channels.items():
         sigma[columns] = channels()[name].noise(Sensors(), rate, evenness)
@@ -22,10 +22,10 @@ def sheet_noise(rate: float, layout: Layout, evenness: float = 0.0) -> np.ndarra
 
 
 def reading_noise(cases: Sequence[LogUnderModel], effects: Sequence[Effect] = ()) -> np.ndarray:
-    """Standard deviation (W,) of a bin's residual from what readings do between rows, under a
-    model that knows of the effects.
+    """Standard deviation (W,) of a bin's residual from the noise of the readings.
 
-    As much noise again is put on the readings, to see what it does to the residual.
+    As much noise again is added to the readings, and its effect on the residual measured, with the
+    effects compensated.
     """
     rng = np.random.default_rng(cases[0].settings.reading_seed)
     change = [
@@ -38,10 +38,10 @@ def reading_noise(cases: Sequence[LogUnderModel], effects: Sequence[Effect] = ()
 
 
 def _noisier(case: LogUnderModel, rng: np.random.Generator) -> Log:
-    """The log with noise as its own on top.
+    """Add noise of the same level to a log's readings.
 
-    The second difference of a reading has six times its noise's variance, and little of a motion;
-    the rounding of a slow one may stay for a whole bin.
+    The second difference of a reading has six times the variance of its noise and little of the
+    motion. The quantisation error of a slow signal may persist for a whole bin.
     """
     log, noisy, count = case.log, {}, case.frame.count
     for group in ("q", "dq", "tau"):
@@ -54,6 +54,6 @@ def _noisier(case: LogUnderModel, rng: np.random.Generator) -> Log:
 
 
 def _resolution(values: np.ndarray) -> float:
-    """The least that a reading (N,) changes by from one row to the next."""
+    """Smallest non-zero change of a reading (N,) between rows."""
     steps = np.abs(np.diff(values))
     return float(np.min(steps, where=steps > 0, initial=np.inf)) if steps.any() else 0.0

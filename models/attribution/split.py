@@ -1,4 +1,4 @@
-"""Each log in blocks that fit, blocks that select, and an end that only reports."""
+"""Split of each log into blocks that fit, blocks that select, and a final part that reports."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ FIT, SELECT, REPORT = 0, 1, 2
 
 @dataclass(frozen=True)
 class Split:
-    """Masks (M,) of the bins that sizes are fitted on, that choose, and that only report."""
+    """Masks (M,) of the bins used to fit, to select and to report."""
 
     fit: np.ndarray
     select: np.ndarray
@@ -21,7 +21,7 @@ class Split:
 
     @property
     def part(self) -> np.ndarray:
-        """FIT, SELECT or REPORT of each bin (M,), -1 for none."""
+        """FIT, SELECT or REPORT for each bin (M,), -1 for none."""
         part = np.full(len(self.fit), -1)
         for number, mask in enumerate((self.fit, self.select, self.report)):
             part[mask] = number
@@ -29,7 +29,7 @@ class Split:
 
 
 def split_of(cases: Sequence[LogUnderModel]) -> Split:
-    """Each log's end reports; before it, blocks that fit and blocks that select take turns."""
+    """Split each log: alternating FIT and SELECT blocks, then REPORT at the end."""
     parts = []
     for case in cases:
         s, t = case.settings, case.frame.t - case.frame.t[0]

@@ -1,8 +1,8 @@
-"""What runs of one machine show in which nothing changed: the measure of whether it has changed.
+"""Variation between runs of an unchanged machine, against which changes are judged.
 
-No model is exact. What it lacks shows a little differently in every run, so that a single run has
-sizes of its own of effects that no run has. Of a machine that was left alone for n runs, a size in
-a new one is a change only beyond what theirs differ by.
+No model is exact. Its errors appear a little different in every run, and a fit to a single run
+attributes them to effects that the machine does not have. After n runs of the unchanged machine, an
+effect in a new run is significant only if it exceeds their variation.
 """
 
 from collections.abc import Sequence
@@ -18,9 +18,9 @@ from surefoot.models.attribution.zeros import Run
 from surefoot.sim.effects import Effect
 
 FEWEST_RUNS = 3
-"""Runs from which it is told what runs differ by."""
+"""Runs needed to estimate the variation."""
 LIKE_OTHERS = 4
-"""Runs that the other candidates together count for, in what one differs by between a few runs."""
+"""Prior degrees of freedom, from all candidates, in the variance of one candidate."""
 
 
 def unchanged(
@@ -31,17 +31,17 @@ def unchanged(
     left: np.ndarray,
     weights: RobustWeights,
 ) -> Unchanged | None:
-    """What these runs of one machine differ by once `effects` are in its model; None of too few.
+    """Estimate the variation between runs with `effects` compensated; None of too few runs.
 
-    A candidate's variance is moderated by that of all of them, each in units of its own noise
-    (Smyth, Statistical Applications in Genetics and Molecular Biology 3, 2004).
+    A candidate's variance is shrunk towards that of all, each in units of its noise (Smyth,
+    Statistical Applications in Genetics and Molecular Biology 3, 2004).
 
     Args:
-        runs: each with its zeros taken off.
-        effects: that they share.
+        runs: each with its own effects compensated.
+        effects: shared by the runs.
         floor: noise floor of the model with the effects.
         known: evidence of the runs with the effects.
-        left: (M, W) of its table, less the free parts.
+        left: its residual table (M, W), less the nuisance parameters.
         weights: of its bins.
     """
     if len(runs) < FEWEST_RUNS:

@@ -1,4 +1,4 @@
-"""The form of what no effect explains: which simple regressors go with the rest of a residual."""
+"""Sparse regression of the residual that no effect explains on a library of simple regressors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,9 +15,9 @@ from surefoot.sim.log import joint_velocity
 
 @dataclass(frozen=True)
 class Unexplained:
-    """One column of a channel, regressors that go with its rest, and the share they explain.
+    """A column of a channel, the regressors found for it, and the share that they explain.
 
-    Without a regressor none of the library goes with it, though the channel is above its floor.
+    `regressors` is empty for a channel above its floor that no regressor explains.
     """
 
     channel: str
@@ -34,14 +34,14 @@ def sparse_regression(
     seen: np.ndarray,
     unseen: np.ndarray,
 ) -> tuple[Unexplained, ...]:
-    """Regressors of the unexplained residual, by channel.
+    """Regress the unexplained residual of some channels on the library.
 
-    One channel after the other, and in each first what explains most in units of noise. A channel
-    without a regressor is named by its loudest column.
+    Results are in the order of the channels and, within each, of the error explained, in units of
+    noise. A channel without a regressor is represented by its largest column.
 
     Args:
         cases: the logs under the model.
-        left: (M, W), residual of the M bins in units of the columns; NaN where there is none.
+        left: residual (M, W) of the bins, in units of the columns; NaN where there is none.
         robust: weights (M, W) and noise (W,) of the residual.
         channels: names of the channels.
         seen: (M,) bool, bins of the forward selection.
@@ -71,7 +71,7 @@ def sparse_regression(
 
 
 def regressor_library(cases: Sequence[LogUnderModel]) -> tuple[tuple[str, ...], np.ndarray]:
-    """Names and values (M, R) of the regressors: bin means, each of unit spread."""
+    """Names and values (M, R) of the regressors: standardised bin means."""
     tables = []
     names: list[str] = []
     for case in cases:
@@ -116,7 +116,8 @@ def _column(
     unseen: np.ndarray,
     settings: TraceSettings,
 ) -> tuple[list[int], float] | None:
-    """Forward selection of the regressors of one column, and the share that they explain, or None.
+    """Forward selection of regressors for one column, with the share explained; None if there are
+    none.
 
     Args:
         values: (M, R), the regressors.
@@ -138,7 +139,7 @@ def _column(
         A = np.hstack([ones, values[:, chosen]]) * root
         base = _solve(A, y * root[:, 0], fit)
         rest = np.where(there, np.nan_to_num(y) * root[:, 0] - A @ base, 0.0)
-        # What each regressor has that those chosen, and a constant, have not.
+        # The part of each regressor that is orthogonal to those chosen and to a constant.
         Q = np.linalg.qr(A[fit])[0]
         X = (values * root)[fit]
         own = X - Q @ (Q.T @ X)

@@ -1,4 +1,4 @@
-"""The verdict of a whole trace, and the reasons why it is no better one."""
+"""Verdict of a trace, with its reasons."""
 
 from collections.abc import Sequence
 
@@ -22,17 +22,17 @@ def verdict_of(
     pushed_away: Sequence[Found] = (),
     harmful: Sequence[tuple[Effect, str]] = (),
 ) -> tuple[str, tuple[str, ...]]:
-    """The verdict and its reasons, none of them for `no_residual` and `attributed`.
+    """The verdict and its reasons; `no_residual`, `attributed` and `confounded` have none.
 
     Args:
         found: effects, strongest first.
-        channels: levels on data that no fit has seen.
-        curves: whether a joint's readings err by a curve of its angle.
+        channels: residuals on data that no fit has seen.
+        curves: whether a joint's encoder error is a curve of its angle.
         rivals: other explanations of an effect.
-        held_out: what held-out logs say, where there are any.
-        pushes: stretches in which an outside force acted; channels are judged without them.
-        pushed_away: effects that explain nothing but these.
-        harmful: effects that were left out, and the channel that each made worse.
+        held_out: result on held-out logs, where there are any.
+        pushes: sections with an outside force; channels are judged without them.
+        pushed_away: effects that explain nothing but outside forces.
+        harmful: effects that were dropped, and the channel that each made worse.
     """
     above = [name for name, c in channels.items() if not c.at_floor or c.worse]
     reasons = [f"{name}: {_above(channels[name])}" for name in above]
@@ -79,7 +79,7 @@ def _at_bound(one: Effect) -> bool:
 
 
 def _implausible(one: Found) -> str:
-    """Why an effect of this size stands for another: no such part is known."""
+    """Why an effect of this size is implausible for any machine; "" if it is plausible."""
     most, least = prior_of(type(one.effect)).most, min(np.abs(one.interval))
     if one.interval[0] < 0 < one.interval[1] or least <= most:
         return ""
@@ -88,8 +88,10 @@ def _implausible(one: Found) -> str:
 
 
 def _gains(found: Sequence[Found], channels: dict[str, ChannelLevel]) -> bool:
-    """Whether effects leave less of any channel that they show in on what no fit has seen; of those
-    that no model compensates nothing is asked."""
+    """Whether the effects reduce a channel that they show in on unseen data.
+
+    True if one of them cannot be compensated by a model.
+    """
     if not all(type(one.effect).is_compensated() for one in found):
         return True
     shown = {name for one in found for name in one.effect.channels_of(one.effect.target)}
@@ -98,7 +100,9 @@ def _gains(found: Sequence[Found], channels: dict[str, ChannelLevel]) -> bool:
 
 
 def _below_floor(one: Effect, channels: dict[str, ChannelLevel]) -> str:
-    """Why an effect cannot be told from noise: none of its channels is above its floor."""
+    """Why an effect cannot be told from noise: all of its channels are below their floors; else
+    "".
+    """
     own = {name: channels[name] for name in one.channels_of(one.target) if name in channels}
     if not type(one).is_compensated() or not own or not all(c.below_floor for c in own.values()):
         return ""

@@ -1,4 +1,4 @@
-"""How far a residual of the declared model is from white noise, as the candidates see it."""
+"""Correlation of the declared model's residual with the candidates, compared with white noise."""
 
 import numpy as np
 
@@ -8,13 +8,14 @@ from surefoot.models.residuals.registry import channels
 
 
 def variance_inflation(data: Design, weights: RobustWeights) -> np.ndarray:
-    """How much more (W,) than white noise of its own size each column has along the candidates.
+    """Variance of each column (W,) along the candidates, relative to white noise of the same size.
 
-    data: of a walk that lacks every effect, so that what is left is noise and what contacts fake.
-    Along a regressor x the score x'r of white noise r of size sigma has the variance sigma^2 x'x:
-    the mean ratio of its square to that, over the candidates and over columns that are alike. A
-    residual that goes on for a whole swing is worth only its few independent values: the
-    noise that a column counts with is sigma times the root of this.
+    `data` is of a walk without any effect, whose residual is noise and contact dynamics. For white
+    noise r of standard deviation sigma, the score x'r along a regressor x has the variance sigma^2
+    x'x; the result is the mean of (x'r)^2 / (sigma^2 x'x) over the candidates and over similar
+    columns, at least one. A residual that persists for a whole swing phase has only a few
+    independent values. The effective noise of a column is sigma times the square root of this
+    factor.
     """
     sums = normal_equations(data, weights.sigma, weights.weight).total()
     free = fit(sums, (), errors=False).vector[1:]
@@ -23,7 +24,7 @@ def variance_inflation(data: Design, weights: RobustWeights) -> np.ndarray:
     known = [name for name in layout.channels if channels()[name].known_to]
     for columns in layout.alike:
         if known and np.isin(columns, layout.of(*known)).all() and data.there[:, columns].any():
-            # How well their mean is known is said, and counts as a doubt of sizes.
+            # The uncertainty of their mean is declared, and enters by `NoiseFloor.doubt`.
             left[:, columns] -= np.nanmean(left[:, columns])
     left = np.nan_to_num(left)
     candidates = len(data.evidence.X)

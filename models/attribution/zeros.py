@@ -1,4 +1,4 @@
-"""Zeros and clock of one run, by its log alone, beside effects that all runs share."""
+"""Fit the effects of a single run, such as zeros and clock, beside those shared by all runs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -21,14 +21,19 @@ from surefoot.models.attribution.split import FIT, SELECT
 from surefoot.sim.effects import Effect, compensate_all, effect
 
 ZERO_ROUNDS = 3
-"""Of Gauss-Newton: a clock that is off by milliseconds is not quite linear in its offset."""
+"""Gauss-Newton iterations: the residual is slightly nonlinear in a clock offset of milliseconds."""
 BIASES = tuple((f"{sensor}_bias", axis) for sensor in ("gyro", "accel") for axis in "xyz")
 
 
 @dataclass(frozen=True)
 class Run:
-    """What one run has for itself: zeros with 95 % intervals, of which those of `taken` (a subset)
-    are compensated in `case`; the others are turn-on biases, which every fit and filter estimates.
+    """Effects of one run's own.
+
+    Attributes:
+        case: the run's log with `taken` compensated.
+        zeros: all of them, with 95 % intervals.
+        taken: those compensated; the others are turn-on biases, which every fit and filter
+            estimates.
     """
 
     case: LogUnderModel
@@ -44,14 +49,14 @@ def run_of(
     weight: np.ndarray,
     sigma: np.ndarray,
 ) -> Run:
-    """The zeros of a run, beside the effects, and its log without those of `start`.
+    """Fit a run's own effects beside the shared ones, and compensate those in `start`.
 
     Args:
         case: the log under the declared model.
-        effects: that all runs share.
-        start: effects of each run that were found, with the sizes to begin from.
+        effects: shared by all runs.
+        start: per-run effects found, with their initial sizes.
         floor: noise floor of the model with the effects.
-        weight: (M, W) of the log's bins, zero where they are not to be fitted on.
+        weight: (M, W) of the log's bins, zero where they must not be used.
         sigma: (W,) noise of each column.
     """
     taken = list(start)
@@ -70,12 +75,12 @@ def run_of(
 
 
 def runs_of(known: Data, effects: Sequence[Effect], own: Sequence[Effect]) -> tuple[Run, ...]:
-    """What each log has for itself, fitted on all but the part that only reports.
+    """Fit each log's own effects on all but the part that only reports.
 
     Args:
         known: the logs, and the evidence with what was found.
-        effects: found, that they share.
-        own: found, that each has a size of its own of.
+        effects: found, shared by the logs.
+        own: found, with a size of its own in each log.
     """
     weights, log = known.robust_weights, known.evidence.log
     weight = np.where(np.isin(known.part, (FIT, SELECT))[:, None], weights.weight, 0.0)
@@ -93,18 +98,18 @@ def _sizes(
     weight: np.ndarray,
     sigma: np.ndarray,
 ) -> tuple[Found, ...]:
-    """Sizes of the keys, each a step from where `about` has it, with intervals.
+    """Sizes of the keys with intervals, as steps from those in `about`.
 
     Args:
         known: evidence of the log, linearised at `about`.
         keys: candidates to size.
-        about: sizes that the evidence has explained already.
-        floor: noise floor, whose walks say how far sizes vary where there is nothing.
+        about: effects that the evidence has compensated already.
+        floor: noise floor, for the apparent sizes on walks without the effects.
         weight: (M, W).
         sigma: (W,).
     """
     sums = normal_equations(design(known), floor.counted(sigma), weight)
-    # A run's own bias is what it is, not one draw of what the data sheet allows.
+    # A run's bias is a constant to be estimated, not a draw from the data sheet's distribution.
     sums = replace(sums, limits=np.where([k in keys for k in sums.stands_for], 0.0, sums.limits))
     fitted = fit(sums, keys)
     at = {(e.name, e.target): e.value for e in about}
