@@ -119,11 +119,10 @@ def delay_between(
     a, b = (_even(even, t, x) for x in (late, witness))
     most = min(int(np.ceil(latest / dt)) + 1, len(even) // 4)
     inner = slice(most, len(even) - most)
-    size = np.sqrt(np.sum(a[inner] ** 2) * np.sum(b[inner] ** 2))
-    if most < 1 or size == 0.0:
+    if most < 1:
         return 0.0
     shifts = np.arange(-most, most + 1)
-    alike = np.array([np.sum(np.roll(a, -k, axis=0)[inner] * b[inner]) for k in shifts]) / size
+    alike = np.array([_correlation(np.roll(a, -k, axis=0)[inner], b[inner]) for k in shifts])
     best = int(np.argmax(alike))
     if alike[best] < _ALIKE or best in (0, len(shifts) - 1):
         return 0.0
@@ -146,6 +145,15 @@ def _repeated(t: np.ndarray, x: np.ndarray) -> float:
     if moving.sum() < _MOVING_ROWS:
         return 0.0
     return float(np.mean(change[moving] == 0.0))
+
+
+def _correlation(a: np.ndarray, b: np.ndarray) -> float:
+    """Of a and b (N, D), 0 where one of them is at rest.
+
+    Each shift by its own size: what it brings in at one end and loses at the other is no delay.
+    """
+    size = np.sqrt(np.sum(a**2) * np.sum(b**2))
+    return float(np.sum(a * b) / size) if size > 0.0 else 0.0
 
 
 def _even(even: np.ndarray, t: np.ndarray, x: np.ndarray) -> np.ndarray:

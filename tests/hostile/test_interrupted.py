@@ -14,6 +14,7 @@ from pathlib import Path
 from shutil import rmtree
 
 import numpy as np
+import pandas as pd
 import pytest
 from forked import contents, copied
 from good_files import FILES
@@ -54,7 +55,7 @@ COMMANDS = {
     "import": ("import walk.csv --map map.toml -o out/log.parquet", "log.parquet"),
     "export": ("export walk.parquet -o out/walk.mcap", "walk.mcap"),
     "noise": ("noise rest.parquet -o out/noise.toml", "noise.*"),
-    "align": ("align a.parquet -o out", "*.*"),
+    "align": ("align a.parquet -o out", "[!.]*"),
     "view": ("view a.parquet -o out/walk.rrd", "*.none"),
     "tune": ("tune a.parquet --filter imu --filter leg --budget 4 --workers 2 -o out", "tuned.*"),
     "plan": ("plan encoder_offset --robot spot_class", "*"),
@@ -65,6 +66,8 @@ COMMANDS = {
     "trace": ("trace a.parquet -o out", "effects.toml"),
 }
 """Command, and those of its files whose bytes depend on nothing but its input."""
+TIMED = {"walking.csv": ["pace", "bare_pace"]}
+"""Columns that say how fast the machine was."""
 BEGUN = {
     "suite": "suite spot --seeds 0 --workers 2 --no-recordings -o out",
     "loop": "loop a.parquet -o out",
@@ -178,7 +181,14 @@ def same_bytes(one: Path, other: Path, pattern: str) -> None:
     names = sorted(p.relative_to(one) for p in one.glob(pattern))
     assert names == sorted(p.relative_to(other) for p in other.glob(pattern))
     for name in names:
-        assert (one / name).read_bytes() == (other / name).read_bytes(), name
+        assert untimed(one / name) == untimed(other / name), name
+
+
+def untimed(path: Path) -> bytes:
+    """Bytes of a file, of a table without its TIMED columns."""
+    if path.name not in TIMED:
+        return path.read_bytes()
+    return pd.read_csv(path, dtype=str).drop(columns=TIMED[path.name]).to_csv().encode()
 
 
 def interrupted_once(command: str, folder: Path, number: int, after: float) -> bool:

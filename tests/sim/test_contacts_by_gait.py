@@ -88,3 +88,12 @@ def test_import_says_how_to_mend_rates_that_come_late_and_its_line_mends_them(tm
     (tmp_path / "map.toml").write_text(wrong)
     with pytest.raises(SurefootError, match=r"\[even\] late: no column of kind 'gyro'"):
         import_log(tmp_path / "log.csv", tmp_path / "map.toml")
+
+
+def test_upward_is_first_the_mean_of_the_seconds_in_which_it_settles():
+    """One reading that is struck sideways turns it by a hundredth of what it would alone."""
+    t = 0.01 * np.arange(800)
+    accel = np.tile([0.0, 0.0, 9.81], (len(t), 1))
+    accel[0, 0] = 9.81
+    up = up_in_imu(t, np.zeros_like(accel), accel)
+    assert 0.0 < up[0, 0] < 0.01

@@ -1,5 +1,6 @@
 """Importing recordings: units, signs, cuts and gaps by construction; one clear line a fault."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled, measured_folder
+from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.recording import import_log
 from surefoot.sim.importing.reference import interpolate_reference
@@ -436,3 +438,25 @@ def test_a_column_takes_an_offset(folder):
 
 def toml_list(values) -> str:
     return "[" + ", ".join(str(float(value)) for value in values) + "]"
+
+
+SI = {"s": 1.0, "m": 1.0, "rad": 1.0, "N": 1.0, "deg": np.pi / 180.0, "turn": 2.0 * np.pi}
+"""What units are made of; g, of which 9.80665 m/s^2 are one by definition, and rpm besides."""
+PREFIXES = {"m": 1e-3, "c": 1e-2, "k": 1e3, "u": 1e-6, "n": 1e-9}
+
+
+def si(unit: str) -> float:
+    if unit.endswith("g") and unit != "deg":
+        return 9.80665 * PREFIXES.get(unit[:-1], 1.0)
+    if unit == "rpm":
+        return 2.0 * np.pi / 60.0
+    factor = 1.0
+    for part in re.split(r"[ /]", unit.removesuffix("^2")):
+        factor *= SI[part] if part in SI else PREFIXES[part[0]] * SI[part[1:]]
+    return factor
+
+
+@pytest.mark.parametrize("kind", UNITS)
+def test_a_unit_is_what_its_parts_are(kind):
+    for unit, factor in UNITS[kind].items():
+        assert factor == pytest.approx(si(unit), rel=1e-15), unit

@@ -12,6 +12,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from surefoot.scenarios.cli.main import main
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.importing.bag import read_bag
+from surefoot.sim.importing.recorded_file import recorded_files
 from surefoot.sim.importing.recording import import_log
 from surefoot.sim.log import Log
 
@@ -180,3 +182,12 @@ def test_topics_of_different_rates_are_drafted_together(tmp_path, monkeypatch, c
         'ref_p_x = { column = "/mocap:pose.position.x", unit = "m" }',
     ):
         assert f"\n{line}" in said
+
+
+def test_every_number_of_a_bag_has_a_column_and_stamps_of_its_own(tmp_path):
+    path = write_bag(tmp_path / "run", "mcap")
+    (found,) = recorded_files(path, None)
+    assert (found.path, found.label) == (path, "run")
+    t, rates = read_bag(path, ["/imu:angular_velocity.x"])["/imu:angular_velocity.x"]
+    assert len(t) == len(rates) == len(found.columns["/imu:angular_velocity.x"])
+    np.testing.assert_allclose(found.columns["/imu:angular_velocity.x"], rates)

@@ -12,9 +12,12 @@ from scipy.spatial.transform import Rotation
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import measured_folder
+from surefoot.sim.importing.array_file import read_mat
 from surefoot.sim.importing.recording import import_log, read_recording
 from surefoot.sim.importing.report import import_lines
+from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.streams import held_streams
+from surefoot.sim.importing.table import RecordedTable, column_readings
 from surefoot.sim.log import Log
 
 MEASURED = measured_folder()
@@ -354,3 +357,31 @@ def test_measured_recordings_come_in_as_they_are(recording, rules, rows, joints)
         # A pelvis' IMU in its own axes: they turn with the pelvis that Vicon sees.
         up = np.einsum("nji,j->ni", log.ref_R_GI, [0.0, 0.0, 1.0])
         assert up[:50].mean(axis=0) @ log.accel[:50].mean(axis=0) > 9.6
+
+
+def test_a_missing_list_is_an_empty_reading_of_each_of_its_places():
+    cells = np.array([[0.1, 0.2], None, "", (0.5, 0.6)], dtype=object)
+    table = RecordedTable("run.json", {"q": cells})
+    rows, values = column_readings(table, "q[1]", Source(sparse=True))
+    assert rows.tolist() == [0, 3]
+    assert values.tolist() == [0.2, 0.6]
+    with pytest.raises(SurefootError, match="row 2"):
+        column_readings(table, "q[1]", Source())
+
+
+@pytest.mark.parametrize("arrays", [1, 2])
+def test_the_strings_of_a_matlab_file_are_read_where_there_is_one_array_of_them(tmp_path, arrays):
+    """As MATLAB 7.3 writes ["FL" "thigh"]: where there are two, which is whose is not written."""
+    letters = np.frombuffer("FLthigh\0".encode("utf-16-le"), np.uint64)
+    words = np.concatenate([np.array([1, 2, 2, 1, 2, 5], np.uint64), letters])
+    with h5py.File(tmp_path / "run.mat", "w") as file:
+        file["x"] = np.zeros((1, 4))
+        for k in range(arrays):
+            file[f"names{k}"] = np.zeros((1, 6), np.uint32)
+            file[f"names{k}"].attrs["MATLAB_class"] = np.bytes_("string")
+            file[f"#refs#/{k}"] = words[:, None]
+            file[f"#refs#/{k}"].attrs["MATLAB_class"] = np.bytes_("uint64")
+    found = read_mat(tmp_path / "run.mat").cells
+    assert [found[n].tolist() for n in found if found[n].dtype.kind == "U"] == (
+        [["FL", "thigh"]] if arrays == 1 else []
+    )

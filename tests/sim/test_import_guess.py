@@ -17,7 +17,7 @@ from surefoot.sim.importing.draft import Draft
 from surefoot.sim.importing.guess import guess_map
 from surefoot.sim.importing.guess_units import stride_in_turns
 from surefoot.sim.importing.map import ImportMap
-from surefoot.sim.importing.names import read_name
+from surefoot.sim.importing.names import by_their_legs, read_name
 from surefoot.sim.importing.recording import import_log
 from surefoot.sim.log import LEGS, Log
 from surefoot.sim.robot import Robot
@@ -29,6 +29,7 @@ MEASURED = measured_folder()
 Truth = dict[str, tuple[str, float, float]]
 """Their column, scale and offset of each column of the log."""
 ENOUGH = 0.9
+PARTS = "hip", "thigh", "calf"
 
 
 def truth_of(name: str, **more: str) -> Truth:
@@ -438,6 +439,37 @@ def test_groups_of_a_file_that_have_clocks_of_their_own_are_all_drafted(tmp_path
 def test_a_name_says_kind_axis_and_unit(name, kind, axis, unit, reference):
     found = read_name(name)
     assert (found.kind, found.axis, found.unit, found.reference) == (kind, axis, unit, reference)
+
+
+@pytest.mark.parametrize(
+    ("theirs", "ours"),
+    [
+        (("abduct", "hip", "knee"), ("hip", "thigh", "calf")),
+        (("hip", "thigh", "calf"), ("hip", "thigh", "calf")),
+        (("haa", "hfe", "kfe"), ("hip", "thigh", "calf")),
+    ],
+)
+def test_a_hip_beside_an_abduction_is_our_thigh(theirs, ours):
+    found = by_their_legs({f"q_FL_{part}": read_name(f"q_FL_{part}") for part in theirs})
+    assert tuple(one.part for one in found.values()) == ours
+
+
+def test_a_contacts_thresholds_lie_between_no_load_and_all(tmp_path):
+    """It is told later than it was lost: at half of the way up, and at two fifths down."""
+    t = 0.01 * np.arange(400)
+    feet = {f"foot_force_{leg}": np.where(np.sin(9.0 * t) > 0.0, 210.0, 10.0) for leg in LEGS}
+    pd.DataFrame({"t": t} | feet).to_csv(tmp_path / "run.csv", index=False)
+    assert guess_map([tmp_path / "run.csv"]).contact == pytest.approx((110.0, 90.0))
+
+
+def test_angles_without_a_name_are_no_joints_beside_those_that_have_one(tmp_path):
+    t = 0.01 * np.arange(400)
+    named = {f"q_FL_{part}": 0.3 * np.sin(5.0 * t + k) for k, part in enumerate(PARTS)}
+    pd.DataFrame({"t": t} | named | {"angle": 0.2 * np.cos(3.0 * t)}).to_csv(
+        tmp_path / "run.csv", index=False
+    )
+    entries = guess_map([tmp_path / "run.csv"]).main
+    assert [e.theirs for e in entries if e.name.startswith("q_")] == [*named]
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from surefoot.sim.common.files import measured_folder
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.importing.reference import interpolate_reference
 from surefoot.sim.importing.reference_check import check_reference, jumps, without_jumps
-from surefoot.sim.importing.reference_noise import reference_noise
+from surefoot.sim.importing.reference_noise import _transition, reference_noise
 from surefoot.sim.importing.report import reference_lines
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.log.reference import Poses, reference_poses
@@ -111,6 +111,20 @@ def test_the_noise_of_samples_is_found_by_imu_and_poses():
     # Most of what is wrong with the stamps is corrected.
     assert found.correction == pytest.approx(1.5e-3, rel=0.3)
     assert reference_noise(walk.t, gyro, accel, seen.rows(slice(50))) is None
+
+
+def test_the_smoothers_noise_adds_up_over_steps():
+    """White force over two steps is that of the first, carried on, and of the second."""
+    once, twice = (_transition(dt, 3.0)[1] - _transition(dt, 0.0)[1] for dt in (0.02, 0.04))
+    F, _ = _transition(0.02, 3.0)
+    np.testing.assert_allclose(twice, F @ once @ F.T + once, rtol=1e-12)
+
+
+def test_where_no_step_can_be_judged_no_stamp_is_doubtful():
+    t = np.arange(0.0, 4.0, 0.01)
+    found = check_reference(Poses(t, np.zeros((len(t), 3)), np.tile([1.0, 0, 0, 0], (len(t), 1))))
+    assert found.judged == 0
+    assert found.doubtful == 0.0
 
 
 def log_of(walk, seen):

@@ -50,10 +50,20 @@ def test_rates_that_come_late_are_found(late):
     if late == 0.0:
         assert found == ()
     else:
-        assert found[0].delay == pytest.approx(late, abs=6e-4)
+        assert found[0].delay == pytest.approx(late, abs=1e-4)
         assert ("late" if late > 0 else "early") in found[0].line
 
 
 def test_what_is_not_alike_has_no_delay():
     rng = np.random.default_rng(2)
     assert delay_between(T, rng.normal(size=(len(T), 1)), rng.normal(size=(len(T), 1))) == 0.0
+
+
+@pytest.mark.parametrize(("late", "said"), [(1.9e-3, False), (2.1e-3, True), (-2.1e-3, True)])
+def test_two_milliseconds_and_more_are_reported(late, said):
+    found = late_streams(log_of(q_knee=angle(T), dq_knee=rate_of(T - late)))
+    assert bool(found) == said
+
+
+def rate_of(t):
+    return 3.6 * np.cos(9.0 * t) - 2.3 * np.sin(23.0 * t)

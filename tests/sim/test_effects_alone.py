@@ -1,0 +1,117 @@
+"""What effects do to readings, ground and log, each by its formula, without a walk."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from synthetic import synthetic_walk
+
+from surefoot.sim.effects.base import with_columns
+from surefoot.sim.effects.contact import FootSlip
+from surefoot.sim.effects.imu import AccelScale, GyroScale
+from surefoot.sim.effects.joint import Backlash, TorqueScale
+from surefoot.sim.effects.timing import ContactDelay, ImuDelay, JointDelay, TorqueDelay
+from surefoot.sim.ground.terrain import Ground, Patch, Strip
+from surefoot.sim.log import JOINTS, LEGS, Log
+from surefoot.sim.robot import Robot
+from surefoot.sim.sensors.streams import Streams
+
+ROBOT = Robot.load("spot_class")
+COLUMNS = {"gyro": "xyz", "accel": "xyz", "q": JOINTS, "dq": JOINTS, "tau": JOINTS}
+
+
+@pytest.fixture(scope="module")
+def log() -> Log:
+    return synthetic_walk(0, 4.0, robot="spot_class")
+
+
+def streams_of(log: Log) -> Streams:
+    return Streams(
+        log.t, log.gyro, log.accel, log.q, log.dq, log.tau, log.tau, np.ones((len(log.t), 4))
+    )
+
+
+def scaled(name: str, place: int, factor: float):
+    def readings(before: Streams) -> dict[str, np.ndarray]:
+        after = getattr(before, name).copy()
+        after[:, place] *= factor
+        return {name: after}
+
+    return readings
+
+
+def late(seconds: float, *names: str):
+    def readings(before: Streams) -> dict[str, np.ndarray]:
+        rows = round(seconds * 500.0)
+        return {n: np.roll(getattr(before, n), rows, axis=0) for n in names}
+
+    return readings
+
+
+@pytest.mark.parametrize(
+    ("kind", "target", "value", "readings"),
+    [
+        (AccelScale, "z", 0.05, scaled("accel", 2, 1.05)),
+        (GyroScale, "z", -0.02, scaled("gyro", 2, 0.98)),
+        (TorqueScale, "FL_calf", 0.1, scaled("tau", 2, 1.1)),
+        (TorqueDelay, "all", 0.006, late(0.006, "tau")),
+        (JointDelay, "all", 0.004, late(0.004, "q", "dq", "tau")),
+        (ImuDelay, "all", -0.01, late(-0.01, "gyro", "accel")),
+    ],
+)
+def test_readings_change_by_the_formula_and_a_model_that_knows_takes_it_back(
+    log, kind, target, value, readings
+):
+    one, before, inside = kind(target, value), streams_of(log), slice(10, -10)
+    after = one.alter_streams(before, ROBOT)
+    wanted = readings(before)
+    for name in COLUMNS:
+        same = getattr(before, name)
+        assert_allclose(getattr(after, name)[inside], wanted.get(name, same)[inside], atol=1e-9)
+    columns = {
+        f"{name}_{place}": getattr(after, name)[:, i]
+        for name, places in COLUMNS.items()
+        for i, place in enumerate(places)
+    }
+    known, _ = one.compensate(with_columns(log, columns), ROBOT)
+    for name in COLUMNS:
+        assert_allclose(getattr(known, name)[inside], getattr(log, name)[inside], atol=1e-9)
+
+
+def test_a_motor_without_torque_stays_on_the_side_where_it_lay():
+    tau = np.array([0.0, 2.0, 0.0, 0.0, -1.0, 0.0, 0.5])
+    turned = np.zeros((len(tau), 12))
+    torques = turned.copy()
+    torques[:, 1] = tau
+    flat = np.zeros((len(tau), 3))
+    before = Streams(
+        0.002 * np.arange(len(tau)), flat, flat, turned, turned, torques, torques, turned[:, :4]
+    )
+    after = Backlash("FL_thigh", 0.02).alter_streams(before, ROBOT)
+    assert_allclose(after.q[:, 1], 0.01 * np.array([0, 1, 1, 1, -1, -1, 1]))
+
+
+def test_a_foot_that_slips_does_so_on_whatever_it_stands():
+    """A strip without a friction of its own goes on taking the floor's."""
+    strips = Strip((0.0, 0.0), (1.0, 0.0), 1.0), Strip((1.0, 0.0), (2.0, 0.0), 1.0, mu=0.4)
+    ground = Ground(0.8, patches=(Patch(3.0, 0.0, 1.0, 1.0, 0.6),), strips=strips)
+    slippery = FootSlip("all", 0.5).alter_ground(ground)
+    assert slippery.mu == pytest.approx(0.4)
+    assert slippery.patches[0].mu == pytest.approx(0.3)
+    assert slippery.strips[0] == strips[0]
+    assert slippery.strips[1].mu == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize(("debounce", "cut"), [(0.0, 15), (0.021, 4), (0.04, 0)])
+def test_contacts_that_begin_early_are_cut_by_what_debouncing_has_left(log, debounce, cut):
+    """30 ms early at 500 Hz; what is not cut is known to the model."""
+    contact = np.ones((len(log.t), 4))
+    contact[300:400, 1] = 0.0
+    columns = {f"contact_{leg}": contact[:, i] for i, leg in enumerate(LEGS)}
+    early = with_columns(log, columns)
+    early = replace(early, meta=replace(early.meta, model={"contact_debounce": debounce}))
+    known, robot = ContactDelay("touchdown", -0.03).compensate(early, ROBOT)
+    assert_array_equal(np.flatnonzero(~known.contact[:, 1]), np.arange(300, 400 + cut))
+    assert known.contact[:, [0, 2, 3]].all()
+    assert robot.extras.touchdown_late == pytest.approx(cut / 500.0 - 0.03)
