@@ -1,1 +1,1 @@
-"""Residuals of readings against the model, channel by channel, and their Jacobians."""
+"""Residuals of a log's readings against the model, channel by channel, and their Jacobians."""

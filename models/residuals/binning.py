@@ -1,5 +1,7 @@
-"""A log's readings and its reference as means over bins of 20 ms: short against a step of a walk,
-long against a sample."""
+"""Means of a log's readings and of its reference over bins of 20 ms.
+
+A bin is short compared with a step of a walk and long compared with a sample.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,26 +20,38 @@ from surefoot.sim.sensors.stances import inside_stances
 from surefoot.sim.sensors.streams import between_states
 
 BIN = 0.02
-"""s, the length of a bin."""
+"""Length of a bin [s]."""
 EDGE = 0.03
-"""s at either end of a stance that are left out: there the foot lands, rocks or already lifts."""
+"""Margin at either end of a stance that is left out [s]: the foot still lands or already lifts."""
 QUIETER = 1.5
-"""Ratio of the noise of accelerations by rates to that by angles from which angles serve: below it
-either is as good, and rates have no window."""
+"""Noise ratio of accelerations from rates to those from angles above which angles are used; below
+it rates are preferred, since they need no smoothing window.
+"""
 ENDS = 0.006
-"""s, over which a rate is averaged at either end of a bin before its change is taken."""
+"""Averaging time at either end of a bin for the change of a rate over it [s]."""
 
 
 @dataclass(frozen=True)
 class ReferenceMotion:
-    """What readings are compared with; it stays as it is while effects are tried.
+    """Motion that readings are compared with; constant while effects are tried.
 
-    gyro, accel (N, 3): what the reference implies, by the exact inverse of `sim.sensors.streams`;
-    v_I, p_GI (N, 3), R_GI (N, 3, 3): the reference's motion; ok (N,): rows that have a reference;
-    moved (N,): rows whose step has one; standing, lifted (N, L): of L feet, those well inside a
-    stance, or a swing; first (M,): first row of each bin, count (M,) its rows, t (M,) its mean
-    time, s. A log without a reference, of a machine on a fixed base, has `ok` everywhere and zero
-    motion.
+    N rows, M bins, L feet. A log of a machine on a fixed base without a reference has `ok`
+    everywhere and zero motion.
+
+    Attributes:
+        gyro: angular rate (N, 3) [rad/s] that the reference implies, by the exact inverse of
+            `sim.sensors.streams`.
+        accel: specific force (N, 3) [m/s^2], likewise.
+        v_I: velocity (N, 3) [m/s] of the IMU in I.
+        p_GI: position (N, 3) [m].
+        R_GI: attitude (N, 3, 3).
+        ok: rows that have a reference (N,).
+        moved: rows whose preceding step has one (N,).
+        standing: feet well inside a stance (N, L).
+        lifted: feet well inside a swing (N, L).
+        first: first row of each bin (M,).
+        count: number of rows of each bin (M,).
+        t: mean time of each bin (M,) [s].
     """
 
     gyro: np.ndarray
@@ -55,14 +69,15 @@ class ReferenceMotion:
     level: bool = False
     """Whether the ground is level, so that heights of feet depend on the robot alone."""
     early: float = 0.0
-    """s that feet still move after their contacts begin."""
+    """Time for which feet still move after their contacts begin [s]."""
     late: float = 0.0
-    """s that feet already move before their contacts end."""
+    """Time for which feet already move before their contacts end [s]."""
     by_reference: bool = True
-    """Whether it is a reference's. Without one, velocity and place are zero, and feet are held
-    against each other (`models.residuals.without_reference`)."""
+    """Whether the motion is from a reference. Without one, velocity and position are zero, and feet
+    are compared with each other (`models.residuals.without_reference`).
+    """
     rates_of_angles: bool = False
-    """Whether inverse dynamics takes slopes of angles for the rates (`angles_are_quieter`)."""
+    """Whether inverse dynamics uses slopes of the angles for the rates (`angles_are_quieter`)."""
 
     @property
     def up_I(self) -> np.ndarray:
@@ -71,7 +86,7 @@ class ReferenceMotion:
 
     @cached_property
     def means(self) -> dict[str, np.ndarray]:
-        """What `Bins` have of the motion and the stances alone."""
+        """Those fields of `Bins` that follow from the motion and the stances alone."""
         mean = bin_mean(self)
         return {
             "v_I": mean(self.v_I),
@@ -84,15 +99,28 @@ class ReferenceMotion:
 
 @dataclass(frozen=True)
 class Bins:
-    """Means over the M bins, of J joints and L feet.
+    """Means over M bins, for J joints and L feet.
 
-    t (M,) s; q, dq, tau (M, J), NaN where the log has none; gyro and accel (M, 3) minus what the
-    reference implies, NaN where it implies nothing; omega (M, 3): rate of the IMU at the rows' own
-    times, in I; base (M, 9): rate, its derivative and specific force of the base's origin, in B;
-    v_I, p_GI (M, 3), R_GI (M, 3, 3): the reference's motion; standing, lifted (M, L); lag (M, J)
-    rad: angles minus the integral of the rates; q_step, dq_step, ddq (M, J): means over the times
-    of its torques; depth (M, L) [m] and v_sole (M, L, 3) [m/s], in I: how deep feet are in soft
-    ground and how they move in it, where the model knows it to be.
+    Attributes:
+        t: time (M,) [s].
+        q: joint angles (M, J) [rad], NaN where the log has none, as for `dq` and `tau`.
+        dq: joint rates (M, J) [rad/s].
+        tau: joint torques (M, J) [N m].
+        gyro: angular rate (M, 3) less that of the reference [rad/s], NaN where there is none.
+        accel: specific force (M, 3) less that of the reference [m/s^2], NaN where there is none.
+        omega: angular rate (M, 3) of the IMU in I, at the rows' own times [rad/s].
+        base: angular rate, its derivative and specific force of the base's origin (M, 9), in B.
+        v_I: reference velocity (M, 3) [m/s].
+        p_GI: reference position (M, 3) [m].
+        R_GI: reference attitude (M, 3, 3).
+        standing: feet in stance (M, L).
+        lifted: feet in swing (M, L).
+        lag: angles less the integral of the rates (M, J) [rad].
+        q_step: angles (M, J) at the times of the torques [rad].
+        dq_step: rates (M, J) at the times of the torques [rad/s].
+        ddq: accelerations (M, J) at the times of the torques [rad/s^2].
+        depth: sinkage of the feet in soft ground (M, L) [m], where the model has soft ground.
+        v_sole: velocity of the soles in it (M, L, 3) in I [m/s].
     """
 
     t: np.ndarray
@@ -117,8 +145,10 @@ class Bins:
 
 
 def reference_motion(log: Log, limbs: Limbs, fixed: bool = False) -> ReferenceMotion:
-    """The reference, stances and bins of a log of a machine with these legs. Raises LogError where
-    it has no reference, unless its base is `fixed`."""
+    """Reference motion, stances and bins of a log.
+
+    Raises LogError where it has no reference, unless its base is `fixed`.
+    """
     t = log.t
     number = np.floor((t - t[0]) / BIN + 1e-6).astype(int)
     first = np.flatnonzero(np.diff(number, prepend=-1))
@@ -155,7 +185,7 @@ def reference_motion(log: Log, limbs: Limbs, fixed: bool = False) -> ReferenceMo
 
 
 def binned(log: Log, robot: Machine, frame: ReferenceMotion) -> Bins:
-    """The means of a log's readings, under what the model knows of its IMU and its mounting."""
+    """Bin means of a log's readings, with the model's IMU mounting."""
     n, joints = len(frame.ok), len(log.joints)
     none = np.full((n, max(joints, 1)), np.nan)
     q = log.q if log.has("q") else none
@@ -207,7 +237,7 @@ def binned(log: Log, robot: Machine, frame: ReferenceMotion) -> Bins:
 
 
 def bin_mean(frame: ReferenceMotion):
-    """The mean over each bin, as a function of rows (N, ...)."""
+    """Function that averages rows (N, ...) over each bin."""
 
     def mean(values: np.ndarray) -> np.ndarray:
         count = frame.count.reshape(-1, *[1] * (values.ndim - 1))
@@ -217,15 +247,15 @@ def bin_mean(frame: ReferenceMotion):
 
 
 def at_rows(omega: np.ndarray) -> np.ndarray:
-    """Rates (N, ...) at the rows' own times: rows hold the mean of the step before."""
+    """Rates (N, ...) at the rows' own times, from rows that hold the mean of the preceding step."""
     return 0.5 * (omega + np.concatenate([omega[1:], omega[-1:]]))
 
 
 def at_torques(x: np.ndarray, frame: ReferenceMotion) -> np.ndarray:
-    """x (N, ...) at the time of each row's torque.
+    """Interpolate x (N, ...) to the time of each row's torque.
 
-    Of a walk that is the middle of the step before the row, as it is of the IMU's readings that
-    the torque is held against; of a fixed base, where there are none, the row's own.
+    On a walk that is the middle of the preceding step, as for the IMU readings that torques are
+    compared with; on a fixed base, without such readings, the row's own time.
     """
     if not frame.moved.any():
         return x
@@ -235,7 +265,7 @@ def at_torques(x: np.ndarray, frame: ReferenceMotion) -> np.ndarray:
 def mean_rate_of_change(x: np.ndarray, t: np.ndarray, frame: ReferenceMotion) -> np.ndarray:
     """Mean slope of x (N, ...) over the times of each bin's torques, per second.
 
-    Of the first bin, which has no row before it, from its first row.
+    The first bin has no preceding row and starts at its first row.
     """
     rows = max(1, round(ENDS / np.median(np.diff(t))))
     x = uniform_filter1d(x, rows - 1 + rows % 2, axis=0)
@@ -248,11 +278,11 @@ def mean_rate_of_change(x: np.ndarray, t: np.ndarray, frame: ReferenceMotion) ->
 
 
 def angles_are_quieter(log: Log, frame: ReferenceMotion) -> bool:
-    """Whether slopes of a log's angles give accelerations with less noise than its rates do: by
-    QUIETER at most of the joints.
+    """Whether a log's angles give less noisy accelerations than its rates, by QUIETER at most
+    joints.
 
-    Drives log rates that jitter by tenths of a rad/s from row to row. The noise of a reading is
-    what its second differences have, six times its variance and little of a motion.
+    Some drives log rates that jitter by tenths of a rad/s between rows. The noise is estimated from
+    second differences, which have six times its variance and little of the motion.
     """
     if not (log.has("q") and log.has("dq")):
         return False
@@ -266,7 +296,7 @@ def angles_are_quieter(log: Log, frame: ReferenceMotion) -> bool:
 
 
 def base_motion(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, robot: Robot) -> np.ndarray:
-    """Rate, its derivative and specific force of the base's origin (N, 9), in B."""
+    """Angular rate, its derivative and specific force of the base's origin (N, 9), in B."""
     omega, force = gyro @ robot.R_BI.T, accel @ robot.R_BI.T
     spin, p = np.gradient(omega, t, axis=0), robot.p_BI
     origin = force - np.cross(spin, p) - np.cross(omega, np.cross(omega, p))
@@ -274,7 +304,7 @@ def base_motion(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, robot: Robot
 
 
 def _where_most(values: np.ndarray, frame: ReferenceMotion) -> np.ndarray:
-    """Mean of the rows (N, 3) of each bin that have a value; NaN where fewer than half do."""
+    """Mean over each bin of the rows (N, 3) with a value; NaN where fewer than half have one."""
     there = np.isfinite(values)
     total = np.add.reduceat(np.where(there, values, 0.0), frame.first, axis=0)
     count = np.add.reduceat(there.astype(float), frame.first, axis=0)

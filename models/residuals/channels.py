@@ -1,15 +1,15 @@
-"""The residual channels that come with surefoot, each against the log's reference or its model.
+"""The bundled residual channels, each against the log's reference or its model.
 
-    imu_gyro, imu_accel   reading minus what the reference motion implies for the same sample
+    imu_gyro, imu_accel   reading minus the value implied by the reference motion
     leg_velocity          body velocity by each standing foot's kinematics minus the reference's
     stance_velocity       its mean over each stance
-    stance_displacement   how far a foot moves over the ground while it is sensed as standing
+    stance_displacement   displacement of a foot over the ground while its contact is on
     foot_height           height of each standing foot in the world, where the ground is level
     joint_torque          measured torque minus inverse dynamics, of legs in swing or a fixed base
-    base_wrench           what the standing feet give the base minus what its motion takes
+    base_wrench           wrench of the standing feet on the base minus inverse dynamics
     joint_rate            slope of a joint's measured angle minus its measured rate
     command               measured torque minus the commanded one
-    contact_timing        when a contact changes minus when the foot stopped or started to move
+    contact_timing        time of a contact change minus that of the foot's stop or start
 
 Residuals are means over bins of 20 ms.
 """
@@ -31,10 +31,9 @@ from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.sensors.streams import Sensors
 
 REACH = 0.5
-"""m from a joint to the foot, by which its noise is carried to the foot where its noise
-is known from data sheets alone."""
+"""Lever arm from a joint to the foot [m], to propagate its noise where only data sheets give it."""
 STANCE_BINS = 10
-"""Bins of a stance, where its noise is known from data sheets alone."""
+"""Bins of a stance, for the same purpose."""
 
 
 class ImuGyro(Channel):
@@ -74,7 +73,7 @@ class ImuAccel(Channel):
 
 
 class LegVelocity(Channel):
-    """The body's velocity by the kinematics of each standing foot minus that of the reference."""
+    """Velocity of the body by the kinematics of each standing foot minus that of the reference."""
 
     name = "leg_velocity"
     unit = "m/s"
@@ -94,7 +93,7 @@ class LegVelocity(Channel):
 
 
 class StanceVelocity(Channel):
-    """Mean of the leg velocity residual over each stance: what odometry by legs is made of."""
+    """Mean of the leg velocity residual over each stance, which leg odometry accumulates."""
 
     name = "stance_velocity"
     unit = "m/s"
@@ -118,11 +117,11 @@ class StanceVelocity(Channel):
 
 
 class StanceDisplacement(Channel):
-    """How far each foot moves over the ground, forward and to the left, while it is sensed as
-    standing: what odometry by legs loses at a step, landing and lifting included.
+    """Displacement of each foot over the ground, forward and to the left, while its contact is on.
 
-    Sizes fitted to it would make up for one another, a radius for contacts that end late: no fit
-    sees it, and it judges.
+    This is the error of leg odometry per step, including touchdown and lift-off. It is used for
+    evaluation only: in a fit, effects would compensate for one another, such as a foot radius for
+    contacts that end late.
     """
 
     name = "stance_displacement"
@@ -147,7 +146,7 @@ class StanceDisplacement(Channel):
 
 
 class FootHeight(Channel):
-    """Height of each standing foot, of which a plane and the legs' own lengths are unknown."""
+    """Height of each standing foot, up to a ground plane and a constant for each leg."""
 
     name = "foot_height"
     unit = "m"
@@ -155,7 +154,7 @@ class FootHeight(Channel):
     on_level_ground = True
     masked_by = ("slid", "elsewhere")
     least_noise = 2e-4
-    """m. Simulated ground is level to a hundredth of a millimetre, which no reference measures."""
+    """Simulated ground is level to 0.01 mm, finer than any reference measures [m]."""
     chained = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
@@ -180,7 +179,7 @@ class FootHeight(Channel):
 
 
 class JointTorque(Channel):
-    """Measured torque minus inverse dynamics: of legs in swing, or of a fixed base."""
+    """Measured torque minus inverse dynamics, of legs in swing or of a fixed base."""
 
     name = "joint_torque"
     unit = "N m"
@@ -202,7 +201,7 @@ class JointTorque(Channel):
 
 
 class BaseWrench(Channel):
-    """Force and moment that the standing feet give the base minus what its motion takes."""
+    """Force and moment of the standing feet on the base minus inverse dynamics."""
 
     name = "base_wrench"
     unit = "N and N m"
@@ -250,23 +249,24 @@ class JointRate(Channel):
 
 
 class ContactTiming(Channel):
-    """When a contact begins or ends minus when the foot stopped or started to move.
+    """Time of a contact change minus the time at which the foot stopped or started to move.
 
-    It is a time of an event, which a small change of a reading does not move smoothly: the chain
-    rule counts it as unchanged.
+    The time of an event does not change smoothly with a reading; the chain rule treats it as
+    constant.
     """
 
     name = "contact_timing"
     unit = "s"
     needs = ("q", "contact", "reference")
     least_noise = 1e-3
-    """s. A contact changes at a row, so that its time is known to half of one."""
+    """A contact changes at a row, so its time is known to half a sample [s]."""
     chained = True
     of_events = True
     known_to: ClassVar[Mapping[str, float]] = {"touchdown": 0.0015, "liftoff": 0.006}
-    """s: contacts on models of seven robots begin within 1 ms of each other's, but 3 ms sooner
-    where a foot that lands slides (friction of 0.3), and end within 12 ms (`contact_timing.USUAL`),
-    taken for two standard deviations."""
+    """On models of seven robots, contacts begin within 1 ms of one another, 3 ms earlier where a
+    landing foot slides (friction 0.3), and end within 12 ms (`contact_timing.USUAL`); these count
+    as two standard deviations [s].
+    """
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
         return tuple(
@@ -286,12 +286,12 @@ class ContactTiming(Channel):
 
 
 def _of_axes(what: str, unit: str, limbs: Limbs) -> tuple[Column, ...]:
-    """A column for each axis of a vector, of a machine that walks."""
+    """A column for each axis of a vector; none for a machine without legs."""
     return tuple(Column(f"{what}_{a}", unit, what, f"{what}_{a}") for a in AXES if limbs.legs)
 
 
 def _of_legs(what: str, unit: str, limbs: Limbs, axes: Sequence[str] = AXES) -> tuple[Column, ...]:
-    """A column for each axis of each foot, of one noise along an axis."""
+    """A column for each axis of each foot, with the same noise for all feet."""
     return tuple(
         Column(f"{what}_{leg}_{axis}", unit, leg, axis, i)
         for i, leg in enumerate(limbs.legs)
@@ -300,7 +300,7 @@ def _of_legs(what: str, unit: str, limbs: Limbs, axes: Sequence[str] = AXES) -> 
 
 
 def per_joint(what: str, unit: str, limbs: Limbs) -> tuple[Column, ...]:
-    """A column for each joint, of one noise with the same joint of other legs."""
+    """A column for each joint, with the same noise on all legs."""
     joints = enumerate(limbs.joints)
     return tuple(Column(f"{what}_{name}", unit, name, limbs.kind(i)) for i, name in joints)
 
@@ -310,5 +310,5 @@ def _stands(inputs: ResidualInputs) -> bool:
 
 
 def rows_of_bin(rate: float) -> float:
-    """Rows of a bin."""
+    """Number of rows in a bin."""
     return max(1.0, BIN * rate)

@@ -1,4 +1,4 @@
-"""Measured torques against what the motors were asked for, late by what the model knows."""
+"""Measured torques compared with commanded ones, including the declared delay."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from surefoot.sim.sensors.streams import Sensors
 
 
 class CommandedTorque(Channel):
-    """Measured torque minus the commanded one, or the motor law's."""
+    """Measured torque minus the commanded one, or that of the motor law."""
 
     name = "command"
     unit = "N m"
@@ -39,8 +39,11 @@ class CommandedTorque(Channel):
 
 
 def commanded_torque(log: Log) -> np.ndarray | None:
-    """kp (q_des - q) + kd (dq_des - dq) + tau_ff (N, J) [N m], with those of the terms that the log
-    has; None where it has none, or where its torques are themselves derived from them."""
+    """Commanded torques kp (q_des - q) + kd (dq_des - dq) + tau_ff (N, J) [N m].
+
+    Uses the terms that the log has; None where it has none, or where its torques were derived from
+    them.
+    """
     if "tau" in log.meta.derived:
         return None
     total = log.tau_ff if log.has("tau_ff") else None

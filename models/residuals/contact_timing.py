@@ -1,8 +1,8 @@
-"""When contacts begin and end, against when the foot stops and starts to move.
+"""Time at which contacts begin and end, relative to when the foot stops and starts to move.
 
-The motion is that of the point with which the foot would touch, by the leg's kinematics and the
-reference. A foot that lands stops within a millisecond; one that lifts is unloaded for a while
-before it moves, and is sensed as lifted then.
+The motion is that of the foot's contact point, from the leg's kinematics and the reference. A
+landing foot stops within a millisecond; a lifting foot is unloaded for a while before it moves, and
+is sensed as lifted in that time.
 """
 
 from collections.abc import Sequence
@@ -19,25 +19,27 @@ from surefoot.sim.sensors.contact import SHORTEST_FLIGHT
 from surefoot.sim.sensors.stances import changes, inside_stances
 
 MOVES = 0.2
-"""m/s over the ground from which a foot does not stand: a tenth of what one swings at."""
+"""Speed over the ground from which a foot does not stand [m/s]: a tenth of its speed in swing."""
 LEAST_SHIFT = 0.01
-"""s by which contacts are late or early that have more than a foot's landing and lifting in them:
-half a bin, and ten times what they vary by on simulated walks."""
+"""Delay of contacts that exceeds the duration of landing and lifting [s]: half a bin, and ten times
+the variation on simulated walks.
+"""
 FEWEST_CHANGES = 8
-"""Changes of contact whose median is known."""
+"""Contact changes needed for a median delay."""
 NEARLY_ALL = 95.0
-"""Percentile of the contacts' lateness by which nearly all have begun."""
+"""Percentile of the delays by which nearly all contacts have begun."""
 CHANGE_WINDOW = 0.08
-"""s on either side of a change of contact in which the foot is looked at."""
+"""Time before and after a contact change in which the foot's motion is examined [s]."""
 USUAL = (-0.0005, -0.018)
-"""s, how late contacts begin and end on simulated walks: within 0.7 ms and 12 ms on models of seven
-robots."""
+"""Usual delay of the beginning and end of contacts on simulated walks [s], within 0.7 ms and 12 ms
+on models of seven robots.
+"""
 
 
 def contact_timing(log: Log, robot: Robot, frame: ReferenceMotion) -> np.ndarray:
-    """How late contacts change (M, 2 legs) [s]: touchdowns of the feet, then their liftoffs.
+    """Delay of contact changes (M, 2 legs) [s]: touchdowns of the feet, then their lift-offs.
 
-    Each change is in the bin in which the foot stopped or started; all other bins are NaN.
+    Each change is in the bin in which the foot stopped or started to move; all other bins are NaN.
     """
     rows, bounce = max(1, round(CHANGE_WINDOW * log.rate)), round(SHORTEST_FLIGHT * log.rate)
     turns = [changes(stands) for stands in log.contact.T]
@@ -48,7 +50,7 @@ def contact_timing(log: Log, robot: Robot, frame: ReferenceMotion) -> np.ndarray
         *(frame, robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI),
     )
     late = np.full((len(frame.first), 2 * len(turns)), np.nan)
-    # A contact that must last for a time before it counts begins late by that.
+    # A debounced contact begins late by the debounce time.
     begins = USUAL[0] + log.meta.model.get("contact_debounce", 0.0) + robot.extras.touchdown_late
     usual = (begins, USUAL[1] + robot.extras.liftoff_late)
     for leg, change in enumerate(turns):
@@ -62,13 +64,13 @@ def contact_timing(log: Log, robot: Robot, frame: ReferenceMotion) -> np.ndarray
 
 
 def within_windows(frame: ReferenceMotion, log: Log, robot: Robot) -> ReferenceMotion:
-    """The reference motion, whose feet stand and swing only while they do by their own motion.
+    """Restrict stances and swings of the reference motion to the feet's actual ones.
 
-    Where contacts end late, or begin early, by the legs' kinematics, that much more is left out at
-    the ends of every stance. What the foot does there as it leaves is a hundred times the noise of
-    one that stands, and a foot's radius or a spring in its leg would be fitted to it. Where they
-    begin late, the ends of swings are left out, in which legs already carry: as many as nearly all
-    steps are late by, for each is late by its own time.
+    Where contacts end late or begin early relative to the foot's motion, stances are shortened by
+    that much. A leaving foot deviates by a hundred times the noise of a standing one, and a foot
+    radius or a leg's compliance would be fitted to it. Where contacts begin late, the ends of
+    swings, in which legs already carry load, are removed, by the delay of nearly all steps since
+    each step has a delay of its own.
     """
     timing = contact_timing(log, robot, frame)
     legs = timing.shape[1] // 2
@@ -89,7 +91,7 @@ def within_windows(frame: ReferenceMotion, log: Log, robot: Robot) -> ReferenceM
 
 
 def near_changes(turns: Sequence[np.ndarray], frame: ReferenceMotion, rows: int) -> np.ndarray:
-    """Rows and feet (N, L) no more than `rows` from a foot's changes of contact."""
+    """Mask (N, L) of the rows within `rows` of a contact change of each foot."""
     n = len(frame.ok)
     near = np.zeros((n, len(turns)), dtype=bool)
     for leg, change in enumerate(turns):
@@ -101,8 +103,9 @@ def near_changes(turns: Sequence[np.ndarray], frame: ReferenceMotion, rows: int)
 
 
 def over_ground(log: Log, robot: Robot, frame: ReferenceMotion, where: np.ndarray) -> np.ndarray:
-    """Speed (N, L) [m/s] over the ground of the points with which feet touch, at the rows and feet
-    `where` (N, L), NaN elsewhere."""
+    """Speed (N, L) [m/s] of the feet's contact points over the ground, where `where` (N, L); NaN
+    elsewhere.
+    """
     rows = np.flatnonzero(where.any(axis=1))
     omega = log.gyro if log.has("imu") else frame.gyro
     dq = joint_velocity(log)[rows]
@@ -114,12 +117,10 @@ def over_ground(log: Log, robot: Robot, frame: ReferenceMotion, where: np.ndarra
 
 @kernel
 def moments(t, stands, speed, changes, rows, bounce):
-    """Of each change (K,), the row and time [s] at which the foot stopped or started to move, and
-    whether it lifts. NaN where that is not seen within `rows`, or where the foot bounced: one that
-    stands again has landed before.
+    """Find when the foot stopped or started to move at each of K contact changes.
 
-    Searched from the middle of the swing, or from as far into it as `rows` go, towards the stance:
-    a slip in mid-stance does not count.
+    The search starts in the middle of the swing, or as far into it as `rows` reach, and goes
+    towards the stance, so that a slip in mid-stance does not count.
 
     Args:
         t: (N,) [s].
@@ -127,7 +128,11 @@ def moments(t, stands, speed, changes, rows, bounce):
         speed: (N,) [m/s], of the foot.
         changes: (K,), rows at which `stands` changes.
         rows: to search on either side.
-        bounce: rows up to which a foot in the air has only bounced.
+        bounce: rows up to which a foot in the air has only bounced; it has then landed before.
+
+    Returns:
+        The row and the time [s] of each, NaN where not seen within `rows` or where the foot
+        bounced, and whether the foot lifts, (K,) each.
     """
     at, when = np.zeros(len(changes), np.int64), np.full(len(changes), np.nan)
     lifts = np.zeros(len(changes), np.bool_)

@@ -1,4 +1,4 @@
-"""Velocity of the body and height of the ground, by the kinematics of each standing foot."""
+"""Velocity of the body and height of the ground from the kinematics of each standing foot."""
 
 import numpy as np
 
@@ -7,14 +7,14 @@ from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.sim.robot import Robot
 
 HALFWAY = 0.5
-"""Share of a foot's depth in soft ground, above its sole, at which it touches."""
+"""Height of the contact point above the sole of a foot in soft ground, as a share of its depth."""
 
 
 def leg_velocities(bins: Bins, robot: Robot) -> np.ndarray:
     """Velocity of the body by each standing foot minus the reference's, (M, 3 legs) [m/s] in I.
 
-    With v_foot = 0 at the contact point of a foot that rolls on its sphere of radius r,
-    v_I = -J dq - omega x f + (omega + omega_foot) x r n, all in I.
+    With v_foot = 0 at the contact point of a foot that rolls on its sphere of radius r, v_I = -J dq
+    - omega x f + (omega + omega_foot) x r n, all in I.
     """
     v = leg_velocity(robot, bins.q, bins.dq, bins.omega, bins.R_GI[:, 2], bins.standing)
     v -= bins.v_I[:, None]
@@ -26,11 +26,10 @@ def leg_velocities(bins: Bins, robot: Robot) -> np.ndarray:
 
 
 def between_feet(v: np.ndarray) -> np.ndarray:
-    """Velocities of the body by L feet (M, 3 L), NaN of those that do not stand, against each
-    other: what is left once the body's own, which all of them share, is free.
+    """Contrasts between the velocities of the body by L feet (M, 3 L), independent of its own.
 
-    Of the feet that stand, each against the mean of those before it, scaled to the noise of one
-    (Helmert contrasts): with white noise they are white, and none counts twice. The first is NaN.
+    NaN marks feet that do not stand. Helmert contrasts: each standing foot minus the mean of those
+    before it, scaled to the noise of one foot, so that white noise stays white. The first is NaN.
     """
     by_leg = v.reshape(len(v), -1, 3)
     there = np.isfinite(by_leg)
@@ -42,7 +41,7 @@ def between_feet(v: np.ndarray) -> np.ndarray:
 
 
 def foot_heights(bins: Bins, robot: Robot) -> np.ndarray:
-    """Height (M, legs) [m] of each standing foot's sole in the world, on level ground."""
+    """Height (M, legs) [m] of each standing foot's sole in the world."""
     feet_I = robot.feet_I(bins.q)
     z = bins.p_GI[:, 2, None] + np.einsum("nj,nlj->nl", bins.R_GI[:, 2], feet_I)
     z -= robot.foot_radius
@@ -52,8 +51,11 @@ def foot_heights(bins: Bins, robot: Robot) -> np.ndarray:
 
 
 def level_ground(bins: Bins, robot: Robot, within: float = 0.006) -> bool:
-    """Whether the feet stand on one plane: what a leg's heights have beyond a plane through all
-    feet and a constant of the leg's own varies by less than `within` [m]."""
+    """Whether the feet stand on one plane.
+
+    True if heights vary by less than `within` [m] about a plane through all feet plus a constant
+    for each leg.
+    """
     z = foot_heights(bins, robot)
     rows, legs = np.nonzero(np.isfinite(z))
     if len(rows) < 100:

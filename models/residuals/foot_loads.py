@@ -1,4 +1,4 @@
-"""What each foot carries, row by row."""
+"""Load on each foot in each row."""
 
 import numpy as np
 
@@ -14,17 +14,17 @@ from surefoot.sim.robot.kinematics import leg_forward
 def foot_loads(
     log: Log, robot: Robot, frame: ReferenceMotion, bins: Bins, steps: Steps
 ) -> np.ndarray:
-    """Force (N, legs) [N] along the ground's normal on each foot that stands, zero on the others.
+    """Force (N, legs) [N] along the ground's normal on each standing foot, zero on the others.
 
     J^T f = inverse dynamics - measured torque, the former as means over bins. Without torques, or
-    with legs of other than three joints, the feet that stand share the weight evenly.
+    for legs with other than three joints, the standing feet share the weight evenly.
 
     Args:
         log: the measured log.
         robot: as declared.
         frame: reference motion of the log.
         bins: means over bins of torques and standing feet.
-        steps: motion at the bins for inverse dynamics.
+        steps: inputs of inverse dynamics.
     """
     stands = log.contact
     if not np.isfinite(bins.tau).any() or not robot.limbs.point_feet:
@@ -40,8 +40,10 @@ def foot_loads(
 
 @kernel
 def normal_forces(legs, q, up, stands, torque):
-    """n . f (N, legs) [N] with J^T f = torque: q, torque (N, joints), up (N, 3) in B, stands (N,
-    legs)."""
+    """n . f (N, legs) [N] with J^T f = torque, of standing feet.
+
+    q, torque (N, joints), up (N, 3) in B, stands (N, legs).
+    """
     out = np.zeros(stands.shape)
     foot, J, axes = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     for k in range(len(q)):

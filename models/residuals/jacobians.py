@@ -1,7 +1,7 @@
-"""How each residual changes with a small change of the readings or of the robot, bin by bin.
+"""Derivatives of the residuals with respect to the readings and the robot, for each bin.
 
-An effect's `compensate` defines how it changes readings; from there on the derivatives are the same
-for all effects and are computed once a log.
+An effect's `compensate` defines how it changes the readings; the remaining derivatives are the same
+for all effects and are computed once per log.
 """
 
 from collections.abc import Mapping
@@ -43,14 +43,16 @@ TOUCHES = {
     "imu_lowpass": ("imu_gyro", "imu_accel"),
     "command_late": ("command",),
 }
-"""Part of a robot, or of what a model knows beyond it, -> channels that it may change."""
+"""Field of a robot, or of its declared extras, -> channels that it may change."""
 OUTLYING = 4.0
-"""Standard deviations of a column's bulk beyond which an entry counts no more."""
+"""Robust standard deviations at which entries of a column are clipped."""
 
 
 @dataclass(frozen=True)
 class Regressor:
-    """What one unit of an effect adds to some columns (n,) of the residual table: values (M, n)."""
+    """Derivative of columns (n,) of the residual table with respect to an effect's size: values (M,
+    n).
+    """
 
     columns: np.ndarray
     values: np.ndarray
@@ -58,11 +60,17 @@ class Regressor:
 
 @dataclass(frozen=True)
 class ResidualJacobians:
-    """Derivatives of a table's columns at each bin; L legs of P joints, J joints in all.
+    """Derivatives of a residual table in each bin; L legs of P joints, J joints in all.
 
-    Of legs, by the rate of the IMU (M, 3 L, 3) and by the leg's own joints' angles and rates
-    (M, L, 3, P); of heights, by the own joints' angles (M, L, P). The place of a joint in its leg
-    is that in `Limbs.chains`.
+    The order of the joints of a leg is that in `Limbs.chains`.
+
+    Attributes:
+        parts: the table.
+        robot: the model.
+        leg_omega: of the leg velocities by the rate of the IMU (M, 3 L, 3).
+        leg_q: of the leg velocities by the leg's own joint angles (M, L, 3, P).
+        leg_dq: of the leg velocities by the leg's own joint rates (M, L, 3, P).
+        height_q: of the foot heights by the leg's own joint angles (M, L, P).
     """
 
     parts: ResidualTable
@@ -74,8 +82,11 @@ class ResidualJacobians:
 
     @cached_property
     def effort(self) -> np.ndarray:
-        """Of torques and wrench together (4, J, M, J + 6), by each joint's angle, rate,
-        acceleration and torque: most of the work, and for nothing where only an IMU changes."""
+        """Derivatives (4, J, M, J + 6) of torques and wrench by each joint's angle, rate,
+        acceleration and torque.
+
+        They take most of the time, and are not needed for effects of the IMU alone.
+        """
         _, joints = self.parts.inputs.bins.q.shape
         needed = self.parts.inputs.inverse_dynamics
         if needed is None:
@@ -84,7 +95,7 @@ class ResidualJacobians:
 
 
 def residual_jacobians(parts: ResidualTable, robot: Machine) -> ResidualJacobians:
-    """The derivatives that a change of readings can ask for."""
+    """Compute the derivatives with respect to the readings."""
     layout, bins = parts.layout, parts.inputs.bins
     m, joints = bins.q.shape
     legs, chains = len(layout.limbs.legs), layout.limbs.chains
@@ -93,7 +104,7 @@ def residual_jacobians(parts: ResidualTable, robot: Machine) -> ResidualJacobian
     height_q = np.zeros((m, legs, per))
     if np.isfinite(parts.table[:, layout.of("leg_velocity")]).any():
         assert isinstance(robot, Robot)
-        # Foot by foot: what they are held against is taken off in `wrt_readings`.
+        # Of each foot alone: contrasts between feet are taken in `wrt_readings`.
         velocities = leg_velocities(bins, robot)
 
         def by(**moved) -> np.ndarray:
@@ -104,7 +115,8 @@ def residual_jacobians(parts: ResidualTable, robot: Machine) -> ResidualJacobian
             leg_omega[:, :, axis] = by(omega=bins.omega + DIFFERENCE_STEP * np.eye(3)[axis])
         heights = parts.table[:, layout.of("foot_height")]
         for j in range(per):
-            # One joint of every leg at once: a leg's columns change by its own joints alone.
+            # Perturb one joint of every leg at once, since a leg's columns depend on its own joints
+            # only.
             all_legs = np.zeros(joints)
             all_legs[[chain[j] for chain in chains if j < len(chain)]] = DIFFERENCE_STEP
             leg[0, ..., j] = by(q=bins.q + all_legs).reshape(m, legs, 3)
@@ -116,8 +128,10 @@ def residual_jacobians(parts: ResidualTable, robot: Machine) -> ResidualJacobian
 
 
 def _by_effort(parts: ResidualTable, needed: InverseDynamics, robot: Machine) -> np.ndarray:
-    """(4, J, M, J + 6): by each joint's angle, rate, acceleration and torque, the torques, then the
-    wrench."""
+    """Derivatives (4, J, M, J + 6) by each joint's angle, rate, acceleration and torque.
+
+    The last axis holds the torques, then the wrench.
+    """
     steps = parts.inputs.steps
     m, joints = steps.q.shape
     out = np.zeros((4, joints, m, joints + 6))
@@ -133,11 +147,12 @@ def _by_effort(parts: ResidualTable, needed: InverseDynamics, robot: Machine) ->
 
 
 def _by_feet(s: Steps, needed: np.ndarray, torque: np.ndarray, robot: Robot) -> np.ndarray:
-    """What the feet give the base (4, J, M, 6), likewise. The base's motion being what it is, a
-    joint changes the torques of its own leg alone, and so the force of its own foot: all legs can
-    be moved at once.
+    """Derivatives (4, J, M, 6) of the feet's wrench on the base.
 
-    needed (M, J), torque (3, J, M, J): what the motion takes, and its derivatives.
+    For a given motion of the base, a joint changes the torques of its own leg and so the force of
+    its own foot only, so that all legs can be perturbed at once.
+
+    needed (M, J), torque (3, J, M, J): torques by inverse dynamics and their derivatives.
     """
     bins, joints = needed.shape
     chains = np.array(robot.limbs.chains)
@@ -162,9 +177,12 @@ def _by_feet(s: Steps, needed: np.ndarray, torque: np.ndarray, robot: Robot) -> 
 def wrt_readings(
     parts: ResidualTable, known: ResidualJacobians, change: Mapping[str, Mapping[int, np.ndarray]]
 ) -> np.ndarray:
-    """What a change of readings does to the table (M, W), by the chain rule: of each stream, at
-    each place (axis or joint), its means over bins (M,); of "omega", gyro at the rows' times; of
-    "q_step" and "dq_step", at those of torques; of "ddq" what the rate gains over them."""
+    """Change of the table (M, W) with the readings, by the chain rule.
+
+    `change` maps each stream and index (axis or joint) to bin means (M,) of its change. "omega" is
+    the gyro at the rows' times, "q_step" and "dq_step" are at the times of the torques, and "ddq"
+    is the rate's slope over these.
+    """
     out, layout = np.zeros(parts.table.shape), parts.layout
     joints, leg_of = parts.inputs.bins.q.shape[1], layout.limbs.leg_of
     gyro, accel, legs = (layout.of(n) for n in ("imu_gyro", "imu_accel", "leg_velocity"))
@@ -215,11 +233,11 @@ def wrt_readings(
 
 
 def wrt_robot(parts: ResidualTable, robot: Machine, one: Machine, step: float) -> np.ndarray:
-    """What a changed body does to the table (M, W), per unit, the model `one` having `step` more
-    than `robot`: the channels computed again on the same means of readings.
+    """Change of the table (M, W) per unit, for a model `one` with `step` more of an effect than
+    `robot`.
 
-    Where a contact changes is left as it is: a body that differs by a small step moves that by
-    less than a row.
+    The channels are recomputed from the same bin means. Times of contact changes are kept, since a
+    small step moves them by less than a row.
     """
     inputs, needed = parts.inputs, parts.inputs.inverse_dynamics
     if needed is not None:
@@ -235,8 +253,10 @@ def wrt_robot(parts: ResidualTable, robot: Machine, one: Machine, step: float) -
 
 
 def unchanged_channels(robot: Machine, one: Machine) -> tuple[str, ...]:
-    """Channels, of those that come with surefoot, that are the same under both models with the same
-    readings: none where they differ in what is not known to leave any as it is."""
+    """Bundled channels that are equal under two models with the same readings.
+
+    Empty if the models differ in a field whose influence is not known.
+    """
     if type(robot) is not type(one):
         return ()
     pairs = {f.name: (robot, one) for f in fields(robot) if f.name != "extras"}
@@ -251,7 +271,7 @@ def unchanged_channels(robot: Machine, one: Machine) -> tuple[str, ...]:
 
 
 def _same_bodies(robot: Machine, one: Machine) -> bool:
-    """Whether inverse dynamics has the same joints and links to deal with."""
+    """Whether both models have the same joints and links for inverse dynamics."""
     if robot.extras.links != one.extras.links:
         return False
     if not (isinstance(robot, Robot) and isinstance(one, Robot)):
@@ -261,7 +281,7 @@ def _same_bodies(robot: Machine, one: Machine) -> bool:
 
 
 def sparse(change: np.ndarray, table: np.ndarray) -> Regressor:
-    """The columns that change at all, zero where the table has nothing."""
+    """Keep the columns that change, with zeros where the table has no value."""
     touched = np.flatnonzero(change.any(axis=0))
     change = change[:, touched]
     change = np.where(np.isfinite(table[:, touched]) & np.isfinite(change), change, 0.0)
@@ -270,8 +290,10 @@ def sparse(change: np.ndarray, table: np.ndarray) -> Regressor:
 
 
 def explained_share(one: Regressor, table: np.ndarray) -> float:
-    """Share of the table's columns that a positive size of the regressor explains; less than zero
-    where it wants a negative one. Columns weigh by their bulk."""
+    """Share of the table's columns explained by a positive size of the regressor.
+
+    Negative where the best size is negative. Columns are scaled by their robust deviation.
+    """
     y = table[:, one.columns] - np.nanmedian(table[:, one.columns], axis=0)
     bulk = np.maximum(1.4826 * np.nanmedian(np.abs(y), axis=0), 1e-12)
     y = np.clip(y / bulk, -OUTLYING, OUTLYING)

@@ -1,4 +1,4 @@
-"""Where each channel stands in the table of residuals: made from the channels there are."""
+"""Layout of the residual table: the columns of each channel."""
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -12,9 +12,12 @@ from surefoot.sim.robot.limbs import Limbs
 
 @dataclass(frozen=True)
 class Layout:
-    """The W columns of a table of residuals, channel after channel.
+    """The W columns of a residual table, channel after channel.
 
-    limbs: of the machine; channels: the slice of columns that each has.
+    Attributes:
+        limbs: of the machine.
+        columns: all columns.
+        channels: name -> slice of columns.
     """
 
     limbs: Limbs
@@ -31,17 +34,17 @@ class Layout:
 
     @cached_property
     def groups(self) -> tuple[list[int], ...]:
-        """Columns that one reading fills."""
+        """Columns that come from one reading."""
         return self._collected("group")
 
     @cached_property
     def alike(self) -> tuple[list[int], ...]:
-        """Columns whose noise is of one size."""
+        """Columns with the same noise level."""
         return self._collected("kind")
 
     @cached_property
     def masked_by(self) -> tuple[tuple[str, ...], ...]:
-        """What makes each column worthless (see `Channel.masked_by`)."""
+        """What invalidates each column (see `Channel.masked_by`)."""
         return tuple(
             channels()[name].masked_by
             for name, columns in self.channels.items()
@@ -50,16 +53,16 @@ class Layout:
 
     @cached_property
     def fitted(self) -> np.ndarray:
-        """Columns that sizes are fitted to: not those of channels that judge."""
+        """Columns that effects are fitted to, without channels that are only evaluated."""
         return self.of(*(name for name in self.channels if not channels()[name].judges))
 
     def of(self, *names: str) -> np.ndarray:
-        """Columns of these channels, of those that the layout has."""
+        """Columns of these channels, as far as the layout has them."""
         every = np.arange(self.width)
         return np.concatenate([every[:0], *(every[self.channels[n]] for n in names if n in self)])
 
     def by_leg(self, name: str) -> np.ndarray:
-        """Columns (legs, n) of a channel, foot by foot."""
+        """Columns (legs, n) of a channel, by foot."""
         legs = range(len(self.limbs.legs))
         return np.array([[c for c in self.of(name) if self.columns[c].leg == leg] for leg in legs])
 
@@ -76,7 +79,7 @@ class Layout:
 
 @lru_cache
 def layout_for(limbs: Limbs) -> Layout:
-    """The table of a machine with these legs and joints."""
+    """Layout of the table for a machine with these legs and joints."""
     columns: list[Column] = []
     places: dict[str, slice] = {}
     for name, channel in channels().items():

@@ -1,4 +1,4 @@
-"""Velocity of the body by each standing foot's kinematics."""
+"""Velocity of the body from the kinematics of each standing foot."""
 
 import numpy as np
 
@@ -23,7 +23,7 @@ def leg_velocity(
         dq: rates (N, J) [rad/s].
         omega: rate (N, 3) [rad/s] of the IMU, in I.
         up: the ground's unit normal (N, 3) in I.
-        standing: feet (N, legs) that it is asked of.
+        standing: feet (N, legs) for which to compute it.
     """
     return _leg_velocity(
         robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI, q, dq, omega, up, standing
@@ -50,7 +50,7 @@ def _leg_velocity(legs, radius, R_BI, p_BI, q, dq, omega, up, standing):
     foot, J, axes = np.empty(3), np.empty((3, most)), np.empty((3, most))
     sole, spin, step = np.empty(3), np.empty(3), np.empty(3)
     for k in range(len(q)):
-        # In B from here on, where the legs are; the result is turned back into I.
+        # In B from here on, like the legs; the result is rotated back into I.
         for a in range(3):
             sole[a] = R_BI[a, 0] * up[k, 0] + R_BI[a, 1] * up[k, 1] + R_BI[a, 2] * up[k, 2]
             spin[a] = R_BI[a, 0] * omega[k, 0] + R_BI[a, 1] * omega[k, 1] + R_BI[a, 2] * omega[k, 2]

@@ -1,4 +1,4 @@
-"""The residual channels there are: those that come with surefoot, then users' own."""
+"""Registry of the residual channels: the bundled ones, then those of plug-ins."""
 
 from functools import cache
 from typing import Any
@@ -10,7 +10,7 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.plugins import Registry
 
 CHANNEL_GROUP = "surefoot.channels"
-"""Entry points by which users' packages offer channels of their own."""
+"""Entry point group for channels of other packages."""
 BUNDLED_CHANNELS: tuple[type[Channel], ...] = (
     bundled.ImuGyro,
     bundled.ImuAccel,
@@ -34,7 +34,7 @@ def _check(name: str, kind: Any) -> None:
 CHANNELS = Registry(
     CHANNEL_GROUP, {kind.name: kind for kind in BUNDLED_CHANNELS}, ("name", "unit", "needs"), _check
 )
-"""Name -> class; a package's is imported and checked when it is looked up."""
+"""Name -> class; a plug-in's is imported and checked when it is looked up."""
 
 
 @cache

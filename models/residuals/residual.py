@@ -1,4 +1,4 @@
-"""The table of residuals of a log under a model: every channel's columns, bin by bin."""
+"""Table of residuals of a log under a model: the columns of every channel, by bin."""
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
@@ -19,8 +19,14 @@ from surefoot.sim.robot.fixed_base import Machine
 
 @dataclass(frozen=True)
 class ResidualTable:
-    """A log's residuals (M, W), of the channels of these names, and what they were computed from:
-    what derivatives need again."""
+    """Residuals of a log, and what their derivatives need again.
+
+    Attributes:
+        layout: of the table.
+        inputs: from which it was computed.
+        table: residuals (M, W).
+        names: of the channels that were computed.
+    """
 
     layout: Layout
     inputs: ResidualInputs
@@ -36,15 +42,17 @@ class ResidualTable:
 def residual(
     log: Log, robot: Machine, motion: ReferenceMotion, names: Collection[str] | None = None
 ) -> ResidualTable:
-    """Residuals of the log's readings under the declared model `robot`, of the channels of these
-    names, of all where none are given."""
+    """Residuals of a log's readings under the model `robot`.
+
+    `names` selects the channels, by default all.
+    """
     layout, inputs = layout_for(robot.limbs), ResidualInputs(log, robot, motion)
     asked = tuple(layout.channels if names is None else names)
     return ResidualTable(layout, inputs, filled(layout, inputs, asked), asked)
 
 
 def filled(layout: Layout, inputs: ResidualInputs, names: Collection[str]) -> np.ndarray:
-    """The table (M, W) with the residuals of these channels."""
+    """The table (M, W) with the residuals of these channels; NaN in the others."""
     table = np.full((len(inputs.motion.t), layout.width), np.nan)
     for name, columns in layout.channels.items():
         if name in names and channels()[name].answers(inputs.log, inputs.motion):
@@ -55,8 +63,10 @@ def filled(layout: Layout, inputs: ResidualInputs, names: Collection[str]) -> np
 
 
 def motion_under_model(log: Log, robot: Machine, fixed: bool) -> ReferenceMotion:
-    """The reference motion of a log, or without one its motion by IMU and legs, and the rows in
-    which its feet stand by this model."""
+    """Reference motion of a log, with stances and swings as they are under this model.
+
+    Without a reference, the motion by IMU and legs.
+    """
     if not fixed and isinstance(robot, Robot) and not log.has("reference"):
         return motion_without_reference(log, robot)
     motion = reference_motion(log, robot.limbs, fixed)
@@ -66,7 +76,7 @@ def motion_under_model(log: Log, robot: Machine, fixed: bool) -> ReferenceMotion
 
 
 def with_ground(motion: ReferenceMotion, log: Log, robot: Machine) -> ReferenceMotion:
-    """The reference motion, knowing whether heights of feet mean anything."""
+    """Detect whether the ground is level, so that heights of feet can be compared."""
     stands = motion.by_reference and log.has("q") and motion.standing.any()
     if not (isinstance(robot, Robot) and stands):
         return motion

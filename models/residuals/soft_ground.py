@@ -1,17 +1,18 @@
-"""How a foot moves in ground that gives: how deep it stands, and its velocity meanwhile.
+"""Motion of a foot in soft ground: its depth and velocity during stance.
 
-A contact of MuJoCo is a critically damped spring of time constant T, pushed in by what the foot
-carries. Of a foot at the depth z, with the impedance i of at most d,
+MuJoCo models a contact as a critically damped spring with time constant T. For a foot at depth z
+with impedance i of at most d,
 
     z'' = -b z' - k z + R F - c_z,    b = 2 / (d T),    k = i / (d T)^2,    R = (1 - i) / (i m)
 
-and along the ground v' = -b v + c. F is the load, 1 / m what a unit of force accelerates the foot
-by, and c what the robot's rates alone do, which a contact does not feel (MuJoCo's documentation,
-"Computation", on its constraints). So a foot sinks by the speed at which it lands, and is kept
-where its load is borne: at 5 mm for spot at T = 0.024 s, and four times as deep at twice that.
+and along the ground v' = -b v + c. F is the load, 1 / m the acceleration of the foot per unit of
+force, and c the acceleration from the robot's rates alone, which a contact does not feel (MuJoCo
+documentation, "Computation", on constraints). A foot thus sinks by its speed at touchdown and
+settles where its load is supported: at 5 mm for spot with T = 0.024 s, and four times as deep at
+twice that.
 
-Only feet are known to touch. Where they sink so deep that a shank touches as well (spot's, from
-T = 0.05 s), it takes a part of the load, and `trace` finds too small a size or another effect.
+Only feet are assumed to touch. If they sink so deep that a shank touches as well (spot's from T =
+0.05 s), it takes a part of the load, and `trace` finds too small a size or another effect.
 """
 
 from dataclasses import replace
@@ -30,18 +31,24 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.stances import stances_between_swings
 
 AROUND = 0.004
-"""s to either side of a landing, over which a foot's velocity is taken."""
+"""Time before and after touchdown over which a foot's velocity is averaged [s]."""
 SETTLED_SHARE = 0.5
-"""Share of a stance after which a foot is where its load keeps it."""
+"""Share of a stance after which a foot has settled."""
 AHEAD = 1e-4
-"""s, over which rates alone are followed to see what they accelerate."""
+"""Time step for the acceleration from constant rates [s]."""
 ROUNDS = 3
-"""Times that a stance is followed, until its end and its beginning agree on where the ground is."""
+"""Iterations of a stance, after which its end and its start agree on the ground's height."""
 
 
 class Stances(NamedTuple):
-    """The K stances of a foot: first and last (K,), its first row and the one after its last;
-    landed (K,): whether it was seen to land; v_G (K, 3) [m/s]: its velocity on landing."""
+    """The K stances of a foot.
+
+    Attributes:
+        first: first row of each (K,).
+        last: row after the last of each (K,).
+        landed: whether the touchdown is in the log (K,).
+        v_G: velocity at touchdown (K, 3) [m/s].
+    """
 
     first: np.ndarray
     last: np.ndarray
@@ -52,8 +59,10 @@ class Stances(NamedTuple):
 def foot_sinking(
     log: Log, robot: Robot, frame: ReferenceMotion, bins: Bins, load: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Depth (M, L) [m] and velocity (M, L, 3) [m/s], in I, of each standing foot's sole beyond
-    those on hard ground, means over bins.
+    """Depth (M, L) [m] and velocity (M, L, 3) [m/s], in I, of each standing foot's sole, as bin
+    means.
+
+    Relative to a foot on hard ground.
 
     Args:
         log: the measured log.
@@ -84,14 +93,15 @@ def foot_sinking(
 
 
 def gives(robot: Robot) -> np.ndarray:
-    """What a unit of force accelerates each foot by, (L,) [1/kg], by the declared masses."""
+    """Acceleration of each foot per unit of force (L,) [1/kg], from the declared masses."""
     model = dynamics_of(robot.file, robot.joint_names).model
     return np.array([model.body_invweight0[model.body(name).id, 0] for name in robot.foot_bodies])
 
 
 def swept(robot: Robot, bins: Bins) -> np.ndarray:
-    """Acceleration (M, L, 3) [m/s^2], in I, of each sole while the rates of the joints and of the
-    base stay as they are, and so does its origin's velocity in the world."""
+    """Acceleration (M, L, 3) [m/s^2], in I, of each sole at constant rates of the joints and the
+    base, and constant velocity of the base's origin in the world.
+    """
     up, every = bins.R_GI[:, 2], np.ones(bins.standing.shape, dtype=bool)
     at_origin = replace(robot, p_BI=np.zeros(3))
 
@@ -107,14 +117,14 @@ def swept(robot: Robot, bins: Bins) -> np.ndarray:
 def foot_stances(
     log: Log, robot: Robot, frame: ReferenceMotion, leg: int, dq: np.ndarray
 ) -> Stances:
-    """The stances of a foot by its contacts; dq (N, J) [rad/s].
+    """Stances of a foot, from its contacts.
 
     Args:
         log: the measured log.
         robot: as declared.
         frame: reference motion of the log.
         leg: index of the foot.
-        dq: (N, J) [rad/s].
+        dq: joint rates (N, J) [rad/s].
     """
     first, last = stances_between_swings(log.t, log.contact[:, leg])
     around = max(1, round(AROUND * log.rate))
@@ -128,12 +138,12 @@ def foot_stances(
 
 @kernel
 def _follow_all(t, height, rows, stances, give, T, sign, depth, v_G):
-    """Add what a foot does in all its stances, `sign` times.
+    """Add the motion of a foot in all its stances, with a sign.
 
     Args:
         t: (N,) [s].
         height: (N,) [m], of the foot in G.
-        rows: (N, 4), acceleration by the rates alone in G [m/s^2] and load [N].
+        rows: (N, 4), acceleration from the rates alone in G [m/s^2] and load [N].
         stances: Stances of the foot.
         give: acceleration per unit of load [1/kg].
         T: time constant of the contact [s].
@@ -149,7 +159,7 @@ def _follow_all(t, height, rows, stances, give, T, sign, depth, v_G):
         start = 0.0
         for _ in range(ROUNDS * stances.landed[s]):
             _follow(t, rows, a, b, start, stances.v_G[s], give, T, z, v)
-            # The ground is where the settled foot is, and as much higher as that is deep.
+            # The ground is above the settled foot by its depth.
             half = a + int(SETTLED_SHARE * (b - a))
             start = np.mean(height[half:b] + z[half:b]) - height[a]
             if not start > 0.0:  # nor where there is no reference
@@ -160,11 +170,11 @@ def _follow_all(t, height, rows, stances, give, T, sign, depth, v_G):
 
 @kernel
 def _follow(t, rows, a, b, z, v_start, give, T, depth, v_G):
-    """One stance, as the simulation steps through it.
+    """Integrate one stance with the simulation's time step.
 
     Args:
         t: (N,) [s].
-        rows: (N, 4), acceleration by the rates alone in G [m/s^2] and load [N].
+        rows: (N, 4), acceleration from the rates alone in G [m/s^2] and load [N].
         a: first row of the stance.
         b: its end.
         z: depth at row a [m].
@@ -194,7 +204,7 @@ def _follow(t, rows, a, b, z, v_start, give, T, depth, v_G):
 
 @kernel
 def _at_rest(load, give, T):
-    """Depth at which a foot that carries `load` stays."""
+    """Equilibrium depth of a foot that carries `load`."""
     z = 0.0
     for _ in range(20):
         i = _impedance(z)

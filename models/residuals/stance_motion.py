@@ -1,8 +1,7 @@
-"""What a whole stance says of a leg: its mean velocity, and how far the foot moves meanwhile.
+"""Residuals over whole stances: mean velocity, and displacement of the foot.
 
-The samples of a stance are one correlated piece, of which what the foot does as it lands and lifts
-is the loudest part. What carries the odometry of legs is their mean, and the way that a foot moves
-over the ground while it counts as standing.
+The samples of a stance are correlated, and dominated by touchdown and lift-off. What leg odometry
+accumulates is their mean, and the displacement of the foot over the ground while its contact is on.
 """
 
 import numpy as np
@@ -15,16 +14,15 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.stances import stances
 
 FEWEST = 3
-"""Bins inside a stance below which their mean says little."""
+"""Minimum number of bins inside a stance for a mean."""
 SHORTEST = 0.1
-"""s of a contact below which it is no step."""
+"""Shortest contact that counts as a step [s]."""
 
 
 def stance_means(t: np.ndarray, values: np.ndarray, there: np.ndarray) -> np.ndarray:
-    """Means over stances of values (M, L, K), each in the bin in which its stance is half over; all
-    other bins are NaN.
+    """Means over stances of values (M, L, K), in the middle bin of each; NaN in all other bins.
 
-    t: (M,) [s], of the bins; there: (M, L) bins inside a stance, which follow each other.
+    t: (M,) [s], of the bins; there: (M, L) bins inside a stance, which are contiguous.
     """
     means = np.full(values.shape, np.nan)
     for leg in range(values.shape[1]):
@@ -40,20 +38,20 @@ def stance_means(t: np.ndarray, values: np.ndarray, there: np.ndarray) -> np.nda
 
 
 def stance_displacement(log: Log, robot: Robot, frame: ReferenceMotion) -> np.ndarray:
-    """How far (M, 2 L) [m] a foot moves over the ground from the beginning to the end of each of
-    its contacts, by its leg and the reference: against the heading's forward and lateral axis, as
-    the body seems to have moved too far. In the bin in which the contact is half over.
+    """Displacement (M, 2 L) [m] of each foot over the ground during each of its contacts.
 
-    Contacts are as long as the feet stand by their own motion, and as the model's extras, which
-    know of late ones, leave them.
+    By the leg's kinematics and the reference, negated, along the forward and lateral axes of the
+    heading: the distance by which leg odometry moves the body too far. In the bin in the middle of
+    the contact. Contacts are shortened to the time in which the foot does not move, and by the
+    delays that the model declares.
     """
     omega = log.gyro if log.has("imu") else frame.gyro
-    # A row more on either side, for contacts that the model knows to be late by a part of one.
+    # One more row on either side, for contacts that the model delays by a part of a row.
     around = maximum_filter1d(log.contact, 3, axis=0) & frame.ok[:, None]
     v_I = leg_velocity(robot, log.q, joint_velocity(log), omega, frame.up_I, around)
     ahead = frame.R_GI[:, :2, 0]
     ahead = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
-    # The heading's axes, level in G, as seen in I.
+    # The heading's axes, level in G, expressed in I.
     axes_I = np.stack([ahead, ahead[:, ::-1] * [-1.0, 1.0]], axis=1) @ frame.R_GI[:, :2]
     forward, lateral = np.moveaxis((v_I - frame.v_I[:, None]) @ np.swapaxes(axes_I, 1, 2), 2, 0)
     half = 0.5 * np.gradient(log.t)
@@ -76,5 +74,5 @@ def stance_displacement(log: Log, robot: Robot, frame: ReferenceMotion) -> np.nd
 
 
 def _sums(x: np.ndarray) -> np.ndarray:
-    """Sums (N + 1, ...) of the rows of x (N, ...) before each edge between rows."""
+    """Cumulative sums (N + 1, ...) of the rows of x (N, ...), at the edges between rows."""
     return np.concatenate([np.zeros_like(x[:1], dtype=float), np.cumsum(x, axis=0)])

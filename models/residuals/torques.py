@@ -1,8 +1,8 @@
-"""Residuals of the joints' torques: against inverse dynamics in swing, and of the whole base.
+"""Residuals of joint torques: against inverse dynamics in swing, and the wrench on the base.
 
-Everything in the equation of motion is a mean over the same steps of a bin, an acceleration what a
-rate gained over them. Rates of joints are too noisy for less than three bins: what is left of the
-equation is averaged over three, by quarters, half and quarters.
+All terms of the equation of motion are means over the same time steps of a bin; an acceleration is
+the change of a rate over them. Joint rates are too noisy for a single bin, so the residual of the
+equation is smoothed over three, with weights 1/4, 1/2, 1/4.
 """
 
 from dataclasses import dataclass
@@ -21,12 +21,19 @@ from surefoot.sim.robot.kinematics import leg_forward
 
 @dataclass(frozen=True)
 class Steps:
-    """What inverse dynamics takes, bin by bin, of J joints and L feet.
+    """Inputs of inverse dynamics in each of M bins, for J joints and L feet.
 
-    q, dq, ddq, tau (M, J), base (M, 9), up_B (M, 3), standing (M, L); swings (M, J): joints of feet
-    that are in the air for three bins; steady (M,): bins that no foot lands or lifts in, nor in
-    their neighbours; sunk (M, L) [m]: how much nearer to a foot's centre than its radius it
-    touches.
+    Attributes:
+        q: angles (M, J) [rad].
+        dq: rates (M, J) [rad/s].
+        ddq: accelerations (M, J) [rad/s^2].
+        tau: measured torques (M, J) [N m].
+        base: angular rate, its derivative and specific force of the base (M, 9), in B.
+        up_B: the ground's normal in B (M, 3).
+        standing: feet in stance (M, L).
+        swings: joints whose foot is in the air for three bins (M, J).
+        steady: bins in which, and next to which, no foot lands or lifts (M,).
+        sunk: reduction of the distance from a foot's centre to its contact point (M, L) [m].
     """
 
     q: np.ndarray
@@ -42,7 +49,7 @@ class Steps:
 
 
 def steps_of(bins: Bins, robot: Machine) -> Steps:
-    """The streams of a log's bins, ready for inverse dynamics."""
+    """Prepare the bins of a log for inverse dynamics."""
     whole = np.zeros(len(bins.t), dtype=bool)
     gaps = np.abs(np.diff(bins.t) - BIN) < 0.25 * BIN
     whole[1:-1] = gaps[1:] & gaps[:-1]
@@ -50,7 +57,7 @@ def steps_of(bins: Bins, robot: Machine) -> Steps:
     up_B = np.zeros((len(bins.t), 3))
     if isinstance(robot, Robot):
         up_B = bins.R_GI[:, 2] @ robot.R_BI.T
-        # Of joints of no leg, no foot's load is above them.
+        # Joints that belong to no leg carry no foot's load.
         swings = np.ones_like(bins.q, dtype=bool)
         if bins.q.shape[1] == len(robot.limbs.joints):  # else the log has no angles
             for leg, chain in enumerate(robot.limbs.chains):
@@ -73,14 +80,14 @@ def steps_of(bins: Bins, robot: Machine) -> Steps:
 
 
 def smooth_121(x: np.ndarray) -> np.ndarray:
-    """Mean of x (M, ...) with its neighbours, by quarters; the ends stay as they are."""
+    """Smooth x (M, ...) with weights 1/4, 1/2, 1/4; the ends stay as they are."""
     out = x.copy()
     out[1:-1] = 0.25 * x[:-2] + 0.5 * x[1:-1] + 0.25 * x[2:]
     return out
 
 
 def slope(x: np.ndarray) -> np.ndarray:
-    """Slope of x (M, ...) per second from the bin before to the bin after."""
+    """Central difference of x (M, ...) per second."""
     out = np.zeros_like(x)
     out[1:-1] = (x[2:] - x[:-2]) / (2 * BIN)
     return out
@@ -88,15 +95,17 @@ def slope(x: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class InverseDynamics:
-    """What the motion takes: wrench (M, 6) on the base, in B about its origin; torque (M, J)."""
+    """Wrench (M, 6) on the base, in B about its origin, and joint torques (M, J) for the motion."""
 
     wrench: np.ndarray
     torque: np.ndarray
 
 
 def inverse_dynamics(s: Steps, robot: Machine, every: bool = False) -> InverseDynamics:
-    """Inverse dynamics of the declared model and of what it knows of its masses; of bins that no
-    residual is asked for, zero, unless it is wanted of `every` one."""
+    """Inverse dynamics of the declared model with its declared masses.
+
+    Bins that no residual needs are zero, unless `every` bin is requested.
+    """
     use = np.flatnonzero(dilate(s.swings.any(axis=1) | s.steady) | every)
     dynamics = dynamics_of(robot.file, robot.joint_names)
     wrench, torque = np.zeros((len(s.q), 6)), np.zeros_like(s.q)
@@ -109,14 +118,17 @@ def inverse_dynamics(s: Steps, robot: Machine, every: bool = False) -> InverseDy
 def inverse_dynamics_jacobians(
     s: Steps, robot: Machine, step: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives of an effort's wrench (3, J, M, 6) and torque (3, J, M, J), by each joint's
-    angle, rate and acceleration: forward differences."""
+    """Derivatives of wrench (3, J, M, 6) and torque (3, J, M, J) by each joint's angle, rate and
+    acceleration.
+
+    Forward differences of size `step`.
+    """
     dynamics = dynamics_of(robot.file, robot.joint_names)
     return dynamics.derivatives(s.q, s.dq, s.ddq, s.base, body_changes(robot), step)
 
 
 def torque_carried(s: Steps, robot: Machine) -> np.ndarray:
-    """Wrench (M, 6) that the known payload and the shift of the base's centre of mass take."""
+    """Wrench (M, 6) for the declared payload and shift of the base's centre of mass."""
     wrench = np.zeros((len(s.q), 6))
     if not isinstance(robot, Robot) or not (robot.extras.payload or robot.extras.com_shift.any()):
         return wrench
@@ -134,40 +146,43 @@ def torque_carried(s: Steps, robot: Machine) -> np.ndarray:
 
 @lru_cache(maxsize=16)
 def declared(file: Path) -> Robot:
-    """The robot as its file has it."""
+    """The robot as in its file."""
     return Robot.load(file)
 
 
 def torque_residual(s: Steps, needed: InverseDynamics) -> np.ndarray:
-    """Measured torque less what the motion takes (M, J) [N m], NaN where a foot is loaded."""
+    """Measured torque minus inverse dynamics (M, J) [N m], NaN where a foot is loaded."""
     return np.where(s.swings, smooth_121(s.tau - needed.torque), np.nan)
 
 
 def wrench_residual(s: Steps, needed: InverseDynamics, robot: Robot) -> np.ndarray:
-    """What the feet give the base less what its motion takes (M, 6), in B; NaN where unsteady."""
+    """Wrench of the feet on the base minus inverse dynamics (M, 6), in B; NaN where unsteady."""
     return np.where(s.steady[:, None], smooth_121(unbalanced(s, needed, robot)), np.nan)
 
 
 def unbalanced(s: Steps, needed: InverseDynamics, robot: Robot) -> np.ndarray:
-    """The wrench (M, 6), in B, that the standing feet give the base less what its motion takes.
+    """Wrench (M, 6), in B, of the standing feet on the base minus inverse dynamics.
 
-    The leg rows of the equation of motion give each standing foot's force:
-    J^T f = inverse dynamics - measured torque.
+    The leg rows of the equation of motion give each standing foot's force: J^T f = inverse dynamics
+    - measured torque.
     """
     return given_by_feet(s, s.q, needed.torque - s.tau, robot).sum(axis=1) - needed.wrench
 
 
 def given_by_feet(s: Steps, q: np.ndarray, taken: np.ndarray, robot: Robot) -> np.ndarray:
-    """What each standing foot gives the base (M, L, 6), at angles q (M, J), its leg taking the
-    torques `taken` (M, J) more than were measured."""
+    """Wrench (M, L, 6) of each standing foot on the base, at angles q (M, J).
+
+    taken (M, J): J^T f, torques by inverse dynamics minus measured ones.
+    """
     radius = np.maximum(robot.foot_radius - s.sunk, 0.0)
     return feet_wrenches(robot.legs, radius, q, s.up_B, s.standing, np.ascontiguousarray(taken))
 
 
 @kernel
 def feet_wrenches(legs, radius, q, up, standing, taken):
-    """Force and moment (M, L, 6) [N, N m] of each standing foot on the base, in B about its origin,
-    by legs of three joints.
+    """Force and moment (M, L, 6) [N, N m] of each standing foot on the base, in B about its origin.
+
+    For legs of three joints.
 
     Args:
         legs: geometry of the legs, as of `leg_forward`.
@@ -184,14 +199,14 @@ def feet_wrenches(legs, radius, q, up, standing, taken):
             if not standing[k, leg]:
                 continue
             leg_forward(legs, leg, q[k], foot, J, axes)
-            # At the point that touches, below the sphere's centre.
+            # At the contact point, below the sphere's centre.
             for a in range(3):
                 foot[a] -= radius[k, leg] * up[k, a]
             for j in range(3):
                 for a in range(3):
                     b, c = (a + 1) % 3, (a + 2) % 3
                     J[a, j] -= radius[k, leg] * (axes[b, j] * up[k, c] - axes[c, j] * up[k, b])
-            # J^T f = taken, by the columns' cross products.
+            # Solve J^T f = taken by Cramer's rule.
             f[:], volume = 0.0, 0.0
             for j in range(3):
                 m, n = (j + 1) % 3, (j + 2) % 3
@@ -211,7 +226,7 @@ def feet_wrenches(legs, radius, q, up, standing, taken):
 
 
 def dilate(flag: np.ndarray) -> np.ndarray:
-    """Bins (M,) that have the flag, or a neighbour of which has it."""
+    """Bins (M,) that have the flag or are next to one that has it."""
     out = flag.copy()
     out[1:] |= flag[:-1]
     out[:-1] |= flag[1:]
@@ -219,7 +234,7 @@ def dilate(flag: np.ndarray) -> np.ndarray:
 
 
 def _always(flag: np.ndarray) -> np.ndarray:
-    """Bins (M, L) whose neighbours have the flag too."""
+    """Bins (M, L) that have the flag, as do both their neighbours."""
     out = np.zeros_like(flag)
     out[1:-1] = flag[:-2] & flag[1:-1] & flag[2:]
     return out

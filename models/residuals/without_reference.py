@@ -1,9 +1,8 @@
-"""The motion of a walk whose log has no reference, by its IMU and legs alone.
+"""Motion of a walk whose log has no reference, from its IMU and legs alone.
 
-It is none that readings could be held against, being made of them: it says where the vertical is,
-while which feet stand, and the course along which walks of a noise floor go. What is a residual
-then is what feet that stand at the same time say of each other (`feet.between_feet`), and what
-joints say of themselves.
+It is made of the readings, so they cannot be compared with it. It only gives the vertical, the
+stances, and the course for the simulated walks of a noise floor. The residuals are then contrasts
+between feet in simultaneous stance (`feet.between_feet`), and those of the joints alone.
 """
 
 from dataclasses import replace
@@ -20,8 +19,9 @@ from surefoot.sim.log import Log, joint_velocity
 from surefoot.sim.robot import Robot
 
 LEVELLED = 1.0
-"""s over which the specific force is averaged for the vertical: accelerations of a walk average to
-a few hundredths of gravity, and the vertical decides no more than where under a foot it rolls."""
+"""Averaging time of the specific force for the vertical [s]: accelerations of a walk average to a
+few hundredths of gravity, and the vertical only affects the contact point of a rolling foot.
+"""
 
 
 def can_reckon(log: Log) -> bool:
@@ -30,8 +30,10 @@ def can_reckon(log: Log) -> bool:
 
 
 def motion_without_reference(log: Log, robot: Robot) -> ReferenceMotion:
-    """Stances, bins and vertical of a walk without a reference; no foot stands or swings where the
-    log lacks IMU, angles or contacts."""
+    """Stances, bins and vertical of a walk without a reference.
+
+    No foot stands or swings where the log lacks IMU, angles or contacts.
+    """
     if not can_reckon(log):
         motion = reference_motion(log, robot.limbs, fixed=True)
         return replace(motion, lifted=motion.standing, by_reference=False)
@@ -45,10 +47,10 @@ def motion_without_reference(log: Log, robot: Robot) -> ReferenceMotion:
 
 
 def reckoned_by_legs(log: Log, robot: Robot) -> Log:
-    """The log with its dead reckoning in the reference's place: the velocity is the mean by the
-    feet that stand, up the direction of the mean specific force, the heading the gyro's integral.
+    """Replace a log's reference by dead reckoning.
 
-    log: of a walk, with IMU, angles and contacts.
+    The velocity is the mean over the standing feet, up is the direction of the mean specific force,
+    and the heading is the integral of the gyro. The log of a walk needs IMU, angles and contacts.
     """
     up = uniform_filter1d(log.accel, max(1, round(LEVELLED * log.rate)), axis=0)
     up /= np.linalg.norm(up, axis=1, keepdims=True)
@@ -58,7 +60,7 @@ def reckoned_by_legs(log: Log, robot: Robot) -> Log:
     stands = np.flatnonzero(count)
     v_I = np.stack([np.interp(log.t, log.t[stands], v_I[stands, a]) for a in range(3)], axis=1)
     yaw = cumulative_trapezoid(np.sum(log.gyro * up, axis=1), log.t, initial=0.0)
-    # Rows: the level heading, left of it, and up, as seen in I.
+    # Rows: level heading, left and up, expressed in I.
     ahead = np.array([1.0, 0.0, 0.0]) - up[:, :1] * up
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
     R_levelled = np.stack([ahead, np.cross(up, ahead), up], axis=1)
