@@ -1,5 +1,6 @@
 """Where the process begins: from its first import to its last moment, a signal is one line."""
 
+import os
 import sys
 
 from surefoot.scenarios.cli.signals import catch_signals, hand_over_lost, ignore_signals
@@ -10,6 +11,9 @@ from surefoot.sim.common.plugins import with_plugins
 def entry_point() -> None:
     """The command line of the process: imports take a second, in which nothing is to be undone."""
     catch_signals()
+    # No window is opened: MuJoCo would look for a library of them in a process of its own, whose
+    # traceback a signal would leave on the terminal.
+    os.environ.setdefault("MUJOCO_GL", "disable")
     sys.unraisablehook = hand_over_lost
     try:
         try:

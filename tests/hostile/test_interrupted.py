@@ -61,7 +61,7 @@ COMMANDS = {
     "plan": ("plan encoder_offset --robot spot_class", "*"),
     "bench": ("bench --rounds 1 --only box --page out/bench.md", "*.none"),
     "montecarlo": ("montecarlo --trials 2 --workers 2 -o out", "beyond.csv"),
-    "walking": ("walking --course c.toml --seeds 2 --workers 2 -o out", "walking.*"),
+    "walking": ("walking --course c.toml --seeds 2 --workers 2 -o out", "walking.csv"),
     "realism": ("realism a.parquet -o out", "drift.csv"),
     "trace": ("trace a.parquet -o out", "effects.toml"),
 }

@@ -100,3 +100,22 @@ def ended(name: str, work: str, folder: Path) -> subprocess.CompletedProcess:
         [sys.executable, "-c", "\n".join(lines)], cwd=folder, stderr=subprocess.PIPE, text=True,
         timeout=120, check=False,
     )  # fmt: skip
+
+
+STARTED = """
+import sys
+from surefoot.scenarios.cli.start import entry_point
+sys.argv = ["surefoot", "--version"]
+try:
+    entry_point()
+except SystemExit:
+    pass
+sys.addaudithook(lambda event, _: event == "subprocess.Popen" and print("started"))
+import mujoco
+"""
+
+
+def test_mujoco_starts_no_process_that_a_signal_could_end_with_a_traceback():
+    done = subprocess.run([sys.executable, "-c", STARTED], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "started" not in done.stdout
