@@ -39,6 +39,7 @@ from surefoot.models.residuals.residual import (
 from surefoot.sim.common.sources import code_digest
 from surefoot.sim.effects import Effect, compensate_all, effect, known_effects
 from surefoot.sim.effects.base import changed_columns, with_columns
+from surefoot.sim.effects.joint import TorqueScale
 from surefoot.sim.log import Log
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative
 from surefoot.sim.robot import Robot
@@ -73,6 +74,7 @@ class Evidence:
             candidate's size between logs, if any.
         settings: of the trace.
         groups: candidates whose regressor is the sum of those of other candidates.
+        as_read: factors of the columns of each log (`_as_read`).
     """
 
     layout: Layout
@@ -87,6 +89,7 @@ class Evidence:
     comes_with: tuple[Key | None, ...] = ()
     settings: TraceSettings = DEFAULT
     groups: frozenset[Key] = frozenset()
+    as_read: tuple[tuple[float, ...], ...] = ()
 
     @cached_property
     def single(self) -> np.ndarray:
@@ -181,9 +184,10 @@ def linearise(
         judged: whether to compute the channels that are only evaluated and never fitted.
     """
     parts = [_Linear(case, chosen, judged) for case in cases]
-    tables = [p.parts.table for p in parts]
+    tables, as_read = [p.table for p in parts], tuple(tuple(p.as_read) for p in parts)
     starts = np.cumsum([0] + [len(table) for table in tables])
-    if before is not None and _same_bins(before, np.concatenate(tables)):
+    same = before is not None and before.as_read == as_read
+    if before is not None and same and _same_bins(before, np.concatenate(tables)):
         own = {(e.name, e.target) for e in chosen}
         if any(part.contacts_differ for part in parts):
             # The same bins may be in stance and yet a different set of feet share the load.
@@ -223,6 +227,7 @@ def linearise(
         stands_for=tuple(stands_for),
         comes_with=tuple(comes_with),
         settings=cases[0].settings,
+        as_read=as_read,
         groups=frozenset(
             (name, target)
             for name, target in keys
@@ -246,7 +251,24 @@ def table_of(case: LogUnderModel, chosen: Sequence[Effect], judged: bool = True)
 
     Without `judged`, the channels that are only evaluated and never fitted are NaN.
     """
-    return _parts(case, chosen, judged)[2].table
+    return _parts(case, chosen, judged)[2].table * _as_read(case, chosen)
+
+
+def _as_read(case: LogUnderModel, chosen: Sequence[Effect]) -> np.ndarray:
+    """Factors (W,) of the columns that bring torque residuals back to the scale of the readings.
+
+    Compensating a torque scale divides the residual by it, noise included, so that the largest
+    scale would leave the least; with masses that shrink as well, next to nothing. Only for fixed
+    bases, whose noise floor is the noise of the readings.
+    """
+    layout = layout_for(case.robot.limbs)
+    factor = np.ones(layout.width)
+    for one in chosen:
+        if case.fixed and isinstance(one, TorqueScale):
+            joints = one.members(case.robot.limbs)
+            scaled = {f"{column}_{joint}" for column in ("torque", "command") for joint in joints}
+            factor[[name in scaled for name in layout.names]] *= 1.0 + one.value
+    return factor
 
 
 def _parts(
@@ -267,6 +289,7 @@ class _Linear:
         self.case, self.chosen, self.judged = case, list(chosen), judged
         self.log, self.robot, self.parts, self.frame = _parts(case, chosen, judged)
         self.joints = self.log.joints
+        self.as_read = _as_read(case, chosen)
         self.contacts_differ = self.frame is not case.frame and any(
             name.startswith("contact_") for name in changed_columns(case.log, self.log)
         )
@@ -275,6 +298,11 @@ class _Linear:
     @cached_property
     def jacobians(self) -> ResidualJacobians:
         return residual_jacobians(self.parts, self.robot)
+
+    @property
+    def table(self) -> np.ndarray:
+        """The residual table (M, W)."""
+        return self.parts.table * self.as_read
 
     def regressor(self, key: Key) -> Regressor:
         """Derivative of the residual table with respect to the size of `key`."""
@@ -295,7 +323,7 @@ class _Linear:
         if len(tried) == 1:
             return tried[0]
         # A start of either sign is valid for sizes of that sign; take the one that agrees best.
-        shares = [explained_share(one, self.parts.table) for one in tried]
+        shares = [explained_share(one, self.table) for one in tried]
         return tried[int(np.argmax(np.sign(sizes) * shares))]
 
     def _from_zero(self, key: Key, step: float) -> Regressor:
@@ -308,8 +336,12 @@ class _Linear:
             change = wrt_robot(self.parts, self.robot, robot, step)
         else:
             change = self._by_difference(log, robot, step)
-        one = self._own(key, sparse(change, self.parts.table))
+        one = self._read(self._own(key, sparse(change, self.parts.table)))
         return Regressor(one.columns, -one.values)
+
+    def _read(self, one: Regressor) -> Regressor:
+        """A regressor of the residual as one of the table."""
+        return Regressor(one.columns, one.values * self.as_read[one.columns])
 
     def by_columns(self, added: Mapping[str, np.ndarray]) -> Regressor:
         """Regressor of additions (N,) to columns of the log."""
@@ -318,7 +350,7 @@ class _Linear:
         share = self.case.settings.small_change
         small = {n: self.log.columns[n] + share * x for n, x in added.items()}
         others = self._of_others(with_columns(self.log, small), self.robot, share)
-        return sparse(change + others, self.parts.table)
+        return self._read(sparse(change + others, self.parts.table))
 
     def _by_chain_rule(self, log: Log, step: float) -> np.ndarray:
         """Change of the table (M, W) per unit, by the chain rule, for a `log` that is `step` units
@@ -388,7 +420,8 @@ class _Linear:
             for values in channels()[name].free(parts.inputs):
                 which = parts.layout.of(name)
                 there = np.isfinite(parts.table[:, columns])
-                out.append((Regressor(which, there * values), np.inf, None))
+                one = self._read(Regressor(which, there * values))
+                out.append((one, np.inf, None))
         return out
 
 

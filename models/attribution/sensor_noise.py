@@ -12,6 +12,9 @@ from surefoot.sim.effects.base import Effect, with_columns
 from surefoot.sim.log import Log
 from surefoot.sim.sensors.streams import Sensors
 
+STAYS = 1.5
+"""Quantisation steps: a signal that changes by less over a bin may keep its error throughout."""
+
 
 def sheet_noise(rate: float, layout: Layout, evenness: float = 0.0) -> np.ndarray:
     """Standard deviation (W,) of a bin's residual from the sensors' noise and uneven ground."""
@@ -41,14 +44,17 @@ def _noisier(case: LogUnderModel, rng: np.random.Generator) -> Log:
     """Add noise of the same level to a log's readings.
 
     The second difference of a reading has six times the variance of its noise and little of the
-    motion. The quantisation error of a slow signal may persist for a whole bin.
+    motion. The quantisation error may persist for a whole bin in which the signal hardly changes.
     """
-    log, noisy, count = case.log, {}, case.frame.count
+    log, noisy = case.log, {}
+    count, first = case.frame.count, case.frame.first
     for group in ("q", "dq", "tau"):
         for joint in log.joints if log.has(group) else ():
             values = log.frame[f"{group}_{joint}"].to_numpy()
             jitter = np.std(np.diff(values, n=2)) / np.sqrt(6.0)
-            rounding = np.repeat(rng.uniform(-0.5, 0.5, len(count)), count) * _resolution(values)
+            step = _resolution(values)
+            stays = np.abs(np.diff(values[first], append=values[-1])) < STAYS * step
+            rounding = np.repeat(rng.uniform(-0.5, 0.5, len(count)) * stays, count) * step
             noisy[f"{group}_{joint}"] = values + rng.normal(0.0, jitter, len(values)) + rounding
     return with_columns(log, noisy)
 

@@ -3,8 +3,10 @@
 import numpy as np
 import pandas as pd
 import pytest
+from pendulum import swung
 
 from surefoot.models.attribution.evidence import _Linear, all_keys, log_under_model, table_of
+from surefoot.models.attribution.sensor_noise import reading_noise
 from surefoot.models.residuals.layout import layout_for
 from surefoot.sim.effects import effect
 from surefoot.sim.log import Log, Meta
@@ -48,3 +50,11 @@ def test_regressors_are_the_slopes_of_the_residual(name):
     torque = layout_for(PENDULUM.limbs).of("joint_torque")
     apart = np.linalg.norm(whole[:, torque] - slope[:, torque])
     assert apart < 0.03 * np.linalg.norm(slope[:, torque])
+
+
+def test_the_floor_of_readings_is_what_their_noise_leaves():
+    """An encoder's rounding stays for a whole bin only where the joint hardly moves."""
+    case = log_under_model(swung(), PENDULUM)
+    left = table_of(case, ())[:, layout_for(PENDULUM.limbs).of("joint_torque", "joint_rate")]
+    floor = reading_noise([case])[layout_for(PENDULUM.limbs).of("joint_torque", "joint_rate")]
+    np.testing.assert_allclose(floor, np.nanstd(left, axis=0), rtol=0.15)

@@ -30,6 +30,14 @@ def run(seed, zero=0.0, **hidden):
     return replace(with_columns(log, {"q_shoulder": column}), name=f"run_{seed}")
 
 
+def test_a_torque_scale_and_dry_friction_of_one_drive_have_their_sizes():
+    """Larger scales and smaller masses would make the whole equation smaller, and what is left."""
+    found = trace_logs([swung(scale=1.2, friction=0.15)], PENDULUM)
+    assert [e.name for e in found.effects] == ["torque_scale", "coulomb_friction"]
+    assert [e.value for e in found.effects] == pytest.approx([0.2, 0.15], rel=0.05)
+    assert found.verdict == "attributed"
+
+
 def names(found):
     return [(e.name, e.target) for e in found.effects]
 
