@@ -36,10 +36,12 @@ Verdict = Literal["like", "unlike", "undecided"]
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How far the simulated value may be from the measured one.
+    """Largest accepted difference between the simulated and the measured value.
 
-    within: in the quantity's unit, or where `relative` as a share of the measured value; reason:
-    why so far.
+    Attributes:
+        within: in the quantity's unit or, if `relative`, as a share of the measured value.
+        reason: for this size.
+        relative: whether `within` is a share.
     """
 
     within: Positive
@@ -57,10 +59,11 @@ def tolerances() -> dict[str, Tolerance]:
 
 @dataclass(frozen=True)
 class Row:
-    """A quantity of the measured and the simulated walks, in `unit`, with 95 % bootstrap intervals.
+    """One quantity of the measured and the simulated walks, in `unit`, with 95 % bootstrap
+    intervals.
 
-    verdict: "like" where the difference's whole interval is within the tolerance, "unlike" where
-    all of it is beyond, else "undecided".
+    The verdict is "like" if the whole interval of the difference is within the tolerance, "unlike"
+    if all of it is outside, else "undecided".
     """
 
     quantity: str
@@ -86,7 +89,9 @@ class Row:
 class Card:
     """A realism card.
 
-    rows: a quantity each; missing: quantity -> why a log cannot give it.
+    Attributes:
+        rows: one for each quantity.
+        missing: quantity -> why a log lacks it.
     """
 
     rows: tuple[Row, ...]
@@ -110,9 +115,10 @@ def realism_card(
     Args:
         measured: the measured walk.
         simulated: walks in the same style.
-        rng: resamples the strides.
-        scales: of the measured and of the simulated robot, where they are different robots: the
-            measured values and absolute tolerances are scaled to the latter (`sim.effects.carry`).
+        rng: for the bootstrap over strides.
+        scales: of the measured and of the simulated robot, if they are different robots; the
+            measured values and absolute tolerances are then scaled to the latter
+            (`sim.effects.carry`).
     """
     rows, missing = [], {}
     for quantity in QUANTITIES:
@@ -137,8 +143,8 @@ def _row(
         quantity: of the row.
         measured: the measured walk.
         simulated: walks in the same style.
-        rng: resamples the strides.
-        scale: factor from the measured robot to the simulated one, for the measured value and the
+        rng: for the bootstrap over strides.
+        scale: factor from the measured to the simulated robot, for the measured value and the
             absolute tolerance.
     """
     value, draws = estimate(quantity, [measured], rng)

@@ -1,7 +1,7 @@
-"""The quantities of the realism card.
+"""Quantities of the realism card.
 
-Each has values by stride, stance or second of a walk, and a statistic that makes one number of
-them. Resampling the strides' values gives the number's interval.
+Each has a value for every stride, stance or second of a walk, and a statistic that combines them.
+The interval of the statistic is found by resampling strides.
 """
 
 from collections.abc import Callable
@@ -32,17 +32,23 @@ PARTS = {"landing": (0.0, 0.2), "middle": (0.2, 0.8), "lift-off": (0.8, 1.0)}
 """Shares of a stance."""
 DIRECTIONS_OF_FEET = ("forward", "outward", "up")
 WEIGHED = (0.8, 1.25)
-"""Range of the mean sum of all foot forces over the weight in which they are taken as newtons."""
+"""Range of the mean sum of all foot forces, relative to the weight, in which the forces are taken
+to be in newtons.
+"""
 
 Values = tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """One number of a walk.
+    """One statistic of a walk.
 
-    values: maps a walk to values (K, ...) and the time (K,) [s] of each; raises SurefootError where
-    the log lacks what they need. statistic: maps such values to one number in `unit`.
+    Attributes:
+        name: of the quantity.
+        unit: of the statistic.
+        values: function from a walk to values (K, ...) and the time of each (K,) [s]; raises
+            SurefootError where the log lacks what it needs.
+        statistic: function from such values to a number.
     """
 
     name: str
@@ -64,9 +70,9 @@ def period(walk: WalkView) -> Values:
 
 
 def period_change(walk: WalkView) -> Values:
-    """Differences of a foot's successive periods, as a share of their median.
+    """Differences between successive stride periods of a foot, relative to their median.
 
-    Slow changes of the gait hardly show in them.
+    Insensitive to slow changes of the gait.
     """
     changes, times = [], []
     for one in walk.strides:
@@ -113,7 +119,9 @@ def standing_speed(walk: WalkView, part: str, axis: int) -> Values:
 
 
 def walk_stance_means(walk: WalkView) -> Values:
-    """For each stance (K, 2) [m/s]: forward speed of the base, and what the leg misses of it."""
+    """Forward speed of the base, and how much of it the leg's kinematics miss, for each stance (K,
+    2) [m/s].
+    """
     found, times = [], []
     for leg, (first, end) in enumerate(walk.stances):
         missed = _mean_of_runs(walk.standing_velocity[:, leg, 0], first, end)
@@ -125,7 +133,9 @@ def walk_stance_means(walk: WalkView) -> Values:
 
 
 def missed_share(values: np.ndarray) -> float:
-    """Share of the speed that legs miss: slope through the origin of `walk_stance_means` (K, 2)."""
+    """Share of the speed that the legs miss: slope through the origin of `walk_stance_means` (K,
+    2).
+    """
     speed, missed = values.T
     return float(speed @ missed / (speed @ speed))
 
@@ -149,8 +159,8 @@ def force_threshold(walk: WalkView) -> Values:
 def force_weight(walk: WalkView) -> Values:
     """Largest force of each stance over the robot's weight.
 
-    Raises SurefootError where the feet's forces do not add up to about the weight: then their unit
-    is not newton.
+    Raises SurefootError where the feet's forces do not add up to about the weight, so that their
+    unit cannot be the newton.
     """
     weight = walk.robot.mass * GRAVITY
     walk.log.require("force")

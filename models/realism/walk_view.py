@@ -13,12 +13,12 @@ from surefoot.sim.sensors.stances import stance_phase, stances_between_swings
 from surefoot.sim.walking.imitation import moving, strides
 
 FEWEST_STRIDES = 8
-"""Strides of one foot below which a log is too short: a bootstrap over strides needs some."""
+"""Strides of one foot that the bootstrap needs."""
 
 
 @dataclass(frozen=True)
 class WalkView:
-    """A log and its declared robot, with strides, stances and velocities computed once when asked.
+    """A log and its declared robot, with strides, stances and velocities computed on first use.
 
     N rows, L legs, J joints; S strides of the foot that makes the most. Raises SurefootError where
     the log lacks IMU, joint angles, contacts or a reference, or has too few strides.

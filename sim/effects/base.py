@@ -1,9 +1,9 @@
-"""What an effect is: something that a real robot has and a model may lack.
+"""Base class of the effects that a real robot has and a model may lack.
 
-An effect says two things that share no code: how it is injected into a simulation (the MjSpec,
-the ground, the sensors or their streams), and how a model that knows of it compensates it on a log
-(`compensate`). What a size does to the residual of a log follows from the latter alone, by a
-difference of the residual; `chain_rule` names a shortcut.
+An effect defines two things independently: how it is injected into a simulation (MjSpec, ground,
+sensors or their streams), and how a model that knows of it compensates it on a log (`compensate`).
+Its influence on the residual of a log follows from the latter by finite differences; `chain_rule`
+declares a shortcut.
 """
 
 from collections.abc import Mapping
@@ -27,12 +27,12 @@ __all__ = ["AXES", "Effect", "changed_columns", "joint_sizes", "turn_about", "wi
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect on one target (a joint, leg, axis, or several of one size), of one scalar size.
+    """An effect of one scalar size on one target: a joint, leg, axis, or a group of them.
 
-    A subclass gives its name, unit, bounds and sort of target, which residual channels it can
-    affect, how it is injected (one of the `alter_` methods or `edit_spec`), and, where a model can
-    compensate it, how. Raises SurefootError for a target it does not have or a size out of bounds;
-    which parts there are depends on the machine (`members`).
+    A subclass states its name, unit, bounds, kind of target and the residual channels that it can
+    affect. It overrides one of the `alter_` methods or `edit_spec` to inject the effect and, if a
+    model can compensate it, `compensate`. Raises SurefootError for an unknown target or a size out
+    of bounds; which parts exist depends on the machine (`members`).
     """
 
     target: str
@@ -43,29 +43,33 @@ class Effect:
     bounds: ClassVar[tuple[float, float]]
     channels: ClassVar[tuple[str, ...]]
     targets: ClassVar[Part | tuple[str, ...]]
-    """What it is on: a sort of part, of which a machine has its own, or words of the effect's."""
+    """Kind of part that the effect is on, or the names of its targets if they are no parts."""
     groups: ClassVar[bool] = False
-    """Whether several parts may share one size, as those of one make do (`targets.groups`)."""
+    """Whether a group of parts may share one size (`targets.groups`)."""
     step: ClassVar[float]
-    """A small size, for numerical derivatives by it; an effect that is compensated needs one."""
+    """Step of numerical derivatives with respect to the size; required if it is compensated."""
     starts: ClassVar[tuple[float, ...]] = ()
-    """Sizes to begin a search from, where the residual is far from linear in the size."""
+    """Initial sizes for a search, where the residual is far from linear in the size."""
     needs: ClassVar[tuple[str, ...]] = ()
-    """Groups of a log's columns, as of `Log.require`, that `compensate` needs, beyond those of its
-    channels."""
+    """Groups of a log's columns, as for `Log.require`, that `compensate` needs beyond those of its
+    channels.
+    """
     chain_rule: ClassVar[Literal["readings", "legs", "mass"] | None] = None
-    """By what alone `compensate` acts, so that the derivative of the residual by the size may be
-    taken by the chain rule: "readings" (columns of gyro, accel, q, dq, tau), "legs" (the robot's
-    leg geometry and foot radius), "mass" (what its base carries). None: the derivative is a
-    difference of the residual itself, which holds for any effect."""
+    """The only quantities that `compensate` changes, so that derivatives of the residual may use
+    the chain rule: "readings" (columns of gyro, accel, q, dq, tau), "legs" (leg geometry and foot
+    radius) or "mass" (inertial parameters). None: finite differences of the residual, valid for any
+    effect.
+    """
 
     lossy: ClassVar[bool] = False
-    """Whether undoing it leaves readings that are worse than without it: what streams that were
-    moved in time have lost between their rows, or the noise of a derivative."""
+    """Whether compensation degrades the readings, by interpolation of streams shifted in time or by
+    the noise of a derivative.
+    """
 
     takes_loads: ClassVar[bool] = False
-    """Whether `compensate` takes the loads of joints or feet from the log, which is to be as all
-    other effects leave it."""
+    """Whether `compensate` takes the loads of joints or feet from the log, in which all other
+    effects must be compensated before.
+    """
 
     def __post_init__(self):
         if isinstance(self.targets, tuple) and self.target not in self.targets:
@@ -79,15 +83,16 @@ class Effect:
 
     @classmethod
     def single_targets(cls, limbs: Limbs) -> tuple[str, ...]:
-        """The single targets of this effect: parts of a machine with these limbs, or the words of
-        `targets` where these are its targets."""
+        """Single targets of this effect: the parts of a machine with these limbs, or the names in
+        `targets`.
+        """
         return cls.targets if isinstance(cls.targets, tuple) else parts(cls.targets, limbs)
 
     @classmethod
     def group_targets(cls, limbs: Limbs) -> dict[str, tuple[str, ...]]:
-        """The groups of parts that may share one size: name -> members, which are single targets.
+        """Groups of parts that may share one size: name -> members, which are single targets.
 
-        None where `groups` is not set, or where the machine has no two parts of the sort.
+        Empty if `groups` is not set, or the machine has no two parts of the kind.
         """
         if not cls.groups or isinstance(cls.targets, tuple):
             return {}
@@ -95,12 +100,12 @@ class Effect:
 
     @classmethod
     def targets_on(cls, limbs: Limbs) -> tuple[str, ...]:
-        """Every target on a machine with these limbs: single ones, then groups."""
+        """All targets on a machine with these limbs: single ones, then groups."""
         return (*cls.single_targets(limbs), *cls.group_targets(limbs))
 
     @classmethod
     def members_of(cls, target: str, limbs: Limbs) -> tuple[str, ...]:
-        """The single targets that a target stands for: itself, or a group's members.
+        """The single targets that a target comprises: itself, or a group's members.
 
         Raises SurefootError for a target that a machine with these limbs does not have.
         """
@@ -112,7 +117,7 @@ class Effect:
         return found[target]
 
     def members(self, limbs: Limbs) -> tuple[str, ...]:
-        """The single targets that its own target stands for (see `members_of`)."""
+        """The single targets that the effect's target comprises (see `members_of`)."""
         return self.members_of(self.target, limbs)
 
     @classmethod
@@ -120,72 +125,79 @@ class Effect:
         return f"effect {cls.name}: unknown target '{target}'; known: {', '.join(known)}"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
-        """Change the simulated world; effects of sensors mostly leave it as it is."""
+        """Inject the effect into the simulated world."""
 
     def alter_ground(self, ground: Ground) -> Ground:
-        """Change the ground's contacts; its shape stays, since the controller knows it."""
+        """Inject the effect into the ground's contacts; its shape must stay, as the controller
+        knows it.
+        """
         return ground
 
     def alter_mounting(self, robot: Robot) -> Robot:
-        """Change where the IMU really is; the reference stays with the nominal mounting."""
+        """Change the true mounting of the IMU; the reference keeps the nominal mounting."""
         return robot
 
     def alter_reference(self, reference: Reference) -> Reference:
-        """Change the reference measurement; effects of the robot leave it as it is."""
+        """Inject the effect into the reference measurement."""
         return reference
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        """Change the sensors' readings; effects of the world mostly leave them as they are."""
+        """Inject the effect into the sensors' readings."""
         return streams
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        """The log and the robot as a model sees them that knows of the effect.
+        """Compensate the effect: the log and the robot as a model sees them that knows of it.
 
-        What it changed in the readings is undone in the log; what it changed in the robot is added
-        to the robot's declared model.
+        A change of the readings is undone in the log; a change of the robot is added to its
+        declared model.
         """
         raise NotImplementedError(f"effect {self.name} is only for simulation")
 
     @classmethod
     def step_of(cls, target: str) -> float:
-        """The step of the size on this target for numerical derivatives."""
+        """Step of numerical derivatives for this target."""
         return cls.step
 
     @classmethod
     def starts_on(cls, target: str, log: Log) -> tuple[float, ...]:
-        """Sizes from which a search on this log begins: `starts`, or else a small one."""
+        """Initial sizes for a search on this log: `starts`, or else a small one."""
         return cls.starts or (cls.step_of(target),)
 
     @classmethod
     def inside(cls, target: str) -> tuple[float, float]:
-        """The bounds less a step at each end, so that derivatives can be taken within them."""
+        """The bounds, reduced by a little more than a step at each end, for derivatives within
+        them.
+        """
         (low, high), step = cls.bounds, cls.step_of(target)
         return low + 1.1 * step, high - 1.1 * step
 
     @classmethod
     def is_lossy(cls, target: str) -> bool:
-        """Whether undoing it on this target leaves worse readings (`lossy`)."""
+        """Whether compensation for this target degrades the readings (`lossy`)."""
         return cls.lossy
 
     @classmethod
     def is_compensated(cls) -> bool:
-        """Whether a model can know of the effect, so that `trace` has it as a candidate."""
+        """Whether a model can compensate the effect, which makes it a candidate of `trace`."""
         return cls.compensate is not Effect.compensate
 
     @classmethod
     def channels_of(cls, target: str) -> tuple[str, ...]:
-        """The residual channels that it affects on this target."""
+        """Residual channels that the effect can change for this target."""
         return cls.channels
 
     @classmethod
     def is_another(cls, target: str, robot: Robot) -> bool:
-        """Whether it is indistinguishable on this machine from another effect, which `trace` tries
-        instead."""
+        """Whether the effect is indistinguishable on this machine from another one, which `trace`
+        tries instead.
+        """
         return False
 
     @classmethod
     def is_certain(cls, target: str, robot: Robot) -> bool:
-        """Whether every real machine has it and this model lacks it: only its size is open."""
+        """Whether every real machine has the effect and this model lacks it, so that only its size
+        is unknown.
+        """
         return False
 
     @classmethod
@@ -198,7 +210,7 @@ class Effect:
 
 
 def joint_sizes(one: Effect, limbs: Limbs) -> np.ndarray:
-    """(J,): the size at the joints that an effect is on, zero at the others."""
+    """Sizes (J,) of an effect at all joints, zero where it does not act."""
     return one.value * np.isin(limbs.joints, one.members(limbs))
 
 
@@ -213,7 +225,7 @@ def with_columns(log: Log, columns: Mapping[str, np.ndarray]) -> Log:
 
 
 def changed_columns(before: Log, after: Log) -> tuple[str, ...]:
-    """The columns of `after` whose numbers are not those of `before`, or that it lacks."""
+    """Names of the columns of `after` that differ from those of `before` or are missing there."""
     old = before.columns
     return tuple(
         name

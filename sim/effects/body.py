@@ -1,4 +1,4 @@
-"""Effects of the robot's body: its lengths, its feet and its masses.
+"""Effects of the robot's body: lengths, feet and masses.
 
 Where a docstring gives no source for the bounds, none was found and they were chosen wide.
 """
@@ -19,10 +19,10 @@ from surefoot.sim.sensors.streams import Reference
 
 
 class LinkLength(Effect):
-    """A link is longer than the model says: thigh (thigh to knee axis) or calf (knee to foot).
+    """A link is longer than in the model: thigh (thigh to knee axis) or calf (knee to foot).
 
-    A quadruped was found to place its feet 14 mm wrong before it was calibrated: Zhao et al.,
-    "Accurate Joint Offset Calibration for Quadrupedal Robots", ROBIO 2022.
+    The feet of an uncalibrated quadruped were found to be 14 mm off: Zhao et al., "Accurate Joint
+    Offset Calibration for Quadrupedal Robots", ROBIO 2022.
     """
 
     name = "link_length"
@@ -50,7 +50,7 @@ class LinkLength(Effect):
             foot, site = foot_parts(spec, robot.limbs.legs[leg])
             along_G = data.site(site.name).xpos - upper_G
             shift = _in_frame(data, model.body(site.parent.name).id, along_G) * self.value
-            # Where the foot goes its touch site goes too; one on springs goes with its body.
+            # The touch site moves with the foot; a sprung foot moves with its body.
             if site.parent.name in robot.foot_bodies:
                 foot.pos, site.pos = foot.pos + shift, site.pos + shift
             else:
@@ -72,13 +72,13 @@ class LinkLength(Effect):
         return log, replace(robot, legs=legs._replace(offset=offset, foot=foot))
 
     def _places(self, robot: Robot) -> list[tuple[int, int]]:
-        """Leg and place in it of the joint at the upper end of each link."""
+        """Index of the leg, and of the joint within it, at the upper end of each link."""
         at = [robot.limbs.joints.index(joint) for joint in self.members(robot.limbs)]
         return [(i, c.index(j)) for j in at for i, c in enumerate(robot.limbs.chains) if j in c]
 
 
 class HipOffset(Effect):
-    """A leg is mounted further along one of the base's axes: its hip's hinge and all below it."""
+    """A leg is mounted with an offset along an axis of the base: its hip hinge and all below it."""
 
     name = "hip_offset"
     unit = "m"
@@ -100,14 +100,15 @@ class HipOffset(Effect):
 
 
 PARALLEL = 0.01
-"""rad, of two axes: a leg turned by 0.1 rad about the one is turned by 1 mrad less about the other,
-and what is left is no more than the step of an encoder."""
+"""Angle below which two axes count as parallel [rad]: of a rotation by 0.1 rad about one of them,
+the component about the other is then off by at most 1 mrad, an encoder step.
+"""
 
 
 class LegHeading(Effect):
-    """A leg is mounted turned about one of the base's axes, through its hip's hinge.
+    """A leg is mounted with a rotation about an axis of the base, through its hip hinge.
 
-    No published figure found; a seat machined to 0.1 mm over 50 mm is out by 2 mrad, one of printed
+    No published figure was found; a seat machined to 0.1 mm over 50 mm is off by 2 mrad, printed
     parts by ten times as much.
     """
 
@@ -125,7 +126,7 @@ class LegHeading(Effect):
         turn, quat = np.empty(4), np.empty(4)
         mujoco.mju_axisAngle2Quat(turn, along, self.value)
         mujoco.mju_mulQuat(quat, turn, moved.quat)
-        # The hinge's anchor stays where it is.
+        # Keep the hinge's anchor in place.
         before, after = np.empty(3), np.empty(3)
         mujoco.mju_rotVecQuat(before, joint.pos, moved.quat)
         mujoco.mju_rotVecQuat(after, joint.pos, quat)
@@ -142,7 +143,8 @@ class LegHeading(Effect):
 
     @classmethod
     def is_another(cls, target: str, robot: Robot) -> bool:
-        # About the axis of its first hinge a leg is turned as by an error of that hinge's encoder.
+        # Rotation about the axis of the first hinge is equivalent to an encoder offset of that
+        # joint.
         leg, axis = leg_and_axis(cls(target, 0.0), robot)
         hinge = robot.legs.rotation[leg, 0] @ robot.legs.axis[leg, 0]
         return bool(np.hypot(*np.delete(hinge, axis)) < PARALLEL)
@@ -150,7 +152,8 @@ class LegHeading(Effect):
 
 def _hip(one: Effect, spec: mujoco.MjSpec, robot: Robot):
     """First hinge of an effect's leg, the compiled model, and the effect's axis of the base (3,) in
-    the frame in which the hip's body is placed."""
+    the frame in which the hip's body is placed.
+    """
     leg, axis = leg_and_axis(one, robot)
     hinge, model = spec.joint(robot.joint_names[robot.limbs.chains[leg][0]]), spec.compile()
     data = mujoco.MjData(model)
@@ -160,16 +163,16 @@ def _hip(one: Effect, spec: mujoco.MjSpec, robot: Robot):
 
 
 def leg_and_axis(one: Effect, robot: Robot) -> tuple[int, int]:
-    """Index of the leg and of the axis that an effect is on."""
+    """Index of the leg and of the axis of an effect."""
     (target,) = one.members(robot.limbs)
     leg, axis = target.rsplit("_", 1)
     return robot.limbs.legs.index(leg), AXES.index(axis)
 
 
 class FootRolling(Effect):
-    """A foot rolls on a radius larger than the declared one; its centre stays where it was.
+    """A foot rolls on a larger radius than declared, about the same centre.
 
-    A declared model of point feet lacks the whole radius, 2 to 4 cm on most quadrupeds' models.
+    A model with point feet lacks the whole radius, 2 to 4 cm on most quadrupeds' models.
     """
 
     name = "foot_rolling"
@@ -202,7 +205,7 @@ class FootRolling(Effect):
 
 
 class Payload(Effect):
-    """A mass on the base, a small ball at its origin.
+    """A mass on the base, as a small ball at its origin.
 
     Spot carries up to 14 kg (Boston Dynamics, "Spot Specifications").
     """
@@ -225,7 +228,7 @@ class Payload(Effect):
 
 
 class ComOffset(Effect):
-    """The base's own centre of mass lies further along one of the base's axes.
+    """The base's own centre of mass is shifted along an axis of the base.
 
     "Walk These Ways" (CoRL 2022) draws +-0.15 m in its public code.
     """
@@ -257,10 +260,10 @@ def _unit(v: np.ndarray) -> np.ndarray:
 
 
 class MountingRotation(Effect):
-    """The IMU sits turned on the body about one of its own nominal axes, and the reference was
-    aligned with the IMU: the two agree, and the legs are turned against both.
+    """The IMU is mounted with a rotation about one of its nominal axes, and so is the reference.
 
-    Motion capture is aligned to a body or to its IMU by hand or by fitting, to a degree or so.
+    The reference was aligned with the IMU, so the two agree, and the legs are rotated against both.
+    Motion capture is aligned to a body or its IMU by hand or by fitting, to about a degree.
     """
 
     name = "mounting_rotation"

@@ -1,10 +1,10 @@
-"""Scale the sizes of effects measured on one robot to another robot, by a rule set beforehand.
+"""Scale the sizes of effects measured on one robot to another robot.
 
-Robots are taken to be dynamically similar: under its own weight a joint gives by the same angle and
-a foot by the same share of the leg's length, and both take the same share of a stride. So every
-size is scaled by its dimension, in units of the robot's weight, leg length and stride period, and
-the rolling radius of feet by the foot's radius. Angles, ratios and errors of sensors (biases, noise
-densities) stay as they are.
+Robots are assumed to be dynamically similar: under its own weight a joint yields by the same angle
+and a foot by the same share of the leg's length, in the same share of a stride. A size is therefore
+scaled by its dimension, in units of the robot's weight, leg length and stride period, and the
+rolling radius of feet by the foot's radius. Angles, ratios and sensor errors (biases, noise
+densities) are not scaled.
 """
 
 from collections.abc import Sequence
@@ -32,15 +32,17 @@ DIMENSIONS = {
     "rad/s": (0, 0, 0),
     "m/s^2": (0, 0, 0),
 }
-"""Unit of an effect -> powers of weight, leg length and stride period that its size scales with.
-Rates and accelerations are errors of an IMU, which do not depend on the robot's size."""
+"""Unit of an effect -> powers of weight, leg length and stride period by which its size scales.
+
+Rates and accelerations are errors of an IMU, which do not depend on the robot's size.
+"""
 ON_FEET = ("foot_rolling",)
-"""Effects whose lengths are the foot's and not the leg's."""
+"""Effects whose lengths scale with the foot's radius and not with the leg."""
 
 
 @dataclass(frozen=True)
 class BodyScale:
-    """The scales of a robot by which the sizes of its effects are made dimensionless."""
+    """Scales of a robot that make the sizes of its effects dimensionless."""
 
     weight: float  # N
     leg_length: float  # m
@@ -49,7 +51,7 @@ class BodyScale:
 
 
 def scale_of(robot: Robot, period: float | None = None) -> BodyScale:
-    """The scale of a robot; `period` [s] of its stride, the controller's own where left out."""
+    """Scales of a robot; `period` [s] of its stride, by default the controller's."""
     return BodyScale(
         robot.mass * GRAVITY,
         robot.leg_length,
@@ -61,7 +63,7 @@ def scale_of(robot: Robot, period: float | None = None) -> BodyScale:
 def growth(dimension: tuple[int, int, int], measured: BodyScale, to: BodyScale) -> float:
     """Factor from a size on one robot to that on another.
 
-    dimension: powers of weight, leg length and stride period that the size scales with.
+    dimension: powers of weight, leg length and stride period by which the size scales.
     """
     weight, length, time = dimension
     factor = (to.weight / measured.weight) ** weight
@@ -70,7 +72,7 @@ def growth(dimension: tuple[int, int, int], measured: BodyScale, to: BodyScale) 
 
 
 def carried(effects: Sequence[Effect], measured: BodyScale, to: BodyScale) -> tuple[Effect, ...]:
-    """Effects measured on a robot of scale `measured`, scaled to one of scale `to`.
+    """Scale effects measured on a robot of scale `measured` to one of scale `to`.
 
     Sizes are clipped to each effect's bounds. Raises SurefootError for a unit without a rule.
     """

@@ -1,6 +1,6 @@
-"""The catalogue of effects that a real robot has and a model may lack: one small class each.
+"""Catalogue of the effects that a real robot has and a model may lack.
 
-A package of a user's own adds to it by the entry points `surefoot.effects`, a script by `@add`.
+Packages add effects by the entry point group `surefoot.effects`, scripts by `@add`.
 """
 
 from collections.abc import Iterable
@@ -74,7 +74,7 @@ __all__ = [
 
 GROUP = "surefoot.effects"
 RENAMED = {"joint_compliance": "leg_compliance"}
-"""Effects' names of 0.1.0, which files and logs may still have."""
+"""Old names of effects, from version 0.1.0, which files and logs may still contain."""
 CATALOGUE: dict[str, type[Effect]] = {
     kind.name: kind
     for kind in (
@@ -89,21 +89,20 @@ CATALOGUE: dict[str, type[Effect]] = {
 
 
 def known_effects() -> Registry:
-    """Name -> class of every effect: the catalogue's, then those of installed packages.
+    """Name -> class of every effect: the bundled ones, then those of installed packages.
 
-    A package's is imported and checked when it is looked up.
+    A package's effect is imported and checked when it is looked up.
     """
     return _EFFECTS
 
 
 def add(kind: K) -> K:
-    """Put a class of one's own into the catalogue of this process: `@add` above the class.
+    """Class decorator that adds an effect to the catalogue of this process.
 
-    Processes that the script spawns run its top level again and know the effect too. Those of a
-    cluster do not: there it takes a package with an entry point.
+    Spawned processes import the script again and know the effect too. The workers of a cluster do
+    not; an effect for those needs a package with an entry point.
 
-    Raises SurefootError where it lacks an attribute that every effect has, or where its name is
-    taken by another.
+    Raises SurefootError if the class lacks a required attribute, or its name is taken.
     """
     _check(kind)
     known = CATALOGUE.setdefault(kind.name, kind)
@@ -137,7 +136,9 @@ _EFFECTS = Registry(GROUP, CATALOGUE, check=_check_named)
 
 
 def effect(name: str, target: str, value: float) -> Effect:
-    """The effect of that name. Raises SurefootError for an unknown name or target, or bad size."""
+    """Create the effect of that name. Raises SurefootError for an unknown name or target, or a size
+    out of bounds.
+    """
     known = known_effects()
     name = RENAMED.get(name, name)
     if name not in known:
@@ -147,16 +148,16 @@ def effect(name: str, target: str, value: float) -> Effect:
 
 
 def declared_effects(log: Log) -> list[Effect]:
-    """The effects that a log declares. Raises SurefootError for one that is not known."""
+    """The effects that a log declares. Raises SurefootError for an unknown one."""
     return [effect(e["name"], e["target"], e["value"]) for e in log.meta.effects]
 
 
 def compensate_all(effects: Iterable[Effect], log: Log, robot: M) -> tuple[Log, M]:
-    """The log and robot as a model sees them that compensates all `effects`.
+    """Compensate all `effects`: the log and robot as a model sees them that knows of these.
 
-    Those that no model can compensate (`Effect.is_compensated`) stay in the log; those that take
-    loads from the log come last (`Effect.takes_loads`). A machine on a fixed base may stand for the
-    robot where no effect changes its body.
+    Effects that no model can compensate (`Effect.is_compensated`) stay in the log; those that take
+    loads from the log come last (`Effect.takes_loads`). The machine may have a fixed base if no
+    effect changes its body.
     """
     known: Any = robot
     for one in sorted(effects, key=lambda e: e.takes_loads):

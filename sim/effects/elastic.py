@@ -1,7 +1,7 @@
-"""Effects of legs that give: springs between motors and joints, and between feet and their links.
+"""Effects of elasticity: springs between motors and joints, and between feet and their links.
 
-What a spring gives is its load times its compliance. The simulation has rotor, spring and damping
-(`sim.physics.springs`); a model that knows of a spring takes the load from the log.
+The deflection of a spring is its load times its compliance. The simulation includes rotor, spring
+and damping (`sim.physics.springs`); a model that compensates a spring takes the load from the log.
 """
 
 from dataclasses import replace
@@ -17,16 +17,19 @@ from surefoot.sim.physics.springs import add_foot_springs, add_joint_spring
 from surefoot.sim.robot import Robot
 
 LOAD_WINDOW = 0.05
-"""s, over which quadratics are fitted to a load before its slope says at which rate a spring gives.
-They pass 98 % at 10 Hz and 76 % at 20 Hz, between which a foot takes its load; a mean over 0.03 s,
-with three quarters of their noise, passes 86 % and 50 %, and springs would seem softer."""
+"""Window of the quadratic fits to a load before differentiation [s].
+
+They pass 98 % at 10 Hz and 76 % at 20 Hz, the range in which a foot takes up load. A mean over 0.03
+s, with three quarters of their noise, passes 86 % and 50 %, which would make springs appear softer.
+"""
 
 
 class LegCompliance(Effect):
-    """A spring between the encoder, on the motor's side, and what hangs on it: q reads q + tau / k.
+    """A spring between the encoder, on the motor's side, and the link: q reads q + tau / k.
 
-    The size is 1 / k: of one joint, of those of a kind (legs are built alike), or of all. Harmonic
-    drives have 5e3 to 5e4 N m/rad by their catalogues; legs of plastic and belts a tenth of it.
+    The size is 1 / k, of one joint, of all joints of a kind (legs are built alike), or of all
+    joints. Harmonic drives have 5e3 to 5e4 N m/rad by their catalogues, plastic legs and belts a
+    tenth of that.
     """
 
     name = "leg_compliance"
@@ -54,7 +57,7 @@ class LegCompliance(Effect):
 
 
 class FootElasticity(Effect):
-    """Feet give under their load, along the vertical or across it as the robot stands at home.
+    """The feet yield under load, along or across the vertical of the home pose.
 
     Feet of rubber or foam have 1e4 to 1e5 N/m.
     """
@@ -75,17 +78,17 @@ class FootElasticity(Effect):
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         force_B, along = foot_loads_B(log, robot), np.eye(3)[list(self._axes())]
-        # The springs turn with the last link; their axes are the base's when it stands at home.
+        # The springs rotate with the last link; in the home pose their axes are the base's.
         links_B = log.once(
             "last links", log.columns_of("q"), lambda: _last_links_B(robot, log.q), robot.legs
         )
         at_home = _last_links_B(robot, robot.q_home[None])
         axes_B = links_B @ np.swapaxes(at_home, 2, 3) @ along.T
         given_B = np.einsum("nlia,nlja,nlj->nli", axes_B, axes_B, self.value * force_B)
-        # As the joints would move the foot there: the leg's angles are what a model reads.
+        # Express the deflection as joint angles, since these are what a model reads.
         J_I = robot.feet_jacobian_I(log.q)
         given_I = np.einsum("ji,nlj->nli", robot.R_BI, given_B)[..., None]
-        # Of more joints than three a leg takes the least turn that does it.
+        # A leg with more than three joints uses the least-norm solution.
         three = robot.limbs.point_feet
         by_leg = (np.linalg.solve(J_I, given_I) if three else np.linalg.pinv(J_I) @ given_I)[..., 0]
         turned = np.zeros_like(log.q)
@@ -105,7 +108,7 @@ def _last_links_B(robot: Robot, q: np.ndarray) -> np.ndarray:
     """Rotations (N, L, 3, 3) of the links that carry the feet, in B, at angles q (N, J) [rad]."""
     own, at_origin = robot.legs, replace(robot, R_BI=np.eye(3))
     feet = at_origin.feet_I(q)
-    # A foot's place in B is linear in its place on its link.
+    # A foot's position in B is linear in its position on its link.
     columns = [
         replace(at_origin, legs=own._replace(foot=own.foot + one)).feet_I(q) - feet
         for one in np.eye(3)
@@ -114,14 +117,13 @@ def _last_links_B(robot: Robot, q: np.ndarray) -> np.ndarray:
 
 
 def _moved(log: Log, by: np.ndarray, joints: tuple[str, ...]) -> Log:
-    """The log with the angles of some joints moved by their columns of (N, J) [rad], and the rates
-    by the slope."""
+    """Add `by` (N, J) [rad] to the angles of some joints, and its slope to their rates."""
     columns, smooth = {}, local_quadratic(log.t, by, LOAD_WINDOW)[0]
     for joint in joints:
         at = log.joints.index(joint)
         columns[f"q_{joint}"] = log.columns[f"q_{joint}"] + by[:, at]
         if f"dq_{joint}" in log.frame:
-            # The load's noise, differenced row by row, would drown the rate that is read.
+            # A difference between rows would amplify the load's noise beyond that of the rate.
             slope = np.gradient(smooth[:, at], log.t)
             columns[f"dq_{joint}"] = log.columns[f"dq_{joint}"] + slope
     return with_columns(log, columns)

@@ -39,19 +39,21 @@ class _File:
 
 
 def load_effects(path: str | Path) -> tuple[Effect, ...]:
-    """The effects of a file. Raises SurefootError, one line with file, entry and key, if bad."""
+    """Read the effects of a file. Raises SurefootError, one line with file, entry and key, if
+    bad.
+    """
     protect(path)
     return tuple(entry.effect for entry in read_typed(path, _File, "effects").effect)
 
 
 def save_effects(path: str | Path, effects: Sequence[Effect], force: bool = False) -> None:
-    """Write the effects so that `load_effects` gives them back, value for value."""
+    """Write the effects so that `load_effects` returns them, value for value."""
     with whole_file(path, force) as temporary:
         temporary.write_text(to_toml(effects), encoding="utf-8")
 
 
 def to_toml(effects: Sequence[Effect]) -> str:
-    """The text of an effects file; one without effects says so in a comment."""
+    """Text of an effects file; one without effects says so in a comment."""
     if not effects:
         return "# no effects\n"
     return "\n".join(

@@ -1,7 +1,6 @@
-"""Effects of the IMU: its errors of bias and scale, where it sits, and its filter.
+"""Effects of the IMU: bias, scale, mounting and filter.
 
-The bounds are wider than the figures that the docstrings give, for sensors that were never
-calibrated.
+The bounds are wider than the figures given, to cover sensors that were never calibrated.
 """
 
 from dataclasses import replace
@@ -16,7 +15,7 @@ from surefoot.sim.sensors.streams import Streams
 
 
 class ImuRotation(Effect):
-    """The IMU is turned about one of its own nominal axes; the reference is not.
+    """The IMU is mounted with a rotation about one of its nominal axes; the reference is not.
 
     Haarnoja et al. (Science Robotics 2024) draw up to 2 degrees for their robot.
     """
@@ -32,7 +31,7 @@ class ImuRotation(Effect):
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         turn = turn_about(self.target, self.value)
-        # Row vectors: x @ R is R^T x, the reading in the turned sensor's own axes.
+        # Row vectors: x @ R is R^T x, the reading in the rotated sensor's axes.
         return replace(streams, gyro=streams.gyro @ turn, accel=streams.accel @ turn)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
@@ -44,7 +43,7 @@ class ImuRotation(Effect):
 
 
 class GyroScale(Effect):
-    """One axis of the gyro reads the rate times one plus a constant.
+    """One axis of the gyro has a scale error: it reads 1 + size times the rate.
 
     The MPU-6050's product specification allows 3 % before calibration.
     """
@@ -69,7 +68,7 @@ class GyroScale(Effect):
 
 
 class AccelScale(Effect):
-    """One axis of the accelerometer reads the specific force times one plus a constant.
+    """One axis of the accelerometer has a scale error: it reads 1 + size times the specific force.
 
     The MPU-6050's product specification allows 3 % before calibration.
     """
@@ -94,7 +93,7 @@ class AccelScale(Effect):
 
 
 class GyroBias(Effect):
-    """One axis of the gyro reads the rate plus a constant, on top of the turn-on bias.
+    """One axis of the gyro has a constant bias, in addition to the turn-on bias.
 
     The MPU-6050's product specification allows 20 deg/s (0.35 rad/s) before calibration.
     """
@@ -117,7 +116,7 @@ class GyroBias(Effect):
 
 
 class AccelBias(Effect):
-    """One axis of the accelerometer reads the specific force plus a constant.
+    """One axis of the accelerometer has a constant bias.
 
     The MPU-6050's product specification allows 50 mg (0.5 m/s^2) along x and y, 80 mg along z.
     """
@@ -140,7 +139,7 @@ class AccelBias(Effect):
 
 
 class GyroGSensitivity(Effect):
-    """One axis of the gyro also reads the specific force along it, times a constant.
+    """One axis of the gyro is sensitive to the specific force along it.
 
     The MPU-6050's product specification gives 0.1 deg/s per g, 1.8e-4 in this unit.
     """
@@ -164,10 +163,10 @@ class GyroGSensitivity(Effect):
 
 
 class ImuPosition(Effect):
-    """The IMU sits further along one of its own nominal axes; the reference does not.
+    """The IMU is mounted with an offset along one of its nominal axes; the reference is not.
 
-    Haarnoja et al. (Science Robotics 2024) draw up to 5 mm; a published model whose IMU is simply
-    left at the origin is out by more.
+    Haarnoja et al. (Science Robotics 2024) draw up to 5 mm; a published model with its IMU simply
+    at the origin is off by more.
     """
 
     name = "imu_position"
@@ -184,7 +183,7 @@ class ImuPosition(Effect):
         return replace(robot, p_BI=robot.p_BI + robot.R_BI @ _along(self.target, self.value))
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        # Rows are means over a step: the rate's change over it lies between its neighbours.
+        # Rows are means over a step, so the change of the rate over one is between its neighbours.
         omega, arm = log.gyro, _along(self.target, self.value)
         spin = np.gradient(omega, log.t, axis=0)
         felt = np.cross(spin, arm) + np.cross(omega, np.cross(omega, arm))
@@ -193,11 +192,10 @@ class ImuPosition(Effect):
 
 
 class ImuLowpass(Effect):
-    """Gyro and accelerometer pass a first-order low-pass of this time constant.
+    """Gyro and accelerometer are filtered by a first-order low-pass of this time constant.
 
-    A bandwidth of f Hz is 1 / (2 pi f) s: 3.2 ms for 50 Hz.
-
-    The MPU-6050's filter can be set from 260 Hz down to 5 Hz (32 ms), by its register map.
+    A bandwidth of f Hz corresponds to 1 / (2 pi f) s: 3.2 ms for 50 Hz. The MPU-6050's filter can
+    be set from 260 Hz down to 5 Hz (32 ms), by its register map.
     """
 
     name = "imu_lowpass"
@@ -214,7 +212,7 @@ class ImuLowpass(Effect):
         return replace(streams, gyro=gyro, accel=accel)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        # The model's IMU gets the filter: undoing it on readings would raise their noise.
+        # Filter the model's IMU instead: inverting the filter would amplify the readings' noise.
         known = replace(robot.extras, imu_lowpass=robot.extras.imu_lowpass + self.value)
         return log, replace(robot, extras=known)
 

@@ -1,6 +1,6 @@
-"""Effects of the joints' encoders and torque sensing: what is read differs from what is.
+"""Effects of the joints' encoders and torque sensing.
 
-Sizes that others use for quadrupeds: Margolis and Agrawal, "Walk These Ways", CoRL 2022 (its public
+Sizes used by others for quadrupeds: Margolis and Agrawal, "Walk These Ways", CoRL 2022 (its public
 code draws joint offsets of +-0.02 rad and motor strengths of 90 to 110 %). Where a docstring gives
 no source for the bounds, none was found and they were chosen wide.
 """
@@ -16,13 +16,13 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.streams import Streams
 
 TORQUE_WINDOW = 0.03
-"""s, over which a measured torque is averaged before it says where a joint is."""
+"""Averaging time of a measured torque that determines a joint's position in its play [s]."""
 
 
 class EncoderOffset(Effect):
-    """A joint's encoder reads its angle plus a constant.
+    """A joint's encoder has a constant offset.
 
-    Beside "Walk These Ways": Haarnoja et al. (Science Robotics 2024) draw +-2.9 degrees, 0.05 rad.
+    Besides "Walk These Ways": Haarnoja et al. (Science Robotics 2024) draw +-2.9 degrees, 0.05 rad.
     """
 
     name = "encoder_offset"
@@ -42,7 +42,7 @@ class EncoderOffset(Effect):
 
 
 class EncoderScale(Effect):
-    """A joint's encoder reads its angle, and its rate, times one plus a constant."""
+    """A joint's encoder has a scale error: it reads 1 + size times the angle and rate."""
 
     name = "encoder_scale"
     unit = "ratio"
@@ -64,11 +64,10 @@ class EncoderScale(Effect):
 
 
 class Backlash(Effect):
-    """Play of this width between the encoder, on the motor's side, and the joint.
+    """Backlash of this width between the encoder, on the motor's side, and the joint.
 
-    The motor lies against the side that it pushes on, half the play ahead of the joint, and stays
-    there until the torque changes its sign. It crosses at once: the rate that is read is the
-    joint's.
+    The motor rests against the side that it pushes on, half the width ahead of the joint, until the
+    torque changes sign. It then crosses at once, so the rate is that of the joint.
 
     A quasi-direct drive for legs has +-0.11 degrees, 3.8 mrad in all (Perez-Diaz et al. 2024, on
     the PULSE115-60).
@@ -86,7 +85,7 @@ class Backlash(Effect):
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         side = np.sign(streams.tau)
-        # Without a torque nothing moves it from the side where it lay.
+        # Without torque, the motor stays where it was.
         rows = np.arange(len(side))[:, None]
         last = np.maximum.accumulate(np.where(side != 0.0, rows, 0), axis=0)
         play = 0.5 * joint_sizes(self, robot.limbs)
@@ -96,7 +95,7 @@ class Backlash(Effect):
         columns = {}
         for joint in self.members(robot.limbs):
             torque = log.columns[f"tau_{joint}"]
-            # A noisy torque near zero would jump from side to side: a mean of some rows does less.
+            # Average a few rows, since noise near zero torque would make the side chatter.
             side = np.sign(uniform_filter1d(torque, max(1, _window(log) // 4)))
             q = log.columns[f"q_{joint}"]
             columns[f"q_{joint}"] = q - 0.5 * self.value * side
@@ -104,11 +103,10 @@ class Backlash(Effect):
 
 
 class TorqueScale(Effect):
-    """A joint's torque, taken from the motor's current, reads one plus a constant times too much.
+    """A joint's torque, measured by the motor's current, has a scale error of 1 + size.
 
-    So it does where the motor's torque constant is not the nominal one.
-
-    "Walk These Ways" draws 90 to 110 %.
+    The cause is a torque constant of the motor that differs from the nominal one. "Walk These Ways"
+    draws 90 to 110 %.
     """
 
     name = "torque_scale"
@@ -130,7 +128,7 @@ class TorqueScale(Effect):
 
 
 class TorqueBias(Effect):
-    """A joint's torque reads its value plus a constant."""
+    """A joint's measured torque has a constant offset."""
 
     name = "torque_bias"
     unit = "N m"
@@ -149,5 +147,5 @@ class TorqueBias(Effect):
 
 
 def _window(log: Log) -> int:
-    """Rows within TORQUE_WINDOW."""
+    """Number of rows within TORQUE_WINDOW."""
     return max(1, round(TORQUE_WINDOW * log.rate))

@@ -1,8 +1,8 @@
-"""Effects of the links' masses: of arms and pendulums on fixed bases, and of legs.
+"""Effects of the links' masses, of arms and pendulums on fixed bases and of legs.
 
-A link is the body that a joint moves, and is named after it; a machine on a fixed base may stand
-for the robot. The bounds are wide: models that are drawn, not weighed, miss cables, screws and
-covers, a tenth to a half of a link's mass.
+A link is the body that a joint moves, and is named after the joint; the machine may have a fixed
+base. The bounds are wide: CAD models omit cables, screws and covers, a tenth to a half of a link's
+mass.
 """
 
 from dataclasses import replace
@@ -18,7 +18,7 @@ from surefoot.sim.robot.limbs import Limbs
 
 
 class LinkMass(Effect):
-    """A link is heavier than the model says, its centre of mass where the model has it."""
+    """A link is heavier than in the model, with the same centre of mass."""
 
     name = "link_mass"
     unit = "kg"
@@ -40,7 +40,7 @@ class LinkMass(Effect):
 
 
 class LinkCom(Effect):
-    """A link's centre of mass lies further along an axis of its body, `<joint>_<axis>`."""
+    """A link's centre of mass is shifted along an axis of its body, `<joint>_<axis>`."""
 
     name = "link_com"
     unit = "m"
@@ -67,9 +67,9 @@ class LinkCom(Effect):
 
 
 class LinkInertia(Effect):
-    """A link has more inertia than the model says, about every axis through its centre of mass.
+    """A link has more inertia than in the model, about every axis through its centre of mass.
 
-    That of a fixed base's first link is no effect of its own: no motion tells it from `armature`.
+    Excludes the first link of a fixed base, whose inertia no motion distinguishes from `armature`.
     """
 
     name = "link_inertia"
@@ -104,7 +104,7 @@ def _joints(one: Effect, robot: Robot) -> list[int]:
 
 
 def _link(spec: mujoco.MjSpec, robot: Robot, joint: str) -> mujoco.MjsBody:
-    """The body that a joint moves, its inertia as numbers of its own."""
+    """The body that a joint moves, with its inertia given explicitly."""
     name = robot.joint_names[robot.limbs.joints.index(joint)]
     return with_own_inertia(spec, spec.joint(name).parent.name)
 

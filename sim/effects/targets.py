@@ -1,4 +1,4 @@
-"""What an effect may be on: a part of a machine, or several parts that share one size."""
+"""Targets of effects: a part of a machine, or a group of parts that share one size."""
 
 from typing import Literal
 
@@ -7,12 +7,13 @@ from surefoot.sim.robot.limbs import Limbs
 Part = Literal["joint", "joint_axis", "leg", "leg_link", "leg_axis"]
 """A joint, or the link that it moves; that link along one of its body's axes, `<joint>_<axis>`; a
 leg; a link of a leg, named after the joint at its upper end; a leg along one of the base's axes,
-`<leg>_<axis>`."""
+`<leg>_<axis>`.
+"""
 AXES = ("x", "y", "z")
 
 
 def parts(part: Part, limbs: Limbs) -> tuple[str, ...]:
-    """The parts of this kind that a machine with these limbs has, by their names."""
+    """Names of the parts of this kind on a machine with these limbs."""
     if part == "joint":
         return limbs.joints
     if part == "joint_axis":
@@ -25,11 +26,11 @@ def parts(part: Part, limbs: Limbs) -> tuple[str, ...]:
 
 
 def groups(part: Part, limbs: Limbs) -> dict[str, tuple[str, ...]]:
-    """The groups of parts of this sort that one size is sensible for, with their members.
+    """Groups of parts of this kind for which one size makes sense, with their members.
 
-    Of joints and links those of one kind (`thigh`), of joints also those of a side and `all`; of
-    legs `front`, `rear`, `left`, `right` and `all`. A group has at least two members, and no two
-    have the same.
+    Joints and links are grouped by kind (`thigh`), joints also by side and as `all`; legs as
+    `front`, `rear`, `left`, `right` and `all`. A group has at least two members, and no two have
+    the same.
     """
     single = parts(part, limbs)
     found: dict[str, tuple[str, ...]] = {}

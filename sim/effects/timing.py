@@ -1,9 +1,8 @@
-"""Effects of timing: delays, and clocks that disagree.
+"""Effects of timing: delays, and clocks with different rates.
 
 Tan et al., "Sim-to-Real: Learning Agile Locomotion for Quadruped Robots", RSS 2018, draw latencies
 of 0 to 40 ms for their robot; Haarnoja et al., "Learning Agile Soccer Skills for a Bipedal Robot",
-Science Robotics 2024, 10 to 50 ms. The bounds follow them; where a
-bound is wider, it was chosen.
+Science Robotics 2024, 10 to 50 ms. The bounds follow them; wider ones were chosen.
 """
 
 from dataclasses import replace
@@ -28,19 +27,27 @@ from surefoot.sim.sensors.pad import begin_early, begin_late, end_late
 from surefoot.sim.sensors.streams import Reference, Streams
 
 NONLINEAR = 0.008
-"""s. A walk shakes its body at 10 Hz and more, a sine of which is linear over an eighth of it."""
+"""Delay up to which the residual is about linear [s]: a walk shakes the body at 10 Hz and more, and
+a sine is linear over an eighth of its period.
+"""
 LAG_PIECE = 4.0
-"""s of a log in which its streams' lag is taken to be one: some strides."""
+"""Length of the pieces of a log over which the lag of a stream is taken to be constant [s]: a few
+strides.
+"""
 FEWEST_LAGS = 6
-"""Three lags that mean nothing look like a drift in a third of all draws, six in 2 %."""
+"""Least number of lags for a drift: three meaningless lags look like a drift in a third of all
+draws, six in 2 %.
+"""
 _TURNING = ("t", "gyro_x", "gyro_y", "gyro_z", "ref_q_w", "ref_q_x", "ref_q_y", "ref_q_z")
 STREAMS = {"imu": ("gyro", "accel"), "joints": ("q", "dq", "tau"), "feet": ("force",)}
 STREAM_COLUMNS = {**STREAMS, "feet": ("force", "contact"), "reference": ("ref",)}
-"""A log's columns of each stream: contacts are derived from the feet's forces."""
+"""A log's columns of each stream; contacts belong to the feet's forces, from which they are
+derived.
+"""
 
 
 class JointDelay(Effect):
-    """Joint positions, velocities and torques arrive late by a constant time."""
+    """Joint positions, rates and torques arrive late by a constant time."""
 
     name = "joint_delay"
     unit = "s"
@@ -49,8 +56,9 @@ class JointDelay(Effect):
     targets = ("all",)
     needs = ("reference",)
     lossy = True
-    # Longer than a row: noise must not be taken as the slope of torques and rates. Delays of 1 and
-    # 6 ms are found to 0.01 ms with any step from 0.5 to 4 ms; from zero the longest lands nearest.
+    # Longer than a row, so that noise is not differentiated as the slope of torques and rates.
+    # Delays of 1 and 6 ms are found to 0.01 ms with any step from 0.5 to 4 ms; started from zero,
+    # the longest step comes closest.
     step = 4e-3
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
@@ -105,8 +113,10 @@ class TorqueDelay(Effect):
 
 
 class RateDelay(Effect):
-    """Joint rates arrive late against the angles by a constant time, as those that a drive
-    differentiates and filters do."""
+    """Joint rates arrive late relative to the angles by a constant time.
+
+    Drives that differentiate and filter the angles cause this.
+    """
 
     name = "rate_delay"
     unit = "s"
@@ -115,7 +125,7 @@ class RateDelay(Effect):
     targets = ("all",)
     needs = ("dq",)
     lossy = True
-    # Longer than a row: noise must not be taken as the slope of rates.
+    # Longer than a row, so that noise is not differentiated as the slope of rates.
     step = 4e-3
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
@@ -126,10 +136,10 @@ class RateDelay(Effect):
 
 
 class CommandDelay(Effect):
-    """Motors give the torques that they are asked for late, by a constant time.
+    """Motors deliver the commanded torques late by a constant time.
 
-    MuJoCo's motors are late by a timestep at least. Of a shorter time they are given as a
-    first-order low-pass whose mean lag it is: a share of each command comes a timestep late.
+    MuJoCo can delay a motor by whole time steps only. A shorter delay is modelled by a first-order
+    low-pass with that mean lag: a share of each command comes a time step late.
     """
 
     name = "command_delay"
@@ -138,8 +148,8 @@ class CommandDelay(Effect):
     channels = ("command",)
     targets = ("all",)
     needs = ("tau",)
-    # No smaller delay is fitted. Over less than a row commands are lines, so that any step gives
-    # their slope; of 0.1 N m a row of noise, a minute of torques shows some microseconds.
+    # The smallest delay that is fitted. Commands are linear within a row, so any step gives their
+    # slope; at 0.1 N m of noise per row, a minute of torques resolves a few microseconds.
     step = 1e-6
     chain_rule = "mass"
 
@@ -149,7 +159,7 @@ class CommandDelay(Effect):
             motor.set_to_motor()
             motor.delay = late if late >= TIMESTEP else 0.0
             if motor.delay:
-                # Between the samples that it keeps a motor takes the line.
+                # Interpolate linearly between the stored samples.
                 motor.nsample, motor.interp = int(np.ceil(motor.delay / TIMESTEP)) + 2, 1
             elif late:
                 motor.dyntype, motor.actearly = mujoco.mjtDyn.mjDYN_FILTEREXACT, True
@@ -161,20 +171,19 @@ class CommandDelay(Effect):
 
 
 def _lag(motor: mujoco.MjsActuator) -> float:
-    """Mean lag [s] of a motor's low-pass, whose steps are a timestep; 0 of one without."""
+    """Mean lag [s] of a motor's discrete low-pass; 0 if it has none."""
     if motor.dyntype != mujoco.mjtDyn.mjDYN_FILTEREXACT:
         return 0.0
     return TIMESTEP / float(np.expm1(TIMESTEP / motor.dynprm[0]))
 
 
 class ContactDelay(Effect):
-    """The feet's contacts begin late, or end late, by this time on the mean; below zero, they begin
-    early.
+    """The feet's contacts begin or end late by this mean time; a negative size means that they
+    begin early.
 
-    A foot's pad and its switch make them (`sim.sensors.pad`), such that the mean over all steps is
-    what the size says: each late step differs with its load. A long, soft pad touches before the
-    foot stands. An end that is reported early does no harm: an unloaded foot stands still for a
-    while.
+    Caused by a foot's pad and switch (`sim.sensors.pad`), whose delay depends on the load at each
+    step; the mean over all steps is the size. A long, soft pad touches before the foot stands. A
+    contact that ends early is harmless, since an unloaded foot stands still for a while.
     """
 
     name = "contact_delay"
@@ -183,7 +192,7 @@ class ContactDelay(Effect):
     channels = ("contact_timing",)
     targets = ("touchdown", "liftoff")
     needs = ("contact", "q", "reference")
-    # Less than a row: of contacts that bounce, some appear and some vanish with every row.
+    # Less than a row: with every row, some bouncing contacts appear and some vanish.
     step = 1e-3
 
     def __post_init__(self):
@@ -204,9 +213,9 @@ class ContactDelay(Effect):
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         undone = self.value
         if self.target == "touchdown":
-            # What the debouncing of contacts takes off their beginnings need not be taken again.
-            # Feet that stood before they were sensed mislead nobody, while each step is late by its
-            # own time: stances moved by the mean would begin in the air.
+            # Debouncing has already removed a part of an early beginning. A late beginning is not
+            # undone: a foot that stood before it was sensed does no harm, but each step has a delay
+            # of its own, and stances extended by the mean would begin in the air.
             undone = min(undone + log.meta.model.get("contact_debounce", 0.0), 0.0)
         rows, contact = int(undone * log.rate), log.contact.copy()
         for leg in range(contact.shape[1] if rows else 0):
@@ -214,19 +223,19 @@ class ContactDelay(Effect):
             for edge in lands if self.target == "touchdown" else lifts:
                 contact[max(edge - max(rows, 0), 0) : edge + max(-rows, 0), leg] = False
         columns = {f"contact_{leg}": contact[:, i].astype(float) for i, leg in enumerate(log.legs)}
-        # What is not undone in the log goes into the declared model.
+        # The part that is not undone in the log is declared in the model.
         name, rest = f"{self.target}_late", self.value - rows / log.rate
         known = replace(robot.extras, **{name: getattr(robot.extras, name) + rest})
         return with_columns(log, columns), replace(robot, extras=known)
 
     @classmethod
     def is_lossy(cls, target: str) -> bool:
-        # Of each stance the part before a late touch-down is not known.
+        # The part of each stance before a late touchdown is lost.
         return target == "touchdown"
 
     @classmethod
     def is_certain(cls, target: str, robot: Robot) -> bool:
-        # A pad springs back, and a threshold is crossed, in some time.
+        # A pad takes some time to spring back and cross a threshold.
         return target == "liftoff" and not robot.extras.liftoff_late
 
     @classmethod
@@ -259,13 +268,15 @@ class ReferenceDelay(Effect):
 
 
 def _starts(kind: type[Effect], late: float) -> tuple[float, ...]:
-    """Sizes to search a delay from: a small one, and `late` [s] where it is far from linear."""
+    """Initial sizes for a delay: a small one, and `late` [s] if that is beyond the linear range."""
     return (kind.step, late) if abs(late) > NONLINEAR else (kind.step,)
 
 
 def reference_lag(log: Log, most: float) -> float:
-    """By how much [s], up to `most`, the reference's turning is late against the gyro: where their
-    correlation is largest, to the row."""
+    """Delay [s] of the reference's rotation relative to the gyro, up to +-`most`.
+
+    Where their correlation is largest, to the row.
+    """
     return log.once(f"reference lag within {most}", _TURNING, lambda: _reference_lag(log, most))
 
 
@@ -282,9 +293,11 @@ def _reference_lag(log: Log, most: float) -> float:
 
 
 def reference_lag_drift(log: Log, most: float) -> float:
-    """By how much more [s/s], up to `most`, the reference's turning is late against the gyro every
-    second: the median slope of the lags of pieces of the log (Theil and Sen), 0 where its 95 %
-    interval holds 0, as it does where the pieces turn too little to show a lag."""
+    """Drift [s/s] of the reference's delay relative to the gyro, up to +-`most`.
+
+    Median slope of the lags of pieces of the log (Theil-Sen). 0 if its 95 % interval contains 0, as
+    it does if the pieces rotate too little to show a lag.
+    """
     return log.once(f"reference drift within {most}", _TURNING, lambda: _lag_drift(log, most))
 
 
@@ -301,10 +314,10 @@ def _lag_drift(log: Log, most: float) -> float:
 
 
 class ClockScale(Effect):
-    """One stream's clock runs slow against the others': its sample period is longer by this share.
+    """One stream's clock runs slow against the others: its sample period is longer by this share.
 
-    A row that should show the time t since the log began shows (1 + value) t. Past the end of the
-    walk the last sample holds. Quartz oscillators are out by tens of parts in a million (1e-5).
+    A row at the time t since the log began shows (1 + value) t. Past the end of the walk the last
+    sample is held. Quartz oscillators are off by tens of parts per million (1e-5).
     """
 
     name = "clock_scale"
@@ -332,12 +345,12 @@ class ClockScale(Effect):
 
     @classmethod
     def channels_of(cls, target: str) -> tuple[str, ...]:
-        # Samples of a foot in the air that count as a stance's are far beyond a straight line.
+        # Other channels would contain samples of a foot in the air, far outside the linear range.
         return ("contact_timing",) if target == "feet" else cls.channels
 
     @classmethod
     def step_of(cls, target: str) -> float:
-        # Contacts move by whole rows, which a small step leaves where they are.
+        # Contacts move by whole rows, so a small step would not change them.
         return 10 * cls.step if target == "feet" else cls.step
 
     @classmethod
@@ -361,8 +374,7 @@ def _late(streams: Streams, names: tuple[str, ...], delay: float) -> Streams:
 def _at(streams: Streams, names: tuple[str, ...], then: np.ndarray) -> Streams:
     """The streams with those of `names` as they were at the times `then` (N,) [s].
 
-    Lines between the rows of an IMU would also be a low-pass, which no delay is; between those of a
-    force they would begin each contact early.
+    Linear interpolation would low-pass an IMU, unlike a delay, and would begin each contact early.
     """
     t = streams.t
     then = np.clip(then, t[0], t[-1])
@@ -390,10 +402,10 @@ def _reference_at(reference: Reference, then: np.ndarray) -> Reference:
 
 
 def _moved(log: Log, kinds: tuple[str, ...], then: np.ndarray) -> Log:
-    """The log with the columns of these kinds as their rows at the times `then` (N,) [s] show them.
+    """The log with the columns of these kinds resampled at the times `then` (N,) [s].
 
-    A spline passes noise at every fraction of a sample; lines would smooth it at the half. Flags
-    and attitudes are not for splines.
+    A spline keeps the noise at any fraction of a sample, while linear interpolation would smooth it
+    halfway between two. Flags and attitudes are not interpolated by splines.
     """
     t = log.t
     then = np.clip(then, t[0], t[-1])
@@ -414,7 +426,7 @@ def _moved(log: Log, kinds: tuple[str, ...], then: np.ndarray) -> Log:
 
 
 def _nearest(t: np.ndarray, then: np.ndarray) -> np.ndarray:
-    """The row nearest to each time of `then` (N,) [s]."""
+    """Index of the row nearest to each time of `then` (N,) [s]."""
     return np.searchsorted(0.5 * (t[1:] + t[:-1]), then)
 
 
