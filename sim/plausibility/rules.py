@@ -118,7 +118,7 @@ RULES = (
         "each row with the median of five",
         f"{streams.SPIKE:g} times what one row in a hundred has, and 2 rad/s, 0.15 rad ...; "
         f"{streams.DROPS} rows of exactly 0 between others",
-        "nothing with mass leaps for a few milliseconds and back",
+        "nothing with mass leaps for a few milliseconds and back; chatter shows in angles too",
         "leave such rows out before the import",
         ("t", "q", "dq", "tau", "gyro"),
         streams.spikes,

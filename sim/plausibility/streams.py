@@ -305,9 +305,11 @@ def spikes(view: LogView) -> Iterator[Finding]:
                 least = min(least, LONE * float(x.std()))
             usual = float(np.quantile(off, 1.0 - max(0.01, SEVERAL / len(x))))
             rows = np.flatnonzero(off > max(least, SPIKE * usual))
+            if kind == "dq":
+                rows = rows[~_turned(view, name, rows, 0.25 * off[rows])]
             if rows.size:
                 leaping.append(name)
-                most, first = max(most, float(off.max())), min(first, int(rows[0]))
+                most, first = max(most, float(off[rows].max())), min(first, int(rows[0]))
         if dropped:
             told = f"{max(n for _, n in dropped)} rows read exactly 0 between rows that do not"
             names = tuple(name for name, _ in dropped)
@@ -315,6 +317,24 @@ def spikes(view: LogView) -> Iterator[Finding]:
         if leaping:
             told = f"leaps by up to {most:.3g} and back, first at {view.t[first]:.2f} s"
             yield Finding(tuple(leaping), told, "readings garbled on their way")
+
+
+def _turned(view: LogView, name: str, rows: np.ndarray, within: np.ndarray) -> np.ndarray:
+    """Whether a joint's angle changes from or to each row as its rate there says: a leg that
+    chatters on the ground leaps indeed.
+
+    Args:
+        view: of the log.
+        name: of the rate's column.
+        rows: of the rate.
+        within: (rows,) rad/s by which they may differ.
+    """
+    frame, angle = view.log.frame, f"q{name.removeprefix('dq')}"
+    if angle not in frame:
+        return np.zeros(len(rows), dtype=bool)
+    change = np.diff(frame[angle].to_numpy()) / np.diff(view.t)
+    beside = change[np.clip([rows - 1, rows], 0, len(change) - 1)]
+    return np.abs(beside - frame[name].to_numpy()[rows]).min(axis=0) < within
 
 
 def copies(view: LogView) -> Iterator[Finding]:

@@ -529,6 +529,21 @@ def test_few_spikes_of_a_short_log_of_an_arm_are_noticed(log):
     )
 
 
+def test_rates_that_leap_as_their_angle_does_are_no_spikes(log):
+    """A foot that chatters on the ground turns its joint to and fro within four rows."""
+    there = (log.t > 3.0) & (log.t < 3.05)
+    rate = np.where(there, 12.0 * np.array([0.0, 1.0, 0.0, -1.0])[np.arange(len(log.t)) % 4], 0.0)
+    turned = np.cumsum(rate) / log.meta.rate
+    chatters = edited(
+        log,
+        q_FL_calf=log.frame["q_FL_calf"] + turned,
+        dq_FL_calf=log.frame["dq_FL_calf"] + rate,
+    )
+    assert found_in(chatters) == []
+    garbled = edited(chatters, q_FL_calf=log.frame["q_FL_calf"])
+    assert any(line.startswith("spikes: dq_FL_calf") for line in found_in(garbled))
+
+
 def test_coarse_readings_that_pass_by_zero_are_no_drop_outs():
     """At impacts a reading of 0.1 is as frequent as one of 0."""
     usual = np.random.default_rng(0).normal(5.0, 0.3, 4000).round(1)
