@@ -1,4 +1,6 @@
-"""Physical plausibility of a log: what its numbers cannot mean, stream by stream."""
+"""Physical plausibility of a log: checks of every stream against the others and the robot's
+model.
+"""
 
 from surefoot.sim.plausibility.finding import Finding
 from surefoot.sim.plausibility.rules import RULES, check_log, rules_table

@@ -1,4 +1,4 @@
-"""The attitudes of a reference against the gyro and gravity: which order, which frame, how late?"""
+"""Checks of a reference's attitudes against gyro and gravity: quaternion order, frame, delay."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,22 +9,25 @@ from scipy.spatial.transform import Rotation
 from surefoot.sim.plausibility.axes import lag_of, match_axes
 
 LATEST = 2.0
-"""s up to which a late reference is looked for: `surefoot align` looks further."""
+"""Largest delay of a reference that is searched for [s]; `surefoot align` searches further."""
 LATE = 0.02
-"""s from which a late reference is said: at 1 m/s the body is 2 cm further, and clocks that were
-set by hand or network are worse; an effect of timing below it is the trace's to find."""
+"""Delay of a reference that is reported [s]: at 1 m/s the body moves 2 cm in it, and clocks set by
+hand or network are worse. `trace` finds smaller ones as an effect.
+"""
 _ALIKE = 0.6
-"""Mean correlation of the three axes from which on gyro and reference belong together: 0.97 and
-more in clean walks."""
+"""Mean correlation of the three axes from which gyro and reference match: 0.97 and more in clean
+walks.
+"""
 _SAME_MOTION = 0.9
-"""The same from which on a delay is one: strides resemble each other, so that a clock that is
-further off, or axes that are others, correlate by up to 0.87 at a whole number of them."""
+"""Mean correlation from which a delay is accepted: strides are similar, so clocks with a larger
+offset, or wrong axes, correlate by up to 0.87 at multiples of a stride.
+"""
 _CLEARLY = 0.02
-"""By which a delay must better it."""
+"""Least improvement of the correlation by a delay."""
 TILT = 45.0
-"""deg between gravity and the reference's vertical: no mount is so wrong by accident."""
+"""Angle between gravity and the reference's vertical that no mounting error explains [deg]."""
 _UPRIGHT = 30.0
-"""deg, of a reading that is to mend it."""
+"""The same for an interpretation that corrects it [deg]."""
 
 _NED = Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))
 _Y_UP = Rotation.from_euler("x", 90, degrees=True)
@@ -32,7 +35,13 @@ _Y_UP = Rotation.from_euler("x", 90, degrees=True)
 
 @dataclass(frozen=True)
 class Reading:
-    """Another way to read a reference's attitudes: in words, and what it does to them."""
+    """Another interpretation of a reference's attitudes.
+
+    Attributes:
+        words: its name.
+        map_line: how to state it in an import map.
+        read: function that converts the attitudes.
+    """
 
     words: str
     map_line: str
@@ -40,7 +49,7 @@ class Reading:
 
 
 def _rolled(R: Rotation) -> Rotation:
-    # What stands as w, x, y, z was x, y, z, w.
+    # The numbers read as w, x, y, z were x, y, z, w.
     return Rotation.from_quat(R.as_quat(scalar_first=True))
 
 
@@ -82,8 +91,14 @@ OTHER_READINGS = (
 
 @dataclass(frozen=True)
 class AttitudeFault:
-    """What is wrong with a reference's attitudes: the evidence, the cause in words, the map line,
-    and how late [s] it is where that is the cause."""
+    """Fault of a reference's attitudes.
+
+    Attributes:
+        evidence: what was measured.
+        cause: in words.
+        map_line: that corrects it in an import map.
+        late: delay of the reference [s], where that is the cause.
+    """
 
     evidence: str
     cause: str
@@ -99,16 +114,18 @@ def attitude_fault(
     step: float,
     trusts_gyro: Callable[[np.ndarray], bool],
 ) -> AttitudeFault | None:
-    """What is wrong with attitudes beside a gyro and the mean specific force; None where nothing
-    is, or where the gyro is at fault.
+    """Find what is wrong with attitudes, given a gyro and the mean specific force.
+
+    None where nothing is, or where the gyro is at fault.
 
     Args:
-        begin: (M,) attitudes half a mean before each time.
-        end: (M,) the same after it; both with a row every `step`.
+        begin: attitudes (M,) half an averaging interval before each time.
+        end: attitudes (M,) half an interval after it; times are `step` apart.
         gyro: (M, 3) [rad/s].
-        force: (3,) mean specific force [m/s^2] in I; zero where it is not to be trusted.
-        step: s.
-        trusts_gyro: whether the gyro as it is, rather than as it is given, fits all else.
+        force: (3,) mean specific force [m/s^2] in I; zero where it is unreliable.
+        step: [s].
+        trusts_gyro: tells whether the gyro as logged agrees better with all else than the given
+            corrected one.
     """
 
     def turned(read: Callable[[Rotation], Rotation]) -> np.ndarray:
@@ -139,7 +156,7 @@ def attitude_fault(
     fitting = [one for one in tried if one[1] < _UPRIGHT and one[0] > _ALIKE]
     if not fitting:
         return None
-    # Readings that turn alike differ in where they have gravity.
+    # Interpretations with the same rotation rate differ in the direction of gravity.
     best = max(fitting, key=lambda one: round(one[0], 2) - one[1] / 1e3)
     if lean < TILT:
         by_gyro = float(match.best.mean())

@@ -1,4 +1,4 @@
-"""Two streams of vectors that should measure the same: whose axes, signs and sizes differ?"""
+"""Comparison of two vector streams that should measure the same: axes, signs and scales."""
 
 from dataclasses import dataclass
 from itertools import permutations
@@ -7,19 +7,26 @@ import numpy as np
 
 AXIS_NAMES = "xyz"
 OTHER = 0.7
-"""Correlation with another axis from which on that one is measured: that of clean walks with their
-own axis is 0.8 (accelerometers) to 1, with others below 0.6 (roll and sway go together)."""
+"""Correlation with another axis from which that axis is taken to be measured: clean walks have 0.8
+(accelerometers) to 1 with their own axis, below 0.6 with others (roll and sway are correlated).
+"""
 GAIN = 0.4
-"""By which it must exceed that with its own axis: two that go together have 0.4 with each other."""
+"""Least excess over the correlation with its own axis; correlated axes have 0.4 with each other."""
 _ALIKE = 0.8
-"""Correlation with its own axis from which on sizes are compared."""
+"""Correlation with its own axis from which scales are compared."""
 
 
 @dataclass(frozen=True)
 class AxesMatch:
-    """How measured axes (3,) go with expected ones: `order` and `sign` of the best match, the
-    correlation of each with its own axis (`own`) and with the matched one (`best`), and the slope
-    of measured over expected there (`scale`)."""
+    """Match of three measured axes with expected ones.
+
+    Attributes:
+        order: expected axis that matches each measured one best.
+        sign: of the match (3,).
+        own: correlation of each axis with its own (3,).
+        best: correlation with the matched one (3,).
+        scale: slope of measured over expected for the match (3,).
+    """
 
     order: tuple[int, ...]
     sign: np.ndarray
@@ -29,19 +36,19 @@ class AxesMatch:
 
     @property
     def wrong(self) -> tuple[int, ...]:
-        """Axes that measure another one, or with the other sign."""
+        """Axes that measure another one, or with the opposite sign."""
         turned = (np.array(self.order) != np.arange(3)) | (self.sign < 0)
         wrong = turned & (self.best > OTHER) & (self.best - self.own > GAIN)
         return tuple(np.flatnonzero(wrong).tolist())
 
     @property
     def alike(self) -> bool:
-        """Whether the axes that move measure what they say."""
+        """Whether all axes that move are the expected ones."""
         return not self.wrong and bool(np.median(self.own) > 0.5)
 
     @property
     def words(self) -> str:
-        """What the wrong axes are, as "x is -y"."""
+        """The wrong axes in words, such as "x is -y"."""
         signs = {1.0: "", -1.0: "-"}
         return ", ".join(
             f"{AXIS_NAMES[i]} is {signs[float(self.sign[i])]}{AXIS_NAMES[self.order[i]]}"
@@ -50,13 +57,15 @@ class AxesMatch:
 
     @property
     def scaled(self) -> float:
-        """Common factor of the axes that are alike; NaN where none is."""
+        """Common scale factor of the axes that correlate well; NaN where none does."""
         alike = self.best > _ALIKE
         return float(np.median(self.scale[alike])) if alike.any() else float("nan")
 
 
 def match_axes(measured: np.ndarray, expected: np.ndarray) -> AxesMatch:
-    """Match the axes of measured (M, 3) to those of expected (M, 3), by their motion alone."""
+    """Match the axes of `measured` (M, 3) to those of `expected` (M, 3), by their variation
+    alone.
+    """
     a, b = measured - measured.mean(axis=0), expected - expected.mean(axis=0)
     sizes = np.linalg.norm(a, axis=0)[:, None] * np.linalg.norm(b, axis=0)[None]
     both = a.T @ b
@@ -74,13 +83,15 @@ def match_axes(measured: np.ndarray, expected: np.ndarray) -> AxesMatch:
 
 
 def lag_of(late: np.ndarray, witness: np.ndarray, step: float, most: float) -> tuple[float, float]:
-    """By how much [s] `late` (M, D) comes after `witness` (M, D), both a row every `step`, at most
-    `most`; and their mean correlation then. Each column counts alike, whatever its size."""
+    """Delay [s] of `late` (M, D) relative to `witness` (M, D), and their mean correlation at it.
+
+    Rows are `step` apart, and the delay is at most `most` in size. Columns have equal weight.
+    """
     reach = min(round(most / step), len(late) // 3)
     rows = len(late) - 2 * reach
     shifts = np.arange(-reach, reach + 1)
-    # Each stretch of `late` by its own mean and size: those of all rows would favour a stretch that
-    # moves more, and turn the top of slow motion by half a step.
+    # Standardise each window of `late` by itself: a common mean and size would favour windows with
+    # more motion, and shift the maximum for slow motion by half a step.
     b = _standardised(witness[reach : reach + rows])
     scores = [
         float(np.mean(_standardised(late[first : first + rows]) * b)) for first in shifts + reach
@@ -95,6 +106,6 @@ def lag_of(late: np.ndarray, witness: np.ndarray, step: float, most: float) -> t
 
 
 def _standardised(x: np.ndarray) -> np.ndarray:
-    """Columns of (M, D) with mean 0 and size 1; 0 for one that rests."""
+    """Columns of (M, D) with mean 0 and standard deviation 1; 0 for a constant one."""
     x = x - x.mean(axis=0)
     return x / np.maximum(x.std(axis=0), 1e-12)

@@ -1,4 +1,4 @@
-"""The clock of a log: its rate, lost rows, and rows lost behind even stamps."""
+"""Checks of a log's clock: rate, missing rows, and missing rows behind evenly spaced stamps."""
 
 from collections.abc import Iterator
 
@@ -8,36 +8,43 @@ from surefoot.sim.plausibility.finding import Finding
 from surefoot.sim.plausibility.view import LogView
 
 STEP_OFF = 0.02
-"""Share by which the median step may differ from the metadata's rate: a computer's clock is good
-to 1e-4; loops that wait a whole time slice are 1 % slow (10.1 ms instead of 10)."""
+"""Relative difference between the median step and the metadata's rate: a computer's clock is good
+to 1e-4; loops that wait for whole time slices are 1 % slow (10.1 ms instead of 10).
+"""
 SLOWEST_ROWS, FASTEST_ROWS = 5.0, 2e4
-"""Hz of rows: two a stride, below which nothing is seen of it; faster than any sensor of a robot is
-read, IMUs at 8 kHz (InvenSense MPU-6050 product specification, gyro output rate)."""
+"""Range of rates [Hz]: two rows per stride, which show nothing of it, and more than any sensor of a
+robot is read at; IMUs have 8 kHz (InvenSense MPU-6050 product specification, gyro output rate).
+"""
 MISSING_ROWS = 0.03
-"""Share of rows that may be missing: loops that share a computer are late for some per cent, and
-filters bridge single rows."""
+"""Share of rows that may be missing: on a shared computer a few percent are late, and filters
+bridge single rows.
+"""
 LONGEST_GAP = 0.05
-"""s without a row: a tenth of a stride, over which nothing can be interpolated (as a reference's
-gap)."""
+"""Largest gap between rows [s]: a tenth of a stride, too long for interpolation (as for a
+reference).
+"""
 SPEED_OFF = 0.1
-"""Share by which rates may differ from changes: each blurs some per cent."""
+"""Relative difference between logged rates and numerical derivatives; each is smoothed by a few
+percent.
+"""
 SAME_CLOCK = 0.1
-"""Share by which streams may differ in that and still say the same of the clock."""
+"""Largest difference between streams in that factor for which they agree on the clock."""
 _UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-"""Of time, as a map names them -> s."""
+"""Unit of time in a map -> seconds."""
 _USUAL = (20.0, 1e4)
-"""Hz of the rows of logs."""
+"""Usual rates of logs [Hz]."""
 _JUMP = 5.0
-"""Times the change between rows that its fastest hundredth exceeds, in a jump."""
+"""Ratio of a jump to the 99 % quantile of the changes between rows."""
 _BACK, _FORTH = -0.2, 0.5
-"""Correlation of a joint's steps with those of the next row and of the one after: 1 in what is
-smooth, -0.5 and 0 in noise."""
+"""Correlation of a joint's steps with the next and the second next: 1 for smooth motion, -0.5 and 0
+for noise.
+"""
 _AT_ONCE = 0.4
-"""Share of joints, or of the reference's numbers, that jump at one row."""
+"""Share of joints, or of the reference's columns, that jump at one row."""
 
 
 def stamps(view: LogView) -> Iterator[Finding]:
-    """Rows come at the rate that the log states, and all of them."""
+    """Check that rows come at the stated rate, without gaps."""
     t, rate = view.t, view.log.rate
     if len(t) < 3:
         return
@@ -60,7 +67,7 @@ def stamps(view: LogView) -> Iterator[Finding]:
 
 
 def single_rows(view: LogView) -> Iterator[Finding]:
-    """Rows that are lost one by one, over which readings can be interpolated."""
+    """Find single missing rows, which can be interpolated."""
     if len(view.t) > 2:
         told, gap = _lost(view)
         if told and not gap:
@@ -68,12 +75,12 @@ def single_rows(view: LogView) -> Iterator[Finding]:
 
 
 def _lost(view: LogView) -> tuple[str, bool]:
-    """Which rows are missing, "" where too few are, and whether they leave a gap."""
+    """Missing rows in words, "" if there are too few, and whether they leave a gap."""
     step = np.diff(view.t)
     usual, longest = float(np.median(step)), float(step.max())
     missing = np.maximum(np.round(step / usual) - 1.0, 0.0)
     share = float(missing.sum() / (len(view.t) + missing.sum()))
-    # At low rates a single late row is no gap.
+    # At low rates, a single late row is no gap.
     gap = longest > LONGEST_GAP and longest > 3.0 * usual
     if share <= MISSING_ROWS and not gap:
         return "", False
@@ -85,7 +92,9 @@ def _lost(view: LogView) -> tuple[str, bool]:
 
 
 def speed(view: LogView) -> Iterator[Finding]:
-    """What are rates and what are changes agree, whatever the stream: else the stamps are wrong."""
+    """Check that logged rates agree with numerical derivatives in all streams; else the stamps are
+    wrong.
+    """
     log = view.log
     if not view.comparable:
         return
@@ -115,7 +124,7 @@ def speed(view: LogView) -> Iterator[Finding]:
 
 
 def leaps(view: LogView) -> Iterator[Finding]:
-    """No joint and no body jumps between two rows, least of all together."""
+    """Check that joints and body do not jump between two rows."""
     log = view.log
     streams = [log.q] if log.has("q") else []
     if log.has("foot"):
@@ -123,7 +132,7 @@ def leaps(view: LogView) -> Iterator[Finding]:
     if not streams or not view.comparable:
         return
     x = np.column_stack(streams)
-    # Of two rows that are close, the second came late or the first early: no joint leaps then.
+    # Of two rows close together, the second was late or the first early; no joint jumped.
     step = np.diff(view.t)
     rate = np.abs(np.diff(x, axis=0)) / np.maximum(step, 0.5 * np.median(step))[:, None]
     fast = np.quantile(rate, 0.99, axis=0)

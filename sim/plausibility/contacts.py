@@ -1,4 +1,4 @@
-"""Contacts against what the feet do: dead, stuck and inverted ones."""
+"""Checks of contacts against the motion of the feet: dead, stuck and inverted ones."""
 
 from collections.abc import Iterator
 
@@ -8,27 +8,39 @@ from surefoot.sim.plausibility.finding import Finding
 from surefoot.sim.plausibility.view import LogView
 
 FARTHEST_STILL = 0.3
-"""m that a body which stands sways or is lowered; beyond it, it walks (or is carried)."""
+"""Distance that a standing body may sway or be lowered [m]; beyond it, the robot walks or is
+carried.
+"""
 OTHERS_CHANGE = 6
-"""Changes of other contacts, each, during which one must change: three strides."""
+"""Number of changes of each other contact within which a contact must change: three strides."""
 UNCHANGED = 1.0
-"""s, two strides: contacts that bounce change often in a shorter time."""
+"""Shortest time without a change to report [s], two strides; bouncing contacts change often in
+less.
+"""
 FLICKERS = 30.0
-"""Changes a second: strides have four, sensors that miss one row in a hundred at 500 Hz another
-ten."""
+"""Changes per second to report: strides have four, and a sensor that misses one row in a hundred at
+500 Hz another ten.
+"""
 LASTING = 0.05
-"""s, a fifth of the shortest stance: contacts of a robot that stands still flicker for less."""
+"""Shortest lasting state of a contact [s], a fifth of the shortest stance; contacts of a standing
+robot flicker for less.
+"""
 BOUNCES = 0.1
-"""s that a foot may bounce as it lands or lifts; on ice it does so for some rows, seven times."""
+"""Time for which a foot may bounce at touchdown or lift-off [s]; on ice, seven times within some
+rows.
+"""
 HIGHER = 0.005
-"""m by which feet in contact are higher than lifted ones: trotting robots lift by 30 to 80 mm."""
+"""Height of feet in contact above lifted ones to report [m]; trotting robots lift by 30 to 80
+mm.
+"""
 _CLEAR = 0.3
-"""Correlation of contact with height from which on it is inverted: clean walks have -0.4 to -0.9,
-stairs and slopes too, as heights are taken against the body."""
+"""Correlation of contact with height from which it is inverted: clean walks have -0.4 to -0.9, on
+stairs and slopes too, since heights are relative to the body.
+"""
 
 
 def dead(view: LogView) -> Iterator[Finding]:
-    """A foot of a robot that walks touches down and lifts."""
+    """Check that each foot of a walking robot touches down and lifts off."""
     log = view.log
     if not log.has("contact") or len(log.legs) < 2 or not view.comparable:
         return
@@ -60,7 +72,7 @@ def dead(view: LogView) -> Iterator[Finding]:
 
 
 def flickering(view: LogView) -> Iterator[Finding]:
-    """A foot touches down and lifts some times a second."""
+    """Check that a foot does not touch down and lift off too often."""
     log = view.log
     if not log.has("contact") or not view.comparable:
         return
@@ -72,7 +84,7 @@ def flickering(view: LogView) -> Iterator[Finding]:
 
 
 def _changes(t: np.ndarray, contact: np.ndarray) -> int:
-    """Changes of a contact (N,) at t; those of a foot that bounces as it lands or lifts are one."""
+    """Number of changes of a contact (N,) at t; bounces at touchdown or lift-off count as one."""
     start, lasts = _states(t, contact)
     kept = np.flatnonzero(lasts)
     between = np.diff(kept)  # changes from one lasting state to the next, odd if it is the other
@@ -82,7 +94,7 @@ def _changes(t: np.ndarray, contact: np.ndarray) -> int:
 
 
 def _lasting(t: np.ndarray, contact: np.ndarray) -> int:
-    """Changes of a contact (N,) at t from one lasting state to the other."""
+    """Number of changes of a contact (N,) at t between lasting states."""
     start, lasts = _states(t, contact)
     return int(np.sum(np.diff(contact[start[lasts]].astype(int)) != 0))
 
@@ -94,7 +106,7 @@ def _states(t: np.ndarray, contact: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def _legs_swing(view: LogView) -> bool:
-    """Whether feet move about under the body as those of a robot that walks."""
+    """Whether the feet move under the body as in walking."""
     if view.stance is None:
         return True
     return bool(np.median(np.ptp(view.stance.foot[:, :, :2], axis=0)) > 0.05)
@@ -107,7 +119,7 @@ def _longest(at: np.ndarray, rows: int) -> tuple[int, int]:
 
 
 def inverted(view: LogView) -> Iterator[Finding]:
-    """Feet in contact are lower than lifted ones."""
+    """Check that feet in contact are lower than lifted ones."""
     heights = contact_heights(view)
     if heights is None:
         return
@@ -117,18 +129,20 @@ def inverted(view: LogView) -> Iterator[Finding]:
         columns = tuple(f"contact_{view.log.legs[i]}" for i in wrong)
         higher = 1e3 * np.diag(difference)[wrong].mean()
         told = f"feet are {higher:.0f} mm higher in contact than lifted"
-        # In a trot the legs across stand while these swing.
+        # In a trot, the diagonal legs stand while these swing.
         all_of_them = "inverted: 1 means lifted, or left and right are swapped"
         cause = all_of_them if len(wrong) > 1 else "inverted, or another leg's"
         yield Finding(columns, told, cause)
 
 
 def contact_heights(view: LogView) -> tuple[np.ndarray, np.ndarray] | None:
-    """By how much foot i is higher while contact k is on (L, L) [m], and their correlation."""
+    """Mean height of foot i with contact k on, relative to off (L, L) [m], and their
+    correlation.
+    """
     legs, up = view.stance, view.up_by_body
     if legs is None or up is None:
         return None
-    # Slow changes are those of terrain and posture.
+    # Slow changes are due to terrain and posture.
     height = legs.foot @ up
     on = legs.contact.astype(float)
     moves = on.std(axis=0)

@@ -1,5 +1,8 @@
-"""Drives of a machine on a fixed base: torques against what its model asks for along the motion,
-commanded angles against those that follow them."""
+"""Checks of the drives of a machine on a fixed base.
+
+Torques are compared with inverse dynamics along the motion, commanded angles with the measured
+ones.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,33 +16,44 @@ from surefoot.sim.plausibility.streams import LIMITED, stretches_without_change
 from surefoot.sim.plausibility.view import LogView
 
 OPPOSITE = -0.5
-"""Correlation with what the model asks for below which a torque has the other sign, and of moves of
-a command with those of its joint: measured drives have 0.7 and more, 0 where they are touched, -0.2
-where the commands are less than a servo's play."""
+"""Correlation with the expected torque below which a torque has the opposite sign; likewise for the
+moves of a command and its joint. Measured drives have 0.7 and more, 0 where they are touched, -0.2
+where the commands are smaller than a servo's backlash.
+"""
 TOLD = 0.7
-"""Correlation with what model and friction ask for from which a torque's size and sign are told."""
+"""Correlation with model and friction from which the scale and sign of a torque can be judged."""
 SCALED = (0.4, 2.0)
-"""Of what the model asks for: measured drives have 0.6 to 1.3 of it, by friction and by masses
-that are not quite as published; a torque of the motor's side has one part of its gear's ratio."""
+"""Range of the scale relative to the model: measured drives have 0.6 to 1.3, because of friction
+and inaccurate published masses; a torque of the motor's side is smaller by the gear ratio.
+"""
 STRAYS = 3.0
-"""Times as far off as at other times: a torque that hangs, of what model and friction ask for; a
-command, of its joint's angle."""
+"""Ratio to the usual error from which a constant torque or command is stuck."""
 SLIDES = 0.05
-"""rad/s below which dry friction has not its full size."""
+"""Rate below which dry friction does not reach its full size [rad/s]."""
 FOLLOWED = 0.8
 """Correlation of an angle with its command from which it follows."""
 MOVE = 0.5
-"""s over which moves of a joint are compared with those of its command: servos are 0.1 s late."""
+"""Time over which moves of a joint are compared with those of its command [s]; servos are 0.1 s
+late.
+"""
 COMMANDED = 1.0
-"""s without a change of a command while its joint goes on, from which on the command hangs."""
+"""Time without a change of a command, while its joint moves, from which it is stuck [s]."""
 SWEPT = 0.5
-"""Of its range, that a joint goes meanwhile, or STRAYS times as far off the command as else."""
+"""Share of its range that a joint moves in that time; alternatively STRAYS times the usual
+error.
+"""
 
 
 @dataclass(frozen=True)
 class _Torque:
-    """A joint's mean torque tau (M,), what its model asks for (M,), and that with the drive's own
-    friction, fitted (M,), with the share `scale` of the model's part in it."""
+    """Torque of a joint.
+
+    Attributes:
+        joint: name.
+        tau: mean torque (M,) [N m].
+        rigid: torque (M,) by the rigid-body model [N m].
+        friction: regressors (M, 2) of dry and viscous friction.
+    """
 
     joint: str
     tau: np.ndarray
@@ -47,15 +61,16 @@ class _Torque:
     friction: np.ndarray
 
     def fitted(self, where: np.ndarray) -> tuple[np.ndarray, float]:
-        """What model and friction make of it (M,), and the model's share, sized on times `where`
-        (M,), bool."""
+        """Least-squares fit of model and friction (M,), and the model's factor, on the times
+        `where` (M,).
+        """
         terms = np.column_stack([self.rigid, self.friction])
         sizes = np.linalg.lstsq(terms[where], self.tau[where], rcond=None)[0]
         return terms @ sizes, float(sizes[0])
 
 
 def _torques(view: LogView) -> list[_Torque]:
-    """The torques of drives whose model is known and is asked for something."""
+    """Torques of drives with a known model that requires some torque."""
     log, machine = view.log, view.machine
     if machine is None or not (view.on_fixed_base and view.comparable):
         return []
@@ -74,7 +89,7 @@ def _torques(view: LogView) -> list[_Torque]:
 
 
 def driving(view: LogView) -> Iterator[Finding]:
-    """Torques of drives on a fixed base are what moves it."""
+    """Check that the torques of drives on a fixed base explain its motion."""
     everywhere = np.ones(len(view.at), dtype=bool)
     for one in _torques(view):
         column = f"tau_{one.joint}"
@@ -84,7 +99,7 @@ def driving(view: LogView) -> Iterator[Finding]:
             yield Finding((column,), told, "a sensor that hangs")
             continue
         alike, (fitted, scale) = _correlation(one.tau, one.rigid), one.fitted(everywhere)
-        # Of a machine that pushes against something the model alone tells little.
+        # The model alone says little about a machine that pushes against something.
         told_by_model = _correlation(one.tau, fitted) > TOLD
         when = sign_change(view.at, one.tau, one.rigid, TOLD)
         if when is not None:
@@ -101,8 +116,11 @@ def driving(view: LogView) -> Iterator[Finding]:
 
 
 def _hangs(view: LogView, column: str, one: _Torque) -> tuple[float, float] | None:
-    """From when to when [s] a torque stays as it is although the motion asks for another; None
-    where it does not, as of drives at their limit or switched off."""
+    """Start and end [s] of a constant torque while the motion requires another; None where there is
+    none.
+
+    Drives at their limit or switched off are no such case.
+    """
     for first, last in stretches_without_change(view.t, view.log.frame[column].to_numpy(), LIMITED):
         during = (view.at > view.t[first]) & (view.at < view.t[last])
         if during.sum() < 3 or (~during).sum() < 3:
@@ -120,7 +138,7 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def followed(view: LogView) -> Iterator[Finding]:
-    """Joints of a machine on a fixed base go where they are commanded."""
+    """Check that the joints of a machine on a fixed base follow their commands."""
     log = view.log
     if not (view.on_fixed_base and view.comparable and log.has("q") and log.has("q_des")):
         return
@@ -147,7 +165,7 @@ def followed(view: LogView) -> Iterator[Finding]:
 
 
 def _moves(view: LogView, x: np.ndarray) -> np.ndarray:
-    """How far streams x (N, D) go within MOVE seconds about the times `at`, (M, D)."""
+    """Displacement of streams x (N, D) within MOVE seconds about the times `at`, (M, D)."""
     ahead, behind = (
         np.column_stack([np.interp(view.at + shift, view.t, one) for one in x.T])
         for shift in (0.5 * MOVE, -0.5 * MOVE)
@@ -158,10 +176,10 @@ def _moves(view: LogView, x: np.ndarray) -> np.ndarray:
 def _hanging_command(
     view: LogView, joint: str, angle: np.ndarray, asked: np.ndarray
 ) -> Iterator[Finding]:
-    """A command that stays while its joint sweeps its range, or goes far from it."""
+    """Find a command that stays constant while its joint sweeps its range, or moves far from it."""
     command = view.log.frame[f"q_des_{joint}"].to_numpy()
     for first, last in stretches_without_change(view.t, command, COMMANDED):
-        # After a step a joint is still on its way.
+        # After a step of the command, a joint is still moving.
         late = view.t[first] + 0.5 * COMMANDED
         during = (view.at > late) & (view.at < view.t[last])
         outside = (view.at < view.t[first]) | (view.at > view.t[last] + 0.5 * COMMANDED)

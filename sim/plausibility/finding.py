@@ -1,4 +1,4 @@
-"""What a rule of plausibility finds in a log, and what a rule is."""
+"""Plausibility rules, and what they find in a log."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -8,10 +8,14 @@ from surefoot.sim.plausibility.view import LogView
 
 @dataclass(frozen=True)
 class Finding:
-    """Something in a log that cannot be, or hardly.
+    """An implausibility in a log.
 
-    streams: columns that it is about; evidence: what was measured, with its unit; cause: the likely
-    one; map_line: what mends it in an import map, "" where nothing there does; rule: by name.
+    Attributes:
+        streams: columns concerned.
+        evidence: what was measured, with its unit.
+        cause: the likely one.
+        map_line: correction in an import map, "" where there is none.
+        rule: name of the rule.
     """
 
     streams: tuple[str, ...]
@@ -22,18 +26,23 @@ class Finding:
 
     @property
     def line(self) -> str:
-        """In words."""
+        """The finding in words."""
         mended = f"; in the map: {self.map_line}" if self.map_line else ""
         return f"{_named(self.streams)}: {self.cause} ({self.evidence}){mended}"
 
 
 @dataclass(frozen=True)
 class Rule:
-    """One rule of plausibility.
+    """A plausibility rule.
 
-    name; compares: what with what; threshold: from where on it speaks; reason: why there; remedy:
-    what to do; needs: columns, by their first part, without which or in doubt of which it is not
-    asked; find: what it finds in a log.
+    Attributes:
+        name: unique.
+        compares: what is compared with what.
+        threshold: from which it reports.
+        reason: for the threshold.
+        remedy: what to do.
+        needs: columns or their prefixes; the rule is skipped where one of them is in doubt.
+        find: function that finds violations in a log.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Gyro and accelerometer: gravity, units by magnitude, axes and signs against what else turns."""
+"""Checks of gyro and accelerometer: gravity, units, axes and signs."""
 
 from collections.abc import Iterator
 from itertools import permutations, product
@@ -19,50 +19,59 @@ from surefoot.sim.plausibility.finding import Finding
 from surefoot.sim.plausibility.view import STEP, LogView
 
 ZERO_G = 0.8
-"""m/s^2 that an accelerometer's mean may differ from gravity: InvenSense MPU-6050 product
-specification, zero-g output, +-80 mg on z; better sensors have a quarter of it."""
+"""Difference of an accelerometer's mean from gravity [m/s^2]: InvenSense MPU-6050 product
+specification, zero-g output, +-80 mg on z; better sensors have a quarter of it.
+"""
 MOST_LEAN = 45.0
-"""deg between the mean specific force and what is up: stairs and ramps for legs lean by 35."""
+"""Angle between the mean specific force and up [deg]: stairs and ramps for legs lean by 35."""
 LEANING = 0.75
-"""Share of gravity that is left in the mean of a robot that turns about on a slope of 35 deg, less
-ZERO_G."""
+"""Ratio of the mean specific force to gravity for a robot that turns on a slope of 35 deg, less
+ZERO_G.
+"""
 ZERO_RATE = 0.35
-"""rad/s that a gyro's mean may differ from what turns: MPU-6050, zero-rate output, +-20 deg/s."""
+"""Difference of a gyro's mean from the true rate [rad/s]: MPU-6050, zero-rate output, +-20
+deg/s.
+"""
 TUMBLING = 6.0
-"""rad/s, root mean square of a gyro: a turn a second for as long as the log lasts."""
+"""RMS of a gyro [rad/s]: a turn per second for the whole log."""
 GYRO_SCALED = 0.15
-"""Share by which a gyro's or reference's size may be off: data sheets give 3 % at worst, averages
-over a stride blur some per cent."""
+"""Relative scale error of a gyro or reference: data sheets allow 3 %, and averaging over a stride
+costs a few percent.
+"""
 SCALED_ACCEL = 0.7
-"""The same of accelerations, which impacts and filters blur more: 0.6 to 1.2 in clean walks."""
+"""The same for accelerations, which impacts and filters distort more: 0.6 to 1.2 in clean walks."""
 LEFT = 0.6
-"""Share of the turning that a gyro as it is leaves unexplained, and that its axes in another order
-or sign may leave; correlation alone hides axes that turn little. On clean walks and a measured Go1
-none does better than the right ones. Put right, two axes swapped leave 0.15 on clean walks; on the
-Go1 0.52 to 0.56, but x for y 0.72: these are not seen."""
+"""Share of the rotation that a gyro leaves unexplained as logged, and that other axes or signs may
+leave; correlation alone hides axes with little motion. On clean walks and a measured Go1, none does
+better than the right ones. Corrected, two swapped axes leave 0.15 on clean walks; on the Go1 0.52
+to 0.56, but x for y 0.72, which is not detected.
+"""
 TURNED_IMU = 12.0
-"""deg by which an IMU's axes may be turned in the tracked body before it is said: brackets are true
-to some degrees, and leaning ones are declared."""
+"""Rotation of an IMU's axes in the tracked body that is reported [deg]: brackets are accurate to
+some degrees, and inclined ones are declared.
+"""
 STILL_LEFT = 0.5
-"""Share of what gyro and reference differ by that may be left when they are turned so."""
+"""Share of the difference between gyro and reference that may remain after such a rotation."""
 WEAK = 0.3
-"""Share by which one axis of a gyro may be off that goes well with the reference's turning."""
+"""Relative scale error of a single axis of a gyro that correlates well with the reference."""
 _GOES_WELL = 0.9
-"""Correlation from which on single axes are compared in size."""
+"""Correlation from which single axes are compared in scale."""
 LATE_ACCEL, LATEST_ACCEL = 0.03, 0.5
-"""s by which an accelerometer is said to be late, or early, and up to which it is looked for."""
+"""Smallest delay of an accelerometer that is reported, and largest that is searched for [s]."""
 QUIET = 0.35
-"""Share of the motion's accelerations that an accelerometer has at least: 0.6 in clean walks."""
+"""Least size of an accelerometer's signal relative to the motion's: 0.6 in clean walks."""
 SAME_SIZE = 1e-3
-"""Share by which the size of a specific force varies at least: impacts have
-several times gravity's."""
+"""Least relative variation of the magnitude of a specific force; impacts reach several times
+gravity.
+"""
 NOT_LEVEL = 8.0
-"""deg between gravity and the reference's vertical: an accelerometer 80 mg out is 5 deg off."""
+"""Angle between gravity and the reference's vertical [deg]; an accelerometer 80 mg off causes 5."""
 NOISY = 0.2
-"""rad/s of a gyro's noise from row to row: data sheets have 0.01 (MPU-6050, 0.05 deg/s behind a
-filter, 0.005 deg/s/√Hz), logs of a Go1 and a SCALER 0.03 with all that shakes."""
+"""Noise of a gyro between rows [rad/s]: data sheets have 0.01 (MPU-6050, 0.05 deg/s behind a
+filter, 0.005 deg/s/√Hz), logs of a Go1 and a SCALER 0.03 including vibration.
+"""
 _BLOCK = 2.0
-"""s, four strides, over which a gyro's bias is taken."""
+"""Averaging time of a gyro's bias [s], four strides."""
 _AXES_P = tuple(f"ref_p_{a}" for a in AXIS_NAMES)
 _AXES_GYRO = tuple(f"gyro_{a}" for a in AXIS_NAMES)
 _AXES_ACCEL = tuple(f"accel_{a}" for a in AXIS_NAMES)
@@ -71,7 +80,9 @@ _IN_DEGREES = 'gyro_x, gyro_y, gyro_z = { ..., unit = "deg/s" }'
 
 
 def gravity(view: LogView) -> Iterator[Finding]:
-    """The mean specific force of a body that stays near the ground is gravity, upwards."""
+    """Check that the mean specific force of a body that stays near the ground is gravity,
+    upwards.
+    """
     if not view.log.has("imu") or not view.comparable:
         return
     mean = view.log.accel.mean(axis=0)
@@ -99,7 +110,7 @@ def gravity(view: LogView) -> Iterator[Finding]:
 
 
 def _unit_of_accel(size: float, spread: float) -> tuple[str, str] | None:
-    """Cause and map line where the size is gravity in another unit."""
+    """Cause and map line where the magnitude is gravity in another unit."""
     if 0.7 < size < 1.3:
         return "in g, not m/s^2", 'accel_x, accel_y, accel_z = { ..., unit = "g" }'
     if 700.0 < size < 1300.0:
@@ -117,7 +128,7 @@ def _unit_of_accel(size: float, spread: float) -> tuple[str, str] | None:
 
 
 def _turned_over(view: LogView, mean: np.ndarray, up: np.ndarray, told: str) -> Finding:
-    """Why the mean specific force points elsewhere than up."""
+    """Explain why the mean specific force does not point up."""
     axis = int(np.argmax(np.abs(up)))
     found = int(np.argmax(np.abs(mean)))
     if found != axis:
@@ -144,7 +155,7 @@ def _turned_over(view: LogView, mean: np.ndarray, up: np.ndarray, told: str) -> 
 
 
 def _up(view: LogView) -> tuple[np.ndarray | None, str]:
-    """What is up in I (3,), and by what: the body, else the reference."""
+    """Up in I (3,), and its source: the body, else the reference."""
     if view.up_by_body is not None:
         return view.up_by_body, "the body"
     if view.log.has("reference"):
@@ -154,7 +165,7 @@ def _up(view: LogView) -> tuple[np.ndarray | None, str]:
 
 
 def accelerometer(view: LogView) -> Iterator[Finding]:
-    """The specific force is what the motion of the reference implies; else either is wrong."""
+    """Check that the specific force agrees with the motion of the reference."""
     if not view.trusts_reference:
         return
     accel, felt = view.accel[view.ok], view.felt[view.ok]
@@ -176,7 +187,7 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
         yield Finding(_AXES_ACCEL, told, "filtered, or gravity alone")
         return
     in_world = match_axes(view.ref_a[view.ok], view.R_GI.apply(view.accel)[view.ok] + GRAVITY_G)
-    # Gravity tells that z is upright, so that the reference's is not.
+    # If gravity shows that z is upright, it is the reference's that is not.
     if in_world.wrong and (in_world.best.mean() >= in_body.best.mean() or in_world.wrong == (2,)):
         columns = tuple(f"ref_p_{AXIS_NAMES[i]}" for i in in_world.wrong)
         told = f"correlation with the accelerometer {_of(in_world, in_world.own)}"
@@ -208,7 +219,7 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
 
 
 def gyro_unit(view: LogView) -> Iterator[Finding]:
-    """A gyro turns, and not like a top."""
+    """Check that a gyro measures something, in rad/s."""
     if not view.log.has("imu") or not view.comparable:
         return
     rms = float(np.sqrt(np.mean(np.sum(view.log.gyro**2, axis=1))))
@@ -221,7 +232,7 @@ def gyro_unit(view: LogView) -> Iterator[Finding]:
 
 
 def gyro(view: LogView) -> Iterator[Finding]:
-    """A gyro turns about the axes, and as fast, as the reference."""
+    """Check that a gyro measures the rotation of the reference."""
     if not view.compares_turning:
         return
     match = view.gyro_match
@@ -275,10 +286,12 @@ def gyro(view: LogView) -> Iterator[Finding]:
 
 
 def gyro_noise(view: LogView) -> Iterator[Finding]:
-    """A body turns smoothly: what third differences of a gyro are made of is noise."""
+    """Check the noise of a gyro, from third differences, which hold little of a body's smooth
+    rotation.
+    """
     if not view.log.has("imu") or not view.comparable:
         return
-    # Of white noise they have 20 times the variance; landings are few, and the median of others.
+    # Third differences of white noise have 20 times its variance; the median ignores impacts.
     rough = np.median(np.abs(np.diff(view.log.gyro, n=3, axis=0)), axis=0) / 0.6745 / np.sqrt(20.0)
     if (noisy := np.flatnonzero(rough > NOISY)).size:
         told = f"{rough[noisy].max():.2f} rad/s from row to row"
@@ -287,8 +300,10 @@ def gyro_noise(view: LogView) -> Iterator[Finding]:
 
 
 def _turned(gyro: np.ndarray, turning: np.ndarray) -> np.ndarray | None:
-    """Rotation vector [deg] that turns a gyro's axes (M, 3) into the reference's, by Kabsch's
-    method; None where it is small or does not mend what they differ by."""
+    """Rotation vector [deg] from a gyro's axes (M, 3) to the reference's, by Kabsch's method.
+
+    None where it is small or does not remove the difference.
+    """
     a, b = gyro - gyro.mean(axis=0), turning - turning.mean(axis=0)
     R, left = Rotation.align_vectors(b, a)  # pyright: ignore[reportAssignmentType]
     found = np.degrees(R.as_rotvec())
@@ -297,7 +312,7 @@ def _turned(gyro: np.ndarray, turning: np.ndarray) -> np.ndarray | None:
 
 
 def turning_of_legs(view: LogView) -> Iterator[Finding]:
-    """Without a reference: a gyro turns as lines between standing feet see the body turn."""
+    """Check a gyro without a reference, by the rotation of lines between standing feet."""
     legs = view.stance
     if legs is None or not view.log.has("imu") or view.log.has("reference"):
         return
@@ -326,7 +341,7 @@ def _of(match: AxesMatch, values: np.ndarray) -> str:
 
 
 def _lines(kind: str, match: AxesMatch) -> str:
-    """Map lines that put each wrong axis where it belongs."""
+    """Map lines that correct each wrong axis."""
     lines = []
     for i in match.wrong:
         sign = ", sign = -1" if match.sign[i] < 0 else ""

@@ -1,4 +1,4 @@
-"""Joints: rates against angles, ranges and torques of the robot, units by magnitude."""
+"""Checks of joints: rates against angles, range and torque limits of the robot, units."""
 
 from collections.abc import Iterator
 
@@ -10,36 +10,42 @@ from surefoot.sim.plausibility.view import LogView
 
 _DEGREE = 180.0 / np.pi
 RATE_OFF = 0.1
-"""Share by which joint rates may differ from the change of angles over the same time: 0.01 in clean
-walks, and what filters of drives take from a swing."""
+"""Relative scale error of joint rates: 0.01 in clean walks, plus what the filters of drives take
+from a swing.
+"""
 RATE_ALIKE = 0.5
-"""Correlation of a rate with the change of its angle below which it is another's: 0.9 and more in
-clean logs, 0.7 with a delay of a tenth of a swing."""
+"""Correlation of a rate with its angle's derivative below which it belongs to another joint: 0.9
+and more in clean logs, 0.7 with a delay of a tenth of a swing.
+"""
 BEYOND = 0.1
-"""rad beyond its stops: encoder zeros are set to some degrees, links bend by less."""
+"""Angle beyond a joint's limits [rad]: encoder zeros are set to some degrees, links bend by
+less.
+"""
 BEYOND_SHARE = 0.02
-"""Share of rows beyond the stops: landings touch them for an instant."""
+"""Share of rows beyond the limits; touchdowns reach them for an instant."""
 TURNS = 2.0 * np.pi
-"""rad: a joint of a leg does not turn about; in degrees even a still leg is beyond it."""
+"""Angle that no joint of a leg reaches [rad]; in degrees, even a leg at rest exceeds it."""
 TOO_STRONG = 1.5
-"""Times the largest torque of the model, 99 % of the time: peak torques are rated for seconds."""
+"""Ratio of the 99 % quantile to the model's largest torque; peak torques are rated for seconds."""
 ZERO_OFF = {"hip": 0.15, "thigh": 0.25, "calf": 0.25}
-"""rad between the medians of a left joint and its right one, mirrored, where the other pair agrees
-to half of it: feet that turn or cross a slope differ in both pairs alike. Hips differ by 0.04 on a
-measured Go1."""
+"""Difference of the medians of a left joint and its mirrored right one [rad], if the other pair
+agrees to half of it: turning, or crossing a slope, affects both pairs alike. Hips differ by 0.04 on
+a measured Go1.
+"""
 _SEVERAL = 6
-"""Joints from which on some torques are negative in any motion."""
+"""Number of joints from which some torques are negative in any motion."""
 _MOVES, _STIRS = 0.2, 0.02
-"""rad/s, root mean square, below which a joint does not move enough to be compared: where its rate
-resembles nothing, and where it resembles the change of its angle, as noise does not."""
+"""RMS rate [rad/s] below which a joint's rate is not compared: if it does not correlate with its
+angle's derivative, and if it does, unlike noise.
+"""
 _SURELY = 0.95
-"""Correlation of rate and change from which a joint that only stirs is compared by size."""
+"""Correlation from which the scale of a slowly moving joint is compared."""
 _TURNED, _ALWAYS = 0.1, 0.9
-"""Of the correlation of a rate whose sign changes: the least before and after, and their sum."""
+"""For a rate whose sign changes: least correlation before and after, and least sum of the two."""
 
 
 def rates(view: LogView) -> Iterator[Finding]:
-    """A joint's rate is the change of its angle."""
+    """Check that a joint's rate is the derivative of its angle."""
     log = view.log
     if not (view.comparable and log.has("q") and log.has("dq")):
         return
@@ -48,7 +54,7 @@ def rates(view: LogView) -> Iterator[Finding]:
     moves = np.flatnonzero((size > _STIRS) & (logged.std(axis=0) > 0.0))
     if not moves.size:
         return
-    # Centred, as a bias is no other joint.
+    # Centred, so that a bias does not look like another joint.
     a, b = (x[:, moves] - x[:, moves].mean(axis=0) for x in (logged, moved))
     a, b = (x / np.linalg.norm(x, axis=0) for x in (a, b))
     alike = a.T @ b
@@ -106,15 +112,15 @@ def rates(view: LogView) -> Iterator[Finding]:
 def sign_change(
     at: np.ndarray, logged: np.ndarray, moved: np.ndarray, always: float = _ALWAYS
 ) -> float | None:
-    """When a stream turns into minus what it should be, or stops to be that; None where not.
+    """Time at which a stream changes its sign relative to the expected one; None where it does not.
 
     Args:
         at: times (M,) [s].
         logged: the stream (M,), such as a joint's rate.
-        moved: what it should be (M,), such as the change of the joint's angle.
-        always: sum of the correlations before and after from which it is one of both throughout.
+        moved: the expected one (M,), such as the derivative of the joint's angle.
+        always: least sum of the magnitudes of the correlations before and after.
     """
-    # An angle that changes its sign leaps.
+    # Clip outliers: an angle that changes its sign jumps.
     most = [np.quantile(np.abs(x), 0.95) for x in (logged, moved)]
     a, b = (np.clip(x, -m, m) for x, m in zip((logged, moved), most, strict=True))
     both = np.cumsum(a * b)
@@ -140,7 +146,7 @@ def _scaled_rates(columns: tuple[str, ...], typical: float, told: str) -> Findin
 
 
 def units(view: LogView) -> Iterator[Finding]:
-    """Angles of legs are in radians."""
+    """Check that angles of legs are in radians."""
     log = view.log
     if not log.has("q") or view.robot is None:
         return
@@ -155,7 +161,7 @@ def units(view: LogView) -> Iterator[Finding]:
 
 
 def stops(view: LogView) -> Iterator[Finding]:
-    """Angles are within the stops of the robot's joints."""
+    """Check that angles are within the limits of the robot's joints."""
     log = view.log
     if not log.has("q") or view.robot is None:
         return
@@ -182,7 +188,7 @@ def stops(view: LogView) -> Iterator[Finding]:
 
 
 def torques(view: LogView) -> Iterator[Finding]:
-    """Torques are below what the robot's drives can give."""
+    """Check that torques are within the limits of the robot's drives."""
     if view.robot is None or not view.log.has("tau"):
         return
     limit = view.robot.torque_limit
@@ -199,7 +205,7 @@ def torques(view: LogView) -> Iterator[Finding]:
 
 
 def magnitudes(view: LogView) -> Iterator[Finding]:
-    """Torques push both ways."""
+    """Check that torques have both signs."""
     if not view.log.has("tau") or view.robot is None or len(view.log.joints) < _SEVERAL:
         return
     tau = view.log.tau
@@ -210,12 +216,15 @@ def magnitudes(view: LogView) -> Iterator[Finding]:
 
 
 def zeros(view: LogView) -> Iterator[Finding]:
-    """Left and right legs are held alike: a joint that alone differs has another zero."""
+    """Check that left and right legs are held alike; a single joint that differs has another
+    zero.
+    """
     log, robot = view.log, view.robot
     if robot is None or log.joints != JOINTS or not log.has("q") or not view.comparable:
         return
     middle = np.median(log.q, axis=0)
-    # The rate of a foot to the side by its hip: of one sign, angles of mirrored legs are opposite.
+    # Lateral velocity of a foot by its hip: if it has the same sign, angles of mirrored legs are
+    # opposite.
     aside = robot.feet_jacobian_I(middle[None])[0, :, :, 0] @ robot.R_BI[1]
     middle = middle.reshape(2, 2, 3)  # front and rear, left and right
     mirrored = -np.sign(np.prod(aside.reshape(2, 2), axis=1))
@@ -231,7 +240,7 @@ def zeros(view: LogView) -> Iterator[Finding]:
 
 
 def commands(view: LogView) -> Iterator[Finding]:
-    """Commanded angles are in the unit of the measured ones."""
+    """Check that commanded angles are in the unit of the measured ones."""
     log = view.log
     if not (log.has("q") and log.has("q_des")):
         return

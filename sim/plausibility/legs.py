@@ -1,4 +1,4 @@
-"""Leg kinematics against the body's motion: swapped legs and joints, signs, sizes, clocks."""
+"""Checks of leg kinematics against the body's motion: swapped legs and joints, signs, delays."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -15,70 +15,87 @@ from surefoot.sim.plausibility.view import STEP, LogView
 from surefoot.sim.robot.robot import Robot
 
 MISFIT = 0.01
-"""Mean square of the velocity that standing feet have, over that of the body, their worst tenth
-left out: 0.006 in clean simulated walks, 0.03 to 0.1 on a measured Go1. Below it nothing is
-asked."""
+"""Mean squared velocity of standing feet, relative to the body's, without the worst tenth: 0.006 in
+clean simulated walks, 0.03 to 0.1 on a measured Go1. Below it nothing is reported.
+"""
 MENDED = 0.6
-"""Share of it that is left under a better reading of legs or contacts: on clean walks and the
-measured Go1, each wrong one has 1.66 times as much as the right one at least."""
+"""Share of it that may remain with a corrected order of legs or contacts: on clean walks and the
+measured Go1, each wrong one has at least 1.66 times as much as the right one.
+"""
 MENDED_JOINTS = 0.5
-"""The same of signs and order of joints, of which there are more to choose from: 2.2 times."""
+"""The same for signs and order of joints, with more alternatives: 2.2 times."""
 CLEARER = 0.9
-"""Share by which a reading must better one with fewer legs exchanged, which is tried first."""
+"""Improvement required over an alternative that exchanges fewer legs, which is tried first."""
 DUTY = 0.48
-"""Share of time that feet stand on average: half of it and more in walks and trots."""
+"""Mean duty factor: half and more in walks and trots."""
 HOPELESS = 0.6
-"""Of the misfit: from here on legs do not say how the body moves, and no reading mends it."""
+"""Misfit from which the legs do not measure the body's motion at all, and no alternative corrects
+it.
+"""
 SIZE = (0.65, 1.5)
-"""Velocity by the legs over that of the body: rolling and giving legs have 0.76 to 1.05."""
+"""Ratio of the velocity by the legs to the body's: 0.76 to 1.05 for rolling and compliant legs."""
 _TURNING = 0.5
-"""Quantile of the gyro above which rows are looked at: legs differ where the body turns."""
+"""Quantile of the gyro above which rows are used: legs differ where the body rotates."""
 LATEST_LEGS = 1.0
-"""s up to which late legs are looked for: two strides."""
+"""Largest delay of the legs that is searched for [s]: two strides."""
 LATE_PART, LATEST_PART = 0.03, 0.16
-"""s by which contacts, or one leg, are said to be late: 0.02 on a measured Go1, whose feet spring
-back before they are off; and up to which it is looked for: beyond, the next step comes."""
+"""Smallest delay of contacts, or of one leg, that is reported [s]: 0.02 on a measured Go1, whose
+feet spring back before they lift; and the largest searched for, before the next step begins.
+"""
 _MOVES = 0.1
-"""m/s below which the body's velocity says nothing."""
+"""Speed of the body below which nothing is compared [m/s]."""
 _FEWEST = 50
-"""Feet in contact, at some times, below which nothing is said."""
+"""Least number of samples of feet in contact."""
 _TRIED = 600
-"""Times at which readings of joints are tried."""
+"""Number of times at which alternatives of joints are tried."""
 CLIMBS = 0.15
-"""m/s by which a reference may rise against standing feet: stairs at 0.5 m/s rise by 0.3, and feet
-that roll and give by some hundredths."""
+"""Climbing rate of a reference relative to the standing feet [m/s]: stairs at 0.5 m/s climb by 0.3,
+rolling and compliant feet appear to by some hundredths.
+"""
 LATE_LOAD, LATEST_LOAD = 0.025, 0.15
-"""s by which torques are said to load legs after they stand: 0.002 in clean walks, foot sensors
-lag by ten; and up to which it is looked for."""
+"""Smallest delay of torques relative to contacts that is reported [s], and largest searched for:
+0.002 in clean walks; foot sensors lag by ten times as much.
+"""
 LOADS = 0.7
-"""Correlation of the loads with the contacts from which on they are compared: 0.82 to 0.87."""
+"""Correlation of the loads with the contacts from which they are compared: 0.82 to 0.87."""
 _LOADED, _MOST_LOADED = 20.0, 10_000
-"""s of a log in which loads are compared, some tens of strides, and rows there at most."""
+"""Length of the section in which loads are compared [s], some tens of strides, and its largest
+number of rows.
+"""
 SUPPORT = (0.5, 1.7)
-"""Weight that torques of standing legs carry, over the model's: payloads add a third, single legs
-of a stride carry twice."""
+"""Range of the weight carried by the torques of standing legs, relative to the model's: payloads
+add a third, single legs of a stride carry twice.
+"""
 
 
 @dataclass(frozen=True)
 class Moving:
-    """What legs are compared with: gyro (K, 3) [rad/s]; the body's velocity (K, 3) [m/s] in I by
-    the reference, None where it is not trusted; used (K,), bool."""
+    """Motion that legs are compared with.
+
+    Attributes:
+        gyro: (K, 3) [rad/s].
+        truth: velocity of the body (K, 3) [m/s] in I by the reference; None where it is not
+            trusted.
+        used: mask (K,).
+    """
 
     gyro: np.ndarray
     truth: np.ndarray | None
     used: np.ndarray
 
     def rows(self, some: np.ndarray) -> "Moving":
-        """Of some of the K times."""
+        """Select some of the K times."""
         truth = None if self.truth is None else self.truth[some]
         return Moving(self.gyro[some], truth, self.used[some])
 
     def misfit(self, u: np.ndarray, contact: np.ndarray) -> float:
-        """Mean square by which legs in contact miss the body's velocity, their worst tenth left
-        out, over that of the velocity; NaN where too few do.
+        """Mean squared error of the legs' velocity, relative to the body's, without the worst
+        tenth.
 
-        u: (K, L, 3) velocity of the body by each leg [m/s]; contact: (K, L), bool. Without a truth
-        the mean of the legs in contact stands for it.
+        NaN where too few legs are in contact. Without a truth, the legs are compared with their
+        mean.
+
+        u: (K, L, 3) velocity of the body by each leg [m/s]; contact: (K, L), bool.
         """
         on = contact & self.used[:, None]
         truth = self.truth
@@ -95,7 +112,7 @@ class Moving:
 
 
 def kinematics(view: LogView) -> Iterator[Finding]:
-    """Feet in contact stand: all legs and the reference say the same of the body's velocity."""
+    """Check that all legs in contact and the reference agree on the body's velocity."""
     legs = view.stance
     if legs is None or not view.log.has("imu") or len(view.log.legs) < 2:
         return
@@ -128,7 +145,7 @@ def kinematics(view: LogView) -> Iterator[Finding]:
 
 
 def climbing(view: LogView) -> Iterator[Finding]:
-    """A reference climbs as its feet do."""
+    """Check that a reference climbs as its feet do."""
     legs = view.stance
     if legs is None or not view.log.has("imu") or not view.trusts_reference:
         return
@@ -146,7 +163,7 @@ def climbing(view: LogView) -> Iterator[Finding]:
 
 
 def _late(view: LogView, legs: Stance, moving: Moving) -> Finding | None:
-    """Joints and contacts that come later, or earlier, than gyro and reference together."""
+    """Find a delay of joints and contacts together relative to gyro and reference."""
 
     def left(late: float) -> float:
         then = _earlier(view, legs, moving, late)
@@ -161,7 +178,7 @@ def _late(view: LogView, legs: Stance, moving: Moving) -> Finding | None:
 
 
 def _late_parts(view: LogView, legs: Stance, moving: Moving) -> list[Finding]:
-    """Contacts that come later, or earlier, than joints, and single legs than the others."""
+    """Find a delay of contacts relative to joints, and of single legs relative to the others."""
     u = legs.body_velocity(moving.gyro)
 
     def contacts_later(late: float) -> float:
@@ -191,14 +208,14 @@ def _late_parts(view: LogView, legs: Stance, moving: Moving) -> list[Finding]:
 
 
 def _earlier(view: LogView, legs: Stance, moving: Moving, late: float) -> Moving:
-    """What legs that are late by some seconds are to be compared with."""
+    """The motion to compare with legs that are late by some seconds."""
     assert moving.truth is not None
     then = np.clip(legs.which - round(late / STEP), 0, len(view.at) - 1)
     return Moving(view.gyro[then], view.v_I[then], moving.used & view.ok[then])
 
 
 def _lag(left: Callable[[float], float], latest: float) -> tuple[float, float]:
-    """The lateness [s], up to `latest`, at which least is left, and its share of that at 0."""
+    """The delay [s], up to `latest`, with the smallest misfit, and its ratio to that at 0."""
     tried = STEP * np.arange(-round(latest / STEP), round(latest / STEP) + 1)
     misfits = np.array([left(float(late)) for late in tried])
     base = misfits[len(tried) // 2]
@@ -209,7 +226,9 @@ def _lag(left: Callable[[float], float], latest: float) -> tuple[float, float]:
 
 
 def _put_right(view: LogView, legs: Stance, moving: Moving, base: float) -> list[Finding]:
-    """What mends the legs best: other legs, or other signs and orders of joints."""
+    """Find the correction with the smallest misfit: other legs, or other signs and orders of
+    joints.
+    """
     gain, found = _swapped(view, legs, moving, base)
     if view.robot is not None and moving.truth is not None and not view.log.has("foot"):
         more, misread = _misread(view, view.robot, legs, moving)
@@ -221,8 +240,10 @@ def _put_right(view: LogView, legs: Stance, moving: Moving, base: float) -> list
 def _swapped(
     view: LogView, legs: Stance, moving: Moving, base: float
 ) -> tuple[float, list[Finding]]:
-    """Legs whose joints, contacts or both are another's, or contacts that are inverted; and how
-    much less (squared) standing feet move when put right."""
+    """Find swapped legs, by joints, contacts or both, or inverted contacts.
+
+    Also returns the reduction of the squared misfit when corrected.
+    """
     names = view.log.legs
     own = list(range(len(names)))
     u = _by_each_leg(view, legs, moving.gyro)
@@ -241,7 +262,8 @@ def _swapped(
                 best = (left, pick, what)
     left, order, what = best
     if moving.truth is not None and legs.contact.mean() < DUTY:
-        # In a trot the other diagonal stands while this one is lifted: both readings fit.
+        # In a trot, the other diagonal stands while this one is lifted, so both interpretations
+        # fit.
         inverted = moving.misfit(u[:, own, own], ~legs.contact)
         if inverted < MENDED * base and inverted < 3.0 * left:
             told = f"standing feet move {base / inverted:.1f} times less (squared) when put right"
@@ -284,8 +306,10 @@ def _by_each_leg(view: LogView, legs: Stance, gyro: np.ndarray) -> np.ndarray:
 def _misread(
     view: LogView, robot: Robot, legs: Stance, moving: Moving
 ) -> tuple[float, list[Finding]]:
-    """Joints within a leg that are swapped, or have the wrong sign; and how much less (squared)
-    standing feet move when put right."""
+    """Find joints that are swapped within a leg, or have the opposite sign.
+
+    Also returns the reduction of the squared misfit when corrected.
+    """
     chains = robot.limbs.chains
     size = len(chains[0])
     if any(len(chain) != size for chain in chains) or size > 3:
@@ -337,16 +361,16 @@ def _misread_finding(
     base: np.ndarray,
     best: list,
 ) -> Finding:
-    """In words.
+    """The finding for misread joints, in words.
 
     Args:
         joints: names.
         chains: joints of each leg.
-        which: legs it is about.
+        which: legs concerned.
         order: of a leg's joints, as it should be.
         signs: of its joints, after that.
-        base: (L,) misfit as read.
-        best: misfit as it should be, first of each.
+        base: (L,) misfit as logged.
+        best: misfit as corrected, first of each.
     """
     swapped = [k for k, other in enumerate(order) if k != other]
     flipped = [k for k, sign in enumerate(signs) if sign < 0]
@@ -370,7 +394,7 @@ def _misread_finding(
 
 
 def _size(u: np.ndarray, contact: np.ndarray, moving: Moving) -> tuple[float, float]:
-    """Slope of the legs' velocity over the body's, and their correlation, in the plane."""
+    """Slope of the legs' horizontal velocity over the body's, and their correlation."""
     truth = moving.truth
     assert truth is not None
     on = contact & (moving.used & (np.linalg.norm(truth, axis=1) > _MOVES))[:, None]
@@ -386,7 +410,7 @@ def _size(u: np.ndarray, contact: np.ndarray, moving: Moving) -> tuple[float, fl
 
 
 def weight_carried(view: LogView) -> Iterator[Finding]:
-    """Torques of standing legs carry the robot's weight."""
+    """Check that torques of standing legs carry the robot's weight."""
     legs, robot, log = view.stance, view.robot, view.log
     if legs is None or robot is None:
         return
@@ -412,7 +436,7 @@ def weight_carried(view: LogView) -> Iterator[Finding]:
 
 
 def late_torques(view: LogView) -> Iterator[Finding]:
-    """Torques load legs while they stand."""
+    """Check that torques load the legs while they stand."""
     if view.stance is None or view.robot is None:
         return
     t = view.t
@@ -435,8 +459,10 @@ def late_torques(view: LogView) -> Iterator[Finding]:
 
 
 def _loads(view: LogView, robot: Robot, rows: np.ndarray) -> np.ndarray | None:
-    """Force (K, L) [N] upwards from the ground that each leg's torques mean, if nothing else moves
-    it, at rows (K,); 0 where a leg is stretched, None where they are not known."""
+    """Upward force (K, L) [N] on each leg that balances its torques quasi-statically, at rows (K,).
+
+    0 where a leg is stretched, None where the torques are unknown.
+    """
     log, up = view.log, view.up_by_body
     if up is None or not (log.has("tau") and log.has("imu") and log.has("q")):
         return None

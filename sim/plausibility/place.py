@@ -1,5 +1,6 @@
-"""Where a reference's motion comes from: of which point it is, how large it is and whether it is
-turned by the accelerometer, and whether legs are all that it was made of."""
+"""Checks of a reference's origin: tracked point, scale and heading by the accelerometer, and
+whether it was derived from the legs.
+"""
 
 from collections.abc import Iterator
 
@@ -12,35 +13,40 @@ from surefoot.sim.plausibility.finding import Finding
 from surefoot.sim.plausibility.view import STEP, LogView
 
 FARTHEST_POINT = 0.2
-"""m between the IMU and the point that the reference is of: 0.05 in clean walks, 0.02 on a measured
-Go1, 0.15 where nothing goes together."""
+"""Distance between the IMU and the reference's tracked point [m]: 0.05 in clean walks, 0.02 on a
+measured Go1, 0.15 where nothing is consistent.
+"""
 ARM_EXPLAINS = 0.5
-"""Share of what accelerometer and reference differ by that a lever arm takes away: 0.14 at most
-where there is none, 0.92 to 0.97 where it is half a metre."""
+"""Share of the difference between accelerometer and reference that a lever arm removes: 0.14 at
+most where there is none, 0.92 to 0.97 for half a metre.
+"""
 SPEEDING = 0.3
-"""s over which velocities change: a stance. Tilts hardly matter, and impacts are over."""
+"""Interval of the changes of velocity [s]: a stance, in which tilts hardly matter and impacts
+end.
+"""
 SURELY = 0.95
-"""Correlation of the two changes of velocity from which on they are compared: 0.97 to 1.0 where
-both sensors are good."""
+"""Correlation of the two changes of velocity from which they are compared: 0.97 to 1.0 where both
+sensors are good.
+"""
 SIZE_OFF = 0.1
-"""Share by which a reference's motion may be larger or smaller: 0.02 in clean walks and a measured
-Go1."""
+"""Relative scale error of a reference's motion: 0.02 in clean walks and on a measured Go1."""
 POSITIONS_TURNED = 10.0
-"""deg about the vertical between a reference's positions and attitudes: 1 in clean walks."""
+"""Heading difference between a reference's positions and attitudes [deg]: 1 in clean walks."""
 MADE_OF_LEGS = 0.01
-"""Of the body's speed, the median by which leg odometry differs: 0.0003 to 0.002 from a reference
-made of it; 0.07 in clean walks, whose feet roll, and 0.15 on a measured Go1."""
+"""Median difference between leg odometry and reference, relative to the speed: 0.0003 to 0.002 from
+a reference derived from it; 0.07 in clean walks, whose feet roll, and 0.15 on a measured Go1.
+"""
 _WALKS = 0.05
-"""m/s below which there is nothing to compare."""
+"""Speed below which there is nothing to compare [m/s]."""
 _STRETCH = 20.0
-"""s in the middle of a log that are looked at for it: some tens of strides."""
+"""Length of the section in the middle of a log that is used for it [s]: some tens of strides."""
 _AXES_P = tuple(f"ref_p_{a}" for a in AXIS_NAMES)
 
 
 def point(view: LogView) -> Iterator[Finding]:
-    """The reference is of the IMU: another point of the body accelerates as it turns.
+    """Check that the reference tracks the IMU; another point of the body accelerates as it rotates.
 
-    a_M = a_I + (alpha x + omega x omega x) p_IM, for p_IM and a constant, by least squares.
+    Least squares for p_IM and a constant in a_M = a_I + (alpha x + omega x omega x) p_IM.
     """
     if not view.trusts_reference:
         return
@@ -59,7 +65,7 @@ def point(view: LogView) -> Iterator[Finding]:
 
 
 def motion(view: LogView) -> Iterator[Finding]:
-    """The reference gains and loses speed in the plane as the accelerometer says."""
+    """Check that the reference's horizontal changes of velocity agree with the accelerometer."""
     if not view.trusts_reference:
         return
     steps = round(SPEEDING / STEP)
@@ -88,7 +94,7 @@ def motion(view: LogView) -> Iterator[Finding]:
 
 
 def from_legs(view: LogView) -> Iterator[Finding]:
-    """The reference is no leg odometry: feet that are taken to stand roll and slip in truth."""
+    """Check that the reference is not leg odometry; real feet roll and slip."""
     log = view.log
     if not (log.has("reference") and log.has("imu") and log.has("contact")) or not view.comparable:
         return
@@ -115,5 +121,5 @@ def from_legs(view: LogView) -> Iterator[Finding]:
 
 
 def _cross(w: np.ndarray) -> np.ndarray:
-    """Matrices (M, 3, 3) of the cross products with w (M, 3)."""
+    """Cross product matrices (M, 3, 3) of w (M, 3)."""
     return np.cross(w[:, None], np.eye(3)).swapaxes(1, 2)

@@ -1,4 +1,4 @@
-"""A reference against itself and the IMU: attitude, position, velocity, clock."""
+"""Checks of a reference against itself and the IMU: attitude, position, velocity, clock."""
 
 from collections.abc import Iterator
 
@@ -11,10 +11,11 @@ from surefoot.sim.plausibility.finding import Finding
 from surefoot.sim.plausibility.view import LogView
 
 FASTEST_LEGS = 12.0
-"""m/s: no robot on legs ran as fast (WildCat, 8.9 m/s, Boston Dynamics 2013)."""
+"""Speed that no legged robot has reached [m/s] (WildCat, 8.9 m/s, Boston Dynamics 2013)."""
 VELOCITY_OFF = 0.15
-"""Share by which velocities may differ from the change of positions, or accelerations from the
-accelerometer's: averages over a stride and a lever arm blur several per cent."""
+"""Relative difference of velocities from the derivative of positions, or of accelerations from the
+accelerometer: averaging over a stride and a lever arm cause several percent.
+"""
 _UNITS = {1e3: "mm", 1e2: "cm", 1.0 / 0.3048: "feet"}
 _P = tuple(f"ref_p_{a}" for a in AXIS_NAMES)
 _V = tuple(f"ref_v_{a}" for a in AXIS_NAMES)
@@ -22,7 +23,7 @@ _Q = tuple(f"ref_q_{a}" for a in "wxyz")
 
 
 def even_samples(view: LogView) -> Iterator[Finding]:
-    """A reference's samples come evenly, one after another, without a leap."""
+    """Check that a reference's samples are evenly spaced and continuous."""
     if not view.log.has("reference"):
         return
     for fault in check_reference(reference_poses(view.log)).faults:
@@ -31,7 +32,9 @@ def even_samples(view: LogView) -> Iterator[Finding]:
 
 
 def attitude(view: LogView) -> Iterator[Finding]:
-    """The reference turns with the gyro, at the same time, and has gravity below."""
+    """Check that the reference rotates with the gyro, without a delay, and that gravity points
+    down.
+    """
     fault = view.attitude
     if fault is None:
         return
@@ -40,7 +43,7 @@ def attitude(view: LogView) -> Iterator[Finding]:
 
 
 def position(view: LogView) -> Iterator[Finding]:
-    """Positions are in metres: nothing on legs is faster."""
+    """Check that positions are in metres, by the speed."""
     if not view.comparable or not view.log.has("reference") or not view.ok.any():
         return
     speed = float(np.median(np.linalg.norm(view.ref_v[view.ok], axis=1)))
@@ -51,7 +54,7 @@ def position(view: LogView) -> Iterator[Finding]:
 
 
 def velocity(view: LogView) -> Iterator[Finding]:
-    """The reference's velocity is the change of its positions, in the world."""
+    """Check that the reference's velocity is the derivative of its positions, in the world."""
     if not view.log.has("ref_v") or not view.comparable or not view.ok.any():
         return
     logged = view.means(view.log.ref_v)[view.ok]
@@ -80,9 +83,9 @@ def velocity(view: LogView) -> Iterator[Finding]:
 
 
 def _unit(factor: float) -> str:
-    """The unit of lengths whose numbers are about `factor` times those in metres; "" for none."""
+    """Unit of lengths that are about `factor` times those in metres; "" for none."""
     return next((u for f, u in _UNITS.items() if abs(np.log(max(factor, 1e-9) / f)) < 0.1), "") or (
-        # Of a speed: walks go at 0.1 to 3 m/s.
+        # For a speed: walks have 0.1 to 3 m/s.
         ("mm" if factor > 90.0 else "cm") if factor > FASTEST_LEGS else ""
     )
 

@@ -1,7 +1,7 @@
-"""The rules of plausibility, in the order in which they are asked, and what a log breaks.
+"""The rules of plausibility, in the order in which they are checked.
 
-A rule is asked only where none before it doubts what it compares: one fault gives one finding, and
-a log with two faults shows the second when the first is mended.
+A rule is checked only where no earlier rule doubts what it compares. One fault therefore gives one
+finding, and a second fault of a log may show only when the first is corrected.
 """
 
 from dataclasses import replace
@@ -425,13 +425,13 @@ RULES = (
     ),
 )
 _MINOR = ("single rows", "reference's samples", "saturated", "held", "interpolated", "late")
-"""Rules that are silent about columns which are in doubt already, and that put none in doubt."""
+"""Rules that skip columns in doubt, and put none in doubt themselves."""
 
 
 def check_log(log: Log, machine: Machine | None = None) -> tuple[Finding, ...]:
-    """What in a log cannot be, or hardly; `machine` is whose it is, None where that is not known.
+    """Find what is implausible in a log; takes about a second per minute of log.
 
-    A log without a fault gives none. About a second a minute of log.
+    `machine` is the robot or other machine of the log, None if unknown.
     """
     view = LogView(log, machine)
     found: list[Finding] = []

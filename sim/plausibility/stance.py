@@ -1,4 +1,4 @@
-"""Feet as joints or the log place them, at some times: what the legs say of the body's motion."""
+"""Positions and velocities of the feet at some times of a log."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -9,18 +9,24 @@ from surefoot.sim.log import Log
 from surefoot.sim.robot.robot import Robot
 
 MOST_TIMES = 3000
-"""Times at which legs are looked at: a minute; a longer log is looked at less densely."""
+"""Largest number of times at which legs are compared: a minute; longer logs are sampled less
+densely.
+"""
 _WINDOW = 0.03
-"""s over which the velocity of a foot is taken: a tenth of a stance."""
+"""Time over which the velocity of a foot is computed [s]: a tenth of a stance."""
 
 
 @dataclass(frozen=True)
 class Stance:
     """Feet of L legs at K times of a log.
 
-    which (K,): of the view's times; rows (3, K): rows of the log before, at and after them, span
-    (K,) [s] from the first to the last; foot (K, L, 3) [m] and rate (K, L, 3) [m/s] in I; contact
-    (K, L), bool.
+    Attributes:
+        which: indices into the view's times (K,).
+        rows: rows of the log before, at and after each time (3, K).
+        span: time between the first and the last of these (K,) [s].
+        foot: positions (K, L, 3) [m] in I.
+        rate: velocities (K, L, 3) [m/s] in I.
+        contact: (K, L), bool.
     """
 
     which: np.ndarray
@@ -31,12 +37,13 @@ class Stance:
     contact: np.ndarray
 
     def body_velocity(self, gyro: np.ndarray) -> np.ndarray:
-        """Velocity (K, L, 3) [m/s] in I that the body has by each leg if its foot stands, by its
-        gyro (K, 3) [rad/s]."""
+        """Velocity (K, L, 3) [m/s] of the body in I by each leg if its foot stands, with gyro (K,
+        3) [rad/s].
+        """
         return -(self.rate + np.cross(gyro[:, None], self.foot))
 
     def at(self, some: np.ndarray) -> "Stance":
-        """At some of the K times."""
+        """Select some of the K times."""
         return Stance(
             self.which[some], self.rows[:, some], self.span[some], self.foot[some],
             self.rate[some], self.contact[some],
@@ -45,7 +52,7 @@ class Stance:
     def with_joints(
         self, robot: Robot, q: np.ndarray, columns: np.ndarray, sign: np.ndarray
     ) -> "Stance":
-        """The feet if the angles q (N, J) were read from other columns (J,), with signs (J,)."""
+        """The feet for angles q (N, J) read from other columns (J,), with signs (J,)."""
 
         def feet(rows: np.ndarray) -> np.ndarray:
             return robot.feet_I(q[np.ix_(rows, columns)] * sign)
@@ -53,7 +60,7 @@ class Stance:
         return replace(self, foot=feet(self.rows[1]), rate=foot_rates(feet, self.rows, self.span))
 
     def turning_fits(self, gyro: np.ndarray) -> float:
-        """Correlation of the turning of lines between standing feet with that by a gyro (K, 3)."""
+        """Correlation of the rotation of lines between standing feet with that of a gyro (K, 3)."""
         count = self.foot.shape[1]
         moved, by_gyro = [], []
         for i in range(count):
@@ -72,7 +79,7 @@ class Stance:
 
 
 def stance_of(log: Log, robot: Robot | None, at: np.ndarray) -> Stance | None:
-    """The feet of a log about the times `at` (M,) [s]; None where they are not known."""
+    """The feet of a log about the times `at` (M,) [s]; None where they are unknown."""
     if log.has("foot"):
         foot_I = log.foot_I
 

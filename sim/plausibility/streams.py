@@ -1,5 +1,6 @@
-"""Streams by themselves: frozen, held, late, saturated, spiking, dropped to zero, copied or derived
-from another column."""
+"""Checks of single streams: frozen, held, late, saturated, spiking, dropping to zero, copied or
+derived from another column.
+"""
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
@@ -14,30 +15,32 @@ from surefoot.sim.plausibility.finding import Finding
 from surefoot.sim.plausibility.view import LogView
 
 LATE_RATE = 4e-3
-"""s by which joint rates may come after the change of their angles: two samples at 500 Hz."""
+"""Delay of joint rates relative to the derivative of their angles [s]: two samples at 500 Hz."""
 FROZEN = 0.2
-"""s without a change while its siblings move: half a swing."""
+"""Time without a change while related streams move [s]: half a swing."""
 _STRAY = 0.02
-"""rad/s that a rate is off at rest, beside its mean: drives estimate it from counts."""
+"""Error of a rate at rest, besides its mean [rad/s]: drives estimate it from encoder counts."""
 _OTHER_UNIT = 3.0
-"""Times the change of its angle from which a rate, or time, is in another unit."""
+"""Ratio to the derivative of its angle from which a rate, or time, is in another unit."""
 _WHOLE_TURN = 2.0 * np.pi
-"""rad that the joints of arms and legs do not turn by."""
+"""Angle that no joint of an arm or leg moves through [rad]."""
 _MOST_HOLDS = 50
-"""Stretches without a change that are looked at, the longest: a log of rests has thousands."""
+"""Number of constant sections examined, longest first; a log with rests has thousands."""
 LIMITED = 0.5
-"""s, the same of torques, which drives hold at their limit for a while."""
+"""The same as FROZEN for torques, which drives hold at their limit for a while [s]."""
 _SENSORS = ("gyro", "accel", "q", "dq", "tau", "ref_p", "ref_q", "foot")
 RESTS = 0.02
-"""rad that a joint turns by at least in a log, to be one that does not rest: a dozen counts of an
-encoder, between which a joint that is held stays for seconds."""
+"""Least range of a joint that moves [rad]: a dozen encoder counts; a joint at rest may stay between
+two for seconds.
+"""
 _ALIVE = 0.25
-"""Share of its usual spread by which a sibling moves meanwhile."""
+"""Share of its usual spread from which a related stream moves."""
 CLIPPED = 5
-"""Rows at exactly the largest reading from which on a sensor is saturated; and three times as many
-as lie in the three hundredths of its span below."""
+"""Rows at exactly the largest value from which a sensor is saturated; there must also be three
+times as many as in the 3 % of its span below.
+"""
 SPIKE = 12.0
-"""Times the deviation from the median of five rows that one row in a hundred has."""
+"""Ratio to the 99 % quantile of the deviation from the median of five rows."""
 SPIKES = {
     "gyro": 2.0,
     "accel": 150.0,
@@ -47,32 +50,34 @@ SPIKES = {
     "ref_p": 0.1,
     "foot": 0.05,
 }
-"""Least size of a spike, by kind: rad/s, m/s^2 (landings reach 70), rad, rad/s, N m (none, see
-LONE), m, m: within a row of 2 to 10 ms no body or joint does it and undoes it."""
+"""Least size of a spike, by kind: rad/s, m/s^2 (touchdowns reach 70), rad, rad/s, N m (none, see
+LONE), m, m; no body or joint moves so far and back within a row of 2 to 10 ms.
+"""
 LONE = 4.0
-"""Standard deviations of a joint's angle, rate or torque that is a spike at any size: what leaves
-and comes back within a row was nowhere near."""
+"""Standard deviations of a joint's angle, rate or torque that are a spike at any size."""
 SEVERAL = 10
-"""Rows that may leap: in a log of a few seconds these are more than one in a hundred."""
+"""Number of rows that may be spikes: in a log of a few seconds, more than 1 % of them."""
 DROPS = 5
-"""Rows that read exactly 0 between rows that do not, from which on they are drop-outs."""
+"""Rows of exactly 0 between other values from which they are drop-outs."""
 STRAIGHT = 0.6
-"""Share of moving rows that go on as the row before did, to a millionth: none of a sensor."""
+"""Share of moving rows that continue the last step to a millionth; no sensor has such rows."""
 SLOWEST_REFERENCE = 20.0
-"""Hz, ten a stride: a reference comes between its log's rows, and is interpolated."""
+"""Rate of a reference that is interpolated [Hz], ten samples per stride."""
 _READ = ("gyro", "accel", "q", "dq", "tau", "foot")
 SLOWER = 0.75
-"""Of the rows' rate: a coarse reading repeats itself by chance at a sixth of the rows."""
+"""Ratio to the rows' rate below which a stream is held: a coarsely quantised one repeats itself by
+chance at a sixth of the rows.
+"""
 _COMMANDS = ("q_des_", "dq_des_", "tau_ff_", "x_")
-"""Columns that are no sensor's: a controller is slower than its log."""
+"""Columns that are no sensor's; a controller may run slower than its log."""
 _SAME = 1e-9
-"""Share of its mean square that a copy differs by: rounding. A sensor of its own has noise."""
+"""Relative squared difference of a copy, from rounding; another sensor has its own noise."""
 _LEAST_DISTINCT = 20
-"""Different values below which a column is a state or a command, not a reading."""
+"""Number of distinct values below which a column is a state or a command, not a reading."""
 
 
 def frozen(view: LogView) -> Iterator[Finding]:
-    """A sensor changes while what moves with it does."""
+    """Check that a sensor changes while related ones do."""
     found: dict[str, list[str]] = defaultdict(list)
     for kind, columns in _kinds(view, _SENSORS).items():
         for name in columns:
@@ -101,7 +106,7 @@ def frozen(view: LogView) -> Iterator[Finding]:
 def _others_move(
     view: LogView, name: str, kind: str, siblings: list[str], first: int, last: int
 ) -> bool:
-    """Whether what moves with a column moves between two rows: its rate or angle, its siblings.
+    """Whether related columns move between two rows: its rate or angle, and others of its kind.
 
     Args:
         view: of the log.
@@ -125,8 +130,11 @@ def _others_move(
 
 
 def _turns_meanwhile(view: LogView, name: str, kind: str, first: int, last: int) -> bool:
-    """Whether a joint's rate says that it turns between two rows at which its angle does not, or
-    its angle that it turns at another rate than the one that is read all the time.
+    """Whether a joint's rate and angle contradict each other between two rows at which one is
+    constant.
+
+    Either the rate shows motion while the angle is constant, or the angle moves at a rate different
+    from the constant one.
 
     Args:
         view: of the log.
@@ -142,7 +150,7 @@ def _turns_meanwhile(view: LogView, name: str, kind: str, first: int, last: int)
     if twin not in frame or derived or not view.comparable:
         return False
     rows = slice(first, last + 1)
-    # A spike of the other reading is no turning.
+    # A median, so that a spike of the other stream is no motion.
     t, x, other = view.t[rows], frame[name].to_numpy(), _median5(frame[twin].to_numpy())
     steps = np.abs(np.diff(x))
     count = float(steps[steps > 0.0].min(initial=np.inf))
@@ -154,7 +162,7 @@ def _turns_meanwhile(view: LogView, name: str, kind: str, first: int, last: int)
     if in_degrees or not change < _OTHER_UNIT * rate < _OTHER_UNIT**2 * change:
         return False
     if kind == "q":
-        # Without its mean: rates of a joint at rest may have an offset.
+        # Without its mean, since rates of a joint at rest may have an offset.
         turned = np.cumsum((other - other.mean())[rows] * np.gradient(t))
         return float(np.ptp(turned)) > max(RESTS, 3.0 * count) + _STRAY * float(t[-1] - t[0])
     seconds = t - t[0]
@@ -162,9 +170,9 @@ def _turns_meanwhile(view: LogView, name: str, kind: str, first: int, last: int)
 
 
 def _rests(view: LogView, name: str, kind: str) -> bool:
-    """Whether a column is of a joint that is held in one place throughout, by angle and by rate.
+    """Whether a column is of a joint that rests throughout, by angle and rate.
 
-    An angle that never changes, and has no rate beside it, may as well be a sensor that is dead.
+    An angle that never changes and has no rate beside it may also be a dead sensor.
     """
     if kind not in ("q", "dq"):
         return False
@@ -173,14 +181,14 @@ def _rests(view: LogView, name: str, kind: str) -> bool:
     if (angle := f"q_{joint}") in frame:
         turned.append(float(np.ptp(frame[angle].to_numpy())))
     if (rate := f"dq_{joint}") in frame:
-        # Without its mean: rates of a joint at rest may have an offset.
+        # Without its mean, since rates of a joint at rest may have an offset.
         dq = frame[rate].to_numpy() - frame[rate].to_numpy().mean()
         turned.append(float(np.ptp(np.cumsum(dq * np.gradient(view.t)))))
     return max(turned) < RESTS and (len(turned) > 1 or max(turned) > 0.0)
 
 
 def _moves(x: np.ndarray, first: int, last: int) -> bool:
-    """Whether a column moves all the time between two rows: in both halves."""
+    """Whether a column moves in both halves of the section between two rows."""
     low, high = np.quantile(x, (0.05, 0.95))
     middle = (first + last) // 2
     least = min(np.ptp(x[first : middle + 1]), np.ptp(x[middle : last + 1]))
@@ -188,7 +196,7 @@ def _moves(x: np.ndarray, first: int, last: int) -> bool:
 
 
 def held(view: LogView) -> Iterator[Finding]:
-    """A column that is sampled slower than its rows."""
+    """Find columns that are sampled more slowly than the rows."""
     rate = view.log.rate
     slow = [one for one in held_streams(view.log) if one.rate < SLOWER * rate]
     slow = [one for one in slow if not one.columns[0].startswith(_COMMANDS)]
@@ -207,7 +215,7 @@ def held(view: LogView) -> Iterator[Finding]:
 
 
 def interpolated(view: LogView) -> Iterator[Finding]:
-    """Readings have noise: what lies on straight lines between a few of them was put there."""
+    """Find readings on straight lines between samples, which have been interpolated."""
     known = " ".join(view.log.meta.derived)
     for kind, columns in _kinds(view, (*_READ, "ref_p")).items():
         share = {name: _straight(view.log.frame[name].to_numpy()) for name in columns}
@@ -223,7 +231,7 @@ def interpolated(view: LogView) -> Iterator[Finding]:
 
 
 def late(view: LogView) -> Iterator[Finding]:
-    """A column that lags what measures the same."""
+    """Find columns that lag another measurement of the same quantity."""
     common = late_streams(view.log)
     for one in (*common, *_late_joints(view, common)):
         rates = one.columns[0].startswith("dq")
@@ -238,7 +246,7 @@ def late(view: LogView) -> Iterator[Finding]:
 
 
 def _late_joints(view: LogView, common: Sequence[LateStream]) -> Iterator[LateStream]:
-    """Rates of single joints that are late by another time than those of most."""
+    """Rates of single joints with a delay different from that of most."""
     log = view.log
     if len(log.joints) < 2 or not (log.has("q") and log.has("dq")):
         return
@@ -251,7 +259,7 @@ def _late_joints(view: LogView, common: Sequence[LateStream]) -> Iterator[LateSt
 
 
 def _explains(view: LogView, late: LateStream) -> bool:
-    """Whether the delay leaves half of what the stream differs by from what it measures."""
+    """Whether the delay removes half of the difference between the stream and what it measures."""
     log = view.log
     if late.columns[0].startswith("dq"):
         angles = [f"q{name.removeprefix('dq')}" for name in late.columns]
@@ -265,7 +273,7 @@ def _explains(view: LogView, late: LateStream) -> bool:
 
 
 def saturated(view: LogView) -> Iterator[Finding]:
-    """Readings do not pile up at their largest."""
+    """Check that readings do not accumulate at their largest value."""
     for columns in _kinds(view, ("gyro", "accel", "dq")).values():
         for name in columns:
             x = view.log.frame[name].to_numpy()
@@ -287,7 +295,7 @@ def saturated(view: LogView) -> Iterator[Finding]:
 
 
 def spikes(view: LogView) -> Iterator[Finding]:
-    """Nothing leaps for a row and back."""
+    """Check that no stream jumps for a row and back."""
     for kind, columns in _kinds(view, tuple(SPIKES)).items():
         if kind == "tau" and not view.on_fixed_base:
             continue  # a leg that lands asks for any torque
@@ -338,7 +346,7 @@ def _turned(view: LogView, name: str, rows: np.ndarray, within: np.ndarray) -> n
 
 
 def copies(view: LogView) -> Iterator[Finding]:
-    """Two sensors do not read the same to the last digit."""
+    """Check that no two sensors read exactly the same."""
     for kind, columns in _kinds(view, ("gyro", "accel", "q", "dq", "tau", "force", "foot")).items():
         varied = [c for c in columns if _varied(view.log.frame[c].to_numpy())]
         if len(varied) < 2:
@@ -357,7 +365,7 @@ def copies(view: LogView) -> Iterator[Finding]:
 
 
 def derived(view: LogView) -> Iterator[Finding]:
-    """A column that follows from others to the last digit is no measurement."""
+    """Find columns that follow exactly from others and are no measurement."""
     log = view.log
     if not view.comparable:
         return
@@ -394,8 +402,11 @@ def _kinds(view: LogView, wanted: tuple[str, ...]) -> dict[str, list[str]]:
 
 
 def stretches_without_change(t: np.ndarray, x: np.ndarray, least: float) -> list[tuple[int, int]]:
-    """First and last row of the stretches of `least` [s] and more without a change of x (N,), at
-    the times t (N,) [s], the longest first."""
+    """First and last row of the sections of at least `least` [s] in which x (N,) is constant,
+    longest first.
+
+    t (N,) [s] are the times of the rows.
+    """
     change = np.flatnonzero(np.diff(x) != 0.0)
     first = np.concatenate([[0], change + 1])
     last = np.concatenate([change, [len(x) - 1]])
@@ -405,7 +416,9 @@ def stretches_without_change(t: np.ndarray, x: np.ndarray, least: float) -> list
 
 
 def _straight(x: np.ndarray) -> float:
-    """Share of the rows that move at which x (N,) goes on as before; 0 of coarse readings."""
+    """Share of the moving rows at which x (N,) continues its last step; 0 for coarsely quantised
+    streams.
+    """
     steps = np.diff(x)
     moves = steps[1:] != 0.0
     if moves.sum() < 50:
@@ -429,8 +442,10 @@ def _median5(x: np.ndarray) -> np.ndarray:
 
 
 def _drop_outs(x: np.ndarray) -> int:
-    """Rows that are exactly 0 while the median around them is far from it; none where as many are
-    nearly 0, as of coarse readings that pass by it."""
+    """Number of rows that are exactly 0 while the median around them is far from it.
+
+    0 if as many rows are nearly 0, as in coarsely quantised streams that cross it.
+    """
     if np.mean(x == 0.0) > 0.5:
         return 0
     usual = np.quantile(np.abs(np.diff(x)), 0.9)

@@ -1,4 +1,4 @@
-"""A log as the rules of plausibility look at it: what several of them need is computed once."""
+"""A log with the quantities that several plausibility rules need, computed once."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,24 +16,27 @@ from surefoot.sim.robot.fixed_base import Machine
 from surefoot.sim.robot.robot import Robot
 
 STEP = 0.02
-"""s between the times at which streams are compared: some tens a stride."""
+"""Interval between the times at which streams are compared [s]: some tens per stride."""
 MEAN = 0.06
-"""s over which they are averaged there: impacts, and noise that a derivative has, hardly matter."""
+"""Averaging time of the streams [s], which suppresses impacts and the noise of derivatives."""
 MOST_COMPARED, COMPARED_A_ROW = 1_000_000, 5
-"""Times at which streams are compared: of a log at 10 Hz five a row. A clock that was set while it
-ran, or stamps in nanoseconds, would ask for more than a computer can hold."""
+"""Largest number of times at which streams are compared, in all and per row (a log at 10 Hz has
+five per row). A clock that was set during the log, or stamps in nanoseconds, would require more
+memory than there is.
+"""
 SHORTEST_LOG = 1.0
-"""s below which streams are not compared: two strides."""
+"""Shortest log whose streams are compared [s]: two strides."""
 _STILL = 0.02
-"""rad/s of turning, root mean square, below which a body is as good as at rest: a gyro's bias and
-noise are compared with nothing."""
+"""RMS rate below which a body is at rest [rad/s], so that only a gyro's bias and noise would be
+compared.
+"""
 
 
 @dataclass(frozen=True)
 class LogView:
-    """A log with the machine it is of, None where that is not known.
+    """A log with its machine, None if unknown.
 
-    Streams that are compared with each other are means over MEAN seconds at the M times `at`.
+    Streams that are compared with each other are averaged over MEAN seconds at the M times `at`.
     """
 
     log: Log
@@ -41,29 +44,31 @@ class LogView:
 
     @cached_property
     def t(self) -> np.ndarray:
-        """(N,) [s]."""
+        """Times of the rows (N,) [s]."""
         return self.log.t
 
     @cached_property
     def at(self) -> np.ndarray:
-        """(M,) [s]; none where the stamps leave out far more time than they have rows for."""
+        """Times of comparison (M,) [s]; empty if the stamps span far more time than there are rows
+        for.
+        """
         begin, end = self.t[0] + MEAN, self.t[-1] - MEAN
         most = max(MOST_COMPARED, COMPARED_A_ROW * len(self.t))
         return np.arange(begin, end if end - begin < most * STEP else begin, STEP)
 
     @property
     def comparable(self) -> bool:
-        """Whether the log is long enough for streams to be compared."""
+        """Whether the log is long enough to compare streams."""
         return len(self.at) * STEP >= SHORTEST_LOG and len(self.t) > 20
 
     @property
     def robot(self) -> Robot | None:
-        """The machine, where it has legs."""
+        """The machine, if it has legs."""
         return self.machine if isinstance(self.machine, Robot) else None
 
     @property
     def on_fixed_base(self) -> bool:
-        """Whether the machine is known, and has no legs."""
+        """Whether the machine is known and has no legs."""
         return self.machine is not None and self.robot is None
 
     def means(self, x: np.ndarray) -> np.ndarray:
@@ -72,7 +77,7 @@ class LogView:
         return (self._after(total, 0.5 * MEAN) - self._after(total, -0.5 * MEAN)) / MEAN
 
     def changes(self, x: np.ndarray) -> np.ndarray:
-        """Rates of change (M, D) of x (N, D) over MEAN seconds about the times `at`."""
+        """Derivatives (M, D) of x (N, D) over MEAN seconds about the times `at`."""
         return (self._after(x, 0.5 * MEAN) - self._after(x, -0.5 * MEAN)) / MEAN
 
     def _after(self, x: np.ndarray, seconds: float) -> np.ndarray:
@@ -80,24 +85,25 @@ class LogView:
 
     @cached_property
     def ok(self) -> np.ndarray:
-        """Times (M,), bool, about which the reference was measured."""
+        """Mask (M,) of the times about which the reference was measured."""
         return self.means(self.log.ref_ok[:, None].astype(float))[:, 0] > 0.999
 
     @cached_property
     def gyro(self) -> np.ndarray:
-        """(M, 3) [rad/s] in I."""
+        """Mean angular rate (M, 3) [rad/s] in I."""
         return self.means(self.log.gyro)
 
     @cached_property
     def accel(self) -> np.ndarray:
-        """(M, 3) [m/s^2] in I."""
+        """Mean specific force (M, 3) [m/s^2] in I."""
         return self.means(self.log.accel)
 
     def attitudes(self, after: float, where: np.ndarray | None = None) -> Rotation:
-        """Attitudes (M,) of the reference, `after` seconds from the times `at`; or only from those
-        `where` (M,), bool, holds."""
+        """Attitudes of the reference `after` seconds from the times `at` (M,), or from those in the
+        mask `where` (M,).
+        """
         q = self.log.ref_q
-        # Neighbours on the same side of the sphere, so that they can be averaged.
+        # Choose the signs of neighbouring quaternions alike, so that they can be averaged.
         flips = np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0))
         mean = self._after(q * np.concatenate([[1.0], flips])[:, None], after)
         return Rotation.from_quat(mean if where is None else mean[where], scalar_first=True)
@@ -115,7 +121,7 @@ class LogView:
 
     @property
     def compares_turning(self) -> bool:
-        """Whether gyro and reference are there and turn for long enough to be compared."""
+        """Whether the log has gyro and reference, and rotates for long enough to compare them."""
         if not (self.comparable and self.log.has("imu") and self.log.has("reference")):
             return False
         moves = max(self.gyro.std(axis=0).max(), self.turning.std(axis=0).max()) > _STILL
@@ -123,12 +129,12 @@ class LogView:
 
     @cached_property
     def gyro_match(self) -> AxesMatch:
-        """The gyro's axes against the reference's turning."""
+        """Match of the gyro's axes with the reference's rotation."""
         return match_axes(self.gyro[self.ok], self.turning[self.ok])
 
     @cached_property
     def attitude(self) -> AttitudeFault | None:
-        """What is wrong with the reference's attitudes, as far as IMU and body tell."""
+        """Fault of the reference's attitudes, by IMU and body."""
         if not self.compares_turning:
             return None
         force = self.log.accel.mean(axis=0)
@@ -139,9 +145,11 @@ class LogView:
         return attitude_fault(begin, end, self.gyro[self.ok], force, STEP, self._fits_gyro)
 
     def _fits_gyro(self, put_right: np.ndarray) -> bool:
-        """Whether the gyro as it is, rather than put right (M', 3) where the reference is `ok`,
-        fits legs; or where they tell nothing, whether the accelerometer, too, contradicts the
-        reference."""
+        """Whether the gyro as logged fits better than a corrected one (M', 3), given where `ok`.
+
+        Judged by the legs or, where these show nothing, by whether the accelerometer contradicts
+        the reference, too.
+        """
         if self.stance is not None:
             other = self.gyro.copy()
             other[self.ok] = put_right
@@ -154,22 +162,22 @@ class LogView:
 
     @property
     def trusts_reference(self) -> bool:
-        """Whether the reference's attitudes are those of the IMU, as far as can be told."""
+        """Whether the reference's attitudes are those of the IMU, as far as can be determined."""
         return self.compares_turning and self.attitude is None and self.gyro_match.alike
 
     @cached_property
     def ref_v(self) -> np.ndarray:
-        """Velocity (M, 3) [m/s] in G, of the reference's positions."""
+        """Velocity (M, 3) [m/s] in G, from the reference's positions."""
         return self.changes(self.log.ref_p)
 
     @cached_property
     def ref_a(self) -> np.ndarray:
-        """Acceleration (M, 3) [m/s^2] in G, of the reference's positions."""
+        """Acceleration (M, 3) [m/s^2] in G, from the reference's positions."""
         return np.gradient(self.ref_v, STEP, axis=0)
 
     @cached_property
     def felt(self) -> np.ndarray:
-        """Specific force (M, 3) [m/s^2] in I that the motion of the reference implies."""
+        """Specific force (M, 3) [m/s^2] in I for the motion of the reference."""
         return self.R_GI.inv().apply(self.ref_a - GRAVITY_G)
 
     @cached_property
@@ -179,8 +187,9 @@ class LogView:
 
     @cached_property
     def up_by_body(self) -> np.ndarray | None:
-        """What is up in I (3,) by the body: the robot's z, else where its feet are not. None where
-        neither is known."""
+        """Up in I (3,) by the body: the robot's z, else opposite to its feet. None where neither is
+        known.
+        """
         if self.robot is not None:
             return self.robot.R_BI[2]
         if self.stance is None:
@@ -190,7 +199,7 @@ class LogView:
 
     @cached_property
     def stance(self) -> Stance | None:
-        """The legs' motion, where feet and contacts are known."""
+        """Motion of the feet, where feet and contacts are known."""
         if not self.comparable or not self.log.has("contact"):
             return None
         return stance_of(self.log, self.robot, self.at)
