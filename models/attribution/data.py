@@ -123,12 +123,18 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
 
 
 def _not_identifiable(cases: Sequence[LogUnderModel]) -> list[str]:
-    """One sentence for each effect that cannot be identified without a reference."""
+    """One sentence for each effect that cannot be identified without a reference, and could be with
+    one."""
     told = {name for case in cases for name, _ in all_keys(case)}
-    there = set.intersection(*(set(channels_of(case)) for case in cases))
-    return [
-        f"{name}: not identifiable without a reference; it shows in "
-        f"{' and '.join(one for one in kind.channels if one not in there)}"
-        for name, kind in sorted(known_effects().usable()[0].items())
-        if kind.is_compensated() and name not in told
-    ]
+    lacking = {
+        name: {g for case in cases for g in channel.lacking(case.log, case.fixed)}
+        for name, channel in channels().items()
+    }
+    notes = []
+    for name, kind in sorted(known_effects().usable()[0].items()):
+        needs = [one for one in kind.channels if lacking.get(one) == {"reference"}]
+        if kind.is_compensated() and name not in told and needs:
+            notes.append(
+                f"{name}: not identifiable without a reference; it shows in {' and '.join(needs)}"
+            )
+    return notes

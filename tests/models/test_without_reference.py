@@ -1,8 +1,11 @@
 """A walk without a reference: what feet and joints say of each other, and nothing else."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from surefoot.models.attribution.data import _not_identifiable
 from surefoot.models.attribution.diagnose import diagnose
 from surefoot.models.attribution.evidence import (
     _Linear,
@@ -108,6 +111,16 @@ def test_regressors_are_the_slopes_of_what_feet_say_of_each_other(case, name, ta
         assert np.linalg.norm(true) > 0
         apart = np.linalg.norm(whole[:, columns] - true)
         assert apart < 0.03 * np.linalg.norm(true), channel
+
+
+def test_only_what_a_reference_would_show_is_said_to_need_one(case):
+    """Without torques a reference would not show friction either."""
+    frame = case.log.frame
+    frame = frame.drop(columns=[name for name in frame if str(name).startswith("tau_")])
+    without_torques = log_under_model(replace(case.log, frame=frame), SPOT)
+    names = {note.split(":")[0] for note in _not_identifiable([without_torques])}
+    assert {"imu_position", "accel_bias", "joint_delay"} <= names
+    assert not names & {"armature", "coulomb_friction", "payload", "torque_delay"}
 
 
 @pytest.mark.slow
