@@ -40,6 +40,9 @@ angle's derivative, and if it does, unlike noise.
 """
 _SURELY = 0.95
 """Correlation from which the scale of a slowly moving joint is compared."""
+_INVERTED = 0.5
+"""Scale, relative to the other rates', below which a rate of the opposite sign is a vibration that
+a filter inverts: a moving average passes 0.22 of it at most."""
 _TURNED, _ALWAYS = 0.1, 0.9
 """For a rate whose sign changes: least correlation before and after, and least sum of the two."""
 
@@ -73,6 +76,12 @@ def rates(view: LogView) -> Iterator[Finding]:
     bad = [i for i in np.flatnonzero(own < RATE_ALIKE).tolist() if i not in said]
     flipped = [i for i in bad if own[i] < -(0.8 if slow[i] else RATE_ALIKE)]
     bad = [i for i in bad if not slow[i]]
+    scale = float(np.median(slope[np.abs(own) > RATE_ALIKE])) if flipped else 1.0
+    for i in [i for i in flipped if slope[i] < _INVERTED * scale]:
+        flipped.remove(i)
+        said.add(i)
+        told = f"correlation with the change of q {own[i]:.2f}, at {slope[i]:.2g} of its size"
+        yield Finding((f"dq_{names[i]}",), told, "a slow filter, which inverts a vibration")
     if flipped:
         said |= set(flipped)
         columns = tuple(f"dq_{names[i]}" for i in flipped)

@@ -7,6 +7,7 @@ import pytest
 from pendulum import swung
 
 from surefoot.estimator.evaluation.trajectory import reference
+from surefoot.scenarios.studies.hardware import walks_by_feet
 from surefoot.scenarios.studies.hardware.impulses import window_rows
 from surefoot.scenarios.studies.hardware.servos import Servo, ceiling_table, fit_servo, with_play
 from surefoot.scenarios.studies.hardware.shared_sizes import left_out_table, runs_left_out
@@ -17,6 +18,7 @@ from surefoot.scenarios.studies.hardware.walks_by_feet import (
 )
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
+from surefoot.sim.plausibility.finding import Finding
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import FixedBase, load_machine
 from surefoot.sim.scenario import Scenario, Segment
@@ -50,6 +52,13 @@ def test_runs_share_their_sizes_and_have_zeros_of_their_own():
         assert rest @ own / (own @ own) == pytest.approx(zero - common, abs=6e-3)
     table = left_out_table(done)
     assert np.all(table["left [% of zeros alone]"].to_numpy(float) < 30)
+
+
+def test_a_log_stands_once_beside_what_was_found_in_it_twice(monkeypatch):
+    said = [Finding(("t",), evidence, "lost rows") for evidence in ("at 2 s", "at 5 s")]
+    monkeypatch.setattr(walks_by_feet, "check_log", lambda log: said)
+    logs = [replace(swung(seconds=0.1), name=name) for name in ("walk", "sway")]
+    assert walks_by_feet.findings_table(logs)["logs"].tolist() == ["walk, sway"]
 
 
 def test_a_servo_is_found_again_from_what_it_was_asked_for():

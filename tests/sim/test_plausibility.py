@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from surefoot.sim.common.low_pass import low_pass
@@ -589,6 +590,27 @@ def test_a_lag_is_found_between_samples(late):
     found, alike = lag_of(motion(t - late), motion(t), 0.02, 1.0)
     assert found == pytest.approx(late, abs=2e-3)
     assert alike > 0.98
+
+
+@pytest.mark.parametrize(
+    ("window", "sign", "cause"),
+    [
+        (0.18, 1.0, "a slow filter, which inverts a vibration"),
+        (0.01, 1.0, None),
+        (0.01, -1.0, "wrong sign"),
+    ],
+)
+def test_a_vibration_that_a_filter_inverts_has_no_wrong_sign(window, sign, cause):
+    """A moving average of 1.4 periods is in its first negative sidelobe."""
+    t = np.arange(0.0, 8.0, 0.01)
+    angles = {"arm": np.sin(6.0 * t), "leg": np.cos(4.0 * t), "head": 0.01 * np.sin(50.0 * t)}
+    columns = {"t": t} | {f"q_{joint}": q for joint, q in angles.items()}
+    columns |= {f"dq_{joint}": np.gradient(q, t) for joint, q in angles.items()}
+    rows = 2 * round(window / 0.02) + 1
+    columns["dq_head"] = sign * uniform_filter1d(columns["dq_head"], rows)
+    found = check_log(Log(pd.DataFrame(columns), Meta(rate=100.0), "shaking"))
+    told = [one.cause for one in found if one.streams == ("dq_head",)]
+    assert told == ([cause] if cause else [])
 
 
 @pytest.mark.parametrize("rows", [1, 2, 5])

@@ -109,11 +109,11 @@ def alignment_table(walks: Mapping[str, AlignedWalk]) -> pd.DataFrame:
 def findings_table(logs: Sequence[Log]) -> pd.DataFrame:
     """What is not plausible in logs as they were recorded, with the line of the map that mends it;
     equal findings of several logs in one row."""
-    seen: dict[tuple[str, str, str], list[str]] = {}
+    seen: dict[tuple[str, str, str], dict[str, None]] = {}
     for log in logs:
         for one in check_log(log):
             streams = one.line.split(":")[0]
-            seen.setdefault((streams, one.cause, one.map_line), []).append(log.name)
+            seen.setdefault((streams, one.cause, one.map_line), {})[log.name] = None
     return pd.DataFrame(
         {"streams": streams, "finding": cause, "in the map": line, "logs": ", ".join(names)}
         for (streams, cause, line), names in seen.items()
