@@ -118,11 +118,12 @@ def _following(estimators: Sequence[str], shown: Sequence[str], eye) -> rrb.Spat
         for n in estimators
         for part in ("path", "body/dot", "ellipsoid")
     ]
+    boxes = ", boxes: its trunk as estimated" if estimators else ""
     return rrb.Spatial3DView(
         overrides=_hidden(estimators, shown),
         origin="/world/follow",
         contents=["/world/**", "- /world/robot/dot", "- /world/truth/path", *estimates],
-        name=f"Robot, boxes: its trunk as estimated, last {_TRAIL:g} s of path; lines 1 m apart",
+        name=f"Robot{boxes}, last {_TRAIL:g} s of path; lines 1 m apart",
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital,
             position=eye,
@@ -141,11 +142,12 @@ def _following(estimators: Sequence[str], shown: Sequence[str], eye) -> rrb.Spat
 def _map(estimators: Sequence[str], shown: Sequence[str], centre, span: float) -> rrb.Spatial3DView:
     hidden = ("trail", "body/outline", "body/forward", "body/pole", "body/flag")
     estimates = [f"- /{estimate_path(n)}/{part}" for n in estimators for part in hidden]
+    found = ", estimates, dots where they are now, wire: 3σ" if estimators else ""
     return rrb.Spatial3DView(
         overrides=_hidden(estimators, shown),
         origin="/world",
         contents=["/world/**", "- /world/truth/trail", *estimates],
-        name="Whole walk from above: truth (grey), estimates, dots where they are now, wire: 3σ",
+        name=f"Whole walk from above: truth (grey){found}",
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital,
             position=(centre[0], centre[1] - 0.02 * span, centre[2] + 1.15 * span),

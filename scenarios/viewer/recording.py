@@ -46,6 +46,16 @@ _AT_FIRST = (
     "Shown at first: {}. The tab *All estimators* has the others; the panel on the left, which a "
     "button above opens, has an eye for each."
 )
+_BOXES = (
+    "Each box is the trunk at the pose of one estimator; its arrow points forward. Estimates are "
+    "aligned with the true position and heading at their first sample, which proprioception cannot "
+    "observe. The wire ellipsoid is three standard deviations of an estimator's own position "
+    "covariance."
+)
+_ERRORS = (
+    "- **Errors**: estimate minus truth. Bands, and thin lines of the distance, are three of the "
+    "filter's own standard deviations: a consistent filter stays inside them nearly always."
+)
 _ERROR_RATE = 20.0  # Hz; errors and paths change over seconds, not over milliseconds
 
 
@@ -163,14 +173,9 @@ def _about(log: Log, robot: Robot, errors: Mapping[str, ErrorSeries]) -> str:
         [
             f"# {log.meta.scenario or 'A walk'} by {robot.name}, {log.t[-1] - log.t[0]:.1f} s",
             "",
-            "The robot and the grey line are the truth (of a measured log: the reference). Each "
-            "box is the trunk at the pose of one estimator; its arrow points forward.",
+            "The robot and the grey line are the truth (of a measured log: the reference).",
             "",
-            "Estimates are aligned with the true position and heading at their first sample, which "
-            "proprioception cannot observe. The wire ellipsoid is three standard deviations of an "
-            "estimator's own position covariance.",
-            "",
-            *(table if errors else []),
+            *([_BOXES, "", *table] if errors else []),
             *([_AT_FIRST.format(", ".join(shown)), ""] if len(shown) < len(errors) else []),
             "- **Ground**: the paler and bluer, the more slippery; labels give the friction "
             "coefficient.",
@@ -178,9 +183,7 @@ def _about(log: Log, robot: Robot, errors: Mapping[str, ErrorSeries]) -> str:
             "- **Velocity and bounds**: velocity of the IMU along its own axes. The observer's "
             "prediction lies midway between its calibrated bounds, the band; magenta marks true "
             "velocities outside them.",
-            "- **Errors**: estimate minus truth. Bands, and thin lines of the distance, are three "
-            "of the filter's own standard deviations: a consistent filter stays inside them nearly "
-            "always.",
+            *([_ERRORS] if errors else []),
             f"- **Feet**: stance of each foot, magenta while a loaded foot slides faster than "
             f"{SLIPPING} m/s.",
             "",

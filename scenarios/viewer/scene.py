@@ -247,7 +247,7 @@ def _write_marker(
     """A box about the trunk with an arrow forward, and on a flag above it the estimator's name and
     how far it is from the truth at the end.
 
-    Flags differ in height (in trunk widths), or estimators that agree would hide each other's name.
+    Flags differ in height, or estimators that agree would hide each other's name.
 
     Args:
         stream: rerun's recording.
@@ -255,7 +255,7 @@ def _write_marker(
         name: of the estimator.
         error: its distance from the truth.
         size: (3,) [m], half sizes of the trunk.
-        height: of the flag, in trunk widths.
+        height: of the flag, in quarters of the trunk's length, which the camera's distance is of.
     """
     color = [rgba(estimator_color(name))]
     thin = [_pixels(1.0)]
@@ -268,7 +268,7 @@ def _write_marker(
         radii=[0.03 * size[0]],
     )
     stream.log(f"{path}/forward", nose, static=True)
-    top = [0.0, 0.0, height * 2.0 * size[1]]
+    top = [0.0, 0.0, height * 0.5 * size[0]]
     pole = rr.LineStrips3D([[[0.0, 0.0, size[2]], top]], colors=color, radii=thin)
     stream.log(f"{path}/pole", pole, static=True)
     # A label that changed would not be drawn where the view shows a range of times.

@@ -224,6 +224,22 @@ def test_without_estimates_contacts_and_truth_there_is_still_a_robot(walk, tmp_p
     contents = Contents(tmp_path / "bare.rrd")
     assert {"/world/robot", "/velocity/x/truth"} <= set(contents.moving)
     assert not any(entity.startswith("/feet") for entity in contents.moving)
+    (about,) = contents.static["/about"]["TextDocument:text"]
+    assert "estimator" not in str(about)
+
+
+def test_names_stand_where_the_camera_sees_them_however_wide_the_trunk_is(walk, tmp_path):
+    """The camera's distance is of the trunk's length."""
+    tops = []
+    ends = error_series(walk.trajectories["coverage"], walk.trajectories["leg"])
+    for half_width in (0.1, 0.2):
+        stream = rr.RecordingStream("flags")
+        stream.save(path := tmp_path / f"{half_width}.rrd")
+        write_estimates(stream, {"leg": ends}, walk.robot, np.array([0.4, half_width, 0.1]))
+        stream.disconnect()
+        flag = Contents(path).static["/world/estimates/leg/body/flag"]
+        tops.append(np.array(flag["Points3D:positions"]).ravel()[2])
+    assert tops[0] == tops[1]
 
 
 def test_an_estimator_may_have_any_name_and_a_log_may_have_calendar_time(walk, tmp_path):
