@@ -1,12 +1,13 @@
 """Probability and moments of a three-dimensional Gaussian on a box, without sampling.
 
 Two dimensions are integrated by nested Gauss-Legendre rules, the innermost in closed form. Three
-things keep the digits: the windows come from the exact nearest point of the box (27 faces), all
-weights are relative to the density there, and moments are accumulated about it. The axis whose
-interval is the shortest against its conditional deviation is outermost: narrow, or uncorrelated.
+measures keep the precision: the windows of integration follow from the exact nearest point of the
+box (27 faces), all weights are relative to the density there, and moments are accumulated about it.
+The outermost axis is the one with the shortest interval relative to its conditional deviation:
+narrow, or weakly correlated.
 
-Where axes are strongly correlated the integrand bends fast at places known beforehand: where the
-conditional mean of one axis, given the others, crosses a bound. Rules are cut there.
+For strongly correlated axes the integrand bends sharply at known places, where the conditional mean
+of one axis, given the others, crosses a bound. The rules are split there.
 """
 
 import math
@@ -28,7 +29,7 @@ from surefoot.sim.common.kernels import kernel
 
 _LOG_2PI = math.log(2.0 * math.pi)
 _FAR = 1e6
-"""Squared distance beyond which what is above the prior's covariance has lost its digits."""
+"""Squared distance beyond which differences from the prior's covariance are lost to rounding."""
 
 
 def box_moments(
@@ -36,10 +37,11 @@ def box_moments(
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """Log probability, mean (3,) and covariance (3, 3) of N(mean, cov) truncated to a box.
 
-    mean (3,), cov (3, 3), lower (3,) and upper (3,), in any one unit; bounds may be infinite.
-    These are log pi, mu_C and Sigma_C of eqs. pi_def_error_state and trunc_moments_error_state.
-    Deterministic, and finite for boxes many deviations away. Raises ValueError on wrong shapes,
-    NaN, lower >= upper, or a covariance that is not symmetric positive definite.
+    mean (3,), cov (3, 3), lower (3,) and upper (3,) are in any one unit; bounds may be infinite.
+    The results are log pi, mu_C and Sigma_C of eqs. pi_def_error_state and
+    trunc_moments_error_state. Deterministic, and finite for boxes many deviations away. Raises
+    ValueError on wrong shapes, NaN, lower >= upper, or a covariance that is not symmetric positive
+    definite.
     """
     arrays = {"mean": mean, "cov": cov, "lower": lower, "upper": upper}
     for name, value in arrays.items():
@@ -127,7 +129,9 @@ def _centre(sums, mode, mean, cov):
 
 @kernel
 def _sound(sums) -> bool:
-    """Whether mass and variances are positive and finite, the mass beyond the mode's rounding."""
+    """Whether mass and variances are positive and finite, and the mass is above the mode's
+    rounding.
+    """
     if not 1e-60 < sums[0] < np.inf:
         return False
     for i in range(3):
@@ -139,15 +143,15 @@ def _sound(sums) -> bool:
 
 @kernel
 def _corner(C, low, high, mode, distance, sums) -> float:
-    """What is left where distances are so large that their differences have no digits.
+    """Approximate moments where distances are so large that their differences have no digits left.
 
     Each axis by itself, given the other two at the nearest point: finite, inside the box and below
-    the prior. Met beyond 200 deviations with correlations within 1e-6 of one.
+    the prior. Needed beyond 200 deviations with correlations within 1e-6 of one.
 
     Args:
         C: (3, 3), correlation matrix.
         low: (3,), the box's lower bounds in prior standard deviations from the mean.
-        high: (3,), its upper bounds, alike.
+        high: (3,), its upper bounds, likewise.
         mode: (3,), the point of the box nearest to zero.
         distance: squared Mahalanobis distance of the mode.
         sums: (10,), receives the moments 0, 1 and 2 about the mode.
@@ -179,7 +183,7 @@ def _corner(C, low, high, mode, distance, sums) -> float:
 
 @kernel
 def _axis_order(mean, cov, lower, upper, spread, order):
-    """Axes by the length of their interval over the deviation that the other two leave them.
+    """Sort the axes by the length of their interval relative to their conditional deviation.
 
     Args:
         mean: (3,) of the Gaussian.
@@ -215,7 +219,7 @@ def _integrate(C, low, high, mode, distance, sums) -> float:
     Args:
         C: (3, 3), correlation matrix.
         low: (3,), the box's lower bounds in prior standard deviations from the mean.
-        high: (3,), its upper bounds, alike.
+        high: (3,), its upper bounds, likewise.
         mode: (3,), the point of the box nearest to zero.
         distance: squared Mahalanobis distance of the mode.
         sums: (10,), zeros, receives the moments 0, 1 and 2 about the mode.
@@ -269,18 +273,18 @@ def _integrate(C, low, high, mode, distance, sums) -> float:
 
 @kernel
 def _outer_end(C, low, high, mode, distance, side: float) -> float:
-    """End of the window of axis 0 on one side: where its best point lies DEPTH below the mode.
+    """End of the window of axis 0 on one side, where its best point lies DEPTH below the mode.
 
     Args:
         C: (3, 3), correlation matrix.
         low: (3,), the box's lower bounds in prior standard deviations from the mean.
-        high: (3,), its upper bounds, alike.
+        high: (3,), its upper bounds, likewise.
         mode: (3,), the point of the box nearest to zero.
         distance: squared Mahalanobis distance of the mode.
         side: -1.0 for the lower end, +1.0 for the upper one.
     """
     bound = high[0] if side > 0.0 else low[0]
-    # Half the squared distance of the best point is convex and bends at least as the marginal does.
+    # Half the squared distance of the best point is convex, with at least the marginal's curvature.
     far = mode[0] + side * math.sqrt(2.0 * DEPTH)
     far = min(far, bound) if side > 0.0 else max(far, bound)
     fall_far = 0.5 * (nearest_given_first(far, C, low, high)[0] - distance)
@@ -288,7 +292,7 @@ def _outer_end(C, low, high, mode, distance, side: float) -> float:
     for _ in range(40):
         if fall_far <= DEPTH + 4.0:
             break
-        # Secant of the root of the fall, which is straight where the fall is a parabola.
+        # Secant step on the root of the fall, which is linear where the fall is a parabola.
         root = math.sqrt(fall_near)
         share = (math.sqrt(DEPTH + 2.0) - root) / (math.sqrt(fall_far) - root)
         middle = near + (far - near) * min(max(share, 0.05), 0.95)

@@ -1,22 +1,21 @@
-"""Ego velocity from one frame of a radar: least squares on Doppler that outliers do not move.
+"""Ego velocity from one frame of a radar, by least squares on Doppler robust to outliers.
 
-A static point in the unit direction u from the sensor changes its range at d = -u . v, where v is
-the sensor's velocity: a linear equation a return, n of them for three unknowns. Ghosts of multiple
-paths and moving things break some, so the loss is truncated,
+A static point in the unit direction u from the sensor changes its range at the rate d = -u . v,
+where v is the sensor's velocity: one linear equation per return, n equations for three unknowns.
+Multipath ghosts and moving objects violate some, so the loss is truncated,
 
     min_v sum_i min((d_i + u_i . v)^2, c^2),     c = 3 noise,
 
-which graduated non-convexity solves without draws and without a start (Yang, Antonante, Tzoumas,
-Carlone, Graduated Non-Convexity for Robust Spatial Perception, RA-L 2020): weighted least squares
-while the loss goes from convex (mu small) to truncated (mu large). The field's other way is random
-samples of three returns, then least squares on the inliers (Doer and Trommer, An EKF Based Approach
-to Radar Inertial Odometry, MFI 2020).
+and minimised by graduated non-convexity, which needs neither sampling nor an initial guess (Yang,
+Antonante, Tzoumas, Carlone, Graduated Non-Convexity for Robust Spatial Perception, RA-L 2020):
+weighted least squares while the loss goes from convex (mu small) to truncated (mu large). The usual
+alternative is RANSAC on three returns, followed by least squares on the inliers (Doer and Trommer,
+An EKF Based Approach to Radar Inertial Odometry, MFI 2020).
 
-Directions are measured too, the elevation badly: to within degrees. Errors in the regressors shrink
-and turn least squares, always the same way. With Sigma_i the covariance of a measured direction,
-sum u u^T is too large by sum Sigma_i on average, and a mean direction too short by the factor k
-below; both are taken off over the inliers (bias-compensated least squares; the field's orthogonal
-distance regression serves the same end).
+Directions are measured too, the elevation only to within degrees. Errors in the regressors bias
+least squares: with Sigma_i the covariance of a measured direction, sum u u^T is too large by sum
+Sigma_i on average, and a mean direction too short by the factor k below. Both are corrected over
+the inliers (bias-compensated least squares; orthogonal distance regression is an alternative).
 """
 
 import numpy as np
@@ -27,9 +26,9 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import kernel
 
 ENOUGH = 6
-"""Returns that a frame needs, and inliers: twice the unknowns."""
+"""Returns, and inliers, that a frame needs: twice the unknowns."""
 AGREED = 0.4
-"""Share of a frame's returns that inliers must be: fewer may agree on a ghost."""
+"""Share of a frame's returns that must be inliers; fewer may agree on a ghost."""
 _GROW, _ROUNDS = 1.4, 100
 
 
@@ -43,9 +42,11 @@ def ego_velocity(
 
     direction (n, 3), unit, in the radar's axes (x along the beam, y left, z up); doppler (n,)
     [m/s], the range's rate (negative when it closes); noise [m/s] of a Doppler; angle_noise [rad]
-    of azimuth and elevation. Returns velocity (3,) [m/s] in those axes, its covariance (3, 3) and
-    which returns were inliers (n,); None where fewer than ENOUGH are, or fewer than AGREED of all,
-    or where they leave a direction open. The covariance scales with the larger of `noise` and the
+    of azimuth and elevation.
+
+    Returns velocity (3,) [m/s] in those axes, its covariance (3, 3) and a mask of the inliers (n,).
+    None if there are fewer than ENOUGH inliers, or fewer than AGREED of all returns, or if they
+    leave a direction undetermined. The covariance scales with the larger of `noise` and the
     inliers' residuals.
     """
     direction, doppler, noises = _checked(direction, doppler, noise, angle_noise)
@@ -62,7 +63,8 @@ def ego_velocities(
     noise: float,
     angle_noise: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """`ego_velocity` of every frame: which frames gave one (M,), velocities (M, 3), covariances.
+    """`ego_velocity` of every frame: mask of the frames with a result (M,), velocities (M, 3),
+    covariances.
 
     Args:
         frame: (n,), index of each return's frame, ascending, below `frames`.

@@ -1,4 +1,4 @@
-"""The invariant filter with velocity and coverage updates: one call a sample, or a whole log."""
+"""The invariant filter with velocity and coverage updates, sample by sample or for a whole log."""
 
 from typing import NamedTuple
 
@@ -48,8 +48,12 @@ from surefoot.sim.common.kernels import kernel
 
 
 class CoverageSettings(NamedTuple):
-    """Of coverage updates: gamma the joint level of the bounds, iterations of the projection, and
-    max_error (3,) [m/s], beyond which an error is an outlier.
+    """Settings of coverage updates.
+
+    Attributes:
+        gamma: joint level of the bounds.
+        iterations: of the projection.
+        max_error: error (3,) [m/s] beyond which a measurement is an outlier.
     """
 
     gamma: float = 0.0
@@ -58,11 +62,14 @@ class CoverageSettings(NamedTuple):
 
 
 class FilterMemory(NamedTuple):
-    """What a filter carries from sample to sample, changed in place by the kernels.
+    """State that a filter carries from sample to sample, changed in place by the kernels.
 
-    mean (7+E, 3) and covariance (15+3E, 15+3E) of `surefoot.estimator.core.state`; columns
-    (15+3E, 6) and rotation_columns (3E, 3), work space of `propagate`; counts (2,) of
-    `surefoot.estimator.updates.outliers`.
+    Attributes:
+        mean: (7+E, 3), see `surefoot.estimator.core.state`.
+        covariance: (15+3E, 15+3E).
+        columns: (15+3E, 6), work space of `propagate`.
+        rotation_columns: (3E, 3), work space of `propagate`.
+        counts: (2,), see `surefoot.estimator.updates.outliers`.
     """
 
     mean: np.ndarray
@@ -73,16 +80,17 @@ class FilterMemory(NamedTuple):
 
 
 class InvariantFilter:
-    """Right-invariant filter on SE_2(3) x R^6 (paper, Sec. II): one call a sample.
+    """Right-invariant filter on SE_2(3) x R^6 (paper, Sec. II), called once per sample.
 
     state: NavState; covariance (15, 15) in the error order (rotation, velocity, position, b_a,
-    b_g); noise: FilterNoise. `persistent`, where given, describes the persistent part of the
-    observer's error: it becomes more states, so that successive measurements are not treated as
-    independent, and coverage statements are about means (the derivation is in
-    `surefoot.estimator.updates.bias_states`). Raises SurefootError on wrong shapes, values that are
-    not finite and covariances that are not positive definite; SampleError, of that kind, for steps
-    and readings that no sensor gives; DivergedError once the state says nothing any more. Whatever
-    is raised, the filter is as it was.
+    b_g); noise: FilterNoise. `persistent`, where given, models the persistent part of the
+    observer's error by additional states, so that successive measurements are not treated as
+    independent, and coverage statements are about means (derived in
+    `surefoot.estimator.updates.bias_states`).
+
+    Raises SurefootError on wrong shapes, values that are not finite and covariances that are not
+    positive definite; its subclass SampleError for steps and readings that no sensor gives;
+    DivergedError once the state has diverged. In each case the filter is unchanged.
     """
 
     def __init__(
@@ -102,11 +110,13 @@ class InvariantFilter:
         self._rotation_columns = np.zeros((3 * extras, 3))
         self._counts = fresh_counts()
         self.t = np.nan
-        """Stamp [s] of the last sample, NaN before the first: `run` goes on from there."""
+        """Stamp [s] of the last sample, NaN before the first; `run` continues from there."""
 
     def predict(self, gyro: np.ndarray, accel: np.ndarray, dt: float) -> None:
-        """IMU step (eq. covariance_propagation): gyro (3,) [rad/s] and accel (3,) [m/s^2], both in
-        I, are means over the dt > 0 [s] that ends now.
+        """IMU step (eq. covariance_propagation).
+
+        gyro (3,) [rad/s] and accel (3,) [m/s^2], both in I, are means over the dt > 0 [s] that ends
+        now.
         """
         try:
             done = propagate_checked(
@@ -147,17 +157,16 @@ class InvariantFilter:
     ) -> float:
         """Algorithm 1 with P(|v_I - true v_I| <= epsilon) >= gamma, gamma the JOINT level.
 
-        Returns pi, the prior mass inside the bounds (eq. pi_def_error_state); the state changed if
-        pi < gamma. With a persistent part epsilon bounds the mean mixing error of a window: pi is
-        nan, and the state unchanged, but for the measurement that ends one.
+        Returns pi, the prior mass inside the bounds (eq. pi_def_error_state); the state changes if
+        pi < gamma. With a persistent part, epsilon bounds the mean mixing error of a window: pi is
+        nan, and the state unchanged, except for the measurement that ends one.
 
         Args:
             v_I: measured velocity (3,) [m/s] in I.
             epsilon: its bounds (3,) > 0 [m/s].
             gamma: their joint level.
-            iterations: more than one repeat the projection, so that the posterior holds closer to
-                gamma.
-            max_error: errors beyond (3,) [m/s] are outliers and rejected
+            iterations: of the projection; more than one bring the posterior's mass closer to gamma.
+            max_error: errors beyond (3,) [m/s] are rejected as outliers
                 (`surefoot.estimator.updates.outliers`); a persistent part has its own.
         """
         v_I, epsilon = check_velocity(v_I), vector("epsilon", epsilon)
@@ -183,9 +192,10 @@ class InvariantFilter:
         )
 
     def update_velocity(self, v_I: np.ndarray, cov: np.ndarray) -> float:
-        """Gaussian update with v_I (3,) [m/s] in I and its covariance (3, 3). Returns the squared
-        Mahalanobis distance of the innovation. With a persistent part cov is that of the mixing
-        error, and the distance is nan where v_I was rejected as an outlier.
+        """Gaussian update with v_I (3,) [m/s] in I and its covariance (3, 3).
+
+        Returns the squared Mahalanobis distance of the innovation. With a persistent part, cov is
+        that of the mixing error, and the distance is nan where v_I was rejected as an outlier.
         """
         if self._persistent:
             v_I, cov = check_velocity(v_I), spd_3("cov", cov)
@@ -210,17 +220,17 @@ class InvariantFilter:
         rows: np.ndarray | None = None,
         settings: CoverageSettings | None = None,
     ) -> Trajectory:
-        """The rows of a log that follow those seen so far, in one compiled loop.
+        """Process the next rows of a log in one compiled loop.
 
-        The numbers are those of one call a row, however a log is cut into pieces. Updates are
-        coverage updates where `velocities` have bounds and Gaussian ones where they have
-        covariances. Of a window, the record has the measurement that ended it; of velocities, those
-        not rejected.
+        The result is the same as with one call per row, however a log is divided into pieces.
+        Updates are coverage updates where `velocities` have bounds and Gaussian ones where they
+        have covariances. The record contains, of a window, the measurement that ended it and, of
+        velocities, those not rejected.
 
         Args:
-            imu: the samples, of `imu_samples`.
-            velocities: measured on the way, of `bounded_velocities` or `gaussian_velocities`.
-            rows: of these samples, whose estimates are returned; at 100 Hz where left out.
+            imu: the samples, from `imu_samples`.
+            velocities: measured at some rows, from `bounded_velocities` or `gaussian_velocities`.
+            rows: of these samples, whose estimates are returned; at 100 Hz by default.
             settings: of coverage updates.
         """
         settings = settings or CoverageSettings()
@@ -259,7 +269,7 @@ class InvariantFilter:
 
     @property
     def persistent(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Estimate (3,) [m/s] and covariance (3, 3) of the persistent error, None without one."""
+        """Estimate (3,) [m/s] and covariance (3, 3) of the persistent error; None without one."""
         if self._persistent is None:
             return None
         return self._mean[EXTRA].copy(), self._covariance[BIAS_AT:, BIAS_AT:][:3, :3].copy()
@@ -270,22 +280,22 @@ def _run(
     imu, velocities, settings, memory, noise, model, persistent, before, found, values, window,
     sums, share,
 ):  # fmt: skip
-    """A filter over rows of a log; values (M,) receive what each update returns.
+    """Run a filter over rows of a log; values (M,) receive what each update returns.
 
     Args:
         imu: ImuSamples.
         velocities: Velocities.
         settings: CoverageSettings.
         memory: FilterMemory.
-        noise: of `FilterNoise.packed`.
+        noise: from `FilterNoise.packed`.
         model: PersistentModel.
         persistent: whether the state has a persistent part.
         before: stamp of the row before the first [s], nan where there is none.
         found: Estimates to fill.
         values: pi of coverage updates, squared distances of Gaussian ones.
-        window: which window a row is in (N,).
+        window: index of each row's window (N,).
         sums: of the updates in each window, to fill (W, 1, 10).
-        share: deviation of a measurement as a share of its bound, of `_deviation_share`.
+        share: deviation of a measurement as a share of its bound, from `_deviation_share`.
     """
     mean, P, counts = memory.mean, memory.covariance, memory.counts
     columns, rotation_columns = memory.columns, memory.rotation_columns
@@ -328,7 +338,7 @@ def _run(
                     )
                 else:
                     values[m] = update_velocity(mean, P, 0, v_I, velocities.cov[m])
-            # An outlier after too many in a row is used, and counted all the same.
+            # An outlier after too many in a row is used, but still counted.
             add_velocity(sums[w, 0], note, counts[REJECTED] <= rejected)
             m += 1
         if out < found.rows.shape[0] and found.rows[out] == k:
@@ -340,8 +350,8 @@ def _run(
 def _deviation_share(gamma: float, window: int) -> float:
     """Standard deviation of a measurement as a share of its bound, for the record of innovations.
 
-    A Gaussian error keeps within its bound on each axis with the probability gamma^(1/3). Bounds of
-    a mean over a window are those of errors sqrt(window) times as large, were these independent.
+    A Gaussian error is within its bound on each axis with probability gamma^(1/3). Bounds of a mean
+    over a window correspond to errors sqrt(window) times as large, if these are independent.
     """
     if gamma == 0.0:
         return 0.0
@@ -351,8 +361,10 @@ def _deviation_share(gamma: float, window: int) -> float:
 def coverage_settings(
     gamma: float, iterations: int, max_error, persistent: bool
 ) -> CoverageSettings:
-    """Checked settings; max_error (3,) [m/s] or None, which a filter with a persistent part has of
-    its own."""
+    """Check settings.
+
+    max_error (3,) [m/s] or None; a filter with a persistent part has its own.
+    """
     _check_level(gamma, iterations)
     limit = UNLIMITED if max_error is None else _limit(max_error, persistent)
     return CoverageSettings(float(gamma), int(iterations), limit)
@@ -430,12 +442,12 @@ def run_coverage(
     iterations: int = 1,
     max_error=None,
 ) -> Trajectory:
-    """Coverage updates over a whole log, one compiled loop with the numbers of `InvariantFilter`.
+    """Coverage updates over a whole log, in one compiled loop equivalent to `InvariantFilter`.
 
     Args:
         t: stamps (N,) [s].
-        gyro: (N, 3) [rad/s] in I; row k is the mean over (t[k-1], t[k]], so row 0 is where `state`
-            stands and predicts nothing.
+        gyro: (N, 3) [rad/s] in I; row k is the mean over (t[k-1], t[k]], so `state` is at row 0,
+            which predicts nothing.
         accel: (N, 3) [m/s^2] in I, likewise.
         rows: increasing row indices (M,) of the measurements, each used after its row's prediction.
         v_I: measured velocities (M, 3) [m/s] in I.
@@ -444,9 +456,9 @@ def run_coverage(
         state: NavState at t[0].
         covariance: (15, 15) of its error.
         noise: FilterNoise.
-        stride: rows from one estimate that is returned to the next; 100 Hz where left out.
-        persistent: PersistentError, as `InvariantFilter`.
-        iterations: as `InvariantFilter.update_coverage`.
+        stride: rows between returned estimates; 100 Hz by default.
+        persistent: PersistentError, as for `InvariantFilter`.
+        iterations: as for `InvariantFilter.update_coverage`.
         max_error: likewise.
     """
     imu = imu_samples(t, gyro, accel)

@@ -1,4 +1,4 @@
-"""Where a filter starts: from the reference's first row, or from gravity where there is none."""
+"""Initial state of a filter, from the reference's first row, or else from gravity."""
 
 from dataclasses import dataclass, replace
 
@@ -11,25 +11,27 @@ from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.log import Log, reference_velocity
 
 STILL_WINDOW = 0.5
-"""s. How much of a log's start is averaged to find the gyro's bias, and gravity where no reference
-says more."""
+"""Time at a log's start over which the gyro's bias is averaged [s], and gravity without a
+reference.
+"""
 STILL_GYRO, STILL_ACCEL = 0.03, 0.5
-"""rad/s and m/s^2. A robot whose readings spread by more over that window is not standing still."""
+"""Spread of the readings over that window, rad/s and m/s^2, above which a robot is not at rest."""
 INDEPENDENT = 0.02
-"""s between readings of a gyro at rest that are taken as independent."""
+"""Interval at which a gyro's readings at rest count as independent [s]."""
 STILL_BIAS = 3e-4
-"""rad/s. Least deviation of a gyro bias found standing: legs give a little, and slowly."""
+"""Least deviation of a gyro bias estimated in standing [rad/s]: legs yield a little, slowly."""
 
 
 @dataclass(frozen=True)
 class InitialStd:
-    """Standard deviations of the start, in G: attitude [rad], velocity [m/s], position [m], biases.
+    """Standard deviations of the initial state in G: attitude [rad], velocity [m/s], position [m],
+    biases.
 
     tilt is about the horizontal axes of G, yaw about the vertical. b_a [m/s^2] covers the offset of
     a factory-calibrated MEMS accelerometer (10 mg), b_g [rad/s] that of its gyro (0.3 deg/s).
     Position and yaw are unobservable and aligned before any metric: their values are the
-    reference's, and their deviations only keep the covariance definite. height [m], where given, is
-    that of the vertical position, which a start on known ground does observe.
+    reference's, and their deviations only keep the covariance definite. height [m], if given, is
+    that of the vertical position, which is known at a start on known ground.
     """
 
     tilt: float = 0.02
@@ -48,12 +50,13 @@ GRAVITY_STD = InitialStd(tilt=0.05, velocity=0.2)
 def initial_state(log: Log, std: InitialStd | None = None) -> tuple[NavState, np.ndarray]:
     """State at the log's first row and its covariance (15, 15) in right-invariant error order.
 
-    With a reference: position, attitude and velocity of its first row (REFERENCE_STD). Without:
-    roll and pitch that put the mean specific force of the first 0.5 s along -gravity, yaw,
-    position and velocity zero (GRAVITY_STD); the robot is taken to stand. Biases start at zero, the
-    gyro's at its mean where the IMU shows that the robot stands still (`still_gyro_bias`).
+    With a reference: its first position, attitude and velocity (REFERENCE_STD). Without: roll and
+    pitch from the mean specific force of the first 0.5 s; yaw, position and velocity zero
+    (GRAVITY_STD), assuming that the robot stands. Biases start at zero, the gyro's at its mean if
+    the IMU shows that the robot is at rest (`still_gyro_bias`).
+
     Raises LogError where the log has neither a reference nor an IMU, and SurefootError where the
-    mean force of the start is no gravity (outside 8 to 12 m/s^2).
+    initial mean force cannot be gravity (outside 8 to 12 m/s^2).
     """
     if log.has("reference"):
         row = int(np.flatnonzero(log.ref_ok)[0]) if log.ref_ok.any() else 0
@@ -77,11 +80,11 @@ def initial_state(log: Log, std: InitialStd | None = None) -> tuple[NavState, np
 
 
 def still_gyro_bias(log: Log, std: InitialStd) -> tuple[np.ndarray, InitialStd]:
-    """Gyro bias (3,) [rad/s] where the log starts standing still, else zero; `std` with its own.
+    """Gyro bias (3,) [rad/s] if the log starts at rest, else zero; `std` with its deviation.
 
-    The mean of the first 0.5 s, if its two halves agree: a robot that is standing up turns slowly
-    but steadily. Its deviation is that of the mean, taking readings of every INDEPENDENT for one,
-    and STILL_BIAS at least.
+    The mean of the first 0.5 s, if its two halves agree: a robot that is standing up rotates slowly
+    but steadily. The deviation is that of the mean, with one independent reading per INDEPENDENT,
+    and at least STILL_BIAS.
     """
     if not log.has("imu"):
         return np.zeros(3), std
@@ -100,9 +103,11 @@ def still_gyro_bias(log: Log, std: InitialStd) -> tuple[np.ndarray, InitialStd]:
 
 
 def level(force_I: np.ndarray) -> np.ndarray:
-    """R_GI (3, 3) of zero yaw that turns the specific force (3,) of a body at rest onto +z of G."""
+    """R_GI (3, 3) with zero yaw that rotates the specific force (3,) of a body at rest onto +z of
+    G.
+    """
     up = force_I / np.linalg.norm(force_I)
-    # The x axis of I keeps its heading; where it is vertical, the y axis does.
+    # The x axis of I keeps its heading or, if it is vertical, the y axis.
     forward = np.array([1.0, 0.0, 0.0]) if abs(up[0]) < 0.99 else np.array([0.0, 1.0, 0.0])
     x = forward - up * (up @ forward)
     x /= np.linalg.norm(x)
@@ -110,7 +115,7 @@ def level(force_I: np.ndarray) -> np.ndarray:
 
 
 def start_covariance(state: NavState, std: InitialStd) -> np.ndarray:
-    """Covariance (15, 15) of the right-invariant error whose plain errors in G are independent.
+    """Covariance (15, 15) of the right-invariant error for independent Euclidean errors in G.
 
     v_bar - v = xi_v - [v_bar]x xi_R and p_bar - p = xi_p - [p_bar]x xi_R to first order, so a
     position known to a millimetre far from the origin is correlated with the attitude in xi.

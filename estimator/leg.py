@@ -44,8 +44,13 @@ from surefoot.sim.common.kernels import kernel
 
 
 class LegSamples(NamedTuple):
-    """Leg kinematics at each row: feet_I (N, K, 3) [m] the foot centres in I, contact (N, K) bool,
-    covariance (N, K, 3, 3) [m^2] of the centres, rates_I (N, K, 3) [rad/s] of the feet in I.
+    """Leg kinematics of each row.
+
+    Attributes:
+        feet_I: foot centres in I (N, K, 3) [m].
+        contact: feet in stance (N, K) bool.
+        covariance: of the centres (N, K, 3, 3) [m^2].
+        rates_I: angular velocity of the feet relative to the body, in I (N, K, 3) [rad/s].
     """
 
     feet_I: np.ndarray
@@ -58,10 +63,13 @@ class LegSamples(NamedTuple):
 class LegNoise:
     """Noise of the leg filter.
 
-    imu: the IMU's densities. contact [m/s/sqrt(Hz)]: velocity noise of a standing foot along G's
-    axes, one number or three; 0.02 lets a foot creep by about 1 cm in a stance of 0.3 s (Hartley
-    2020 uses 0.1 m/s a step for feet that deform). rolling [rad/s/sqrt(Hz)]: error of the angular
-    velocity with which a foot rolls; it acts through the foot's radius.
+    Attributes:
+        imu: the IMU's densities.
+        contact: velocity noise of a standing foot along G's axes, one number or three
+            [m/s/sqrt(Hz)]. 0.02 lets a foot creep by about 1 cm in a stance of 0.3 s (Hartley 2020
+            uses 0.1 m/s a step for feet that deform).
+        rolling: error of the angular velocity with which a foot rolls [rad/s/sqrt(Hz)]; it acts
+            through the foot's radius.
     """
 
     imu: FilterNoise = field(default_factory=FilterNoise)
@@ -79,14 +87,14 @@ class LegNoise:
 
 
 class LegFilter:
-    """Contact-aided invariant EKF: one call a sample.
+    """Contact-aided invariant EKF, called once per sample.
 
-    state, covariance (15, 15) as `InvariantFilter`; noise: LegNoise. foot_radius [m]: 0 for point
-    feet, or one value a foot (K,); `feet` is K. slip_gate, where given, is the squared Mahalanobis
-    distance (3 degrees of freedom; 16.27 is passed by chance once in 1000) of an innovation, or of
-    their running mean, beyond which a foot slips and is left out (`leg_slip`); where all feet fail
-    for long, the filter takes back what it claims and lets them in again. Raises as
-    `InvariantFilter` does.
+    state, covariance (15, 15) as for `InvariantFilter`; noise: LegNoise. foot_radius [m]: 0 for
+    point feet, or one value for each foot (K,); `feet` is K. slip_gate, if given, is the squared
+    Mahalanobis distance (3 degrees of freedom; 16.27 is exceeded by chance once in 1000) of an
+    innovation, or of their running mean, beyond which a foot slips and is left out (`leg_slip`). If
+    all feet fail the test for long, the filter increases its covariance and admits them again.
+    Raises like `InvariantFilter`.
     """
 
     def __init__(
@@ -105,15 +113,15 @@ class LegFilter:
         self._model = ContactModel(noise.imu.packed(), *noise.packed(), radius, gate)
         self._memory = contact_memory(state.pack(feet), P)
         self.t = np.nan
-        """Stamp [s] of the last sample, NaN before the first: `run` goes on from there."""
+        """Stamp [s] of the last sample, NaN before the first; `run` continues from there."""
 
     def predict(
         self, gyro: np.ndarray, accel: np.ndarray, dt: float, foot_rates_I: np.ndarray | None = None
     ) -> None:
         """IMU step over the dt > 0 [s] that ends now; gyro (3,) and accel (3,) are its means, in I.
 
-        foot_rates_I (K, 3) [rad/s]: angular velocity of each foot relative to the body now, in I;
-        over the step the mean with the last call's is taken. Feet of radius 0 need none.
+        foot_rates_I (K, 3) [rad/s]: angular velocity of each foot relative to the body now, in I,
+        averaged with the last call's over the step. Not needed for feet of radius 0.
         """
         gyro, accel, dt = check_step(gyro, accel, dt)
         rates = self._rates(foot_rates_I)
@@ -123,7 +131,7 @@ class LegFilter:
         propagate_contacts(self._memory, self._model, gyro, accel, dt, rates)
 
     def _rates(self, foot_rates_I, rows: tuple[int, ...] = ()) -> np.ndarray:
-        """Checked rates (*rows, K, 3) of the feet, zero where none are needed."""
+        """Checked rates (*rows, K, 3) of the feet, zero if not needed."""
         shape = (*rows, len(self._model.radius), 3)
         if foot_rates_I is None:
             if self._model.radius.any():
@@ -134,8 +142,10 @@ class LegFilter:
     def update_contacts(
         self, foot_positions_I: np.ndarray, in_contact: np.ndarray, covariance: np.ndarray
     ) -> np.ndarray:
-        """Leg kinematics now: foot centres (K, 3) [m] in I, which of them stand (K,), and the
-        covariances (K, 3, 3) [m^2] of the positions. Returns (K,) bool: feet found slipping.
+        """Update with the leg kinematics.
+
+        foot_positions_I (K, 3) [m]: foot centres in I; in_contact (K,): feet in stance; covariance
+        (K, 3, 3) [m^2] of the positions. Returns (K,) bool: feet found slipping.
         """
         feet = len(self._model.radius)
         positions = numbers("foot_positions_I", foot_positions_I, (feet, 3))
@@ -150,7 +160,9 @@ class LegFilter:
         return self._memory.held > 0
 
     def update_velocity(self, v_I: np.ndarray, cov: np.ndarray) -> float:
-        """Gaussian update with a velocity (3,) [m/s] in I, as `InvariantFilter.update_velocity`."""
+        """Gaussian update with a velocity (3,) [m/s] in I, as in
+        `InvariantFilter.update_velocity`.
+        """
         v_I, cov = check_velocity(v_I), spd_3("cov", cov)
         check_sound(self._memory.mean, self._memory.covariance)
         memory, feet = self._memory, len(self._model.radius)
@@ -196,15 +208,15 @@ class LegFilter:
         velocities: Velocities = NO_VELOCITIES,
         rows: np.ndarray | None = None,
     ) -> Trajectory:
-        """The rows of a log that follow those seen so far, in one compiled loop.
+        """Process the next rows of a log in one compiled loop.
 
-        The numbers are those of one call a row, however a log is cut into pieces.
+        The result is the same as with one call per row, however a log is divided into pieces.
 
         Args:
-            imu: the samples, of `imu_samples`.
-            legs: at the same rows, of `legs`.
-            velocities: measured besides (by a radar, say), of `gaussian_velocities`.
-            rows: of these samples, whose estimates are returned; at 100 Hz where left out.
+            imu: the samples, from `imu_samples`.
+            legs: at the same rows, from `legs`.
+            velocities: additional measurements, by a radar say, from `gaussian_velocities`.
+            rows: of these samples, whose estimates are returned; at 100 Hz by default.
         """
         found = empty_estimates(every_row(imu.t, None) if rows is None else rows)
         if len(legs.contact) != len(imu.t):
@@ -234,23 +246,23 @@ def run_leg(
     v_I=None,
     v_cov=None,
 ) -> Trajectory:
-    """The leg filter over a whole log in one compiled loop, with the numbers of `LegFilter`.
+    """The leg filter over a whole log, in one compiled loop equivalent to `LegFilter`.
 
     Args:
         t: stamps (N,) [s].
-        gyro: (N, 3) [rad/s] in I, as `run_coverage`.
+        gyro: (N, 3) [rad/s] in I, as for `run_coverage`.
         accel: (N, 3) [m/s^2] in I, likewise.
         feet_I: foot centres (N, K, 3) [m] in I, every row an update.
-        contact: which feet stand (N, K).
+        contact: feet in stance (N, K).
         cov: covariances of the centres (N, K, 3, 3) [m^2].
         state: NavState at t[0].
         covariance: (15, 15) of its error.
         noise: LegNoise.
-        foot_radius: [m], one or one a foot (K,).
-        foot_rates_I: angular velocities of the feet (N, K, 3) [rad/s]; point feet need none.
-        slip_gate: as `LegFilter`.
-        stride: rows from one estimate that is returned to the next; 100 Hz where left out.
-        rows: increasing row indices (M,) of velocities measured besides.
+        foot_radius: [m], one or one for each foot (K,).
+        foot_rates_I: angular velocities of the feet (N, K, 3) [rad/s]; not needed for point feet.
+        slip_gate: as for `LegFilter`.
+        stride: rows between returned estimates; 100 Hz by default.
+        rows: increasing row indices (M,) of additional velocity measurements.
         v_I: those velocities (M, 3) [m/s] in I.
         v_cov: their covariances (M, 3, 3) [m^2/s^2].
     """
@@ -265,7 +277,7 @@ def run_leg(
 
 @kernel
 def _run(imu, legs, velocities, memory, model, before, found, window, sums):
-    """A leg filter over rows of a log.
+    """Run a leg filter over rows of a log.
 
     Args:
         imu: ImuSamples.
@@ -275,7 +287,7 @@ def _run(imu, legs, velocities, memory, model, before, found, window, sums):
         model: ContactModel.
         before: stamp of the row before the first [s], nan where there is none.
         found: Estimates to fill.
-        window: which window of `sums` a row is in (N,).
+        window: index of each row's window in `sums` (N,).
         sums: sums to fill (W, K+1, 10).
     """
     feet = model.radius.shape[0]
@@ -308,8 +320,9 @@ def _run(imu, legs, velocities, memory, model, before, found, window, sums):
 def encoder_covariance(jacobian_I: np.ndarray, encoder: float, kinematics: float) -> np.ndarray:
     """Covariance (..., 3, 3) [m^2] of foot positions: J J^T encoder^2 + I kinematics^2.
 
-    jacobian_I (..., 3, 3) [m/rad] by the leg's joints; encoder [rad] the error of a joint angle
-    (noise, backlash, calibration); kinematics [m] that of links, mounts and the foot's shape.
+    jacobian_I (..., 3, 3) [m/rad] with respect to the leg's joints; encoder [rad]: error of a joint
+    angle (noise, backlash, calibration); kinematics [m]: that of links, mounts and the foot's
+    shape.
     """
     J = np.asarray(jacobian_I, dtype=float)
     return J @ np.swapaxes(J, -1, -2) * encoder**2 + np.eye(3) * kinematics**2

@@ -1,7 +1,7 @@
-"""Trajectory metrics, each defined where it is computed.
+"""Trajectory metrics.
 
 All are RMSE over poses or pairs at 100 Hz. The estimate is aligned to the reference in position and
-yaw at the first common sample, which proprioception cannot observe; SE(3)-aligned figures carry
+yaw, which proprioception cannot observe, at the first common sample; SE(3)-aligned metrics have
 `se3` in their names.
 """
 
@@ -15,24 +15,33 @@ from surefoot.estimator.evaluation.trajectory import Trajectory, TrajectoryError
 from surefoot.sim.common.stamps import rows_every
 
 METRICS_RATE = 100.0
-"""Hz. The rate at which metrics are taken."""
+"""Rate at which metrics are computed [Hz]."""
 MATCH = 1e-3
-"""s. Two stamps closer than this are the same sample."""
+"""Largest difference between two stamps of the same sample [s]."""
 SEGMENT, SEGMENT_TOLERANCE = 1.0, 0.1
-"""m. Length of the segments of the relative error, and how far a pair may be from it."""
+"""Length of the segments of the relative error, and tolerance of a pair [m]."""
 
 
 @dataclass(frozen=True)
 class Metrics:
-    """What `evaluate` finds; NaN where it is not defined (no covariance, no updates, no segment).
+    """Results of `evaluate`; NaN where undefined (no covariance, no updates, no segment).
 
-    ape_trans [m] and ape_rot [deg]: absolute error after aligning position and yaw at the first
-    sample; ape_trans_se3 [m] and ape_rot_se3 [deg]: after the SE(3) alignment of least squares.
-    rpe_trans [m] and rpe_rot [deg/m]: error over all 1 m segments of the reference path.
-    velocity [m/s]: RMSE of the velocity in I, which needs no alignment. nees_position,
-    nees_velocity, nees_attitude: means of the normalised squared error, 3 for a consistent filter.
-    pi_below_gamma [%]: share of updates that were active. duration [s] and samples: the common
-    part; length [m]: path of the reference, sampled every 0.5 s; segments: pairs of the RPE.
+    Attributes:
+        ape_trans: absolute position error after aligning position and yaw at the first sample [m].
+        ape_rot: absolute rotation error, likewise [deg].
+        rpe_trans: relative position error over all 1 m segments of the reference path [m].
+        rpe_rot: relative rotation error [deg/m].
+        ape_trans_se3: absolute position error after least-squares SE(3) alignment [m].
+        ape_rot_se3: absolute rotation error, likewise [deg].
+        velocity: RMSE of the velocity in I, which needs no alignment [m/s].
+        nees_position: mean normalised squared error, 3 for a consistent filter.
+        nees_velocity: likewise.
+        nees_attitude: likewise.
+        pi_below_gamma: share of updates that were active [%].
+        duration: of the common part [s].
+        length: of the reference's path, sampled every 0.5 s [m].
+        samples: of the common part.
+        segments: pairs of the RPE.
     """
 
     ape_trans: float
@@ -54,7 +63,7 @@ class Metrics:
 
 @dataclass(frozen=True)
 class Nees:
-    """Normalised estimation error squared (N,) of each sample; NaN at the aligned first one."""
+    """Normalised estimation error squared (N,) of each sample; NaN at the first, aligned one."""
 
     position: np.ndarray
     velocity: np.ndarray
@@ -91,7 +100,9 @@ def evaluate(reference: Trajectory, estimate: Trajectory) -> Metrics:
 
 
 def matched(reference: Trajectory, estimate: Trajectory) -> tuple[Trajectory, Trajectory]:
-    """Both at their common stamps (within 1 ms), thinned to 100 Hz; nothing is interpolated."""
+    """Both trajectories at their common stamps (within 1 ms), thinned to 100 Hz, without
+    interpolation.
+    """
     if len(reference.t) == 0 or len(estimate.t) == 0:
         raise TrajectoryError("metrics: a trajectory is empty")
     after = np.clip(np.searchsorted(reference.t, estimate.t), 1, max(len(reference.t) - 1, 1))
@@ -108,7 +119,7 @@ def matched(reference: Trajectory, estimate: Trajectory) -> tuple[Trajectory, Tr
 
 
 def align_first(reference: Trajectory, estimate: Trajectory) -> Trajectory:
-    """The estimate moved so that its first position is the reference's and its first yaw nearest.
+    """Move the estimate so that its first position is the reference's and its first yaw is nearest.
 
     The yaw is that which leaves the smallest rotation to the reference's first attitude.
     """
@@ -120,7 +131,7 @@ def align_first(reference: Trajectory, estimate: Trajectory) -> Trajectory:
 
 
 def align_se3(reference: Trajectory, estimate: Trajectory) -> Trajectory:
-    """The estimate moved by the least-squares rotation and translation (Umeyama 1991, no scale)."""
+    """Align the estimate by the least-squares rotation and translation (Umeyama 1991, no scale)."""
     to, at = reference.p_GI.mean(axis=0), estimate.p_GI.mean(axis=0)
     U, _, Vt = np.linalg.svd((reference.p_GI - to).T @ (estimate.p_GI - at))
     R = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt))]) @ Vt
@@ -128,9 +139,9 @@ def align_se3(reference: Trajectory, estimate: Trajectory) -> Trajectory:
 
 
 def transformed(trajectory: Trajectory, R: np.ndarray, p: np.ndarray) -> Trajectory:
-    """The trajectory seen from another world frame: X -> T X for T = (R (3, 3), p (3,)).
+    """Change the world frame of a trajectory: X -> T X for T = (R (3, 3), p (3,)).
 
-    A right-invariant error moves by xi -> Ad_T xi, and its covariance with it.
+    A right-invariant error changes as xi -> Ad_T xi, and its covariance with it.
     """
     covariance = trajectory.covariance
     if covariance is not None:
@@ -149,7 +160,7 @@ def transformed(trajectory: Trajectory, R: np.ndarray, p: np.ndarray) -> Traject
 
 
 def absolute_errors(reference: Trajectory, estimate: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Distance (N,) [m] and rotation angle (N,) [deg] between the poses, as they are."""
+    """Distance (N,) [m] and rotation angle (N,) [deg] between the poses, without alignment."""
     distance = np.linalg.norm(estimate.p_GI - reference.p_GI, axis=1)
     return distance, _angle(np.swapaxes(reference.R_GI, 1, 2) @ estimate.R_GI)
 
@@ -165,11 +176,13 @@ def relative_errors(reference: Trajectory, estimate: Trajectory) -> tuple[np.nda
 
 
 def segments(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Index pairs i < j whose path along p (N, 3) is nearest to 1 m, within 10 %: one a start i."""
+    """Index pairs i < j whose path along p (N, 3) is nearest to 1 m, within 10 %: one for each
+    start i.
+    """
     path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))])
     i = np.arange(len(path) - 1)
     above = np.clip(np.searchsorted(path, path[i] + SEGMENT), i + 1, len(path) - 1)
-    # Of equal distances the first counts: the robot may have stood still there.
+    # Of equal distances take the first, since the robot may have stood still there.
     below = np.maximum(np.searchsorted(path, path[above - 1]), i + 1)
     miss_above = np.abs(path[above] - path[i] - SEGMENT)
     miss_below = np.abs(path[below] - path[i] - SEGMENT)
@@ -196,17 +209,23 @@ def nees(reference: Trajectory, estimate: Trajectory) -> Nees:
 
 
 def position_jacobian(p: np.ndarray) -> np.ndarray:
-    """J (N, 3, 9) of p_bar - p by (rotation, velocity, position), at the estimates p (N, 3)."""
+    """Jacobian (N, 3, 9) of p_bar - p with respect to (rotation, velocity, position), at p (N,
+    3).
+    """
     return np.concatenate([-hats(p), np.zeros((len(p), 3, 3)), _eyes(len(p))], axis=2)
 
 
 def velocity_jacobian(v: np.ndarray) -> np.ndarray:
-    """J (N, 3, 9) of v_bar - v by (rotation, velocity, position), at the estimates v (N, 3)."""
+    """Jacobian (N, 3, 9) of v_bar - v with respect to (rotation, velocity, position), at v (N,
+    3).
+    """
     return np.concatenate([-hats(v), _eyes(len(v)), np.zeros((len(v), 3, 3))], axis=2)
 
 
 def path_length(t: np.ndarray, p: np.ndarray, every: float = 0.5) -> float:
-    """Length [m] of a path p (N, 3) at t (N,), sampled every 0.5 s: a gait's bob does not count."""
+    """Length [m] of a path p (N, 3) at t (N,), sampled every 0.5 s so that a gait's bobbing does
+    not count.
+    """
     rows = np.append(rows_every(t, every), len(t) - 1)
     return float(np.linalg.norm(np.diff(p[rows], axis=0), axis=1).sum())
 

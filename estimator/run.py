@@ -1,7 +1,7 @@
-"""Rows of a log as the compiled loops take them, and what they estimate as a trajectory.
+"""Conversion of a log's rows for the compiled loops, and of their estimates to a trajectory.
 
-Row k of a log holds gyro and accel as means over (t[k-1], t[k]], so the first row that a filter
-sees is where its state stands and predicts nothing; every later one predicts, then updates.
+Row k of a log holds gyro and accel as means over (t[k-1], t[k]]. The first row is therefore the
+time of the filter's initial state and predicts nothing; every later row predicts, then updates.
 """
 
 from typing import NamedTuple
@@ -14,11 +14,13 @@ from surefoot.estimator.evaluation.trajectory import Trajectory, UpdateRecord
 from surefoot.sim.common.errors import SurefootError
 
 OUTPUT_PERIOD = 0.01
-"""s between estimates that are kept, where nothing else is asked for."""
+"""Default interval between stored estimates [s]."""
 
 
 class ImuSamples(NamedTuple):
-    """t (N,) [s]; gyro (N, 3) [rad/s] and accel (N, 3) [m/s^2] in I, means over (t[k-1], t[k]]."""
+    """IMU samples: t (N,) [s]; gyro (N, 3) [rad/s] and accel (N, 3) [m/s^2] in I, means over
+    (t[k-1], t[k]].
+    """
 
     t: np.ndarray
     gyro: np.ndarray
@@ -28,8 +30,8 @@ class ImuSamples(NamedTuple):
 class Velocities(NamedTuple):
     """Measured velocities of the IMU, each used after the prediction of its row.
 
-    rows (M,), increasing; v_I (M, 3) [m/s] in I. A coverage update takes the bounds epsilon (M, 3)
-    [m/s], a Gaussian one the covariances cov (M, 3, 3) [m^2/s^2]: the other is empty.
+    rows (M,), increasing; v_I (M, 3) [m/s] in I. A coverage update uses the bounds epsilon (M, 3)
+    [m/s], a Gaussian one the covariances cov (M, 3, 3) [m^2/s^2]; the other is empty.
     """
 
     rows: np.ndarray
@@ -54,13 +56,13 @@ NO_VELOCITIES = Velocities(
 def imu_samples(t, gyro, accel, after: float | None = None) -> ImuSamples:
     """Checked samples of a whole log, or of a piece that follows the stamp `after`.
 
+    Raises SurefootError naming what is wrong.
+
     Args:
-        t: strictly increasing (N,) [s]; two rows or more where it is a whole log.
+        t: strictly increasing (N,) [s]; at least two rows for a whole log.
         gyro: (N, 3) [rad/s] in I.
         accel: (N, 3) [m/s^2] in I.
         after: None for a whole log, NaN for its first piece.
-
-    Raises SurefootError naming what is wrong.
     """
     t = numbers("t", t, (-1,))
     gyro, accel = numbers("gyro", gyro, (len(t), 3)), numbers("accel", accel, (len(t), 3))
@@ -92,7 +94,7 @@ def bounded_velocities(rows, v_I, epsilon, n: int) -> Velocities:
 
 
 def output_stride(t: np.ndarray, stride: int | None = None) -> int:
-    """Rows from one kept estimate to the next: 100 Hz at the rate of t (N,), where it is None."""
+    """Rows between stored estimates; None means 100 Hz at the rate of t (N,)."""
     if stride is None:
         return max(1, round(OUTPUT_PERIOD / float(np.median(np.diff(t)))))
     if stride < 1:
@@ -101,7 +103,7 @@ def output_stride(t: np.ndarray, stride: int | None = None) -> int:
 
 
 def every_row(t: np.ndarray, stride: int | None) -> np.ndarray:
-    """Rows whose estimates are kept: every stride-th."""
+    """Rows whose estimates are stored: every stride-th."""
     return np.arange(0, len(t), output_stride(t, stride))
 
 
@@ -116,7 +118,7 @@ def trajectory(
     updates: UpdateRecord | None = None,
     innovations: InnovationSums | None = None,
 ) -> Trajectory:
-    """The trajectory of estimates at rows of t, up to the first that is not finite.
+    """Trajectory of estimates at rows of t, up to the first that is not finite.
 
     Args:
         t: stamps (N,) [s] of all rows.

@@ -1,1 +1,1 @@
-"""The groups, the navigation state, and IMU propagation."""
+"""Lie groups, navigation state and IMU propagation."""

@@ -1,5 +1,8 @@
-"""What the filters accept: arrays of the right shape, finite, of sizes that sensors have, and
-covariances that are definite; and states that arithmetic still holds."""
+"""Validation of a filter's inputs and state.
+
+Inputs must have the right shape, be finite and within the range of sensors, and covariances must be
+definite; a state must be within the range of double precision.
+"""
 
 import numpy as np
 
@@ -9,32 +12,38 @@ from surefoot.sim.common.kernels import kernel
 _FLOAT = np.dtype(float)
 
 MOST_GYRO = 200.0
-"""rad/s. The fastest gyros of IMUs end at 4000 deg/s, 70 rad/s."""
+"""Largest accepted rate [rad/s]; the fastest gyros of IMUs reach 4000 deg/s, 70 rad/s."""
 MOST_ACCEL = 1e4
-"""m/s^2. Accelerometers that are made for shocks end at 400 g; a foot's impact has some 10 g."""
+"""Largest accepted specific force [m/s^2]; shock accelerometers reach 400 g, a foot's impact some
+10 g.
+"""
 MOST_STEP = 10.0
-"""s between samples. What follows a longer silence is a new beginning: by then an IMU of 1 mg and
-0.1 deg/s has lost its place by a metre, and what moved it meanwhile was not measured."""
+"""Longest accepted step [s]. After a longer gap the filter must be started anew: an IMU of 1 mg and
+0.1 deg/s has drifted by a metre, and the motion was not measured.
+"""
 MOST_SPEED = 1e3
-"""m/s of a measured velocity: three times that of sound."""
+"""Largest accepted measured velocity [m/s], three times the speed of sound."""
 MOST_ANGLE, MOST_RATE, MOST_TORQUE = 1e4, 1e3, 1e6
-"""rad, rad/s and N m of a joint: 1500 turns, the speed of a bare motor, beyond any machine."""
+"""Largest accepted angle [rad], rate [rad/s] and torque [N m] of a joint: 1500 turns, the speed of
+an unloaded motor, and a torque beyond any machine.
+"""
 MOST_REACH = 1e2
-"""m from the IMU to a foot."""
+"""Largest accepted distance from the IMU to a foot [m]."""
 MOST_DEVIATION = np.repeat([1e3, 1e7, 1e11, 1e3, 1e3], 3)
-"""Deviations (15,) of rotation [rad], velocity [m/s], position [m] and biases [m/s^2, rad/s] beyond
-which a filter has diverged: an IMU alone stays below them for a day, and doubles hold covariances
-that differ by no more."""
+"""Standard deviations (15,) of rotation [rad], velocity [m/s], position [m] and biases [m/s^2,
+rad/s] beyond which a filter has diverged. Integration of an IMU alone stays below them for a day,
+and double precision can represent covariances over this range.
+"""
 MOST_MEAN = np.array([1.1, 1.1, 1.1, 1e7, 1e11, 1e4, 1e3])
-"""The same of the packed mean's rows: rotation, velocity, position and biases."""
+"""The same for the rows of the packed mean: rotation, velocity, position and biases."""
 
 
 class SampleError(SurefootError):
-    """A sample that a filter does not take; the filter is as it was before it."""
+    """A sample that a filter rejects; its state is unchanged."""
 
 
 class DivergedError(SurefootError):
-    """A filter whose state says nothing any more; it takes no further sample."""
+    """A filter whose state has diverged; it accepts no further samples."""
 
 
 def numbers(name: str, value, shape: tuple) -> np.ndarray:
@@ -57,7 +66,7 @@ def vector(name: str, value) -> np.ndarray:
     """`numbers(name, value, (3,))`, fast where `value` is a float array already."""
     if _plain(value, (3,)):
         x, y, z = value.tolist()
-        # Not a number where one of them is infinite or none itself.
+        # NaN if one of them is infinite or NaN itself.
         if (x - x) + (y - y) + (z - z) == 0.0:
             return value
     return numbers(name, value, (3,))
@@ -107,7 +116,7 @@ def spd(name: str, value, size: int) -> np.ndarray:
 
 @kernel
 def all_within(x, most: float) -> bool:
-    """Whether all of x (N,) are numbers no further from zero than `most`."""
+    """Whether all of x (N,) are finite and at most `most` in magnitude."""
     inside = True
     for i in range(x.shape[0]):
         inside &= abs(x[i]) <= most
@@ -133,7 +142,7 @@ def check_sound(mean: np.ndarray, covariance: np.ndarray) -> None:
 
 
 def check_step(gyro, accel, dt: float) -> tuple[np.ndarray, np.ndarray, float]:
-    """An IMU's means over a step. Raises SampleError for one that no IMU gives."""
+    """Check an IMU's means over a step. Raises SampleError for values that no IMU gives."""
     try:
         gyro, accel, dt = vector("gyro", gyro), vector("accel", accel), float(dt)
     except (SurefootError, TypeError, ValueError) as error:
@@ -150,7 +159,7 @@ def check_step(gyro, accel, dt: float) -> tuple[np.ndarray, np.ndarray, float]:
 
 
 def check_velocity(v_I) -> np.ndarray:
-    """A measured velocity (3,) [m/s]. Raises SampleError for one that nothing with legs has."""
+    """Check a measured velocity (3,) [m/s]. Raises SampleError for an implausible one."""
     v_I = vector("v_I", v_I)
     if not all_within(v_I, MOST_SPEED):
         raise SampleError(f"v_I: beyond {MOST_SPEED:g} m/s")
@@ -158,7 +167,7 @@ def check_velocity(v_I) -> np.ndarray:
 
 
 def row_indices(rows, count: int, n: int) -> np.ndarray:
-    """Checked row indices (count,), strictly increasing inside [0, n)."""
+    """Check row indices (count,), strictly increasing inside [0, n)."""
     rows = np.asarray(rows)
     if rows.shape != (count,):
         raise SurefootError(f"rows: shape {rows.shape} where ({count},) is expected, one a v_I")

@@ -5,10 +5,10 @@ from surefoot.sim.common.kernels import kernel
 
 @kernel
 def copy_corner(x, out):
-    """The first rows and columns of x into the whole of out (n, m).
+    """Copy the first rows and columns of x into all of out (n, m).
 
-    Number by number: of an assignment of arrays numba compiles the words of its error, which takes
-    four seconds.
+    Element by element: for an array assignment, numba also compiles the formatting of its error
+    message, which takes four seconds.
     """
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):

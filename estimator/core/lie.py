@@ -17,7 +17,7 @@ import numpy as np
 
 from surefoot.sim.common.kernels import kernel
 
-# Below this squared angle the series, above it the recursion, is the accurate one.
+# Below this squared angle the series is more accurate, above it the recursion.
 _SERIES_LIMIT = 4.0
 
 
@@ -58,7 +58,7 @@ def hat(phi):
 
 
 def hats(x: np.ndarray) -> np.ndarray:
-    """`hat` of every one of x (..., 3): (..., 3, 3)."""
+    """`hat` of each of x (..., 3): (..., 3, 3)."""
     zero = np.zeros_like(x[..., 0])
     a, b, c = x[..., 0], x[..., 1], x[..., 2]
     rows = [[zero, -c, b], [c, zero, -a], [-b, a, zero]]
@@ -111,7 +111,7 @@ def so3_left_jacobian(phi):
 def so3_left_jacobian_inverse(phi):
     """Inverse (3, 3) of the left Jacobian of SO(3) at phi (3,), |phi| < 2 pi."""
     x = phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2
-    # (1 - (theta/2) cot(theta/2)) / theta^2 through the half angle: no small quotient remains.
+    # (1 - (theta/2) cot(theta/2)) / theta^2 by the half angle, which avoids small quotients.
     _, e1, e2, e3, _, _, _ = entire(0.25 * x)
     out = np.empty((3, 3))
     _polynomial(phi, 1.0, -0.5, 0.25 * (e2 - e3) / e1, out)
@@ -122,7 +122,7 @@ def so3_left_jacobian_inverse(phi):
 def so3_log(R):
     """Rotation vector (3,) [rad], |phi| <= pi, of the rotation matrix R (3, 3).
 
-    Goes through the largest quaternion component, so it keeps its digits at 0 and at pi.
+    Uses the largest quaternion component, so it is accurate near 0 and pi.
     """
     q = np.empty(4)
     q[0] = 1.0 + R[0, 0] + R[1, 1] + R[2, 2]

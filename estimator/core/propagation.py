@@ -1,19 +1,19 @@
-"""IMU propagation: the mean and the covariance, both exact for an IMU sample held over its step.
+"""IMU propagation of mean and covariance, exact for an IMU sample that is constant over its step.
 
 With Gamma_m of `estimator.core.lie`, phi = (gyro - b_g) dt and a = accel - b_a, the mean moves by
 
     R' = R Gamma_0,   v' = v + g dt + R Gamma_1 a dt,   p' = p + v dt + g dt^2/2 + R Gamma_2 a dt^2
 
 (eq. estimator_dynamics integrated). The right-invariant error moves by xi' = F xi + B delta b,
-where F holds gravity and dt alone and the columns of B, for (b_a, b_g), are
+where F contains gravity and dt alone and the columns of B, for (b_a, b_g), are
 
     rotation   0,               B_R = -R Gamma_1 dt
     velocity   -R Gamma_1 dt,   [v']x B_R - R d(Gamma_1 a)/dphi dt^2
     position   -R Gamma_2 dt^2, [p']x B_R - R d(Gamma_2 a)/dphi dt^3.
 
-This is the Phi of eq. continuous_error_dynamics (Hartley 2020) without a small-step approximation:
-it is the derivative of the discrete step itself. The noise of a sample is held over the step as
-the sample is, so Q_d = B (Q/dt) B^T + walks.
+This is Phi of eq. continuous_error_dynamics (Hartley 2020) without a small-step approximation: the
+derivative of the discrete step itself. The noise of a sample is constant over the step like the
+sample, so Q_d = B (Q/dt) B^T + walks.
 """
 
 import numpy as np
@@ -54,7 +54,7 @@ def propagate_mean(mean, gyro, accel, dt: float, columns):
         dt: the step [s].
         columns: (15+3E, 6), receives B, the derivative by (b_a, b_g).
     """
-    # One piece of memory for all: asking for many is slower than the arithmetic.
+    # One allocation for all matrices: several are slower than the arithmetic.
     work = np.empty((7, 3, 3))
     G0, G1, G2, D1, D2, R = work[0], work[1], work[2], work[3], work[4], work[5]
     phi, a = work[6, 0], work[6, 1]
@@ -125,7 +125,7 @@ def gamma_derivatives(phi, a, d_gamma_1, d_gamma_2):
             d_gamma_2[i, j] = e4 * dw + t2 * phi[j]
         d_gamma_1[i, i] += e3 * dot
         d_gamma_2[i, i] += e4 * dot
-    # u = phi x a turns with phi as -[a]x.
+    # du/dphi = -[a]x for u = phi x a.
     for d, e in ((d_gamma_1, e2), (d_gamma_2, e3)):
         d[0, 1] += e * a[2]
         d[1, 0] -= e * a[2]
@@ -139,9 +139,9 @@ def gamma_derivatives(phi, a, d_gamma_1, d_gamma_2):
 def propagate_covariance(covariance, columns, rotation_columns, dt: float, noise):
     """Sigma' = Phi Sigma Phi^T + Q_d (eq. covariance_propagation), in place.
 
-    Phi = [F B; 0 I] acts by additions of rows, since F is sparse. Of (Phi Sigma) Phi^T one half is
-    computed: row i of Phi Sigma is read for the last time there, so that element (i, j) may be
-    kept at (j, i), whose row is done with. The noise Q/dt of B goes in with the bias columns.
+    Phi = [F B; 0 I] is applied by row additions, since F is sparse. Only one half of (Phi Sigma)
+    Phi^T is computed: row i of Phi Sigma is read for the last time then, so element (i, j) may be
+    stored at (j, i), whose row is finished. The noise Q/dt of B is added with the bias columns.
 
     Args:
         covariance: (15+3E, 15+3E).
@@ -194,8 +194,8 @@ def propagate_covariance(covariance, columns, rotation_columns, dt: float, noise
 
 @kernel
 def _add_rows(M, columns, rotation_columns, dt: float):
-    """M <- Phi M in place: position reads velocity and rotation as they were, velocity the
-    rotation, so they go in this order.
+    """M <- Phi M in place. Position uses the old velocity and rotation, and velocity the old
+    rotation, which determines the order.
     """
     n = M.shape[0]
     fall = 0.5 * GRAVITY * dt * dt
@@ -208,7 +208,7 @@ def _add_rows(M, columns, rotation_columns, dt: float):
     for i in range(15, n):
         c, b = rotation_columns[i - 15], columns[i]
         c0, c1, c2, b3, b4, b5 = c[0], c[1], c[2], b[3], b[4], b[5]
-        # Extra rows without any coupling, of swinging feet or plain vectors, stay as they are.
+        # Extra rows without coupling, of swinging feet or plain vectors, are unchanged.
         if c0 != 0.0 or c1 != 0.0 or c2 != 0.0 or b3 != 0.0 or b4 != 0.0 or b5 != 0.0:
             for j in range(n):
                 M[i, j] += c0 * M[0, j] + c1 * M[1, j] + c2 * M[2, j]
@@ -226,11 +226,11 @@ def _add_rows(M, columns, rotation_columns, dt: float):
 
 
 # A call from Python costs more than the arithmetic of a step, and checks in Python more than the
-# call: with a signature it takes C-contiguous float arrays alone (TypeError otherwise).
+# call. With a signature, it accepts C-contiguous float arrays only (TypeError otherwise).
 @kernel(signature="b1(f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, f8[:,::1], f8[:,::1], f8[:,::1])")
 def propagate_checked(mean, covariance, gyro, accel, dt, noise, columns, rotation_columns) -> bool:
-    """`propagate` for a sample that an IMU gives and a sound state: True, or False with nothing
-    changed.
+    """`propagate` with checks of sample and state; returns False, with nothing changed, if they
+    fail.
 
     Args:
         mean: (7+E, 3), the packed mean, in place.

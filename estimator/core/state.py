@@ -1,12 +1,12 @@
-"""The navigation state, its packed form inside the kernels, and the noise of the IMU.
+"""The navigation state, its packed form in the kernels, and the noise of the IMU.
 
-The kernels keep a state as one array `mean` (7+E, 3) with the rows
+The kernels store a state as one array `mean` (7+E, 3) with the rows
 
     0..2 R_GI | 3 v_GI | 4 p_GI | 5 b_a | 6 b_g | 7.. extra vectors
 
-and its covariance (15+3E, 15+3E) in the right-invariant error order of the paper,
-(rotation, velocity, position, b_a, b_g, extras): error 3k..3k+2 of k >= 1 belongs to row 2+k.
-Extras are contact points (columns of the group, as v and p are) or plain vectors (as biases are).
+and its covariance (15+3E, 15+3E) in the right-invariant error order of the paper, (rotation,
+velocity, position, b_a, b_g, extras): error 3k..3k+2 of k >= 1 belongs to row 2+k. Extras are
+contact points (columns of the group, like v and p) or plain vectors (like biases).
 """
 
 from dataclasses import dataclass, field
@@ -65,13 +65,18 @@ class NavState:
 
 @dataclass(frozen=True)
 class FilterNoise:
-    """Continuous-time noise densities of the IMU; a number each, or three (one an axis of I).
+    """Continuous-time noise densities of the IMU, one number or three (one for each axis of I).
 
-    gyro [rad/s/sqrt(Hz)], accel [m/s^2/sqrt(Hz)], gyro_walk [rad/s^2/sqrt(Hz)] and accel_walk
-    [m/s^3/sqrt(Hz)]. The white-noise defaults are twice the data-sheet figures of the Bosch BMI088
-    (0.014 deg/s/sqrt(Hz) and 175 ug/sqrt(Hz)), a MEMS IMU common on quadrupeds: impacts of the feet
-    and misalignment add to what a sheet measures on a bench. The walks let a bias move by about
-    1e-3 rad/s and 1e-2 m/s^2 in 100 s.
+    The white-noise defaults are twice the data-sheet figures of the Bosch BMI088 (0.014
+    deg/s/sqrt(Hz) and 175 ug/sqrt(Hz)), a MEMS IMU common on quadrupeds, since impacts of the feet
+    and misalignment add to the noise on a bench. The walks let a bias change by about 1e-3 rad/s
+    and 1e-2 m/s^2 in 100 s.
+
+    Attributes:
+        gyro: white noise [rad/s/sqrt(Hz)].
+        accel: white noise [m/s^2/sqrt(Hz)].
+        gyro_walk: random walk of the bias [rad/s^2/sqrt(Hz)].
+        accel_walk: random walk of the bias [m/s^3/sqrt(Hz)].
     """
 
     gyro: float | np.ndarray = 5e-4

@@ -1,1 +1,1 @@
-"""Trajectories, and how consistent an estimate is."""
+"""Trajectories, and tests of an estimate's consistency."""

@@ -1,23 +1,22 @@
-"""Whether an estimate is to be believed, from what the filter saw and claimed; no reference is
-used.
+"""Tests whether an estimate is trustworthy, from the filter's own record, without a reference.
 
-A filter whose model holds has innovations of the covariance that it claims, white, and biases that
-stay within their priors. Real ones are tuned by hand and miss this by some factor, which is told
-(`Health.table`) and is no reason for alarm. What is: that a filter which claims deviations
-TOLERATED times too small would still do this less than once in as many runs as RUN_ALARM says.
-Each test says when it failed first.
+A filter whose model is correct has white innovations with the claimed covariance, and biases that
+stay within their priors. Real filters are tuned by hand and deviate by some factor, which is
+reported (`Health.table`) but raises no alarm. The tests fail only if a filter whose claimed
+deviations are TOLERATED times too small would fail them in less than RUN_ALARM of all runs. Each
+test states when it failed first.
 
-- Innovations. Over a window the sum of white innovations r has the variance sum W, axis by axis, so
-  that (sum r)^2 / sum W over three axes is chi-square with 3 degrees of freedom, whatever the
-  correlations within a stride: windows are the independent samples. The sum is what moves the
-  estimate; the mean of r^T W^-1 r (NIS) is told beside it, but filters whose noise stands for
+- Innovations. Over a window, the sum of white innovations r has the variance sum W, axis by axis,
+  so (sum r)^2 / sum W over three axes is chi-square with 3 degrees of freedom, whatever the
+  correlations within a stride: windows are the independent samples. It is the sum that moves the
+  estimate. The mean of r^T W^-1 r (NIS) is reported as well, but filters whose noise covers
   systematic errors keep it far below its expectation while they are wrong.
-- Corrections. Sensors that keep no innovations are judged by their effect: how far updates move the
-  velocity from where the IMU took it, against what the claimed errors of tilt and accelerometer do.
-- Biases. b(t) - b(0) has at most the covariance of the prior and of the walk since.
-- Feet or velocities that are rejected: a test that for a second rejects all feet, or rejects more
-  than half of a sensor's measurements, has a wrong estimate or a wrong sensor (half is where any
-  robust estimate breaks down).
+- Corrections. Sensors without recorded innovations are judged by their effect: how far updates move
+  the velocity from the IMU's prediction, compared with the claimed errors of tilt and
+  accelerometer.
+- Biases. b(t) - b(0) has at most the covariance of the prior and of the random walk since.
+- Rejections. If all feet are rejected for a second, or more than half of a sensor's measurements,
+  the estimate or the sensor is wrong (half is the breakdown point of any robust estimate).
 - Speed, variances that are not positive, estimates that are not finite.
 """
 
@@ -39,20 +38,24 @@ from surefoot.estimator.evaluation.innovation_sums import (
 from surefoot.estimator.evaluation.run_summary import RunSummary
 
 RUN_ALARM = 1e-4
-"""Chance that one of the tests fails on a run of a filter whose model holds."""
+"""Probability that one of the tests fails on a run of a filter whose model is correct."""
 TOLERATED = 3.0
-"""Factor by which claimed deviations may be too small: three of the filter's deviations are then
-one of the truth's. A filter beyond it has the wrong noise or has lost its way."""
+"""Factor by which claimed deviations may be too small. A filter beyond it has the wrong noise or is
+lost.
+"""
 FASTEST = 13.0
-"""m/s: no robot on legs has run faster (Boston Dynamics' Cheetah, 12.7 m/s in 2012)."""
+"""Largest plausible speed [m/s]: no legged robot has run faster (Boston Dynamics' Cheetah, 12.7 m/s
+in 2012).
+"""
 BREAKDOWN = 0.5
-"""Share of a sensor's measurements that may be rejected: half is where any robust estimate breaks
-down."""
+"""Share of a sensor's measurements that may be rejected: the breakdown point of any robust
+estimate.
+"""
 
 
 @dataclass(frozen=True)
 class Doubt:
-    """One reason not to believe an estimate, and the time [s] from which it holds."""
+    """A reason not to trust an estimate, and the time [s] from which it holds."""
 
     reason: str
     since: float
@@ -60,11 +63,16 @@ class Doubt:
 
 @dataclass(frozen=True)
 class SensorHealth:
-    """Of one sensor's updates: how many were used, the share of measurements rejected; nis, the
-    mean of r^T W^-1 r (3 where the claimed covariance W is right); whiteness, the variance of the
-    sum of a window's innovations over the sum of their variances, each as measured (1 where they
-    are white, more where they hang together); drift, the same over the claimed variances (1 where
-    both hold).
+    """Statistics of one sensor's updates.
+
+    Attributes:
+        name: of the sensor.
+        used: number of updates used.
+        rejected: share of the measurements that were rejected.
+        nis: mean of r^T W^-1 r, 3 if the claimed covariance W is right.
+        whiteness: variance of the sum of a window's innovations over the sum of their variances,
+            both as measured: 1 if white, more if correlated.
+        drift: the same over the claimed variances: 1 if both hold.
     """
 
     name: str
@@ -77,11 +85,15 @@ class SensorHealth:
 
 @dataclass(frozen=True)
 class Health:
-    """What a run says of itself.
+    """Result of the tests of a run.
 
-    sensors, in the order of a log's feet, then velocities; those without a measurement are left
-    out. biases (6,), the largest deviation of b_a and b_g from the first estimate in deviations of
-    prior and walk. speed [m/s], the highest. doubts, in the order in which they began.
+    Attributes:
+        sensors: in the order of a log's feet, then velocities; those without a measurement are
+            omitted.
+        biases: largest deviation of b_a and b_g from the first estimate (6,), in standard
+            deviations of prior and walk.
+        speed: the highest [m/s].
+        doubts: in the order of time.
     """
 
     sensors: tuple[SensorHealth, ...]
@@ -91,23 +103,23 @@ class Health:
 
     @property
     def lost(self) -> bool:
-        """Whether the estimate is not to be believed."""
+        """Whether the estimate is not to be trusted."""
         return bool(self.doubts)
 
     @property
     def since(self) -> float:
-        """When the first doubt began [s]; NaN without one."""
+        """Time of the first doubt [s]; NaN without one."""
         return self.doubts[0].since if self.doubts else np.nan
 
     def sentence(self, name: str) -> str:
-        """Why the estimate of the filter of this name is not to be believed; empty if it is."""
+        """Why the estimate of the filter of this name is not to be trusted; empty if it is."""
         if not self.doubts:
             return ""
         reasons = "; ".join(f"{d.reason} (from t = {d.since:.1f} s)" for d in self.doubts)
         return f"{name} is not to be trusted: {reasons}"
 
     def table(self) -> list[dict[str, float | str]]:
-        """A row a sensor, for `surefoot.scenarios.reporting.tables`."""
+        """One row per sensor, for `surefoot.scenarios.reporting.tables`."""
         return [
             {
                 "sensor": one.name,
@@ -122,13 +134,13 @@ class Health:
 
 
 def health(run: RunSummary, names: Sequence[str], walk: tuple[float, float]) -> Health:
-    """The judgement of a run.
+    """Test a run.
 
     Args:
         run: its summary.
         names: of the feet, in the log's order.
         walk: densities of the random walks of b_a [m/s^3/sqrt(Hz)] and b_g [rad/s^2/sqrt(Hz)] that
-            the filter takes.
+            the filter assumes.
     """
     sensors = [f"foot {name}" for name in names] if run.sums.shape[1] > 1 else []
     sensors = [*sensors, "velocity"][: run.sums.shape[1]]
@@ -145,7 +157,7 @@ def health(run: RunSummary, names: Sequence[str], walk: tuple[float, float]) -> 
 
 
 def _drifts(sums: np.ndarray) -> np.ndarray:
-    """(sum r)^2 / sum W of windows (..., 10), summed over the axes; 0 where there was no update."""
+    """(sum r)^2 / sum W of windows (..., 10), summed over the axes; 0 without updates."""
     variance = sums[..., VARIANCE : VARIANCE + 3]
     square = sums[..., SUM : SUM + 3] ** 2
     return np.divide(square, variance, out=np.zeros_like(square), where=variance > 0).sum(axis=-1)
@@ -208,7 +220,7 @@ def _corrections(run: RunSummary) -> Iterator[Doubt]:
 
 
 def _bias_deviations(run: RunSummary, walk: tuple[float, float]) -> np.ndarray:
-    """Of the biases (W, 6) from the first, in deviations of prior and walk."""
+    """Deviations of the biases (W, 6) from the first, in standard deviations of prior and walk."""
     elapsed = np.maximum(run.start - run.start[0], 0.0)[:, None] + SUM_WINDOW
     variance = run.prior**2 + np.repeat(walk, 3) ** 2 * elapsed
     moved = np.abs(run.bias - run.first)

@@ -12,8 +12,13 @@ from surefoot.sim.log import Log
 
 @dataclass(frozen=True)
 class Innovations:
-    """t (M,) [s]; z (M, 3) [m/s], measured minus expected v_I; S (M, 3, 3) [m^2/s^2] = R^T P_vv R,
-    the covariance that the filter gives its own velocity, in I (noise of the measurement not in).
+    """Innovations of velocity updates.
+
+    Attributes:
+        t: time (M,) [s].
+        z: measured minus expected v_I (M, 3) [m/s].
+        S: R^T P_vv R (M, 3, 3) [m^2/s^2], the filter's covariance of its own velocity in I, without
+            the noise of the measurement.
     """
 
     t: np.ndarray
@@ -30,8 +35,8 @@ class Innovations:
 def innovations(log: Log, trajectory: Trajectory) -> Innovations:
     """Innovations of a filter's velocity updates, from its output and the log's IMU.
 
-    The estimate before an update is the last one written before it, carried on by the IMU; S is
-    taken where it was written, at most a few samples earlier. Raises TrajectoryError where the
+    The estimate before an update is the last one stored before it, propagated by the IMU; S is
+    taken where it was stored, a few samples earlier at most. Raises TrajectoryError where the
     trajectory has no updates or no covariance.
     """
     if trajectory.updates is None or trajectory.covariance is None:

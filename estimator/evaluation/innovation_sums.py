@@ -1,8 +1,8 @@
-"""What a filter's updates found, summed over windows of time: enough to judge them afterwards.
+"""Sums of a filter's innovations over windows of time, enough to test its consistency afterwards.
 
-Of innovations r of claimed covariance W = S + R, the mean of r^T W^-1 r is their dimension if W is
-right. If they are white besides, the variance of their sum is the sum of their variances, axis by
-axis: what it is more says for how long they hang together. Neither needs more than sums.
+For innovations r with claimed covariance W = S + R, the mean of r^T W^-1 r is their dimension if W
+is right. If they are white as well, the variance of their sum is the sum of their variances, axis
+by axis; an excess measures their correlation time. Both need sums only.
 """
 
 from dataclasses import dataclass
@@ -12,20 +12,22 @@ import numpy as np
 from surefoot.sim.common.kernels import kernel
 
 SUM_WINDOW = 1.0
-"""s, about two strides."""
+"""Length of a window [s], about two strides."""
 COUNT, LEFT_OUT, SQUARED, SUM, VARIANCE, RESTARTED = 0, 1, 2, 3, 6, 9
-"""Columns (10) of a sensor's sums: updates used, those left out (of a foot that slipped, as long as
-it is held out), r^T W^-1 r, of I's axes r (3) and the diagonal of W (3), and how often the filter
-took back what it claimed because no foot passed its test."""
+"""Columns (10) of a sensor's sums: number of updates used and left out (for a foot that slipped, as
+long as it is held out), r^T W^-1 r, components of r in I (3), diagonal of W (3), and how often the
+filter reset its confidence because no foot passed its test.
+"""
 
 
 @dataclass(frozen=True)
 class InnovationSums:
-    """Sums of the updates of some sensors.
+    """Sums over the updates of some sensors.
 
-    start (W,) [s], when each window of SUM_WINDOW begins, multiples of it; sums (W, S, 10), the
-    columns COUNT to RESTARTED of each sensor. Sensors are the feet of a leg filter, in the log's
-    order, and then the velocities.
+    Attributes:
+        start: start of each window of SUM_WINDOW (W,) [s], a multiple of it.
+        sums: columns COUNT to RESTARTED of each sensor (W, S, 10). Sensors are the feet of a leg
+            filter, in the log's order, then the velocities.
     """
 
     start: np.ndarray
@@ -33,30 +35,30 @@ class InnovationSums:
 
 
 def no_sums(sensors: int) -> np.ndarray:
-    """The sums (S, 10) of sensors that have seen nothing."""
+    """Sums (S, 10) of sensors without updates."""
     return np.zeros((sensors, 10))
 
 
 def windows_of(t: np.ndarray) -> np.ndarray:
-    """Which window each stamp (N,) [s] is in, as a whole number of SUM_WINDOW."""
+    """Index of each stamp's window (N,), in multiples of SUM_WINDOW; t (N,) [s]."""
     return np.floor(t / SUM_WINDOW).astype(np.int64)
 
 
 def empty_sums(window: np.ndarray, sensors: int) -> InnovationSums:
-    """Sums to fill, for the windows of successive rows (N,)."""
+    """Empty sums for the windows of successive rows (N,)."""
     start = window[np.r_[True, np.diff(window) != 0]] if len(window) else window
     return InnovationSums(start * SUM_WINDOW, np.zeros((len(start), sensors, 10)))
 
 
 @kernel
 def add_rejected(sums):
-    """One update more that was rejected."""
+    """Count a rejected update."""
     sums[LEFT_OUT] += 1.0
 
 
 @kernel
 def add_innovation(sums, distance: float, residual, S, measurement_cov):
-    """One update more that was used.
+    """Count an update that was used.
 
     Args:
         sums: of the sensor (10,), in place.

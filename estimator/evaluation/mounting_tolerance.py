@@ -1,9 +1,9 @@
-"""How an IMU is mounted is known to a tolerance only; what that adds to an estimate's covariance.
+"""Contribution of the IMU's mounting tolerance to an estimate's covariance.
 
-A filter estimates the attitude of the axes along which the IMU measures, R_GS: gravity shows it
-their tilt. What is asked for, and what a reference gives, is the attitude of the nominal frame I in
-the body, R_GI = R_GS exp(-d^), whose d is small, constant, and nowhere in the filter. Its two
-components across the vertical are lost in no alignment; the one about it is, as is yaw.
+A filter estimates the attitude R_GS of the axes along which the IMU measures, whose tilt gravity
+reveals. A reference gives the attitude of the nominal frame I in the body, R_GI = R_GS exp(-d^),
+where d is small, constant, and not part of the filter. Alignment cannot remove the two components
+of d across the vertical; it does remove the one about it, as it does yaw.
 """
 
 from dataclasses import replace
@@ -14,14 +14,14 @@ from surefoot.estimator.core.lie import hats
 from surefoot.estimator.evaluation.trajectory import Trajectory
 
 ACROSS = np.diag([1.0, 1.0, 0.0])
-"""The axes of I about which a turned sensor shows as tilt, for a body that walks upright."""
+"""Axes of I about which a mounting error appears as tilt, for an upright body."""
 
 
 def with_mounting(estimate: Trajectory, std: float) -> Trajectory:
-    """The same estimate, its covariance that of the nominal frame I; std [rad] of d about x and y.
+    """The same estimate with the covariance for the nominal frame I; std [rad] of d about x and y.
 
-    Velocity and position stay what they are: p_bar - p = xi_p - [p_bar]x xi_R to first order, so
-    the right-invariant error moves by (d_G, [v]x d_G, [p]x d_G) with d_G = R_GI d.
+    Velocity and position are unchanged: p_bar - p = xi_p - [p_bar]x xi_R to first order, so the
+    right-invariant error moves by (d_G, [v]x d_G, [p]x d_G) with d_G = R_GI d.
     """
     if estimate.covariance is None or std == 0.0:
         return estimate

@@ -1,4 +1,4 @@
-"""A run in windows of a second: all that is kept of it to say afterwards whether to believe it."""
+"""Summary of a run in windows of a second, from which its trustworthiness is tested afterwards."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
@@ -11,20 +11,26 @@ from surefoot.sim.common.gravity import GRAVITY, GRAVITY_G
 from surefoot.sim.log import Log
 
 ACCEL_NOISE = 0.03
-"""m/s^2/sqrt(Hz), the largest density of an accelerometer's noise that a bundled filter takes."""
+"""Largest accelerometer noise density of the bundled filters [m/s^2/sqrt(Hz)]."""
 
 
 @dataclass(frozen=True)
 class RunSummary:
-    """What a filter did in each window (W,) of SUM_WINDOW that begins at start [s].
+    """What a filter did in each window of SUM_WINDOW.
 
-    sums (W, S, 10), of `surefoot.estimator.evaluation.innovation_sums`, S = 0 for a filter that
-    keeps none. bias (W, 6), b_a [m/s^2] and b_g [rad/s] at the window's end; speed (W,) [m/s], the
-    highest; pushed (W,) [m/s], how far the updates moved the velocity from where the IMU took it,
-    all in all, and push_claimed (W,), the deviation of an axis of it that the claimed errors of
-    tilt and accelerometer explain; definite (W,) bool, whether all its covariances have variances >
-    0. prior (6,), the biases' claimed deviations at the first estimate, and first (6,), the biases
-    there; diverged, whether the estimates end because they were no longer finite.
+    Attributes:
+        start: start of the windows (W,) [s].
+        sums: `surefoot.estimator.evaluation.innovation_sums` (W, S, 10), S = 0 for a filter
+            without.
+        bias: b_a [m/s^2] and b_g [rad/s] at the window's end (W, 6).
+        speed: the highest (W,) [m/s].
+        pushed: total change of the velocity by updates (W,) [m/s].
+        push_claimed: standard deviation of an axis of it that the claimed errors of tilt and
+            accelerometer explain (W,) [m/s].
+        definite: whether all variances are positive (W,).
+        first: biases at the first estimate (6,).
+        prior: their claimed deviations there (6,).
+        diverged: whether the estimates end because they were no longer finite.
     """
 
     start: np.ndarray
@@ -40,7 +46,7 @@ class RunSummary:
 
 
 def summary_of_run(estimate: Trajectory, log: Log) -> RunSummary:
-    """The summary of an estimate of a log, or of a piece of one."""
+    """Summarise an estimate of a log, or of a piece of one."""
     if not len(estimate.t):
         none = np.zeros(0)
         sums, bias, flags = np.zeros((0, 0, 10)), np.zeros((0, 6)), np.zeros(0, dtype=bool)
@@ -75,7 +81,7 @@ def summary_of_run(estimate: Trajectory, log: Log) -> RunSummary:
 
 
 def _pushes(estimate: Trajectory, log: Log) -> np.ndarray:
-    """Velocity (L, 3) [m/s] in G that updates added up to each estimate since the one before."""
+    """Velocity (L, 3) [m/s] in G that updates added to each estimate since the one before."""
     rows = np.searchsorted(log.t, estimate.t - 1e-9)
     dt = np.diff(log.t, prepend=log.t[0])
     force = np.cumsum(log.accel * dt[:, None], axis=0)
@@ -87,17 +93,17 @@ def _pushes(estimate: Trajectory, log: Log) -> np.ndarray:
 
 
 def _push_variance(variances: np.ndarray) -> np.ndarray:
-    """Variance (L,) [m^2/s^2] of what an axis of the velocity is moved by in a window.
+    """Variance (L,) [m^2/s^2] of the change of an axis of the velocity in a window.
 
-    Variances (L, 15) of the error state: a wrong tilt and a wrong bias pull all the time, and the
-    velocity itself is unknown at either end.
+    From variances (L, 15) of the error state: errors of tilt and bias act throughout, and the
+    velocity itself is uncertain at both ends.
     """
     tilt, velocity, b_a = (variances[:, at].max(axis=1) for at in ([0, 1], [3, 4, 5], [9, 10, 11]))
     return SUM_WINDOW**2 * (GRAVITY**2 * tilt + b_a) + 2.0 * velocity + ACCEL_NOISE**2 * SUM_WINDOW
 
 
 def joined_summary(parts: Iterable[RunSummary]) -> RunSummary:
-    """The summaries of pieces that follow each other as one; a window may lie in two of them."""
+    """Join the summaries of successive pieces; a window may lie in two of them."""
     parts = list(parts)
     joint = {f.name: getattr(parts[0], f.name) for f in fields(RunSummary)}
     for part in parts[1:]:
@@ -122,4 +128,4 @@ _MERGE = {
     "push_claimed": np.maximum,
     "definite": np.logical_and,
 }
-"""How a window's two halves become one."""
+"""How the two parts of a window are combined."""

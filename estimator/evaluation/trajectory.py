@@ -1,4 +1,4 @@
-"""A trajectory: what a filter estimates or the reference says; as Parquet and as TUM text."""
+"""Trajectories, estimated or of a reference, and their files: Parquet and TUM text."""
 
 from __future__ import annotations
 
@@ -42,12 +42,14 @@ class TrajectoryError(SurefootError):
 
 @dataclass(frozen=True)
 class UpdateRecord:
-    """What each velocity update saw and did.
+    """Record of the velocity updates.
 
-    t (M,) [s]; v_I (M, 3) [m/s] the measured velocity of the IMU in I. A coverage update adds
-    epsilon (M, 3) [m/s] its bounds and pi (M,) the prior mass inside them (eq.
-    pi_def_error_state); active (M,) says whether the state changed (pi < gamma; a Gaussian update
-    always is active). A Gaussian update has epsilon and pi None.
+    Attributes:
+        t: time (M,) [s].
+        v_I: measured velocity of the IMU in I (M, 3) [m/s].
+        epsilon: bounds of a coverage update (M, 3) [m/s]; None for Gaussian updates.
+        pi: prior mass inside the bounds (M,) (eq. pi_def_error_state); None for Gaussian updates.
+        active: whether the state changed (M,): pi < gamma, or a Gaussian update.
     """
 
     t: np.ndarray
@@ -59,13 +61,20 @@ class UpdateRecord:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Poses, velocities and biases at t (N,) [s].
+    """Poses, velocities and biases at N times.
 
-    R_GI (N, 3, 3); v_GI (N, 3) [m/s] and p_GI (N, 3) [m] in G; b_a (N, 3) [m/s^2] and b_g (N, 3)
-    [rad/s] in I; covariance (N, 15, 15) of the right-invariant error (rotation, velocity, position,
-    b_a, b_g), None where nothing is claimed (a reference). updates, what each velocity update did;
-    innovations, what all updates found; diverged, whether the estimates that followed were not
-    finite and are left out. No file keeps the last two.
+    Attributes:
+        t: time (N,) [s].
+        R_GI: (N, 3, 3).
+        v_GI: (N, 3) [m/s] in G.
+        p_GI: (N, 3) [m] in G.
+        b_a: (N, 3) [m/s^2] in I.
+        b_g: (N, 3) [rad/s] in I.
+        covariance: of the right-invariant error (rotation, velocity, position, b_a, b_g) (N, 15,
+            15); None for a reference.
+        updates: record of the velocity updates.
+        innovations: sums over all updates; not stored in files.
+        diverged: whether later estimates were not finite and are omitted; not stored in files.
     """
 
     t: np.ndarray
@@ -96,14 +105,16 @@ class Trajectory:
         return np.einsum("nij,ni->nj", self.R_GI, self.v_GI)
 
     def rows(self, which: slice | np.ndarray) -> Trajectory:
-        """The trajectory at some rows: a slice, a mask (N,) or indices. Updates stay whole."""
+        """Select rows by a slice, a mask (N,) or indices. Updates are kept whole."""
         arrays = {name: getattr(self, name)[which] for name in ("t", "R_GI", *_POSE)}
         covariance = None if self.covariance is None else self.covariance[which]
         return replace(self, **arrays, covariance=covariance)
 
     def write(self, path: str | Path, force: bool = False, warnings: Sequence[str] = ()) -> None:
-        """Write one Parquet file, whole or not at all; refuses to overwrite without `force`. Its
-        metadata keep `warnings`: what in its log was not plausible."""
+        """Write one Parquet file, whole or not at all; refuses to overwrite without `force`.
+
+        `warnings`, about what in the log was not plausible, are kept in its metadata.
+        """
         with TrajectoryWriter(path, force, tuple(self._columns()), warnings) as file:
             file.write(self)
 
@@ -127,7 +138,9 @@ class Trajectory:
 
     @classmethod
     def read(cls, path: str | Path) -> Trajectory:
-        """The trajectory at `path`. Raises TrajectoryError, one line naming the file and column."""
+        """Read the trajectory at `path`. Raises TrajectoryError, one line naming the file and
+        column.
+        """
         try:
             path = admitted(path, "recording")
             about = pq.read_metadata(path)
@@ -167,24 +180,24 @@ class Trajectory:
         )
 
     def write_tum(self, path: str | Path, force: bool = False) -> None:
-        """Write t x y z qx qy qz qw a line (TUM format), 17 digits, so nothing is lost."""
+        """Write lines of t x y z qx qy qz qw (TUM format) with 17 digits, so nothing is lost."""
         with whole_file(path, force) as temporary, temporary.open("w") as file:
             self.append_tum(file)
 
     def append_tum(self, file: TextIO) -> None:
-        """The same lines at the end of an open file."""
+        """Append the same lines to an open file."""
         q = quaternion_from_matrix(self.R_GI)
         table = np.column_stack([self.t, self.p_GI, q[:, 1:], q[:, :1]])
         np.savetxt(file, table, fmt="%.17g")
 
 
 class TrajectoryWriter:
-    """A file of a trajectory that comes in pieces, a row group each: whole or not there at all.
+    """Writer of a trajectory that comes in pieces, one row group each; the file is whole or absent.
 
     Columns: t, q_{w,x,y,z}, {p,v,b_a,b_g}_{x,y,z}, the upper triangle cov_<i>_<j>, and for the
     updates update_{t,v_*,epsilon_*,pi,active}; in each row group the shorter of the two is padded
-    with NaN. `with TrajectoryWriter(path) as file: file.write(trajectory)`, as often as there are
-    pieces; `Trajectory.read` gives them as one.
+    with NaN. `with TrajectoryWriter(path) as file: file.write(trajectory)`, once per piece;
+    `Trajectory.read` returns them as one.
     """
 
     def __init__(
@@ -194,13 +207,13 @@ class TrajectoryWriter:
         columns: tuple[str, ...] | None = None,
         warnings: Sequence[str] = (),
     ):
-        """Nothing is written yet.
+        """Prepare a file; nothing is written yet.
 
         Args:
             path: of the file.
-            force: whether to overwrite one that is there; SurefootError otherwise.
-            columns: of the file; all where left out, NaN where a piece has none of them.
-            warnings: what in its log was not plausible, kept in the file's metadata.
+            force: whether to overwrite an existing file; SurefootError otherwise.
+            columns: of the file, by default all; NaN where a piece has none of them.
+            warnings: about what in its log was not plausible, kept in the file's metadata.
         """
         self._file = whole_file(path, force)
         schema = pa.schema([(name, pa.float64()) for name in columns or _COLUMNS])
@@ -222,7 +235,7 @@ class TrajectoryWriter:
         return self._file.__exit__(*error)
 
     def write(self, piece: Trajectory) -> None:
-        """Append what follows."""
+        """Append the next piece."""
         columns = piece._columns()
         height = max(len(values) for values in columns.values())
         padded = {
@@ -235,7 +248,7 @@ class TrajectoryWriter:
 
 
 def reference(log: Log) -> Trajectory:
-    """The log's reference trajectory at the rows it vouches for (ref_ok), biases at zero.
+    """The log's reference trajectory at the rows with a valid reference (ref_ok), with zero biases.
 
     A velocity that the log lacks is derived from the positions. Raises LogError where the log has
     no reference.
@@ -257,7 +270,7 @@ def _read_updates(frame: pd.DataFrame) -> UpdateRecord | None:
     if "update_t" not in frame:
         return None
     frame = pd.DataFrame(frame[frame["update_t"].notna()])
-    # A file that was written in pieces has columns for all that a piece may have.
+    # A file written in pieces has all columns that a piece may have.
     frame = frame.dropna(axis="columns", how="all")
     if "update_t" not in frame:
         return None

@@ -1,1 +1,1 @@
-"""The quadratures behind a Gaussian's moments on a box."""
+"""Quadrature of a Gaussian's moments on a box."""

@@ -1,8 +1,8 @@
-"""The point of a box nearest to a Gaussian's mean, in the Gaussian's own metric: all 27 faces.
+"""The point of a box nearest to a Gaussian's mean in the Mahalanobis distance, over all 27 faces.
 
-An axis is either free, and then at its conditional mean, or at its lower or upper bound: three
-choices an axis. The distance is strictly convex, so the nearest of the feasible candidates is the
-minimum; faces are visited by conditioning, one axis at a time, and never through an inverse.
+Each axis is either free, and then at its conditional mean, or at its lower or upper bound. The
+distance is strictly convex, so the nearest feasible candidate is the minimum. Faces are visited by
+conditioning, one axis at a time, without an inverse.
 """
 
 from typing import NamedTuple
@@ -35,8 +35,8 @@ class Rectangle(NamedTuple):
 def remaining(variance: float, c: float, other: float) -> float:
     """Variance left by conditioning on a variable of variance `other` and covariance c.
 
-    Held above working precision: the subtraction may leave nothing, or less, of a variance that a
-    positive definite matrix does leave.
+    Kept above working precision, since the subtraction may round to zero or below for a positive
+    definite matrix.
     """
     return max(variance - c * c / other, 1e-14 * variance)
 
@@ -53,7 +53,7 @@ def nearest_in_rectangle(gaussian, rectangle):
     m0, m1, v0, c, v1 = gaussian
     l0, u0, l1, u1 = rectangle
     best, x0, x1 = np.inf, m0, m1
-    # Axis 1 free: it follows axis 0 to its conditional mean.
+    # Axis 1 free: at its conditional mean, given axis 0.
     a0 = nearest_on_line(m0, l0, u0)
     a1 = m1 + c / v0 * (a0 - m0)
     if l1 <= a1 <= u1:
@@ -74,7 +74,7 @@ def nearest_in_rectangle(gaussian, rectangle):
 
 @kernel
 def nearest_given_first(x0: float, C, lower, upper):
-    """Squared distance of the zero-mean Gaussian C (3, 3) to the box with x[0] held, and x[1:]."""
+    """Squared distance of the zero-mean Gaussian C (3, 3) to the box with x[0] fixed, and x[1:]."""
     b1, b2 = C[0, 1] / C[0, 0], C[0, 2] / C[0, 0]
     given = Gaussian2(
         b1 * x0,
@@ -90,11 +90,13 @@ def nearest_given_first(x0: float, C, lower, upper):
 
 @kernel
 def nearest_in_box(C, lower, upper, point) -> float:
-    """Squared distance of the zero-mean Gaussian C (3, 3) to the box; the nearest point (3,)."""
+    """Squared distance of the zero-mean Gaussian C (3, 3) to the box; fills the nearest point
+    (3,).
+    """
     others = Gaussian2(0.0, 0.0, C[1, 1], C[1, 2], C[2, 2])
     rectangle = Rectangle(lower[1], upper[1], lower[2], upper[2])
     best, x1, x2 = nearest_in_rectangle(others, rectangle)
-    # Axis 0 free: its conditional mean given the other two, one after the other.
+    # Axis 0 free: at its conditional mean, by conditioning on the other two in turn.
     b = C[1, 2] / C[1, 1]
     gain = (C[0, 2] - b * C[0, 1]) / remaining(C[2, 2], C[1, 2], C[1, 1])
     x0 = C[0, 1] / C[1, 1] * x1 + gain * (x2 - b * x1)

@@ -1,11 +1,11 @@
-"""Box moments on one grid of Gauss-Legendre nodes: three tables of pairs instead of all points.
+"""Box moments on a tensor grid of Gauss-Legendre nodes, with tables of pairs of axes.
 
-On a grid the density exp(-y^T Lambda y / 2 - g^T y) about the windows' centre is a product of
-tables, f_i(y_i) f_j(y_j) f_k(y_k) e_ij(y_i, y_j) e_ik(y_i, y_k) e_jk(y_j, y_k). The n^2
-exponentials of each are all that is to be computed; the n^3 points are multiplications, which run
-in vector lanes. Nodes lie symmetrically, so one exponential serves four entries of a table.
+On a grid, the density exp(-y^T Lambda y / 2 - g^T y) about the windows' centre is a product of
+tables, f_i(y_i) f_j(y_j) f_k(y_k) e_ij(y_i, y_j) e_ik(y_i, y_k) e_jk(y_j, y_k). Only the n^2
+exponentials of each need to be computed; the n^3 points are multiplications, which vectorise. Nodes
+are symmetric, so one exponential serves four entries of a table.
 
-An axis whose bounds lie outside its window is integrated exactly: it takes no nodes at all.
+An axis whose bounds lie outside its window is integrated exactly, without nodes.
 """
 
 import math
@@ -18,21 +18,21 @@ from surefoot.estimator.moments.quadrature import MOST, NODES, WEIGHTS
 from surefoot.sim.common.kernels import kernel
 
 _DEPTH = 30.0
-"""Where the density is below exp(-30) = 1e-13 of its largest, nothing is counted."""
+"""Log of the density relative to its maximum below which it is neglected: exp(-30) = 1e-13."""
 _LARGEST = 500.0
-"""Bound on the exponents of all tables together: no overflow, and no digit lost that matters."""
+"""Bound on the exponents of all tables together, which prevents overflow and loss of digits."""
 _MOST_POINTS = 60_000.0
 _BAND = 30.0
-"""A pair whose coupling exceeds this is a ridge: its table is filled along the ridge alone."""
+"""Coupling above which a pair is a ridge, whose table is filled along the ridge only."""
 _LOG_2PI = math.log(2.0 * math.pi)
 
 
 @kernel(error_model="numpy")
 def grid_moments(C, low, high, mode, distance, mean, cov) -> float:
-    """Moments of N(0, C) on a box: log probability, or NaN.
+    """Moments of N(0, C) on a box; returns the log probability, or NaN.
 
-    NaN means that the box is not one for a grid: correlations too near to one for its exponents or
-    its number of nodes.
+    NaN means that the box is unsuitable for a grid: correlations are too near to one for its
+    exponents or its number of nodes.
 
     Args:
         C: (3, 3), correlation matrix.
@@ -245,11 +245,11 @@ def _marginal_inverse(C, free, out) -> float:
 
 @kernel(error_model="numpy")
 def _windows(C, information, low, high, mode, distance, centre, half, steep, free):
-    """Where each axis is worth integrating: centre and half length; whether it is free.
+    """Window of integration of each axis: centre and half length; whether the axis is free.
 
-    Half the squared distance of the best point with x_a held is convex, and bends at least as the
-    marginal does, so beyond the mode it rises at least by slope t + t^2 / 2. Where the density
-    counts at all, x_a also lies near its regression on any other axis.
+    Half the squared distance of the best point with x_a fixed is convex, with at least the
+    marginal's curvature, so beyond the mode it rises at least by slope t + t^2 / 2. Where the
+    density matters, x_a also lies near its regression on any other axis.
 
     Args:
         C: (3, 3), correlation matrix.
@@ -316,7 +316,7 @@ def _nodes(count, pieces, half, free, y, f):
         for n in range(each):
             y[piece * each + n] = -half + step * (piece + NODES[table + n])
             f[piece * each + n] = step * WEIGHTS[table + n]
-    # Exactly symmetric, as the tables take for granted.
+    # Exactly symmetric, as the tables require.
     for n in range(count // 2):
         y[count - 1 - n] = -y[n]
 
@@ -391,7 +391,7 @@ def _pair_blocks(x, nx, y, ny, coupling, out):
 
 @kernel(error_model="numpy")
 def _ridge(x, nx, dx, y, ny, dy, coupling, shift, out, first, last):
-    """The whole of a strongly coupled pair's fall, where it has not fallen to nothing.
+    """Density table of a strongly coupled pair, filled only where it is not negligible.
 
     Args:
         x: (nx,), symmetric nodes of one axis.

@@ -10,20 +10,20 @@ from surefoot.estimator.moments.quadrature import NODES, WEIGHTS, drop_between, 
 from surefoot.sim.common.kernels import kernel
 
 DEPTH = 28.0
-"""Parts of a box whose density is below exp(-28) = 7e-13 of its largest are left out."""
+"""Log of the density relative to its maximum below which it is neglected: exp(-28) = 7e-13."""
 _NARROW = 0.1
 _FEW, _FEW_AT = 6, 6
-"""Nodes of a narrow interval, and where their rule begins in the table."""
+"""Nodes of a narrow interval, and the start of their rule in the table."""
 _SQRT_2PI = math.sqrt(2.0 * math.pi)
 
 
 @kernel(error_model="numpy")
 def line_moments(a: float, b: float):
-    """log-scaled moments of the standard normal density on [a, b]: (shift, m0, m1, m2, origin).
+    """Scaled moments of the standard normal density on [a, b]: (shift, m0, m1, m2, origin).
 
     The integral of exp(-x^2/2) (x - origin)^n over [a, b] is exp(-shift) m_n. Closed form by Mills'
-    ratio, which keeps its digits in both tails; quadrature on intervals so narrow that its
-    differences cancel.
+    ratio, which is accurate in both tails; quadrature on intervals so narrow that its differences
+    cancel.
     """
     if a < 0.0 < b:
         if b - a < _NARROW:
@@ -41,7 +41,7 @@ def line_moments(a: float, b: float):
             m2 -= cut + b * density_b
         return 0.0, m0, density_a - density_b, m2, 0.0
     near, far, sign = (a, b, 1.0) if a >= 0.0 else (-b, -a, -1.0)
-    # Bounds so far away that they round to the same number still leave an interval.
+    # Bounds so far away that they round to the same number still enclose an interval.
     length = max(far - near, 1e-100)
     if length * (1.0 + near) < _NARROW:
         return _by_quadrature(near, length, near, sign)
@@ -58,7 +58,7 @@ def line_moments(a: float, b: float):
 
 @kernel(error_model="numpy")
 def _by_quadrature(near: float, length: float, origin: float, sign: float):
-    """Moments of exp(-(x^2 - origin^2)/2) about the origin from near on, mirrored by sign."""
+    """Moments of exp(-(x^2 - origin^2)/2) about the origin, from `near` on, mirrored by sign."""
     m0 = m1 = m2 = 0.0
     for i in range(_FEW_AT, _FEW_AT + _FEW):
         y = near - origin + length * NODES[i]
@@ -80,10 +80,10 @@ class Conditional2(NamedTuple):
 
 
 class About(NamedTuple):
-    """What moments on a rectangle are taken about and scaled by.
+    """Origin and scale of moments on a rectangle.
 
-    (c1, c2) is their origin; x1 is axis 1 of the rectangle's nearest point; densities are
-    exp(log_scale - distance^2 / 2), and count down to exp(-depth) of the largest.
+    (c1, c2) is the origin; x1 is axis 1 of the rectangle's nearest point; densities are
+    exp(log_scale - distance^2 / 2), and are neglected below exp(-depth) of the largest.
     """
 
     c1: float
@@ -95,10 +95,10 @@ class About(NamedTuple):
 
 @kernel(error_model="numpy")
 def plane_moments(gaussian, rectangle, about, out):
-    """Moments of a two-dimensional Gaussian on a rectangle, scaled; into out (6,).
+    """Scaled moments of a two-dimensional Gaussian on a rectangle, into out (6,).
 
-    Without the factor 1/(2 pi s1 s2); out holds the moments 1, 1', 2', 1'1', 1'2', 2'2'. Where one
-    axis is free as far as the density counts, the other's line is all there is to integrate.
+    Without the factor 1/(2 pi s1 s2); out receives the moments 1, 1', 2', 1'1', 1'2', 2'2'. Where
+    one axis is free as far as the density matters, only the other's line is integrated.
 
     Args:
         gaussian: Conditional2.
@@ -129,7 +129,7 @@ def plane_moments(gaussian, rectangle, about, out):
     left, right = max(left, l1), min(right, u1)
     if not right > left:
         return
-    # Beyond the crossings the mean of axis 2 leaves its interval, and the integrand bends faster.
+    # Beyond the crossings the mean of axis 2 leaves its interval, and the curvature increases.
     sharp = 1.0 / math.sqrt(1.0 / (s1 * s1) + (slope / s2) ** 2)
     first, second = left, left
     if sharp < 0.5 * s1:
@@ -162,7 +162,7 @@ def plane_moments(gaussian, rectangle, about, out):
                 shift, n0, n1, n2, about = line_moments((l2 - mean) / s2, (u2 - mean) / s2)
                 w = step * WEIGHTS[i] * math.exp(log_scale - 0.5 * d * d - shift) * s2
                 y1 = x - c1
-                # Moments about c2: the line's own come about mean + s2 * about.
+                # Shift the line's moments, about mean + s2 * about, to c2.
                 off = mean + s2 * about - c2
                 k1 = off * n0 + s2 * n1
                 out[0] += w * n0
@@ -175,19 +175,20 @@ def plane_moments(gaussian, rectangle, about, out):
 
 @kernel(error_model="numpy")
 def _one_axis(m, s, lower, upper, c, off, slope, rest, log_scale):
-    """Moments on an axis N(m, s^2) cut to [lower, upper], and on a free one that depends on it.
+    """Moments on an axis N(m, s^2) truncated to [lower, upper], and on a free one that depends on
+    it.
 
     Returns the moments 1, x, free, x x, x free, free free.
 
     Args:
-        m: mean of the cut axis.
+        m: mean of the truncated axis.
         s: its standard deviation.
         lower: its lower bound.
         upper: its upper bound.
         c: origin of its moments.
         off: mean of the free axis at x = m, from the origin of its moments.
-        slope: of the free axis's mean along the cut one.
-        rest: standard deviation of the free axis, given the cut one.
+        slope: of the free axis's mean along the truncated one.
+        rest: standard deviation of the free axis, given the truncated one.
         log_scale: log of a factor of all moments.
     """
     shift, n0, n1, n2, about = line_moments((lower - m) / s, (upper - m) / s)
@@ -204,7 +205,7 @@ def _one_axis(m, s, lower, upper, c, off, slope, rest, log_scale):
 
 @kernel
 def _window(m1, m2, s1, slope, s2, l2, u2, x1, depth):
-    """Where along axis 1 the log density of the best point lies within `depth` of the largest.
+    """Range of axis 1 in which the log density of the best point is within `depth` of the largest.
 
     The profile is a concave parabola in three pieces: axis 2 at its lower bound, inside, at its
     upper one. Its exact end on either side is the root of the piece that it ends in.

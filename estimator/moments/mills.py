@@ -1,4 +1,6 @@
-"""Mills' ratio of the normal law by table: one division and a short polynomial, to 15 digits."""
+"""Mills' ratio of the normal distribution by table: one division and a short polynomial, to 15
+digits.
+"""
 
 import math
 
@@ -14,7 +16,7 @@ _SCALE = 3.0
 def _table() -> np.ndarray:
     """Coefficients (_PIECES, 3, _DEGREE + 1), lowest first, of R / u, D / u^2 and E / u^3.
 
-    u = _SCALE / (_SCALE + x) takes [0, inf) to (0, 1], where the quotients are smooth.
+    u = _SCALE / (_SCALE + x) maps [0, inf) to (0, 1], where the quotients are smooth.
     """
     nodes = np.cos(np.pi * (np.arange(_DEGREE + 1) + 0.5) / (_DEGREE + 1))
     powers = np.linalg.inv(np.vander(nodes, increasing=True))
@@ -23,7 +25,7 @@ def _table() -> np.ndarray:
     R = math.sqrt(math.pi / 2.0) * erfcx(x / math.sqrt(2.0))
     D = 1.0 - x * R
     E = R - x * D
-    # Far out the differences cancel; there R = 1 / (x + 1 / (x + 2 / (x + 3 / ...))).
+    # For large x the differences cancel; there R = 1 / (x + 1 / (x + 2 / (x + 3 / ...))).
     far = np.maximum(x, 4.0)
     tail = far
     for k in range(200, 2, -1):
@@ -39,9 +41,9 @@ TABLE = _table()
 
 @kernel(error_model="numpy")
 def mills(x: float):
-    """R, D and E: the integrals of exp(-x t - t^2/2) over t from 0 with the weights 1, t and t^2.
+    """R, D and E: the integrals of exp(-x t - t^2/2) over t >= 0 with the weights 1, t and t^2.
 
-    For x >= 0. R(x) = (1 - Phi(x)) / phi(x), D = 1 - x R and E = R - x D, each to its last digits.
+    For x >= 0. R(x) = (1 - Phi(x)) / phi(x), D = 1 - x R and E = R - x D, each to full precision.
     """
     u = _SCALE / (_SCALE + x)
     at = min(int(_PIECES * u), _PIECES - 1)

@@ -1,14 +1,14 @@
-"""Where the integrand over the outermost axis of a box begins to bend faster, and how fast.
+"""Subdivision of the outermost axis of a box where the integrand's curvature increases.
 
-Over axis 0 the integrand is a unit bell times the probability that axes 1 and 2 lie in their
-intervals. That probability falls where a conditional mean leaves an interval: of axis j alone, or
-of axis j while axis k is held at a bound. Each such event is a half line, a zone, that begins
-`reach` deviations before the crossing; inside, the logarithm bends by up to (slope/deviation)^2
-more. Rules are cut where a zone that matters begins.
+Over axis 0 the integrand is a standard normal density times the probability that axes 1 and 2 lie
+in their intervals. That probability falls where a conditional mean leaves an interval: of axis j
+alone, or of axis j with axis k fixed at a bound. Each such event is a half line, a zone, that
+begins `reach` deviations before the crossing; inside it, the curvature of the logarithm is larger
+by up to (slope/deviation)^2. The interval is split where a relevant zone begins.
 
-With two axes at bounds, a corner, the bend lasts only while both are past them: the zones that
-share the corner must cover together. Once one of them has left, the log bends as slowly as the
-density falls along the edge: far out that is fast as well, so there the half line stands.
+With two axes at bounds, a corner, the curvature is larger only while both are past them: the zones
+that share the corner must overlap. Once one of them has ended, the log bends as slowly as the
+density falls along the edge. Far out that is fast as well, so there the half line is kept.
 """
 
 import math
@@ -25,7 +25,7 @@ _NEAR = 16.0
 
 @kernel
 def outer_parts(C, low, high, left: float, right: float, distance, cuts, scales) -> int:
-    """Cut [left, right] of axis 0 into parts; returns their number.
+    """Divide [left, right] of axis 0 into parts; returns their number.
 
     Zone 6 (j - 1) + 2 c + w is axis j past its lower (w = 0) or upper bound, alone (c = 0) or with
     the other axis at its lower (c = 1) or upper bound (c = 2).
@@ -38,7 +38,7 @@ def outer_parts(C, low, high, left: float, right: float, distance, cuts, scales)
         right: its upper end.
         distance: squared Mahalanobis distance of the box.
         cuts: (16,), receives the ends of the parts.
-        scales: (16,), receives the smallest deviation that the integrand shows inside each part.
+        scales: (16,), receives the smallest length scale of the integrand inside each part.
     """
     edges, sides, bends = np.zeros(12), np.zeros(12), np.zeros(12)
     _zones(C, low, high, edges, sides, bends)
@@ -60,7 +60,8 @@ def outer_parts(C, low, high, left: float, right: float, distance, cuts, scales)
         precision = 1.0
         for z in range(12):
             if _covers(z, cuts[part], cuts[part + 1], edges, sides):
-                # A corner needs one of its axes past its bound, and both where the fall is slow.
+                # A corner needs one of its axes past its bound, or both where the density falls
+                # slowly.
                 condition = (z % 6) // 2
                 other = _corner(z) if distance < _NEAR else (6 if z < 6 else 0) + condition - 1
                 if condition == 0 or _covers(other, cuts[part], cuts[part + 1], edges, sides):
@@ -94,15 +95,15 @@ def _corner(z: int) -> int:
 
 @kernel
 def _zones(C, low, high, edges, sides, bends):
-    """Begin, direction (+1, -1; 0 for none) and bend of the twelve zones.
+    """Start, direction (+1, -1; 0 for none) and curvature of the twelve zones.
 
     Args:
         C: (3, 3), correlation matrix.
         low: (3,), the box's lower bounds.
         high: (3,), its upper bounds.
-        edges: (12,), filled with the begin of each zone along axis 0.
+        edges: (12,), filled with the start of each zone along axis 0.
         sides: (12,), filled with its direction.
-        bends: (12,), filled with its bend, (slope/deviation)^2.
+        bends: (12,), filled with its curvature, (slope/deviation)^2.
     """
     reach = math.sqrt(2.0 * DEPTH)
     for j in range(1, 3):

@@ -1,4 +1,7 @@
-"""A Gaussian on a convex set never spreads more than the whole Gaussian: held to the last digit."""
+"""Enforce that the covariance of a truncated Gaussian does not exceed that of the Gaussian.
+
+This holds for every convex set, but only up to rounding in the computed moments.
+"""
 
 import math
 
@@ -7,7 +10,7 @@ import numpy as np
 from surefoot.sim.common.kernels import kernel
 
 _ROUNDING = 5e-10
-"""By how much a covariance may lie above the prior's, in units of the prior's variances."""
+"""Tolerance above the prior's covariance, in units of the prior's variances."""
 
 
 @kernel(error_model="numpy")
@@ -24,9 +27,9 @@ def below_prior(C, cov) -> bool:
 
 @kernel(error_model="numpy")
 def clip_to_prior(C, cov):
-    """Lower cov (3, 3), in place, to the correlation matrix C along the directions that exceed it.
+    """Reduce cov (3, 3), in place, to the correlation matrix C along the directions that exceed it.
 
-    With C = L L^T, no eigenvalue of L^-1 cov L^-T is above one.
+    With C = L L^T, no eigenvalue of L^-1 cov L^-T is above one afterwards.
     """
     L = np.zeros((3, 3))
     for i in range(3):

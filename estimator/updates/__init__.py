@@ -1,1 +1,1 @@
-"""Measurement updates: velocity, coverage, contacts, and the bias of an observer as states."""
+"""Measurement updates: velocity, coverage, contacts, and the persistent error of an observer."""

@@ -1,37 +1,37 @@
-"""The persistent part of an observer's error as three more states, and statements about means.
+"""The persistent part of an observer's error as additional states, and statements about means.
 
-An observer's errors come in two parts, v_tilde = R_GI^T v + b_p + e: b_p (3,) in I persists for
-long stretches and e mixes. A filter that treats every measurement as independent averages b_p out,
-which never happens. So b_p joins the state, with the error delta b_p = b_p_bar - b_p, and
+An observer's error has two parts, v_tilde = R_GI^T v + b_p + e: b_p (3,) in I persists for long,
+while e mixes. A filter that treats measurements as independent assumes that b_p averages out, which
+it does not. So b_p joins the state, with the error delta b_p = b_p_bar - b_p, and
 
     z = H delta X = (v_I + b_p) - (v_I_bar + b_p_bar) to first order,   H = [0 -R^T 0 0 0 -I]
 
-(for the velocity as eq. setup_feasible_set_lie_linear_augmented: it stays right-invariant, as b_p
-adds to the output alone). It persists on two scales: over a stretch of ground or a turn, and over
-the whole of a course, or for the life of a robot. So b_p is a first-order Gauss-Markov process, of
-covariance C and time constant tau, about a constant c (the course's bias) of prior covariance C_c
+(for the velocity as in eq. setup_feasible_set_lie_linear_augmented, which stays right-invariant
+since b_p only adds to the output). It persists on two scales: over a section of ground or a turn,
+and over a whole course or the life of a robot. So b_p is a first-order Gauss-Markov process, with
+covariance C and time constant tau, about a constant c (the course's bias) with prior covariance C_c
 that is three more states,
 
     b_p <- c + k (b_p - c),    delta b_p <- k delta b_p + (1 - k) delta c,    k = exp(-dt/tau),
 
-with C (1 - k^2) added. tau = inf is a constant; C_c = 0 leaves c at zero. Without c, a filter whose
-tau is a few seconds models a bias of a whole course as a row of independent ones: position
-covariance then grows by the duration, and its error by the duration squared. Bounds and R of the
-updates are of e alone.
+with C (1 - k^2) added. tau = inf makes b_p constant; C_c = 0 keeps c at zero. Without c, a filter
+with tau of a few seconds models the bias of a whole course as a series of independent ones: its
+position variance then grows with the duration, while the squared error grows with the duration
+squared. Bounds and R of the updates refer to e alone.
 
-One statement an update cannot average: the posterior of Theorem 1 moves z to within the bounds and
-learns nothing more from them afterwards, however many e have passed. So the statement is made of
-the MEAN e of a window of w measurements, whose calibrated bounds are narrower. The window's error
-is three more states as well, s = -(mean of e so far), which is exact whatever the IMU does
+One statement per update cannot average: the posterior of Theorem 1 moves z to within the bounds and
+learns nothing more from them afterwards, however many e have passed. The statement is therefore
+about the MEAN of e over a window of w measurements, whose calibrated bounds are narrower. The
+window's error, s = -(mean of e so far), is three more states, which is exact whatever the IMU does
 meanwhile:
 
     s_bar <- s_bar + (v_I_bar + b_p_bar - v_tilde)/w,    delta s <- delta s - H delta X / w,
 
 and |s| <= epsilon with probability gamma is the box update with z = -delta s at the window's end;
-then s starts from zero again.
+then s restarts from zero.
 
-Both updates reject outliers (`surefoot.estimator.updates.outliers`), no more of them in a row than
-a window has.
+Both updates reject outliers (`surefoot.estimator.updates.outliers`), at most as many in a row as a
+window has.
 """
 
 from dataclasses import dataclass, field
@@ -53,11 +53,11 @@ EXTRAS = 3
 BIAS, WINDOW_ERROR, COURSE_BIAS = EXTRA, EXTRA + 1, EXTRA + 2
 """Their rows of the packed mean."""
 BIAS_AT, WINDOW_AT, COURSE_AT = 15, 18, 21
-"""Where their errors begin in the covariance."""
+"""Offsets of their errors in the covariance."""
 
 
 class PersistentModel(NamedTuple):
-    """`PersistentError` as the kernels take it."""
+    """`PersistentError` in the form that the kernels take."""
 
     covariance: np.ndarray
     time_constant: float
@@ -66,17 +66,19 @@ class PersistentModel(NamedTuple):
 
 
 NOT_PERSISTENT = PersistentModel(np.zeros((3, 3)), np.inf, 1, np.full(3, np.inf))
-"""For the kernels' arguments, of a filter without a persistent part."""
+"""Argument of the kernels for a filter without a persistent part."""
 
 
 @dataclass(frozen=True)
 class PersistentError:
-    """The model of an observer's persistent error, all in I.
+    """Model of an observer's persistent error, all in I.
 
-    covariance (3, 3) [m^2/s^2]: prior of b_p about c. time_constant [s] > 0, inf for a constant.
-    window: measurements in the mean that a coverage update's epsilon bounds. max_error (3,) [m/s]:
-    the largest mixing errors; larger ones are outliers. course (3, 3) [m^2/s^2]: prior of c, which
-    may be zero.
+    Attributes:
+        covariance: prior of b_p about c (3, 3) [m^2/s^2].
+        time_constant: > 0 [s], inf for a constant.
+        window: number of measurements in the mean that a coverage update's epsilon bounds.
+        max_error: largest mixing errors (3,) [m/s]; larger ones are outliers.
+        course: prior of c (3, 3) [m^2/s^2], which may be zero.
     """
 
     covariance: np.ndarray
@@ -102,7 +104,7 @@ class PersistentError:
             raise SurefootError(f"persistent: window {self.window} must be a whole number >= 1")
 
     def enter(self, covariance: np.ndarray) -> np.ndarray:
-        """The covariance (15, 15) with these states in it, (24, 24)."""
+        """Extend a covariance (15, 15) by these states, to (24, 24)."""
         P = np.zeros((15 + 3 * EXTRAS, 15 + 3 * EXTRAS))
         bias, course = slice(BIAS_AT, BIAS_AT + 3), slice(COURSE_AT, COURSE_AT + 3)
         P[:15, :15], P[bias, bias] = covariance, self.covariance + self.course
@@ -110,7 +112,7 @@ class PersistentError:
         return P
 
     def model(self) -> PersistentModel:
-        """The same for the kernels."""
+        """The same in the form that the kernels take."""
         return PersistentModel(
             self.covariance, float(self.time_constant), int(self.window), self.max_error
         )
@@ -118,7 +120,7 @@ class PersistentError:
 
 @kernel
 def propagate_bias(mean, covariance, model, dt: float):
-    """b_p over dt [s], in place, as its PersistentModel says."""
+    """Propagate b_p over dt [s], in place, with its PersistentModel."""
     if model.time_constant == np.inf:
         return
     keep = np.exp(-dt / model.time_constant)
@@ -162,9 +164,9 @@ def update_velocity_persistent(mean, covariance, v_I, R, model, counts) -> float
 def update_coverage_persistent(
     mean, covariance, v_I, epsilon, gamma: float, iterations: int, model, counts
 ) -> float:
-    """One measurement v_I (3,), and at the window's end the coverage update, in place.
+    """One measurement v_I (3,) and, at the window's end, the coverage update, in place.
 
-    Returns pi of the window that ends, nan within one.
+    Returns pi at the end of a window, nan within one.
 
     Args:
         mean: packed state (7+EXTRAS, 3), changed in place.
@@ -215,7 +217,7 @@ def update_coverage_persistent(
 
 @kernel
 def accumulate_window(mean, covariance, PHt, S, residual, share: float):
-    """s_bar and delta s take one measurement's share, with the covariance, in place.
+    """Add one measurement's share to s_bar and delta s, with the covariance, in place.
 
     Args:
         mean: packed state (7+EXTRAS, 3).

@@ -1,7 +1,8 @@
-"""Contact points in the state: how they roll, enter, leave and correct (Hartley 2020, Sec. IV-V).
+"""Contact points in the state: rolling, insertion, removal and update (Hartley 2020, Sec. IV-V).
 
-Extra k of the packed state is the centre d of foot k in G while the foot stands, zero with a zero
-covariance while it swings. Leg kinematics measure f = R_GI^T (d - p), a right-invariant output with
+Extra k of the packed state is the centre d of foot k in G while the foot stands, and zero with a
+zero covariance while it swings. Leg kinematics measure f = R_GI^T (d - p), a right-invariant output
+with
 
     H = R_GI^T [0 0 I ... -I ...] on (position, that contact).
 
@@ -33,29 +34,36 @@ from surefoot.estimator.updates.velocity import gaussian_update
 from surefoot.sim.common.kernels import kernel
 
 AVERAGED = 0.02
-"""s, the time constant of the running mean of innovations: a slip of 0.5 m/s moves a foot by 1 cm
-in it, five deviations of a foot's place."""
+"""Time constant of the running mean of innovations [s]: in it, a slip of 0.5 m/s moves a foot by 1
+cm, five standard deviations of a foot's position.
+"""
 HOLD = 0.1
-"""s for which a foot that slipped is left out: a third of a stance."""
+"""Time for which a foot that slipped is left out [s]: a third of a stance."""
 PROVEN = 0.05
-"""s for which a foot must pass its test to be believed: short against any stance, long against
-AVERAGED, so that a foot that slides has failed by then."""
+"""Time for which a foot must pass its test to be trusted [s]: short compared with a stance, long
+compared with AVERAGED, so that a sliding foot has failed by then.
+"""
 WAY_BACK = 1.0
-"""s in which feet claim to stand and none is believed, after which the estimate is not. Every foot
-has then landed anew and failed, twice in most gaits; meanwhile a tilt of 0.02 rad has made 0.2
-m/s."""
+"""Time without a trusted foot, while some are sensed in contact, after which the estimate is
+doubted instead [s]. Every foot has then landed anew and failed, twice in most gaits, and a tilt of
+0.02 rad has caused 0.2 m/s.
+"""
 REOPENED = np.array([0.05, 1.0, 0.1, 5e-3])
-"""Deviations that tilt [rad], velocity [m/s] and biases [m/s^2, rad/s] have then, tilt and velocity
-on top of what the filter claims: those of a start from gravity alone
-(`surefoot.estimator.initial`), but of velocity the speed of a walk."""
+"""Standard deviations of tilt [rad], velocity [m/s] and biases [m/s^2, rad/s] after such a reset,
+for tilt and velocity in addition to the filter's own. Those of a start from gravity alone
+(`surefoot.estimator.initial`), except for the velocity, which is the speed of a walk.
+"""
 
 
 class ContactModel(NamedTuple):
-    """What does not change from sample to sample.
+    """Constants of the leg filter.
 
-    imu_noise (4, 3) of `FilterNoise.packed`; contact_noise (3,), squared densities [m^2/s] along
-    G's axes; rolling_noise [rad^2/s], squared density of the error of the feet's rates; radius (K,)
-    [m] of the feet; gate, the squared Mahalanobis distance beyond which a foot slips.
+    Attributes:
+        imu_noise: (4, 3), from `FilterNoise.packed`.
+        contact_noise: squared densities along G's axes (3,) [m^2/s].
+        rolling_noise: squared density of the error of the feet's rates [rad^2/s].
+        radius: of the feet (K,) [m].
+        gate: squared Mahalanobis distance beyond which a foot slips.
     """
 
     imu_noise: np.ndarray
@@ -66,16 +74,23 @@ class ContactModel(NamedTuple):
 
 
 class ContactMemory(NamedTuple):
-    """What is carried from sample to sample, changed in place.
+    """State carried from sample to sample, changed in place.
 
-    mean (7+K, 3) and covariance (15+3K, 15+3K) of `surefoot.estimator.core.state`; columns (15+3K,
-    6) and rotation_columns (3K, 3), work space; standing (K,) bool, which feet are in the state;
-    drift (K, 3), running means of their whitened innovations; held (K,) [s] for which a foot that
-    slipped still stays out; passed (K,) [s] for which a foot has passed its test; clock (2,) [s],
-    the places SINCE the last update and UNPROVEN, in which feet claimed to stand and none was
-    believed; rates (K, 3) [rad/s] of the feet at the last prediction, NaN before the first; biases
-    (2, 3), b_a and b_g at the start; sums (K+1, 10) of
-    `surefoot.estimator.evaluation.innovation_sums`, of the feet and of velocities.
+    Attributes:
+        mean: (7+K, 3), see `surefoot.estimator.core.state`.
+        covariance: (15+3K, 15+3K).
+        columns: (15+3K, 6), work space.
+        rotation_columns: (3K, 3), work space.
+        standing: feet in the state (K,) bool.
+        drift: running means of their whitened innovations (K, 3).
+        held: time for which a foot that slipped is still left out (K,) [s].
+        passed: time for which a foot has passed its test (K,) [s].
+        clock: times [s] SINCE the last update, and for which all feet sensed in contact were
+            UNPROVEN (2,).
+        rates: of the feet at the last prediction (K, 3) [rad/s], NaN before the first.
+        biases: b_a and b_g at the start (2, 3).
+        sums: of the feet and of velocities, see `surefoot.estimator.evaluation.innovation_sums`
+            (K+1, 10).
     """
 
     mean: np.ndarray
@@ -93,11 +108,11 @@ class ContactMemory(NamedTuple):
 
 
 SINCE, UNPROVEN = 0, 1
-"""Places in the clock of a ContactMemory."""
+"""Indices into the clock of a ContactMemory."""
 
 
 def contact_memory(mean: np.ndarray, covariance: np.ndarray) -> ContactMemory:
-    """The memory of a filter that begins with this mean (7+K, 3) and covariance (15+3K, 15+3K)."""
+    """Initial memory of a filter with this mean (7+K, 3) and covariance (15+3K, 15+3K)."""
     feet = len(mean) - EXTRA
     return ContactMemory(
         mean,
@@ -117,7 +132,7 @@ def contact_memory(mean: np.ndarray, covariance: np.ndarray) -> ContactMemory:
 
 @kernel
 def propagate_contacts(memory, model, gyro, accel, dt: float, rates):
-    """One IMU step with the contact points rolling, in place.
+    """One IMU step with rolling contact points, in place.
 
     Args:
         memory: ContactMemory.
@@ -125,8 +140,8 @@ def propagate_contacts(memory, model, gyro, accel, dt: float, rates):
         gyro: mean over the step (3,) [rad/s], in I.
         accel: mean over the step (3,) [m/s^2], in I.
         dt: the step [s].
-        rates: the feet's angular velocities relative to the body (K, 3) [rad/s] now, in I; over the
-            step the mean with the last call's is used.
+        rates: the feet's angular velocities relative to the body (K, 3) [rad/s] now, in I; averaged
+            with the last call's over the step.
     """
     mean, covariance = memory.mean, memory.covariance
     columns, rotation_columns = memory.columns, memory.rotation_columns
@@ -145,7 +160,7 @@ def propagate_contacts(memory, model, gyro, accel, dt: float, rates):
             continue
         r = radius[k]
         for i in range(3):
-            # -B_R turns a rate in I into an angle in G, over the step's mean attitude.
+            # -B_R maps a rate in I to an angle in G, with the step's mean attitude.
             W[i] = 0.0
             for m in range(3):
                 before = memory.rates[k, m] if known else rates[k, m]
@@ -173,11 +188,11 @@ def propagate_contacts(memory, model, gyro, accel, dt: float, rates):
 
 @kernel
 def update_contacts(memory, gate: float, feet_I, in_contact, measurement_cov):
-    """Contacts leave, correct the state and enter, in this order, in place.
+    """Remove lifted feet, update with the standing ones and insert new ones, in place.
 
     A foot found slipping (see `_slips`) leaves the state and stays out for HOLD, or until it lifts
-    off. Where for WAY_BACK no foot that claims to stand is believed, it is the estimate that fails
-    the test, and what it claims to know is taken back (see `_reopen`).
+    off. If no foot sensed in contact is trusted for WAY_BACK, the estimate rather than the feet is
+    at fault, and its covariance is increased (see `_reopen`).
 
     Args:
         memory: ContactMemory.
@@ -242,11 +257,11 @@ def update_contacts(memory, gate: float, feet_I, in_contact, measurement_cov):
 
 @kernel
 def _reopen(mean, covariance, biases):
-    """Take back what is claimed of tilt, velocity and biases, in place; no foot is in the state.
+    """Increase the covariance of tilt, velocity and biases, in place; no foot is in the state.
 
-    Biases begin anew, for what made them fail may have driven them anywhere. Independent errors d
-    of tilt in G add (d, [v]x d, [p]x d) to the right-invariant error, as
-    `surefoot.estimator.initial.start_covariance` has it; position and yaw keep their covariance.
+    Biases restart from their initial values, since wrong updates may have driven them anywhere.
+    Independent errors d of tilt in G add (d, [v]x d, [p]x d) to the right-invariant error, as in
+    `surefoot.estimator.initial.start_covariance`; position and yaw keep their covariance.
 
     Args:
         mean: (7+K, 3), the packed mean.
@@ -275,9 +290,9 @@ def _reopen(mean, covariance, biases):
 def _slips(S, measurement_cov, residual, gate: float, newest: float, drift) -> bool:
     """Chi-square test (3 degrees of freedom) of one innovation and of their running mean.
 
-    Innovations of a consistent filter are white with covariance S + R. A slip of half a metre a
-    second moves a foot by only a millimetre an update, which no single innovation shows; it does
-    show in the exponential mean `drift` of the whitened ones, of variance newest / (2 - newest).
+    Innovations of a consistent filter are white with covariance S + R. A slip of 0.5 m/s moves a
+    foot by only a millimetre per update, which no single innovation reveals, but the exponential
+    mean `drift` of the whitened ones does, whose variance is newest / (2 - newest).
 
     Args:
         S: (3, 3) [m^2], H Sigma H^T.
@@ -339,7 +354,7 @@ def contact_output(mean, covariance, k: int, foot_I, PHt, S, residual):
 
 @kernel
 def _remove(mean, covariance, k: int):
-    """Foot k leaves: its row, and its rows and columns of the covariance, become zero."""
+    """Remove foot k: zero its row of the mean, and its rows and columns of the covariance."""
     at = 15 + 3 * k
     mean[EXTRA + k] = 0.0
     covariance[at : at + 3, :] = 0.0
@@ -348,7 +363,7 @@ def _remove(mean, covariance, k: int):
 
 @kernel
 def _insert(mean, covariance, k: int, foot_I, measurement_cov):
-    """Foot k enters at d = p + R f, so xi_d = xi_p + R n_f (Hartley 2020, eq. 32).
+    """Insert foot k at d = p + R f, so xi_d = xi_p + R n_f (Hartley 2020, eq. 32).
 
     Args:
         mean: (7+E, 3), the packed mean, in place.

@@ -1,30 +1,30 @@
 """The coverage update: the KL-minimal posterior under a set-mass constraint, moment matched.
 
-The posterior of Theorem 1 (eq. posterior_piecewise) rescales the prior p inside and outside the
-set C. Written with its truncation p_C it is a mixture of two densities,
+The posterior of Theorem 1 (eq. posterior_piecewise) rescales the prior p inside and outside the set
+C. Written with its truncation p_C it is a mixture of two densities,
 
     q = (1 - alpha) p + alpha p_C,     alpha = (gamma - pi) / (1 - pi),
 
-since inside C this is p ((1 - alpha) + alpha / pi) = p gamma / pi, and outside it is
-p (1 - gamma) / (1 - pi).
-Its moments therefore need no moments of the complement (eq. complement_moments), whose subtraction
-loses every digit as pi -> 1:
+since inside C this is p ((1 - alpha) + alpha / pi) = p gamma / pi, and outside it is p (1 - gamma)
+/ (1 - pi). Its moments therefore need no moments of the complement (eq. complement_moments), whose
+subtraction loses all digits as pi -> 1:
 
     mu+    = (1 - alpha) mu + alpha mu_C,
     Sigma+ = (1 - alpha) Sigma + alpha Sigma_C + alpha (1 - alpha) (mu_C - mu)(mu_C - mu)^T,
 
 the values of eq. moment_matching, positive definite by construction for every pi in [0, gamma).
 
-The matched Gaussian p+ holds pi+ of mass in C, and pi < pi+ <= gamma (the paper's remark, observed
-there) holds for every set C and every gamma. q has the least KL to the prior, kl(gamma || pi) in
-terms of two outcomes; matching moments projects q on the Gaussians, of which the prior is one, so
+The mass pi+ of the matched Gaussian p+ in C satisfies pi < pi+ <= gamma (observed in the paper's
+remark) for every set C and every gamma. q has the least KL divergence to the prior, kl(gamma || pi)
+for two outcomes; matching moments projects q on the Gaussians, of which the prior is one, so
 
     kl(gamma || pi) = KL(q || p) = KL(q || p+) + KL(p+ || p) >= kl(gamma || pi+) + kl(pi+ || pi),
 
-the last step because telling only C from its complement loses divergence. For two outcomes the
-left side exceeds the right one by (gamma - pi+) (logit pi+ - logit pi), therefore >= 0: pi+ lies
-between pi and gamma. It is pi or gamma only if p+ = p, which no box allows (a truncated variance is
-smaller). So the projection can be repeated, and pi climbs towards gamma: `iterations`.
+where the last step holds because distinguishing only C from its complement loses divergence. For
+two outcomes the left side exceeds the right one by (gamma - pi+) (logit pi+ - logit pi), which is
+therefore >= 0: pi+ lies between pi and gamma. It equals one of them only if p+ = p, which no box
+allows (a truncated variance is smaller). The projection can therefore be repeated, and pi rises
+towards gamma: `iterations`.
 """
 
 import numpy as np
@@ -35,8 +35,9 @@ from surefoot.estimator.updates.velocity_output import lift, velocity_output
 from surefoot.sim.common.kernels import kernel
 
 FLOOR = 1e-6
-"""Standard deviation [m/s] added to S. The set update brings no noise of its own, and without a
-floor repeated statements about a motionless robot would make S singular to working precision."""
+"""Standard deviation [m/s] added to S. The set update adds no noise of its own; without a floor,
+repeated statements about a motionless robot would make S singular to working precision.
+"""
 
 
 @kernel(inline="always")  # compiled by itself it would be another copy of the box's moments
@@ -88,7 +89,7 @@ def update_coverage(
 def update_coverage_within(
     mean, covariance, contacts: int, v_I, epsilon, gamma: float, iterations: int, max_error, counts
 ) -> float:
-    """`update_coverage` that rejects outliers: pi is nan.
+    """`update_coverage` with rejection of outliers, for which pi is nan.
 
     Args:
         mean: packed state (7+E, 3), changed in place.

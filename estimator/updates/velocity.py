@@ -7,11 +7,13 @@ from surefoot.estimator.updates.velocity_output import inverse_3, lift, velocity
 from surefoot.sim.common.kernels import kernel
 
 LEAST_RELATIVE_NOISE = 1e-8
-"""Share of the prior's variances: a measurement as exact leaves variances that come out of a
-cancellation of eight digits."""
+"""Least noise relative to the prior's variances; with less, the remaining variances would result
+from a cancellation of eight digits.
+"""
 ROUNDING = 1e-12
-"""Share of the prior's variances that such an update keeps: some thousand roundings, so that what
-is left stays definite, and a ten-thousandth at most of what it should be."""
+"""Share of the prior's variances that such an update keeps: some thousand roundings, so that the
+result stays definite, and at most a ten-thousandth of its value.
+"""
 
 
 @kernel
@@ -19,8 +21,7 @@ def update_velocity(mean, covariance, contacts: int, v_I, measurement_cov) -> fl
     """Right-invariant EKF update of the packed state, in place (Hartley 2020, eq. 20).
 
     Returns the squared Mahalanobis distance of the innovation. In output space the posterior of z
-    is N(S (S+R)^-1 r, S (S+R)^-1 R), which the same lift as the coverage update carries to the
-    state.
+    is N(S (S+R)^-1 r, S (S+R)^-1 R), which is lifted to the state as in the coverage update.
 
     Args:
         mean: (7+E, 3), the packed mean.
@@ -74,11 +75,11 @@ def gaussian_update(mean, covariance, contacts: int, PHt, S, residual, measureme
     return distance
 
 
-# As `propagate_checked`: checks and work in one call, for a robot's own loop.
+# Checks and update in one call, like `propagate_checked`, for a robot's own loop.
 @kernel(signature="f8(f8[:,::1], f8[:,::1], i8, f8[::1], f8[:,::1])")
 def update_velocity_checked(mean, covariance, contacts, v_I, cov) -> float:
-    """`update_velocity` of a valid measurement and a sound state; -1 with nothing changed for any
-    other.
+    """`update_velocity` with checks of measurement and state; returns -1, with nothing changed, if
+    they fail.
 
     Args:
         mean: (7+E, 3), the packed mean.

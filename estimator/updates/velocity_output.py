@@ -1,11 +1,11 @@
-"""From the output space of the body velocity to the error state and back.
+"""Output space of the body velocity, and the lift from it to the error state.
 
 The IMU's velocity in I is a right-invariant output (eq. meas_model), y = X^-1 d, with
 
     H = [0  -R_GI^T  0  0  0],     z = H delta X = v_I - v_I_bar to first order,
 
-and -I more on the error of a plain extra vector c where the measurement is v_I + c: the persistent
-part of an observer's error, kept as three more states.
+and an additional -I on the error of a plain extra vector c where the measurement is v_I + c: the
+persistent part of an observer's error, which is three more states.
 """
 
 import numpy as np
@@ -59,7 +59,7 @@ def velocity_output(mean, covariance, contacts: int, v_I, PHt, S, residual):
 
 @kernel
 def note_velocity(mean, covariance, contacts: int, v_I, measurement_cov, note):
-    """The innovation of a velocity measurement before its update, for the record of innovations.
+    """Innovation of a velocity measurement before its update, for the record of innovations.
 
     Args:
         mean: (7+E, 3), the packed mean.
@@ -92,7 +92,7 @@ def note_velocity(mean, covariance, contacts: int, v_I, measurement_cov, note):
 
 @kernel
 def add_velocity(sums, note, used: bool):
-    """The innovation of `note_velocity` joins its sensor's sums (10,), in place.
+    """Add the innovation of `note_velocity` to its sensor's sums (10,), in place.
 
     used: False where the update was rejected.
     """
@@ -113,9 +113,9 @@ def add_velocity(sums, note, used: bool):
 
 @kernel
 def inverse_3(S, out):
-    """out = S^-1 for a symmetric positive definite S (3, 3), scaled so that units do not matter.
+    """out = S^-1 for a symmetric positive definite S (3, 3), independent of the scale of its axes.
 
-    By S = L D L^T: two axes next to dependent leave 1e-20 of the determinant, which cofactors lose.
+    By S = L D L^T: two nearly dependent axes leave 1e-20 of the determinant, which cofactors lose.
     """
     s0, s1, s2 = 1.0 / np.sqrt(S[0, 0]), 1.0 / np.sqrt(S[1, 1]), 1.0 / np.sqrt(S[2, 2])
     a, b, c = S[0, 1] * s0 * s1, S[0, 2] * s0 * s2, S[1, 2] * s1 * s2
@@ -146,7 +146,7 @@ def lift(mean, covariance, contacts: int, PHt, S, z_mean, z_cov):
         z_cov: (3, 3), its posterior covariance.
     """
     n = covariance.shape[0]
-    # One piece of memory for all: asking for many is slower than the arithmetic.
+    # One allocation for all arrays: several are slower than the arithmetic.
     work = np.empty(7 * n + 9)
     K, D = work[: 3 * n].reshape(3, n), work[3 * n : 6 * n].reshape(3, n)
     delta, information = work[6 * n : 7 * n], work[7 * n :].reshape(3, 3)
@@ -161,7 +161,7 @@ def lift(mean, covariance, contacts: int, PHt, S, z_mean, z_cov):
             )
             delta[i] += K[j, i] * z_mean[j]
     # Sigma + K (z_cov - S) K^T in Joseph's form: with D it is stationary in K, so that an error of
-    # K, which comes of inverting an S near singular, acts by its square alone.
+    # K, from inverting a nearly singular S, enters quadratically.
     for j in range(3):
         h0, h1, h2 = (
             0.5 * (S[0, j] + z_cov[0, j]),
@@ -173,7 +173,8 @@ def lift(mean, covariance, contacts: int, PHt, S, z_mean, z_cov):
     for i in range(n):
         k0, k1, k2, d0, d1, d2 = K[0, i], K[1, i], K[2, i], D[0, i], D[1, i], D[2, i]
         for j in range(n):
-            # In pairs, whose sums are the same with i and j exchanged: symmetric to the last bit.
+            # In pairs, whose sums do not change if i and j are exchanged: symmetric to the last
+            # bit.
             covariance[i, j] -= (
                 (k0 * D[0, j] + d0 * K[0, j])
                 + (k1 * D[1, j] + d1 * K[1, j])
