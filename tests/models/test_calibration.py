@@ -29,7 +29,11 @@ from surefoot.models.calibration.empirical_coverage import (
 from surefoot.models.calibration.mixing import LONGEST_LAG
 from surefoot.models.calibration.regions import calibrator
 from surefoot.models.calibration.walk_length import ERROR_STEP, walk_enough
-from surefoot.models.calibration.walking_conditions import stride_phase
+from surefoot.models.calibration.walking_conditions import (
+    SLIPPERY,
+    stride_phase,
+    walking_conditions,
+)
 from surefoot.models.observer.decimate import RATE
 from surefoot.models.observer.predict import prediction_errors
 from surefoot.sim.log import LEGS, Log
@@ -267,3 +271,19 @@ def test_phase_runs_from_touchdown_to_touchdown():
     phase = stride_phase(t, contact)
     assert np.isnan(phase[:50]).all()
     assert phase[50:350] == pytest.approx((t[50:350] / 0.5) % 1.0, abs=0.05)
+
+
+def test_friction_is_that_under_the_foot_that_bears_least():
+    """Feet that slip not at all are in the air, or stand as a rock does: they say nothing."""
+    log = synthetic_walk(0, 1.0)
+    n = len(log.t)
+    slip, mu = np.zeros((n, 4)), np.full((n, 4), 0.8)
+    slip[100:300, 1], slip[200:400, 2] = 1e-3, 0.5
+    mu[100:200, 1], mu[150:160, 3] = 0.3, 0.05
+    columns = {f"slip_{leg}": slip[:, i] for i, leg in enumerate(LEGS)}
+    columns |= {f"mu_{leg}": mu[:, i] for i, leg in enumerate(LEGS)}
+    simulated, rows = replace(log, frame=log.frame.assign(**columns)), np.arange(0, n, 5)
+    found = {case: rows[where] for split, case, where in walking_conditions(simulated, rows)}
+    assert found[f"friction below {SLIPPERY:g}"].tolist() == list(range(100, 200, 5))
+    assert found["dry"].tolist() == list(range(200, 400, 5))
+    assert found["a foot slips"].tolist() == list(range(200, 400, 5))

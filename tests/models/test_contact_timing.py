@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from surefoot.models.attribution.evidence import linearise, log_under_model, table_of
-from surefoot.models.residuals.contact_timing import MOVES, moments
+from surefoot.models.residuals.contact_timing import MOVES, USUAL, contact_timing, moments
 from surefoot.models.residuals.layout import layout_for
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
@@ -17,6 +17,7 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.sensors.contact import contact_from_force
+from surefoot.sim.sensors.stances import changes
 from surefoot.sim.walk import walk
 
 ROBOT = Robot.load("spot_class")
@@ -51,6 +52,22 @@ def test_moments_are_those_at_which_a_foot_stops_and_starts():
     # Too slow ever to be seen to move, and one whose reference has a hole.
     assert np.isnan(moments(t, stands, 0.5 * MOVES + 0 * t, changes, 40, 25)[1]).all()
     assert np.isnan(moments(t, stands, np.full(400, np.nan), changes, 40, 25)[1]).all()
+
+
+def test_each_change_is_in_the_bin_in_which_the_foot_stopped_or_started(plain):
+    log, first = plain.log, plain.frame.first
+    late = contact_timing(log, ROBOT, plain.frame)
+    for leg in range(4):
+        change = changes(log.contact[:, leg])
+        told = 0.5 * (log.t[change] + log.t[change - 1])
+        for lifts in (0, 1):
+            bins = np.flatnonzero(np.isfinite(late[:, leg + 4 * lifts]))
+            assert len(bins) > 5
+            own = told[~log.contact[change, leg] == bool(lifts)]
+            when = own[:, None] - late[bins, leg + 4 * lifts] - USUAL[lifts]
+            row = 1.0 / log.rate  # the one nearest to the moment counts
+            inside = (when > log.t[first[bins]] - row) & (when < log.t[first[bins + 1]] + row)
+            assert inside.any(axis=0).all()
 
 
 @pytest.mark.parametrize(("target", "columns"), [("touchdown", TOUCHDOWN), ("liftoff", LIFTOFF)])

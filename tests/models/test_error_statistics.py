@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from scipy.stats import anderson, binom, normaltest
+from scipy.stats import anderson, binom, kstest, normaltest
 
 from surefoot.models.calibration.error_statistics import (
     anderson_darling,
@@ -79,3 +79,10 @@ def test_what_was_put_in_is_found():
 def test_too_few_errors_are_refused():
     with pytest.raises(SurefootError, match="19 independent ones; statistics take 20"):
         error_statistics(np.zeros((199, 3)), K=10)
+
+
+def test_the_p_value_of_anderson_and_darling_is_one():
+    """Of Gaussians it is uniform on [0, 1], all four pieces of the fit together."""
+    rng = np.random.default_rng(6)
+    found = [anderson_darling(rng.standard_normal(60))[1] for _ in range(4000)]
+    assert kstest(found, "uniform").statistic < 0.03

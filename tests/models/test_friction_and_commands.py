@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from synthetic import synthetic_walk
 
 from surefoot.models.attribution.evidence import linearise, log_under_model, table_of
 from surefoot.models.attribution.fit import design, fit, normal_equations
@@ -24,6 +25,26 @@ STIFF = effect("viscous_friction", "FR_thigh", 0.8)
 @pytest.fixture(scope="module")
 def log():
     return walk(COURSE, ROBOT, 2, [STIFF], declared=False)
+
+
+@pytest.mark.parametrize("with_ahead", [True, False])
+@pytest.mark.parametrize("with_rates", [True, False])
+def test_a_motors_law_asks_for_what_it_says(with_ahead, with_rates):
+    """kp (q_des - q) + kd (dq_des - dq) + tau_ff, of what the log has."""
+    rng, log = np.random.default_rng(8), synthetic_walk(0, 1.0, robot="spot_class")
+    n, joints = len(log.t), log.joints
+    q_des, dq_des, ahead = rng.normal(size=(3, n, 12))
+    columns = {f"q_des_{j}": q_des[:, i] for i, j in enumerate(joints)}
+    if with_rates:
+        columns |= {f"dq_des_{j}": dq_des[:, i] for i, j in enumerate(joints)}
+    if with_ahead:
+        columns |= {f"tau_ff_{j}": ahead[:, i] for i, j in enumerate(joints)}
+    kp, kd = 20.0 + np.arange(12.0), 1.0 + 0.1 * np.arange(12.0)
+    meta = replace(log.meta, motor_law={"kp": list(kp), "kd": list(kd)})
+    asked = commanded_torque(replace(log, frame=log.frame.assign(**columns), meta=meta))
+    assert asked is not None
+    law = kp * (q_des - log.q) + kd * (with_rates * dq_des - log.dq)
+    np.testing.assert_allclose(asked, law + with_ahead * ahead, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["viscous_friction", "coulomb_friction", "armature"])

@@ -15,6 +15,7 @@ from surefoot.models.calibration.shift import (
     shift_alarm,
 )
 from surefoot.models.calibration.weighted import (
+    RIDGE,
     likelihood_ratios,
     weighted_bounds,
     weighted_quantile,
@@ -111,6 +112,21 @@ def test_ratios_are_those_of_the_densities():
     ours, _ = likelihood_ratios(a, b)
     true = norm.pdf(a[:, 0], 1.0) / norm.pdf(a[:, 0])
     assert np.log(ours) == pytest.approx(np.log(true), abs=0.4)
+
+
+def test_few_seconds_weigh_as_the_ridge_says():
+    """Their log ratio is the regression's whose penalised gradient vanishes: by Newton's method."""
+    rng = np.random.default_rng(7)
+    a, b = rng.standard_normal((15, 6)), 0.8 + rng.standard_normal((20, 6))
+    A = (np.vstack([a, b]) - a.mean(axis=0)) / a.std(axis=0)
+    A, y = np.hstack([A, np.ones((35, 1))]), np.repeat([0.0, 1.0], [15, 20])
+    ridge, w = np.diag([RIDGE] * 6 + [0.0]), np.zeros(7)
+    for _ in range(20):
+        p = 1.0 / (1.0 + np.exp(-A @ w))
+        H = (A * (p * (1.0 - p))[:, None]).T @ A + ridge
+        w -= np.linalg.solve(H, A.T @ (p - y) + ridge @ w)
+    ours = np.log(np.concatenate(likelihood_ratios(a, b)))
+    assert ours == pytest.approx(A @ w + np.log(15 / 20), abs=1e-3)
 
 
 def inputs(rng, seconds, mean, depends=1.0):

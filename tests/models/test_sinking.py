@@ -13,8 +13,8 @@ from surefoot.models.residuals.foot_loads import foot_loads
 from surefoot.models.residuals.jacobians import Regressor, explained_share
 from surefoot.models.residuals.layout import layout_for
 from surefoot.models.residuals.residual import residual
-from surefoot.models.residuals.soft_ground import _follow, swept
-from surefoot.models.residuals.torques import steps_of
+from surefoot.models.residuals.soft_ground import Stances, _follow, _follow_all, swept
+from surefoot.models.residuals.torques import InverseDynamics, Steps, steps_of, unbalanced
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
@@ -71,6 +71,42 @@ def test_a_foot_sinks_as_a_critically_damped_spring_does():
     _follow(t, rows, 0, len(t), 0.0, np.zeros(3), give, T, depth, v)
     assert depth[-1] == pytest.approx((1 / SOLIMP[1] - 1) * give * load * end**2 / SOLIMP[1], 1e-3)
     assert v[-1, 0] == pytest.approx(0.2 * end / 2, 1e-3)
+
+
+def test_a_landed_stance_moves_the_foot_by_what_it_sinks():
+    """And what was added is taken away again with the other sign."""
+    t = 1e-3 * np.arange(400)
+    landing = np.array([[0.0, 0.0, -0.3], [0.0, 0.0, -0.3]])
+    stances = Stances(np.array([0, 200]), np.array([150, 400]), np.ones(2, dtype=bool), landing)
+    rows, height = np.tile([0.0, 0.0, 0.0, 100.0], (400, 1)), np.zeros(400)
+    depth, v = np.zeros(400), np.zeros((400, 3))
+    _follow_all(t, height, rows, stances, 5.0, 0.02, 1.0, depth, v)
+    assert depth.max() > 1e-3
+    assert not depth[150:200].any()
+    for a, b in ((0, 150), (200, 400)):
+        assert_allclose(v[a + 1 : b, 2], -np.diff(depth[a:b]) / np.diff(t[a:b]), atol=1e-9)
+    _follow_all(t, height, rows, stances, 5.0, 0.02, -1.0, depth, v)
+    assert_allclose(depth, 0.0, atol=1e-12)
+    assert_allclose(v, 0.0, atol=1e-12)
+
+
+def test_feet_give_the_base_what_their_legs_do_not_take():
+    """Of forces f at their centres, J^T f = inverse dynamics - measured torque."""
+    robot, rng = Robot.load("spot_class"), np.random.default_rng(10)
+    q = np.tile(robot.q_home, (5, 1)) + 0.1 * rng.normal(size=(5, 12))
+    force, wrench = rng.normal(size=(5, 4, 3)), rng.normal(size=(5, 6))
+    needed = InverseDynamics(wrench, rng.normal(size=(5, 12)))
+    J = robot.feet_jacobian_I(q)  # I lies as B does
+    taken = np.zeros((5, 12))
+    for leg, joints in enumerate(robot.legs.joints):
+        taken[:, joints] = np.einsum("nij,ni->nj", J[:, leg], force[:, leg])
+    every, up = np.ones((5, 4), dtype=bool), np.tile([0.0, 0.0, 1.0], (5, 1))
+    steps = Steps(
+        q, q, q, needed.torque - taken, np.zeros((5, 9)), up, every, every, every[:, 0],
+        np.tile(robot.foot_radius, (5, 1)),
+    )  # fmt: skip
+    found = unbalanced(steps, needed, robot) + wrench
+    assert_allclose(found[:, :3], force.sum(axis=1), atol=1e-9)
 
 
 def test_what_the_rates_alone_do_is_what_mujoco_says(on_soft_ground):
