@@ -1,1 +1,1 @@
-"""Bounds on an observer's errors, where they hold, and what lasts of the errors."""
+"""Bounds on an observer's errors, their validity, and the persistent part of the errors."""

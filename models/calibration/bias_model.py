@@ -1,26 +1,26 @@
-"""The persistent and the mixing part of an observer's error: variance components, time constant.
+"""Variance components of an observer's error: persistent and mixing part, and time constant.
 
-Of the errors of axis i the model is
+The model of the errors of axis i is
 
     e_i(t) = b_i(t) + m_i(t),     cov(b_i(t), b_i(t + s)) = c_i exp(-s / tau),
 
-b the persistent part, a first-order Gauss-Markov process of zero mean with one tau for all axes,
-and m the mixing part, which decorrelates within a block of BLOCK seconds. The means of blocks are
-then y_k = b_k + n_k with n white of variance s_i, and c_i, s_i and tau have a likelihood, that of
-a scalar Kalman filter (Harvey, Forecasting, Structural Time Series Models and the Kalman Filter,
-1989, ch. 3.4). It is maximised over a grid of tau, tau = inf being a part that stays the same
-throughout. Several sequences add to it, each drawing its b anew; so do long blocks of one.
+with b the persistent part, a zero-mean first-order Gauss-Markov process with one tau for all axes,
+and m the mixing part, which decorrelates within a block of MIXING_BLOCK seconds. The means of
+blocks are then y_k = b_k + n_k with n white of variance s_i. The likelihood of c_i, s_i and tau is
+that of a scalar Kalman filter (Harvey, Forecasting, Structural Time Series Models and the Kalman
+Filter, 1989, ch. 3.4), and is maximised over a grid of tau, where tau = inf is a constant part.
+Several sequences, or long blocks of one, are independent realisations of b.
 
-A fitted b does not give how one course differs from the next: its tau is that of changes within a
-course, and a tau of seconds averages out over minutes, which the mean error of a course need not.
-So b varies about a constant c, another for each course. Its variance is that of the measured course
-means, together with one further course as far off as b is within a course: few courses say little
-of others, and the ground of a stretch of this one may be all of the next. The share of a course's
-mean that b accounts for is subtracted, all of it where tau is infinite.
+A fitted b does not describe the difference between courses: its tau is that of changes within a
+course, and with a tau of seconds it averages out over minutes, which the mean error of a course
+need not. So b varies about a constant c, different for each course. Its variance is that of the
+measured course means, plus one further course as far off as b is within a course: a few courses say
+little about others, and the ground of one section may be all of the next course. The share of a
+course's mean that b explains is subtracted, all of it where tau is infinite.
 
-The mean is zero, not estimated: what all sequences share is persistent as well. Intervals are those
-of the likelihood ratio (Wilks): all values at which the likelihood, at its best over the others,
-lies within half a chi-square quantile of 1 degree of freedom of the maximum.
+The mean is zero and not estimated: what all sequences share is persistent as well. Intervals are
+likelihood-ratio intervals (Wilks): all values at which the profile likelihood is within half a
+chi-square quantile of 1 degree of freedom of the maximum.
 """
 
 from __future__ import annotations
@@ -38,32 +38,44 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import kernel
 
 MIXING_BLOCK = 0.5
-"""s: over this the mixing part is averaged; a trot's stride, whose errors come again each time."""
+"""Averaging time of the mixing part [s]: a trot's stride, with which errors repeat."""
 BOUNDED_MEAN = 0.25
-"""s: the mean over this is what `epsilon` bounds; half a stride, at which a trot's legs swap."""
+"""Time over which the mean is bounded by `epsilon` [s]: half a stride, at which a trot's legs
+swap.
+"""
 LEAST = 20
-"""Blocks in all: fewer do not identify the persistent part."""
+"""Least number of blocks from which the persistent part can be identified."""
 TAUS = np.append(np.geomspace(2.0, 500.0, 21), np.inf)
-"""s: the time constants that are tried. Shorter ones cannot be separated from the mixing part."""
+"""Grid of time constants [s]. Shorter ones cannot be separated from the mixing part."""
 RATIOS = np.append(0.0, np.geomspace(1e-5, 1e4, 91))
-"""c / s that are tried."""
+"""Grid of c / s."""
 LEAST_STD = 1e-4
-"""m/s: least deviation of the prior, so that it stays definite without a persistent part."""
+"""Least standard deviation of the prior [m/s], which keeps it definite without a persistent
+part.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class BiasModel:
-    """The persistent part of an observer's error, and what holds for the rest; in I.
+    """Model of the persistent part of an observer's error, and bounds of the rest, all in I.
 
-    covariance (3, 3) [m^2/s^2]: prior of b in a sequence not yet seen. Its variances are
-    c nu / (nu - 2), what Student's law says of a next draw after nu (at most doubled), its
-    correlations those found with three uncorrelated draws added. course (3, 3) [m^2/s^2]: prior of
-    the constant that b varies about, by the same laws; it may be zero. time_constant [s], may be
-    inf.
-    epsilon (3,) [m/s] bounds the mean of `window` successive mixing errors at the joint level of
-    the bounds; within (3, 3) [m^2/s^2] is that mean's covariance times `window`; max_error (3,)
-    [m/s] the largest single mixing error seen. variance (3,) is c itself, interval (3, 2) and
-    time_constant_interval (2,) are 95 % of c and tau. sequences, blocks and nu count what was seen.
+    Attributes:
+        covariance: prior of b in an unseen sequence (3, 3) [m^2/s^2]. Its variances are c nu / (nu
+            - 2), Student's predictive variance after nu draws (at most doubled); its correlations
+            are those found, with three uncorrelated draws added.
+        course: prior of the constant about which b varies, likewise; may be zero (3, 3) [m^2/s^2].
+        time_constant: tau [s], may be inf.
+        epsilon: bounds of the mean of `window` successive mixing errors at the joint level (3,)
+            [m/s].
+        within: that mean's covariance times `window` (3, 3) [m^2/s^2].
+        max_error: largest single mixing error (3,) [m/s].
+        window: number of errors in the mean.
+        variance: c (3,) [m^2/s^2].
+        interval: 95 % interval of c (3, 2).
+        time_constant_interval: 95 % interval of tau (2,) [s].
+        sequences: number of sequences.
+        blocks: number of blocks.
+        nu: effective number of draws of b.
     """
 
     covariance: np.ndarray
@@ -81,9 +93,10 @@ class BiasModel:
     nu: float
 
     def turned(self, R: np.ndarray) -> BiasModel:
-        """The same in the frame that R (3, 3) maps ours to; bounds become those of the box around.
+        """The same in the frame that R (3, 3) maps ours to; bounds become those of the enclosing
+        box.
 
-        The intervals stay those of the axes that were calibrated.
+        The intervals remain those of the calibrated axes.
         """
         return replace(
             self,
@@ -95,7 +108,7 @@ class BiasModel:
         )
 
     def plain(self) -> dict[str, Any]:
-        """As JSON takes it: lists, and null for an infinite time constant."""
+        """As JSON: lists, and null for an infinite time constant."""
         values: dict[str, Any] = {k: np.asarray(v).tolist() for k, v in self.__dict__.items()}
         values["reach"] = values.pop("max_error")  # its name in the file
         ends = values["time_constant_interval"]
@@ -106,7 +119,7 @@ class BiasModel:
 
     @classmethod
     def from_plain(cls, values: dict[str, Any]) -> BiasModel:
-        """Back from `plain`. Raises TypeError, KeyError or ValueError where it is not whole."""
+        """Inverse of `plain`. Raises TypeError, KeyError or ValueError where it is not complete."""
         ends = [math.inf if end is None else end for end in values["time_constant_interval"]]
         tau = values["time_constant"]
         named = {("max_error" if k == "reach" else k): v for k, v in values.items()}
@@ -144,9 +157,9 @@ def long_enough(errors: np.ndarray, dt: float) -> bool:
 def estimate_bias_model(
     errors: np.ndarray | Sequence[np.ndarray], dt: float, gamma: float, window: float = BOUNDED_MEAN
 ) -> BiasModel:
-    """The persistent part of errors (N, 3) [m/s] sampled every dt [s], one sequence or several.
+    """Estimate the persistent part of errors (N, 3) [m/s] every dt [s], of one sequence or several.
 
-    gamma is the joint level of `epsilon`, window [s] what it is a mean over. Raises SurefootError
+    gamma is the joint level of `epsilon`, window [s] the time of its mean. Raises SurefootError
     where there are fewer than LEAST blocks, or too few windows for a bound.
     """
     sequences = [errors] if isinstance(errors, np.ndarray) else list(errors)
@@ -167,7 +180,7 @@ def estimate_bias_model(
         _mixing(part, mean, size, ratio, math.exp(-size * dt / tau))
         for part, mean in zip(sequences, means, strict=True)
     ]
-    # The smoothed part takes some of the mixing part's variance with it; the fit says how much.
+    # The smoothed part removes some of the mixing part's variance; rescale by the fitted one.
     left = np.concatenate([block_means(part, size) for part in mixing])
     scale = np.sqrt(variance_of_mixing(y, fresh, ratio, size * dt, tau) / np.mean(left**2, axis=0))
     mixing = [part * scale for part in mixing]
@@ -197,13 +210,13 @@ def block_means(x: np.ndarray, size: int) -> np.ndarray:
 
 
 def variance_of_mixing(y, fresh, ratio, step: float, tau: float) -> np.ndarray:
-    """s (3,) [m^2/s^2], the most likely variance of n, the mixing part of block means.
+    """s (3,) [m^2/s^2], the maximum-likelihood variance of n, the mixing part of block means.
 
     Args:
         y: (K, 3) [m/s], means of the errors over blocks.
         fresh: (K,) bool, whether a sequence begins at the block.
         ratio: (3,), c / s of each axis.
-        step: time from one block to the next [s].
+        step: time between blocks [s].
         tau: time constant of the persistent part [s].
     """
     phi = math.exp(-step / tau)
@@ -211,20 +224,20 @@ def variance_of_mixing(y, fresh, ratio, step: float, tau: float) -> np.ndarray:
 
 
 def _fit(y, fresh, step: float):
-    """Ratios c / s (3,), c (3,) and tau of the greatest likelihood, and the intervals of c, tau."""
+    """Maximum-likelihood c / s (3,), c (3,) and tau, and the intervals of c and tau."""
     likelihood = np.empty((len(TAUS), 3, len(RATIOS)))
     c = np.empty_like(likelihood)
     _survey(y, fresh, np.exp(-step / TAUS), RATIOS, likelihood, c)
     allowed = 0.5 * chi2.ppf(0.95, 1)
     by_tau = likelihood.max(axis=2).sum(axis=1)
-    # Without a persistent part all tau are alike: the longest is then the simplest.
+    # Without a persistent part all tau are equivalent; prefer the longest as the simplest.
     best = len(TAUS) - 1 - int(np.argmax(by_tau[::-1]))
     kept = TAUS[by_tau >= by_tau.max() - allowed]
     ratio, variance, interval = np.empty(3), np.empty(3), np.empty((3, 2))
     for i in range(3):
         at = int(np.argmax(likelihood[best, i]))
         ratio[i], variance[i] = RATIOS[at], c[best, i, at]
-        # The other axes at their best for each tau.
+        # Profile over the other axes for each tau.
         joint = likelihood[:, i] + (by_tau - likelihood[:, i].max(axis=1))[:, None]
         inside = c[:, i][joint >= by_tau.max() - allowed]
         interval[i] = inside.min(), inside.max()
@@ -233,12 +246,12 @@ def _fit(y, fresh, step: float):
 
 @kernel
 def _survey(y, fresh, phis, ratios, likelihood, c):
-    """Likelihood of every time constant and ratio, and the variance c that goes with it.
+    """Likelihood of every time constant and ratio, and the corresponding variance c.
 
     Args:
         y: (K, 3) [m/s], means of the errors over blocks.
         fresh: (K,) bool, whether a sequence begins at the block.
-        phis: (T,), correlation of the persistent part from one block to the next.
+        phis: (T,), correlation of the persistent part between successive blocks.
         ratios: (Q,), c / s.
         likelihood: (T, 3, Q), filled.
         c: (T, 3, Q) [m^2/s^2], filled with the persistent part's variance.
@@ -252,7 +265,7 @@ def _survey(y, fresh, phis, ratios, likelihood, c):
 
 @kernel
 def _innovations(y, fresh, ratio: float, phi: float) -> tuple[float, float]:
-    """The most likely s given c / s = ratio, and the log-likelihood there, of block means (n,)."""
+    """Maximum-likelihood s for c / s = ratio, and the log-likelihood there, of block means (n,)."""
     b, p, squares, logs = 0.0, ratio, 0.0, 0.0
     for k in range(y.shape[0]):
         if fresh[k]:
@@ -268,16 +281,16 @@ def _innovations(y, fresh, ratio: float, phi: float) -> tuple[float, float]:
 
 
 def _next_draw(variance, nu: float):
-    """Variance of a next draw after nu (Student), at most doubled."""
+    """Predictive variance of a next draw after nu draws (Student), at most doubled."""
     return np.maximum(variance * nu / (nu - 2.0) if nu > 4.0 else 2.0 * variance, 0.0)
 
 
 def _course_variance(sequences, dt: float, variance, tau: float) -> np.ndarray:
-    """Variance (3,) of the constant that b varies about: see the module's text."""
+    """Variance (3,) of the constant about which b varies; see the module."""
     explained, squares = 0.0, variance.copy()
     for part in sequences:
         x = len(part) * dt / tau
-        # Variance of a Gauss-Markov process's mean over x time constants, in shares of its own.
+        # Variance of a Gauss-Markov process's mean over x time constants, relative to its own.
         explained += 1.0 if x < 1e-6 else 2.0 * (x + math.expm1(-x)) / x**2
         squares = squares + np.mean(part, axis=0) ** 2
     nu = len(sequences) + 1.0
@@ -289,7 +302,7 @@ def _correlation(y, fresh, phi: float, nu: float) -> np.ndarray:
     """Correlations (3, 3) of the persistent part, from lagged pairs of block means."""
     lagged = np.zeros((3, 3))
     for part in np.split(y, np.flatnonzero(fresh)[1:]):
-        # Weighted sums over all pairs of different blocks, by one pass of a decaying sum.
+        # Weighted sums over all pairs of different blocks, in one pass with a decaying sum.
         before = np.zeros(3)
         for row in part:
             lagged += np.outer(before, row)
@@ -304,14 +317,14 @@ def _correlation(y, fresh, phi: float, nu: float) -> np.ndarray:
 
 
 def _mixing(errors, means, size: int, ratio, phi: float) -> np.ndarray:
-    """What is left of one sequence's errors (N, 3) without the smoothed persistent part.
+    """One sequence's errors (N, 3) without the smoothed persistent part.
 
     Args:
         errors: (N, 3) [m/s].
         means: (K, 3) [m/s], their means over blocks.
         size: rows in a block.
         ratio: (3,), c / s of each axis.
-        phi: correlation of the persistent part from one block to the next.
+        phi: correlation of the persistent part between successive blocks.
     """
     if len(means) == 0:
         return errors - errors.mean(axis=0)
@@ -323,7 +336,7 @@ def _mixing(errors, means, size: int, ratio, phi: float) -> np.ndarray:
 
 @kernel
 def _smoothed(y, ratio: float, phi: float):
-    """Mean (n,) of b given all block means of a sequence: Rauch, Tung and Striebel's smoother."""
+    """Mean (n,) of b given all block means of a sequence (Rauch-Tung-Striebel smoother)."""
     n = y.shape[0]
     b, p = np.zeros(n), np.zeros(n)
     ahead, p_ahead = np.zeros(n), np.zeros(n)

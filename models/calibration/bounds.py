@@ -1,4 +1,4 @@
-"""Bounds: the calibrated statement of an observer's errors, P(|e| <= epsilon) >= gamma."""
+"""Bounds: the calibrated statement about an observer's errors, P(|e| <= epsilon) >= gamma."""
 
 from __future__ import annotations
 
@@ -21,21 +21,31 @@ from surefoot.sim.common.quaternion import check_rotation
 
 BOUNDS_FORMAT = "surefoot bounds"
 BOUNDS_SCHEMA = 2
-"""2: with a digest of what they say. Those of surefoot 0.1.0 are of schema 1, without one."""
+"""2: with a digest of the content. Schema 1, of surefoot 0.1.0, has none."""
 
 
 @dataclass(frozen=True, eq=False)
 class Bounds:
     """A calibrated coverage statement (paper, Eq. coverage_statement).
 
-    epsilon (3,), m/s: of |v_I predicted - v_I| by axis, in the frame of an IMU mounted as R_BI
-    (3, 3) says. gamma is the joint level, level_per_axis the one that each axis alone was ranked
-    at: its cube root for the `conformal` method, gamma itself for one that bounds the axes jointly.
-    n samples, K steps of 10 ms apart, came from `log`; `observer` is the hash of the observer they
-    hold for. `mixing` is the curve behind K, None where K was given; `confidence` is that of
-    `scenario` bounds over calibrations, None where the statement is about the mean of them.
-    `persistent` is the persistent part of the errors, None of a log too short for it and in files
-    from before it was estimated. `warnings` are what in the log was not plausible.
+    Attributes:
+        epsilon: bounds of |v_I predicted - v_I| (3,) [m/s], along the axes of an IMU mounted as
+            R_BI.
+        gamma: joint level.
+        level_per_axis: level at which the score was ranked: the cube root of gamma for the
+            `conformal` method, gamma itself for methods that bound the axes jointly.
+        method: of calibration.
+        K: spacing of the samples, in steps of 10 ms.
+        n: number of samples.
+        observer: hash of the observer that they hold for.
+        R_BI: mounting of the IMU (3, 3).
+        log: that they were calibrated on.
+        mixing: the curve from which K was chosen; None where K was given.
+        confidence: of `scenario` bounds, over calibrations; None where the statement is about their
+            mean.
+        persistent: the persistent part of the errors; None for a log too short for it, and in old
+            files.
+        warnings: about what in the log was not plausible.
     """
 
     epsilon: np.ndarray
@@ -53,7 +63,7 @@ class Bounds:
     warnings: tuple[str, ...] = ()
 
     def check_observer(self, observer: Observer) -> None:
-        """Raise BoundsError where these bounds were calibrated for another observer."""
+        """Raise BoundsError if these bounds were calibrated for another observer."""
         if observer.hash != self.observer:
             raise BoundsError(
                 f"the bounds belong to observer {self.observer[:12]}, not to {observer.hash[:12]}; "
@@ -61,21 +71,21 @@ class Bounds:
             )
 
     def epsilon_at(self, R_BI: np.ndarray) -> np.ndarray:
-        """Bounds (3,) for an IMU turned otherwise: the smallest box, along its axes, around ours.
+        """Bounds (3,) for a rotated IMU: the smallest box along its axes that contains ours.
 
-        |R| epsilon with R from our frame to the new one. It keeps at least the joint level gamma,
-        and is the same box where the axes are only exchanged or reversed.
+        These are |R| epsilon with R from our frame to the new one. The box has at least the joint
+        level gamma, and is the same if axes are only exchanged or reversed.
         """
         return np.abs(np.asarray(R_BI).T @ self.R_BI) @ self.epsilon
 
     def persistent_at(self, R_BI: np.ndarray) -> BiasModel:
-        """The persistent part, for another IMU mounting. Raises BoundsError where it is missing."""
+        """The persistent part for another IMU mounting. Raises BoundsError where it is missing."""
         if self.persistent is None:
             raise BoundsError("--bounds have no persistent part; calibrate again, on a longer log")
         return self.persistent.turned(np.asarray(R_BI).T @ self.R_BI)
 
     def save(self, path: str | Path, force: bool = False) -> None:
-        """Write them as JSON, whole or not at all. Raises SurefootError where `path` exists."""
+        """Write as JSON, whole or not at all. Raises SurefootError where `path` exists."""
         values = {"format": BOUNDS_FORMAT, "schema": BOUNDS_SCHEMA} | asdict(self)
         if self.persistent is not None:
             values["persistent"] = self.persistent.plain()
@@ -86,7 +96,7 @@ class Bounds:
 
     @classmethod
     def load(cls, path: str | Path) -> Bounds:
-        """The bounds at `path`. Raises BoundsError, one line, where it holds no valid ones."""
+        """Read the bounds at `path`. Raises BoundsError, one line, where it holds no valid ones."""
         try:
             values = bounded_json(path)
         except SurefootError as error:
@@ -106,7 +116,7 @@ class Bounds:
 
 
 def _digest(values: dict[str, Any]) -> str:
-    """SHA-256 of what bounds say, the order of their keys aside."""
+    """SHA-256 of the content of bounds, independent of the order of keys."""
     return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 

@@ -1,10 +1,10 @@
 """Bounds on an observer's errors from a log (paper, "Calibration and Coverage Statements").
 
 Errors on a log the observer has not seen, taken K steps apart so that they are nearly independent,
-become a region by one of the methods of `surefoot.models.registry.CALIBRATORS`. The paper's is
-`conformal`: each axis has the k-th smallest absolute error as its bound,
-k = ceil((N + 1) gamma^(1/3)), and the joint level gamma follows if the axes are independent.
-`surefoot.models.calibration.empirical_coverage` measures what it came to.
+are converted to a region by one of the methods of `surefoot.models.registry.CALIBRATORS`. The
+paper's is `conformal`: the bound of each axis is the k-th smallest absolute error, k = ceil((N + 1)
+gamma^(1/3)), and the joint level gamma follows if the axes are independent.
+`surefoot.models.calibration.empirical_coverage` measures the coverage that results.
 """
 
 from __future__ import annotations
@@ -34,20 +34,19 @@ def calibrate(
     K: int | None = None,
     confidence: float = CONFIDENCE,
 ) -> Bounds:
-    """Bounds holding jointly with probability gamma, in the frame of the log's IMU.
-
-    Args:
-        observer: whose errors are bounded.
-        log: one that it has not seen, with a reference.
-        gamma: joint level.
-        method: a name of surefoot.models.registry.CALIBRATORS.
-        robot: the log's (Robot.for_log where left out).
-        K: steps of 10 ms between errors taken as independent; where left out it comes from the
-            mixing curve of the errors.
-        confidence: of `scenario` bounds, over calibrations.
+    """Bounds that hold jointly with probability gamma, in the frame of the log's IMU.
 
     Raises BoundsError for a gamma outside (0, 1), a log the observer was trained on, or one too
     short; ObserverError and LogError where the log lacks what the observer or the errors need.
+
+    Args:
+        observer: whose errors are bounded.
+        log: not used in training, with a reference.
+        gamma: joint level.
+        method: a name of surefoot.models.registry.CALIBRATORS.
+        robot: the log's, by default Robot.for_log.
+        K: steps of 10 ms between errors taken as independent, by default from their mixing curve.
+        confidence: of `scenario` bounds, over calibrations.
     """
     how = calibrator(method, gamma, confidence)
     seen = {part.sha256: part.name for part in observer.logs}
@@ -85,16 +84,16 @@ def calibrate(
 
 
 def samples_for(how: Calibrator, errors: np.ndarray, K: int) -> tuple[np.ndarray, np.ndarray]:
-    """What `fit` and what `conformalize` are given of errors (n, 3): the first share, the rest.
+    """Split errors (n, 3) into those for `fit` and those for `conformalize`.
 
-    The first are as they come, the second K apart.
+    The first are the beginning of the log, unchanged; the second are the rest, K apart.
     """
     split = K * int(how.fit_share * (len(errors) // K))
     return errors[:split], subsample(errors[split:], K)
 
 
 def region_of(how: Calibrator, shaping: np.ndarray, chosen: np.ndarray) -> Region:
-    """The region of errors (n, 3) to fit to and (N, 3) to rank, m/s, by `samples_for`.
+    """The region from errors (n, 3) to fit to and (N, 3) to rank [m/s], as from `samples_for`.
 
     Raises BoundsError where they are too few.
     """
@@ -104,12 +103,12 @@ def region_of(how: Calibrator, shaping: np.ndarray, chosen: np.ndarray) -> Regio
 
 
 def subsample(errors: np.ndarray, K: int) -> np.ndarray:
-    """The last of each whole block of K samples: N = floor(n / K) of them, as the paper counts."""
+    """The last of each complete block of K samples: N = floor(n / K) of them, as in the paper."""
     return errors[K - 1 :: K]
 
 
 def require_samples(how: Calibrator, n: int, K: int, name: str = "log") -> None:
-    """Raise BoundsError where n errors of the log `name`, K apart, are too few for this method."""
+    """Raise BoundsError if n errors of the log `name`, K apart, are too few for this method."""
     if K < 1:
         raise BoundsError(f"K = {K}: must be 1 at least")
     needed = errors_needed(how)

@@ -1,4 +1,4 @@
-"""The rank that split conformal prediction takes its quantile at, and the quantile."""
+"""Rank and quantile of split conformal prediction."""
 
 import math
 from fractions import Fraction
@@ -9,7 +9,7 @@ from surefoot.sim.common.errors import SurefootError
 
 
 class BoundsError(SurefootError):
-    """Bounds that cannot be read or made, or that belong to another observer."""
+    """Bounds that cannot be read or computed, or that belong to another observer."""
 
 
 def level_per_axis(gamma: float) -> float:
@@ -20,7 +20,7 @@ def level_per_axis(gamma: float) -> float:
 
 
 def rank(n: int, level: float) -> int:
-    """k = ceil((n + 1) level): which of n sorted scores is the bound; more than n means none is.
+    """k = ceil((n + 1) level): which of n sorted scores is the bound; none if more than n.
 
     In exact arithmetic on the level's shortest decimal form, so that 0.9 of 10 is 9 and not 10.
     """

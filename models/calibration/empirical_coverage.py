@@ -1,4 +1,4 @@
-"""Empirical coverage of an observer's errors by their bounds, in all and by condition."""
+"""Empirical coverage of an observer's errors by their bounds, overall and by condition."""
 
 from dataclasses import dataclass
 
@@ -12,10 +12,10 @@ from surefoot.sim.log import Log
 
 @dataclass(frozen=True)
 class EmpiricalCoverage:
-    """Share of errors within their bounds, and the interval of the true share.
+    """Share of errors within their bounds, with confidence intervals.
 
-    per_axis (3,) and joint, over all errors; per_axis_interval (3, 2) and joint_interval (2,) at
-    `confidence`, Clopper-Pearson's, counting `n` independent errors.
+    per_axis (3,) and joint are over all errors; per_axis_interval (3, 2) and joint_interval (2,)
+    are Clopper-Pearson intervals at `confidence`, for `n` independent errors.
     """
 
     per_axis: np.ndarray
@@ -27,10 +27,10 @@ class EmpiricalCoverage:
 
 
 def coverage(errors: np.ndarray, bounds: Bounds, confidence: float = 0.95) -> EmpiricalCoverage:
-    """How often errors (M, 3), at 100 Hz, kept within their bounds.
+    """Share of errors (M, 3), at 100 Hz, within their bounds.
 
-    Neighbouring errors are not independent: the interval counts M / K of them, with the K that the
-    bounds were calibrated at. Raises BoundsError where there is not one.
+    Successive errors are not independent: the interval assumes M / K independent ones, with the K
+    of the bounds' calibration. Raises BoundsError where there is none.
     """
     n = len(errors) // bounds.K
     if n < 1:
@@ -49,10 +49,10 @@ def coverage(errors: np.ndarray, bounds: Bounds, confidence: float = 0.95) -> Em
 
 @dataclass(frozen=True)
 class CaseCoverage:
-    """Joint coverage of the errors that fall into one case of one split.
+    """Joint coverage of the errors in one case of one condition.
 
-    time: share of all errors; interval (2,) counts `n` independent ones: the blocks of K samples
-    that hold an error of the case.
+    time: share of all errors; interval (2,) assumes `n` independent ones, the blocks of K samples
+    that contain an error of the case.
     """
 
     split: str
@@ -89,9 +89,9 @@ def worst_case(cases: list[CaseCoverage], least: int = 5) -> CaseCoverage | None
 
 
 def binomial_interval(share: float, n: int, confidence: float = 0.95) -> np.ndarray:
-    """Clopper and Pearson's interval (2,) of a probability, from a share of n trials.
+    """Clopper-Pearson interval (2,) of a probability, from a share of n trials.
 
-    (Biometrika 26, 1934); share * n need not be whole, the bounds are quantiles of beta laws.
+    (Biometrika 26, 1934); share * n need not be an integer, as the bounds are beta quantiles.
     """
     tail, hits = 0.5 * (1 - confidence), share * n
     lower = beta.ppf(tail, hits, n - hits + 1) if hits > 0 else 0.0

@@ -1,8 +1,8 @@
-"""Statistics of an observer's errors: bias, spread, skewness, tails, and tests for a Gaussian.
+"""Statistics of an observer's errors: bias, spread, skewness, tails, and tests of normality.
 
 Errors 10 ms apart are correlated, and a test that assumes independence finds everything
-significant. So the tests of shape take every K-th error, K from the mixing curve, and the interval
-of the mean counts as many independent errors as its autocorrelation leaves.
+significant. The tests of shape therefore take every K-th error, with K from the mixing curve, and
+the interval of the mean uses the effective number of samples by the autocorrelation.
 """
 
 from __future__ import annotations
@@ -16,18 +16,20 @@ from surefoot.models.calibration.mixing import mixing
 from surefoot.sim.common.errors import SurefootError
 
 FEWEST_ERRORS = 20
-"""Independent errors that the tests take: D'Agostino's approximations are good from there on."""
+"""Independent errors needed for the tests: D'Agostino's approximations are accurate from there
+on.
+"""
 
 
 @dataclass(frozen=True)
 class AxisErrors:
-    """One axis of errors; p-values are those of a Gaussian, from `thinned` errors K apart.
+    """Statistics of one axis of errors; p-values of normality are from `thinned` errors K apart.
 
-    mean and its 95 % interval, and std, in m/s, of all n; `independent`: how many errors the
-    interval counts. skewness and kurtosis (in excess of a Gaussian's 0) with D'Agostino's and
-    Anscombe and Glynn's tests; both together are D'Agostino and Pearson's, `normal_p`;
-    `anderson_p` is Anderson and Darling's, mean and variance estimated. beyond: share of all n
-    farther from the mean than three std (a Gaussian has 0.0027).
+    mean with its 95 % interval, and std, in m/s, are of all n; `independent` is the effective
+    number of errors for the interval. skewness and kurtosis (excess over a Gaussian's) have the
+    tests of D'Agostino and of Anscombe and Glynn; the combined test of D'Agostino and Pearson is
+    `normal_p`; `anderson_p` is that of Anderson and Darling with estimated mean and variance.
+    beyond: share of all n farther from the mean than three std (0.0027 for a Gaussian).
     """
 
     n: int
@@ -47,9 +49,9 @@ class AxisErrors:
 
 
 def error_statistics(errors: np.ndarray, K: int | None = None) -> tuple[AxisErrors, ...]:
-    """Of errors (n, D), m/s, each axis by itself; K from their mixing curve unless it is given.
+    """Statistics of each axis of errors (n, D) [m/s]; K is from their mixing curve by default.
 
-    Raises SurefootError where fewer than FEWEST independent errors are left.
+    Raises SurefootError where fewer than FEWEST_ERRORS independent errors are left.
     """
     K = mixing(errors).K if K is None else K
     if len(errors) // K < FEWEST_ERRORS:
@@ -83,7 +85,7 @@ def _axis(e: np.ndarray, K: int) -> AxisErrors:
 
 
 def effective_samples(x: np.ndarray) -> float:
-    """How many independent samples' mean varies as that of x (n,) does.
+    """Effective sample size of x (n,): independent samples whose mean has the same variance.
 
     n / (1 + 2 sum rho_k), the sum by Geyer's initial positive sequence (Practical Markov Chain
     Monte Carlo, Statistical Science 7, 1992): pairs of autocorrelations until one is negative.
@@ -115,6 +117,6 @@ def anderson_darling(x: np.ndarray) -> tuple[float, float]:
     elif a < 0.6:
         p = np.exp(0.9177 - 4.279 * a - 1.38 * a**2)
     else:
-        # Beyond 10 the fitted parabola would turn upwards.
+        # Beyond 10 the fitted parabola would rise again.
         p = np.exp(1.2937 - 5.709 * min(a, 10.0) + 0.0186 * min(a, 10.0) ** 2)
     return statistic, float(p)

@@ -1,18 +1,18 @@
-"""The beta-mixing coefficient of errors: how far apart two count as independent.
+"""Beta-mixing coefficient of errors: the spacing at which they are nearly independent.
 
 Histogram estimator of McDonald, Shalizi and Schervish (Estimating beta-mixing coefficients via
 histograms, Electronic Journal of Statistics 9, 2015), for blocks of d samples, a apart:
 
     beta^d(a) = 1/2 sum |p_2d(block, block a later) - p_d(block) p_d(block)|
 
-On a finite record it stays above zero even for independent samples, so the curve is read against
-its own floor: the same estimate at lags so long that no dependence is left. On Gaussian
-autoregressions, whose coefficient is known, K so read comes out at the true one to a third above
-it, for the slowest of three axes decides.
+On a finite record it is above zero even for independent samples, so the curve is compared with its
+own floor: the same estimate at lags so long that no dependence is left. On Gaussian
+autoregressions, whose coefficient is known, the resulting K is between the true one and a third
+more, since the slowest of three axes decides.
 
-Errors of a gait with a fixed period do not mix at all: they repeat with the stride, and the curve
-has a peak at each of its multiples, however far away. K falls between the peaks. A spacing that is
-a multiple of the stride would show the calibration one moment of the stride alone.
+Errors of a strictly periodic gait do not mix: they repeat with the stride, and the curve has a peak
+at each of its multiples, however distant. K falls between the peaks. A spacing of a multiple of the
+stride would sample a single phase of it.
 """
 
 from __future__ import annotations
@@ -22,18 +22,23 @@ from dataclasses import dataclass
 import numpy as np
 
 THRESHOLD = 0.05
-"""The paper's: K is chosen where beta comes down to about this."""
+"""Threshold of the paper: K is chosen where beta falls to about this."""
 LONGEST_LAG = 200
-"""Longest lag looked at, in samples of 10 ms."""
+"""Longest lag considered, in samples of 10 ms."""
 
 
 @dataclass(frozen=True)
 class Mixing:
     """The curve from which K was chosen, for plotting.
 
-    lags (L,) in samples; beta (L, D): the histogram estimate of each axis; floor (D,): what it
-    shows where there is no dependence; K; mixed: whether every axis had come down to `threshold`
-    by K (if not, K is the lag where the worst axis is lowest).
+    Attributes:
+        lags: (L,), in samples.
+        beta: histogram estimate of each axis (L, D).
+        floor: estimate without dependence (D,).
+        K: chosen spacing.
+        mixed: whether every axis was below `threshold` at K; if not, K is the lag at which the
+            worst axis is lowest.
+        threshold: for the choice.
     """
 
     lags: np.ndarray
@@ -45,18 +50,18 @@ class Mixing:
 
     @property
     def excess(self) -> np.ndarray:
-        """Dependence (L, D) above the floor, sqrt(beta^2 - floor^2): K is read from this.
+        """Dependence (L, D) above the floor, sqrt(beta^2 - floor^2), from which K is determined.
 
-        A histogram cell's |difference| is that of a true difference plus noise of the floor's
-        size, and these add about as squares do.
+        The |difference| in a histogram cell is that of a true difference plus noise of the floor's
+        size, which add approximately in squares.
         """
         return np.sqrt(np.maximum(self.beta**2 - self.floor**2, 0.0))
 
 
 def mixing(errors: np.ndarray, farthest: int = LONGEST_LAG, threshold: float = THRESHOLD) -> Mixing:
-    """The mixing curve of errors (n, D), each axis by itself, and the spacing K it asks for.
+    """Mixing curve of errors (n, D), each axis by itself, and the resulting spacing K.
 
-    K is the first lag at which no axis depends on itself by more than `threshold`. Lags go up to
+    K is the first lag at which the dependence of every axis is at most `threshold`. Lags extend to
     `farthest` or a tenth of the record.
     """
     n, D = errors.shape
@@ -74,8 +79,8 @@ def mixing(errors: np.ndarray, farthest: int = LONGEST_LAG, threshold: float = T
 def discretise(x: np.ndarray, blocks: int = 1) -> np.ndarray:
     """Bin numbers (n,) of x (n,), in n^(1/(2 blocks + 2)) bins of equal counts.
 
-    beta does not change under a monotone map of x, so bins of equal counts lose nothing and leave
-    no cell empty for a heavy tail. Ties share a bin.
+    beta is invariant under monotone maps of x, so bins of equal counts lose nothing and leave no
+    cell empty for heavy tails. Ties share a bin.
     """
     bins = max(2, round(len(x) ** (1 / (2 * blocks + 2))))
     edges = np.unique(np.quantile(x, np.arange(1, bins) / bins))
@@ -85,7 +90,7 @@ def discretise(x: np.ndarray, blocks: int = 1) -> np.ndarray:
 def beta_coefficient(states: np.ndarray, lag: int, blocks: int = 1) -> float:
     """beta^d(lag) of a sequence of bin numbers (n,), d = `blocks`; exact bins make it McDonald's.
 
-    The second block starts `lag` samples after the first one ends.
+    The second block starts `lag` samples after the end of the first.
     """
     base = int(states.max()) + 1
     length = len(states) - blocks + 1
@@ -105,7 +110,9 @@ def independence_floor(states: np.ndarray, shifts: int = 64) -> float:
 
 
 def _distance(first: np.ndarray, second: np.ndarray, base: int) -> float:
-    """Total variation between the joint histogram of two sequences and its marginals' product."""
+    """Total variation distance between the joint histogram of two sequences and the product of its
+    marginals.
+    """
     joint = np.bincount(first * base + second, minlength=base * base).reshape(base, base)
     joint = joint / len(first)
     return float(0.5 * np.abs(joint - np.outer(joint.sum(axis=1), joint.sum(axis=0))).sum())

@@ -1,8 +1,8 @@
-"""Regions that errors lie in, and the methods that make one of errors that stand K apart.
+"""Regions of errors, and the methods that determine one from errors K apart.
 
-Split conformal in three forms for three axes: a bound an axis (`conformal`, `bonferroni`, `outer`),
-or one score for all (`maxnorm`, `ellipsoid`), whose finite-sample statement is joint by itself. The
-sixth method, `scenario`, is in `surefoot.models.calibration.scenario_box`.
+Split conformal prediction in three forms for three axes: one bound per axis (`conformal`,
+`bonferroni`, `outer`), or one score for all (`maxnorm`, `ellipsoid`), whose finite-sample statement
+is joint by itself. The sixth method, `scenario`, is in `surefoot.models.calibration.scenario_box`.
 """
 
 from __future__ import annotations
@@ -21,24 +21,25 @@ from surefoot.models.calibration.conformal import (
 from surefoot.models.registry import CALIBRATORS
 
 CONFIDENCE = 0.95
-"""Of `scenario` bounds, over the calibrations that might have been."""
+"""Confidence of `scenario` bounds, over possible calibrations."""
 OUTER_LEVEL = 0.99
-"""Of each axis' `outer` quantile. The paper sets the bounds of its biased regime "from outer
-quantiles" and names no level; this one is met by 99 independent errors, 0.999 would take 999."""
+"""Level of each axis' `outer` quantile. The paper sets the bounds of its biased regime "from outer
+quantiles" without naming a level; this one needs 99 independent errors, 0.999 would need 999.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """A set of errors about zero: a box, or the ellipsoid e^T shape^-1 e <= 1 where one is given.
+    """A set of errors about zero: a box, or the ellipsoid e^T shape^-1 e <= 1 if `shape` is given.
 
-    epsilon (3,), m/s: half widths of the box, or of the smallest box around the ellipsoid.
+    epsilon (3,) [m/s]: half widths of the box, or of the smallest box around the ellipsoid.
     """
 
     epsilon: np.ndarray
     shape: np.ndarray | None = None
 
     def contains(self, errors: np.ndarray) -> np.ndarray:
-        """Which of errors (M, 3) it holds, (M,) bool."""
+        """Mask (M,) of the errors (M, 3) inside the region."""
         if self.shape is None:
             return np.all(np.abs(errors) <= self.epsilon, axis=1)
         return mahalanobis(errors, self.shape) <= 1.0
@@ -52,23 +53,26 @@ class Region:
 
     @property
     def box(self) -> Region:
-        """The smallest box around it: what the filters' update takes. It holds at least as much."""
+        """The smallest enclosing box, which the filters' update uses. It contains at least as
+        much.
+        """
         return Region(self.epsilon)
 
     def around(self, v_I: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper (M, 3) velocities of the box about predictions v_I (M, 3)."""
+        """Lower and upper velocities (M, 3) of the box about predictions v_I (M, 3)."""
         return v_I - self.epsilon, v_I + self.epsilon
 
 
 class Calibrator:
-    """A calibration method: `fit`, `conformalize`, `bounds`, in that order, once each.
+    """A calibration method: `fit`, `conformalize`, `bounds`, called once each in that order.
 
-    A method of one's own is a subclass, found by an entry point of the group
-    "surefoot.calibrators".
+    A method of your own is a subclass, registered by the entry point group "surefoot.calibrators".
 
-    label: what it states, in a line of a table. fit_share: of the log, its beginning, that `fit` is
-    given; the rest goes to `conformalize`. confidence: with which the statement holds, over the
-    calibrations that might have been; None where it is about their mean.
+    Attributes:
+        label: its statement, in a line of a table.
+        fit_share: share of the log, from its beginning, given to `fit`; the rest goes to
+            `conformalize`.
+        confidence: of the statement, over possible calibrations; None where it is about their mean.
     """
 
     label: ClassVar[str]
@@ -76,27 +80,30 @@ class Calibrator:
     confidence: float | None = None
 
     def __init__(self, gamma: float, confidence: float = CONFIDENCE):
-        """To hold a further error with probability gamma; `confidence` for those that state one.
+        """A method that contains a further error with probability gamma.
 
-        Raises BoundsError for gamma outside (0, 1).
+        `confidence` is for those methods that state one. Raises BoundsError for gamma outside (0,
+        1).
         """
         self.per_axis = level_per_axis(gamma)
         self.gamma = gamma
 
     @property
     def level(self) -> float:
-        """At which the method's score is ranked."""
+        """Level at which the method's score is ranked."""
         return self.gamma
 
     def samples_needed(self) -> int:
-        """Least number of independent errors that `conformalize` takes."""
+        """Least number of independent errors that `conformalize` needs."""
         return least_rank(self.level)
 
     def fit(self, errors: np.ndarray) -> None:
-        """Fix the score's shape by errors (n, 3), m/s, that `conformalize` will not see."""
+        """Determine the score's shape from errors (n, 3) [m/s] that `conformalize` will not see."""
 
     def conformalize(self, errors: np.ndarray) -> None:
-        """Fix the region's size by errors (N, 3), m/s. Raises BoundsError where N is too few."""
+        """Determine the region's size from errors (N, 3) [m/s]. Raises BoundsError where N is too
+        small.
+        """
         raise NotImplementedError
 
     def bounds(self) -> Region:
@@ -105,7 +112,7 @@ class Calibrator:
 
 
 class Conformal(Calibrator):
-    """The paper's: each axis at gamma^(1/3)."""
+    """The paper's method: each axis at gamma^(1/3)."""
 
     label = "an axis at a time at gamma^(1/3): joint if the axes were independent"
 
@@ -133,8 +140,8 @@ class Bonferroni(Conformal):
 class Outer(Conformal):
     """Each axis at OUTER_LEVEL, or at gamma^(1/3) where that is more.
 
-    The box holds far more than the gamma that the filters take it to hold, so that an error which
-    lasts seldom leaves it: NEES falls where errors last, and accuracy where they do not.
+    The box contains far more than the gamma assumed by the filters, so that a persistent error
+    seldom leaves it: NEES falls where errors persist, and accuracy where they do not.
     """
 
     label = f"an axis at a time at {OUTER_LEVEL:g}: wider than gamma asks, for errors that last"
@@ -145,7 +152,7 @@ class Outer(Conformal):
 
 
 class MaxNorm(Calibrator):
-    """The largest of the axes, each scaled by its root mean square."""
+    """The largest axis, each scaled by its root mean square."""
 
     label = "one score, the largest of the scaled axes: a joint box"
     fit_share = 0.25
@@ -189,7 +196,7 @@ def mahalanobis(errors: np.ndarray, shape: np.ndarray) -> np.ndarray:
 
 
 def calibrator(method: str, gamma: float, confidence: float = CONFIDENCE) -> Calibrator:
-    """The method of that name. Raises BoundsError where there is none, or gamma is no level."""
+    """The method of that name. Raises BoundsError where there is none, or gamma is out of range."""
     if method not in CALIBRATORS:
         raise BoundsError(f"--method {method}: choose {' | '.join(CALIBRATORS)}")
     return CALIBRATORS[method](gamma, confidence)

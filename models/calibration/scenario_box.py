@@ -1,12 +1,12 @@
 """The smallest box by scenario optimisation with discarding.
 
-In u = log epsilon the smallest box that holds N errors is a linear program of three variables,
+In u = log epsilon, the smallest box that contains N errors is a linear program of three variables,
 
     minimise u_x + u_y + u_z   subject to   u_j >= log |e_ij|,   i = 1 .. N.
 
-Of its constraints k may be thrown away, by any rule, if the solution violates them all; then, with
-probability 1 - beta over the errors drawn, the box fails to hold a further one with probability at
-most v, where
+Of its constraints k may be discarded, by any rule, if the solution violates them all; then, with
+probability 1 - beta over the errors drawn, the box fails to contain a further one with probability
+at most v, where
 
     C(k+d-1, k) sum_{i < k+d} C(N, i) v^i (1-v)^(N-i) <= beta,   d = 3
 
@@ -50,16 +50,18 @@ class ScenarioBox(Calibrator):
 def scenario_box(errors: np.ndarray, gamma: float, confidence: float = CONFIDENCE) -> np.ndarray:
     """Half widths (3,) of the box after discarding as many of errors (N, 3) as the bound allows.
 
-    Errors are discarded one by one. The box touches at most three of them, one an axis; discarded
-    is the one without which the box shrinks most. Raises BoundsError where
-    N < least_samples(gamma, confidence).
+    Errors are discarded one by one. The box touches at most three of them, one per axis; the one
+    discarded is that whose removal shrinks the box most. Raises BoundsError where N <
+    least_samples(gamma, confidence).
     """
     k = discards(len(errors), gamma, confidence)
     return _discarded_box(np.ascontiguousarray(np.abs(errors)), k)
 
 
 def log_failure(n: int, k: int, gamma: float) -> float:
-    """Logarithm of the left side of the bound, at v = 1 - gamma: the chance that the box lies."""
+    """Logarithm of the left side of the bound, at v = 1 - gamma: probability that the statement
+    fails.
+    """
     d = VARIABLES
     ways = gammaln(k + d) - gammaln(k + 1) - gammaln(d)
     return float(ways + binom.logcdf(k + d - 1, n, 1 - gamma))
@@ -67,7 +69,7 @@ def log_failure(n: int, k: int, gamma: float) -> float:
 
 @lru_cache
 def discards(n: int, gamma: float, confidence: float) -> int:
-    """How many of n errors may be thrown away. Raises BoundsError where not even none may."""
+    """How many of n errors may be discarded. Raises BoundsError if n is too small even for none."""
     _check_confidence(confidence)
     allowed = np.log1p(-confidence)
     if log_failure(n, 0, gamma) > allowed:
@@ -104,12 +106,12 @@ def _check_confidence(confidence: float) -> None:
 
 @kernel
 def _discarded_box(sizes: np.ndarray, k: int) -> np.ndarray:
-    """Box (D,) of sizes (N, D) after k rows are taken out greedily, by the volume they free."""
+    """Box (D,) of sizes (N, D) after greedily removing k rows, by the reduction of its volume."""
     N, D = sizes.shape
     alive = np.ones(N, dtype=np.bool_)
     box = np.zeros(D)
     for removed in range(k + 1):
-        # The rows that hold each axis open, and how far it falls without each of them.
+        # The rows that determine each axis, and the size of the axis without each of them.
         top, second = np.zeros(D, dtype=np.int64), np.zeros(D)
         for j in range(D):
             first, next_ = -1.0, -1.0

@@ -1,10 +1,10 @@
-"""An alarm for walks unlike the calibration's, from the filter's innovations, without a reference.
+"""Alarm for walks unlike the calibration's, from the filter's innovations, without a reference.
 
 The innovations of each second have a size. If the walk is like the calibration's, the rank of a new
-size among all before it is uniform, and a gambler who bets on large ones cannot get rich: the odds
-that his wealth ever reaches 1 / alpha are at most alpha (Ville). His bets are those of the "simple
-jumper" (Vovk, Gammerman and Shafer, Algorithmic Learning in a Random World, 2nd edition, 2022,
-section 8.2), on large sizes alone.
+size among all before it is uniform, and a gambler who bets on large ones cannot win: the
+probability that his wealth ever reaches 1 / alpha is at most alpha (Ville). The bets are those of
+the "simple jumper" (Vovk, Gammerman and Shafer, Algorithmic Learning in a Random World, 2nd
+edition, 2022, section 8.2), on large sizes only.
 """
 
 from __future__ import annotations
@@ -16,20 +16,23 @@ import numpy as np
 from surefoot.sim.common.kernels import kernel
 
 UPDATES_OF_BLOCK = 100
-"""Updates in a block: 1 s, two strides or so, for errors repeat with the stride."""
+"""Updates in a block: 1 s, about two strides, since errors repeat with the stride."""
 SETTLING_BLOCKS = 1
-"""Blocks at a walk's beginning that are left out: the filter is converging."""
+"""Blocks at a walk's beginning that are skipped while the filter converges."""
 FALSE_ALARM = 0.01
-"""Chance that a walk like the calibration's ever raises the alarm."""
+"""Probability of a false alarm in a walk like the calibration's."""
 STAKES = np.array([0.0, 1.0, 2.0])
 RESTART = 0.01
 
 
 @dataclass(frozen=True)
 class Alarm:
-    """wealth (m,) after each block; at: seconds into the walk where it was raised, None if never.
+    """Course of the alarm.
 
-    A block counts from when it is complete. `chance` is that of a false alarm in a whole walk.
+    Attributes:
+        wealth: (m,) after each complete block.
+        at: time into the walk at which it was raised [s]; None if never.
+        chance: of a false alarm in a whole walk.
     """
 
     wealth: np.ndarray
@@ -48,10 +51,10 @@ def block_sizes(squared: np.ndarray) -> np.ndarray:
 def shift_alarm(
     calibration: np.ndarray, seen: np.ndarray, chance: float = FALSE_ALARM, period: float = 1.0
 ) -> Alarm:
-    """Watch block sizes `seen` (m,) as they come, against those of the calibration (n,).
+    """Monitor block sizes `seen` (m,) as they come, against those of the calibration (n,).
 
-    `period` in seconds is that of a block. The chance is exact where blocks are exchangeable; it
-    is a test of likeness, so a walk may raise it on which the bounds still hold.
+    `period` is that of a block [s]. The chance is exact for exchangeable blocks. It is a test of
+    similarity, so a walk may raise it on which the bounds still hold.
     """
     wealth = fortune(calibration, seen)
     raised = np.flatnonzero(wealth >= 1 / chance)
@@ -76,10 +79,10 @@ def fortune(calibration: np.ndarray, seen: np.ndarray) -> np.ndarray:
 
 
 def inflation(calibration: np.ndarray, squared: np.ndarray, alarm: Alarm) -> np.ndarray:
-    """Factor (M,) on epsilon at each update: 1 until the alarm, then as innovations have grown.
+    """Factor (M,) on epsilon at each update: 1 until the alarm, then the growth of the innovations.
 
-    The last second's size over the calibration's median, never below 1. It widens the bounds where
-    errors scatter; an error that stays the same the filter takes for its own velocity.
+    The last second's size over the calibration's median, at least 1. It widens the bounds where
+    errors scatter; a constant error is absorbed by the filter's velocity.
     """
     if alarm.at is None:
         return np.ones(len(squared))

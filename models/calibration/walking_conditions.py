@@ -1,4 +1,4 @@
-"""Where and how the robot was walking at each sample: the conditions that coverage is split by."""
+"""Conditions of a walk at each sample, by which coverage is split: terrain, motion, slip, phase."""
 
 from collections.abc import Iterator
 from itertools import pairwise
@@ -11,7 +11,7 @@ from surefoot.sim.walking.truth import SLIPPING
 SLIPPERY = 0.4
 """Friction coefficient under a loaded foot."""
 STEEP = 0.05
-"""Rise over run of the reference path, over a second to each side."""
+"""Slope of the reference path, over a second before and after."""
 TURNING = 0.3
 """rad/s, about the vertical."""
 STILL = 0.05
@@ -22,7 +22,7 @@ ConditionRows = tuple[str, str, np.ndarray]
 
 
 def walking_conditions(log: Log, rows: np.ndarray) -> Iterator[ConditionRows]:
-    """(split, case, which of `rows` fall into it (M,)) for every split whose columns the log has.
+    """Yield (split, case, mask of `rows` (M,)) for every split whose columns the log has.
 
     terrain: level, climbing, descending, by the reference path. motion: standing, straight,
     turning. slip and ground: by the truth columns of a simulation. stride: quarters of the time
@@ -65,7 +65,7 @@ def stride_phase(t: np.ndarray, contact: np.ndarray, shortest: float = 0.2) -> n
     """Phase (N,) in [0, 1) from one touchdown of a foot to its next; NaN where there is none.
 
     contact (N,) bool. A touchdown within `shortest` seconds of the last is a bounce; strides of
-    more than two seconds are a rest.
+    more than two seconds are rests.
     """
     touchdowns = np.flatnonzero(contact[1:] & ~contact[:-1]) + 1
     kept: list[int] = []

@@ -1,9 +1,9 @@
-"""Bounds for a walk unlike the calibration's, from its inputs alone: weighted split conformal.
+"""Bounds for a walk unlike the calibration's, from its inputs only: weighted split conformal.
 
-Calibration errors count for more where their inputs look like those of the new walk (Tibshirani,
+Calibration errors have more weight if their inputs resemble those of the new walk (Tibshirani,
 Foygel Barber, Candes and Ramdas, Conformal prediction under covariate shift, NeurIPS 2019). That
-keeps coverage where inputs have moved and errors, given inputs, have not. The weights are the odds
-of a ridge logistic regression that separates the two walks' seconds.
+preserves coverage where the inputs have changed, but not the errors given the inputs. The weights
+are the odds of a ridge logistic regression that separates the seconds of the two walks.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ RIDGE = 1.0
 
 
 def features(x: np.ndarray) -> np.ndarray:
-    """What a second of inputs looks like: means and log deviations (m, 2 C) of scaled x (M, C)."""
+    """Features of each second of inputs: means and log deviations (m, 2 C) of scaled x (M, C)."""
     m = len(x) // UPDATES_OF_BLOCK
     blocks = x[: m * UPDATES_OF_BLOCK].reshape(m, UPDATES_OF_BLOCK, -1)
     return np.hstack([blocks.mean(axis=1), np.log(blocks.std(axis=1) + 1e-3)])
@@ -42,7 +42,7 @@ def likelihood_ratios(calibration: np.ndarray, new: np.ndarray) -> tuple[np.ndar
         return np.logaddexp(0, -margin).sum() + 0.5 * ridge @ w**2, A.T @ pull + ridge * w
 
     w = minimize(loss, np.zeros(A.shape[1]), jac=True, method="L-BFGS-B").x
-    # A ratio beyond e^50 is as good as none in common.
+    # Ratios beyond e^50 mean practically no overlap.
     ratio = np.exp(np.clip(A @ w, -50, 50)) * len(calibration) / len(new)
     return ratio[: len(calibration)], ratio[len(calibration) :]
 
@@ -50,9 +50,9 @@ def likelihood_ratios(calibration: np.ndarray, new: np.ndarray) -> tuple[np.ndar
 def weighted_quantile(
     scores: np.ndarray, weights: np.ndarray, own: float, level: float
 ) -> float | None:
-    """The weighted conformal quantile of scores (n,); `own` is the weight of the point to come.
+    """Weighted conformal quantile of scores (n,); `own` is the weight of the point to come.
 
-    None where none is finite: the scores that are there do not make up `level` of the weight.
+    None if it is infinite: the existing scores do not make up `level` of the weight.
     """
     order = np.argsort(scores)
     share = np.cumsum(weights[order]) / (weights.sum() + own)
@@ -66,12 +66,12 @@ def weighted_bounds(
     """epsilon (3,) for a walk of inputs `new`, or None where the calibration has too few like it.
 
     errors (M, 3) of the calibration, one for each row of its inputs; calibration (M, C) and new
-    (M', C) are scaled inputs at 100 Hz. The score is the largest of the axes, each scaled by its
-    root mean square; each error of a second has that second's weight.
+    (M', C) are scaled inputs at 100 Hz. The score is the largest axis, each scaled by its root mean
+    square; each error of a second has that second's weight.
     """
     level_per_axis(gamma)
     ours, theirs = likelihood_ratios(features(calibration), features(new))
-    # As many equally weighted seconds would know as much (Kish).
+    # Effective number of equally weighted seconds (Kish).
     if ours.sum() ** 2 / (ours**2).sum() < least_rank(gamma):
         return None
     errors = errors[: len(ours) * UPDATES_OF_BLOCK]

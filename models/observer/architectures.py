@@ -1,17 +1,18 @@
-"""The networks an observer may be: those the paper compared, each of about 20 000 parameters.
+"""Architectures of the observer's network: those the paper compared, each of about 20 000
+parameters.
 
-| model | sees, before each answer                                   | causal |
+| model | input of each output                                       | causal |
 |-------|------------------------------------------------------------|--------|
-| gru   | everything since the log began, in a state from zero       | yes    |
+| gru   | everything since the log began, from a zero state          | yes    |
 | rnn   | the same                                                   | yes    |
 | lstm  | the same                                                   | yes    |
-| bigru | the whole log: a GRU from each end, the states side by side| no     |
+| bigru | the whole log: a GRU from each end, states concatenated    | no     |
 | mlp   | 8 samples 40 ms apart: 0.28 s back                         | yes    |
 | tcn   | convolutions dilated by 1, 2, 4, 8, 16: 0.62 s back        | yes    |
 
-Each is one class as `surefoot.models.observer.network.Architecture` has it, found by its name in
-`surefoot.models.registry`. Before a log begins a window sees its first sample: the robot stood
-there.
+Each is a class with the interface of `surefoot.models.observer.network.Architecture`, registered by
+name in `surefoot.models.registry`. Before the start of a log, a window is filled with its first
+sample, since the robot stood there.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ Stepper = Callable[[np.ndarray], np.ndarray]
 
 
 class Recurrent(torch.nn.Module):
-    """One layer of torch's, of the kind `layer_type`."""
+    """One recurrent layer of torch, of type `layer_type`."""
 
     layer_type: ClassVar[Callable[[int, int], torch.nn.Module]]
     receptive_field = None
@@ -73,7 +74,7 @@ class LSTM(Recurrent):
 
 
 class BiGRU(torch.nn.Module):
-    """A GRU from the log's beginning and one from its end: it knows the future, and cannot step."""
+    """A GRU from the log's start and one from its end. It sees the future, so it cannot step."""
 
     width, rate = 40, 1e-2
     receptive_field = None
@@ -86,7 +87,7 @@ class BiGRU(torch.nn.Module):
         self.features = 2 * width
 
     def initialise(self, generator: torch.Generator) -> None:
-        """Both as a GRU's own."""
+        """As in GRU, for both."""
         self.forwards.initialise(generator)
         self.backwards.initialise(generator)
 
@@ -98,13 +99,15 @@ class BiGRU(torch.nn.Module):
 
 
 class Windowed(torch.nn.Module):
-    """Answers from a window of `receptive_field` samples: those of `valid`."""
+    """Base of networks that see a window of `receptive_field` samples, by `valid`."""
 
     receptive_field: ClassVar[int]
     causal = True
 
     def valid(self, x: torch.Tensor) -> torch.Tensor:
-        """Features (T, B, F) from x (T + receptive_field - 1, B, inputs), its past in front."""
+        """Features (T, B, F) from x (T + receptive_field - 1, B, inputs), which includes the
+        past.
+        """
         raise NotImplementedError
 
     def initialise(self, generator: torch.Generator) -> None:
@@ -133,7 +136,7 @@ class Windowed(torch.nn.Module):
 
 
 class MLP(Windowed):
-    """Two rectified layers on 8 samples, 40 ms apart."""
+    """Two ReLU layers on 8 samples, 40 ms apart."""
 
     width, rate = 64, 1e-2
     taps, apart = 8, 4
@@ -152,7 +155,7 @@ class MLP(Windowed):
 
 
 class TCN(Windowed):
-    """Residual blocks of one dilated, rectified convolution over three samples each."""
+    """Residual blocks, each with one dilated convolution over three samples and a ReLU."""
 
     width, rate = 36, 1e-2
     dilations = (1, 2, 4, 8, 16)

@@ -1,4 +1,4 @@
-"""What a network is trained on: scaled logs, their validation rows, random windows of them."""
+"""Training data of a network: scaled logs, validation rows, random windows."""
 
 from __future__ import annotations
 
@@ -17,16 +17,17 @@ from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
 WINDOW = 1000
-"""Steps of 10 ms, as in the paper."""
+"""Length of a window in steps of 10 ms, as in the paper."""
 BEGINNINGS = 1 / 8
-"""Share of windows that begin where their log does. An observer starts there, from the zero state
-and mostly at rest; left to chance, one window in thousands would show it, and its first predictions
-are off by half a metre a second."""
+"""Share of windows that begin where their log does. There an observer starts from the zero state,
+mostly at rest; at random, only one window in thousands would show it, and its first predictions
+would be off by 0.5 m/s.
+"""
 
 
 @dataclass(frozen=True)
 class ScaledLog:
-    """One log, scaled: x (M, C), y (M, 3), and which rows train and which validate (M,)."""
+    """One scaled log: x (M, C), y (M, 3), and masks of the training and validation rows (M,)."""
 
     x: torch.Tensor
     y: torch.Tensor
@@ -41,7 +42,7 @@ class ScaledLog:
 
 @dataclass(frozen=True)
 class Dataset:
-    """Logs of one robot, and the scales they were brought to: (C,) of x, (3,) in m/s of y."""
+    """Logs of one robot, with the offset and scale of x (C,) and of y (3,) in m/s."""
 
     logs: tuple[ScaledLog, ...]
     x_mean: np.ndarray
@@ -54,9 +55,9 @@ class Dataset:
 
 
 def prepare(logs: Sequence[Log], robot: Mounted | None, inputs: tuple[str, ...]) -> Dataset:
-    """The logs as training takes them.
+    """Prepare logs for training.
 
-    Raises ObserverError where one is too short, lacks an input, or where they disagree on robot,
+    Raises ObserverError where one is too short or lacks an input, or where they disagree on robot,
     mounting or joints; LogError where one has no reference.
     """
     robot = _common_robot(logs, robot)
@@ -73,7 +74,7 @@ def prepare(logs: Sequence[Log], robot: Mounted | None, inputs: tuple[str, ...])
     unscaled = [observer_inputs(inputs, kinematics, sample.x) for sample in seen]
     x_mean, x_scale = _scaling(unscaled)
     _, y_scale = _scaling([v_I[ok & ~validation_rows(len(ok))] for v_I, ok in labels])
-    # Not centred: the zero state then answers about zero, and a log starts at rest.
+    # Not centred, so that the zero state predicts about zero, as a log starts at rest.
     y_mean = np.zeros(3)
     scaled = []
     for x, (v_I, measured) in zip(unscaled, labels, strict=True):
@@ -92,11 +93,11 @@ def prepare(logs: Sequence[Log], robot: Mounted | None, inputs: tuple[str, ...])
 
 
 def validation_rows(steps: int) -> np.ndarray:
-    """Which of a log's steps (M,) validate: one second in each ten, from the fifth on.
+    """Mask of a log's validation steps (M,): one second in each ten, from the fifth on.
 
-    Short blocks all along the log withhold no manoeuvre whole (two seconds in sixteen cost half of
-    the forward accuracy elsewhere); a second is two strides, longer than errors are correlated, and
-    the score on it came out as that on walks not seen.
+    Short blocks throughout the log withhold no manoeuvre entirely (two seconds in sixteen cost half
+    of the forward accuracy elsewhere). A second is two strides, longer than errors are correlated,
+    and the score on it agreed with that on unseen walks.
     """
     return np.arange(steps) % 1000 // 100 == 5
 
@@ -104,10 +105,11 @@ def validation_rows(steps: int) -> np.ndarray:
 def draw(
     logs: Sequence[ScaledLog], batch: int, unsettled: int, rng: np.random.Generator
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Random windows: x (WINDOW, B, C), y (WINDOW, B, 3), and which rows train, (WINDOW, B).
+    """Random windows: x (WINDOW, B, C), y (WINDOW, B, 3), and a mask of the training rows (WINDOW,
+    B).
 
-    A window that begins inside a log starts from a zero state that no observer in use has there:
-    its first `unsettled` rows do not train.
+    A window that begins inside a log starts from a zero state that does not occur in use; its first
+    `unsettled` rows are not trained on.
     """
     starts = np.array([len(log.x) - WINDOW + 1 for log in logs])
     chosen = rng.choice(len(logs), size=batch, p=starts / starts.sum())
@@ -124,7 +126,7 @@ def draw(
 
 
 def _scaling(parts: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and standard deviation of each channel; a channel that never moves keeps unit scale."""
+    """Mean and standard deviation of each channel; a constant channel keeps unit scale."""
     values = np.concatenate(parts)
     spread = values.std(axis=0)
     return values.mean(axis=0), np.where(spread > 1e-6, spread, 1.0)

@@ -1,9 +1,9 @@
-"""From the log's rate to the observer's 100 Hz, causally: anti-alias filter and row selection.
+"""Causal decimation from the log's rate to the observer's 100 Hz.
 
-The filter is a Hann window over the last 20 ms. Its first zero lies at 100 Hz, so what would fold
-onto standstill is removed, its gain is one half at 50 Hz, and its delay is 10 ms, one step of the
-observer, at any rate of the log. The target is the velocity at the update row itself, undelayed:
-the observer learns to make up for the delay.
+The anti-alias filter is a Hann window over the last 20 ms. Its first zero is at 100 Hz, so what
+would alias to zero frequency is removed, its gain is one half at 50 Hz, and its delay is 10 ms, one
+step of the observer, at any rate of the log. The target is the undelayed velocity at the update row
+itself; the observer learns to compensate for the delay.
 """
 
 import numpy as np
@@ -12,9 +12,9 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import Log
 
 RATE = 100.0
-"""Hz, of the observer and of the filters' velocity updates."""
+"""Rate of the observer and of the filters' velocity updates [Hz]."""
 ANTI_ALIAS_SPAN = 0.020
-"""s, the length of the anti-alias window."""
+"""Length of the anti-alias window [s]."""
 
 
 class DecimationError(SurefootError):
@@ -22,13 +22,13 @@ class DecimationError(SurefootError):
 
 
 def anti_alias(age: np.ndarray) -> np.ndarray:
-    """Weight, not normalised, of a sample that is `age` seconds old when the output is formed."""
+    """Unnormalised weight of a sample that is `age` seconds old at the output's time."""
     inside = (age > -1e-9) & (age < ANTI_ALIAS_SPAN)
     return np.where(inside, np.sin(np.pi * age / ANTI_ALIAS_SPAN) ** 2, 0.0)
 
 
 def delay(rate: float) -> float:
-    """Delay in seconds, at low frequency, of the filtered inputs of a log sampled at `rate` Hz."""
+    """Delay [s] at low frequency of the filtered inputs of a log sampled at `rate` Hz."""
     age = np.arange(0.0, ANTI_ALIAS_SPAN, 1.0 / rate)
     weight = anti_alias(age)
     return float(weight @ age / weight.sum())
@@ -37,9 +37,9 @@ def delay(rate: float) -> float:
 def observer_rows(log: Log) -> np.ndarray:
     """Row indices (M,) of the 100 Hz updates, strictly increasing.
 
-    The grid starts at the first row and each update takes the row nearest to its grid point; grid
-    points inside a gap of the log have no row and no update. Raises DecimationError where the log
-    is slower than 100 Hz.
+    The grid starts at the first row, and each update takes the row nearest to its grid point; grid
+    points inside a gap of the log have no update. Raises DecimationError where the log is slower
+    than 100 Hz.
     """
     t = log.t
     if log.rate < RATE * (1 - 1e-3):
@@ -51,17 +51,17 @@ def observer_rows(log: Log) -> np.ndarray:
     after = np.clip(np.searchsorted(t, grid), 1, max(len(t) - 1, 1))
     before = after - 1
     after = np.minimum(after, len(t) - 1)
-    # Ties, and stamps good to nanoseconds, go to the later row: never to one in the future's place.
+    # Ties, within the nanosecond accuracy of stamps, go to the later row.
     rows = np.where(grid - t[before] < t[after] - grid - 1e-7, before, after)
     nearest = np.minimum(1.0 / log.rate, 0.5 * step)
     return np.unique(rows[np.abs(t[rows] - grid) <= nearest + 1e-7])
 
 
 def decimate(t: np.ndarray, x: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Filtered samples (M, C) of x (N, C), in its unit, at `rows` (M,); t (N,) is in seconds.
+    """Filtered samples (M, C) of x (N, C), in its unit, at `rows` (M,); t (N,) in seconds.
 
-    Row m is the weighted mean of the samples within SPAN before t[rows[m]], that row included, on
-    the actual time stamps; at the start of the log, of those that are there.
+    Row m is the weighted mean of the samples within ANTI_ALIAS_SPAN before t[rows[m]], including
+    that row, by the actual time stamps; at the start of the log, of those that exist.
     """
     first = np.searchsorted(t, t[rows] - ANTI_ALIAS_SPAN, side="right")
     total = np.zeros((len(rows), x.shape[1]))

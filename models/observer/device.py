@@ -1,4 +1,4 @@
-"""The device that an observer is trained on; it runs on the CPU wherever it was trained."""
+"""Device on which an observer is trained; it runs on the CPU in any case."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ CPU = torch.device("cpu")
 
 
 def torch_device(name: str) -> torch.device:
-    """Torch's device of that name. Raises ObserverError where torch cannot compute on it here."""
+    """Torch's device of that name. Raises ObserverError where torch cannot use it here."""
     try:
         device = torch.device(name)
         torch.zeros(1, device=device).item()
     except Exception as error:
-        # torch raises many kinds here, by device, build and driver.
+        # torch raises many types here, depending on device, build and driver.
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise ObserverError(f"--device {name}: torch cannot use it here ({reason[:200]})") from None
     return device
 
 
 class TorchGRU(GRU):
-    """The layer by torch's own recurrence: the compiled one of GRU is the CPU's alone."""
+    """The layer with torch's own recurrence, since the compiled one of GRU runs on the CPU only."""
 
     def forward(self, x: torch.Tensor, h0: torch.Tensor | None = None) -> torch.Tensor:
         h0 = x.new_zeros(x.shape[1], self.features) if h0 is None else h0

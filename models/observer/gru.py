@@ -1,15 +1,16 @@
-"""One layer of gated recurrent units over whole sequences, compiled in both directions.
+"""One layer of gated recurrent units over whole sequences, with compiled forward and backward
+passes.
 
     r = sigmoid(g_r + W_r h + b_r)
     z = sigmoid(g_z + W_z h + b_z)
     n = tanh(g_n + r * (W_n h + b_n))
     h' = (1 - z) n + z h
 
-with g = W_x x + b_x the share of the inputs, computed beforehand for all steps at once. The
-equations and the weight layout are those of torch.nn.GRU, whose state dict fits. With 64 units and
-small batches a step costs torch more in dispatch than in arithmetic: forward and backward through
-1000 steps of 4 windows took torch.nn.GRU (2.13, one thread) 8 times as long as this loop, a whole
-log without gradients as well, and 8 windows 5 times.
+with g = W_x x + b_x the contribution of the inputs, computed beforehand for all steps at once.
+Equations and weight layout are those of torch.nn.GRU, whose state dict fits. With 64 units and
+small batches, torch spends more time per step in dispatch than in arithmetic: forward and backward
+through 1000 steps of 4 windows took torch.nn.GRU (2.13, one thread) 8 times as long as this loop,
+as did a whole log without gradients, and 8 windows 5 times.
 """
 
 import math
@@ -24,7 +25,7 @@ from surefoot.sim.common.kernels import kernel
 
 @kernel(inline="always")
 def tanh(x: np.float32) -> np.float32:
-    """tanh in float32 as Eigen's rational approximation, within 3e-7: it runs in vector lanes."""
+    """tanh in float32 by Eigen's rational approximation, within 3e-7, which vectorises."""
     x = min(max(x, np.float32(-7.9)), np.float32(7.9))
     y = x * x
     p = np.float32(-2.76076847742355e-16)
@@ -43,11 +44,11 @@ def tanh(x: np.float32) -> np.float32:
 
 @kernel(nogil=True)
 def scan(gates: np.ndarray, W: np.ndarray, b: np.ndarray, h0: np.ndarray):
-    """Run the recurrence; all arrays float32 and contiguous.
+    """Run the recurrence; all arrays are float32 and contiguous.
 
-    gates (T, B, 3H): the inputs' share in the order r, z, n; W (H, 3H): W_hh transposed; b (3H,);
-    h0 (B, H). Returns h (T + 1, B, H), whose first entry is h0, and what the backward pass
-    needs: r, z, n and W_n h + b_n side by side, (T, B, 4H).
+    gates (T, B, 3H): the inputs' contribution in the order r, z, n; W (H, 3H): W_hh transposed; b
+    (3H,); h0 (B, H). Returns h (T + 1, B, H), whose first entry is h0, and the values for the
+    backward pass, r, z, n and W_n h + b_n concatenated, (T, B, 4H).
     """
     T, B, H = gates.shape[0], gates.shape[1], h0.shape[1]
     h = np.empty((T + 1, B, H), np.float32)
@@ -108,8 +109,9 @@ def gru_step(
 def scan_backward(dh_out: np.ndarray, h: np.ndarray, saved: np.ndarray, W: np.ndarray):
     """Reverse mode of `scan`: back-propagation through time.
 
-    dh_out (T, B, H): loss by each output h[1:]; W (3H, H): W_hh. Returns the loss by the inputs'
-    share, (T, B, 3H), by the recurrent share W_hh h + b_hh, (T, B, 3H), and by h0, (B, H).
+    dh_out (T, B, H): gradient of the loss by each output h[1:]; W (3H, H): W_hh. Returns the
+    gradients by the inputs' contribution, (T, B, 3H), by the recurrent one W_hh h + b_hh, (T, B,
+    3H), and by h0, (B, H).
     """
     T, B, H = dh_out.shape
     d_in = np.empty((T, B, 3 * H), np.float32)
@@ -171,7 +173,8 @@ class GRU(torch.nn.Module):
     """A GRU layer on the CPU in float32, with torch.nn.GRU's equations and parameter names.
 
     `forward(x (T, B, inputs), h0 (B, hidden) | None) -> h (T, B, hidden)`; no h0 means zeros.
-    `stepper()` is the same for a robot's own loop: from x (inputs,) to h (hidden,), state kept.
+    `stepper()` returns a function for a robot's own loop, from x (inputs,) to h (hidden,), that
+    keeps the state.
     """
 
     width, rate = 64, 1e-2

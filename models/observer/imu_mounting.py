@@ -1,4 +1,4 @@
-"""Velocities of one body at two IMU mountings: what an observer learnt serves another IMU."""
+"""Conversion of velocities between two IMU mountings on one body."""
 
 from typing import Protocol
 
@@ -6,7 +6,9 @@ import numpy as np
 
 
 class Mounted(Protocol):
-    """What the observer needs of a robot: its name and where its IMU frame I sits in its base B."""
+    """What an observer needs of a robot: its name and the mounting of its IMU frame I in its base
+    B.
+    """
 
     @property
     def name(self) -> str: ...

@@ -2,10 +2,11 @@
 
     (h_t, v_t) = NN(y_t, h_{t - dt})          the paper's Eq. (setup_rnn), h_0 = 0
 
-`mse` reads a velocity off the head. `gml` reads a Gaussian's mean and the Cholesky factor L of its
-covariance L L^T, and maximises its likelihood (Russell and Reale, Multivariate Uncertainty in Deep
-Learning, TNNLS 2022). With leg odometry the head adds to that of the contact points
-(`surefoot.models.observer.odometry`). Everything here is in scaled units and float32.
+With `mse` the head returns a velocity. With `gml` it returns a Gaussian's mean and the Cholesky
+factor L of its covariance L L^T, trained by maximum likelihood (Russell and Reale, Multivariate
+Uncertainty in Deep Learning, TNNLS 2022). With leg odometry, the head is added to that of the
+contact points (`surefoot.models.observer.odometry`). Everything here is in scaled units and
+float32.
 """
 
 from __future__ import annotations
@@ -23,21 +24,21 @@ from surefoot.models.registry import ARCHITECTURES
 
 LOSS_OUTPUTS = {"mse": 3, "gml": 9}
 SMALLEST = 1e-3
-"""Floor of L's diagonal: a likelihood without one grows without bound on a perfect fit."""
+"""Lower bound of L's diagonal; without one, the likelihood is unbounded for a perfect fit."""
 
 
 class Architecture(Protocol):
-    """A torch.nn.Module from scaled inputs, 10 ms apart, to features: what a new one must have.
+    """Interface of an architecture: a torch.nn.Module from scaled inputs, 10 ms apart, to features.
 
-    It is made as `Architecture(inputs, width)`, holds weights in float32, and is found by an entry
-    point of the group "surefoot.architectures". With a width of its own and Adam's highest rate it
-    says how it is trained.
+    Constructed as `Architecture(inputs, width)`, with weights in float32, and registered by the
+    entry point group "surefoot.architectures".
 
-    width: of its layers, such that it has about 20 000 parameters on 36 inputs.
-    rate: Adam's highest.
-    receptive_field: samples that an answer depends on; None where all since the log began do.
-    causal: whether an answer depends on nothing later.
-    features: number of its outputs.
+    Attributes:
+        width: default width of its layers, with about 20 000 parameters on 36 inputs.
+        rate: Adam's largest learning rate.
+        receptive_field: samples that an output depends on; None for all since the log began.
+        causal: whether no output depends on later samples.
+        features: number of its outputs.
     """
 
     width: ClassVar[int]
@@ -57,8 +58,9 @@ class Architecture(Protocol):
         ...
 
     def stepper(self) -> Callable[[np.ndarray], np.ndarray]:
-        """The same sample by sample, in a function from x (inputs,) to features (features,) that
-        begins anew and keeps its own past. Called of causal ones alone."""
+        """The same sample by sample: a function from x (inputs,) to features (features,) with its
+        own state. Called for causal architectures only.
+        """
         ...
 
 
@@ -66,7 +68,7 @@ class Network(torch.nn.Module):
     """`forward(x (T, B, inputs)) -> head (T, B, outputs)`, from the beginning of a log."""
 
     def __init__(self, model: str, inputs: int, outputs: int, width: int, legs: int = 0):
-        """A network with weights that are not yet drawn.
+        """Build a network; its weights are not initialised yet.
 
         Args:
             model: name of its architecture.
@@ -105,7 +107,7 @@ class Network(torch.nn.Module):
 
 
 def cholesky_factor(outputs: torch.Tensor) -> torch.Tensor:
-    """Lower-triangular L (..., 3, 3) with a positive diagonal from the head's outputs (..., 9)."""
+    """Lower-triangular L (..., 3, 3) with a positive diagonal, from the head's outputs (..., 9)."""
     d = softplus(outputs[..., 3:6]) + SMALLEST
     a = outputs[..., 6:9]
     zero = torch.zeros_like(d[..., 0])
@@ -118,7 +120,7 @@ def cholesky_factor(outputs: torch.Tensor) -> torch.Tensor:
 
 
 def loss_of(kind: str, outputs: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """Loss of each sample, (...): of head outputs (..., 3 or 9) against velocities (..., 3).
+    """Loss of each sample, (...), of head outputs (..., 3 or 9) for velocities (..., 3).
 
     mse: |v - v_hat|^2 / 3. gml: log det L + |L^-1 (v - v_hat)|^2 / 2, the negative log-likelihood
     without its constant, by forward substitution.

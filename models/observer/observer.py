@@ -1,8 +1,8 @@
-"""The learned velocity observer: what it is, and its checkpoint on disk.
+"""The learned velocity observer and its checkpoint on disk.
 
 An Observer is data: weights, inputs and their scales, robot and IMU mounting, and the logs it was
-trained on.
-`surefoot.models.observer.predict` runs it and `surefoot.models.observer.training` makes it.
+trained on. `surefoot.models.observer.predict` runs it and `surefoot.models.observer.training`
+creates it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from surefoot.sim.log import Log
 OBSERVER_FORMAT = "surefoot observer"
 OBSERVER_SCHEMA = 2
 WIDEST = 4096
-"""Units of a layer that a checkpoint may ask memory for."""
+"""Widest layer that a checkpoint may request memory for."""
 INPUTS = tuple(
     tuple(names.split(","))
     for names in ("q", "q,dq", "q,dq,tau", "feet", "tau,feet", "q,dq,tau,feet")
@@ -44,20 +44,21 @@ INPUTS = tuple(
 
 
 class ObserverError(SurefootError):
-    """An observer that cannot be read, or that does not fit the log or robot at hand."""
+    """An observer that cannot be read, or that does not match the log or robot."""
 
 
 @dataclass(frozen=True)
 class TrainingLog:
-    """A log an observer has seen: its name, the digest of its samples, and what in it was not
-    plausible."""
+    """A log an observer was trained on: its name, the digest of its samples, and plausibility
+    warnings.
+    """
 
     name: str
     sha256: str
     warnings: tuple[str, ...] = ()
 
     def plain(self) -> dict[str, Any]:
-        """Plain values: the same digest as before there were warnings, where there are none."""
+        """Plain values; without warnings, with the same digest as before there were any."""
         warned = {"warnings": list(self.warnings)} if self.warnings else {}
         return {"name": self.name, "sha256": self.sha256, **warned}
 
@@ -66,14 +67,31 @@ class TrainingLog:
 class Observer:
     """A trained network from joint signals at 100 Hz to v_I, the IMU's velocity in its own frame.
 
-    `model` names its architecture, `width` is its layers', `weights` its state dict. `inputs`
-    names the joint groups, side by side in the order of `joints`; a sample is scaled as
-    (x - input_mean) / input_scale, an output as output_mean + output_scale * y, in m/s. `p_BI` (3,)
-    and `R_BI` (3, 3) are the mounting of the IMU whose velocity was learnt. `causal_dq` says that
-    the joint velocities were derived from q. `rmse` (3,) in m/s is that of the validation rows of
-    the training logs; `errors` (M, 3) in m/s are those at all their measured rows, log after log,
-    which errors elsewhere are compared with. `legs` is the geometry of the robot that `feet` is
-    computed from, wherever the observer is used; empty without `feet`.
+    A sample is scaled as (x - input_mean) / input_scale, an output as output_mean + output_scale *
+    y in m/s.
+
+    Attributes:
+        model: name of the architecture.
+        width: of its layers.
+        weights: its state dict.
+        inputs: joint groups, concatenated in the order of `joints`.
+        joints: names.
+        input_mean: of the inputs.
+        input_scale: of the inputs.
+        output_mean: (3,) [m/s].
+        output_scale: (3,) [m/s].
+        robot: name.
+        p_BI: position (3,) of the IMU whose velocity was learnt [m].
+        R_BI: its attitude (3, 3).
+        loss: "mse" or "gml".
+        logs: of the training.
+        seed: of the training.
+        rate: of the inputs [Hz].
+        rmse: on the validation rows of the training logs (3,) [m/s].
+        errors: at all rows with a measured reference of these logs (M, 3) [m/s], for comparison
+            with errors elsewhere.
+        causal_dq: whether the joint velocities were derived from q.
+        legs: geometry of the robot from which `feet` is computed; empty without `feet`.
     """
 
     model: str
@@ -99,12 +117,12 @@ class Observer:
 
     @property
     def name(self) -> str:
-        """The robot's name: an Observer has a mounting like a robot."""
+        """The robot's name, so that an Observer can stand for a robot's mounting."""
         return self.robot
 
     @cached_property
     def hash(self) -> str:
-        """SHA-256 of everything above: bounds name the observer they belong to by it."""
+        """SHA-256 of everything above, by which bounds identify their observer."""
         digest = hashlib.sha256()
         for name, value in sorted(_plain(self).items()):
             tensors = value if isinstance(value, dict) else {name: value}
@@ -143,7 +161,9 @@ class Observer:
 
     @classmethod
     def load(cls, path: str | Path) -> Observer:
-        """The observer at `path`. Raises ObserverError, one line, where it is none or damaged."""
+        """Read the observer at `path`. Raises ObserverError, one line, where it is none or
+        damaged.
+        """
         try:
             path = admitted(path, "piece")
         except SurefootError as error:
@@ -151,7 +171,7 @@ class Observer:
         try:
             values: Any = torch.load(path, map_location="cpu", weights_only=True)
         except Exception as error:
-            # torch raises many kinds here, depending on what the file turns out to be.
+            # torch raises many types here, depending on the file's contents.
             raise ObserverError(f"{path}: not a surefoot observer, or a damaged one") from error
         if not isinstance(values, dict) or values.get("format") != OBSERVER_FORMAT:
             raise ObserverError(f"{path}: a torch file, but not a surefoot observer")
@@ -181,7 +201,7 @@ def check_inputs(inputs: tuple[str, ...] | str) -> tuple[str, ...]:
 
 
 def signals(inputs: tuple[str, ...]) -> tuple[str, ...]:
-    """The groups of a log's columns that these inputs are made of."""
+    """Groups of a log's columns from which these inputs are computed."""
     wanted = {"q", "dq", *inputs} if "feet" in inputs else set(inputs)
     return tuple(name for name in ("q", "dq", "tau") if name in wanted)
 
@@ -189,7 +209,7 @@ def signals(inputs: tuple[str, ...]) -> tuple[str, ...]:
 def observer_inputs(inputs: tuple[str, ...], known: Kinematics | None, x: np.ndarray) -> np.ndarray:
     """Unscaled inputs (M, C) of a network from `signals(inputs)` (M, S) at the same rows.
 
-    `known` is needed for `feet` alone.
+    `known` is needed for `feet` only.
     """
     if known is None:
         return x
@@ -200,25 +220,26 @@ def observer_inputs(inputs: tuple[str, ...], known: Kinematics | None, x: np.nda
 
 
 def check_loss(loss: str) -> str:
-    """The loss if there is one of that name. Raises ObserverError."""
+    """Return the loss if it exists. Raises ObserverError otherwise."""
     if loss not in LOSSES:
         raise ObserverError(f"--loss {loss}: choose {' | '.join(LOSSES)}")
     return loss
 
 
 def check_model(model: str) -> str:
-    """The architecture's name if there is one of that name. Raises ObserverError."""
+    """Return the architecture's name if it exists. Raises ObserverError otherwise."""
     if model not in ARCHITECTURES:
         raise ObserverError(f"--model {model}: choose {' | '.join(ARCHITECTURES)}")
     return model
 
 
 def torch_bytes(values: dict[str, Any]) -> bytes:
-    """A torch file of plain values; equal ones give equal bytes, by whatever way they were made,
-    and tensors are the CPU's."""
+    """Serialise plain values as a torch file; equal values give equal bytes, and tensors are on the
+    CPU.
+    """
 
     def own(value: Any) -> Any:
-        """With tensors that share no memory and objects that are each there once."""
+        """Copy with tensors that share no memory, and each object once."""
         if isinstance(value, torch.Tensor):
             return value.detach().cpu().clone(memory_format=torch.contiguous_format)
         if isinstance(value, dict):
@@ -233,7 +254,7 @@ def torch_bytes(values: dict[str, Any]) -> bytes:
 
 
 def log_digest(log: Log) -> str:
-    """SHA-256 of a log's time and joint positions: the same walk under any name has the same."""
+    """SHA-256 of a log's time and joint positions, independent of its name."""
     digest = hashlib.sha256(",".join(log.joints).encode())
     for values in (log.t, log.q):
         digest.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
@@ -241,7 +262,7 @@ def log_digest(log: Log) -> str:
 
 
 def _plain(observer: Observer) -> dict[str, Any]:
-    """Tensors and plain Python values alone: all that a checkpoint without pickles may hold."""
+    """Tensors and plain Python values only, as a checkpoint without pickle requires."""
     values: dict[str, Any] = {}
     for name in (f.name for f in fields(observer)):
         value = getattr(observer, name)
@@ -256,7 +277,7 @@ def _plain(observer: Observer) -> dict[str, Any]:
 
 
 def _from_plain(values: dict[str, Any]) -> Observer:
-    # Checkpoints made before there was leg odometry have no legs.
+    # Checkpoints from before leg odometry have no legs.
     values = {"legs": {}} | values
     known: dict[str, Any] = {f.name: values[f.name] for f in fields(Observer)}
     for name, value in known.items():
@@ -277,7 +298,7 @@ def _from_plain(values: dict[str, Any]) -> Observer:
     if not 0 < known["width"] <= WIDEST:
         raise ValueError(f"width is not within 1 and {WIDEST}")
     joints, legs = len(known["joints"]), len(known["legs"].get("radius", ()))
-    # Of a leg come the position and the velocity of its contact point.
+    # Each leg contributes position and velocity of its contact point.
     channels = sum(6 * legs if name == "feet" else joints for name in known["inputs"])
     if "feet" in known["inputs"]:
         check_leg_geometry(known["legs"], joints)

@@ -1,13 +1,14 @@
-"""Leg odometry inside the observer: the robot's declared kinematics, corrected by a network.
+"""Leg odometry in the observer: the robot's declared kinematics, corrected by a network.
 
-A contact point that stands still on the ground gives v_I = -u - omega x s, with s its position and
-u its velocity relative to the base. With `feet` among its inputs the network sees s and u of all
-legs, and answers
+A contact point at rest on the ground gives v_I = -u - omega x s, with s its position and u its
+velocity relative to the base. With `feet` among its inputs, the network receives s and u of all
+legs and computes
 
-    v = -gain * sum_l w_l u_l + head(features),    w = softmax(gates(features)):
+    v = -gain * sum_l w_l u_l + head(features),    w = softmax(gates(features)).
 
-which legs stand is learnt, and so are the base's rotation, slip, and how the robot differs from its
-declared geometry. Speeds that no training walk had come from the kinematics, not from the network.
+It learns which legs stand, as well as the base's rotation, slip, and the robot's deviation from its
+declared geometry. Speeds beyond those of the training walks are extrapolated by the kinematics, not
+by the network.
 """
 
 from __future__ import annotations
@@ -25,13 +26,14 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import Legs, leg_forward
 
 LegGeometry = dict[str, torch.Tensor]
-"""The fields of surefoot.sim.robot.kinematics.Legs, and `radius` (L,) in m of the feet: what a
-checkpoint keeps of a robot with L legs. Those of 0.1.0, of three joints a leg, have no `joints` and
-no `count`."""
+"""The fields of surefoot.sim.robot.kinematics.Legs, and `radius` (L,) of the feet [m], as stored in
+a checkpoint for a robot with L legs. Those of version 0.1.0, with three joints per leg, have no
+`joints` and no `joint_count`.
+"""
 
 
 def leg_geometry(robot: Mounted, joints: tuple[str, ...]) -> LegGeometry:
-    """What `contact_points` needs of a robot's declared model.
+    """Geometry that `contact_points` needs, from a robot's declared model.
 
     Raises SurefootError where it has no legs, or a log's joints are not its own.
     """
@@ -45,14 +47,14 @@ def leg_geometry(robot: Mounted, joints: tuple[str, ...]) -> LegGeometry:
 
 
 def complete_geometry(geometry: LegGeometry) -> LegGeometry:
-    """The same with `joints` and `joint_count`: where it has neither, three a leg, in turn."""
+    """Add missing `joints` and `joint_count`, for three consecutive joints per leg."""
     legs = len(geometry.get("radius", ()))
     in_turn = torch.arange(3 * legs, dtype=torch.float64).reshape(legs, 3)
     return {"joints": in_turn, "joint_count": torch.full((legs,), 3.0).double()} | geometry
 
 
 def check_leg_geometry(geometry: LegGeometry, joints: int) -> None:
-    """Raise ValueError where it is not the geometry of a robot's legs with so many joints."""
+    """Raise ValueError if it is not the geometry of a robot's legs with so many joints."""
     geometry = complete_geometry(geometry)
     legs = len(geometry.get("radius", ()))
     per = geometry["q_zero"].shape[-1] if "q_zero" in geometry else 3
@@ -78,7 +80,7 @@ def check_leg_geometry(geometry: LegGeometry, joints: int) -> None:
 
 
 class Kinematics(NamedTuple):
-    """Leg geometry and the IMU's mounting, as kernels take them."""
+    """Leg geometry and the IMU's mounting, in the form that the kernels take."""
 
     legs: Legs
     radius: np.ndarray
@@ -97,9 +99,9 @@ class Kinematics(NamedTuple):
 def contact_points(known: Kinematics, q: np.ndarray, dq: np.ndarray) -> np.ndarray:
     """Positions s and velocities u (N, 6 L) of the contact points relative to the base, in I.
 
-    First those of all legs in m, then these in m/s; q and dq (N, J) in rad and rad/s. The contact
-    point is that of the foot's link which lies the foot's radius below its centre, along the base's
-    vertical: of a foot that rolls it is at rest, not the centre.
+    First the positions of all legs [m], then the velocities [m/s]; q and dq (N, J) in rad and
+    rad/s. The contact point is the point of the foot's link at the foot's radius below its centre,
+    along the base's vertical; on a rolling foot this point is at rest, not the centre.
     """
     return _contact_points(known, np.ascontiguousarray(q), np.ascontiguousarray(dq))
 
@@ -138,9 +140,9 @@ def _contact_points(known, q, dq):
 
 
 class Odometry(torch.nn.Module):
-    """The sum over the L legs above, in the network's units: x (..., C) ends with the velocities.
+    """The sum over the L legs above, in the network's units; x (..., C) ends with the velocities.
 
-    `mean` and `scale` (3 L,) bring a scaled velocity of a contact point into the output's units.
+    `mean` and `scale` (3 L,) convert a scaled velocity of a contact point to the output's units.
     """
 
     mean: torch.Tensor
@@ -154,13 +156,13 @@ class Odometry(torch.nn.Module):
         self.register_buffer("scale", torch.ones(3 * legs))
 
     def initialise(self) -> None:
-        """Plain odometry: all legs with equal weight, gain 1."""
+        """Initialise as plain odometry: equal weights of all legs, gain 1."""
         torch.nn.init.zeros_(self.gates.weight)
         torch.nn.init.zeros_(self.gates.bias)
         torch.nn.init.ones_(self.gain)
 
     def set_units(self, mean: np.ndarray, scale: np.ndarray, output_scale: np.ndarray) -> None:
-        """Of inputs' mean and scale (C,), and outputs' scale (3,), in m/s."""
+        """Set the units from the inputs' mean and scale (C,), and the outputs' scale (3,) [m/s]."""
         columns = len(self.mean)
         unit = np.tile(output_scale, columns // 3)
         self.mean.copy_(torch.from_numpy(mean[-columns:] / unit))
@@ -172,7 +174,7 @@ class Odometry(torch.nn.Module):
         return -self.gain * (w[..., None] * u).sum(-2)
 
     def stepper(self) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-        """The same for one sample: from x (C,) and features to (3,)."""
+        """The same for one sample: a function from x (C,) and features to (3,)."""
         parameters = (self.gates.weight, self.gates.bias, self.gain, self.mean, self.scale)
         W, b, gain, mean, scale = (np.ascontiguousarray(p.detach().numpy()) for p in parameters)
         return lambda x, features: _odometry(W, b, gain, mean, scale, x, features)

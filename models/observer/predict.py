@@ -1,4 +1,4 @@
-"""Running an observer: over a whole log, or sample by sample in a robot's own loop."""
+"""Prediction with an observer, for a whole log or sample by sample."""
 
 from __future__ import annotations
 
@@ -24,8 +24,11 @@ from surefoot.sim.robot import Robot
 class Prediction:
     """Body velocities at the 100 Hz rows of a log.
 
-    rows (M,) into the log; t (M,), s; v_I (M, 3), m/s: of the log's IMU in its own frame;
-    covariance (M, 3, 3), (m/s)^2, of a `gml` observer, None of an `mse` one.
+    Attributes:
+        rows: indices into the log (M,).
+        t: (M,) [s].
+        v_I: velocity of the log's IMU in its own frame (M, 3) [m/s].
+        covariance: (M, 3, 3) [m^2/s^2] of a `gml` observer, None of an `mse` one.
     """
 
     rows: np.ndarray
@@ -35,11 +38,11 @@ class Prediction:
 
 
 def predict(observer: Observer, log: Log, robot: Mounted | None = None) -> Prediction:
-    """Velocities along a whole log; a hidden state starts at zero and runs through all of it.
+    """Predict velocities along a whole log; a hidden state starts at zero.
 
-    `robot` is the log's (Robot.for_log where left out); its mounting may differ from the one the
-    observer learnt, which then takes the log's gyro to convert. Raises ObserverError where the
-    log lacks an input or is of another robot.
+    `robot` is the log's, by default Robot.for_log; its mounting may differ from the one the
+    observer learnt, in which case the log's gyro is used for the conversion. Raises ObserverError
+    where the log lacks an input or is of another robot.
     """
     robot = _fitting(observer, log, robot)
     seen = observer_samples(log, observer.inputs)
@@ -62,20 +65,22 @@ def predict(observer: Observer, log: Log, robot: Mounted | None = None) -> Predi
 def prediction_errors(
     observer: Observer, log: Log, robot: Mounted | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rows (M,) of measured reference, and there e = v_I predicted - v_I (M, 3), m/s."""
+    """Rows (M,) with a measured reference, and the errors v_I predicted - v_I (M, 3) [m/s]
+    there.
+    """
     prediction = predict(observer, log, robot)
     v_I, measured = body_velocity(log, prediction.rows)
     return prediction.rows[measured], (prediction.v_I - v_I)[measured]
 
 
 class Loop:
-    """An observer in a robot's own loop: one call each 10 ms, its past kept between calls.
+    """An observer in a robot's own loop: one call every 10 ms, keeping its state between calls.
 
-    A `gru` steps compiled. Raises ObserverError for a model that reads a log from both ends.
+    A `gru` steps in compiled code. Raises ObserverError for a model that is not causal.
     """
 
     def __init__(self, observer: Observer):
-        """Begin as at the start of a log."""
+        """Start as at the beginning of a log."""
         body = observer.network.body
         if not body.causal:
             raise ObserverError(
@@ -92,11 +97,11 @@ class Loop:
         )
 
     def step(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-        """v_I (3,), m/s, and covariance (3, 3) or None, from signals x (S,), filtered, unscaled.
+        """v_I (3,) [m/s], and covariance (3, 3) or None, from signals x (S,), filtered, unscaled.
 
-        The signals are those of surefoot.models.observer.observer.signals, side by side: q, dq, tau
-        as far as the inputs are made of them. The filter is surefoot.models.observer.decimate's
-        over the samples of the last 20 ms.
+        The signals are those of surefoot.models.observer.observer.signals, concatenated: q, dq, tau
+        as far as the inputs need them. The filter is that of surefoot.models.observer.decimate over
+        the samples of the last 20 ms.
         """
         scaled = self.observer.scaled(x[None])[0]
         features = self._features(scaled)

@@ -1,4 +1,4 @@
-"""Inputs and target of the observer: arrays of a log at 100 Hz."""
+"""Inputs and target of the observer, from a log at 100 Hz."""
 
 from dataclasses import dataclass
 
@@ -17,9 +17,11 @@ DQ_CAUSAL = "dq (causal)"
 class Samples:
     """A log at the observer's rows.
 
-    rows (M,) into the log; t (M,), s; x (M, S) what the inputs are made of
-    (surefoot.models.observer.observer.signals), unscaled; causal_dq: whether dq among them was
-    derived from q.
+    Attributes:
+        rows: indices into the log (M,).
+        t: (M,) [s].
+        x: unscaled signals for the inputs (M, S) (surefoot.models.observer.observer.signals).
+        causal_dq: whether dq among them was derived from q.
     """
 
     rows: np.ndarray
@@ -31,10 +33,9 @@ class Samples:
 def observer_samples(log: Log, inputs: tuple[str, ...]) -> Samples:
     """Anti-aliased signals of a log for these inputs.
 
-    Raises ObserverError naming what the log lacks; nothing is filled.
-
-    Joint velocities that the log declares as derived without phase look into the future: they are
-    derived again, causally, from q.
+    Raises ObserverError naming what the log lacks; nothing is filled in. Joint velocities that the
+    log declares as zero-phase derivatives look into the future, and are derived again, causally,
+    from q.
     """
     inputs = check_inputs(inputs)
     try:
@@ -57,7 +58,8 @@ def observer_samples(log: Log, inputs: tuple[str, ...]) -> Samples:
 
 
 def body_velocity(log: Log, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Reference v_I = R_GI^T v_GI (M, 3), m/s, at `rows`, and which of them were measured (M,).
+    """Reference v_I = R_GI^T v_GI (M, 3) [m/s] at `rows`, and a mask of those that were measured
+    (M,).
 
     Raises LogError where the log has no reference.
     """

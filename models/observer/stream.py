@@ -1,4 +1,4 @@
-"""An observer fed at a log's own rate, sample by sample or piece by piece."""
+"""An observer fed at a log's own rate, sample by sample or in pieces."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ from surefoot.sim.log.derived import CausalDerivative
 
 
 class ObserverStream:
-    """`predict` for a log that comes in pieces: decimation, network and mounting, the past kept.
+    """`predict` for a log that comes in pieces, keeping the state of decimation, network and
+    mounting.
 
-    A row is an update where it is nearest to a point of the 100 Hz grid that starts at the first
-    row; the next stamp is not known yet, so it is expected one period later. Where stamps are even
-    the rows are those of `predict`, and velocities equal its own to the rounding of float32.
+    A row is an update if it is nearest to a point of the 100 Hz grid that starts at the first row,
+    assuming that the next stamp, not yet known, comes one period later. With even stamps, the rows
+    are those of `predict`, and velocities are equal up to float32 rounding.
     """
 
     def __init__(
@@ -33,17 +34,17 @@ class ObserverStream:
         joints: tuple[str, ...],
         derived: tuple[str, ...] = (),
     ):
-        """Begin as at the start of a log.
+        """Start as at the beginning of a log.
+
+        Raises ObserverError or DecimationError where the observer does not fit.
 
         Args:
-            observer: causal; one that reads a log from both ends is refused.
+            observer: causal; others are refused.
             robot: of the log; its mounting may differ from the one that the observer learnt.
             rate: of the samples [Hz].
             joints: their names in the order of q.
-            derived: the log's derived columns; joint velocities of zero phase look into the
-                future and are derived again.
-
-        Raises ObserverError or DecimationError where the observer does not fit.
+            derived: the log's derived columns; zero-phase joint velocities look into the future and
+                are derived again.
         """
         if robot.name != observer.robot:
             raise ObserverError(
@@ -70,15 +71,15 @@ class ObserverStream:
     def advance(
         self, t: np.ndarray, gyro: np.ndarray, joints: dict[str, np.ndarray | None]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-        """The rows that follow those seen so far.
+        """Process the next rows.
+
+        Returns the rows (M,) among these that are updates, v_I (M, 3) [m/s] there and covariances
+        (M, 3, 3), None for an `mse` observer. Raises ObserverError where an input is missing.
 
         Args:
             t: stamps (N,) [s].
             gyro: (N, 3) [rad/s] in I.
             joints: q, dq and tau (N, J), None where not measured.
-
-        Returns the rows (M,) among these that are updates, v_I (M, 3) [m/s] there and covariances
-        (M, 3, 3), None of an `mse` observer. Raises ObserverError where an input is missing.
         """
         x = self._inputs(t, joints)
         if np.isnan(self._start):
@@ -114,12 +115,13 @@ class ObserverStream:
         return np.concatenate(values, axis=1)
 
     def _updates(self, t: np.ndarray) -> np.ndarray:
-        """Rows (M,) of t that are nearest to their point of the grid, one a point."""
+        """Rows (M,) of t that are nearest to their grid point, one for each."""
         step = 1.0 / RATE
         number = np.rint((t - self._start) / step).astype(np.int64)
         grid = self._start + step * number
         near = np.abs(t - grid) <= min(self._period, 0.5 * step) + 1e-7
-        # Ties, and stamps good to nanoseconds, go to the later row, as in `observer_rows`.
+        # Ties, within the nanosecond accuracy of stamps, go to the later row, as in
+        # `observer_rows`.
         later = (t < grid) & (grid - t >= t + self._period - grid - 1e-7)
         candidates = np.flatnonzero(near & ~later & (number > self._last))
         rows = candidates[np.unique(number[candidates], return_index=True)[1]]

@@ -1,9 +1,9 @@
-"""Training the velocity observer (paper, "Supervised Training").
+"""Training of the velocity observer (paper, "Supervised Training").
 
-Windows of 1 000 steps at 10 ms, drawn at random and overlapping, each from the zero state. The
-labels of validation blocks take no part in the loss; on them the network is scored as it will be
-used, its state running through the whole log, and the best weights so scored are kept. The state of
-a training is kept on disk, so that a killed one goes on from there, to the same bits.
+Random, overlapping windows of 1 000 steps of 10 ms, each from the zero state. Labels of validation
+blocks are not part of the loss; on them the network is scored as it will be used, with its state
+running through the whole log, and the weights with the best score are kept. The state of a training
+is stored on disk, so that an interrupted one continues with bit-identical results.
 """
 
 from __future__ import annotations
@@ -43,23 +43,29 @@ from surefoot.sim.common.progress import bar as drawn_bar
 from surefoot.sim.log import Log
 
 WARM_UP = 25
-"""Steps, of windows that begin inside a log, that a recurrent network is not trained on."""
+"""Steps that a recurrent network is not trained on, in windows that begin inside a log."""
 MEAN_FIRST = 0.4
-"""Share of the steps in which a Gaussian's mean is fitted alone, by mse. With the likelihood from
-the start the smaller motions go into the covariance: the vertical error came out twice as large."""
+"""Share of the steps in which only a Gaussian's mean is fitted, by mse. With the likelihood from
+the start, small motions are attributed to the covariance: the vertical error became twice as large.
+"""
 MOST_STEPS = 1_000_000
-"""Steps of a training, or windows of one."""
+"""Largest number of steps, and of windows in one."""
 TRAINING_FORMAT = "surefoot training state"
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """How long and how fast to train.
+    """Length and learning rate of a training.
 
-    steps of Adam, each on `batch` windows, its rate rising over the first twentieth to `rate` (the
-    architecture's own where None) and falling to zero along a cosine; validation every `every`
-    steps, and an end after `patience` of them without a better one. Raises ObserverError for what
-    no training can have.
+    Raises ObserverError for invalid values.
+
+    Attributes:
+        steps: of Adam; the rate rises over the first twentieth and then falls to zero along a
+            cosine.
+        batch: windows per step.
+        rate: largest learning rate; None for the architecture's own.
+        every: steps between validations.
+        patience: validations without improvement after which to stop.
     """
 
     steps: int = 1200
@@ -93,28 +99,28 @@ def train(
     width: int | None = None,
     device: str = "cpu",
 ) -> Observer:
-    """An observer of `logs`' robot from `inputs`; the same seed and logs give the same one.
+    """Train an observer for the robot of `logs`; deterministic for the same seed and logs.
+
+    A single thread is used on any machine, since more threads, like other devices, would sum in
+    another order. Raises ObserverError where a log is too short or lacks an input, where the logs
+    disagree on robot, mounting or joints, or where torch has no such device; LogError where one has
+    no reference.
 
     Args:
         logs: to train on.
-        robot: theirs (Robot.for_log where left out).
+        robot: theirs, by default Robot.for_log.
         inputs: groups of a log's columns, or "q,dq,tau".
-        loss: "mse", or "gml", which predicts a covariance too.
+        loss: "mse", or "gml", which also predicts a covariance.
         seed: of weights and windows.
-        progress: True draws a bar with the validation RMSE; a function is called with (step, steps,
+        progress: True shows a bar with the validation RMSE; a function is called with (step, steps,
             rmse (3,) in m/s) after each validation.
-        schedule: how long and how fast.
+        schedule: length and learning rate.
         model: a name of surefoot.models.registry.ARCHITECTURES.
-        partial: file for the state after each validation; a training that was killed goes on from
-            there. The caller deletes it once the observer is saved.
-        width: of the network's layers (the architecture's own where left out).
-        device: of torch's, such as "cuda" or "mps", on which the steps are taken. The observer is
-            judged and kept on the CPU, where it will run.
-
-    One thread is used, whatever the machine has: more would sum in another order, as other devices
-    do. Raises ObserverError where a log is too short, lacks an input, where the logs disagree on
-    robot, mounting or joints, or where torch has no such device; LogError where one has no
-    reference.
+        partial: file for the state after each validation, from which an interrupted training
+            continues. The caller deletes it once the observer is saved.
+        width: of the network's layers, by default the architecture's own.
+        device: of torch, such as "cuda" or "mps", for the training steps. The observer is validated
+            and stored on the CPU, where it will run.
     """
     at = torch_device(device)
     logs = [logs] if isinstance(logs, Log) else list(logs)
@@ -157,16 +163,23 @@ def train(
 
 
 def partial_path(observer: Path) -> Path:
-    """Where the training of `observer` keeps its state: beside it, with `.partial` added."""
+    """Path of the training state of `observer`: beside it, with `.partial` appended."""
     return observer.with_name(observer.name + ".partial")
 
 
 @dataclass
 class Training:
-    """A training under way: all that its next step depends on, after `step` of them.
+    """State of a training after `step` steps: all that the next step depends on.
 
-    best: weights with the lowest `score` on the validation rows, on the CPU, and rmse (3,) in m/s
-    theirs; since: validations without better ones.
+    Attributes:
+        network: being trained.
+        optimiser: its optimiser.
+        rng: draws the windows.
+        best: weights with the lowest `score` on the validation rows, on the CPU.
+        step: number of steps done.
+        score: of the best weights.
+        rmse: of the best weights (3,) [m/s].
+        since: validations since the best.
     """
 
     network: Network
@@ -179,7 +192,9 @@ class Training:
     since: int = 0
 
     def save(self, path: Path, task: str) -> None:
-        """Write it in place of an earlier one, whole or not at all; `task` says of what it is."""
+        """Write the state, replacing an earlier one, whole or not at all; `task` identifies the
+        training.
+        """
         values = {
             "format": TRAINING_FORMAT,
             "task": task,
@@ -196,9 +211,9 @@ class Training:
             temporary.write_bytes(torch_bytes(values))
 
     def restore(self, path: Path, task: str) -> bool:
-        """Go on from the state at `path`; False where there is none or it is another task's.
+        """Continue from the state at `path`; False where there is none or it is of another task.
 
-        Raises ObserverError where the file is something else, which is then left alone.
+        Raises ObserverError where the file is something else, which is then left untouched.
         """
         if not path.exists():
             return False
@@ -214,14 +229,14 @@ class Training:
             self.best, self.step, self.score = values["best"], values["step"], values["score"]
             self.rmse, self.since = np.array(values["rmse"]), values["since"]
         except Exception as error:
-            # torch raises many kinds here, depending on what the file turns out to be.
+            # torch raises many types here, depending on the file's contents.
             raise ObserverError(
                 f"{path}: not a training that was broken off; move it away, or delete it"
             ) from error
         return True
 
     def judge(self, score: float, rmse: np.ndarray) -> None:
-        """Keep the weights if no earlier ones scored better."""
+        """Keep the weights if they have the best score so far."""
         self.since += 1
         if score < self.score:
             self.best = _kept_weights(self.network)
@@ -229,7 +244,7 @@ class Training:
 
 
 def task_digest(logs: Sequence[ScaledLog], **settings: object) -> str:
-    """SHA-256 of what decides a training's outcome: its data, settings, and torch's version."""
+    """SHA-256 of all that determines a training's outcome: data, settings and torch's version."""
     settings["torch"] = torch.__version__
     digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode())
     for log in logs:
@@ -249,7 +264,7 @@ def _fit(
     partial: Path | None,
     device: torch.device,
 ) -> Training:
-    """Train until the schedule ends; all as of `train`.
+    """Train until the schedule ends; see `train`.
 
     Args:
         model: name of the architecture.
@@ -257,10 +272,10 @@ def _fit(
         loss: "mse" or "gml".
         dataset: of training and validation.
         seed: of weights and windows.
-        schedule: how long and how fast.
-        progress: True draws a bar; a function is called after each validation.
+        schedule: length and learning rate.
+        progress: True shows a bar; a function is called after each validation.
         partial: file for the state after each validation, or None.
-        device: on which the steps are taken.
+        device: for the training steps.
     """
     architecture = ARCHITECTURES[model]
     rate = schedule.rate or architecture.rate
@@ -295,7 +310,7 @@ def _fit(
                 group["lr"] = rate * _warm_cosine(now.step / schedule.steps)
             x, y, trains = draw(logs, schedule.batch, unsettled, now.rng)
             now.optimiser.zero_grad()
-            # A sum, not a mean over nothing, where a batch has no measured reference at all.
+            # A sum, since the mean over a batch without a measured reference would be undefined.
             losses = loss_of(kind, now.network(x), y)[trains]
             (losses.sum() / max(int(trains.sum()), 1)).backward()
             torch.nn.utils.clip_grad_norm_(now.network.parameters(), 1.0)
@@ -324,7 +339,8 @@ def _begin(
     rate: float,
     device: torch.device,
 ) -> Training:
-    """A training before its first step; its weights are drawn on the CPU, alike for every device.
+    """Initialise a training; the weights are drawn on the CPU, so they are the same for every
+    device.
 
     Args:
         model: name of the architecture.
@@ -333,7 +349,7 @@ def _begin(
         dataset: of training and validation, with the units of inputs and outputs.
         seed: of weights and windows.
         rate: learning rate of Adam.
-        device: on which the steps are taken.
+        device: for the training steps.
     """
     rng = np.random.default_rng(seed)
     inputs = len(dataset.x_mean)
@@ -349,7 +365,7 @@ def _begin(
 
 
 def _kept_weights(network: Network) -> dict[str, torch.Tensor]:
-    """A copy of the weights as they are now, on the CPU."""
+    """A copy of the current weights on the CPU."""
     return {name: w.detach().cpu().clone() for name, w in network.state_dict().items()}
 
 

@@ -1,1 +1,1 @@
-"""The controller of a walk: the course, legs in swing and in stance."""
+"""The gait controller: course, legs in swing and in stance."""

@@ -1,8 +1,8 @@
-"""A trot controller, compiled: Raibert footholds, a stance wrench, Jacobian-transpose torques.
+"""A compiled trot controller: Raibert footholds, a stance wrench, Jacobian-transpose torques.
 
-It knows the base's motion, true or with the errors of an estimate, and the ground, as a
-laboratory's controller may. Every number scales with the leg length and the mass read from the
-model, so one set walks any quadruped.
+It knows the ground and the base's motion, true or with the errors of an estimate, as a controller
+in a laboratory may. All parameters scale with the leg length and mass of the model, so one set
+walks any quadruped.
 """
 
 from typing import NamedTuple
@@ -27,7 +27,7 @@ SLID = 0.02  # of the leg's length, such a way of all feet on the mean from whic
 
 
 class Controller(NamedTuple):
-    """A trot controller: the robot's gait, the ground, and what it remembers."""
+    """A trot controller: the robot's gait, the ground, and its memory."""
 
     gait: Gait
     relief: HeightMap
@@ -50,7 +50,7 @@ def gait_for(
         period: factor of the stride's period.
         clearance: factor of the swing height.
         gain: factor of the controller's gains.
-        options: what else the gait has.
+        options: of the gait.
     """
     length, pattern = robot.leg_length, pattern_named(options.pattern)
     home_B = robot.feet_I(robot.q_home[None])[0] @ robot.R_BI.T + robot.p_BI
@@ -165,7 +165,7 @@ def tick(legs, controller, state, target, torque):
 
 @kernel
 def _command(base, yaw, target):
-    """The target's velocities, and what brings the base back to its place and heading."""
+    """The target's velocities, corrected to return the base to its place and heading."""
     c, s = np.cos(target[2]), np.sin(target[2])
     v = np.array([c * target[3] - s * target[4], s * target[3] + c * target[4], 0.0])
     for a in range(2):
@@ -177,16 +177,16 @@ def _command(base, yaw, target):
 
 @kernel
 def take_care(controller, state, loaded, command, feet):
-    """While loaded feet slide, lower the commanded velocity by what the base falls short of it.
+    """While loaded feet slide, reduce the commanded velocity by the base's shortfall from it.
 
-    The shortfall is averaged over a stride, which leaves the response to swaying unchanged. The
-    command is lowered to zero at most: a robot that slides slows down and stops but does not turn
-    back. The command recovers within a stride or two once no foot slides.
+    The shortfall is averaged over a stride, so the response to swaying is unchanged. The command is
+    reduced to zero at most: a sliding robot slows down and stops but does not turn back. The
+    command recovers within a stride or two once no foot slides.
 
     Args:
-        controller: a Controller, which remembers what is given up.
+        controller: a Controller, which stores the reduction.
         state: a RobotState.
-        loaded: force from which a foot bears on the ground [N]; one that bounces does not slide.
+        loaded: force from which a foot is loaded [N]; a bouncing foot does not slide.
         command: a Command, changed.
         feet: Feet.
     """
@@ -199,12 +199,12 @@ def take_care(controller, state, loaded, command, feet):
         across = v - (v @ up) * up
         speed = np.sqrt(across @ across)
         if feet.mode[leg] == STANCE and feet.progress[leg] < 0.75:
-            # Before a quarter of the stance the leg is still being loaded, and gives.
+            # In the first quarter of the stance the leg is still being loaded, and yields.
             if feet.progress[leg] < 0.25:
                 memory.way[leg] = 0.0
             elif speed > SLIDING and load[leg] > loaded:
                 memory.way[leg] = min(memory.way[leg] + speed * dt, 3.0 * SLID * gait.leg_length)
-    # One foot that slips off an edge is no slippery ground.
+    # A single foot that slips off an edge does not mean slippery ground.
     if memory.way.mean() > SLID * gait.leg_length:
         memory.slid[0] = t
     part = min(dt / gait.period, 1.0)
@@ -220,14 +220,13 @@ def take_care(controller, state, loaded, command, feet):
 def sway_body(controller, state, heading, command, feet):
     """Let the body sway, so that each standing foot bears load.
 
-    The centre of pressure then moves towards the middle of the standing feet.
-
-    A body at height h whose centre of pressure is off by d accelerates by g d / h, as an inverted
-    pendulum does. The feet's nominal places are used, not their actual ones, which would feed the
-    sway back into itself. The velocity's mean is forgotten within a stride.
+    This moves the centre of pressure towards the middle of the standing feet. A body at height h
+    whose centre of pressure is offset by d accelerates by g d / h, like an inverted pendulum. The
+    feet's nominal positions are used, since the actual ones would feed the sway back into itself.
+    The mean of the velocity decays within a stride.
 
     Args:
-        controller: a Controller, which remembers the velocity.
+        controller: a Controller, which stores the velocity.
         state: a RobotState.
         heading: cosine and sine of the yaw.
         command: a Command, changed.
@@ -256,7 +255,7 @@ def sway_body(controller, state, heading, command, feet):
 def ground_below(gait, relief, p, yaw):
     """Height [m] and slopes along x and y of the plane that fits the ground under the body best.
 
-    A grid over the stance and a little beyond: stairs look like the slope that they are.
+    On a grid over the stance and a little beyond, on which stairs look like their mean slope.
     """
     c, s = np.cos(yaw), np.sin(yaw)
     reach = 0.5 * (gait.nominal_B[0, 0] - gait.nominal_B[2, 0]) + 0.15 * gait.leg_length

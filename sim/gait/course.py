@@ -1,4 +1,4 @@
-"""The course as a reference trajectory: where the base should be, and how fast, at every tick."""
+"""The course as a reference trajectory: pose and velocity of the base at every tick."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ TURN_ACCELERATION = 1.5  # rad/s^2
 
 @dataclass(frozen=True)
 class Course:
-    """Commanded motion in the plane, one row a controller tick."""
+    """Commanded motion in the plane, one row for each controller tick."""
 
     t: np.ndarray  # (N,) s
     pose: np.ndarray  # (N, 3) x, y [m] and yaw [rad] in G
@@ -41,10 +41,10 @@ def lay_course(
 def course_ticks(
     segments: Sequence[Segment], dt: float, stand: float, laps: int = 1, lead: float = 0.0
 ) -> int:
-    """How many rows `lay_course` has.
+    """Number of rows of `lay_course`.
 
     Args:
-        segments, dt, stand, laps, lead: as it takes them.
+        segments, dt, stand, laps, lead: as for `lay_course`.
     """
     return sum(rows for rows, _ in _stretches(segments, dt, stand, laps, lead))
 
@@ -57,11 +57,11 @@ def course_pieces(
     lead: float,
     rows: int,
 ) -> Iterator[Course]:
-    """The rows of `lay_course` in turn, `rows` at a time, in the memory of one piece.
+    """The rows of `lay_course` in pieces of `rows`, using the memory of one piece.
 
     Args:
-        segments, dt, stand, laps, lead: as `lay_course` takes them.
-        rows: of a piece; the last one has what is left.
+        segments, dt, stand, laps, lead: as for `lay_course`.
+        rows: of a piece; the last one may be shorter.
     """
     step = np.array([ACCELERATION, ACCELERATION, TURN_ACCELERATION]) * dt
     first, now, sums = 0, np.zeros(3), np.zeros(3)
@@ -79,10 +79,11 @@ def course_pieces(
 def _stretches(
     segments: Sequence[Segment], dt: float, stand: float, laps: int, lead: float
 ) -> Iterator[tuple[int, tuple[float, float, float]]]:
-    """Rows of equal command, and the command: forward, lateral [m/s] and turn [rad/s].
+    """Sections of constant command: number of rows, and forward, lateral [m/s] and yaw rate
+    [rad/s].
 
     Args:
-        segments, dt, stand, laps, lead: as `lay_course` takes them.
+        segments, dt, stand, laps, lead: as for `lay_course`.
     """
     yield round((lead + stand) / dt), (0.0, 0.0, 0.0)
     for _ in range(laps):
@@ -94,7 +95,7 @@ def _stretches(
 def _targets(
     stretches: Iterable[tuple[int, tuple[float, float, float]]], rows: int
 ) -> Iterator[np.ndarray]:
-    """The commands (N, 3), a row a tick, at most `rows` at a time."""
+    """The commands (N, 3), one row per tick, at most `rows` at a time."""
     piece, used = np.empty((rows, 3)), 0
     for count, command in stretches:
         while count:
@@ -109,7 +110,9 @@ def _targets(
 
 
 def _summed(x: np.ndarray, sums: np.ndarray, which: int) -> np.ndarray:
-    """The sums of x (N,) up to each row, on top of those of the pieces before, which are kept."""
+    """Cumulative sums of x (N,), continued from the sums of the pieces before, which are
+    updated.
+    """
     total = np.cumsum(np.append(sums[which], x))[1:]
     sums[which] = total[-1]
     return total
@@ -117,7 +120,7 @@ def _summed(x: np.ndarray, sums: np.ndarray, which: int) -> np.ndarray:
 
 @kernel
 def _ramped(target, step, now):
-    """`target` (N, 3) followed from `now` (3,), which is changed, by at most `step` (3,) a row."""
+    """Follow `target` (N, 3) from `now` (3,), which is updated, by at most `step` (3,) per row."""
     velocity = np.empty_like(target)
     for k in range(len(target)):
         for a in range(3):

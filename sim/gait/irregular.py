@@ -1,4 +1,4 @@
-"""Random irregularity of a gait, drawn by a seed: strides, footholds, the controller's estimate."""
+"""Random irregularity of a gait: stride periods, footholds, and the controller's estimate."""
 
 import numpy as np
 
@@ -9,17 +9,19 @@ from surefoot.sim.gait.state import Gait
 from surefoot.sim.robot.kinematics import BaseMotion
 
 FARTHEST_DRAW = 2.5
-"""Standard deviations at which drawn periods and footholds are cut: legs reach only so far."""
+"""Standard deviations at which drawn periods and footholds are truncated, as legs have limited
+reach.
+"""
 
 
 def irregular(
     gait: Gait, options: GaitOptions, ticks: int, dt: float, rng: np.random.Generator
 ) -> Gait:
-    """The gait with what `options` ask for drawn from `rng`.
+    """Draw the irregularity that `options` specify.
 
     Args:
         gait: a regular one.
-        options: what is irregular, and how much.
+        options: what is irregular, and by how much.
         ticks: control ticks of the walk.
         dt: between them [s].
         rng: random generator.
@@ -46,14 +48,16 @@ def irregular(
 
 @kernel
 def estimated_base(gait, base, tick):
-    """The BaseMotion that the controller believes in at a tick (its number): the true one, or one
-    with the errors that were drawn in its velocity and attitude, in B."""
+    """The controller's estimate of the base's motion at a tick (its index).
+
+    The true BaseMotion, with the drawn errors of velocity and attitude, if any, in B.
+    """
     p, R, v, w = base
     if len(gait.velocity_error):
         v = v + R @ gait.velocity_error[tick]
     if len(gait.attitude_error):
         a, b = gait.attitude_error[tick, 0], gait.attitude_error[tick, 1]
-        # A small turn about the base's x and y, kept a rotation by normalising its columns.
+        # A small rotation about the base's x and y, normalised column by column.
         tilt = np.array([[1.0, 0.0, b], [0.0, 1.0, -a], [-b, a, 1.0]])
         x = tilt[:, 0] / np.sqrt(np.sum(tilt[:, 0] ** 2))
         y = tilt[:, 1] - np.sum(tilt[:, 1] * x) * x
@@ -66,8 +70,9 @@ def estimated_base(gait, base, tick):
 
 @kernel
 def stride_at(gait, t, leg):
-    """Number of the stride that a leg is in at time t [s], from its landing on, and the share of it
-    that is over."""
+    """Index of the stride that a leg is in at time t [s], counted from its touchdown, and the share
+    of it that has passed.
+    """
     if len(gait.beats):
         k = min(max(np.searchsorted(gait.beats, t, "right") - 1, 0), len(gait.beats) - 2)
         length = gait.beats[k + 1] - gait.beats[k]

@@ -1,4 +1,4 @@
-"""How a gait differs from the plainest one: the `[gait]` table of a scenario."""
+"""Options of a gait: the `[gait]` table of a scenario."""
 
 from dataclasses import dataclass, fields
 
@@ -8,12 +8,13 @@ from surefoot.sim.gait.patterns import pattern_named
 
 @dataclass(frozen=True)
 class GaitOptions:
-    """What real gaits have. The defaults are a soft, strictly periodic trot under a controller that
-    knows its motion exactly; every size is for any robot, scaled by its leg length and weight.
+    """Deviations of a gait from the default, a soft, strictly periodic trot with a perfect state
+    estimate.
 
-    Real trots vary by 3 to 4 % in period and 1 to 2 cm in foothold (measured, Go1); published
-    quadruped controllers add joint PD to feed-forward torques: kp 20 N m/rad, kd 0.5 N m s/rad on a
-    Go1 (Margolis and Agrawal, "Walk These Ways", CoRL 2022), 0.4 m g L and 25 ms.
+    Sizes are for any robot, scaled by its leg length and weight. Real trots vary by 3 to 4 % in
+    period and 1 to 2 cm in foothold (measured, Go1); published quadruped controllers add joint PD
+    to feed-forward torques: kp 20 N m/rad, kd 0.5 N m s/rad on a Go1 (Margolis and Agrawal, "Walk
+    These Ways", CoRL 2022), 0.4 m g L and 25 ms.
     """
 
     pattern: str = "trot"  # or walk, pace, or a gait of your own (surefoot.sim.gait.patterns)
@@ -49,4 +50,4 @@ class GaitOptions:
 
 
 PLAIN_GAIT = GaitOptions()
-"""The plainest trot."""
+"""The default trot."""

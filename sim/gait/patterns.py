@@ -1,7 +1,7 @@
-"""Gaits by name: when each foot lands within a stride, how long it stands, how long a stride lasts.
+"""Gaits by name: phase of each foot, duty factor, and stride period.
 
-A gait of your own is a class with these attributes, offered under the entry points
-`surefoot.gaits`; a scenario walks it by `[gait] pattern = "NAME"`.
+A gait of your own is a class with these attributes, registered by the entry point group
+`surefoot.gaits`; a scenario selects it by `[gait] pattern = "NAME"`.
 """
 
 from dataclasses import dataclass
@@ -16,10 +16,12 @@ from surefoot.sim.common.plugins import Registry
 class Pattern:
     """A gait.
 
-    phase: share of the stride by which FL, FR, RL and RR land later than the stride begins. duty:
-    the least share of it that a foot stands. period: of a stride, as a multiple of the trot's.
-    sway: how far the pressure goes from below the body to the middle of the feet that stand, from 0
-    to 1; a class of your own may leave it out.
+    Attributes:
+        phase: of FL, FR, RL and RR: delay of the touchdown, as a share of the stride.
+        duty: least duty factor.
+        period: of the stride, relative to the trot's.
+        sway: how far the centre of pressure moves from below the body to the middle of the standing
+            feet, from 0 to 1; optional in a class of your own.
     """
 
     phase: tuple[float, float, float, float]
@@ -30,7 +32,7 @@ class Pattern:
 
 # Alexander, "The gaits of bipedal and quadrupedal animals", IJRR 1984: relative phases and duty
 # factors. A walk is a lateral sequence: each hind foot lands before the fore foot of its side.
-# Without sway the foot opposite to the one that swings would bear nothing.
+# Without sway, the foot diagonal to the swinging one would bear no load.
 _BUNDLED = {
     "trot": Pattern((0.0, 0.5, 0.5, 0.0), 0.0),
     "walk": Pattern((0.0, 0.5, 0.75, 0.25), 0.78, 1.6, 0.5),
@@ -39,7 +41,7 @@ _BUNDLED = {
 
 
 def _check(name: str, pattern: Pattern) -> None:
-    """Raise SurefootError for what is no gait."""
+    """Raise SurefootError for an invalid gait."""
     phase = np.asarray(pattern.phase, dtype=float)
     if phase.shape != (4,) or not ((phase >= 0.0) & (phase < 1.0)).all():
         raise SurefootError("phase must be four numbers from 0 to below 1")
@@ -52,7 +54,7 @@ PATTERNS = Registry("surefoot.gaits", _BUNDLED, ("phase", "duty", "period"), _ch
 
 
 def pattern_named(name: str) -> Pattern:
-    """The gait of that name. Raises SurefootError naming those there are."""
+    """The gait of that name. Raises SurefootError naming the known ones."""
     if name not in PATTERNS:
         hint = did_you_mean(name, PATTERNS)
         raise SurefootError(f"pattern must be one of {', '.join(PATTERNS)}, is '{name}'{hint}")

@@ -1,4 +1,4 @@
-"""Legs on the ground: the wrench that carries the body, and the foot forces that make it."""
+"""Legs in stance: the wrench that carries the body, and the foot forces that produce it."""
 
 import numpy as np
 
@@ -7,22 +7,26 @@ from surefoot.sim.common.kernels import kernel
 from surefoot.sim.gait.state import STANCE
 
 FIRM_TILT = 0.1
-"""rad, from the plane of the ground, from which the base is held level with the full moment."""
+"""Tilt from the plane of the ground from which the base is held level with the full moment
+[rad].
+"""
 FARTHEST_FROM_BASE = 0.3
-"""rad, of a joint's error that its PD answers: a foot held fast does not pull the body down."""
+"""Largest joint error that the PD responds to [rad], so that a stuck foot does not pull the body
+down.
+"""
 
 
 @kernel
 def eased(gait, progress):
-    """Share (0 to 1) of its load that a foot bears, eased in and out as its stance progresses."""
+    """Share (0 to 1) of its load that a foot bears, ramped up and down over its stance."""
     return min(1.0, min(progress / gait.unloading, (1.0 - progress) / gait.unloading))
 
 
 @kernel
 def stance_forces(r, wrench, weight, effort):
-    """Foot forces (n, 3) that best make `wrench` (6,) at lever arms r (n, 3).
+    """Foot forces (n, 3) at lever arms r (n, 3) that best produce `wrench` (6,).
 
-    Least squares with weights on the six rows and `effort` (n,) against large forces.
+    Least squares with weights on the six rows, and a penalty `effort` (n,) on large forces.
     """
     n = r.shape[0]
     A = np.zeros((6, 3 * n))
@@ -42,7 +46,7 @@ def stance_forces(r, wrench, weight, effort):
 
 @kernel
 def support(controller, ground, base, command, feet, torque):
-    """The wrench that holds height, attitude and course, shared over the feet that stand.
+    """Distribute the wrench that controls height, attitude and course over the standing feet.
 
     Args:
         controller: a Controller.
@@ -50,7 +54,7 @@ def support(controller, ground, base, command, feet, torque):
         base: a BaseMotion.
         command: a Command.
         feet: Feet.
-        torque: (12,) N m, of whose legs those that stand are written.
+        torque: (12,) N m, written for the legs in stance.
     """
     gait = controller.gait
     p, R, v, w = base
@@ -66,12 +70,12 @@ def support(controller, ground, base, command, feet, torque):
         wrench[a] += gait.mass * command.push[a]
     climb = slope_x * v[0] + slope_y * v[1]
     wrench[2] = gait.mass * (GRAVITY + 120.0 * (gait.height + level - p[2]) + 16.0 * (climb - v[2]))
-    # Attitude error as the rotation vector that would set the base along the plane, small-angle.
+    # Attitude error as the rotation vector to the plane, for small angles.
     steep = np.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
     up_B = R.T @ np.array([-slope_x / steep, -slope_y / steep, 1.0 / steep])
     error_B = np.array([-up_B[1], up_B[0], 0.0])
     spin = command.turn * R[2] - w
-    # Held loosely a robot sways; held as firmly as any once it tilts, it does not fall for that.
+    # A loosely controlled robot sways; with the full gain at larger tilt it still does not fall.
     tilt = np.sqrt(error_B @ error_B) / FIRM_TILT
     held = gait.level + (1.0 - gait.level) * min(tilt * tilt, 1.0)
     moment_B = np.empty(3)
@@ -99,7 +103,7 @@ def support(controller, ground, base, command, feet, torque):
         side = np.sqrt(across @ across)
         if side > gait.friction_clamp * push:
             across *= gait.friction_clamp * push / side
-        # On a foot that slides the ground has no more to give: the leg itself must stop it.
+        # On a sliding foot the ground force is saturated, so the leg must damp the motion itself.
         sole_v = feet.sole_velocity[leg]
         slide = sole_v - (sole_v @ up) * up
         torque[3 * leg : 3 * leg + 3] = -(
@@ -111,15 +115,14 @@ def support(controller, ground, base, command, feet, torque):
 def stiffen(controller, state, command, feet, torque):
     """Add joint PD torques of standing legs to the feed-forward torques of the wrench.
 
-    The targets are the joint angles that the legs would have, had the base moved as commanded since
-    the foot landed.
+    The targets are the joint angles for the commanded motion of the base since touchdown.
 
     Args:
-        controller: a Controller, whose memory of landings is changed.
+        controller: a Controller, whose memory of touchdowns is changed.
         state: a RobotState.
         command: a Command.
         feet: Feet.
-        torque: (12,) N m, of whose legs those that stand are changed.
+        torque: (12,) N m, changed for the legs in stance.
     """
     gait, memory = controller.gait, controller.memory
     t, base, _, dq, _ = state
@@ -137,7 +140,7 @@ def stiffen(controller, state, command, feet, torque):
         rate_B = -(v_B + np.cross(turn_B, memory.planted[leg]))
         wanted_B = memory.planted[leg] + (t - memory.since[leg]) * rate_B
         J = base.R.T @ feet.jacobian[leg]
-        # Damped, so that a straight knee asks for no infinite turn.
+        # Damped least squares, so that a straight knee does not require an infinite rotation.
         H = J @ J.T + 1e-4 * gait.leg_length**2 * np.eye(3)
         error = J.T @ np.linalg.solve(H, wanted_B - r_B)
         error_rate = J.T @ np.linalg.solve(H, rate_B) - dq[own]

@@ -1,4 +1,4 @@
-"""What the gait controller's parts pass to each other, compiled code and all: named arrays."""
+"""State that the parts of the gait controller exchange, as named arrays for compiled code."""
 
 from typing import NamedTuple
 
@@ -41,7 +41,7 @@ class Gait(NamedTuple):
     stiffness: float  # N m/rad, of the joints of standing legs
     damping: float  # N m s/rad, the same
     slip_care: float  # share of the velocity that sliding feet lack which is given up
-    # What a seed draws (`sim.gait.irregular`); of no length where nothing is irregular.
+    # Drawn by a seed (`sim.gait.irregular`); empty where nothing is irregular.
     beats: np.ndarray  # (S,) s, when the strides begin
     footholds: np.ndarray  # (S, 4, 2) m, of each stride, ahead and to the left of the planned ones
     velocity_error: np.ndarray  # (N, 3) m/s, in B, of the controller's estimate at each tick
@@ -49,7 +49,7 @@ class Gait(NamedTuple):
 
 
 class LegMemory(NamedTuple):
-    """What the controller remembers of each leg from tick to tick."""
+    """What the controller stores for each leg between ticks."""
 
     mode: np.ndarray  # (4,) SWING or STANCE
     touched: np.ndarray  # (4,) bool, whether the foot has been loaded since its stance began
@@ -65,7 +65,7 @@ class LegMemory(NamedTuple):
 
 
 def standing() -> LegMemory:
-    """The memory of a robot that stands."""
+    """Memory of a standing robot."""
     return LegMemory(
         mode=np.full(4, STANCE),
         touched=np.zeros(4, dtype=bool),
@@ -92,7 +92,7 @@ class RobotState(NamedTuple):
 
 
 class Command(NamedTuple):
-    """How the base should move now."""
+    """Commanded motion of the base."""
 
     v: np.ndarray  # (3,) m/s, in G
     turn: float  # rad/s

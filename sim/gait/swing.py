@@ -1,4 +1,4 @@
-"""Legs in the air: where a foot goes down, what it must clear, the force that takes it there."""
+"""Legs in swing: foothold, ground clearance, and the force that moves the foot."""
 
 import numpy as np
 
@@ -7,8 +7,8 @@ from surefoot.sim.common.kernels import kernel
 from surefoot.sim.gait.state import STANCE, SWING
 from surefoot.sim.ground.height_map import height, normal, surface
 
-# Room between a foothold and an edge, as shares of the leg's length: a falling edge, a riser before
-# the foot, and one behind it, which the shin leans over where it descends.
+# Distances between a foothold and an edge, as shares of the leg's length: a falling edge, a riser
+# ahead of the foot, and one behind it, towards which the shin leans when descending.
 BRINK, RISER, SHIN = 0.07, 0.14, 0.17
 EDGE_JUMP = 0.04  # of the leg's length: ground that jumps by more is an edge
 SETTLED = 0.4  # share of the swing after which a foothold stays on its step
@@ -18,14 +18,14 @@ ROOM = 0.04  # of the leg's length, between the sole and what it passes over
 
 @kernel
 def swing(controller, base, command, feet, torque):
-    """Operational-space PD of feet in the air towards their footholds.
+    """Operational-space PD of swinging feet towards their footholds.
 
     Args:
         controller: a Controller, whose footholds and bumps are changed.
         base: a BaseMotion.
         command: a Command.
         feet: Feet.
-        torque: (12,) N m, of whose legs those in the air are written.
+        torque: (12,) N m, written for the legs in swing.
     """
     gait, memory = controller.gait, controller.memory
     yaw = np.arctan2(base.R[1, 0], base.R[0, 0])
@@ -51,13 +51,13 @@ def swing(controller, base, command, feet, torque):
                 want[a] = base.p[a] + (arm_x if a == 0 else arm_y)
                 want[a] += ahead * drift + gait.capture * (drift - wanted)
             if len(gait.footholds):
-                # The stance to come is the next stride's.
+                # The coming stance belongs to the next stride.
                 aside = gait.footholds[min(feet.stride[leg] + 1, len(gait.footholds) - 1), leg]
                 want[0] += c * aside[0] - s * aside[1]
                 want[1] += s * aside[0] + c * aside[1]
             place_foot(controller, leg, want, (c, s), u)
             rise_over(controller, leg)
-            # Minimum-jerk across; up and down again along a smooth bump that lands softly.
+            # Minimum-jerk horizontally; up and down along a smooth bump that lands softly.
             for a in range(3):
                 start = memory.lift_off[leg, a]
                 span = memory.foothold[leg, a] - start
@@ -71,7 +71,7 @@ def swing(controller, base, command, feet, torque):
             bump = memory.bump[leg]
             goal[2] += 64.0 * (u * (1.0 - u)) ** 3 * bump
             goal_v[2] += 192.0 * (u * (1.0 - u)) ** 2 * (1.0 - 2.0 * u) * bump / swing_time
-            # A foot that is still moving when it lands: u^3 (u - 1) ends at zero with slope one.
+            # For a foot that still moves at touchdown: u^3 (u - 1) ends at zero with slope one.
             late, pace = u * u * u * (u - 1.0), 4.0 * u * u * u - 3.0 * u * u
             for a in range(3):
                 end_v = gait.braking * base.v[a] if a < 2 else -gait.touchdown_speed
@@ -79,7 +79,7 @@ def swing(controller, base, command, feet, torque):
                 goal_v[a] += end_v * pace
                 goal_a[a] += end_v * (12.0 * u - 6.0) * u / swing_time
         else:
-            # Late touchdown: hold the foothold and go on down, or the foot is thrown off its step.
+            # Late touchdown: keep the foothold and move down, or the foot is thrown off its step.
             goal[:] = memory.foothold[leg]
             goal[2] = feet.place[leg, 2] - 0.02
             goal_v[2] = -max(0.15, gait.touchdown_speed)
@@ -91,7 +91,7 @@ def swing(controller, base, command, feet, torque):
 
 @kernel
 def lift_part(span, u):
-    """Share done of a change of height, and its pace: up before across, across before down."""
+    """Completed share of a change of height, and its rate: up before across, across before down."""
     if span > 0.0:
         return min(u / LIFT, 1.0), 1.0 / LIFT
     return max((u - 1.0 + LIFT) / LIFT, 0.0), 1.0 / LIFT
@@ -99,14 +99,14 @@ def lift_part(span, u):
 
 @kernel
 def place_foot(controller, leg, want, heading, u):
-    """Sets the foothold of a leg on the ground near where it is wanted, and off edges.
+    """Set the foothold of a leg on the ground near the desired one, away from edges.
 
     Args:
         controller: a Controller.
-        leg: its number.
-        want: (2,) m, the foothold wanted.
+        leg: its index.
+        want: (2,) m, the desired foothold.
         heading: cosine and sine of the base's yaw.
-        u: share of the swing that is over; late in it the foothold stays on the step that it has.
+        u: completed share of the swing; late in it, the foothold stays on its step.
     """
     gait, relief = controller.gait, controller.relief
     foothold = controller.memory.foothold[leg]
@@ -121,7 +121,8 @@ def place_foot(controller, leg, want, heading, u):
 
 @kernel
 def _off_edges(relief, x, y, axis, heading, length):
-    """How far to move along `axis` (0: x, 1: y) to leave room to the edges on both sides [m].
+    """Displacement along `axis` (0: x, 1: y) that leaves enough distance to the edges on both sides
+    [m].
 
     Args:
         relief: HeightMap of the ground.
@@ -149,7 +150,7 @@ def _off_edges(relief, x, y, axis, heading, length):
 def _edge(relief, x, y, axis, side, reach, jump):
     """Distance [m] to the next edge from (x, y) towards `side` of `axis`, and whether it rises.
 
-    Twice the reach where there is none within it.
+    Twice the reach if there is none within it.
 
     Args:
         relief: HeightMap of the ground.
@@ -194,9 +195,9 @@ def _along(relief, x, y, axis, distance):
 
 @kernel
 def rise_over(controller, leg):
-    """Sets the height of the swing's bump so that the sole clears the ground between its ends.
+    """Set the height of the swing's bump so that the sole clears the ground between its ends.
 
-    Over ground that rises evenly from one end to the other the plain swing does.
+    Ground that rises evenly between the ends needs only the plain swing.
     """
     gait, relief, memory = controller.gait, controller.relief, controller.memory
     start, end = memory.lift_off[leg], memory.foothold[leg]

@@ -1,1 +1,1 @@
-"""MuJoCo: the scene, the compiled stepper, and inverse dynamics."""
+"""MuJoCo: scene, compiled stepper, and inverse dynamics."""

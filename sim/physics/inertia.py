@@ -1,4 +1,4 @@
-"""Bodies' inertia: given one by one in a spec, and changed in a compiled model."""
+"""Inertia of bodies: explicit values in a spec, and changes of a compiled model."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -11,7 +11,7 @@ from surefoot.sim.common.quaternion import matrix_from_quaternion
 
 
 class LinkChange(NamedTuple):
-    """What the link that a joint moves has beyond its file."""
+    """Deviation of the link that a joint moves from its file."""
 
     joint: int  # index
     mass: float = 0.0  # kg, at the link's centre of mass
@@ -20,11 +20,13 @@ class LinkChange(NamedTuple):
 
 
 def with_own_inertia(spec: mujoco.MjSpec, body: str) -> mujoco.MjsBody:
-    """The body, its mass and inertia given by numbers of its own as compiled, so that they can be
-    changed; the other bodies keep theirs."""
+    """The body with its compiled mass and inertia given explicitly, so that they can be changed.
+
+    Other bodies are unaffected.
+    """
     part, built = spec.body(body), spec.compile().body(body)
     if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
-        # The other bodies keep the inertia of their geoms, as the file asks.
+        # The other bodies keep the inertia of their geoms, as in the file.
         for other in spec.bodies:
             other.explicitinertial = False
         spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
@@ -36,10 +38,10 @@ def with_own_inertia(spec: mujoco.MjSpec, body: str) -> mujoco.MjsBody:
 
 
 def take_off_ball(body: mujoco.MjsBody, mass: float, place: np.ndarray, radius: float) -> None:
-    """Take a ball of `mass` [kg] and `radius` [m] at `place` (3,) [m] off a body whose inertia is
-    given by numbers, by the parallel-axis theorem.
+    """Subtract a ball of `mass` [kg] and `radius` [m] at `place` (3,) [m] from a body with explicit
+    inertia, by the parallel-axis theorem.
 
-    Raises SurefootError where the body has not that much.
+    Raises SurefootError where the body is too light.
     """
     R = matrix_from_quaternion(body.iquat)
     about = R @ np.diag(body.inertia) @ R.T + body.mass * _of_point(body.ipos)
@@ -47,7 +49,7 @@ def take_off_ball(body: mujoco.MjsBody, mass: float, place: np.ndarray, radius: 
     left = body.mass - mass
     center = (body.mass * body.ipos - mass * place) / max(left, 1e-9)
     inertia, axes = np.linalg.eigh(about - left * _of_point(center))
-    # Of any body the largest is less than the sum of the others.
+    # For any body, the largest principal moment is less than the sum of the others.
     if left <= 0 or inertia[0] <= 0 or inertia[2] > inertia[0] + inertia[1]:
         raise SurefootError(f"body {body.name}: too light to give a foot of {mass:.2g} kg")
     quat = np.empty(4)
@@ -67,13 +69,13 @@ def change_links(
 
     Args:
         model: edited.
-        joint_ids: (J,), of the joints that changes count.
+        joint_ids: (J,), of the joints that the changes index.
         changes: of the links that joints move.
     """
     for change in changes:
         body = model.jnt_bodyid[joint_ids[change.joint]]
         model.body_mass[body] += change.mass
         model.body_ipos[body] += change.com
-        # MuJoCo would not look at the place of a centre of mass that was the body's origin.
+        # MuJoCo would ignore the position of a centre of mass that was at the body's origin.
         model.body_sameframe[body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
         model.body_inertia[body] += change.inertia

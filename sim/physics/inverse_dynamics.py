@@ -1,7 +1,7 @@
 """Inverse dynamics of a robot over many rows: the joint torques and base wrench of a motion.
 
-MuJoCo's `mj_inverse` without contacts and joint stops, as one compiled loop. A floating base is
-held at the origin with its axes along the world's, so that its force and moment come out in B.
+MuJoCo's `mj_inverse` without contacts and joint limits, in one compiled loop. A floating base is
+held at the origin with its axes along the world's, so that its force and moment result in B.
 """
 
 import ctypes
@@ -29,7 +29,7 @@ binding.add_symbol("mj_inverseSkip", _address)
 _mj_inverse = types.ExternalFunction(
     "mj_inverseSkip", types.void(types.uintp, types.uintp, types.intc, types.intc)
 )
-# What MuJoCo need not compute again: nothing, what places decide, or what places and rates do.
+# What MuJoCo need not recompute: nothing, all that depends on positions, or on positions and rates.
 _ALL = int(mujoco.mjtStage.mjSTAGE_NONE)
 _SAME_PLACES = int(mujoco.mjtStage.mjSTAGE_POS)
 _SAME_RATES = int(mujoco.mjtStage.mjSTAGE_VEL)
@@ -37,15 +37,20 @@ _CHANGED = (
     *("body_pos", "body_quat", "body_mass"),
     *("body_ipos", "body_iquat", "body_inertia", "body_sameframe"),
 )
-"""Arrays of a model that `BodyChanges` change."""
+"""Arrays of a model that `BodyChanges` modify."""
 
 
 class BodyChanges(NamedTuple):
-    """How a robot differs from its file: where its joints are, each with all that hangs on it, and
-    what its links weigh beyond the file.
+    """Deviation of a robot from its file: frames of its joints, each with all that hangs on it, and
+    links.
 
-    drawn, placed (J, 3) [m]: each joint's frame as the file has it and as it is; turn (J, 3, 3):
-    how that is turned. All in the frame of the joint before, or of the base; None where as drawn.
+    All frames are relative to the joint before, or the base; None where they are as in the file.
+
+    Attributes:
+        drawn: position of each joint's frame in the file (J, 3) [m].
+        placed: its actual position (J, 3) [m].
+        turn: its rotation from the file's (J, 3, 3).
+        links: changes of the links' inertia.
     """
 
     drawn: np.ndarray | None = None
@@ -58,7 +63,7 @@ AS_DRAWN = BodyChanges()
 
 
 def body_changes(robot: Machine) -> BodyChanges:
-    """How a machine as a model knows it differs from its file."""
+    """Deviation of a machine's declared model from its file."""
     links = robot.extras.links
     if not isinstance(robot, Robot) or (
         np.array_equal(robot.legs.offset, robot.drawn.offset)
@@ -78,9 +83,9 @@ def body_changes(robot: Machine) -> BodyChanges:
 
 @dataclass(frozen=True)
 class Dynamics:
-    """A compiled model, scratch memory for it, and where its joints are in canonical order.
+    """A compiled model, scratch memory for it, and indices of its joints in canonical order.
 
-    hung (J,): the body that hangs on the one before the joint's, or on the base, and carries it.
+    hung (J,): the child of the previous joint's body, or of the base, that carries the joint.
     """
 
     model: mujoco.MjModel
@@ -101,9 +106,8 @@ class Dynamics:
         """Wrench on the base (N, 6) [N, N m] in B about its origin, and joint torques (N, J) [N m].
 
         q, dq, ddq (N, J) in rad, rad/s, rad/s^2; base (N, 9), in B: angular velocity [rad/s],
-        angular acceleration [rad/s^2] and specific force at the base's origin [m/s^2]; None where
-        it stands still and level, or where there is none (then the wrench is zero). changes: of the
-        file.
+        angular acceleration [rad/s^2] and specific force at the base's origin [m/s^2]; None for a
+        base at rest and level, or for a fixed base (then the wrench is zero). changes: of the file.
         """
         motion = self._motion(q, dq, ddq, base)
         out = np.empty((len(q), self.model.nv))
@@ -120,15 +124,17 @@ class Dynamics:
         changes: BodyChanges = AS_DRAWN,
         step: float = 1e-5,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Forward differences of `inverse`: wrenches (3, J, N, 6) and torques (3, J, N, J), by each
-        joint's angle, rate and acceleration.
+        """Forward differences of `inverse` with respect to each joint's angle, rate and
+        acceleration.
+
+        Returns wrenches (3, J, N, 6) and torques (3, J, N, J).
 
         Args:
             q: (N, J) [rad].
             dq: (N, J) [rad/s].
             ddq: (N, J) [rad/s^2].
-            base: (N, 9) in B, as of `inverse`.
-            changes: as of `inverse`.
+            base: (N, 9) in B, as for `inverse`.
+            changes: as for `inverse`.
             step: of the differences [rad, rad/s, rad/s^2].
         """
         motion = self._motion(q, dq, ddq, base)
@@ -138,7 +144,9 @@ class Dynamics:
         return self._wrench(out), out[..., self.dof_adr]
 
     def _motion(self, q, dq, ddq, base) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The motion as MuJoCo has it: positions (N, nq), rates and accelerations (N, nv)."""
+        """The motion in MuJoCo's coordinates: positions (N, nq), rates and accelerations (N,
+        nv).
+        """
         n, model = len(q), self.model
         Q = np.tile(model.qpos0, (n, 1))
         V, A = np.zeros((n, model.nv)), np.zeros((n, model.nv))
@@ -155,7 +163,7 @@ class Dynamics:
 
     @contextmanager
     def _changed(self, changes: BodyChanges) -> Iterator[None]:
-        """The model with its joints moved and turned and its links changed, for a while."""
+        """Context with the joints' frames and the links changed in the model."""
         model = self.model
         as_drawn = {name: getattr(model, name).copy() for name in _CHANGED}
         if changes.turn is not None:
@@ -163,7 +171,7 @@ class Dynamics:
             assert changes.placed is not None
             frames = zip(self.hung, changes.drawn, changes.placed, changes.turn, strict=True)
             for body, drawn, placed, turn in frames:
-                # What is between this body and the joint's turns with it.
+                # Whatever is between this body and the joint rotates with it.
                 model.body_pos[body] = placed - turn @ (drawn - model.body_pos[body])
                 quat, before = np.empty(4), model.body_quat[body].copy()
                 mujoco.mju_mat2Quat(quat, turn.ravel())
@@ -177,14 +185,14 @@ class Dynamics:
 
     @property
     def _memory(self) -> tuple:
-        """Addresses of model and data, and the arrays of `data` that go in and come out."""
+        """Addresses of model and data, and the input and output arrays of `data`."""
         model, d = self.model, self.data
         return model._address, d._address, d.qpos, d.qvel, d.qacc, d.qfrc_inverse
 
 
 @lru_cache(maxsize=16)
 def dynamics_of(file: Path, joint_names: tuple[str, ...]) -> Dynamics:
-    """The dynamics of an MJCF file as it is, seen at these joints."""
+    """Dynamics of an unchanged MJCF file, for these joints."""
     model = compiled_model(file)
     flags = mujoco.mjtDisableBit
     model.opt.disableflags |= flags.mjDSBL_CONTACT | flags.mjDSBL_LIMIT
@@ -200,7 +208,9 @@ def dynamics_of(file: Path, joint_names: tuple[str, ...]) -> Dynamics:
 
 
 def _hung(model: mujoco.MjModel, body: int) -> int:
-    """The first body above this one, or it, whose parent moves: has a joint, or is the world."""
+    """The topmost ancestor of a body, or itself, whose parent moves (has a joint) or is the
+    world.
+    """
     while (parent := int(model.body_parentid[body])) and not model.body_jntnum[parent]:
         body = parent
     return body
@@ -244,7 +254,7 @@ def _sweep_about(memory, Q, V, A, qpos_adr, dof_adr, step, out):
         qpos[:], qvel[:], qacc[:] = Q[k], V[k], A[k]
         _mj_inverse(model, data, _ALL, 1)
         here[:] = force
-        # From what asks for the least work to what asks for the most.
+        # From the least recomputation to the most.
         for j in range(len(dof_adr)):
             qacc[dof_adr[j]] += step
             _mj_inverse(model, data, _SAME_RATES, 1)

@@ -1,4 +1,4 @@
-"""What a robot's joints and feet carry, row by row, from its motors' torques or from its motion."""
+"""Loads on a robot's joints and feet in each row, from motor torques or from the motion."""
 
 import numpy as np
 
@@ -15,17 +15,20 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
 
 STICKING = 0.03
-"""rad/s. Below it dry friction takes what it gets: a few times the noise of a measured rate."""
+"""Rate below which dry friction is smoothed [rad/s]: a few times the noise of a measured rate."""
 
 
 def knows_loads(log: Log) -> bool:
-    """Whether a log says what joints and feet carry: by torques, or by its motion."""
+    """Whether a log determines the loads of joints and feet, by torques or by its motion."""
     return log.has("tau") or (log.has("imu") and log.has("contact"))
 
 
 def joint_loads(log: Log, robot: Machine) -> np.ndarray:
-    """Torque (N, J) [N m] that each motor passes on to what hangs on it: its own, as logged or
-    else from the balance of momentum, less what its rotor and its declared friction take."""
+    """Torque (N, J) [N m] that each motor transmits to its link.
+
+    The motor's torque, as logged or else from the momentum balance, less rotor inertia and declared
+    friction.
+    """
     columns = log.columns_of("q", "dq", "tau", "imu", "contact", "force")
     return log.once("joint loads", columns, lambda: _joint_loads(log, robot), *parts_of(robot))
 
@@ -45,10 +48,10 @@ def _joint_loads(log: Log, robot: Machine) -> np.ndarray:
 
 
 def foot_loads_B(log: Log, robot: Robot) -> np.ndarray:
-    """Force (N, L, 3) [N], in B, of the ground on each foot; zero on one that touches nothing.
+    """Force (N, L, 3) [N], in B, of the ground on each foot; zero without contact.
 
-    Of logged torques, by legs of three joints, J^T f = inverse dynamics - torque, else from the
-    balance of momentum.
+    From logged torques for legs of three joints, J^T f = inverse dynamics - torque, else from the
+    momentum balance.
     """
     columns = log.columns_of("q", "dq", "tau", "imu", "contact", "force")
     return log.once("foot loads", columns, lambda: _foot_loads_B(log, robot), *parts_of(robot))

@@ -1,14 +1,14 @@
-"""Joint torques and foot forces of a walk whose log has none, from the balance of its momentum.
+"""Joint torques and foot forces of a walk from its momentum balance, for logs without torques.
 
-What the motion of all bodies takes at the floating base, M qdd + h in its six rows, is what the
-standing feet give:
+The wrench that the motion of all bodies requires at the floating base, M qdd + h in its six rows,
+equals that of the standing feet:
 
     sum_l f_l = F,    sum_l r_l x f_l = M,    tau = (M qdd + h)_joints - J^T f
 
-Two feet leave one pull between them free, more feet more: of all such forces the least is taken,
-each in the measure of what its own force sensor reads, in whatever unit, or else of its contact,
-which comes and goes over a few hundredths of a second. Motor torques that press feet against each
-other do not show in a motion, and are not found.
+For two feet, the internal force between them is undetermined; for more feet, more. The minimum-norm
+solution is taken, with each foot weighted by the reading of its force sensor, in whatever unit, or
+else by its contact, ramped over a few hundredths of a second. Motor torques that press the feet
+against each other do not affect the motion, and are not found.
 """
 
 from typing import Any, NamedTuple
@@ -23,27 +23,35 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
 
 ACCELERATION_WINDOW = 0.04
-"""s, over which rates are differentiated: passes 25 Hz, with which a foot's load comes and goes."""
+"""Window for the differentiation of rates [s]: passes 25 Hz, the rate of a foot's loading."""
 LOADING = 0.01
-"""s, standard deviation of the time over which a foot takes its load, and of the result."""
+"""Standard deviation of the time in which a foot takes up load, and of the result's smoothing
+[s].
+"""
 LIGHT_TOUCH = 0.05
-"""Share of what a foot's sensor reads in its stances below which it touches nothing: drift and
-hysteresis of force sensors are a few hundredths of their range."""
+"""Share of a foot sensor's reading in stance below which the foot has no contact: drift and
+hysteresis of force sensors are a few hundredths of their range.
+"""
 SLACK = 1e-3
-"""Share of what all feet can give below which a force or moment is not asked of them: two feet give
-no moment about the line between them."""
+"""Share of the largest wrench of all feet below which a component is not required of them: two feet
+cannot produce a moment about the line between them.
+"""
 
 
 class MomentumBalance(NamedTuple):
-    """What a motion takes: torque (N, J) [N m] of the joints; force (N, L, 3) [N], in B, of the
-    ground on the feet, zero on feet that touch nothing."""
+    """Torques and forces of a motion.
+
+    Attributes:
+        torque: of the joints (N, J) [N m].
+        force: of the ground on the feet, in B (N, L, 3) [N]; zero without contact.
+    """
 
     torque: np.ndarray
     force: np.ndarray
 
 
 def momentum_balance(log: Log, robot: Robot) -> MomentumBalance:
-    """Joint torques and foot forces from IMU, joint angles and contacts of a walk.
+    """Joint torques and foot forces of a walk from IMU, joint angles and contacts.
 
     Raises LogError where the log lacks one of them.
     """
@@ -53,7 +61,9 @@ def momentum_balance(log: Log, robot: Robot) -> MomentumBalance:
 
 
 def parts_of(robot: Machine) -> tuple[Any, ...]:
-    """The parts of a model that loads depend on: objects that are the same until they change."""
+    """The parts of a model that loads depend on, as objects that are identical until they
+    change.
+    """
     if not isinstance(robot, Robot):
         return (robot.extras.links,)
     return robot.legs, robot.R_BI, robot.p_BI, robot.extras.links
@@ -64,7 +74,7 @@ def _balanced(log: Log, robot: Robot) -> MomentumBalance:
     smooth = LOADING * log.rate
     loaded = _loaded_by_force(log)
     if loaded is None:
-        # From nothing where a contact begins or ends to all of it within the stance.
+        # Ramped from zero at a contact's ends to one within the stance.
         standing = gaussian_filter1d(log.contact.astype(float), smooth, axis=0)
         loaded = np.maximum(2 * standing - 1, 0) * log.contact
     feet_B = robot.feet_I(log.q) @ robot.R_BI.T + robot.p_BI
@@ -77,10 +87,10 @@ def _balanced(log: Log, robot: Robot) -> MomentumBalance:
 
 
 def _loaded_by_force(log: Log) -> np.ndarray | None:
-    """What each foot's sensor reads (N, L) beyond its reading in the air, over the same in its
-    stances; None where the log has no such forces, or where one says nothing of its contact.
+    """Reading of each foot's sensor (N, L) above that in the air, relative to that in stance.
 
-    A foot carries before its load crosses the threshold from which it counts as standing.
+    None where the log has no such forces, or where one does not correlate with its contact. A foot
+    carries load before it crosses the contact threshold.
     """
     if not log.has("force"):
         return None
@@ -97,8 +107,9 @@ def _loaded_by_force(log: Log) -> np.ndarray | None:
 
 
 def taken_by_motion(log: Log, robot: Robot) -> tuple[np.ndarray, np.ndarray]:
-    """Wrench (N, 6) [N, N m] on the base, in B about its origin, and joint torques (N, J) [N m]
-    that the motion takes, feet in the air."""
+    """Inverse dynamics without foot forces: wrench (N, 6) [N, N m] on the base, in B about its
+    origin, and joint torques (N, J) [N m].
+    """
     t, dq = log.t, joint_velocity(log)
     omega, accel = (
         gaussian_filter1d(x @ robot.R_BI.T, LOADING * log.rate, axis=0)
@@ -116,9 +127,10 @@ def _least_forces(
     wrench: np.ndarray, feet: np.ndarray, weight: np.ndarray, length: float
 ) -> np.ndarray:
     """Forces (N, L, 3) at `feet` (N, L, 3) with the given wrench (N, 6) and the least sum of
-    squares over `weight` (N, L); moments count as forces at `length` [m]."""
+    squares over `weight` (N, L); moments count as forces at a distance of `length` [m].
+    """
     n, legs = weight.shape
-    # Columns: what a force along each axis at each foot gives, forces first.
+    # Columns: wrench of a unit force along each axis at each foot, forces first.
     A = np.zeros((n, 6, legs, 3))
     A[:, :3] = np.eye(3)[:, None]
     A[:, 3:] = np.cross(feet[:, :, None], np.eye(3)).transpose(0, 3, 1, 2) / length

@@ -1,4 +1,4 @@
-"""Composes a robot and its ground into one MuJoCo model driven by joint torques."""
+"""Compose a robot and its ground into one MuJoCo model driven by joint torques."""
 
 from dataclasses import dataclass
 
@@ -20,7 +20,7 @@ TIMESTEP = 0.002  # s
 
 @dataclass(frozen=True)
 class World:
-    """A compiled scene and where in its arrays the robot's parts are, in canonical order."""
+    """A compiled scene, and the indices of the robot's parts in its arrays, in canonical order."""
 
     model: mujoco.MjModel
     qpos_adr: np.ndarray  # (12,)
@@ -32,7 +32,9 @@ class World:
 
 
 def robot_spec(robot: Robot) -> mujoco.MjSpec:
-    """The robot with a torque motor a joint and a touch sensor a foot, whatever its file had."""
+    """The robot with a torque motor on each joint and a touch sensor on each foot, replacing the
+    file's.
+    """
     if robot.limbs != QUADRUPED:
         raise SurefootError(
             f"robot {robot.name}: only quadrupeds of three hinges a leg walk in simulation, this "
@@ -49,7 +51,7 @@ def robot_spec(robot: Robot) -> mujoco.MjSpec:
         spec.delete(part)
     for floor in spec.worldbody.geoms:  # of a file that brings a whole scene
         spec.delete(floor)
-    # With a margin a sole hovers over the ground: it rolls on a larger radius than it has.
+    # With a margin, a sole would hover over the ground and roll on a larger radius than its own.
     for geom in spec.geoms:
         geom.margin = geom.gap = 0.0
     for name, joint, limit in zip(JOINTS, robot.joint_names, robot.torque_limit, strict=True):
@@ -81,9 +83,9 @@ def robot_spec(robot: Robot) -> mujoco.MjSpec:
 
 
 def add_payload(spec: mujoco.MjSpec, robot: Robot, mass: float) -> None:
-    """Put `mass` [kg] on the base, a small ball at its origin that touches nothing."""
-    # A body of its own: where the base's inertia is given, its geoms' masses do not count.
-    # It has no name, so that there may be two.
+    """Put `mass` [kg] on the base, as a small ball at its origin without collisions."""
+    # A separate body: if the base's inertia is explicit, its geoms' masses do not count. It is
+    # unnamed, so that there may be two.
     spec.body(robot.base_name).add_body().add_geom(
         type=mujoco.mjtGeom.mjGEOM_SPHERE,
         size=[0.05, 0, 0],
@@ -95,7 +97,7 @@ def add_payload(spec: mujoco.MjSpec, robot: Robot, mass: float) -> None:
 
 
 def build_world(robot: Robot, ground: Ground, spec: mujoco.MjSpec | None = None) -> World:
-    """Compile the robot (or an edited spec of it) standing on `ground`."""
+    """Compile the robot (or an edited spec of it), standing on `ground`."""
     scene: mujoco.MjSpec = robot_spec(robot) if spec is None else spec
     # Feet creep on dry ground unless friction is stiff and exact: elliptic cone, high impratio.
     scene.option.gravity = GRAVITY_G
@@ -133,7 +135,9 @@ def build_world(robot: Robot, ground: Ground, spec: mujoco.MjSpec | None = None)
 
 
 def _standing_pose(relief: HeightMap, stand: float) -> np.ndarray:
-    """Place and attitude (7,) of the base that stands `stand` [m] above the origin's slope."""
+    """Position and attitude (7,) of a base that stands `stand` [m] above the slope at the
+    origin.
+    """
     z, slope_x, slope_y = surface(relief, 0.0, 0.0)
     turn = np.array([-slope_y, slope_x, 0.0])
     steep = np.hypot(slope_x, slope_y)

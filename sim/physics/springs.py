@@ -1,8 +1,8 @@
 """Springs that a robot's model lacks: between motors and joints, and between feet and their links.
 
-A motor keeps its joint's name, its rotor (the joint's armature) and its encoder; what hangs on it
-follows by a second hinge about the same axis, a spring with damping. A foot becomes a body of its
-own that slides against its link on springs.
+A motor keeps its joint's name, its rotor (the joint's armature) and its encoder; the link follows
+by a second hinge about the same axis, with a spring and damping. A foot becomes a separate body
+that slides relative to its link on springs.
 """
 
 from collections.abc import Sequence
@@ -16,23 +16,30 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.robot.legs import LEGS
 
 RELAXATION = 0.001
-"""s, damping over stiffness: at 20 Hz the loss factor is 0.13, as of rubber and gear trains."""
+"""Damping over stiffness [s]: at 20 Hz the loss factor is 0.13, as for rubber and gear trains."""
 INERTIA = 0.002**2
-"""s^2, inertia that resists a spring's own motion, over its stiffness: the timestep squared. MuJoCo
-integrates stiffness explicitly, and without it the stiffer springs would ring against their ends
-until they diverge. At 10 Hz it takes 2 % of the spring's force."""
+"""Inertia added to a spring's own motion, over its stiffness [s^2]: the squared time step. MuJoCo
+integrates stiffness explicitly; without it, stiff springs would oscillate between their ends and
+diverge. At 10 Hz it takes 2 % of the spring's force.
+"""
 ROTOR_SHARE = 0.05
 """Armature of a motor whose file has none, as a share of the inertia that its joint moves. Without
-inertia a motor would follow its torque at once, and its rate would be as rough as the torque."""
+inertia, a motor would follow its torque instantly, and its rate would be as rough as the torque.
+"""
 FOOT_SHARE = 0.02
-"""Mass of a foot that slides on springs, as a share of its leg's as felt at the foot: of a light
-pad, which the link that carries it weighs less."""
+"""Mass of a sprung foot, as a share of its leg's effective mass at the foot: a light pad, whose
+mass is subtracted from the link that carries it.
+"""
 
 
 class Springs(NamedTuple):
-    """Where springs are among a model's degrees of freedom: joints (J,), feet (L, 3) along x, y, z
-    of the base as the robot stands at home; -1 where there is none. axes (L, 3, 3): those three in
-    the frame of the leg's last link."""
+    """Indices of springs among a model's degrees of freedom; -1 where there is none.
+
+    Attributes:
+        joints: (J,).
+        feet: (L, 3), along x, y, z of the base in the home pose.
+        axes: these axes in the frame of the leg's last link (L, 3, 3).
+    """
 
     joints: np.ndarray
     feet: np.ndarray
@@ -43,8 +50,9 @@ class Springs(NamedTuple):
 
 
 def add_joint_spring(spec: mujoco.MjSpec, joint: str, compliance: float) -> None:
-    """Put a spring of `compliance` [rad/(N m)] between a joint's motor and what hangs on it; with
-    one that is there already it is in series."""
+    """Put a spring of `compliance` [rad/(N m)] between a joint's motor and its link, in series with
+    an existing one.
+    """
     if not compliance:
         return
     spring, motor = spec.joint(f"{joint}_spring"), spec.joint(joint)
@@ -61,14 +69,14 @@ def add_joint_spring(spec: mujoco.MjSpec, joint: str, compliance: float) -> None
 def add_foot_springs(
     spec: mujoco.MjSpec, robot: Robot, leg: int, axes: Sequence[int], compliance: float
 ) -> None:
-    """Let a foot slide on springs of `compliance` [m/N].
+    """Put springs of `compliance` [m/N] between a foot and its link.
 
     Args:
         spec: of the robot, edited.
         robot: as declared.
         leg: index of the foot.
-        axes: of the base as the robot stands at home: 0 to 2 for x, y, z.
-        compliance: of each, in series with one that is there already.
+        axes: of the base in the home pose: 0 to 2 for x, y, z.
+        compliance: of each, in series with an existing one.
     """
     if not compliance:
         return
@@ -83,7 +91,7 @@ def add_foot_springs(
 
 
 def springs_of(model: mujoco.MjModel, joint_names: Sequence[str]) -> Springs:
-    """The springs that a compiled model has."""
+    """The springs of a compiled model."""
     joints = {model.joint(j).name: int(model.jnt_dofadr[j]) for j in range(model.njnt)}
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -104,15 +112,16 @@ def springs_of(model: mujoco.MjModel, joint_names: Sequence[str]) -> Springs:
 def share_moved_at_once(
     model: mujoco.MjModel, springs: Springs, qpos: np.ndarray, motors: np.ndarray
 ) -> float:
-    """The share of a rigid leg's inertia that a motor moves in a timestep; the least of all joints.
+    """Share of a rigid leg's inertia that a motor moves within a time step; the least of all
+    joints.
 
-    In a timestep dt a motor moves its rotor and, through a spring of stiffness k, only
-    r a / (r + a), a = k dt^2, of the inertia r behind it. 1 where no joint has a spring.
+    In a time step dt a motor moves its rotor and, through a spring of stiffness k, only r a / (r +
+    a), a = k dt^2, of the inertia r behind it. 1 where no joint has a spring.
 
     Args:
         model: compiled.
         springs: of the model.
-        qpos: (nq,) of the robot as it stands.
+        qpos: (nq,) of the standing robot.
         motors: (J,) degrees of freedom of the joints.
     """
     elastic = np.flatnonzero(springs.joints >= 0)
@@ -134,7 +143,7 @@ def share_moved_at_once(
 
 
 def foot_parts(spec: mujoco.MjSpec, leg: str) -> tuple[mujoco.MjsGeom, mujoco.MjsSite]:
-    """The sphere that is a foot, and its touch sensor's site, which goes where the foot goes."""
+    """The sphere of a foot, and the site of its touch sensor, which moves with it."""
     site = spec.site(f"sole_{leg}")
     spheres = [g for g in site.parent.geoms if g.type == mujoco.mjtGeom.mjGEOM_SPHERE]
     return min(spheres, key=lambda g: float(np.linalg.norm(g.pos - site.pos))), site
@@ -145,7 +154,7 @@ def _foot_spring(leg: int, axis: int) -> str:
 
 
 def _sliding_foot(spec: mujoco.MjSpec, robot: Robot, leg: int) -> mujoco.MjsBody:
-    """A foot's sphere and its site, moved to a body of their own."""
+    """Move a foot's sphere and site to a body of their own."""
     geom, site = foot_parts(spec, LEGS[leg])
     link, model = site.parent, spec.compile()
     data = mujoco.MjData(model)
@@ -157,16 +166,17 @@ def _sliding_foot(spec: mujoco.MjSpec, robot: Robot, leg: int) -> mujoco.MjsBody
     mujoco.mju_mat2Quat(quat, (own.T @ base).ravel())
     foot = link.add_body(name=f"{LEGS[leg]}_sliding_foot", pos=geom.pos, quat=quat)
     mass, radius = FOOT_SHARE * robot.inertial[3], geom.size[0]
-    # Of what the last joint moves: in many files the foot is a shell without a joint or much mass.
+    # Relative to what the last joint moves: in many files the foot is a shell without a joint or
+    # much mass.
     lower = spec.joint(robot.joint_names[robot.limbs.chains[leg][-1]]).parent
     place_G = data.body(link.name).xpos + data.body(link.name).xmat.reshape(3, 3) @ geom.pos
     moved = data.body(lower.name)
     place = moved.xmat.reshape(3, 3).T @ (place_G - moved.xpos)
     take_off_ball(with_own_inertia(spec, lower.name), mass, place, radius)
-    # By its own inertia or by its geom's, as the file asks for.
+    # Explicit inertia or the geom's, as in the file.
     foot.explicitinertial, foot.mass = True, mass
     foot.inertia = np.full(3, 0.4 * mass * radius**2)
-    # Left alone they would be the body's own place and turn once more.
+    # Otherwise the body's own position and rotation would be applied twice.
     foot.ipos, foot.iquat = np.zeros(3), [1.0, 0.0, 0.0, 0.0]
     sphere = foot.add_geom(**{name: getattr(geom, name) for name in _OF_GEOM}, mass=mass)
     place = foot.add_site(**{name: getattr(site, name) for name in _OF_SITE})
@@ -187,7 +197,7 @@ _OF_SITE = ("type", "size", "group", "rgba")
 def _plain_joint(
     body: mujoco.MjsBody, name: str, kind: mujoco.mjtJoint, axis: np.ndarray, place: np.ndarray
 ) -> mujoco.MjsJoint:
-    """A joint with nothing of the file's defaults but that it is there.
+    """A joint without any of the file's defaults.
 
     Args:
         body: that it moves.

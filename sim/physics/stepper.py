@@ -1,8 +1,8 @@
-"""A whole walk as one compiled loop: MuJoCo's step and the controller in turn, without a lock.
+"""A whole walk as one compiled loop of MuJoCo's step and the controller, without the GIL.
 
-Python is left out of the loop, so that walks on threads do not wait for each other; alone or
-beside others a walk computes the same bits. `mj_step` is called by its address in the library
-that the mujoco package has loaded, on the memory of its own MjModel and MjData.
+The loop does not call Python, so walks on threads do not wait for each other; a walk computes the
+same bits alone or beside others. `mj_step` is called by its address in the library that the mujoco
+package has loaded, on the memory of its own MjModel and MjData.
 """
 
 import ctypes
@@ -35,8 +35,10 @@ TICKS_AT_ONCE = 250  # between looks at the clock, the progress bar and Ctrl-C
 
 
 class Fallen(SurefootError):
-    """The robot fell at `time` [s] of the simulation; `how` says where and why in words, `motion`
-    is what it did until then."""
+    """The robot fell at `time` [s] of the simulation.
+
+    `how` says where and why in words; `motion` is the motion until then.
+    """
 
     def __init__(
         self, message: str, time: float = 0.0, how: str = "", motion: Motion | None = None
@@ -49,18 +51,18 @@ class Fallen(SurefootError):
 
 
 def mujoco_library() -> ctypes.CDLL:
-    """The shared library of the mujoco package, which it has loaded already."""
+    """The shared library that the mujoco package has loaded."""
     folder = Path(mujoco.__file__).parent
     return ctypes.CDLL(str(next(f for g in ("libmujoco*", "mujoco.dll") for f in folder.glob(g))))
 
 
 binding.add_symbol("mj_step", ctypes.cast(mujoco_library().mj_step, ctypes.c_void_p).value)
-# Compiled code knows the function by its name alone, so that it can be cached.
+# Compiled code refers to the function by its name, so that it can be cached.
 _mj_step = types.ExternalFunction("mj_step", types.void(types.uintp, types.uintp))
 
 
 class MjViews(NamedTuple):
-    """A robot in MuJoCo's memory: addresses of MjModel and MjData, and views of its arrays."""
+    """A robot in MuJoCo's memory: addresses of MjModel and MjData, and views of their arrays."""
 
     model: int
     data: int
@@ -76,7 +78,7 @@ class MjViews(NamedTuple):
 
 
 class Recording(NamedTuple):
-    """What a walk leaves: states a timestep apart, and what acted between them."""
+    """Record of a walk: states at successive time steps, and the inputs between them."""
 
     qpos: np.ndarray  # (N + 1, nq)
     qvel: np.ndarray  # (N + 1, nv)
@@ -103,7 +105,7 @@ def mj_views(world: World, data: mujoco.MjData) -> MjViews:
 
 
 def recording_of(world: World, steps: int) -> Recording:
-    """Room for `steps` steps."""
+    """An empty recording of `steps` steps."""
     nq, nv = world.model.nq, world.model.nv
     return Recording(
         qpos=np.empty((steps + 1, nq)),
@@ -142,7 +144,7 @@ def simulate(
         world: compiled model of robot and ground.
         robot: its declared description.
         gait: of the trot controller.
-        course: commanded poses and velocities, a row a tick.
+        course: commanded poses and velocities, one row per tick.
         progress: called with the share done.
     """
     data, ticks = start(world), len(course.t)
@@ -159,13 +161,14 @@ def simulate_in_pieces(
     seconds: float,
     progress: Callable[[float], None] | None = None,
 ) -> Iterator[Motion]:
-    """`simulate` along a course that comes in pieces: the motion of each, whose first state is the
-    last one of the piece before. What a robot did that falls comes before the error.
+    """`simulate` along a course that comes in pieces.
 
-    Raises Fallen, without a motion, if the robot falls.
+    Yields the motion of each piece, whose first state is the last one of the piece before. The
+    motion until a fall is yielded before the error. Raises Fallen, without a motion, if the robot
+    falls.
 
     Args:
-        world, robot, gait: as `simulate` takes them; a gait without errors of its estimate, which
+        world, robot, gait: as for `simulate`; the gait may not have errors of its estimate, which
             are drawn for a whole walk.
         pieces: of the course.
         seconds: until its end.
@@ -189,14 +192,14 @@ def simulate_in_pieces(
 
 
 class Memory(NamedTuple):
-    """What a controller keeps from tick to tick."""
+    """State of the controller between ticks."""
 
     legs: LegMemory
     load: np.ndarray  # (4,) N, normal foot forces
 
 
 def at_rest(gait: Gait) -> Memory:
-    """The memory of a robot that stands."""
+    """Memory of a standing robot."""
     return Memory(standing(), np.full(4, gait.mass * GRAVITY / 4))
 
 
@@ -214,17 +217,17 @@ def trot(
 ) -> None:
     """Walk the first `ticks` control periods of the course.
 
+    Raises Fallen, saying when, if the robot falls.
+
     Args:
-        world, data: where the robot is; `data` is changed.
-        robot, gait: who walks, and how.
+        world, data: state of the simulation; `data` is changed.
+        robot, gait: of the walk.
         course: the reference motion of the base.
         trace: written, from its first row on.
-        ticks: how many periods.
+        ticks: number of periods.
         progress: called with the share done.
-        memory: of the piece of the course before, changed; None where this one begins at rest.
-        seconds: until the end of the whole course, where this is a piece of it.
-
-    Raises Fallen, saying when, if the robot falls.
+        memory: of the previous piece of the course, changed; None where this one begins at rest.
+        seconds: until the end of the whole course, if this is a piece of it.
     """
     target = np.column_stack([course.pose, course.velocity])
     legs, load = memory or at_rest(gait)
@@ -245,14 +248,14 @@ def trot(
 
 @kernel(nogil=True)
 def _stepper(body, legs, controller, load, t, target, trace, ticks):
-    """Some control ticks in turn; returns the one at which the robot fell, or -1.
+    """Run some control ticks; returns the one at which the robot fell, or -1.
 
     Args:
         body: MjViews.
         legs: the robot's Legs.
         controller: a Controller.
-        load: (4,) N, normal foot forces, kept from tick to tick.
-        t, target: (N,) s and (N, 6) of the course, as `tick` takes them.
+        load: (4,) N, normal foot forces, kept between ticks.
+        t, target: (N,) s and (N, 6) of the course, as for `tick`.
         trace: a Recording, written.
         ticks: first, and the one after the last.
     """
@@ -279,7 +282,7 @@ def _stepper(body, legs, controller, load, t, target, trace, ticks):
 
 @kernel(nogil=True)
 def step(body, trace, k):
-    """One timestep of MuJoCo, recorded as the k-th."""
+    """One time step of MuJoCo, recorded as the k-th."""
     trace.qpos[k], trace.qvel[k] = body.qpos, body.qvel
     trace.command[k] = body.ctrl
     _mj_step(body.model, body.data)
@@ -301,12 +304,14 @@ def rotation(w, x, y, z):
 
 @kernel(nogil=True)
 def has_fallen(gait, relief, p, R):
-    """Tilted by more than 60 degrees, or low: base at p (3,) [m] with attitude R (3, 3)."""
+    """Whether the base at p (3,) [m] with attitude R (3, 3) is tilted by more than 60 degrees, or
+    low.
+    """
     return R[2, 2] < UPRIGHT or p[2] - height(relief, p[0], p[1]) < 0.4 * gait.height
 
 
 def _how_it_fell(body: MjViews, gait: Gait, relief: HeightMap) -> str:
-    """Where and why, in words."""
+    """Describe where and why the robot fell."""
     x, y, z = body.qpos[:3]
     where = f"at ({x:.1f}, {y:.1f}) m: "
     if body.unstable.any():
@@ -319,12 +324,14 @@ def _how_it_fell(body: MjViews, gait: Gait, relief: HeightMap) -> str:
 
 
 def motion_of(world: World, trace: Recording, first: int = 0) -> Motion:
-    """The recorded states, the first of which is the `first` of the walk, as a motion of the base
-    and the joints in canonical order."""
+    """Convert recorded states to a motion of the base and the joints in canonical order.
+
+    `first` is the index of the first state in the walk.
+    """
     qpos, qvel, springs = trace.qpos, trace.qvel, world.springs
     give = None
     if springs.any():
-        # Of a free base qpos has one number more than qvel.
+        # A free base has one more element in qpos than in qvel.
         q, dq, foot, foot_rate = (
             states[:, at + more] * (at >= 0)
             for at in (springs.joints, springs.feet)
