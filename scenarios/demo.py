@@ -14,7 +14,7 @@ from surefoot.models.observer.predict import prediction_errors
 from surefoot.scenarios.estimate.compare import compare_log, write_comparison
 from surefoot.scenarios.estimate.learning import learn
 from surefoot.scenarios.estimate.run import Learnt
-from surefoot.scenarios.reporting.html import Picture, Section, save_picture
+from surefoot.scenarios.reporting.html import Picture, Section, nested, save_picture
 from surefoot.scenarios.reporting.observer_errors import error_section
 from surefoot.scenarios.reporting.observer_figures import mixing_curve
 from surefoot.scenarios.reporting.progress import percent_bar
@@ -123,11 +123,11 @@ def _in_words(hidden: Effect) -> str:
 
 def _loop_sections(found: Trace, hidden: Effect) -> list[Section]:
     hidden_effect = Section(
-        "The undeclared effect",
+        "Closing the loop",
         "A further walk was recorded with an effect that its log does not declare; what follows "
         f"was found from the log alone. The effect was: {_in_words(hidden)}.",
     )
-    return [hidden_effect, *trace_sections(found)]
+    return [hidden_effect, *nested(trace_sections(found))]
 
 
 def _observer_sections(logs: dict[str, Log], learnt: Learnt, out: Path) -> list[Section]:

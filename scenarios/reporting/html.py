@@ -2,7 +2,7 @@
 
 from base64 import b64encode
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
 
@@ -18,6 +18,7 @@ body { font: 16px/1.55 system-ui, "Segoe UI", Roboto, "Helvetica Neue", Arial, s
   color: #222; background: #fff; max-width: 76rem; margin: 2.5rem auto; padding: 0 1.25rem; }
 h1 { font-size: 1.7rem; line-height: 1.25; margin: 0 0 1.5rem; }
 h2 { font-size: 1.2rem; margin: 2.6rem 0 .6rem; padding-top: .8rem; border-top: 1px solid #ddd; }
+h3 { font-size: 1.02rem; margin: 1.8rem 0 .5rem; }
 p { max-width: 46rem; margin: .6rem 0; }
 nav { font-size: .92rem; margin-bottom: 1rem; }
 nav { display: flex; flex-wrap: wrap; gap: .1rem 1.2rem; }
@@ -36,7 +37,7 @@ figcaption { font-size: .9rem; color: #444; max-width: 46rem; margin-top: .3rem;
   body { margin: 0; max-width: none; font-size: 10.5pt; }
   nav { display: none; }
   figure, tr { break-inside: avoid; }
-  h2 { break-after: avoid; }
+  h2, h3 { break-after: avoid; }
   .table { overflow: visible; }
   table { font-size: 6.8pt; }
   th, td { padding: .12rem .25rem; }
@@ -57,12 +58,20 @@ class Picture:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a report. `prose` is plain text; an empty line starts a new paragraph."""
+    """A part of a report. `prose` is plain text; an empty line starts a new paragraph. `level` is
+    that of the heading: 3 for a part of the last section of level 2.
+    """
 
     heading: str
     prose: str = ""
     table: Table | None = None
     pictures: tuple[Picture, ...] = ()
+    level: int = 2
+
+
+def nested(sections: Sequence[Section]) -> list[Section]:
+    """The same as parts of the section that they come after."""
+    return [replace(section, level=section.level + 1) for section in sections]
 
 
 def write_report(
@@ -79,14 +88,16 @@ def write_report(
 
 def html_report(title: str, sections: Sequence[Section]) -> str:
     """The page that `write_report` writes."""
-    links = "".join(f'<a href="#s{k}">{escape(s.heading)}</a>' for k, s in enumerate(sections))
+    links = [
+        f'<a href="#s{k}">{escape(s.heading)}</a>' for k, s in enumerate(sections) if s.level == 2
+    ]
     parts = [
         "<!DOCTYPE html>",
         '<html lang="en"><head><meta charset="utf-8">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         f"<title>{escape(title)}</title><style>{_STYLE}</style></head><body>",
         f"<h1>{escape(title)}</h1>",
-        f"<nav>{links}</nav>" if len(sections) > 2 else "",
+        f"<nav>{''.join(links)}</nav>" if len(links) > 2 else "",
         *[_section(k, section) for k, section in enumerate(sections)],
         "</body></html>",
     ]
@@ -97,9 +108,14 @@ def markdown_report(title: str, sections: Sequence[Section]) -> str:
     """The same in Markdown: headings, words and tables, without the pictures."""
     parts = [f"# {title}"]
     for section in sections:
-        parts += [f"## {section.heading}", section.prose.strip()]
+        parts += [heading(section), section.prose.strip()]
         parts.append("" if section.table is None else to_markdown(section.table))
     return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def heading(section: Section) -> str:
+    """A section's heading in Markdown."""
+    return f"{'#' * section.level} {section.heading}"
 
 
 def save_picture(picture: Picture, path: str | Path, force: bool = False) -> None:
@@ -110,7 +126,8 @@ def save_picture(picture: Picture, path: str | Path, force: bool = False) -> Non
 
 
 def _section(number: int, section: Section) -> str:
-    parts = [f'<section id="s{number}"><h2>{escape(section.heading)}</h2>']
+    tag = f"h{section.level}"
+    parts = [f'<section id="s{number}"><{tag}>{escape(section.heading)}</{tag}>']
     paragraphs = [p.strip() for p in section.prose.split("\n\n")]
     parts += [f"<p>{escape(p)}</p>" for p in paragraphs if p]
     if section.table is not None:

@@ -17,6 +17,7 @@ from pathlib import Path
 
 from surefoot.scenarios.reporting.html import (
     Section,
+    heading,
     markdown_report,
     save_picture,
     write_report,
@@ -89,7 +90,7 @@ def write_page(path: Path, title: str, sections: Sequence[Section], origin: Orig
     check_page(path)
     parts = [f"# {title}", "\n".join(["| | |", "| --- | --- |", *_header(origin)])]
     for number, section in enumerate(sections, 1):
-        parts += [f"## {section.heading}", section.prose.strip()]
+        parts += [heading(section), section.prose.strip()]
         if section.table is not None:
             parts.append(to_markdown(section.table))
         for place, picture in enumerate(section.pictures, 1):

@@ -18,7 +18,7 @@ from surefoot.scenarios.estimate.error_series import error_series
 from surefoot.scenarios.estimate.estimators import traits
 from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.reporting.figures import height_figure, trajectories, velocity_figure
-from surefoot.scenarios.reporting.html import Picture, Section, write_report
+from surefoot.scenarios.reporting.html import Picture, Section, nested, write_report
 from surefoot.scenarios.reporting.tables import to_csv, to_markdown
 from surefoot.scenarios.studies.pages import origin_of, write_page
 from surefoot.scenarios.trace.gait_choice import GaitChoice
@@ -191,13 +191,15 @@ def _three(values: Sequence[float] | np.ndarray) -> str:
 def _of_trace(found: dict[str, Any]) -> list[Section]:
     """What a trace.json says of its channels, as sections of the loop's report."""
     words = "".join(f"Since {why}.\n\n" for why in found["reasons"])
-    words += "On the end of the log, which no fit has seen. All of the trace: trace/report.html."
-    parts = [("The trace: residuals", words, found["channels"])]
+    whole = Section("The trace", f"{words}All of it: trace/report.html.")
+    words = "On the end of the log, which no fit has seen."
+    parts = [("Residuals", words, found["channels"])]
     if held_out := found.get("holdout"):
         words = "".join(f"{one}.\n\n" for one in held_out["against"])
         words += "Logs of which no fit has seen anything."
-        parts.append(("The trace: held-out logs", words, held_out["channels"]))
-    return [Section(title, prose, _channel_rows(c)) for title, prose, c in parts if c]
+        parts.append(("Held-out logs", words, held_out["channels"]))
+    of_channels = [Section(title, prose, _channel_rows(c)) for title, prose, c in parts if c]
+    return [whole, *nested(of_channels)]
 
 
 def _channel_rows(channels: dict[str, Any]) -> list[dict[str, Any]]:

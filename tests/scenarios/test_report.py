@@ -11,7 +11,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from surefoot.scenarios.reporting.html import Picture, Section, html_report, write_report
+from surefoot.scenarios.reporting.html import (
+    Picture,
+    Section,
+    html_report,
+    markdown_report,
+    nested,
+    write_report,
+)
 from surefoot.scenarios.reporting.plotting import new_figure
 from surefoot.scenarios.reporting.tables import cell, to_csv, to_html, to_markdown
 from surefoot.sim.common.errors import SurefootError
@@ -66,6 +73,15 @@ def test_any_text_comes_out_as_it_went_in(text):
 def test_paragraphs_are_kept_apart():
     page = Page(html_report("T", [Section("H", "one\n\ntwo\n\n\n")]))
     assert page.tags.count("p") == 2
+
+
+def test_parts_of_a_section_are_headed_below_it_and_no_chapters_of_their_own():
+    sections = [Section("A"), Section("B"), *nested([Section("b")]), Section("C")]
+    page = html_report("T", sections)
+    assert [tag for tag in Page(page).tags if tag in ("h2", "h3", "a")] == [
+        *("a", "a", "a"), *("h2", "h2", "h3", "h2"),
+    ]  # fmt: skip
+    assert "## B\n\n### b\n\n## C" in markdown_report("T", sections)
 
 
 def test_markdown_lines_up_and_keeps_its_columns():

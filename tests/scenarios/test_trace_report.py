@@ -1,8 +1,11 @@
-"""What the report of a trace says of channels and sizes."""
+"""What the report of a trace says of channels and sizes, and where it stands in other reports."""
 
 from surefoot.models.attribution.data import LACKING
 from surefoot.models.attribution.found import Found
-from surefoot.scenarios.trace.report import _note_lines, _sizes
+from surefoot.scenarios.demo import _loop_sections
+from surefoot.scenarios.trace.loop_report import _of_trace
+from surefoot.scenarios.trace.report import _METRICS, _note_lines, _sizes
+from surefoot.scenarios.trace.result import Trace
 from surefoot.sim.effects import effect
 
 
@@ -19,3 +22,17 @@ def test_channels_that_lack_columns_share_a_sentence():
 def test_an_interval_has_digits_that_tell_its_ends_apart():
     (row,) = _sizes([Found(effect("imu_rotation", "y", 0.035012), (0.034642, 0.035381))])
     assert (row["low"], row["value"], row["high"]) == ("0.03464", "0.03501", "0.03538")
+
+
+def test_a_trace_stands_below_the_loop_that_it_is_a_part_of():
+    filters = {"leg": {side: dict.fromkeys(_METRICS, 0.1) for side in ("before", "after")}}
+    found = Trace(verdict="no_residual", channels={}, filters=filters)
+    loop, *trace = _loop_sections(found, effect("gyro_scale", "x", 0.02))
+    assert loop.level == 2
+    assert [section.heading for section in trace] == ["Verdict", "What it does to the filters"]
+    assert {section.level for section in trace} == {3}
+    channel = {"before": 2.0, "after": 1.0, "noise_floor": 1.0, "unit": "m"}
+    held_out = {"against": [], "channels": {"imu": channel}}
+    said = {"reasons": [], "channels": {"imu": channel}, "holdout": held_out}
+    levels = [(section.heading, section.level) for section in _of_trace(said)]
+    assert levels == [("The trace", 2), ("Residuals", 3), ("Held-out logs", 3)]
