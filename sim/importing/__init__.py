@@ -1,1 +1,1 @@
-"""A recording from elsewhere becomes a Log, by an import map."""
+"""Import of recordings from elsewhere as Logs, by an import map."""

@@ -1,5 +1,7 @@
-"""Tables in files of arrays: NumPy, MATLAB and HDF5. Nothing in a file is run, and one that
-says that it is larger than a log is not read."""
+"""Tables from files of arrays: NumPy, MATLAB and HDF5.
+
+No code in a file is executed, and a file that declares itself larger than a log is not read.
+"""
 
 import struct
 import zlib
@@ -17,15 +19,16 @@ from surefoot.sim.common.limits import check_unpacked, limits, most_unpacked
 from surefoot.sim.importing.table import RecordedTable
 
 _MAT_HEADER, _MAT_COMPRESSED = 128, 15
-"""Bytes of the header of MATLAB's version 5, and the type of a compressed element (MAT-File Format,
-MathWorks)."""
+"""Size of the header of a MATLAB version 5 file in bytes, and type of a compressed element
+(MAT-File Format, MathWorks).
+"""
 _CHUNK = 1 << 20
 _DEEPEST = 20
-"""Groups in groups."""
+"""Maximum depth of nested groups."""
 
 
 def read_npz(path: Path) -> RecordedTable:
-    """Arrays of a .npz, or the one of a .npy, called `array`. Raises SurefootError."""
+    """Read the arrays of a .npz, or that of a .npy as `array`. Raises SurefootError."""
     with _one_line(path):
         if path.suffix == ".npy":
             found = np.load(path, mmap_mode="r", allow_pickle=False)
@@ -38,7 +41,7 @@ def read_npz(path: Path) -> RecordedTable:
 
 
 def read_mat(path: Path) -> RecordedTable:
-    """Arrays of a MATLAB file of any version; a field of a struct is `struct.field`."""
+    """Read the arrays of a MATLAB file of any version; a field of a struct is `struct.field`."""
     if h5py.is_hdf5(path):
         return read_hdf5(path)
     with _one_line(path):
@@ -50,9 +53,9 @@ def read_mat(path: Path) -> RecordedTable:
 
 
 def read_hdf5(path: Path) -> RecordedTable:
-    """Datasets of an HDF5 file, by their path; MATLAB's are turned to have their rows first.
+    """Read the datasets of an HDF5 file by their path; MATLAB's are transposed to have rows first.
 
-    Links are not followed, nor groups deeper than 20.
+    Links, and groups nested deeper than 20, are ignored.
     """
     cells: dict[str, np.ndarray] = {}
     with _one_line(path), h5py.File(path, "r") as file:
@@ -73,7 +76,7 @@ def read_hdf5(path: Path) -> RecordedTable:
 def _datasets(
     group: h5py.Group, path: str, seen: set[h5py.Group]
 ) -> Iterator[tuple[str, h5py.Dataset]]:
-    """Datasets in a group and those below, by their paths; each group is entered once."""
+    """Datasets in a group and its subgroups, with their paths; each group is visited once."""
     for name in group:
         if not isinstance(group.get(name, getlink=True), h5py.HardLink):
             continue
@@ -86,8 +89,11 @@ def _datasets(
 
 
 def _matlab_strings(file: h5py.File) -> dict[str, np.ndarray]:
-    """The array of strings of a MATLAB 7.3 file that has one. They lie apart, in 64-bit words: a
-    version, the number of dimensions, these, the length of each string, and the letters."""
+    """String arrays of a MATLAB 7.3 file.
+
+    They are stored separately, in 64-bit words: version, number of dimensions, dimensions, length
+    of each string, and the characters.
+    """
     every = list(_datasets(file, "", {file}))
     kind = {name: node.attrs.get("MATLAB_class") for name, node in every}
     named = [name for name, _ in every if kind[name] == b"string" and "/" not in name]
@@ -109,7 +115,7 @@ def _matlab_strings(file: h5py.File) -> dict[str, np.ndarray]:
 
 
 def _arrays(found: dict[str, object]) -> dict[str, np.ndarray]:
-    """Columns (N,) and (N, K) of what a file holds; fields of structs by their own names."""
+    """Columns (N,) and (N, K) of a file's contents; fields of structs under their own names."""
     cells: dict[str, np.ndarray] = {}
     for name, value in found.items():
         if not isinstance(value, np.ndarray | np.void):
@@ -125,7 +131,7 @@ def _arrays(found: dict[str, object]) -> dict[str, np.ndarray]:
 
 
 def _inflated(path: Path) -> int:
-    """Bytes of a MATLAB file of version 5 once it is unpacked, or more than is allowed."""
+    """Uncompressed size in bytes of a MATLAB version 5 file, or more than is allowed."""
     content = path.read_bytes()
     order = "<" if content[126:128] == b"IM" else ">"
     most = min(limits().memory, most_unpacked(path))
@@ -147,7 +153,7 @@ def _bounded(path: Path, size: float) -> None:
 
 @contextmanager
 def _one_line(path: Path) -> Iterator[None]:
-    """Whatever the parsers of broken files raise, in one line."""
+    """Convert any exception of the parsers to a one-line SurefootError."""
     if not path.is_file():
         raise SurefootError(f"{path}: no such file")
     try:

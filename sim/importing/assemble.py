@@ -1,4 +1,4 @@
-"""Columns of a recording become a Log, as an import map says (`sim.importing.map`)."""
+"""Assemble a Log from the columns of a recording, by an import map (`sim.importing.map`)."""
 
 from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
@@ -33,11 +33,14 @@ _UNIT_TOLERANCE = 1e-2
 
 @dataclass(frozen=True)
 class RawRecording:
-    """A recording read by a map, before it is a log.
+    """A recording read by a map, before it is converted to a log.
 
-    main: log columns in SI units, each (N,), with `t`; poses: those of a reference with a clock of
-    its own, as recorded, or None; rules: the map; path: the main file; notes: sentences for the
-    user on how it was read.
+    Attributes:
+        main: log columns in SI units, each (N,), including `t`.
+        poses: of a reference with its own clock, as recorded; else None.
+        rules: the map.
+        path: the main file.
+        notes: sentences for the user on how it was read.
     """
 
     main: Columns
@@ -48,13 +51,14 @@ class RawRecording:
 
     @property
     def name(self) -> str:
-        """What the recording is called: its file's name without the ending."""
+        """Name of the recording: that of its file, without the suffix."""
         return self.path.stem
 
     def reference(self) -> tuple[Poses, np.ndarray] | tuple[None, None]:
-        """K poses of the IMU frame on the log's clock, and which of them (K,) the IMU contradicts.
+        """K poses of the IMU frame on the log's clock, and a mask (K,) of those that the IMU
+        contradicts.
 
-        The log leaves these out. Both are None without a reference with a clock of its own.
+        The log omits the latter. Both are None without a reference with its own clock.
         """
         if self.poses is None:
             return None, None
@@ -70,7 +74,7 @@ class RawRecording:
         return replace(self, poses=None, rules=replace(self.rules, reference=None))
 
     def log(self) -> Log:
-        """The log, every column checked. Raises LogError naming path and map."""
+        """Assemble the log and check every column. Raises LogError naming path and map."""
         if "ref_q_w" in self.main:
             unit_quaternions(self.path, self.main)
         poses, wrong = self.reference()
@@ -120,7 +124,7 @@ def _log_from_tables(main: Columns, reference: Poses | None, rules: ImportMap, n
 
 
 def _robot_file(robot: str | None) -> dict[str, dict[str, str]]:
-    """What the log keeps of a robot that the map names by a file."""
+    """Metadata of a robot that the map names by a file."""
     file = Path(robot or "")
     return kept_model(file.stem, file) if file.suffix in SUFFIXES and file.is_file() else {}
 
@@ -130,7 +134,7 @@ def _rate(t: np.ndarray) -> float:
 
 
 def _made_even(main: Columns, even: EvenTable) -> tuple[Columns, list[str]]:
-    """The columns without holds and at an even rate, and what was derived."""
+    """Interpolate held columns and resample to an even rate; also returns what was derived."""
     kinds = {column_kind(name) for name in main}
     for key, named, known in (("held", even.held, kinds), ("late", even.late, {*kinds, *main})):
         for kind in named:
@@ -151,8 +155,10 @@ def _made_even(main: Columns, even: EvenTable) -> tuple[Columns, list[str]]:
 
 
 def unit_quaternions(path: Path, table: Columns, unit: str = "row", first: int = 1) -> None:
-    """Normalise decimals to unit length; raise where they were never a rotation, naming the row,
-    a `unit` that is counted from `first`."""
+    """Normalise quaternions; raise, naming the row, where the norm is too far from one.
+
+    Rows are called `unit` in the message and counted from `first`.
+    """
     q = np.column_stack([table[f"ref_q_{axis}"] for axis in "wxyz"])
     norm = np.linalg.norm(q, axis=1)
     bad = np.flatnonzero(np.abs(norm - 1.0) > _UNIT_TOLERANCE)
@@ -199,8 +205,9 @@ def _motor_law(rules: ImportMap, joints: tuple[str, ...]) -> dict[str, list[floa
 def _torques_by_law(
     main: Columns, joints: tuple[str, ...], law: dict[str, list[float]] | None
 ) -> Columns:
-    """tau = kp (q_des - q) + kd (dq_des - dq) + tau_ff [N m], where a log has positions, rates and
-    targets but no torque of its own; targets that it lacks are zero, as the law has them."""
+    """tau = kp (q_des - q) + kd (dq_des - dq) + tau_ff [N m], if a log has positions, rates and
+    targets but no torque. Missing rate targets and feed-forward torques are zero.
+    """
     if law is None or any(f"tau_{joint}" in main for joint in joints):
         return {}
     if not all(f"{kind}_{joint}" in main for joint in joints for kind in ("dq", "q_des")):
@@ -217,7 +224,7 @@ _ORDER = ("t", "gyro", "accel", "q_", "dq_", "tau_", "contact", "force", "foot",
 
 
 def _column_order(column: str) -> int:
-    """Groups in the order of the Log's table; `sorted` keeps the map's order within one."""
+    """Order of the groups as in the Log's table; `sorted` keeps the map's order within each."""
     prefix = joint_prefix(column) or column
     matches = [i for i, start in enumerate(_ORDER) if prefix.startswith(start)]
     return 0 if column == "t" else max(matches, default=len(_ORDER))

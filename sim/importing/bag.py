@@ -1,8 +1,8 @@
-"""Readings of a ROS bag: ROS 1, ROS 2 or MCAP.
+"""Columns of a ROS bag: ROS 1, ROS 2 or MCAP.
 
-A column is named `topic:path`: `/imu/data:angular_velocity.x`, `/joint_states:position[FL_hip]`
-(the place is that of `FL_hip` in the message's `name`; a number counts from 0),
-`/imu/data:header.stamp`, or `/imu/data:received` for the time at which the recorder got it.
+A column is named `topic:path`: `/imu/data:angular_velocity.x`, `/joint_states:position[FL_hip]` (at
+the index of `FL_hip` in the message's `name`; a number is an index from 0),
+`/imu/data:header.stamp`, or `/imu/data:received` for the time of reception by the recorder.
 """
 
 import re
@@ -21,17 +21,16 @@ from surefoot.sim.importing.clock import Stamped
 
 RECEIVED = "received"
 _MOST_PLACES = 64
-"""Of an array in a message whose places may be columns: more are a picture or a scan."""
+"""Largest array in a message whose elements may be columns; longer ones are images or scans."""
 _PART = re.compile(r"(\w+)(?:\[([^\]]+)\])?$")
 
 
 def read_bag(path: str | Path, columns: Sequence[str]) -> dict[str, Stamped]:
-    """Stamps [s since the bag began] and values of each named column, both (N,) float64.
+    """Stamps [s since the start of the bag] and values of each named column, both (N,) float64.
 
-    A column's stamps are its messages' header stamps, or where a message has none the times at
-    which they were received; a column of times holds seconds since the bag began. Raises
-    SurefootError for a file that is no bag, a topic or field that is not there, and a value that
-    is not a finite number.
+    The stamps of a column are those of its messages' headers or, without a header, the times of
+    reception; a column of times holds seconds since the start of the bag. Raises SurefootError for
+    a file that is no bag, a missing topic or field, and a value that is not a finite number.
     """
     path = Path(path)
     wanted: dict[str, list[str]] = defaultdict(list)
@@ -57,7 +56,7 @@ def _opened(path: Path) -> Iterator[AnyReader]:
 
 
 def bag_fields(path: Path) -> list[str]:
-    """Every column of numbers of a bag, as a map names it, by the first message of each topic."""
+    """Every numeric column of a bag, as named in a map, from the first message of each topic."""
     found: list[str] = []
     with _opened(path) as bag:
         for connection in bag.connections:
@@ -105,7 +104,8 @@ def _read(bag: AnyReader, path: Path, wanted: dict[str, list[str]]) -> dict[str,
         message = bag.deserialize(raw, connection.msgtype)
         topic = connection.topic
         stamp = _nanoseconds(getattr(getattr(message, "header", None), "stamp", None))
-        # From the bag's beginning, in whole nanoseconds: an epoch in float64 keeps 0.2 us.
+        # Relative to the start of the bag in integer nanoseconds: an epoch in float64 resolves 0.2
+        # us.
         stamps[topic].append(1e-9 * ((received if stamp is None else stamp) - begin))
         for column in wanted[topic]:
             values[column].append(getters[column](message, received, begin))
@@ -147,7 +147,7 @@ def _getter(column: str, path: Path) -> Callable[[Any, int, int], float]:
 
 
 def _item(parent: Any, values: Any, index: str) -> Any:
-    """The value at a number, or at the place that the message's `name` gives the index."""
+    """The element at an index, or at that of `index` in the message's `name`."""
     names = getattr(parent, "name", None)
     if index.isdigit():
         place = int(index)
@@ -159,7 +159,7 @@ def _item(parent: Any, values: Any, index: str) -> Any:
 
 
 def _nanoseconds(stamp: Any) -> int | None:
-    """A ROS time in ns, or None for what is no time."""
+    """A ROS time in ns; None for anything else."""
     if not hasattr(stamp, "sec") or not hasattr(stamp, "nanosec"):
         return None
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)

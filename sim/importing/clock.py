@@ -1,4 +1,4 @@
-"""Readings of several files and topics, each at its own times, on the rows of one log."""
+"""Resample streams of several files and topics, each with its own times, to the rows of one log."""
 
 from collections.abc import Mapping
 
@@ -9,29 +9,28 @@ from surefoot.sim.log import LogError
 from surefoot.sim.log.schema import joint_prefix
 
 Stamped = tuple[np.ndarray, np.ndarray]
-"""Times [s], rising, and values, both (N,)."""
+"""Increasing times [s], and values, both (N,)."""
 Columns = dict[str, np.ndarray]
 LONG_GAP = 0.1
-"""s without a reading from which interpolation is said: two steps of a stream at 20 Hz."""
+"""Shortest gap that is reported [s]: two steps of a stream at 20 Hz."""
 _GAP = 3.0
-"""Times the usual interval that such a gap has at least."""
+"""Least length of such a gap in usual intervals."""
 _FASTER = 1.5
-"""Times the log's rate from which an IMU is averaged over a row, rather than interpolated."""
+"""Ratio to the log's rate from which an IMU is averaged over a row instead of interpolated."""
 
 
 def is_event(name: str) -> bool:
-    """Whether a column holds its value until the next reading: contacts, and flags."""
+    """Whether a column holds its value until the next sample: contacts and flags."""
     return name.startswith(("contact_", "ref_ok"))
 
 
 def on_clock(t: np.ndarray, streams: Mapping[str, Stamped], where: str) -> Columns:
-    """Columns at the times t (N,) [s], those before or after any stream cut; with `t`.
+    """Resample streams to the times t (N,) [s], including `t`; times outside any stream are cut.
 
-    Streams that have these very times are taken as they are. Of others, events hold their last
-    value, readings are interpolated, and gyro and accel that come faster than the rows are averaged
-    over the time since the row before: what the log says that they are.
-
-    Raises SurefootError, beginning with `where`, where they do not overlap in time.
+    Streams with exactly these times are used as they are. Of others, events hold their last value,
+    readings are interpolated, and gyro and accel with a higher rate are averaged over the interval
+    since the preceding row, which is their definition in a log. Raises SurefootError, starting with
+    `where`, where they do not overlap in time.
     """
     begin, end = t[0], t[-1]
     for name, (stamps, _) in streams.items():
@@ -55,9 +54,10 @@ def on_clock(t: np.ndarray, streams: Mapping[str, Stamped], where: str) -> Colum
 
 
 def means(t: np.ndarray, stamps: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Mean of readings over (t[k-1], t[k]] at each of t (N,), the first over as long as the second.
+    """Mean of readings over (t[k-1], t[k]] for each t (N,); the first interval is as long as the
+    second.
 
-    A reading is itself the mean over the time since the reading before, as an IMU's is.
+    A reading is itself the mean over the interval since the preceding one, like an IMU's.
     """
     total = np.concatenate([[0.0], np.cumsum(values[1:] * np.diff(stamps))])
     edges = np.concatenate([[2.0 * t[0] - t[1] if len(t) > 1 else stamps[0]], t])
@@ -69,8 +69,9 @@ def means(t: np.ndarray, stamps: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def gap_lines(t: np.ndarray, streams: Mapping[str, Stamped]) -> tuple[str, ...]:
-    """Gaps over LONG_GAP of streams with other times than the rows t (N,) [s], in words; those of
-    one file or topic together."""
+    """Describe gaps over LONG_GAP in streams with times other than the rows t (N,) [s], together
+    for each file or topic.
+    """
     found: dict[tuple[int, float, float], list[str]] = {}
     for name, (stamps, _) in streams.items():
         step = np.diff(stamps)
@@ -89,7 +90,7 @@ def gap_lines(t: np.ndarray, streams: Mapping[str, Stamped]) -> tuple[str, ...]:
 
 
 def jitter_line(t: np.ndarray) -> str | None:
-    """How uneven the stamps t (N,) [s] are, in words; None where they are even to a hundredth."""
+    """Describe the jitter of the stamps t (N,) [s]; None where they are even to a hundredth."""
     step = np.diff(t)
     if not len(step):
         return None
@@ -104,7 +105,7 @@ def jitter_line(t: np.ndarray) -> str | None:
 
 
 def evened(table: Columns, rate: float) -> Columns:
-    """The rows of a table with `t` at an even rate [Hz] over the same time."""
+    """Resample the rows of a table with `t` to an even rate [Hz] over the same time."""
     t = table["t"]
     even = np.arange(t[0], t[-1] + 1e-9, 1.0 / rate)
     streams = {name: (t, values) for name, values in table.items() if name != "t"}
@@ -117,7 +118,7 @@ def evened(table: Columns, rate: float) -> Columns:
 
 
 def without_holds(table: Columns, kinds: tuple[str, ...]) -> Columns:
-    """The table with the held columns of these kinds on straight lines between their readings."""
+    """Interpolate the held columns of these kinds linearly between their samples."""
     found, t = dict(table), table["t"]
     for name, values in table.items():
         if column_kind(name) not in kinds:
@@ -128,8 +129,10 @@ def without_holds(table: Columns, kinds: tuple[str, ...]) -> Columns:
 
 
 def brought_forward(table: Columns, late: Mapping[str, float]) -> Columns:
-    """The table with the columns of these kinds, or of these names, as much earlier [s] as they
-    came late; rows at either end of which that leaves none are cut."""
+    """Shift columns of these kinds or names to earlier times, by their delay [s].
+
+    Rows at the ends for which a column has no value are cut.
+    """
     t = table["t"]
     begin, end = t[0] - min(0.0, *late.values()), t[-1] - max(0.0, *late.values())
     inside = (t >= begin) & (t <= end)
@@ -142,13 +145,13 @@ def brought_forward(table: Columns, late: Mapping[str, float]) -> Columns:
 
 
 def column_kind(name: str) -> str:
-    """q, dq, gyro, foot, ...: what a column is of, as [even] names it."""
+    """Kind of a column, as named in [even]: q, dq, gyro, foot, ..."""
     prefix = joint_prefix(name)
     return prefix[:-1] if prefix else name.split("_")[0]
 
 
 def check_rising(t: np.ndarray, path: object, column: str, unit: str, rows: np.ndarray) -> None:
-    """Raise LogError at the first time that does not come after the one before it.
+    """Raise LogError at the first time that is not later than the one before.
 
     Args:
         t: (N,) [s].

@@ -1,4 +1,4 @@
-"""Where a column of the log comes from, and how its readings become SI."""
+"""Source of each column of the log, and its conversion to SI."""
 
 from dataclasses import dataclass
 from math import pi
@@ -27,19 +27,23 @@ UNITS: dict[str, dict[str, float]] = {
     "ref_v": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
     "ref_euler": _ANGLE,
 }
-"""Factor to SI of each unit, by the kind of column; a column of another kind is kept as given."""
+"""Factor of each unit to SI, by kind of column; columns of other kinds are kept as given."""
 EULER = ("ref_roll", "ref_pitch", "ref_yaw")
-"""An attitude as angles: R_GM = Rz(yaw) Ry(pitch) Rx(roll)."""
+"""An attitude in angles: R_GM = Rz(yaw) Ry(pitch) Rx(roll)."""
 _KINDS = {"q_des": "q", "dq_des": "dq", "tau_ff": "tau"} | dict.fromkeys(EULER, "ref_euler")
 
 
 @dataclass(frozen=True)
 class MapColumn:
-    """A column of the log: what it is made of, and how.
+    """How a column of the log is read.
 
-    theirs: name in the recording; source: of the further file that has it, None of the main one;
-    scale and offset: SI is scale times theirs, plus offset; wrap: their value that a turn has,
-    where they jump back by it; word: text that is one where anything else is zero.
+    Attributes:
+        theirs: name in the recording.
+        scale: SI = scale * theirs + offset.
+        offset: see `scale`.
+        wrap: value of a full turn in their unit, for angles that wrap.
+        word: text that means one; any other is zero.
+        source: name of the further file that has it; None for the main one.
     """
 
     theirs: str
@@ -50,7 +54,7 @@ class MapColumn:
     source: str | None = None
 
     def read(self, values: np.ndarray) -> np.ndarray:
-        """The log's values (N,) of theirs."""
+        """Convert their values to the log's (N,)."""
         if self.wrap is not None:
             values = np.unwrap(values, period=self.wrap)
         return self.scale * values + self.offset
@@ -58,24 +62,26 @@ class MapColumn:
 
 @dataclass(frozen=True)
 class ColumnEntry:
-    """A column in a map: SI = sign * gain * unit * theirs + offset. "name" alone is short for
-    { column = "name" }."""
+    """A column in a map: SI = sign * gain * unit * theirs + offset. "name" alone is short for {
+    column = "name" }.
+    """
 
     column: Name
-    """Their name; "name[3]" is a place in a list or a column of an array, counted from 0,
-    "file:name" is of the further file [sources.file], "/topic:field.path[joint]" of a bag."""
+    """Their name; "name[3]" is an element of a list or a column of an array, counted from 0,
+    "file:name" is of the further file [sources.file], "/topic:field.path[joint]" of a bag.
+    """
     unit: str | None = None
-    """Theirs; SI where left out."""
+    """Their unit; SI by default."""
     sign: float = 1.0
     """1 or -1."""
     gain: float = 1.0
-    """Factor beside the unit, as of a sensor's counts."""
+    """Additional factor, such as that of a sensor's counts."""
     offset: float = 0.0
     """Added last, in SI."""
     wrap: Positive | None = None
-    """What a turn has in their unit, of angles that jump back by it."""
+    """Value of a full turn in their unit, for angles that wrap."""
     word: Name | None = None
-    """Text that means 1; anything else is 0."""
+    """Text that means 1; any other is 0."""
 
     def __post_init__(self):
         check_sign("sign", self.sign)
@@ -87,7 +93,7 @@ Entries = dict[str, Name | ColumnEntry]
 
 
 def read_columns(section: str, entries: Entries, sources: tuple[str, ...]) -> dict[str, MapColumn]:
-    """The columns of a section of a map, by name of the log's.
+    """The columns of a section of a map, by the log's names.
 
     `sources` are the further files. Raises SurefootError naming section and column.
     """
@@ -104,7 +110,7 @@ def read_columns(section: str, entries: Entries, sources: tuple[str, ...]) -> di
 def read_column(
     place: str, name: str, entry: Name | ColumnEntry, sources: tuple[str, ...]
 ) -> MapColumn:
-    """One column; `place` is that of its entry in the map, for messages."""
+    """Read one column; `place` is the location of its entry in the map, for messages."""
     entry = ColumnEntry(entry) if isinstance(entry, str) else entry
     units = UNITS.get(kind_of(name), {})
     if entry.unit is not None and entry.unit not in units:
@@ -118,7 +124,7 @@ def read_column(
 
 
 def kind_of(name: str) -> str:
-    """The kind of a column of the log, as UNITS has it: gyro, q, ref_p, ..."""
+    """Kind of a column of the log, as in UNITS: gyro, q, ref_p, ..."""
     prefix = joint_prefix(name)
     kind = prefix[:-1] if prefix else foot_vector(name) or name
     kind = _KINDS.get(kind, kind)

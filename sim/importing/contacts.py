@@ -1,5 +1,4 @@
-"""Which feet stand, of a log that does not say it: by its joints' torques, its kinematics or its
-gait."""
+"""Contacts for a log without them, from joint torques, kinematics or the gait."""
 
 from dataclasses import replace
 
@@ -14,15 +13,17 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.contact import contact_from_force
 
 _LEVELLED = 4.0
-"""s over which the accelerometer levels the gyro's attitude: some strides, over which a walking
-body's own acceleration averages out. A gyro's bias of 1 mrad/s tilts it by 4 mrad."""
+"""Time constant with which the accelerometer levels the gyro's attitude [s]: a few strides, over
+which a walking body's own acceleration averages out. A gyro's bias of 1 mrad/s tilts it by 4 mrad.
+"""
 _IN_PHASE = 0.7
-"""Correlation of two feet's velocities from which their legs swing together: legs of a trot's
-diagonal have 0.9 and more, legs a quarter of a stride apart none."""
+"""Correlation of two feet's velocities from which their legs swing together: diagonal legs of a
+trot have 0.9 and more, legs a quarter of a stride apart none.
+"""
 
 
 def feet_that_stand(log: Log, rule: ContactTable) -> Log:
-    """The log with contact_<leg> by a rule of torque, kinematics or gait.
+    """Add contact_<leg> to a log by a rule on torque, kinematics or gait.
 
     Raises SurefootError where the log lacks what the rule needs.
     """
@@ -56,7 +57,7 @@ def feet_that_stand(log: Log, rule: ContactTable) -> Log:
 def speeds_beside_lowest(
     t: np.ndarray, feet_I: np.ndarray, gyro: np.ndarray, up: np.ndarray
 ) -> np.ndarray:
-    """How fast (N, L) [m/s] each foot moves beside the lowest one: feet that stand do not.
+    """Speed (N, L) [m/s] of each foot relative to the lowest one, small for standing feet.
 
     Args:
         t: (N,) [s].
@@ -72,16 +73,15 @@ def speeds_beside_lowest(
 
 
 def heights_beside_others(t: np.ndarray, feet_I: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """How much higher (N, L) [m] the feet of the legs that swing with a foot, and itself, are in
-    the mean than those of the lowest other legs that swing together; negative where they are the
-    lowest.
+    """Mean height (N, L) [m] of each foot's group of legs above the lowest other group.
+
+    A group is the legs that swing together; the value is negative for the lowest group. Raises
+    SurefootError where all legs swing together.
 
     Args:
         t: (N,) [s].
         feet_I: (N, L, 3) [m].
         up: (N, 3) upward direction in I.
-
-    Raises SurefootError where all legs swing together.
     """
     groups = legs_in_phase(t, feet_I, up)
     if len(groups) < 2:
@@ -96,8 +96,10 @@ def heights_beside_others(t: np.ndarray, feet_I: np.ndarray, up: np.ndarray) -> 
 
 
 def legs_in_phase(t: np.ndarray, feet_I: np.ndarray, up: np.ndarray) -> list[list[int]]:
-    """Legs, by index, that swing together: the velocities of their feet correlate by more than
-    _IN_PHASE, along the axis of I in which feet move most, upwards left out.
+    """Groups of legs, by index, that swing together.
+
+    The velocities of their feet correlate by more than _IN_PHASE, along the axis of I in which the
+    feet move most, without the upward component.
 
     Args:
         t: (N,) [s].
@@ -120,8 +122,10 @@ def legs_in_phase(t: np.ndarray, feet_I: np.ndarray, up: np.ndarray) -> list[lis
 
 
 def upward_forces(log: Log, robot: Robot, up: np.ndarray) -> np.ndarray:
-    """Force (N, L) [N] of the ground on each foot along up (N, 3) in I that the torques of its own
-    joints hold up, the leg's mass left out: J^T f = -tau, by least squares."""
+    """Upward force (N, L) [N] of the ground on each foot, from the torques of the leg's joints.
+
+    J^T f = -tau by least squares, neglecting the leg's mass; up (N, 3) in I.
+    """
     J = robot.feet_jacobian_I(log.q)
     tau = log.tau[:, robot.legs.joints] * (np.abs(J).sum(axis=2) > 0.0)
     force = -np.einsum("nlij,nlj->nli", np.linalg.pinv(np.swapaxes(J, 2, 3)), tau)
@@ -145,7 +149,10 @@ def _levelled(t, gyro, accel, settled):
 
 
 def up_in_imu(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray) -> np.ndarray:
-    """The upward direction (N, 3) in I, of unit length: turned by gyro (N, 3) [rad/s] and drawn to
-    the accelerometer's (N, 3) [m/s^2] with a time constant of _LEVELLED, at t (N,) [s]."""
+    """Upward direction (N, 3) in I, of unit length, at t (N,) [s].
+
+    Integrated from gyro (N, 3) [rad/s] and corrected towards accel (N, 3) [m/s^2] with the time
+    constant _LEVELLED.
+    """
     settled = max(int(np.searchsorted(t, t[0] + _LEVELLED)), 1)
     return _levelled(t, gyro, accel, settled)

@@ -1,6 +1,6 @@
 """A draft of an import map: its entries, and its text with a question for each doubt.
 
-`sim.importing.guess` makes drafts from the files of a recording.
+`sim.importing.guess` creates drafts from the files of a recording.
 """
 
 import json
@@ -15,8 +15,14 @@ from surefoot.sim.importing.columns import UNITS, kind_of
 class Entry:
     """A column of the log, and the column of the recording that it is read from.
 
-    name: the log's column; theirs: the recording's; unit: of theirs, None where it has none; sign,
-    gain, offset: as in a map; doubt: a question for the user, empty where there is none.
+    Attributes:
+        name: the log's column.
+        theirs: the recording's column.
+        unit: theirs, None where it has none.
+        sign: as in a map.
+        gain: as in a map.
+        offset: as in a map.
+        doubt: a question for the user, empty where there is none.
     """
 
     name: str
@@ -29,7 +35,7 @@ class Entry:
 
     @property
     def scale(self) -> float:
-        """Factor from the recording's numbers to SI units; the offset left out."""
+        """Factor from the recording's values to SI units, without the offset."""
         units = UNITS.get(kind_of(self.name), {})
         return self.sign * self.gain * (units[self.unit] if self.unit else 1.0)
 
@@ -38,11 +44,18 @@ class Entry:
 class Draft:
     """A draft of a map.
 
-    files: the main file first; main: entries of [columns]; reference: those of
-    [reference.columns], from reference_file; sources: further files by name, with the entry of
-    their times; layouts: keys of [source] for files that are texts; rate: of the rows [Hz], where
-    no times were found; contact: on and off force of [contact]; notes: questions that concern no
-    single column; unused: columns of the main file without a use.
+    Attributes:
+        files: the main file first.
+        main: entries of [columns].
+        reference: entries of [reference.columns], from `reference_file`.
+        reference_file: file of the reference.
+        sources: further files by name, with the entry of their times.
+        layouts: keys of [source] for text files.
+        rate: of the rows [Hz], where no times were found.
+        robot: name.
+        contact: on and off force of [contact].
+        notes: questions that concern no single column.
+        unused: columns of the main file without a use.
     """
 
     files: tuple[Path, ...]
@@ -59,7 +72,7 @@ class Draft:
 
     @property
     def text(self) -> str:
-        """The draft as the text of a map's file (TOML)."""
+        """The draft as a map file (TOML)."""
         lines = [
             "# A draft by `surefoot import --guess`. A line with a # ? is a question: answer it by",
             "# what you know of the robot, then delete it. No log tells the signs of joints.",
@@ -104,7 +117,9 @@ class Draft:
 
 
 def _lines(entries: Sequence[Entry]) -> list[str]:
-    """Lines of entries; a doubt stands above the first of those that share it, and marks each."""
+    """Lines of entries; a doubt is written above the first of those that share it, and marks
+    each.
+    """
     lines, above = [], ""
     for entry in entries:
         if entry.doubt and entry.doubt != above:
@@ -129,5 +144,5 @@ def _key(name: str) -> str:
 
 
 def _text(text: str) -> str:
-    """A text in TOML, whose basic strings escape as JSON's do."""
+    """A text as a TOML basic string, whose escapes are those of JSON."""
     return json.dumps(text, ensure_ascii=False)

@@ -1,4 +1,4 @@
-"""German words in the names of columns, in those of English that `names` reads."""
+"""Translation of German words in column names to the English words that `names` knows."""
 
 _WORDS = {
     german: english
@@ -42,12 +42,12 @@ _LETTERS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"} | {"Ä
 
 
 def in_plain_letters(name: str) -> str:
-    """The name without umlauts: "Hüfte" as "Huefte"."""
+    """Replace umlauts in a name: "Hüfte" becomes "Huefte"."""
     return name.translate(_LETTERS)
 
 
 def in_english(words: list[str]) -> list[str]:
-    """Words in small and plain letters: those that are German in English, with their numbers."""
+    """Translate German words, in lower case and plain letters, keeping their numbers."""
     english: list[str] = []
     for word in words:
         letters = word.rstrip("0123456789")

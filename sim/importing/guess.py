@@ -1,8 +1,8 @@
-"""A draft of an import map from the files of a recording alone.
+"""Draft an import map from the files of a recording.
 
-Names say what a column is, and numbers check it (`guess_columns`, `guess_units`); what is not
-certain carries its doubt, a question in the draft (`draft`). Here the files get their parts: the
-main file, further ones with columns of their own, and the reference.
+Names suggest what a column is, and values verify it (`guess_columns`, `guess_units`); uncertain
+entries carry a question in the draft (`draft`). This module assigns the files: the main file,
+further ones with columns of their own, and the reference.
 """
 
 from collections.abc import Sequence
@@ -22,15 +22,14 @@ from surefoot.sim.importing.recording import is_bag
 from surefoot.sim.robot.fixed_base import load_machine
 
 _FEW = 8
-"""Columns of a file of which nothing is used that are named."""
+"""Largest number of columns that are listed for an unused file."""
 
 
 def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
-    """A draft of the map of some files, the first or the richest the main one.
+    """Draft the map of some files; the first or the most complete is the main one.
 
-    robot: of the recording: columns are named as its file names its joints, or not at all, and
-    then in its order. Raises SurefootError where a file cannot be read or none has columns of
-    numbers.
+    robot: of the recording; unnamed columns, and those named as in its file, are assigned to its
+    joints. Raises SurefootError where a file cannot be read or none has numeric columns.
     """
     paths = [one for path in files for one in _parts(Path(path))]
     if not paths:
@@ -103,8 +102,7 @@ def _richness(one: RecordedFile) -> int:
 
 
 def _reference(one: RecordedFile) -> tuple[Entry, ...]:
-    """Entries of a pose, of a bag those of one topic: the one whose name says that it is tracked,
-    or else the first that has a pose."""
+    """Entries of a pose; in a bag, those of one topic, preferably one named as a tracked body."""
     if not is_bag(one.path):
         return _pose(one)
     topics = list(dict.fromkeys(name.partition(":")[0] for name in one.recorded))
@@ -119,7 +117,7 @@ def _reference(one: RecordedFile) -> tuple[Entry, ...]:
 
 
 def _pose(one: RecordedFile) -> tuple[Entry, ...]:
-    """Entries of a pose: three places, and four or three numbers of an attitude."""
+    """Entries of a pose: three positions, and four or three values of an attitude."""
     t = one.t
     if t is None:
         return ()
@@ -168,7 +166,7 @@ def _pose(one: RecordedFile) -> tuple[Entry, ...]:
 
 
 def _complete(entries: list[Entry]) -> tuple[list[Entry], list[str]]:
-    """Without the kinds of joints' columns that not every joint has, which no log may have."""
+    """Drop the kinds of joint columns that not every joint has, as a log may not have them."""
     joints = {
         e.name[2:] for e in entries if e.name.startswith("q_") and not e.name.startswith("q_des_")
     }

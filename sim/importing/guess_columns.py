@@ -1,4 +1,4 @@
-"""Entries of an import map for one file of a recording, from its columns' names and numbers."""
+"""Entries of an import map for one file of a recording, from names and values of its columns."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -23,17 +23,19 @@ from surefoot.sim.log.schema import JOINTS, LEGS
 from surefoot.sim.robot.fixed_base import Machine
 
 _SMALL = 4096
-"""bytes, below which a text may be a list of joints."""
+"""Size [bytes] below which a text may be a list of joints."""
 _OTHER_SIDE_FIRST = ("FR", "FL", "RR", "RL")
-"""The order of legs in which Unitree and MIT count them."""
+"""Order of the legs in software of Unitree and MIT."""
 
 
 @dataclass(frozen=True)
 class GuessedColumns:
-    """What a file's columns are taken for.
+    """Interpretation of a file's columns.
 
-    notes: questions that concern no single column; rate: of the rows [Hz] by the joints' rates, for
-    a file without times.
+    Attributes:
+        entries: of the map.
+        notes: questions that concern no single column.
+        rate: of the rows [Hz] by the joints' rates, for a file without times.
     """
 
     entries: tuple[Entry, ...]
@@ -44,11 +46,11 @@ class GuessedColumns:
 def guess_columns(
     file: RecordedFile, machine: Machine | None = None, commands: bool = False
 ) -> GuessedColumns:
-    """Entries for the times, IMU, joints and feet of a file.
+    """Entries for times, IMU, joints and feet of a file.
 
     Args:
         file: of the recording.
-        machine: whose joints are in its order where columns have only numbers, or None.
+        machine: its joint order is used for unnamed columns; or None.
         commands: whether its joint columns are targets and not readings.
     """
     imu, imu_notes = _imu_entries(file)
@@ -94,7 +96,7 @@ def _imu_entries(file: RecordedFile) -> tuple[list[Entry], list[str]]:
 
 
 def three_axes(own: Mapping[str, Named]) -> tuple[str, ...] | None:
-    """The three columns of a vector in the order x, y, z; None where it is not clear."""
+    """The three columns of a vector in the order x, y, z; None if unclear."""
     along = [(one.axis, name) for name, one in own.items() if one.axis]
     if len(along) == 3 and set(dict(along)) == set("xyz"):
         return tuple(dict(along)[axis] for axis in "xyz")
@@ -105,7 +107,7 @@ def three_axes(own: Mapping[str, Named]) -> tuple[str, ...] | None:
 
 
 class _JointColumn(NamedTuple):
-    """A column of a joint, with a doubt, and whether the joint's name is only the usual one."""
+    """A column of a joint, with a doubt, and whether the joint's name is only assumed."""
 
     column: str
     doubt: str
@@ -119,12 +121,12 @@ _Joints = dict[str, dict[str, _JointColumn]]
 def _joint_entries(
     file: RecordedFile, machine: Machine | None, commands: bool, imu: Sequence[Entry]
 ) -> tuple[list[Entry], Sequence[str], float | None]:
-    """Entries of the joints; the legs in the order in which they are counted; the rows' rate."""
+    """Entries of the joints, order of the legs, and rate of the rows."""
     joints = _joint_columns(file, machine, commands)
     swapped = _sides_doubt(file, joints.get("q", {}), imu)
     legs: Sequence[str] = LEGS
     if swapped and any(one.assumed for of in joints.values() for one in of.values()):
-        # Robots count their legs from the left or from the right: the strides say which.
+        # Some robots count their legs from the left, others from the right; the strides tell which.
         legs, swapped = _OTHER_SIDE_FIRST, ""
         doubt = _legs_doubt(legs)
         joints = {
@@ -141,7 +143,7 @@ def _joint_entries(
 
 
 def _joint_columns(file: RecordedFile, machine: Machine | None, commands: bool) -> _Joints:
-    """The columns of joints: q, dq and tau, or q_des, dq_des and tau_ff where they are commands."""
+    """Columns of joints: q, dq and tau, or q_des, dq_des and tau_ff for commands."""
     poses = {one.leg for one in _of(file, "ref_q").values()}
     found = {
         name: one
@@ -176,15 +178,15 @@ def _joint_of(
         part = one.part or ("" if one.place is None else places[one.place % 3])
         joint = f"{leg if leg in LEGS else one.written}_{part}".rstrip("_")
         return joint, _JointColumn(name, "" if one.part else f"which joint of {leg} is {name}?")
-    # A word before the numbers of a list, as of the group it is in, names no joint.
+    # A word common to all elements of a list names a group, not a joint.
     if one.part and len({n.place for n in alike if n.part == one.part}) <= 1:
         return one.part, _JointColumn(name, "")
     if one.place is None or len(alike) == 1:
         return "joint", _JointColumn(name, "" if len(alike) == 1 else f"which joint is {name}?")
-    # Whether they count from 0 or from 1, and by legs first or not.
+    # Independent of counting from 0 or 1, and of the order of leg and joint numbers.
     order = sorted((n.limb or 0, n.place or 0) for n in alike)
     place, count = order.index((one.limb or 0, one.place)), len(alike)
-    # Joints that have only numbers: in the order of a list, of the robot, or the usual one.
+    # Unnamed joints: in the order of a list, of the robot, or the usual one.
     for words, listed in {**file.lists, **_lists_beside(file.path)}.items():
         if len(listed) == count:
             return listed[place], _JointColumn(name, f"are its joints in the order of {words}?")
@@ -199,7 +201,7 @@ def _joint_of(
 def _sides_doubt(
     file: RecordedFile, angles: Mapping[str, _JointColumn], imu: Sequence[Entry]
 ) -> str:
-    """A doubt where the strides in turns say that left and right are exchanged; else empty."""
+    """A doubt if the strides in turns suggest that left and right are exchanged; else empty."""
     rates = [entry for entry in imu if entry.name == "gyro_z"]
     if not rates or file.seconds is None:
         return ""
@@ -219,9 +221,10 @@ def _sides_doubt(
 def _entries_of_kind(
     file: RecordedFile, kind: str, joints: _Joints, swapped: str
 ) -> tuple[list[Entry], float | None]:
-    """Entries of one kind of joint columns, and the rows' rate [Hz] where rates tell it.
+    """Entries of one kind of joint columns, and the rate of the rows [Hz] where joint rates tell
+    it.
 
-    swapped: a doubt about left and right, for columns that have no other.
+    swapped: a doubt about left and right, for columns without another.
     """
     own = joints[kind]
     values = {joint: file.columns[one.column] for joint, one in own.items()}
@@ -252,9 +255,9 @@ def _entries_of_kind(
 
 
 def _feet_entries(file: RecordedFile, legs: Sequence[str]) -> tuple[list[Entry], list[str]]:
-    """Entries of contacts, forces and places of the feet, and notes.
+    """Entries of contacts, forces and positions of the feet, and notes.
 
-    legs: in the order in which feet that have only numbers are counted.
+    legs: order of the legs for feet without names.
     """
     entries: list[Entry] = []
     found = _of(file, "contact", "force", "foot")
@@ -263,7 +266,7 @@ def _feet_entries(file: RecordedFile, legs: Sequence[str]) -> tuple[list[Entry],
         own = {n: one for n, one in found.items() if one.kind == kind and one.leg}
         own = {n: one for n, one in own.items() if one.axis in ("", "z")}
         plain = {n: one for n, one in own.items() if not one.part}
-        # A word that all names begin with, of the robot, says nothing.
+        # A word that all names begin with belongs to the robot and is ignored.
         own = own if not plain and len({one.leg for one in own.values()}) == len(own) else plain
         counted = [n for n, one in found.items() if one.kind == kind and _is_counted(one)]
         if not own and len(counted) == len(legs):
@@ -291,18 +294,18 @@ def _feet_entries(file: RecordedFile, legs: Sequence[str]) -> tuple[list[Entry],
 
 
 def _contact_or_force(file: RecordedFile, kind: str, names: Sequence[str]) -> str:
-    """The kind of these columns: contacts that are not all 0 or 1 are forces."""
+    """Kind of these columns: contacts with values other than 0 and 1 are forces."""
     binary = all(np.isin(file.columns[name], (0.0, 1.0)).all() for name in names)
     return "force" if kind == "contact" and not binary else kind
 
 
 def _is_counted(one: Named) -> bool:
-    """Whether a foot's column has a number in place of its leg."""
+    """Whether a foot's column has a number instead of a leg's name."""
     return not (one.leg or one.part or one.axis or (one.place is None and one.limb is None))
 
 
 def _other_side(joint: str) -> str:
-    """The name of the joint across the body of a quadruped's."""
+    """Name of the joint on the other side of a quadruped."""
     return joint[0] + {"L": "R", "R": "L"}[joint[1]] + joint[2:]
 
 
@@ -311,14 +314,14 @@ def _legs_doubt(legs: Sequence[str]) -> str:
 
 
 def _leg(name: str, legs: set[str]) -> str:
-    """A leg's name: of a robot that has no rear legs, the front ones are left and right."""
+    """Name of a leg: without rear legs, the front ones are left and right."""
     if name in ("FL", "FR") and not legs & {"RL", "RR"}:
         return "left" if name == "FL" else "right"
     return name
 
 
 def _lists_beside(path: Path) -> dict[str, tuple[str, ...]]:
-    """Words of the small texts in the file's folder, which may list its joints in their order."""
+    """Words of small text files in the file's folder, which may list its joints in order."""
     found = {}
     for one in sorted(path.parent.glob("*.txt")):
         if one != path and one.stat().st_size < _SMALL:

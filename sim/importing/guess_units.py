@@ -1,7 +1,7 @@
-"""Units and signs of a recording's columns, from their numbers.
+"""Units and signs of a recording's columns, from their values.
 
-Units come from magnitudes, and from columns that measure the same: rates against the change of
-angles, the gyro against the turning of gravity. Left and right come from the strides in turns.
+Units follow from magnitudes, and from columns that measure the same: rates and the derivative of
+angles, the gyro and the rotation of gravity. Left and right follow from the strides in turns.
 """
 
 from collections.abc import Iterable, Sequence
@@ -12,23 +12,25 @@ from surefoot.sim.importing.columns import DEGREE, STANDARD_GRAVITY, UNITS
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative
 
 _LARGEST_ANGLE = 4.0 * np.pi
-"""rad that a joint turns at most: two turns. Beyond, it is in degrees."""
+"""Largest plausible joint angle [rad], two turns; larger ones are in degrees."""
 _SURE_ANGLE = 3.5
-"""rad that a joint in radians may reach without a doubt."""
+"""Largest joint angle that is certainly in radians [rad]."""
 _NEAR = 1.25
-"""A ratio may be off by this factor and still say which unit it is."""
+"""Tolerance of a ratio that identifies a unit."""
 _AGREE = 0.5
 """Correlation from which two columns measure the same."""
 _CAN_TURN = 0.1
-"""rad/s, standard deviation of the yaw rate from which strides tell left from right."""
+"""Standard deviation of the yaw rate from which strides distinguish left from right [rad/s]."""
 _STRIDES = 1.0
-"""s over which the size of strides is taken."""
+"""Window for the size of strides [s]."""
 _ASSUMED_STEP = 0.005
-"""s between the rows of a recording without times, where a rate is compared with its angle."""
+"""Assumed interval between the rows of a recording without times, to compare a rate with its angle
+[s].
+"""
 
 
 def unit_of_angles(values: Iterable[np.ndarray], named: set[str]) -> tuple[str, str]:
-    """Unit of angles, each (N,), and a doubt; `named` are the units that the columns' names say."""
+    """Unit of angles, each (N,), and a doubt; `named` are the units in the columns' names."""
     if "deg" in named:
         return "deg", ""
     if "rad" in named:
@@ -44,10 +46,10 @@ def unit_of_angles(values: Iterable[np.ndarray], named: set[str]) -> tuple[str, 
 def unit_of_rates(
     t: np.ndarray | None, rates: Sequence[np.ndarray], angles: Sequence[np.ndarray]
 ) -> tuple[str, str, float | None]:
-    """Unit of joint rates, by the change of their angles, and a doubt.
+    """Unit of joint rates, by the derivative of their angles, and a doubt.
 
-    Where the recording has no times, rates are taken as rad/s and give the rate of the rows [Hz],
-    the third value, instead.
+    Without times, rates are assumed to be in rad/s and determine the rate of the rows [Hz], the
+    third value.
 
     Args:
         t: (N,) [s], or None.
@@ -83,9 +85,9 @@ def unit_of_rates(
 def unit_of_gyro(
     t: np.ndarray | None, gyro: np.ndarray, accel: np.ndarray | None, named: set[str]
 ) -> tuple[str, str]:
-    """Unit of a gyro (N, 3), and a doubt: from how fast gravity turns in the accelerometer.
+    """Unit of a gyro (N, 3), and a doubt, from the rotation of gravity in the accelerometer.
 
-    Where that says nothing, from the units that names say, or else from the gyro's size.
+    If that is inconclusive, from the units in names, or else from the gyro's magnitude.
 
     Args:
         t: (N,) [s], or None.
@@ -118,7 +120,9 @@ def unit_of_gyro(
 
 
 def unit_of_accel(accel: np.ndarray) -> tuple[str, float, str]:
-    """Unit of an accelerometer (N, 3), gain and a doubt: its usual length is taken for gravity."""
+    """Unit of an accelerometer (N, 3), gain and a doubt: its usual magnitude is taken to be
+    gravity.
+    """
     size = float(np.median(np.linalg.norm(accel, axis=1)))
     if 8.0 < size < 12.0:
         return "m/s^2", 1.0, ""
@@ -130,7 +134,7 @@ def unit_of_accel(accel: np.ndarray) -> tuple[str, float, str]:
 
 
 def gravity_doubt(mean: np.ndarray) -> dict[str, str]:
-    """Axis -> a doubt about its sign, from the mean specific force (3,), which is up: +z."""
+    """Axis -> doubt about its sign, from the mean specific force (3,), which points up: +z."""
     axis = int(np.argmax(np.abs(mean)))
     if axis == 2 and mean[2] > 0.0:
         return {}
@@ -147,13 +151,15 @@ def gravity_doubt(mean: np.ndarray) -> dict[str, str]:
 def stride_in_turns(
     t: np.ndarray, yaw: np.ndarray, left: Sequence[np.ndarray], right: Sequence[np.ndarray]
 ) -> float | None:
-    """How the strides of right legs grow over those of left ones with the rate of turning to the
-    left, in log units per rad/s: positive, for the outer legs go further. None where it cannot be
-    told.
+    """Growth of the right legs' strides over the left ones' with the rate of left turns, in log
+    units per rad/s.
+
+    Positive if the sides are right, since the outer legs move further. None where it cannot be
+    determined.
 
     Args:
         t: (N,) [s].
-        yaw: (N,) rate of turning to the left [rad/s].
+        yaw: (N,) yaw rate, positive to the left [rad/s].
         left: angles (N,) of the left legs' thighs, in any unit.
         right: of the right legs'.
     """

@@ -1,4 +1,4 @@
-"""A table in JSON: a list of records, records a line, or lists by name."""
+"""Tables in JSON: a list of records, one record per line, or lists by name."""
 
 import json
 from pathlib import Path
@@ -11,12 +11,15 @@ from surefoot.sim.importing.table import RecordedTable
 
 _DEEPEST = 20
 _SWOLLEN = 25.0
-"""Bytes in memory for each of a text of empty lists and records."""
+"""Memory per byte of a text of empty lists and records [bytes]."""
 
 
 def read_json(path: Path) -> RecordedTable:
-    """The table of a .json, .jsonl or .ndjson file; a record's fields are `a.b`, a place in a list
-    `a[0]`; a record without a field has an empty cell. Raises SurefootError."""
+    """Read the table of a .json, .jsonl or .ndjson file.
+
+    A record's fields are `a.b`, an element of a list `a[0]`; a record without a field has an empty
+    cell. Raises SurefootError.
+    """
     if path.exists():
         check_limit("memory", _SWOLLEN * path.stat().st_size, f"{path}: bytes in memory")
     try:
@@ -64,7 +67,7 @@ def _flat(record: dict, name: str, deeper: int) -> dict[str, object]:
 
 
 def _array(values: list) -> np.ndarray:
-    """(N,) or (N, K) of numbers where they are; else (N,) of anything."""
+    """(N,) or (N, K) of numbers where possible; else (N,) of objects."""
     if all(isinstance(one, int | float) for one in values):
         return np.array(values, dtype=float)
     found = np.empty(len(values), dtype=object)

@@ -1,4 +1,4 @@
-"""How a text is laid out: its letters, lines before its table, a header or none, decimal commas."""
+"""Layout of a text table: encoding, lines before the table, header, separator, decimal commas."""
 
 import codecs
 import csv
@@ -7,15 +7,16 @@ from pathlib import Path
 from typing import Any
 
 _LOOKED_AT = 65536
-"""Characters at the beginning of a text by which it is judged."""
+"""Number of characters at the beginning of a text that are examined."""
 COMMENTS = ("#", "%", "//")
-"""Signs before a line that is not of a table, or has its names."""
+"""Prefixes of a line that is a comment, or contains the column names."""
 _COMMA = re.compile(r"\s*-?\d+,\d+([eE][-+]?\d+)?\s*")
 
 
 def encoding_of(path: Path) -> str:
-    """UTF-8; or what spreadsheets write: UTF-16 by its mark, Windows's western code page where a
-    text without a zero byte is no UTF-8."""
+    """Encoding of a text: UTF-8, or what spreadsheets write: UTF-16 with a mark or, without zero
+    bytes and not valid UTF-8, Windows-1252.
+    """
     decoder = codecs.getincrementaldecoder("utf-8")()
     with path.open("rb") as stream:
         begin = piece = stream.read(_LOOKED_AT)
@@ -31,7 +32,7 @@ def encoding_of(path: Path) -> str:
 
 
 def layout_of(path: Path) -> dict[str, Any]:
-    """Keys of a map's [source] that this text needs, where the defaults do not fit."""
+    """Keys of a map's [source] for this text where the defaults do not fit."""
     with path.open(encoding=encoding_of(path), errors="replace", newline="") as stream:
         lines = stream.read(_LOOKED_AT).splitlines()[:-1]
     if len(lines) < 2:
@@ -40,7 +41,7 @@ def layout_of(path: Path) -> dict[str, Any]:
     rows = [_cells(line, separator) for line in lines]
     width = len(rows[-1])
     first = next(k for k, row in enumerate(rows) if len(row) == width)
-    # A comment as wide as the table names its columns.
+    # A comment as wide as the table contains its column names.
     after = next(k for k in range(first, len(rows)) if not lines[k].lstrip().startswith(COMMENTS))
     named = [k for k in range(after) if len(rows[k]) == width and width > 1]
     found: dict[str, Any] = {}
@@ -55,7 +56,7 @@ def layout_of(path: Path) -> dict[str, Any]:
 
 
 def _separator(line: str) -> str:
-    """Of a line of numbers: a comma beside another one is before decimals."""
+    """Separator in a line of numbers; a comma next to another separator is a decimal comma."""
     for separator in (";", "\t", "|"):
         if separator in line:
             return separator
@@ -76,7 +77,7 @@ def _cells(line: str, separator: str) -> list[str]:
 
 
 def is_number(text: str) -> bool:
-    """Whether a text is a number as Python reads it."""
+    """Whether Python can parse a text as a number."""
     try:
         float(text)
     except ValueError:

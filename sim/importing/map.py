@@ -1,7 +1,7 @@
-"""An import map: the TOML file that says what the files and columns of a recording are.
+"""An import map: the TOML file that describes the files and columns of a recording.
 
-`MapFile` is the whole file, `sim.importing.sections` has its sections, the reference page of maps
-shows them. A key that is not listed is an error: a misspelt sign that was ignored costs days.
+`MapFile` is the whole file, `sim.importing.sections` has its sections; the reference page of maps
+documents them. An unknown key is an error, since a misspelt sign that is ignored costs days.
 """
 
 from dataclasses import dataclass, field
@@ -26,11 +26,23 @@ from surefoot.sim.log.schema import GROUPS, leg_names
 
 @dataclass(frozen=True)
 class ImportMap:
-    """A checked map.
+    """A validated map.
 
-    source, sources: the main file and the further ones by name; clocks: columns of the further
-    files' times; reference: that section, with its columns in reference_columns; model: what goes
-    into `Meta.model`; motor_law: gains, numbers or by joint.
+    Attributes:
+        path: of the map.
+        columns: of the log.
+        source: the main file.
+        sources: further files by name.
+        clocks: time columns of the further files.
+        reference: section of the reference, without its columns.
+        reference_columns: columns of the reference.
+        robot: name or file.
+        model: entries of `Meta.model`.
+        joint_sign: by joint.
+        joint_offset: by joint [rad].
+        contact: section of the contacts.
+        motor_law: gains, numbers or by joint.
+        even: section of the resampling.
     """
 
     path: Path
@@ -50,7 +62,7 @@ class ImportMap:
 
     @classmethod
     def read(cls, path: str | Path) -> "ImportMap":
-        """The map at `path`, or the bundled one of that name.
+        """Read the map at `path`, or the bundled one of that name.
 
         Raises SurefootError naming file, section and key.
         """
@@ -64,30 +76,31 @@ class ImportMap:
 
 @dataclass(frozen=True)
 class MapFile:
-    """A map: what is in the file."""
+    """Contents of a map file."""
 
     columns: Entries
     """[columns] <column of the log> = "their column", or a table of it. The file of t is the main
-    one, and its times are the log's rows."""
+    one, and its times are the log's rows.
+    """
     source: Source = field(default_factory=Source)
-    """[source]: the main file, which may as well be named on the command line."""
+    """[source]: the main file, which may instead be given on the command line."""
     sources: dict[str, Source] = field(default_factory=dict)
     """[sources.<name>]: further files."""
     reference: ReferenceTable | None = None
     """[reference]: the motion that the log is compared with."""
     robot: RobotTable | None = None
-    """[robot]: whose log it is."""
+    """[robot]: the robot or machine of the log."""
     ground: GroundTable = field(default_factory=GroundTable)
     """[ground]: where it walks."""
     contact: ContactTable | None = None
-    """[contact]: which feet stand."""
+    """[contact]: detection of contacts."""
     motor_law: MotorLaw | None = None
-    """[motor_law]: what the motors do."""
+    """[motor_law]: control law of the motors."""
     even: EvenTable | None = None
-    """[even]: what is made even."""
+    """[even]: resampling and interpolation."""
 
     def checked(self, path: Path) -> ImportMap:
-        """The map, its sections checked against each other. Raises SurefootError."""
+        """Check the sections against each other and return the map. Raises SurefootError."""
         names = tuple(self.sources)
         columns = read_columns("columns", self.columns, names)
         if ("t" in columns) == (self.source.rate is not None):

@@ -1,4 +1,4 @@
-"""Where an import map's file lies, by name or path."""
+"""Location of an import map's file, by name or path."""
 
 from pathlib import Path
 
@@ -7,13 +7,13 @@ from surefoot.sim.common.files import bundled
 
 
 def bundled_maps() -> dict[str, Path]:
-    """Names of the maps that come with surefoot, such as "go1_square", and their files."""
+    """Name -> file of the bundled maps, such as "go1_square"."""
     files = bundled("surefoot.sim.importing", "maps").glob("*.toml")
     return {file.stem: file for file in sorted(files)}
 
 
 def map_file(name_or_path: str | Path) -> Path:
-    """The file of a map: a path, or the name of a bundled one, with or without its ending.
+    """The file of a map: a path, or the name of a bundled one, with or without its suffix.
 
     Raises SurefootError, listing the names, where it is neither.
     """

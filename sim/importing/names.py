@@ -1,4 +1,4 @@
-"""What the name of a column says: its kind, its leg and joint, its axis and its unit."""
+"""Interpretation of a column's name: kind, leg and joint, axis and unit."""
 
 import re
 from collections.abc import Mapping
@@ -55,8 +55,9 @@ _OF_A_LEG = {
     **{f"hip_{word}": "thigh" for word in ("flexion", "extension")},
     **dict.fromkeys(_words("calf knee kfe kn shank shin lower tibia knee_fe knee_pitch"), "calf"),
 }
-"""Of a quadruped: the hinge's name in ours. One with an abduction has its hip where we have the
-thigh (`by_their_legs`)."""
+"""Name of a quadruped's hinge in our convention. Where a leg has an abduction joint, "hip" is our
+thigh (`by_their_legs`).
+"""
 _UNITS = _words("ms us ns deg rad mm cm nm rpm turn degs rads dps mg g m s")
 _OF_A_SECOND = {"dps": "deg/s", "degs": "deg/s", "rads": "rad/s"}
 _FILLER = _words(
@@ -76,12 +77,20 @@ _KINDS_OF_VECTORS = {
 
 @dataclass(frozen=True)
 class Named:
-    """What a name says; None or "" where it says nothing.
+    """Information in a name; None or "" where there is none.
 
-    kind: of the log's column, `euler` for an angle of an attitude, `foot` for a foot's place; leg:
-    FL, FR, RL, RR, left or right; written: as the name has it; part: the joint's name beside the
-    leg's, of FL to RR hip, thigh or calf; place: in a list; limb: number of the leg; axis; unit: as
-    written; commanded: a command; reference: of a tracked body.
+    Attributes:
+        kind: of the log's column, `euler` for an angle of an attitude, `foot` for a foot's
+            position.
+        leg: FL, FR, RL, RR, left or right.
+        written: the leg as written in the name.
+        part: the joint's name without the leg's; hip, thigh or calf for FL to RR.
+        place: index in a list.
+        limb: number of the leg.
+        axis: of a vector.
+        unit: as written.
+        commanded: whether it is a command.
+        reference: whether it is of a tracked body.
     """
 
     kind: str = ""
@@ -97,8 +106,8 @@ class Named:
 
 
 def words_of(name: str) -> list[str]:
-    """The words of a name in small letters: parts between signs and capitals."""
-    # Between frames, as in a_RS_S_x of EuRoC.
+    """The words of a name in lower case, separated at punctuation and capitals."""
+    # Frames in between, as in EuRoC's a_RS_S_x.
     name = re.sub(r"\b([apqw])_[A-Z]{2}(?:_[A-Z])?_([wxyz])\b", r"\1\2", name)
     name = in_plain_letters(name).replace("°", " deg ")
     apart = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z]{2})", " ", name)
@@ -107,7 +116,7 @@ def words_of(name: str) -> list[str]:
 
 
 def _legs_in_one(words: list[str]) -> list[str]:
-    """Words in which "front" and "left", in either order, are "fl"."""
+    """Replace "front" and "left", in either order, by "fl"."""
     ends = [k for k, word in enumerate(words) if word in _ENDS]
     for k in ends:
         for other in (k + 1, k - 1):
@@ -119,11 +128,11 @@ def _legs_in_one(words: list[str]) -> list[str]:
 
 
 def read_name(name: str) -> Named:
-    """What a name says by itself."""
+    """Interpret a single name."""
     words = words_of(name)
     kind, leg, written, axis, unit, place, limb = "", "", "", "", "", None, None
     part: list[str] = []
-    # A vector's letter has an axis or a place; without, as in "motor 0A", it counts something.
+    # A vector's letter needs an axis or index; without, as in "motor 0A", it is a count.
     vectors = any(word in tuple("xyz") or word.isdigit() for word in words)
     for word in words:
         letters, digits = re.fullmatch(r"([a-z]*)([0-9]*).*", word).groups()  # pyright: ignore
@@ -150,7 +159,7 @@ def read_name(name: str) -> Named:
             part.append(word)
         elif word in _KINDS:
             found = _KINDS[word]
-            # "linear acceleration", "angular velocity" and "foot force" have two words of a kind.
+            # "linear acceleration", "angular velocity" and "foot force" have two words for a kind.
             kind = found if kind in ("", "foot") or (kind, found) == ("t", "q") else kind
             part += [word] if found == "euler" else []
         elif letters in _KINDS and digits and not kind:
@@ -175,7 +184,7 @@ def read_name(name: str) -> Named:
     if not kind and [word for word in words if word not in _UNITS] in (["x"], ["y"], ["z"]):
         kind, axis = "ref_p", axis or words[0]
     if kind in ("dq", "ref_q") and axis and not leg and _TURNING & set(words):
-        # "ang_vel", "imu_rate" and the like; "rot" alone is an attitude.
+        # "ang_vel", "imu_rate" and similar; "rot" alone is an attitude.
         kind = "gyro" if kind == "dq" or _RATES & set(words) else kind
     return Named(
         kind=kind,
@@ -192,7 +201,9 @@ def read_name(name: str) -> Named:
 
 
 def _of_a_leg(part: list[str]) -> str:
-    """Our name of a quadruped's hinge, by as many last words as say it: others are of the robot."""
+    """Our name of a quadruped's hinge, from the longest matching suffix; other words are the
+    robot's.
+    """
     for first in range(len(part)):
         if known := _OF_A_LEG.get("_".join(part[first:])):
             return known
@@ -200,7 +211,9 @@ def _of_a_leg(part: list[str]) -> str:
 
 
 def by_their_legs(names: Mapping[str, Named]) -> dict[str, Named]:
-    """Names of one recording: "abduct, hip, knee" of a quadruped are our hip, thigh, calf."""
+    """Interpret the names of one recording together: "abduct, hip, knee" of a quadruped are our
+    hip, thigh, calf.
+    """
     found = dict(names)
     hinges = {n: set(words_of(n)) for n, one in names.items() if one.leg in LEGS and one.part}
     written = set().union(*hinges.values()) if hinges else set()

@@ -1,4 +1,4 @@
-"""A file of a recording as read, before a map says what its columns are."""
+"""A file of a recording as read, before a map assigns its columns."""
 
 import re
 from collections.abc import Mapping
@@ -19,19 +19,25 @@ from surefoot.sim.importing.table import columns_of
 from surefoot.sim.robot.fixed_base import Machine
 
 _RATES = (8.0, 5000.0)
-"""Hz between which a log's rate lies."""
+"""Range of plausible rates of a log [Hz]."""
 _MOST_JOINTS = 100
-"""Words that a list of joints has at most."""
+"""Largest number of words in a list of joints."""
 
 
 @dataclass(frozen=True)
 class RecordedFile:
-    """A file of a recording, or the part of one that has a clock of its own, before a map.
+    """A file of a recording, or the part of one with its own clock, before a map.
 
-    label: a name for it; columns: by name, each (N,) on one clock, those of a bag interpolated to
-    it; recorded: the same as they are in the file; names: what each column's name says; lists:
-    names of joints that the file lists, by the list's name; layout: keys of [source] for a text; t:
-    the column of times, or None; seconds: (N,), its times [s].
+    Attributes:
+        path: of the file.
+        label: a name for it.
+        columns: by name, each (N,) on one clock, those of a bag interpolated to it.
+        recorded: the same as in the file.
+        names: interpretation of each column's name.
+        lists: names of joints that the file lists, by the list's name.
+        layout: keys of [source] for a text.
+        t: the column of times, or None.
+        seconds: its times (N,) [s].
     """
 
     path: Path
@@ -46,9 +52,9 @@ class RecordedFile:
 
 
 def recorded_files(path: Path, machine: Machine | None) -> list[RecordedFile]:
-    """Read the columns of numbers of a file: of a bag on one clock, else apart by their clocks.
+    """Read the numeric columns of a file: for a bag on one clock, else separately for each clock.
 
-    Empty where it has none. machine: its joints' names are known in those of columns; or None.
+    Empty where it has none. machine: its joint names are recognised in those of columns; or None.
     """
     if is_bag(path):
         return _of_bag(path, machine)
@@ -89,13 +95,13 @@ def _of_bag(path: Path, machine: Machine | None) -> list[RecordedFile]:
 def times_of_topic(
     topic: str, columns: Mapping[str, np.ndarray], names: Mapping[str, Named]
 ) -> Entry:
-    """The stamps in a topic's messages, or where they have none when these were received."""
+    """The stamps in a topic's messages or, without these, the times of reception."""
     own = {n: v for n, v in columns.items() if n.startswith(f"{topic}:") and names[n].kind == "t"}
     return column_of_times(own, names) or Entry("t", f"{topic}:{RECEIVED}", "s")
 
 
 def column_of_times(columns: Mapping[str, np.ndarray], names: Mapping[str, Named]) -> Entry | None:
-    """The column of times: one that is named so, or else one that rises in even steps."""
+    """The column of times: one with such a name, or else one that increases in even steps."""
     rising = [n for n, v in columns.items() if len(v) > 2 and np.all(np.diff(v) > 0.0)]
     named = [n for n in rising if names[n].kind == "t"]
     even = [n for n in rising if np.std(np.diff(columns[n])) < 0.5 * np.mean(np.diff(columns[n]))]
@@ -116,7 +122,7 @@ def _names(columns: Mapping[str, np.ndarray], machine: Machine | None) -> dict[s
 
 
 def _by_clock(columns: Mapping[str, np.ndarray]) -> list[dict[str, np.ndarray]]:
-    """The columns of as many rows together; of those, groups apart whose times are not the same."""
+    """Group the columns by number of rows and, within these, by equal times."""
     parts: dict[tuple[int, str], dict[str, np.ndarray]] = {}
     for rows in dict.fromkeys(map(len, columns.values())):
         own = {n: v for n, v in columns.items() if len(v) == rows}
@@ -130,7 +136,7 @@ def _by_clock(columns: Mapping[str, np.ndarray]) -> list[dict[str, np.ndarray]]:
 
 
 def _label(path: Path, part: Mapping[str, np.ndarray], whole: Mapping[str, np.ndarray]) -> str:
-    """A name for a part of a file: the file's, or of one in several parts that of its groups."""
+    """Name for a part of a file: the file's, or that of the part's groups."""
     if len(part) == len(whole):
         return _plain(path.stem)
     groups = dict.fromkeys(name.rpartition("/")[0] or name.partition("[")[0] for name in part)
@@ -142,7 +148,7 @@ def _plain(text: str) -> str:
 
 
 def _in_our_words(name: str, machine: Machine | None) -> str:
-    """A column's name with our name of the joint in place of the one in the robot's file."""
+    """Replace the joint's name of the robot's file in a column's name by ours."""
     if machine is None:
         return name
     both = zip(machine.joint_names, machine.limbs.joints, strict=True)

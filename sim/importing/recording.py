@@ -1,4 +1,4 @@
-"""A recording of any files becomes a Log, by an import map (`sim.importing.map`)."""
+"""Import a recording of any files as a Log, by an import map (`sim.importing.map`)."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -24,7 +24,7 @@ from surefoot.sim.log import Log
 
 Files = str | Path | Sequence[str | Path]
 STEM = "{name}"
-"""In the name of a further file: the name of the main one, without its ending."""
+"""Placeholder in the name of a further file for the main one's name, without its suffix."""
 BAGS = (".bag", ".mcap", ".db3")
 _READERS = {
     ".json": read_json,
@@ -36,21 +36,23 @@ _READERS = {
     ".h5": read_hdf5,
     ".hdf5": read_hdf5,
 }
-"""By the ending of a file; any other is a text."""
+"""Reader by suffix; any other file is read as text."""
 
 
 def import_log(files: Files, map_path: str | Path) -> Log:
-    """The log of a recording: its main file or the folder that holds it, and further files that the
-    map does not name, in the map's order. `map_path` is a map's file or the name of a bundled map.
+    """Import a recording as a log.
 
-    Rows outside the reference are cut. Raises SurefootError (LogError) in one line with file,
-    column and row.
+    files: its main file or the folder that contains it, then further files that the map does not
+    name, in the map's order. `map_path` is a map's file or the name of a bundled map. Rows outside
+    the reference are cut. Raises SurefootError (LogError) in one line with file, column and row.
     """
     return read_recording(files, map_path).log()
 
 
 def read_recording(files: Files, map_path: str | Path) -> RawRecording:
-    """What `import_log` makes a log of, with all rows and poses. Raises as it does."""
+    """Read a recording with all rows and poses, before `import_log` assembles it. Raises
+    likewise.
+    """
     rules = ImportMap.read(map_path)
     paths = [Path(files)] if isinstance(files, str | Path) else [Path(one) for one in files]
     # Files that the map names may be given too, in any order.
@@ -82,7 +84,7 @@ def read_recording(files: Files, map_path: str | Path) -> RawRecording:
 
 
 def _robot_file(rules: ImportMap, main: Path) -> str | None:
-    """The robot's name; of a file beside the map or the recording, its whole path."""
+    """The robot's name or, for a file beside the map or the recording, its full path."""
     for folder in (rules.path.parent, main.parent):
         if rules.robot and Path(rules.robot).suffix and (folder / rules.robot).is_file():
             return str((folder / rules.robot).resolve())
@@ -90,7 +92,7 @@ def _robot_file(rules: ImportMap, main: Path) -> str | None:
 
 
 def read_table(path: Path, source: Source) -> RecordedTable:
-    """The table of a file of any kind but a bag's. Raises SurefootError."""
+    """Read the table of a file of any kind except a bag. Raises SurefootError."""
     if path.exists():
         admitted(path, "recording")
     reader = _READERS.get(path.suffix.lower())
@@ -100,12 +102,12 @@ def read_table(path: Path, source: Source) -> RecordedTable:
 
 
 def is_text(path: Path) -> bool:
-    """Whether a file is read as a text, by its name."""
+    """Whether a file is read as text, by its name."""
     return not (is_bag(path) or path.suffix.lower() in (*_READERS, ".parquet"))
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path is that of a ROS 1, ROS 2 or MCAP bag, by its name."""
+    """Whether a path is a ROS 1, ROS 2 or MCAP bag, by its name."""
     return path.suffix.lower() in BAGS or (path / "metadata.yaml").is_file()
 
 
@@ -120,8 +122,7 @@ def _main_file(path: Path, rules: ImportMap) -> Path:
 def _streams(
     path: Path, source: Source, rules: ImportMap, name: str | None
 ) -> tuple[dict[str, Stamped], np.ndarray, tuple[str, ...]]:
-    """Readings of the columns of a file, by the log's names, in SI; the times of its rows; what to
-    say."""
+    """Columns of a file by the log's names, in SI; times of its rows; and notes."""
     columns = {n: c for n, c in rules.columns.items() if c.source == name and n != "t"}
     clock = rules.columns.get("t") if name is None else rules.clocks.get(name)
     if is_bag(path):
@@ -149,7 +150,7 @@ def _streams(
         found[log_name] = times[rows], column.read(values)
     if not apart or not found:
         return found, times, ()
-    # The clock of a file whose columns come at times of their own is that of the most frequent.
+    # If columns have different times, the rows are those of the most frequent one.
     first = max(found, key=lambda n: len(found[n][0]))
     return found, found[first][0], (f"rows: at the readings of {first}",)
 
@@ -169,12 +170,12 @@ def _of_bag(
     clock: MapColumn | None,
     rules: ImportMap,
 ) -> tuple[dict[str, Stamped], np.ndarray, tuple[str, ...]]:
-    """What `_streams` says, of a bag.
+    """`_streams` for a bag.
 
     Args:
         path: of the bag.
-        source: as the map describes it.
-        columns: that are read of it.
+        source: as described in the map.
+        columns: to read from it.
         clock: its column of times, if its rows are the log's.
         rules: the map, for messages.
     """
@@ -199,7 +200,9 @@ def _of_bag(
 
 
 def _reference(path: Path, rules: ImportMap, shared: bool) -> Columns:
-    """Columns t, ref_p and ref_q of the reference's own rows; shared: in the main file."""
+    """Columns t, ref_p and ref_q of the reference's own rows; shared: whether it is in the main
+    file.
+    """
     columns, source = rules.reference_columns, rules.reference
     assert source is not None
     if shared:

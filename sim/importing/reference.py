@@ -1,5 +1,6 @@
-"""The reference of a recording: poses of a tracked body on a clock of their own become the motion
-of the IMU frame at a log's rows."""
+"""Conversion of a recording's reference, poses of a tracked body with its own clock, to the motion
+of the IMU frame at a log's rows.
+"""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -12,11 +13,11 @@ from surefoot.sim.importing.sections import ReferenceTable
 from surefoot.sim.log.reference import Poses
 
 MAX_GAP = 0.05
-"""s. Over a longer gap in the reference, rows are interpolated and marked with ref_ok = 0."""
+"""Gap in the reference over which interpolated rows are marked with ref_ok = 0 [s]."""
 
 
 def poses_of(table: Columns) -> Poses:
-    """The poses of a reference's own table: t, ref_p and ref_q."""
+    """Poses in a reference's own table: t, ref_p and ref_q."""
     p = np.column_stack([table[f"ref_p_{axis}"] for axis in "xyz"])
     return Poses(table["t"], p, np.column_stack([table[f"ref_q_{axis}"] for axis in "wxyz"]))
 
@@ -28,14 +29,14 @@ def quaternions_of(angles: np.ndarray) -> Columns:
 
 
 def imu_poses(poses: Poses, rules: ImportMap, name: str) -> Poses:
-    """Poses of the IMU frame on the log's clock, from those of the body that was tracked.
+    """Poses of the IMU frame on the log's clock, from those of the tracked body.
+
+    Raises SurefootError where the map has no offset for this recording, or no position of the IMU.
 
     Args:
         poses: as recorded.
-        rules: whose `[reference]` says which body that is, where it is and how late its clock.
-        name: of the recording, for an offset that differs from one to the next.
-
-    Raises SurefootError where the map has no offset for this recording, or no place of the IMU.
+        rules: whose `[reference]` gives the body, its position and the clock's offset.
+        name: of the recording, for offsets that differ between recordings.
     """
     if rules.reference is None:
         return poses
@@ -58,8 +59,9 @@ def imu_poses(poses: Poses, rules: ImportMap, name: str) -> Poses:
 
 
 def mounted(poses: Poses, p_IM: np.ndarray, R_IM: np.ndarray) -> Poses:
-    """Poses of the IMU frame I from those of a body M, at p_IM (3,) [m] in I, whose axes R_IM (3,
-    3) turns into those of I."""
+    """Poses of the IMU frame I from those of a body M, at p_IM (3,) [m] in I with attitude R_IM (3,
+    3), from M to I.
+    """
     if not np.any(p_IM) and np.array_equal(R_IM, np.eye(3)):
         return poses
     R_GI = poses.R @ R_IM.T
@@ -67,12 +69,12 @@ def mounted(poses: Poses, p_IM: np.ndarray, R_IM: np.ndarray) -> Poses:
 
 
 def with_reference(main: Columns, poses: Poses, source: str) -> Columns:
-    """The columns of the rows that lie within the reference, with ref_p, ref_q and ref_ok.
+    """The rows within the reference's time, with ref_p, ref_q and ref_ok.
 
     Args:
         main: log columns with t.
         poses: of the IMU frame, on the same clock.
-        source: who is at fault where they do not overlap, for the message.
+        source: of the reference, for the message if they do not overlap.
     """
     t = main["t"]
     inside = (t >= poses.t[0]) & (t <= poses.t[-1])
@@ -91,10 +93,10 @@ def with_reference(main: Columns, poses: Poses, source: str) -> Columns:
 def interpolate_reference(
     t: np.ndarray, reference_t: np.ndarray, p: np.ndarray, q: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Poses at t (N,) from poses at reference_t (M,): p (M, 3) linearly, q (M, 4) by slerp.
+    """Interpolate poses at reference_t (M,) to t (N,): p (M, 3) linearly, q (M, 4) by slerp.
 
     Returns p (N, 3), unit q (N, 4) and ok (N,): False strictly inside a gap over MAX_GAP. All t
-    lie within the reference.
+    must lie within the reference.
     """
     after = np.clip(np.searchsorted(reference_t, t, side="left"), 1, len(reference_t) - 1)
     before = after - 1
@@ -105,7 +107,7 @@ def interpolate_reference(
     start, end = q[before], q[after]
     cosine = np.sum(start * end, axis=1, keepdims=True)
     end = np.where(cosine < 0.0, -end, end)
-    # atan2 of half the chord keeps its digits where the angle is small.
+    # atan2 of half the chord is accurate for small angles.
     angle = 2.0 * np.arctan2(
         np.linalg.norm(end - start, axis=1), np.linalg.norm(end + start, axis=1)
     )

@@ -1,5 +1,4 @@
-"""Is a reference what it seems? Miscounted frames, jumps, held samples and gaps, by itself
-alone."""
+"""Checks of a reference by itself: miscounted frames, jumps, held samples and gaps."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -11,37 +10,47 @@ from surefoot.sim.importing.reference import MAX_GAP
 from surefoot.sim.log.reference import Poses
 
 _MISCOUNTED = (1 / 2, 2 / 3, 3 / 2, 2.0)
-"""Speed of a step over its neighbours', where its stamps count one frame too many or too few: one
-for two, two for three, three for two, two for one."""
+"""Speed of a step relative to its neighbours', if its stamps count one frame too many or too few:
+one for two, two for three, three for two, two for one.
+"""
 _NEAR = 0.12
-"""Share by which a ratio may differ from one of these: less than half of what lies between them."""
+"""Tolerance of such a ratio: less than half of the distance between two of them."""
 _AROUND = 3
-"""Steps on either side whose median is the speed around a step: a step of gait is much longer."""
+"""Number of steps on either side whose median is the surrounding speed; a step of the gait is much
+longer.
+"""
 _STEADY = 0.1
-"""Share by which speeds around may spread (median deviation) for a step to be judged by them."""
+"""Relative spread (median deviation) of the surrounding speeds up to which a step can be judged."""
 _SLOWEST = 0.1
-"""m/s below which millimetres of noise change a speed by as much as a frame does."""
+"""Speed below which millimetres of noise change a speed as much as a frame does [m/s]."""
 _JUMP_ACCEL = 150.0
-"""m/s^2 from the speed around to that of a step: a body on legs is pushed by less than a third, a
-jump of 15 mm between samples at 100 Hz has as much."""
+"""Acceleration from the surrounding speed that is a jump [m/s^2]: legs cause less than a third of
+it; a jump of 15 mm between samples at 100 Hz has as much.
+"""
 _JUMP_TURN = 500.0
-"""rad/s^2, the same of the rate of turning: 3 degrees between samples at 100 Hz."""
+"""The same for the angular rate [rad/s^2]: 3 degrees between samples at 100 Hz."""
 _LEAST_JUMP, _LEAST_TURN = 0.005, 0.02
-"""m and rad of a jump, at any rate: a shin that strikes a stair's edge changes a body's speed by
-1 m/s, or 5 rad/s, from one millisecond to the next."""
+"""Least size of a jump, m and rad, at any rate: a shin that hits a stair's edge changes a body's
+velocity by 1 m/s, or 5 rad/s, within a millisecond.
+"""
 _FEW_DOUBTFUL = 0.03
-"""Share of doubtful stamps below which chance, and gait, explain them."""
+"""Share of doubtful stamps that chance and gait explain."""
 _SHOWN_DOUBTFUL = 5e-4
-"""Share below which they would be 0.0 %, of which nothing is said."""
+"""Share below which doubtful stamps are not reported, as it would print as 0.0 %."""
 _OUTLYING = 8.0
-"""Times its usual change by which a speed must change in a jump: a noisy reference has no more."""
+"""Ratio of a jump to the usual change of speed; noise of a reference stays below it."""
 
 
 @dataclass(frozen=True)
 class Jump:
-    """A jump of a reference, with the sample before and the one after, over which trackers often
-    spread it: `after` the first sample [s], moved [m] beyond the usual speed, turned [rad], within
-    so many seconds."""
+    """A jump of a reference, including the adjacent samples, over which trackers often spread it.
+
+    Attributes:
+        after: time since the first sample [s].
+        moved: displacement beyond the usual speed [m].
+        turned: rotation [rad].
+        within: duration [s].
+    """
 
     after: float
     moved: float
@@ -50,7 +59,7 @@ class Jump:
 
     @property
     def words(self) -> str:
-        """Size and time."""
+        """Size and time in words."""
         return (
             f"{1e3 * self.moved:.0f} mm and {np.degrees(self.turned):.1f} deg within "
             f"{1e3 * self.within:.0f} ms, {self.after:.2f} s after the first sample"
@@ -59,12 +68,18 @@ class Jump:
 
 @dataclass(frozen=True)
 class ReferenceCheck:
-    """What the samples of a reference say of themselves.
+    """Result of the checks of a reference.
 
-    samples: how many; rate [Hz]; judged: steps at a steady speed, by which frames can be counted;
-    miscounted: those of them off by a frame; jumps, held: steps from sample to sample that jump,
-    or repeat the pose to the last digit while the body moves; gaps: intervals over MAX_GAP;
-    longest_gap [s]; largest: of the jumps.
+    Attributes:
+        samples: number of samples.
+        rate: [Hz].
+        judged: steps at a steady speed, at which frames can be counted.
+        miscounted: those of them that are off by a frame.
+        jumps: steps between samples that jump.
+        held: steps that repeat the pose exactly while the body moves.
+        gaps: intervals over MAX_GAP.
+        longest_gap: [s].
+        largest: of the jumps.
     """
 
     samples: int
@@ -84,7 +99,7 @@ class ReferenceCheck:
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """In words, what there is and then what is wrong."""
+        """Description in words, followed by the faults."""
         said = [
             f"reference: {self.samples} samples, {self.rate:.3g} Hz; longest gap "
             f"{1e3 * self.longest_gap:.0f} ms, {self.gaps} over {1e3 * MAX_GAP:.0f} ms"
@@ -93,7 +108,7 @@ class ReferenceCheck:
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """In words, only what is wrong."""
+        """The faults only, in words."""
         return (*self._counted(_FEW_DOUBTFUL), *self._events)
 
     def _counted(self, least: float) -> tuple[str, ...]:
@@ -122,7 +137,7 @@ class ReferenceCheck:
 
 
 def check_reference(poses: Poses) -> ReferenceCheck:
-    """Check the samples of a reference, K of them, by themselves."""
+    """Check the K samples of a reference by themselves."""
     step = np.diff(poses.t)
     if len(step) < 2 * _AROUND + 1:
         return ReferenceCheck(len(poses.t), 0.0, 0, 0, 0, 0, 0, float(step.max(initial=0.0)))
@@ -146,7 +161,7 @@ def check_reference(poses: Poses) -> ReferenceCheck:
 
 
 def _jump(poses: Poses, step: int) -> Jump:
-    """The jump over a step, with the steps beside it."""
+    """The jump over a step, including the adjacent steps."""
     a, b = max(step - 1, 0), min(step + 2, len(poses.t) - 1)
     around = slice(max(a - _AROUND, 0), b + _AROUND + 1)
     t, p = poses.t[around], poses.p[around]
@@ -168,7 +183,9 @@ def _times_least(jump: Jump) -> float:
 
 
 def miscounts(poses: Poses) -> tuple[np.ndarray, np.ndarray]:
-    """Steps (K - 1,) between samples that are off by a frame, and those that can be judged."""
+    """Masks (K - 1,) of the steps between samples that are off by a frame, and of those that can be
+    judged.
+    """
     speed, around = _speeds(poses)
     spread = _median_around(np.abs(speed - around))
     judged = (around > _SLOWEST) & (spread < _STEADY * around)
@@ -178,7 +195,7 @@ def miscounts(poses: Poses) -> tuple[np.ndarray, np.ndarray]:
 
 
 def jumps(poses: Poses) -> np.ndarray:
-    """Steps (K - 1,) between samples over which position or attitude jumps."""
+    """Mask (K - 1,) of the steps between samples over which position or attitude jumps."""
     step = np.diff(poses.t)
     R = Rotation.from_quat(poses.q, scalar_first=True)
     turning = (R[:-1].inv() * R[1:]).magnitude() / step
@@ -195,8 +212,10 @@ def jumps(poses: Poses) -> np.ndarray:
 
 
 def without_jumps(poses: Poses, longest: float = 0.5) -> Poses:
-    """The poses but for those between a jump and one back, at most `longest` [s] later: a body that
-    was taken for another or turned about for some frames."""
+    """Remove the poses between a jump and one back, at most `longest` [s] later.
+
+    In these frames the tracker confused the body with another, or flipped its attitude.
+    """
     at = np.flatnonzero(jumps(poses))
     keep = np.ones(len(poses.t), dtype=bool)
     for first, last in pairwise(at):
@@ -206,7 +225,7 @@ def without_jumps(poses: Poses, longest: float = 0.5) -> Poses:
 
 
 def _speeds(poses: Poses) -> tuple[np.ndarray, np.ndarray]:
-    """Speed (K - 1,) [m/s] of each step, and the median speed of the steps around it."""
+    """Speed (K - 1,) [m/s] of each step, and the median speed of the surrounding steps."""
     speed = np.linalg.norm(np.diff(poses.p, axis=0), axis=1) / np.diff(poses.t)
     return speed, _median_around(speed)
 

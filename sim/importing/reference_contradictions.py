@@ -1,4 +1,4 @@
-"""Samples of a reference that the IMU contradicts: stamps far off, a body taken for another."""
+"""Samples of a reference that contradict the IMU: wrong stamps, or another body."""
 
 import numpy as np
 
@@ -12,28 +12,34 @@ from surefoot.sim.log.derived import derivative
 from surefoot.sim.log.reference import Poses
 
 _WINDOW = 0.1
-"""s over which the reference's velocity is compared with the accelerometer's integral: some
-samples of motion capture, and so short that bias and tilt change it by centimetres a second."""
+"""Interval over which the reference's velocity is compared with the integrated accelerometer [s]: a
+few samples of motion capture, short enough that bias and tilt change it by centimetres per second
+only.
+"""
 _LEAST = 0.25
-"""m/s of a change that no reference of a legged robot has by noise: 25 mm in the window."""
+"""Change of velocity that noise of no reference of a legged robot causes [m/s]: 25 mm in the
+window.
+"""
 _OUTLYING = 8.0
-"""Times the usual change from which one is no noise."""
+"""Ratio to the usual change from which it is no noise."""
 _MOST = 0.05
-"""Share of samples above which reference and IMU do not belong together at all: another clock,
-other axes or another place, which `surefoot align` solves."""
+"""Share of samples above which reference and IMU do not match at all: another clock, axes or
+position, which `surefoot align` estimates.
+"""
 _SHORTEST = 1.0
-"""s: reference between two contradictions, or at an end, that lasts less is marked with them."""
+"""Shortest section between two contradictions, or at an end, that is not marked with them [s]."""
 
 
 def contradicted(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, poses: Poses) -> np.ndarray:
-    """(K,) bool: the samples around which the reference's velocity changes and the IMU's does not.
+    """Mask (K,) of the samples around which the reference's velocity changes and the IMU's does
+    not.
 
-    All False where the reference as a whole does not move with the IMU, or has too few samples.
+    All False where the reference as a whole does not match the IMU, or has too few samples.
 
     Args:
         t: (N,) of the IMU's rows [s].
         gyro: (N, 3) [rad/s], mean over the step before each row.
-        accel: (N, 3) [m/s^2], the same.
+        accel: (N, 3) [m/s^2], likewise.
         poses: K, of the IMU frame.
     """
     found = np.zeros(len(poses.t), dtype=bool)
@@ -61,7 +67,7 @@ def contradicted(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, poses: Pose
 
 
 def _closed(t: np.ndarray, bad: np.ndarray) -> np.ndarray:
-    """The flags (K,), with the good pieces that are too short to be of use set as well."""
+    """The mask (K,), extended by good sections that are too short."""
     out = bad.copy()
     edges = np.flatnonzero(np.diff(bad.astype(int), prepend=1, append=1))
     for first, end in edges.reshape(-1, 2):

@@ -1,11 +1,12 @@
-"""How much each sample of a reference errs, by a smoother over IMU and poses.
- Beside the IMU's integrals (`sim.log.dead_reckoning`) the path of a tracked point is slow: a start,
-a velocity, a force that drifts with tilt and bias, and a lever arm that turns with the body. What a
-sample has beyond them is the noise of its position, and its speed times the error of its stamp. A
-Kalman filter with the states (position, velocity, drift, lever arm) says how likely the samples are
-at given sizes of these; the likeliest sizes are taken, and a Rauch-Tung-Striebel smoother
-re-estimates every stamp (Bar-Shalom et al., Estimation with Applications to Tracking and
-Navigation, 2001, ch. 8).
+"""Noise of a reference's samples, estimated by a smoother over IMU and poses.
+
+Relative to the IMU's integrals (`sim.log.dead_reckoning`), the path of a tracked point varies
+slowly: initial position and velocity, a force that drifts with tilt and bias, and a lever arm that
+rotates with the body. The rest of a sample is the noise of its position, and its velocity times the
+error of its stamp. The noise levels are found by maximum likelihood of a Kalman filter with the
+states position, velocity, drift and lever arm; a Rauch-Tung-Striebel smoother then re-estimates
+every stamp (Bar-Shalom et al., Estimation with Applications to Tracking and Navigation, 2001, ch.
+8).
 """
 
 from dataclasses import dataclass
@@ -19,35 +20,43 @@ from surefoot.sim.log.derived import REFERENCE_WINDOW, derivative
 from surefoot.sim.log.reference import Poses
 
 FEWEST_SAMPLES = 100
-"""Samples below which no noise is estimated."""
+"""Least number of samples for an estimate."""
 _LONGEST = 4000
-"""Samples, at the middle of a longer reference, that it is estimated from."""
+"""Number of samples used, from the middle of a longer reference."""
 _LEVER = 0.3
-"""m, standard deviation of each coordinate of the lever arm before anything is known."""
+"""Prior standard deviation of each coordinate of the lever arm [m]."""
 _DRIFT = 0.3
-"""m/s^2, of what bias and tilt do to the force, at the start."""
+"""Prior standard deviation of the drift of the force, from bias and tilt [m/s^2]."""
 _WANDER = 0.05
-"""m/s^2 over a root second, of how it wanders: the tilt of a walking body's attitude by a few
-tenths of a degree."""
+"""Random walk of this drift [m/s^2/sqrt(s)]: errors of a walking body's tilt of a few tenths of a
+degree.
+"""
 _START = (1e-3, 2e-3, 0.1)
-"""Position [m], stamp [s] and force [m/s^2/sqrt(Hz)] from which the likeliest sizes are
-searched."""
+"""Initial values of the search: position [m], stamp [s] and force [m/s^2/sqrt(Hz)]."""
 _SMALLEST = np.array([1e-5, 1e-5, 1e-3])
-"""Sizes, in the same order, below which they say nothing."""
+"""Lower limits of these values."""
 
 _TURN_WINDOW = 0.08
-"""s over which rates of turning are compared: short against a stride, some samples long."""
+"""Interval over which angular rates are compared [s]: short compared with a stride, some samples
+long.
+"""
 UNLIKE_TURNING = 0.5
-"""Share of the gyro's turning that a reference may miss before it is another body's, or another
-clock's: noise of a walking robot's motion capture leaves a few hundredths."""
+"""Share of the gyro's rotation that a reference may miss; beyond it, it is of another body or
+clock. Noise of a walking robot's motion capture leaves a few hundredths.
+"""
 
 
 @dataclass(frozen=True)
 class ReferenceNoise:
-    """Standard deviations of a sample's position [m], stamp [s] and attitude [rad]; of its
-    innovation, what a step from the sample before misses it by [m]; the root mean square of the
-    corrections of the stamps [s], re-estimated; and of the rest of IMU and model as a density of
-    force [m/s^2/sqrt(Hz)].
+    """Noise of a reference.
+
+    Attributes:
+        position: standard deviation of a sample's position [m].
+        stamp: standard deviation of a sample's stamp [s].
+        angle: standard deviation of a sample's attitude [rad].
+        innovation: standard deviation of the prediction error from one sample to the next [m].
+        correction: RMS of the corrections of the stamps [s].
+        force: remaining error of IMU and model, as a density of force [m/s^2/sqrt(Hz)].
     """
 
     position: float
@@ -59,7 +68,7 @@ class ReferenceNoise:
 
     @property
     def line(self) -> str:
-        """In words."""
+        """The result in words."""
         return (
             f"reference against the IMU: samples err by {1e3 * self.position:.2g} mm, "
             f"{np.degrees(self.angle):.2g} deg and {1e3 * self.stamp:.2g} ms; a smoother over both "
@@ -71,14 +80,15 @@ class ReferenceNoise:
 def reference_noise(
     t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, poses: Poses
 ) -> ReferenceNoise | None:
-    """How much the samples of a reference err; None where there are too few, or where it does not
-    turn as the IMU does.
+    """Estimate the noise of a reference's samples.
+
+    None where there are too few, or where it does not rotate like the IMU.
 
     Args:
         t: (N,) of the IMU's rows [s].
         gyro: (N, 3) [rad/s], mean over the step before each row.
-        accel: (N, 3) [m/s^2], the same.
-        poses: of the IMU frame, to the rotation; the tracked point may be elsewhere on the body.
+        accel: (N, 3) [m/s^2], likewise.
+        poses: with the attitude of the IMU frame; the tracked point may be elsewhere on the body.
     """
     poses = poses.rows((poses.t > t[1]) & (poses.t < t[-1]))
     extra = max(len(poses.t) - _LONGEST, 0) // 2
@@ -113,18 +123,21 @@ def reference_noise(
 
 
 def turning_missed(beside: BesideImu) -> float:
-    """Share of the gyro's turning that is not the reference's; over 1 where it is another's."""
+    """Share of the gyro's rotation that the reference does not have; over 1 for another body's."""
     other = derivative(beside.t, beside.turn, _TURN_WINDOW, causal=False)
     turning = np.sum(np.var(beside.omega, axis=0))
     return float(np.sum(np.var(other, axis=0)) / max(turning, 1e-12))
 
 
 def _angle(beside: BesideImu, stamp: float) -> float:
-    """Standard deviation of a sample's attitude [rad], about each axis: of how its turn beside the
-    gyro changes from one to the next, less what the error of its stamp [s] does to it."""
+    """Standard deviation of a sample's attitude [rad], about each axis.
+
+    From the changes, between samples, of its rotation relative to the gyro's integral, less the
+    contribution of the stamp's error [s].
+    """
     square = np.sort(np.sum(np.diff(beside.turn, axis=0) ** 2, axis=1)) / 6.0
     by_stamps = stamp**2 * np.mean(np.sum(beside.omega**2, axis=1)) / 3.0
-    # One sample in a hundred may be taken for another's.
+    # Up to 1 % of the samples may belong to another body.
     most = square[: int(np.ceil(0.99 * len(square)))].mean()
     return float(np.sqrt(max(most - by_stamps, 0.0)))
 
@@ -132,7 +145,8 @@ def _angle(beside: BesideImu, stamp: float) -> float:
 @kernel
 def _transition(dt, force):
     """Transition and process noise (12, 12) over dt [s]; `force` is the density of its white
-    part."""
+    part.
+    """
     F, Q = np.eye(12), np.zeros((12, 12))
     for i in range(3):
         F[i, 3 + i], F[i, 6 + i], F[3 + i, 6 + i] = dt, 0.5 * dt * dt, dt
@@ -144,17 +158,19 @@ def _transition(dt, force):
 
 @kernel
 def _filtered(dt, path, R_GI, velocity, position, stamp, force):
-    """Minus the log-likelihood, innovations (K, 3) [m], and the states that a smoother needs: their
-    means (K, 12) and covariances (K, 12, 12), predicted and updated.
+    """Kalman filter: negative log-likelihood, innovations (K, 3) [m], and the states for the
+    smoother.
+
+    The states are means (K, 12) and covariances (K, 12, 12), predicted and updated.
 
     Args:
         dt: (K,) since the sample before [s].
-        path: (K, 3) of the samples beside the IMU's [m].
+        path: (K, 3) of the samples relative to the IMU's [m].
         R_GI: (K, 3, 3).
         velocity: (K, 3) of the tracked point in G [m/s].
         position: standard deviation of a sample [m].
-        stamp: of its time [s].
-        force: density of what else moves the path [m/s^2/sqrt(Hz)].
+        stamp: standard deviation of its time [s].
+        force: density of other accelerations of the path [m/s^2/sqrt(Hz)].
     """
     count = len(dt)
     x, P = np.zeros(12), np.zeros((12, 12))
@@ -177,7 +193,7 @@ def _filtered(dt, path, R_GI, velocity, position, stamp, force):
         e = path[k] - H @ x
         gain = np.ascontiguousarray(np.linalg.solve(S, H @ P).T)
         x = x + gain @ e
-        # Joseph's form, which rounding leaves positive.
+        # Joseph's form, which stays positive definite under rounding.
         keep = np.eye(12) - gain @ H
         P = keep @ P @ keep.T + gain @ N @ gain.T
         means[1, k], covariances[1, k] = x, P
@@ -188,13 +204,13 @@ def _filtered(dt, path, R_GI, velocity, position, stamp, force):
 
 @kernel
 def _smoothed_rest(dt, path, R_GI, force, means, covariances):
-    """What the samples have beyond the smoothed path (K, 3) [m].
+    """Residuals of the samples from the smoothed path (K, 3) [m].
 
     Args:
         dt: (K,) since the sample before [s].
-        path: (K, 3) of the samples beside the IMU's [m].
+        path: (K, 3) of the samples relative to the IMU's [m].
         R_GI: (K, 3, 3).
-        force: density of what else moves the path [m/s^2/sqrt(Hz)].
+        force: density of other accelerations of the path [m/s^2/sqrt(Hz)].
         means: of the states, predicted and updated (2, K, 12).
         covariances: of the states (2, K, 12, 12).
     """

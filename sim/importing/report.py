@@ -1,4 +1,4 @@
-"""What a reader should know of a recording before its numbers: feet, stamps, reference."""
+"""Report on an imported recording: feet, stamps and reference."""
 
 import numpy as np
 
@@ -14,9 +14,9 @@ from surefoot.sim.robot.fixed_base import machine_for_log
 
 
 def reference_lines(log: Log, poses: Poses | None = None) -> tuple[str, ...]:
-    """The reference of a log in lines: its samples, and what IMU and samples say together.
+    """Lines on the reference of a log: its samples, and their agreement with the IMU.
 
-    `poses` are its samples where they are known; else they are found in the log. Empty without a
+    `poses` are its samples where known; else they are recovered from the log. Empty without a
     reference.
     """
     if not log.has("reference"):
@@ -47,9 +47,12 @@ def import_lines(
     wrong: np.ndarray | None = None,
     notes: tuple[str, ...] = (),
 ) -> tuple[str, ...]:
-    """What to say of a log that was imported: `notes` of how it was read, the radius of its feet,
-    its stamps, its reference, and which of the `poses` the log does without since the IMU
-    contradicts them (`wrong`, (K,) bool). What is not plausible is `sim.plausibility`'s to say."""
+    """Lines on an imported log.
+
+    `notes` on how it was read, the radius of its feet, its stamps, its reference, and which of the
+    `poses` were omitted since the IMU contradicts them (`wrong`, (K,) bool). Implausible values are
+    reported by `sim.plausibility`.
+    """
     jitter = jitter_line(log.t)
     return (
         *notes,
@@ -61,8 +64,7 @@ def import_lines(
 
 
 def _feet_lines(log: Log) -> tuple[str, ...]:
-    """At which radius the feet of the log's robot roll, where its map does not say it; nothing of a
-    simulated log, which has no map."""
+    """The radius of the feet that is used if the map states none; empty for a simulated log."""
     said = "foot_radius" in log.meta.model or log.meta.seed is not None
     if log.meta.robot is None or said or not log.has("q"):
         return ()

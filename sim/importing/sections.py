@@ -1,4 +1,4 @@
-"""The sections of an import map; `sim.importing.map` reads them and checks them together."""
+"""Sections of an import map; `sim.importing.map` reads them and checks them together."""
 
 import math
 from dataclasses import dataclass, field
@@ -11,20 +11,22 @@ from surefoot.sim.common.toml import Name, NonNegative, Positive
 from surefoot.sim.importing.columns import ColumnEntry, Entries, check_sign
 
 EVENNESS = 4e-3 / 3
-"""m: DIN 18202, table 3, group 3 allows finished floors 4 mm between points a metre apart, here
-treated as three standard deviations. A log that was simulated elsewhere has evenness = 0."""
+"""Default unevenness of the ground [m]: DIN 18202, table 3, group 3 allows finished floors 4 mm
+between points a metre apart, taken as three standard deviations. A log simulated elsewhere has
+evenness = 0.
+"""
 OneCharacter = Annotated[str, msgspec.Meta(pattern=r"^[^\r\n\"]\Z")]
-"""Of a line, and no quotation mark."""
+"""Within a line, and no quotation mark."""
 
 
 @dataclass(frozen=True)
 class Long:
-    """[sources.<name>.long] or [source.long]: a table with one reading a row."""
+    """[sources.<name>.long] or [source.long]: a table with one reading per row."""
 
     name: Name
-    """Column that says what a row is a reading of."""
+    """Column with the name of each row's quantity."""
     value: Name
-    """Column of the reading."""
+    """Column with the reading."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,49 +37,59 @@ class Source:
     """
 
     file: Name | None = None
-    """Name, beside the main file; "{name}" in it is the main file's name without its ending."""
+    """File name, relative to the main file; "{name}" in it is the main file's name without its
+    suffix.
+    """
     rate: Positive | None = None
-    """Hz, where it has no times."""
+    """Rate of the rows [Hz], for a file without times."""
     t: Name | ColumnEntry | None = None
-    """Of a further file: its times, on the log's clock after unit and offset."""
+    """Times of a further file, on the log's clock after unit and offset."""
     separator: Annotated[str, msgspec.Meta(pattern=r'^([^\r\n"]|\\s\+)\Z')] | None = None
-    """Between the cells of a text: `,` `;` `|`, a tab or spaces are found where left out."""
+    """Separator of a text: `,` `;` `|`, a tab or spaces are detected by default."""
     header: bool = True
-    """Whether a text's first line has names; else columns are called 0, 1, 2, ..."""
+    """Whether a text's first line has the column names; else columns are called 0, 1, 2, ..."""
     skip: Annotated[int, msgspec.Meta(ge=0, le=1_000_000)] = 0
-    """Lines of a text before the first that counts."""
+    """Number of lines of a text to skip at the beginning."""
     comment: OneCharacter | None = None
-    """What begins a comment in a text."""
+    """Prefix of comments in a text."""
     decimal: OneCharacter = "."
-    """Before the decimals in a text."""
+    """Decimal sign of a text."""
     sparse: bool = False
-    """Cells may be empty: a column's readings are in the rows that have one."""
+    """Whether cells may be empty: a column's readings are in the rows that have one."""
     long: Long | None = None
-    """Of a table with one reading a row; what it has readings of are its columns."""
+    """For a table with one reading per row; the quantities become its columns."""
     names: tuple[Name, ...] = ()
-    """Of the places in its lists, so that "positions[knee]" may be written for "positions[3]"."""
+    """Names of the elements of its lists, so that "positions[knee]" may be written for
+    "positions[3]".
+    """
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceTable(Source):
-    """[reference]: the motion that a log is compared with. It has the keys of a file too: without
-    `file`, its columns are of the main file."""
+    """[reference]: the motion that a log is compared with. Has the keys of a file too; without
+    `file`, its columns are in the main file.
+    """
 
     columns: Entries
     """[reference.columns]: t, ref_p_{x,y,z} and ref_q_{w,x,y,z}; or ref_roll, ref_pitch and ref_yaw
-    instead of ref_q, of R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    instead of ref_q, with R = Rz(yaw) Ry(pitch) Rx(roll).
+    """
     frame: Literal["imu", "base"] = "imu"
-    """Whose pose it is: the IMU's, or the base's of the robot."""
+    """Frame of the poses: the IMU's, or the robot's base."""
     offset: float | dict[str, float] = 0.0
-    """s, added to its times, as `surefoot align` finds it; or a table by recording."""
+    """Added to its times [s], as found by `surefoot align`; or a table by recording."""
     p_IM: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """m, where the tracked body is in the IMU frame."""
+    """Position of the tracked body in the IMU frame [m]."""
     q_IM: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
-    """(w, x, y, z) of the tracked body in the IMU frame."""
+    """Attitude (w, x, y, z) of the tracked body in the IMU frame."""
     q_GW: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
-    """(w, x, y, z) of its world in one with z up: of a world with y up (0.7071, 0.7071, 0, 0)."""
+    """Attitude (w, x, y, z) of its world in one with z up; (0.7071, 0.7071, 0, 0) for a world with
+    y up.
+    """
     inverse: bool = False
-    """Its attitudes turn the world's axes into the body's, not the body's into the world's."""
+    """Whether its attitudes map the world's axes to the body's, instead of the body's to the
+    world's.
+    """
 
     def __post_init__(self):
         check_unit("q_IM", self.q_IM)
@@ -88,23 +100,24 @@ class ReferenceTable(Source):
 
 @dataclass(frozen=True)
 class RobotTable:
-    """[robot]: whose log it is. What is said here overrides the robot's file."""
+    """[robot]: the robot of the log. Values here override those of its file."""
 
     name: Name
-    """A known name, or an MJCF or URDF file: a path, beside the map or beside the recording."""
+    """A known name, or an MJCF or URDF file: a path, also relative to the map or the recording."""
     imu_position: tuple[float, float, float] | None = None
-    """m, of the IMU in the base frame; the file's where left out."""
+    """Position of the IMU in the base frame [m]; by default the file's."""
     imu_orientation: tuple[float, float, float, float] | None = None
-    """(w, x, y, z) of the IMU in the base frame; the file's where left out."""
+    """Attitude (w, x, y, z) of the IMU in the base frame; by default the file's."""
     foot_radius: NonNegative | None = None
-    """m, at which the feet roll; the file's where left out, which `import` then says; 0 for
-    points."""
+    """Radius on which the feet roll [m]; by default the file's, which `import` then reports; 0 for
+    points.
+    """
     feet: dict[str, Name] | None = None
     """By leg, the body or site of the file that is its foot."""
     joint_sign: dict[str, float] = field(default_factory=dict)
     """By joint, 1 or -1: q = sign * theirs + offset."""
     joint_offset: dict[str, float] = field(default_factory=dict)
-    """By joint, rad."""
+    """By joint [rad]."""
 
     def __post_init__(self):
         if self.imu_orientation is not None:
@@ -113,7 +126,7 @@ class RobotTable:
             check_sign(f"joint_sign.{joint}", sign)
 
     def model(self) -> dict[str, Any]:
-        """What a log's metadata keep of it."""
+        """The entries that a log's metadata keep."""
         given = {
             "p_BI": self.imu_position,
             "q_BI": self.imu_orientation,
@@ -125,33 +138,36 @@ class RobotTable:
 
 @dataclass(frozen=True)
 class GroundTable:
-    """[ground]: where the robot walks."""
+    """[ground]: the ground on which the robot walks."""
 
     evenness: NonNegative = EVENNESS
-    """m, standard deviation of its height about a plane: a finished floor's where left out, 0 in a
-    simulation."""
+    """Standard deviation of its height about a plane [m]; by default a finished floor's, 0 for a
+    simulation.
+    """
 
 
 @dataclass(frozen=True)
 class ContactTable:
-    """[contact]: which feet stand, where the recording has no contact_<leg>."""
+    """[contact]: detection of contacts, for a recording without contact_<leg>."""
 
     on: float | dict[str, float]
-    """Threshold from which a foot stands; a number, or a table by leg."""
+    """Threshold above which a foot stands; a number, or a table by leg."""
     off: float | dict[str, float]
-    """Threshold from which it does not."""
+    """Threshold below which it no longer does."""
     of: Literal["force", "torque", "kinematics", "gait"] = "force"
-    """What is compared: force_<leg>, in its own unit; the upward force [N] that the joints' torques
-    put on the foot; how fast the foot moves beside the lowest one [m/s]; or, of legs that swing
-    together, as the diagonals of a trot do, how high their feet are above the lowest others [m]."""
+    """Quantity that is compared: force_<leg>, in its own unit; the upward force [N] of the joints'
+    torques on the foot; the foot's speed relative to the lowest one [m/s]; or, for legs that swing
+    together like the diagonals of a trot, the height of their feet above the lowest others [m].
+    """
     offset: float | dict[str, float] = 0.0
-    """Taken off before."""
+    """Subtracted first."""
     debounce: NonNegative = 0.0
-    """s beyond `on` before a foot stands."""
+    """Time above `on` before a foot stands [s]."""
 
     def by_leg(self, legs: tuple[str, ...]) -> dict[str, tuple[float, float, float]]:
-        """Offset, on and off of each leg; of kinematics and gait all negative, for slower or lower
-        is loaded."""
+        """Offset, on and off of each leg; negative for kinematics and gait, where slower or lower
+        is loaded.
+        """
         table = {key: _by_leg(key, getattr(self, key), legs) for key in ("offset", "on", "off")}
         falling = self.of in ("kinematics", "gait")
         sign = -1.0 if falling else 1.0
@@ -170,23 +186,25 @@ class MotorLaw:
     """[motor_law]: torque = kp (q_des - q) + kd (dq_des - dq) + tau_ff, at the joint."""
 
     kp: NonNegative | dict[str, float]
-    """N m/rad; a number, or a table by joint."""
+    """Position gain [N m/rad]; a number, or a table by joint."""
     kd: NonNegative | dict[str, float]
-    """N m s/rad."""
+    """Rate gain [N m s/rad]."""
 
 
 @dataclass(frozen=True)
 class EvenTable:
-    """[even]: rows at an even rate, and streams that are held made continuous."""
+    """[even]: resampling to an even rate, and interpolation of held streams."""
 
     rate: Positive | None = None
-    """Hz, of the rows; the median of what was recorded where left out."""
+    """Rate of the rows [Hz]; by default the median of the recording."""
     held: tuple[Name, ...] = ()
     """Kinds of columns ("q", "dq", "gyro", ...) that repeat a reading until the next: rows between
-    get values on straight lines from one to the next."""
+    are interpolated linearly.
+    """
     late: dict[str, float] = field(default_factory=dict)
-    """s by which kinds of columns ("foot", "dq", ...), or columns, come after what they measure:
-    they are moved to when it was. Of a further file, its times have an offset instead."""
+    """Delay [s] of kinds of columns ("foot", "dq", ...), or of columns, which is removed. The times
+    of a further file have an offset instead.
+    """
 
     def __post_init__(self):
         for kind, delay in self.late.items():
@@ -195,7 +213,7 @@ class EvenTable:
 
 
 def check_unit(key: str, q: tuple[float, ...]) -> None:
-    """Raise SurefootError unless q is of unit length, to the digits that people write."""
+    """Raise SurefootError unless q is of unit length, within the rounding of written numbers."""
     if abs(sum(c * c for c in q) - 1.0) > 1e-4:
         raise SurefootError(f"{key} is not a unit quaternion (w, x, y, z)")
 

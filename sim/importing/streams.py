@@ -1,9 +1,9 @@
-"""Streams of a log that are not what their rows say: sampled slower and held, or late.
+"""Streams of a log that are held or late.
 
-A column is held where it repeats its value to the last digit although it moves by far more than its
-resolution: a slower sensor was read more often than it measures. A stream is late where another
-column of the log measures the same: rates against the change of their angles, the reference's
-velocity against its positions.
+A column is held if it repeats its value exactly although it moves by far more than its resolution:
+a slower sensor was read more often than it measures. A stream is late relative to another column
+that measures the same: rates and the derivative of their angles, the reference's velocity and its
+positions.
 """
 
 from collections import defaultdict
@@ -17,37 +17,37 @@ from surefoot.sim.log.derived import JOINT_WINDOW, REFERENCE_WINDOW, derivative
 from surefoot.sim.log.schema import joint_prefix
 
 _MOVES = 20.0
-"""Resolutions that a column must move by within _MOVING seconds for a repeated value to be
-telling."""
+"""Motion within _MOVING seconds, in resolutions, at which a repeated value is significant."""
 _MOVING = 0.05
-"""s: half a swing."""
+"""Half a swing [s]."""
 _HELD_SHARE = 0.15
-"""Share of repeated values from which a column is held: fewer are whole counts of a slow sensor, or
-single rows that were missed."""
+"""Share of repeated values from which a column is held; fewer are quantisation of a slow motion, or
+single missed rows.
+"""
 _MOVING_ROWS = 50
-"""Rows of motion below which nothing is said."""
+"""Least number of rows in motion."""
 _FEWEST_ROWS = 10
-"""Below which no delay is looked for."""
+"""Least number of rows for a delay."""
 _LATEST = 0.05
-"""s up to which a delay is looked for, as of the effects of timing."""
+"""Largest delay that is searched for [s], as for the effects of timing."""
 _LATEST_REFERENCE = 0.3
-"""s, the same of a reference's velocity, which a tracker's filter makes."""
+"""The same for a reference's velocity, which a tracker's filter delays [s]."""
 _LEAST_DELAY = 2e-3
-"""s below which a delay is not reported, nor below a quarter of a row."""
+"""Smallest delay that is reported [s]; at least a quarter of a row."""
 _ALIKE = 0.5
-"""Correlation below which two columns do not measure the same, whatever their delay."""
+"""Correlation below which two columns do not measure the same, at any delay."""
 
 
 @dataclass(frozen=True)
 class HeldStream:
-    """Columns whose values change `rate` times a second [Hz] and are held in the rows between."""
+    """Columns whose values change at `rate` [Hz] and are held in the rows between."""
 
     columns: tuple[str, ...]
     rate: float
 
     @property
     def line(self) -> str:
-        """In words."""
+        """Description in words."""
         return (
             f"held: {_names(self.columns)} are sampled at {self.rate:.0f} Hz and repeated between"
         )
@@ -55,7 +55,7 @@ class HeldStream:
 
 @dataclass(frozen=True)
 class LateStream:
-    """Columns that come `delay` [s] after `witness`, which measures the same."""
+    """Columns with a `delay` [s] relative to `witness`, which measures the same."""
 
     columns: tuple[str, ...]
     delay: float
@@ -63,7 +63,7 @@ class LateStream:
 
     @property
     def line(self) -> str:
-        """In words."""
+        """Description in words."""
         which = "late" if self.delay > 0 else "early"
         return (
             f"{which}: {_names(self.columns)} by {1e3 * abs(self.delay):.1f} ms against "
@@ -72,8 +72,10 @@ class LateStream:
 
 
 def held_streams(log: Log) -> tuple[HeldStream, ...]:
-    """Columns of a log that were sampled slower than its rows; those of one kind (gyro, q, ...)
-    together, at their median rate."""
+    """Columns of a log that were sampled more slowly than its rows.
+
+    Grouped by kind (gyro, q, ...), with the median rate.
+    """
     found: dict[str, dict[str, float]] = defaultdict(dict)
     for name in map(str, log.frame):
         if name == "t" or name.startswith(("ref_", "contact_", "slip_", "mu_")):
@@ -88,7 +90,7 @@ def held_streams(log: Log) -> tuple[HeldStream, ...]:
 
 
 def late_streams(log: Log) -> tuple[LateStream, ...]:
-    """Streams of a log that are late against what measures the same; negative where early."""
+    """Streams of a log that are late relative to what measures the same; negative if early."""
     found = []
     if log.has("q") and log.has("dq"):
         lag = delay_between(log.t, log.dq, derivative(log.t, log.q, JOINT_WINDOW, causal=False))
@@ -109,9 +111,10 @@ def late_streams(log: Log) -> tuple[LateStream, ...]:
 def delay_between(
     t: np.ndarray, late: np.ndarray, witness: np.ndarray, latest: float = _LATEST
 ) -> float:
-    """How much later [s], at most `latest`, `late` (N, D) shows what `witness` (N, D) does, at the
-    times t (N,) [s]: where their correlation is largest, by a parabola through it. 0 where they are
-    not alike."""
+    """Delay [s], at most `latest`, of `late` (N, D) relative to `witness` (N, D), at t (N,) [s].
+
+    Maximum of their correlation, refined by a parabola. 0 where they do not correlate.
+    """
     if len(t) < _FEWEST_ROWS:
         return 0.0
     dt = float(np.median(np.diff(t)))
@@ -132,12 +135,12 @@ def delay_between(
 
 
 def _repeated(t: np.ndarray, x: np.ndarray) -> float:
-    """Share of the rows of x (N,) that repeat the one before, of those at which it moves."""
+    """Share of the moving rows of x (N,) that repeat the one before."""
     change = np.abs(np.diff(x))
     if not change.any():
         return 0.0
     resolution = change[change > 0].min()
-    # What it travels within the window is far cheaper than its range, and as telling.
+    # The distance travelled within the window is much cheaper than its range, and as informative.
     travelled = np.concatenate([[0.0], np.cumsum(change)])
     ahead = np.interp(t[1:] + 0.5 * _MOVING, t, travelled)
     behind = np.interp(t[1:] - 0.5 * _MOVING, t, travelled)

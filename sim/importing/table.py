@@ -1,4 +1,4 @@
-"""A file as a table: named columns of raw cells, and how numbers are read from them."""
+"""A file as a table of raw cells, and the conversion of its columns to numbers."""
 
 import re
 from collections.abc import Mapping
@@ -15,10 +15,13 @@ _SHOWN = 12
 
 @dataclass(frozen=True)
 class RecordedTable:
-    """Columns of a file, each (N,) of numbers or of anything, or (N, K) of numbers.
+    """Columns of a file, each (N,) of numbers or objects, or (N, K) of numbers.
 
-    path: of the file; cells: by name; row: what a row is called in messages; first: number of the
-    first.
+    Attributes:
+        path: of the file.
+        cells: by name.
+        row: name of a row in messages.
+        first: number of the first row.
     """
 
     path: object
@@ -28,16 +31,16 @@ class RecordedTable:
 
 
 def column_readings(table: RecordedTable, column: str, source: Source, word: str | None = None):
-    """Rows (M,) that have a reading of a column, and its values (M,) in their unit, float64.
+    """Rows (M,) with a reading of a column, and its values (M,) in their unit, float64.
+
+    Raises SurefootError naming file, column and row.
 
     Args:
         table: of the file.
-        column: its name; "name[3]" is a place in a list or a column of an array; of a long table,
-            what its rows are readings of.
-        source: how the file is written.
-        word: text that stands for 1; anything else is 0.
-
-    Raises SurefootError naming file, column and row.
+        column: its name; "name[3]" is an element of a list or a column of an array; in a long
+            table, the quantity of its rows.
+        source: layout of the file.
+        word: text that means 1; any other is 0.
     """
     if source.long is None:
         cells, rows = _cells(table, column, source), None
@@ -58,7 +61,7 @@ def column_readings(table: RecordedTable, column: str, source: Source, word: str
 
 
 def columns_of(table: RecordedTable) -> dict[str, np.ndarray]:
-    """Every column of numbers by the name that a map gives it; places of lists apart."""
+    """All numeric columns by their names in a map, with elements of lists as separate columns."""
     found: dict[str, np.ndarray] = {}
     for name, cells in table.cells.items():
         first = _list(cells[0]) if cells.ndim == 1 and len(cells) else None
@@ -133,14 +136,14 @@ def _at(table: RecordedTable, column: str, cells: np.ndarray, place: int) -> np.
 
 
 def _list(cell: object) -> object:
-    """What a cell is: a text such as "[0.1, 2]" or "(0.1 2)" is a list."""
+    """The value of a cell; a text such as "[0.1, 2]" or "(0.1 2)" is a list."""
     if isinstance(cell, str) and cell[:1] in ("[", "(") and cell[-1:] in ("]", ")"):
         return cell[1:-1].replace(",", " ").split()
     return cell
 
 
 def _oriented(table: RecordedTable, cells: np.ndarray) -> np.ndarray:
-    """An array with its rows first: as many as the file's longest single column has."""
+    """Transpose an array to have rows first, by the length of the file's longest column."""
     rows = {max(one.shape) for one in table.cells.values() if 1 in one.shape or one.ndim == 1}
     a, b = cells.shape
     return cells.T if (a not in rows and b in rows) or (not rows and b > a) else cells
@@ -160,9 +163,9 @@ def _numbers(
     Args:
         table: of the file, for the message.
         column: its name, for the message.
-        cells: (M,) of anything.
-        rows: (M,) that they are of.
-        word: text that stands for 1; anything else is 0.
+        cells: (M,) of objects.
+        rows: (M,) their rows.
+        word: text that means 1; any other is 0.
     """
     if word is not None:
         return np.array([str(cell).strip() == word for cell in cells], dtype=float)

@@ -1,4 +1,4 @@
-"""A table as text: CSV and its relatives."""
+"""Tables as text: CSV and similar formats."""
 
 import csv
 import warnings
@@ -18,25 +18,25 @@ _SPACES = r"\s+"
 
 
 def read_csv(path: str | Path, columns: Sequence[str]) -> dict[str, np.ndarray]:
-    """The named columns of a CSV file with a header, each (N,) float64 and finite.
+    """Read the named columns of a CSV file with a header, each (N,) float64 and finite.
 
-    Lines are counted from 1, the header included. Raises SurefootError for a file that is not
-    there or not text, a missing or doubled column, a line of the wrong length, and a cell that is
-    empty, not a number, or not finite.
+    Lines are counted from 1, including the header. Raises SurefootError for a missing or binary
+    file, a missing or duplicate column, a line of the wrong length, and a cell that is empty, not a
+    number, or not finite.
     """
     table = read_text(Path(path), Source())
     return {name: column_readings(table, name, Source())[1] for name in columns}
 
 
 def read_text(path: Path, source: Source) -> RecordedTable:
-    """The table of a text file. Raises SurefootError in one line with file and line."""
+    """Read the table of a text file. Raises SurefootError in one line with file and line."""
     if not path.is_file():
         raise SurefootError(f"{path}: no such file")
     try:
         encoding = encoding_of(path)
         header, separator, apart = _first_line(path, source, encoding)
         with warnings.catch_warnings():
-            # Too long a first line is a warning in pandas, and shifts the columns.
+            # pandas only warns of a first line that is too long, and shifts the columns.
             warnings.simplefilter("error", pd.errors.ParserWarning)
             frame = pd.read_csv(
                 path,
@@ -56,7 +56,7 @@ def read_text(path: Path, source: Source) -> RecordedTable:
     except (ValueError, pd.errors.ParserWarning, csv.Error, OSError) as error:
         raise SurefootError(f"{path}: {_one_line(error)}") from error
     if len(frame.columns) != len(header):
-        # Quotation marks hold spaces together for one of the two, and not for the other.
+        # Quotation marks keep spaces together in one of the two readings, but not in the other.
         raise SurefootError(f"{path}: line {source.skip + 1}: quotation marks in the header")
     frame.columns = header
     empty = frame.isna().all(axis=1).to_numpy()
@@ -70,7 +70,7 @@ def read_text(path: Path, source: Source) -> RecordedTable:
 
 
 class _Columns(dict):
-    """Columns by name, of which a doubled one is an error only if it is asked for."""
+    """Columns by name; a duplicate one is an error only if it is requested."""
 
     def __init__(self, path: Path, header: list[str], cells: dict[str, np.ndarray]):
         super().__init__(cells)
@@ -83,8 +83,7 @@ class _Columns(dict):
 
 
 def _first_line(path: Path, source: Source, encoding: str) -> tuple[list[str], str, bool]:
-    """Names of the columns, what separates them, and whether a sign of a comment stands apart
-    before the names."""
+    """Column names, separator, and whether a comment sign precedes the names."""
     with path.open(newline="", encoding=encoding) as stream:
         for _ in range(source.skip):
             stream.readline()
@@ -105,7 +104,7 @@ def _first_line(path: Path, source: Source, encoding: str) -> tuple[list[str], s
 
 
 def _separator(line: str) -> str:
-    """The one that there is most of; of none, spaces if it has any."""
+    """The most frequent separator; without any, spaces if there are some."""
     most = max(",;\t|", key=line.count)
     if line.count(most):
         return most

@@ -1,8 +1,9 @@
-"""Poses of a reference beside what the IMU alone integrates to between them.
- The gyro's integral gives the attitude but for a start and a drift; the specific force turned by
-it, with gravity, gives the path but for a start, a velocity and a drift. What poses have beside
-these two is slow where IMU and reference belong together: it shows a clock that is late, another
-place of the tracked point, a bias, and the noise of each sample.
+"""Poses of a reference relative to the integrals of the IMU.
+
+The integrated gyro gives the attitude up to an initial value and a drift; the specific force,
+rotated by it and with gravity added, gives the path up to an initial position, a velocity and a
+drift. The difference of the poses from both varies slowly if IMU and reference match. It reveals a
+clock offset, another position of the tracked point, a bias, and the noise of each sample.
 """
 
 from dataclasses import dataclass
@@ -16,18 +17,23 @@ from surefoot.sim.log.derived import local_quadratic
 from surefoot.sim.log.reference import Poses
 
 _DRIFT = 0.5
-"""s over which the gyro is trusted beside the poses: its noise turns it by less than a
-hundredth of a degree in this time, the poses' own noise averages out."""
+"""Time constant for which the gyro is trusted relative to the poses [s]: its noise rotates it by
+less than 0.01 degrees in this time, and the poses' noise averages out.
+"""
 
 
 @dataclass(frozen=True)
 class BesideImu:
-    """What K poses have beside the IMU's integrals, at their times t (K,) [s].
+    """K poses relative to the IMU's integrals.
 
-    turn (K, 3): rotation vector [rad] in G from the integrated attitude to the pose's; drift
-    (K, 3): the slow part of it; path (K, 3): position minus the twice integrated specific force
-    [m]; R_GI (K, 3, 3): attitudes by the gyro but for the drift, which have none of the poses'
-    noise from one to the next; omega (K, 3): angular rate in I [rad/s].
+    Attributes:
+        t: times (K,) [s].
+        turn: rotation vector in G from the integrated attitude to the pose's (K, 3) [rad].
+        drift: slow part of `turn` (K, 3) [rad].
+        path: position minus the twice integrated specific force (K, 3) [m].
+        R_GI: attitudes by the gyro, corrected for the drift (K, 3, 3), without the poses' noise
+            between samples.
+        omega: angular rate in I (K, 3) [rad/s].
     """
 
     t: np.ndarray
@@ -39,9 +45,11 @@ class BesideImu:
 
 
 def beside_imu(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, poses: Poses) -> BesideImu:
-    """Poses of the IMU frame, all within the times t (N,) [s] of the IMU's rows, beside the
-    integrals of gyro (N, 3) [rad/s] and accel (N, 3) [m/s^2], means over the step before each
-    row."""
+    """Compare poses of the IMU frame with the integrals of the IMU.
+
+    The poses must lie within the times t (N,) [s] of the IMU's rows; gyro (N, 3) [rad/s] and accel
+    (N, 3) [m/s^2] are means over the step before each row.
+    """
     dt = np.diff(t)
     turned = _integrated(gyro[1:] * dt[:, None])
     row = np.clip(np.searchsorted(t, poses.t, side="right") - 1, 0, len(t) - 2)
@@ -67,10 +75,10 @@ def beside_imu(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, poses: Poses)
 
 @kernel
 def _integrated(turns):
-    """Attitudes (N + 1, 3, 3) after rotation vectors (N, 3) [rad] one after another, from I on."""
+    """Attitudes (N + 1, 3, 3) after successive rotation vectors (N, 3) [rad], starting from I."""
     n = len(turns)
     R = np.empty((n + 1, 3, 3))
-    # As a quaternion, which stays one: products of matrices would drift from orthogonal.
+    # As a quaternion, which is easily kept normalised; products of matrices lose orthogonality.
     w, x, y, z = 1.0, 0.0, 0.0, 0.0
     R[0] = np.eye(3)
     for k in range(n):

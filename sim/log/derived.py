@@ -1,7 +1,7 @@
-"""Velocities that a log lacks: a local quadratic fitted to the positions around, or before, a row.
+"""Velocities that a log lacks, by local quadratic fits to the positions.
 
-The fit is Savitzky-Golay's (Anal. Chem. 36, 1964), on the actual time stamps: a symmetric window
-has no phase, a window of the past has none for motions of constant acceleration.
+Savitzky-Golay (Anal. Chem. 36, 1964), with the actual time stamps. A symmetric window has zero
+phase; a window of the past has none for motions of constant acceleration.
 """
 
 from dataclasses import replace
@@ -12,16 +12,20 @@ from surefoot.sim.common.kernels import kernel
 from surefoot.sim.log.log import Log
 
 JOINT_WINDOW = 0.025
-"""s. Passes 50 Hz at 400 to 500 Hz, above anything that a leg of this size does."""
+"""Window for joints [s]: passes 50 Hz at 400 to 500 Hz, faster than any motion of a leg of this
+size.
+"""
 REFERENCE_WINDOW = 0.1
-"""s. Motion capture comes at 60 to 120 Hz with stamps good to milliseconds: about 12 Hz pass."""
+"""Window for references [s]: motion capture has 60 to 120 Hz and stamps accurate to milliseconds;
+about 12 Hz pass.
+"""
 
 
 def derivative(t: np.ndarray, x: np.ndarray, window: float, causal: bool) -> np.ndarray:
-    """Time derivative (N, D) of the samples x (N, D), whose unit it takes per second, at t (N,).
+    """Time derivative (N, D) of samples x (N, D), in their unit per second, at t (N,) [s].
 
-    Each row is the slope at t[k] of the least-squares quadratic through the rows within `window`
-    seconds: centred on t[k], or ending there if `causal`.
+    The slope at t[k] of the least-squares quadratic through the rows within `window` seconds,
+    centred on t[k] or, if `causal`, ending there.
     """
     return local_quadratic(t, x, window, causal)[1]
 
@@ -29,12 +33,12 @@ def derivative(t: np.ndarray, x: np.ndarray, window: float, causal: bool) -> np.
 def local_quadratic(
     t: np.ndarray, x: np.ndarray, window: float, causal: bool = False
 ) -> np.ndarray:
-    """Value, slope and second derivative (3, N, D) at t (N,) [s] of the least-squares quadratic
-    through the samples x (N, D) within `window` seconds: centred on t[k], or ending there if
-    `causal`.
+    """Local least-squares quadratic through samples x (N, D): value, slope and second derivative
+    (3, N, D).
 
-    A window has three rows at least where the log has them; with two the fit is a line, and a row
-    without a past (causal, k = 0) is at rest.
+    At each of t (N,) [s], from the rows within `window` seconds, centred on t[k] or, if `causal`,
+    ending there. A window has at least three rows if the log has them; with two, the fit is a line,
+    and a row without a past (causal, k = 0) is at rest.
     """
     n = len(t)
     ahead = 0.0 if causal else 0.5 * window
@@ -46,7 +50,7 @@ def local_quadratic(
     first = np.maximum(np.minimum(first, rows - (2 if causal else 1)), 0)
     if not causal:
         last = np.minimum(np.maximum(last, rows + 1), n - 1)
-        # A one-sided window of two rows at either end grows to three, to stay a quadratic.
+        # A one-sided window of two rows at either end is extended to three, to allow a quadratic.
         last = np.minimum(np.maximum(last, first + 2), n - 1)
         first = np.maximum(np.minimum(first, last - 2), 0)
     return _quadratics(t, np.ascontiguousarray(x, dtype=float), first, last, window)
@@ -54,15 +58,15 @@ def local_quadratic(
 
 @kernel
 def _quadratics(t, x, first, last, scale):
-    """Values, slopes and second derivatives (3, N, D) of local quadratics; of lines through two
-    rows, constants through one.
+    """Values, slopes and second derivatives (3, N, D) of local quadratics; lines through two rows,
+    constants through one.
 
     Args:
         t: (N,) [s].
         x: (N, D), the samples.
         first: (N,), first row of each window.
         last: (N,), its last.
-        scale: time [s] in units of which the fit is made.
+        scale: unit of time for the fit [s].
     """
     out = np.zeros((3, *x.shape))
     out[0] = x
@@ -76,7 +80,7 @@ def _quadratics(t, x, first, last, scale):
             m2 += tau**2
             m3 += tau**3
             m4 += tau**4
-        # The inverse of the normal matrix, times its determinant.
+        # The adjugate of the normal matrix: its inverse times its determinant.
         adjugate[:] = 0.0
         if m0 >= 3.0:
             adjugate[0, 0], adjugate[1, 1] = m2 * m4 - m3 * m3, m0 * m4 - m2 * m2
@@ -101,16 +105,16 @@ def _quadratics(t, x, first, last, scale):
                 elif power == 2:
                     share *= 2.0 / scale**2
                 for d in range(x.shape[1]):
-                    # Differences to the row itself keep a far position's digits.
+                    # Differences from the row itself keep precision far from the origin.
                     out[power, k, d] += share * (x[row, d] - x[k, d])
     return out
 
 
 class CausalDerivative:
-    """`derivative` of the past alone, of a log that comes in pieces or row by row.
+    """`derivative` of the past, for a log that comes in pieces or row by row.
 
-    Called with the rows that follow those seen so far, t (N,) and x (N, D), it returns their
-    derivatives (N, D): to the bit those of the whole log.
+    Called with the next rows, t (N,) and x (N, D), it returns their derivatives (N, D),
+    bit-identical to those of the whole log.
     """
 
     def __init__(self, window: float = JOINT_WINDOW):
@@ -122,17 +126,17 @@ class CausalDerivative:
         t = np.concatenate([self._t, t])
         x = x if self._x is None else np.concatenate([self._x, x])
         found = derivative(t, x, self._window, causal=True)[before:]
-        # What the next row looks back on: the window, and two rows at least.
+        # The next row needs the window before it, and at least two rows.
         kept = min(int(np.searchsorted(t, t[-1] - self._window - 1e-5)), len(t) - 3)
         self._t, self._x = t[max(kept, 0) :], x[max(kept, 0) :]
         return found
 
 
 def joint_velocity(log: Log, causal: bool = False) -> np.ndarray:
-    """Joint velocities (N, J) in rad/s: the logged ones, else derived from q over 25 ms.
+    """Joint velocities (N, J) [rad/s]: the logged ones, else derived from q over 25 ms.
 
-    The derivative is zero-phase; filters take the causal one, which uses row k and its past only.
-    Raises LogError where the log has no q.
+    The derivative is zero-phase; filters use the causal one, from row k and its past. Raises
+    LogError where the log has no q.
     """
     if log.has("dq"):
         return log.dq
@@ -145,7 +149,7 @@ def joint_velocity(log: Log, causal: bool = False) -> np.ndarray:
 
 
 def reference_velocity(log: Log, causal: bool = False) -> np.ndarray:
-    """Reference velocity (N, 3) of the IMU frame in G, m/s: logged, else from ref_p over 0.1 s.
+    """Reference velocity (N, 3) of the IMU frame in G [m/s]: logged, else from ref_p over 0.1 s.
 
     Raises LogError where the log has no reference.
     """
@@ -160,7 +164,7 @@ def reference_velocity(log: Log, causal: bool = False) -> np.ndarray:
 
 
 def with_velocities(log: Log, causal: bool = False) -> Log:
-    """The log with the dq and ref_v that it lacks, where they can be derived, marked as derived."""
+    """Add missing dq and ref_v where they can be derived, marked as derived."""
     columns: dict[str, np.ndarray] = {}
     derived = list(log.meta.derived)
     kind = "causal" if causal else "zero-phase"

@@ -1,7 +1,7 @@
-"""The Log: one walk as one Parquet file, the only thing that is passed between the rooms.
+"""The Log: one walk as one Parquet file, the only data passed between the rooms.
 
-A row holds gyro and accel as their mean over (t[k-1], t[k]], and joints, contacts and reference at
-t[k]: a filter predicts over row k, then updates with row k. `sim.log.schema` says what is valid.
+A row holds gyro and accel as means over (t[k-1], t[k]], and joints, contacts and reference at t[k]:
+a filter predicts over row k, then updates with row k. `sim.log.schema` defines what is valid.
 """
 
 from __future__ import annotations
@@ -41,18 +41,19 @@ from surefoot.sim.log.schema import (
 T = TypeVar("T")
 MAGIC = b"PAR1"
 ROW_GROUP = 1 << 15
-"""Rows of a file's row group: a minute at 500 Hz."""
+"""Rows in a row group of a file: a minute at 500 Hz."""
 
 
 class LogError(SurefootError):
-    """A log that cannot be read, or that lacks what was asked of it."""
+    """A log that cannot be read, or that lacks requested data."""
 
 
 @dataclass(frozen=True)
 class Log:
-    """One walk: `frame` has a float64 column each (`t`, `gyro_x`, `q_FL_hip` ...), a row a sample.
+    """One walk: `frame` has one float64 column each (`t`, `gyro_x`, `q_FL_hip` ...) and one row per
+    sample.
 
-    The properties give fresh contiguous arrays in SI units, unless the log keeps them (`keeping`);
+    The properties return new contiguous arrays in SI units, unless the log caches them (`keeping`);
     each raises LogError where its columns are missing. J joints and L legs are those that the
     columns name. A quadruped's are in canonical order (leg-major over FL, FR, RL, RR), so that its
     `q.reshape(N, 4, 3)` is (row, leg, joint).
@@ -62,16 +63,20 @@ class Log:
     meta: Meta
     name: str = "log"
     _kept: ClassVar[dict[str, tuple[frozenset[str], tuple[Any, ...], Any]] | None] = None
-    """What was made once, by its name: the columns and objects that it is made from, and itself."""
+    """Cached values by name: the columns and objects that each depends on, and its value."""
 
     @classmethod
     def read(cls, path: str | Path) -> Log:
-        """The log at `path`. Raises LogError, one line with file, column and row, if not valid."""
+        """Read the log at `path`. Raises LogError, one line with file, column and row, if not
+        valid.
+        """
         (log,) = LogReader(path).chunks()
         return log
 
     def write(self, path: str | Path, force: bool = False) -> None:
-        """Write the whole file or none. Raises LogError if it exists (no `force`) or is invalid."""
+        """Write the whole file or none. Raises LogError if it exists (without `force`) or is
+        invalid.
+        """
         path = Path(path)
         try:
             with whole_file(path, force) as temporary, LogWriter(temporary, self.meta) as writer:
@@ -82,15 +87,15 @@ class Log:
             raise LogError(str(error)) from error
 
     def keeping(self) -> Log:
-        """The same log, whose arrays are made once and shared: they must not be written to."""
+        """The same log with cached arrays, which must not be written to."""
         log = replace(self)
         object.__setattr__(log, "_kept", {})
         return log
 
     def with_columns(self, columns: Mapping[str, np.ndarray]) -> Log:
-        """The log with some columns replaced. What it keeps of the others is kept on."""
+        """The log with some columns replaced; cached values of the others are kept."""
         log = replace(self, frame=self.frame.assign(**columns))
-        # The columns that stay are the same arrays, so that nobody compares their numbers.
+        # Unchanged columns remain the same arrays, so comparisons can go by identity.
         vars(log)["columns"] = self.columns | {n: np.asarray(x) for n, x in columns.items()}
         if self.columns.keys() >= columns.keys():
             vars(log).update(joints=self.joints, legs=self.legs)
@@ -100,13 +105,13 @@ class Log:
         return log
 
     def once(self, what: str, columns: Iterable[str], make: Callable[[], T], *given: Any) -> T:
-        """What is made from some columns: of a log that keeps its arrays, the one made before.
+        """A value computed from some columns, cached if the log caches its arrays.
 
         Args:
-            what: its name, unlike that of anything else made from this log.
-            columns: all that it is made from.
-            make: makes it.
-            given: what else it is made from; made again where these are other objects.
+            what: its name, unique for this log.
+            columns: all columns that it depends on.
+            make: computes it.
+            given: other objects that it depends on; it is recomputed if these are not identical.
         """
         if self._kept is None:
             return make()
@@ -121,19 +126,19 @@ class Log:
         return ("t", *(name for own in names for name in own))
 
     def rows(self, which: slice | np.ndarray) -> Log:
-        """The log of some rows: a slice (a step divides the rate), a mask (N,) or row indices."""
+        """Select rows by a slice (a step divides the rate), a mask (N,) or indices."""
         step = which.step or 1 if isinstance(which, slice) else 1
         frame = self.frame.iloc[which].reset_index(drop=True)
         return replace(self, frame=frame, meta=replace(self.meta, rate=self.meta.rate / step))
 
     def has(self, group: str) -> bool:
-        """Whether every column of a group is there (see `require` for the groups)."""
+        """Whether every column of a group is present (see `require` for the groups)."""
         return not self._missing(group)
 
     def require(self, *groups: str) -> None:
         """Raise LogError naming the groups and columns that are missing.
 
-        Groups: imu, q, dq, tau, commands (or q_des, dq_des, tau_ff one by one), contact, force,
+        Groups: imu, q, dq, tau, commands (or q_des, dq_des, tau_ff individually), contact, force,
         foot, force_xyz, reference, ref_v, truth; a column `x_<name>` is a group by itself.
         """
         missing = {group: self._missing(group) for group in groups}
@@ -152,7 +157,7 @@ class Log:
     def _array(self, group: str, names: Sequence[str]) -> np.ndarray:
         def stacked() -> np.ndarray:
             self.require(group)
-            # Column by column: pandas takes several times as long to select them together.
+            # Column by column: selecting them together takes pandas several times as long.
             return np.column_stack([np.asarray(self.columns[n], dtype=float) for n in names])
 
         return self.once(names[0] if names else group, names, stacked)
@@ -277,7 +282,7 @@ class Log:
 
     @property
     def ref_ok(self) -> np.ndarray:
-        """Rows (N,), bool, whose reference was measured and not interpolated over a gap."""
+        """Rows (N,), bool, with a measured reference, not one interpolated over a gap."""
         self.require("reference")
         if "ref_ok" not in self.frame:
             return np.ones(len(self.frame), dtype=bool)
@@ -295,11 +300,12 @@ class Log:
 
 
 class LogWriter:
-    """Writes the file of a log stretch by stretch, in the memory of one: the bytes are those of a
-    log that is written whole."""
+    """Writes a log in pieces, using the memory of one; the bytes are the same as for a log written
+    whole.
+    """
 
     def __init__(self, path: Path, meta: Meta):
-        """Raises LogError for metadata that are not valid. `whole_file` gives the path."""
+        """Raises LogError for invalid metadata. `whole_file` provides the path."""
         try:
             text = json.dumps(asdict(meta), default=_plain, allow_nan=False, sort_keys=True)
             read_metadata({KEY: text.encode()})
@@ -346,13 +352,13 @@ class LogWriter:
 
 
 FEWEST_ROWS = 3
-"""Rows of a log that is read: two give a speed, three its change."""
+"""Least number of rows of a log: two give a speed, three its change."""
 
 
 class LogReader:
-    """The file of a log, read by stretches: a walk of any length in the memory of one stretch.
+    """Reads a log in pieces: a walk of any length in the memory of one piece.
 
-    `meta`, `columns` and the number of `rows` are there at once.
+    `meta`, `columns` and the number of `rows` are available at once.
     """
 
     def __init__(self, path: str | Path):
@@ -381,8 +387,8 @@ class LogReader:
             check_limit("piece", most, "bytes of a row group in memory")
 
     def chunks(self, seconds: float = np.inf) -> Iterator[Log]:
-        """The log's rows in turn, each in one log of about `seconds` at its rate; the last one has
-        what is left, without an end all rows are in one.
+        """The log in pieces of about `seconds` at its rate, by default all rows in one; the last
+        may be shorter.
 
         Raises LogError, one line with file, column and row, at the first fault.
         """
@@ -414,9 +420,9 @@ class LogReader:
 
 
 def _tables(file: pq.ParquetFile, size: int) -> Iterator[pa.Table]:
-    """All rows of a file in turn, `size` in each table but the last, which may be empty."""
+    """All rows of a file in tables of `size`, except the last, which may be shorter or empty."""
     held = pa.Table.from_batches([], file.schema_arrow)
-    # A row group at a time: `iter_batches` keeps what it has read.
+    # One row group at a time, since `iter_batches` keeps what it has read.
     for group in range(file.num_row_groups):
         held = pa.concat_tables([held, file.read_row_group(group, use_threads=False)])
         while len(held) >= size:

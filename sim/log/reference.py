@@ -1,8 +1,8 @@
-"""A reference as it was sampled: its own times and poses, not those of a log's rows.
+"""Original samples of a log's reference, with their own times.
 
-A log holds a pose a row, interpolated between the samples of a slower reference: positions along
-straight lines, attitudes at even rates. Such a path bends at the samples, so that they are found
-again.
+A log holds one pose per row, interpolated between the samples of a slower reference: positions
+linearly, attitudes at constant rate. Such a path has kinks at the samples, from which these are
+recovered.
 """
 
 from dataclasses import dataclass
@@ -14,16 +14,16 @@ from surefoot.sim.common.quaternion import matrix_from_quaternion, quaternion_fr
 from surefoot.sim.log.log import Log
 
 _BEND = 1e-6
-"""m/s by which a velocity changes from row to row where two straight lines meet: rounding changes
-it by 1e-12."""
+"""Change of velocity between rows that is a kink [m/s]; rounding changes it by 1e-12."""
 _RUN = 10
-"""Consecutive rows at which a path bends only if it has a sample a row: that of a slower reference
-bends at two rows a sample, and is straight between. At rest neither bends."""
+"""Consecutive rows with a kink from which every row is a sample; a slower reference has a kink at
+two rows per sample, and is straight between. At rest, neither has kinks.
+"""
 
 
 @dataclass(frozen=True)
 class Poses:
-    """Samples of a reference: t (K,) [s], rising; p (K, 3) [m]; q (K, 4) as w, x, y, z."""
+    """Samples of a reference: t (K,) [s], increasing; p (K, 3) [m]; q (K, 4) as w, x, y, z."""
 
     t: np.ndarray
     p: np.ndarray
@@ -35,15 +35,15 @@ class Poses:
         return matrix_from_quaternion(self.q)
 
     def rows(self, which: slice | np.ndarray) -> "Poses":
-        """Those of a slice, of a mask (K,) or of indices."""
+        """Select rows by a slice, a mask (K,) or indices."""
         return Poses(self.t[which], self.p[which], self.q[which])
 
 
 def reference_poses(log: Log) -> Poses:
-    """The samples of a log's reference. Raises LogError where it has none.
+    """Recover the samples of a log's reference. Raises LogError where it has none.
 
-    Where the path bends at hardly any row, or mostly in runs of more than _RUN rows, the samples
-    are the rows that were measured (`ref_ok`).
+    Where the path has hardly any kink, or mostly in runs of more than _RUN rows, the samples are
+    the measured rows (`ref_ok`).
     """
     t, p, q = log.t, log.ref_p, log.ref_q
     slope = np.diff(p, axis=0) / np.diff(t)[:, None]
@@ -55,8 +55,8 @@ def reference_poses(log: Log) -> Poses:
         return Poses(t[ok], p[ok], q[ok])
     first = np.array([one[0] for one in groups])
     last = np.array([one[-1] for one in groups])
-    # The line before the first bend and the line behind the last meet at the sample; where several
-    # samples share a bend they are too close to be told apart, and stand for one.
+    # The lines before the first and after the last kink intersect at the sample; several samples
+    # within one run of kinks are too close to be separated, and count as one.
     before, behind = slope[first - 1], slope[last]
     apart, turn = p[last] - p[first], behind - before
     span = t[last] - t[first]

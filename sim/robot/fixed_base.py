@@ -1,4 +1,4 @@
-"""A machine whose base does not move: a pendulum, an arm, any MJCF without a free joint."""
+"""Machines with a fixed base: a pendulum, an arm, any MJCF without a free joint."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -37,8 +37,11 @@ Machine = Robot | FixedBase
 
 
 def load_machine(name_or_path: str | Path, feet: Mapping[str, str] | None = None) -> Machine:
-    """A robot with legs, or a fixed base where the model has no free joint, or is a URDF without
-    legs. Raises SurefootError. feet: as of `Robot.load`."""
+    """Load a robot with legs, or a fixed base if the model has no free joint or is a URDF without
+    legs.
+
+    Raises SurefootError. feet: as for `Robot.load`.
+    """
     bundled = BUNDLED_MACHINES / f"{name_or_path}.xml"
     file = bundled if bundled.is_file() else robot_file(name_or_path)
     model = compiled_model(file)
@@ -56,7 +59,7 @@ def load_machine(name_or_path: str | Path, feet: Mapping[str, str] | None = None
 
 
 def machine_for_log(log: Log, name: str | Path | None = None) -> Machine:
-    """The machine `name`, or else the one the log names, with what the log's map says of it.
+    """The machine `name`, or else the one the log names, with the values of the log's map.
 
     Raises SurefootError where a fixed base lacks a joint that the log has.
     """

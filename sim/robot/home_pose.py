@@ -1,4 +1,4 @@
-"""A standing posture for a robot whose model has no home keyframe."""
+"""A standing pose for a robot whose model has no home keyframe."""
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -6,14 +6,14 @@ from scipy.optimize import least_squares
 from surefoot.sim.robot.kinematics import Legs, leg_forward
 
 CROUCH = 0.76  # height of the thigh joint over the foot, as a share of the straight leg
-# What counts as standing, as shares of the straight leg.
+# Criteria of standing, as shares of the straight leg.
 LOWEST, UNEVEN, ASKEW = 0.7, 0.1, 0.3
 
 
 def stands(legs: Legs, q: np.ndarray) -> bool:
-    """Whether joint angles q (12,) [rad] hold the body up: feet level, far below and near the hips.
+    """Whether joint angles q (12,) [rad] support the body: feet level, far below and near the hips.
 
-    Some published models carry a keyframe "home" that only folds the legs.
+    The "home" keyframe of some published models only folds the legs.
     """
     foot, J, axes = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     drops = np.empty(4)
@@ -29,8 +29,8 @@ def stands(legs: Legs, q: np.ndarray) -> bool:
 def standing_joints(legs: Legs, joint_range: np.ndarray) -> np.ndarray:
     """Joint angles (12,) [rad] that put every foot straight below its thigh joint.
 
-    Of the two ways a knee can bend, the one nearer to the middle of the joints' ranges wins; where
-    the ranges do not say, the knee points backwards, as on nearly every quadruped.
+    Of the two directions in which a knee can bend, the one nearer to the middle of the joints'
+    ranges is used or, if the ranges are symmetric, backwards, as on nearly every quadruped.
     """
     q_home = np.empty(12)
     foot, J, axes = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
@@ -67,7 +67,7 @@ def standing_joints(legs: Legs, joint_range: np.ndarray) -> np.ndarray:
 
 
 def _thigh_joint(legs: Legs, leg: int) -> np.ndarray:
-    """Place (3,) [m] of the thigh's hinge in B with the abduction at its zero."""
+    """Position (3,) [m] of the thigh's hinge in B with the abduction at zero."""
     return legs.offset[leg, 0] + legs.rotation[leg, 0] @ legs.offset[leg, 1]
 
 

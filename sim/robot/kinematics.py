@@ -1,6 +1,6 @@
-"""Leg kinematics, compiled: hinges in series from the base to a foot, and its motion.
+"""Compiled leg kinematics: serial hinges from the base to a foot, and the foot's motion.
 
-Nothing is allocated a leg, as these run at every step.
+Nothing is allocated per leg, as these run at every step.
 """
 
 from typing import NamedTuple
@@ -11,13 +11,13 @@ from surefoot.sim.common.kernels import kernel
 
 
 class Legs(NamedTuple):
-    """Constants of L legs of up to P joints, read from a model; everything in m and rad.
+    """Constants of L legs with up to P joints, read from a model, in m and rad.
 
-    Of the J joints of a robot, `joints` are those of each leg, its first `joint_count`; what stands
-    behind them in a shorter leg is not read. A leg is walked from the base B outwards: `offset` and
-    `rotation` take the frame of the previous link to that of joint j's link at q = q_zero, `axis`
-    and `anchor` are the hinge in that link's own frame, and `foot` is the foot's centre, or the
-    middle of a flat sole, in the last link's frame.
+    `joints` are the indices of each leg's joints among the robot's J joints; only the first
+    `joint_count` of a leg are valid. From the base B outwards, `offset` and `rotation` map the
+    frame of the previous link to that of joint j's link at q = q_zero, `axis` and `anchor` describe
+    the hinge in that link's own frame, and `foot` is the foot's centre, or the middle of a flat
+    sole, in the last link's frame.
     """
 
     offset: np.ndarray  # (L, P, 3)
@@ -42,7 +42,8 @@ def leg_forward(legs, leg, q, foot, jacobian, axes):
         jacobian: (3, P) [m/rad], filled with its Jacobian by the leg's joints.
         axes: (3, P), filled with the joint axes as columns.
     """
-    # Rotations are tuples of nine numbers, row by row: arrays would be allocated at every step.
+    # Rotations are tuples of nine numbers, row by row, since arrays would be allocated at every
+    # step.
     R = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
     x, y, z = 0.0, 0.0, 0.0
     count = legs.joint_count[leg]
@@ -50,7 +51,7 @@ def leg_forward(legs, leg, q, foot, jacobian, axes):
         dx, dy, dz = _apply(R, legs.offset[leg, j])
         R = _times(R, _numbers(legs.rotation[leg, j]))
         ax, ay, az = _apply(R, legs.anchor[leg, j])
-        # The hinge's place stays in the Jacobian's column until the foot is known.
+        # The hinge's position is stored in the Jacobian's column until the foot's is known.
         x, y, z = x + dx + ax, y + dy + ay, z + dz + az
         jacobian[0, j], jacobian[1, j], jacobian[2, j] = x, y, z
         axes[0, j], axes[1, j], axes[2, j] = _apply(R, legs.axis[leg, j])
@@ -72,7 +73,7 @@ def leg_forward(legs, leg, q, foot, jacobian, axes):
 
 
 class BaseMotion(NamedTuple):
-    """How a robot's base moves."""
+    """Motion of a robot's base."""
 
     p: np.ndarray  # (3,) m, in G
     R: np.ndarray  # (3, 3) from B to G
@@ -81,7 +82,7 @@ class BaseMotion(NamedTuple):
 
 
 class FootMotion(NamedTuple):
-    """How one foot moves in G: memory that `foot_motion` fills."""
+    """Motion of one foot in G, filled by `foot_motion`."""
 
     place: np.ndarray  # (3,) m, of the foot's centre
     velocity: np.ndarray  # (3,) m/s
@@ -91,13 +92,13 @@ class FootMotion(NamedTuple):
 
 @kernel(nogil=True)
 def foot_motion(base, rates, foot, J, axes, out):
-    """How a leg's foot moves in the world.
+    """Motion of a leg's foot in the world.
 
     Args:
         base: a BaseMotion.
         rates: (3,) of the leg's joints [rad/s].
-        foot, J, axes: (3,), (3, 3), (3, 3) of `leg_forward`.
-        out: a FootMotion, written.
+        foot, J, axes: (3,), (3, 3), (3, 3) from `leg_forward`.
+        out: a FootMotion, filled.
     """
     p, R, v, w = base
     place, velocity, jacobian, spin = out
@@ -121,7 +122,7 @@ def foot_motion(base, rates, foot, J, axes, out):
 
 @kernel(nogil=True)
 def sole_motion(velocity, spin, radius, normal, sole_v):
-    """Velocity of the point of a foot that touches the ground, all in one frame.
+    """Velocity of a foot's contact point, all in one frame.
 
     Args:
         velocity: (3,) [m/s], of the foot's centre.
@@ -138,7 +139,7 @@ def sole_motion(velocity, spin, radius, normal, sole_v):
 
 @kernel
 def axis_rotation(axis, angle):
-    """Rodrigues' formula: the rotation by `angle` about the unit vector `axis`, as nine numbers."""
+    """Rodrigues' formula: rotation by `angle` about the unit vector `axis`, as nine numbers."""
     s, c = np.sin(angle), np.cos(angle)
     x, y, z = axis[0], axis[1], axis[2]
     u = 1.0 - c
@@ -179,7 +180,7 @@ def _numbers(M):
 
 @kernel
 def feet(legs, q, R_BI, p_BI):
-    """Of q (N, J), in I: foot centres (N, L, 3), Jacobians and joint axes (both (N, L, 3, P))."""
+    """Foot centres (N, L, 3), Jacobians and joint axes (both (N, L, 3, P)) in I, for q (N, J)."""
     n, (count, per) = q.shape[0], legs.q_zero.shape
     position = np.empty((n, count, 3))
     jacobian = np.empty((n, count, 3, per))

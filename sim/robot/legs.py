@@ -1,4 +1,4 @@
-"""Finds the legs of a robot by its kinematic tree: chains of hinges that end in a foot to stand on.
+"""Find the legs of a robot in its kinematic tree: chains of hinges that end in a foot.
 
 A foot is a colliding sphere that rolls, or the flat underside of colliding boxes and meshes.
 """
@@ -17,12 +17,13 @@ from surefoot.sim.robot.limbs import QUADRUPED, Limbs
 __all__ = ["JOINTS", "LEGS", "LegTree", "find_legs"]
 
 STANDING = 0.3
-"""Share of the base's height up to which the end of a chain, in the model's home pose, is a foot:
-hands and heads are higher."""
+"""Largest height of a foot in the model's home pose, relative to the base's; hands and heads are
+higher.
+"""
 SOLE_LEVEL = 0.01
-"""m. Shapes of a foot whose lowest points are this near to each other stand on it together."""
+"""Largest height difference of shapes that form a sole together [m]."""
 SHORTEST_LINK = 0.01
-"""m. Hinges that are nearer to each other are one joint of several axes, without a link between."""
+"""Distance below which hinges form one joint with several axes, without a link between [m]."""
 FLAT = (int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_MESH))
 _CORNERS = np.array(np.meshgrid(*3 * [[-1.0, 1.0]])).reshape(3, -1).T
 
@@ -51,13 +52,13 @@ class _Foot:
 
 
 def find_legs(model: mujoco.MjModel, name: str, feet: Mapping[str, str] | None = None) -> LegTree:
-    """Legs, feet and their constants. Raises SurefootError saying what could not be found.
+    """Find legs, feet and their constants. Raises SurefootError saying what could not be found.
 
     Args:
         model: compiled, with one floating base.
         name: of the robot, for messages.
         feet: name of each leg, and of the body or site that is its foot; by default every chain
-            that ends in a shape to stand on is a leg, named after its place.
+            that ends in a shape to stand on is a leg, named after its position.
     """
     base = _floating_base(model, name)
     data = _home_pose(model)
@@ -134,7 +135,7 @@ def _standing_chains(
 
 
 def _last_hinges(model: mujoco.MjModel) -> list[int]:
-    """Hinges with no hinge below them, one at the end of each chain."""
+    """The last hinge of each chain, with no hinge below it."""
     hinges = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE).tolist()
     hinges = [joint for joint in hinges if not _is_spring(model, joint)]
     above: set[int] = set()
@@ -144,7 +145,7 @@ def _last_hinges(model: mujoco.MjModel) -> list[int]:
             above.add(int(body))
             body = model.body_parentid[body]
     last = [j for j in hinges if int(model.jnt_bodyid[j]) not in above]
-    # Of several hinges on one body the last is at its end.
+    # Of several hinges on one body, the last is the outermost.
     return [j for j in last if j + 1 not in last or model.jnt_bodyid[j] != model.jnt_bodyid[j + 1]]
 
 
@@ -160,8 +161,9 @@ def _chain_to(model: mujoco.MjModel, body: int, base: int) -> list[int]:
 
 
 def _refuse_what_is_no_hinge(model: mujoco.MjModel, base: int, foot: int, name: str) -> None:
-    """Raise SurefootError where hinges alone do not say where a foot is: a slide that no spring
-    holds, a ball joint, or a loop that is closed by a constraint.
+    """Raise SurefootError if hinges alone do not determine the position of a foot.
+
+    That is the case for a slide without a spring, a ball joint, or a loop closed by a constraint.
 
     Args:
         model: compiled.
@@ -191,8 +193,7 @@ def _refuse_what_is_no_hinge(model: mujoco.MjModel, base: int, foot: int, name: 
 
 
 def _is_spring(model: mujoco.MjModel, joint: int) -> bool:
-    """Whether a joint gives where its leg does not turn: a slide, or a second hinge about the axis
-    of the one before it on its body."""
+    """Whether a joint is a spring: a slide, or a second hinge about the same axis on its body."""
     if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
         return True
     same = joint > 0 and model.jnt_bodyid[joint - 1] == model.jnt_bodyid[joint]
@@ -209,8 +210,11 @@ def _other_joints(model: mujoco.MjModel, base: int) -> list[int]:
 def _foot_of(
     model: mujoco.MjModel, data: mujoco.MjData, base: int, chain: list[int]
 ) -> _Foot | None:
-    """What the last link of a chain can stand on: the sphere farthest from its hinge, unless flat
-    shapes or other spheres reach as low; then the underside of all of these."""
+    """The foot on the last link of a chain.
+
+    The sphere farthest from its hinge, unless flat shapes or other spheres reach as low; then the
+    underside of all of these.
+    """
     link = int(model.jnt_bodyid[chain[-1]])
     collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     solid = np.flatnonzero(collides).tolist()
@@ -224,7 +228,7 @@ def _foot_of(
         hinge = data.xanchor[chain[-1]]
         ball = max(spheres, key=lambda g: float(np.linalg.norm(data.geom_xpos[g] - hinge)))
         rivals = [g for g in lowest if g != ball and lowest[g] < lowest[ball] + SOLE_LEVEL]
-        # Three hinges place a point and cannot lay a sole flat.
+        # Three hinges can position a point but not level a sole.
         if not rivals or len(chain) <= 3:
             place, radius = model.geom_pos[ball].copy(), float(model.geom_size[ball, 0])
             return _Foot(int(model.geom_bodyid[ball]), place, radius, bottom=lowest[ball])
@@ -233,7 +237,9 @@ def _foot_of(
 
 
 def _sole(model: mujoco.MjModel, data: mujoco.MjData, base: int, shapes: list[int]) -> _Foot:
-    """The underside of some shapes of one link: of the box about them along the lowest's axes."""
+    """The underside of some shapes of one link: that of their bounding box along the lowest's
+    axes.
+    """
     points_G = np.concatenate([_corners_G(model, data, g) for g in shapes])
     first = min(shapes, key=lambda g: float(_corners_G(model, data, g)[:, 2].min()))
     axes_G = data.geom_xmat[first].reshape(3, 3)
@@ -254,7 +260,7 @@ def _sole(model: mujoco.MjModel, data: mujoco.MjData, base: int, shapes: list[in
 def _named_foot(
     model: mujoco.MjModel, data: mujoco.MjData, base: int, named: str, name: str
 ) -> _Foot:
-    """The foot that a map names: a site's place, a body's shapes, or a bare body's origin.
+    """The foot that a map names: a site's position, a body's shapes, or a bare body's origin.
 
     Args:
         model: compiled.
@@ -276,14 +282,14 @@ def _named_foot(
 
 
 def _sole_frames(model: mujoco.MjModel, data: mujoco.MjData) -> list[_Foot]:
-    """Bodies that are named as a sole: `l_sole`, as descriptions of humanoids have them."""
+    """Bodies named as a sole, such as `l_sole`, as in descriptions of humanoids."""
     names = [model.body(b).name for b in range(model.nbody)]
     soles = [b for b, one in enumerate(names) if one.lower().endswith("_sole")]
     return [_Foot(b, np.zeros(3), bottom=float(data.xpos[b][2])) for b in soles]
 
 
 def _is_fixed_to(model: mujoco.MjModel, body: int, link: int) -> bool:
-    """Whether a body is this link, or hangs on it without a joint but springs."""
+    """Whether a body is this link, or attached to it without joints other than springs."""
     while body > link:
         first = int(model.body_jntadr[body])
         own = range(first, first + int(model.body_jntnum[body]))
@@ -294,7 +300,7 @@ def _is_fixed_to(model: mujoco.MjModel, body: int, link: int) -> bool:
 
 
 def _corners_G(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> np.ndarray:
-    """Corners (8, 3) [m] in G of the box about a shape, along the shape's own axes."""
+    """Corners (8, 3) [m] in G of a shape's bounding box along its own axes."""
     middle, half = np.split(model.geom_aabb[geom], 2)
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE:  # as low however it is turned
         return data.geom_xpos[geom] + half * _CORNERS
@@ -304,8 +310,10 @@ def _corners_G(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> np.ndar
 def _named_by_place(
     model: mujoco.MjModel, base: int, chains: list[list[int]], name: str
 ) -> tuple[list[int], tuple[str, ...]]:
-    """Order and names of legs: four are FL, FR, RL, RR, two left, right; others are named after
-    their first body. The place of a leg is that of its second hinge."""
+    """Order and names of the legs, by the position of their second hinge.
+
+    Four are FL, FR, RL, RR, two left, right; others are named after their first body.
+    """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     R = data.xmat[base].reshape(3, 3)
@@ -330,8 +338,9 @@ def _named_by_place(
 
 
 def _two_sides(model: mujoco.MjModel, chains: list[list[int]], y: np.ndarray) -> list[int]:
-    """The left leg and the right: as their joints are named, since not every base's x axis points
-    forward, else by their place; none where neither says."""
+    """The left and the right leg, by the names of their joints, since not every base's x axis
+    points forward, else by position; empty if neither tells.
+    """
     marks = []
     for chain in chains:
         words = {w for j in chain for w in model.joint(j).name.lower().split("_")}
@@ -351,8 +360,7 @@ def _limbs(
     feet: list[_Foot],
     name: str,
 ) -> Limbs:
-    """Names and order of the joints: a quadruped's own where there are four legs of three hinges,
-    else the model's.
+    """Names and order of the joints: canonical for four legs of three hinges, else the model's.
 
     Args:
         model: compiled.
@@ -409,7 +417,7 @@ def _constants(
 
 
 def _between(model: mujoco.MjModel, ancestor: int, body: int) -> tuple[np.ndarray, np.ndarray]:
-    """Pose of `body` in the frame of `ancestor` with every joint between at its zero."""
+    """Pose of `body` in the frame of `ancestor` with every joint between at zero."""
     R, p = np.eye(3), np.zeros(3)
     while body != ancestor:
         R_step = np.empty(9)

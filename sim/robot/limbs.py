@@ -1,4 +1,4 @@
-"""Names of a machine's legs and joints, and which joint is of which leg."""
+"""Names of a machine's legs and joints, and the assignment of joints to legs."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -9,11 +9,15 @@ from surefoot.sim.log.schema import JOINTS, LEGS
 
 @dataclass(frozen=True)
 class Limbs:
-    """Names of a machine's legs and of its joints.
+    """Names of a machine's legs and joints.
 
-    chains: of each leg, its joints as indices, from the body to the foot. Joints of no leg (of arms
-    or a torso, or of a machine without legs) are in none. links: the legs' links of some length,
-    but for the first of each, by the joint at the upper end.
+    Attributes:
+        legs: names.
+        joints: names.
+        chains: indices of each leg's joints, from the body to the foot. Joints of no leg (of arms
+            or a torso, or of a machine without legs) are in none.
+        links: the legs' links of non-zero length except the first of each, named by the joint at
+            the upper end.
     """
 
     legs: tuple[str, ...]
@@ -23,17 +27,17 @@ class Limbs:
 
     @cached_property
     def leg_of(self) -> tuple[int | None, ...]:
-        """The leg of each joint, None where it is of no leg."""
+        """Index of each joint's leg, None if it belongs to no leg."""
         found: dict[int, int] = {j: leg for leg, chain in enumerate(self.chains) for j in chain}
         return tuple(found.get(joint) for joint in range(len(self.joints)))
 
     def kind(self, joint: int) -> str:
-        """What a joint has in common with the same one of other legs: "thigh" of "FL_thigh"."""
+        """Name that a joint shares with its counterparts on other legs: "thigh" for "FL_thigh"."""
         return self._kinds[joint]
 
     @cached_property
     def point_feet(self) -> bool:
-        """Whether every leg has the three joints whose torques give the force on a foot's point."""
+        """Whether every leg has three joints, whose torques determine the force on a point foot."""
         return bool(self.chains) and all(len(chain) == 3 for chain in self.chains)
 
     @cached_property
@@ -47,7 +51,7 @@ class Limbs:
 
     @cached_property
     def sides(self) -> dict[str, tuple[int, ...]]:
-        """The legs of each side, as indices, by their names: `FL`, or `left`, or `l`."""
+        """Indices of the legs of each side, by name: `FL`, or `left`, or `l`."""
         marks = {"front": ("F", 0), "rear": ("R", 0), "left": ("L", 1), "right": ("R", 1)}
         found = {
             side: tuple(
@@ -74,14 +78,16 @@ class Limbs:
 
 
 def _alike(chains: tuple[tuple[int, ...], ...]) -> Iterable[tuple[int, tuple[int, ...]]]:
-    """Joints at the same place, counted from one, in legs of as many joints."""
+    """Corresponding joints, with their position counted from one, of legs with the same number of
+    joints.
+    """
     for length in {len(chain): None for chain in chains}:
         same = [chain for chain in chains if len(chain) == length]
         yield from enumerate(zip(*same, strict=True), 1)
 
 
 def limbs_by_name(legs: tuple[str, ...], joints: tuple[str, ...]) -> Limbs:
-    """Those of joints that are named after their leg, `<leg>_<kind>`, from the body to the foot."""
+    """Limbs of joints that are named after their leg, `<leg>_<kind>`, from the body to the foot."""
     chains = (
         tuple(i for i, joint in enumerate(joints) if joint.startswith(f"{leg}_")) for leg in legs
     )

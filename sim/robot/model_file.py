@@ -1,4 +1,4 @@
-"""Reads a robot's model: MJCF as it is, URDF with a floating base and without its meshes."""
+"""Read a robot's model: MJCF as it is, URDF with a floating base and without its meshes."""
 
 from pathlib import Path
 from xml.etree import ElementTree
@@ -8,16 +8,17 @@ import mujoco
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.robot.model_gate import check_compiled, check_model_file
 
-# Else MuJoCo writes MUJOCO_LOG.TXT wherever a command runs; walks that become unstable say so.
+# Otherwise MuJoCo writes MUJOCO_LOG.TXT to the working directory; unstable walks are reported
+# anyway.
 mujoco.set_mju_user_warning(lambda message: None)
 
 
 def model_spec(file: Path) -> mujoco.MjSpec:
-    """A fresh MjSpec of an MJCF or URDF file. Raises SurefootError in one clear line.
+    """A new MjSpec of an MJCF or URDF file. Raises SurefootError in one clear line.
 
-    MuJoCo welds the root link of a URDF to the world and leaves its mass out: here it floats,
-    unless it is called `world`. Links that are fixed to others stay bodies of their own, so that a
-    sole or a sensor's frame is found by its name.
+    MuJoCo welds the root link of a URDF to the world and omits its mass; here it floats, unless it
+    is called `world`. Links that are fixed to others remain separate bodies, so that a sole or a
+    sensor's frame is found by its name.
     """
     check_model_file(file)
     try:
@@ -50,7 +51,7 @@ def _unreadable(file: Path, error: Exception) -> SurefootError:
 
 
 def _floating(file: Path) -> str:
-    """The URDF's text with a floating root and no meshes."""
+    """The URDF's text with a floating root and without meshes."""
     robot = ElementTree.parse(file).getroot()
     for link in robot.findall("link"):
         for shape in (*link.findall("visual"), *link.findall("collision")):

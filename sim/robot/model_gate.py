@@ -1,6 +1,6 @@
-"""What a robot's XML may ask for, looked at before MuJoCo allocates or opens anything.
+"""Validation of a robot's XML before MuJoCo allocates memory or opens files.
 
-MuJoCo itself repeats a body a billion times where the file says so, and reads any file that an
+MuJoCo itself would repeat a body a billion times if the file asks for it, and read any file that an
 include names.
 """
 
@@ -17,11 +17,11 @@ from surefoot.sim.common.files import protect
 from surefoot.sim.common.limits import admitted, check_limit
 
 DEEPEST = 100
-"""Elements within each other; a centipede of fifty segments has some."""
+"""Maximum depth of elements; a centipede of fifty segments has some."""
 ATTRIBUTES = 1000
-"""Of one element; MuJoCo's parser takes the square of them."""
+"""Maximum number of attributes of an element; MuJoCo's parser takes quadratic time in them."""
 INCLUDES = 100
-"""Files that a model is made of, includes in includes counted each time."""
+"""Maximum number of files in a model, counting nested includes each time."""
 _PARTS = {
     "flexcomp",
     "composite",
@@ -38,14 +38,17 @@ _PARTS = {
 _FOLDERS = ("meshdir", "texturedir", "assetdir")
 _SIZES = {"": 1, "k": 2**10, "m": 2**20, "g": 2**30, "t": 2**40, "p": 2**50, "e": 2**60}
 _COUNTS = {"nkey"}
-"""Sizes of which each takes more than a byte; and those that begin with nuser."""
+"""Sizes whose units take more than a byte; also those that begin with nuser."""
 _NAMES = {"name", "class", "childclass", "file", "model", "joint", "body", "link", "site"}
 _NUMBERS = {"mass", "density", "pos", "size", "friction", "diaginertia", "fullinertia", "armature"}
 
 
 def check_model_file(file: Path) -> None:
-    """Raise SurefootError, one line with the file, for a model that is too large, names files
-    outside of its folder, has entities, or numbers that are none."""
+    """Check a model file before it is compiled.
+
+    Raises SurefootError, one line with the file, for a model that is too large, refers to files
+    outside its folder, has entities, or invalid numbers.
+    """
     try:
         _Scan(file).read(file, 1)
     except SurefootError:
@@ -55,7 +58,7 @@ def check_model_file(file: Path) -> None:
 
 
 def check_compiled(file: Path, model: mujoco.MjModel) -> None:
-    """Raise SurefootError for a compiled model whose masses, places or friction are not physical.
+    """Raise SurefootError for a compiled model with unphysical masses, positions or friction.
 
     Args:
         file: named in the message.
@@ -72,7 +75,7 @@ def check_compiled(file: Path, model: mujoco.MjModel) -> None:
 
 
 class _Scan:
-    """One look at a model and all that it includes."""
+    """A scan of a model and all that it includes."""
 
     def __init__(self, file: Path):
         self.file = file
@@ -81,7 +84,7 @@ class _Scan:
         self.parts = 0.0
 
     def read(self, file: Path, times: float) -> None:
-        """Look at one of its files, whose contents count `times`."""
+        """Scan one of its files, whose contents count `times`."""
         self.files += 1
         if self.files > INCLUDES:
             self.refuse(f"includes more than {INCLUDES} files, or itself")
@@ -120,7 +123,7 @@ class _Scan:
                 admitted(inside, "piece", "robot")
 
     def inside(self, file: Path, tag: str, name: str, folders: dict[str, str]) -> Path:
-        """The path of a file that the model names; it must lie in the model's folder."""
+        """Path of a file that the model names; it must lie in the model's folder."""
         own = {"mesh": "meshdir", "skin": "meshdir", "hfield": "meshdir", "texture": "texturedir"}
         folder = folders.get(own.get(tag, ""), folders.get("assetdir", "") if tag in own else "")
         path = (file.parent / folder / name).resolve()
@@ -129,7 +132,7 @@ class _Scan:
         return path
 
     def repeated(self, tag: str, values: dict[str, str]) -> float:
-        """How often an element stands for what is in it."""
+        """Number of copies that an element makes of its contents."""
         if tag not in ("replicate", "composite", "flexcomp"):
             return 1.0
         product = 1.0
@@ -138,7 +141,7 @@ class _Scan:
         return product
 
     def check_values(self, tag: str, values: dict[str, str]) -> None:
-        """Raise for numbers that are none, and sizes that MuJoCo would allocate."""
+        """Raise for invalid numbers, and for sizes that MuJoCo would allocate."""
         for key, text in values.items():
             if key not in _NAMES and "nan" in text.lower().split():
                 self.refuse(f"{tag} {key} is nan")
@@ -159,7 +162,7 @@ class _Scan:
                 check_limit("cells", points, f"robot {self.file}: points of {tag}")
 
     def number(self, tag: str, key: str, text: str) -> float:
-        """A number of the file."""
+        """Parse a number of the file."""
         try:
             return float(text)
         except ValueError:
@@ -171,7 +174,7 @@ class _Scan:
 
 
 def _installed(file: Path) -> bool:
-    """Whether a model came with a package, whose folders may lie beside each other."""
+    """Whether a model is part of an installed package, which may refer to adjacent folders."""
     return bool({"site-packages", "dist-packages"} & set(file.parts)) or (
         Path.home() / ".cache" / "robot_descriptions" in file.parents
     )

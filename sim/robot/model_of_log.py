@@ -1,7 +1,7 @@
-"""The model that a log keeps of a robot that is known by its file alone.
+"""The model that a log stores for a robot that is known by its file only.
 
-Path and SHA-256 of the file, and its text where it needs no other file: the log is of that model,
-wherever the file has gone and whatever it has become since.
+Path and SHA-256 of the file, and its text if it needs no other file: the log remains tied to that
+model, even if the file is moved or changed.
 """
 
 import hashlib
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 
 
 def kept_model(name: str, file: Path) -> dict[str, dict[str, str]]:
-    """What `Meta.model` keeps of a robot: nothing where its name says which it is."""
+    """Entries of `Meta.model` for a robot; empty if its name identifies it."""
     if known_robots().get(name) == file:
         return {}
     content = file.read_bytes()
     kept = {"path": str(file.resolve()), "sha256": hashlib.sha256(content).hexdigest()}
-    # A URDF is read without its meshes; an MJCF names others by this attribute alone.
+    # A URDF is read without its meshes; an MJCF refers to other files by this attribute only.
     if len(content) <= limits().text and (file.suffix == ".urdf" or b"file=" not in content):
         kept["text"] = content.decode("utf-8", errors="replace")
     return {"file": kept}
@@ -33,7 +33,7 @@ def kept_model(name: str, file: Path) -> dict[str, dict[str, str]]:
 def robot_of_log(log: "Log") -> str | Path | None:
     """Name or file of a log's robot; None where it has none.
 
-    Raises SurefootError where the file is needed and is gone, or has changed.
+    Raises SurefootError where the file is needed and is missing or has changed.
     """
     kept = log.meta.model.get("file")
     if kept is None:
@@ -57,9 +57,9 @@ def robot_of_log(log: "Log") -> str | Path | None:
 
 
 def of_robot(log: "Log", robot: str | Path | None) -> "Log":
-    """The log, said to be of this robot (name or file); as it is where that is None.
+    """The log with this robot (name or file); unchanged if that is None.
 
-    Raises SurefootError for a robot that is unknown.
+    Raises SurefootError for an unknown robot.
     """
     if robot is None:
         return log

@@ -1,4 +1,4 @@
-"""A robot with legs read from its MJCF or URDF: legs, feet, IMU and limits."""
+"""A robot with legs, read from its MJCF or URDF: legs, feet, IMU and limits."""
 
 import hashlib
 from collections.abc import Mapping
@@ -29,7 +29,7 @@ IMU_SITES = ("imu", "imu_site", "IMU", "trunk_imu")
 
 @dataclass(frozen=True)
 class DeclaredExtras:
-    """What a model knows of its robot beyond the MJCF: effects that were added to it."""
+    """Properties of a robot's declared model beyond its file: effects that were added to it."""
 
     payload: float = 0.0  # kg at the base's origin
     com_shift: np.ndarray = field(default_factory=lambda: np.zeros(3))  # m, of the base's own, in B
@@ -43,14 +43,13 @@ class DeclaredExtras:
 
 @dataclass(frozen=True)
 class Robot:
-    """The declared model of a robot with L legs and J joints, those of its legs first.
+    """The declared model of a robot with L legs and J joints, those of the legs first.
 
-    The legs of a quadruped are FL, FR, RL, RR, and of three hinges each they are hip, thigh and
-    calf; two legs are left and right, others are named after their first body, and their joints as
-    in the model. The base frame B is that of the body with the free joint, the IMU frame I that of
-    the site that carries a gyro or is named "imu" (the base frame where the model has none).
-    `foot_radius` is what the declared model says of rolling feet: zero means feet are points, or
-    flat.
+    The legs of a quadruped are FL, FR, RL, RR and, with three hinges each, their joints hip, thigh
+    and calf; two legs are left and right, others are named after their first body, and their joints
+    as in the model. The base frame B is that of the body with the free joint, the IMU frame I that
+    of the site that carries a gyro or is named "imu" (the base frame where the model has none).
+    `foot_radius` is the declared radius of rolling feet; zero means point or flat feet.
     """
 
     name: str
@@ -75,10 +74,11 @@ class Robot:
 
     @classmethod
     def load(cls, name_or_path: str | Path, feet: Mapping[str, str] | None = None) -> "Robot":
-        """The robot of a known name, or an MJCF or URDF file. Raises SurefootError in one line.
+        """Load the robot of a known name, or from an MJCF or URDF file. Raises SurefootError in one
+        line.
 
-        feet: name of each leg, and of the body or site that is its foot, where they are not to be
-        found by the shapes that the chains end in.
+        feet: name of each leg, and of the body or site that is its foot, where the shapes at the
+        ends of the chains do not identify them.
         """
         file = robot_file(name_or_path)
         model = compiled_model(file)
@@ -109,7 +109,7 @@ class Robot:
 
     @classmethod
     def for_log(cls, log: Log, name: str | Path | None = None) -> "Robot":
-        """The robot `name`, or else the one the log names, with what the log's map says of it."""
+        """The robot `name`, or else the one the log names, with the values of the log's map."""
         chosen = name or robot_of_log(log)
         if not chosen:
             raise SurefootError(NO_ROBOT)
@@ -127,10 +127,10 @@ class Robot:
         return robot
 
     def in_order_of(self, log: Log) -> "Robot":
-        """The robot with the joints and legs that a log has, in its order.
+        """The robot with the joints and legs of a log, in its order.
 
-        Joints of no leg that the log lacks stay where the model has them. Raises SurefootError
-        where it lacks one of a leg, or has a joint or leg that the robot does not.
+        Joints of no leg that the log lacks keep their position in the model. Raises SurefootError
+        where the log lacks a joint of a leg, or has a joint or leg that the robot does not.
         """
         own, joints = self.limbs, log.joints if log.has("q") else self.limbs.joints
         legs = log.legs or own.legs
@@ -166,11 +166,12 @@ class Robot:
         )
 
     def feet_I(self, q: np.ndarray) -> np.ndarray:
-        """Foot centres, or middles of flat soles, (N, L, 3) in I [m] of angles q (N, J) [rad]."""
+        """Foot centres, or middles of flat soles, (N, L, 3) in I [m] for angles q (N, J) [rad]."""
         return self._feet(q)[0]
 
     def feet_jacobian_I(self, q: np.ndarray) -> np.ndarray:
-        """d foot / d (own leg's joints), (N, L, 3, P) in I [m/rad], of q (N, J) [rad].
+        """Jacobian of each foot by its own leg's joints (N, L, 3, P) in I [m/rad], for q (N, J)
+        [rad].
 
         P is the number of joints of the longest leg; columns beyond a leg's own are zero.
         """
@@ -182,7 +183,7 @@ class Robot:
         return np.einsum("nlij,nlj->nli", axes, np.asarray(dq, dtype=float)[:, self.legs.joints])
 
     def spec(self) -> mujoco.MjSpec:
-        """A fresh MjSpec of the file, for composing with a scene."""
+        """A new MjSpec of the file, for composition with a scene."""
         return model_spec(self.file)
 
     @cached_property
@@ -193,14 +194,17 @@ class Robot:
 
     @cached_property
     def inertial(self) -> tuple[float, np.ndarray, np.ndarray, float]:
-        """At home: mass [kg], centre of mass (3,) in B [m], principal-axis inertia (3,) about it
-        [kg m^2], and the mass of one leg as felt at its foot [kg]."""
+        """Inertia in the home pose: mass [kg], centre of mass (3,) in B [m], diagonal of the
+        inertia (3,) about it along B's axes [kg m^2], and the effective mass of one leg at its foot
+        [kg].
+        """
         return _inertial(self)
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of the model: its file, what that includes as MuJoCo compiles it, and the
-        mounting and feet that are declared."""
+        """SHA-256 of the model: its file, with includes as MuJoCo compiles them, and the declared
+        mounting and feet.
+        """
         model = compiled_model(self.file)
         compiled = np.empty(mujoco.mj_sizeModel(model), np.uint8)
         mujoco.mj_saveModel(model, None, compiled)
@@ -237,7 +241,7 @@ def _inertial(robot: Robot) -> tuple[float, np.ndarray, np.ndarray, float]:
 
 
 def _imu_site(model: mujoco.MjModel, base: int) -> int:
-    """The base's site that a gyro or an accelerometer sits on, or one named so; -1 without one."""
+    """The base's site with a gyro or accelerometer, or one named so; -1 without one."""
     inertial = np.isin(
         model.sensor_type, (mujoco.mjtSensor.mjSENS_GYRO, mujoco.mjtSensor.mjSENS_ACCELEROMETER)
     )
@@ -260,9 +264,9 @@ def _ranges(model: mujoco.MjModel, joints: np.ndarray) -> np.ndarray:
 
 
 def _torque_limits(model: mujoco.MjModel, joints: np.ndarray) -> np.ndarray:
-    """The least of what motor and joint allow; infinite where they do not say.
+    """Lower of the motor's and the joint's limit; infinite where neither states one.
 
-    The control range of a plain motor is one of torque; of a servo it is one of angles or rates.
+    The control range of a plain motor is a torque; that of a servo is an angle or rate.
     """
     limits = np.full(len(joints), np.inf)
     for i, joint in enumerate(joints):
@@ -284,8 +288,9 @@ def _torque_limits(model: mujoco.MjModel, joints: np.ndarray) -> np.ndarray:
 
 
 def _home(model: mujoco.MjModel, joints: np.ndarray, tree: LegTree) -> np.ndarray:
-    """The keyframe "home", or the joints' zeros; of a quadruped where that does not stand, knees
-    bent with feet below the hips."""
+    """Angles of the keyframe "home", or zeros; for a quadruped that would not stand so, a standing
+    pose with bent knees and feet below the hips.
+    """
     key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
     pose = model.key_qpos[key] if key >= 0 else model.qpos0
     q_home = pose[model.jnt_qposadr[joints]].copy()
