@@ -1,7 +1,7 @@
 """Entries of an import map for one file of a recording, from names and values of its columns."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,7 +17,7 @@ from surefoot.sim.importing.guess_units import (
     unit_of_rates,
 )
 from surefoot.sim.importing.layout import is_number
-from surefoot.sim.importing.names import Named
+from surefoot.sim.importing.names import Named, words_of
 from surefoot.sim.importing.recorded_file import RecordedFile
 from surefoot.sim.log.schema import JOINTS, LEGS
 from surefoot.sim.robot.fixed_base import Machine
@@ -55,7 +55,7 @@ def guess_columns(
     """
     imu, imu_notes = _imu_entries(file)
     joints, legs, rate = _joint_entries(file, machine, commands, imu)
-    feet, feet_notes = _feet_entries(file, legs)
+    feet, feet_notes = _feet_entries(file, legs, machine)
     times = [file.t] if file.t else []
     return GuessedColumns((*times, *imu, *joints, *feet), (*imu_notes, *feet_notes), rate)
 
@@ -254,13 +254,24 @@ def _entries_of_kind(
     return entries, rate
 
 
-def _feet_entries(file: RecordedFile, legs: Sequence[str]) -> tuple[list[Entry], list[str]]:
+def _feet_entries(
+    file: RecordedFile, legs: Sequence[str], machine: Machine | None
+) -> tuple[list[Entry], list[str]]:
     """Entries of contacts, forces and positions of the feet, and notes.
 
-    legs: order of the legs for feet without names.
+    Args:
+        file: of the recording.
+        legs: order of the legs for feet without names.
+        machine: robot whose legs are recognised by the words of their joints.
     """
     entries: list[Entry] = []
     found = _of(file, "contact", "force", "foot")
+    own_words = _words_of_legs(machine)
+    for name, one in found.items():
+        words = set(words_of(name))
+        named = [leg for leg, theirs in own_words.items() if theirs <= words]
+        if len(named) == 1:
+            found[name] = replace(one, leg=named[0], part="")
     named_legs = {one.leg for one in file.names.values() if one.leg}
     for kind in ("contact", "force"):
         own = {n: one for n, one in found.items() if one.kind == kind and one.leg}
@@ -291,6 +302,23 @@ def _feet_entries(file: RecordedFile, legs: Sequence[str]) -> tuple[list[Entry],
         for name, one in feet.items()
     ]
     return entries, ["are foot_<leg> along the IMU's axes, from its origin?"] if feet else []
+
+
+def _words_of_legs(machine: Machine | None) -> dict[str, set[str]]:
+    """Words that all joints of a leg share and that not all legs share, for machines with other
+    than two or four legs, whose legs have no names of their own.
+    """
+    if machine is None or len(machine.limbs.legs) in (0, 2, 4):
+        return {}
+    limbs = machine.limbs
+    shared = [
+        set.intersection(*(set(words_of(limbs.joints[joint])) for joint in chain))
+        for chain in limbs.chains
+    ]
+    of_all = set.intersection(*shared)
+    return {
+        leg: words - of_all for leg, words in zip(limbs.legs, shared, strict=True) if words - of_all
+    }
 
 
 def _contact_or_force(file: RecordedFile, kind: str, names: Sequence[str]) -> str:

@@ -472,6 +472,33 @@ def test_angles_without_a_name_are_no_joints_beside_those_that_have_one(tmp_path
     assert [e.theirs for e in entries if e.name.startswith("q_")] == [*named]
 
 
+def test_contacts_of_six_legs_are_known_by_the_words_of_their_joints(tmp_path):
+    """Legs of other than four or two are named after their first body."""
+    legs = {
+        f"{side}{k}": (0.1 * (2 - k), y) for side, y in (("l", 1), ("r", -1)) for k in (1, 2, 3)
+    }
+    bodies = "".join(
+        f"""<body name="coxa_{leg}" pos="{x} {0.1 * y} 0"><joint name="coxa_{leg}" axis="0 0 1"/>
+        <geom size="0.01" contype="0" conaffinity="0"/>
+        <body pos="0 {0.1 * y} 0"><joint name="tibia_{leg}" axis="1 0 0"/>
+        <geom size="0.01" pos="0 0 -0.1"/></body></body>"""
+        for leg, (x, y) in legs.items()
+    )
+    robot = tmp_path / "hexapod.xml"
+    robot.write_text(
+        f"""<mujoco><worldbody><body name="base"><freejoint/><inertial pos="0 0 0" mass="1"
+        diaginertia="1 1 1"/>{bodies}</body></worldbody></mujoco>"""
+    )
+    t = np.arange(0.0, 2.0, 0.01)
+    columns = {"time": t} | {f"acc_{a}": np.sin(t) + 9.81 * (a == "z") for a in "xyz"}
+    columns |= {f"pos_{part}_{leg}": np.sin(3 * t) for leg in legs for part in ("coxa", "tibia")}
+    columns |= {f"contact_{leg}": (np.sin(t) > 0).astype(int) for leg in legs}
+    pd.DataFrame(columns).to_csv(tmp_path / "run.csv", index=False)
+    found = drafted(guess_map([tmp_path / "run.csv"], str(robot)))
+    for leg in legs:
+        assert found[f"contact_coxa_{leg}"][0] == f"contact_{leg}"
+
+
 @pytest.mark.parametrize(
     ("asked", "words"),
     [(0, "no questions in it"), (1, "answer it, then"), (2, "answer them, then")],
