@@ -1,4 +1,4 @@
-"""Align a reference with the IMU of its log: some lines, numbers, a figure, and the aligned log."""
+"""Align a reference with the IMU of its log: report, numbers, figure and aligned log."""
 
 import json
 from pathlib import Path
@@ -18,7 +18,7 @@ from surefoot.sim.robot import Robot
 
 _OUTPUTS = ("alignment.json", "alignment.png", "aligned.parquet")
 _SHOWN = 4.0
-"""s of the walk that are drawn: some strides."""
+"""Length of the section that is plotted [s]: some strides."""
 
 
 def align_file(
@@ -29,18 +29,18 @@ def align_file(
     most: float = 10.0,
     force: bool = False,
 ) -> tuple[Alignment, tuple[str, ...]]:
-    """Align a log, or a recording with its map; what was found, and the same in words.
+    """Align a log, or a recording with its map; returns the result and a description.
+
+    Raises SurefootError where a file exists (without `force`), IMU or reference are missing or
+    overlap too little, or the robot is unknown.
 
     Args:
         file: a log (.parquet), or with `map` a recording.
         out: folder for _OUTPUTS.
         map: of the recording.
-        robot: in whose base frame the tracked point is given too.
-        most: largest offset of the clock that is looked for [s].
+        robot: in whose base frame the tracked point is reported as well.
+        most: largest clock offset that is searched for [s].
         force: overwrite such files.
-
-    Raises SurefootError where a file exists (no `force`), IMU or reference are missing or share too
-    little, or the robot is not known.
     """
     for name in _OUTPUTS:
         refuse_overwrite(Path(out) / name, force)
@@ -60,8 +60,9 @@ def align_file(
 
 
 def figure(log: Log, poses: Poses, found: Alignment) -> Figure:
-    """The gyro against the turning of the tracked body, before and after; and what its place
-    explains of the accelerometer."""
+    """Plot the gyro and the rotation of the tracked body, before and after, and what the lever arm
+    explains of the accelerometer.
+    """
     t, gyro = log.t, log.gyro
     fitted = found.fitted
     begin = _busiest(fitted.t, gyro, t)
@@ -110,7 +111,7 @@ def _read(file: Path, map: str | None) -> tuple[Log, Poses]:
 
 
 def _busiest(shared: np.ndarray, gyro: np.ndarray, t: np.ndarray) -> float:
-    """Where, within the times that are shared, the IMU turns most over _SHOWN seconds."""
+    """Start of the _SHOWN seconds, within the shared times, in which the IMU rotates most."""
     starts = np.arange(shared[0], max(shared[-1] - _SHOWN, shared[0] + 0.1), 0.5)
     turned = np.cumsum(np.sum(gyro**2, axis=1))
     within = np.interp(starts + _SHOWN, t, turned) - np.interp(starts, t, turned)

@@ -1,11 +1,12 @@
-"""Results of long runs on disk, each found again while all that decides it is as it was.
+"""Cache of results of long runs, valid as long as all that determines them is unchanged.
 
-Products of experiments are files named by a key, a hash of all that decides them; cases of studies
-are JSON rows by a name, which hold what decides them, so that a folder of them can be read.
+Products of experiments are files named by a key, a hash of all that determines them. Cases of
+studies are JSON rows under a name that contain what determines them, so that a folder of them is
+readable.
 
-A key hashes what the product is made from and the source of the code that makes it. An input that
-is itself a product enters by its contents, not by its key: code that changed and made the same
-bits again invalidates nothing further down.
+A key hashes the inputs of a product and the source of the code that makes it. An input that is
+itself a product enters by its contents, not by its key: changed code that reproduces the same bits
+invalidates nothing downstream.
 """
 
 import hashlib
@@ -25,7 +26,7 @@ from surefoot.sim.log import Log
 
 @dataclass(frozen=True)
 class Product:
-    """A file in the cache, the SHA-256 of its contents, and a few facts of it (plain JSON)."""
+    """A file in the cache, the SHA-256 of its contents, and some facts about it (plain JSON)."""
 
     path: Path
     digest: str
@@ -40,16 +41,16 @@ def product(
     suffix: str,
     make: Callable[[Path], dict[str, Any]],
 ) -> Product:
-    """The product of these inputs: read from `folder` where it is there, made where not.
+    """Return the product of these inputs, from `folder` if it exists there, else newly made.
 
     Args:
         folder: the cache's.
         kind: of product; files of a kind share a folder.
-        inputs: all that decides it, as JSON; of another product, its digest.
-        code: the module that makes it, such as "surefoot.sim.walking.batch"; it and all that it
-        imports count.
+        inputs: all that determines it, as JSON; for another product, its digest.
+        code: the module that makes it, such as "surefoot.sim.walking.batch"; it and all its imports
+            count.
         suffix: of the file.
-        make: writes the file at the path it is given and returns the facts.
+        make: writes the file at the given path and returns the facts.
     """
     key = product_key(kind, inputs, code)
     private_folder(folder)
@@ -61,7 +62,7 @@ def product(
     with kept_file(path) as temporary:
         facts = make(temporary)
         digest = file_digest(temporary)
-    # The card comes last: a file without one is one that a kill left, and is made again.
+    # The card is written last: a file without one is incomplete and is made again.
     with kept_file(card) as temporary:
         values = {"inputs": dict(inputs), "digest": digest, "facts": facts}
         values["card"] = _json_digest(values)
@@ -70,20 +71,20 @@ def product(
 
 
 def product_key(kind: str, inputs: Mapping[str, Any], code: str) -> str:
-    """The name under which a product is kept."""
+    """Name under which a product is stored."""
     text = json.dumps([kind, inputs, sources_digest(code)], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
 def contents_digest(log: Log) -> str:
-    """SHA-256 of all that a log holds: its columns, and what it says of itself."""
+    """SHA-256 of a log's columns and metadata."""
     about = json.dumps([list(log.frame), asdict(log.meta)], sort_keys=True, default=repr)
     rows = pd.util.hash_pandas_object(log.frame, index=False).to_numpy()
     return hashlib.sha256(about.encode() + rows.tobytes()).hexdigest()
 
 
 def _read(card: Path, path: Path) -> Product | None:
-    """The product that a card names, None where either is missing or not as it was written."""
+    """The product of a card; None where either is missing or damaged."""
     try:
         values = json.loads(card.read_text(encoding="utf-8"))
         found = Product(path, values["digest"], values["facts"])
@@ -110,13 +111,13 @@ def finished_case(
     module: str,
     make: Callable[[], Mapping[str, Any]],
 ) -> dict[str, Any]:
-    """The row of a case: read where it was finished by the same code, else made and written.
+    """Return the row of a case, from disk if the same code finished it, else newly made.
 
     Args:
-        folder: of the study's rows; committed ones lie in docs/data/STUDY.
+        folder: of the study's rows; committed ones are in docs/data/STUDY.
         name: of the case, and of its file.
-        inputs: all that decides the case beside the code, as JSON.
-        module: dotted name of the module that runs it; it and all that it imports count.
+        inputs: all that determines the case besides the code, as JSON.
+        module: dotted name of the module that runs it; it and all its imports count.
         make: runs the case and returns its row, as JSON.
     """
     row = read_case(folder, name, inputs, module)
@@ -132,7 +133,7 @@ def finished_case(
 def read_case(
     folder: Path, name: str, inputs: Mapping[str, Any], module: str
 ) -> dict[str, Any] | None:
-    """The row of a case that the same code finished, None where there is none, or a damaged one."""
+    """The row of a case finished by the same code; None where there is none, or a damaged one."""
     try:
         values = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):

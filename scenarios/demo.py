@@ -1,4 +1,4 @@
-"""The main job end to end: walk, learn, calibrate, estimate, compare, and close the loop."""
+"""The whole workflow end to end: walk, learn, calibrate, estimate, compare and trace."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -42,13 +42,13 @@ UNDECLARED: tuple[tuple[str, tuple[str, ...], tuple[float, float]], ...] = (
     ("gyro_scale", ("x", "y", "z"), (0.01, 0.03)),
     ("joint_delay", ("all",), (0.003, 0.01)),
 )
-"""What the traced walk may contain: an effect, its targets, and the range of its size."""
+"""Possible undeclared effects of the traced walk: effect, targets, and range of the size."""
 
 
 def demo(out: Path, seed: int = 0, force: bool = False) -> pd.DataFrame:
-    """Run everything into `out` and print the table; the same seed gives the same table.
+    """Run everything into `out` and print the table; deterministic for a given seed.
 
-    Raises SurefootError where `out` holds files and `force` is not given.
+    Raises SurefootError where `out` contains files and `force` is not given.
     """
     started = perf_counter()
     check_seed(seed)
@@ -65,7 +65,7 @@ def demo(out: Path, seed: int = 0, force: bool = False) -> pd.DataFrame:
 
 
 def _run(out: Path, seed: int) -> tuple[pd.DataFrame, Trace, Effect]:
-    """The table, and what the trace found of which effect; all files are in `out`."""
+    """The table, the trace, and the effect it should have found; all files are in `out`."""
     robot = Robot.load("spot_class")
     logs = {role: _walk(role, robot, _seed(role, seed), out) for role in WALKS}
     print("training two observers on one walk: mean squared error, Gaussian likelihood")
@@ -73,7 +73,7 @@ def _run(out: Path, seed: int) -> tuple[pd.DataFrame, Trace, Effect]:
     print("\nevery filter, on a walk that nothing was trained on")
     comparison = compare_log(logs["walk"], robot, learnt)
     found, hidden = _trace(robot, seed, out)
-    # The ground as this seed laid it, not as the file has it before patches and mu are drawn.
+    # The ground as drawn with this seed, in contrast to that in the file.
     ground = plan(_scenario("walk"), robot, _seed("walk", seed)).draw.scenario.ground
     extra = [*_observer_sections(logs, learnt, out), *_loop_sections(found, hidden)]
     title = "surefoot demo: a walk on slippery ground, estimated by proprioception"
@@ -86,12 +86,12 @@ def _scenario(role: str) -> Scenario:
 
 
 def _seed(role: str, seed: int) -> int:
-    """Another seed a walk: the same robot, switched on anew, on ground laid anew."""
+    """A different seed for each walk: the same robot, started anew, on newly drawn ground."""
     return 4 * seed + WALKS.index(role)
 
 
 def _walk(role: str, robot: Robot, seed: int, out: Path) -> Log:
-    """Walk the scenario of that name and write its log under it."""
+    """Simulate the scenario of that name and write its log under it."""
     with percent_bar(f"walking: {role}") as progress:
         log = walk(_scenario(role), robot, seed, progress=progress)
     path = out / "logs" / f"{role}.parquet"
@@ -100,7 +100,7 @@ def _walk(role: str, robot: Robot, seed: int, out: Path) -> Log:
 
 
 def _trace(robot: Robot, seed: int, out: Path) -> tuple[Trace, Effect]:
-    """Walk once more with an undeclared effect, and find it from the log alone."""
+    """Simulate another walk with an undeclared effect, and trace it from the log alone."""
     rng = np.random.default_rng([seed, 4])
     name, targets, (low, high) = UNDECLARED[rng.integers(len(UNDECLARED))]
     size = float(rng.choice([-1.0, 1.0]) * np.exp(rng.uniform(np.log(low), np.log(high))))

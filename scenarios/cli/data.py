@@ -1,4 +1,4 @@
-"""Commands that make, fetch and show data."""
+"""Commands that create, import and show data."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -35,7 +35,9 @@ def _for_observers(_default: str) -> str:
 
 @dataclass(frozen=True)
 class Simulate:
-    """Walk scenarios, a log for each seed, and an index of them; a killed run is resumed."""
+    """Simulate walks, one log for each scenario and seed, with an index; an interrupted run is
+    resumed.
+    """
 
     scenarios: Annotated[
         Positional[tuple[str, ...]],
@@ -44,15 +46,15 @@ class Simulate:
     out: Out
     """Folder for the logs."""
     robot: str | None = None
-    """Robot to walk; the scenario's own where left out."""
+    """Robot to walk; by default the scenario's own."""
     seeds: str = "0"
     """One seed, or a range such as 0:8."""
     effects: Path | None = None
-    """File of effects (TOML) to put into the walk."""
+    """File of effects (TOML) to inject into the walks."""
     undeclared: bool = False
-    """Leave the effects out of the logs' metadata; truth.toml beside the logs keeps them."""
+    """Omit the effects from the logs' metadata; truth.toml beside the logs lists them."""
     workers: int = 1
-    """Walks at once on this machine, each on a thread."""
+    """Number of parallel walks on this machine, one thread each."""
     cluster: Cluster = None
     force: Force = False
 
@@ -74,18 +76,20 @@ class Simulate:
 
 @dataclass(frozen=True)
 class Import:
-    """Convert a measured log, by a map from its columns to those of a Log.
+    """Convert a recording to a Log, by a map of its columns.
 
-    CSV and other text, JSON, NPZ, MAT, HDF5, Parquet, ROS 1, ROS 2 and MCAP, by the files' endings.
+    CSV and other text, JSON, NPZ, MAT, HDF5, Parquet, ROS 1, ROS 2 and MCAP, by the files'
+    suffixes.
     """
 
     files: Annotated[Positional[tuple[str, ...]], arg(metavar="FILE...")]
-    """The main file, or the folder that holds it, and further files that the map does not name. A
-    `csv` or `bag` before them is passed over."""
+    """The main file, or the folder that contains it, then further files that the map does not name.
+    A leading `csv` or `bag` is ignored.
+    """
     map: str | None = None
     """Map file (TOML), or the name of a bundled one."""
     out: Annotated[Path | None, arg(aliases=["-o"])] = None
-    """File for the log (.parquet), or with --guess for the map (.toml)."""
+    """File for the log (.parquet) or, with --guess, for the map (.toml)."""
     guess: bool = False
     """Draft a map of the files instead, with a question for each doubt; printed without -o."""
     robot: RobotName = None
@@ -131,7 +135,7 @@ class Import:
             return
         with whole_file(self.out, self.force) as temporary:
             temporary.write_text(text, encoding="utf-8")
-        # A bare "# ?" marks one more line of the question above it; the head has one in words.
+        # A line "# ?" only marks an entry below its question; the head explains it in words.
         asked = text.partition("\n")[2].count("# ? ")
         if asked == 0:
             what = "no questions in it; import with --map"
@@ -144,10 +148,10 @@ class Import:
 
 @dataclass(frozen=True)
 class Export:
-    """Write a log or an estimate for other tools: TUM, CSV or MCAP, by the ending of --out."""
+    """Write a log or an estimate for other tools: TUM, CSV or MCAP, by the suffix of --out."""
 
     file: Positional[Path]
-    """A log, or an estimate as `estimate` writes it."""
+    """A log, or an estimate as written by `estimate`."""
     out: Out
     """File to write: .tum (poses; of a log, its reference), .csv (every column), .mcap (ROS 2 and
     Foxglove messages)."""
@@ -161,7 +165,7 @@ class Export:
 
 @dataclass(frozen=True)
 class Info:
-    """What a log holds, how good its reference is, and what in it is not plausible."""
+    """Show what a log contains, the quality of its reference, and what is implausible."""
 
     logs: Annotated[Positional[tuple[Path, ...]], arg(metavar="LOG...")]
     robot: RobotName = None
@@ -217,17 +221,17 @@ def _groups(log: "Log") -> list[str]:
 
 @dataclass(frozen=True)
 class Align:
-    """Find clock, place and rotation of a reference from IMU and reference alone."""
+    """Find clock offset, position and rotation of a reference from IMU and reference alone."""
 
     file: Positional[Path]
-    """A log; or with --map a recording, all of whose poses are then used, as `import` reads it."""
+    """A log; or with --map a recording, of which all poses are used, as read by `import`."""
     out: Out
     """Folder for alignment.json, alignment.png and aligned.parquet."""
     map: str | None = None
     """Map of the recording (TOML), or the name of a bundled one."""
     robot: RobotName = None
     most: float = 10.0
-    """Largest offset of the clock that is looked for [s]."""
+    """Largest clock offset that is searched for [s]."""
     as_json: Json = False
     force: Force = False
 
@@ -245,10 +249,10 @@ class View:
     file: Annotated[Positional[str], arg(metavar="FILE|SCENARIO")]
     """A recording (.rrd), a log (.parquet), or a scenario: its file or bundled name."""
     web: bool = False
-    """Serve it to a browser of this machine, on 127.0.0.1."""
+    """Serve it to a browser on this machine, at 127.0.0.1."""
     robot: RobotName = None
     seed: int = 0
-    """Of a course and its ground."""
+    """Seed of a course and its ground."""
     out: Annotated[Path | None, arg(aliases=["-o"])] = None
     """File for the recording of a log or a scenario (.rrd), instead of opening it."""
     force: Force = False
@@ -286,10 +290,10 @@ class View:
 
 @dataclass(frozen=True)
 class Robots:
-    """List the robots that are known by name; or show what is read from one of them, or a file."""
+    """List the known robots, or show what is read from one of them or from a file."""
 
     robot: Annotated[Positional[str], arg(metavar="NAME|FILE")] = ""
-    """Its legs, limits, masses, feet, IMU and home pose are shown."""
+    """Robot of which to show legs, limits, masses, feet, IMU and home pose."""
     out: Annotated[Path | None, arg(aliases=["-o"])] = None
     """File for a picture of that robot (.png)."""
     as_json: Json = False
@@ -322,13 +326,13 @@ class Robots:
 
 @dataclass(frozen=True)
 class New:
-    """Write a package of your own that works as it is: an estimator with its test."""
+    """Write a working package of your own: an estimator with its test."""
 
     kind: Positional[Literal["estimator"]]
     name: Positional[str]
-    """Of the estimator: small letters, digits and underscores."""
+    """Name of the estimator: lower-case letters, digits and underscores."""
     out: Annotated[Path | None, arg(aliases=["-o"])] = None
-    """Folder for it; NAME where left out."""
+    """Folder for it; by default NAME."""
     force: Force = False
 
     def run(self) -> None:

@@ -1,4 +1,4 @@
-"""Commands that learn from logs and estimate them."""
+"""Commands that train, calibrate and run estimators."""
 
 import sys
 from dataclasses import dataclass, replace
@@ -33,11 +33,11 @@ if TYPE_CHECKING:
     from surefoot.estimator.metrics import Metrics
 
 NOT_TRUSTED = 3
-"""Exit code of an estimate that is not to be trusted; bad input is 1, bad options are 2."""
+"""Exit code for an estimate that is not to be trusted; 1 is bad input, 2 bad options."""
 
 
 def _labels(default: str) -> str:
-    """The labels of the calibration methods, which are imported when help is printed."""
+    """Labels of the calibration methods, which are imported when help is printed."""
     methods = CALIBRATORS.usable()[0].items()
     return "; ".join(f"{name}: {kind.label}" for name, kind in methods) + f". (default: {default})"
 
@@ -54,29 +54,32 @@ Method = Annotated[one_of(CALIBRATORS), arg(help_behavior_hint=_labels)]
 
 @dataclass(frozen=True)
 class Train:
-    """Train a velocity observer on one or more logs; a killed training is resumed."""
+    """Train a velocity observer on one or more logs; an interrupted training is resumed."""
 
     logs: Annotated[Positional[tuple[Path, ...]], arg(metavar="LOG...")]
-    """Each of ten seconds at least, with a reference."""
+    """Logs of at least ten seconds, with a reference."""
     out: Out
     """File for the observer."""
     loss: one_of(LOSSES) = "mse"  # pyright: ignore[reportInvalidTypeForm]
-    """Mean squared error, or Gaussian likelihood, which predicts a covariance too."""
+    """Mean squared error, or Gaussian likelihood, which also predicts a covariance."""
     inputs: Literal["q", "q,dq", "q,dq,tau", "feet", "tau,feet", "q,dq,tau,feet"] = "q,dq,tau"
-    """What it reads of a log, which must have it: joint angles, velocities, torques. feet is leg
-    odometry of the declared robot, computed from q and dq, which the network corrects."""
+    """Inputs, which the log must have: joint angles, velocities, torques. feet is leg odometry of
+    the declared robot from q and dq, which the network corrects.
+    """
     model: one_of(ARCHITECTURES) = "gru"  # pyright: ignore[reportInvalidTypeForm]
-    """The network; a bigru reads a log from both ends, so it serves whole logs alone."""
+    """Architecture; a bigru reads a log from both ends, so it works on whole logs only."""
     steps: int = 1200
-    """Of the training; it ends earlier where the validation gets no better."""
+    """Maximum steps of the training; it stops earlier if the validation no longer improves."""
     batch: int = 4
-    """Windows of ten seconds that a step is taken on."""
+    """Windows of ten seconds in each step."""
     rate: float | None = None
-    """Highest learning rate; the architecture's own where left out."""
+    """Largest learning rate; by default the architecture's own."""
     width: int | None = None
-    """Of the network's layers; the architecture's own, of some 20 000 weights, where left out."""
+    """Width of the network's layers; by default the architecture's own, with some 20 000
+    weights.
+    """
     device: str = "cpu"
-    """Of PyTorch's, such as cuda or mps, to train on; the observer runs on the CPU."""
+    """PyTorch device for the training, such as cuda or mps; the observer runs on the CPU."""
     robot: RobotName = None
     seed: int = 0
     strict: Strict = False
@@ -118,27 +121,27 @@ class Train:
 
 @dataclass(frozen=True)
 class Calibrate:
-    """Bounds on an observer's velocity errors, from a log it has not seen."""
+    """Calibrate bounds on an observer's velocity errors, from a log it has not seen."""
 
     observer: Annotated[Positional[Path], arg(metavar="OBSERVER")]
     log: Annotated[Positional[Path], arg(metavar="LOG")]
-    """One that the observer was not trained on."""
+    """A log that the observer was not trained on."""
     out: Out
     """File for the bounds (JSON)."""
     gamma: Annotated[float, arg(help_behavior_hint=_walk_enough)] = 0.8
     """Joint level."""
     method: Method = "conformal"  # pyright: ignore[reportInvalidTypeForm]
-    """What the bounds state."""
+    """Method, which determines what the bounds state."""
     confidence: float = 0.95
-    """Of scenario bounds, over the calibrations that might have been."""
+    """Confidence of scenario bounds, over possible calibrations."""
     K: int | None = None
-    """Steps of 10 ms between errors taken as independent; from the mixing curve if left out."""
+    """Steps of 10 ms between errors taken as independent; by default from the mixing curve."""
     report: Path | None = None
     """Folder for a report: mixing curve, methods, and coverage on the walks of --on."""
     on: tuple[Path, ...] = ()
     """Logs on which the report evaluates the bounds."""
     page: Path | None = None
-    """Page of results to write beside the report, such as docs/results/bounds.md."""
+    """Page of results to write besides the report, such as docs/results/bounds.md."""
     robot: RobotName = None
     strict: Strict = False
     as_json: Json = False
@@ -193,7 +196,7 @@ class Calibrate:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Run one filter over a log; prints metrics where the log has a reference.
+    """Run one filter over a log; prints metrics if the log has a reference.
 
     Exit code 3: the trajectory is written, but is not to be trusted; the last line says why.
     """
@@ -257,12 +260,12 @@ class Estimate:
 
 @dataclass(frozen=True)
 class NoiseCommand:
-    """Noise of a log's sensors where the robot rests, as settings that the filters take."""
+    """Estimate the sensor noise of a log in which the robot rests, as settings of the filters."""
 
     log: Annotated[Positional[Path], arg(metavar="LOG")]
-    """A log that rests somewhere, for a minute or more if walks of biases are to be seen."""
+    """A log with a rest, of a minute or more for the random walks of biases."""
     out: Annotated[Path | None, arg(aliases=["-o"])] = None
-    """Settings (.toml) for --settings; the Allan deviations are drawn in a .png beside it."""
+    """Settings (.toml) for --settings; the Allan deviations are plotted in a .png beside it."""
     as_json: Json = False
     force: Force = False
 
@@ -277,7 +280,7 @@ class NoiseCommand:
 
 @dataclass(frozen=True)
 class Compare:
-    """Every filter that the inputs allow on every log: table, figures, report, recordings."""
+    """Run every filter that the inputs allow on every log: table, figures, report, recordings."""
 
     logs: Annotated[Positional[tuple[Path, ...]], arg(metavar="LOG...")]
     out: Out

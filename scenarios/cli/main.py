@@ -1,4 +1,6 @@
-"""The command line: `surefoot COMMAND`. Each command is a dataclass; its fields are its options."""
+"""The command line: `surefoot COMMAND`. Each command is a dataclass whose fields are its
+options.
+"""
 
 import os
 import sys
@@ -71,10 +73,10 @@ NO_TORCH = "observers need PyTorch, which is not installed: the extra surefoot[l
 
 
 def _parsed(arguments: Sequence[str]) -> tuple[str, Any]:
-    """The command of these arguments and its name; exits, as tyro does, after --help or a mistake.
+    """Parse the command and its name; exits, like tyro, after --help or an error.
 
-    The parser of one command alone is made where its name comes first: it is quicker, and what it
-    suggests for a mistyped option is of this command.
+    If the command's name comes first, only its parser is built: that is faster, and suggestions for
+    a mistyped option are from this command.
     """
     first, *rest = arguments or [""]
     config = (FlagCreatePairsOff, OmitArgPrefixes)
@@ -99,8 +101,11 @@ def _parsed(arguments: Sequence[str]) -> tuple[str, Any]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run one command; bad input is one line on stderr and exit code 1, bad options exit code 2,
-    an interruption the code of its signal and 128."""
+    """Run one command.
+
+    Bad input is one line on stderr and exit code 1, bad options exit code 2, an interruption 128
+    plus the signal's number.
+    """
     name = ""
     plain_terminals()
     try:
@@ -116,7 +121,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(f"\nsurefoot: {how_to_go_on(name, stop.written)}", file=sys.stderr)
         sys.exit(128 + stop.number)
     except BrokenPipeError:
-        # Whoever read the output has gone; Python would complain once more at its end.
+        # The reader of the output is gone; Python would report that once more on exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except ModuleNotFoundError as error:

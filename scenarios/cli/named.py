@@ -1,4 +1,4 @@
-"""What a command's options name is looked for before anything heavy is imported."""
+"""Check names and files in a command's options before slow imports."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -26,9 +26,9 @@ EFFECT_NAMES = (
 
 
 def refuse_unnamed(given: Mapping[str, Any]) -> None:
-    """Raise SurefootError for a file that is not there, or a name that is of nothing known.
+    """Raise SurefootError for a missing file or an unknown name.
 
-    given: the values of a command's options that it reads, by their names.
+    given: name -> value of a command's options that it reads.
     """
     for option, value in given.items():
         for one in value if isinstance(value, tuple) else (value,):
@@ -39,7 +39,7 @@ def refuse_unnamed(given: Mapping[str, Any]) -> None:
 
 
 def file_there(path: str | Path) -> None:
-    """Raise SurefootError where neither a file nor a folder is."""
+    """Raise SurefootError where there is neither a file nor a folder."""
     if not Path(path).exists():
         raise SurefootError(f"{path}: no such file")
 
@@ -71,4 +71,6 @@ _LOOKED_UP = {
     "effects": _known_effect,
     "only": check_item,
 }
-"""Options that are names, some of them files as well -> what raises SurefootError if unknown."""
+"""Options that are names, some of them also files -> function that raises SurefootError if
+unknown.
+"""

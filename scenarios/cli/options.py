@@ -1,4 +1,4 @@
-"""What several commands of the command line share."""
+"""Options shared by several commands."""
 
 import json
 import math
@@ -57,12 +57,12 @@ Cluster = Annotated[
 
 
 def one_of(names: Iterable[str]) -> Any:
-    """The type of an option that is one of these names, such as a Registry's: --help has them."""
+    """Type of an option that is one of these names, such as a Registry's; --help lists them."""
     return literal_type_from_choices(tuple(names))
 
 
 def read_logs(paths: tuple[Path, ...], robot: str | None = None) -> list:
-    """The logs of these files, said to be of `robot` where that is given.
+    """Read the logs of these files, assigned to `robot` if that is given.
 
     Raises SurefootError where none is given or one is bad.
     """
@@ -77,10 +77,9 @@ def read_logs(paths: tuple[Path, ...], robot: str | None = None) -> list:
 def not_plausible(
     logs: Sequence["Log"], robot: str | Path | None = None, strict: bool = False
 ) -> dict[str, tuple[str, ...]]:
-    """What in these logs cannot be, or hardly: lines by the log's name, each also on stderr.
+    """Find what is implausible in these logs: lines by the log's name, also printed to stderr.
 
-    The robot is the logs' own where it is None. Raises SurefootError where `strict` and there are
-    any.
+    `robot` is the logs' own by default. Raises SurefootError if there are any and `strict` is set.
     """
     from surefoot.sim.plausibility import check_log
     from surefoot.sim.robot.fixed_base import machine_for_log
@@ -102,7 +101,7 @@ def not_plausible(
 
 
 def as_declared(logs: Sequence["Log"]) -> list:
-    """The logs as the filters see them: the effects that they declare undone."""
+    """The logs with their declared effects compensated, as the filters see them."""
     from surefoot.scenarios.estimate.run import declared_model, refuse_without_robot
     from surefoot.sim.robot import Robot
 
@@ -112,12 +111,12 @@ def as_declared(logs: Sequence["Log"]) -> list:
 
 
 def learnt_from(observers: tuple[Path, ...], bounds: tuple[Path, ...]):
-    """The observers and bounds of these files, as `scenarios.estimate.contract.Learnt`."""
+    """Load these observers and bounds as `scenarios.estimate.contract.Learnt`."""
     from surefoot.scenarios.estimate.contract import Learnt
 
     if not (observers or bounds):
         return Learnt()
-    # Only what is learnt needs torch, an extra.
+    # Only learnt filters need torch, which is an extra.
     from surefoot.models.calibration.bounds import Bounds
     from surefoot.models.observer.observer import Observer
 
@@ -128,7 +127,7 @@ def learnt_from(observers: tuple[Path, ...], bounds: tuple[Path, ...]):
 
 
 def print_json(value: Any) -> None:
-    """Print it as JSON: what is not finite as null, arrays as lists, files by their names."""
+    """Print as JSON: non-finite values as null, arrays as lists, files as names."""
     print(json.dumps(_plain(value), indent=2))
 
 

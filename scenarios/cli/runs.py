@@ -1,5 +1,6 @@
-"""Guards around every command: no input is written over, no two runs write to one output, and an
-interruption ends in one line."""
+"""Guards around every command: inputs are never overwritten, no two runs write to one output, and
+an interruption ends in one line.
+"""
 
 import os
 import sys
@@ -29,9 +30,9 @@ except ImportError:  # where it is missing, two runs into one folder are not tol
     fcntl = None
 
 OUTPUTS_OF_ONE_RUN = ("out", "report")
-"""Options for outputs that one run alone may write."""
+"""Options for outputs that only one run at a time may write."""
 SHARED_OUTPUTS = ("page", "data", "cache")
-"""Options for outputs that runs may share. Every other path is one that a command reads."""
+"""Options for outputs that runs may share. Every other path is an input."""
 FOLDER_OPTIONS = ("data", "cache")
 """Options that must not name a file."""
 BOUNDED = {
@@ -41,19 +42,19 @@ BOUNDED = {
     "rounds": "items",
     "budget": "items",
 }
-"""Options that are counts -> the limit that they have."""
+"""Options that are counts -> name of their limit."""
 GOES_ON = {"simulate", "train", "experiment", "suite", "loop", "montecarlo", "walking", "tune"}
-"""Commands that, run again after an interruption, go on from what was done."""
+"""Commands that continue after an interruption when run again."""
 SPACE = 4_000_000
-"""bytes that must be free for a command to start: reports and figures have as many."""
+"""Free space that a command needs to start [bytes], for reports and figures."""
 
 
 @contextmanager
 def guarded(name: str, command: Any) -> Iterator[None]:
-    """While it lasts, the command has its output to itself and never writes over what it reads.
+    """Context in which the command has its output to itself and cannot overwrite its inputs.
 
-    Raises SurefootError where what it reads is not there, where its output is an input or another
-    run is writing it, where the disk is full, or where others can write to the cache.
+    Raises SurefootError where an input is missing, an output is an input or is being written by
+    another run, the disk is full, or others can write to the cache.
     """
     given = {f.name: getattr(command, f.name) for f in fields(command)}
     own = [given[name] for name in OUTPUTS_OF_ONE_RUN if given.get(name) is not None]
@@ -83,7 +84,8 @@ def guarded(name: str, command: Any) -> Iterator[None]:
             with unwrapped():
                 yield
         except Interrupted as stop:
-            # A command that can go on writes parts of its output first: only whole outputs count.
+            # A command that can continue writes parts of its output first; only complete outputs
+            # count.
             whole = [Path(os.path.realpath(path)) for path in own]
             done = [p for p in run.written if name not in GOES_ON or p in whole]
             stop.written = [str(path) for path in done]
@@ -91,7 +93,7 @@ def guarded(name: str, command: Any) -> Iterator[None]:
 
 
 def _paths(value: Any) -> list[Path]:
-    """The files and folders that an option names."""
+    """The files and folders in an option's value."""
     found = []
     for one in value if isinstance(value, tuple) else (value,):
         try:
@@ -104,7 +106,9 @@ def _paths(value: Any) -> list[Path]:
 
 @contextmanager
 def _alone(out: Path) -> Iterator[None]:
-    """While it lasts, no other run can write to `out`; folders made for it that stay empty go."""
+    """Context in which no other run can write to `out`; removes folders created for it that stay
+    empty.
+    """
     out = Path(os.path.realpath(out))
     try:
         with folder_of(out):
@@ -130,7 +134,7 @@ def _locked(lock: Path, out: Path) -> Iterator[None]:
         except BlockingIOError:
             stream.close()
             raise SurefootError(f"-o {out}: another run is writing there; wait for it") from None
-        # The run before may have removed the file between opening and locking it.
+        # The previous run may have removed the file between opening and locking it.
         if lock.exists() and os.path.samestat(os.fstat(stream.fileno()), lock.stat()):
             break
         stream.close()
@@ -142,7 +146,7 @@ def _locked(lock: Path, out: Path) -> Iterator[None]:
 
 
 def how_to_go_on(name: str, written: Sequence[str] = ()) -> str:
-    """What an interrupted command says; written: outputs that were there already."""
+    """Message of an interrupted command; written: outputs that already existed."""
     if written:
         return f"interrupted; {', '.join(written)} was written already, --force makes it anew"
     if name in GOES_ON:
@@ -151,13 +155,13 @@ def how_to_go_on(name: str, written: Sequence[str] = ()) -> str:
 
 
 def plain_terminals() -> None:
-    """Let signs that a terminal does not know become question marks, not errors."""
+    """Print characters that a terminal does not support as question marks, without errors."""
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
 
 
 def one_line(text: object) -> str:
-    """A message as one line without control characters, however it was made."""
+    """Any message as one line without control characters."""
     line = "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in str(text))
     return line if len(line) <= 2000 else f"{line[:1500]} ... {line[-100:]}"

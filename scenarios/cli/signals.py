@@ -1,7 +1,7 @@
-"""Signals that end a process: one line and the signal's exit code, whenever they come.
+"""Signals that end a process: one line and the signal's exit code, at any time.
 
-Before a command begins there is nothing to undo, and the process ends at once. Within one they are
-raised as Interrupted. After it, what it did stands, and they change nothing.
+Before a command starts there is nothing to undo, and the process ends at once. During a command
+they are raised as Interrupted. After it, its results stand, and they have no effect.
 """
 
 import os
@@ -15,17 +15,18 @@ from types import FrameType
 
 ENDING = [getattr(signal, n) for n in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, n)]
 AGAIN = 1.0
-"""s: a signal that comes later than this after the first one ends the process at once. Sooner it is
-the same one, which `timeout` and some terminals send twice."""
+"""Time after the first signal from which a second one ends the process at once [s]. An earlier one
+is a repetition, as sent by `timeout` and some terminals.
+"""
 
 _phase = "before"
 _first: float | None = None
 
 
 class Interrupted(KeyboardInterrupt):
-    """A signal to end, from the keyboard or from another process.
+    """A terminating signal, from the keyboard or another process.
 
-    written: outputs that were there already, and whole, when it came.
+    written: outputs that were already complete when it came.
     """
 
     def __init__(self, number: int):
@@ -47,9 +48,9 @@ def _end(number: int, _frame: FrameType | None) -> None:
 
 
 def catch_signals() -> dict[int, object]:
-    """Take over the signals that end; returns who had them.
+    """Install handlers for terminating signals; returns the previous ones.
 
-    Those that are ignored stay so: nohup and `command &` in a script ask for that.
+    Ignored signals remain ignored, as requested by nohup and `command &` in a script.
     """
     taken = [n for n in ENDING if signal.getsignal(n) not in (signal.SIG_IGN, None)]
     return {number: signal.signal(number, _end) for number in taken}
@@ -57,7 +58,7 @@ def catch_signals() -> dict[int, object]:
 
 @contextmanager
 def interruptions() -> Iterator[None]:
-    """While it lasts, signals that end raise Interrupted."""
+    """Context in which terminating signals raise Interrupted."""
     global _phase, _first
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -74,10 +75,11 @@ def interruptions() -> Iterator[None]:
 
 @contextmanager
 def unwrapped() -> Iterator[None]:
-    """While it lasts, an Interrupted that a library turned into an error of its own is raised.
+    """Context in which an Interrupted that a library converted to another exception is raised
+    itself.
 
-    Signals are taken between two instructions of Python, also in what compiled code calls (numba
-    reads a kernel from its cache so): there it becomes the cause of a SystemError.
+    Signals are handled between two instructions of Python, also in code called from compiled code
+    (numba reads a kernel from its cache this way), where it becomes the cause of a SystemError.
     """
     try:
         yield
@@ -91,15 +93,17 @@ def unwrapped() -> Iterator[None]:
 
 
 def ignore_signals() -> None:
-    """For the process's last moments: Python puts default handlers back before it has ended, and a
-    signal would take the exit code from a command that is done."""
+    """Ignore signals at the end of the process: Python restores default handlers before it has
+    ended, and a signal would replace the exit code of a finished command.
+    """
     for number in ENDING:
         signal.signal(number, signal.SIG_IGN)
 
 
 def hand_over_lost(unraisable: "sys.UnraisableHookArgs") -> None:
-    """As `sys.unraisablehook`: an Interrupted that came where nothing can be raised, such as in a
-    destructor, comes again a moment later; all else is reported as ever."""
+    """A `sys.unraisablehook` that sends an Interrupted again if it came where nothing can be
+    raised, such as in a destructor; all else is reported as usual.
+    """
     global _first
     lost = unraisable.exc_value
     if not isinstance(lost, Interrupted):

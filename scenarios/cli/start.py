@@ -1,4 +1,4 @@
-"""Where the process begins: from its first import to its last moment, a signal is one line."""
+"""Entry point of the process, in which a signal is one line from the first import to the end."""
 
 import os
 import sys
@@ -9,7 +9,7 @@ from surefoot.sim.common.plugins import with_plugins
 
 
 def entry_point() -> None:
-    """The command line of the process: imports take a second, in which nothing is to be undone."""
+    """The command line; during the imports, which take a second, there is nothing to undo."""
     catch_signals()
     # No window is opened: MuJoCo would look for a library of them in a process of its own, whose
     # traceback a signal would leave on the terminal.
@@ -20,7 +20,7 @@ def entry_point() -> None:
             arguments = with_plugins(sys.argv[1:])
         except SurefootError as error:
             sys.exit(f"surefoot: {error}")
-        # Only now: the choices of options are made when their commands are imported.
+        # Only now, since the choices of options are determined when their commands are imported.
         from surefoot.scenarios.cli.main import main
 
         main(arguments)

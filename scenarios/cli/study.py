@@ -1,4 +1,4 @@
-"""Commands that run a whole job: the demo, traces, experiments and studies."""
+"""Commands that run a whole workflow: the demo, traces, experiments and studies."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,7 +33,7 @@ class Demo:
     """The whole workflow: walk, train, calibrate, compare filters, report, recording, trace."""
 
     out: Out = Path("out/demo")
-    """Folder for everything it makes."""
+    """Folder for all outputs."""
     seed: int = 0
     force: Force = False
 
@@ -45,7 +45,7 @@ class Demo:
 
 @dataclass(frozen=True)
 class TraceCommand:
-    """Find the effect that a model lacks; errors before and after it is added."""
+    """Find the effect that a model lacks; reports errors before and after it is added."""
 
     logs: Annotated[Positional[tuple[Path, ...]], arg(metavar="LOG...")]
     """Logs of one robot, traced together."""
@@ -55,7 +55,7 @@ class TraceCommand:
     declared: Declared = None
     holdout: Holdout = ()
     seed: int = 0
-    """Of the bootstrap that intervals come from."""
+    """Seed of the bootstrap for the intervals."""
     strict: Strict = False
     force: Force = False
 
@@ -80,7 +80,7 @@ class TraceCommand:
             refuse_without_robot(log, self.robot)
         robot = machine_for_log(logs[0], self.robot)
         warnings = not_plausible([*logs, *held_out], self.robot, self.strict)
-        # A trace must not depend on the names of its logs, so notes number them.
+        # A trace must not depend on the names of its logs, so its notes number them.
         several = len(logs) + len(held_out) > 1
         notes = tuple(
             f"log {k + 1}: {line}" if several else line
@@ -106,17 +106,17 @@ class TraceCommand:
 
 @dataclass(frozen=True)
 class LoopCommand:
-    """Trace a log, add what was found to the simulation, retrain, estimate the log again."""
+    """Trace a log, add the effects found to the simulation, retrain, and estimate the log again."""
 
     log: Annotated[Positional[Path], arg(metavar="LOG")]
     """A log with IMU, joint angles and reference."""
     out: Out
-    """Folder for everything it makes; a run that was killed is resumed from it."""
+    """Folder for all outputs; an interrupted run is resumed from it."""
     robot: RobotName = None
     declared: Declared = None
     holdout: Holdout = ()
     seed: int = 0
-    """Of walks, training and intervals."""
+    """Seed of walks, training and intervals."""
     page: Path | None = None
     """Page of results to write as well, such as docs/results/loop.md."""
     force: Force = False
@@ -158,14 +158,15 @@ class Realism:
     """Folder for realism.json, realism.csv, drift.csv, table.md and report.html."""
     robot: RobotName = None
     effects: Path | None = None
-    """File of effects (TOML) that the simulated robot has."""
+    """File of effects (TOML) for the simulated robot."""
     as_walked: bool = False
-    """Also compare walks in the gait, with the sensors and effects, that were measured on a real
-    robot; the effects are those of --effects where given."""
+    """Also compare walks with the gait, sensors and effects measured on a real robot; the effects
+    are those of --effects if given.
+    """
     walker: str | None = None
-    """Another robot to simulate: what was measured is scaled to it."""
+    """Another robot to simulate; measured values are scaled to it."""
     seed: int = 0
-    """Of the walks and the intervals."""
+    """Seed of the walks and the intervals."""
     page: Path | None = None
     """Page of results to write as well, such as docs/results/realism.md."""
     force: Force = False
@@ -206,23 +207,23 @@ class Realism:
 
 @dataclass(frozen=True, kw_only=True)
 class GridOptions:
-    """What `experiment` and `suite` share."""
+    """Options shared by `experiment` and `suite`."""
 
     out: Out
     """Folder for tables, report and recordings."""
     workers: Workers = 1
     seeds: str | None = None
-    """One seed, or a range such as 0:8; the file's where left out (three in a suite)."""
+    """One seed, or a range such as 0:8; by default the file's (three in a suite)."""
     cache: Path | None = None
-    """Folder of intermediate products, reused by later runs; `cache` in the output by default."""
+    """Folder of intermediate products, reused by later runs; by default `cache` in the output."""
     recordings: bool = True
     """Write a rerun recording of each sequence."""
     page: Path | None = None
     """Page of results to write as well, such as docs/results/suite_spot.md."""
     data: Path | None = None
-    """Folder of finished rows, one a walk, which are not made again; such as docs/data/spot."""
+    """Folder of finished rows, one for each walk, which are reused; such as docs/data/spot."""
     force: bool = False
-    """Write tables and report again; what is in the cache is not made again."""
+    """Write tables and report again; cached products are reused."""
 
     def experiment(self, file: str) -> None:
         from surefoot.scenarios.experiments.report import experiment
@@ -254,7 +255,7 @@ class ExperimentCommand(GridOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class Suite(GridOptions):
-    """The paper's two tables on the simulated suites, from simulation to table."""
+    """Reproduce the paper's two tables on the simulated suites, from simulation to table."""
 
     name: Positional[one_of(SUITES)]  # pyright: ignore[reportInvalidTypeForm]
 
@@ -264,17 +265,17 @@ class Suite(GridOptions):
 
 @dataclass(frozen=True)
 class Montecarlo:
-    """The paper's runtime-accuracy and consistency tables, and regimes beyond them."""
+    """Reproduce the paper's runtime-accuracy and consistency tables, with further regimes."""
 
     out: Out
     trials: int | None = None
-    """Trials in each regime; those of montecarlo.toml where left out."""
+    """Trials in each regime; by default those of montecarlo.toml."""
     seed: int | None = None
     workers: int | None = None
-    """Processes of this machine that share the trials; one a core where left out."""
+    """Processes on this machine; by default one for each core."""
     cluster: Cluster = None
     data: Path | None = None
-    """Folder of finished regimes, which are not run again; `cases` in the output if left out."""
+    """Folder of finished regimes, which are reused; by default `cases` in the output."""
     page: Path | None = None
     """Page of results to write as well, such as docs/results/montecarlo.md."""
     force: Force = False
@@ -298,7 +299,7 @@ class Montecarlo:
 
 @dataclass(frozen=True)
 class Walking:
-    """How robots walk: falls, tracking, slip, creep and pace on four grounds and the courses.
+    """Measure how robots walk: falls, tracking, slip, creep and pace on four grounds and courses.
 
     Without --robot and --course: every known robot, and the courses of both suites.
     """
@@ -312,7 +313,7 @@ class Walking:
     """Seeds of each course, from 0."""
     workers: Workers = 1
     data: Path | None = None
-    """Folder of finished walks, which are not walked again; `walks` in the output if left out."""
+    """Folder of finished walks, which are reused; by default `walks` in the output."""
     page: Path | None = None
     """Page of results to write as well, such as docs/results/walking.md."""
     force: Force = False
@@ -339,24 +340,24 @@ class Walking:
 
 @dataclass(frozen=True)
 class Tune:
-    """One search, with one budget, for the parameters of any filter; a killed run is resumed.
+    """Search the parameters of any filter, with one budget; an interrupted run is resumed.
 
-    Writes tuned.toml, which every command reads once $SUREFOOT_TUNED names it.
+    Writes tuned.toml, which every command reads if $SUREFOOT_TUNED names it.
     """
 
     logs: Annotated[Positional[tuple[Path, ...]], arg(metavar="LOG...")]
-    """Logs with a reference; others than observers were trained and bounds calibrated on."""
+    """Logs with a reference, not used to train observers or calibrate bounds."""
     out: Out
     """Folder for tuned.toml, tuned.md (errors before and after) and finished searches."""
     filter: UseAppendAction[tuple[str, ...]] = ()
-    """A filter to tune; may be given several times. All that the inputs allow where left out."""
+    """A filter to tune; may be given several times. By default all that the inputs allow."""
     robot: RobotName = None
     observer: Observers = ()
     bounds: BoundsFiles = ()
     budget: int = 16
     """Runs of each filter over all logs of a robot."""
     longest: float = 120.0
-    """s of each log, from its start, that filters are judged on."""
+    """Length of each log, from its start, on which filters are evaluated [s]."""
     workers: Workers = 1
     force: Force = False
 
@@ -382,12 +383,12 @@ class Tune:
 
 @dataclass(frozen=True)
 class Bench:
-    """Run times, each as a ratio to a reference timed in the same run."""
+    """Measure run times, each as a ratio to a reference timed in the same run."""
 
     rounds: int = 12
-    """Times that each pair runs in turn; the shortest counts."""
+    """Repetitions of each pair, alternating; the shortest counts."""
     only: UseAppendAction[tuple[str, ...]] = ()
-    """Items to run; all where left out."""
+    """Items to run; by default all."""
     page: Path | None = None
     """Page of results to write as well, such as docs/results/bench.md."""
 
@@ -399,12 +400,12 @@ class Bench:
 
 @dataclass(frozen=True)
 class PlanCommand:
-    """Which motion would show each effect, how long it takes, and which other effect hides it."""
+    """Plan which motion reveals each effect, how long it takes, and which other effect masks it."""
 
     robot: str
     """Name or file of the robot, a quadruped that walks in simulation."""
     effects: Annotated[Positional[tuple[str, ...]], arg(metavar="EFFECT...")]
-    """Names of effects, such as encoder_offset; `surefoot trace` looks for all of them."""
+    """Names of effects, such as encoder_offset; `surefoot trace` searches for all of them."""
     as_json: Json = False
 
     def run(self) -> None:

@@ -25,11 +25,11 @@ def walk_on_cluster(
     force: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Iterator[IndexRow]:
-    """Walk the jobs on the scheduler at `address`; yields rows as their files are written here.
+    """Run walks on the scheduler at `address`; yields rows as their files are written here.
 
-    The walks of a worker that dies are walked again on the others. Workers send whole files; this
-    process alone writes them into `folder`. Raises SurefootError in one line where the cluster
-    cannot be reached, or a worker would not give the same bits.
+    The walks of a worker that dies are repeated on the others. Workers send whole files; only this
+    process writes them into `folder`. Raises SurefootError in one line where the cluster is
+    unreachable, or a worker would not give the same bits.
 
     Args:
         address: of the scheduler, host:port.
@@ -54,10 +54,11 @@ def walk_on_cluster(
 def run_on_cluster(
     address: str, function: Callable[[T], R], arguments: Sequence[T]
 ) -> Iterator[tuple[int, R]]:
-    """function(argument) on the scheduler at `address`: places in `arguments` and results, as done.
+    """Map a function on the scheduler at `address`; yields indices in `arguments` and results as
+    completed.
 
-    A result stays with its worker until the next is asked for. Raises SurefootError in one line
-    where the cluster cannot be reached or lacks the function.
+    A result stays with its worker until the next is requested. Raises SurefootError in one line
+    where the cluster is unreachable or lacks the function.
     """
     if not arguments:
         return
@@ -77,8 +78,9 @@ def run_on_cluster(
 
 
 def _walk_remotely(task: tuple[Job, str]) -> tuple[dict, bytes]:
-    """On a worker: the row of a job with its recipe, and the log's file, empty where it fell
-    before that began."""
+    """On a worker: the row of a job with its recipe, and the log's file, empty if it fell before
+    the log began.
+    """
     job, expected = task
     if recipe(job) != expected:
         raise SurefootError(
@@ -99,7 +101,7 @@ def _walk_remotely(task: tuple[Job, str]) -> tuple[dict, bytes]:
 
 @contextmanager
 def _one_line_errors(address: str) -> Iterator[None]:
-    """What goes wrong with a cluster, in one line."""
+    """Convert errors of a cluster to one line."""
     from distributed import KilledWorker
     from distributed.client import FutureCancelledError
 

@@ -1,8 +1,8 @@
-"""A folder of simulated logs: one row an attempted walk, an index (Parquet) and a card (markdown).
+"""Index of a folder of simulated logs: one row per attempted walk (Parquet), and a card (markdown).
 
-Everything but the logs lies in `_dataset/`: `*.parquet` in the folder means the logs, and so does
-the folder for `pd.read_parquet`, which passes over names that begin with an underscore. The journal
-gains a line as each walk ends; it is what a killed run goes on from.
+Everything but the logs is in `_dataset/`, so that `*.parquet` in the folder, and the folder itself
+for `pd.read_parquet`, which ignores names with a leading underscore, are the logs. The journal
+gains a line as each walk ends; an interrupted run continues from it.
 """
 
 import hashlib
@@ -35,7 +35,7 @@ DRY = 0.5  # friction coefficient from which ground counts as dry
 
 @dataclass(frozen=True)
 class IndexRow:
-    """One walk of the index. Numbers of a walk that ended in a fall are NaN; it has no file."""
+    """One walk of the index. A walk that ended in a fall has NaN for its values and no file."""
 
     file: str
     scenario: str
@@ -61,21 +61,21 @@ class IndexRow:
 
 
 def log_name(job: Job) -> str:
-    """`<scenario>_<seed>`, with the robot between where it is not the scenario's own."""
+    """`<scenario>_<seed>`, with the robot in between if it is not the scenario's own."""
     robot = known_robot(job.robot).name
     middle = "" if job.robot == job.scenario.robot else f"_{robot}"
     return f"{job.scenario.name}{middle}_{job.seed}"
 
 
 def fall_path(folder: Path, job: Job) -> Path:
-    """Where the log of a walk that fell lies: it is no part of the dataset."""
+    """Path of the log of a walk that fell, which is not part of the dataset."""
     return folder / INDEX_FOLDER / "falls" / f"{log_name(job)}.parquet"
 
 
 def recipe(job: Job) -> str:
     """Hash of scenario, robot, seed, declared effects, code and versions: same recipe, same bits.
 
-    Undeclared effects are no part of it, since it stands in the index.
+    Undeclared effects are not included, since the recipe is in the index.
     """
     declared = job.effects if job.declared else ()
     effects = [e.as_dict() for e in declared]
@@ -94,13 +94,13 @@ def _versions() -> dict[str, str]:
 
 
 def row_of(walked: Walked) -> IndexRow:
-    """The index's row of a walk, its file's hash still empty."""
+    """The row of a walk, without its file's hash."""
     log = walked.log
     return row_with(walked.job, walked.plan, log if isinstance(log, Fallen) else walk_facts(log))
 
 
 def row_with(job: Job, made: Plan, found: dict[str, float] | Fallen) -> IndexRow:
-    """The row of a walk of which the facts were found (`walk_facts`), or how it fell."""
+    """The row of a walk from its facts (`walk_facts`), or from its fall."""
     fall = found if isinstance(found, Fallen) else None
     numbers = dict.fromkeys(("duration", "length", "slip_share", "creep"), np.nan)
     return IndexRow(
@@ -145,8 +145,9 @@ def walk_facts(log: Log) -> dict[str, float]:
 
 
 def slip_and_creep(log: Log) -> tuple[float, float]:
-    """Share of the loaded feet's samples that slip, and the median speed [m/s] of feet loaded on
-    dry ground; NaN where there are none."""
+    """Share of the loaded feet's samples that slip, and median speed [m/s] of feet loaded on dry
+    ground; NaN where there are none.
+    """
     slip = log.slip
     loaded = slip > 0.0
     dry = slip[loaded & (log.mu >= DRY)]
@@ -155,8 +156,11 @@ def slip_and_creep(log: Log) -> tuple[float, float]:
 
 
 def facts_of_file(reader: LogReader) -> dict[str, float]:
-    """`walk_facts` of a file that is read a minute at a time: each minute's path is sampled by
-    itself, and the creep is the median of the minutes', by their loaded samples."""
+    """`walk_facts` of a file that is read a minute at a time.
+
+    Each minute's path is sampled separately, and the creep is the weighted median of the minutes',
+    by their loaded samples.
+    """
     loaded = slipping = 0.0
     length, duration, creeps, weights = 0.0, 0.0, [], []
     for log in reader.chunks(MINUTE):
@@ -178,9 +182,9 @@ def facts_of_file(reader: LogReader) -> dict[str, float]:
 
 
 class Journal:
-    """The rows of a folder, one JSON line each, appended as walks end; the last of a walk counts.
+    """Rows of a folder, one JSON line each, appended as walks end; the last of each walk counts.
 
-    A line that a kill cut short is skipped: its walk is checked again.
+    An incomplete line from an interruption is skipped, and its walk is checked again.
     """
 
     def __init__(self, folder: Path):
@@ -205,14 +209,14 @@ class Journal:
         self._keep(row)
 
     def find(self, job: Job) -> IndexRow | None:
-        """The row of a walk that is done: its file is there, or it fell."""
+        """The row of a finished walk: its file exists, or it fell."""
         row = self.rows.get((job.scenario.name, known_robot(job.robot).name, job.seed))
         if row is None or not (row.falls or (self.folder / row.file).exists()):
             return None
         return row
 
     def present(self) -> list[IndexRow]:
-        """Rows of walks that fell or whose files are there, sorted."""
+        """Rows of walks that fell or whose files exist, sorted."""
         rows = [r for r in self.rows.values() if r.falls or (self.folder / r.file).exists()]
         return sorted(rows, key=lambda r: (r.scenario, r.robot, r.seed))
 
@@ -249,7 +253,7 @@ def with_hash(row: IndexRow, path: Path) -> IndexRow:
 
 
 def card(rows: Sequence[IndexRow]) -> str:
-    """What the folder holds, in a few lines and one table."""
+    """Summary of the folder, in a few lines and one table."""
     groups: dict[tuple[str, str], list[IndexRow]] = {}
     for row in rows:
         groups.setdefault((row.scenario, row.robot), []).append(row)

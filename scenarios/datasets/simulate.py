@@ -1,4 +1,6 @@
-"""Many walks: scenarios times seeds, one log each, and an index; a killed run is resumed."""
+"""Batches of walks: scenarios times seeds, one log each, with an index; an interrupted run is
+resumed.
+"""
 
 import os
 from collections import Counter
@@ -40,7 +42,9 @@ from surefoot.sim.walking.batch import (
 from surefoot.sim.walking.long_walk import LONG_WALK, needs_whole, walk_in_pieces
 
 BYTES_PER_SECOND = 150e3
-"""Of a log's file for each s of walking: 500 rows of some 80 columns, compressed by a half."""
+"""Size of a log's file per second of walking [bytes/s]: 500 rows of some 80 columns, compressed to
+half.
+"""
 
 
 def simulate_all(
@@ -54,24 +58,23 @@ def simulate_all(
     workers: int = 1,
     cluster: str | None = None,
 ) -> list[IndexRow]:
-    """Walk every scenario with every seed into `out`/<scenario>_<seed>.parquet; returns the rows.
+    """Simulate every scenario with every seed into `out`/<scenario>_<seed>.parquet; returns the
+    rows.
 
-    A fall is a row without a file, and its log lies in `_dataset/falls`; `_dataset/` holds the
-    index.
+    A fall is a row without a file, and its log is in `_dataset/falls`; `_dataset/` contains the
+    index. Raises SurefootError for bad input, logs in `out` from other inputs, or if every walk
+    fell.
 
     Args:
         scenarios: files, or names of bundled ones.
-        out: folder; walks that are done are left alone, so that a killed run is resumed.
+        out: folder; finished walks are kept, so that an interrupted run is resumed.
         robot: name or MJCF file, part of the logs' names unless it is the scenario's own.
         seeds: one, or a range such as "0:8".
-        effects: file of effects to put into the walks.
-        undeclared: the effects go into truth.toml and not into the logs.
-        force: walk again what is done.
+        effects: file of effects to inject into the walks.
+        undeclared: write the effects to truth.toml and not to the logs.
+        force: repeat finished walks.
         workers: threads of this machine.
         cluster: address of a Dask scheduler, instead of threads.
-
-    Raises SurefootError for bad input, logs in `out` that were made of something else, or where
-    every walk fell.
     """
     if workers < 1:
         raise SurefootError(f"--workers {workers}: at least 1")
@@ -128,7 +131,7 @@ def simulate_all(
 def walk_and_save(
     job: Job, folder: Path, force: bool, progress: Callable[[float], None]
 ) -> IndexRow:
-    """Make one walk and write its log, a long one piece by piece; returns the row.
+    """Simulate one walk and write its log, a long one in pieces; returns the row.
 
     Args:
         job: the walk.
@@ -160,8 +163,7 @@ def walk_and_save(
 
 
 def save_walk(walked: Walked, folder: Path, force: bool = False) -> IndexRow:
-    """Write the log of a walk, named as in its row, or as far as it came before it fell; returns
-    the row."""
+    """Write the log of a walk, named as in its row, up to a fall if any; returns the row."""
     row = row_of(walked)
     if isinstance(walked.log, Fallen):
         if log := fallen_log(walked.plan, walked.log):
@@ -192,7 +194,7 @@ def _jobs(
         scenarios: files or bundled names.
         robot: its name, or None for each scenario's own.
         seeds: of the walks.
-        effects: hidden changes of every walk.
+        effects: injected into every walk.
         declared: whether the logs list them.
     """
     if not scenarios:
@@ -213,7 +215,7 @@ def _jobs(
 
 
 def _guard_truth(out: Path, hidden: tuple[Effect, ...], journal: Journal, force: bool) -> None:
-    """Keep undeclared effects in truth.toml, and logs made with other effects out of the folder."""
+    """Write undeclared effects to truth.toml, and refuse a folder of logs with other effects."""
     truth = out / "truth.toml"
     if truth.exists() and not hidden:
         raise SurefootError(f"{out}: holds logs with undeclared effects; give another folder")
@@ -230,9 +232,9 @@ def _guard_truth(out: Path, hidden: tuple[Effect, ...], journal: Journal, force:
 
 
 def _done(journal: Journal, job: Job) -> bool:
-    """Whether the walk is there; a log whose row a kill prevented is given one.
+    """Whether the walk exists; adds the row of a log if an interruption prevented it.
 
-    Raises SurefootError for a file of that name that is another walk's.
+    Raises SurefootError for a file of that name from another walk.
     """
     path = journal.folder / f"{log_name(job)}.parquet"
     row = journal.find(job)
@@ -258,7 +260,7 @@ def _done(journal: Journal, job: Job) -> bool:
 
 
 def seed_range(text: str) -> range:
-    """`5` or `0:8` as a range. Raises SurefootError for anything else."""
+    """Parse `5` or `0:8` as a range. Raises SurefootError for anything else."""
     first, _, last = text[:50].partition(":")
     try:
         start = int(first)

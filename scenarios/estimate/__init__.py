@@ -1,1 +1,1 @@
-"""Filters on logs: the registry, their parameters, and comparisons."""
+"""Filters on logs: registry, parameters and comparisons."""

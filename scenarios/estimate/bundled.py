@@ -1,4 +1,4 @@
-"""The estimators that come with surefoot, a class each, and the streams they run as."""
+"""The bundled estimators, one class each, and the streams they run as."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ if TYPE_CHECKING:
 
 
 def _imu_parameters(accel: float) -> tuple[Parameter, ...]:
-    # Beside velocities the accelerometer's noise is larger: their errors are correlated over long
-    # stretches, and an IMU as good as its data sheet would carry each of them on.
+    # With velocity updates the accelerometer's noise is larger, since their errors are correlated
+    # over a long time, and with the noise of its data sheet the IMU would carry each of them on.
     return (
         Parameter("accel", accel, "m/s^2/sqrt(Hz)", "noise density of the accelerometer"),
         Parameter("gyro", 3e-4, "rad/s/sqrt(Hz)", "noise density of the gyro"),
@@ -96,7 +96,7 @@ class Coverage:
 
 
 class CoverageGml(Coverage):
-    """The same with the gml observer's mean and its bounds."""
+    """Coverage with the gml observer's mean and its bounds."""
 
     name, label, color, line = "coverage_gml", "Coverage on GML mean", "#E0AC65", ":"
     description = "Set-coverage IEKF on the gml observer's mean: compares update, not network."
@@ -144,7 +144,7 @@ class Velocity:
 
 
 class VelocityInflated(Velocity):
-    """The same with the covariance times a factor."""
+    """Velocity with the covariance multiplied by a factor."""
 
     name, label = "velocity_inflated", "Velocity IEKF, covariance inflated"
     color, line = "#455815", ":"
@@ -182,7 +182,7 @@ class VelocityPersistent:
 
 
 class Leg:
-    """Contacts as states."""
+    """Contact-aided leg filter, with contact points as states."""
 
     name, label, color, line = "leg", "Leg IEKF", "#2F86D1", "-"
     description = "Contact-aided leg IEKF (Hartley)."
@@ -202,7 +202,7 @@ class Leg:
 
 
 class LegSlip(Leg):
-    """Contacts as states, and a gate for those that slip."""
+    """Leg filter with a gate for contacts that slip."""
 
     name, label, color, line = "leg_slip", "Leg IEKF, slip rejected", "#3663EC", "--"
     description = "Leg IEKF that restarts a contact whose innovation fails a chi-square gate."
@@ -211,10 +211,10 @@ class LegSlip(Leg):
 
 
 class RadarLeg(Leg):
-    """`leg_slip` with the ego velocities of a radar.
+    """`leg_slip` with ego velocities from a radar.
 
-    GaRLILEO (arXiv 2511.13216) ties velocity to gravity by factors of their own; in a
-    right-invariant filter the same velocities make roll and pitch observable already.
+    GaRLILEO (arXiv 2511.13216) couples velocity and gravity by additional factors; in a
+    right-invariant filter, the velocities alone make roll and pitch observable.
     """
 
     name, label, color, line = "radar_leg", "Radar and legs", "#C4BA15", "-"
@@ -229,12 +229,12 @@ class RadarLeg(Leg):
     variant = perceptive = True
 
     def prepare(self, log: Log, robot: Robot) -> Log:
-        """The log with the velocities of a simulated radar, where it has none."""
+        """Add the velocities of a simulated radar to a log without any."""
         return with_radar(log, robot)
 
 
 class Imu:
-    """The IMU integrated: what every other estimator must improve on."""
+    """Integration of the IMU alone: the baseline of all other estimators."""
 
     name, label, color, line = "imu", "IMU alone", "#7F3485", "-"
     description = "IMU alone: the floor."
@@ -261,7 +261,9 @@ def imu_noise(parameters: Mapping[str, float]) -> FilterNoise:
 
 
 def persistent_error(part: BiasModel, factor: float) -> PersistentError:
-    """The filter's model of what the calibration found, its prior deviations times `factor`."""
+    """The filter's model of the calibrated persistent error, its prior deviations times
+    `factor`.
+    """
     square = factor**2
     return PersistentError(
         square * part.covariance,
@@ -273,7 +275,7 @@ def persistent_error(part: BiasModel, factor: float) -> PersistentError:
 
 
 class ImuStream:
-    """The invariant filter without a measurement."""
+    """The invariant filter without measurements."""
 
     def __init__(self, beginning: Beginning, noise: FilterNoise, model=None):
         self.filter = InvariantFilter(beginning.state, beginning.covariance, noise, model)
@@ -297,13 +299,15 @@ class ImuStream:
         return None
 
     def run(self, log: Log, rows: np.ndarray, more: bool = False) -> Trajectory:
-        """Predict over the rows of a log; the estimates at `rows` of them."""
+        """Predict over the rows of a log; returns the estimates at `rows` of them."""
         return self.filter.run(imu_samples(log.t, log.gyro, log.accel, self.filter.t), rows=rows)
 
 
 class Fusion(NamedTuple):
-    """How an observer's velocity is used: with bounds epsilon (3,) [m/s] of the joint level gamma,
-    or with a covariance cov (3, 3), or with the predicted one times `inflation`.
+    """How an observer's velocity is used.
+
+    With bounds epsilon (3,) [m/s] of the joint level gamma, with a covariance cov (3, 3), or with
+    the predicted covariance times `inflation`.
     """
 
     epsilon: np.ndarray | None = None
@@ -331,13 +335,13 @@ class ObserverFusion(ImuStream):
         noise: FilterNoise,
         model: PersistentError | None = None,
     ):
-        """Begin with the first sample.
+        """Begin at the first sample.
 
         Args:
             observer: whose velocities are used.
             robot: of the samples.
             beginning: state, covariance, rate and joints.
-            fusion: how its velocities are used.
+            fusion: how the velocities are used.
             noise: of the IMU.
             model: of the observer's persistent error, where that is estimated.
         """
@@ -346,7 +350,7 @@ class ObserverFusion(ImuStream):
         self._fusion, self._stream = fusion, None
 
     def _advance(self, t, gyro, q, dq, tau):
-        """Rows, velocities and covariances that the observer adds for these samples.
+        """Rows, velocities and covariances from the observer for these samples.
 
         Args:
             t: (N,) [s].
@@ -365,7 +369,7 @@ class ObserverFusion(ImuStream):
         return self._stream.advance(t, gyro, {"q": q, "dq": dq, "tau": tau})
 
     def step(self, sample: Sample) -> Update | None:
-        """Predict, and update where the observer has a velocity."""
+        """Predict, and update when the observer has a velocity."""
         check_sample(sample, self.filter.t)
         joints = [None if x is None else x[None] for x in (sample.q, sample.dq, sample.tau)]
         rows, velocities, predicted = self._advance(
@@ -387,9 +391,9 @@ class ObserverFusion(ImuStream):
         return Update(v_I, active=bool(np.isfinite(distance)))
 
     def run(self, log: Log, rows: np.ndarray, more: bool = False) -> Trajectory:
-        """Predict and update over the rows of a log; the estimates at `rows` of them.
+        """Predict and update over the rows of a log; returns the estimates at `rows` of them.
 
-        A whole log at once is predicted as one batch, as `surefoot.models.observer.predict` does.
+        A whole log at once is predicted as one batch, as in `surefoot.models.observer.predict`.
         """
         if self._stream is None and np.isnan(self.filter.t) and not more:
             from surefoot.models.observer.predict import predict
@@ -408,8 +412,8 @@ class ObserverFusion(ImuStream):
 class LegStream:
     """The leg filter with the kinematics of a robot's legs, and a radar's velocities if any.
 
-    Feet whose positions the samples give, and not the joints, need no robot: they are points, as
-    nothing says how they turn while they roll.
+    If the samples contain foot positions instead of joints, no robot is needed; the feet are then
+    points, since their rotation while rolling is unknown.
     """
 
     def __init__(self, robot: Robot | None, beginning: Beginning, parameters: Mapping[str, float]):
@@ -444,19 +448,20 @@ class LegStream:
     def _given(self, feet_I):
         """Foot centres (N, K, 3) [m], their covariances, and no rates.
 
-        No joint's arm is known: an error of the angles acts through that from the IMU to the foot.
+        Without known lever arms of the joints, an error of the angles is assumed to act through the
+        arm from the IMU to the foot.
         """
         arm = np.linalg.norm(feet_I, axis=-1)[..., None, None] * np.eye(3)
         return feet_I, encoder_covariance(arm, *self._kinematics), None
 
     def _by_joints(self, robot: Robot, t, q, dq):
-        """Foot centres, their covariances and the feet's rates at rows that follow.
+        """Foot centres, their covariances and the feet's rates at successive rows.
 
         Args:
-            robot: whose legs they are.
+            robot: of the legs.
             t: (N,) [s].
             q: (N, J) [rad].
-            dq: (N, J) [rad/s], or None where it is to be derived.
+            dq: (N, J) [rad/s], or None to derive it.
         """
         dq = self._rates(t, q) if dq is None else dq
         cov = encoder_covariance(robot.feet_jacobian_I(q), *self._kinematics)
@@ -483,7 +488,7 @@ class LegStream:
         return None
 
     def _radar(self, sample: Sample) -> tuple[np.ndarray, np.ndarray] | None:
-        """A radar's velocity (3,) [m/s] and its covariance (3, 3), None where it saw none."""
+        """Velocity (3,) [m/s] of a radar and its covariance (3, 3); None where it has none."""
         if self._inflation is None or sample.extra is None:
             return None
         rows, v_I, cov = radar_of({name: np.array([x]) for name, x in sample.extra.items()})
@@ -492,7 +497,7 @@ class LegStream:
         return check_velocity(v_I[0]), spd_3("x_radar_cov", self._inflation * cov[0])
 
     def run(self, log: Log, rows: np.ndarray, more: bool = False) -> Trajectory:
-        """Predict and update over the rows of a log; the estimates at `rows` of them."""
+        """Predict and update over the rows of a log; returns the estimates at `rows` of them."""
         imu = imu_samples(log.t, log.gyro, log.accel, self.filter.t)
         if self._robot is None:
             feet_I, cov, rates = self._given(log.foot_I)

@@ -1,4 +1,4 @@
-"""Every filter on every log: one table, figures, a report and a recording."""
+"""Run every filter on every log: table, figures, report and recordings."""
 
 import sys
 from collections.abc import Sequence
@@ -85,7 +85,9 @@ class Comparison:
 
     @property
     def drawn(self) -> Robot | None:
-        """The robot that a recording draws along the reference; None without one, or its joints."""
+        """The robot that a recording draws along the reference; None without one, or without
+        joints.
+        """
         return self.robot if self.log.has("reference") and self.log.has("q") else None
 
 
@@ -96,14 +98,14 @@ def compare_log(
     names: Sequence[str] | None = None,
     settings: FilterSettings | None = None,
 ) -> Comparison:
-    """Run every filter that can run on `log`; a bar shows which.
+    """Run every filter that can run on `log`, with a progress bar.
 
     Args:
         log: to estimate.
-        robot: of the log; without one run those filters that need none.
+        robot: of the log; without one, only filters that need none are run.
         learnt: observers and bounds.
-        names: of the filters; all where left out.
-        settings: noise, priors and start; those tuned for the robot where left out.
+        names: of the filters; by default all.
+        settings: noise, priors and start; by default those tuned for the robot.
     """
     with drawn_bar(total=None, desc=f"filters on {log.name}", unit=" filter") as bar:
 
@@ -130,7 +132,7 @@ def compare_log(
 
 
 def table(comparisons: Sequence[Comparison]) -> pd.DataFrame:
-    """One row a log and filter; MEANINGS says what each column is."""
+    """One row per log and filter; MEANINGS describes the columns."""
     rows = []
     for comparison in comparisons:
         for result in comparison.results:
@@ -143,7 +145,7 @@ def table(comparisons: Sequence[Comparison]) -> pd.DataFrame:
                 values[LOST_FROM] = result.health.since
             row: dict[str, object] = {"log": result.log, "filter": result.filter}
             rows.append(row | {name: values[name] for name in MEANINGS if name in values})
-    # The first row may lack what later ones have.
+    # The first row may lack columns that later ones have.
     known = {name for row in rows for name in row}
     return pd.DataFrame(
         rows, columns=[name for name in ("log", "filter", *MEANINGS) if name in known]
@@ -158,13 +160,13 @@ def write_comparison(
     extra: Sequence[Section] = (),
     force: bool = False,
 ) -> pd.DataFrame:
-    """Write table.md, table.csv, figures/, report.html and a recording a log into `out`.
+    """Write table.md, table.csv, figures/, report.html and one recording per log into `out`.
 
     Args:
-        comparisons: one a log.
+        comparisons: one per log.
         out: folder.
         title: of the report.
-        ground: drawn in figures and recordings; None for that which each log keeps, if any.
+        ground: drawn in figures and recordings; None for that of each log, if any.
         extra: sections added to the report.
         force: whether files may be replaced.
     """
@@ -209,7 +211,7 @@ def _with_interval(held: "EmpiricalCoverage") -> str:
 
 
 def _summary_sections(comparisons: Sequence[Comparison], found: pd.DataFrame) -> list[Section]:
-    """The table, and how to read it."""
+    """The table, and an explanation of it."""
     first = [
         error_summary(c.log.name, {r.filter: r.metrics for r in c.results if r.metrics is not None})
         for c in comparisons

@@ -1,4 +1,4 @@
-"""What a comparison of filters says in words, and which numbers of its table are the best."""
+"""Description of a comparison of filters in words, and the best values of its table."""
 
 from collections.abc import Mapping, Sequence
 
@@ -10,15 +10,17 @@ from surefoot.estimator.metrics import Metrics
 from surefoot.scenarios.reporting.tables import METRICS, cell
 
 CONSISTENT = 3.0
-"""NEES of three axes where a filter's covariance is that of its error."""
+"""NEES of three axes if a filter's covariance is that of its error."""
 ONE_WALK = tuple(float(edge) for edge in chi2.ppf((0.025, 0.975), CONSISTENT))
-"""95 % interval of the NEES of a consistent filter on one walk, whose error persists: one draw."""
+"""95 % interval of the NEES of a consistent filter on one walk, whose persistent error is one
+draw.
+"""
 _LEAST = [name for name in METRICS if name.startswith(("APE", "RPE"))]
 _CONSISTENCY = [name for name in METRICS if name.startswith("NEES")]
 
 
 def error_summary(log: str, metrics: Mapping[str, Metrics]) -> str:
-    """Which filter errs least on a log, and which say too little or too much of their errors."""
+    """Describe which filter has the least error on a log, and which are over- or underconfident."""
     if not metrics:
         return f"On {log}: no errors to compare, without a reference or a filter that held."
     errors = {name: one.ape_trans for name, one in metrics.items()}
@@ -38,7 +40,7 @@ def error_summary(log: str, metrics: Mapping[str, Metrics]) -> str:
 
 
 def left_out_lines(log: str, reasons: Mapping[str, str]) -> list[str]:
-    """Which filters did not run on a log, those of one reason together."""
+    """Lines on the filters that did not run on a log, grouped by reason."""
     together: dict[str, list[str]] = {}
     for name, why in reasons.items():
         together.setdefault(why.removeprefix(f"{log}: "), []).append(name)
@@ -46,8 +48,11 @@ def left_out_lines(log: str, reasons: Mapping[str, str]) -> list[str]:
 
 
 def with_best_marked(found: pd.DataFrame) -> pd.DataFrame:
-    """The table without empty columns, the best of several filters on each log in bold: the least
-    error, and of consistent filters the NEES nearest to 3 by its ratio."""
+    """The table without empty columns, with the best values on each log in bold.
+
+    That is the least error and, among consistent filters, the NEES with the ratio nearest to 1 of
+    3.
+    """
     marked = found.dropna(axis=1, how="all").astype(object)
     for _, rows in found.groupby("log", sort=False):
         for column in _LEAST + _CONSISTENCY:
@@ -67,8 +72,9 @@ def with_best_marked(found: pd.DataFrame) -> pd.DataFrame:
 
 
 def command_line(arguments: Sequence[str]) -> str:
-    """A command as it was given, by `sys.argv`, without the folders of absolute paths; empty where
-    surefoot was not started as a command."""
+    """The command as in `sys.argv`, without the folders of absolute paths; empty if surefoot was
+    not started as a command.
+    """
     program, *rest = arguments or [""]
     if not program.endswith(("/surefoot", "/__main__.py")):
         return ""

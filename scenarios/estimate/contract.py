@@ -1,16 +1,16 @@
-"""What an estimator is: the contract that makes one appear in every command, table and figure.
+"""Interface of an estimator, by which it appears in every command, table and figure.
 
 A class with `name`, `label`, `description`, `needs`, `parameters` and `start(...) -> Stream`,
-listed under the entry points `surefoot.estimators` of any installed package, is run, tabled and
-drawn like the bundled ones:
+registered by the entry point group `surefoot.estimators` of any installed package, is run,
+tabulated and plotted like the bundled ones:
 
     [project.entry-points."surefoot.estimators"]
     gravity_only = "my_package:GravityOnly"
 
-Optional, looked up where present: what `surefoot.scenarios.estimate.estimators.Traits` lists,
-such as its colour and whether it is drawn; `bounded_by(learnt) -> (Observer, Bounds)`, whose
-empirical coverage the tables then show; and `prepare(log, robot) -> Log`, what it computes of a
-whole log before the first sample.
+Optional members: those of `surefoot.scenarios.estimate.estimators.Traits`, such as its colour and
+whether it is drawn; `bounded_by(learnt) -> (Observer, Bounds)`, whose empirical coverage the tables
+then show; and `prepare(log, robot) -> Log`, which computes something from a whole log before the
+first sample.
 """
 
 from __future__ import annotations
@@ -45,8 +45,10 @@ if TYPE_CHECKING:  # what legs and IMU need comes without a network's library, w
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number that tunes an estimator, > 0: its default, unit and meaning; `declared` for one
-    that describes a sensor and that `surefoot tune` leaves alone."""
+    """One positive parameter of an estimator: default, unit and meaning.
+
+    `declared` marks one that describes a sensor, which `surefoot tune` does not change.
+    """
 
     name: str
     default: float
@@ -57,10 +59,15 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Needs:
-    """What an estimator reads: groups of a log's columns (`Log.require`), and of what was learnt
-    "observers", "bounds", or of these "persistent", the persistent part alone, which is the same
-    at every gamma. `robot`: the declared model. `feet`: where the feet are, which joint angles and
-    the declared model say, or else a log's own columns.
+    """What an estimator needs.
+
+    Attributes:
+        log: groups of a log's columns (`Log.require`).
+        learnt: "observers", "bounds", or "persistent" for only the persistent part of bounds, which
+            is the same at every gamma.
+        robot: whether it needs the declared model.
+        feet: whether it needs foot positions, from joint angles and the declared model or from a
+            log's own columns.
     """
 
     log: tuple[str, ...] = ("imu",)
@@ -69,7 +76,7 @@ class Needs:
     feet: bool = False
 
     def check(self, log: Log, robot: Robot | None) -> None:
-        """Raise SurefootError where the log lacks a column, or where no robot is known."""
+        """Raise SurefootError where the log lacks a column, or a needed robot is unknown."""
         log.require(*self.log)
         by_joints = self.feet and not log.has("foot")
         if by_joints and not log.has("q"):
@@ -84,7 +91,7 @@ class Needs:
 
 @dataclass(frozen=True)
 class Learnt:
-    """What was learnt: observers, and bounds that each name the observer they belong to."""
+    """Observers, and bounds that each refer to their observer."""
 
     observers: tuple[Observer, ...] = ()
     bounds: tuple[Bounds, ...] = ()
@@ -103,7 +110,7 @@ class Learnt:
         raise SurefootError("needs --observer, one trained with --loss gml")
 
     def bounded(self, loss: str | None = None) -> tuple[Observer, Bounds]:
-        """The observer and its bounds; of two, the `mse` one unless `loss` says otherwise."""
+        """The observer and its bounds; of two, the `mse` one unless `loss` selects another."""
         if not self.observers:
             raise SurefootError("needs --observer and --bounds")
         if not self.bounds:
@@ -119,11 +126,15 @@ class Learnt:
 
 @dataclass(frozen=True)
 class Beginning:
-    """Where a stream begins: the state and its covariance (15, 15) at the first sample.
+    """Start of a stream: the state and its covariance (15, 15) at the first sample.
 
-    rate [Hz] of the samples; joints, their names in the order of q; derived, which of the log's
-    columns were derived and how (`Meta.derived`), empty on a robot; feet, the legs in the order of
-    foot_I, empty where the samples have none and q says where they are.
+    Attributes:
+        state: the state.
+        covariance: of its right-invariant error.
+        rate: of the samples [Hz].
+        joints: names in the order of q.
+        derived: columns of the log that were derived, and how (`Meta.derived`); empty on a robot.
+        feet: legs in the order of foot_I; empty where the feet follow from q.
     """
 
     state: NavState
@@ -135,11 +146,11 @@ class Beginning:
 
 
 class Sample(NamedTuple):
-    """One row of a log, or what a robot's sensors say now; None where that is not measured.
+    """One row of a log, or the current readings of a robot; None where not measured.
 
     t [s]; gyro (3,) [rad/s] and accel (3,) [m/s^2] in I, means since the last sample; q, dq, tau
     (J,) [rad, rad/s, N m] of the joints and contact (K,) bool of the feet, now; extra: the columns
-    `x_<name>` of a log by their names; foot_I (K, 3) [m]: where the feet are now, in I.
+    `x_<name>` of a log by name; foot_I (K, 3) [m]: positions of the feet now, in I.
     """
 
     t: float
@@ -154,9 +165,9 @@ class Sample(NamedTuple):
 
 
 class Update(NamedTuple):
-    """A velocity that a sample brought and that the stream used, for the record of updates.
+    """A velocity that the stream used at a sample, for the record of updates.
 
-    v_I (3,) [m/s] in I; of a coverage update its bounds epsilon (3,) [m/s] and pi, the prior mass
+    v_I (3,) [m/s] in I; for a coverage update its bounds epsilon (3,) [m/s] and pi, the prior mass
     inside them; active, whether the state changed.
     """
 
@@ -168,15 +179,17 @@ class Update(NamedTuple):
 
 @runtime_checkable
 class Stream(Protocol):
-    """An estimator at work: one call a sample, in a robot's own loop or along a log.
+    """A running estimator: one call per sample, in a robot's own loop or along a log.
 
-    A stream may also have `run(log, rows, more) -> Trajectory`, which takes the rows of a log that
-    follow those seen so far at once and returns the estimates at `rows` of them; `more` says that
-    others follow. It must give the numbers of `step`.
+    A stream may also have `run(log, rows, more) -> Trajectory`, which processes the next rows of a
+    log at once and returns the estimates at `rows` of them; `more` tells that others follow. Its
+    result must be that of `step`.
     """
 
     def step(self, sample: Sample) -> Update | None:
-        """Take one sample; the first one is where the state stands and predicts nothing."""
+        """Process one sample; the first one is at the time of the initial state and predicts
+        nothing.
+        """
         ...
 
     @property
@@ -191,11 +204,14 @@ class Stream(Protocol):
 
 
 class Estimator(Protocol):
-    """One way to estimate a robot's motion; see the module for what else it may have.
+    """A method to estimate a robot's motion; see the module for optional members.
 
-    name: in commands, tables and files. label: in figures. description: one sentence, which tables
-    print. needs: of a log and of what was learnt. parameters: with the defaults that hold where
-    `tuned.toml` says nothing else.
+    Attributes:
+        name: in commands, tables and files.
+        label: in figures.
+        description: one sentence, for tables.
+        needs: of a log and of what was learnt.
+        parameters: with their defaults, which `tuned.toml` may override.
     """
 
     name: str
@@ -207,10 +223,10 @@ class Estimator(Protocol):
     def start(
         self, robot: Robot, learnt: Learnt, parameters: Mapping[str, float], beginning: Beginning
     ) -> Stream:
-        """A stream that begins here. Raises SurefootError saying what it lacks.
+        """Start a stream. Raises SurefootError saying what is missing.
 
         Args:
-            robot: the declared model; None may come where `needs` say that none is needed.
+            robot: the declared model; may be None if `needs` does not require one.
             learnt: observers and bounds.
             parameters: value of each parameter by name.
             beginning: state, covariance and rate of the samples.
@@ -219,7 +235,7 @@ class Estimator(Protocol):
 
 
 def measured(sample: Sample, *groups: str) -> list[np.ndarray]:
-    """Those groups of a sample. Raises SurefootError naming what it lacks."""
+    """These groups of a sample. Raises SurefootError naming what is missing."""
     lacking = [group for group in groups if getattr(sample, group) is None]
     if lacking:
         raise SurefootError(f"the sample at {sample.t:g} s lacks {', '.join(lacking)}")
@@ -227,9 +243,11 @@ def measured(sample: Sample, *groups: str) -> list[np.ndarray]:
 
 
 def check_sample(sample: Sample, before: float) -> None:
-    """Raise SampleError, naming what is at fault, for a sample that no robot gives, or that does
-    not follow the stamp `before` [s], NaN at the first. A stream that checks it before it takes
-    anything in is as it was, and goes on with the next.
+    """Check a sample that follows the stamp `before` [s], NaN at the first.
+
+    Raises SampleError, naming the fault, for values that no robot gives, or time that does not
+    increase. A stream that checks a sample before using it is unchanged by a bad one, and continues
+    with the next.
     """
     if not np.isfinite(sample.t):
         raise SampleError(f"the sample's t is {sample.t}")
@@ -255,11 +273,11 @@ LARGEST_READINGS = {
     "contact": 1.0,
     "foot_I": MOST_REACH,
 }
-"""Field of a sample -> its largest size."""
+"""Field of a sample -> its largest magnitude."""
 
 
 def samples(log: Log) -> Iterator[Sample]:
-    """The rows of a log one by one, with what it has of each group."""
+    """The rows of a log one by one, with the groups that it has."""
     t, gyro, accel = log.t, log.gyro, log.accel
     groups = {"q": "q", "dq": "dq", "tau": "tau", "contact": "contact", "foot": "foot_I"}
     others = [getattr(log, name) if log.has(group) else None for group, name in groups.items()]

@@ -1,4 +1,4 @@
-"""An estimate against the reference, sample by sample, with the filter's own sigma beside it."""
+"""Error of an estimate over time, with the filter's own standard deviations."""
 
 from dataclasses import dataclass
 
@@ -11,12 +11,12 @@ from surefoot.estimator.metrics import align_first, matched, position_jacobian
 
 @dataclass(frozen=True)
 class ErrorSeries:
-    """One estimator's error over time, after aligning position and yaw at its first sample.
+    """Error of one estimator over time, after aligning position and yaw at its first sample.
 
-    `position` is p_bar - p in G. `attitude` is log(R_bar R^T) seen from the robot's heading: about
-    forward (roll), left (pitch) and up (yaw). The sigmas are the filter's own, None where the
-    estimate carries no covariance; the position's is that of J Sigma J^T with
-    J = [-[p_bar]x 0 I] on (rotation, velocity, position).
+    `position` is p_bar - p in G. `attitude` is log(R_bar R^T) in the robot's heading frame: about
+    forward (roll), left (pitch) and up (yaw). The sigmas are the filter's own, None without
+    covariance; the position's is that of J Sigma J^T with J = [-[p_bar]x 0 I] on (rotation,
+    velocity, position).
     """
 
     t: np.ndarray  # (M,) s
@@ -35,7 +35,7 @@ class ErrorSeries:
 
     @property
     def distance_sigma(self) -> np.ndarray | None:
-        """Root of the position covariance's trace (M,), m: the norm's own expected RMS."""
+        """Root of the position covariance's trace (M,) [m], the expected RMS of the norm."""
         if self.position_sigma is None:
             return None
         return np.linalg.norm(self.position_sigma, axis=1)
@@ -46,7 +46,7 @@ def error_series(
 ) -> ErrorSeries:
     """Errors of an estimate at the stamps it shares with the reference (100 Hz at most).
 
-    `rate` in Hz keeps fewer samples. Raises TrajectoryError where they share no stamps.
+    `rate` [Hz] keeps fewer samples. Raises TrajectoryError where they share no stamps.
     """
     reference, estimate = matched(reference, estimate)
     if rate:

@@ -1,4 +1,4 @@
-"""Every estimator by name: those that come with surefoot, then those that users add."""
+"""Registry of the estimators: the bundled ones, then those of plug-ins."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:  # names alone come without compiled kernels, which are slow t
     from surefoot.scenarios.estimate.contract import Estimator
 
 REQUIRED = ("name", "label", "description", "needs", "parameters", "start")
-"""What a class must have to be an estimator: see `surefoot.scenarios.estimate.contract`."""
+"""Members that an estimator's class must have; see `surefoot.scenarios.estimate.contract`."""
 
 ESTIMATORS = Registry(
     "surefoot.estimators",
@@ -36,7 +36,7 @@ ESTIMATORS = Registry(
 
 
 def estimator_named(name: str) -> Estimator:
-    """The estimator of that name. Raises SurefootError naming those there are."""
+    """The estimator of that name. Raises SurefootError naming the known ones."""
     if name not in ESTIMATORS:
         hint = did_you_mean(name, ESTIMATORS)
         raise SurefootError(f"--filter {name}: unknown; choose {' | '.join(ESTIMATORS)}{hint}")
@@ -48,15 +48,18 @@ def estimator_named(name: str) -> Estimator:
 
 @dataclass(frozen=True)
 class Traits:
-    """What an estimator's class may say of itself, and what holds where it does not.
+    """Optional members of an estimator's class, with their defaults.
 
-    color, line: matplotlib's "#RRGGBB" and "-", "--", ":" or "-."; chosen by the name where empty.
-    drawn: False for one whose errors would hide the others'. variant: whether it is another
-    estimator of the list with a change, which short comparisons leave out. perceptive: whether it
-    uses exteroceptive sensors, so that it is not ranked with proprioceptive ones. floor: whether it
-    is what every other must improve on, and is not ranked either. of_legs: whether its velocities
-    come from the kinematics of the legs. proposed: the highest number of those that were run is
-    the method with which the findings of an experiment compare the others; 0 for no such method.
+    Attributes:
+        color: matplotlib's "#RRGGBB"; chosen by the name if empty.
+        line: matplotlib's "-", "--", ":" or "-."; chosen by the name if empty.
+        drawn: False if its errors would hide the others' in plots.
+        variant: whether it is a variation of another estimator, omitted in short comparisons.
+        perceptive: whether it uses exteroceptive sensors, and so is not ranked with the others.
+        floor: whether it is the baseline for all others, and so is not ranked either.
+        of_legs: whether its velocities come from leg kinematics.
+        proposed: the method with the highest value among those run is compared with the others in
+            the findings of an experiment; 0 for no such method.
     """
 
     color: str = ""
@@ -70,7 +73,7 @@ class Traits:
 
 
 def traits(name: str) -> Traits:
-    """The traits of an estimator; the defaults for one that is unknown or broken."""
+    """Traits of an estimator; the defaults for one that is unknown or broken."""
     try:
         kind = ESTIMATORS.get(name)
     except SurefootError:
@@ -80,16 +83,17 @@ def traits(name: str) -> Traits:
 
 
 AT_FIRST = 4
-"""Estimators that a recording shows at first: more hide each other."""
+"""Number of estimators that a recording shows initially; more would hide each other."""
 
 
 def shown_at_first(names: Sequence[str]) -> tuple[str, ...]:
-    """Of these estimators those that are proposed, then those that are no variants, then others, in
-    their order."""
+    """Select among these estimators, in their order: proposed ones first, then those that are no
+    variants, then others.
+    """
     ranked = sorted(names, key=lambda name: (not traits(name).proposed, traits(name).variant))
     return tuple(name for name in names if name in ranked[:AT_FIRST])
 
 
 def estimator_code(name: str) -> str:
-    """Digest of the code that an estimator is made of: what products of it are kept under."""
+    """Digest of an estimator's code, under which its products are cached."""
     return code_digest(ESTIMATORS[name])

@@ -1,4 +1,4 @@
-"""What is kept of an estimate: its metrics, whether its bounds held, and its errors over time."""
+"""Summary of an estimate: metrics, coverage of its bounds, and errors over time."""
 
 from dataclasses import asdict
 from typing import Any
@@ -17,15 +17,16 @@ from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
 ERRORS_RATE = 5.0
-"""Hz, of the errors that are kept for figures."""
+"""Rate of the errors that are stored for figures [Hz]."""
 
 
 def estimate_facts(log: Log, robot: Robot, result: Result, learnt: Learnt) -> dict[str, Any]:
-    """Metrics of an estimate, its time a step, when and why it is not to be trusted, and of the
-    velocities it used their mean error (3,), its spread (3,), and how often the bounds held.
+    """Metrics of an estimate, time per step, trustworthiness, and statistics of the velocities
+    used.
 
-    Bounds on anything but a velocity itself, such as the mean of a window beside a persistent part
-    that the filter estimates, are not judged here.
+    The latter are mean error (3,), standard deviation (3,), and share within the bounds. Bounds on
+    other quantities than a velocity, such as the mean of a window with a persistent part, are not
+    evaluated here.
     """
     facts: dict[str, Any] = {"step_us": 1e6 * result.step_time}
     if result.metrics is not None:
@@ -41,7 +42,7 @@ def estimate_facts(log: Log, robot: Robot, result: Result, learnt: Learnt) -> di
     own = [bounds.epsilon_at(robot.R_BI) for bounds in learnt.bounds]
     if updates.epsilon is not None and any(np.allclose(updates.epsilon, e) for e in own):
         share = float(np.all(np.abs(errors) <= updates.epsilon[measured], axis=1).mean())
-        # Neighbouring errors are no independent trials: those K steps apart are.
+        # Successive errors are not independent; those K steps apart are.
         n = max(len(errors) // max(bounds.K for bounds in learnt.bounds), 1)
         low, high = binomial_interval(share, n)
         facts |= {"coverage": share, "coverage_low": low, "coverage_high": high, "coverage_n": n}
@@ -49,7 +50,7 @@ def estimate_facts(log: Log, robot: Robot, result: Result, learnt: Learnt) -> di
 
 
 def errors_over_time(log: Log, estimate: Trajectory) -> pd.DataFrame:
-    """Aligned path, truth, own sigma and NEES over time, a few rows a second."""
+    """Aligned path, truth, the filter's sigma and NEES over time, at ERRORS_RATE."""
     truth = reference(log)
     errors = error_series(truth, estimate, ERRORS_RATE)
     ref, est = matched(truth, estimate)

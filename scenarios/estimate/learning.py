@@ -1,4 +1,4 @@
-"""Both observers of some walks, and bounds for both: what the learnt filters need."""
+"""Train both observers on some walks, and calibrate bounds for both."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,17 +23,17 @@ def learn(
     force: bool = False,
     schedule: Schedule = DEFAULT_SCHEDULE,
 ) -> Learnt:
-    """Train with each loss at once, one process each, calibrate, and keep all four in `out`.
+    """Train with each loss in parallel, one process each, calibrate, and store all four in `out`.
 
     Args:
         training: logs to train on.
         calibration: log for the bounds.
         out: folder for observers and bounds.
         seed: of weights and windows.
-        inputs: columns of the observer, as of `train`.
+        inputs: columns of the observer, as for `train`.
         gamma: joint level of the bounds.
         force: whether files may be replaced.
-        schedule: how long and how fast to train.
+        schedule: length and learning rate of the training.
     """
     with processes(len(LOSSES)) as pool:
         assert pool is not None
@@ -48,7 +48,7 @@ def learn(
 
 
 def learnt_in(out: Path) -> Learnt:
-    """What `learn` left in a folder."""
+    """Load what `learn` stored in a folder."""
     return Learnt(
         tuple(Observer.load(out / f"observer_{loss}.pt") for loss in LOSSES),
         tuple(Bounds.load(out / f"bounds_{loss}.json") for loss in LOSSES),
@@ -62,7 +62,7 @@ def _train(logs: list[Log], loss: str, seed: int, inputs: str, schedule: Schedul
         logs: to train on.
         loss: "mse" or "gml".
         seed: of weights and windows.
-        inputs: columns of the observer, as of `train`.
-        schedule: how long and how fast.
+        inputs: columns of the observer, as for `train`.
+        schedule: length and learning rate.
     """
     return train(logs, inputs=inputs, loss=loss, seed=seed, progress=True, schedule=schedule)

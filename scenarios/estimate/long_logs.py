@@ -1,4 +1,4 @@
-"""Estimating the file of a log: as a whole, or piece by piece where it is long."""
+"""Estimate the file of a log, as a whole or, if it is long, in pieces."""
 
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -33,13 +33,17 @@ from surefoot.sim.common.files import whole_file
 from surefoot.sim.log import Log, LogReader
 
 LONG = 1800.0
-"""s. A longer log is estimated in pieces: its trajectory alone would take gigabytes."""
+"""Length above which a log is estimated in pieces [s]; its trajectory alone would take
+gigabytes.
+"""
 LOG_PIECE = 60.0
-"""s of a piece."""
+"""Length of a piece [s]."""
 CHECKED = 600.0
-"""s of a long log that are looked at before it is estimated: some seconds of work."""
+"""Length of the part of a long log that is checked before it is estimated [s]; takes some
+seconds.
+"""
 JUDGED = 100_000
-"""Estimates at most that the metrics of a long log are taken from, evenly spread: 180 MB."""
+"""Largest number of estimates for the metrics of a long log, evenly spread: 180 MB."""
 
 
 def estimate_file(
@@ -52,23 +56,22 @@ def estimate_file(
     settings: FilterSettings | None = None,
     warnings: Sequence[str] = (),
 ) -> tuple[Metrics | None, Health]:
-    """Estimate a log with one filter: its metrics, None where it has no reference or the filter
-    diverged, and whether to believe it.
+    """Estimate a log with one filter.
 
-    A log longer than LONG goes in pieces, in the memory of one, unless it declares effects, whose
-    compensation takes the whole log.
+    Returns its metrics, None where it has no reference or the filter diverged, and its health. A
+    log longer than LONG is processed in pieces, using the memory of one, unless it declares
+    effects, whose compensation needs the whole log. Raises SurefootError saying what is missing or
+    wrong.
 
     Args:
         name: of the filter.
         reader: of the log.
-        robot_name: name or MJCF file; the log's own where it is None.
+        robot_name: name or MJCF file; None for the log's own.
         learnt: observers and bounds.
-        out: file for the trajectory (.parquet), with a .tum beside it; none is written for None.
+        out: file for the trajectory (.parquet), with a .tum beside it; None to write none.
         force: whether to overwrite them.
         settings: noise, priors and start.
-        warnings: what in the log was not plausible, kept in the trajectory's metadata.
-
-    Raises SurefootError saying what is missing or wrong.
+        warnings: about what in the log was not plausible, kept in the trajectory's metadata.
     """
     if reader.rows / reader.meta.rate <= LONG or reader.meta.effects:
         (log,) = reader.chunks()
@@ -85,7 +88,7 @@ def estimate_file(
 
 
 def first_minutes(reader: LogReader) -> Log:
-    """The log, or the first CHECKED seconds of a long one, to look at what it holds."""
+    """The log, or the first CHECKED seconds of a long one, for checks."""
     long = reader.rows / reader.meta.rate > LONG
     return next(reader.chunks(CHECKED if long else np.inf))
 
@@ -100,7 +103,7 @@ def _in_pieces(
     settings: FilterSettings | None,
     warnings: Sequence[str],
 ) -> tuple[Metrics | None, Health]:
-    """One filter over a log read piece by piece, as `estimate_file`.
+    """`estimate_file` for a log that is read in pieces.
 
     Args:
         name: of the filter.
@@ -110,7 +113,7 @@ def _in_pieces(
         out: file for the trajectory, or None.
         force: whether its file may be replaced.
         settings: noise, priors and start.
-        warnings: what in the log was not plausible.
+        warnings: about what in the log was not plausible.
     """
     every = int(np.ceil(reader.rows / reader.meta.rate / OUTPUT_PERIOD / JUDGED))
     waiting: deque[Log] = deque()  # pieces that were read but not estimated
@@ -147,7 +150,7 @@ def _in_pieces(
 
 
 def _thinned(part: Trajectory, every: int) -> Trajectory:
-    """Every so many estimates and updates of it."""
+    """Keep one in `every` estimates, and as many updates."""
     updates = part.updates
     if updates is not None:
         values = {name: value for name, value in vars(updates).items() if value is not None}

@@ -1,4 +1,4 @@
-"""The radar of a simulated walk as velocities for a filter: what the perceptive reference sees."""
+"""Velocities from the simulated radar of a walk, for the perceptive filter."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -19,20 +19,22 @@ from surefoot.sim.walking.radar import RadarSensor, radar
 
 FOLDERS = ("demo", "spot", "vision60", "shift")
 DOPPLER = 0.06
-"""m/s, a return's error as the estimator takes it: step, noise and what a wrong direction does."""
+"""Error of a return as the estimator assumes it [m/s]: quantisation, noise and direction errors."""
 
 
 RADAR_COLUMNS = (
     *(f"x_radar_v_{a}" for a in "xyz"),
     *(f"x_radar_cov_{a}{b}" for a in "xyz" for b in "xyz"),
 )
-"""Of a log: a radar's velocity of the IMU in I [m/s] and its covariance; NaN between frames."""
+"""Columns of a log: a radar's velocity of the IMU in I [m/s] and its covariance; NaN between
+frames.
+"""
 
 
 def with_radar(log: Log, robot: Robot) -> Log:
-    """The log with the columns of a radar: its own, else those of a simulated one.
+    """Add the columns of a simulated radar to a log that has none of its own.
 
-    Raises SurefootError as `radar_velocity` does.
+    Raises SurefootError like `radar_velocity`.
     """
     if set(RADAR_COLUMNS) <= set(log.frame.columns):
         return log
@@ -45,20 +47,18 @@ def with_radar(log: Log, robot: Robot) -> Log:
 def radar_of(
     columns: Mapping[str, Any] | pd.DataFrame,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """rows (M,) that have a radar's velocity, v_I (M, 3) [m/s] there and covariances (M, 3, 3)."""
+    """Rows (M,) with a radar's velocity, v_I (M, 3) [m/s] there and covariances (M, 3, 3)."""
     values = np.column_stack([np.asarray(columns[name], dtype=float) for name in RADAR_COLUMNS])
     rows = np.flatnonzero(np.isfinite(values[:, 0]))
     return rows, values[rows, :3], values[rows, 3:].reshape(-1, 3, 3)
 
 
 def radar_velocity(log: Log, robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """rows (M,) of the log, the IMU's velocity v_I (M, 3) [m/s] there, and covariances (M, 3, 3).
+    """Rows (M,) of the log, the IMU's velocity v_I (M, 3) [m/s] there, and covariances (M, 3, 3).
 
-    The bias that wrong directions leave persists (about 1 % of the speed), while the filter treats
-    frames as independent: the parameter `radar` multiplies the covariances.
-
-    Raises SurefootError where there is no world for a radar to see: the log is measured, or of a
-    scenario that is not among the bundled ones.
+    The bias from direction errors persists (about 1 % of the speed), while the filter treats frames
+    as independent, so the parameter `radar` multiplies the covariances. Raises SurefootError where
+    there is no world for a radar: the log is measured, or its scenario is not a bundled one.
     """
     if not log.meta.scenario or log.meta.seed is None or log.meta.scenario not in _scenarios():
         raise SurefootError("needs the world of a bundled scenario for its radar (perceptive)")
@@ -69,14 +69,14 @@ def radar_velocity(log: Log, robot: Robot) -> tuple[np.ndarray, np.ndarray, np.n
         seen.frame, seen.direction_R, seen.doppler, len(seen.rows), DOPPLER, angle_noise
     )
     rows = seen.rows[frames]
-    # The sensor's velocity is that of the IMU and of the arm between them, turning.
+    # The sensor's velocity is that of the IMU plus that of the rotating lever arm.
     v_I = velocity @ seen.R_IR.T - np.cross(log.gyro[rows], seen.p_IR)
     return rows, v_I, seen.R_IR @ cov @ seen.R_IR.T
 
 
 @cache
 def _scenarios() -> dict[str, Path]:
-    """Every bundled scenario file by the name that it gives itself."""
+    """Every bundled scenario file by the name it contains."""
     here = bundled("surefoot.scenarios", "courses")
     files = [path for folder in FOLDERS for path in sorted((here / folder).glob("*.toml"))]
     return {Scenario.load(path).name: path for path in files}

@@ -1,4 +1,4 @@
-"""Running an estimator over a log, as a whole or in pieces, and what came of it."""
+"""Run an estimator over a log, as a whole or in pieces, and evaluate the result."""
 
 from __future__ import annotations
 
@@ -58,18 +58,17 @@ def run_filter(
     learnt: Learnt | None = None,
     settings: FilterSettings | None = None,
 ) -> Result:
-    """Estimate a log with one filter; `Result.health` says whether to believe it.
+    """Estimate a log with one filter; `Result.health` tells whether to trust it.
 
-    The filter's model is the declared one: what the log says of its effects is compensated first.
+    The filter uses the declared model: effects that the log declares are compensated first. Raises
+    SurefootError saying what is missing.
 
     Args:
         name: of the filter.
         log: to estimate.
-        robot: of the log, as of `robot_of`.
+        robot: of the log, as from `robot_of`.
         learnt: observers and bounds.
-        settings: noise, priors and start; those tuned for the robot where left out.
-
-    Raises SurefootError saying what it lacks.
+        settings: noise, priors and start; by default those tuned for the robot.
     """
     estimator = estimator_named(name)
     log.require("imu")
@@ -98,12 +97,11 @@ def health_of(
     log: Log,
     settings: FilterSettings | None = None,
 ) -> Health:
-    """Whether to believe what an estimator made of a log, or of one in pieces of which `log` is
-    one.
+    """Test whether to trust an estimate of a log, or of one in pieces of which `log` is one.
 
     Args:
         parts: summaries of the estimates.
-        estimator: whose they are.
+        estimator: of the estimate.
         robot: of the log.
         log: names its feet.
         settings: with which it ran.
@@ -120,7 +118,7 @@ def health_of(
 def parameters_of(
     estimator: Estimator, robot: Robot | None, settings: FilterSettings | None = None
 ) -> dict[str, float]:
-    """An estimator's parameters for a robot: what `settings` say, else what it is tuned to."""
+    """Parameters of an estimator for a robot: those in `settings`, else the tuned ones."""
     values = tuned(robot).of(estimator)
     return values if settings is None else settings.parameters(estimator, values)
 
@@ -129,7 +127,7 @@ _compiled: set[str] = set()
 
 
 def robot_of(log: Log, name: str | None = None) -> Robot | None:
-    """The robot `name`, or else the log's own (`Robot.for_log`); None where neither says one."""
+    """The robot `name`, or else the log's own (`Robot.for_log`); None without either."""
     return Robot.for_log(log, name) if name or log.meta.robot else None
 
 
@@ -159,15 +157,15 @@ def run_all(
     progress: Callable[[str], None] | None = None,
     settings: FilterSettings | None = None,
 ) -> tuple[list[Result], dict[str, str]]:
-    """Every filter that the log and what was learnt allow, and why each other was left out.
+    """Run every filter that the inputs allow; also returns why each other was left out.
 
     Args:
         log: to estimate.
         robot: of the log.
         learnt: observers and bounds.
-        names: of the filters; all where left out.
+        names: of the filters; by default all.
         progress: called with the name of each before it runs.
-        settings: as of `run_filter`.
+        settings: as for `run_filter`.
     """
     results: list[Result] = []
     left_out: dict[str, str] = {}
@@ -189,16 +187,16 @@ def estimated(
     learnt: Learnt,
     parameters: Parameters | None = None,
 ) -> Trajectory:
-    """The trajectory of one estimator over a log whose declared effects are compensated.
+    """Trajectory of one estimator over a log whose declared effects are compensated.
+
+    Raises SurefootError saying what is missing, or that it diverged.
 
     Args:
-        estimator: which one.
+        estimator: to run.
         log: to estimate.
         robot: of the log.
         learnt: observers and bounds.
-        parameters: its own by name; those tuned for the robot where left out.
-
-    Raises SurefootError saying what it lacks, or that it diverged.
+        parameters: its own by name; by default those tuned for the robot.
     """
     (found,) = estimated_in_chunks(estimator, [log], robot, learnt, parameters)
     if found.diverged:
@@ -214,19 +212,18 @@ def estimated_in_chunks(
     parameters: Parameters | None = None,
     settings: FilterSettings | None = None,
 ) -> Iterator[Trajectory]:
-    """`estimated` over a log that comes in pieces, each of which may be forgotten after its own.
+    """`estimated` for a log that comes in pieces, each of which may be discarded after use.
 
-    It ends where a filter diverged.
+    Ends where a filter diverged. Raises SurefootError saying what is missing, or that it requires
+    whole logs.
 
     Args:
-        estimator: which one.
-        chunks: a log's rows, in turn.
+        estimator: to run.
+        chunks: successive rows of a log.
         robot: of the log.
         learnt: observers and bounds.
-        parameters: its own by name; those of `parameters_of` where left out.
-        settings: as of `run_filter`.
-
-    Raises SurefootError saying what it lacks, or that it takes whole logs alone.
+        parameters: its own by name; by default those of `parameters_of`.
+        settings: as for `run_filter`.
     """
     mounting = tuned(robot).mounting
     values = parameters_of(estimator, robot, settings) if parameters is None else parameters
@@ -258,17 +255,17 @@ def begin(
     parameters: Parameters | None = None,
     settings: FilterSettings | None = None,
 ) -> Stream:
-    """A stream of an estimator that begins at the first row of a log.
+    """Start a stream of an estimator at the first row of a log.
+
+    Raises SurefootError saying what is missing.
 
     Args:
-        estimator: which one.
-        log: whose start says where the state is.
+        estimator: to run.
+        log: whose start determines the initial state.
         robot: of the log.
         learnt: observers and bounds.
-        parameters: its own by name; those of `parameters_of` where left out.
-        settings: as of `run_filter`.
-
-    Raises SurefootError saying what it lacks.
+        parameters: its own by name; by default those of `parameters_of`.
+        settings: as for `run_filter`.
     """
     estimator.needs.check(log, robot)
     values = parameters_of(estimator, robot, settings) if parameters is None else parameters
@@ -282,7 +279,7 @@ def begin(
 
 
 def _prepared(estimator: Estimator, log: Log, robot: Robot | None, in_chunks: bool) -> Log:
-    """The log with what an estimator computes of it as a whole."""
+    """The log with what an estimator computes from it as a whole."""
     prepare: Any = getattr(estimator, "prepare", None)
     prepared = log if prepare is None else prepare(log, robot)
     if in_chunks and prepared is not log:
@@ -291,7 +288,7 @@ def _prepared(estimator: Estimator, log: Log, robot: Robot | None, in_chunks: bo
 
 
 def _advanced(stream: Stream, log: Log, rows: np.ndarray, more: bool) -> Trajectory:
-    """The estimates of a stream at rows of what follows, in one call where it has `run`."""
+    """Estimates of a stream at some of the next rows, in one call if it has `run`."""
     run: Any = getattr(stream, "run", None)
     if run is not None:
         return run(log, rows, more)
@@ -299,8 +296,9 @@ def _advanced(stream: Stream, log: Log, rows: np.ndarray, more: bool) -> Traject
 
 
 def stepped(stream: Stream, log: Log, rows: np.ndarray) -> Trajectory:
-    """The estimates of a stream at rows (L,) of a log, one sample at a time, up to where it says
-    that it has diverged."""
+    """Estimates of a stream at rows (L,) of a log, sample by sample, until it reports
+    divergence.
+    """
     states: list[NavState] = []
     covariances: list[np.ndarray] = []
     updates: list[tuple[float, Update]] = []
@@ -348,7 +346,7 @@ def _record(updates: list[tuple[float, Update]]) -> UpdateRecord | None:
 
 
 def joined_trajectory(parts: Iterable[Trajectory]) -> Trajectory:
-    """Trajectories that follow each other as one."""
+    """Concatenate successive trajectories."""
     parts = list(parts)
     arrays: dict = {}
     for name in ("t", "R_GI", "v_GI", "p_GI", "b_a", "b_g", "covariance"):

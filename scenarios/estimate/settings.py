@@ -1,19 +1,20 @@
-"""What a user says of noise, priors and the start, instead of what the filters are tuned to.
+"""User settings of noise, priors and initial state, which override those that the filters are tuned
+to.
 
-A TOML file, all of it optional, that `estimate` and `compare` take with --settings and that
-`surefoot noise` writes; --set takes single lines of it.
+A TOML file with optional entries, for the option --settings of `estimate` and `compare`; `surefoot
+noise` writes one, and --set takes single lines of it.
 
     [noise]                  # of every filter that has the parameter
     gyro = 3e-4              # rad/s/sqrt(Hz), and gyro_walk, rad/s^2/sqrt(Hz)
     accel = 0.01             # m/s^2/sqrt(Hz), and accel_walk, m/s^3/sqrt(Hz)
     encoder = 2e-3           # rad, of a joint angle
-    kinematics = 2e-3        # m, of a foot's place
+    kinematics = 2e-3        # m, of a foot's position
     contact = 0.02           # m/s/sqrt(Hz), of a standing foot
 
     [start]                  # standard deviations of the first state, in G
     tilt = 0.02              # rad, and yaw
     velocity = 0.05          # m/s
-    position = 1e-3          # m, and height, the vertical's where that is known better or worse
+    position = 1e-3          # m, and height, if the vertical's differs
     b_a = 0.1                # m/s^2
     b_g = 5e-3               # rad/s
 
@@ -21,7 +22,7 @@ A TOML file, all of it optional, that `estimate` and `compare` take with --setti
     p_GI = [0.0, 0.0, 0.3]   # m, and v_GI [m/s], b_a [m/s^2], b_g [rad/s]
     q_GI = [1.0, 0.0, 0.0, 0.0]
 
-    [filters.leg]            # parameters of one filter, before those of [noise]
+    [filters.leg]            # parameters of one filter, which override those of [noise]
     contact = 0.01
 """
 
@@ -54,8 +55,7 @@ Three = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class NoiseSettings:
-    """Densities and deviations of sensors; the module says in which units. None leaves a
-    filter's."""
+    """Noise densities and deviations of sensors, in the units above; None keeps a filter's own."""
 
     gyro: Positive | None = None
     gyro_walk: Positive | None = None
@@ -68,7 +68,7 @@ class NoiseSettings:
 
 @dataclass(frozen=True)
 class StartSettings:
-    """Standard deviations of `surefoot.estimator.initial.InitialStd`; None leaves its own."""
+    """Standard deviations as in `surefoot.estimator.initial.InitialStd`; None keeps the default."""
 
     tilt: Positive | None = None
     yaw: Positive | None = None
@@ -81,7 +81,7 @@ class StartSettings:
 
 @dataclass(frozen=True)
 class StateSettings:
-    """Parts of the first state; None leaves what the log says."""
+    """Parts of the first state; None keeps the one from the log."""
 
     p_GI: Three | None = None
     v_GI: Three | None = None
@@ -109,9 +109,9 @@ class FilterSettings:
                 raise SurefootError(f"[filters.{name}]: choose {' | '.join(ESTIMATORS)}")
 
     def parameters(self, estimator: Estimator, values: Parameters) -> dict[str, float]:
-        """An estimator's parameters, these instead of `values` where they are given.
+        """Parameters of an estimator: these, or else those of `values`.
 
-        Raises SurefootError for one that it has not.
+        Raises SurefootError for one that it does not have.
         """
         own = self.filters.get(estimator.name, {})
         for name in own:
@@ -124,13 +124,13 @@ class FilterSettings:
         return {**values, **given, **own}
 
     def beginning(self, log: Log) -> tuple[NavState, np.ndarray]:
-        """`surefoot.estimator.initial.initial_state` of a log, with what is given here instead."""
+        """`surefoot.estimator.initial.initial_state` of a log, with the given parts replaced."""
         start, state = _given(self.start), _given(self.state)
         if not start and not state:
             return initial_state(log)
         std = replace(REFERENCE_STD if log.has("reference") else GRAVITY_STD, **start)
         found, _ = initial_state(log, std)
-        # A deviation that is given, or that of a bias that is, is not that of having stood still.
+        # A given gyro bias, or its deviation, overrides that from standing still.
         if not {"b_g"} & (start.keys() | state.keys()):
             _, std = still_gyro_bias(log, std)
         if "q_GI" in state:
@@ -141,9 +141,9 @@ class FilterSettings:
 
 
 def read_settings(path: Path | None, lines: Sequence[str] = ()) -> FilterSettings:
-    """The settings of a file, and of single lines `noise.gyro=1e-3` that go before it.
+    """Read the settings of a file, and single lines `noise.gyro=1e-3` that override it.
 
-    Raises SurefootError, one line that names the file or the option, for what is wrong.
+    Raises SurefootError, one line naming the file or option, for any fault.
     """
     table = read_toml(path, "settings") if path else {}
     where = f"settings {path}" if path else "--set"

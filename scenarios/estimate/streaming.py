@@ -1,7 +1,7 @@
-"""An estimator in a robot's own loop: samples go in, states come out, nothing else is needed.
+"""An estimator in a robot's own loop: samples in, states out.
 
-`surefoot.StreamingEstimator` is what `run_filter` is for a log, with the same numbers: it finds the
-rate, the attitude and the gyro's bias in the first half second, in which the robot stands, then
+`surefoot.StreamingEstimator` corresponds to `run_filter` for a log, with the same results: it
+determines rate, attitude and gyro bias in the first half second, in which the robot stands, then
 runs the filter, the observer and its decimation sample by sample.
 """
 
@@ -34,7 +34,7 @@ _GROUPS = {
     "contact": ("contact",),
     "foot": ("foot_I",),
 }
-"""Groups of a log's columns and the fields of a sample that they are."""
+"""Groups of a log's columns, and the corresponding fields of a sample."""
 
 
 class StreamingEstimator:
@@ -47,16 +47,16 @@ class StreamingEstimator:
         learnt: Learnt | None = None,
         settings: FilterSettings | None = None,
     ):
-        """Wait for samples.
+        """Prepare for samples.
+
+        Raises SurefootError for a filter that is unknown or requires whole logs.
 
         Args:
             filter: its name.
-            robot: whose samples they are: joints and contacts in the order of `robot.limbs`. None
-                for a filter that needs none.
+            robot: of the samples, with joints and contacts in the order of `robot.limbs`. None for
+                a filter that needs none.
             learnt: observers and bounds.
-            settings: noise, priors and start; those tuned for the robot where left out.
-
-        Raises SurefootError for a filter that is unknown or takes whole logs alone.
+            settings: noise, priors and start; by default those tuned for the robot.
         """
         self._estimator = estimator_named(filter)
         if hasattr(self._estimator, "prepare"):
@@ -67,10 +67,10 @@ class StreamingEstimator:
         self._stream: Stream | None = None
 
     def step(self, sample: Sample) -> NavState | None:
-        """The state at this sample; None while the first STILL_WINDOW seconds are gathered.
+        """Return the state at this sample; None while the first STILL_WINDOW seconds are collected.
 
-        The sample after these begins the stream, and all of them pass through it at once. Raises
-        SurefootError where the samples lack what the filter reads, or the robot was not standing.
+        The next sample starts the stream, which then processes all of them at once. Raises
+        SurefootError where the samples lack what the filter needs, or the robot was not standing.
         """
         if self._stream is not None:
             self._stream.step(sample)
@@ -92,7 +92,7 @@ class StreamingEstimator:
 
     @property
     def covariance(self) -> np.ndarray | None:
-        """Covariance (15, 15) of its right-invariant error, with the tolerance of the mounting."""
+        """Covariance (15, 15) of its right-invariant error, including the mounting tolerance."""
         if self._stream is None:
             return None
         state = self._stream.state
@@ -107,7 +107,7 @@ class StreamingEstimator:
 def log_of_samples(samples: Sequence[Sample], robot: Robot | None) -> Log:
     """Samples as a log, with the names of the robot's joints and legs.
 
-    Raises SurefootError where they are no log: too few, of uneven fields, or back in time.
+    Raises SurefootError where they form no log: too few, inconsistent fields, or decreasing time.
     """
     t = np.array([sample.t for sample in samples])
     if len(t) < 2 or not (np.diff(t) > 0.0).all():

@@ -1,4 +1,4 @@
-"""The estimators' parameters by robot: the defaults of each, and what `tuned.toml` says instead."""
+"""Parameters of the estimators by robot: their defaults, overridden by `tuned.toml`."""
 
 import os
 from collections.abc import Mapping
@@ -14,18 +14,20 @@ from surefoot.sim.robot import Robot
 
 BUNDLED_PARAMETERS = bundled("surefoot.scenarios.estimate", "tuned.toml")
 FORMER = {"lasting": "persistent"}
-"""Parameters by their names in files of surefoot 0.1.0, and what they are now."""
+"""Old names of parameters, in files of surefoot 0.1.0, and the current ones."""
 
 Parameters = Mapping[str, float]
 
 
 @dataclass(frozen=True)
 class Tuned:
-    """What a robot's estimators are tuned to.
+    """Tuned parameters of a robot's estimators.
 
-    filters: by the estimator's name, parameters that are not at their defaults. mounting [rad]:
-    deviation of the IMU's mounting about each axis, declared for all of them and never tuned.
-    reason says who chose the rest.
+    Attributes:
+        mounting: standard deviation of the IMU's mounting about each axis [rad], declared for all
+            of them and never tuned.
+        reason: who chose the rest.
+        filters: by estimator, parameters that differ from their defaults.
     """
 
     mounting: float
@@ -33,7 +35,9 @@ class Tuned:
     filters: dict[str, dict[str, float]] = field(default_factory=dict)
 
     def of(self, estimator: Estimator) -> dict[str, float]:
-        """The value of each of its parameters. Raises SurefootError for one that it has not."""
+        """Value of each parameter of an estimator. Raises SurefootError for one that it does not
+        have.
+        """
         own = self.filters.get(estimator.name, {})
         values = {parameter.name: parameter.default for parameter in estimator.parameters}
         for name in own:
@@ -44,19 +48,19 @@ class Tuned:
 
 
 def tuned(robot: Robot | None) -> Tuned:
-    """What this robot's estimators are tuned to: the entry of its name, else [default]."""
+    """Tuned parameters for this robot: the entry of its name, else [default]."""
     every = read_tuned(tuned_file())
     return every["default"] if robot is None else every.get(robot.name, every["default"])
 
 
 def tuned_file() -> Path:
-    """$SUREFOOT_TUNED, such as `surefoot tune` writes, or else the bundled tuned.toml."""
+    """$SUREFOOT_TUNED, such as written by `surefoot tune`, or else the bundled tuned.toml."""
     return Path(os.environ.get("SUREFOOT_TUNED", BUNDLED_PARAMETERS))
 
 
 @cache
 def read_tuned(path: Path = BUNDLED_PARAMETERS) -> dict[str, Tuned]:
-    """All robots' entries. Raises SurefootError, one line, on a bad file."""
+    """Read the entries of all robots. Raises SurefootError, one line, on a bad file."""
     tables = read_typed(path, dict[str, dict[str, NonNegative | Name | dict[str, Positive]]])
     if "default" not in tables:
         raise SurefootError(f"{path}: [default] is missing")

@@ -1,4 +1,4 @@
-"""A robot as it walks: what was measured of one robot's walk, carried to another by a rule."""
+"""A robot as it walks: values measured on one robot's walk, scaled to another."""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,15 +17,15 @@ from surefoot.sim.scenario import Scenario
 from surefoot.sim.sensors.streams import Sensors
 
 SHEET = 0.2
-"""Friction coefficient below which a patch counts as a slippery sheet."""
+"""Friction coefficient below which a patch is a slippery sheet."""
 LEVEL_UP_TO = 0.1
-"""Rise over run up to which ground counts as level."""
+"""Slope up to which ground is level."""
 BUNDLED = bundled("surefoot.scenarios.experiments", "suites") / "as_walked.toml"
 
 
 @dataclass(frozen=True)
 class Size:
-    """One measured effect and where its size comes from."""
+    """One measured effect and the source of its size."""
 
     effect: str
     target: str
@@ -38,12 +38,18 @@ class Size:
 
 @dataclass(frozen=True)
 class AsWalked:
-    """What was measured on a walk of `robot`.
+    """Values measured on a walk of `robot`.
 
-    period: of its stride [s]; source: where gait and sensors are from; gait: its options, all but
-    the noise of the estimate without dimension; on_slopes, on_sheets: options that replace those on
-    courses with slopes or steps, or with slippery sheets, where nothing was measured; sensors:
-    fields of `sim.sensors.streams.Sensors` that replace a scenario's; size: the measured effects.
+    Attributes:
+        robot: name.
+        period: of its stride [s].
+        source: of gait and sensors.
+        gait: its options, dimensionless except for the noise of the estimate.
+        on_slopes: options that replace those on courses with slopes or steps, where nothing was
+            measured.
+        on_sheets: the same on courses with slippery sheets.
+        sensors: fields of `sim.sensors.streams.Sensors` that replace a scenario's.
+        size: the measured effects.
     """
 
     robot: str
@@ -69,7 +75,7 @@ class AsWalked:
         return carried(sizes, scale_of(measured, self.period), scale_of(robot))
 
     def scenario(self, scenario: Scenario) -> Scenario:
-        """The scenario in this gait, with these sensors."""
+        """The scenario with this gait and these sensors."""
         ground, gait = scenario.ground, self.gait
         if any(patch.mu < SHEET for patch in ground.patches):
             gait = replace(gait, **self.on_sheets)
@@ -85,7 +91,7 @@ def _climbs(strip: Strip) -> bool:
 
 
 def load_as_walked(path: str | Path = BUNDLED) -> AsWalked:
-    """Read a file of measured walking; the bundled one where left out.
+    """Read a file of measured walking, by default the bundled one.
 
     Raises SurefootError, one line with file and key, if bad.
     """

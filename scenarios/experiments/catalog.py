@@ -1,4 +1,4 @@
-"""Where an experiment's file lies, by name or path."""
+"""Location of an experiment's file, by name or path."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""The cells of an experiment's grid, one a walk, and the inputs that each depends on."""
+"""Cells of an experiment's grid, one per walk, and the inputs that each depends on."""
 
 import hashlib
 import json
@@ -20,7 +20,7 @@ from surefoot.sim.scenario import Scenario
 from surefoot.sim.walking.batch import Job, known_robot
 
 Group = tuple[str, str, int]
-"""Robot, condition and seed: the cells of a group share observers and bounds."""
+"""Robot, condition and seed; the cells of a group share observers and bounds."""
 
 
 @dataclass(frozen=True)
@@ -34,12 +34,12 @@ class Cell:
 
     @property
     def group(self) -> Group:
-        """The cells that share observers and bounds with this one."""
+        """Group of cells with the same observers and bounds."""
         return self.robot, self.condition.name, self.seed
 
     @property
     def job(self) -> Job:
-        """The walk to make."""
+        """The walk to simulate."""
         return walk_to_make(self.scenario, self.robot, self.condition, self.seed)
 
     @property
@@ -69,10 +69,10 @@ def cells_of(experiment: Experiment) -> list[Cell]:
 
 
 def cell_inputs(experiment: Experiment, cell: Cell) -> dict[str, Any]:
-    """A digest of the inputs of a cell's row, known before anything is made.
+    """Digest of the inputs of a cell's row, known before anything is computed.
 
-    They are the walk, the walks that its observers and bounds are learnt from, how these are learnt
-    and the filters. The code that estimates is not among them: rows are kept by it as well.
+    These are the walk, the walks for its observers and bounds, their training and calibration, and
+    the filters. The code that estimates is not among them, as rows are also cached by code.
     """
     mine = [other for other in cells_of(experiment) if other.group == cell.group]
     learnings = experiment.learnings

@@ -30,15 +30,15 @@ def by_sequence(
     band: tuple[float, float] | None = None,
     log: bool = True,
 ) -> Figure:
-    """One figure of dots: a row a sequence, a panel a condition, a colour a filter, a dot a seed.
+    """One dot plot: a row per sequence, a panel per condition, a colour per filter, a dot per seed.
 
     The wide mark is the mean over seeds.
 
     Args:
-        rows: a row a sequence, condition, filter and seed.
-        column: the value that is drawn.
+        rows: one per sequence, condition, filter and seed.
+        column: the value that is plotted.
         title: of the value's axis.
-        band: shaded, where values should lie, or None.
+        band: shaded range in which values should lie, or None.
         log: whether the axis is logarithmic.
     """
     rows = pd.DataFrame(rows[rows[column].notna()])
@@ -77,7 +77,7 @@ def by_sequence(
 
 
 def label_roles(ax, rows: pd.DataFrame, names: Sequence[str]) -> None:
-    """Test sequences in bold, as in the tables; the others with what they are for."""
+    """Label test sequences in bold, as in the tables, and the others with their role."""
     roles = rows.drop_duplicates("sequence").set_index("sequence")["role"]
     words = [name if roles[name] == "test" else f"{name} ({roles[name]})" for name in names]
     for label, name in zip(ax.set_yticklabels(words), names, strict=True):
@@ -116,7 +116,7 @@ def paths(series: Mapping[str, pd.DataFrame], title: str) -> Figure:
         height.plot(part["t"], part["p_z"], **look)
     above.plot(truth["ref_x"][0], truth["ref_y"][0], "o", color=INK, markersize=6)
     above.set(xlabel="x [m]", ylabel="y [m]")
-    # Estimates that left the picture must not shrink the others to a dot.
+    # Estimates that left the picture must not compress the others.
     for ax, x, y, keep in ((above, "ref_x", "ref_y", 0.35), (height, "t", "ref_z", None)):
         low = np.array([truth[x].min(), truth[y].min()])
         high = np.array([truth[x].max(), truth[y].max()])
@@ -136,7 +136,7 @@ def paths(series: Mapping[str, pd.DataFrame], title: str) -> Figure:
 def errors_figure(
     series: Mapping[str, Mapping[str, pd.DataFrame]], title: str, columns: int = 3
 ) -> Figure:
-    """A panel a sequence: distance from the truth, and dashed the filter's own three sigma."""
+    """One panel per sequence: distance from the truth and, dashed, the filter's three sigma."""
     lines = -(-len(series) // columns)
     figure, axes = new_figure(lines, columns, size=(10.0, 2.2 * lines + 0.8))
     for ax in axes.flat[len(series) :]:

@@ -1,4 +1,4 @@
-"""Experiment files: a grid over scenarios, robots, conditions, gamma, filters and seeds. TOML."""
+"""Experiment files (TOML): a grid over scenarios, robots, conditions, gamma, filters and seeds."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -32,7 +32,7 @@ TrainingSteps = Annotated[int, msgspec.Meta(ge=1, le=10**6)]
 
 @dataclass(frozen=True)
 class Learning:
-    """How the observers are trained and bounded: one of each loss for each robot, condition, seed.
+    """Training and calibration of the observers: one of each loss for each robot, condition, seed.
 
     model is one of surefoot.models.observer.architectures, method (of calibration) one of
     surefoot.models.registry.CALIBRATORS.
@@ -55,12 +55,18 @@ class Learning:
 
 @dataclass(frozen=True)
 class Condition:
-    """How robots deviate from their model on all walks of a grid, beyond what the scenarios say.
+    """How robots deviate from their model on all walks of a grid, beyond the scenarios.
 
-    effects: of every robot, which the filters know only where `declared`; imperfections: drawn anew
-    for each seed, which stands for one robot; sensors: (name, value) of fields of
-    `sim.sensors.streams.Sensors` that replace the scenario's; walked: gait, sensors and effects
-    measured on a robot's walk, scaled to each robot (`sim.effects.carry`).
+    Attributes:
+        name: of the condition.
+        words: its description.
+        effects: of every robot, known to the filters only if `declared`.
+        declared: whether the filters know the effects.
+        imperfections: drawn for each seed, which represents one robot.
+        sensors: (name, value) of fields of `sim.sensors.streams.Sensors` that replace the
+            scenario's.
+        walked: gait, sensors and effects measured on a robot's walk, scaled to each robot
+            (`sim.effects.carry`).
     """
 
     name: str
@@ -72,7 +78,7 @@ class Condition:
     walked: AsWalked | None = field(default=None, hash=False)
 
     def effects_of(self, seed: int, robot: Robot) -> tuple[Effect, ...]:
-        """The effects of robot number `seed` of its kind: given, drawn and measured."""
+        """Effects of robot number `seed` of its kind: given, drawn and measured."""
         drawn = [one for part in self.imperfections for one in part.drawn(seed, robot.limbs)]
         walked = self.walked.effects_on(robot) if self.walked else ()
         return (*self.effects, *drawn, *walked)
@@ -80,7 +86,7 @@ class Condition:
 
 @dataclass(frozen=True)
 class Further:
-    """Further observer inputs and calibration methods, at the first gamma alone.
+    """Further observer inputs and calibration methods, at the first gamma only.
 
     All combinations of them and those of `Learning` are run.
     """
@@ -110,10 +116,19 @@ class Sweep:
 class Experiment:
     """A grid of scenarios, robots, conditions and seeds, and the filters that run on it.
 
-    scenarios: each has a role: observers are trained on the walks of "train", bounds calibrated on
-    that of "calibrate", averages taken over those of "test". robots: None for each scenario's own.
-    gammas: joint levels of the bounds, of which the tables show the first. published: the table of
-    the paper's figures to print beside. further, sweep: see these classes.
+    Attributes:
+        title: of the report.
+        scenarios: observers are trained on the walks with role "train", bounds calibrated on that
+            with "calibrate", averages taken over those with "test".
+        robots: None for each scenario's own.
+        seeds: of the robots.
+        gammas: joint levels of the bounds; the tables show the first.
+        filters: names.
+        published: table of the paper's figures to print for comparison.
+        learning: of the main tables.
+        further: see `Further`.
+        sweep: see `Sweep`.
+        conditions: of the robots.
     """
 
     title: str
@@ -155,10 +170,10 @@ class Experiment:
         return tuple(replace(self.learning, inputs=i, method=m) for i in inputs for m in methods)
 
     def filters_of(self, learning: Learning) -> tuple[str, ...]:
-        """The filters to run with a learning: all with the first, else those that it can change.
+        """The filters to run with a learning: all with the first, else those that it affects.
 
-        Other inputs change every filter that uses observers; another method of calibration only
-        those that use bounds on velocities.
+        Other inputs affect every filter with observers; another calibration method only those with
+        bounds on velocities.
         """
         if learning == self.learning:
             return self.filters
@@ -168,7 +183,7 @@ class Experiment:
         return tuple(name for name, one in known.items() if one.needs.learnt)
 
     def gammas_of(self, learning: Learning, seed: int) -> tuple[float, ...]:
-        """The levels of the bounds; those of the sweep are for the first learning alone."""
+        """Levels of the bounds; those of the sweep apply to the first learning only."""
         if learning != self.learning:
             return self.gammas[:1]
         more = self.sweep.gammas if seed in self.sweep.seeds else ()
@@ -186,7 +201,7 @@ class Experiment:
 
 
 def walk_seed(scenario: Scenario, seed: int) -> int:
-    """A seed for each sequence, so that noise and ground differ from walk to walk of one robot."""
+    """A seed for each sequence, so that noise and ground differ between walks of one robot."""
     return crc32(f"{scenario.name}/{seed}".encode())
 
 
@@ -216,7 +231,7 @@ class _ConditionTable:
             raise SurefootError(f"sensors: {error}") from None
 
     def condition(self, folder: Path) -> Condition:
-        """With the files that it names, relative to the experiment's folder."""
+        """Load the files that it names, relative to the experiment's folder."""
         drawn = load_imperfections(folder / self.imperfections) if self.imperfections else ()
         return Condition(
             self.name,

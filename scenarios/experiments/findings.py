@@ -1,4 +1,6 @@
-"""An experiment's findings in words: which filter errs least, where another is better, and why."""
+"""Findings of an experiment in words: which filter has the least error, where another is better,
+and why.
+"""
 
 # pyright: reportArgumentType=false, reportGeneralTypeIssues=false, reportCallIssue=false
 # pyright: reportIndexIssue=false, reportReturnType=false, reportAttributeAccessIssue=false
@@ -17,7 +19,7 @@ RANKED_BY = "APE_trans [m]"
 
 
 def findings(rows: pd.DataFrame, experiment: Experiment) -> list[tuple[str, str]]:
-    """A heading and paragraphs for each condition, from the rows of one gamma."""
+    """Heading and paragraphs for each condition, from the rows of one gamma."""
     return [
         (
             condition.name,
@@ -82,7 +84,7 @@ def _consistency(test: pd.DataFrame) -> str:
 
 
 def _losses(rows: pd.DataFrame, ours: str, condition: Condition) -> list[str]:
-    """On which sequences another proprioceptive filter errs less, by how much, and why."""
+    """Sequences on which another proprioceptive filter is better, by how much, and why."""
     means = rows.groupby(["sequence", "filter"], sort=False)[RANKED_BY].mean().unstack()
     ahead = {}
     for sequence, values in means.iterrows():

@@ -1,4 +1,6 @@
-"""How built robots deviate from their model: each robot (a seed) draws its own, fixed effects."""
+"""Deviations of built robots from their model: each robot (a seed) draws its own, constant
+effects.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,11 +18,14 @@ LAWS = ("normal", "uniform", "fixed")
 
 @dataclass(frozen=True)
 class Imperfection:
-    """One kind of effect, its value drawn independently for each target.
+    """One kind of effect, with an independent value for each target.
 
-    law: "normal" (standard deviation `size`), "uniform" (within +-`size`) or "fixed" (`size`), in
-    the effect's unit; targets: None for each single joint, leg or axis that the robot has; source:
-    where the size comes from.
+    Attributes:
+        effect: name.
+        targets: None for each single joint, leg or axis that the robot has.
+        law: "normal" (standard deviation `size`), "uniform" (within +-`size`) or "fixed" (`size`).
+        size: in the effect's unit.
+        source: of the size.
     """
 
     effect: str
@@ -30,11 +35,11 @@ class Imperfection:
     source: str
 
     def drawn(self, instance: int, limbs: Limbs) -> list[Effect]:
-        """The effects of this kind on robot number `instance`, with limbs `limbs`.
+        """Effects of this kind on robot number `instance`, with limbs `limbs`.
 
-        The same at every call, and independent of what other imperfections draw.
+        Deterministic, and independent of the other imperfections.
         """
-        # A stream of its own: one imperfection more does not change the others.
+        # A separate random stream, so that adding an imperfection does not change the others.
         rng = np.random.default_rng([instance, crc32(self.effect.encode())])
         shares = {"normal": rng.standard_normal, "uniform": lambda n: rng.uniform(-1.0, 1.0, n)}
         kind = known_effects()[self.effect]
@@ -81,7 +86,7 @@ class _File:
 
 
 def load_imperfections(path: str | Path) -> tuple[Imperfection, ...]:
-    """The imperfections of a file, `[[imperfection]]` each.
+    """Read the imperfections of a file, `[[imperfection]]` each.
 
     Raises SurefootError, one line with file, entry and key, if bad.
     """

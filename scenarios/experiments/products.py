@@ -1,6 +1,6 @@
-"""The products of an experiment: walks, observers, bounds and estimates, each found or made.
+"""Products of an experiment: walks, observers, bounds and estimates, each cached or computed.
 
-A product is kept under a digest of its inputs and of the code that makes it (`scenarios.cache`).
+A product is stored under a digest of its inputs and of the code that makes it (`scenarios.cache`).
 """
 
 from collections.abc import Sequence
@@ -53,7 +53,7 @@ class LearntFiles:
 
 
 def make_walk(folder: Path, job: Job) -> Product:
-    """The log of a walk; where the robot fell, a text file that says so."""
+    """The log of a walk; if the robot fell, a text file that says so."""
 
     def make(path: Path) -> dict[str, Any]:
         walked = walk_job(job)
@@ -71,7 +71,7 @@ def make_walk(folder: Path, job: Job) -> Product:
 
 
 def job_inputs(job: Job) -> dict[str, Any]:
-    """The inputs of a walk beside the code of the simulation."""
+    """Inputs of a walk besides the code of the simulation."""
     return {
         "recipe": recipe(job),
         "effects": [e.as_dict() for e in job.effects],
@@ -81,10 +81,10 @@ def job_inputs(job: Job) -> dict[str, Any]:
 
 
 def walk_inputs(walk: Product) -> list[str]:
-    """The inputs that a walk is to later products.
+    """Inputs that a walk contributes to later products.
 
-    They are digests of its log, of the code of its declared effects, which the model compensates,
-    and of the robot.
+    Digests of its log, of the code of its declared effects, which the model compensates, and of the
+    robot.
     """
     known = known_effects()
     effects = code_digest(*(known[name] for name in walk.facts["declared"]))
@@ -92,7 +92,7 @@ def walk_inputs(walk: Product) -> list[str]:
 
 
 def filter_inputs(name: str, robot: Robot) -> dict[str, Any]:
-    """The inputs of a filter's estimate beside the log: its code, parameters and IMU mounting."""
+    """Inputs of a filter's estimate besides the log: its code, parameters and IMU mounting."""
     entry = tuned(robot)
     parameters = entry.of(estimator_named(name))
     return {"code": estimator_code(name), "parameters": parameters, "mounting": entry.mounting}
@@ -101,7 +101,7 @@ def filter_inputs(name: str, robot: Robot) -> dict[str, Any]:
 def make_observer(
     folder: Path, logs: Sequence[tuple[str, Product]], learning: Learning, loss: str, seed: int
 ) -> Product:
-    """An observer of that loss, trained on these walks as their logs declare them.
+    """An observer with that loss, trained on these walks with their declared effects.
 
     Args:
         folder: of the products.
@@ -129,13 +129,13 @@ def make_observer(
         partial.unlink(missing_ok=True)
         return {"rmse": observer.rmse.tolist()}
 
-    # A killed training goes on from what it had learnt.
+    # An interrupted training continues from its state.
     partial = folder / "observer" / f"{product_key('observer', inputs, TRAINING)}.partial"
     return product(folder, "observer", inputs, TRAINING, ".pt", make)
 
 
 def learning_choices(learning: Learning) -> dict[str, Any]:
-    """The inputs of an observer beside its logs; a network of the user's own with its sources."""
+    """Inputs of an observer besides its logs; for a plug-in network, including its sources."""
     return {
         "inputs": learning.inputs,
         "steps": learning.steps,

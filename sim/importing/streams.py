@@ -151,9 +151,9 @@ def _repeated(t: np.ndarray, x: np.ndarray) -> float:
 
 
 def _correlation(a: np.ndarray, b: np.ndarray) -> float:
-    """Of a and b (N, D), 0 where one of them is at rest.
+    """Correlation of a and b (N, D), 0 if one of them is constant zero.
 
-    Each shift by its own size: what it brings in at one end and loses at the other is no delay.
+    Normalised separately for each shift, so that rows gained and lost at the ends do not matter.
     """
     size = np.sqrt(np.sum(a**2) * np.sum(b**2))
     return float(np.sum(a * b) / size) if size > 0.0 else 0.0
