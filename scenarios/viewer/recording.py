@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from errno import ENOSPC
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -41,7 +40,6 @@ if TYPE_CHECKING:
     from surefoot.models.calibration.bounds import Bounds
     from surefoot.models.observer.predict import Prediction
 
-_LAST = b"RRF2FOOT"  # in the last bytes of every recording that was written to its end
 _AT_FIRST = (
     "Shown at first: {}. The tab *All estimators* has the others; the panel on the left, which a "
     "button above opens, has an eye for each."
@@ -96,11 +94,10 @@ def write_recording(
     records = {name: estimate.updates for name, estimate in trajectories.items()}
     records = {n: r for n, r in records.items() if r is not None and r.pi is not None}
     with whole_file(path, force) as temporary:
+        # Kept in memory until it is whole: where a disk fills up, rerun's own files wait for ever.
+        whole = stream.memory_recording()
         blueprint = _layout(log, robot, tuple(trajectories), bool(records), tab)
-        try:
-            stream.save(temporary, default_blueprint=blueprint)
-        except RuntimeError as error:  # what rerun makes of a full disk
-            raise OSError(str(error)) from error
+        stream.send_blueprint(blueprint, make_active=False)
         stream.send_recording_name(str(log.meta.scenario or Path(path).stem))
         about = rr.TextDocument(_about(log, robot, errors), media_type="text/markdown")
         stream.log("/about", about, static=True)
@@ -120,16 +117,7 @@ def write_recording(
             write_feet(stream, log)
         for name, record in records.items():
             write_update(stream, name, record, None if bounds is None else bounds.gamma)
-        stream.disconnect()
-        _check_whole(temporary)
-
-
-def _check_whole(recording: Path) -> None:
-    """Raise OSError for a recording without its end: rerun drops what it cannot write."""
-    with recording.open("rb") as file:
-        file.seek(max(0, recording.stat().st_size - 64))
-        if _LAST not in file.read():
-            raise OSError(ENOSPC, "was cut short, no space left?")
+        temporary.write_bytes(whole.drain_as_bytes())
 
 
 def _check_name(path: str | Path) -> None:

@@ -130,8 +130,7 @@ def test_a_second_run_into_the_same_output_is_refused(what, more, tmp_path):
     assert "another run is writing there" in found.err
 
 
-# Of recordings it is rerun that meets the full disk, and says so in a line of its own.
-@each([what for what in WRITING if what not in (*HOURS, "view")])
+@each([what for what in WRITING if what not in HOURS])
 def test_a_disk_that_fills_up_is_one_line(what, more, tmp_path):
     """What looks whole is whole, and nothing else is left."""
     for longest in SIZES:
