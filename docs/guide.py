@@ -2,8 +2,8 @@
 
 `python docs/guide.py docs/guides/compare.md` runs it in the present folder. A block of code with a
 title is a file of that name, a `bash` or `python` block is run (the Python of one guide shares its
-names), and any other block is output. A block below a line that begins "Not run:" is left out; the
-line says why. A guide that continues another one runs in the folder that the other left.
+names), and any other block is output. A block below a comment `<!-- not run: reason -->` is
+skipped. A guide that continues another one runs in the folder that the other left.
 
 Nothing is installed: for `pip install --editable .` the entry points of the guide's pyproject.toml
 are written beside it, and the folder is on the path of every block.
@@ -23,6 +23,7 @@ FENCE = re.compile(
     r"^```(\w*)(?:\s+title=\"([^\"]+)\")?[^\n]*\n(.*?)^```$", re.MULTILINE | re.DOTALL
 )
 INSTALL = "pip install --editable ."
+NOT_RUN = re.compile(r"<!-- not run: (.+) -->$")
 CONTINUES = re.compile(r"^Continues \[[^\]]+\]\((\w+)\.md\)", re.MULTILINE)
 
 
@@ -43,7 +44,8 @@ def blocks(guide: Path) -> list[Block]:
     for match in FENCE.finditer(page):
         language, file, text = match.groups()
         above = page[: match.start()].rstrip().rpartition("\n\n")[2]
-        reason = above.removeprefix("Not run:").strip() if above.startswith("Not run:") else None
+        skip = NOT_RUN.search(above)
+        reason = skip.group(1) if skip else None
         found.append(Block(language, text, page.count("\n", 0, match.start()) + 2, file, reason))
     return found
 
