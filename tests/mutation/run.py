@@ -3,7 +3,11 @@
 
 Each finished mutant is a row under docs/data/mutants. It lapses when the mutated module changes, or
 a test that decided it: of a mutant that was killed the file of the test that did it, of one that
-survived all files whose tests are looked at.
+survived all files whose tests are looked at. Rows that lapsed are made again before new ones.
+
+Tests are written for survivors, so that the share that is killed now says nothing of other mutants.
+What it was when each was first tried (`first` of its row) does, with the interval of a share in a
+sample: of the first mutants of the draw, in its order and without a gap.
 """
 
 import hashlib
@@ -23,6 +27,7 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "common")]
 import tyro  # noqa: E402
 from mutate import Mutant  # noqa: E402
 from plan import PLAN, drawn, read_plan  # noqa: E402
+from scipy.stats import binomtest  # noqa: E402
 from trial import Outcome, Workplace, dotted  # noqa: E402
 
 from surefoot.scenarios.reporting.html import Section  # noqa: E402
@@ -34,6 +39,7 @@ EQUIVALENT = HERE / "equivalent.toml"
 DATA = ROOT / "docs" / "data" / "mutants"
 PAGE = ROOT / "docs" / "results" / "mutants.md"
 KILLED = ("killed", "timeout")
+KINDS = ("killed", "survived", "uncovered", "equivalent")
 WARM = (
     "matplotlib.pyplot",
     "mujoco",
@@ -76,7 +82,8 @@ class Mutants:
             import_module(name)
         place = Workplace(ROOT, cache_folder() / "mutants", read_plan(self.plan))
         rows = run_mutants(place, self.data, self.at_most, self.only, self.survivors)
-        print(write_mutants_page(self.page, place.plan.mutants, rows))
+        first = first_outcomes(place, self.data)
+        print(write_mutants_page(self.page, place.plan.mutants, rows, first))
 
 
 def run_mutants(
@@ -97,19 +104,33 @@ def run_mutants(
     """
     place.refresh()
     every = drawn(place.plan, place.root)
-    rows = []
-    tried = 0
-    for number, mutant in enumerate(every, 1):
-        row = read_row(data, mutant, place)
-        again = survivors and row is not None and row["outcome"] not in KILLED
-        allowed = (at_most is None or tried < at_most) and fnmatch(mutant.file, only)
-        if (row is None or again) and allowed:
-            tried += 1
-            row = write_row(data, mutant, place, place.try_mutant(mutant))
-            print(f"{number}/{len(every)} {shown(row)}", flush=True)
-        if row is not None:
-            rows.append(row)
-    return rows
+    rows = {mutant.key: read_row(data, mutant, place) for mutant in every}
+    todo = [
+        (kept_row(data, mutant) is None, number, mutant)
+        for number, mutant in enumerate(every, 1)
+        if fnmatch(mutant.file, only) and _to_try(rows[mutant.key], survivors)
+    ]
+    for _, number, mutant in sorted(todo, key=lambda one: one[:2])[:at_most]:
+        row = write_row(data, mutant, place, place.try_mutant(mutant))
+        rows[mutant.key] = row
+        print(f"{number}/{len(every)} {shown(row)}", flush=True)
+    return [row for row in rows.values() if row is not None]
+
+
+def _to_try(row: Mapping[str, Any] | None, survivors: bool) -> bool:
+    return row is None or (survivors and row["outcome"] not in KILLED)
+
+
+def first_outcomes(place: Workplace, data: Path) -> list[str]:
+    """What became of the first mutants of the draw when they were first tried, until the first that
+    was not."""
+    found = []
+    for mutant in drawn(place.plan, place.root):
+        row = kept_row(data, mutant)
+        if row is None:
+            break
+        found.append(row.get("first", row["outcome"]))
+    return found
 
 
 def shown(row: Mapping[str, Any]) -> str:
@@ -121,6 +142,7 @@ def shown(row: Mapping[str, Any]) -> str:
 def write_row(folder: Path, mutant: Mutant, place: Workplace, outcome: Outcome) -> dict[str, Any]:
     """The row of a finished mutant, kept in a file by its key."""
     before, after = mutant.lines((place.root / mutant.file).read_bytes())
+    kept = kept_row(folder, mutant) or {}
     row = {
         "key": mutant.key,
         "file": mutant.file,
@@ -129,6 +151,7 @@ def write_row(folder: Path, mutant: Mutant, place: Workplace, outcome: Outcome) 
         "kind": mutant.kind,
         "before": before,
         "after": after,
+        "first": kept.get("first", kept.get("outcome", outcome.outcome)),
         **asdict(outcome),
         "files": list(outcome.files),
     }
@@ -140,10 +163,23 @@ def write_row(folder: Path, mutant: Mutant, place: Workplace, outcome: Outcome) 
 
 def read_row(folder: Path, mutant: Mutant, place: Workplace) -> dict[str, Any] | None:
     """The row of a mutant, None where it is not finished or has lapsed."""
+    values = _values(folder, mutant)
+    if values is None or values["digest"] != _digest(mutant, place, values["row"]):
+        return None
+    return values["row"]
+
+
+def kept_row(folder: Path, mutant: Mutant) -> dict[str, Any] | None:
+    """The row of a mutant, lapsed or not; None where it was never tried."""
+    values = _values(folder, mutant)
+    return values and values["row"]
+
+
+def _values(folder: Path, mutant: Mutant) -> dict[str, Any] | None:
     try:
         values = json.loads((folder / f"{mutant.key}.json").read_text(encoding="utf-8"))
-        return values["row"] if values["digest"] == _digest(mutant, place, values["row"]) else None
-    except (OSError, ValueError, KeyError):
+        return values if {"digest", "row"} <= values.keys() else None
+    except (OSError, ValueError, AttributeError):
         return None
 
 
@@ -159,21 +195,25 @@ def _digest(mutant: Mutant, place: Workplace, row: Mapping[str, Any]) -> str:
     return digest.hexdigest()
 
 
-def write_mutants_page(page: Path, drawn_in_all: int, rows: list[dict[str, Any]]) -> str:
-    """Write the page and return its first words."""
+def write_mutants_page(
+    page: Path, drawn_in_all: int, rows: list[dict[str, Any]], first: list[str]
+) -> str:
+    """Write the page and return its first words; first as of `first_outcomes`."""
     reasons = read_typed(EQUIVALENT, dict[str, Reason], "equivalent mutants")
-    equivalent = [r for r in rows if r["outcome"] not in KILLED and r["key"] in reasons]
-    left = [r for r in rows if r["outcome"] not in KILLED and r["key"] not in reasons]
-    killed = len(rows) - len(equivalent) - len(left)
+    of = {kind: [r for r in rows if _kind(r, reasons) == kind] for kind in KINDS}
+    equivalent = of["equivalent"]
+    killed, survived, uncovered = (len(of[k]) for k in ("killed", "survived", "uncovered"))
     seconds = sum(row["seconds"] for row in rows)
     words = (
         f"{len(rows)} of the {drawn_in_all} mutants that were drawn are finished: {killed} killed, "
         f"{sum(row['outcome'] == 'timeout' for row in rows)} of them by the time they took, "
-        f"{len(left)} survived, {len(equivalent)} are equivalent to the code. "
-        f"Killed of those that are not equivalent: {_share(killed, len(left))} %. "
+        f"{survived} survived, of {uncovered} no test that is quick enough calls the function, "
+        f"{len(equivalent)} are equivalent to the code. "
+        f"Killed of those that are not equivalent: {_share(killed, survived + uncovered)} %. "
         f"{seconds / max(len(rows), 1):.1f} s of the processor a mutant, {seconds / 60:.0f} min in "
         "all."
     )
+    words += "\n\n" + _first_words(first)
     how = (
         "A mutant is one change of a line: a sign, a constant by a tenth or by one, a comparison, "
         "two swapped arguments, a statement left out. `tests/mutation/plan.toml` says which files "
@@ -186,12 +226,13 @@ def write_mutants_page(page: Path, drawn_in_all: int, rows: list[dict[str, Any]]
         Section("By file", "", _counts(rows, reasons, "file")),
         Section(
             "Survivors",
-            "What no test notices." if left else "None.",
-            [
-                {**_change(row), "tests": row["tests"]}
-                for row in sorted(left, key=lambda row: (row["file"], row["line"]))
-            ]
-            or None,
+            "What no test notices." if survived else "None.",
+            [{**_change(row), "tests": row["tests"]} for row in _by_place(of["survived"])] or None,
+        ),
+        Section(
+            "Without a test",
+            "Functions that no test calls within its time." if uncovered else "None.",
+            [_change(row) for row in _by_place(of["uncovered"])] or None,
         ),
         Section(
             "Equivalent",
@@ -202,6 +243,29 @@ def write_mutants_page(page: Path, drawn_in_all: int, rows: list[dict[str, Any]]
     origin = origin_of("surefoot.scenarios.cli.main", "make mutants")
     write_page(page, "Mutants", sections, origin)
     return words
+
+
+def _first_words(first: list[str]) -> str:
+    """The share killed at the first trial, and how far that of all mutants may be from it."""
+    if not first:
+        return "The first mutant of the draw was not tried yet."
+    killed = sum(outcome in KILLED for outcome in first)
+    low, high = binomtest(killed, len(first)).proportion_ci()
+    return (
+        "Tests are written for those that survive, so that this share holds for no others. Of the "
+        f"first {len(first)} of the draw {100 * killed / len(first):.1f} % were killed when they "
+        f"were first tried, in 95 % of samples {100 * low:.1f} to {100 * high:.1f} % of all."
+    )
+
+
+def _kind(row: Mapping[str, Any], reasons: Mapping[str, Reason]) -> str:
+    if row["outcome"] in KILLED:
+        return "killed"
+    return "equivalent" if row["key"] in reasons else row["outcome"]
+
+
+def _by_place(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    return sorted(rows, key=lambda row: (row["file"], row["line"]))
 
 
 def _change(row: Mapping[str, Any]) -> dict[str, Any]:
@@ -217,18 +281,13 @@ def _counts(
     counts: dict[str, Counter[str]] = {}
     for row in rows:
         name = str(Path(row["file"]).parent) if by == "room" else row[by]
-        outcome = "killed" if row["outcome"] in KILLED else "survived"
-        if outcome == "survived" and row["key"] in reasons:
-            outcome = "equivalent"
-        counts.setdefault(name, Counter())[outcome] += 1
+        counts.setdefault(name, Counter())[_kind(row, reasons)] += 1
     return [
         {
             by: name,
             "mutants": one.total(),
-            "killed": one["killed"],
-            "survived": one["survived"],
-            "equivalent": one["equivalent"],
-            "killed [%]": _share(one["killed"], one["survived"]),
+            **{kind: one[kind] for kind in KINDS},
+            "killed [%]": _share(one["killed"], one["survived"] + one["uncovered"]),
         }
         for name, one in sorted(counts.items())
     ]

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from mutate import mutants_of
 from plan import PLAN, drawn, quotas, read_plan
-from run import read_row, run_mutants
-from trial import Workplace
+from run import first_outcomes, read_row, run_mutants, write_mutants_page
+from trial import Covering, Outcome, Workplace
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCE = '''"""Sums."""
@@ -36,6 +36,7 @@ def down(count):
         count -= 1
     return count
 '''
+TRIED = ("tests/test_tiny.py",)
 TESTS = """from surefoot.estimator.tiny import down, same, total
 
 
@@ -65,7 +66,7 @@ def place(tmp_path) -> Workplace:
     for name, text in files.items():
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_text(text)
-    plan = replace(read_plan(), files=["estimator/*.py"], tests=["tests"], grace=1.0)
+    plan = replace(read_plan(), files=["estimator/*.py"], tests=["tests"], grace=20.0)
     return Workplace(root, tmp_path / "cache", plan)
 
 
@@ -87,6 +88,8 @@ def _mutant(before: str, after: str):
 )
 def test_a_known_mutant_is_killed_and_an_equivalent_one_survives(place, before, after, outcome, by):
     place.refresh()
+    if outcome == "timeout":
+        place = replace(place, plan=replace(place.plan, grace=2.0))
     found = place.try_mutant(_mutant(before, after))
     assert (found.outcome, found.by) == (outcome, by)
     assert (place.root / "estimator/tiny.py").read_text() == SOURCE
@@ -96,13 +99,12 @@ def test_a_killed_run_leaves_nothing_and_is_gone_on_with(place, tmp_path):
     data = tmp_path / "rows"
     first = run_mutants(place, data, at_most=1)
     copy = place.overlay / "surefoot/estimator/tiny.py"
-    endless = replace(place, plan=replace(place.plan, grace=60.0))
+    endless = replace(place, plan=replace(place.plan, grace=1e5))
     runner = os.fork()
     if runner == 0:
         endless.try_mutant(_mutant("count -= 1", "pass"))
         os._exit(0)
-    until = time.monotonic() + 60
-    while copy.read_text() == SOURCE and time.monotonic() < until:
+    while copy.read_text() == SOURCE and os.waitpid(runner, os.WNOHANG) == (0, 0):
         time.sleep(0.01)
     os.kill(runner, signal.SIGKILL)
     os.waitpid(runner, 0)
@@ -127,6 +129,61 @@ def test_a_row_lapses_with_its_module_and_with_its_tests(place, tmp_path):
         assert read_row(tmp_path, mutant, place) is None
         path.write_text(text)
         assert read_row(tmp_path, mutant, place) is not None
+
+
+def test_lapsed_rows_come_first_and_keep_what_was_found_at_first(place, tmp_path, monkeypatch):
+    found = iter(["survived", "killed", "survived", "killed", "killed"])
+    monkeypatch.setattr(Workplace, "try_mutant", lambda *_: Outcome(next(found), files=TRIED))
+    every = drawn(place.plan, place.root)
+    run_mutants(place, tmp_path, at_most=2)
+    assert first_outcomes(place, tmp_path) == ["survived", "killed"]
+    path = place.root / TRIED[0]
+    path.write_text(path.read_text() + "\n")
+    rows = run_mutants(place, tmp_path, at_most=1)
+    assert [row["key"] for row in rows] == [every[0].key]
+    rows = run_mutants(place, tmp_path, at_most=2)
+    assert [row["key"] for row in rows] == [mutant.key for mutant in every[:3]]
+    assert first_outcomes(place, tmp_path) == ["survived", "killed", "killed"]
+
+
+def test_the_quickest_tests_are_chosen_whatever_file_they_lie_in(place):
+    """A slow test of the nearest file leaves none of the budget to a quick one elsewhere."""
+    mutant = _mutant("LEAST = 0.5", "LEAST = 0.55")
+    slow, quick = ROOT / "slow.py", ROOT / "quick.py"
+    known = {slow: [covering("slow", 14.0), covering("middle", 3.0)], quick: [covering("q", 0.1)]}
+
+    class Known(Workplace):
+        def nearest_tests(self, module):
+            return [slow, quick]
+
+        def covering(self, path, interpreted):
+            return known[path]
+
+    chosen = dict(Known(place.root, place.folder, place.plan)._chosen(mutant, False))
+    assert [test.id for test in chosen[slow]] == ["middle"]
+    assert [test.id for test in chosen[quick]] == ["q"]
+
+
+def covering(name: str, seconds: float) -> Covering:
+    return Covering(name, seconds, frozenset({"estimator/tiny.py:same"}))
+
+
+def test_the_page_tells_survivors_from_functions_without_a_test(tmp_path):
+    row = {"file": "a/b.py", "line": 3, "kind": "sign", "after": "-", "tests": 0}
+    outcomes = ["killed", "survived", "uncovered", "timeout"]
+    rows = [
+        {**row, "key": str(k), "before": f"x{k}", "outcome": outcome, "seconds": 1.0}
+        for k, outcome in enumerate(outcomes)
+    ]
+    words = write_mutants_page(tmp_path / "page.md", 500, rows, ["killed"] * 9 + ["survived"])
+    assert "2 killed, 1 of them by the time they took, 1 survived, of 1 no test" in words
+    # Clopper and Pearson's interval of nine in ten.
+    assert "90.0 % were killed" in words
+    assert "55.5 to 99.7 %" in words
+    page = (tmp_path / "page.md").read_text()
+    survivors, _, without = page.partition("## Survivors")[2].partition("## Without a test")
+    assert "`x1`" in survivors
+    assert "`x2`" in without
 
 
 def test_the_draw_is_that_of_its_seed_and_has_every_file_by_its_share():

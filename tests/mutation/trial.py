@@ -148,8 +148,7 @@ class Workplace:
         return [json.loads(line) for line in text.splitlines()]
 
     def try_mutant(self, mutant: Mutant) -> Outcome:
-        """Run the tests that cover a mutant, nearest files and quickest tests first, until one
-        fails."""
+        """Run the tests that cover a mutant, those of the nearest files first, until one fails."""
         interpreted = self._interpreted(mutant)
         tests, used, files = 0, 0.0, []
         for path, chosen in self._chosen(mutant, interpreted):
@@ -166,22 +165,24 @@ class Workplace:
         return Outcome(outcome, "", tests, tuple(files), round(used, 2))
 
     def _chosen(self, mutant: Mutant, interpreted: bool) -> Iterator[tuple[Path, list[Covering]]]:
-        """Tests that cover a mutant by file, as far as the budget goes, and one at least."""
-        calls, of_file = f"{mutant.file}:{mutant.scope}", f"{mutant.file}:"
-        at_import = mutant.scope == MODULE
-        left, any_yet = self.plan.budget, False
-        for path in self.nearest_tests(dotted(mutant.file))[: self.plan.nearest]:
-            chosen = []
-            for test in sorted(self.covering(path, interpreted), key=lambda test: test.seconds):
-                # What is made at the import is read by functions of the module, mostly.
-                reads = at_import and any(f.startswith(of_file) for f in test.functions)
-                covers = reads or calls in test.functions
-                if covers and (test.seconds <= left or not any_yet):
-                    chosen.append(test)
-                    left -= test.seconds
-                    any_yet = True
-            if chosen:
-                yield path, chosen
+        """Tests that cover a mutant by file: the quickest of all files, as far as the budget goes,
+        and one at least."""
+        nearest = self.nearest_tests(dotted(mutant.file))[: self.plan.nearest]
+        covering = [
+            (test.seconds, place, test)
+            for place, path in enumerate(nearest)
+            for test in self.covering(path, interpreted)
+            if _covers(test, mutant)
+        ]
+        chosen: dict[int, list[Covering]] = {}
+        left = self.plan.budget
+        for seconds, place, test in sorted(covering, key=lambda one: one[:2]):
+            if seconds > left and chosen:
+                break
+            chosen.setdefault(place, []).append(test)
+            left -= seconds
+        for place, tests in sorted(chosen.items()):
+            yield nearest[place], tests
 
     def _run_tests(
         self, mutant: Mutant, tests: list[Covering], interpreted: bool, limit: float
@@ -277,6 +278,14 @@ class Workplace:
 
             now = kernels.sources_digest
             kernels.sources_digest = lambda name, file=None: digests.get(name) or now(name, file)
+
+
+def _covers(test: Covering, mutant: Mutant) -> bool:
+    """Whether a test calls the mutated function; of what is made at the import, which functions of
+    the module read, whether it calls one of them."""
+    if mutant.scope == MODULE:
+        return any(function.startswith(f"{mutant.file}:") for function in test.functions)
+    return f"{mutant.file}:{mutant.scope}" in test.functions
 
 
 class _TooLong(Exception):
