@@ -1,0 +1,32 @@
+"""What `surefoot robots` says of legs with other than three hinges."""
+
+import pytest
+
+from surefoot.scenarios.robot_card import robot_card
+
+LINK = '<joint name="{name}" axis="0 1 0"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+
+
+def two_legs(links: list[float]) -> str:
+    """MJCF of a robot with two legs of these links [m], hinge above hinge."""
+    legs = ""
+    for side, y in (("left", 0.1), ("right", -0.1)):
+        start, place = "", f"0 {y} 0"
+        for k, link in enumerate(links):
+            start += f'<body pos="{place}">' + LINK.format(name=f"{side}_{k}")
+            place = f"0 0 {-link}"
+        legs += f'{start}<geom size="0.01" pos="{place}"/>' + "</body>" * len(links)
+    return f"""<mujoco><worldbody><body name="base"><freejoint/>
+        <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>{legs}</body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("links", "length"),
+    [([0.4], 0.4), ([0.3, 0.4], 0.7), ([0.0, 0.0, 0.3, 0.4, 0.0, 0.05], 0.75)],
+)
+def test_a_leg_of_any_number_of_hinges_has_its_length(tmp_path, links, length):
+    file = tmp_path / "robot.xml"
+    file.write_text(two_legs(links))
+    card = robot_card(str(file), None)
+    assert card.values["leg_length"] == pytest.approx(length)
+    assert f"legs of {length:.3f} m" in card.text
