@@ -2,12 +2,14 @@
 
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.importing.bag import RECEIVED, bag_fields, read_bag
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.draft import Entry
@@ -15,13 +17,15 @@ from surefoot.sim.importing.layout import layout_of
 from surefoot.sim.importing.names import Named, by_their_legs, read_name
 from surefoot.sim.importing.recording import is_bag, is_text, read_table
 from surefoot.sim.importing.sections import Source
-from surefoot.sim.importing.table import columns_of
+from surefoot.sim.importing.table import RecordedTable, column_readings, columns_of
 from surefoot.sim.robot.fixed_base import Machine
 
 _RATES = (8.0, 5000.0)
 """Range of plausible rates of a log [Hz]."""
 _MOST_JOINTS = 100
 """Largest number of words in a list of joints."""
+_FEW = 10
+"""Readings up to which a mostly empty column is ignored."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +65,8 @@ def recorded_files(path: Path, machine: Machine | None) -> list[RecordedFile]:
     layout = layout_of(path) if is_text(path) else {}
     table = read_table(path, Source(**layout))
     columns = columns_of(table)
+    if between := _with_empty_cells(table, columns, machine):
+        columns, layout = between, {**layout, "sparse": True}
     lists = {
         name: tuple(map(str, cells))
         for name, cells in table.cells.items()
@@ -74,6 +80,43 @@ def recorded_files(path: Path, machine: Machine | None) -> list[RecordedFile]:
         label = _label(path, part, columns)
         found.append(RecordedFile(path, label, part, part, names, lists, layout, t, seconds))
     return found
+
+
+def _with_empty_cells(
+    table: RecordedTable, full: Mapping[str, np.ndarray], machine: Machine | None
+) -> dict[str, np.ndarray]:
+    """Read a table in which cells are empty between readings.
+
+    Returns its columns, interpolated to the rows of the gyro, or else of the most frequent column;
+    nothing if no column has empty cells, or if there are no times.
+
+    Args:
+        table: of the file.
+        full: the columns of numbers without an empty cell.
+        machine: whose joint names columns may use, or None.
+    """
+    readings: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    for name in table.cells.keys() - full.keys():
+        with suppress(SurefootError):
+            rows, values = column_readings(table, name, Source(sparse=True))
+            if len(rows) > _FEW:
+                readings[name] = rows, values
+    if not readings:
+        return {}
+    names = _names({name: full.get(name, np.zeros(0)) for name in table.cells}, machine)
+    gyro = [n for n in readings if names[n].kind == "gyro" and not names[n].reference]
+    at = readings[gyro[0] if gyro else max(readings, key=lambda n: len(readings[n][0]))][0]
+    t = column_of_times({name: values[at] for name, values in full.items()}, names)
+    if t is None:
+        return {}
+    stamps = full[t.theirs]
+    return {
+        name: np.interp(stamps[at], stamps[readings[name][0]], readings[name][1])
+        if name in readings
+        else full[name][at]
+        for name in table.cells
+        if name in readings or name in full
+    }
 
 
 def _of_bag(path: Path, machine: Machine | None) -> list[RecordedFile]:

@@ -209,7 +209,7 @@ def _reference(path: Path, rules: ImportMap, shared: bool) -> Columns:
         plain = Source()
         laid_out = {
             key: getattr(rules.source, key)
-            for key in ("separator", "header", "skip", "comment", "decimal")
+            for key in ("separator", "header", "skip", "comment", "decimal", "sparse")
             if getattr(source, key) == getattr(plain, key)
         }
         source = replace(source, **laid_out)

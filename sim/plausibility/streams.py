@@ -208,7 +208,7 @@ def held(view: LogView) -> Iterator[Finding]:
         told = f"{len(columns)} columns sampled at {rates} Hz and repeated, rows at {rate:.0f} Hz"
         cause = "a slower sensor, read more often than it measures"
         kinds = dict.fromkeys(
-            kind for c in columns for kind in _kinds(view, _SENSORS) if c.startswith(kind)
+            kind for c in columns for kind in (*_SENSORS, "force") if c.startswith(f"{kind}_")
         )
         line = f"[even] held = {[*kinds]}".replace("'", '"')
         yield Finding(tuple(columns), told, cause, line)

@@ -400,6 +400,37 @@ def test_the_command_prints_a_draft_or_writes_it(tmp_path, capsys):
             main(words)
 
 
+def test_cells_that_are_empty_between_readings_are_drafted(tmp_path, walked):
+    """As PlotJuggler writes topics into one table: a row for each stamp of any of them."""
+    topics = {
+        "/imu/data/angular_velocity/{}": (walked.gyro, "xyz", 1, 3e-4),
+        "/imu/data/linear_acceleration/{}": (walked.accel, "xyz", 1, 3e-4),
+        "/joint_states/{}_joint/position": (walked.q, walked.joints, 2, 0.0),
+        "/mocap/pose/position/{}": (walked.ref_p, "xyz", 5, 1e-4),
+        "/mocap/pose/orientation/{}": (xyzw(walked), "xyzw", 5, 1e-4),
+    }
+    read = [
+        pd.DataFrame(
+            values[::every],
+            index=pd.Index(np.round(1.7e9 + walked.t[::every] + late, 6), name="__time"),
+            columns=[name.format(one) for one in names],
+        )
+        for name, (values, names, every, late) in topics.items()
+    ]
+    path = tmp_path / "topics.csv"
+    pd.concat(read, axis=1).sort_index().to_csv(path)
+    draft = guess_map([path])
+    assert not [e.name for e in (*draft.main, *draft.reference) if e.doubt]
+    (tmp_path / "map.toml").write_text(draft.text)
+    log = import_log(path, tmp_path / "map.toml")
+    assert log.rate == pytest.approx(walked.rate, rel=1e-3)
+    first = round((log.t[0] - walked.t[0] - 1.7e9) * walked.rate)
+    rows = first + np.arange(len(log.t))
+    assert len(rows) > 0.99 * len(walked.t)
+    for stream, close in (("gyro", 1e-9), ("q", 0.02), ("ref_p", 1e-3)):
+        np.testing.assert_allclose(getattr(log, stream), getattr(walked, stream)[rows], atol=close)
+
+
 def test_groups_of_a_file_that_have_clocks_of_their_own_are_all_drafted(tmp_path, walked):
     """An HDF5 with nanoseconds since 1970 in each group: IMU at 250 Hz, the rest slower."""
     groups = {

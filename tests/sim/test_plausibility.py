@@ -530,6 +530,14 @@ def test_few_spikes_of_a_short_log_of_an_arm_are_noticed(log):
     )
 
 
+def test_forces_that_are_held_have_their_line_for_the_map(log):
+    rng = np.random.default_rng(0)
+    held = {f"force_{leg}_z": rng.uniform(0.0, 90.0, len(log.t)) for leg in log.legs}
+    slow = {name: np.repeat(x[::10], 10)[: len(log.t)] for name, x in held.items()}
+    flat = {f"force_{leg}_{axis}": 0.0 for leg in log.legs for axis in "xy"}
+    assert any('held = ["force"]' in line for line in found_in(edited(log, **flat, **slow)))
+
+
 def test_rates_that_leap_as_their_angle_does_are_no_spikes(log):
     """A foot that chatters on the ground turns its joint to and fro within four rows."""
     there = (log.t > 3.0) & (log.t < 3.05)
