@@ -81,6 +81,17 @@ OPTIONS = [
     ("walks below zero", "walking --seeds -1 -o new", "--seeds"),
     ("a name that no terminal has", "estimate \u2603.parquet --filter imu", ".parquet"),
     ("a name with an escape", "estimate \x1b[2J.parquet --filter imu", ".parquet"),
+    ("an observer for a log", "estimate observer.pt --filter imu", "observer.pt"),
+    ("a log for an observer", "calibrate walk.parquet walk.parquet -o new.json", "observer"),
+    ("bounds and observer swapped", "estimate walk.parquet --filter coverage --observer bounds.json --bounds observer.pt", "observer"),
+    ("effects for a scenario", "simulate effects.toml -o new", "effect"),
+    ("a scenario for effects", "simulate scenario.toml --effects scenario.toml -o new", "key"),
+    ("a scenario for an experiment", "experiment scenario.toml -o new", "key"),
+    ("a log for a map", "import csv data.csv --map walk.parquet -o new.parquet", "walk.parquet"),
+    ("a map for settings", "estimate walk.parquet --filter imu --settings map.toml", "source"),
+    ("a level in percent", "calibrate observer.pt walk.parquet --gamma 80 -o new.json", "gamma"),
+    ("half a run", "tune walk.parquet -o new --budget 0.5", "--budget"),
+    ("a page below a file", "realism walk.parquet -o new --page mine.txt/page.md", "mine.txt"),
 ]
 
 OUTPUTS = [

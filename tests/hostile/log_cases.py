@@ -80,6 +80,11 @@ LOG = [
     ("a reference's flag of two", lambda c, m: c.update(ref_ok=np.full(len(c["t"]), 2.0)), "ref_ok"),
     ("a contact of a half", lambda c, m: c.update( {f"contact_{g}": np.full(len(c["t"]), 0.5) for g in ("FL", "FR", "RL", "RR")} ), "0 or 1"),
     ("a contact of three legs", lambda c, m: c.update({f"contact_{g}": np.ones(len(c["t"])) for g in ("FL", "FR", "XX")}), "leg"),
+    ("rows in another order", lambda c, m: c.update({n: np.roll(v, 100) for n, v in list(c.items())}), "jumps back"),
+    ("time since 1970 in nanoseconds", lambda c, m: c.update(t=1e9 * c["t"] + 1.7e18), ""),
+    ("a motor law of no number", lambda c, m: m.update(motor_law={"kp": [NAN] * 12, "kd": [1.0] * 12}), "motor_law"),
+    ("a robot of two lines", lambda c, m: m.update(robot="spot\nclass"), "robot"),
+    ("a leg of nobody", lambda c, m: [rename(c, f"{k}_FL_hip", f"{k}_XX_hip") for k in ("q", "dq", "tau")], ""),
 ]
 
 BOUNDS = [

@@ -4,6 +4,8 @@ error must have. An empty old text replaces the whole file."""
 
 # fmt: off
 
+import gzip
+
 DEEP = "[" * 5000
 LONG = "9" * 400
 LAUGH = '<!DOCTYPE m [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]>'
@@ -124,6 +126,13 @@ SCENARIO = [
     ("bumps of a hundred metres", "rough = 0.0", "rough = 100.0", "rough"),
     ("UTF-16", "", 'name = "short"'.encode("utf-16"), "text"),
     ("Latin-1", "", 'name = "Mü"'.encode("latin-1"), "text"),
+    ("a duration of a date", "duration = 3.0", "duration = 2026-11-23", "duration"),
+    ("a speed that is true", "forward = 0.5", "forward = true", "forward"),
+    ("a name of blanks", 'name = "short"', 'name = "   "', "name"),
+    ("a name written from right to left", 'name = "short"', 'name = "a\\u202eb"', "name"),
+    ("friction in percent", "mu = 0.8", 'mu = "80 %"', "mu"),
+    ("a payload upside down", "payload = [0.0, 1.0]", "payload = [1.0, 0.0]", "payload"),
+    ("a comma for a point", "forward = 0.5", "forward = 0,5", "TOML"),
 ]
 
 EFFECTS = [
@@ -143,6 +152,10 @@ EFFECTS = [
     ("another key", "value = 2.0", "value = 2.0\nsize = 1", "size"),
     ("effects in effects", "value = 2.0", f"value = {DEEP}", "TOML"),
     ("two hundred thousand effects", "", "[[effect]]\n" * 200_000, "effect"),
+    ("a size with its unit", "value = 2.0", 'value = "2 kg"', "value"),
+    ("a list of targets", '"all"', '["all"]', "target"),
+    ("a name in capitals", '"payload"', '"PAYLOAD"', "PAYLOAD"),
+    ("a size that is true", "value = 2.0", "value = true", "value"),
 ]
 
 MAP = [
@@ -185,6 +198,8 @@ MAP = [
     ("arrays in arrays", "rate = 100.0", f"rate = {DEEP}", "TOML"),
     ("a list for a table", "", "columns = [1, 2, 3]", "columns"),
     ("a map that is a CSV", "", "a,b\n1,2\n", "TOML"),
+    ("a rate with its unit", "rate = 100.0", 'rate = "100 Hz"', "rate"),
+    ("a sign of text", "sign = 1.0", 'sign = "-"', "sign"),
 ]
 
 CSV = [
@@ -213,6 +228,14 @@ CSV = [
     ("hexadecimal", "9.8,0.3,50\n0.01", "0x1F,0.3,50\n0.01", "number"),
     ("a date", "9.8,0.3,50\n0.01", "2026-01-01,0.3,50\n0.01", "number"),
     ("true", "9.8,0.3,50\n0.01", "true,0.3,50\n0.01", "number"),
+    ("a reading with its unit", "9.8,0.3,50\n0.01", "9.8 m/s^2,0.3,50\n0.01", "number"),
+    ("a word for none", "9.8,0.3,50\n0.01", "N/A,0.3,50\n0.01", "az"),
+    ("a dash for none", "9.8,0.3,50\n0.01", "-,0.3,50\n0.01", "number"),
+    ("a formula", "9.8,0.3,50\n0.01", "=9.8+0,0.3,50\n0.01", "number"),
+    ("a number in Python's manner", "9.8,0.3,50\n0.01", "9_8,0.3,50\n0.01", "number"),
+    ("a sign of infinity", "9.8,0.3,50\n0.01", "∞,0.3,50\n0.01", "number"),
+    ("two files in one", "9.8,0.3,50\n0.01", "9.8,0.3,50\nwx,wy,wz,ax,ay,az,q,f\n0.01", "number"),
+    ("a packed file", "", gzip.compress(b"wx,wy,wz,ax,ay,az,q,f\n" + b"0,0,0,0,0,9.8,0,50\n" * 400), "csv"),
 ]
 
 ROBOT = [
@@ -266,6 +289,12 @@ ROBOT = [
     ("five megabytes of comments", "<worldbody>", "<!-- " + "x" * 5_000_000 + " --><worldbody>", "bytes"),
     ("a plugin of a user's own", "<worldbody>", '<extension><plugin plugin="evil.code"/></extension><worldbody>', "evil.code"),
     ("an attachment of itself", "</asset>", '<model name="r" file="robot.xml"/></asset>', "itself"),
+    ("a range upside down", 'armature="0.01"', 'armature="0.01" limited="true" range="1 -1"', "range"),
+    ("an attitude of nothing", 'pos="0 0 1"', 'pos="0 0 1" quat="0 0 0 0"', "quat"),
+    ("gravity of no number", "<worldbody>", '<option gravity="0 0 nan"/><worldbody>', "gravity"),
+    ("a mesh of an address", "</asset>", '<mesh name="m" file="http://example.com/m.stl"/></asset>', "example"),
+    ("a comment without an end", "<worldbody>", "<!-- <worldbody>", "XML"),
+    ("a class of nobody", 'name="arm"', 'name="arm" childclass="ghost"', "childclass"),
 ]
 
 URDF = [
@@ -279,6 +308,8 @@ URDF = [
     ("an inertia that is none", 'ixx="0.1" ixy="0" ixz="0" iyy="0.1"', 'ixx="-9" ixy="0" ixz="0" iyy="0.1"', "robot"),
     ("no end", "</robot>", "", "XML"),
     ("links in links", "</robot>", "<link>" * 3000, "deeper"),
+    ("a macro left in", "</robot>", '<xacro:include filename="x"/></robot>', "prefix"),
+    ("an axis of nothing", 'xyz="0 1 0"', 'xyz="0 0 0"', "axis"),
 ]
 
 EXPERIMENT = [
@@ -312,6 +343,11 @@ EXPERIMENT = [
     ("a title of a megabyte", '"hostile"', f'"{"t" * 1_000_000}"', "title"),
     ("an unknown key", 'title = "hostile"', 'titel = "hostile"', "titel"),
     ("an empty file", "", "\n", "scenarios"),
+    ("seeds as an option writes them", "seeds = [0]\ngammas = [0.8]", 'seeds = "0:3"\ngammas = [0.8]', "seeds"),
+    ("a filter twice", '["leg"]', '["leg", "leg"]', "filters"),
+    ("a level in percent", "gammas = [0.8]", "gammas = [80.0]", "gammas"),
+    ("steps that are true", "steps = 25", "steps = true", "steps"),
+    ("a scenario of an address", '"scenario.toml"', '"http://example.com/a.toml"', "a.toml"),
 ]
 
 SETTINGS = [
@@ -325,4 +361,8 @@ SETTINGS = [
     ("noise of 400 digits", "gyro = 1e-3", f"gyro = {LONG}", "gyro"),
     ("tables in tables", "gyro = 1e-3", f"gyro = {'{a = ' * 3000}", "TOML"),
     ("another language", "", "noise: 3", "TOML"),
+    ("noise that is true", "gyro = 1e-3", "gyro = true", "gyro"),
+    ("noise of each axis", "gyro = 1e-3", "gyro = [1e-3, 1e-3, 1e-3]", "gyro"),
+    ("noise with its unit", "gyro = 1e-3", 'gyro = "0.06 deg/s"', "gyro"),
+    ("noise twice", "gyro = 1e-3", "gyro = 1e-3\ngyro = 2e-3", "TOML"),
 ]
