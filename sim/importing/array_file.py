@@ -125,6 +125,8 @@ def _arrays(found: dict[str, object]) -> dict[str, np.ndarray]:
             cells |= _arrays({f"{name}.{f}": np.asarray(inner[f]) for f in value.dtype.names})
         elif value.dtype.kind == "O" and value.ndim == 0:
             cells |= _arrays({name: value.item()})
+        elif value.dtype.kind in "fiubU" and value.ndim == 3 and len(value) == 1 and value.size:
+            cells[name] = value[0]  # the only episode, as gym-quadruped writes it
         elif value.dtype.kind in "fiubU" and value.ndim in (1, 2) and value.size:
             cells[name] = np.asarray(value)
     return cells

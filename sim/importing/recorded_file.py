@@ -99,11 +99,11 @@ def _with_empty_cells(
     for name in table.cells.keys() - full.keys():
         with suppress(SurefootError):
             rows, values = column_readings(table, name, Source(sparse=True))
-            if len(rows) > _FEW:
+            if _FEW < len(rows) < len(table.cells[name]):
                 readings[name] = rows, values
-    if not readings:
+    if not readings or len({*map(len, table.cells.values())}) > 1:
         return {}
-    names = _names({name: full.get(name, np.zeros(0)) for name in table.cells}, machine)
+    names = _names({**readings, **full}, machine)
     gyro = [n for n in readings if names[n].kind == "gyro" and not names[n].reference]
     at = readings[gyro[0] if gyro else max(readings, key=lambda n: len(readings[n][0]))][0]
     t = column_of_times({name: values[at] for name, values in full.items()}, names)
@@ -114,7 +114,7 @@ def _with_empty_cells(
         name: np.interp(stamps[at], stamps[readings[name][0]], readings[name][1])
         if name in readings
         else full[name][at]
-        for name in table.cells
+        for name in (*table.cells, *(n for n in full if n not in table.cells))
         if name in readings or name in full
     }
 

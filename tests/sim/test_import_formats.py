@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import measured_folder
-from surefoot.sim.importing.array_file import read_mat
+from surefoot.sim.importing.array_file import read_hdf5, read_mat
 from surefoot.sim.importing.recording import import_log, read_recording
 from surefoot.sim.importing.report import import_lines
 from surefoot.sim.importing.sections import Source
@@ -385,3 +385,15 @@ def test_the_strings_of_a_matlab_file_are_read_where_there_is_one_array_of_them(
     assert [found[n].tolist() for n in found if found[n].dtype.kind == "U"] == (
         [["FL", "thigh"]] if arrays == 1 else []
     )
+
+
+def test_the_only_episode_of_a_file_has_its_rows(tmp_path):
+    """As gym-quadruped writes them: episodes, times, places."""
+    gyro = np.arange(12.0).reshape(1, 4, 3)
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        file["recordings/time"] = np.arange(4.0).reshape(1, 4, 1)
+        file["recordings/imu_gyro"] = gyro
+        file["recordings/several"] = np.zeros((2, 4, 3))
+    cells = read_hdf5(tmp_path / "run.h5").cells
+    np.testing.assert_array_equal(cells["recordings/imu_gyro"], gyro[0])
+    assert "recordings/several" not in cells
