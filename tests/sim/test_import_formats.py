@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import measured_folder
 from surefoot.sim.importing.array_file import read_hdf5, read_mat
+from surefoot.sim.importing.recorded_file import recorded_files
 from surefoot.sim.importing.recording import import_log, read_recording
 from surefoot.sim.importing.report import import_lines
 from surefoot.sim.importing.sections import Source
@@ -391,9 +392,12 @@ def test_the_only_episode_of_a_file_has_its_rows(tmp_path):
     """As gym-quadruped writes them: episodes, times, places."""
     gyro = np.arange(12.0).reshape(1, 4, 3)
     with h5py.File(tmp_path / "run.h5", "w") as file:
-        file["recordings/time"] = np.arange(4.0).reshape(1, 4, 1)
+        file["recordings/time"] = 0.01 * np.arange(4.0).reshape(1, 4, 1)
         file["recordings/imu_gyro"] = gyro
         file["recordings/several"] = np.zeros((2, 4, 3))
     cells = read_hdf5(tmp_path / "run.h5").cells
     np.testing.assert_array_equal(cells["recordings/imu_gyro"], gyro[0])
     assert "recordings/several" not in cells
+    (drafted,) = recorded_files(tmp_path / "run.h5", None)
+    assert drafted.t is not None
+    assert drafted.t.theirs == "recordings/time[0]"
