@@ -62,14 +62,18 @@ class TraceCommand:
     def run(self) -> None:
         from surefoot.scenarios.estimate.run import refuse_without_robot
         from surefoot.scenarios.reporting.progress import percent_bar
+        from surefoot.scenarios.trace.long_logs import note_on_blocks, read_in_blocks
         from surefoot.scenarios.trace.run import trace
         from surefoot.scenarios.trace.since import unchanged_beside
         from surefoot.scenarios.trace.words import summary
         from surefoot.sim.effects.file import load_effects
         from surefoot.sim.robot.fixed_base import machine_for_log
 
-        logs = read_logs(self.logs)
-        held_out = read_logs(self.holdout) if self.holdout else []
+        if not self.logs:
+            raise SurefootError("give at least one log")
+        read = [read_in_blocks(path) for path in self.logs]
+        read_holdout = [read_in_blocks(path) for path in self.holdout]
+        logs, held_out = ([log for own in runs for log in own] for runs in (read, read_holdout))
         declared = None if self.declared is None else load_effects(self.declared)
         robots = sorted({log.meta.robot for log in [*logs, *held_out] if log.meta.robot})
         if not self.robot and len(robots) > 1:
@@ -79,12 +83,13 @@ class TraceCommand:
         for log in [*logs, *held_out]:
             refuse_without_robot(log, self.robot)
         robot = machine_for_log(logs[0], self.robot)
-        warnings = not_plausible([*logs, *held_out], self.robot, self.strict)
+        # The first block of a long log is checked, as `estimate` checks its first minutes.
+        first = [blocks[0] for blocks in (*read, *read_holdout)]
+        warnings = not_plausible(first, self.robot, self.strict)
         # A trace must not depend on the names of its logs, so its notes number them.
-        several = len(logs) + len(held_out) > 1
         notes = tuple(
-            f"log {k + 1}: {line}" if several else line
-            for k, log in enumerate([*logs, *held_out])
+            f"log {k + 1}: {line}" if len(first) > 1 else line
+            for k, log in enumerate(first)
             for line in warnings.get(log.name, ())
         )
         with percent_bar("trace") as progress:
@@ -97,7 +102,7 @@ class TraceCommand:
                 self.force,
                 declared=declared,
                 holdout=held_out,
-                warnings=notes,
+                warnings=(*notes, *note_on_blocks([*read, *read_holdout])),
                 since=unchanged_beside(self.declared, declared or ()) if self.declared else None,
             )
         print(summary(found))

@@ -11,6 +11,7 @@ from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.scenarios.cache import contents_digest
 from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.trace.filters import BeforeAfter, before_and_after, mean_metrics
+from surefoot.scenarios.trace.long_logs import in_blocks, note_on_blocks
 from surefoot.scenarios.trace.report import write_outputs
 from surefoot.scenarios.trace.result import Filters, Trace
 from surefoot.scenarios.trace.words import motion_to_distinguish
@@ -39,6 +40,8 @@ def trace(
     since: Unchanged | None = None,
 ) -> Trace:
     """Find which effect `robot` lacks as a model of the logs, and what adding it changes.
+
+    A log of more than twenty minutes is traced on blocks of it (`scenarios.trace.long_logs`).
 
     Args:
         logs: of one machine; time, IMU, joints, feet, reference and rate are read, nothing else.
@@ -69,8 +72,11 @@ def trace(
     for name in OUTPUTS:
         refuse_overwrite(out / name, force)
     settings = settings or DEFAULT
-    found = trace_logs(logs, robot, seed, progress, declared, learnt, settings, holdout, since)
-    found = replace(found, notes=(*warnings, *found.notes))
+    cut, cut_holdout = [in_blocks(log) for log in logs], [in_blocks(log) for log in holdout]
+    fitted, held_out = ([block for own in runs for block in own] for runs in (cut, cut_holdout))
+    found = trace_logs(fitted, robot, seed, progress, declared, learnt, settings, held_out, since)
+    notes = (*warnings, *note_on_blocks([*cut, *cut_holdout]), *found.notes)
+    found = replace(found, notes=notes)
     with whole_folder(out, force) as folder:
         write_outputs(found, robot, folder)
     return found

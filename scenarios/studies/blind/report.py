@@ -40,7 +40,7 @@ def write_report_of(
         Section("The plan", plan_prose(drawn, len(records)), plan_table(drawn)),
         *(results(of, records) if of["single"] else ()),
     ]
-    title = "What trace finds: the blind study"
+    title = "Blind study of trace"
     if page:
         write_page(page, title, sections, origin_of(__name__, "make study-trace"))
     every = Section("Every case", table=[_row(r) for r in records])

@@ -1,0 +1,80 @@
+"""Logs that are too long to be traced whole: twenty one-minute blocks stand for them.
+
+Each block counts as a run of its own, so that zeros and clocks, which drift within hours, are
+fitted to each. A file is read in pieces, in the memory of a few blocks.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from surefoot.sim.log import Log, LogReader
+
+TRACED_BLOCKS = 20
+"""Number of blocks, spread evenly from the first row to the last."""
+TRACED_BLOCK = 60.0
+"""s, duration of a block."""
+
+
+def in_blocks(log: Log) -> list[Log]:
+    """The log, or its blocks if it is longer than all of them together."""
+    return _blocks([log], log.meta.rate, len(log.t))
+
+
+def read_in_blocks(path: str | Path) -> list[Log]:
+    """The log of a file, or its blocks if it is longer than all of them together.
+
+    Raises LogError, one line with file, column and row, at the first fault anywhere in the file.
+    """
+    reader = LogReader(path)
+    if reader.rows <= TRACED_BLOCKS * _rows(reader.meta.rate):
+        return [Log.read(path)]
+    return _blocks(reader.chunks(TRACED_BLOCK), reader.meta.rate, reader.rows)
+
+
+def note_on_blocks(logs: Iterable[list[Log]]) -> tuple[str, ...]:
+    """A sentence if any of the logs, each given by its blocks, was cut."""
+    cut = [blocks for blocks in logs if len(blocks) > 1]
+    if not cut:
+        return ()
+    hours = max(blocks[-1].t[-1] - blocks[0].t[0] for blocks in cut) / 3600.0
+    return (
+        f"{len(cut)} of the logs last up to {hours:.1f} h and are traced on {TRACED_BLOCKS} blocks of "
+        f"{TRACED_BLOCK:g} s each; zeros and clocks are fitted to each block",
+    )
+
+
+def _blocks(pieces: Iterable[Log], rate: float, rows: int) -> list[Log]:
+    """The blocks of a log of so many rows, from its consecutive pieces."""
+    length = _rows(rate)
+    if rows <= TRACED_BLOCKS * length:
+        return list(pieces)
+    firsts = np.linspace(0, rows - length, TRACED_BLOCKS).round().astype(int)
+    parts: list[list[Log]] = [[] for _ in firsts]
+    for piece, begin, end in _placed(pieces):
+        for own, first in zip(parts, firsts, strict=True):
+            low, high = max(first, begin), min(first + length, end)
+            if low < high:
+                own.append(piece.rows(slice(low - begin, high - begin)))
+    return [_joined(own, k) for k, own in enumerate(parts)]
+
+
+def _placed(pieces: Iterable[Log]) -> Iterator[tuple[Log, int, int]]:
+    """Each piece with the number of its first row and of the row after its last."""
+    begin = 0
+    for piece in pieces:
+        end = begin + len(piece.frame)
+        yield piece, begin, end
+        begin = end
+
+
+def _joined(parts: list[Log], number: int) -> Log:
+    frame = pd.concat([part.frame for part in parts], ignore_index=True)
+    return replace(parts[0], frame=frame, name=f"{parts[0].name}_block_{number + 1}")
+
+
+def _rows(rate: float) -> int:
+    return round(TRACED_BLOCK * rate)
