@@ -42,8 +42,9 @@ def note_on_blocks(logs: Iterable[list[Log]]) -> tuple[str, ...]:
         return ()
     hours = max(blocks[-1].t[-1] - blocks[0].t[0] for blocks in cut) / 3600.0
     return (
-        f"{len(cut)} of the logs last up to {hours:.1f} h and are traced on {TRACED_BLOCKS} blocks of "
-        f"{TRACED_BLOCK:g} s each; zeros and clocks are fitted to each block",
+        f"{len(cut)} of the logs last up to {hours:.1f} h and are traced on "
+        f"{TRACED_BLOCKS} blocks of {TRACED_BLOCK:g} s each; zeros and clocks are fitted to each "
+        "block",
     )
 
 

@@ -61,11 +61,11 @@ def plan_prose(plan: Mapping[str, Any], finished: int) -> str:
         f"{len(planned)} cases, all drawn from seed {plan['seed']} before the first was run: "
         f"{count['single']} logs with one undeclared effect ({grouped} of them on a group of "
         f"parts), {count['clean']} without any, {count['outside']} with an effect that is in no "
-        f"catalogue, {count['together']} with two at once, {count['twins']} of a robot that stands "
-        f"with an effect that standing cannot tell from its twin. {' and '.join(robots)} on "
-        f"courses {seeds[0]} to {seeds[-1]}, robots and courses that "
-        f"{'development knows' if plan.get('pilot') else 'no trace had met'}. Sizes are "
-        "log-uniform between the ends below. "
+        f"catalogue, {count['together']} with two at once, {count['twins']} of a robot at rest "
+        f"with one of two effects that cannot be distinguished at rest. {' and '.join(robots)} "
+        f"walk on courses {seeds[0]} to {seeds[-1]}; these robots and courses were "
+        f"{'' if plan.get('pilot') else 'not '}used in development. Sizes are log-uniform between "
+        "the limits below. "
         f"Finished so far: {finished} of {len(planned)}."
     )
 
@@ -87,7 +87,7 @@ def plan_table(plan: Mapping[str, Any]) -> Rows:
 
 
 def results(of: Mapping[str, Sequence[Record]], records: Sequence[Record]) -> list[Section]:
-    """What came of the cases that are finished."""
+    """Results of the cases that are finished."""
     return [
         Section("Rules and results", RULES_PROSE, rules(records)),
         Section(
@@ -96,9 +96,9 @@ def results(of: Mapping[str, Sequence[Record]], records: Sequence[Record]) -> li
             pictures=(
                 Picture(
                     confusion(of["single"]),
-                    "Rows: the effect that was put in, one of each log. Columns: the effect that "
-                    "trace named first. On the diagonal the target (joint, leg or axis) is right "
-                    "too, and the verdict is not confounded.",
+                    "Rows: the true effect of each log. Columns: the effect that trace named "
+                    "first. On the diagonal, the target (joint, leg or axis) is right too, and the "
+                    "verdict is not `confounded`.",
                 ),
             ),
         ),
@@ -108,9 +108,9 @@ def results(of: Mapping[str, Sequence[Record]], records: Sequence[Record]) -> li
             pictures=(
                 Picture(
                     sizes(of["single"]),
-                    "A dot a log whose effect and target were named right first. The band is a "
-                    "tenth about the size put in; red where neither the band nor the interval "
-                    "holds it. Beyond the axis, dots are drawn at its edge.",
+                    "One dot for each log whose effect and target were named right first. The band "
+                    "is 10 % about the true size; dots are red if neither the band nor the "
+                    "interval contains it. Dots beyond the axis are drawn at its edge.",
                 ),
             ),
         ),
@@ -119,10 +119,11 @@ def results(of: Mapping[str, Sequence[Record]], records: Sequence[Record]) -> li
 
 
 RULES_PROSE = (
-    "Shares with their 95 % interval (Wilson) in brackets; `confounded` that names the truth among "
-    "two counts a half. An effect is above the floor where its size is more than the least that "
-    "its log could show. Simulated logs by the same physics that trace assumes: this measures how "
-    "well effects are distinguished from each other, not how well a model describes a robot."
+    "Shares, with their 95 % interval (Wilson) in brackets. A `confounded` verdict that names the "
+    "true effect among two counts as half. An effect is above the floor if its size exceeds the "
+    "smallest that its log could show. The logs are simulated with the same physics that trace "
+    "assumes, so the study measures how well effects are distinguished from each other, not how "
+    "well a model describes a robot."
 )
 
 
