@@ -1,7 +1,7 @@
 """A file of a recording as read, before a map assigns its columns."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -103,7 +103,7 @@ def _with_empty_cells(
                 readings[name] = rows, values
     if not readings or len({*map(len, table.cells.values())}) > 1:
         return {}
-    names = _names({**readings, **full}, machine)
+    names = _names([*readings, *full], machine)
     gyro = [n for n in readings if names[n].kind == "gyro" and not names[n].reference]
     at = readings[gyro[0] if gyro else max(readings, key=lambda n: len(readings[n][0]))][0]
     t = column_of_times({name: values[at] for name, values in full.items()}, names)
@@ -160,7 +160,7 @@ def column_of_times(columns: Mapping[str, np.ndarray], names: Mapping[str, Named
     return None
 
 
-def _names(columns: Mapping[str, np.ndarray], machine: Machine | None) -> dict[str, Named]:
+def _names(columns: Iterable[str], machine: Machine | None) -> dict[str, Named]:
     return by_their_legs({name: read_name(_in_our_words(name, machine)) for name in columns})
 
 
