@@ -1,8 +1,8 @@
-"""Logs and estimates for other tools: TUM and CSV, and MCAP for Foxglove, PlotJuggler or ROS 2.
+"""Export of logs and estimates: TUM and CSV, and MCAP for Foxglove, PlotJuggler or ROS 2.
 
 In an MCAP file the IMU and the joints are ROS 2 messages, poses are Foxglove's PoseInFrame and
-FrameTransform as its package foxglove_msgs for ROS 2 publishes them; the file holds their
-definitions, so that it is read without these packages.
+FrameTransform as in its package foxglove_msgs for ROS 2. The file includes their definitions, so
+that it can be read without these packages.
 """
 
 from collections.abc import Callable, Iterator
@@ -35,14 +35,17 @@ WORLD, BODY = "world", "imu"
 """Frames G and I in an MCAP file."""
 FORMATS = (".tum", ".csv", ".mcap")
 _UNKNOWN = -1.0
-"""First element of a ROS covariance where nothing is measured (sensor_msgs/Imu)."""
+"""First element of a ROS covariance of an unmeasured quantity (sensor_msgs/Imu)."""
 Messages = Iterator[tuple[str, str, float, Any]]
 """Topic, type, time [s] and message."""
 
 
 def export(file: str | Path, out: str | Path, force: bool = False) -> str:
-    """Write a log or an estimate as TUM (poses: of a log, its reference), CSV or MCAP, by the
-    ending of `out`; returns what to say. Raises SurefootError, in one line."""
+    """Write a log or an estimate as TUM (poses; of a log, its reference), CSV or MCAP, by the
+    suffix of `out`.
+
+    Returns a message for the user. Raises SurefootError, in one line.
+    """
     file, out = Path(file), Path(out)
     if out.suffix not in FORMATS:
         raise SurefootError(f"-o {out}: the ending says the format: {', '.join(FORMATS)}")
@@ -75,7 +78,7 @@ def _store() -> Typestore:
 
 
 def _write_mcap(out: Path, messages: Callable[[Typestore], Messages], force: bool) -> int:
-    """A bag of one file: rosbags writes a folder, of which the file is kept."""
+    """Write a bag of one file: rosbags writes a folder, of which the file is kept."""
     store, count = _store(), 0
     with whole_file(out, force) as temporary, TemporaryDirectory() as folder:
         bag = Path(folder) / "bag"

@@ -1,10 +1,11 @@
-"""`surefoot plan`: which motion would show each effect, how long it takes, and what hides it.
+"""`surefoot plan`: the motion that reveals each effect, its duration, and which other effect masks
+it.
 
-The robot walks short motions as its model says, and the residual's derivatives by every candidate
-effect are taken from these walks. For a Gaussian noise of the size of the residuals and Gaussian
-priors (`surefoot.models.attribution.priors`), the covariance of all sizes together is
-(f X^T W X + P)^-1, where f is how often the motion is repeated. An effect is shown by a motion when
-its deviation there is a tenth of what its prior allows.
+The robot walks short motions in simulation, from which the derivatives of the residual with respect
+to every candidate effect are taken. With Gaussian noise of the size of the residuals and Gaussian
+priors (`surefoot.models.attribution.priors`), the covariance of all sizes together is (f X^T W X +
+P)^-1, where f is the number of repetitions of the motion. A motion reveals an effect if the
+standard deviation of its size is a tenth of what its prior allows.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,20 +25,25 @@ from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 
 SHOWN = 0.1
-"""Largest deviation of a size that counts as shown, as a share of the prior's 95 % size."""
+"""Largest standard deviation of a size that counts as revealed, as a share of the prior's 95 %
+size.
+"""
 LONGEST_S = 600.0
-"""s, longest duration of a motion that is planned."""
+"""Longest duration of a planned motion [s]."""
 SECONDS = 4.0
-"""s of a simulated motion, from which longer ones are extrapolated."""
+"""Duration of a simulated motion, from which longer ones are extrapolated [s]."""
 
 
 @dataclass(frozen=True)
 class Shown:
-    """How well a motion shows one effect.
+    """How well a motion reveals one effect.
 
-    seconds: of the motion until the effect is shown, infinite where LONGEST_S is not enough;
-    deviation: of its size after LONGEST_S, as a share of the prior's 95 % size; rival: the effect
-    whose size is most correlated with it then, None below 0.5; correlation: with that candidate.
+    Attributes:
+        seconds: duration of the motion until the effect is revealed; infinite if beyond LONGEST_S.
+        deviation: standard deviation of its size after LONGEST_S, as a share of the prior's 95 %
+            size.
+        rival: the effect whose size is most correlated with it then; None below 0.5.
+        correlation: with that candidate.
     """
 
     seconds: float
@@ -61,9 +67,9 @@ def motions(robot: Robot) -> dict[str, tuple[Segment, ...]]:
 def plan_motions(
     robot: Robot, effects: Sequence[str], progress: Callable[[float], None] = lambda share: None
 ) -> dict[Key, dict[str, Shown]]:
-    """For each target of the effects, how each motion shows it.
+    """For each target of the effects, how well each motion reveals it.
 
-    Raises SurefootError for an effect that is unknown.
+    Raises SurefootError for an unknown effect.
     """
     known = known_effects()
     for name in effects:
@@ -85,13 +91,14 @@ def plan_motions(
 
 
 def _groups(key: Key, robot: Robot) -> tuple[str, ...]:
-    """The targets of this effect that are groups of others, and so add no information."""
+    """Targets of this effect that are groups of others, and so add no information."""
     return tuple(known_effects()[key[0]].group_targets(robot.limbs))
 
 
 def _information(evidence: Evidence, keys: Sequence[Key]) -> tuple[np.ndarray, np.ndarray]:
-    """X^T W X (P, P) of candidates and free parts, and the diagonal (P,) of their priors' inverse
-    covariance."""
+    """X^T W X (P, P) of candidates and nuisance parameters, and the diagonal (P,) of their prior
+    precision.
+    """
     columns = design(evidence)
     total = np.zeros((columns.size, columns.size))
     for y, rows, X, which in zip(columns.y.T, columns.rows, columns.X, columns.which, strict=True):
@@ -124,7 +131,7 @@ def _shown(information: np.ndarray, prior: np.ndarray, i: int, keys: Sequence[Ke
 
 
 def motion_table(found: dict[Key, dict[str, Shown]]) -> list[dict[str, object]]:
-    """A row an effect: its hardest target, the motion that shows that soonest, and its rival."""
+    """One row per effect: its hardest target, the motion that reveals it soonest, and its rival."""
     hardest: dict[str, tuple[Key, str, Shown]] = {}
     for key, by_motion in found.items():
         motion, best = _soonest(by_motion)
@@ -145,8 +152,9 @@ def motion_table(found: dict[Key, dict[str, Shown]]) -> list[dict[str, object]]:
 
 
 def recordings_to_make(found: dict[Key, dict[str, Shown]]) -> dict[str, float]:
-    """Each motion that shows some target soonest, and the seconds [s] that all of its targets take,
-    of one at least."""
+    """Each motion that reveals some target soonest, and its duration [s] for all of these, at least
+    one.
+    """
     longest: dict[str, float] = {}
     for by_motion in found.values():
         motion, best = _soonest(by_motion)
@@ -160,7 +168,7 @@ def _soonest(by_motion: dict[str, Shown]) -> tuple[str, Shown]:
 
 
 def plan_text(found: dict[Key, dict[str, Shown]]) -> str:
-    """The table, what to record, and what the columns mean."""
+    """The table, the motions to record, and an explanation of the columns."""
     record = [f"{name}, {np.ceil(s):.0f} s" for name, s in recordings_to_make(found).items()]
     return (
         f"{to_markdown(motion_table(found))}\n\n"

@@ -1,4 +1,4 @@
-"""`surefoot noise`: where covariances come from, as a file that the filters take."""
+"""`surefoot noise`: estimate sensor noise at rest, as settings for the filters."""
 
 from pathlib import Path
 
@@ -17,10 +17,11 @@ SENSORS = (("gyro", "rad/s"), ("accel", "m/s²"))
 
 
 def noise(log: Log, out: Path | None, force: bool = False) -> RestNoise:
-    """The noise of a log at rest, and with `out` the settings and a figure.
+    """Estimate the noise of a log at rest and, with `out`, write settings and a figure.
 
-    out: TOML file of `surefoot.scenarios.estimate.settings`; a .png of the same name goes beside.
-    Raises SurefootError where the log rests nowhere, or a file is there and `force` is not given.
+    out: TOML file of `surefoot.scenarios.estimate.settings`; a .png of the same name is written
+    beside it. Raises SurefootError where the log never rests, or a file exists and `force` is not
+    given.
     """
     figure = None if out is None else out.with_suffix(".png")
     for path in (out, figure):
@@ -57,7 +58,7 @@ def noise_text(name: str, found: RestNoise) -> str:
 
 
 def settings_text(name: str, found: RestNoise) -> str:
-    """The worst axis of each as settings; what the rest is too short to show is a comment."""
+    """The worst axis of each sensor as settings; what the rest is too short for is a comment."""
     lines = [
         f"# Noise of {name} at rest from {found.begin:.2f} to {found.end:.2f} s; the worst axis.",
         "# A sensor at rest: walking adds impacts and misalignment, so that filters want more.",
@@ -84,7 +85,7 @@ def settings_text(name: str, found: RestNoise) -> str:
 
 
 def allan_figure(found: RestNoise) -> Figure:
-    """Allan deviations of gyro and accelerometer with what was fitted."""
+    """Plot the Allan deviations of gyro and accelerometer with the fits."""
     figure, axes = new_figure(1, 2, (8.0, 3.6))
     for ax, (name, unit) in zip(axes[0], SENSORS, strict=True):
         for one, axis, color in zip(getattr(found, name), "xyz", COLORS, strict=True):

@@ -31,10 +31,10 @@ class RobotCard:
 
 
 def robot_card(name_or_path: str, picture: Path | None, force: bool = False) -> RobotCard:
-    """Legs, limits, masses, feet, IMU and home pose of a robot; its picture as a PNG.
+    """Legs, limits, masses, feet, IMU and home pose of a robot, and its picture as a PNG.
 
-    Raises SurefootError for one that cannot be read or has no picture, or where the picture's file
-    is there (no `force`).
+    Raises SurefootError for a robot that cannot be read or drawn, or where the picture's file
+    exists (without `force`).
     """
     if picture is not None and picture.suffix != ".png":
         raise SurefootError(f"-o {picture}: the picture is a .png")
@@ -118,7 +118,7 @@ def _why_not(robot: Robot) -> str:
 
 
 def portrait(robot: Robot) -> Figure:
-    """The robot in its home pose from its left and from the front: shapes, legs, feet and IMU."""
+    """Draw the robot in its home pose from the left and the front: shapes, legs, feet and IMU."""
     model = compiled_model(robot.file)
     data = mujoco.MjData(model)
     for own, angle in zip(robot.joint_names, robot.q_home, strict=True):

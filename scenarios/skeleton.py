@@ -1,4 +1,4 @@
-"""`surefoot new`: a package of a user's own that works as it is written, with its test."""
+"""`surefoot new`: write a working package for a plug-in, with its test."""
 
 import keyword
 import re
@@ -12,9 +12,9 @@ TEMPLATES = bundled("surefoot.scenarios", "skeletons")
 
 
 def new_estimator(name: str, out: Path, force: bool = False) -> list[str]:
-    """Write a package with an estimator of this name; the paths of its files.
+    """Write a package with an estimator of this name; returns the paths of its files.
 
-    Raises SurefootError for a name that cannot be a module's, or that an estimator has already.
+    Raises SurefootError for a name that cannot be a module's, or that an estimator already has.
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]{0,60}", name) or keyword.iskeyword(name):
         raise SurefootError(

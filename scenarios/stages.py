@@ -1,4 +1,4 @@
-"""Work in stages, each spread over processes of this machine and shown by a bar."""
+"""Work in stages, each distributed over processes of this machine and shown by a bar."""
 
 import multiprocessing
 import os
@@ -14,10 +14,10 @@ from surefoot.sim.common.progress import bar as drawn_bar
 
 @contextmanager
 def processes(workers: int) -> Iterator[ProcessPoolExecutor | None]:
-    """A pool of processes; one worker is this process itself.
+    """Context with a pool of processes; None for one worker, which is this process itself.
 
-    They end with this process however it ends, at once where it is interrupted; after an error
-    those at work finish what they have begun.
+    The processes end with this one in any case, at once if it is interrupted; after an error,
+    running tasks are finished.
     """
     if workers == 1:
         yield None
@@ -30,7 +30,7 @@ def processes(workers: int) -> Iterator[ProcessPoolExecutor | None]:
         pool.shutdown(cancel_futures=True)
         raise
     except BaseException:
-        # Nothing is cancelled here: the pool's own thread fails on such tasks.
+        # Nothing is cancelled here, since the pool's own thread fails on cancelled tasks.
         for process in multiprocessing.active_children():
             process.terminate()
         raise
@@ -39,10 +39,10 @@ def processes(workers: int) -> Iterator[ProcessPoolExecutor | None]:
 
 
 def submitted(pool: ProcessPoolExecutor, task: tuple) -> Future:
-    """A task (a function and its arguments) given to a pool of `processes`.
+    """Submit a task (a function and its arguments) to a pool of `processes`.
 
-    A keyboard's interrupt reaches all processes of a terminal: workers are started deaf to it, so
-    that this one alone says what happened and ends them.
+    A keyboard interrupt reaches all processes of a terminal; workers are started with it blocked,
+    so that only this process reports it and ends them.
     """
     if not hasattr(signal, "pthread_sigmask"):
         return pool.submit(*task)
@@ -66,9 +66,9 @@ def _end_with_parent() -> None:
 
 
 def stage(pool: ProcessPoolExecutor | None, label: str, tasks: dict[Any, tuple]) -> dict[Any, Any]:
-    """What the tasks (a function and its arguments each) return, made in the pool.
+    """Run the tasks (a function and its arguments each) in the pool; returns their results.
 
-    An error ends the stage; the tasks keep what they have done.
+    An error ends the stage; what other tasks have stored remains.
     """
     results: dict[Any, Any] = {}
     with drawn_bar(total=len(tasks), desc=label, disable=not tasks) as bar:
@@ -86,5 +86,5 @@ def stage(pool: ProcessPoolExecutor | None, label: str, tasks: dict[Any, tuple])
             for future in futures:
                 future.cancel()
             raise
-    # In the tasks' order, whatever finished first.
+    # In the order of the tasks, not of their completion.
     return {key: results[key] for key in tasks}

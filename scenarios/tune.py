@@ -1,17 +1,17 @@
-"""`surefoot tune`: one search, with one budget of runs, for the parameters of any filter.
+"""`surefoot tune`: search the parameters of any filter, with one budget of runs.
 
-A filter is judged on each log by
+The cost of a filter on a log is
 
     log(APE_trans / path length) + PRICE |log(NEES_pos / 3)|,
 
-and by the mean over logs, so that both errors and a wrong covariance cost: NEES off 3 by the factor
-e costs as much as an APE larger by the factor e^PRICE. Both are clipped: a diverged estimate is as
-bad as one whose error is the path. The search is a compass search over the logarithms of the
-parameters (Kolda, Lewis, Torczon, SIAM Review 2003): a step up or down each in turn, kept where it
-is better, and a step half as long once none is.
+averaged over logs, so that both errors and a wrong covariance cost: NEES off 3 by the factor e
+costs as much as an APE larger by the factor e^PRICE. Both are clipped: a diverged estimate costs as
+much as one whose error is the path. The search is a compass search over the logarithms of the
+parameters (Kolda, Lewis, Torczon, SIAM Review 2003): a step up or down in each parameter in turn,
+kept if better, and halved once none is.
 
-The logs should be other walks than those that observers were trained and bounds calibrated on,
-whose errors are smaller than those of new walks, and other than those that filters are compared on.
+The logs should not be those that observers were trained and bounds calibrated on, whose errors are
+smaller than those of new walks, nor those on which filters are compared.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -39,7 +39,7 @@ from surefoot.sim.robot import Robot
 
 PRICE = 0.3
 SHARES, NEES = (1e-5, 1.0), (0.01, 1000.0)
-"""To which APE as a share of the path, and NEES, are clipped."""
+"""Ranges to which APE as a share of the path, and NEES, are clipped."""
 FIRST_FACTOR = 4.0
 """Factor of the first steps."""
 FINEST = 1.02
@@ -48,7 +48,7 @@ FINEST = 1.02
 
 @dataclass(frozen=True)
 class Search:
-    """A search's first and best parameters with their prices, and how many it tried."""
+    """First and best parameters of a search with their costs, and the number tried."""
 
     start: dict[str, float]
     start_price: float
@@ -60,7 +60,7 @@ class Search:
 def search(
     price: Callable[[Mapping[str, float]], float], start: Mapping[str, float], budget: int
 ) -> Search:
-    """The lowest price within `budget` runs, `start` among them; all values are > 0."""
+    """Minimise the cost within `budget` evaluations, including `start`; all values are > 0."""
     if budget < 1:
         raise SurefootError(f"budget: {budget} where a whole number >= 1 is expected")
     best = first = dict(start)
@@ -84,7 +84,7 @@ def search(
 
 
 def price_of(metrics: Metrics) -> float:
-    """The price of one estimate, lower is better; that of a diverged one is finite too."""
+    """Cost of one estimate, finite even if it diverged."""
     share, nees = metrics.ape_trans / metrics.length, metrics.nees_position
     share = np.clip(share, *SHARES) if np.isfinite(share) else SHARES[1]
     nees = np.clip(nees, *NEES) if np.isfinite(nees) else NEES[1]
@@ -102,20 +102,20 @@ def tune(
     workers: int = 1,
     force: bool = False,
 ) -> str:
-    """Search each filter's parameters for each robot; a search that is done is not run again.
+    """Search each filter's parameters for each robot; a finished search is not repeated.
+
+    Returns the text of tuned.md. Raises SurefootError on bad input.
 
     Args:
         paths: logs with a reference, of one or several robots.
-        out: folder for tuned.toml, tuned.md (before and after) and the searches that are done.
-        filters: names; all that logs and `learnt` allow where left out.
-        robot: name or MJCF file; each log's own where left out.
+        out: folder for tuned.toml, tuned.md (before and after) and finished searches.
+        filters: names, by default all that logs and `learnt` allow.
+        robot: name or MJCF file, by default each log's own.
         learnt: observers and bounds.
         budget: runs of each filter over all logs of a robot.
-        longest: seconds of each log, from its start, that filters are judged on.
-        workers: searches at once, a process each.
+        longest: length of each log, from its start, on which filters are evaluated [s].
+        workers: parallel searches, one process each.
         force: overwrite tuned.toml and tuned.md.
-
-    Returns the text of tuned.md. Raises SurefootError on bad input.
     """
     if budget < 1:
         raise SurefootError(f"--budget {budget}: at least 1")
@@ -179,7 +179,7 @@ def search_filter(
 ) -> dict[str, Any]:
     """One filter's search on one robot's logs, as a finished case.
 
-    `search`, and the percentage of the path and NEES on each log `before` and `after`; of a filter
+    `search`, and the percentage of the path and NEES on each log `before` and `after`; for a filter
     that the logs or `learnt` do not allow: `left_out`, the reason.
 
     Args:
@@ -188,7 +188,7 @@ def search_filter(
         robot_name: or None for the logs' own.
         learnt: observers and bounds.
         budget: runs of the filter over all logs.
-        longest: time of each log, from its start, that filters are judged on [s].
+        longest: length of each log, from its start, on which filters are evaluated [s].
         folder: of the finished searches.
     """
     estimator = estimator_named(name)

@@ -168,12 +168,12 @@ def make_bounds(
 
 
 def method_inputs(method: str) -> list[str]:
-    """The inputs of bounds beside observer, log and level: the method's name and code."""
+    """Inputs of bounds besides observer, log and level: the method's name and code."""
     return [method, code_digest(CALIBRATORS[method])]
 
 
 def read_walk(walk: Product, name: str) -> Log:
-    """A walk's log, named `name`, with the effects that it declares compensated."""
+    """A walk's log, named `name`, with its declared effects compensated."""
     log = replace(Log.read(walk.path), name=name)
     return declared_model(log, known_robot(walk.facts["robot"]))[0]
 
@@ -187,9 +187,10 @@ def make_estimates(
     filters: Sequence[str],
     gammas: Sequence[float],
 ) -> tuple[dict[tuple[str, float | None], Product], dict[str, str]]:
-    """Every filter on a walk, those that use bounds at every gamma; and why any was left out.
+    """Run every filter on a walk, those with bounds at every gamma; also returns why any was left
+    out.
 
-    A filter without bounds has the gamma None and is run once. The file of an estimate holds its
+    A filter without bounds has gamma None and is run once. The file of an estimate contains its
     errors over time, the facts its metrics.
 
     Args:
@@ -240,7 +241,7 @@ def make_recording(
     filters: Sequence[str],
     gamma: float,
 ) -> Product:
-    """A rerun recording of a walk and of every filter on it but the floor.
+    """A rerun recording of a walk with every filter except the baseline.
 
     Args:
         folder: of the products.

@@ -1,4 +1,4 @@
-"""An experiment from its file to its folder: tables, figures, one page, and recordings."""
+"""Run an experiment from its file to a folder with tables, figures, report and recordings."""
 
 # pyright: reportArgumentType=false, reportGeneralTypeIssues=false, reportCallIssue=false
 # pyright: reportIndexIssue=false, reportReturnType=false, reportAttributeAccessIssue=false
@@ -67,20 +67,19 @@ def experiment(
 ) -> pd.DataFrame:
     """Run the file's grid into `out` and print the averages; returns every row.
 
-    A killed run is resumed from its cache, one on another machine from its finished rows.
+    An interrupted run continues from its cache, one on another machine from its finished rows.
+    Raises SurefootError for bad input, and where `out` contains a finished run without `force`.
 
     Args:
         file: experiment file, or the name of a bundled suite, "spot" or "vision60".
         out: folder for tables, report, figures and recordings.
-        workers: processes at once.
+        workers: parallel processes.
         seeds: one, or a range such as "0:8", instead of the file's.
-        cache: folder of intermediate products; `cache` in `out` where left out.
+        cache: folder of intermediate products, by default `cache` in `out`.
         recordings: write a rerun recording of each sequence.
         force: write tables and report again.
         page: page of results (Markdown) to write as well.
-        data: folder of finished rows, one a walk; they are kept nowhere where left out.
-
-    Raises SurefootError for bad input, and where `out` holds a finished run without `force`.
+        data: folder of finished rows, one for each walk; by default they are not stored.
     """
     found = Experiment.load(file)
     if workers < 1:
@@ -105,7 +104,7 @@ def experiment(
             temporary.write_text(markdown_report(found.title, pages), encoding="utf-8")
         write_report(made / "report.html", found.title, pages)
     if page:
-        # Dozens of pictures of paths are for the report.
+        # Dozens of path plots are for the report only.
         kept = [one for one in pages if not one.heading.startswith(PATHS)]
         command = f"surefoot {'suite' if file in SUITES else 'experiment'} {file}"
         write_page(page, found.title, kept, origin_of(__name__, command))
@@ -120,7 +119,7 @@ def experiment(
 
 
 def write_tables(rows: pd.DataFrame, found: Experiment, out: Path) -> None:
-    """results.csv and .parquet hold every row, the others what the report shows."""
+    """Write results.csv and .parquet with every row, and the tables that the report shows."""
     with whole_file(out / "results.parquet") as temporary:
         rows.to_parquet(temporary, index=False)
     main = shown_first(rows, found)
@@ -140,7 +139,9 @@ def write_tables(rows: pd.DataFrame, found: Experiment, out: Path) -> None:
 def report_sections(
     rows: pd.DataFrame, outcome: Outcome, found: Experiment, out: Path
 ) -> list[Section]:
-    """The report: averages, findings, errors by sequence, consistency, sweep, paths, rows."""
+    """Sections of the report: averages, findings, errors by sequence, consistency, sweep, paths,
+    rows.
+    """
     main = shown_first(rows, found)
     shown = _narrow(averages(main))
     pages = [Section("Averages over the test sequences", _setting(found, rows), shown)]
@@ -175,7 +176,7 @@ def report_sections(
 
 
 def falls(outcome: Outcome, condition: str) -> str:
-    """On which walks under a condition the robot fell, in words; nothing where it fell on none."""
+    """Describe the walks under a condition on which the robot fell; empty if there were none."""
     seeds: dict[str, list[str]] = {}
     for cell, result in outcome.cells.items():
         if cell.condition.name == condition and result.walk["falls"]:
@@ -191,7 +192,7 @@ def falls(outcome: Outcome, condition: str) -> str:
 
 
 def _narrow(table: pd.DataFrame) -> pd.DataFrame:
-    """The table without the columns that are constant."""
+    """Drop the constant columns of a table."""
     same = [c for c in ("condition", "robot") if table[c].nunique() == 1]
     return table.drop(columns=same)
 
@@ -251,7 +252,7 @@ def _pictures(main: pd.DataFrame, gamma: float) -> dict[str, Picture]:
 
 
 def _walks(outcome: Outcome, found: Experiment, out: Path) -> list[Section]:
-    """Paths of every sequence and errors over time, of the first seed, by condition."""
+    """Paths of every sequence and errors over time, for the first seed, by condition."""
     pages = []
     for condition in found.conditions:
         series = _series(outcome, condition.name, found)

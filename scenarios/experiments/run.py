@@ -1,9 +1,9 @@
-"""Run an experiment: walks, observers, bounds and estimates, each made once and then reused.
+"""Run an experiment: walks, observers, bounds and estimates, each computed once and then reused.
 
-Every product lies in a folder that outlives the run: a run that was killed goes on where it
-stopped, and after a change to the file only what depends on the change is made again. What the
-tables show of a cell is a small row, which can be kept apart from the products (`data`), so that
-the experiment can go on elsewhere without them.
+Every product is stored in a folder that outlives the run: an interrupted run continues where it
+stopped, and after a change to the file only what depends on it is recomputed. The tables need only
+a small row of each cell, which can be stored apart from the products (`data`), so that the
+experiment can continue elsewhere without them.
 """
 
 from concurrent.futures import ProcessPoolExecutor
@@ -35,9 +35,13 @@ Learnings = dict[Learning, LearntFiles]
 class Estimated:
     """A filter's estimate of a walk.
 
-    gamma, method: of the bounds, None where it uses none; inputs: of the observers, None where it
-    uses none; facts: metrics, from `surefoot.scenarios.estimate.facts`; errors: name of the file
-    with its errors over time.
+    Attributes:
+        filter: name.
+        gamma: of the bounds, None without bounds.
+        inputs: of the observers, None without observers.
+        method: of the bounds, None without bounds.
+        facts: metrics, from `surefoot.scenarios.estimate.facts`.
+        errors: name of the file with its errors over time.
     """
 
     filter: str
@@ -50,9 +54,12 @@ class Estimated:
 
 @dataclass(frozen=True)
 class CellResult:
-    """What the tables show of a cell.
+    """Contents of the tables for a cell.
 
-    walk: facts of the walk; left_out: filter -> why it could not run.
+    Attributes:
+        walk: facts of the walk.
+        estimates: of the filters.
+        left_out: filter -> why it could not run.
     """
 
     walk: dict[str, Any]
@@ -62,10 +69,12 @@ class CellResult:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The results of an experiment.
+    """Results of an experiment.
 
-    cells: in the grid's order; errors: folder of the errors over time, which lacks those of cells
-    whose rows came from `data`; recordings: by title.
+    Attributes:
+        cells: in the grid's order.
+        errors: folder of the errors over time, without those of cells whose rows came from `data`.
+        recordings: by title.
     """
 
     cells: dict[Cell, CellResult]
@@ -96,15 +105,15 @@ def run(
     recordings: bool = False,
     data: Path | None = None,
 ) -> Outcome:
-    """Make, or find in `folder`, everything that the experiment asks for, seed by seed.
+    """Compute, or find in `folder`, everything that the experiment needs, seed by seed.
 
     Args:
         experiment: the grid.
         folder: of the products.
-        workers: processes at once; each stage shows its own bar.
-        recordings: also one of each sequence under each condition, of the first seed.
+        workers: parallel processes; each stage shows its own bar.
+        recordings: also make one of each sequence under each condition, for the first seed.
         data: folder of finished rows: cells found there are not run, others are added to it. None:
-            rows are not kept.
+            rows are not stored.
     """
     found: dict[Cell, CellResult] = {}
     recorded: dict[str, Product] = {}
@@ -116,7 +125,7 @@ def run(
             record = recordings and seed == experiment.seeds[0]
             wanted = [cell for cell in mine if record or cell not in kept]
             groups = {cell.group for cell in wanted}
-            # Walks that the wanted cells' observers and bounds are learnt from.
+            # Walks from which the observers and bounds of the wanted cells are learnt.
             further = [c for c in mine if c.learnt_from and c.group in groups and c not in wanted]
             tasks = {cell: (make_walk, folder, cell.job) for cell in wanted + further}
             walks = stage(pool, f"seed {seed}: walks", tasks)
@@ -134,7 +143,7 @@ def run(
 
 
 def _kept(experiment: Experiment, cells: list[Cell], data: Path) -> dict[Cell, CellResult]:
-    """The cells whose rows are in `data`, made by the same code from the same inputs."""
+    """Cells whose rows are in `data`, from the same code and inputs."""
     found = {}
     for cell in cells:
         name, inputs = _case_name(experiment, cell), cell_inputs(experiment, cell)
@@ -159,7 +168,7 @@ def _learn(
     folder: Path,
     walks: dict[Cell, Product],
 ) -> dict[Group, Learnings]:
-    """Observers and bounds of every group that has walks to learn from."""
+    """Train and calibrate for every group that has walks to learn from."""
     by_role: dict[str, dict[Group, list[tuple[str, Product]]]] = {"train": {}, "calibrate": {}}
     for cell, walk in walks.items():
         if cell.learnt_from and not walk.facts["falls"]:
@@ -167,7 +176,7 @@ def _learn(
             named.append((cell.scenario.name, walk))
     held_out, seeds = by_role["calibrate"], {cell.seed for cell in walks}
     label = ", ".join(f"seed {seed}" for seed in seeds)
-    # Learnings that differ in their method alone have the same observers.
+    # Learnings that differ only in their method share observers.
     ways = {(one.inputs, loss): one for one in experiment.learnings for loss in one.losses}
     observers = stage(
         pool,
@@ -212,7 +221,7 @@ def _learn(
 
 
 def _bounds(required: bool, *arguments: Any) -> Product | None:
-    """`make_bounds`; where the walk is too short, None unless the bounds are required."""
+    """`make_bounds`; if the walk is too short, None unless the bounds are required."""
     try:
         return make_bounds(*arguments)
     except BoundsError:
@@ -229,7 +238,7 @@ def _result(
     learnt: Learnings,
     data: Path | None,
 ) -> CellResult:
-    """Every filter on a walk, with everything that was learnt; kept as a row of `data`.
+    """Run every filter on a walk, with everything that was learnt; stored as a row of `data`.
 
     Args:
         experiment: filters and levels.
@@ -237,7 +246,7 @@ def _result(
         cell: of the walk.
         walk: its log.
         learnt: files of observers and bounds.
-        data: folder that the row is kept in, or None.
+        data: folder for the row, or None.
     """
 
     def make() -> dict[str, Any]:
@@ -252,7 +261,7 @@ def _result(
 def _estimates(
     experiment: Experiment, folder: Path, cell: Cell, walk: Product, learnt: Learnings
 ) -> CellResult:
-    """Every filter on a walk, made or found in `folder`; a walk that fell has no estimates.
+    """Run every filter on a walk, or find it in `folder`; a walk that fell has no estimates.
 
     Args:
         experiment: filters and levels.

@@ -1,4 +1,4 @@
-"""The tables of an experiment: every row, averages over the test sequences, the paper's beside."""
+"""Tables of an experiment: all rows, averages over the test sequences, and the paper's figures."""
 
 # pyright: reportArgumentType=false, reportGeneralTypeIssues=false, reportCallIssue=false
 # pyright: reportIndexIssue=false, reportReturnType=false, reportAttributeAccessIssue=false
@@ -20,13 +20,13 @@ from surefoot.sim.common.toml import read_toml
 
 PUBLISHED = SUITES_FOLDER / "published.toml"
 TABLE_METRICS = {**METRICS, "step [us]": "step_us"}
-"""Columns of the tables and the facts of an estimate that they show."""
+"""Columns of the tables, and the facts of an estimate that they show."""
 LOST = "lost walks"
 SHARE = "APE [% of path]"
 HELD = "coverage [%]"
 SHOWN_COLUMNS = [name for name in MEANINGS if name in TABLE_METRICS or name == HELD]
 SHOWN_COLUMNS.insert(1, SHARE)
-"""In the order that averages and sequences are shown in."""
+"""Order of the columns for averages and sequences."""
 TABLE_MEANINGS = {
     **MEANINGS,
     HELD: "share of velocity errors jointly inside the bounds, with a 95 % interval; not given "
@@ -38,7 +38,7 @@ TABLE_MEANINGS = {
 
 
 def tidy(outcome: Outcome) -> pd.DataFrame:
-    """One row an estimate, plain numbers; a walk that fell is one row without a filter."""
+    """One row per estimate, plain numbers; a walk that fell is one row without a filter."""
     rows = []
     for cell, result in outcome.cells.items():
         walk = result.walk
@@ -72,20 +72,20 @@ def tidy(outcome: Outcome) -> pd.DataFrame:
 
 
 def shown_first(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
-    """The rows of the first gamma, inputs and method, and those of filters that use none."""
+    """Rows of the first gamma, inputs and method, and those of filters without these."""
     first = {"gamma": experiment.gammas[0]}
     first |= {name: getattr(experiment.learning, name) for name in ("inputs", "method")}
     return _of(rows[rows["filter"].notna()], first)
 
 
 def _of(rows: pd.DataFrame, values: Mapping[str, object]) -> pd.DataFrame:
-    """The rows whose columns have these values or are empty."""
+    """Rows whose columns have these values or are empty."""
     mine = [rows[name].isna() | (rows[name] == value) for name, value in values.items()]
     return pd.DataFrame(rows[np.logical_and.reduce(mine)])
 
 
 def averages(rows: pd.DataFrame) -> pd.DataFrame:
-    """By condition, robot and filter: means over test sequences, and their spread over seeds."""
+    """Means over test sequences, and their spread over seeds, by condition, robot and filter."""
     test = rows[rows["role"] == "test"]
     found = []
     for (condition, robot, name), part in test.groupby(
@@ -101,7 +101,7 @@ def averages(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def per_sequence(rows: pd.DataFrame) -> pd.DataFrame:
-    """By sequence and filter, the mean and spread over seeds; test sequences in bold."""
+    """Mean and spread over seeds, by sequence and filter; test sequences in bold."""
     found = []
     for (name, role, filter_name), part in rows.groupby(["sequence", "role", "filter"], sort=False):
         row: dict[str, object] = {
@@ -116,7 +116,7 @@ def per_sequence(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def sweep(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
-    """Averages over test sequences by gamma, on the seeds that were run at every gamma."""
+    """Averages over test sequences by gamma, for the seeds that were run at every gamma."""
     gammas = sorted({*experiment.gammas, *experiment.sweep.gammas})
     seeds = experiment.sweep.seeds or experiment.seeds
     first = {name: getattr(experiment.learning, name) for name in ("inputs", "method")}
@@ -139,7 +139,7 @@ def sweep(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
 def by_learning(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
     """Averages over test sequences by observer inputs and calibration method, at the first gamma.
 
-    Of the filters that use observers; empty where the experiment has one learning only.
+    For the filters with observers; empty where the experiment has one learning only.
     """
     if len(experiment.learnings) == 1:
         return pd.DataFrame()
@@ -157,7 +157,7 @@ def by_learning(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
 
 
 def published(name: str) -> tuple[pd.DataFrame, pd.DataFrame, str]:
-    """A suite's figures as the paper prints them: rows, averages, and the note on both.
+    """A suite's figures as printed in the paper: rows, averages, and the note on both.
 
     The averages are the printed ones and those recomputed from the rows, by method.
     """
@@ -178,7 +178,7 @@ def published(name: str) -> tuple[pd.DataFrame, pd.DataFrame, str]:
 
 
 def with_spread(values: pd.Series) -> str | None:
-    """Mean and, of more than one value, the standard deviation, as text."""
+    """Mean and, for more than one value, standard deviation, as text."""
     values = values.dropna()
     if values.empty:
         return None
@@ -193,13 +193,13 @@ def _rounded(value: float, scale: float) -> str:
 
 
 def _lost(part: pd.DataFrame) -> str | None:
-    """On how many of these walks the filter was lost, as text; None where on none."""
+    """Number of these walks on which the filter was lost, as text; None without any."""
     lost = int(part[LOST_FROM].notna().sum())
     return f"{lost} of {len(part)}" if lost else None
 
 
 def _marked(found: list[dict[str, object]], order: list[str]) -> pd.DataFrame:
-    """The rows in this order, with the column of lost walks where there are any."""
+    """The rows with these columns, and that of lost walks if there are any."""
     lost = any(row[LOST] for row in found)
     return pd.DataFrame(found, columns=[*order, LOST] if lost else order)
 

@@ -38,15 +38,15 @@ def write_calibration_report(
 ) -> list[Section]:
     """Write report.html, its tables (.md, .csv) and the mixing curve into a folder.
 
-    Raises SurefootError where a log does not suit the observer.
+    Raises SurefootError where a log does not match the observer.
 
     Args:
         out: the folder.
         observer: that was calibrated.
         bounds: its bounds.
         calibration: log of the bounds.
-        logs: walks, as recorded, to judge the bounds by; for one without a reference there is the
-            alarm alone.
+        logs: walks, as recorded, to evaluate the bounds on; one without a reference only has the
+            alarm.
         force: whether files may be replaced.
         page: page of results (Markdown) to write as well.
     """

@@ -1,4 +1,4 @@
-"""The tables of a calibration: methods, walks and cases, each beside what it covers."""
+"""Tables of a calibration: methods, walks and cases, each with its coverage."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -32,8 +32,10 @@ from surefoot.sim.robot import Robot
 
 @dataclass(frozen=True)
 class CalibratedWalk:
-    """One log under one calibration. errors (M, 3) at `rows` of the log, empty without reference;
-    x (M', C) the observer's scaled inputs; t and squared (M",) those of the innovations.
+    """One log under one calibration.
+
+    errors (M, 3) at `rows` of the log, empty without a reference; x (M', C) the observer's scaled
+    inputs; t and squared (M",) those of the innovations.
     """
 
     log: Log
@@ -65,7 +67,7 @@ def evaluate_walk(
 
 
 def methods_table(calibration: CalibratedWalk, tests: Sequence[CalibratedWalk]) -> pd.DataFrame:
-    """Every method from the same errors: its half widths, volume, and coverage of the tests."""
+    """Every method with the same errors: half widths, volume, and coverage of the tests."""
     bounds = calibration.bounds
     judged = [walk.errors for walk in tests if len(walk.errors)]
     rows: list[dict[str, object]] = []
@@ -100,7 +102,7 @@ def _region_row(region: Region, judged: Sequence[np.ndarray], note: str) -> dict
 
 
 def sequence_table(calibration: CalibratedWalk, others: Sequence[CalibratedWalk]) -> pd.DataFrame:
-    """One row a walk: coverage with interval, the worst case, the alarm and two ways to widen."""
+    """One row per walk: coverage with interval, the worst case, the alarm and two ways to widen."""
     usual = block_sizes(calibration.squared)
     rows: list[dict[str, object]] = []
     for walk in (calibration, *others):
@@ -154,12 +156,12 @@ def _kept(
 
 
 def _inputs_of_errors(walk: CalibratedWalk) -> np.ndarray:
-    """Inputs (M, C) at the rows that have errors: those whose reference was measured."""
+    """Inputs (M, C) at the rows with errors, where the reference was measured."""
     return walk.x[np.searchsorted(observer_rows(walk.log), walk.rows)]
 
 
 def percent(share) -> str:
-    """A share in per cent, to one decimal."""
+    """A share in percent, to one decimal."""
     return f"{100 * share:.1f}"
 
 

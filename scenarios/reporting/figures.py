@@ -1,4 +1,4 @@
-"""Figures of one walk: where it went, how high, how fast, and how wrong each estimator was."""
+"""Figures of one walk: path, height, velocity, and the error of each estimator."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
@@ -42,10 +42,10 @@ def trajectories(
     Args:
         log: the walk, with a reference.
         errors: estimator name -> its aligned path
-        (surefoot.scenarios.estimate.error_series.error_series).
-        patches: things with center_x, center_y, size_x, size_y (m), mu, and perhaps yaw (rad).
-        title: said above the figure.
-        fields: ground of the user's own, drawn by its contour lines.
+            (surefoot.scenarios.estimate.error_series.error_series).
+        patches: objects with center_x, center_y, size_x, size_y (m), mu, and optionally yaw (rad).
+        title: of the figure.
+        fields: height fields of the ground, drawn by contour lines.
     """
     everywhere = np.concatenate([log.ref_p[:, :2], *[e.p_GI[:, :2] for e in errors.values()]])
     span = np.maximum(np.ptp(everywhere, axis=0), 1.0)
@@ -85,7 +85,7 @@ def trajectories(
 def height_figure(
     log: Log, errors: Mapping[str, ErrorSeries], title: str = "Height of the IMU over time"
 ) -> Figure:
-    """Height of truth and estimates over time: vertical drift, which is unobservable."""
+    """Height of truth and estimates over time, whose drift is unobservable."""
     figure, axes = new_figure(size=(7.5, 3.6))
     ax = axes[0, 0]
     t, z = log.t, log.ref_p[:, 2]
@@ -111,15 +111,15 @@ def velocity_figure(
     window: tuple[float, float] | None = None,
     title: str = "Body velocity: truth, observer and its bounds",
 ) -> Figure:
-    """True and predicted velocity of the IMU in its own axes, one panel an axis.
+    """True and predicted velocity of the IMU in its own axes, one panel per axis.
 
     Args:
         log: the walk, with a reference.
         prediction: an observer's rows (M,) of the log and v_I (M, 3) m/s there.
         epsilon: half widths of the bounds, (3,) or (M, 3) m/s.
-        window: first and last second shown; the middle ten of a long walk where not given. The
-            shares in the panel titles are of the whole walk all the same.
-        title: said above the figure.
+        window: first and last second shown, by default the middle ten of a long walk. The shares in
+            the panel titles are of the whole walk in any case.
+        title: of the figure.
     """
     rows = np.asarray(prediction.rows)
     t, ok = log.t[rows], log.ref_ok[rows]
@@ -192,7 +192,7 @@ def _middle(t: np.ndarray) -> tuple[float, float]:
 
 
 def _draw_contours(ax, field: HeightField) -> None:
-    """Where a height field ends, and six lines of equal height in it."""
+    """Draw the boundary of a height field and six contour lines."""
     x0, x1, y0, y1 = field.rectangle
     edge = Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor=_HILLS, linewidth=0.6)
     edge.set_zorder(0.4)
@@ -204,7 +204,9 @@ def _draw_contours(ax, field: HeightField) -> None:
 
 
 def _draw_patch(ax, patch, low: np.ndarray, high: np.ndarray) -> None:
-    """A patch as a coloured, hatched rectangle that names its friction where there is room."""
+    """Draw a patch as a coloured, hatched rectangle, labelled with its friction if there is
+    room.
+    """
     ax.add_patch(
         Rectangle(
             (patch.center_x - 0.5 * patch.size_x, patch.center_y - 0.5 * patch.size_y),

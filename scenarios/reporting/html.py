@@ -1,4 +1,4 @@
-"""A report as one HTML file that needs nothing else: pictures, style and words all inside."""
+"""A report as one self-contained HTML file, with style and pictures inside."""
 
 from base64 import b64encode
 from collections.abc import Sequence
@@ -50,7 +50,7 @@ figcaption { font-size: .9rem; color: #444; max-width: 46rem; margin-top: .3rem;
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure (or the bytes of a PNG), and what the reader should see in it."""
+    """A figure (or the bytes of a PNG), and a caption that says what it shows."""
 
     figure: Figure | bytes
     caption: str

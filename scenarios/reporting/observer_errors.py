@@ -1,4 +1,4 @@
-"""An observer's errors where it was trained and elsewhere: statistics, words and figures."""
+"""Errors of an observer in training and elsewhere: statistics, description and figures."""
 
 from collections.abc import Sequence
 
@@ -10,22 +10,22 @@ from surefoot.scenarios.reporting.html import Picture, Section
 from surefoot.scenarios.reporting.observer_figures import error_bounds, error_distributions
 
 LEVEL = 0.01
-"""Significance level at which a Gaussian is rejected."""
+"""Significance level at which normality is rejected."""
 
 
 def error_section(
     train: np.ndarray, test: np.ndarray, epsilon: np.ndarray, gamma: float, where: str = "test"
 ) -> Section:
-    """A report's section on errors in training and on another log.
+    """Section of a report on errors in training and on another log.
 
     Raises SurefootError where either has too few independent errors.
 
     Args:
-        train: (N, 3) [m/s] in I, kept with every observer: Observer.errors.
+        train: (N, 3) [m/s] in I, stored with every observer: Observer.errors.
         test: (M, 3) [m/s] in I.
         epsilon: (3,) [m/s], the bounds.
         gamma: their joint level.
-        where: what the test log is called.
+        where: name of the test log.
     """
     of_train, of_test = error_statistics(train), error_statistics(test)
     rows = [*error_table(of_train, "training"), *error_table(of_test, where)]
@@ -53,7 +53,7 @@ def error_figures(
 
 
 def error_table(found: Sequence[AxisErrors], where: str) -> list[dict[str, object]]:
-    """A row an axis; p-values are those of a Gaussian."""
+    """One row per axis; p-values are of normality."""
     return [
         {
             "errors": where,
@@ -74,7 +74,7 @@ def error_table(found: Sequence[AxisErrors], where: str) -> list[dict[str, objec
 def error_words(
     train: Sequence[AxisErrors], test: Sequence[AxisErrors], where: str = "test"
 ) -> str:
-    """The statistics in words, a sentence or two an axis."""
+    """Describe the statistics, in a sentence or two per axis."""
     sentences = []
     for (_, word), a, b in zip(NAMED_AXES, train, test, strict=True):
         sentences.append(
@@ -90,7 +90,7 @@ def error_words(
 
 
 def bound_words(train: np.ndarray, test: np.ndarray, epsilon: np.ndarray, gamma: float) -> str:
-    """Whether one bound holds on both."""
+    """Describe whether one bound holds on both."""
     inside = [100 * float((np.abs(e) <= epsilon).all(axis=1).mean()) for e in (train, test)]
     kept = [share >= 100 * gamma for share in inside]
     verdict = {

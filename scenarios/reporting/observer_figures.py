@@ -17,17 +17,17 @@ def error_distributions(
     gamma: float,
     title: str = "Observer's velocity errors on its training walk and on another one",
 ) -> Figure:
-    """Histograms with fitted Gaussians and the bounds, and below them quantiles against a Gaussian.
+    """Histograms with fitted Gaussians and the bounds, and quantile-quantile plots below.
 
     The paper's figure "errors_motivation": an error that is Gaussian in training need not be so
     elsewhere.
 
     Args:
-        train: errors (N, 3) in I, m/s, on the walk that the observer was trained on.
+        train: errors (N, 3) in I, m/s, on the observer's training walk.
         test: errors (M, 3) in I, m/s, on another walk.
         epsilon: (3,) m/s, calibrated half widths.
-        gamma: joint level the bounds are meant to hold at.
-        title: said above the figure.
+        gamma: joint level of the bounds.
+        title: of the figure.
     """
     figure, axes = new_figure(2, 3, size=(9.5, 5.8), ratios=[1.25, 1.0])
     sets = (("Training", train, TRAIN), ("Test", test, TEST))
@@ -130,8 +130,8 @@ def mixing_curve(
 ) -> Figure:
     """The beta-mixing coefficient of each axis over the lag, with the spacing K marked.
 
-    Bold lines are what exceeds the estimator's own floor, which is what K is read from; pale ones
-    are the histogram estimate as it is. `rate` in Hz is that of the samples.
+    Bold lines are the excess over the estimator's floor, from which K is determined; pale ones are
+    the raw histogram estimate. `rate` [Hz] is that of the samples.
     """
     figure, axes = new_figure(size=(7.0, 4.0))
     ax = axes[0, 0]

@@ -1,9 +1,8 @@
 """One colour and one name for each estimator, in every figure, recording and report.
 
-The colours of the bundled estimators are those that a search found furthest apart, seen with and
-without red-green blindness, of those legible on the white of a page and on the dark background of
-the viewer; variants of one estimator differ in line style too, so that a picture printed in grey
-can still be read.
+The colours of the bundled estimators were found by a search for maximum distance, with and without
+red-green blindness, among those legible on a white page and on the dark background of the viewer.
+Variants of one estimator also differ in line style, so that a figure is readable in grey.
 """
 
 from zlib import crc32
@@ -25,31 +24,31 @@ _STYLES: dict[str, tuple[str, str, str]] = {
     "leg (declared model)": ("Leg IEKF, declared model", "#8CBBEA", "--"),
     "leg (effect added)": ("Leg IEKF, effect added", "#2F86D1", "-"),
 }
-"""Beside the estimators, which say their own: one estimator under two models."""
+"""In addition to the estimators, which have their own: one estimator under two models."""
 _SIDES = {"before": "--", "after": "-"}
 _SPARE_COLORS = ("#AA4499", "#5B6BC0", "#6B8E23", "#A0522D", "#C71585", "#20868F")
 _SPARE_STYLES = ("-", "--", "-.", ":")
 
 
 def estimator_label(name: str) -> str:
-    """The words a reader sees for the estimator `name`; an unknown name is its own label."""
+    """Label of the estimator `name`; an unknown name is its own label."""
     base, side = _side(name)
     label = _style(base)[0] or base
     return f"{label}, {side}" if side else label
 
 
 def estimator_color(name: str) -> str:
-    """The colour '#RRGGBB' of the estimator `name`, the same in every picture.
+    """Colour '#RRGGBB' of the estimator `name`, the same in every figure.
 
-    One that has no colour of its own gets a spare one chosen by its name alone, so that it keeps
-    it from one run to the next.
+    One without its own colour gets a spare one determined by its name, so that it is the same in
+    every run.
     """
     name, _ = _side(name)
     return _style(name)[1] or _SPARE_COLORS[crc32(name.encode()) % len(_SPARE_COLORS)]
 
 
 def estimator_line(name: str) -> str:
-    """The matplotlib line style of the estimator `name`: dashed before, solid after."""
+    """Matplotlib line style of the estimator `name`: dashed before, solid after."""
     name, side = _side(name)
     if side:
         return _SIDES[side]
@@ -58,7 +57,7 @@ def estimator_line(name: str) -> str:
 
 
 def _style(name: str) -> tuple[str, str, str]:
-    """Label, colour and line that an estimator says of itself; empty where it says nothing."""
+    """Label, colour and line that an estimator declares; empty if it declares none."""
     if name in _STYLES:
         return _STYLES[name]
     if name not in ESTIMATORS:
@@ -68,13 +67,13 @@ def _style(name: str) -> tuple[str, str, str]:
 
 
 def _side(name: str) -> tuple[str, str]:
-    """An estimator's name and which of two worlds it ran in: "leg before" is leg, before."""
+    """Name of an estimator and of the case in which it ran: "leg before" is leg, before."""
     base, _, side = name.rpartition(" ")
     return (base, side) if side in _SIDES else (name, "")
 
 
 def leg_color(name: str) -> str:
-    """The colour '#RRGGBB' of a leg; of one that is no quadruped's, chosen by its name."""
+    """Colour '#RRGGBB' of a leg; if it is no quadruped's, determined by its name."""
     return _LEG_COLORS.get(name) or _SPARE_COLORS[crc32(name.encode()) % len(_SPARE_COLORS)]
 
 

@@ -1,4 +1,4 @@
-"""The look that all figures share, and the way a figure becomes a PNG."""
+"""Common style of all figures, and their conversion to PNG."""
 
 from collections.abc import Sequence
 from io import BytesIO
@@ -39,14 +39,14 @@ def new_figure(
     share_x: bool = False,
     ratios: Sequence[float] | None = None,
 ) -> tuple[Figure, np.ndarray]:
-    """A figure and its axes (rows, columns); no window, no global state.
+    """Create a figure and its axes (rows, columns), without a window or global state.
 
     Args:
         rows: of axes.
         columns: of axes.
         size: width and height [inches].
         share_x: whether axes share x.
-        ratios: heights of the rows, relative, or None for equal ones.
+        ratios: relative heights of the rows, or None for equal ones.
     """
     with rc_context(_STYLE):
         figure = Figure(figsize=size, dpi=_DPI, layout="constrained")
@@ -57,15 +57,15 @@ def new_figure(
 
 
 def set_title(ax: Axes, text: str, size: float = 10.5) -> None:
-    """A title that starts where the axes start."""
+    """Set a title aligned with the left end of the axes."""
     ax.set_title(text, loc="left", fontsize=size, color=INK)
 
 
 def label_decades(axis: Axis) -> None:
-    """Labels of a logarithmic axis, once its data are drawn: plain numbers, as many as have room.
+    """Label a logarithmic axis, after plotting, with as many plain numbers as there is room for.
 
-    A decade has 1, 2 and 5 where the axis shows no more than a decade and a half, 1 and 3 up to
-    three, else 1 alone; matplotlib's own labels within a decade run into each other.
+    1, 2 and 5 in each decade if the axis covers at most a decade and a half, 1 and 3 up to three,
+    else 1 only; matplotlib's own labels within a decade overlap.
     """
     low, high = axis.get_view_interval()
     decades = float(np.log10(high / low))
@@ -76,7 +76,7 @@ def label_decades(axis: Axis) -> None:
 
 
 def legend_below(figure: Figure, ax: Axes, columns: int = 4) -> None:
-    """One legend under the whole figure, so that it hides no data."""
+    """Add one legend below the whole figure, where it hides no data."""
     handles, labels = ax.get_legend_handles_labels()
     if labels:
         figure.legend(

@@ -1,4 +1,4 @@
-"""One table in three dresses: Markdown, CSV and HTML, with the same numbers in each."""
+"""Tables as Markdown, CSV and HTML, with the same numbers in each."""
 
 from __future__ import annotations
 
@@ -34,14 +34,16 @@ def metrics_row(metrics: Metrics) -> dict[str, float]:
 
 
 def as_frame(table: Table) -> pd.DataFrame:
-    """A data frame, or a list of rows (column -> value), as a data frame; the index is dropped."""
+    """A data frame, or a list of rows (column -> value), as a data frame without its index."""
     if isinstance(table, pd.DataFrame):
         return table.reset_index(drop=True)
     return pd.DataFrame(list(table))
 
 
 def cell(value: object, digits: int = 3) -> str:
-    """A value as a reader wants it: so many decimals, fewer for large numbers, a dash for none."""
+    """Format a value for a reader: with `digits` decimals, fewer for large numbers, a dash for
+    none.
+    """
     if value is None or value is pd.NA or (isinstance(value, float) and value != value):
         return "–"
     if isinstance(value, bool | np.bool_):
@@ -57,7 +59,7 @@ def cell(value: object, digits: int = 3) -> str:
 
 
 def to_markdown(table: Table, digits: int = 3) -> str:
-    """A Markdown table, numbers to the right, columns padded so that the source reads well too."""
+    """A Markdown table with right-aligned numbers, padded so that the source is readable too."""
     frame = as_frame(table)
     header = [_pipe(str(name)) for name in frame.columns]
     rows = [[_pipe(cell(v, digits)) for v in row] for row in frame.itertuples(index=False)]
@@ -75,14 +77,16 @@ def to_markdown(table: Table, digits: int = 3) -> str:
 
 
 def to_csv(table: Table) -> str:
-    """Comma-separated values at full precision, with a header and nothing for what is missing."""
+    """Comma-separated values at full precision, with a header and empty cells for missing
+    values.
+    """
     return as_frame(table).to_csv(index=False, lineterminator="\n")
 
 
 def to_html(table: Table, digits: int = 3) -> str:
     """An HTML table with every header and cell escaped; numeric columns have the class "number".
 
-    A cell that Markdown shows in bold (**so**) is bold here too.
+    A cell that is bold in Markdown (**so**) is bold here too.
     """
     frame = as_frame(table)
     classes = [' class="number"' if numeric else "" for numeric in _numeric(frame)]
@@ -105,7 +109,9 @@ def _numeric(frame: pd.DataFrame) -> list[bool]:
 
 
 def _is_number(value: object) -> bool:
-    """A number, or one as text with what follows it: "0.12 ± 0.03", "80.1 (75–86)", "**0.1**"."""
+    """Whether a value is a number, possibly as text with additions: "0.12 ± 0.03", "80.1 (75–86)",
+    "**0.1**".
+    """
     if isinstance(value, str):
         number = r"(\*\*)?-?[\d.]+(e-?\d+)?( ± [\d.]+)?( \([\d.–-]+\))?(\*\*)?"
         return re.fullmatch(number, value) is not None

@@ -1,1 +1,1 @@
-"""Studies that measure surefoot itself."""
+"""Studies of surefoot itself."""

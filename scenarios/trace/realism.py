@@ -58,23 +58,21 @@ def realism(
 ) -> tuple[WalkComparison, ...]:
     """Compare and write realism.json, realism.csv, drift.csv, table.md and report.html into `out`.
 
-    Compared are walks of the robot as drawn and, where effects or `walked` are given, of the robot
-    with these.
+    Compares walks of the robot as drawn and, if effects or `walked` are given, of the robot with
+    these. Raises SurefootError where the log lacks a column or has too few strides, where the
+    simulated robot falls at every pace, and where a file exists and `force` is not given.
 
     Args:
         log: the measured log, with IMU, joint angles, contacts and reference.
         robot: as declared.
         out: folder.
-        effects: that the simulated robot has; those of `walked` where left out.
+        effects: of the simulated robot, by default those of `walked`.
         walked: gait, sensors and effects measured on a robot's walk.
-        walker: another robot to simulate; what was measured is scaled to it (`sim.effects.carry`).
+        walker: another robot to simulate; measured values are scaled to it (`sim.effects.carry`).
         seed: of the walks and of the intervals.
         page: page of results (Markdown) to write as well.
         force: overwrite the files.
         progress: called with the share done, 0 to 1.
-
-    Raises SurefootError where the log lacks a column or has too few strides, where the simulated
-    robot falls at every pace, and where a file exists and `force` is not given.
     """
     out = Path(out)
     check_seed(seed)
@@ -123,9 +121,9 @@ def compare_walks(
         log: the measured log.
         robot: as declared.
         words: name of the simulated robot in the report, such as "as drawn".
-        effects: that it has; those of `walked` where left out.
-        walked: measured gait and sensors that it walks with; the plain ones where left out.
-        walker: another robot to simulate; what was measured is scaled to it.
+        effects: of the simulated robot, by default those of `walked`.
+        walked: measured gait and sensors; by default the plain ones.
+        walker: another robot to simulate; measured values are scaled to it.
         seed: of the walks and of the intervals.
         progress: called with the share done, 0 to 1.
     """
@@ -139,7 +137,7 @@ def compare_walks(
         speed, turn = (growth(CARD_DIMENSIONS[unit], *scales) for unit in ("m/s", "rad/s"))
         style = style_of(style, walker, speed, turn)
         effects = carried(effects, *scales)
-        # The model that its walks are seen by has point feet where the measured robot's has.
+        # Evaluate its walks with point feet if the measured robot's model has them.
         has_radius = robot.foot_radius.max() > 0.0
         simulated, declared = walker, replace(walker, foot_radius=walker.foot_radius * has_radius)
     scenario, poised = replica(style, simulated, "replica")
@@ -159,8 +157,9 @@ def compare_walks(
 
 
 def seen_as(log: Log, measured: Log, seed: Sequence[int]) -> Log:
-    """A simulated log with only the optional columns that a measured log has, and with a reference
-    as coarse as its one."""
+    """A simulated log with only the optional columns of a measured log, and an equally coarse
+    reference.
+    """
     groups = {"dq": "dq_", "tau": "tau_", "ref_v": "ref_v_", "force": "force_"}
     lacking = tuple(prefix for group, prefix in groups.items() if not measured.has(group))
     kept = [c for c in log.frame if not str(c).startswith(lacking)]
@@ -176,12 +175,12 @@ def _walks(
     seed: int,
     progress: Callable[[float], None],
 ) -> tuple[list[Log], float]:
-    """WALKS_EACH walks, all at the fastest of REALISM_PACES at which none falls, and that pace.
+    """WALKS_EACH walks at the fastest of REALISM_PACES at which none falls, and that pace.
 
     Args:
         scenario: at the measured speeds.
         robot: that walks.
-        effects: that it has and that the logs do not declare.
+        effects: of the robot, not declared in the logs.
         seed: of the first walk; the others count up from it.
         progress: called with the share of the walks done at a pace.
     """
@@ -190,7 +189,8 @@ def _walks(
         logs: list[Log] = []
         try:
             for k in range(WALKS_EACH):
-                # Undeclared: the walks are judged by the declared model, as the measured log is.
+                # Undeclared, since the walks are evaluated with the declared model, like the
+                # measured log.
                 paced = slower(scenario, pace)
                 logs.append(walk(paced, robot, seed + k, effects, declared=False))
                 progress((k + 1) / WALKS_EACH)

@@ -1,6 +1,6 @@
-"""Drift of the leg filter on measured and simulated walks: are they equally hard for it?
+"""Drift of the leg filter on measured and simulated walks, to compare their difficulty.
 
-The drift only judges a simulated robot. Its effects and gait are chosen by `trace` and by the
+The drift only evaluates a simulated robot. Its effects and gait are chosen by `trace` and the
 realism card, never by this comparison.
 """
 
@@ -17,7 +17,7 @@ from surefoot.sim.robot import Robot
 
 FILTER = "leg"
 WITHIN = 0.15
-"""Share of the measured drift by which the simulated drift may differ; set beforehand."""
+"""Largest difference of the simulated from the measured drift, as a share of it; set beforehand."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,9 @@ class Drift:
 
 
 def leg_drifts(found: WalkComparison) -> tuple[Drift, ...]:
-    """The drift with feet as the measured log declares them and, where it differs, with the foot
-    radius of the robot's file."""
+    """The drift with feet as in the measured log's model and, if different, with the foot radius of
+    the robot's file.
+    """
     views = (found.measured, *found.simulated)
     drifts = []
     for feet in ("as declared", "as in the robot's file"):
@@ -72,7 +73,7 @@ def with_own_feet(robot: Robot) -> Robot:
 
 
 def drift_table(found: Sequence[WalkComparison]) -> list[dict[str, str | float]]:
-    """A row for each simulated robot and model of the feet."""
+    """One row per simulated robot and model of the feet."""
     return [
         {
             "simulated robot": one.words,

@@ -65,7 +65,7 @@ def _standing_speed(walks: Sequence[tuple[str, str, Sequence[WalkView]]]) -> Fig
 
 
 def _band(ax, phase: np.ndarray, values: np.ndarray, label: str, color: str) -> None:
-    """Median and middle half of values by phase of stance.
+    """Plot median and middle half of values by phase of stance.
 
     Args:
         ax: to draw on.

@@ -1,4 +1,4 @@
-"""The files that `surefoot trace` writes: trace.json, effects.toml, a report and a recording."""
+"""Output files of `surefoot trace`: trace.json, effects.toml, a report and a recording."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -52,7 +52,7 @@ def write_outputs(found: Trace, robot: Machine, out: Path) -> None:
 
 
 def sections(found: Trace) -> list[Section]:
-    """The report's parts."""
+    """Sections of the report."""
     parts = [
         Section(
             "Verdict",
@@ -124,7 +124,7 @@ def sections(found: Trace) -> list[Section]:
 
 
 def _filters(filters: Filters, title: str, words: str) -> list[Section]:
-    """One table: a row a filter, errors before and after."""
+    """A table with one row per filter: errors before and after."""
     rows = [
         {"filter": name}
         | {
@@ -138,7 +138,7 @@ def _filters(filters: Filters, title: str, words: str) -> list[Section]:
 
 
 def _levels(channels: Mapping[str, ChannelLevel]) -> list[dict[str, Any]]:
-    """A row a channel: what is left before and after, and its noise floor."""
+    """One row per channel: residual before and after, and its noise floor."""
     return [
         {
             "channel": name,
@@ -153,7 +153,7 @@ def _levels(channels: Mapping[str, ChannelLevel]) -> list[dict[str, Any]]:
 
 
 def channel_rows(levels: Mapping[str, ChannelLevel]) -> dict[str, dict[str, Any]]:
-    """Each channel as `trace.figures.residuals` takes it."""
+    """Each channel in the form that `trace.figures.residuals` takes."""
     return {
         name: {**vars(level), "label": channels()[name].label} for name, level in levels.items()
     }
@@ -172,7 +172,7 @@ def _sentences(found: Trace) -> list[str]:
 
 
 def _note_lines(notes: Sequence[str]) -> list[str]:
-    """A sentence a note; the channels that lack columns in one."""
+    """One sentence per note; channels that lack columns are combined in one."""
     unused = [note.split(LACKING) for note in notes if LACKING in note]
     lines = [f"Note: {note}." for note in notes if LACKING not in note]
     if unused:
@@ -182,7 +182,7 @@ def _note_lines(notes: Sequence[str]) -> list[str]:
 
 
 def _sizes(found: Sequence[Found]) -> list[dict[str, Any]]:
-    """A row an effect, with its interval in as many digits as tell its ends apart."""
+    """One row per effect, with as many digits as distinguish the ends of its interval."""
     return [
         {
             "effect": f.effect.name,
@@ -197,6 +197,6 @@ def _sizes(found: Sequence[Found]) -> list[dict[str, Any]]:
 
 
 def _gain(candidate: Candidate) -> tuple[float, float, float]:
-    """Share of the residual that a candidate explains, with the ends of its interval."""
+    """Share of the residual that a candidate explains, with its interval."""
     scale = candidate.share / candidate.gain if candidate.gain else 0.0
     return candidate.share, candidate.interval[0] * scale, candidate.interval[1] * scale

@@ -1,4 +1,4 @@
-"""What a trace finds: a diagnosis, and what it changes in the filters."""
+"""Result of a trace: a diagnosis, and its influence on the filters."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,11 +12,14 @@ Filters = dict[str, dict[str, dict[str, float]]]
 
 @dataclass(frozen=True, kw_only=True)
 class Trace(Diagnosis):
-    """A diagnosis, and what its effects change in the filters on the last part of each log.
+    """A diagnosis, and the influence of its effects on the filters on the last part of each log.
 
-    filters: metrics averaged over logs; stretches: each log's estimates, over which they are
-    averaged; unseen_filters: as filters, over whole held-out logs; worse: channels and filters that
-    got worse; motion: what to record so that rival explanations can be told apart.
+    Attributes:
+        filters: metrics averaged over logs.
+        stretches: each log's estimates, over which they are averaged.
+        unseen_filters: the same over whole held-out logs.
+        worse: channels and filters that got worse.
+        motion: what to record to distinguish rival explanations.
     """
 
     filters: Filters

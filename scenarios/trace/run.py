@@ -1,4 +1,6 @@
-"""Close the loop: residual of measured logs -> the effect the model lacks -> before and after."""
+"""Trace measured logs: from their residual to the missing effect, and the errors before and
+after.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -43,8 +45,11 @@ def trace(
 
     A log of more than twenty minutes is traced on blocks of it (`scenarios.trace.long_logs`).
 
+    Raises SurefootError where `out` has such files (without `force`) or a held-out log is also one
+    to fit on.
+
     Args:
-        logs: of one machine; time, IMU, joints, feet, reference and rate are read, nothing else.
+        logs: of one machine. Only time, IMU, joints, feet, reference and rate are read.
         robot: the declared model.
         out: folder for trace.json, effects.toml, report.html and trace.rrd.
         seed: of the bootstrap.
@@ -52,15 +57,14 @@ def trace(
         force: overwrite these files.
         declared: effects that belong to the model and are compensated first. With any sequence,
             even an empty one, the question is what has *changed*: encoder zeros, biases and clocks
-            are then fitted anew for each log and are no effects. So are they for several logs.
+            are then fitted to each log separately and are no effects. The same holds for several
+            logs.
         learnt: observers and bounds for the filters that need them.
-        settings: thresholds and constants; the defaults where left out.
-        holdout: logs of the same machine that no fit sees, on which what was found is judged.
+        settings: thresholds and constants, with defaults.
+        holdout: logs of the same machine, on which the result is judged and nothing is fitted.
         warnings: sentences about the logs, such as implausible values; kept among the notes.
-        since: what runs differed by when nothing had changed, of the trace that found `declared`.
-
-    Raises SurefootError where `out` has such files (no `force`) or a held-out log is also one to
-    fit on.
+        since: variation between runs of the unchanged machine, from the trace that found
+            `declared`.
     """
     out = Path(out)
     if not logs:
@@ -103,8 +107,8 @@ def trace_logs(
         declared: effects already in the model, as in `trace`.
         learnt: observers and bounds for the filters that need them.
         settings: thresholds and constants.
-        holdout: logs that no fit sees.
-        since: what unchanged runs differ by, as in `trace`.
+        holdout: logs on which nothing is fitted.
+        since: variation between unchanged runs, as in `trace`.
     """
     report = progress or (lambda share: None)
     found = diagnose(
@@ -149,8 +153,8 @@ def _filtered(
 ) -> tuple[BeforeAfter, ...]:
     """Every filter on the last `share` (0 to 1) of each log, without and with the effects found.
 
-    Left out are logs of machines on a fixed base or without an IMU, on which no filter runs, and
-    those without a reference, by which none is judged.
+    Omits logs of machines on a fixed base or without an IMU, on which no filter runs, and those
+    without a reference, which cannot be evaluated.
     """
     done: list[BeforeAfter] = []
     for case in cases:

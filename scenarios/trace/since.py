@@ -1,4 +1,4 @@
-"""What runs differed by before anything changed, by the trace that found the declared effects."""
+"""Variation between unchanged runs, from the trace that found the declared effects."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +12,8 @@ from surefoot.sim.effects import Effect
 
 
 def unchanged_beside(effects_file: Path, declared: Sequence[Effect]) -> Unchanged | None:
-    """From the trace.json beside a file of effects, if that trace found these and had runs enough.
+    """Read it from the trace.json beside a file of effects, if that trace found these and had
+    enough runs.
 
     Raises SurefootError where the trace.json is damaged.
     """

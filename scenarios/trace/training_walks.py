@@ -1,4 +1,4 @@
-"""Simulated walks in the style of a measured one, to train and calibrate observers on."""
+"""Simulated walks in the style of a measured one, to train and calibrate observers."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -24,7 +24,7 @@ PACES = (1.0, 0.8, 0.6, 0.4)
 
 @dataclass(frozen=True)
 class TrainingPlan:
-    """How much an observer is trained in simulation."""
+    """Amount of simulated training data."""
 
     walks: int = 8
     seconds: float = 30.0  # of each walk to train on
@@ -36,17 +36,17 @@ DEFAULT_PLAN = TrainingPlan()
 
 
 def simulated_robot(robot: Robot) -> Robot:
-    """The robot that walks in simulation: body and feet of its file, IMU mounted as declared."""
+    """The robot for simulation: body and feet of its file, IMU mounted as declared."""
     return replace(Robot.load(robot.file), name=robot.name, p_BI=robot.p_BI, R_BI=robot.R_BI)
 
 
 def beyond_simulated(
     effects: Sequence[Effect], robot: Robot, simulated: Robot
 ) -> tuple[Effect, ...]:
-    """Effects found with the declared `robot`, as amounts beyond what `simulated` already has.
+    """Effects found with the declared `robot`, less what `simulated` already has.
 
     Only `foot_rolling` differs: a declared model may have point feet, so that the size found is the
-    whole radius, of which the simulated feet have their file's.
+    whole radius, while the simulated feet have that of their file.
     """
     difference = float(np.mean(robot.foot_radius - simulated.foot_radius))
     if abs(difference) < 1e-9:
@@ -66,17 +66,17 @@ def simulate_training(
     gait: GaitOptions = PLAIN_GAIT,
     progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[list[Log], Log]:
-    """Logs to train on, and one to calibrate on, of a robot that has the effects.
+    """Logs to train on, and one to calibrate on, of a robot with the effects.
 
-    In the logs the effects are compensated, as they are for the filters afterwards.
+    The effects are compensated in the logs, as they are for the filters afterwards.
 
     Args:
         style: of the measured walk.
         robot: as declared.
-        effects: that the simulated robot has.
+        effects: of the simulated robot.
         seed: of the walks.
-        plan: how many walks and how long.
-        gait: how the robot walks.
+        plan: number and length of the walks.
+        gait: of the walks.
         progress: called with the share done, 0 to 1.
     """
     simulated = simulated_robot(robot)
@@ -92,9 +92,9 @@ def simulate_training(
 
 
 def rates_as_of(log: Log, measured: Log) -> Log:
-    """A simulated log with joint rates of the same origin as the measured log's.
+    """Give a simulated log joint rates of the same origin as the measured log's.
 
-    Where that logs none, a filter derives them from past angles; they are derived so here too.
+    If that logs none, a filter derives them from past angles; so they are derived here too.
     """
     if measured.has("dq"):
         return log
@@ -106,8 +106,11 @@ def rates_as_of(log: Log, measured: Log) -> Log:
 
 
 def _compensated(walked: Log, simulated: Robot) -> Log:
-    """A simulated log with its effects compensated. Its metadata names the IMU's mounting and the
-    feet's radius after that: an observer stores the mounting that it was trained with."""
+    """Compensate the effects of a simulated log.
+
+    Its metadata names the resulting mounting of the IMU and radius of the feet, since an observer
+    stores the mounting that it was trained with.
+    """
     log, model = declared_model(walked, simulated)
     corrected = {
         "p_BI": model.p_BI.tolist(),
@@ -118,7 +121,7 @@ def _compensated(walked: Log, simulated: Robot) -> Log:
 
 
 def _walk(scenario: Scenario, robot: Robot, seed: int, effects: Sequence[Effect]) -> Log:
-    """The walk at the fastest of PACES at which the robot does not fall."""
+    """Simulate at the fastest of PACES at which the robot does not fall."""
     fallen = None
     for pace in PACES:
         try:

@@ -1,4 +1,4 @@
-"""A measured walk beside simulated ones: what a report of their realism is written from."""
+"""A measured walk with simulated ones, from which a realism report is written."""
 
 from dataclasses import dataclass
 
@@ -8,10 +8,14 @@ from surefoot.models.realism.walk_view import WalkView
 
 @dataclass(frozen=True)
 class WalkComparison:
-    """A measured walk, simulated walks in its manner, and the realism card that compares them.
+    """A measured walk, simulated walks in its style, and the realism card that compares them.
 
-    words: which simulated robot it is, such as "as drawn"; pace: the share of the measured speed at
-    which it walks.
+    Attributes:
+        words: name of the simulated robot, such as "as drawn".
+        measured: the measured walk.
+        simulated: the simulated walks.
+        card: the comparison.
+        pace: speed of the simulated walks relative to the measured one.
     """
 
     words: str

@@ -1,4 +1,4 @@
-"""A trace's result as sentences, for the screen and the report."""
+"""Result of a trace in sentences, for the screen and the report."""
 
 from collections.abc import Mapping, Sequence
 from math import isfinite
@@ -48,18 +48,20 @@ _MOTIONS = {
     "soft_ground": "walk on hard ground",
 }
 _PLURALS = {"joint": "joints", "leg": "legs", "leg_link": "links", "leg_axis": "legs"}
-"""Kind of target (`Effect.targets`) -> the word for several of them."""
+"""Kind of target (`Effect.targets`) -> plural noun."""
 _SCALE = {"rad": (1e3, "mrad"), "m": (1e3, "mm"), "s": (1e3, "ms"), "ratio": (1e2, "%")}
 
 
 def motion_to_distinguish(names: Sequence[str]) -> str:
-    """The motion that would separate effects of these names."""
+    """Motion that would distinguish effects of these names."""
     return "; ".join(dict.fromkeys(_MOTIONS.get(name, "more varied motion") for name in names))
 
 
 def size_in_words(found: Found) -> str:
-    """An effect with its size and interval, in a handy unit: 'encoder_offset FL_thigh +19.8
-    mrad (95 % interval +19.1 .. +20.4)'."""
+    """An effect with its size and interval, in a suitable unit.
+
+    For example 'encoder_offset FL_thigh +19.8 mrad (95 % interval +19.1 .. +20.4)'.
+    """
     one = found.effect
     factor, unit = _SCALE.get(one.unit, (1.0, one.unit))
     low, high = (factor * x for x in found.interval)
@@ -70,8 +72,9 @@ def size_in_words(found: Found) -> str:
 
 
 def target_in_words(one: Effect) -> str:
-    """A target in plain words: 'left' becomes 'of the left legs', 'calf' 'of every calf'; a single
-    joint or leg keeps its name."""
+    """A target in words: 'left' becomes 'of the left legs', 'calf' 'of every calf'; a single joint
+    or leg keeps its name.
+    """
     kind = type(one).targets
     if not type(one).groups or isinstance(kind, tuple):
         return one.target
@@ -83,7 +86,7 @@ def target_in_words(one: Effect) -> str:
 
 
 def unexplained_in_words(found: Trace) -> list[str]:
-    """What the unexplained residual correlates with, its three strongest forms, a line each."""
+    """The three strongest correlations of the unexplained residual, one line each."""
     return [
         f"  {100 * r.share:.0f} % of what is left in {r.channel} {r.column} goes with "
         f"{', '.join(r.regressors)}"
@@ -94,7 +97,7 @@ def unexplained_in_words(found: Trace) -> list[str]:
 
 
 def summary(found: Trace) -> str:
-    """The lines that `surefoot trace` prints."""
+    """The output of `surefoot trace`."""
     lines = [f"verdict: {found.verdict}: {VERDICTS[found.verdict]}"]
     lines += [f"  since {why}" for why in found.reasons]
     lines += [f"  lacks {size_in_words(one)}" for one in found.found]
@@ -160,7 +163,7 @@ def _filter_lines(filters: Filters) -> list[str]:
 
 
 def caution(found: Mapping[str, Any]) -> str:
-    """A warning for those who want to use the effects of a trace.json; "" where none is due."""
+    """Warning for users of the effects of a trace.json; "" where none is due."""
     if found["verdict"] != "none_of_these" or not found["effects"]:
         return ""
     harm = [note for note in found["notes"] if note.endswith("with what was found")]

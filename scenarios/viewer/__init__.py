@@ -1,1 +1,1 @@
-"""rerun recordings and how they are laid out."""
+"""rerun recordings and their layout."""

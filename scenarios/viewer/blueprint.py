@@ -1,7 +1,7 @@
-"""How the viewer lays a recording out: the scene on the left, one question a tab on the right.
+"""Layout of a recording in the viewer: the scene on the left, one topic per tab on the right.
 
-Legends would lie on the curves: plots of a whole walk have room for theirs before its begin, and
-those about the cursor say in their titles which colour is what.
+Legends would cover the curves: plots of a whole walk leave room for theirs before its start, and
+those around the cursor explain the colours in their titles.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ _TRAIL = 10.0  # s of path behind the robot
 _THIN = "band: ±3σ"
 _SHARES = (4, 6, 5, 4)  # heights of the overview's plots: legends need the second's
 EXPLANATION = "What is this?"
-"""The tab that is open at first."""
+"""The tab that is open initially."""
 _AXIS_WORDS = {"x": "forward", "y": "left", "z": "up"}
 _ANGLE_WORDS = {"roll": "about forward", "pitch": "about left", "yaw": "about up"}
 
@@ -43,14 +43,14 @@ def layout(
 
     Args:
         estimators: their names; without any there are no error tabs.
-        eye: (3,) m, where the following camera stands, seen from the robot's place on the ground.
+        eye: (3,) m, position of the following camera relative to the robot's on the ground.
         centre: (3,) m, middle of the walk.
         span: m, its longer side on the ground.
-        times: begin and end of the walk [s], on the recording's timeline.
+        times: start and end of the walk [s], on the recording's timeline.
         has_feet: contacts were written.
         has_slip: slip speeds were written.
         has_update: masses of the coverage update were written.
-        tab: that is open at first.
+        tab: that is open initially.
     """
     shown = shown_at_first(estimators)
     scene = rrb.Vertical(_following(estimators, shown, eye), _map(estimators, shown, centre, span))
@@ -106,13 +106,13 @@ def layout(
 
 
 def _hidden(estimators: Sequence[str], shown: Sequence[str]) -> dict[Any, Any]:
-    """What makes the others invisible, until their eye in the list of the view is clicked."""
+    """Overrides that hide the other estimators until their eye in the view's list is clicked."""
     others = [estimate_path(name) for name in estimators if name not in shown]
     return {path: rrb.EntityBehavior(visible=False) for path in others}
 
 
 def _following(estimators: Sequence[str], shown: Sequence[str], eye) -> rrb.Spatial3DView:
-    """Seen from a frame that moves with the robot without turning, so the robot stays in view."""
+    """View in a frame that moves with the robot without rotating, so the robot stays in view."""
     estimates = [
         f"- /{estimate_path(n)}/{part}"
         for n in estimators
@@ -159,14 +159,14 @@ def _map(estimators: Sequence[str], shown: Sequence[str], centre, span: float) -
 
 
 def _plot(origin: str, name: str, legend: rrb.PlotLegend) -> rrb.TimeSeriesView:
-    """Series under `origin`, a few strides about the time cursor."""
+    """Series under `origin`, a few strides around the time cursor."""
     return rrb.TimeSeriesView(origin=origin, name=name, axis_x=_about_cursor(), plot_legend=legend)
 
 
 def _whole_walk(
     origin: str, name: str, estimators: Sequence[str], times: tuple[float, float]
 ) -> rrb.TimeSeriesView:
-    """Series of estimators under `origin` over the whole walk, its legend before its begin."""
+    """Series of estimators under `origin` over the whole walk, with the legend before its start."""
     start, end = times
     return rrb.TimeSeriesView(
         origin=origin,
@@ -206,6 +206,6 @@ def _about_cursor() -> rrb.TimeAxis:
 
 
 def _seconds(start: float, end: float) -> rr.TimeRange:
-    """Fixed times of the recording's timeline, of seconds or of the calendar."""
+    """Fixed times on the recording's timeline, in seconds or calendar time."""
     boundary = rrb.TimeRangeBoundary
     return rr.TimeRange(start=boundary.absolute(seconds=start), end=boundary.absolute(seconds=end))

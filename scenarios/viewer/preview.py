@@ -1,4 +1,4 @@
-"""Recordings of what has none yet: a course before it is walked, and a log."""
+"""Recordings of a course before it is walked, and of a log."""
 
 from pathlib import Path
 
@@ -22,7 +22,9 @@ COURSE_RATE = 50.0  # Hz, of the poses of a preview
 def write_preview(
     source: str, path: Path, robot: str | None = None, seed: int = 0, force: bool = False
 ) -> None:
-    """Write the recording of a log, or of a scenario's course as the seed draws it.
+    """Write the recording of a log, or of a scenario's course as drawn with the seed.
+
+    Raises SurefootError for anything else, or where it lacks what a recording shows.
 
     Args:
         source: a log (.parquet), or a scenario's file or bundled name.
@@ -30,8 +32,6 @@ def write_preview(
         robot: name or file, instead of that of the log or the scenario.
         seed: of the course and its ground.
         force: whether a file may be replaced.
-
-    Raises SurefootError for what is neither, or lacks what a recording shows.
     """
     if Path(source).suffix == ".parquet":
         log = Log.read(source)
@@ -49,7 +49,7 @@ def write_preview(
 
 
 def _course_log(made: Plan) -> Log:
-    """The robot in its home pose, carried along the course over the ground."""
+    """The robot in its home pose, moved along the course over the ground."""
     course = made.course
     ticks = np.searchsorted(course.t, np.arange(SETTLE, course.t[-1], 1.0 / COURSE_RATE))
     x, y, yaw = course.pose[ticks].T

@@ -1,4 +1,4 @@
-"""The 3-D half of a recording: ground, robot, footprints, and each estimator's pose."""
+"""The 3-D part of a recording: ground, robot, footprints, and each estimator's pose."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -49,33 +49,35 @@ _ABOVE = 0.01  # m, by which what is drawn on the ground lies above it
 
 
 def time_column(t: np.ndarray) -> rr.TimeColumn:
-    """The recording's one timeline, "time": the log's own t, in s since the epoch if it is that."""
+    """The recording's only timeline, "time": the log's t, as calendar time if it is seconds since
+    the epoch.
+    """
     if len(t) and t[0] > 1e8:
         return rr.TimeColumn("time", timestamp=t)
     return rr.TimeColumn("time", duration=t)
 
 
 def estimate_path(name: str) -> str:
-    """The entity of an estimator in the scene; any name will do."""
+    """Entity of an estimator in the scene, for any name."""
     return f"world/estimates/{rr.escape_entity_path_part(name)}"
 
 
 def write_ground(
     stream: rr.RecordingStream, corners: tuple[np.ndarray, np.ndarray], ground: Ground
 ) -> None:
-    """The ground at /world/ground/friction_<mu>/..., and a label on each patch.
+    """Write the ground at /world/ground/friction_<mu>/..., and a label on each patch.
 
     Args:
         stream: the recording.
-        corners: lower and upper (3,) corner of the walk, m; the floor ends a little beyond it.
-        ground: as it was walked on, after its seed drew patches and bumps.
+        corners: lower and upper (3,) corner of the walk, m; the floor extends a little beyond it.
+        ground: as walked on, with patches and bumps drawn by its seed.
     """
     reach = float(np.abs(np.concatenate([c[:2] for c in corners])).max())
     layers = (*ground.strips, *ground.fields)
     edges = [abs(edge) for layer in layers for edge in layer.rectangle]
     half = min(ground.half_size, max(reach, *edges, 0.0) + _FLOOR_MARGIN)
     spec = mujoco.MjSpec()
-    # The very tiles of the walk's world, but for height fields of very many points.
+    # The tiles of the walk's world, except for very large height fields.
     add_ground(spec, replace(thinned(ground), half_size=half))
     model = spec.compile()
     frictions = np.round(model.geom_friction[:, 0], 2)
@@ -103,7 +105,7 @@ def write_ground(
 
 
 def _grid(ground: Ground, half: float) -> rr.LineStrips3D:
-    """Lines on the ground a metre apart, to +-half [m]."""
+    """Lines on the ground, a metre apart, to +-half [m]."""
     level = not (ground.strips or ground.fields)
     places = _GRID * np.arange(np.ceil(-half / _GRID), np.floor(half / _GRID) + 1.0)
     along = np.array([-half, half]) if level else np.arange(-half, half, _GRID_STEP)
@@ -116,7 +118,7 @@ def _grid(ground: Ground, half: float) -> rr.LineStrips3D:
 
 
 def write_shadow(stream: rr.RecordingStream, log: Log, robot: Robot, ground: Ground) -> None:
-    """The trunk's shadow on the ground straight below it."""
+    """Write the trunk's shadow on the ground vertically below it."""
     rows = np.arange(0, len(log.t), max(1, round(log.rate / POSE_RATE)))
     R_GB = log.ref_R_GI[rows] @ robot.R_BI.T
     p = log.ref_p[rows] - R_GB @ robot.p_BI
@@ -132,7 +134,7 @@ def write_shadow(stream: rr.RecordingStream, log: Log, robot: Robot, ground: Gro
 
 
 def write_robot(stream: rr.RecordingStream, log: Log, robot: Robot) -> None:
-    """The robot at its reference pose: one transform column a link, its shapes once."""
+    """Write the robot at its reference pose: one transform column per link, its shapes once."""
     model = robot.spec().compile()
     base = model.body(robot.base_name).id
     joints = np.array([model.joint(name).id for name in robot.joint_names])
@@ -159,7 +161,9 @@ def write_robot(stream: rr.RecordingStream, log: Log, robot: Robot) -> None:
 
 
 def write_footprints(stream: rr.RecordingStream, log: Log, robot: Robot) -> None:
-    """A dot wherever a foot stood, magenta where it slipped; needs contacts and a reference."""
+    """Write a dot at each foothold, magenta where the foot slipped; needs contacts and a
+    reference.
+    """
     contact, t = log.contact, log.t
     feet_G = log.ref_p[:, None] + np.einsum("nij,nlj->nli", log.ref_R_GI, robot.feet_I(log.q))
     slip = log.slip if log.has("truth") else np.zeros(contact.shape)
@@ -178,7 +182,7 @@ def write_footprints(stream: rr.RecordingStream, log: Log, robot: Robot) -> None
 
 
 def write_truth_path(stream: rr.RecordingStream, log: Log) -> None:
-    """The reference's path as one line."""
+    """Write the reference's path as one line."""
     rows = np.arange(0, len(log.t), max(1, round(log.rate / 20.0)))
     path = rr.LineStrips3D([log.ref_p[rows]], colors=[rgba(TRUTH)], radii=[_pixels(2.0)])
     stream.log("world/truth/path", path, static=True)
@@ -188,13 +192,13 @@ def write_truth_path(stream: rr.RecordingStream, log: Log) -> None:
 def write_estimates(
     stream: rr.RecordingStream, errors: Mapping[str, ErrorSeries], robot: Robot, size: np.ndarray
 ) -> None:
-    """Each estimator's path, a box of the trunk's size at its estimated pose, and the ellipsoid of
-    three standard deviations of its position.
+    """Write each estimator's path, a box of the trunk's size at its pose, and the three-sigma
+    ellipsoid of its position.
 
     Args:
         stream: the recording.
         errors: estimator name -> its aligned path.
-        robot: gives the IMU's place in the trunk.
+        robot: gives the IMU's position in the trunk.
         size: (3,) m, half sizes of the trunk.
     """
     first = shown_at_first(tuple(errors))
@@ -217,12 +221,12 @@ def write_estimates(
 def _write_ellipsoid(
     stream: rr.RecordingStream, path: str, error: ErrorSeries, covariance: np.ndarray, color: str
 ) -> None:
-    """The estimator's own position uncertainty: semi-axes of three sigma.
+    """Write the estimator's position covariance as ellipsoids with semi-axes of three sigma.
 
     Args:
         stream: rerun's recording.
         path: of the entity.
-        error: whose positions the ellipsoids are at.
+        error: gives the positions of the ellipsoids.
         covariance: (N, 3, 3) [m^2] in G, of the position.
         color: of the estimator.
     """
@@ -244,10 +248,11 @@ def _write_ellipsoid(
 def _write_marker(
     stream, path: str, name: str, error: ErrorSeries, size: np.ndarray, height: float
 ) -> None:
-    """A box about the trunk with an arrow forward, and on a flag above it the estimator's name and
-    how far it is from the truth at the end.
+    """Write a box around the trunk with a forward arrow and, on a flag above, the estimator's name
+    and final error.
 
-    Flags differ in height, or estimators that agree would hide each other's name.
+    Flags differ in height (in trunk widths), since those of estimators that agree would cover each
+    other.
 
     Args:
         stream: rerun's recording.
@@ -255,7 +260,7 @@ def _write_marker(
         name: of the estimator.
         error: its distance from the truth.
         size: (3,) [m], half sizes of the trunk.
-        height: of the flag, in quarters of the trunk's length, which the camera's distance is of.
+        height: of the flag, in trunk widths.
     """
     color = [rgba(estimator_color(name))]
     thin = [_pixels(1.0)]
@@ -271,7 +276,7 @@ def _write_marker(
     top = [0.0, 0.0, height * 0.5 * size[0]]
     pole = rr.LineStrips3D([[[0.0, 0.0, size[2]], top]], colors=color, radii=thin)
     stream.log(f"{path}/pole", pole, static=True)
-    # A label that changed would not be drawn where the view shows a range of times.
+    # A changing label would not be drawn if the view shows a range of times.
     flag = rr.Points3D(
         [top],
         colors=color,
@@ -286,7 +291,9 @@ def _write_marker(
 
 
 def trunk_size(robot: Robot) -> np.ndarray:
-    """Half sizes (3,) m of a box about the trunk: as long and wide as the hips stand apart."""
+    """Half sizes (3,) m of a box around the trunk, as long and wide as the distances of the
+    hips.
+    """
     hips = robot.legs.offset[:, 0]
     half = np.abs(hips - hips.mean(axis=0)).mean(axis=0)
     return np.array([1.25 * half[0], max(1.25 * half[1], 0.3 * half[0]), 0.3 * half[0]])
@@ -295,7 +302,7 @@ def trunk_size(robot: Robot) -> np.ndarray:
 def _send_trail(
     stream: rr.RecordingStream, path: str, t: np.ndarray, p: np.ndarray, color: str
 ) -> None:
-    """The path once more in short pieces, each at its own time, for a view of the last seconds.
+    """Write the path again in short pieces, each at its own time, for a view of the last seconds.
 
     Args:
         stream: rerun's recording.
@@ -314,7 +321,7 @@ def _send_trail(
 
 
 def _pixels(size: float) -> Any:
-    """A radius in points of the screen, whatever the distance."""
+    """A radius in screen points, independent of the distance."""
     return rr.Radius.ui_points(size)
 
 

@@ -1,4 +1,4 @@
-"""The time-series half of a recording: velocity and its bounds, errors with 3 sigma, feet."""
+"""The time-series part of a recording: velocity and its bounds, errors with 3 sigma, feet."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ if TYPE_CHECKING:
 
 SERIES_RATE = 100.0  # Hz
 BANDS = "3_sigma"
-"""Where bands of estimators are: series are drawn in the order of their names, "error" after it."""
+"""Path of the estimators' bands: series are drawn in the order of their names, "error" after it."""
 _BAND, _FAINT = 0.25, 0.06
-"""Opacity of the strokes of a single band, and of one of several on each other."""
+"""Opacity of the strokes of a single band, and of one of several overlapping ones."""
 ANGLES = ("roll", "pitch", "yaw")
 
 
 def series_part(name: str) -> str:
-    """The part of an entity's path that is an estimator's name; any name will do."""
+    """An estimator's name as part of an entity's path, for any name."""
     return rr.escape_entity_path_part(name)
 
 
@@ -48,7 +48,8 @@ def write_velocity(
     prediction: Prediction | None,
     epsilon: np.ndarray | None,
 ) -> None:
-    """Body velocity v_I by axis: truth, observer, observer +- epsilon, and truths outside that.
+    """Write the body velocity v_I by axis: truth, observer, observer +- epsilon, and truth outside
+    that.
 
     Args:
         stream: the recording.
@@ -78,7 +79,7 @@ def write_velocity(
 
 
 def write_errors(stream: rr.RecordingStream, errors: Mapping[str, ErrorSeries]) -> None:
-    """Each estimator's position error [m] and attitude error [deg] by axis, and their 3 sigma."""
+    """Write each estimator's position error [m] and attitude error [deg] by axis, with 3 sigma."""
     for name, error in errors.items():
         part = series_part(name)
         label, color = estimator_label(name), estimator_color(name)
@@ -102,7 +103,9 @@ def write_errors(stream: rr.RecordingStream, errors: Mapping[str, ErrorSeries]) 
 def write_update(
     stream: rr.RecordingStream, name: str, record: UpdateRecord, gamma: float | None
 ) -> None:
-    """How much prior mass the coverage update found inside the bounds; it acts below gamma."""
+    """Write the prior mass inside the bounds at each coverage update, which is active below
+    gamma.
+    """
     label, color = estimator_label(name), estimator_color(name)
     root = f"update/{series_part(name)}"
     _line(stream, f"{root}/mass", record.t, record.pi, f"{label}: mass π", color, 1.5)
@@ -113,7 +116,7 @@ def write_update(
 
 
 def write_feet(stream: rr.RecordingStream, log: Log) -> None:
-    """Contact lanes by foot, and, where the log knows the truth, slip speed by foot."""
+    """Write contacts by foot and, if the log has the truth, slip speed by foot."""
     t, contact = log.t, log.contact
     slip = log.slip if log.has("truth") else None
     for k, leg in enumerate(log.legs):
@@ -142,9 +145,9 @@ def write_feet(stream: rr.RecordingStream, log: Log) -> None:
 
 
 def _band(stream, path, t, sides, name, color, alpha) -> None:
-    """Draw the band between two curves: strokes from side to side, so close that they fill it.
+    """Draw the band between two curves by strokes from side to side, dense enough to fill it.
 
-    The viewer fills no area between series.
+    The viewer cannot fill areas between series.
 
     Args:
         stream: rerun's recording.

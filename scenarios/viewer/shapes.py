@@ -1,4 +1,4 @@
-"""A MuJoCo model as rerun shapes: geoms, meshes and height fields, and where each link is."""
+"""Conversion of a MuJoCo model to rerun shapes: geoms, meshes and height fields, and link poses."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ _PRIMITIVES: dict[mujoco.mjtGeom, tuple[Any, _Sizes]] = {
     _GEOM.mjGEOM_CYLINDER: (rr.Cylinders3D, lambda s: {"radii": s[:, 0], "lengths": 2.0 * s[:, 1]}),
     _GEOM.mjGEOM_CAPSULE: (rr.Capsules3D, lambda s: {"radii": s[:, 0], "lengths": 2.0 * s[:, 1]}),
 }
-"""Kinds of geom: rerun's archetype, and its sizes by those of the geoms (n, 3)."""
+"""Kinds of geom: rerun's archetype, and its sizes from those of the geoms (n, 3)."""
 _COLLISION_GROUP = 3  # MuJoCo's viewers hide groups 3 and up
 _DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0], dtype=np.float32)
 _DEFAULT_COLOR = (96, 104, 114, 255)
@@ -27,7 +27,7 @@ _DEFAULT_COLOR = (96, 104, 114, 255)
 
 @dataclass(frozen=True)
 class LinkPose:
-    """Pose of one link in its parent link's frame, one row a sample."""
+    """Pose of one link in its parent link's frame, one row per sample."""
 
     body: int
     path: str  # the chain of links below the base, "FL_hip/FL_thigh"
@@ -78,8 +78,8 @@ def link_poses(
 def link_shapes(model: mujoco.MjModel, body: int) -> Iterator[tuple[str, rr.AsComponents]]:
     """(entity name, archetype) for the visible geoms of one body, in that body's own frame.
 
-    Geoms that MuJoCo would show (groups 0 to 2) are drawn; a body that has none shows its
-    collision geoms instead, so that no link is invisible.
+    Draws the geoms that MuJoCo would show (groups 0 to 2) or, for a body without any, its collision
+    geoms, so that no link is invisible.
     """
     geoms = np.flatnonzero(model.geom_bodyid == body)
     shown = geoms[model.geom_group[geoms] < _COLLISION_GROUP]
@@ -92,14 +92,14 @@ def geom_shapes(
     color: tuple[int, int, int, int] | None = None,
     fill: Literal["solid", "majorwireframe"] = "solid",
 ) -> Iterator[tuple[str, rr.AsComponents]]:
-    """(entity name, archetype) for the geoms, in their body's frame; planes are left out."""
+    """(entity name, archetype) for the geoms, in their body's frame; planes are omitted."""
     for kind, (archetype, sizes) in _PRIMITIVES.items():
         mine = geoms[model.geom_type[geoms] == kind]
         if len(mine):
             name = kind.name.removeprefix("mjGEOM_").lower()
             place, R = model.geom_pos[mine], matrix_from_quaternion(model.geom_quat[mine])
             if archetype is rr.Capsules3D:
-                # Rerun's capsule starts at its origin where MuJoCo's is centred on it.
+                # Rerun's capsule starts at its origin, while MuJoCo's is centred on it.
                 place = {"translations": place - model.geom_size[mine, 1, None] * R[:, :, 2]}
             else:
                 place = {"centers": place}
@@ -127,12 +127,12 @@ def _geom_color(model: mujoco.MjModel, geom: int) -> tuple[int, int, int, int]:
 
 
 def _mesh(model: mujoco.MjModel, geom: int, color) -> rr.Mesh3D:
-    """One mesh, its vertices moved into the body's frame; a vertex for each (position, normal)."""
+    """One mesh with its vertices in the body's frame; one vertex for each (position, normal)."""
     mesh = int(model.geom_dataid[geom])
     faces = slice(model.mesh_faceadr[mesh], model.mesh_faceadr[mesh] + model.mesh_facenum[mesh])
     vertices = model.mesh_face[faces].ravel() + model.mesh_vertadr[mesh]
     normals = model.mesh_facenormal[faces].ravel() + model.mesh_normaladr[mesh]
-    # One number for each pair: sorting these takes a tenth of the time of sorting rows.
+    # One number for each pair, since sorting these takes a tenth of the time of sorting rows.
     pairs = vertices.astype(np.int64) * len(model.mesh_normal) + normals
     unique, triangles = np.unique(pairs, return_inverse=True)
     vertices, normals = np.divmod(unique, len(model.mesh_normal))
@@ -146,7 +146,7 @@ def _mesh(model: mujoco.MjModel, geom: int, color) -> rr.Mesh3D:
 
 
 def height_field(model: mujoco.MjModel, geom: int, color: tuple[int, int, int, int]) -> rr.Mesh3D:
-    """A height field as a mesh: two triangles a cell, cut as MuJoCo cuts them."""
+    """A height field as a mesh: two triangles per cell, divided as in MuJoCo."""
     field = int(model.geom_dataid[geom])
     rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
     size_x, size_y, size_z, _ = model.hfield_size[field]

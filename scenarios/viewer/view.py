@@ -1,4 +1,4 @@
-"""Opens a recording in the rerun viewer, on this screen or in a browser of this machine."""
+"""Open a recording in the rerun viewer, on this screen or in a browser on this machine."""
 
 import subprocess
 import sys
@@ -13,7 +13,7 @@ _MAGIC = (b"RRF2", b"RRIO")  # the first bytes of every .rrd since rerun 0.2
 def view(path: str | Path, web: bool = False) -> None:
     """Show the recording until the viewer (or, with `web`, the server) is closed.
 
-    The server listens on 127.0.0.1 alone. Raises SurefootError where `path` is missing or is no
+    The server listens on 127.0.0.1 only. Raises SurefootError where `path` is missing or is no
     recording, or where the viewer ends with an error.
     """
     file = recording_file(path)

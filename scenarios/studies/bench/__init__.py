@@ -1,1 +1,1 @@
-"""Speed, as ratios taken in one run."""
+"""Run times, as ratios measured in one run."""

@@ -1,4 +1,4 @@
-"""Box moments against the paper's randomized quasi-Monte Carlo, by kinds of boxes."""
+"""Box moments compared with the paper's randomized quasi-Monte Carlo, by kind of box."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ TARGET = 15.0
 
 
 def box_rows(rounds: int, progress: Progress | None = None) -> list[Ratio]:
-    """A line for each kind of box: the time of all its boxes, ours and the samples'."""
+    """One line for each kind of box: the time of all its boxes, ours and by sampling."""
     kinds = box_kinds(np.random.default_rng(4), _BOXES)
     rows = []
     for number, (name, boxes) in enumerate(kinds.items()):
@@ -36,7 +36,7 @@ def box_rows(rounds: int, progress: Progress | None = None) -> list[Ratio]:
 
 
 def box_kinds(rng: np.random.Generator, count: int) -> dict[str, Boxes]:
-    """means, covariances, lowers and uppers by name, in units of the prior's deviations.
+    """Means, covariances, lower and upper bounds by name, in units of the prior's deviations.
 
     Unless the name says otherwise: correlations of a random factor (`ordinary_boxes`), half widths
     of 0.5 to 2 deviations, centres within one.
@@ -75,10 +75,10 @@ def outputs(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def less_error(boxes, ours, theirs) -> float:
-    """Root mean square error of the samples' covariances over that of ours.
+    """RMS error of the sampled covariances over that of ours.
 
-    Over the boxes whose covariance has a determinant above 0.03, where the reference, a tensor
-    rule of 48 nodes an axis, has its digits.
+    Over the boxes whose covariance has a determinant above 0.03, where the reference, a tensor rule
+    of 48 nodes per axis, is accurate.
     """
     clear = np.linalg.det(boxes[1]) > 0.03
     exact = np.array([tensor_moments(*box)[2] for box in zip(*boxes, strict=True)])
@@ -125,7 +125,9 @@ def run_qmc(means, covs, lowers, uppers, shifts, prob, mean, cov):
 
 
 def _pair(rng: np.random.Generator, count: int, rho: float) -> np.ndarray:
-    """Correlation matrices (B, 3, 3) with one pair at +-rho and the third axis moderately tied."""
+    """Correlation matrices (B, 3, 3) with one pair at +-rho and the third axis moderately
+    correlated.
+    """
     sign = rng.choice([-1.0, 1.0], count)
     first, rest = rng.uniform(-0.6, 0.6, (2, count))
     covs = np.zeros((count, 3, 3)) + np.eye(3)

@@ -1,4 +1,4 @@
-"""One step of the filter against the paper's sampling, and against gtsam's filter."""
+"""Run time of a filter step, compared with the paper's sampling and with gtsam's filter."""
 
 from dataclasses import replace
 
@@ -24,11 +24,13 @@ from surefoot.sim.common.kernels import kernel
 
 BENCH_GAMMA, FILTER_STEPS = 0.8, 200
 PYTHON_STEPS = 2000
-"""Steps from Python, so many that making the filter counts for nothing."""
+"""Number of steps from Python, large enough that constructing the filter is negligible."""
 
 
 def trial(steps: int = FILTER_STEPS):
-    """The Monte-Carlo study's walk at 200 Hz, a second of it, with a velocity for every sample."""
+    """The Monte-Carlo study's walk at 200 Hz, one second of it, with a velocity for every
+    sample.
+    """
     study = load_study()
     study = replace(study, duration=steps / study.imu_rate, update_rate=study.imu_rate)
     truth = true_motion(study)
@@ -37,10 +39,10 @@ def trial(steps: int = FILTER_STEPS):
 
 
 def coverage_row(rounds: int, progress: Progress | None = None) -> Ratio:
-    """Predict and coverage update, compiled, against the same two with sampled moments."""
+    """Predict and coverage update, compiled, compared with the same two with sampled moments."""
     study, truth, trials = trial()
     noise = FilterNoise(study.imu.gyro, study.imu.accel, 0.0, 0.0).packed()
-    # 1.8 deviations an axis hold 0.8 of a Gaussian error jointly.
+    # 1.8 deviations per axis contain 0.8 of a Gaussian error jointly.
     epsilon = 1.8 * study.noise_std
     shifts = np.random.default_rng(6).random((FILTER_STEPS, 3))
 
@@ -62,7 +64,7 @@ def coverage_row(rounds: int, progress: Progress | None = None) -> Ratio:
 
 @kernel
 def run_updates(t, gyro, accel, v_I, epsilon, mean, covariance, noise, shifts, samples: int):
-    """The filter over a log with an update a sample, in place.
+    """Run the filter over a log with an update at every sample, in place.
 
     Args:
         t: (N,) [s].
@@ -116,7 +118,9 @@ def sampled_update(mean, covariance, v_I, epsilon, samples: int, shift):
 
 
 def step_row(rounds: int, progress: Progress | None = None) -> Ratio:
-    """Observer, predict and coverage update, a Python call each, against the sampling alone."""
+    """Observer, predict and coverage update, one Python call each, compared with the sampling
+    alone.
+    """
     study, _, trials = trial()
     loop = Loop(untrained_observer())
     x = np.random.default_rng(7).standard_normal((FILTER_STEPS, 36))
@@ -129,7 +133,7 @@ def step_row(rounds: int, progress: Progress | None = None) -> Ratio:
         for k in range(FILTER_STEPS):
             loop.step(x[k])
             f.predict(trials.gyro[0, k + 1], trials.accel[0, k + 1], dt)
-            # The network knows nothing: the trial's velocity stands in for its own.
+            # The network is untrained, so the trial's velocity replaces its output.
             f.update_coverage(trials.v_I[0, k], epsilon, BENCH_GAMMA)
 
     boxes = list(zip(*ordinary_boxes(np.random.default_rng(8), FILTER_STEPS), strict=True))
@@ -150,7 +154,7 @@ def step_row(rounds: int, progress: Progress | None = None) -> Ratio:
 
 
 def untrained_observer(inputs: int = 36) -> Observer:
-    """A GRU of the usual size (q, dq and tau of 12 joints) with weights as drawn."""
+    """A GRU of the usual size (q, dq and tau of 12 joints) with initial weights."""
     width = ARCHITECTURES["gru"].width
     network = Network("gru", inputs, 3, width)
     network.initialise(torch.Generator().manual_seed(0))
@@ -177,7 +181,9 @@ def untrained_observer(inputs: int = 36) -> Observer:
 
 
 def gtsam_row(rounds: int, progress: Progress | None = None) -> Ratio:
-    """Predict and Gaussian velocity update, one sample at a time from Python, against gtsam."""
+    """Predict and Gaussian velocity update, one sample at a time from Python, compared with
+    gtsam.
+    """
     what, against = "predict + velocity update from Python", "gtsam NavStateImuEKF"
     try:
         import gtsam  # pyright: ignore[reportMissingImports]
@@ -191,7 +197,7 @@ def gtsam_row(rounds: int, progress: Progress | None = None) -> Ratio:
 
 
 def velocity_filter():
-    """A function that runs our filter over the trial and returns its last v_I (3,)."""
+    """Function that runs our filter over the trial and returns its last v_I (3,)."""
     study, _, trials = trial(PYTHON_STEPS)
     noise = FilterNoise(study.imu.gyro, study.imu.accel, 0.0, 0.0)
     R, dt = np.diag(study.noise_std**2), 1.0 / study.imu_rate
@@ -199,7 +205,7 @@ def velocity_filter():
         NavState.unpack(trials.means[0, :EXTRA]), b_a=study.imu.bias_accel, b_g=study.imu.bias_gyro
     )
     covariance = trials.covariance.copy()
-    # Biases as good as known, as they are to gtsam.
+    # Practically known biases, as in gtsam.
     covariance[9:, :] = covariance[:, 9:] = 0.0
     covariance[9:, 9:] = 1e-16 * np.eye(6)
 
@@ -216,7 +222,9 @@ def velocity_filter():
 
 
 def gtsam_filter(gtsam):
-    """The same of gtsam's filter; its errors are (rotation, position, velocity) in the body."""
+    """The same for gtsam's filter, whose errors are (rotation, position, velocity) in the body
+    frame.
+    """
     study, _, trials = trial(PYTHON_STEPS)
     params = gtsam.PreintegrationParams.MakeSharedU(GRAVITY)
     params.setGyroscopeCovariance(study.imu.gyro**2 * np.eye(3))
@@ -224,7 +232,7 @@ def gtsam_filter(gtsam):
     params.setIntegrationCovariance(1e-12 * np.eye(3))
     start = trials.means[0]
     X = gtsam.NavState(gtsam.Rot3(start[:3]), start[4], start[3])
-    # From the right-invariant error to gtsam's: each rotated, and the lever arms of v and p.
+    # From the right-invariant error to gtsam's: rotated, with the lever arms of v and p.
     R, dt = np.diag(study.noise_std**2), 1.0 / study.imu_rate
     T = np.zeros((9, 9))
     for row, column, lever in ((0, 0, None), (3, 6, start[4]), (6, 3, start[3])):

@@ -1,4 +1,6 @@
-"""What `surefoot bench` times, by name; the functions, which are slow to import, are in `run`."""
+"""Names of what `surefoot bench` measures; the functions, which are slow to import, are in
+`run`.
+"""
 
 from surefoot.sim.common.errors import SurefootError, did_you_mean
 

@@ -1,4 +1,4 @@
-"""One line of the bench's table, and how two things are timed against each other."""
+"""One line of the bench's table, and the comparison of two run times."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -6,15 +6,15 @@ from time import perf_counter
 
 Progress = Callable[[float], None]
 SAMPLES = 1000
-"""The paper's N of randomized quasi-Monte Carlo, which ours is set against."""
+"""The paper's N of randomized quasi-Monte Carlo, used for comparison."""
 
 
 @dataclass(frozen=True)
 class Ratio:
-    """One line of the table: how many times the peer's speed, and how many are wanted.
+    """One line of the table: speed relative to the peer's, and the target.
 
-    value is None where the peer is not here; the note then says why. target is None where the line
-    is there for information.
+    value is None where the peer is not installed, as the note says. target is None for lines that
+    are for information.
     """
 
     what: str
@@ -43,7 +43,7 @@ def in_turn(
     rounds: int,
     progress: Progress | None = None,
 ) -> tuple[float, float]:
-    """Smallest times [s] of the two, run in turn `rounds` times after once to warm up."""
+    """Smallest times [s] of the two, run alternately `rounds` times after a warm-up."""
     times: list[tuple[float, float]] = []
     for i in range(rounds + 1):
         now = perf_counter()
@@ -57,7 +57,7 @@ def in_turn(
 
 
 def part_of(progress: Progress | None, part: int, parts: int) -> Progress | None:
-    """`progress` for one part of several."""
+    """`progress` for one of several parts."""
     if progress is None:
         return None
     return lambda share: progress((part + share) / parts)

@@ -1,6 +1,6 @@
-"""`surefoot bench`: what this costs against what it is measured by, each a ratio of one run.
+"""`surefoot bench`: run times relative to a peer, each a ratio measured in one run.
 
-A and B run in turn, so that both see the same machine; the smallest time of either counts.
+The two run alternately, under the same conditions; the smallest time of each counts.
 """
 
 import os
@@ -29,7 +29,9 @@ _TRIALS, _DURATION = 40, 4.0
 
 
 def montecarlo_rows(rounds: int, progress: Progress | None = None) -> list[Ratio]:
-    """Four seconds of 40 trials on one core, against one trial in numpy; a line a filter."""
+    """Four seconds of 40 trials on one core, compared with one trial in numpy; one line per
+    filter.
+    """
     study = replace(load_study(), duration=_DURATION)
     truth = true_motion(study)
     seeds = np.random.SeedSequence(11).spawn(_TRIALS)
@@ -57,7 +59,9 @@ def montecarlo_rows(rounds: int, progress: Progress | None = None) -> list[Ratio
 def walking(
     rounds: int, progress: Progress | None = None, robots: int = 4, threads: int = 0
 ) -> Ratio:
-    """Simulated walking against `mujoco.rollout` of the recorded controls; threads 0: all cores."""
+    """Simulated walking compared with `mujoco.rollout` of the recorded controls; threads 0: all
+    cores.
+    """
     threads = threads or os.cpu_count() or 1
     pair = race(robots, threads)
     ours, theirs = in_turn(pair.walk, pair.replay, rounds, progress)
@@ -82,9 +86,9 @@ ROWS: dict[str, Callable[[int, Progress | None], list[Ratio]]] = {
 
 
 def bench(rounds: int, only: Sequence[str] = (), page: Path | None = None) -> str:
-    """Run the items (all where `only` names none); returns the table in Markdown.
+    """Run the items, by default all; returns the table in Markdown.
 
-    Raises SurefootError for an unknown item or no round; writes the page of results where named.
+    Raises SurefootError for an unknown item or no round; writes the page of results if requested.
     """
     for name in only:
         check_item(name)

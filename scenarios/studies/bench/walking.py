@@ -1,4 +1,6 @@
-"""How near simulated walking comes to the bare engine: steps a second, by the same threads."""
+"""Speed of simulated walking relative to the bare engine, in steps per second on the same
+threads.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,7 +27,7 @@ COURSE = Scenario(
 
 @dataclass(frozen=True)
 class Replay:
-    """Walks of one length, as the bare engine steps them under their recorded controls."""
+    """Recorded walks of equal length, for replay of their controls in the bare engine."""
 
     models: list[mujoco.MjModel]
     first: np.ndarray  # (walks, nstate)
@@ -34,7 +36,7 @@ class Replay:
 
     @classmethod
     def of(cls, walks: Sequence[tuple[Plan, Motion]]) -> "Replay":
-        """What a replay needs of walks and of the plans that they followed."""
+        """Collect from walks and their plans what a replay needs."""
         models = [made.world.model for made, _ in walks]
         physics = mujoco.mjtState.mjSTATE_FULLPHYSICS
         first = np.empty((len(walks), mujoco.mj_stateSize(models[0], physics)))
@@ -49,9 +51,9 @@ class Replay:
         )
 
     def run(self, threads: int = 1) -> None:
-        """Step all of it by `mujoco.rollout`.
+        """Step all walks by `mujoco.rollout`.
 
-        Raises RuntimeError where it does not end in the very bits of the walk.
+        Raises RuntimeError if the result is not bit-identical to the walk.
         """
         datas = [mujoco.MjData(self.models[0]) for _ in range(threads)]
         with Rollout(nthread=threads if threads > 1 else 0) as pool:
@@ -62,7 +64,7 @@ class Replay:
 
 @dataclass(frozen=True)
 class Race:
-    """The same walks twice: `walk` makes them, `replay` steps the bare engine through them."""
+    """The same walks twice: `walk` simulates them, `replay` steps the bare engine through them."""
 
     jobs: tuple[Job, ...]
     threads: int
@@ -70,7 +72,7 @@ class Race:
 
     @property
     def steps(self) -> int:
-        """Timesteps of either side."""
+        """Number of time steps of either."""
         return self.bare.controls.shape[0] * self.bare.controls.shape[1]
 
     def walk(self) -> None:
@@ -84,7 +86,7 @@ class Race:
 
 
 def race(robots: int, threads: int, robot: str = "spot_class") -> Race:
-    """Walk `robots` seeds once and keep what a replay needs; it is tried out once."""
+    """Simulate `robots` seeds once and keep what a replay needs, which is tried once."""
     walks = []
     for seed in range(robots):
         made = plan(COURSE, Robot.load(robot), seed)

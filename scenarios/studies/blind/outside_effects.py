@@ -1,6 +1,7 @@
-"""Effects in no catalogue: of a log that has one, a trace should say that none of its own fit.
+"""Effects outside the catalogue, for which a trace should report that none of its own explains the
+log.
 
-One small class each, as in `sim.effects.catalogue`, but none that a model knows of.
+One small class each, as in `sim.effects.catalogue`, but without compensation by a model.
 """
 
 from dataclasses import replace
@@ -20,7 +21,9 @@ OF_AN_ENCODER = (
 
 
 class EncoderEccentricity(Effect):
-    """An encoder's magnet off its axis, behind a gear of 6: an error once a turn of the motor."""
+    """An encoder's magnet is off its axis, before a gear of 6: an error once per turn of the
+    motor.
+    """
 
     name = "encoder_eccentricity"
     unit = "rad"
@@ -39,7 +42,7 @@ class EncoderEccentricity(Effect):
 
 
 class ThermalGyroDrift(Effect):
-    """A gyro that warms up: its bias settles to this size with a time constant of 15 s."""
+    """A gyro's bias settles to this size while it warms up, with a time constant of 15 s."""
 
     name = "thermal_gyro_drift"
     unit = "rad/s"
@@ -55,7 +58,9 @@ class ThermalGyroDrift(Effect):
 
 
 class MagnetCrosstalk(Effect):
-    """The motor's current bends the field that its encoder reads, by the angle of the rotor."""
+    """The motor's current distorts the magnetic field of its encoder, depending on the rotor's
+    angle.
+    """
 
     name = "magnet_crosstalk"
     unit = "rad"
@@ -73,7 +78,7 @@ class MagnetCrosstalk(Effect):
 
 
 class TorqueRipple(Effect):
-    """Cogging that the motor's current shows and the joint does not feel: 28 times a turn."""
+    """Cogging that appears in the motor's current but not at the joint: 28 times per turn."""
 
     name = "torque_ripple"
     unit = "N m"
@@ -107,8 +112,9 @@ class DuplicatedPackets(Effect):
 
 
 class LooseImu(Effect):
-    """An IMU on a soft mount, 18 Hz and lightly damped: it tilts by this angle for each 10 m/s^2
-    that shake it, and the gyro reads the tilting."""
+    """An IMU on a soft mount, 18 Hz and lightly damped: it tilts by this angle per 10 m/s^2 of
+    vibration, and the gyro measures the tilting.
+    """
 
     name = "loose_imu"
     unit = "rad"
@@ -143,4 +149,4 @@ OUTSIDE_EFFECTS = {
         LooseImu,
     )
 }
-"""By name; the channels of each are those that it shows in: any of them is right to name."""
+"""By name; any of the channels of an effect is a correct answer."""

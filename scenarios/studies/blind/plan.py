@@ -1,4 +1,4 @@
-"""The plan of the blind study, `study.toml`, as the cases that it draws."""
+"""Plan of the blind study, `study.toml`, and the cases drawn from it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,14 +20,14 @@ ROBOTS = bundled("surefoot.scenarios.studies.blind", "robots")
 
 @lru_cache(maxsize=16)
 def study_robot(name: str) -> Robot:
-    """A robot of the study alone, or a known one."""
+    """A robot that only the study has, or a known one."""
     own = ROBOTS / f"{name}.xml"
     return known_robot(str(own) if own.is_file() else name)
 
 
 @dataclass(frozen=True)
 class Case:
-    """One log: what kind of case, on which walk, with which undeclared effects."""
+    """One log: its kind, walk and undeclared effects."""
 
     number: int
     kind: str  # single, clean, outside, together, twins
@@ -39,7 +39,7 @@ class Case:
 
 
 def cases(plan: Mapping[str, Any]) -> list[Case]:
-    """Every case of a plan, drawn from its seed."""
+    """Draw every case of a plan from its seed."""
     rng = np.random.default_rng(plan["seed"])
     walks = [(r, s) for s in plan["walk"]["seeds"] for r in plan["walk"]["robots"]]
     known = [name for name in CATALOGUE if name in plan["sizes"]]
@@ -53,7 +53,7 @@ def cases(plan: Mapping[str, Any]) -> list[Case]:
         robot, _ = walks[len(found) % len(walks)]
         return _drawn(name, sizes, rng, study_robot(robot), of_group)
 
-    # Turn by turn, so that a study that is stopped early has seen as much of each.
+    # In turns, so that a study that is stopped early has covered all kinds alike.
     for turn in range(plan["each"]):
         for name in known:
             add("single", [drawn(name, plan["sizes"][name], turn in plan["group_turns"])])
@@ -74,20 +74,21 @@ def cases(plan: Mapping[str, Any]) -> list[Case]:
 
 
 def _share(count: int, turn: int, turns: int) -> int:
-    """How many of `count` fall to this turn."""
+    """How many of `count` belong to this turn."""
     return count * (turn + 1) // turns - count * turn // turns
 
 
 def _drawn(
     name: str, size: Sequence[float], rng: np.random.Generator, robot: Robot, of_group: bool
 ) -> Effect:
-    """An effect of a drawn size, sign and target; on a group of parts, where it has any, if asked.
+    """Draw size, sign and target of an effect; the target is a group of parts if requested and
+    possible.
 
     Args:
         name: of the effect.
-        size: the ends of its range.
-        rng: draws.
-        robot: that has it; a target on which it is another effect's motion is not drawn.
+        size: ends of its range.
+        rng: random generator.
+        robot: that has it; targets on which it is equivalent to another effect are not drawn.
         of_group: whether the target is a group.
     """
     kind = CATALOGUE[name] if name in CATALOGUE else OUTSIDE_EFFECTS[name]
@@ -96,6 +97,6 @@ def _drawn(
     several = tuple(kind.group_targets(QUADRUPED)) if of_group else ()
     single = [t for t in kind.single_targets(QUADRUPED) if not kind.is_another(t, robot)]
     target = str(rng.choice(several or single))
-    # No delay is negative.
+    # Delays are never negative.
     both = kind.bounds[0] < 0 and not name.endswith("_delay")
     return kind(target, sign * value if both else value)
