@@ -1,4 +1,4 @@
-"""One walk and every estimator of it as one rerun recording that opens with a layout of its own."""
+"""One walk and its estimates as a rerun recording with a layout of its own."""
 
 from __future__ import annotations
 
@@ -68,23 +68,24 @@ def write_recording(
     force: bool = False,
     tab: str = EXPLANATION,
 ) -> None:
-    """Write the .rrd. Raises SurefootError where it exists (no `force`) or the log lacks a group.
+    """Write the .rrd. Raises SurefootError where it exists (without `force`) or the log lacks a
+    group.
 
     Entities: /world/{ground, robot, truth, footprints, estimates/<name>}, /velocity/{x,y,z},
     /distance, /position_error/{x,y,z}, /attitude_error/{roll,pitch,yaw} each by estimator,
     /feet/{contact, slip}/<leg>, /update/<estimator>, /about. One timeline, "time": the log's t.
 
     Args:
-        path: file to write, by custom ending in .rrd.
+        path: file to write, with the suffix .rrd.
         log: the walk; needs its joints and a reference. Contacts, truth and IMU are optional.
-        robot: whose geoms are drawn, and which says where its IMU is.
+        robot: whose geoms are drawn, and which has the mounting of the IMU.
         trajectories: estimator name -> its estimate.
         prediction: the observer's rows (M,) of the log and v_I (M, 3) m/s there.
-        bounds: of that observer; they are turned to the robot's IMU where it is mounted otherwise.
-        ground: what the robot walked on, as its seed drew it; None draws the one that the log
-            keeps, if any.
+        bounds: of that observer; they are rotated to the robot's IMU if its mounting differs.
+        ground: on which the robot walked, as drawn with its seed; None draws that of the log, if
+            any.
         force: overwrite.
-        tab: of the viewer that is open at first.
+        tab: of the viewer that is open initially.
     """
     log.require("q", "reference")
     _check_name(path)
@@ -132,10 +133,10 @@ def _layout(
 
     Args:
         log: the walk.
-        robot: whose size the camera's distance is of.
+        robot: whose size determines the camera's distance.
         estimators: their names.
         has_update: masses of the coverage update were written.
-        tab: that is open at first.
+        tab: that is open initially.
     """
     lower, upper = log.ref_p.min(axis=0), log.ref_p.max(axis=0)
     reach = 4.0 * float(trunk_size(robot)[0])
@@ -153,7 +154,9 @@ def _layout(
 
 
 def _about(log: Log, robot: Robot, errors: Mapping[str, ErrorSeries]) -> str:
-    """What the reader sees, in Markdown, with each estimator's error at the end of the walk."""
+    """Explanation for the viewer in Markdown, with each estimator's error at the end of the
+    walk.
+    """
     ends = [f"| {estimator_label(n)} | {e.distance[-1]:.2f} m |" for n, e in errors.items()]
     shown = [estimator_label(name) for name in shown_at_first(tuple(errors))]
     table = ["| estimator | distance from the truth at the end |", "|---|---|", *ends, ""]
@@ -183,7 +186,7 @@ def _about(log: Log, robot: Robot, errors: Mapping[str, ErrorSeries]) -> str:
 def record_walk(path: Path, log: Log, job: Job, learnt: Learnt, filters: Sequence[str]) -> None:
     """Write the recording of a log, the walk of `job`.
 
-    On the ground that its seed drew, with every filter that is drawn (see `Traits`).
+    On the ground drawn with its seed, with every filter that is drawn (see `Traits`).
 
     Args:
         path: of the recording.
@@ -196,7 +199,7 @@ def record_walk(path: Path, log: Log, job: Job, learnt: Learnt, filters: Sequenc
     results, _ = run_all(log, robot, learnt, [name for name in filters if traits(name).drawn])
     prediction, bounds = None, None
     if learnt.bounds:
-        # Its import takes seconds, for nothing where no observer is shown.
+        # The import takes seconds, and is needed only if an observer is shown.
         from surefoot.models.observer.predict import predict
 
         observer, bounds = learnt.bounded()
