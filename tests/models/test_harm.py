@@ -69,6 +69,7 @@ def test_bins_that_were_not_there_before_do_no_harm(case):
     assert not levels["leg_velocity"].worse
 
 
+@pytest.mark.long
 def test_what_a_sensor_explains_costs_no_other_effect_its_place(case):
     """Its error is undone exactly: nothing is left that another effect could stand for."""
     scale, heavy = effect("gyro_scale", "z", 0.1), effect("payload", "all", 2.0)

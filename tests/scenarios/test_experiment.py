@@ -158,6 +158,7 @@ def test_a_finished_run_is_not_written_over(grid, rows):
         experiment(grid / "grid.toml", grid / "out")
 
 
+@pytest.mark.long
 def test_a_changed_scenario_makes_only_what_it_decides(grid, rows):
     before = made(grid)
     (grid / "try.toml").write_text(WALK.format(name="try", role="test", seconds=5, speed=0.5))
@@ -172,6 +173,7 @@ def test_a_changed_scenario_makes_only_what_it_decides(grid, rows):
     pd.testing.assert_frame_equal(again[same], rows[same])
 
 
+@pytest.mark.long
 def test_finished_rows_need_no_products(grid, rows, tmp_path, capsys):
     data, cache = tmp_path / "rows", tmp_path / "cache"
     (grid / "try.toml").write_text(WALK.format(name="try", role="test", seconds=4, speed=0.5))
@@ -196,6 +198,7 @@ def test_finished_rows_need_no_products(grid, rows, tmp_path, capsys):
     assert cell_inputs(found, cell) != cell_inputs(whole, cell)
 
 
+@pytest.mark.long
 def test_other_inputs_and_methods_are_tables_beside(grid, rows, tmp_path):
     further = '[further]\ninputs = ["q,dq,tau"]\nmethods = ["maxnorm"]\n[observer]'
     (grid / "further.toml").write_text(GRID.replace("[observer]", further))

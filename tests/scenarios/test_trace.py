@@ -51,7 +51,7 @@ def traced(*one):
     "one",
     [
         ("encoder_offset", "RL_thigh", -0.02),
-        ("foot_rolling", "all", 0.006),
+        pytest.param(("foot_rolling", "all", 0.006), marks=pytest.mark.long),
     ],
     ids=["encoder_offset", "foot_rolling"],
 )
@@ -93,6 +93,7 @@ def stripped(log):
     return Log(log.frame[names], Meta(rate=log.meta.rate, robot=log.meta.robot), "a_stranger")
 
 
+@pytest.mark.long
 def test_the_same_trace_of_a_log_that_tells_nothing_of_itself(tmp_path):
     log = log_with("encoder_offset", "RL_thigh", -0.02)
     # A bundled course is one that a radar can be simulated on: not for a log that tells its name.
