@@ -30,9 +30,8 @@ def read_in_blocks(path: str | Path) -> list[Log]:
     Raises LogError, one line with file, column and row, at the first fault anywhere in the file.
     """
     reader = LogReader(path)
-    if reader.rows <= TRACED_BLOCKS * _rows(reader.meta.rate):
-        return [Log.read(path)]
-    return _blocks(reader.chunks(TRACED_BLOCK), reader.meta.rate, reader.rows)
+    seconds = TRACED_BLOCK if _is_long(reader.rows, reader.meta.rate) else np.inf
+    return _blocks(reader.chunks(seconds), reader.meta.rate, reader.rows)
 
 
 def note_on_blocks(logs: Iterable[list[Log]]) -> tuple[str, ...]:
@@ -49,10 +48,10 @@ def note_on_blocks(logs: Iterable[list[Log]]) -> tuple[str, ...]:
 
 
 def _blocks(pieces: Iterable[Log], rate: float, rows: int) -> list[Log]:
-    """The blocks of a log of so many rows, from its consecutive pieces."""
-    length = _rows(rate)
-    if rows <= TRACED_BLOCKS * length:
+    """The blocks of a log of so many rows, from its consecutive pieces; a short log's one piece."""
+    if not _is_long(rows, rate):
         return list(pieces)
+    length = _rows(rate)
     firsts = np.linspace(0, rows - length, TRACED_BLOCKS).round().astype(int)
     parts: list[list[Log]] = [[] for _ in firsts]
     for piece, begin, end in _placed(pieces):
@@ -75,6 +74,10 @@ def _placed(pieces: Iterable[Log]) -> Iterator[tuple[Log, int, int]]:
 def _joined(parts: list[Log], number: int) -> Log:
     frame = pd.concat([part.frame for part in parts], ignore_index=True)
     return replace(parts[0], frame=frame, name=f"{parts[0].name}_block_{number + 1}")
+
+
+def _is_long(rows: int, rate: float) -> bool:
+    return rows > TRACED_BLOCKS * _rows(rate)
 
 
 def _rows(rate: float) -> int:
