@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from surefoot.sim.common.errors import SurefootError, did_you_mean
-from surefoot.sim.common.files import bundled
+from surefoot.sim.common.files import bundled, is_file
 
 
 def bundled_scenarios() -> dict[str, Path]:
@@ -18,7 +18,7 @@ def scenario_file(name_or_path: str | Path, folder: Path = Path()) -> Path:
     Raises SurefootError, listing the names, where it is neither.
     """
     path, known = folder / name_or_path, bundled_scenarios()
-    found = path if path.is_file() else known.get(str(name_or_path))
+    found = path if is_file(path) else known.get(str(name_or_path))
     if found is None:
         hint = did_you_mean(name_or_path, known)
         raise SurefootError(f"scenario {path}: No such file; bundled are {', '.join(known)}{hint}")

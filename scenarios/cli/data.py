@@ -260,18 +260,20 @@ class View:
     def run(self) -> None:
         from tempfile import TemporaryDirectory
 
+        from surefoot.sim.common.files import is_there
+
         path = Path(self.file)
         if path.suffix in (".rrd", ".parquet"):
             file_there(path)
         elif path.suffix == ".toml":
             scenario_file(path)
-        elif not path.exists() and self.file not in bundled_scenarios():
+        elif not is_there(path) and self.file not in bundled_scenarios():
             hint = did_you_mean(self.file, bundled_scenarios())
             what = "recordings (.rrd), logs and scenarios (.toml)"
             raise SurefootError(f"{self.file}: view opens {what}{hint}")
         from surefoot.scenarios.viewer.view import view
 
-        if path.suffix == ".rrd" or (path.exists() and path.suffix not in (".parquet", ".toml")):
+        if path.suffix == ".rrd" or (is_there(path) and path.suffix not in (".parquet", ".toml")):
             if self.out:
                 raise SurefootError("-o is for a log or a scenario; this has its recording")
             view(path, self.web)

@@ -7,7 +7,7 @@ from typing import Any
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
 from surefoot.scenarios.studies.bench.items import check_item
 from surefoot.sim.common.errors import SurefootError, did_you_mean
-from surefoot.sim.common.files import bundled
+from surefoot.sim.common.files import bundled, is_file, is_there
 from surefoot.sim.common.plugins import plugins
 from surefoot.sim.importing.map_catalog import map_file
 from surefoot.sim.robot.catalog import robot_file
@@ -40,12 +40,12 @@ def refuse_unnamed(given: Mapping[str, Any]) -> None:
 
 def file_there(path: str | Path) -> None:
     """Raise SurefootError where there is neither a file nor a folder."""
-    if not Path(path).exists():
+    if not is_there(path):
         raise SurefootError(f"{path}: no such file")
 
 
 def _machine_file(name: str) -> None:
-    if not (bundled("surefoot.sim.robot", "machines") / f"{name}.xml").is_file():
+    if not is_file(bundled("surefoot.sim.robot", "machines") / f"{name}.xml"):
         robot_file(name)
 
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import bundled
+from surefoot.sim.common.files import bundled, is_file
 
 SUITES_FOLDER = bundled("surefoot.scenarios.experiments", "suites")
 SUITES = ("spot", "vision60")
@@ -17,6 +17,6 @@ def experiment_file(name_or_path: str | Path) -> Path:
     if str(name_or_path) in SUITES:
         return SUITES_FOLDER / f"{name_or_path}.toml"
     path = Path(name_or_path)
-    if not path.is_file():
+    if not is_file(path):
         raise SurefootError(f"experiment {path}: no such file; bundled are {', '.join(SUITES)}")
     return path

@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import check_unchanged
+from surefoot.sim.common.files import check_unchanged, is_file
 
 _MAGIC = (b"RRF2", b"RRIO")  # the first bytes of every .rrd since rerun 0.2
 
@@ -31,7 +31,7 @@ def view(path: str | Path, web: bool = False) -> None:
 def recording_file(path: str | Path) -> Path:
     """The path, if it is a rerun recording. Raises SurefootError in one line if not."""
     file = Path(path)
-    if not file.is_file():
+    if not is_file(file):
         raise SurefootError(f"{file}: {'is a folder' if file.is_dir() else 'no such file'}")
     if file.suffix != ".rrd":
         raise SurefootError(

@@ -57,6 +57,17 @@ def bundled(package: str, name: str) -> Path:
     return Path(str(files(package) / name))
 
 
+def is_file(path: str | Path) -> bool:
+    """Whether a file is there. False for a name that no file can have, such as one that is too
+    long, where `Path.is_file` raises OSError."""
+    return os.path.isfile(path)
+
+
+def is_there(path: str | Path) -> bool:
+    """Whether a file or folder is there. False for a name that none can have, as in `is_file`."""
+    return os.path.exists(path)
+
+
 def measured_folder() -> Path:
     """Where recordings of real robots lie: $SUREFOOT_MEASURED, or else `shared/measured` beside
     the checkout; it need not exist."""

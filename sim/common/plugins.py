@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import is_file
 
 
 class Registry(Mapping[str, Any]):
@@ -133,7 +134,7 @@ def load_plugin(file: str | Path) -> None:
     Raises SurefootError where it cannot be run, or offers nothing.
     """
     path = Path(file)
-    if not path.is_file() or path.suffix != ".py":
+    if not is_file(path) or path.suffix != ".py":
         raise SurefootError(f"--plugin {file}: no such Python file")
     module_name = f"surefoot_plugin_{path.stem}"
     spec = spec_from_file_location(module_name, path)

@@ -15,6 +15,7 @@ import numpy as np
 import scipy.io
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import is_file
 from surefoot.sim.common.limits import check_unpacked, limits, most_unpacked
 from surefoot.sim.importing.table import RecordedTable
 
@@ -156,7 +157,7 @@ def _bounded(path: Path, size: float) -> None:
 @contextmanager
 def _one_line(path: Path) -> Iterator[None]:
     """Convert any exception of the parsers to a one-line SurefootError."""
-    if not path.is_file():
+    if not is_file(path):
         raise SurefootError(f"{path}: no such file")
     try:
         yield

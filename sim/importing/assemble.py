@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import is_file
 from surefoot.sim.common.limits import check_limit
 from surefoot.sim.importing.clock import (
     Columns,
@@ -126,7 +127,7 @@ def _log_from_tables(main: Columns, reference: Poses | None, rules: ImportMap, n
 def _robot_file(robot: str | None) -> dict[str, dict[str, str]]:
     """Metadata of a robot that the map names by a file."""
     file = Path(robot or "")
-    return kept_model(file.stem, file) if file.suffix in SUFFIXES and file.is_file() else {}
+    return kept_model(file.stem, file) if file.suffix in SUFFIXES and is_file(file) else {}
 
 
 def _rate(t: np.ndarray) -> float:

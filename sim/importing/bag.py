@@ -17,6 +17,7 @@ from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.typesys import Stores, get_typestore
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import is_there
 from surefoot.sim.importing.clock import Stamped
 
 RECEIVED = "received"
@@ -42,7 +43,7 @@ def read_bag(path: str | Path, columns: Sequence[str]) -> dict[str, Stamped]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[AnyReader]:
-    if not path.exists():
+    if not is_there(path):
         raise SurefootError(f"{path}: no such file")
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:

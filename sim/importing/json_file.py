@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import is_there
 from surefoot.sim.common.limits import check_limit
 from surefoot.sim.importing.table import RecordedTable
 
@@ -20,7 +21,7 @@ def read_json(path: Path) -> RecordedTable:
     A record's fields are `a.b`, an element of a list `a[0]`; a record without a field has an empty
     cell. Raises SurefootError.
     """
-    if path.exists():
+    if is_there(path):
         check_limit("memory", _SWOLLEN * path.stat().st_size, f"{path}: bytes in memory")
     try:
         text = path.read_text(encoding="utf-8-sig")

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from surefoot.sim.common.errors import SurefootError, did_you_mean
-from surefoot.sim.common.files import bundled
+from surefoot.sim.common.files import bundled, is_file
 
 
 def bundled_maps() -> dict[str, Path]:
@@ -18,7 +18,7 @@ def map_file(name_or_path: str | Path) -> Path:
     Raises SurefootError, listing the names, where it is neither.
     """
     path, known = Path(name_or_path), bundled_maps()
-    if path.is_file():
+    if is_file(path):
         return path
     if path.parent == Path() and (found := known.get(path.name.removesuffix(".toml"))):
         return found

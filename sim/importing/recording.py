@@ -8,6 +8,7 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import is_file, is_there
 from surefoot.sim.common.limits import admitted, check_unpacked
 from surefoot.sim.importing.array_file import read_hdf5, read_mat, read_npz
 from surefoot.sim.importing.assemble import RawRecording, unit_quaternions
@@ -86,14 +87,14 @@ def read_recording(files: Files, map_path: str | Path) -> RawRecording:
 def _robot_file(rules: ImportMap, main: Path) -> str | None:
     """The robot's name or, for a file beside the map or the recording, its full path."""
     for folder in (rules.path.parent, main.parent):
-        if rules.robot and Path(rules.robot).suffix and (folder / rules.robot).is_file():
+        if rules.robot and Path(rules.robot).suffix and is_file(folder / rules.robot):
             return str((folder / rules.robot).resolve())
     return rules.robot
 
 
 def read_table(path: Path, source: Source) -> RecordedTable:
     """Read the table of a file of any kind except a bag. Raises SurefootError."""
-    if path.exists():
+    if is_there(path):
         admitted(path, "recording")
     reader = _READERS.get(path.suffix.lower())
     if path.suffix.lower() == ".parquet":

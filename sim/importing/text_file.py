@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import is_file
 from surefoot.sim.common.limits import check_limit
 from surefoot.sim.importing.layout import COMMENTS, encoding_of
 from surefoot.sim.importing.sections import Source
@@ -30,7 +31,7 @@ def read_csv(path: str | Path, columns: Sequence[str]) -> dict[str, np.ndarray]:
 
 def read_text(path: Path, source: Source) -> RecordedTable:
     """Read the table of a text file. Raises SurefootError in one line with file and line."""
-    if not path.is_file():
+    if not is_file(path):
         raise SurefootError(f"{path}: no such file")
     try:
         encoding = encoding_of(path)

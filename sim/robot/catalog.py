@@ -5,7 +5,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from surefoot.sim.common.errors import SurefootError, did_you_mean
-from surefoot.sim.common.files import bundled
+from surefoot.sim.common.files import bundled, is_file
 
 BUNDLED_ROBOTS = bundled("surefoot.sim.robot", "robots")
 NOT_TWELVE_JOINTS = {"pegasus"}
@@ -38,7 +38,7 @@ def robot_file(name_or_path: str | Path) -> Path:
         return described
     path = Path(name_or_path)
     if path.suffix in SUFFIXES:
-        if path.is_file():
+        if is_file(path):
             return path
         raise SurefootError(
             f"robot {path}: no such {'MJCF' if path.suffix == '.xml' else 'URDF'} file"

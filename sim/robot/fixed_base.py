@@ -7,7 +7,7 @@ from pathlib import Path
 import mujoco
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import bundled
+from surefoot.sim.common.files import bundled, is_file
 from surefoot.sim.log import Log
 from surefoot.sim.robot.catalog import robot_file
 from surefoot.sim.robot.limbs import Limbs
@@ -43,7 +43,7 @@ def load_machine(name_or_path: str | Path, feet: Mapping[str, str] | None = None
     Raises SurefootError. feet: as for `Robot.load`.
     """
     bundled = BUNDLED_MACHINES / f"{name_or_path}.xml"
-    file = bundled if bundled.is_file() else robot_file(name_or_path)
+    file = bundled if is_file(bundled) else robot_file(name_or_path)
     model = compiled_model(file)
     if (model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any():
         try:

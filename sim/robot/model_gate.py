@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import protect
+from surefoot.sim.common.files import is_there, protect
 from surefoot.sim.common.limits import admitted, check_limit
 
 DEEPEST = 100
@@ -119,7 +119,7 @@ class _Scan:
             inside = self.inside(file, tag, name, folders)
             if tag == "include" or (tag == "model" and inside.suffix == ".xml"):
                 self.read(inside, count)
-            elif inside.exists():
+            elif is_there(inside):
                 admitted(inside, "piece", "robot")
 
     def inside(self, file: Path, tag: str, name: str, folders: dict[str, str]) -> Path:

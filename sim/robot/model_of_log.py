@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import cache_folder, file_digest, kept_file
+from surefoot.sim.common.files import cache_folder, file_digest, is_file, kept_file
 from surefoot.sim.common.limits import limits
 from surefoot.sim.robot.catalog import SUFFIXES, known_robots, robot_file
 
@@ -39,10 +39,10 @@ def robot_of_log(log: "Log") -> str | Path | None:
     if kept is None:
         return log.meta.robot
     path, digest, text = Path(kept["path"]), kept["sha256"], kept.get("text")
-    if path.suffix in SUFFIXES and path.is_file() and file_digest(path) == digest:
+    if path.suffix in SUFFIXES and is_file(path) and file_digest(path) == digest:
         return path
     if text is None or path.suffix not in SUFFIXES:
-        what = "has changed since" if path.is_file() else "is not there"
+        what = "has changed since" if is_file(path) else "is not there"
         raise SurefootError(
             f"{log.name}: the model of its robot, {path}, {what}: say which with --robot"
         )

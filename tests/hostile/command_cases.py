@@ -90,6 +90,9 @@ OPTIONS = [
     ("a log for a map", "import csv data.csv --map walk.parquet -o new.parquet", "walk.parquet"),
     ("a map for settings", "estimate walk.parquet --filter imu --settings map.toml", "source"),
     ("a level in percent", "calibrate observer.pt walk.parquet --gamma 80 -o new.json", "gamma"),
+    ("a plugin of 2000 letters", f"--plugin {'p' * 2000}.py info walk.parquet", "--plugin"),
+    ("a map of 2000 letters", f"import csv data.csv --map {'m' * 2000}.toml -o new.parquet", "ak80"),
+    ("a recording of 2000 letters", f"import csv {'r' * 2000}.csv --map map.toml -o new.parquet", "file"),
     ("half a run", "tune walk.parquet -o new --budget 0.5", "--budget"),
     ("a page below a file", "realism walk.parquet -o new --page mine.txt/page.md", "mine.txt"),
 ]

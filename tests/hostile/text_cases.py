@@ -315,6 +315,8 @@ URDF = [
 EXPERIMENT = [
     ("no scenarios", 'scenarios = ["scenario.toml"]', "scenarios = []", "scenarios"),
     ("a scenario that is not there", '"scenario.toml"', '"no.toml"', "no.toml"),
+    ("a scenario of 400 digits", '"scenario.toml"', f'"{LONG}.toml"', "scenario"),
+    ("a robot of 400 digits", '["spot_class"]', f'["{LONG}.xml"]', "robot"),
     ("a scenario twice", '["scenario.toml"]', '["scenario.toml", "scenario.toml"]', "scenarios"),
     ("a scenario of the system", '"scenario.toml"', '"/etc/passwd"', "TOML"),
     ("a scenario that is a folder", '"scenario.toml"', '"."', "scenario"),
