@@ -177,7 +177,7 @@ def distinct(
     while left:
         best = left[0]
         alike = [c for c in left if c.key[0] == best.key[0] and parts[c.key] & parts[best.key]]
-        as_good = [c for c in alike if c.earned == best.earned and c.score > best.score - price]
+        as_good = [c for c in alike if c.earned == best.earned and c.score >= best.score - price]
         kept.append(min(as_good, key=lambda c: len(parts[c.key])))
         left = [c for c in left if c not in alike]
     return tuple(kept)

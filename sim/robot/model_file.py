@@ -17,8 +17,8 @@ def model_spec(file: Path) -> mujoco.MjSpec:
     """A new MjSpec of an MJCF or URDF file. Raises SurefootError in one clear line.
 
     MuJoCo welds the root link of a URDF to the world and omits its mass; here it floats, unless it
-    is called `world`. Links that are fixed to others remain separate bodies, so that a sole or a
-    sensor's frame is found by its name.
+    is called `world`, which the file need not declare. Links that are fixed to others remain
+    separate bodies, so that a sole or a sensor's frame is found by its name.
     """
     check_model_file(file)
     try:
@@ -57,8 +57,16 @@ def _floating(file: Path) -> str:
         for shape in (*link.findall("visual"), *link.findall("collision")):
             if shape.find("geometry/mesh") is not None:
                 link.remove(shape)
-    children = {child.get("link") for child in robot.findall("joint/child")}
+    children = {child.get("link", "") for child in robot.findall("joint/child")}
+    parents = {parent.get("link", "") for parent in robot.findall("joint/parent")}
     names = [link.get("name", "") for link in robot.findall("link")]
+    missing = sorted((children | parents) - set(names))
+    if missing == ["world"]:
+        # Many files leave the world undeclared, as the readers of Drake and SDFormat allow.
+        ElementTree.SubElement(robot, "link", name="world")
+        names.append("world")
+    elif missing:
+        raise ValueError(f"its joints name links that it lacks: {missing[:5]}")
     roots = [name for name in names if name not in children]
     if len(roots) != 1:
         raise ValueError(f"a URDF has one root link, this one {len(roots)}: {roots[:5]}")

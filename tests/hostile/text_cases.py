@@ -302,6 +302,7 @@ URDF = [
     ("no links", "", '<robot name="mine"/>', "root"),
     ("a link without a name", '<link name="arm">', "<link>", "robot"),
     ("a joint without a child", '<child link="arm"/>', "", "robot"),
+    ("a joint of no link", '<child link="arm"/>', '<child link="ghost"/>', "ghost"),
     ("entities", '<robot name="mine">', LAUGH + '<robot name="mine">', "DOCTYPE"),
     ("a mass of no number", '<mass value="1"/>', '<mass value="nan"/>', "mass"),
     ("a mass below zero", '<mass value="1"/>', '<mass value="-1"/>', "mass"),

@@ -269,3 +269,13 @@ def test_a_group_and_its_members_are_one_candidate():
     # Only one of the thighs moved: nothing says that the others have it too.
     assert kept(*friction, replace(singles[0], gain=399.5))[0] == ("viscous_friction", "FL_thigh")
     assert kept(*friction, replace(singles[0], gain=500.0))[0] == ("viscous_friction", "FL_thigh")
+
+
+def test_a_candidate_that_the_data_do_not_show_is_one_candidate():
+    """A fixed base whose first axis is vertical: gravity does not show that angle's zero, and the
+    size that is fitted to rounding errors is so improbable that a parameter's price is nothing to
+    it."""
+    unseen = Candidate(
+        ("encoder_offset", "FL_hip"), -4e8, 2e8, 0.0, -4e3, (-9e3, 8e2), 0.0, True, False, 2e20
+    )
+    assert distinct(whitened(evidence()), [unseen], QUADRUPED) == (unseen,)

@@ -11,6 +11,8 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.robot.catalog import downloadable_robots, known_robots, robot_file
 from surefoot.sim.robot.home_pose import stands
 from surefoot.sim.robot.legs import LEGS
+from surefoot.sim.robot.model_file import compiled_model
+from tests.common import good_texts
 
 ROBOTS = sorted(known_robots())
 
@@ -171,3 +173,12 @@ def test_the_imu_is_where_the_gyro_sits_whatever_it_is_called(tmp_path):
     assert robot.imu == "box"
     np.testing.assert_allclose(robot.p_BI, [0.1, 0.0, 0.02])
     np.testing.assert_allclose(robot.R_BI, np.diag([-1.0, -1.0, 1.0]), atol=1e-12)
+
+
+def test_a_urdf_need_not_declare_the_world(tmp_path):
+    """Some readers of URDF know the world without its link: a machine that is fixed to it."""
+    weld = '<joint name="weld" type="fixed"><parent link="world"/><child link="base"/></joint>'
+    file = tmp_path / "arm.urdf"
+    file.write_text(good_texts.URDF.replace("</robot>", f"{weld}</robot>"))
+    model = compiled_model(file)
+    assert (model.nq, model.body("base").mass[0]) == (1, 5.0)
