@@ -122,16 +122,19 @@ def slip_notes(
         # The friction of a foot that sticks is at least what it uses.
         share = max(0.0, 1.0 - friction.held / dry)
         return (
-            f"foot_slip: not identifiable, feet hardly slide ({many}); they used a friction of up "
-            f"to {friction.held:.2f}, so that up to {100 * share:.0f} % of {dry:g} may be lost "
-            "without a trace: start, stop and turn harder to see it",
+            f"foot_slip: not identifiable, the feet hardly slide ({many}); they used a coefficient "
+            f"of friction of up to {friction.held:.2f}, so a loss of up to {100 * share:.0f} % of "
+            f"{dry:g} would not show; harder starts, stops and turns would show it",
         )
     low, high = friction.interval
     where = "all along the way" if friction.everywhere else "in places"
-    if not friction.consistent(settings):
-        where += ", or do not: feet that hold say otherwise"
     size = f"{friction.limit:.2f} ({low:.2f} to {high:.2f})"
-    return (f"friction: feet slid at {size}, {where}; {many}",)
+    note = f"friction: {many} at a coefficient of {size}, {where}"
+    if not friction.consistent(settings):
+        note += f"; feet that stuck used up to {friction.held:.2f}"
+        if friction.everywhere:
+            note += ", so a delay or leg compliance may look like sliding"
+    return (note,)
 
 
 def _can_tell(case: LogUnderModel) -> bool:

@@ -322,7 +322,8 @@ def _fit(
             now.judge(score, rmse)
             if partial:
                 now.save(partial, task)
-            bar.set_postfix_str("validation RMSE " + " ".join(f"{e:.3f}" for e in rmse) + " m/s")
+            said = " ".join(f"{e:.3f}" for e in rmse)
+            bar.set_postfix_str(f"validation RMSE {said} m/s", refresh=False)
             if callable(progress):
                 progress(now.step, schedule.steps, rmse)
     if not np.isfinite(now.score):
