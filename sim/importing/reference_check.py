@@ -9,9 +9,10 @@ from scipy.spatial.transform import Rotation
 from surefoot.sim.importing.reference import MAX_GAP
 from surefoot.sim.log.reference import Poses
 
-_MISCOUNTED = (1 / 2, 2 / 3, 3 / 2, 2.0)
-"""Speed of a step relative to its neighbours', if its stamps count one frame too many or too few:
-one for two, two for three, three for two, two for one.
+_MISCOUNTED = {1: (2.0,), 2: (1 / 2, 3 / 2), 3: (2 / 3,)}
+"""Speed of a step relative to its neighbours', by the frames that its stamps count, if these are
+one too many or too few. Only these can be told from a gait: even stamps of a body that moves in
+jerks have every other ratio too, and so have steps of more frames.
 """
 _NEAR = 0.12
 """Tolerance of such a ratio: less than half of the distance between two of them."""
@@ -188,10 +189,14 @@ def miscounts(poses: Poses) -> tuple[np.ndarray, np.ndarray]:
     """
     speed, around = _speeds(poses)
     spread = _median_around(np.abs(speed - around))
-    judged = (around > _SLOWEST) & (spread < _STEADY * around)
+    frames = _frames(np.diff(poses.t))
+    judged = (around > _SLOWEST) & (spread < _STEADY * around) & (frames <= max(_MISCOUNTED))
     ratio = speed / np.maximum(around, _SLOWEST)
-    near = np.any([np.abs(ratio / one - 1.0) < _NEAR for one in _MISCOUNTED], axis=0)
-    return near & judged, judged
+    off = np.zeros(len(ratio), dtype=bool)
+    for count, ratios in _MISCOUNTED.items():
+        near = np.any([np.abs(ratio / one - 1.0) < _NEAR for one in ratios], axis=0)
+        off |= near & (frames == count)
+    return off & judged, judged
 
 
 def jumps(poses: Poses) -> np.ndarray:
@@ -222,6 +227,14 @@ def without_jumps(poses: Poses, longest: float = 0.5) -> Poses:
         if poses.t[last] - poses.t[first] < longest:
             keep[first + 1 : last + 1] = False
     return poses.rows(keep)
+
+
+def _frames(step: np.ndarray) -> np.ndarray:
+    """Number of frames (M,) from one sample to the next, by their stamps; a frame is the shortest
+    usual step.
+    """
+    frame = np.median(step[step < 1.5 * np.percentile(step, 5.0)])
+    return np.maximum(np.rint(step / frame), 1.0)
 
 
 def _speeds(poses: Poses) -> tuple[np.ndarray, np.ndarray]:

@@ -53,6 +53,18 @@ def test_frames_that_were_miscounted_are_found():
     assert found.jumps == 0
 
 
+@pytest.mark.parametrize("share", [0.5, 1.5])
+def test_a_body_that_moves_in_jerks_has_no_miscounted_frames(share):
+    """Servos that are told where to go at 25 Hz: of four frames, one is covered at another speed,
+    and the stamps are right."""
+    speeds = np.tile([1.0, 1.0, share, 1.0], 250) * 0.15
+    t = 0.01 * np.arange(len(speeds) + 1)
+    p = np.column_stack([np.concatenate([[0.0], 0.01 * np.cumsum(speeds)]), 0.0 * t, 0.0 * t])
+    found = check_reference(Poses(t, p, np.tile([1.0, 0.0, 0.0, 0.0], (len(t), 1))))
+    assert found.judged > 900
+    assert found.miscounted == 0
+
+
 def test_jumps_and_held_samples_and_gaps_are_counted():
     t = 0.01 * np.arange(1000)
     true = poses(t)
