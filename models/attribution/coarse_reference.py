@@ -85,19 +85,19 @@ def reference_notes(log: Log, coarse: Coarse | None) -> tuple[str, ...]:
     if not log.has("imu"):
         return tuple(notes)
     notes.append(
-        f"reference: its samples err by {1e3 * coarse.position:.2g} mm, "
-        f"{np.degrees(coarse.angle):.2g} deg and {1e3 * coarse.stamp:.2g} ms, which the floor has"
+        f"reference: noise of {1e3 * coarse.position:.2g} mm, {np.degrees(coarse.angle):.2g} deg "
+        f"and {1e3 * coarse.stamp:.2g} ms, included in the noise floor"
     )
     found = align(log, most=_MOST)
     late, far = abs(found.offset), float(np.linalg.norm(found.p_IM))
     if late > max(_LATE, found.offset_half_width):
         notes.append(
-            f"reference: by the IMU alone, {1e3 * found.offset:.1f} ms (+-"
-            f"{1e3 * found.offset_half_width:.1f}) must be added to its stamps: try surefoot align"
+            f"reference: by the IMU, {1e3 * found.offset:.1f} ms (+-"
+            f"{1e3 * found.offset_half_width:.1f}) must be added to its stamps: run surefoot align"
         )
     if far > max(_FAR, float(np.linalg.norm(found.p_IM_half_width))):
         notes.append(
-            f"reference: the tracked point is {1e3 * far:.0f} mm from the IMU: try surefoot align"
+            f"reference: the tracked point is {1e3 * far:.0f} mm from the IMU: run surefoot align"
         )
     return (*notes, *(f"reference: {fault}" for fault in found.faults))
 

@@ -90,21 +90,24 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
         elif channel.on_level_ground:
             notes.append(f"{name}: not used, the ground is not level")
     if any(case.log.has("foot") and not case.log.has("q") for case in cases):
-        notes.append("legs: not traced, places of feet show no joint; the log lacks q")
+        notes.append(
+            "legs: not traced, since foot positions do not show the joints; the log lacks q"
+        )
     if "joint_torque" not in there and all(case.log.has("q_des") for case in cases):
         notes.append(
             "tracking: commanded angles need a motor law to give torques; add one to the map"
         )
     if fixed:
-        notes.append("without a reference the base is taken to be held still and level")
+        notes.append("without a reference, the base is assumed to be at rest and level")
         if any(case.frame.rates_of_angles for case in cases):
             notes.append(
-                "torques: by the slopes of the angles, which are less noisy than the logged rates"
+                "torques: joint rates are derived from the angles, which are less noisy than the "
+                "logged rates"
             )
     elif not all(case.log.has("reference") for case in cases):
         notes.append(
-            "without a reference feet that stand at the same time are held against each other, and "
-            "joints against themselves"
+            "without a reference, feet in stance are compared with each other, and each joint with "
+            "itself"
         )
         notes += _not_identifiable(cases)
     elif not all(case.log.has("ref_v") for case in cases):
@@ -118,7 +121,9 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
             f"the ground is assumed even to {1e3 * floor.evenness:.2g} mm (standard deviation)"
         )
     if any(isinstance(c.robot, Robot) and np.any(c.robot.foot_radius == 0) for c in cases):
-        notes.append("the model's feet are points; the floor is from walks with the file's feet")
+        notes.append(
+            "the model's feet are points; the walks of the noise floor have the feet of its file"
+        )
     return tuple(notes)
 
 

@@ -37,8 +37,8 @@ from surefoot.sim.log import Log
 from surefoot.sim.robot.fixed_base import Machine
 
 ONLY_BETWEEN_FEET = (
-    "seen between standing feet alone, where an effect that needs a reference may look the same: "
-    "log one"
+    "shows only as relative motion of feet in stance, as do effects that need a reference to be "
+    "identified: log a reference"
 )
 
 
@@ -233,7 +233,11 @@ def diagnose(
             *dead,
             *data_notes(cases, floor),
             *slip_notes(friction, "leg_velocity" in channels, settings),
-            *(f"not judged by: {why}" for p in pushes if (why := p.in_words()) not in reasons),
+            *(
+                f"excluded from the verdict: {why}"
+                for p in pushes
+                if (why := p.in_words()) not in reasons
+            ),
             *_result_notes(found, channels),
             *_notes_of_unchanged(since, channels),
         ),
@@ -285,10 +289,10 @@ def cases_of(
 
 
 def _result_notes(found: Sequence[Found], channels: dict[str, ChannelLevel]) -> list[str]:
-    notes = [f"{name}: worse with what was found" for name, c in channels.items() if c.worse]
+    notes = [f"{name}: worse with the effects found" for name, c in channels.items() if c.worse]
     notes += [
-        f"{name}: what is left is {c.after / c.highest:.0f} times what the declared model leaves; "
-        "sizes may be its doing"
+        f"{name}: {c.after / c.highest:.0f} times its residual in simulation is left, which may "
+        "distort the sizes"
         for name, c in channels.items()
         if found and c.after > c.settings.far * c.highest
     ]
@@ -298,7 +302,7 @@ def _result_notes(found: Sequence[Found], channels: dict[str, ChannelLevel]) -> 
 def _notes_of_unchanged(since: Unchanged | None, channels: dict[str, ChannelLevel]) -> list[str]:
     """Notes on channels above the noise floor, but no higher than in unchanged runs."""
     return [
-        f"{name}: {c.after:.3g} {c.unit} is left; runs in which nothing changed leave up to "
+        f"{name}: {c.after:.3g} {c.unit} is left; runs of the unchanged machine leave up to "
         f"{since.left[name]:.3g}"
         for name, c in channels.items()
         if since and name in since.left and c.noise_floor and c.after > c.noise_floor

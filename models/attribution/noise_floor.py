@@ -231,7 +231,9 @@ def noise_floor(
     floor = replace(_plain_floor(cases, ground), unchanged=unchanged)
     if unchanged is None:
         return floor
-    beside = f"{floor.source}, and what {unchanged.runs} runs in which nothing changed differ by"
+    beside = (
+        f"{floor.source}, and the variation between {unchanged.runs} runs of the unchanged machine"
+    )
     return replace(floor, source=beside)
 
 
@@ -239,7 +241,7 @@ def _plain_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect]) -> No
     """The floor from these logs alone."""
     first = cases[0]
     if first.fixed:
-        source = "how the readings differ from one row to the next"
+        source = "the differences between successive readings"
         return NoiseFloor(reading_noise(cases), (), source, readings=tuple(cases))
     known = ("imu", "q", "dq", "tau", "contact", "reference", "ref_v")
     walks = first.robot.limbs == QUADRUPED
@@ -306,7 +308,7 @@ def _floor(plan: FloorPlan, effects: tuple[Effect, ...]) -> NoiseFloor:
     sigma = np.maximum(sigma, _least(repeats[0].evidence.layout))
     source = f"{len(repeats)} simulated walks of the declared model along the log's own course"
     if plan.coarse:
-        source += ", seen by a reference as coarse as the log's"
+        source += ", with a reference as coarse as the log's"
     return NoiseFloor(sigma, repeats, source, plan)
 
 

@@ -37,16 +37,14 @@ def verdict_of(
     above = [name for name, c in channels.items() if not c.at_floor or c.worse]
     reasons = [f"{name}: {_above(channels[name])}" for name in above]
     if curves:
-        reasons.append("a joint's readings err by a curve of its angle")
+        reasons.append("a joint's encoder error varies with its angle")
     reasons += [
         f"{one.effect.name} {one.effect.target}: its size is at its bound"
         for one in found
         if _at_bound(one.effect)
     ]
     reasons += [why for one in found if (why := _implausible(one))]
-    reasons += [
-        f"{one.name} {one.target}: left out, it makes {name} worse" for one, name in harmful
-    ]
+    reasons += [f"{one.name} {one.target}: dropped, it makes {name} worse" for one, name in harmful]
     reasons += held_out.against if held_out else ()
     if reasons:
         return "none_of_these", tuple(reasons)
@@ -60,15 +58,15 @@ def verdict_of(
     if below:
         return "not_identifiable", tuple(below)
     if not _gains(found, channels):
-        why = "what was found takes nothing off the part that no fit has seen"
+        why = "the effects found do not reduce the residual on unseen data"
         return "not_identifiable", (why,)
     return ("confounded" if rivals else "attributed"), ()
 
 
 def _above(c: ChannelLevel) -> str:
     if not c.at_floor:
-        return f"{c.after:.3g} {c.unit} is left, its noise floor is {c.noise_floor:.3g}"
-    return f"worse with what was found, {c.before:.3g} -> {c.after:.3g} {c.unit}"
+        return f"{c.after:.3g} {c.unit} is left, above its noise floor of {c.noise_floor:.3g}"
+    return f"worse with the effects found, {c.before:.3g} -> {c.after:.3g} {c.unit}"
 
 
 def _at_bound(one: Effect) -> bool:
@@ -84,7 +82,7 @@ def _implausible(one: Found) -> str:
     if one.interval[0] < 0 < one.interval[1] or least <= most:
         return ""
     name, unit = f"{one.effect.name} {one.effect.target}", one.effect.unit
-    return f"{name}: no part is off by {one.effect.value:.2g} {unit}, {most:.2g} at most"
+    return f"{name}: {one.effect.value:.2g} {unit} is implausible, above {most:.2g}"
 
 
 def _gains(found: Sequence[Found], channels: dict[str, ChannelLevel]) -> bool:
@@ -108,6 +106,6 @@ def _below_floor(one: Effect, channels: dict[str, ChannelLevel]) -> str:
         return ""
     name, c = max(own.items(), key=lambda item: item[1].before / (item[1].noise_floor or 1.0))
     return (
-        f"{one.name} {one.target}: the noise floor lies above the residual, of {name} at "
-        f"{c.noise_floor:.3g} and {c.before:.3g} {c.unit}"
+        f"{one.name} {one.target}: the residual of {name}, {c.before:.3g} {c.unit}, is below its "
+        f"noise floor of {c.noise_floor:.3g}"
     )

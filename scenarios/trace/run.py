@@ -142,7 +142,7 @@ def trace_logs(
 def _harm(filters: Filters, limit: float) -> tuple[str, ...]:
     """A sentence for each filter whose APE_trans grew by more than the factor `limit`."""
     return tuple(
-        f"{name} filter: farther off with what was found"
+        f"{name} filter: larger error with the effects found"
         for name, m in filters.items()
         if m["after"]["ape_trans"] > limit * m["before"]["ape_trans"]
     )

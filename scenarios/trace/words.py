@@ -166,8 +166,8 @@ def caution(found: Mapping[str, Any]) -> str:
     """Warning for users of the effects of a trace.json; "" where none is due."""
     if found["verdict"] != "none_of_these" or not found["effects"]:
         return ""
-    harm = [note for note in found["notes"] if note.endswith("with what was found")]
-    words = "caution: more is left than was found, and what was found may stand for it"
+    harm = [note for note in found["notes"] if note.endswith("with the effects found")]
+    words = "caution: a residual is left, and the effects found may stand in for its cause"
     return "; ".join([words, *harm])
 
 

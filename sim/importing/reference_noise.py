@@ -70,9 +70,9 @@ class ReferenceNoise:
     def line(self) -> str:
         """The result in words."""
         return (
-            f"reference against the IMU: samples err by {1e3 * self.position:.2g} mm, "
+            f"reference compared with the IMU: noise of {1e3 * self.position:.2g} mm, "
             f"{np.degrees(self.angle):.2g} deg and {1e3 * self.stamp:.2g} ms; a smoother over both "
-            f"corrects stamps by {1e3 * self.correction:.2g} ms, and foresees a sample to "
+            f"corrects stamps by {1e3 * self.correction:.2g} ms and predicts a sample to "
             f"{1e3 * self.innovation:.2g} mm"
         )
 

@@ -31,13 +31,13 @@ def test_what_explains_the_residual_down_to_its_floor_is_attributed():
 def test_what_is_left_above_the_floor_is_a_reason():
     name, (why,) = verdict([CALF], 4.0, 2.0)
     assert name == "none_of_these"
-    assert why == "leg_velocity: 2 m/s is left, its noise floor is 1"
+    assert why == "leg_velocity: 2 m/s is left, above its noise floor of 1"
 
 
 def test_nothing_is_attributed_below_the_floor():
     name, (why,) = verdict([CALF], 0.6, 0.5)
     assert name == "not_identifiable"
-    assert why.startswith("link_length FL_calf: the noise floor lies above the residual")
+    assert why.startswith("link_length FL_calf: the residual of leg_velocity")
     # By no more than the floor's walks differ it does not; nor where one channel is above it.
     assert verdict([CALF], 0.95, 0.9)[0] == "attributed"
     levels = {"leg_velocity": level(0.6, 0.5), "base_wrench": level(1.5, 1.0)}
@@ -47,7 +47,7 @@ def test_nothing_is_attributed_below_the_floor():
 def test_nothing_is_attributed_that_takes_nothing_off_what_no_fit_has_seen():
     name, (why,) = verdict([CALF], 0.95, 0.96)
     assert name == "not_identifiable"
-    assert why == "what was found takes nothing off the part that no fit has seen"
+    assert why == "the effects found do not reduce the residual on unseen data"
 
 
 def test_a_size_at_its_bound_fails():
@@ -66,7 +66,7 @@ def test_a_scale_that_no_sensor_has_stands_for_another_effect():
     assert of(-0.08, 0.01)[0] == "attributed"  # or 7 %
     name, (why,) = of(-0.096, 0.01)
     assert name == "none_of_these"
-    assert why == "encoder_scale FL_hip: no part is off by -0.096 ratio, 0.075 at most"
+    assert why == "encoder_scale FL_hip: -0.096 ratio is implausible, above 0.075"
 
 
 def test_a_held_out_run_may_say_otherwise():

@@ -203,7 +203,7 @@ def test_rivals_are_named_and_the_motion_that_tells_them_apart_is_said_once():
 
 
 def test_what_was_found_beside_a_rest_is_put_to_use_with_caution():
-    harm = "leg filter: farther off with what was found"
+    harm = "leg filter: larger error with the effects found"
     found = {"verdict": "none_of_these", "effects": [{}], "notes": ["the ground is level", harm]}
     assert caution(found).endswith(f"; {harm}")
     assert "level" not in caution(found)

@@ -152,7 +152,7 @@ def test_what_has_changed_stands_out_from_what_unchanged_runs_differ_by(tmp_path
     one_more.write(tmp_path / "new.parquet")
     main(["trace", str(tmp_path / "new.parquet"), "--declared", str(out / "effects.toml"), "-o",
           str(tmp_path / "new")])  # fmt: skip
-    assert "3 runs in which nothing changed" in capsys.readouterr().out
+    assert "3 runs of the unchanged machine" in capsys.readouterr().out
     rubs = run(4, armature=0.03, friction=0.5)
     changed = trace_logs([rubs], PENDULUM, declared=declared, since=since)
     assert names(changed)[0] == ("coulomb_friction", "shoulder")

@@ -180,7 +180,7 @@ def test_a_sample_a_row_stays_so_where_the_body_rests_first():
 def test_a_reference_that_turns_otherwise_is_said_to():
     walk = motion(12.0, 400.0)
     t = np.arange(0.1, 11.9, 0.01)
-    assert "samples err by" in reference_lines(log_of(walk, poses(t)))[-1]
+    assert "reference compared with the IMU" in reference_lines(log_of(walk, poses(t)))[-1]
     elsewhere = poses(t, t + 0.25)
     elsewhere = elsewhere.rows(elsewhere.t < 11.9)
     assert "does not turn as the IMU does" in reference_lines(log_of(walk, elsewhere))[-1]
