@@ -44,6 +44,8 @@ def robot_card(name_or_path: str, picture: Path | None, force: bool = False) -> 
             raise SurefootError(f"-o: {robot.name} is a machine on a fixed base, without a picture")
         joints = ", ".join(robot.joint_names)
         text = f"{robot.name}: a machine on a fixed base, joints {joints}\nfile: {robot.file}"
+        if robot.legless:
+            text += f"\nno legs: {robot.legless}"
         values = {"name": robot.name, "file": robot.file, "joints": robot.joint_names}
         return RobotCard(text, values)
     if picture is not None:

@@ -20,12 +20,22 @@ BUNDLED_MACHINES = bundled("surefoot.sim.robot", "machines")
 
 @dataclass(frozen=True)
 class FixedBase:
-    """The declared model of a machine on a fixed base: its file and its joints, in its order."""
+    """The declared model of a machine on a fixed base: its file and its joints, in its order.
+
+    Attributes:
+        name: of its file.
+        file: MJCF or URDF.
+        joint_names: as in the file.
+        extras: what a log's map declares.
+        legless: why no legs were found in a URDF, which may be of a robot with legs; empty where
+            the file says that the base is fixed.
+    """
 
     name: str
     file: Path
     joint_names: tuple[str, ...]
     extras: DeclaredExtras = field(default_factory=DeclaredExtras)
+    legless: str = ""
 
     @property
     def limbs(self) -> Limbs:
@@ -40,28 +50,30 @@ def load_machine(name_or_path: str | Path, feet: Mapping[str, str] | None = None
     """Load a robot with legs, or a fixed base if the model has no free joint or is a URDF without
     legs.
 
-    Raises SurefootError. feet: as for `Robot.load`.
+    Raises SurefootError. feet: as for `Robot.load`; with feet it is a robot with legs.
     """
     bundled = BUNDLED_MACHINES / f"{name_or_path}.xml"
     file = bundled if is_file(bundled) else robot_file(name_or_path)
-    model = compiled_model(file)
+    model, legless = compiled_model(file), ""
     if (model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any():
         try:
             return Robot.load(name_or_path, feet)
-        except SurefootError:
-            if file.suffix != ".urdf":
+        except SurefootError as error:
+            if feet or file.suffix != ".urdf":
                 raise
+            legless = str(error)
     moves = {int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)}
     single = [model.joint(j).name for j in range(model.njnt) if int(model.jnt_type[j]) in moves]
     if not single:
         raise SurefootError(f"robot {file}: has no hinge or slide")
-    return FixedBase(file.stem, file, tuple(single))
+    return FixedBase(file.stem, file, tuple(single), legless=legless)
 
 
 def machine_for_log(log: Log, name: str | Path | None = None) -> Machine:
     """The machine `name`, or else the one the log names, with the values of the log's map.
 
-    Raises SurefootError where a fixed base lacks a joint that the log has.
+    Raises SurefootError where a fixed base lacks a joint that the log has, and where no legs were
+    found for a log with feet.
     """
     chosen = name or robot_of_log(log)
     if not chosen:
@@ -74,6 +86,8 @@ def machine_for_log(log: Log, name: str | Path | None = None) -> Machine:
     machine = load_machine(chosen, log.meta.model.get("feet"))
     if isinstance(machine, Robot):
         return Robot.for_log(log, chosen)
+    if machine.legless and (log.has("contact") or log.has("foot")):
+        raise SurefootError(f"{log.name}: is of a machine with legs; {machine.legless}")
     if not log.has("q"):
         raise SurefootError(f"{log.name}: the log has no joints")
     for joint in log.joints:

@@ -12,6 +12,11 @@ from surefoot.sim.robot.model_gate import check_compiled, check_model_file
 # anyway.
 mujoco.set_mju_user_warning(lambda message: None)
 
+_NO_MASS, _NO_INERTIA = 1e-6, 1e-12
+"""Mass [kg] and moment of inertia [kg m^2] below which a URDF's link is a mere frame, of a sensor
+say: those of a milligram a millimetre across. MuJoCo refuses such moments.
+"""
+
 
 def model_spec(file: Path) -> mujoco.MjSpec:
     """A new MjSpec of an MJCF or URDF file. Raises SurefootError in one clear line.
@@ -50,6 +55,15 @@ def _unreadable(file: Path, error: Exception) -> SurefootError:
     return SurefootError(f"robot {file}: MuJoCo cannot read it: {reason}")
 
 
+def _is_a_frame(inertial: ElementTree.Element) -> bool:
+    """Whether a link's mass and inertia are there for a simulator's sake only."""
+    mass, inertia = inertial.find("mass"), inertial.find("inertia")
+    if mass is None or inertia is None:
+        return False
+    moments = [abs(float(inertia.get(axis, "inf"))) for axis in ("ixx", "iyy", "izz")]
+    return float(mass.get("value", "inf")) < _NO_MASS and max(moments) < _NO_INERTIA
+
+
 def _floating(file: Path) -> str:
     """The URDF's text with a floating root and without meshes."""
     robot = ElementTree.parse(file).getroot()
@@ -57,6 +71,9 @@ def _floating(file: Path) -> str:
         for shape in (*link.findall("visual"), *link.findall("collision")):
             if shape.find("geometry/mesh") is not None:
                 link.remove(shape)
+        inertial = link.find("inertial")
+        if inertial is not None and _is_a_frame(inertial):
+            link.remove(inertial)
     children = {child.get("link", "") for child in robot.findall("joint/child")}
     parents = {parent.get("link", "") for parent in robot.findall("joint/parent")}
     names = [link.get("name", "") for link in robot.findall("link")]

@@ -4,15 +4,19 @@ import sys
 
 import mujoco
 import numpy as np
+import pandas as pd
 import pytest
+from good_texts import URDF
 
+from surefoot.scenarios.robot_card import robot_card
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.log import Log, Meta
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.catalog import downloadable_robots, known_robots, robot_file
+from surefoot.sim.robot.fixed_base import FixedBase, load_machine, machine_for_log
 from surefoot.sim.robot.home_pose import stands
 from surefoot.sim.robot.legs import LEGS
 from surefoot.sim.robot.model_file import compiled_model
-from tests.common import good_texts
 
 ROBOTS = sorted(known_robots())
 
@@ -179,6 +183,36 @@ def test_a_urdf_need_not_declare_the_world(tmp_path):
     """Some readers of URDF know the world without its link: a machine that is fixed to it."""
     weld = '<joint name="weld" type="fixed"><parent link="world"/><child link="base"/></joint>'
     file = tmp_path / "arm.urdf"
-    file.write_text(good_texts.URDF.replace("</robot>", f"{weld}</robot>"))
+    file.write_text(URDF.replace("</robot>", f"{weld}</robot>"))
     model = compiled_model(file)
     assert (model.nq, model.body("base").mass[0]) == (1, 5.0)
+
+
+def test_a_frame_with_next_to_no_inertia_is_a_frame(tmp_path):
+    moments = 'ixx="1e-22" iyy="1e-22" izz="1e-22" ixy="0" ixz="0" iyz="0"'
+    imu = (
+        f'<link name="imu"><inertial><mass value="1e-7"/><inertia {moments}/></inertial></link>'
+        '<joint name="mount" type="fixed"><parent link="base"/><child link="imu"/></joint>'
+    )
+    file = tmp_path / "arm.urdf"
+    file.write_text(URDF.replace("</robot>", f"{imu}</robot>"))
+    assert compiled_model(file).body("imu").mass[0] == 0.0
+
+
+def test_a_log_with_feet_is_of_no_machine_on_a_fixed_base(tmp_path):
+    """A URDF's feet may be meshes, which are not read: the reason must reach the user, and no
+    trace take the base to be held still."""
+    file = tmp_path / "arm.urdf"
+    file.write_text(URDF)
+    machine = load_machine(file)
+    assert isinstance(machine, FixedBase)
+    assert "none of its 1 chains of hinges ends in" in machine.legless
+    assert machine.legless in robot_card(file, None).text
+    t = 0.01 * np.arange(50)
+    frame = pd.DataFrame({"t": t, "q_shoulder": 0.0 * t})
+    meta = Meta(100.0, robot=str(file))
+    assert isinstance(machine_for_log(Log(frame, meta, "held")), FixedBase)
+    with pytest.raises(SurefootError, match="walk: is of a machine with legs; robot arm: none"):
+        machine_for_log(Log(frame.assign(contact_left=1.0), meta, "walk"))
+    with pytest.raises(SurefootError, match="no body or site 'toe'"):
+        load_machine(file, feet={"left": "toe"})
