@@ -33,8 +33,10 @@ def readings(log: Log, settings: TraceSettings = DEFAULT) -> Log:
 
 
 def dead_contacts(log: Log, settings: TraceSettings = DEFAULT) -> str:
-    """Say which contacts never change although the robot walks; "" if all do."""
+    """Say which contacts never change although the robot walks; "" if all do, or if it rolls."""
     if not log.has("contact") or not log.has("reference"):
+        return ""
+    if log.contact.all() and log.has("q") and np.ptp(log.q, axis=0).max() > 2.0 * np.pi:
         return ""
     legs = log.legs
     dead = [leg for leg, one in zip(legs, log.contact.T, strict=True) if one.all() or not one.any()]

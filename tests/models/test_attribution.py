@@ -3,10 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from known_evidence import BINS, KEYS, NOISE, WIDTH, evidence
 from numpy.testing import assert_allclose
 
+from surefoot.models.attribution.data import dead_contacts
 from surefoot.models.attribution.fit import design, fit, loss, normal_equations, overlap
 from surefoot.models.attribution.noise_floor import NoiseFloor, Repeat
 from surefoot.models.attribution.refinement import contenders
@@ -16,6 +18,7 @@ from surefoot.models.attribution.settings import DEFAULT
 from surefoot.models.bootstrap import block_draws
 from surefoot.models.residuals.jacobians import sparse
 from surefoot.sim.effects import known_effects
+from surefoot.sim.log import Log, Meta
 from surefoot.sim.robot.limbs import QUADRUPED
 
 NO_WALKS = NoiseFloor(NOISE, (), "none")
@@ -279,3 +282,14 @@ def test_a_candidate_that_the_data_do_not_show_is_one_candidate():
         ("encoder_offset", "FL_hip"), -4e8, 2e8, 0.0, -4e3, (-9e3, 8e2), 0.0, True, False, 2e20
     )
     assert distinct(whitened(evidence()), [unseen], QUADRUPED) == (unseen,)
+
+
+def test_wheels_that_never_lift_are_no_dead_contacts():
+    t = 0.01 * np.arange(500)
+    columns = {"t": t, "contact_left": 1.0 + 0.0 * t, "contact_right": 1.0 + 0.0 * t}
+    columns |= {f"ref_p_{axis}": goes * t for axis, goes in (("x", 0.5), ("y", 0.0), ("z", 0.0))}
+    columns |= {f"ref_q_{axis}": float(axis == "w") + 0.0 * t for axis in "wxyz"}
+    for turns, dead in ((0.5, True), (8.0, False)):
+        wheels = {f"q_{side}_wheel": turns * t / t[-1] for side in ("left", "right")}
+        log = Log(pd.DataFrame(columns | wheels), Meta(100.0), "rolls")
+        assert bool(dead_contacts(log)) == dead
