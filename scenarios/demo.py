@@ -19,6 +19,7 @@ from surefoot.scenarios.reporting.observer_errors import error_section
 from surefoot.scenarios.reporting.observer_figures import mixing_curve
 from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.scenarios.reporting.tables import to_markdown
+from surefoot.scenarios.stages import processes, submitted
 from surefoot.scenarios.trace.report import sections as trace_sections
 from surefoot.scenarios.trace.result import Trace
 from surefoot.scenarios.trace.run import trace
@@ -68,11 +69,17 @@ def _run(out: Path, seed: int) -> tuple[pd.DataFrame, Trace, Effect]:
     """The table, the trace, and the effect it should have found; all files are in `out`."""
     robot = Robot.load("spot_class")
     logs = {role: _walk(role, robot, _seed(role, seed), out) for role in WALKS}
-    print("training two observers on one walk: mean squared error, Gaussian likelihood")
-    learnt = learn([logs["train"]], logs["calibrate"], out, seed)
-    print("\nevery filter, on a walk that nothing was trained on")
-    comparison = compare_log(logs["walk"], robot, learnt)
-    found, hidden = _trace(robot, seed, out)
+    hidden = _undeclared(robot, seed, out)
+    # Two workers, since a pool of one would be this process; only one is started.
+    with processes(2) as pool:
+        assert pool is not None
+        tracing = submitted(pool, (_trace, robot, seed, out))
+        print("training two observers on one walk: mean squared error, Gaussian likelihood")
+        learnt = learn([logs["train"]], logs["calibrate"], out, seed)
+        print("\nevery filter, on a walk that nothing was trained on")
+        comparison = compare_log(logs["walk"], robot, learnt)
+        print("\ntracing the walk with an effect that its log does not declare, begun meanwhile")
+        found = tracing.result()
     # The ground as drawn with this seed, in contrast to that in the file.
     ground = plan(_scenario("walk"), robot, _seed("walk", seed)).draw.scenario.ground
     extra = [*_observer_sections(logs, learnt, out), *_loop_sections(found, hidden)]
@@ -99,22 +106,24 @@ def _walk(role: str, robot: Robot, seed: int, out: Path) -> Log:
     return Log.read(path)
 
 
-def _trace(robot: Robot, seed: int, out: Path) -> tuple[Trace, Effect]:
-    """Simulate another walk with an undeclared effect, and trace it from the log alone."""
+def _undeclared(robot: Robot, seed: int, out: Path) -> Effect:
+    """Simulate another walk with an effect that its log does not declare; returns the effect."""
     rng = np.random.default_rng([seed, 4])
     name, targets, (low, high) = UNDECLARED[rng.integers(len(UNDECLARED))]
     size = float(rng.choice([-1.0, 1.0]) * np.exp(rng.uniform(np.log(low), np.log(high))))
     hidden = effect(name, str(rng.choice(targets)), abs(size) if name == "joint_delay" else size)
-    print("\nwalking once more, with an effect that the log does not declare")
     with percent_bar("walking: undeclared") as progress:
         log = walk(
             _scenario("walk"), robot, 4 * seed + 3, [hidden], declared=False, progress=progress
         )
-    log = replace(log, name="undeclared")
-    log.write(out / "logs" / "undeclared.parquet")
+    replace(log, name="undeclared").write(out / "logs" / "undeclared.parquet")
     save_effects(out / "truth.toml", [hidden])
-    with percent_bar("trace") as progress:
-        return trace([log], robot, out / "trace", seed, progress), hidden
+    return hidden
+
+
+def _trace(robot: Robot, seed: int, out: Path) -> Trace:
+    """Trace that walk from its log alone."""
+    return trace([Log.read(out / "logs" / "undeclared.parquet")], robot, out / "trace", seed)
 
 
 def _in_words(hidden: Effect) -> str:
