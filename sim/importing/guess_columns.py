@@ -150,6 +150,12 @@ def _joint_columns(file: RecordedFile, machine: Machine | None, commands: bool) 
         for name, one in _of(file, "q", "dq", "tau").items()
         if not (one.axis or one.reference or (one.leg and one.leg in poses))
     }
+    raw = {(one.kind, one.commanded) for one in found.values() if not one.filtered}
+    found = {
+        name: one
+        for name, one in found.items()
+        if not (one.filtered and (one.kind, one.commanded) in raw)
+    }
     named = any(one.part or one.leg for one in found.values() if one.kind == "q")
     joints: _Joints = {}
     for name, one in found.items():
@@ -184,8 +190,8 @@ def _joint_of(
     if one.place is None or len(alike) == 1:
         return "joint", _JointColumn(name, "" if len(alike) == 1 else f"which joint is {name}?")
     # Independent of counting from 0 or 1, and of the order of leg and joint numbers.
-    order = sorted((n.limb or 0, n.place or 0) for n in alike)
-    place, count = order.index((one.limb or 0, one.place)), len(alike)
+    order = sorted({(n.limb or 0, n.place or 0) for n in alike})
+    place, count = order.index((one.limb or 0, one.place)), len(order)
     # Unnamed joints: in the order of a list, of the robot, or the usual one.
     for words, listed in {**file.lists, **_lists_beside(file.path)}.items():
         if len(listed) == count:

@@ -28,7 +28,12 @@ _KINDS: dict[str, str] = {
     }.items()
     for word in words.split()
 }
-_COMMANDED = _words("des desired cmd command commanded target setpoint goal sp ff feedforward")
+_COMMANDED = _words(
+    "des desired cmd command commanded target setpoint goal sp ff feedforward con ctrl control"
+)
+_FILTERED = _words("filt filtered smooth smoothed lp lpf lowpass")
+_NOT_READ = _words("fric friction err error")
+"""Of a joint, but neither a reading nor a command: a friction that was compensated, an error."""
 _REFERENCE = _words(
     "ref reference vicon mocap gt truth groundtruth optitrack opti motive qualisys base pose"
 )
@@ -90,6 +95,7 @@ class Named:
         axis: of a vector.
         unit: as written.
         commanded: whether it is a command.
+        filtered: whether it is a filtered reading.
         reference: whether it is of a tracked body.
     """
 
@@ -102,6 +108,7 @@ class Named:
     axis: str = ""
     unit: str = ""
     commanded: bool = False
+    filtered: bool = False
     reference: bool = False
 
 
@@ -136,8 +143,13 @@ def read_name(name: str) -> Named:
     vectors = any(word in tuple("xyz") or word.isdigit() for word in words)
     for word in words:
         letters, digits = re.fullmatch(r"([a-z]*)([0-9]*).*", word).groups()  # pyright: ignore
+        if digits and letters in _COMMANDED | _FILTERED | _NOT_READ:
+            place = int(digits)
+            continue
         vector = re.fullmatch(r"(ang|w|omega|gyro|gyr|g|a|acc|accel|q|quat|p|pos|t)([wxyz])", word)
-        if word in _COMMANDED or word in _FILLER or (word in _REFERENCE and len(words) > 1):
+        if word in _COMMANDED | _FILTERED | _NOT_READ | _FILLER or (
+            word in _REFERENCE and len(words) > 1
+        ):
             continue
         if word.isdigit():
             place = int(word)
@@ -175,6 +187,9 @@ def read_name(name: str) -> Named:
     if kind == "force" and leg in LEGS and _of_a_leg(part) in ("hip", "thigh", "calf"):
         kind = "tau"  # the load of a joint
     tracked = bool(_REFERENCE & set(words))
+    roots = {word.rstrip("0123456789") for word in words}
+    if roots & _NOT_READ:
+        kind = ""
     if kind == "gyro" and leg and not axis:
         kind = "dq"  # "angular velocity" of a joint
     if not kind and axis and tracked and not part and not leg:
@@ -195,7 +210,8 @@ def read_name(name: str) -> Named:
         place=place,
         axis=axis,
         unit=_OF_A_SECOND.get(unit, unit),
-        commanded=bool(_COMMANDED & set(words)),
+        commanded=bool(_COMMANDED & roots),
+        filtered=bool(_FILTERED & roots),
         reference=tracked,
     )
 

@@ -503,6 +503,27 @@ def test_angles_without_a_name_are_no_joints_beside_those_that_have_one(tmp_path
     assert [e.theirs for e in entries if e.name.startswith("q_")] == [*named]
 
 
+def test_a_reading_goes_before_its_filtered_copy_and_commands_are_commands(tmp_path):
+    """As drives' software logs them: readings, filtered ones, targets and what it compensates."""
+    t = 0.002 * np.arange(2000)
+    columns = {"time": t}
+    for k in (1, 2):
+        q, dq = np.sin(k * t), k * np.cos(k * t)
+        columns |= {f"pos_meas{k}": q, f"vel_meas{k}": dq, f"pos_filt{k}": q, f"vel_filt{k}": dq}
+        columns |= {f"pos_des{k}": q, f"tau_con{k}": dq, f"tau_fric{k}": 0.1 * dq}
+        columns |= {f"tau_meas{k}": dq, f"tau_des{k}": dq}
+    pd.DataFrame(columns).to_csv(tmp_path / "bench.csv", index=False)
+    main = drafted(guess_map([tmp_path / "bench.csv"]))
+    theirs = {"q": "pos_meas", "dq": "vel_meas", "tau": "tau_meas", "q_des": "pos_des"}
+    expected = {f"{o}_joint{k}": f"{t}{k + 1}" for o, t in theirs.items() for k in (0, 1)}
+    assert {name: column for name, (column, *_) in main.items()} == expected | {
+        "t": "time",
+        "tau_ff_joint0": "tau_con1",
+        "tau_ff_joint1": "tau_con2",
+    }
+    assert main["tau_ff_joint0"][3] == "this, or tau_des1?"
+
+
 def test_contacts_of_six_legs_are_known_by_the_words_of_their_joints(tmp_path):
     """Legs of other than four or two are named after their first body."""
     legs = {
