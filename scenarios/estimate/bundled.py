@@ -237,7 +237,7 @@ class Imu:
     """Integration of the IMU alone: the baseline of all other estimators."""
 
     name, label, color, line = "imu", "IMU alone", "#7F3485", "-"
-    description = "IMU alone: the floor."
+    description = "Integrates the IMU alone."
     needs = Needs(robot=False)
     parameters = _imu_parameters(0.01)
     floor = True

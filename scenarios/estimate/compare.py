@@ -280,7 +280,7 @@ def _pictures(comparison: Comparison, ground: Ground | None) -> dict[str, Pictur
         ),
         "height": Picture(
             height_figure(comparison.log, errors),
-            "Height over time: nothing on board sees it, so every filter drifts.",
+            "Height over time: no sensor on board measures it, so every filter drifts.",
         ),
         "position_error": Picture(
             position_error(errors),

@@ -284,7 +284,7 @@ def _pictures(log: Log, worlds: Sequence[LoopWorld], drawn: dict[str, Trajectory
     errors = {name: error_series(truth, t, 20.0) for name, t in drawn.items()}
     paths = (
         Picture(trajectories(log, errors), "The walk from above, aligned at the start."),
-        Picture(height_figure(log, errors), "Height over time: nothing on board sees it."),
+        Picture(height_figure(log, errors), "Height over time: no sensor on board measures it."),
     )
     sections = [Section("Where each estimate went", pictures=paths)]
     for world in worlds:

@@ -12,6 +12,7 @@ from surefoot.models.attribution.selection import Candidate
 from surefoot.models.residuals.registry import channels
 from surefoot.scenarios.reporting.html import Picture, Section, write_report
 from surefoot.scenarios.trace.figures import candidate_gains, residuals
+from surefoot.scenarios.trace.filters import DEAD_RECKONING
 from surefoot.scenarios.trace.result import Filters, Trace
 from surefoot.scenarios.trace.words import VERDICTS, size_in_words, unexplained_in_words
 from surefoot.scenarios.viewer.recording import write_recording
@@ -32,6 +33,8 @@ _METRICS = {
     "nees_attitude": "NEES attitude",
 }
 """Metric -> heading of its two columns."""
+_OF_POSITION = ("ape_trans", "rpe_trans", "drift", "velocity")
+"""Metrics of dead reckoning, which takes its attitude from the reference and has no covariance."""
 
 
 def write_outputs(found: Trace, robot: Machine, out: Path) -> None:
@@ -67,13 +70,13 @@ def sections(found: Trace) -> list[Section]:
             for row in _sizes(run.zeros)
         ]
         words = "Zeros and clocks differ from run to run, so they are not counted as effects."
-        parts.append(Section("What each run has for itself", words, table=rows))
+        parts.append(Section("Zeros and clocks of each run", words, table=rows))
     if found.channels:
         picture = Picture(
             residuals(channel_rows(found.channels)),
-            "Root mean square residual of each channel on the end of the log, which no fit and no "
-            "choice has seen. The dashed line is the noise floor: the residual of a robot that is "
-            "exactly as its model.",
+            "Root mean square residual of each channel on the end of the log, which was used "
+            "neither to fit nor to choose. The dashed line is the noise floor: the residual of a "
+            "robot that matches its model exactly.",
         )
         masked = f"Masked as slipping: {100 * found.masked_share:.1f} % of stance time. "
         masked = masked if "leg_velocity" in found.channels else ""
@@ -81,7 +84,7 @@ def sections(found: Trace) -> list[Section]:
             Section(
                 "Residual before and after",
                 "Residuals are means over 20 ms. Turn-on biases of the IMU belong to the declared "
-                "sensors and are taken off. "
+                "sensors and are subtracted. "
                 f"{masked}Noise floor: {found.floor}.",
                 table=_levels(found.channels),
                 pictures=(picture,),
@@ -96,22 +99,24 @@ def sections(found: Trace) -> list[Section]:
             chosen if k < len(chosen) else (),
             title=f"Round {k + 1}: share of the residual explained on held-out blocks",
         )
-        model = "Candidates are fitted along with what is in the model already."
-        if k == 0:
-            model = "The best that earns its place enters the model."
-        judged = "Each candidate is fitted on some blocks of the log and judged on others."
-        pictures.append(Picture(figure, f"{judged} {model}"))
+        fitted = f"with the {k} effects found before" if k > 1 else "with the effect found before"
+        caption = f"Candidates fitted along {fitted}." if k else "Candidates fitted alone."
+        pictures.append(Picture(figure, caption))
     if pictures:
-        parts.append(Section("Candidates", pictures=tuple(pictures)))
+        words = (
+            "Each candidate is fitted on some blocks of the log and judged on others. In each "
+            "round the best one that is significant is added to the model."
+        )
+        parts.append(Section("Candidates", words, pictures=tuple(pictures)))
     parts += _filters(
         found.filters,
-        "What it does to the filters",
+        "Filters before and after",
         "Each filter runs over the same end of the log, started from the reference: with the "
         "declared model, and with the effects added to it.",
     )
     if found.held_out:
         held_out = (
-            "Of these logs no fit has seen anything; zeros, biases and clocks are each log's own, "
+            "No fit has used these logs. Zeros, biases and clock offsets are fitted to each log, "
             "before and after."
         )
         against = "".join(f"\n\n{one}." for one in found.held_out.against)
@@ -129,6 +134,8 @@ def _filters(filters: Filters, title: str, words: str) -> list[Section]:
         {"filter": name}
         | {
             f"{label} {side}": metrics[side][key]
+            if name != DEAD_RECKONING or key in _OF_POSITION
+            else None
             for key, label in _METRICS.items()
             for side in ("before", "after")
         }

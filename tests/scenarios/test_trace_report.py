@@ -1,10 +1,14 @@
 """What the report of a trace says of channels and sizes, and where it stands in other reports."""
 
+import pandas as pd
+
 from surefoot.models.attribution.data import LACKING
 from surefoot.models.attribution.found import Found
 from surefoot.scenarios.demo import _loop_sections
+from surefoot.scenarios.reporting.tables import as_frame
+from surefoot.scenarios.trace.filters import DEAD_RECKONING
 from surefoot.scenarios.trace.loop_report import _of_trace
-from surefoot.scenarios.trace.report import _METRICS, _note_lines, _sizes
+from surefoot.scenarios.trace.report import _METRICS, _note_lines, _sizes, sections
 from surefoot.scenarios.trace.result import Trace
 from surefoot.sim.effects import effect
 
@@ -29,10 +33,22 @@ def test_a_trace_stands_below_the_loop_that_it_is_a_part_of():
     found = Trace(verdict="no_residual", channels={}, filters=filters)
     loop, *trace = _loop_sections(found, effect("gyro_scale", "x", 0.02))
     assert loop.level == 2
-    assert [section.heading for section in trace] == ["Verdict", "What it does to the filters"]
+    assert [section.heading for section in trace] == ["Verdict", "Filters before and after"]
     assert {section.level for section in trace} == {3}
     channel = {"before": 2.0, "after": 1.0, "noise_floor": 1.0, "unit": "m"}
     held_out = {"against": [], "channels": {"imu": channel}}
     said = {"reasons": [], "channels": {"imu": channel}, "holdout": held_out}
     levels = [(section.heading, section.level) for section in _of_trace(said)]
     assert levels == [("The trace", 2), ("Residuals", 3), ("Held-out logs", 3)]
+
+
+def test_dead_reckoning_has_no_attitude_of_its_own_to_judge():
+    filters = {
+        name: {side: dict.fromkeys(_METRICS, 0.1) for side in ("before", "after")}
+        for name in ("leg", DEAD_RECKONING)
+    }
+    found = Trace(verdict="no_residual", channels={}, filters=filters)
+    leg, reckoned = as_frame(sections(found)[-1].table or []).to_dict("records")
+    assert None not in leg.values()
+    shown = {name.rsplit(" ", 1)[0] for name, value in reckoned.items() if not pd.isna(value)}
+    assert shown == {"filter", "APE [m]", "RPE [m]", "drift [m/m]", "velocity [m/s]"}
