@@ -56,13 +56,23 @@ def read_mat(path: Path) -> RecordedTable:
 def read_hdf5(path: Path) -> RecordedTable:
     """Read the datasets of an HDF5 file by their path; MATLAB's are transposed to have rows first.
 
-    Links, and groups nested deeper than 20, are ignored.
+    Links, groups nested deeper than 20 and MATLAB's objects are ignored. Raises SurefootError where
+    there is nothing but objects, whose numbers MATLAB stores in a form that it does not publish.
     """
     cells: dict[str, np.ndarray] = {}
     with _one_line(path), h5py.File(path, "r") as file:
         found = [
             (n, d) for n, d in _datasets(file, "", {file}) if d.shape and not n.startswith("#")
         ]
+        objects = {n: _class_of(d) for n, d in found if "MATLAB_object_decode" in d.attrs}
+        found = [(n, d) for n, d in found if n not in objects]
+        if objects and not found:
+            name, kind = next(iter(objects.items()))
+            arrays = f": t = {name}.Time; data = {name}.Data; save('arrays.mat', 't', 'data')"
+            raise SurefootError(
+                f"{path}: {name} is a MATLAB {kind}, which only MATLAB can read; there, save its "
+                f"arrays{arrays if kind == 'timeseries' else ''}"
+            )
         _bounded(path, sum(node.size * node.dtype.itemsize for _, node in found))
         for name, node in found:
             if node.is_virtual or node.external:
@@ -72,6 +82,10 @@ def read_hdf5(path: Path) -> RecordedTable:
                 cells |= _arrays({name: values.T if "MATLAB_class" in node.attrs else values})
         cells |= _matlab_strings(file)
     return RecordedTable(path, cells)
+
+
+def _class_of(node: h5py.Dataset) -> str:
+    return np.bytes_(node.attrs.get("MATLAB_class", b"object")).decode(errors="replace")
 
 
 def _datasets(

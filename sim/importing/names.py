@@ -70,6 +70,7 @@ _FILLER = _words(
     " data estimator sensor header msg value raw leg ang per est estimate estimated lin is in flag"
     " field"
 )
+_NO_PART = _COMMANDED | _FILTERED | _NOT_READ | _FILLER
 _TURNING = _words("ang rot rotational imu body")
 _RATES = _words("vel velocity rate rates speed")
 _KINDS_OF_VECTORS = {

@@ -401,3 +401,16 @@ def test_the_only_episode_of_a_file_has_its_rows(tmp_path):
     (drafted,) = recorded_files(tmp_path / "run.h5", None)
     assert drafted.t is not None
     assert drafted.t.theirs == "recordings/time[0]"
+
+
+def test_objects_of_matlab_are_named_and_not_read(tmp_path):
+    """A timeseries is six numbers that point to where MATLAB hides its arrays."""
+    with h5py.File(tmp_path / "run.mat", "w") as file:
+        kept = file.create_dataset("position", data=np.ones((1, 6), dtype=np.uint32))
+        kept.attrs["MATLAB_class"] = np.bytes_("timeseries")
+        kept.attrs["MATLAB_object_decode"] = np.int32(3)
+    with pytest.raises(SurefootError, match=r"position is a MATLAB timeseries.* position\.Data"):
+        read_mat(tmp_path / "run.mat")
+    with h5py.File(tmp_path / "run.mat", "a") as file:
+        file.create_dataset("t", data=np.arange(9.0)).attrs["MATLAB_class"] = np.bytes_("double")
+    assert list(read_mat(tmp_path / "run.mat").cells) == ["t"]
