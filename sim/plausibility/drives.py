@@ -68,6 +68,14 @@ class _Torque:
         sizes = np.linalg.lstsq(terms[where], self.tau[where], rcond=None)[0]
         return terms @ sizes, float(sizes[0])
 
+    @property
+    def beside_friction(self) -> float:
+        """Correlation of torque and model where friction is taken off both."""
+        terms = np.column_stack([self.friction, np.ones(len(self.tau))])
+        both = np.column_stack([self.tau, self.rigid])
+        tau, rigid = (both - terms @ np.linalg.lstsq(terms, both, rcond=None)[0]).T
+        return _correlation(tau, rigid)
+
 
 def _torques(view: LogView) -> list[_Torque]:
     """Torques of drives with a known model that requires some torque."""
@@ -109,10 +117,14 @@ def driving(view: LogView) -> Iterator[Finding]:
         elif told_by_model and alike < OPPOSITE:
             told = f"correlation with what the model asks for {alike:.2f}"
             yield Finding((column,), told, "wrong sign", f"{column} = {{ ..., sign = -1 }}")
-        elif told_by_model and not SCALED[0] < scale < SCALED[1]:
+        elif (
+            told_by_model and abs(one.beside_friction) > TOLD and not SCALED[0] < scale < SCALED[1]
+        ):
             told = f"{scale:.3g} times what the model asks for"
             line = f"{column} = {{ ..., gain = {1.0 / scale:.3g} }}"
-            yield Finding((column,), told, "another unit, or of the motor's side", line)
+            cause = "another unit, or of the motor's side"
+            cause += ", or a load that the model lacks" if scale > 1.0 else ""
+            yield Finding((column,), told, cause, line)
 
 
 def _hangs(view: LogView, column: str, one: _Torque) -> tuple[float, float] | None:

@@ -81,6 +81,14 @@ def test_what_a_drive_lacks_is_no_fault_of_its_streams(hidden):
     assert check_log(drive(**hidden), PENDULUM) == ()
 
 
+def test_of_a_drive_that_is_all_friction_no_scale_is_told():
+    """The last wrist of an arm: the model asks next to nothing of it."""
+    log = drive()
+    dq = np.gradient(log.q[:, 0], log.t)
+    rubbing = 20.0 * np.tanh(dq / 0.05) + 0.02 * log.tau[:, 0]
+    assert check_log(log.with_columns({"tau_shoulder": rubbing}), PENDULUM) == ()
+
+
 def test_a_drive_at_its_limit_holds_its_torque():
     """It does not hang: the motion is what that torque makes."""
     log = drive()
