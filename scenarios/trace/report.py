@@ -14,7 +14,12 @@ from surefoot.scenarios.reporting.html import Picture, Section, write_report
 from surefoot.scenarios.trace.figures import candidate_gains, residuals
 from surefoot.scenarios.trace.filters import DEAD_RECKONING
 from surefoot.scenarios.trace.result import Filters, Trace
-from surefoot.scenarios.trace.words import VERDICTS, size_in_words, unexplained_in_words
+from surefoot.scenarios.trace.words import (
+    VERDICTS,
+    beyond_bounds,
+    size_in_words,
+    unexplained_in_words,
+)
 from surefoot.scenarios.viewer.recording import write_recording
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.effects.file import save_effects
@@ -174,7 +179,8 @@ def _sentences(found: Trace) -> list[str]:
         for r in found.rivals
     ]
     lines += [f"To distinguish them: {found.motion}."] if found.rivals else []
-    lines += [line.strip() + "." for line in unexplained_in_words(found)]
+    left = (*beyond_bounds(found), *unexplained_in_words(found))
+    lines += [line.strip() + "." for line in left]
     return lines + _note_lines(found.notes)
 
 

@@ -8,7 +8,7 @@ from surefoot.models.attribution.found import Found
 from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.scenarios.trace.filters import DEAD_RECKONING, BeforeAfter
 from surefoot.scenarios.trace.result import Filters, Trace
-from surefoot.sim.effects import Effect
+from surefoot.sim.effects import Effect, known_effects
 
 VERDICTS = {
     "attributed": "traced to what the model lacks; what is left is at the noise floor",
@@ -49,6 +49,8 @@ _MOTIONS = {
 }
 _PLURALS = {"joint": "joints", "leg": "legs", "leg_link": "links", "leg_axis": "legs"}
 """Kind of target (`Effect.targets`) -> plural noun."""
+_MUCH = 0.1
+"""Share of the squared residual that an effect outside its bounds must explain to be mentioned."""
 _SCALE = {"rad": (1e3, "mrad"), "m": (1e3, "mm"), "s": (1e3, "ms"), "ratio": (1e2, "%")}
 
 
@@ -96,6 +98,26 @@ def unexplained_in_words(found: Trace) -> list[str]:
     ]
 
 
+def beyond_bounds(found: Trace) -> list[str]:
+    """The two effects that would explain most of what is left, but with sizes that this kind of
+    effect cannot have, one line each; none where the trace explains the log.
+    """
+    if found.verdict != "none_of_these" or found.attribution is None:
+        return []
+    last = found.attribution.rounds[-1] if found.attribution.rounds else ()
+    out = [c for c in last if c.at_bound and c.share > _MUCH and c.interval[0] > 0.0]
+    lines = []
+    for one in sorted(out, key=lambda c: -c.share)[:2]:
+        kind = known_effects()[one.key[0]]
+        factor, unit = _SCALE.get(kind.unit, (1.0, kind.unit))
+        low, high = (factor * x for x in kind.bounds)
+        lines.append(
+            f"  {one.key[0]} {one.key[1]} of {factor * one.size:+.3g} {unit} would explain "
+            f"{100 * one.share:.0f} % of what is left, but its bounds are {low:.3g} and {high:.3g}"
+        )
+    return lines
+
+
 def summary(found: Trace) -> str:
     """The output of `surefoot trace`."""
     lines = [f"verdict: {found.verdict}: {VERDICTS[found.verdict]}"]
@@ -107,6 +129,7 @@ def summary(found: Trace) -> str:
     lines += [f"  or {r['name']} {r['target']} (overlap {r['overlap']:.2f})" for r in found.rivals]
     if found.rivals:
         lines.append(f"  to distinguish them: {found.motion}")
+    lines += beyond_bounds(found)
     lines += unexplained_in_words(found)
     if found.channels:
         lines.append("residual on the part that no fit has seen (root mean square of 20 ms means):")

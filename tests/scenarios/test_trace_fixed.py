@@ -83,6 +83,18 @@ def test_a_few_seconds_of_one_drive_are_enough():
     assert found.effects[0].value == pytest.approx(0.02, rel=0.1)
 
 
+def test_an_effect_outside_its_bounds_is_mentioned_and_not_named():
+    """The dry friction of a large gear, beyond what drives of legs have."""
+    log = swung(dry=0.0)
+    rubbing = log.tau[:, 0] + 15.0 * np.tanh(log.dq[:, 0] / 0.05)
+    found = trace_logs([log.with_columns({"tau_shoulder": rubbing})], PENDULUM)
+    assert found.verdict == "none_of_these"
+    assert "coulomb_friction" not in {one.name for one in found.effects}
+    (told,) = (line for line in summary(found).splitlines() if "coulomb_friction" in line)
+    assert "shoulder of +15 N m would explain 100 % of what is left" in told
+    assert told.endswith("its bounds are 0 and 10")
+
+
 def test_too_short_a_log_is_not_identifiable():
     found = trace_logs([swung(1.0)], PENDULUM)
     assert found.verdict == "not_identifiable"
