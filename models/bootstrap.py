@@ -3,7 +3,7 @@
 import numpy as np
 
 
-def block_draws(
+def block_bootstrap_counts(
     blocks: int, rng: np.random.Generator, count: int = 1000, drawn: int | None = None
 ) -> np.ndarray:
     """How often each of K blocks is in each of `count` samples of the block bootstrap, (count, K).

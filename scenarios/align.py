@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from surefoot.models.alignment.alignment import Alignment, align, aligned_log
-from surefoot.models.alignment.turning import rates_of, smoothed
+from surefoot.models.alignment.rotation_guess import rates_of, smoothed
 from surefoot.scenarios.reporting.palette import AFTER, OUTSIDE, TRUTH
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, save_png, set_title
 from surefoot.sim.common.files import refuse_overwrite, whole_file, whole_folder

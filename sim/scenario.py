@@ -14,7 +14,7 @@ from surefoot.sim.common.files import protect
 from surefoot.sim.common.limits import check_limit
 from surefoot.sim.common.toml import Count, FileName, Name, NonNegative, read_typed
 from surefoot.sim.gait.options import GaitOptions
-from surefoot.sim.ground.own_ground import own_ground
+from surefoot.sim.ground.ground_from_file import ground_from_file
 from surefoot.sim.ground.terrain import Ground, Layer, Patch, Strip
 from surefoot.sim.scenario_catalog import scenario_file
 from surefoot.sim.sensors.streams import Sensors
@@ -109,7 +109,7 @@ class Scenario:
 
 
 @dataclass(frozen=True)
-class Drawn:
+class DrawnScenario:
     """What a seed made of a scenario."""
 
     scenario: Scenario
@@ -119,7 +119,7 @@ class Drawn:
     payload: float  # kg
 
 
-def drawn(scenario: Scenario, rng: np.random.Generator) -> Drawn:
+def drawn(scenario: Scenario, rng: np.random.Generator) -> DrawnScenario:
     """The scenario with its ranges, and the bumps of rough strips, drawn from `rng`."""
     r, ground = scenario.ranges, scenario.ground
     mu = rng.uniform(*r.mu)
@@ -142,7 +142,7 @@ def drawn(scenario: Scenario, rng: np.random.Generator) -> Drawn:
         Segment(s.duration / k, s.forward * k, s.lateral * k, s.turn * k)
         for s, k in zip(scenario.segments, speeds, strict=True)
     )
-    return Drawn(
+    return DrawnScenario(
         replace(
             scenario,
             segments=segments,
@@ -281,7 +281,7 @@ class _GroundTable:
         fields = []
         for k, entry in enumerate(self.height_field, 1):
             try:
-                fields.append(own_ground(folder, *vars(entry).values()))
+                fields.append(ground_from_file(folder, *vars(entry).values()))
             except SurefootError as error:
                 raise SurefootError(f"[[ground.height_field]] {k} {error}") from None
         return Ground(

@@ -17,7 +17,7 @@ from surefoot.sim.gait.controller import gait_for
 from surefoot.sim.gait.course import Course, course_pieces, course_ticks
 from surefoot.sim.gait.irregular import irregular
 from surefoot.sim.gait.state import Gait
-from surefoot.sim.ground.kept import kept_ground
+from surefoot.sim.ground.ground_metadata import ground_metadata
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.physics.scene import TIMESTEP, World, add_payload, build_world, robot_spec
@@ -25,8 +25,8 @@ from surefoot.sim.physics.springs import share_moved_at_once
 from surefoot.sim.physics.stepper import STEPS_PER_TICK, Fallen, simulate
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.legs import JOINTS, LEGS, find_legs
-from surefoot.sim.robot.model_of_log import kept_model
-from surefoot.sim.scenario import Drawn, Scenario, Segment, drawn
+from surefoot.sim.robot.model_of_log import model_metadata
+from surefoot.sim.scenario import DrawnScenario, Scenario, Segment, drawn
 from surefoot.sim.sensors.sampling import sampled
 from surefoot.sim.sensors.streams import (
     ContactSwitch,
@@ -43,7 +43,7 @@ from surefoot.sim.walking.truth import foot_truth
 
 __all__ = ["STEPS_PER_TICK", "Fallen", "Plan", "plan", "record", "simulate", "walk"]
 
-SETTLE = 3.0  # s of standing before the log begins: a robot is switched on at rest
+SETTLING_TIME = 3.0  # s of standing before the log begins: a robot is switched on at rest
 BYTES_A_STEP = 3e3
 """of memory: states, readings and truth of a walk, and the copies that are made of them."""
 PIECE_TICKS = 1 << 13
@@ -65,7 +65,7 @@ class Plan:
     seed: int
     effects: tuple[Effect, ...]
     declared: bool
-    draw: Drawn
+    draw: DrawnScenario
     ground: Ground  # as drawn, under the effects
     world: World
     gait: Gait
@@ -84,12 +84,12 @@ class Plan:
 
     def course_pieces(self, ticks: int) -> Iterator[Course]:
         """The course in turn, so many ticks at a time."""
-        return course_pieces(*_way(self.scenario, self.draw), ticks)
+        return course_pieces(*_course_arguments(self.scenario, self.draw), ticks)
 
     @cached_property
     def ticks(self) -> int:
         """Of the controller, from settling to the end."""
-        return course_ticks(*_way(self.scenario, self.draw))
+        return course_ticks(*_course_arguments(self.scenario, self.draw))
 
     @property
     def seconds(self) -> float:
@@ -155,15 +155,15 @@ def plan(
         effect.members(robot.limbs)  # refuses a target that the robot does not have
         effect.edit_spec(spec, robot)
         ground = effect.alter_ground(ground)
-    ticks = course_ticks(*_way(scenario, draw))
-    for piece in course_pieces(*_way(scenario, draw), min(ticks, PIECE_TICKS)):
+    ticks = course_ticks(*_course_arguments(scenario, draw))
+    for piece in course_pieces(*_course_arguments(scenario, draw), min(ticks, PIECE_TICKS)):
         if np.abs(piece.pose[:, :2]).max() > ground.half_size - robot.leg_length:
             raise SurefootError(
                 f"scenario {scenario.name}: the course leaves the floor; "
                 "give [ground] a larger half_size"
             )
     world = build_world(robot, ground, spec)
-    start = SETTLE + scenario.stand
+    start = SETTLING_TIME + scenario.stand
     # Feet of another radius are put down as such: a controller feels the ground that they stand on.
     radius = find_legs(world.model, robot.name).foot_radius
     same = np.array_equal(radius, robot.foot_radius)  # keeps the inertia that it has computed
@@ -187,15 +187,17 @@ def plan(
     )
 
 
-def _way(scenario: Scenario, draw: Drawn) -> tuple[Sequence[Segment], float, float, int, float]:
-    """What `lay_course` takes of a scenario, settling included."""
+def _course_arguments(
+    scenario: Scenario, draw: DrawnScenario
+) -> tuple[Sequence[Segment], float, float, int, float]:
+    """What `integrate_course` takes of a scenario, settling included."""
     dt = TIMESTEP * STEPS_PER_TICK
-    return draw.scenario.segments, dt, scenario.stand, scenario.laps, SETTLE
+    return draw.scenario.segments, dt, scenario.stand, scenario.laps, SETTLING_TIME
 
 
 def record(made: Plan, motion: Motion) -> Log:
     """What the sensors say of a motion through the planned world, from the end of settling on."""
-    motion = motion.after(SETTLE)
+    motion = motion.after(SETTLING_TIME)
     frame = Sensing(made, len(motion.tau), rate_of(motion.t[1:])).of(motion)
     meta, sensors = meta_of(made), made.scenario.sensors
     if meta.rate < 1.0 / TIMESTEP:
@@ -216,7 +218,7 @@ class Sensing:
         self._sensors, rng = made.scenario.sensors, np.random.default_rng(made.sensor_seed)
         self._errors = SensorErrors(self._sensors, rng, (rows, len(JOINTS), len(LEGS)), rate)
         self._contact = ContactSwitch(self._sensors, rng, robot.mass * GRAVITY, rate)
-        self._walked = _walked(made)
+        self._as_simulated = _as_simulated(made)
 
     def of(self, motion: Motion) -> pd.DataFrame:
         """The next rows: the steps between the states of a motion."""
@@ -228,8 +230,8 @@ class Sensing:
         streams = replace(streams, contact_threshold=self._sensors.contact_threshold)
         for effect in effects:
             streams = effect.alter_streams(streams, robot)
-        streams = self._errors.on(streams)
-        truth = foot_truth(motion, self._walked, self._made.ground)
+        streams = self._errors.apply(streams)
+        truth = foot_truth(motion, self._as_simulated, self._made.ground)
         return _frame(streams, self._contact.read(streams), reference, *truth)
 
 
@@ -243,14 +245,14 @@ def meta_of(made: Plan) -> Meta:
         seed=made.seed,
         effects=tuple(e.as_dict() for e in made.effects) if made.declared else (),
         versions=dict(_versions()),
-        model=kept_model(robot.name, robot.file) | kept_ground(made.ground),
+        model=model_metadata(robot.name, robot.file) | ground_metadata(made.ground),
     )
 
 
 def fallen_log(made: Plan, fall: Fallen) -> Log | None:
     """The log of a walk until its fall; None of one that fell before its log began."""
     motion = fall.motion
-    enough = motion is not None and len(motion.t) and motion.t[-1] > SETTLE + SHORTEST_WALK
+    enough = motion is not None and len(motion.t) and motion.t[-1] > SETTLING_TIME + SHORTEST_WALK
     return record(made, motion) if motion is not None and enough else None
 
 
@@ -259,7 +261,7 @@ def _versions() -> dict[str, str]:
     return {name: version(name) for name in ("surefoot", "mujoco", "numpy")}
 
 
-def _walked(made: Plan) -> Robot:
+def _as_simulated(made: Plan) -> Robot:
     """The robot with the legs and soles that the world has, effects included: truth is theirs."""
     tree = find_legs(made.world.model, made.robot.name)
     return replace(made.robot, legs=tree.constants, foot_radius=tree.foot_radius)

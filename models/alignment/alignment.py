@@ -8,13 +8,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from surefoot.models.alignment.least_squares import (
-    Fitted,
     Placement,
+    PlacementFit,
     Readings,
-    felt_and_moved,
     fit_placement,
+    specific_forces,
 )
-from surefoot.models.alignment.turning import guess_by_turning
+from surefoot.models.alignment.rotation_guess import guess_from_rotation
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.importing.reference import mounted, with_reference
@@ -26,9 +26,9 @@ LARGEST_OFFSET = 10.0
 """s up to which a clock is looked for: two programs that are started by hand."""
 _FEWEST_SAMPLES = 15
 """Samples of the reference without which there is no fit: as many as it has unknowns."""
-HALVES_AGREE = 5e-3
+HALVES_TOLERANCE = 5e-3
 """s by which the clocks of both halves of a log may differ: half a sample at 100 Hz."""
-TURN_MISSED = 0.15
+MOST_ROTATION_MISSED = 0.15
 """Share of the gyro's turning that may not be the tracked body's: what gyros that are read at 100
 Hz miss of a walk stays below a tenth; a body that wobbles or another one's is above."""
 _FORCE_SHIFT = 5.0
@@ -63,7 +63,7 @@ class Alignment:
     accel_sign: np.ndarray
     accel_offset: np.ndarray
     samples: int
-    fitted: Fitted
+    fitted: PlacementFit
     faults: tuple[str, ...]
 
     @property
@@ -123,13 +123,13 @@ def align(
     poses = without_jumps(reference_poses(log) if poses is None else poses)
     t, gyro, accel = log.t, log.gyro, log.accel
     too_little = SurefootError(f"{log.name}: IMU and reference share too little to be aligned")
-    guess = guess_by_turning(t, gyro, poses, most)
+    guess = guess_from_rotation(t, gyro, poses, most)
     if guess is None:
         raise too_little
     none = np.zeros(3)
     start = Placement(guess.offset, guess.R_IM, guess.bias, none, none, np.zeros(2))
     readings = Readings(t, gyro, accel, poses)
-    felt, moved, lever = felt_and_moved(readings, start)
+    felt, moved, lever = specific_forces(readings, start)
     if len(felt) < _FEWEST_SAMPLES:
         raise too_little
     sign, shift = _accelerometer(felt, moved, lever)
@@ -180,7 +180,7 @@ def _accelerometer(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Sign (3,) of each axis of the accelerometer, and what to add to it (3,) [m/s^2], as far as
     its readings are no specific force: conventions differ. The arguments are as of
-    `felt_and_moved`."""
+    `specific_forces`."""
     sign, shift = np.ones(3), np.zeros(3)
     for axis in range(3):
         columns = np.column_stack([moved[:, axis], lever[:, axis], np.ones(len(felt))])
@@ -196,12 +196,12 @@ def _faults(
     missed: float, halves: np.ndarray, sign: np.ndarray, shift: np.ndarray
 ) -> tuple[str, ...]:
     found = []
-    if missed > TURN_MISSED:
+    if missed > MOST_ROTATION_MISSED:
         found.append(
             f"the tracked body does not turn as the IMU does: {100 * missed:.0f} % of the gyro's "
             "turning is not its own (another body, a loose one, or no common motion)"
         )
-    if abs(halves[1] - halves[0]) > HALVES_AGREE:
+    if abs(halves[1] - halves[0]) > HALVES_TOLERANCE:
         found.append(
             f"the halves of the log disagree by {1e3 * abs(halves[1] - halves[0]):.0f} ms: a clock "
             "that drifts or jumps"

@@ -12,10 +12,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import t as student
 
-from surefoot.models.bootstrap import block_draws
+from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.sim.common.gravity import GRAVITY, GRAVITY_G
 from surefoot.sim.common.quaternion import quaternion_from_matrix
-from surefoot.sim.log.dead_reckoning import beside_imu
+from surefoot.sim.log.dead_reckoning import compare_with_imu
 from surefoot.sim.log.derived import local_quadratic
 from surefoot.sim.log.reference import Poses
 
@@ -32,11 +32,11 @@ _OUTLIER = 2.0
 """Standard deviations beyond which a row loses weight (Huber)."""
 _BLOCK = 1.0
 """s of the blocks of the bootstrap: some strides, which hardly resemble the next."""
-_ROUNDS = 12
+_MOST_ITERATIONS = 12
 """Gauss-Newton steps at most."""
-_CLOSE = 1e-6
+_CLOCK_TOLERANCE = 1e-6
 """s by which the clock still moves when it has converged."""
-_STEPS = np.array([1e-3] + [1e-3] * 3 + [1e-3] * 3)
+_DIFFERENCE_STEPS = np.array([1e-3] + [1e-3] * 3 + [1e-3] * 3)
 """Steps of the differences by clock [s], rotation [rad] and gyro bias [rad/s]: far below what
 bends."""
 
@@ -67,7 +67,7 @@ class Placement:
 
 
 @dataclass(frozen=True)
-class Fitted:
+class PlacementFit:
     """The placement; half the width (15,) of 95 % intervals, in the order of `Placement.moved`; the
     steps (2, 15) that each half of the log would go from it; residuals at the samples' times
     t (K,) [s] of the IMU: rates (K, 3) [rad/s] and accelerations (K, 3) [m/s^2], in I; lever
@@ -110,7 +110,7 @@ def placement_residual(
     q_GI = quaternion_from_matrix(poses.R @ at.R_IM.T)
     mounted = Poses(poses.t + at.offset, poses.p, q_GI)
     gyro, accel = readings.gyro - at.bias_gyro, readings.accel - at.bias_accel
-    beside = beside_imu(readings.t, gyro, accel, mounted)
+    beside = compare_with_imu(readings.t, gyro, accel, mounted)
     R_GI = beside.R_GI
     sparse = _FEWEST * float(np.median(np.diff(poses.t)))
     _, rate, _ = local_quadratic(mounted.t, beside.turn, max(_TURN_WINDOW, sparse))
@@ -124,7 +124,7 @@ def placement_residual(
     return both.reshape(-1, 6), -turned @ lever, R_GI
 
 
-def felt_and_moved(readings: Readings, at: Placement) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def specific_forces(readings: Readings, at: Placement) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Specific forces (K, 3) [m/s^2] in I: as the accelerometer has them, and as the motion of the
     tracked point implies them; what these change by per metre of p_IM (K, 3, 3). All smoothed
     alike.
@@ -139,7 +139,7 @@ def felt_and_moved(readings: Readings, at: Placement) -> tuple[np.ndarray, np.nd
     return (moved - rows[:, 3:])[around], moved[around], lever[around]
 
 
-def fit_placement(readings: Readings, start: Placement, rng: np.random.Generator) -> Fitted:
+def fit_placement(readings: Readings, start: Placement, rng: np.random.Generator) -> PlacementFit:
     """The likeliest placement, from one that is right to a stride's fraction."""
     prior = np.concatenate([np.zeros(4), *(np.full(n, _PRIOR[k] ** -2.0) for k, n in _PRIORS)])
     now, rounds = start, 0
@@ -150,10 +150,10 @@ def fit_placement(readings: Readings, start: Placement, rng: np.random.Generator
         known = np.concatenate([np.zeros(4), now.bias_gyro, now.bias_accel, now.p_IM, now.tilt])
         pull = prior * known
         step = np.linalg.solve(sums.sum(axis=0) + np.diag(prior), against.sum(axis=0) - pull)
-        if abs(step[0]) < _CLOSE:
+        if abs(step[0]) < _CLOCK_TOLERANCE:
             break
         now, rounds = now.moved(step), rounds + 1
-        if rounds == _ROUNDS:
+        if rounds == _MOST_ITERATIONS:
             break
     block = np.floor((t - t[0]) / _BLOCK).astype(int)
     count = int(block[-1]) + 1
@@ -163,13 +163,13 @@ def fit_placement(readings: Readings, start: Placement, rng: np.random.Generator
     def solved(total: np.ndarray) -> np.ndarray:
         return np.linalg.solve(total[:, :15] + np.diag(prior), total[:, 15] - pull)
 
-    draws = np.tensordot(block_draws(count, rng, 400), of_blocks, axes=1)
+    draws = np.tensordot(block_bootstrap_counts(count, rng, 400), of_blocks, axes=1)
     spread = np.std([solved(one) for one in draws], axis=0)
     first = np.arange(count) < count / 2
     halves = np.array([solved(of_blocks[half].sum(axis=0)) for half in (first, ~first)])
     width = student.ppf(0.975, max(count - 1, 1)) * spread
     lever = -columns[:, 3:, 10:13]
-    return Fitted(now, width, halves, t, rows[:, :3], rows[:, 3:], lever)
+    return PlacementFit(now, width, halves, t, rows[:, :3], rows[:, 3:], lever)
 
 
 _PRIORS = (("bias_gyro", 3), ("bias_accel", 3), ("p_IM", 3), ("tilt", 2))
@@ -180,7 +180,7 @@ def _linearised(readings: Readings, at: Placement) -> tuple[np.ndarray, np.ndarr
     have enough others around."""
     rows, lever, R_GI = placement_residual(readings, at)
     columns = np.zeros((len(rows), 6, 15))
-    for k, size in enumerate(_STEPS):
+    for k, size in enumerate(_DIFFERENCE_STEPS):
         step = np.zeros(15)
         step[k] = size
         columns[:, :, k] = (placement_residual(readings, at.moved(step))[0] - rows) / size

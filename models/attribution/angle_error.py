@@ -24,10 +24,10 @@ from surefoot.models.attribution.fit import design, fit, loss, normal_equations
 from surefoot.models.attribution.search import Attribution
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.attribution.split import FIT, SELECT, Split
-from surefoot.models.bootstrap import block_draws
+from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.sim.log import Log
 
-SHOWS = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
+ANGLE_CHANNELS = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def angle_errors(
     joints = [joint for joint in kind if kind[joint] in {kind[one] for one in at}]
     evidence = _with_curves(cases, result, joints)
     robust, whole = result.robust_weights, design(evidence)
-    sigma = result.floor.counted(robust.sigma, robust.alike)
+    sigma = result.floor.effective_noise(robust.sigma, robust.alike)
     data = normal_equations(whole, sigma, result.robust_weights.weight, split.part)
     seen, unseen = data.rows(data.part == FIT), data.rows(data.part == SELECT)
     plain = fit(seen, keys, errors=False).vector
@@ -76,10 +76,10 @@ def angle_errors(
                 without[1 + evidence.keys.index((e.name, joint))] += e.value
         explained = float(np.sum(loss(unseen, without) - loss(unseen, plain)))
         gain = float(gains[joint].sum())
-        low = np.percentile(block_draws(len(unseen.G), rng) @ gains[joint], 2.5)
+        low = np.percentile(block_bootstrap_counts(len(unseen.G), rng) @ gains[joint], 2.5)
         if low > 0 and gain > max(price, s.curve_others * chance, s.curve_worth * explained):
             by_channel = {}
-            for channel in SHOWS:
+            for channel in ANGLE_CHANNELS:
                 weight = np.zeros_like(result.robust_weights.weight)
                 columns = evidence.layout.channels[channel]
                 weight[:, columns] = result.robust_weights.weight[:, columns]

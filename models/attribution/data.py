@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from surefoot.models.attribution.coarse_reference import reference_notes
 from surefoot.models.attribution.evidence import LogUnderModel, all_keys, channels_of
 from surefoot.models.attribution.noise_floor import NoiseFloor
+from surefoot.models.attribution.reference_sampling import reference_notes
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.attribution.split import Split
 from surefoot.models.residuals.binning import BIN, bin_mean
@@ -41,7 +41,7 @@ def dead_contacts(log: Log, settings: TraceSettings = DEFAULT) -> str:
     legs = log.legs
     dead = [leg for leg, one in zip(legs, log.contact.T, strict=True) if one.all() or not one.any()]
     far = float(np.ptp(log.ref_p[:, :2], axis=0).max())
-    carried = len(dead) == len(legs) and far > settings.farthest_carried
+    carried = len(dead) == len(legs) and far > settings.reach_without_step
     walks = len(legs) - len(dead) >= 2 or carried
     if not dead or not walks:
         return ""
@@ -49,7 +49,7 @@ def dead_contacts(log: Log, settings: TraceSettings = DEFAULT) -> str:
     return f"contacts: not used, no change in {names} although the robot walks"
 
 
-def cannot_tell(cases: Sequence[LogUnderModel], split: Split) -> str:
+def untraceable_reason(cases: Sequence[LogUnderModel], split: Split) -> str:
     """Say in one line why these logs cannot be traced; "" if they can."""
     if not any(all_keys(case) for case in cases):
         groups = ("imu", "q", "contact", "tau", "reference")
@@ -59,14 +59,14 @@ def cannot_tell(cases: Sequence[LogUnderModel], split: Split) -> str:
             "the reference; without one imu, q and contact; or q and tau of a fixed base"
         )
     s = cases[0].settings
-    spans = [float(case.frame.t[-1] - case.frame.t[0]) for case in cases]
+    spans = [float(case.motion.t[-1] - case.motion.t[0]) for case in cases]
     needed = "are needed to fit and to check"
-    if cases[0].fixed and sum(spans) < s.shortest_fixed:
+    if cases[0].fixed and sum(spans) < s.shortest_fixed_log:
         more = "several logs of one machine add up"
-        return f"too short: {sum(spans):.1f} s where {s.shortest_fixed:g} s {needed}; {more}"
-    if not cases[0].fixed and max(spans) < s.shortest:
-        return f"too short: {max(spans):.1f} s where {s.shortest:g} s {needed}"
-    known = np.concatenate([bin_mean(case.frame)(case.frame.ok.astype(float)) for case in cases])
+        return f"too short: {sum(spans):.1f} s where {s.shortest_fixed_log:g} s {needed}; {more}"
+    if not cases[0].fixed and max(spans) < s.shortest_log:
+        return f"too short: {max(spans):.1f} s where {s.shortest_log:g} s {needed}"
+    known = np.concatenate([bin_mean(case.motion)(case.motion.ok.astype(float)) for case in cases])
     parts = (split.fit, split.select, split.report)
     seconds = [BIN * float(known[part].sum()) for part in parts]
     if min(seconds) < s.shortest_part:
@@ -86,7 +86,9 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
     for name, channel in channels().items():
         if name in there or (fixed and not channel.on_fixed_base):
             continue
-        lacking = dict.fromkeys(g for case in cases for g in channel.lacking(case.log, fixed))
+        lacking = dict.fromkeys(
+            g for case in cases for g in channel.missing_groups(case.log, fixed)
+        )
         if lacking:
             notes.append(f"{name}{LACKING}{' and '.join(lacking)}")
         elif channel.on_level_ground:
@@ -101,7 +103,7 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
         )
     if fixed:
         notes.append("without a reference, the base is assumed to be at rest and level")
-        if any(case.frame.rates_of_angles for case in cases):
+        if any(case.motion.rates_of_angles for case in cases):
             notes.append(
                 "torques: joint rates are derived from the angles, which are less noisy than the "
                 "logged rates"
@@ -114,9 +116,9 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
         notes += _not_identifiable(cases)
     elif not all(case.log.has("ref_v") for case in cases):
         notes.append("the reference's velocity is derived from its positions, which smooths it")
-        coarse = floor.plan.coarse if floor.plan else None
-        notes += [note for case in cases for note in reference_notes(case.log, coarse)]
-    if not floor.repeats and not fixed:
+        sampling = floor.plan.sampling if floor.plan else None
+        notes += [note for case in cases for note in reference_notes(case.log, sampling)]
+    if not floor.walks and not fixed:
         notes.append("the model does not walk in simulation: the floor is sensor noise alone")
     if floor.evenness and "foot_height" in there:
         notes.append(
@@ -134,7 +136,7 @@ def _not_identifiable(cases: Sequence[LogUnderModel]) -> list[str]:
     one."""
     told = {name for case in cases for name, _ in all_keys(case)}
     lacking = {
-        name: {g for case in cases for g in channel.lacking(case.log, case.fixed)}
+        name: {g for case in cases for g in channel.missing_groups(case.log, case.fixed)}
         for name, channel in channels().items()
     }
     notes = []

@@ -7,30 +7,35 @@ from typing import Any
 import numpy as np
 
 from surefoot.models.attribution.angle_error import angle_errors
-from surefoot.models.attribution.data import cannot_tell, data_notes, dead_contacts, readings
+from surefoot.models.attribution.data import data_notes, dead_contacts, readings, untraceable_reason
 from surefoot.models.attribution.evidence import LogUnderModel, linearise, log_under_model
 from surefoot.models.attribution.found import Found
-from surefoot.models.attribution.friction import FootFriction, friction_of, slip_notes, slip_of
-from surefoot.models.attribution.held_out import HeldOutRuns, judged
+from surefoot.models.attribution.friction import (
+    FootFriction,
+    estimate_friction,
+    slip_effect,
+    slip_notes,
+)
+from surefoot.models.attribution.held_out import HeldOutRuns, evaluate_held_out
 from surefoot.models.attribution.levels import (
     ChannelLevel,
+    channel_gains,
     channel_levels,
-    gains_of,
-    without_bias,
+    without_nuisance,
 )
-from surefoot.models.attribution.noise_floor import Unchanged, noise_floor
+from surefoot.models.attribution.noise_floor import RunVariation, noise_floor
 from surefoot.models.attribution.outside_forces import outside_forces, pushed_bins
-from surefoot.models.attribution.refinement import Data
-from surefoot.models.attribution.run_offsets import of_each_run
+from surefoot.models.attribution.refinement import RefinementData
+from surefoot.models.attribution.run_fit import FittedRun, fit_runs
+from surefoot.models.attribution.run_offsets import is_per_run
+from surefoot.models.attribution.run_variation import run_variation
 from surefoot.models.attribution.search import Attribution, attribute
 from surefoot.models.attribution.selection import Candidate
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.attribution.split import split_of
-from surefoot.models.attribution.unchanged import unchanged
 from surefoot.models.attribution.unexplained import Unexplained, sparse_regression
 from surefoot.models.attribution.verdict import verdict_of
-from surefoot.models.attribution.zeros import Run, runs_of
-from surefoot.models.bootstrap import block_draws
+from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.sim.common.errors import check_seed
 from surefoot.sim.effects import Effect, compensate_all
 from surefoot.sim.log import Log
@@ -60,15 +65,15 @@ class Diagnosis:
         rivals: other effects that explain the data as well.
         notes: for the reader.
         unexplained: form of the remaining residual.
-        unchanged: how much these runs differ once `found` is compensated, for comparison with later
-            runs.
+        run_variation: how much these runs differ once `found` is compensated, against which later
+            runs are judged.
     """
 
     verdict: str
     reasons: tuple[str, ...] = ()
     attribution: Attribution | None = None
     found: tuple[Found, ...] = ()
-    runs: tuple[Run, ...] = ()
+    runs: tuple[FittedRun, ...] = ()
     channels: dict[str, ChannelLevel]
     held_out: HeldOutRuns | None = None
     masked_share: float = 0.0
@@ -77,7 +82,7 @@ class Diagnosis:
     rivals: tuple[dict[str, Any], ...] = ()
     notes: tuple[str, ...] = ()
     unexplained: tuple[Unexplained, ...] = ()
-    unchanged: Unchanged | None = None
+    run_variation: RunVariation | None = None
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -90,8 +95,8 @@ class Diagnosis:
         out: dict[str, Any] = {
             "verdict": self.verdict,
             "reasons": list(self.reasons),
-            "effects": [_sized(one) for one in self.found],
-            "runs": [_own(run) for run in self.runs],
+            "effects": [_with_interval(one) for one in self.found],
+            "runs": [_run_as_dict(run) for run in self.runs],
             "channels": _levels(self.channels),
             "masked_share": self.masked_share,
             "friction": asdict(self.friction) if self.friction else None,
@@ -102,13 +107,13 @@ class Diagnosis:
         if self.held_out:
             out["holdout"] = {
                 "channels": _levels(self.held_out.channels),
-                "runs": [_own(run) for run in self.held_out.runs],
-                "against": list(self.held_out.against),
+                "runs": [_run_as_dict(run) for run in self.held_out.runs],
+                "against": list(self.held_out.worsened),
             }
         if self.verdict == "none_of_these":
             out["remainder"] = [asdict(form) for form in self.unexplained]
-        if self.unchanged:
-            out["unchanged"] = _unchanged(self.unchanged)
+        if self.run_variation:
+            out["unchanged"] = _run_variation(self.run_variation)
         if self.rivals:
             out["rivals"] = list(self.rivals)
         return plain(out)
@@ -122,7 +127,7 @@ def diagnose(
     declared: Sequence[Effect] | None = None,
     settings: TraceSettings = DEFAULT,
     holdout: Sequence[Log] = (),
-    since: Unchanged | None = None,
+    since: RunVariation | None = None,
 ) -> Diagnosis:
     """Find which effects `robot` lacks as a model of the logs.
 
@@ -144,16 +149,16 @@ def diagnose(
     check_seed(seed)
     model = declared or ()
     several = len(logs) > 1 or declared is not None
-    settings = replace(settings, own_zeros=several)
-    cases = cases_of(logs, robot, model, settings)
+    settings = replace(settings, per_run_offsets=several)
+    cases = logs_under_model(logs, robot, model, settings)
     split = split_of(cases)
-    cannot = cannot_tell(cases, split)
+    cannot = untraceable_reason(cases, split)
     if cannot:
         reasons = (cannot,)
         return Diagnosis(verdict="not_identifiable", reasons=reasons, channels={}, notes=reasons)
     progress(0.02)
-    friction = friction_of(cases, np.random.default_rng(seed))
-    slip = slip_of(friction, settings)
+    friction = estimate_friction(cases, np.random.default_rng(seed))
+    slip = slip_effect(friction, settings)
     while True:
         floor = noise_floor(cases, [one.effect for one in slip], since)
         progress(0.4)
@@ -162,39 +167,43 @@ def diagnose(
         if not slip:
             break
         # Whether the feet slide may depend on the effects that have been found.
-        explained = cases_of(logs, robot, (*model, *(f.effect for f in result.found)), settings)
-        friction = friction_of(explained, np.random.default_rng(seed))
-        slip = slip_of(friction, settings)
+        explained = logs_under_model(
+            logs, robot, (*model, *(f.effect for f in result.found)), settings
+        )
+        friction = estimate_friction(explained, np.random.default_rng(seed))
+        slip = slip_effect(friction, settings)
         if slip:
             break
-    own = [f.effect for f in result.found if several and of_each_run(f.effect.name)]
+    own = [f.effect for f in result.found if several and is_per_run(f.effect.name)]
     found = (*(f for f in result.found if f.effect not in own), *slip)
     effects = [one.effect for one in found]
     weights = result.robust_weights
-    known = Data(cases, result.floor, result.evidence, effects, weights, split.part)
-    runs = runs_of(known, effects, own) if several else ()
+    known = RefinementData(cases, result.floor, result.evidence, effects, weights, split.part)
+    runs = fit_runs(known, effects, own) if several else ()
     now, used = [run.case for run in runs] or cases, split.fit | split.select
     before = linearise(now, (), ())
     after = linearise(now, effects, ()) if own else result.evidence
-    left = without_bias(after, weights, used)
-    plainly = without_bias(before, weights, used)
+    left = without_nuisance(after, weights, used)
+    plainly = without_nuisance(before, weights, used)
     pushes = outside_forces(now, left, after)
     pushed = pushed_bins(now, after, pushes)
     unpushed = np.where(pushed[:, None], 0.0, weights.weight)
-    gone = [f for f in found if pushes and not _stands(f.effect, effects, now, result, unpushed)]
+    gone = [
+        f for f in found if pushes and not _still_explains(f.effect, effects, now, result, unpushed)
+    ]
     found = tuple(f for f in found if f not in gone)
     judge = split.report & ~pushed
     channels = channel_levels(plainly[judge], left[judge], after, result.floor)
     held_out = None
     if holdout:
-        unseen = cases_of(holdout, robot, model, settings)
-        held_out = judged(unseen, effects, own, result.floor, rng)
+        unseen = logs_under_model(holdout, robot, model, settings)
+        held_out = evaluate_held_out(unseen, effects, own, result.floor, rng)
     progress(0.95)
     curves = angle_errors(cases, result, split, rng)
     verdict, reasons = verdict_of(
         found, channels, bool(curves), result.rivals, held_out, pushes, gone, result.harmful
     )
-    if verdict == "attributed" and not all(case.frame.by_reference for case in cases):
+    if verdict == "attributed" and not all(case.motion.by_reference for case in cases):
         by_feet = [
             f.effect for f in found if "leg_velocity" in f.effect.channels_of(f.effect.target)
         ]
@@ -239,14 +248,14 @@ def diagnose(
                 if (why := p.in_words()) not in reasons
             ),
             *_result_notes(found, channels),
-            *_notes_of_unchanged(since, channels),
+            *_run_variation_notes(since, channels),
         ),
         unexplained=unexplained,
-        unchanged=unchanged(runs, effects, result.floor, after, left, weights),
+        run_variation=run_variation(runs, effects, result.floor, after, left, weights),
     )
 
 
-def _stands(
+def _still_explains(
     one: Effect,
     effects: Sequence[Effect],
     cases: Sequence[LogUnderModel],
@@ -267,15 +276,15 @@ def _stands(
     without, known = (
         linearise(cases, these, ()) for these in ([e for e in effects if e != one], effects)
     )
-    sigma = result.floor.counted(result.robust_weights.sigma)
-    gains = gains_of(without, known, weight, sigma)
+    sigma = result.floor.effective_noise(result.robust_weights.sigma)
+    gains = channel_gains(without, known, weight, sigma)
     blocks = sum(gains[name] for name in one.channels_of(one.target) if name in gains)
     # Blocks that are masked entirely gain nothing. The seed is fixed for reproducibility.
-    drawn = block_draws(np.size(blocks), np.random.default_rng(0)) @ np.ravel(blocks)
+    drawn = block_bootstrap_counts(np.size(blocks), np.random.default_rng(0)) @ np.ravel(blocks)
     return bool(np.percentile(drawn, 2.5) > 0)
 
 
-def cases_of(
+def logs_under_model(
     logs: Sequence[Log],
     robot: Machine,
     declared: Sequence[Effect],
@@ -294,36 +303,40 @@ def _result_notes(found: Sequence[Found], channels: dict[str, ChannelLevel]) -> 
         f"{name}: {c.after / c.highest:.0f} times its residual in simulation is left, which may "
         "distort the sizes"
         for name, c in channels.items()
-        if found and c.after > c.settings.far * c.highest
+        if found and c.after > c.settings.far_ratio * c.highest
     ]
     return notes
 
 
-def _notes_of_unchanged(since: Unchanged | None, channels: dict[str, ChannelLevel]) -> list[str]:
+def _run_variation_notes(
+    since: RunVariation | None, channels: dict[str, ChannelLevel]
+) -> list[str]:
     """Notes on channels above the noise floor, but no higher than in unchanged runs."""
     return [
         f"{name}: {c.after:.3g} {c.unit} is left; runs of the unchanged machine leave up to "
-        f"{since.left[name]:.3g}"
+        f"{since.highest_residual[name]:.3g}"
         for name, c in channels.items()
-        if since and name in since.left and c.noise_floor and c.after > c.noise_floor
+        if since and name in since.highest_residual and c.noise_floor and c.after > c.noise_floor
     ]
 
 
-def _sized(one: Found) -> dict[str, Any]:
+def _with_interval(one: Found) -> dict[str, Any]:
     return {**one.effect.as_dict(), "interval": list(one.interval)}
 
 
-def _own(run: Run) -> list[dict[str, Any]]:
+def _run_as_dict(run: FittedRun) -> list[dict[str, Any]]:
     """A run's own effects, and which of them were compensated."""
-    return [{**_sized(one), "compensated": one.effect in run.taken} for one in run.zeros]
+    return [
+        {**_with_interval(one), "compensated": one.effect in run.compensated} for one in run.zeros
+    ]
 
 
-def _unchanged(one: Unchanged) -> dict[str, Any]:
+def _run_variation(one: RunVariation) -> dict[str, Any]:
     differ = [
         {"name": name, "target": target, "deviation": deviation}
-        for (name, target), deviation in one.differ.items()
+        for (name, target), deviation in one.size_spread.items()
     ]
-    return {"runs": one.runs, "differ": differ, "left": dict(one.left)}
+    return {"runs": one.runs, "differ": differ, "left": dict(one.highest_residual)}
 
 
 def _levels(channels: dict[str, ChannelLevel]) -> dict[str, dict[str, Any]]:

@@ -9,10 +9,10 @@ import numpy as np
 
 from surefoot.models.attribution.evidence import Evidence, LogUnderModel, table_of
 from surefoot.models.attribution.noise_floor import NoiseFloor
-from surefoot.models.bootstrap import block_draws
+from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.sim.effects import Effect
 
-GROWN = 0.1
+LEAST_GROWTH = 0.1
 """Least growth of the drift, as a share of the declared model's sum of squares; refitting the other
 effects alone changes it by some hundredths.
 """
@@ -49,8 +49,8 @@ def adds_drift(
     first, before, after = (_squared_drifts(evidence, x[:, feet], use) for x in tables)
     if not len(before):
         return False
-    drawn = block_draws(len(before), np.random.default_rng(0)) @ (after - before)
-    least = max(GROWN * float(np.sum(first)), len(before) * _own_drift(floor))
+    drawn = block_bootstrap_counts(len(before), np.random.default_rng(0)) @ (after - before)
+    least = max(LEAST_GROWTH * float(np.sum(first)), len(before) * _own_drift(floor))
     return bool(np.percentile(drawn, 5.0) > least)
 
 
@@ -60,7 +60,7 @@ def _own_drift(floor: NoiseFloor | None) -> float:
     The blocks of one walk drift alike, because its feet creep alike, so the spread is taken between
     walks: the largest value plus the range.
     """
-    walks = [repeat.evidence for repeat in floor.repeats] if floor else []
+    walks = [walk.evidence for walk in floor.walks] if floor else []
     own = []
     for one in walks:
         moved, every = one.layout.by_leg("stance_displacement"), np.ones(len(one.t), dtype=bool)

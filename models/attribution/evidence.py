@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from surefoot.models.attribution.run_offsets import deviations, of_each_run
+from surefoot.models.attribution.run_offsets import deviations, is_per_run
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.residuals.binning import (
     ReferenceMotion,
@@ -68,13 +68,13 @@ class Evidence:
         Z: regressors of the B nuisance parameters: turn-on biases of each log's IMU, the ground
             plane of each log, and deviations of a candidate's size between logs.
         limits: bounds of the nuisance parameters, +-(B,).
-        stands_for: for each of Z, the candidate that describes the same error without a bound, if
+        described_by: for each of Z, the candidate that describes the same error without a bound, if
             any.
-        comes_with: for each of Z, the candidate it is fitted along with, as a deviation of that
+        deviation_of: for each of Z, the candidate it is fitted along with, as a deviation of that
             candidate's size between logs, if any.
         settings: of the trace.
         groups: candidates whose regressor is the sum of those of other candidates.
-        as_read: factors of the columns of each log (`_as_read`).
+        reading_scale: factors of the columns of each log (`_reading_scale`).
     """
 
     layout: Layout
@@ -85,16 +85,16 @@ class Evidence:
     X: tuple[Regressor, ...]
     Z: tuple[Regressor, ...]
     limits: np.ndarray
-    stands_for: tuple[Key | None, ...]
-    comes_with: tuple[Key | None, ...] = ()
+    described_by: tuple[Key | None, ...]
+    deviation_of: tuple[Key | None, ...] = ()
     settings: TraceSettings = DEFAULT
     groups: frozenset[Key] = frozenset()
-    as_read: tuple[tuple[float, ...], ...] = ()
+    reading_scale: tuple[tuple[float, ...], ...] = ()
 
     @cached_property
     def single(self) -> np.ndarray:
         """Mask (C + B,) of the candidates and nuisance parameters that are no sum of others."""
-        along = self.comes_with or (None,) * len(self.Z)
+        along = self.deviation_of or (None,) * len(self.Z)
         return np.array([key not in self.groups for key in (*self.keys, *along)])
 
     def only(self, keys: Sequence[Key]) -> "Evidence":
@@ -109,7 +109,7 @@ class LogUnderModel:
 
     log: Log
     robot: Machine
-    frame: ReferenceMotion
+    motion: ReferenceMotion
     fixed: bool = False
     settings: TraceSettings = DEFAULT
 
@@ -121,14 +121,14 @@ def log_under_model(log: Log, robot: Machine, settings: TraceSettings = DEFAULT)
     rotation of the body.
     """
     stands = log.has("contact") and log.contact.any()
-    turns = log.has("imu") and np.sqrt(np.mean(np.square(log.gyro))) > settings.held_still
+    turns = log.has("imu") and np.sqrt(np.mean(np.square(log.gyro))) > settings.fixed_base_rate
     hung = not log.has("reference") and not (stands or turns) and log.has("q")
     fixed = not isinstance(robot, Robot) or hung
-    log = log.keeping()
-    frame = motion_under_model(log, robot, fixed)
-    if fixed and log.has("tau") and angles_are_quieter(log, frame):
-        frame = replace(frame, rates_of_angles=True)
-    return LogUnderModel(log, robot, with_ground(frame, log, robot), fixed, settings)
+    log = log.caching()
+    motion = motion_under_model(log, robot, fixed)
+    if fixed and log.has("tau") and angles_are_quieter(log, motion):
+        motion = replace(motion, rates_of_angles=True)
+    return LogUnderModel(log, robot, with_ground(motion, log, robot), fixed, settings)
 
 
 def channels_of(case: LogUnderModel) -> tuple[str, ...]:
@@ -137,7 +137,7 @@ def channels_of(case: LogUnderModel) -> tuple[str, ...]:
     return tuple(
         name
         for name, channel in channels().items()
-        if name in layout and channel.fills(case.log, case.fixed, case.frame.level)
+        if name in layout and channel.is_available(case.log, case.fixed, case.motion.level)
     )
 
 
@@ -152,12 +152,12 @@ def all_keys(case: LogUnderModel) -> tuple[Key, ...]:
             (kind.name, target)
             for target in kind.targets_on(case.robot.limbs)
             if there & {*kind.channels_of(target)}
-            and not (isinstance(case.robot, Robot) and kind.is_another(target, case.robot))
+            and not (isinstance(case.robot, Robot) and kind.equals_another(target, case.robot))
         ]
     return tuple(keys)
 
 
-def candidates_code() -> str:
+def candidates_digest() -> str:
     """Digest of the code of every effect and residual channel, plug-ins included."""
     kinds = [*known_effects().values(), *map(type, channels().values())]
     return code_digest(*kinds)
@@ -168,7 +168,7 @@ def linearise(
     chosen: Sequence[Effect],
     keys: Sequence[Key],
     before: Evidence | None = None,
-    judged: bool = True,
+    evaluation_channels: bool = True,
 ) -> Evidence:
     """Compute residuals with `chosen` compensated, and their derivatives with respect to `keys`.
 
@@ -181,40 +181,40 @@ def linearise(
         chosen: effects that are compensated.
         keys: of the candidates.
         before: an evidence whose derivatives may be reused.
-        judged: whether to compute the channels that are only evaluated and never fitted.
+        evaluation_channels: whether to compute the channels that are never fitted.
     """
-    parts = [_Linear(case, chosen, judged) for case in cases]
-    tables, as_read = [p.table for p in parts], tuple(tuple(p.as_read) for p in parts)
+    parts = [_Linear(case, chosen, evaluation_channels) for case in cases]
+    tables, reading_scale = [p.table for p in parts], tuple(tuple(p.reading_scale) for p in parts)
     starts = np.cumsum([0] + [len(table) for table in tables])
-    same = before is not None and before.as_read == as_read
+    same = before is not None and before.reading_scale == reading_scale
     if before is not None and same and _same_bins(before, np.concatenate(tables)):
         own = {(e.name, e.target) for e in chosen}
         if any(part.contacts_differ for part in parts):
             # The same bins may be in stance and yet a different set of feet share the load.
-            own |= {key for key in before.keys if known_effects()[key[0]].takes_loads}
+            own |= {key for key in before.keys if known_effects()[key[0]].uses_loads}
         X = tuple(
             joined_regressor([p.regressor(key) for p in parts], starts) if key in own else one
             for key, one in zip(before.keys, before.X, strict=True)
         )
         return replace(before, table=np.concatenate(tables), X=X)
     X = tuple(joined_regressor([p.regressor(key) for p in parts], starts) for key in keys)
-    Z, limits, stands_for = [], [], []
+    Z, limits, described_by = [], [], []
     for i, part in enumerate(parts):
-        for one, limit, key in part.free():
+        for one, limit, key in part.nuisance_regressors():
             whole = np.zeros((starts[-1], len(one.columns)))
             whole[starts[i] : starts[i + 1]] = one.values
             Z.append(Regressor(one.columns, whole))
             limits.append(limit)
-            stands_for.append(key)
+            described_by.append(key)
     log = np.repeat(np.arange(len(parts)), np.diff(starts))
-    comes_with: list[Key | None] = [None] * len(Z)
+    deviation_of: list[Key | None] = [None] * len(Z)
     for key, one in zip(keys, X, strict=True):
-        if of_each_run(key[0]):
+        if is_per_run(key[0]):
             own = deviations(one, log)
             Z += own
             limits += [np.inf] * len(own)
-            stands_for += [None] * len(own)
-            comes_with += [key] * len(own)
+            described_by += [None] * len(own)
+            deviation_of += [key] * len(own)
     return Evidence(
         layout=parts[0].parts.layout,
         t=np.concatenate([p.parts.t for p in parts]),
@@ -224,10 +224,10 @@ def linearise(
         X=X,
         Z=tuple(Z),
         limits=np.array(limits),
-        stands_for=tuple(stands_for),
-        comes_with=tuple(comes_with),
+        described_by=tuple(described_by),
+        deviation_of=tuple(deviation_of),
         settings=cases[0].settings,
-        as_read=as_read,
+        reading_scale=reading_scale,
         groups=frozenset(
             (name, target)
             for name, target in keys
@@ -246,15 +246,17 @@ def wrt_columns(
     return [linear.by_columns(columns) for columns in altered(linear.log)]
 
 
-def table_of(case: LogUnderModel, chosen: Sequence[Effect], judged: bool = True) -> np.ndarray:
+def table_of(
+    case: LogUnderModel, chosen: Sequence[Effect], evaluation_channels: bool = True
+) -> np.ndarray:
     """Residual table (M, W) of a case with `chosen` compensated.
 
-    Without `judged`, the channels that are only evaluated and never fitted are NaN.
+    Without `evaluation_channels`, the channels that are only evaluated and never fitted are NaN.
     """
-    return _parts(case, chosen, judged)[2].table * _as_read(case, chosen)
+    return _parts(case, chosen, evaluation_channels)[2].table * _reading_scale(case, chosen)
 
 
-def _as_read(case: LogUnderModel, chosen: Sequence[Effect]) -> np.ndarray:
+def _reading_scale(case: LogUnderModel, chosen: Sequence[Effect]) -> np.ndarray:
     """Factors (W,) of the columns that bring torque residuals back to the scale of the readings.
 
     Compensating a torque scale divides the residual by it, noise included, so that the largest
@@ -272,25 +274,31 @@ def _as_read(case: LogUnderModel, chosen: Sequence[Effect]) -> np.ndarray:
 
 
 def _parts(
-    case: LogUnderModel, chosen: Sequence[Effect], judged: bool = True
+    case: LogUnderModel, chosen: Sequence[Effect], evaluation_channels: bool = True
 ) -> tuple[Log, Machine, ResidualTable, ReferenceMotion]:
     log, robot = compensate_all(chosen, case.log, case.robot)
-    frame = case.frame
-    if log is not case.log and _moves_frame(changed_columns(case.log, log)):
-        frame = replace(motion_under_model(log, robot, case.fixed), level=case.frame.level)
-    names = [name for name, channel in channels().items() if judged or not channel.judges]
-    return log, robot, residual(log, robot, frame, names), frame
+    motion = case.motion
+    if log is not case.log and _changes_motion(changed_columns(case.log, log)):
+        motion = replace(motion_under_model(log, robot, case.fixed), level=case.motion.level)
+    names = [
+        name
+        for name, channel in channels().items()
+        if evaluation_channels or not channel.evaluation_only
+    ]
+    return log, robot, residual(log, robot, motion, names), motion
 
 
 class _Linear:
     """Residual of one log with the chosen effects compensated, and its derivatives."""
 
-    def __init__(self, case: LogUnderModel, chosen: Sequence[Effect], judged: bool = True):
-        self.case, self.chosen, self.judged = case, list(chosen), judged
-        self.log, self.robot, self.parts, self.frame = _parts(case, chosen, judged)
+    def __init__(
+        self, case: LogUnderModel, chosen: Sequence[Effect], evaluation_channels: bool = True
+    ):
+        self.case, self.chosen, self.evaluation_channels = case, list(chosen), evaluation_channels
+        self.log, self.robot, self.parts, self.motion = _parts(case, chosen, evaluation_channels)
         self.joints = self.log.joints
-        self.as_read = _as_read(case, chosen)
-        self.contacts_differ = self.frame is not case.frame and any(
+        self.reading_scale = _reading_scale(case, chosen)
+        self.contacts_differ = self.motion is not case.motion and any(
             name.startswith("contact_") for name in changed_columns(case.log, self.log)
         )
         self._known: dict[Key, Regressor] = {}
@@ -302,7 +310,7 @@ class _Linear:
     @property
     def table(self) -> np.ndarray:
         """The residual table (M, W)."""
-        return self.parts.table * self.as_read
+        return self.parts.table * self.reading_scale
 
     def regressor(self, key: Key) -> Regressor:
         """Derivative of the residual table with respect to the size of `key`."""
@@ -312,72 +320,77 @@ class _Linear:
 
     def _regressor(self, key: Key) -> Regressor:
         if any((e.name, e.target) == key for e in self.chosen):
-            return self._about_its_value(key)
+            return self._derivative_at_value(key)
         kind = known_effects()[key[0]]
         members = kind.members_of(key[1], self.robot.limbs)
         if members != (key[1],):
             # To first order, a group of equal sizes is the sum of its members.
             return summed_regressor([self.regressor((key[0], member)) for member in members])
         sizes = kind.starts_on(key[1], self.log)
-        tried = [self._from_zero(key, size) for size in sizes]
+        tried = [self._derivative_at_zero(key, size) for size in sizes]
         if len(tried) == 1:
             return tried[0]
         # A start of either sign is valid for sizes of that sign; take the one that agrees best.
         shares = [explained_share(one, self.table) for one in tried]
         return tried[int(np.argmax(np.sign(sizes) * shares))]
 
-    def _from_zero(self, key: Key, step: float) -> Regressor:
+    def _derivative_at_zero(self, key: Key, step: float) -> Regressor:
         """Derivative at zero, by a difference of the residual or the effect's chain rule."""
         log, robot = compensate_all([effect(*key, step)], self.log, self.robot)
         rule = known_effects()[key[0]].chain_rule
         if rule == "readings":
-            change = self._by_chain_rule(log, step) + self._of_others(log, robot, step)
+            change = self._by_chain_rule(log, step) + self._change_without_chain_rule(
+                log, robot, step
+            )
         elif rule is not None:
             change = wrt_robot(self.parts, self.robot, robot, step)
         else:
             change = self._by_difference(log, robot, step)
-        one = self._read(self._own(key, sparse(change, self.parts.table)))
+        one = self._to_reading_scale(self._events_only(key, sparse(change, self.parts.table)))
         return Regressor(one.columns, -one.values)
 
-    def _read(self, one: Regressor) -> Regressor:
+    def _to_reading_scale(self, one: Regressor) -> Regressor:
         """A regressor of the residual as one of the table."""
-        return Regressor(one.columns, one.values * self.as_read[one.columns])
+        return Regressor(one.columns, one.values * self.reading_scale[one.columns])
 
     def by_columns(self, added: Mapping[str, np.ndarray]) -> Regressor:
         """Regressor of additions (N,) to columns of the log."""
         columns = {name: self.log.columns[name] + x for name, x in added.items()}
         change = self._by_chain_rule(with_columns(self.log, columns), 1.0)
-        share = self.case.settings.small_change
+        share = self.case.settings.difference_step
         small = {n: self.log.columns[n] + share * x for n, x in added.items()}
-        others = self._of_others(with_columns(self.log, small), self.robot, share)
-        return self._read(sparse(change + others, self.parts.table))
+        others = self._change_without_chain_rule(with_columns(self.log, small), self.robot, share)
+        return self._to_reading_scale(sparse(change + others, self.parts.table))
 
     def _by_chain_rule(self, log: Log, step: float) -> np.ndarray:
         """Change of the table (M, W) per unit, by the chain rule, for a `log` that is `step` units
         away.
         """
-        change = _change(self.log, log, self.joints, self.frame, step)
+        change = _change(self.log, log, self.joints, self.motion, step)
         return wrt_readings(self.parts, self.jacobians, change)
 
-    def _of_others(self, log: Log, robot: Machine, step: float) -> np.ndarray:
+    def _change_without_chain_rule(self, log: Log, robot: Machine, step: float) -> np.ndarray:
         """The same (M, W) by differences, for the channels that the chain rule does not cover."""
         layout, table = self.parts.layout, self.parts.table
-        inputs, change = ResidualInputs(log, robot, self.frame), np.zeros(table.shape)
+        inputs, change = ResidualInputs(log, robot, self.motion), np.zeros(table.shape)
         for name, columns in layout.channels.items():
-            if not channels()[name].chained and channels()[name].answers(log, self.frame):
+            if not channels()[name].has_chain_rule and channels()[name].is_defined_for(
+                log, self.motion
+            ):
                 values = channels()[name].residual(inputs)
                 if values is not None:
                     change[:, columns] = np.nan_to_num(values - table[:, columns]) / step
         return change
 
-    def _about_its_value(self, key: Key) -> Regressor:
+    def _derivative_at_value(self, key: Key) -> Regressor:
         step = known_effects()[key[0]].step_of(key[1])
         ahead, behind = (
-            table_of(self.case, _moved(self.chosen, key, s), self.judged) for s in (step, -step)
+            table_of(self.case, _with_size_step(self.chosen, key, s), self.evaluation_channels)
+            for s in (step, -step)
         )
-        return self._own(key, sparse((behind - ahead) / (2 * step), self.parts.table))
+        return self._events_only(key, sparse((behind - ahead) / (2 * step), self.parts.table))
 
-    def _own(self, key: Key, one: Regressor) -> Regressor:
+    def _events_only(self, key: Key, one: Regressor) -> Regressor:
         """Restrict the regressor of an effect that shows only in the times of events.
 
         Removes the changes of other channels, which come from stances with more or fewer samples,
@@ -393,15 +406,15 @@ class _Linear:
         )
 
     def _by_difference(self, log: Log, robot: Machine, step: float) -> np.ndarray:
-        frame, same = self.frame, ()
+        motion, same = self.motion, ()
         if log is self.log:
             same = unchanged_channels(self.robot, robot)
-        elif _moves_frame(changed_columns(self.log, log)):
-            frame = replace(motion_under_model(log, robot, self.case.fixed), level=frame.level)
+        elif _changes_motion(changed_columns(self.log, log)):
+            motion = replace(motion_under_model(log, robot, self.case.fixed), level=motion.level)
         again = [name for name in self.parts.names if name not in same]
-        return (residual(log, robot, frame, again).table - self.parts.table) / step
+        return (residual(log, robot, motion, again).table - self.parts.table) / step
 
-    def free(self) -> list[tuple[Regressor, float, Key | None]]:
+    def nuisance_regressors(self) -> list[tuple[Regressor, float, Key | None]]:
         """Nuisance parameters of the log: regressor, bound, and the candidate with the same
         meaning.
         """
@@ -417,24 +430,24 @@ class _Linear:
                     one = sparse(wrt_readings(parts, self.jacobians, unit), parts.table)
                     out.append((one, most * turn_on, (f"{kind}_bias", name)))
         for name, columns in parts.layout.channels.items():
-            for values in channels()[name].free(parts.inputs):
+            for values in channels()[name].nuisance_regressors(parts.inputs):
                 which = parts.layout.of(name)
                 there = np.isfinite(parts.table[:, columns])
-                one = self._read(Regressor(which, there * values))
+                one = self._to_reading_scale(Regressor(which, there * values))
                 out.append((one, np.inf, None))
         return out
 
 
-def _moves_frame(columns: Sequence[str]) -> bool:
+def _changes_motion(columns: Sequence[str]) -> bool:
     return any(name.startswith(("ref_", "contact_")) for name in columns)
 
 
-def _moved(chosen: Sequence[Effect], key: Key, step: float) -> list[Effect]:
+def _with_size_step(chosen: Sequence[Effect], key: Key, step: float) -> list[Effect]:
     return [effect(*key, e.value + step) if (e.name, e.target) == key else e for e in chosen]
 
 
 def _change(
-    old: Log, new: Log, joints: Sequence[str], frame: ReferenceMotion, step: float
+    old: Log, new: Log, joints: Sequence[str], motion: ReferenceMotion, step: float
 ) -> dict[str, dict[int, np.ndarray]]:
     """Change of each stream per unit of an effect: stream -> index -> means over bins (M,).
 
@@ -442,11 +455,11 @@ def _change(
         old: log before the change.
         new: log after it; its attrs name the columns that changed.
         joints: names, in the order of the columns.
-        frame: reference motion of the log, with its bins.
+        motion: reference motion of the log, with its bins.
         step: size of the change, in the effect's unit.
     """
     change: dict[str, dict[int, np.ndarray]] = {}
-    mean = bin_mean(frame)
+    mean = bin_mean(motion)
     for name in changed_columns(old, new):
         stream, _, what = name.partition("_")
         if stream in ("gyro", "accel"):
@@ -459,12 +472,12 @@ def _change(
         means = {stream: mean(rows)}
         if stream == "gyro":
             means["omega"] = mean(at_rows(rows))
-        elif stream == "q" or (stream == "dq" and not frame.rates_of_angles):
-            means |= _of_joint(stream, rows, old.t, frame)
-        if stream == "q" and (frame.rates_of_angles or not old.has("dq")):
+        elif stream == "q" or (stream == "dq" and not motion.rates_of_angles):
+            means |= _joint_bin_means(stream, rows, old.t, motion)
+        if stream == "q" and (motion.rates_of_angles or not old.has("dq")):
             # Joint rates that were not logged are derived from the angles.
             rates = derivative(old.t, rows[:, None], JOINT_WINDOW, causal=False)[:, 0]
-            means |= _of_joint("dq", rates, old.t, frame)
+            means |= _joint_bin_means("dq", rates, old.t, motion)
             if not old.has("dq"):
                 means["dq"] = mean(rates)
         for kind, values in means.items():
@@ -472,15 +485,15 @@ def _change(
     return change
 
 
-def _of_joint(
-    stream: str, rows: np.ndarray, t: np.ndarray, frame: ReferenceMotion
+def _joint_bin_means(
+    stream: str, rows: np.ndarray, t: np.ndarray, motion: ReferenceMotion
 ) -> dict[str, np.ndarray]:
     """Bin means, at the times of the torques, of a change of angle or rate (N,); for a rate, also
     of its derivative.
     """
-    means = {f"{stream}_step": bin_mean(frame)(at_torques(rows, frame))}
+    means = {f"{stream}_step": bin_mean(motion)(at_torques(rows, motion))}
     if stream == "dq":
-        means["ddq"] = mean_rate_of_change(rows, t, frame)
+        means["ddq"] = mean_rate_of_change(rows, t, motion)
     return means
 
 

@@ -92,20 +92,20 @@ class NormalEquations:
             parameters, P = 1 + C + B.
         keys: the C candidates.
         limits: bounds of the nuisance parameters (B,).
-        stands_for: see `Evidence`.
+        described_by: see `Evidence`.
         entries: number of table entries in each block (K,).
         part: part of the split that each block belongs to (K,).
-        comes_with: see `Evidence`.
+        deviation_of: see `Evidence`.
         settings: of the trace.
     """
 
     G: np.ndarray
     keys: tuple[Key, ...]
     limits: np.ndarray
-    stands_for: tuple[Key | None, ...]
+    described_by: tuple[Key | None, ...]
     entries: np.ndarray
     part: np.ndarray
-    comes_with: tuple[Key | None, ...] = ()
+    deviation_of: tuple[Key | None, ...] = ()
     settings: TraceSettings = DEFAULT
 
     @cached_property
@@ -117,12 +117,12 @@ class NormalEquations:
         """Select blocks by a mask (K,) or indices."""
         return replace(self, G=self.G[which], entries=self.entries[which], part=self.part[which])
 
-    def free(self, keys: Sequence[Key]) -> list[int]:
+    def free_nuisance(self, keys: Sequence[Key]) -> list[int]:
         """Indices in G of the nuisance parameters that are free in a fit of these keys."""
-        along = self.comes_with or (None,) * len(self.stands_for)
+        along = self.deviation_of or (None,) * len(self.described_by)
         return [
             1 + len(self.keys) + i
-            for i, (one, other) in enumerate(zip(self.stands_for, along, strict=True))
+            for i, (one, other) in enumerate(zip(self.described_by, along, strict=True))
             if (one is None or one not in keys) and (other is None or other in keys)
         ]
 
@@ -131,7 +131,7 @@ class NormalEquations:
         `vector`; a zero (1,) where it has one size for all.
         """
         first = 1 + len(self.keys)
-        own = -vector[[first + i for i, one in enumerate(self.comes_with) if one == key]]
+        own = -vector[[first + i for i, one in enumerate(self.deviation_of) if one == key]]
         return np.append(own, -own.sum())
 
     def total(self) -> "NormalEquations":
@@ -174,10 +174,10 @@ def normal_equations(
         G=G,
         keys=evidence.keys,
         limits=evidence.limits,
-        stands_for=evidence.stands_for,
+        described_by=evidence.described_by,
         entries=entries,
         part=parts,
-        comes_with=evidence.comes_with,
+        deviation_of=evidence.deviation_of,
         settings=evidence.settings,
     )
 
@@ -212,7 +212,7 @@ def fit(
     G = data.whole
     first = 1 + len(data.keys)
     own = [1 + data.keys.index(key) for key in keys]
-    free = data.free(keys)
+    free = data.free_nuisance(keys)
     vector = np.zeros(len(G))
     vector[0] = 1.0
     held = [1 + data.keys.index(key) for key in given or ()]
@@ -236,8 +236,8 @@ def fit(
         covariance[dead[: len(keys)], dead[: len(keys)]] = np.inf
         # A bias effect is known no better than the declared turn-on bias that it stands for.
         for i, key in enumerate(keys):
-            if key in data.stands_for:
-                limit = data.limits[data.stands_for.index(key)]
+            if key in data.described_by:
+                limit = data.limits[data.described_by.index(key)]
                 covariance[i, i] += (limit / data.settings.turn_on_limit) ** 2
     return Fit(sizes[: len(keys)], covariance, vector)
 
@@ -269,7 +269,7 @@ def overlap(data: NormalEquations, one: Key, other: Key, given: Sequence[Key]) -
     G = data.whole
     pair = [1 + data.keys.index(one), 1 + data.keys.index(other)]
     base = [1 + data.keys.index(key) for key in given]
-    base += data.free([*given, one, other])
+    base += data.free_nuisance([*given, one, other])
     A, B = G[np.ix_(base, base)], G[np.ix_(base, pair)]
     scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
     inverse = np.linalg.pinv(A / scale / scale[:, None], rcond=1e-9, hermitian=True)

@@ -15,7 +15,7 @@ from scipy.ndimage import uniform_filter1d
 from surefoot.models.attribution.evidence import LogUnderModel
 from surefoot.models.attribution.found import Found
 from surefoot.models.attribution.settings import TraceSettings
-from surefoot.models.bootstrap import block_draws
+from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.models.residuals.binning import base_motion
 from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.models.residuals.torques import feet_wrenches
@@ -51,12 +51,14 @@ class FootFriction:
         """
         if self.limit is None:
             return False
-        low, high = settings.held_share
+        low, high = settings.used_friction_range
         one = self.interval[1] - self.interval[0] < settings.slide_spread * self.limit
         return one and low < self.held / self.limit < high
 
 
-def friction_of(cases: Sequence[LogUnderModel], rng: np.random.Generator) -> FootFriction | None:
+def estimate_friction(
+    cases: Sequence[LogUnderModel], rng: np.random.Generator
+) -> FootFriction | None:
     """Estimate the friction of the feet in these logs.
 
     None unless some log of a walking robot has torques, IMU, contacts and reference.
@@ -65,7 +67,7 @@ def friction_of(cases: Sequence[LogUnderModel], rng: np.random.Generator) -> Foo
         cases: logs under the model.
         rng: of the bootstrap over slides.
     """
-    able = [case for case in cases if _can_tell(case)]
+    able = [case for case in cases if _is_determined(case)]
     if not able:
         return None
     s = able[0].settings
@@ -73,7 +75,7 @@ def friction_of(cases: Sequence[LogUnderModel], rng: np.random.Generator) -> Foo
     for number, case in enumerate(able):
         speed, along, used = _feet(case)
         held.append(used[speed < s.slowest_slip])
-        sliding = (speed > s.slides) & (along > s.opposes * used)
+        sliding = (speed > s.sliding_speed) & (along > s.opposing_cosine * used)
         for leg in range(sliding.shape[1]):
             rows = np.flatnonzero(sliding[:, leg])
             breaks = np.flatnonzero(np.diff(case.log.t[rows]) > s.slide_gap) + 1
@@ -87,18 +89,18 @@ def friction_of(cases: Sequence[LogUnderModel], rng: np.random.Generator) -> Foo
     if len(slides) < s.fewest_slides:
         return FootFriction(None, (most, np.inf), len(slides), everywhere, most)
     middle = np.array([np.median(one) for one in slides])
-    drawn = block_draws(len(middle), rng)
+    drawn = block_bootstrap_counts(len(middle), rng)
     medians = [np.median(np.repeat(middle, counts)) for counts in drawn]
     low, high = (float(x) for x in np.percentile(medians, [2.5, 97.5]))
     return FootFriction(float(np.median(middle)), (low, high), len(slides), everywhere, most)
 
 
-def slip_of(friction: FootFriction | None, settings: TraceSettings) -> tuple[Found, ...]:
+def slip_effect(friction: FootFriction | None, settings: TraceSettings) -> tuple[Found, ...]:
     """The effect `foot_slip`, where friction is lower everywhere than on a dry floor."""
     if friction is None or friction.limit is None or not friction.everywhere:
         return ()
     dry, (low, high) = settings.floor_friction, friction.interval
-    if high >= settings.dry * dry or not friction.consistent(settings):
+    if high >= settings.dry_friction_share * dry or not friction.consistent(settings):
         return ()
     lost = effect("foot_slip", "all", float(np.clip(1.0 - friction.limit / dry, 0.0, 0.95)))
     return (Found(lost, (1.0 - high / dry, 1.0 - low / dry)),)
@@ -137,7 +139,7 @@ def slip_notes(
     return (note,)
 
 
-def _can_tell(case: LogUnderModel) -> bool:
+def _is_determined(case: LogUnderModel) -> bool:
     groups = ("q", "tau", "contact", "reference", "imu")
     return isinstance(case.robot, Robot) and not case.fixed and all(map(case.log.has, groups))
 
@@ -148,21 +150,21 @@ def _feet(case: LogUnderModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     Returns the speed over the ground [m/s], and the ratio of tangential to normal force: the
     component against the motion, and the magnitude.
     """
-    log, frame, robot, s = case.log, case.frame, case.robot, case.settings
+    log, motion, robot, s = case.log, case.motion, case.robot, case.settings
     assert isinstance(robot, Robot)
-    stands, dq = log.contact & frame.ok[:, None], joint_velocity(log)
+    stands, dq = log.contact & motion.ok[:, None], joint_velocity(log)
     rows = max(1, round(s.force_window * log.rate))
 
     def smooth(x: np.ndarray) -> np.ndarray:
         return uniform_filter1d(x, rows, axis=0)
 
-    v_I = leg_velocity(robot, log.q, dq, log.gyro, frame.up_I, stands)
+    v_I = leg_velocity(robot, log.q, dq, log.gyro, motion.up_I, stands)
     # A foot at rest reproduces the reference's velocity; the difference is the foot's own.
-    v_B = smooth(np.nan_to_num(frame.v_I[:, None] - v_I) @ robot.R_BI.T)
-    up_B = frame.up_I @ robot.R_BI.T
+    v_B = smooth(np.nan_to_num(motion.v_I[:, None] - v_I) @ robot.R_BI.T)
+    up_B = motion.up_I @ robot.R_BI.T
     ddq = np.gradient(smooth(dq), log.t, axis=0)
-    motion = (frame.gyro, frame.accel) if log.has("ref_v") else (log.gyro, log.accel)
-    base = base_motion(log.t, *motion, robot)
+    imu = (motion.gyro, motion.accel) if log.has("ref_v") else (log.gyro, log.accel)
+    base = base_motion(log.t, *imu, robot)
     dynamics = dynamics_of(robot.file, robot.joint_names)
     _, torque = dynamics.inverse(log.q, dq, ddq, base, body_changes(robot))
     radius = np.tile(np.maximum(robot.foot_radius, 0.0), (len(log.t), 1))

@@ -3,15 +3,15 @@
 import numpy as np
 
 from surefoot.models.attribution.evidence import Evidence, linearise
-from surefoot.models.attribution.levels import channel_levels, without_bias
-from surefoot.models.attribution.refinement import Data
-from surefoot.models.attribution.run_offsets import of_each_run
+from surefoot.models.attribution.levels import channel_levels, without_nuisance
+from surefoot.models.attribution.refinement import RefinementData
+from surefoot.models.attribution.run_fit import fit_runs
+from surefoot.models.attribution.run_offsets import is_per_run
 from surefoot.models.attribution.split import REPORT
-from surefoot.models.attribution.zeros import runs_of
 from surefoot.sim.effects import Effect
 
 
-def harmful_in(known: Data) -> tuple[Effect, str] | None:
+def find_harmful_effect(known: RefinementData) -> tuple[Effect, str] | None:
     """The first channel that the effects make worse (`ChannelLevel.worse`), and the effect whose
     removal improves it most; None where there is no such channel.
 
@@ -21,14 +21,14 @@ def harmful_in(known: Data) -> tuple[Effect, str] | None:
         known: the evidence with all effects compensated, and the matching noise floor.
     """
     weights, unseen = known.robust_weights, known.part == REPORT
-    several = known.evidence.settings.own_zeros
-    own = [e for e in known.explained if several and of_each_run(e.name)]
+    several = known.evidence.settings.per_run_offsets
+    own = [e for e in known.explained if several and is_per_run(e.name)]
     shared = [e for e in known.explained if e not in own]
-    runs = runs_of(known, shared, own) if own else ()
+    runs = fit_runs(known, shared, own) if own else ()
     cases = [run.case for run in runs] or known.cases
 
     def left(evidence: Evidence) -> np.ndarray:
-        return without_bias(evidence, weights, ~unseen)[unseen]
+        return without_nuisance(evidence, weights, ~unseen)[unseen]
 
     before, after = linearise(cases, (), ()), linearise(cases, shared, ())
     levels = channel_levels(left(before), left(after), after, known.floor)

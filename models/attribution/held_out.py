@@ -9,14 +9,14 @@ from surefoot.models.attribution.evidence import Evidence, LogUnderModel, all_ke
 from surefoot.models.attribution.fit import design
 from surefoot.models.attribution.levels import (
     ChannelLevel,
+    channel_gains,
     channel_levels,
-    gains_of,
-    without_bias,
+    without_nuisance,
 )
 from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.attribution.robust_weights import RobustWeights, robust_weights
-from surefoot.models.attribution.zeros import Run, run_of
-from surefoot.models.bootstrap import block_draws
+from surefoot.models.attribution.run_fit import FittedRun, fit_run
+from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.sim.effects import Effect
 
 
@@ -31,11 +31,11 @@ class HeldOutRuns:
     """
 
     channels: dict[str, ChannelLevel]
-    runs: tuple[Run, ...]
-    against: tuple[str, ...]
+    runs: tuple[FittedRun, ...]
+    worsened: tuple[str, ...]
 
 
-def judged(
+def evaluate_held_out(
     cases: Sequence[LogUnderModel],
     effects: Sequence[Effect],
     start: Sequence[Effect],
@@ -51,26 +51,26 @@ def judged(
         floor: noise floor of the model with the effects.
         rng: of the block bootstrap.
     """
-    runs, against, before, after = [], [], [], []
+    runs, worsened, before, after = [], [], [], []
     known = None
     for number, case in enumerate(cases, 1):
         whole = design(linearise([case], [*effects, *start], all_keys(case)))
         weights = robust_weights(whole, floor.sigma)
-        run = run_of(case, effects, start, floor, weights.weight, weights.sigma)
+        run = fit_run(case, effects, start, floor, weights.weight, weights.sigma)
         runs.append(run)
         plain, known = (linearise([run.case], these, ()) for these in ((), effects))
         every = np.ones(len(known.t), dtype=bool)
-        before.append(without_bias(plain, weights, every))
-        after.append(without_bias(known, weights, every))
+        before.append(without_nuisance(plain, weights, every))
+        after.append(without_nuisance(known, weights, every))
         for one in effects:
             others = linearise([run.case], [e for e in effects if e != one], ())
             if worse := _made_worse(others, known, floor, weights, rng):
-                against.append(
+                worsened.append(
                     f"held-out run {number}: {one.name} {one.target} makes {worse} worse"
                 )
     assert known is not None
     levels = channel_levels(np.concatenate(before), np.concatenate(after), known, floor)
-    return HeldOutRuns(levels, tuple(runs), tuple(against))
+    return HeldOutRuns(levels, tuple(runs), tuple(worsened))
 
 
 def _made_worse(
@@ -91,9 +91,9 @@ def _made_worse(
         weights: of the log.
         rng: of the block bootstrap.
     """
-    gains = gains_of(without, known, weights.weight, floor.counted(weights.sigma))
+    gains = channel_gains(without, known, weights.weight, floor.effective_noise(weights.sigma))
     if not gains:
         return ""
     most = max(gains, key=lambda name: abs(gains[name].sum()))
-    high = np.percentile(block_draws(len(gains[most]), rng) @ gains[most], 97.5)
+    high = np.percentile(block_bootstrap_counts(len(gains[most]), rng) @ gains[most], 97.5)
     return most if high < 0 else ""

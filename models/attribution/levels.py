@@ -6,7 +6,7 @@ import numpy as np
 
 from surefoot.models.attribution.evidence import Evidence
 from surefoot.models.attribution.fit import design, fit, loss, normal_equations
-from surefoot.models.attribution.noise_floor import NoiseFloor, Repeat
+from surefoot.models.attribution.noise_floor import FloorWalk, NoiseFloor
 from surefoot.models.attribution.robust_weights import RobustWeights
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.residuals.registry import channels
@@ -28,7 +28,7 @@ class ChannelLevel:
     noise alone is the floor, two standard errors above it.
     """
     settings: TraceSettings = DEFAULT
-    judges: bool = False
+    evaluation_only: bool = False
     """Whether no fit uses the channel: it need not reach its floor, but must not get worse."""
     same_bins: tuple[float, float] | None = None
     """Before and after on the bins that both have: compensating contacts changes the stances. Zeros
@@ -40,11 +40,11 @@ class ChannelLevel:
     @property
     def at_floor(self) -> bool:
         """Whether the remaining residual is at the noise floor."""
-        return self.judges or self._as_the_model
+        return self.evaluation_only or self._within_floor
 
     @property
-    def _as_the_model(self) -> bool:
-        return self.after <= self.settings.at_floor * self.highest
+    def _within_floor(self) -> bool:
+        return self.after <= self.settings.at_floor_ratio * self.highest
 
     @property
     def below_floor(self) -> bool:
@@ -61,12 +61,12 @@ class ChannelLevel:
         their noise floor.
         """
         before, after = self.same_bins or (self.before, self.after)
-        if self.by_chance or after <= self.settings.worse * before:
+        if self.by_chance or after <= self.settings.worse_ratio * before:
             return False
         if self.noise_floor is None:
             return True
         differ = after - before > self.highest - self.noise_floor
-        return differ and not self._as_the_model
+        return differ and not self._within_floor
 
 
 def channel_levels(
@@ -81,10 +81,10 @@ def channel_levels(
         floor: noise floor of the model with the effects.
     """
     floors = [
-        without_bias(one.evidence, one.robust_weights, np.ones(len(one.evidence.t), dtype=bool))
-        for one in floor.repeats
+        without_nuisance(one.evidence, one.robust_weights, np.ones(len(one.evidence.t), dtype=bool))
+        for one in floor.walks
     ]
-    ahead = [_ahead(one) for one in floor.repeats] if floor.evenness else floors
+    ahead = [_end_of_walk(one) for one in floor.walks] if floor.evenness else floors
     levels = {}
     for name, columns in known.layout.channels.items():
         if not np.isfinite(before[:, columns]).any():
@@ -101,14 +101,14 @@ def channel_levels(
         if channel.of_events and level:
             known_values = np.concatenate([part[:, columns].ravel() for part in floors])
             most *= 1.0 + 2.0 * scatter_of_rms(known_values, np.isfinite(after[:, columns]).sum())
-        if own is None and not floor.repeats:
+        if own is None and not floor.walks:
             own = float(np.sqrt(np.mean(floor.sigma[columns] ** 2)))
             # Noise of neighbouring bins is correlated, so n bins determine the RMS to about
             # 1/sqrt(n).
             count = np.isfinite(after[:, columns]).sum()
             most = own * (1.0 + 2.0 / float(np.sqrt(max(count, 1))))
-        if floor.unchanged:
-            most = max(most, floor.unchanged.left.get(name, 0.0))
+        if floor.run_variation:
+            most = max(most, floor.run_variation.highest_residual.get(name, 0.0))
         both = np.isfinite(before[:, columns]) & np.isfinite(after[:, columns])
         same = (
             [trimmed_rms(part[:, columns][both]) for part in (before, after)]
@@ -122,7 +122,7 @@ def channel_levels(
             unit=channel.unit,
             highest=most,
             settings=known.settings,
-            judges=channel.judges,
+            evaluation_only=channel.evaluation_only,
             same_bins=(same[0], same[1]),
             by_chance=channel.of_events and _by_chance(before[:, columns], after[:, columns]),
         )
@@ -139,7 +139,7 @@ def _by_chance(before: np.ndarray, after: np.ndarray) -> bool:
     return bool(np.mean(more) <= 2.0 * np.std(more) / np.sqrt(len(more))) if len(more) else True
 
 
-def without_bias(evidence: Evidence, weights: RobustWeights, use: np.ndarray) -> np.ndarray:
+def without_nuisance(evidence: Evidence, weights: RobustWeights, use: np.ndarray) -> np.ndarray:
     """Residual table (M, W) less the nuisance parameters as fitted on `use`; NaN where masked."""
     data = design(evidence.only(()))
     sums = normal_equations(data, weights.sigma, weights.weight, np.where(use, 0, -1)).total()
@@ -148,7 +148,7 @@ def without_bias(evidence: Evidence, weights: RobustWeights, use: np.ndarray) ->
     return np.where(weights.weight > 0, left, np.nan)
 
 
-def gains_of(
+def channel_gains(
     without: Evidence, known: Evidence, weight: np.ndarray, sigma: np.ndarray
 ) -> dict[str, np.ndarray]:
     """Reduction of each block's weighted squared error (K,) from `without` to `known`, by channel.
@@ -159,7 +159,7 @@ def gains_of(
         without: evidence with some effects compensated.
         known: evidence with more of them compensated.
         weight: (M, W) of the bins.
-        sigma: (W,) effective noise of each column (`NoiseFloor.counted`).
+        sigma: (W,) effective noise of each column (`NoiseFloor.effective_noise`).
     """
     tables = design(without), design(known)
     both = tables[0].there & tables[1].there
@@ -174,13 +174,13 @@ def gains_of(
     return gains
 
 
-def _ahead(one: Repeat) -> np.ndarray:
+def _end_of_walk(one: FloorWalk) -> np.ndarray:
     """Residual at the end of a walk, on ground that the plane fitted to its beginning has not
     seen.
     """
     t = one.evidence.t
-    use = t < t[0] + (1.0 - one.evidence.settings.ahead) * (t[-1] - t[0])
-    return without_bias(one.evidence, one.robust_weights, use)[~use]
+    use = t < t[0] + (1.0 - one.evidence.settings.extrapolated_share) * (t[-1] - t[0])
+    return without_nuisance(one.evidence, one.robust_weights, use)[~use]
 
 
 def scatter_of_rms(values: np.ndarray, count: int) -> float:

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from surefoot.models.attribution.coarse_reference import Coarse, as_coarse, coarseness
 from surefoot.models.attribution.evidence import (
     Evidence,
     Key,
@@ -21,14 +20,19 @@ from surefoot.models.attribution.evidence import (
     log_under_model,
 )
 from surefoot.models.attribution.fit import NormalEquations, design, fit, normal_equations
+from surefoot.models.attribution.reference_sampling import (
+    ReferenceSampling,
+    reference_sampling,
+    resample_reference,
+)
 from surefoot.models.attribution.robust_weights import RobustWeights, robust_weights
-from surefoot.models.attribution.sensor_noise import reading_noise, sheet_noise
+from surefoot.models.attribution.sensor_noise import data_sheet_noise, reading_noise
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.attribution.whiteness import variance_inflation
 from surefoot.models.residuals.layout import Layout, layout_for
 from surefoot.models.residuals.registry import channels
 from surefoot.models.residuals.torques import declared
-from surefoot.models.residuals.without_reference import can_reckon, reckoned_by_legs
+from surefoot.models.residuals.without_reference import can_dead_reckon, with_dead_reckoning
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect, known_effects
 from surefoot.sim.ground.terrain import Ground, Strip
@@ -44,7 +48,7 @@ Groups = tuple[str, ...]
 
 
 @dataclass(frozen=True)
-class Repeat:
+class FloorWalk:
     """One simulated walk of the declared model.
 
     Attributes:
@@ -69,7 +73,7 @@ class FloorPlan:
         courses: commanded velocities, one course for each walk.
         groups: groups of columns that the logs have.
         evenness: standard deviation of the ground's height from a plane [m].
-        coarse: sampling and noise of the reference, if measured.
+        sampling: sampling and noise of the reference, if measured.
         settings: of the trace.
         ground: effects of the ground, which no model can compensate.
     """
@@ -78,25 +82,25 @@ class FloorPlan:
     courses: tuple[Twists, ...]
     groups: Groups
     evenness: float
-    coarse: Coarse | None
+    sampling: ReferenceSampling | None
     settings: TraceSettings
     ground: tuple[Effect, ...] = ()
 
 
 @dataclass(frozen=True)
-class Unchanged:
+class RunVariation:
     """Variation between runs of an unchanged machine, with all effects found compensated.
 
     Attributes:
         runs: number of runs.
-        differ: candidate -> standard deviation of its size in a new run [its unit].
-        left: channel -> upper limit of the residual's root mean square [its unit]: the largest of
-            the runs plus their range.
+        size_spread: candidate -> standard deviation of its size in a new run [its unit].
+        highest_residual: channel -> upper limit of the residual's root mean square [its unit]: the
+            largest of the runs plus their range.
     """
 
     runs: int
-    differ: Mapping[Key, float]
-    left: Mapping[str, float]
+    size_spread: Mapping[Key, float]
+    highest_residual: Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -105,19 +109,19 @@ class NoiseFloor:
 
     Attributes:
         sigma: noise of each column of the residual table (W,), in its unit.
-        repeats: the simulated walks.
+        walks: the simulated walks.
         source: of the floor, in words.
         plan: what was simulated.
         readings: the logs, where the noise of their own readings is the floor.
-        unchanged: variation between runs of the same machine, where known.
+        run_variation: variation between runs of the same machine, where known.
     """
 
     sigma: np.ndarray
-    repeats: tuple[Repeat, ...]
+    walks: tuple[FloorWalk, ...]
     source: str
     plan: FloorPlan | None = None
     readings: tuple[LogUnderModel, ...] = ()
-    unchanged: Unchanged | None = None
+    run_variation: RunVariation | None = None
     _known: dict = field(default_factory=dict, compare=False, repr=False)
 
     @property
@@ -125,17 +129,17 @@ class NoiseFloor:
         """Standard deviation of the walks' ground from a plane [m]."""
         return self.plan.evenness if self.plan else 0.0
 
-    def counted(self, sigma: np.ndarray, alike: np.ndarray | float = 1.0) -> np.ndarray:
+    def effective_noise(self, sigma: np.ndarray, alike: np.ndarray | float = 1.0) -> np.ndarray:
         """Effective noise (W,) of columns with noise sigma (W,), larger where it is not white.
 
         The sum of two parts: that of the declared model, inflated by its correlation with the
         candidates, and the excess of the log over it, of which `alike` (W,) successive entries
         count as one independent value.
         """
-        if not self.repeats:
+        if not self.walks:
             return sigma
         least = np.minimum(self.sigma, sigma) ** 2
-        faked = np.mean([one.variance_inflation for one in self.repeats], axis=0)
+        faked = np.mean([one.variance_inflation for one in self.walks], axis=0)
         return np.sqrt(least * faked + (sigma**2 - least) * alike)
 
     def sizes(self, chosen: Sequence[Key], key: Key) -> tuple[float, float]:
@@ -145,16 +149,16 @@ class NoiseFloor:
         Compliant, creeping contacts resemble some effects a little, in the same way on every walk.
         """
         mean, spread = self._of_walks(chosen, key)
-        differ = self.unchanged.differ.get(key, 0.0) if self.unchanged else 0.0
+        differ = self.run_variation.size_spread.get(key, 0.0) if self.run_variation else 0.0
         return mean, float(np.hypot(spread, differ))
 
     def _of_walks(self, chosen: Sequence[Key], key: Key) -> tuple[float, float]:
         if key not in self._keys:
             return 0.0, 0.0
-        limbs = self.repeats[0].evidence.layout.limbs
+        limbs = self.walks[0].evidence.layout.limbs
         alike = [k for k in self._keys if k[0] == key[0] and _part(k, limbs) == _part(key, limbs)]
-        free = self.repeats[0].normal_equations
-        if key in free.stands_for:
+        free = self.walks[0].normal_equations
+        if key in free.described_by:
             # A turn-on bias is drawn anew at every start; `fit` adds that to the covariance.
             return 0.0, 0.0
         own = self._sizes(chosen, key)
@@ -167,24 +171,24 @@ class NoiseFloor:
         # Only a mean that is significant over the walks is a property of the contacts.
         return (mean if abs(mean) > 2.0 * spread / np.sqrt(count) else 0.0), spread
 
-    def doubt(self, key: Key, offset: float) -> float:
+    def size_uncertainty(self, key: Key, offset: float) -> float:
         """Standard deviation of the apparent size `offset` that `key` has without the effect.
 
         Taken from the channels in which the effect shows if all of them declare it, else a share of
         the offset.
         """
-        if not self.repeats:
+        if not self.walks:
             return 0.0
         kind = known_effects()[key[0]]
         shows_in = [channels()[name] for name in kind.channels_of(key[1]) if name in channels()]
-        known = [c.known_to[key[1]] for c in shows_in if key[1] in c.known_to]
+        known = [c.level_spread[key[1]] for c in shows_in if key[1] in c.level_spread]
         if known and len(known) == len(shows_in):
             return max(known)
-        return self.repeats[0].evidence.settings.faked_share * abs(offset)
+        return self.walks[0].evidence.settings.apparent_size_uncertainty * abs(offset)
 
     @property
     def _keys(self) -> tuple[Key, ...]:
-        return self.repeats[0].normal_equations.keys if self.repeats else ()
+        return self.walks[0].normal_equations.keys if self.walks else ()
 
     def _sizes(self, chosen: Sequence[Key], key: Key) -> np.ndarray:
         """Apparent size of `key` (R,), fitted along with `chosen`, on each walk that has all of
@@ -193,7 +197,7 @@ class NoiseFloor:
         asked = (tuple(chosen), key)
         if asked not in self._known:
             keys = [*chosen, key]
-            knowing = [one for one in self.repeats if set(keys) <= set(one.normal_equations.keys)]
+            knowing = [one for one in self.walks if set(keys) <= set(one.normal_equations.keys)]
             sizes = [fit(one.normal_equations, keys, errors=False).sizes[-1] for one in knowing]
             self._known[asked] = np.array(sizes or [0.0])
         return self._known[asked]
@@ -214,7 +218,7 @@ def _part(key: Key, limbs: Limbs) -> str:
 def noise_floor(
     cases: Sequence[LogUnderModel],
     ground: Sequence[Effect] = (),
-    unchanged: Unchanged | None = None,
+    run_variation: RunVariation | None = None,
 ) -> NoiseFloor:
     """Simulate the motion of the logs with the declared robot.
 
@@ -226,15 +230,13 @@ def noise_floor(
     Args:
         cases: the logs under the declared model.
         ground: effects of the ground that every walk has and no model compensates.
-        unchanged: variation between runs of the same machine.
+        run_variation: variation between runs of the same machine.
     """
-    floor = replace(_plain_floor(cases, ground), unchanged=unchanged)
-    if unchanged is None:
+    floor = replace(_plain_floor(cases, ground), run_variation=run_variation)
+    if run_variation is None:
         return floor
-    beside = (
-        f"{floor.source}, and the variation between {unchanged.runs} runs of the unchanged machine"
-    )
-    return replace(floor, source=beside)
+    between = f"the variation between {run_variation.runs} runs of the unchanged machine"
+    return replace(floor, source=f"{floor.source}, and {between}")
 
 
 def _plain_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect]) -> NoiseFloor:
@@ -248,17 +250,19 @@ def _plain_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect]) -> No
     evenness = max(float(case.log.meta.model.get("ground_evenness", 0.0)) for case in cases)
     plan = FloorPlan(
         file=first.robot.file,
-        courses=tuple(courses([_walked(c) for c in cases], first.settings)) if walks else (),
+        courses=tuple(courses([_with_reference(c) for c in cases], first.settings))
+        if walks
+        else (),
         groups=tuple(g for g in known if all(case.log.has(g) for case in cases)),
         evenness=evenness,
-        coarse=coarseness(first.log, first.settings),
+        sampling=reference_sampling(first.log, first.settings),
         settings=first.settings,
         ground=tuple(ground),
     )
     floor = _floor(plan, ())
-    if floor.repeats:
+    if floor.walks:
         return floor
-    sigma = sheet_noise(first.log.rate, layout_for(first.robot.limbs), evenness)
+    sigma = data_sheet_noise(first.log.rate, layout_for(first.robot.limbs), evenness)
     return NoiseFloor(sigma, (), "data sheets of the declared sensors")
 
 
@@ -274,17 +278,19 @@ def noise_floor_with(floor: NoiseFloor, effects: Sequence[Effect]) -> NoiseFloor
         return replace(floor, sigma=reading_noise(floor.readings, effects))
     # Rounded to two digits, so that nearly equal sizes share one simulated walk.
     telling = tuple(
-        replace(e, value=float(np.clip(float(f"{e.value:.1e}"), *type(e).inside(e.target))))
+        replace(
+            e, value=float(np.clip(float(f"{e.value:.1e}"), *type(e).interior_bounds(e.target)))
+        )
         for e in effects
-        if is_on_the_body(e)
+        if is_compensated_approximately(e)
     )
-    if not telling or floor.plan is None or not floor.repeats:
+    if not telling or floor.plan is None or not floor.walks:
         return floor
     other = _floor(floor.plan, telling)
-    return replace(other, unchanged=floor.unchanged) if other.repeats else floor
+    return replace(other, run_variation=floor.run_variation) if other.walks else floor
 
 
-def is_on_the_body(one: Effect) -> bool:
+def is_compensated_approximately(one: Effect) -> bool:
     """Whether an effect changes the robot's motion, or compensating it loses information.
 
     In either case the residual differs from that of a robot without the effect even if it is
@@ -300,19 +306,21 @@ def _floor(plan: FloorPlan, effects: tuple[Effect, ...]) -> NoiseFloor:
     seed = plan.settings.floor_seed
     # Without the other courses, so that a walk is cached once for all logs that contain it.
     alone = replace(plan, courses=())
-    walks = [_repeat(alone, one, seed + i, effects, known) for i, one in enumerate(plan.courses)]
-    repeats = tuple(one for one in walks if one is not None)
-    if not repeats:
+    walks = [
+        _floor_walk(alone, one, seed + i, effects, known) for i, one in enumerate(plan.courses)
+    ]
+    completed = tuple(one for one in walks if one is not None)
+    if not completed:
         return NoiseFloor(np.zeros(0), (), "")
-    sigma = np.sqrt(np.mean([one.robust_weights.sigma**2 for one in repeats], axis=0))
-    sigma = np.maximum(sigma, _least(repeats[0].evidence.layout))
-    source = f"{len(repeats)} simulated walks of the declared model along the log's own course"
-    if plan.coarse:
+    sigma = np.sqrt(np.mean([one.robust_weights.sigma**2 for one in completed], axis=0))
+    sigma = np.maximum(sigma, _least_noise(completed[0].evidence.layout))
+    source = f"{len(completed)} simulated walks of the declared model along the log's own course"
+    if plan.sampling:
         source += ", with a reference as coarse as the log's"
-    return NoiseFloor(sigma, repeats, source, plan)
+    return NoiseFloor(sigma, completed, source, plan)
 
 
-def _least(layout: Layout) -> np.ndarray:
+def _least_noise(layout: Layout) -> np.ndarray:
     """Smallest noise (W,) that columns may have."""
     least = np.zeros(layout.width)
     for name, columns in layout.channels.items():
@@ -320,15 +328,15 @@ def _least(layout: Layout) -> np.ndarray:
     return least
 
 
-def _walked(case: LogUnderModel) -> Log:
+def _with_reference(case: LogUnderModel) -> Log:
     """The log, with a reference reckoned from IMU and legs where it has none.
 
     That is accurate enough for the course of a simulated walk.
     """
     log, robot = case.log, case.robot
-    if log.has("reference") or not isinstance(robot, Robot) or not can_reckon(log):
+    if log.has("reference") or not isinstance(robot, Robot) or not can_dead_reckon(log):
         return log
-    return reckoned_by_legs(log, robot)
+    return with_dead_reckoning(log, robot)
 
 
 def courses(logs: Sequence[Log], settings: TraceSettings = DEFAULT) -> list[Twists]:
@@ -350,9 +358,9 @@ def courses(logs: Sequence[Log], settings: TraceSettings = DEFAULT) -> list[Twis
 
 
 @lru_cache(maxsize=16)
-def _repeat(
+def _floor_walk(
     plan: FloorPlan, course: Twists, seed: int, effects: tuple[Effect, ...], known: tuple[str, ...]
-) -> Repeat | None:
+) -> FloorWalk | None:
     """One walk, fitted with the `known` effects; None where the robot falls at every speed.
 
     Args:
@@ -377,16 +385,16 @@ def _repeat(
         if not course:
             log = replace(log, frame=log.frame[log.t - log.t[0] < s.floor_seconds - s.floor_stand])
         log = _with_groups(log, plan.groups)
-        if plan.coarse:
-            log = as_coarse(log, plan.coarse, np.random.default_rng(seed))
+        if plan.sampling:
+            log = resample_reference(log, plan.sampling, np.random.default_rng(seed))
         case = log_under_model(log, robot, s)
         data = design(linearise([case], effects, all_keys(case)))
         # The same minimum noise as for the log, so that channels have the same relative weight.
-        weights = robust_weights(data, _least(data.evidence.layout))
+        weights = robust_weights(data, _least_noise(data.evidence.layout))
         beyond = variance_inflation(data, weights)
         sums = normal_equations(data, weights.sigma * np.sqrt(beyond), weights.weight).total()
         # The candidates' regressors are no longer needed.
-        return Repeat(data.evidence.only(()), weights, sums, beyond)
+        return FloorWalk(data.evidence.only(()), weights, sums, beyond)
     return None
 
 

@@ -29,7 +29,7 @@ class Prior:
     most: float = np.inf
 
 
-NO_SUCH_SCALE = 3.0
+IMPLAUSIBLE_SCALE = 3.0
 """Largest plausible scale error of a working sensor, as a multiple of its data sheet's limit."""
 UNPUBLISHED = "no published figure found: as wide as the bounds"
 _MPU = "MPU-6050 Product Specification"
@@ -40,8 +40,8 @@ _LATENCY = f"{_TAN}: latencies of 0 to 40 ms"
 _WALK = "Margolis and Agrawal, CoRL 2022, public code"
 
 PRIORS: dict[str, Prior] = {
-    "gyro_scale": Prior(0.03, f"{_MPU}: 3 %", most=NO_SUCH_SCALE * 0.03),
-    "accel_scale": Prior(0.03, f"{_MPU}: 3 %", most=NO_SUCH_SCALE * 0.03),
+    "gyro_scale": Prior(0.03, f"{_MPU}: 3 %", most=IMPLAUSIBLE_SCALE * 0.03),
+    "accel_scale": Prior(0.03, f"{_MPU}: 3 %", most=IMPLAUSIBLE_SCALE * 0.03),
     "gyro_bias": Prior(0.35, f"{_MPU}: 20 deg/s"),
     "accel_bias": Prior(0.8, f"{_MPU}: 50 mg along x and y, 80 mg along z"),
     "gyro_g_sensitivity": Prior(1e-3, f"{_MPU}: 1.8e-4 is typical, no maximum given"),
@@ -58,7 +58,7 @@ PRIORS: dict[str, Prior] = {
         0.025,
         "a turn of an encoder is a turn, and gears have whole teeth: what is left is the slope of "
         "its non-linearity, 1.41 degrees over a turn (ams AS5050 data sheet)",
-        most=NO_SUCH_SCALE * 0.025,
+        most=IMPLAUSIBLE_SCALE * 0.025,
     ),
     "backlash": Prior(0.035, "maxon catalogue: planetary gearheads of 0.5 to 2 degrees"),
     "leg_compliance": Prior(
@@ -99,14 +99,14 @@ def prior_of(kind: type[Effect]) -> Prior:
     return PRIORS.get(kind.name) or Prior(float(np.max(np.abs(kind.bounds))), UNPUBLISHED)
 
 
-ALIKE: dict[str, float] = {"leg_compliance": 0.25, "foot_rolling": 0.25}
+SPREAD_BETWEEN_PARTS: dict[str, float] = {"leg_compliance": 0.25, "foot_rolling": 0.25}
 """Name -> relative spread between parts of one kind, at 95 %.
 
 No published figure was found: manufacturers of gears state typical stiffnesses only, and feet wear.
 """
 
 
-STAND_FOR_ONE_ANOTHER = ("foot_rolling", "leg_compliance", "foot_elasticity", "contact_delay")
+SIMILAR_LEG_EFFECTS = ("foot_rolling", "leg_compliance", "foot_elasticity", "contact_delay")
 """Effects of all legs under load that resemble one another.
 
 Fitted alone, each absorbs a part of the others: a compliant leg, a rolling foot and a foot that
@@ -114,11 +114,11 @@ lifts before its contact ends all move the foot in a similar way.
 """
 
 
-def joint_rivals(
+def masked_candidates(
     keys: Sequence[tuple[str, str]], chosen: Sequence[tuple[str, str]], limbs: Limbs
 ) -> list[tuple[str, str]]:
     """Candidates that may be masked by a similar effect among those chosen."""
-    kinds, known = STAND_FOR_ONE_ANOTHER, known_effects()
+    kinds, known = SIMILAR_LEG_EFFECTS, known_effects()
     if not any(name in kinds for name, _ in chosen):
         return []
     there = {name for name, _ in chosen}
@@ -127,11 +127,14 @@ def joint_rivals(
         for name, target in keys
         if name in kinds
         and name not in there
-        and (name not in ALIKE or _is_common(known[name].members_of(target, limbs), limbs))
+        and (
+            name not in SPREAD_BETWEEN_PARTS
+            or _is_common(known[name].members_of(target, limbs), limbs)
+        )
     ]
 
 
-def surprise(name: str, target: str, size: float, limbs: Limbs) -> float:
+def prior_penalty(name: str, target: str, size: float, limbs: Limbs) -> float:
     """Penalty on an effect's size, -2 log p(size) / p(0) = (1.96 size / within)^2.
 
     p is a zero-mean normal distribution with 95 % of its mass below `within`. The penalty adds to a
@@ -139,14 +142,14 @@ def surprise(name: str, target: str, size: float, limbs: Limbs) -> float:
     of a parameter (Schwarz 1978). A size at `within` costs 4, one five times as large 96.
 
     An effect that machines have by construction has much the same size on all parts of a kind
-    (`ALIKE`). On some of these parts only, it differs from the others by its whole size and pays
-    for that too.
+    (`SPREAD_BETWEEN_PARTS`). On some of these parts only, it differs from the others by its whole
+    size and pays for that too.
     """
     kind = known_effects()[name]
-    doubt = (1.96 * size / prior_of(kind).within) ** 2
-    if name in ALIKE and not _is_common(kind.members_of(target, limbs), limbs):
-        doubt += (1.96 / ALIKE[name]) ** 2
-    return float(doubt)
+    penalty = (1.96 * size / prior_of(kind).within) ** 2
+    if name in SPREAD_BETWEEN_PARTS and not _is_common(kind.members_of(target, limbs), limbs):
+        penalty += (1.96 / SPREAD_BETWEEN_PARTS[name]) ** 2
+    return float(penalty)
 
 
 def _is_common(members: Sequence[str], limbs: Limbs) -> bool:

@@ -20,17 +20,17 @@ from surefoot.models.attribution.evidence import (
 )
 from surefoot.models.attribution.fit import NormalEquations, design, fit, loss, normal_equations
 from surefoot.models.attribution.noise_floor import NoiseFloor
-from surefoot.models.attribution.priors import surprise
+from surefoot.models.attribution.priors import prior_penalty
 from surefoot.models.attribution.robust_weights import RobustWeights
-from surefoot.models.attribution.selection import Candidate, left_unseen
+from surefoot.models.attribution.selection import Candidate, cross_validated_error
 from surefoot.models.attribution.split import REPORT
-from surefoot.models.bootstrap import block_draws
+from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.models.residuals.command import commanded_torque
 from surefoot.sim.effects import Effect, effect, known_effects
 
 
 @dataclass(frozen=True)
-class Data:
+class RefinementData:
     """What sizes are refined on.
 
     Attributes:
@@ -49,58 +49,61 @@ class Data:
     robust_weights: RobustWeights
     part: np.ndarray
 
-    def summed(self, evidence: Evidence) -> NormalEquations:
+    def normal_equations(self, evidence: Evidence) -> NormalEquations:
         """Normal equations of an evidence, with the noise and weights of this one."""
         weight = self.robust_weights.weight
-        return normal_equations(design(evidence), self.counted, weight, self.part)
+        return normal_equations(design(evidence), self.effective_noise, weight, self.part)
 
     @property
-    def counted(self) -> np.ndarray:
+    def effective_noise(self) -> np.ndarray:
         """Effective noise (W,) of the columns in a fit."""
-        return self.floor.counted(self.robust_weights.sigma, self.robust_weights.alike)
+        return self.floor.effective_noise(self.robust_weights.sigma, self.robust_weights.alike)
 
 
-def refined(data: Data, chosen: Sequence[Effect], report: int) -> list[Effect]:
+def refine_sizes(data: RefinementData, chosen: Sequence[Effect], report: int) -> list[Effect]:
     """Refine the sizes of effects on all blocks but those of the part `report`.
 
     Gauss-Newton iterations, which recompute derivatives only after a size has moved far.
     """
-    chosen = [clipped(e, e.value) for e in chosen]
+    chosen = [with_clipped_size(e, e.value) for e in chosen]
     settings, keys = data.evidence.settings, [(e.name, e.target) for e in chosen]
     offsets, derived = _offsets(data.floor, keys), []
     evidence = data.evidence.only(keys)
     for _ in range(settings.newton_steps):
-        if _moved(derived, chosen, settings.newton_far):
-            evidence, derived = linearise(data.cases, chosen, keys, evidence, judged=False), chosen
+        if _has_moved(derived, chosen, settings.relinearise_share):
+            evidence, derived = (
+                linearise(data.cases, chosen, keys, evidence, evaluation_channels=False),
+                chosen,
+            )
         else:
-            tables = [table_of(case, chosen, judged=False) for case in data.cases]
+            tables = [table_of(case, chosen, evaluation_channels=False) for case in data.cases]
             evidence = replace(evidence, table=np.concatenate(tables))
-        sums = data.summed(evidence)
+        sums = data.normal_equations(evidence)
         sums = sums.rows(sums.part != report)
         steps = fit(sums, keys, errors=False).sizes - offsets
-        moved = [clipped(e, e.value + d) for e, d in zip(chosen, steps, strict=True)]
-        settled = not _moved(chosen, moved, settings.newton_close)
+        moved = [with_clipped_size(e, e.value + d) for e, d in zip(chosen, steps, strict=True)]
+        settled = not _has_moved(chosen, moved, settings.newton_tolerance)
         chosen = moved
         if settled:
             break
     return chosen
 
 
-def _moved(before: Sequence[Effect], after: Sequence[Effect], share: float) -> bool:
+def _has_moved(before: Sequence[Effect], after: Sequence[Effect], share: float) -> bool:
     """Whether a size has moved by this share of it; also true if there are no sizes `before`."""
     pairs = zip(before, after, strict=False)
     return not before or any(abs(a.value - b.value) >= share * abs(b.value) for a, b in pairs)
 
 
-def left_near(data: Data, chosen: Sequence[Effect], report: int) -> np.ndarray:
+def remaining_error(data: RefinementData, chosen: Sequence[Effect], report: int) -> np.ndarray:
     """Weighted squared error (K,) of each block outside the part `report`, with the effects
     refitted linearly about their sizes.
     """
     keys = [(e.name, e.target) for e in chosen]
     evidence = data.evidence.only(keys)
     if list(chosen) != list(data.explained):
-        evidence = linearise(data.cases, chosen, keys, evidence, judged=False)
-    sums = data.summed(evidence)
+        evidence = linearise(data.cases, chosen, keys, evidence, evaluation_channels=False)
+    sums = data.normal_equations(evidence)
     sums = sums.rows(sums.part != report)
     return loss(sums, fit(sums, keys, errors=False).vector)
 
@@ -110,12 +113,12 @@ def _offsets(floor: NoiseFloor, keys: Sequence[Key]) -> np.ndarray:
     return np.array([floor.sizes([k for k in keys if k != key], key)[0] for key in keys])
 
 
-def clipped(one: Effect, value: float) -> Effect:
+def with_clipped_size(one: Effect, value: float) -> Effect:
     """The effect with its value clipped to its bounds."""
-    return replace(one, value=float(np.clip(value, *type(one).inside(one.target))))
+    return replace(one, value=float(np.clip(value, *type(one).interior_bounds(one.target))))
 
 
-def jointly(data: Data, key: Key) -> tuple[NormalEquations, list[Effect]]:
+def refine_jointly(data: RefinementData, key: Key) -> tuple[NormalEquations, list[Effect]]:
     """Refine a candidate together with the effects found.
 
     Needed for effects that resemble one another: while only one of them is compensated it absorbs a
@@ -125,13 +128,13 @@ def jointly(data: Data, key: Key) -> tuple[NormalEquations, list[Effect]]:
         The normal equations of the problem linearised at the refined sizes, with sizes counted from
         zero, and the effects.
     """
-    effects = refined(data, [*data.explained, effect(*key, 0.0)], REPORT)
+    effects = refine_sizes(data, [*data.explained, effect(*key, 0.0)], REPORT)
     keys = [(e.name, e.target) for e in effects]
-    evidence = linearise(data.cases, effects, keys, judged=False)
+    evidence = linearise(data.cases, effects, keys, evaluation_channels=False)
     table = evidence.table.copy()
     for one, regressor in zip(effects, evidence.X, strict=True):
         table[:, regressor.columns] += one.value * regressor.values
-    return data.summed(replace(evidence, table=table)), effects
+    return data.normal_equations(replace(evidence, table=table)), effects
 
 
 def contenders(
@@ -143,7 +146,7 @@ def contenders(
     explain all that the best does and more.
     """
     earned = [c for c in candidates if c.earned]
-    near = [c for c in earned if c.score > data.settings.close_behind * earned[0].score]
+    near = [c for c in earned if c.score > data.settings.near_best_share * earned[0].score]
     near += [c for c in candidates if earned and _outdoes(data, c, earned[0], chosen)]
     return sorted(near, key=lambda c: -c.score)[: data.settings.contenders]
 
@@ -152,17 +155,19 @@ def _outdoes(data: NormalEquations, one: Candidate, best: Candidate, chosen: Seq
     """Whether a candidate that did not earn a place gains more than the best that did, and leaves
     little for that one to explain.
     """
-    sized = abs(one.size) > data.settings.contender_size * np.hypot(one.error, one.floor)
+    sized = abs(one.size) > data.settings.contender_size_ratio * np.hypot(one.error, one.floor)
     if one.earned or one.at_bound or not sized or one.interval[0] <= best.gain:
         return False
     alone, both = (
-        0.5 * float(left_unseen(data, [*chosen, *keys]).sum())
+        0.5 * float(cross_validated_error(data, [*chosen, *keys]).sum())
         for keys in ((one.key,), (one.key, best.key))
     )
-    return alone - both < data.settings.same_share * best.gain
+    return alone - both < data.settings.least_own_share * best.gain
 
 
-def rerank(data: Data, few: Sequence[Candidate]) -> tuple[Candidate, list[Effect], tuple[Key, ...]]:
+def rerank(
+    data: RefinementData, few: Sequence[Candidate]
+) -> tuple[Candidate, list[Effect], tuple[Key, ...]]:
     """Select the candidate that leaves the smallest error on the true residual.
 
     All effects are refined along with each candidate. The IMU, and torques against commands, are
@@ -174,34 +179,36 @@ def rerank(data: Data, few: Sequence[Candidate]) -> tuple[Candidate, list[Effect
         worse.
     """
     before = list(data.explained)
-    tried = [(c, refined(data, [*before, effect(*c.key, c.size)], REPORT)) for c in few]
+    tried = [(c, refine_sizes(data, [*before, effect(*c.key, c.size)], REPORT)) for c in few]
     if len(tried) == 1:
         return (*tried[0], ())
-    weight = data.robust_weights.weight * known_between_rows(data)
+    weight = data.robust_weights.weight * interpolation_weights(data)
     fair = replace(data, robust_weights=replace(data.robust_weights, weight=weight))
-    left = [left_near(fair, chosen, REPORT) for _, chosen in tried]
-    doubt = [_doubt(candidate, chosen[-1], data) for candidate, chosen in tried]
-    best = min(range(len(tried)), key=lambda i: float(left[i].sum()) + doubt[i])
-    counts = block_draws(len(left[best]), np.random.default_rng(0))
+    left = [remaining_error(fair, chosen, REPORT) for _, chosen in tried]
+    penalty = [_size_penalty(candidate, chosen[-1], data) for candidate, chosen in tried]
+    best = min(range(len(tried)), key=lambda i: float(left[i].sum()) + penalty[i])
+    counts = block_bootstrap_counts(len(left[best]), np.random.default_rng(0))
     behind = [float(np.percentile(counts @ (one - left[best]), 2.5)) for one in left]
     least = data.evidence.settings.positive_evidence
-    likelier = [i for i, one in enumerate(doubt) if behind[i] <= 0.0 and doubt[best] - one > least]
-    found, chosen = tried[min(likelier, key=lambda i: doubt[i], default=best)]
+    likelier = [
+        i for i, one in enumerate(penalty) if behind[i] <= 0.0 and penalty[best] - one > least
+    ]
+    found, chosen = tried[min(likelier, key=lambda i: penalty[i], default=best)]
     # Compensating a scale also scales the noise; differences of a few percent are insignificant.
-    differs = (data.evidence.settings.at_floor - 1.0) * float(left[best].sum())
+    differs = (data.evidence.settings.at_floor_ratio - 1.0) * float(left[best].sum())
     worse = tuple(c.key for (c, _), by in zip(tried, behind, strict=True) if by > differs)
     return found, chosen, worse
 
 
-def _doubt(candidate: Candidate, newest: Effect, data: Data) -> float:
+def _size_penalty(candidate: Candidate, newest: Effect, data: RefinementData) -> float:
     """Penalty on the refined size of a candidate, unless its kind has none."""
-    if candidate.surprise < 0.0:
-        return candidate.surprise
-    return surprise(newest.name, newest.target, newest.value, data.evidence.layout.limbs)
+    if candidate.prior_penalty < 0.0:
+        return candidate.prior_penalty
+    return prior_penalty(newest.name, newest.target, newest.value, data.evidence.layout.limbs)
 
 
-def reconsidered(
-    data: Data, chosen: Sequence[Effect], instead: Mapping[Key, Sequence[Effect]]
+def replace_implausible(
+    data: RefinementData, chosen: Sequence[Effect], instead: Mapping[Key, Sequence[Effect]]
 ) -> list[Effect]:
     """Replace effects whose refitted size has become implausible.
 
@@ -218,25 +225,25 @@ def reconsidered(
 
     for i, one in enumerate(chosen[:-1]):
         others = instead.get((one.name, one.target), ())
-        doubt = surprise(one.name, one.target, one.value, limbs)
-        if not others or doubt <= data.evidence.settings.positive_evidence:
+        penalty = prior_penalty(one.name, one.target, one.value, limbs)
+        if not others or penalty <= data.evidence.settings.positive_evidence:
             continue
         tried = [[*chosen[:i], other, *chosen[i + 1 :]] for other in others]
         chosen = min(
-            [chosen, *(refined(data, effects, REPORT) for effects in tried)],
-            key=lambda effects: unlikely(data, effects),
+            [chosen, *(refine_sizes(data, effects, REPORT) for effects in tried)],
+            key=lambda effects: selection_cost(data, effects),
         )
     return chosen
 
 
-def unlikely(data: Data, effects: Sequence[Effect]) -> float:
+def selection_cost(data: RefinementData, effects: Sequence[Effect]) -> float:
     """Cost of a set of effects, -2 log of likelihood and prior: remaining error plus penalties."""
     limbs = data.evidence.layout.limbs
-    doubt = sum(surprise(e.name, e.target, e.value, limbs) for e in effects)
-    return float(left_near(data, effects, REPORT).sum()) + doubt
+    penalty = sum(prior_penalty(e.name, e.target, e.value, limbs) for e in effects)
+    return float(remaining_error(data, effects, REPORT).sum()) + penalty
 
 
-def merged(data: Data, chosen: Sequence[Effect]) -> list[Effect]:
+def merge_into_groups(data: RefinementData, chosen: Sequence[Effect]) -> list[Effect]:
     """Merge effects of one name on several parts into one on the smallest group that has them all,
     where the saved parameters outweigh the larger error.
 
@@ -254,13 +261,13 @@ def merged(data: Data, chosen: Sequence[Effect]) -> list[Effect]:
             continue
         target = min(covers, key=lambda t: len(covers[t]))
         one = effect(name, target, float(np.median([e.value for e in alike])))
-        tried = refined(data, [one, *(e for e in chosen if e.name != name)], REPORT)
-        if unlikely(data, tried) < unlikely(data, chosen) + (len(alike) - 1) * price:
+        tried = refine_sizes(data, [one, *(e for e in chosen if e.name != name)], REPORT)
+        if selection_cost(data, tried) < selection_cost(data, chosen) + (len(alike) - 1) * price:
             chosen = tried
     return chosen
 
 
-def known_between_rows(data: Data) -> np.ndarray:
+def interpolation_weights(data: RefinementData) -> np.ndarray:
     """Weights (M, W) in 0..1 for the interpolation error of streams that are shifted in time.
 
     Linear interpolation between rows errs by up to an eighth of the second difference, and as much
@@ -274,7 +281,7 @@ def known_between_rows(data: Data) -> np.ndarray:
     imu = data.evidence.layout.of("imu_gyro", "imu_accel")
     command = data.evidence.layout.of("command")
     for case in data.cases:
-        log, first, count = case.log, case.frame.first, case.frame.count[:, None]
+        log, first, count = case.log, case.motion.first, case.motion.count[:, None]
         rows = begin + np.arange(len(first))
         begin += len(first)
         moved = []

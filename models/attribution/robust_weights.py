@@ -13,7 +13,7 @@ from surefoot.models.attribution.fit import Design
 from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.layout import Layout
 
-FARTHEST = 15
+MOST_LAGS = 15
 """Lags over which autocorrelations are summed, in entries: the length of a stance."""
 
 
@@ -49,10 +49,10 @@ def robust_weights(data: Design, floor: np.ndarray) -> RobustWeights:
         for _ in range(settings.weight_rounds):
             left = np.where(there, data.y - _explained(data, sigma, weight), np.nan)
             sigma = np.maximum(floor, _pooled(layout, np.where(spoiled, np.nan, left)))
-            weight = (there & ~spoiled) * _soft(layout, left / sigma, settings.outlier)
+            weight = (there & ~spoiled) * _outlier_weights(layout, left / sigma, settings.outlier)
         if not last:
             slid, elsewhere = slips(data, left)
-            masked, spoiled = slid | elsewhere, _spoiled(layout, slid, elsewhere)
+            masked, spoiled = slid | elsewhere, _invalidated(layout, slid, elsewhere)
     standing = there[:, feet[:, 0]].sum() if legged else 0
     share = float(masked.sum() / max(standing, 1))
     z = np.clip(left / sigma, -settings.outlier, settings.outlier)
@@ -60,12 +60,14 @@ def robust_weights(data: Design, floor: np.ndarray) -> RobustWeights:
     # A model error within the stance recurs in every stance, so more stances do not make it more
     # certain: a column far above the floor counts as one entry, and the mean over the stance, which
     # is a channel of its own, decides.
-    columns = far_samples(layout, sigma, floor, settings.far)
+    columns = noisy_leg_columns(layout, sigma, floor, settings.far_ratio)
     alike[columns] = np.count_nonzero(weight[:, columns], axis=0).clip(1)
     return RobustWeights(sigma, weight, masked, share, alike)
 
 
-def far_samples(layout: Layout, sigma: np.ndarray, floor: np.ndarray, far: float) -> np.ndarray:
+def noisy_leg_columns(
+    layout: Layout, sigma: np.ndarray, floor: np.ndarray, far: float
+) -> np.ndarray:
     """Columns of `leg_velocity` whose noise sigma (W,) exceeds `far` times the floor."""
     columns = layout.of("leg_velocity")
     return columns[sigma[columns] > far * floor[columns]]
@@ -79,19 +81,19 @@ def correlated_entries(layout: Layout, z: np.ndarray) -> np.ndarray:
     """
     worth = np.ones(layout.width)
     for columns in layout.alike:
-        products = np.zeros(FARTHEST + 1)
+        products = np.zeros(MOST_LAGS + 1)
         for c in columns:
             own = z[np.isfinite(z[:, c]), c]
-            if len(own) > FARTHEST:
+            if len(own) > MOST_LAGS:
                 own = own - np.mean(own)
-                products += [own[k:] @ own[: len(own) - k] for k in range(FARTHEST + 1)]
+                products += [own[k:] @ own[: len(own) - k] for k in range(MOST_LAGS + 1)]
         shares = products / max(products[0], 1e-300)
         vanished = int(np.argmax(np.append(shares, -1.0) < 0.0))
         worth[columns] = max(1.0, 1.0 + 2.0 * float(shares[1:vanished].sum()))
     return worth
 
 
-def _spoiled(layout: Layout, slid: np.ndarray, elsewhere: np.ndarray) -> np.ndarray:
+def _invalidated(layout: Layout, slid: np.ndarray, elsewhere: np.ndarray) -> np.ndarray:
     """Mask (M, W) of the entries affected by feet (M, legs) that slid or stood elsewhere.
 
     A foot affects its own columns and those that belong to no foot, of the channels that declare
@@ -126,7 +128,7 @@ def slips(data: Design, left: np.ndarray) -> np.ndarray:
         height = np.nan_to_num(np.array([left[bins, heights[leg, 0]].mean() for bins in stances]))
         off = np.abs(height - np.median(height))
         for kind, (score, least) in enumerate(
-            ((fastest, settings.slowest_slip), (off, settings.raised))
+            ((fastest, settings.slowest_slip), (off, settings.raised_stance))
         ):
             for stance in np.flatnonzero(_stands_out(score, least, settings.slip_outlier)):
                 masked[kind, stances[stance], leg] = True
@@ -184,7 +186,7 @@ def _pooled(layout: Layout, left: np.ndarray) -> np.ndarray:
     return np.maximum(sigma, 1e-12)
 
 
-def _soft(layout: Layout, z: np.ndarray, outlier: float) -> np.ndarray:
+def _outlier_weights(layout: Layout, z: np.ndarray, outlier: float) -> np.ndarray:
     """Weights (M, W): one up to `outlier` deviations, then falling as the inverse square."""
     weight = np.ones_like(z)
     for group in layout.groups:

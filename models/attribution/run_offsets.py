@@ -9,7 +9,7 @@ import numpy as np
 
 from surefoot.models.residuals.jacobians import Regressor
 
-OF_EACH_RUN = frozenset(
+PER_RUN_EFFECTS = frozenset(
     {
         "encoder_offset",
         "torque_bias",
@@ -22,9 +22,9 @@ OF_EACH_RUN = frozenset(
 """Effects whose size differs between runs."""
 
 
-def of_each_run(name: str) -> bool:
+def is_per_run(name: str) -> bool:
     """Whether the effect of this name has a different size in every run."""
-    return name in OF_EACH_RUN
+    return name in PER_RUN_EFFECTS
 
 
 def deviations(one: Regressor, log: np.ndarray) -> list[Regressor]:

@@ -16,24 +16,37 @@ from surefoot.models.attribution.fit import (
     overlap,
 )
 from surefoot.models.attribution.found import Found
-from surefoot.models.attribution.harm import harmful_in
-from surefoot.models.attribution.levels import gains_of
-from surefoot.models.attribution.noise_floor import NoiseFloor, is_on_the_body, noise_floor_with
-from surefoot.models.attribution.priors import joint_rivals
-from surefoot.models.attribution.refinement import (
-    Data,
-    contenders,
-    jointly,
-    merged,
-    reconsidered,
-    refined,
-    rerank,
-    unlikely,
+from surefoot.models.attribution.harm import find_harmful_effect
+from surefoot.models.attribution.levels import channel_gains
+from surefoot.models.attribution.noise_floor import (
+    NoiseFloor,
+    is_compensated_approximately,
+    noise_floor_with,
 )
-from surefoot.models.attribution.robust_weights import RobustWeights, far_samples, robust_weights
-from surefoot.models.attribution.selection import Candidate, distinct, judge, left_unseen
+from surefoot.models.attribution.priors import masked_candidates
+from surefoot.models.attribution.refinement import (
+    RefinementData,
+    contenders,
+    merge_into_groups,
+    refine_jointly,
+    refine_sizes,
+    replace_implausible,
+    rerank,
+    selection_cost,
+)
+from surefoot.models.attribution.robust_weights import (
+    RobustWeights,
+    noisy_leg_columns,
+    robust_weights,
+)
+from surefoot.models.attribution.selection import (
+    Candidate,
+    cross_validated_error,
+    distinct,
+    evaluate_candidates,
+)
 from surefoot.models.attribution.split import REPORT, Split
-from surefoot.models.bootstrap import block_draws
+from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.sim.effects import Effect, effect, known_effects
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
@@ -72,14 +85,14 @@ def attribute(
     """Greedy forward selection: add the best candidate on unseen blocks while one earns its place.
 
     A candidate earns its place if the interval of its gain lies above zero, its size is
-    `above_floor` times its spread on walks without the effect, it is not at a bound, it adds a
-    share `worth` of what the others explain or is `clear` by itself, and the gain exceeds the price
-    of its parameters in the extended BIC, with blocks as samples. Effects that every machine has
-    are chosen first. A candidate that increases the drift of leg odometry is rejected. One that may
-    be masked by a similar effect found before is fitted jointly with it (`_hidden`), and is chosen
-    where no other earns a place, or where the best other one leaves a larger error. Finally,
-    effects are dropped whose interval contains zero, or that make a channel worse on the part that
-    no fit has seen.
+    `least_size_ratio` times its spread on walks without the effect, it is not at a bound, it adds a
+    share `least_added_share` of what the others explain or is `clear_ratio` times its spread, and
+    the gain exceeds the price of its parameters in the extended BIC, with blocks as samples.
+    Effects that every machine has are chosen first. A candidate that increases the drift of leg
+    odometry is rejected. One that may be masked by a similar effect found before is fitted jointly
+    with it (`_masked_candidate`), and is chosen where no other earns a place, or where the best
+    other one leaves a larger error. Finally, effects are dropped whose interval contains zero, or
+    that make a channel worse on the part that no fit has seen.
 
     Args:
         cases: the logs under the declared model.
@@ -89,7 +102,7 @@ def attribute(
         progress: called with the share done, from 0 to 1.
     """
     keys = tuple(dict.fromkeys(key for case in cases for key in all_keys(case)))
-    settings, certain = cases[0].settings, _certain(keys, cases[0].robot)
+    settings, certain = cases[0].settings, _always_present(keys, cases[0].robot)
     chosen: list[Effect] = []
     refuted: list[Key] = []
     instead: dict[Key, list[Effect]] = {}
@@ -99,15 +112,15 @@ def attribute(
     while True:
         if progress:
             progress(min(len(rounds) / (settings.most_effects + 1), 1.0))
-        known, data = _settled(cases, chosen, keys, known, floor, split)
+        known, data = _refined_until_settled(cases, chosen, keys, known, floor, split)
         declared, found = declared or known.evidence, [_key(e) for e in known.explained]
-        explained, limbs = explained_on_the_body(known), known.evidence.layout.limbs
-        candidates = judge(data, floor, found, explained, limbs, rng, certain)
+        explained, limbs = approximate_gains(known), known.evidence.layout.limbs
+        candidates = evaluate_candidates(data, floor, found, explained, limbs, rng, certain)
         rounds.append(candidates)
         if len(found) == settings.most_effects:
             break
         candidates = tuple(c for c in candidates if c.key not in refuted)
-        hidden = [key for key in joint_rivals(keys, found, limbs) if key not in refuted]
+        hidden = [key for key in masked_candidates(keys, found, limbs) if key not in refuted]
         # Effects that every machine has come first, or others would absorb them.
         first = tuple(c for c in candidates if c.earned and c.key in certain)
         candidates = first or candidates
@@ -119,8 +132,10 @@ def attribute(
             # well.
             tried = {c.key for c in few}
             alike = [key for key in hidden if key[0] == best.key[0] and key not in tried]
-            _, jointly_with = _hidden(known, explained, rng, alike)
-            if jointly_with and unlikely(known, jointly_with) < unlikely(known, chosen_with):
+            _, jointly_with = _masked_candidate(known, explained, rng, alike)
+            if jointly_with and selection_cost(known, jointly_with) < selection_cost(
+                known, chosen_with
+            ):
                 chosen, floor = jointly_with, noise_floor_with(plain, jointly_with)
                 continue
             floor_with = noise_floor_with(plain, chosen_with)
@@ -133,23 +148,23 @@ def attribute(
                 for c in few
                 if c != best and overlap(data, best.key, c.key, found) > settings.twin_overlap
             ]
-            chosen_with = merged(known, reconsidered(known, chosen_with, instead))
+            chosen_with = merge_into_groups(known, replace_implausible(known, chosen_with, instead))
         else:
-            best, chosen_with = _hidden(known, explained, rng, hidden)
+            best, chosen_with = _masked_candidate(known, explained, rng, hidden)
             if best is None:
                 break
         chosen, floor = chosen_with, noise_floor_with(plain, chosen_with)
     sized, harmful = _with_intervals(data, known.explained, floor), ()
     while True:
         # One at a time: effects added later may explain what an unsure one did.
-        gone = [one.effect for one in sized if _none(one, _key(one.effect) in certain)]
-        if not gone and (harm := harmful_in(known)):
+        gone = [one.effect for one in sized if _is_insignificant(one, _key(one.effect) in certain)]
+        if not gone and (harm := find_harmful_effect(known)):
             gone, harmful = [harm[0]], (*harmful, harm)
         if not gone:
             break
         chosen = [e for e in known.explained if e != gone[-1]]
         floor = noise_floor_with(plain, chosen)
-        known, data = _settled(cases, chosen, keys, known, floor, split)
+        known, data = _refined_until_settled(cases, chosen, keys, known, floor, split)
         sized = _with_intervals(data, known.explained, floor)
     # An effect that was found later is not a rival of another.
     named = [_key(e) for e in known.explained]
@@ -158,40 +173,40 @@ def attribute(
     return Attribution(sized, tuple(rounds), rivals, weights, evidence, floor, harmful)
 
 
-def _none(one: Found, certain: bool) -> bool:
+def _is_insignificant(one: Found, certain: bool) -> bool:
     """Whether an effect is insignificant: at a lower bound above zero, or, unless every machine has
     it for `certain`, with zero inside its interval.
     """
-    low = type(one.effect).inside(one.effect.target)[0]
+    low = type(one.effect).interior_bounds(one.effect.target)[0]
     at_none = low > 0.0 and one.effect.value <= low
     return at_none or (not certain and one.interval[0] <= 0.0 <= one.interval[1])
 
 
-def _certain(keys: Sequence[Key], robot: Machine) -> set[Key]:
+def _always_present(keys: Sequence[Key], robot: Machine) -> set[Key]:
     """Candidates that every machine has, and that the model lacks."""
     if not isinstance(robot, Robot):
         return set()
     kinds = known_effects()
-    return {(name, target) for name, target in keys if kinds[name].is_certain(target, robot)}
+    return {(name, target) for name, target in keys if kinds[name].is_always_present(target, robot)}
 
 
-def explained_on_the_body(known: Data) -> dict[str, float]:
+def approximate_gains(known: RefinementData) -> dict[str, float]:
     """Reduction of each channel's error, outside REPORT, by the effects found that a model
     compensates only approximately.
 
     Sensor errors are compensated exactly and leave nothing for others to absorb.
     """
-    exact = [e for e in known.explained if not is_on_the_body(e)]
+    exact = [e for e in known.explained if not is_compensated_approximately(e)]
     if len(exact) == len(known.explained):
         return {}
     weight = known.robust_weights.weight * (known.part != REPORT)[:, None]
     without = linearise(known.cases, exact, ())
-    gains = gains_of(without, known.evidence.only(()), weight, known.counted)
+    gains = channel_gains(without, known.evidence.only(()), weight, known.effective_noise)
     return {name: float(gain.sum()) for name, gain in gains.items()}
 
 
-def _hidden(
-    known: Data,
+def _masked_candidate(
+    known: RefinementData,
     explained: Mapping[str, float],
     rng: np.random.Generator,
     keys: Sequence[Key],
@@ -204,32 +219,34 @@ def _hidden(
 
     Args:
         known: the evidence and the effects found so far.
-        explained: channel -> reduction of its error (`explained_on_the_body`).
+        explained: channel -> reduction of its error (`approximate_gains`).
         rng: of the block bootstrap.
-        keys: candidates that may be masked (`priors.joint_rivals`).
+        keys: candidates that may be masked (`priors.masked_candidates`).
     """
     layout, every = known.evidence.layout, known.evidence.keys
     chosen, limbs = [_key(e) for e in known.explained], layout.limbs
     best: tuple[Candidate | None, list[Effect]] = (None, [])
-    far = known.evidence.settings.far
-    if not len(far_samples(layout, known.robust_weights.sigma, known.floor.sigma, far)):
+    far = known.evidence.settings.far_ratio
+    if not len(noisy_leg_columns(layout, known.robust_weights.sigma, known.floor.sigma, far)):
         return best
     for key in keys:
-        data, effects = jointly(known, key)
-        one = judge(data, known.floor, chosen, explained, limbs, rng, {key}, len(every))[0]
+        data, effects = refine_jointly(known, key)
+        one = evaluate_candidates(
+            data, known.floor, chosen, explained, limbs, rng, {key}, len(every)
+        )[0]
         if one.earned and (best[0] is None or one.score > best[0].score):
             best = one, effects
     return best
 
 
-def _settled(
+def _refined_until_settled(
     cases: Sequence[LogUnderModel],
     chosen: Sequence[Effect],
     keys: Sequence[Key],
-    before: Data | None,
+    before: RefinementData | None,
     floor: NoiseFloor,
     split: Split,
-) -> tuple[Data, NormalEquations]:
+) -> tuple[RefinementData, NormalEquations]:
     """Refine the chosen effects and the robust weights in turn until the sizes settle.
 
     A large nonlinear effect distorts much of the evidence until it is compensated.
@@ -251,16 +268,18 @@ def _settled(
         evidence = linearise(cases, chosen, keys, evidence)
         whole = design(evidence)
         weights = robust_weights(whole, floor.sigma)
-        data = Data(cases, floor, evidence, chosen, weights, split.part)
+        data = RefinementData(cases, floor, evidence, chosen, weights, split.part)
         times += 1
         if not chosen or times == settings.settling_rounds:
             break
-        moved = refined(data, chosen, REPORT)
+        moved = refine_sizes(data, chosen, REPORT)
         pairs = list(zip(moved, chosen, strict=True))
-        if all(abs(a.value - b.value) < settings.settled_share * abs(b.value) for a, b in pairs):
+        if all(
+            abs(a.value - b.value) < settings.settling_tolerance * abs(b.value) for a, b in pairs
+        ):
             break
         chosen = moved
-    return data, normal_equations(whole, data.counted, weights.weight, split.part)
+    return data, normal_equations(whole, data.effective_noise, weights.weight, split.part)
 
 
 def _key(one: Effect) -> Key:
@@ -283,9 +302,9 @@ def _rivals(
         chosen: keys of the effects found before it.
         rng: of the block bootstrap.
     """
-    of_best = left_unseen(data, [*chosen, best.key])
-    gained = float(np.sum(left_unseen(data, chosen) - of_best))
-    counts = block_draws(len(of_best), rng)
+    of_best = cross_validated_error(data, [*chosen, best.key])
+    gained = float(np.sum(cross_validated_error(data, chosen) - of_best))
+    counts = block_bootstrap_counts(len(of_best), rng)
     # Candidates within the price of one parameter are equally good.
     price = np.log(max(2, len(of_best)))
     rivals = []
@@ -295,8 +314,10 @@ def _rivals(
         shared = overlap(data, best.key, other.key, chosen)
         if shared <= data.settings.twin_overlap:
             continue
-        behind = left_unseen(data, [*chosen, other.key]) - of_best
-        as_good = np.percentile(counts @ behind, 2.5) <= price or shared > data.settings.same
+        behind = cross_validated_error(data, [*chosen, other.key]) - of_best
+        as_good = (
+            np.percentile(counts @ behind, 2.5) <= price or shared > data.settings.identical_overlap
+        )
         if as_good and gained - np.sum(behind) > 0.5 * gained:
             rivals.append((other.key, shared))
     return tuple(rivals)
@@ -315,12 +336,12 @@ def _with_intervals(
     found = []
     for i, one in enumerate(chosen):
         offset, spread = floor.sizes([k for k in keys if k != keys[i]], keys[i])
-        repeats = len(floor.repeats)
-        faked = 1.96 * floor.doubt(keys[i], offset)
+        repeats = len(floor.walks)
+        faked = 1.96 * floor.size_uncertainty(keys[i], offset)
         half = float(np.hypot(1.96 * np.sqrt(covariance[i, i]), faked))
         if repeats > 1:
             half = float(np.hypot(half, t.ppf(0.975, repeats - 1) * spread))
-        elif floor.unchanged:
+        elif floor.run_variation:
             half = float(np.hypot(half, 1.96 * spread))
         at = 1 + data.keys.index(keys[i])
         strength = float(total[at, at] * one.value**2)

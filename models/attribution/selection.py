@@ -8,10 +8,10 @@ import numpy as np
 from surefoot.models.attribution.evidence import Key
 from surefoot.models.attribution.fit import NormalEquations, fit, loss
 from surefoot.models.attribution.noise_floor import NoiseFloor
-from surefoot.models.attribution.priors import surprise
-from surefoot.models.attribution.run_offsets import of_each_run
+from surefoot.models.attribution.priors import prior_penalty
+from surefoot.models.attribution.run_offsets import is_per_run
 from surefoot.models.attribution.split import FIT, SELECT
-from surefoot.models.bootstrap import block_draws
+from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.models.residuals.registry import channels
 from surefoot.sim.effects import known_effects
 from surefoot.sim.robot.limbs import Limbs
@@ -31,7 +31,7 @@ class Candidate:
         share: the gain relative to the error before.
         at_bound: whether a size is at or beyond its bounds.
         earned: whether the candidate earns a place.
-        surprise: penalty of the prior on the size (`priors.surprise`).
+        prior_penalty: penalty of the prior on the size (`priors.prior_penalty`).
     """
 
     key: Key
@@ -43,17 +43,17 @@ class Candidate:
     share: float
     at_bound: bool
     earned: bool
-    surprise: float = 0.0
+    prior_penalty: float = 0.0
 
     @property
     def score(self) -> float:
         """Gain less the prior's penalty, -2 log of a posterior ratio, by which candidates are
         ranked.
         """
-        return self.gain - self.surprise
+        return self.gain - self.prior_penalty
 
 
-def judge(
+def evaluate_candidates(
     data: NormalEquations,
     floor: NoiseFloor,
     chosen: Sequence[Key],
@@ -79,7 +79,7 @@ def judge(
     # The two halves are validated on each other and are not independent, so the effective number of
     # blocks is that of one.
     half = max(1, len(parts[0].G))
-    counts = block_draws(sum(len(part.G) for part in parts), rng, drawn=half)
+    counts = block_bootstrap_counts(sum(len(part.G) for part in parts), rng, drawn=half)
     plain = [fit(seen, chosen, errors=False).vector for seen in parts]
     # Extended BIC (Chen and Chen 2008): choosing among many candidates adds to the price of a
     # parameter, and a candidate with a size for each log pays for all of them.
@@ -88,7 +88,7 @@ def judge(
     for key in data.keys:
         if key in chosen:
             continue
-        known = [*chosen, *_levels(key, data.keys, chosen)]
+        known = [*chosen, *_level_candidates(key, data.keys, chosen)]
         fitted, again = fit(parts[0], [*known, key]), fit(parts[1], [*known, key], errors=False)
         size, error = float(fitted.sizes[-1]), float(np.sqrt(fitted.covariance[-1, -1]))
         offset, spread = floor.sizes(chosen, key)
@@ -97,42 +97,44 @@ def judge(
         if offset or len(known) > len(chosen):
             given = {key: offset} if offset else None
             without = [fit(seen, known, errors=False, given=given).vector for seen in parts]
-        before = _left(parts, without[::-1])
+        before = _block_errors(parts, without[::-1])
         # Cross-validation: each half is evaluated at the sizes fitted to the other; mean of both.
-        blocks = 0.5 * (before - _left(parts, (again.vector, fitted.vector)))
+        blocks = 0.5 * (before - _block_errors(parts, (again.vector, fitted.vector)))
         gain = float(blocks.sum())
         low, high = np.percentile(counts @ blocks, [2.5, 97.5]) * len(blocks) / half
         at_seen = 0.5 * float(
-            np.sum(_left(parts, without) - _left(parts, (fitted.vector, again.vector)))
+            np.sum(
+                _block_errors(parts, without) - _block_errors(parts, (fitted.vector, again.vector))
+            )
         )
         # A candidate with a size for each log is judged by the largest, which a single log
         # determines.
         sizes = size + data.by_run(key, fitted.vector)
         most, error = float(np.max(np.abs(sizes))), error * np.sqrt(len(sizes))
         # The apparent size on the floor's walks is only as certain as their contact model.
-        spread = float(np.hypot(spread, floor.doubt(key, offset)))
-        low_end, high_end = known_effects()[key[0]].inside(key[1])
+        spread = float(np.hypot(spread, floor.size_uncertainty(key, offset)))
+        low_end, high_end = known_effects()[key[0]].interior_bounds(key[1])
         # Also at a bound if the size is beyond it before the floor's offset is subtracted.
         fitted_beyond = abs(fitted.sizes[-1]) > max(-low_end, high_end)
         at_bound = fitted_beyond or not low_end < sizes.min() <= sizes.max() < high_end
         share = gain / max(0.5 * float(before.sum()), 1e-300)
         shows_in = known_effects()[key[0]].channels_of(key[1])
-        worth = s.worth * sum(explained.get(name, 0.0) for name in shows_in)
+        worth = s.least_added_share * sum(explained.get(name, 0.0) for name in shows_in)
         clear = most / max(float(np.hypot(spread, error)), 1e-300)
-        plain_to_see = clear > s.clear and share > s.large
+        plain_to_see = clear > s.clear_ratio and share > s.large_share
         price = len(sizes) * per_size + chance
-        doubt = sum(surprise(*key, float(one), limbs) for one in sizes)
-        if s.own_zeros and of_each_run(key[0]):
+        penalty = sum(prior_penalty(*key, float(one), limbs) for one in sizes)
+        if s.per_run_offsets and is_per_run(key[0]):
             # A size that differs between runs anyway needs no prior and is not charged as a
             # parameter.
-            doubt = -price
+            penalty = -price
         earned = (
             low > 0
             and np.isfinite(error)
-            and clear > s.above_floor * (s.certain if key in certain else 1.0)
+            and clear > s.least_size_ratio * (s.always_present_factor if key in certain else 1.0)
             and not at_bound
             and (gain > worth or plain_to_see or key in certain)
-            and min(at_seen, gain) - doubt > price
+            and min(at_seen, gain) - penalty > price
         )
         judged.append(
             Candidate(
@@ -145,22 +147,22 @@ def judge(
                 share=share,
                 at_bound=bool(at_bound),
                 earned=bool(earned),
-                surprise=doubt,
+                prior_penalty=penalty,
             )
         )
     return tuple(sorted(judged, key=lambda c: (not c.earned, -c.score)))
 
 
-def _levels(key: Key, keys: Sequence[Key], chosen: Sequence[Key]) -> list[Key]:
+def _level_candidates(key: Key, keys: Sequence[Key], chosen: Sequence[Key]) -> list[Key]:
     """Candidates to fit along with one whose channels have an uncertain level.
 
     These are the other candidates that describe that level.
     """
     shows_in = known_effects()[key[0]].channels_of(key[1])
-    known_to = [channels()[name].known_to for name in shows_in if name in channels()]
-    if not all(known_to) or any(key[1] in one for one in known_to):
+    level_spread = [channels()[name].level_spread for name in shows_in if name in channels()]
+    if not all(level_spread) or any(key[1] in one for one in level_spread):
         return []
-    return [k for k in keys if k not in chosen and any(k[1] in one for one in known_to)]
+    return [k for k in keys if k not in chosen and any(k[1] in one for one in level_spread)]
 
 
 def distinct(
@@ -183,15 +185,15 @@ def distinct(
     return tuple(kept)
 
 
-def _left(parts: Sequence[NormalEquations], vectors: Sequence[np.ndarray]) -> np.ndarray:
+def _block_errors(parts: Sequence[NormalEquations], vectors: Sequence[np.ndarray]) -> np.ndarray:
     """Squared error (K,) of the blocks of some parts, each with its vector, concatenated."""
     return np.concatenate([loss(part, v) for part, v in zip(parts, vectors, strict=True)])
 
 
-def left_unseen(data: NormalEquations, keys: Sequence[Key]) -> np.ndarray:
+def cross_validated_error(data: NormalEquations, keys: Sequence[Key]) -> np.ndarray:
     """Cross-validated squared error (K,) of the blocks of FIT and SELECT, in units of noise: each
     part with the sizes fitted to the other.
     """
     parts = data.rows(data.part == FIT), data.rows(data.part == SELECT)
     vectors = [fit(seen, keys, errors=False).vector for seen in parts]
-    return _left(parts[::-1], vectors)
+    return _block_errors(parts[::-1], vectors)

@@ -12,11 +12,11 @@ from surefoot.sim.effects.base import Effect, with_columns
 from surefoot.sim.log import Log
 from surefoot.sim.sensors.streams import Sensors
 
-STAYS = 1.5
+CONSTANT_STEPS = 1.5
 """Quantisation steps: a signal that changes by less over a bin may keep its error throughout."""
 
 
-def sheet_noise(rate: float, layout: Layout, evenness: float = 0.0) -> np.ndarray:
+def data_sheet_noise(rate: float, layout: Layout, evenness: float = 0.0) -> np.ndarray:
     """Standard deviation (W,) of a bin's residual from the sensors' noise and uneven ground."""
     sigma = np.zeros(layout.width)
     for name, columns in layout.channels.items():
@@ -32,7 +32,7 @@ def reading_noise(cases: Sequence[LogUnderModel], effects: Sequence[Effect] = ()
     """
     rng = np.random.default_rng(cases[0].settings.reading_seed)
     change = [
-        table_of(replace(case, log=_noisier(case, rng)), effects) - table_of(case, effects)
+        table_of(replace(case, log=_with_more_noise(case, rng)), effects) - table_of(case, effects)
         for case in cases
     ]
     square = np.concatenate(change) ** 2
@@ -40,20 +40,20 @@ def reading_noise(cases: Sequence[LogUnderModel], effects: Sequence[Effect] = ()
     return np.maximum(np.sqrt(np.nansum(square, axis=0) / count), 1e-9)
 
 
-def _noisier(case: LogUnderModel, rng: np.random.Generator) -> Log:
+def _with_more_noise(case: LogUnderModel, rng: np.random.Generator) -> Log:
     """Add noise of the same level to a log's readings.
 
     The second difference of a reading has six times the variance of its noise and little of the
     motion. The quantisation error may persist for a whole bin in which the signal hardly changes.
     """
     log, noisy = case.log, {}
-    count, first = case.frame.count, case.frame.first
+    count, first = case.motion.count, case.motion.first
     for group in ("q", "dq", "tau"):
         for joint in log.joints if log.has(group) else ():
             values = log.frame[f"{group}_{joint}"].to_numpy()
             jitter = np.std(np.diff(values, n=2)) / np.sqrt(6.0)
             step = _resolution(values)
-            stays = np.abs(np.diff(values[first], append=values[-1])) < STAYS * step
+            stays = np.abs(np.diff(values[first], append=values[-1])) < CONSTANT_STEPS * step
             rounding = np.repeat(rng.uniform(-0.5, 0.5, len(count)) * stays, count) * step
             noisy[f"{group}_{joint}"] = values + rng.normal(0.0, jitter, len(values)) + rounding
     return with_columns(log, noisy)

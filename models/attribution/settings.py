@@ -13,25 +13,25 @@ class TraceSettings:
 
     report_share: float = 0.35
     """Share of each log, at its end, that no fit and no selection uses."""
-    turn: float = 4.0
+    split_block: float = 4.0
     """Length of the alternating blocks that fit and select [s]: a few strides."""
-    gap: float = 0.2
+    split_gap: float = 0.2
     """Gap between these blocks [s], longer than residuals are correlated."""
-    turns: int = 6
+    fewest_split_blocks: int = 6
     """Minimum number of blocks per log; in a short log, blocks and gaps are shortened."""
     shortest_part: float = 0.5
     """Minimum length of a part of the split [s], in residuals with a reference."""
-    shortest: float = 11.5
+    shortest_log: float = 11.5
     """Minimum length of the logs [s]: a log of 12 s, whose ends have no residual."""
-    shortest_fixed: float = 3.0
+    shortest_fixed_log: float = 3.0
     """The same for a machine on a fixed base, of all logs together: every row is informative
     [s].
     """
-    held_still: float = 0.1
+    fixed_base_rate: float = 0.1
     """RMS of the gyro below which a base is taken to be fixed [rad/s]: a trot has at least 0.2, the
     bias of a bad gyro 0.05.
     """
-    farthest_carried: float = 0.5
+    reach_without_step: float = 0.5
     """Distance that a robot cannot move without stepping; contacts that never change are then dead
     [m].
     """
@@ -42,7 +42,7 @@ class TraceSettings:
     """
     turn_on_limit: float = 4.5
     """Standard deviations of the declared turn-on bias beyond which a bias is an effect."""
-    small_change: float = 1e-3
+    difference_step: float = 1e-3
     """Relative step of the finite differences of channels without a chain rule."""
 
     outlier: float = 2.5
@@ -53,9 +53,9 @@ class TraceSettings:
     """Robust deviations above its foot's median from which a stance is masked."""
     slowest_slip: float = 0.02
     """Speed below which a standing foot creeps on compliant contacts and does not slide [m/s]."""
-    slides: float = 0.08
+    sliding_speed: float = 0.08
     """Speed from which a loaded foot certainly slides, above the error of joint rates [m/s]."""
-    opposes: float = 0.9
+    opposing_cosine: float = 0.9
     """Cosine between the ground's force on a sliding foot and the direction opposite to its
     motion.
     """
@@ -71,13 +71,13 @@ class TraceSettings:
     """Share of a walk's blocks with a slide from which all the ground is slippery, not patches of
     it.
     """
-    held_share: tuple[float, float] = (0.7, 1.1)
+    used_friction_range: tuple[float, float] = (0.7, 1.1)
     """Range of the friction used without sliding, relative to that of sliding feet: nearly all of
     it on slippery ground, 3.3 times as much on compliant legs (walks of the Go1's model).
     """
     slide_spread: float = 0.4
     """Largest width of the interval of the friction, relative to the friction."""
-    dry: float = 0.75
+    dry_friction_share: float = 0.75
     """Smallest friction of a dry floor, relative to the declared one: 0.6 of 0.8."""
     push_outlier: float = 6.0
     """Robust deviations above its median from which the residual force on the base is external."""
@@ -91,7 +91,7 @@ class TraceSettings:
     """Shortest outside force; a single bad touchdown is shorter [s]."""
     pushed_share: float = 0.3
     """Share of a log from which such forces are an error of the robot's model."""
-    raised: float = 0.001
+    raised_stance: float = 0.001
     """Deviation of a stance's height from the foot's others from which it is on an edge [m]."""
 
     floor_walks: int = 4
@@ -113,71 +113,71 @@ class TraceSettings:
     coarse_samples: int = 100
     """Samples of a reference needed to estimate its noise."""
 
-    own_zeros: bool = False
+    per_run_offsets: bool = False
     """Whether zeros and clocks belong to each run: with several runs or with declared effects."""
-    above_floor: float = 5.0
+    least_size_ratio: float = 5.0
     """Least ratio of an effect's size to its spread on walks without it."""
-    certain: float = 0.5
+    always_present_factor: float = 0.5
     """Factor on that for effects that every machine has and the model lacks, such as the radius of
-    a foot. These need not reach `worth` either.
+    a foot. These need not reach `least_added_share` either.
     """
-    faked_share: float = 0.7
+    apparent_size_uncertainty: float = 0.7
     """Relative uncertainty of the apparent size on such walks: on slippery ground, the contacts
     imitated a delay of the joints four times as long as on the floor's.
     """
-    worth: float = 0.02
+    least_added_share: float = 0.02
     """Share that a further effect must add to what is explained of its channels; less may be the
     error of the other effects.
     """
-    clear: float = 20.0
-    """Ratio of a size to its spread from which an effect of a `large` share may add less than
-    `worth`: beside a very large effect, even a large one is relatively small.
+    clear_ratio: float = 20.0
+    """Ratio of a size to its spread from which an effect of a `large_share` may add less than
+    `least_added_share`: beside a very large effect, even a large one is relatively small.
     """
-    large: float = 0.2
+    large_share: float = 0.2
     """Share of the remaining error from which an effect is large."""
     most_effects: int = 4
     """Maximum number of effects of a trace."""
     twin_overlap: float = 0.95
     """Cosine of two regressors from which they are nearly collinear."""
-    same: float = 0.99999
+    identical_overlap: float = 0.99999
     """Cosine from which two regressors are the same but for nuisance parameters, such as a bias
     that is fitted beside only one of them.
     """
     settling_rounds: int = 3
     """Maximum iterations of sizes and weights."""
-    settled_share: float = 0.01
+    settling_tolerance: float = 0.01
     """Relative change of the sizes at which these have converged."""
 
     newton_steps: int = 10
     """Maximum Gauss-Newton steps; noise in a derivative makes each fall short."""
-    newton_close: float = 1e-3
+    newton_tolerance: float = 1e-3
     """Relative change of the sizes at which Gauss-Newton has converged."""
-    newton_far: float = 0.1
+    relinearise_share: float = 0.1
     """Relative change of a size from which derivatives are recomputed."""
-    close_behind: float = 0.3
+    near_best_share: float = 0.3
     """Share of the best gain from which a candidate may turn out better than in the linear fit."""
     contenders: int = 5
     """Candidates refined on the true residual in each round."""
     positive_evidence: float = 2.0
     """Difference of -2 log p that counts as positive evidence (Kass and Raftery 1995)."""
-    same_share: float = 0.5
+    least_own_share: float = 0.5
     """Share of a candidate's gain below which what remains of it means that another explains the
     same.
     """
-    contender_size: float = 2.0
+    contender_size_ratio: float = 2.0
     """Least ratio of size to spread of a contender that earned no place."""
 
-    at_floor: float = 1.05
+    at_floor_ratio: float = 1.05
     """Ratio to the upper limit of the floor's walks up to which a channel is at its floor."""
-    worse: float = 1.02
+    worse_ratio: float = 1.02
     """Ratio of after to before from which a channel is worse."""
-    far: float = 3.0
+    far_ratio: float = 3.0
     """Ratio to the floor from which the remaining residual of a channel makes all sizes
     uncertain.
     """
-    ahead: float = 0.35
+    extrapolated_share: float = 0.35
     """Share of a floor's walk, at its end, on which residuals on uneven ground are evaluated."""
-    harm: float = 1.05
+    harm_ratio: float = 1.05
     """Ratio of a filter's error, after to before, from which compensation makes it worse."""
 
     curve_degrees: tuple[int, ...] = (2, 3, 4, 5, 6)

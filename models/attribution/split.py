@@ -32,10 +32,10 @@ def split_of(cases: Sequence[LogUnderModel]) -> Split:
     """Split each log: alternating FIT and SELECT blocks, then REPORT at the end."""
     parts = []
     for case in cases:
-        s, t = case.settings, case.frame.t - case.frame.t[0]
+        s, t = case.settings, case.motion.t - case.motion.t[0]
         begin = (1 - s.report_share) * t[-1]
-        length = min(s.turn, begin / s.turns)
-        gap = s.gap * length / s.turn
+        length = min(s.split_block, begin / s.fewest_split_blocks)
+        gap = s.split_gap * length / s.split_block
         block = np.floor(t / length).astype(int)
         used = (t < begin - gap) & (t - length * block >= gap)
         parts.append((used & (block % 2 == 0), used & (block % 2 == 1), t >= begin))

@@ -9,7 +9,7 @@ from surefoot.models.attribution.evidence import LogUnderModel
 from surefoot.models.attribution.robust_weights import RobustWeights
 from surefoot.models.attribution.settings import TraceSettings
 from surefoot.models.residuals.layout import layout_for
-from surefoot.sim.effects.contact import STICKING
+from surefoot.sim.effects.contact import STICTION_RATE
 from surefoot.sim.log import joint_velocity
 
 
@@ -75,7 +75,7 @@ def regressor_library(cases: Sequence[LogUnderModel]) -> tuple[tuple[str, ...], 
     tables = []
     names: list[str] = []
     for case in cases:
-        log, first = case.log, case.frame.first
+        log, first = case.log, case.motion.first
         count = np.diff(np.append(first, len(log.t)))[:, None]
         columns = {"time": log.t}
         for k in case.settings.settling_times:
@@ -83,12 +83,12 @@ def regressor_library(cases: Sequence[LogUnderModel]) -> tuple[tuple[str, ...], 
         if log.has("imu") and not case.fixed:
             columns |= _named("rate", log.gyro, "xyz") | _named("force", log.accel, "xyz")
         if not case.fixed:
-            columns |= _named("velocity", case.frame.v_I, "xyz")
-            columns |= _named("upward", case.frame.up_I, "xyz")
+            columns |= _named("velocity", case.motion.v_I, "xyz")
+            columns |= _named("upward", case.motion.up_I, "xyz")
         if log.has("q"):
             dq = joint_velocity(log)
             columns |= _named("angle", log.q, log.joints) | _named("speed", dq, log.joints)
-            columns |= _named("sense", np.tanh(dq / STICKING), log.joints)
+            columns |= _named("sense", np.tanh(dq / STICTION_RATE), log.joints)
             for k in case.settings.harmonics:
                 columns |= _named(f"sin_{k}_angle", np.sin(k * log.q), log.joints)
                 columns |= _named(f"cos_{k}_angle", np.cos(k * log.q), log.joints)

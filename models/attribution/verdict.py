@@ -45,7 +45,7 @@ def verdict_of(
     ]
     reasons += [why for one in found if (why := _implausible(one))]
     reasons += [f"{one.name} {one.target}: dropped, it makes {name} worse" for one, name in harmful]
-    reasons += held_out.against if held_out else ()
+    reasons += held_out.worsened if held_out else ()
     if reasons:
         return "none_of_these", tuple(reasons)
     if pushes and (pushed_away or not found):
@@ -72,7 +72,7 @@ def _above(c: ChannelLevel) -> str:
 def _at_bound(one: Effect) -> bool:
     if not type(one).is_compensated():
         return False
-    low, high = type(one).inside(one.target)
+    low, high = type(one).interior_bounds(one.target)
     return not low < one.value < high
 
 

@@ -21,10 +21,10 @@ def variance_inflation(data: Design, weights: RobustWeights) -> np.ndarray:
     free = fit(sums, (), errors=False).vector[1:]
     left = np.where(data.there, data.y - data.explained(-free), np.nan)
     layout = data.evidence.layout
-    known = [name for name in layout.channels if channels()[name].known_to]
+    known = [name for name in layout.channels if channels()[name].level_spread]
     for columns in layout.alike:
         if known and np.isin(columns, layout.of(*known)).all() and data.there[:, columns].any():
-            # The uncertainty of their mean is declared, and enters by `NoiseFloor.doubt`.
+            # The uncertainty of their mean is declared: see `NoiseFloor.size_uncertainty`.
             left[:, columns] -= np.nanmean(left[:, columns])
     left = np.nan_to_num(left)
     candidates = len(data.evidence.X)

@@ -17,17 +17,17 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.sensors.stances import inside_stances
-from surefoot.sim.sensors.streams import between_states
+from surefoot.sim.sensors.streams import imu_between_states
 
 BIN = 0.02
 """Length of a bin [s]."""
-EDGE = 0.03
+STANCE_MARGIN = 0.03
 """Margin at either end of a stance that is left out [s]: the foot still lands or already lifts."""
-QUIETER = 1.5
+LEAST_NOISE_RATIO = 1.5
 """Noise ratio of accelerations from rates to those from angles above which angles are used; below
 it rates are preferred, since they need no smoothing window.
 """
-ENDS = 0.006
+END_WINDOW = 0.006
 """Averaging time at either end of a bin for the change of a rate over it [s]."""
 
 
@@ -164,12 +164,17 @@ def reference_motion(log: Log, limbs: Limbs, fixed: bool = False) -> ReferenceMo
     R_GI, v_GI, ok = log.ref_R_GI, reference_velocity(log), log.ref_ok
     dt = np.diff(t)
     gyro, accel = np.zeros_like(v_GI), np.zeros_like(v_GI)
-    gyro[1:], accel[1:] = between_states(t, R_GI, v_GI)
+    gyro[1:], accel[1:] = imu_between_states(t, R_GI, v_GI)
     gyro[0], accel[0] = gyro[1], accel[1]
     whole = np.concatenate([[False], dt < 1.5 * np.median(dt)])
     feet = np.zeros((2, len(t), legs), dtype=bool)
     if log.has("contact"):
-        feet = np.stack([inside_stances(t, c, EDGE, EDGE) for c in (log.contact, ~log.contact)])
+        feet = np.stack(
+            [
+                inside_stances(t, c, STANCE_MARGIN, STANCE_MARGIN)
+                for c in (log.contact, ~log.contact)
+            ]
+        )
     return ReferenceMotion(
         gyro=gyro,
         accel=accel,
@@ -184,32 +189,34 @@ def reference_motion(log: Log, limbs: Limbs, fixed: bool = False) -> ReferenceMo
     )
 
 
-def binned(log: Log, robot: Machine, frame: ReferenceMotion) -> Bins:
+def binned(log: Log, robot: Machine, motion: ReferenceMotion) -> Bins:
     """Bin means of a log's readings, with the model's IMU mounting."""
-    n, joints = len(frame.ok), len(log.joints)
+    n, joints = len(motion.ok), len(log.joints)
     none = np.full((n, max(joints, 1)), np.nan)
     q = log.q if log.has("q") else none
     dq = joint_velocity(log) if log.has("q") else none
-    mean, angles, rates = bin_mean(frame), log.columns_of("q"), log.columns_of("q", "dq")
+    mean, angles, rates = bin_mean(motion), log.columns_of("q"), log.columns_of("q", "dq")
     gyro = accel = np.full((n, 3), np.nan)
-    omega = frame.gyro
+    omega = motion.gyro
     if log.has("imu") and isinstance(robot, Robot):
         omega = log.gyro
         slow = robot.extras.imu_lowpass
-        gyro = np.where(frame.moved[:, None], log.gyro - low_pass(frame.gyro, slow, log.rate), gyro)
+        gyro = np.where(
+            motion.moved[:, None], log.gyro - low_pass(motion.gyro, slow, log.rate), gyro
+        )
         accel = np.where(
-            frame.moved[:, None], log.accel - low_pass(frame.accel, slow, log.rate), accel
+            motion.moved[:, None], log.accel - low_pass(motion.accel, slow, log.rate), accel
         )
     # A reference without velocities is too coarse for accelerations of the base.
     known = log.has("ref_v") or not log.has("imu")
 
-    moving = derivative(log.t, q, JOINT_WINDOW, causal=False) if frame.rates_of_angles else dq
+    moving = derivative(log.t, q, JOINT_WINDOW, causal=False) if motion.rates_of_angles else dq
 
     def base() -> np.ndarray:
         if not isinstance(robot, Robot):
-            return np.zeros((len(frame.t), 9))
-        motion = (frame.gyro, frame.accel) if known else (omega, log.accel)
-        return mean(base_motion(log.t, *motion, robot))
+            return np.zeros((len(motion.t), 9))
+        imu = (motion.gyro, motion.accel) if known else (omega, log.accel)
+        return mean(base_motion(log.t, *imu, robot))
 
     def tau() -> np.ndarray:
         return mean(log.tau if log.has("tau") else none)
@@ -220,28 +227,32 @@ def binned(log: Log, robot: Machine, frame: ReferenceMotion) -> Bins:
     of_base = ("t",) if known else log.columns_of("imu")
     mounted = (robot.R_BI, robot.p_BI) if isinstance(robot, Robot) else ()
     return Bins(
-        t=frame.t,
-        q=log.once("binned q", angles, lambda: mean(q)),
-        dq=log.once("binned dq", rates, lambda: mean(dq)),
-        tau=log.once("binned tau", log.columns_of("tau"), tau),
-        gyro=_where_most(gyro, frame),
-        accel=_where_most(accel, frame),
-        omega=log.once("binned omega", log.columns_of("imu"), lambda: mean(at_rows(omega)), frame),
-        base=log.once("binned base", of_base, base, frame, *mounted),
-        **frame.means,
-        lag=log.once("binned lag", rates, lag),
-        q_step=log.once("binned q_step", angles, lambda: mean(at_torques(q, frame)), frame),
-        dq_step=log.once("binned dq_step", rates, lambda: mean(at_torques(moving, frame)), frame),
-        ddq=log.once("ddq", rates, lambda: mean_rate_of_change(moving, log.t, frame), frame),
+        t=motion.t,
+        q=log.cached("binned q", angles, lambda: mean(q)),
+        dq=log.cached("binned dq", rates, lambda: mean(dq)),
+        tau=log.cached("binned tau", log.columns_of("tau"), tau),
+        gyro=_where_most(gyro, motion),
+        accel=_where_most(accel, motion),
+        omega=log.cached(
+            "binned omega", log.columns_of("imu"), lambda: mean(at_rows(omega)), motion
+        ),
+        base=log.cached("binned base", of_base, base, motion, *mounted),
+        **motion.means,
+        lag=log.cached("binned lag", rates, lag),
+        q_step=log.cached("binned q_step", angles, lambda: mean(at_torques(q, motion)), motion),
+        dq_step=log.cached(
+            "binned dq_step", rates, lambda: mean(at_torques(moving, motion)), motion
+        ),
+        ddq=log.cached("ddq", rates, lambda: mean_rate_of_change(moving, log.t, motion), motion),
     )
 
 
-def bin_mean(frame: ReferenceMotion):
+def bin_mean(motion: ReferenceMotion):
     """Function that averages rows (N, ...) over each bin."""
 
     def mean(values: np.ndarray) -> np.ndarray:
-        count = frame.count.reshape(-1, *[1] * (values.ndim - 1))
-        return np.add.reduceat(values, frame.first, axis=0) / count
+        count = motion.count.reshape(-1, *[1] * (values.ndim - 1))
+        return np.add.reduceat(values, motion.first, axis=0) / count
 
     return mean
 
@@ -251,33 +262,33 @@ def at_rows(omega: np.ndarray) -> np.ndarray:
     return 0.5 * (omega + np.concatenate([omega[1:], omega[-1:]]))
 
 
-def at_torques(x: np.ndarray, frame: ReferenceMotion) -> np.ndarray:
+def at_torques(x: np.ndarray, motion: ReferenceMotion) -> np.ndarray:
     """Interpolate x (N, ...) to the time of each row's torque.
 
     On a walk that is the middle of the preceding step, as for the IMU readings that torques are
     compared with; on a fixed base, without such readings, the row's own time.
     """
-    if not frame.moved.any():
+    if not motion.moved.any():
         return x
     return np.concatenate([x[:1], 0.5 * (x[1:] + x[:-1])])
 
 
-def mean_rate_of_change(x: np.ndarray, t: np.ndarray, frame: ReferenceMotion) -> np.ndarray:
+def mean_rate_of_change(x: np.ndarray, t: np.ndarray, motion: ReferenceMotion) -> np.ndarray:
     """Mean slope of x (N, ...) over the times of each bin's torques, per second.
 
     The first bin has no preceding row and starts at its first row.
     """
-    rows = max(1, round(ENDS / np.median(np.diff(t))))
+    rows = max(1, round(END_WINDOW / np.median(np.diff(t))))
     x = uniform_filter1d(x, rows - 1 + rows % 2, axis=0)
-    if not frame.moved.any():
+    if not motion.moved.any():
         x = np.concatenate([0.5 * (x[1:] + x[:-1]), x[-1:]])
-    last = frame.first + frame.count - 1
-    before = np.maximum(frame.first - 1, 0)
+    last = motion.first + motion.count - 1
+    before = np.maximum(motion.first - 1, 0)
     time = np.maximum(t[last] - t[before], 1e-9).reshape(-1, *[1] * (x.ndim - 1))
     return (x[last] - x[before]) / time
 
 
-def angles_are_quieter(log: Log, frame: ReferenceMotion) -> bool:
+def angles_are_quieter(log: Log, motion: ReferenceMotion) -> bool:
     """Whether a log's angles give less noisy accelerations than its rates, by QUIETER at most
     joints.
 
@@ -290,9 +301,9 @@ def angles_are_quieter(log: Log, frame: ReferenceMotion) -> bool:
     q, dq = (unit * np.std(np.diff(x, n=2, axis=0), axis=0) / np.sqrt(6.0) for x in (log.q, log.dq))
     slopes = derivative(log.t, q, JOINT_WINDOW, causal=False)
     by_angles, by_rates = (
-        np.std(mean_rate_of_change(x, log.t, frame), axis=0) for x in (slopes, dq)
+        np.std(mean_rate_of_change(x, log.t, motion), axis=0) for x in (slopes, dq)
     )
-    return bool(np.median(by_rates - QUIETER * by_angles) > 0.0)
+    return bool(np.median(by_rates - LEAST_NOISE_RATIO * by_angles) > 0.0)
 
 
 def base_motion(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, robot: Robot) -> np.ndarray:
@@ -303,10 +314,10 @@ def base_motion(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, robot: Robot
     return np.hstack([omega, spin, origin])
 
 
-def _where_most(values: np.ndarray, frame: ReferenceMotion) -> np.ndarray:
+def _where_most(values: np.ndarray, motion: ReferenceMotion) -> np.ndarray:
     """Mean over each bin of the rows (N, 3) with a value; NaN where fewer than half have one."""
     there = np.isfinite(values)
-    total = np.add.reduceat(np.where(there, values, 0.0), frame.first, axis=0)
-    count = np.add.reduceat(there.astype(float), frame.first, axis=0)
-    enough = (count >= 0.5 * frame.count[:, None]) & (count > 0)
+    total = np.add.reduceat(np.where(there, values, 0.0), motion.first, axis=0)
+    count = np.add.reduceat(there.astype(float), motion.first, axis=0)
+    enough = (count >= 0.5 * motion.count[:, None]) & (count > 0)
     return np.where(enough, total / np.maximum(count, 1), np.nan)

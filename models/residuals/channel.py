@@ -26,7 +26,12 @@ from surefoot.models.residuals.binning import Bins, ReferenceMotion, binned
 from surefoot.models.residuals.feet import HALFWAY, between_feet, leg_velocities
 from surefoot.models.residuals.foot_loads import foot_loads
 from surefoot.models.residuals.soft_ground import foot_sinking
-from surefoot.models.residuals.torques import InverseDynamics, Steps, inverse_dynamics, steps_of
+from surefoot.models.residuals.torques import (
+    DynamicsInputs,
+    InverseDynamics,
+    dynamics_inputs,
+    inverse_dynamics,
+)
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
@@ -80,14 +85,14 @@ class ResidualInputs:
         if not (isinstance(self.robot, Robot) and stands and self.robot.extras.softness):
             return bins
         known = self.log, self.robot, self.motion, bins
-        load = foot_loads(*known, steps_of(bins, self.robot))
+        load = foot_loads(*known, dynamics_inputs(bins, self.robot))
         depth, v_sole = foot_sinking(*known, load)
         return replace(bins, depth=depth, v_sole=v_sole)
 
     @cached_property
-    def steps(self) -> Steps:
+    def steps(self) -> DynamicsInputs:
         """Inputs of inverse dynamics."""
-        steps, depth = steps_of(self.bins, self.robot), self.bins.depth
+        steps, depth = dynamics_inputs(self.bins, self.robot), self.bins.depth
         return steps if depth is None else replace(steps, sunk=HALFWAY * depth)
 
     @cached_property
@@ -112,7 +117,7 @@ class ResidualInputs:
     def _readings(self) -> Bins:
         return binned(self.log, self.robot, self.motion)
 
-    def of_body(self, robot: Machine, needed: InverseDynamics | None) -> "ResidualInputs":
+    def under_model(self, robot: Machine, needed: InverseDynamics | None) -> "ResidualInputs":
         """The same readings under the model of another body, whose inverse dynamics are known."""
         other = replace(self, robot=robot)
         vars(other).update(bins=self.bins, steps=self.steps, inverse_dynamics=needed)
@@ -130,7 +135,7 @@ class Channel:
     """Groups of columns that the channel needs, as for `Log.require`."""
     on_fixed_base: ClassVar[bool] = False
     """Whether a machine on a fixed base has it, without contacts and a reference."""
-    imu_serves: ClassVar[bool] = False
+    imu_replaces_reference: ClassVar[bool] = False
     """Whether the IMU replaces the reference where a walk has none."""
     on_level_ground: ClassVar[bool] = False
     """Whether it is valid on level ground only; its level is then evaluated on ground that no fit
@@ -144,13 +149,13 @@ class Channel:
     """Resolution [unit]: the noise is never taken to be less."""
     of_events: ClassVar[bool] = False
     """Whether it is the time of an event, which a small change of the body does not move."""
-    known_to: ClassVar[Mapping[str, float]] = {}
+    level_spread: ClassVar[Mapping[str, float]] = {}
     """Target of an effect -> standard deviation [unit] of the channel's level between robots, where
     it is known from simulated walks of several models.
     """
-    judges: ClassVar[bool] = False
+    evaluation_only: ClassVar[bool] = False
     """Whether the channel is used for evaluation only and never fitted."""
-    chained: ClassVar[bool] = False
+    has_chain_rule: ClassVar[bool] = False
     """Whether `jacobians` has its derivatives with respect to readings; else finite differences are
     used.
     """
@@ -173,25 +178,25 @@ class Channel:
         """
         raise NotImplementedError
 
-    def free(self, inputs: ResidualInputs) -> Sequence[np.ndarray]:
+    def nuisance_regressors(self, inputs: ResidualInputs) -> Sequence[np.ndarray]:
         """Regressors of nuisance parameters of each log, (M, 1) or (M, columns), without bounds."""
         return ()
 
-    def fills(self, log: Log, fixed: bool, level: bool) -> bool:
+    def is_available(self, log: Log, fixed: bool, level: bool) -> bool:
         """Whether a log has what it needs, on a `fixed` base or not, on `level` ground or not."""
         if (fixed and not self.on_fixed_base) or (self.on_level_ground and not level):
             return False
-        return not self.lacking(log, fixed)
+        return not self.missing_groups(log, fixed)
 
-    def lacking(self, log: Log, fixed: bool) -> tuple[str, ...]:
+    def missing_groups(self, log: Log, fixed: bool) -> tuple[str, ...]:
         """Groups of columns that it needs and the log lacks, on a `fixed` base or not."""
         needed = [g for g in self.needs if not (fixed and g in OF_WALKS)]
-        if self.imu_serves and not fixed and not log.has("reference"):
+        if self.imu_replaces_reference and not fixed and not log.has("reference"):
             needed = ["imu", *(g for g in needed if g != "reference")]
         return tuple(g for g in needed if not log.has(g))
 
-    def answers(self, log: Log, motion: ReferenceMotion) -> bool:
+    def is_defined_for(self, log: Log, motion: ReferenceMotion) -> bool:
         """Whether it is defined for a log with this motion, which may not be from a reference."""
         if motion.by_reference:
             return True
-        return log.has("imu") if self.imu_serves else "reference" not in self.needs
+        return log.has("imu") if self.imu_replaces_reference else "reference" not in self.needs

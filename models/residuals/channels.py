@@ -30,7 +30,7 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.sensors.streams import Sensors
 
-REACH = 0.5
+LEVER_ARM = 0.5
 """Lever arm from a joint to the foot [m], to propagate its noise where only data sheets give it."""
 STANCE_BINS = 10
 """Bins of a stance, for the same purpose."""
@@ -42,7 +42,7 @@ class ImuGyro(Channel):
     name = "imu_gyro"
     unit = "rad/s"
     needs = ("imu", "reference")
-    chained = True
+    has_chain_rule = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
         return _of_axes("gyro", self.unit, limbs)
@@ -60,7 +60,7 @@ class ImuAccel(Channel):
     name = "imu_accel"
     unit = "m/s^2"
     needs = ("imu", "reference")
-    chained = True
+    has_chain_rule = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
         return _of_axes("accel", self.unit, limbs)
@@ -78,9 +78,9 @@ class LegVelocity(Channel):
     name = "leg_velocity"
     unit = "m/s"
     needs = ("q", "contact", "reference")
-    imu_serves = True
+    imu_replaces_reference = True
     masked_by = ("slid", "elsewhere")
-    chained = True
+    has_chain_rule = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
         return _of_legs("leg", self.unit, limbs)
@@ -89,7 +89,7 @@ class LegVelocity(Channel):
         return inputs.leg_velocities
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
-        return sensors.velocity_noise * REACH * np.sqrt(3 / rows_of_bin(rate))
+        return sensors.velocity_noise * LEVER_ARM * np.sqrt(3 / rows_of_bin(rate))
 
 
 class StanceVelocity(Channel):
@@ -98,9 +98,9 @@ class StanceVelocity(Channel):
     name = "stance_velocity"
     unit = "m/s"
     needs = ("q", "contact", "reference")
-    imu_serves = True
+    imu_replaces_reference = True
     masked_by = ("slid", "elsewhere")
-    chained = True
+    has_chain_rule = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
         return _of_legs("stance", self.unit, limbs)
@@ -113,7 +113,7 @@ class StanceVelocity(Channel):
         return stance_means(inputs.bins.t, by_leg, np.isfinite(by_leg[..., 0])).reshape(v.shape)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
-        return sensors.velocity_noise * REACH * np.sqrt(3 / rows_of_bin(rate) / STANCE_BINS)
+        return sensors.velocity_noise * LEVER_ARM * np.sqrt(3 / rows_of_bin(rate) / STANCE_BINS)
 
 
 class StanceDisplacement(Channel):
@@ -128,9 +128,9 @@ class StanceDisplacement(Channel):
     unit = "m"
     needs = ("q", "contact", "reference")
     masked_by = ("slid", "elsewhere")
-    chained = True
+    has_chain_rule = True
     of_events = True
-    judges = True
+    evaluation_only = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
         return _of_legs("moved", self.unit, limbs, AXES[:2])
@@ -142,7 +142,7 @@ class StanceDisplacement(Channel):
         return stance_displacement(inputs.log, inputs.robot, inputs.motion)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
-        return sensors.velocity_noise * REACH * np.sqrt(3 * STANCE_BINS * BIN / rate)
+        return sensors.velocity_noise * LEVER_ARM * np.sqrt(3 * STANCE_BINS * BIN / rate)
 
 
 class FootHeight(Channel):
@@ -155,7 +155,7 @@ class FootHeight(Channel):
     masked_by = ("slid", "elsewhere")
     least_noise = 2e-4
     """Simulated ground is level to 0.01 mm, finer than any reference measures [m]."""
-    chained = True
+    has_chain_rule = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
         legs = enumerate(limbs.legs)
@@ -168,9 +168,9 @@ class FootHeight(Channel):
         return foot_heights(inputs.bins, inputs.robot)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
-        return float(np.hypot(sensors.encoder_step * REACH, evenness))
+        return float(np.hypot(sensors.encoder_step * LEVER_ARM, evenness))
 
-    def free(self, inputs: ResidualInputs) -> Sequence[np.ndarray]:
+    def nuisance_regressors(self, inputs: ResidualInputs) -> Sequence[np.ndarray]:
         """The plane that a log's feet stand on."""
         if not inputs.motion.level:
             return ()
@@ -184,9 +184,9 @@ class JointTorque(Channel):
     name = "joint_torque"
     unit = "N m"
     needs = ("q", "tau", "contact")
-    imu_serves = True
+    imu_replaces_reference = True
     on_fixed_base = True
-    chained = True
+    has_chain_rule = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
         return per_joint("torque", self.unit, limbs)
@@ -207,7 +207,7 @@ class BaseWrench(Channel):
     unit = "N and N m"
     needs = ("q", "tau", "contact", "reference")
     masked_by = ("elsewhere",)
-    chained = True
+    has_chain_rule = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
         if not limbs.point_feet:  # a flat foot gives moments too
@@ -221,7 +221,7 @@ class BaseWrench(Channel):
         return wrench_residual(inputs.steps, inputs.inverse_dynamics, inputs.robot)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
-        return sensors.torque_noise / np.sqrt(rows_of_bin(rate)) / REACH * np.sqrt(12)
+        return sensors.torque_noise / np.sqrt(rows_of_bin(rate)) / LEVER_ARM * np.sqrt(12)
 
 
 class JointRate(Channel):
@@ -231,7 +231,7 @@ class JointRate(Channel):
     unit = "rad/s"
     needs = ("q", "dq")
     on_fixed_base = True
-    chained = True
+    has_chain_rule = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
         return per_joint("rate", self.unit, limbs)
@@ -260,9 +260,9 @@ class ContactTiming(Channel):
     needs = ("q", "contact", "reference")
     least_noise = 1e-3
     """A contact changes at a row, so its time is known to half a sample [s]."""
-    chained = True
+    has_chain_rule = True
     of_events = True
-    known_to: ClassVar[Mapping[str, float]] = {"touchdown": 0.0015, "liftoff": 0.006}
+    level_spread: ClassVar[Mapping[str, float]] = {"touchdown": 0.0015, "liftoff": 0.006}
     """On models of seven robots, contacts begin within 1 ms of one another, 3 ms earlier where a
     landing foot slides (friction 0.3), and end within 12 ms (`contact_timing.USUAL`); these count
     as two standard deviations [s].

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from surefoot.models.residuals.binning import EDGE, ReferenceMotion
+from surefoot.models.residuals.binning import STANCE_MARGIN, ReferenceMotion
 from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.log import Log, joint_velocity
@@ -18,7 +18,7 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.contact import SHORTEST_FLIGHT
 from surefoot.sim.sensors.stances import changes, inside_stances
 
-MOVES = 0.2
+STANDING_SPEED = 0.2
 """Speed over the ground from which a foot does not stand [m/s]: a tenth of its speed in swing."""
 LEAST_SHIFT = 0.01
 """Delay of contacts that exceeds the duration of landing and lifting [s]: half a bin, and ten times
@@ -30,40 +30,44 @@ NEARLY_ALL = 95.0
 """Percentile of the delays by which nearly all contacts have begun."""
 CHANGE_WINDOW = 0.08
 """Time before and after a contact change in which the foot's motion is examined [s]."""
-USUAL = (-0.0005, -0.018)
+USUAL_DELAY = (-0.0005, -0.018)
 """Usual delay of the beginning and end of contacts on simulated walks [s], within 0.7 ms and 12 ms
 on models of seven robots.
 """
 
 
-def contact_timing(log: Log, robot: Robot, frame: ReferenceMotion) -> np.ndarray:
+def contact_timing(log: Log, robot: Robot, motion: ReferenceMotion) -> np.ndarray:
     """Delay of contact changes (M, 2 legs) [s]: touchdowns of the feet, then their lift-offs.
 
     Each change is in the bin in which the foot stopped or started to move; all other bins are NaN.
     """
     rows, bounce = max(1, round(CHANGE_WINDOW * log.rate)), round(SHORTEST_FLIGHT * log.rate)
     turns = [changes(stands) for stands in log.contact.T]
-    speed = log.once(
+    speed = log.cached(
         "speed of touching points",
         log.columns_of("q", "dq", "imu", "contact", "reference", "ref_v"),
-        lambda: over_ground(log, robot, frame, near_changes(turns, frame, rows)),
-        *(frame, robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI),
+        lambda: speed_over_ground(log, robot, motion, near_changes(turns, motion, rows)),
+        *(motion, robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI),
     )
-    late = np.full((len(frame.first), 2 * len(turns)), np.nan)
+    late = np.full((len(motion.first), 2 * len(turns)), np.nan)
     # A debounced contact begins late by the debounce time.
-    begins = USUAL[0] + log.meta.model.get("contact_debounce", 0.0) + robot.extras.touchdown_late
-    usual = (begins, USUAL[1] + robot.extras.liftoff_late)
+    begins = (
+        USUAL_DELAY[0] + log.meta.model.get("contact_debounce", 0.0) + robot.extras.touchdown_late
+    )
+    usual = (begins, USUAL_DELAY[1] + robot.extras.liftoff_late)
     for leg, change in enumerate(turns):
-        at, when, lifts = moments(log.t, log.contact[:, leg], speed[:, leg], change, rows, bounce)
+        at, when, lifts = motion_changes(
+            log.t, log.contact[:, leg], speed[:, leg], change, rows, bounce
+        )
         behind = 0.5 * (log.t[change] + log.t[change - 1]) - when
         known = np.isfinite(when)
-        bins = np.searchsorted(frame.first, at[known], side="right") - 1
+        bins = np.searchsorted(motion.first, at[known], side="right") - 1
         column = leg + len(turns) * lifts[known]
         late[bins, column] = (behind - np.where(lifts, *usual[::-1]))[known]
     return late
 
 
-def within_windows(frame: ReferenceMotion, log: Log, robot: Robot) -> ReferenceMotion:
+def within_windows(motion: ReferenceMotion, log: Log, robot: Robot) -> ReferenceMotion:
     """Restrict stances and swings of the reference motion to the feet's actual ones.
 
     Where contacts end late or begin early relative to the foot's motion, stances are shortened by
@@ -72,51 +76,53 @@ def within_windows(frame: ReferenceMotion, log: Log, robot: Robot) -> ReferenceM
     swings, in which legs already carry load, are removed, by the delay of nearly all steps since
     each step has a delay of its own.
     """
-    timing = contact_timing(log, robot, frame)
+    timing = contact_timing(log, robot, motion)
     legs = timing.shape[1] // 2
     begins, ends = timing[:, :legs], timing[:, legs:]
     begins, ends = (x[np.isfinite(x)] for x in (begins, ends))
     behind = float(np.median(begins)) if len(begins) >= FEWEST_CHANGES else 0.0
     late = float(np.median(ends)) if len(ends) >= FEWEST_CHANGES else 0.0
     if behind > LEAST_SHIFT:
-        loaded = EDGE + float(np.percentile(begins, NEARLY_ALL))
-        swings = inside_stances(log.t, ~log.contact, EDGE, loaded)
-        frame = replace(frame, lifted=swings & frame.ok[:, None])
+        loaded = STANCE_MARGIN + float(np.percentile(begins, NEARLY_ALL))
+        swings = inside_stances(log.t, ~log.contact, STANCE_MARGIN, loaded)
+        motion = replace(motion, lifted=swings & motion.ok[:, None])
     early = max(-behind - log.meta.model.get("contact_debounce", 0.0), 0.0)
     if max(early, late) < LEAST_SHIFT:
-        return frame
+        return motion
     late = max(late, 0.0)
-    inside = inside_stances(log.t, log.contact, EDGE + early, EDGE + late)
-    return replace(frame, standing=inside & frame.ok[:, None], early=early, late=late)
+    inside = inside_stances(log.t, log.contact, STANCE_MARGIN + early, STANCE_MARGIN + late)
+    return replace(motion, standing=inside & motion.ok[:, None], early=early, late=late)
 
 
-def near_changes(turns: Sequence[np.ndarray], frame: ReferenceMotion, rows: int) -> np.ndarray:
+def near_changes(turns: Sequence[np.ndarray], motion: ReferenceMotion, rows: int) -> np.ndarray:
     """Mask (N, L) of the rows within `rows` of a contact change of each foot."""
-    n = len(frame.ok)
+    n = len(motion.ok)
     near = np.zeros((n, len(turns)), dtype=bool)
     for leg, change in enumerate(turns):
         count = np.zeros(n + 1, dtype=int)
         np.add.at(count, np.maximum(change - rows - 1, 0), 1)
         np.add.at(count, np.minimum(change + rows + 1, n), -1)
         near[:, leg] = np.cumsum(count[:-1]) > 0
-    return near & frame.ok[:, None]
+    return near & motion.ok[:, None]
 
 
-def over_ground(log: Log, robot: Robot, frame: ReferenceMotion, where: np.ndarray) -> np.ndarray:
+def speed_over_ground(
+    log: Log, robot: Robot, motion: ReferenceMotion, where: np.ndarray
+) -> np.ndarray:
     """Speed (N, L) [m/s] of the feet's contact points over the ground, where `where` (N, L); NaN
     elsewhere.
     """
     rows = np.flatnonzero(where.any(axis=1))
-    omega = log.gyro if log.has("imu") else frame.gyro
+    omega = log.gyro if log.has("imu") else motion.gyro
     dq = joint_velocity(log)[rows]
-    v = leg_velocity(robot, log.q[rows], dq, omega[rows], frame.up_I[rows], where[rows])
+    v = leg_velocity(robot, log.q[rows], dq, omega[rows], motion.up_I[rows], where[rows])
     speed = np.full(where.shape, np.nan)
-    speed[rows] = np.linalg.norm(v - frame.v_I[rows, None], axis=2)
+    speed[rows] = np.linalg.norm(v - motion.v_I[rows, None], axis=2)
     return speed
 
 
 @kernel
-def moments(t, stands, speed, changes, rows, bounce):
+def motion_changes(t, stands, speed, changes, rows, bounce):
     """Find when the foot stopped or started to move at each of K contact changes.
 
     The search starts in the middle of the swing, or as far into it as `rows` reach, and goes
@@ -147,14 +153,14 @@ def moments(t, stands, speed, changes, rows, bounce):
         far = min(rows, swing // 2)
         step = -1 if lifts[k] else 1
         row = change - step * far
-        if not speed[row] > MOVES:
+        if not speed[row] > STANDING_SPEED:
             continue
         for _ in range(far + rows):
             row += step
             if row < 0 or row >= len(t) or not np.isfinite(speed[row]):
                 break
-            if speed[row] <= MOVES:
-                share = (MOVES - speed[row]) / (speed[row - step] - speed[row])
+            if speed[row] <= STANDING_SPEED:
+                share = (STANDING_SPEED - speed[row]) / (speed[row - step] - speed[row])
                 when[k] = t[row] + share * (t[row - step] - t[row])
                 at[k] = row
                 break

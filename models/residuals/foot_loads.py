@@ -3,7 +3,7 @@
 import numpy as np
 
 from surefoot.models.residuals.binning import Bins, ReferenceMotion, at_torques
-from surefoot.models.residuals.torques import Steps, inverse_dynamics
+from surefoot.models.residuals.torques import DynamicsInputs, inverse_dynamics
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.log import Log
@@ -12,7 +12,7 @@ from surefoot.sim.robot.kinematics import leg_forward
 
 
 def foot_loads(
-    log: Log, robot: Robot, frame: ReferenceMotion, bins: Bins, steps: Steps
+    log: Log, robot: Robot, motion: ReferenceMotion, bins: Bins, steps: DynamicsInputs
 ) -> np.ndarray:
     """Force (N, legs) [N] along the ground's normal on each standing foot, zero on the others.
 
@@ -22,7 +22,7 @@ def foot_loads(
     Args:
         log: the measured log.
         robot: as declared.
-        frame: reference motion of the log.
+        motion: reference motion of the log.
         bins: means over bins of torques and standing feet.
         steps: inputs of inverse dynamics.
     """
@@ -31,10 +31,10 @@ def foot_loads(
         weight = -GRAVITY_G[2] * (robot.mass + robot.extras.payload)
         return weight * stands / np.maximum(stands.sum(axis=1, keepdims=True), 1)
     taken = inverse_dynamics(steps, robot, every=True).torque
-    motion = normal_forces(robot.legs, steps.q, steps.up_B, np.ones_like(bins.standing), taken)
-    up_B = frame.R_GI[:, 2] @ robot.R_BI.T
-    motor = normal_forces(robot.legs, at_torques(log.q, frame), up_B, stands, log.tau)
-    rows = np.column_stack([np.interp(log.t, bins.t, one) for one in motion.T])
+    from_motion = normal_forces(robot.legs, steps.q, steps.up_B, np.ones_like(bins.standing), taken)
+    up_B = motion.R_GI[:, 2] @ robot.R_BI.T
+    motor = normal_forces(robot.legs, at_torques(log.q, motion), up_B, stands, log.tau)
+    rows = np.column_stack([np.interp(log.t, bins.t, one) for one in from_motion.T])
     return np.where(stands, np.maximum(rows - motor, 0.0), 0.0)
 
 

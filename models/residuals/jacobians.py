@@ -15,15 +15,15 @@ from surefoot.models.residuals.registry import BUNDLED_CHANNELS, channels
 from surefoot.models.residuals.residual import ResidualTable, filled
 from surefoot.models.residuals.stance_motion import stance_means
 from surefoot.models.residuals.torques import (
+    DynamicsInputs,
     InverseDynamics,
-    Steps,
     dilate,
-    given_by_feet,
     inverse_dynamics,
     inverse_dynamics_jacobians,
+    load_wrench,
     slope,
     smooth_121,
-    torque_carried,
+    standing_feet_wrenches,
 )
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
@@ -34,7 +34,7 @@ DIFFERENCE_STEP = 1e-5  # rad, rad/s
 ON_LEGS = ("leg_velocity", "stance_velocity", "foot_height")
 ON_CONTACTS = ("contact_timing", "stance_displacement")
 ON_TORQUES = ("joint_torque", "base_wrench")
-TOUCHES = {
+CHANNELS_OF_FIELD = {
     **dict.fromkeys(("legs", "foot_radius"), (*ON_LEGS, *ON_CONTACTS, *ON_TORQUES)),
     **dict.fromkeys(("payload", "com_shift", "links"), ON_TORQUES),
     "touchdown_late": ("contact_timing",),
@@ -81,7 +81,7 @@ class ResidualJacobians:
     height_q: np.ndarray
 
     @cached_property
-    def effort(self) -> np.ndarray:
+    def dynamics_jacobians(self) -> np.ndarray:
         """Derivatives (4, J, M, J + 6) of torques and wrench by each joint's angle, rate,
         acceleration and torque.
 
@@ -91,7 +91,7 @@ class ResidualJacobians:
         needed = self.parts.inputs.inverse_dynamics
         if needed is None:
             return np.zeros((4, joints, len(self.parts.t), joints + 6))
-        return _by_effort(self.parts, needed, self.robot)
+        return _dynamics_jacobians(self.parts, needed, self.robot)
 
 
 def residual_jacobians(parts: ResidualTable, robot: Machine) -> ResidualJacobians:
@@ -127,7 +127,9 @@ def residual_jacobians(parts: ResidualTable, robot: Machine) -> ResidualJacobian
     return ResidualJacobians(parts, robot, leg_omega, leg[0], leg[1], height_q)
 
 
-def _by_effort(parts: ResidualTable, needed: InverseDynamics, robot: Machine) -> np.ndarray:
+def _dynamics_jacobians(
+    parts: ResidualTable, needed: InverseDynamics, robot: Machine
+) -> np.ndarray:
     """Derivatives (4, J, M, J + 6) by each joint's angle, rate, acceleration and torque.
 
     The last axis holds the torques, then the wrench.
@@ -142,11 +144,13 @@ def _by_effort(parts: ResidualTable, needed: InverseDynamics, robot: Machine) ->
     for j in range(joints):
         out[3, j, use, j] = 1.0
     if isinstance(robot, Robot) and s.steady.any() and robot.limbs.point_feet:
-        out[:, :, use, joints:] += _by_feet(s, needed.torque[use], torque, robot)
+        out[:, :, use, joints:] += _feet_wrench_jacobians(s, needed.torque[use], torque, robot)
     return out
 
 
-def _by_feet(s: Steps, needed: np.ndarray, torque: np.ndarray, robot: Robot) -> np.ndarray:
+def _feet_wrench_jacobians(
+    s: DynamicsInputs, needed: np.ndarray, torque: np.ndarray, robot: Robot
+) -> np.ndarray:
     """Derivatives (4, J, M, 6) of the feet's wrench on the base.
 
     For a given motion of the base, a joint changes the torques of its own leg and so the force of
@@ -157,7 +161,7 @@ def _by_feet(s: Steps, needed: np.ndarray, torque: np.ndarray, robot: Robot) -> 
     bins, joints = needed.shape
     chains = np.array(robot.limbs.chains)
     out = np.zeros((4, joints, bins, 6))
-    plain = given_by_feet(s, s.q, needed - s.tau, robot)
+    plain = standing_feet_wrenches(s, s.q, needed - s.tau, robot)
     for at in chains.T:
         moved = np.zeros(joints)
         moved[at] = 1.0
@@ -169,7 +173,7 @@ def _by_feet(s: Steps, needed: np.ndarray, torque: np.ndarray, robot: Robot) -> 
                 for joint, chain in zip(at, chains, strict=True):
                     gained[:, chain] = DIFFERENCE_STEP * torque[kind, joint][:, chain]
             q = s.q + DIFFERENCE_STEP * moved if kind == 0 else s.q
-            given = given_by_feet(s, q, needed - s.tau + gained, robot)
+            given = standing_feet_wrenches(s, q, needed - s.tau + gained, robot)
             out[kind, at] = np.moveaxis(given - plain, 1, 0) / step
     return out
 
@@ -217,13 +221,13 @@ def wrt_readings(
         means = stance_means(parts.t, by_leg, stands)
         out[:, layout.by_leg("stance_velocity")] = np.nan_to_num(means)
     for joint, x in change.get("q_step", {}).items():
-        forces += known.effort[0, joint] * x[:, None]
+        forces += known.dynamics_jacobians[0, joint] * x[:, None]
     for joint, x in change.get("dq_step", {}).items():
-        forces += known.effort[1, joint] * x[:, None]
+        forces += known.dynamics_jacobians[1, joint] * x[:, None]
     for joint, x in change.get("ddq", {}).items():
-        forces += known.effort[2, joint] * x[:, None]
+        forces += known.dynamics_jacobians[2, joint] * x[:, None]
     for joint, x in change.get("tau", {}).items():
-        forces += known.effort[3, joint] * x[:, None]
+        forces += known.dynamics_jacobians[3, joint] * x[:, None]
     if any(change.get(stream) for stream in ("q_step", "dq_step", "ddq", "tau")):
         forces = smooth_121(forces)
         out[:, torque] += forces[:, :joints]
@@ -242,13 +246,13 @@ def wrt_robot(parts: ResidualTable, robot: Machine, one: Machine, step: float) -
     inputs, needed = parts.inputs, parts.inputs.inverse_dynamics
     if needed is not None:
         if _same_bodies(robot, one):
-            more = torque_carried(inputs.steps, one) - torque_carried(inputs.steps, robot)
+            more = load_wrench(inputs.steps, one) - load_wrench(inputs.steps, robot)
             needed = replace(needed, wrench=needed.wrench + more)
         else:
             needed = inverse_dynamics(inputs.steps, one)
     same = unchanged_channels(robot, one)
     again = [n for n, channel in channels().items() if not (channel.of_events or n in same)]
-    table = filled(parts.layout, inputs.of_body(one, needed), again)
+    table = filled(parts.layout, inputs.under_model(one, needed), again)
     return (table - parts.table) / step
 
 
@@ -262,9 +266,9 @@ def unchanged_channels(robot: Machine, one: Machine) -> tuple[str, ...]:
     pairs = {f.name: (robot, one) for f in fields(robot) if f.name != "extras"}
     pairs |= {f.name: (robot.extras, one.extras) for f in fields(robot.extras)}
     moved = [n for n, (a, b) in pairs.items() if getattr(a, n) is not getattr(b, n)]
-    if any(name not in TOUCHES for name in moved):
+    if any(name not in CHANNELS_OF_FIELD for name in moved):
         return ()
-    touched = {name for n in moved for name in TOUCHES[n]}
+    touched = {name for n in moved for name in CHANNELS_OF_FIELD[n]}
     if one.extras.softness and touched & set(ON_TORQUES):
         touched |= set(ON_LEGS)  # loads say how deep feet are
     return tuple(kind.name for kind in BUNDLED_CHANNELS if kind.name not in touched)

@@ -54,7 +54,7 @@ class Layout:
     @cached_property
     def fitted(self) -> np.ndarray:
         """Columns that effects are fitted to, without channels that are only evaluated."""
-        return self.of(*(name for name in self.channels if not channels()[name].judges))
+        return self.of(*(name for name in self.channels if not channels()[name].evaluation_only))
 
     def of(self, *names: str) -> np.ndarray:
         """Columns of these channels, as far as the layout has them."""

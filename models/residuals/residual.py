@@ -55,7 +55,7 @@ def filled(layout: Layout, inputs: ResidualInputs, names: Collection[str]) -> np
     """The table (M, W) with the residuals of these channels; NaN in the others."""
     table = np.full((len(inputs.motion.t), layout.width), np.nan)
     for name, columns in layout.channels.items():
-        if name in names and channels()[name].answers(inputs.log, inputs.motion):
+        if name in names and channels()[name].is_defined_for(inputs.log, inputs.motion):
             values = channels()[name].residual(inputs)
             if values is not None:
                 table[:, columns] = values

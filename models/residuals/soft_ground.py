@@ -30,13 +30,13 @@ from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.stances import stances_between_swings
 
-AROUND = 0.004
+TOUCHDOWN_WINDOW = 0.004
 """Time before and after touchdown over which a foot's velocity is averaged [s]."""
 SETTLED_SHARE = 0.5
 """Share of a stance after which a foot has settled."""
-AHEAD = 1e-4
+RATE_STEP = 1e-4
 """Time step for the acceleration from constant rates [s]."""
-ROUNDS = 3
+STANCE_ITERATIONS = 3
 """Iterations of a stance, after which its end and its start agree on the ground's height."""
 
 
@@ -57,7 +57,7 @@ class Stances(NamedTuple):
 
 
 def foot_sinking(
-    log: Log, robot: Robot, frame: ReferenceMotion, bins: Bins, load: np.ndarray
+    log: Log, robot: Robot, motion: ReferenceMotion, bins: Bins, load: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Depth (M, L) [m] and velocity (M, L, 3) [m/s], in I, of each standing foot's sole, as bin
     means.
@@ -67,11 +67,11 @@ def foot_sinking(
     Args:
         log: the measured log.
         robot: as declared, with the ground's softness.
-        frame: reference motion of the log.
+        motion: reference motion of the log.
         bins: means over bins.
         load: (N, L) [N] on each foot.
     """
-    swept_G = np.einsum("nij,nlj->nli", bins.R_GI, swept(robot, bins))
+    swept_G = np.einsum("nij,nlj->nli", bins.R_GI, acceleration_at_constant_rates(robot, bins))
     legs = bins.standing.shape[1]
     rows = np.empty((len(log.t), legs, 4))
     for leg in range(legs):
@@ -80,25 +80,25 @@ def foot_sinking(
         rows[:, leg, 3] = load[:, leg]
     rows = np.nan_to_num(rows)
     feet_I = robot.feet_I(log.q)
-    height = frame.p_GI[:, 2, None] + np.einsum("nj,nlj->nl", frame.R_GI[:, 2], feet_I)
-    give, dq = gives(robot), joint_velocity(log)
+    height = motion.p_GI[:, 2, None] + np.einsum("nj,nlj->nl", motion.R_GI[:, 2], feet_I)
+    give, dq = foot_mobilities(robot), joint_velocity(log)
     depth, v_G = np.zeros(height.shape), np.zeros((*height.shape, 3))
     for leg in range(legs):
-        s = foot_stances(log, robot, frame, leg, dq)
+        s = foot_stances(log, robot, motion, leg, dq)
         for T, sign in ((SOLREF[0] + robot.extras.softness, 1.0), (SOLREF[0], -1.0)):
             moved = (depth[:, leg], v_G[:, leg])
-            _follow_all(log.t, height[:, leg], rows[:, leg], s, give[leg], T, sign, *moved)
-    mean = bin_mean(frame)
+            _add_stances(log.t, height[:, leg], rows[:, leg], s, give[leg], T, sign, *moved)
+    mean = bin_mean(motion)
     return mean(depth), np.einsum("nji,nlj->nli", bins.R_GI, mean(v_G))
 
 
-def gives(robot: Robot) -> np.ndarray:
+def foot_mobilities(robot: Robot) -> np.ndarray:
     """Acceleration of each foot per unit of force (L,) [1/kg], from the declared masses."""
     model = dynamics_of(robot.file, robot.joint_names).model
     return np.array([model.body_invweight0[model.body(name).id, 0] for name in robot.foot_bodies])
 
 
-def swept(robot: Robot, bins: Bins) -> np.ndarray:
+def acceleration_at_constant_rates(robot: Robot, bins: Bins) -> np.ndarray:
     """Acceleration (M, L, 3) [m/s^2], in I, of each sole at constant rates of the joints and the
     base, and constant velocity of the base's origin in the world.
     """
@@ -111,33 +111,33 @@ def swept(robot: Robot, bins: Bins) -> np.ndarray:
         return -leg_velocity(at_origin, q, bins.dq, bins.omega, turned, every)
 
     now = soles(0.0)
-    return np.cross(bins.omega[:, None], now) + (soles(AHEAD) - now) / AHEAD
+    return np.cross(bins.omega[:, None], now) + (soles(RATE_STEP) - now) / RATE_STEP
 
 
 def foot_stances(
-    log: Log, robot: Robot, frame: ReferenceMotion, leg: int, dq: np.ndarray
+    log: Log, robot: Robot, motion: ReferenceMotion, leg: int, dq: np.ndarray
 ) -> Stances:
     """Stances of a foot, from its contacts.
 
     Args:
         log: the measured log.
         robot: as declared.
-        frame: reference motion of the log.
+        motion: reference motion of the log.
         leg: index of the foot.
         dq: joint rates (N, J) [rad/s].
     """
     first, last = stances_between_swings(log.t, log.contact[:, leg])
-    around = max(1, round(AROUND * log.rate))
+    around = max(1, round(TOUCHDOWN_WINDOW * log.rate))
     rows = np.clip(first[:, None] + np.arange(-around, around + 1), 0, len(log.t) - 1)
     at, only = rows.ravel(), np.zeros((rows.size, log.contact.shape[1]), dtype=bool)
     only[:, leg] = True
-    v_I = leg_velocity(robot, log.q[at], dq[at], frame.gyro[at], frame.R_GI[at, 2], only)[:, leg]
-    v_G = np.einsum("nij,nj->ni", frame.R_GI[at], frame.v_I[at] - v_I).reshape(*rows.shape, 3)
+    v_I = leg_velocity(robot, log.q[at], dq[at], motion.gyro[at], motion.R_GI[at, 2], only)[:, leg]
+    v_G = np.einsum("nij,nj->ni", motion.R_GI[at], motion.v_I[at] - v_I).reshape(*rows.shape, 3)
     return Stances(first, last, first > 0, np.nan_to_num(v_G.mean(axis=1)))
 
 
 @kernel
-def _follow_all(t, height, rows, stances, give, T, sign, depth, v_G):
+def _add_stances(t, height, rows, stances, give, T, sign, depth, v_G):
     """Add the motion of a foot in all its stances, with a sign.
 
     Args:
@@ -155,10 +155,12 @@ def _follow_all(t, height, rows, stances, give, T, sign, depth, v_G):
     for s in range(len(stances.first)):
         a, b = stances.first[s], stances.last[s]
         if not stances.landed[s]:
-            _follow(t, rows, a, b, _at_rest(rows[a, 3], give, T), np.zeros(3), give, T, z, v)
+            _integrate_stance(
+                t, rows, a, b, _at_rest(rows[a, 3], give, T), np.zeros(3), give, T, z, v
+            )
         start = 0.0
-        for _ in range(ROUNDS * stances.landed[s]):
-            _follow(t, rows, a, b, start, stances.v_G[s], give, T, z, v)
+        for _ in range(STANCE_ITERATIONS * stances.landed[s]):
+            _integrate_stance(t, rows, a, b, start, stances.v_G[s], give, T, z, v)
             # The ground is above the settled foot by its depth.
             half = a + int(SETTLED_SHARE * (b - a))
             start = np.mean(height[half:b] + z[half:b]) - height[a]
@@ -169,7 +171,7 @@ def _follow_all(t, height, rows, stances, give, T, sign, depth, v_G):
 
 
 @kernel
-def _follow(t, rows, a, b, z, v_start, give, T, depth, v_G):
+def _integrate_stance(t, rows, a, b, z, v_start, give, T, depth, v_G):
     """Integrate one stance with the simulation's time step.
 
     Args:

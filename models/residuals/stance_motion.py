@@ -13,9 +13,9 @@ from surefoot.sim.log import Log, joint_velocity
 from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.stances import stances
 
-FEWEST = 3
+FEWEST_STANCE_BINS = 3
 """Minimum number of bins inside a stance for a mean."""
-SHORTEST = 0.1
+SHORTEST_CONTACT = 0.1
 """Shortest contact that counts as a step [s]."""
 
 
@@ -32,12 +32,12 @@ def stance_means(t: np.ndarray, values: np.ndarray, there: np.ndarray) -> np.nda
         first = np.flatnonzero(np.diff(t[rows], prepend=-np.inf) > 1.5 * BIN)
         count = np.diff(np.append(first, len(rows)))
         mean = np.add.reduceat(values[rows, leg], first, axis=0) / count[:, None]
-        whole = count >= FEWEST
+        whole = count >= FEWEST_STANCE_BINS
         means[rows[(first + count // 2)[whole]], leg] = mean[whole]
     return means
 
 
-def stance_displacement(log: Log, robot: Robot, frame: ReferenceMotion) -> np.ndarray:
+def stance_displacement(log: Log, robot: Robot, motion: ReferenceMotion) -> np.ndarray:
     """Displacement (M, 2 L) [m] of each foot over the ground during each of its contacts.
 
     By the leg's kinematics and the reference, negated, along the forward and lateral axes of the
@@ -45,27 +45,27 @@ def stance_displacement(log: Log, robot: Robot, frame: ReferenceMotion) -> np.nd
     the contact. Contacts are shortened to the time in which the foot does not move, and by the
     delays that the model declares.
     """
-    omega = log.gyro if log.has("imu") else frame.gyro
+    omega = log.gyro if log.has("imu") else motion.gyro
     # One more row on either side, for contacts that the model delays by a part of a row.
-    around = maximum_filter1d(log.contact, 3, axis=0) & frame.ok[:, None]
-    v_I = leg_velocity(robot, log.q, joint_velocity(log), omega, frame.up_I, around)
-    ahead = frame.R_GI[:, :2, 0]
+    around = maximum_filter1d(log.contact, 3, axis=0) & motion.ok[:, None]
+    v_I = leg_velocity(robot, log.q, joint_velocity(log), omega, motion.up_I, around)
+    ahead = motion.R_GI[:, :2, 0]
     ahead = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
     # The heading's axes, level in G, expressed in I.
-    axes_I = np.stack([ahead, ahead[:, ::-1] * [-1.0, 1.0]], axis=1) @ frame.R_GI[:, :2]
-    forward, lateral = np.moveaxis((v_I - frame.v_I[:, None]) @ np.swapaxes(axes_I, 1, 2), 2, 0)
+    axes_I = np.stack([ahead, ahead[:, ::-1] * [-1.0, 1.0]], axis=1) @ motion.R_GI[:, :2]
+    forward, lateral = np.moveaxis((v_I - motion.v_I[:, None]) @ np.swapaxes(axes_I, 1, 2), 2, 0)
     half = 0.5 * np.gradient(log.t)
     edges = np.append(log.t - half, log.t[-1] + half[-1])
     moved = np.nan_to_num(np.stack([forward, lateral], axis=2)) * (2 * half)[:, None, None]
-    path, lost = _sums(moved), _sums(~frame.ok)
-    out = np.full((len(frame.first), *around.shape[1:], 2), np.nan)
+    path, lost = _sums(moved), _sums(~motion.ok)
+    out = np.full((len(motion.first), *around.shape[1:], 2), np.nan)
     for leg in range(around.shape[1]):
         first, end = stances(log.contact[:, leg])
-        begin = edges[first] + frame.early
-        until = edges[end] - robot.extras.liftoff_late - frame.late
-        use = (until - begin > SHORTEST) & (lost[end] == lost[first])
+        begin = edges[first] + motion.early
+        until = edges[end] - robot.extras.liftoff_late - motion.late
+        use = (until - begin > SHORTEST_CONTACT) & (lost[end] == lost[first])
         use &= (first > 0) & (end < len(log.t))
-        bins = np.searchsorted(frame.first, (first + end) // 2, side="right") - 1
+        bins = np.searchsorted(motion.first, (first + end) // 2, side="right") - 1
         for axis in range(2):
             far = np.interp(until, edges, path[:, leg, axis])
             far -= np.interp(begin, edges, path[:, leg, axis])

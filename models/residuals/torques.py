@@ -20,7 +20,7 @@ from surefoot.sim.robot.kinematics import leg_forward
 
 
 @dataclass(frozen=True)
-class Steps:
+class DynamicsInputs:
     """Inputs of inverse dynamics in each of M bins, for J joints and L feet.
 
     Attributes:
@@ -48,7 +48,7 @@ class Steps:
     sunk: np.ndarray
 
 
-def steps_of(bins: Bins, robot: Machine) -> Steps:
+def dynamics_inputs(bins: Bins, robot: Machine) -> DynamicsInputs:
     """Prepare the bins of a log for inverse dynamics."""
     whole = np.zeros(len(bins.t), dtype=bool)
     gaps = np.abs(np.diff(bins.t) - BIN) < 0.25 * BIN
@@ -65,7 +65,7 @@ def steps_of(bins: Bins, robot: Machine) -> Steps:
         steady = (stays | lifted).all(axis=1) & stays.any(axis=1)
     else:
         swings, steady = np.ones_like(bins.q, dtype=bool), np.zeros(len(bins.t), dtype=bool)
-    return Steps(
+    return DynamicsInputs(
         q=bins.q_step,
         dq=bins.dq_step,
         ddq=bins.ddq,
@@ -101,7 +101,7 @@ class InverseDynamics:
     torque: np.ndarray
 
 
-def inverse_dynamics(s: Steps, robot: Machine, every: bool = False) -> InverseDynamics:
+def inverse_dynamics(s: DynamicsInputs, robot: Machine, every: bool = False) -> InverseDynamics:
     """Inverse dynamics of the declared model with its declared masses.
 
     Bins that no residual needs are zero, unless `every` bin is requested.
@@ -112,11 +112,11 @@ def inverse_dynamics(s: Steps, robot: Machine, every: bool = False) -> InverseDy
     wrench[use], torque[use] = dynamics.inverse(
         s.q[use], s.dq[use], s.ddq[use], s.base[use], body_changes(robot)
     )
-    return InverseDynamics(wrench + torque_carried(s, robot), torque)
+    return InverseDynamics(wrench + load_wrench(s, robot), torque)
 
 
 def inverse_dynamics_jacobians(
-    s: Steps, robot: Machine, step: float
+    s: DynamicsInputs, robot: Machine, step: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Derivatives of wrench (3, J, M, 6) and torque (3, J, M, J) by each joint's angle, rate and
     acceleration.
@@ -127,7 +127,7 @@ def inverse_dynamics_jacobians(
     return dynamics.derivatives(s.q, s.dq, s.ddq, s.base, body_changes(robot), step)
 
 
-def torque_carried(s: Steps, robot: Machine) -> np.ndarray:
+def load_wrench(s: DynamicsInputs, robot: Machine) -> np.ndarray:
     """Wrench (M, 6) for the declared payload and shift of the base's centre of mass."""
     wrench = np.zeros((len(s.q), 6))
     if not isinstance(robot, Robot) or not (robot.extras.payload or robot.extras.com_shift.any()):
@@ -150,26 +150,28 @@ def declared(file: Path) -> Robot:
     return Robot.load(file)
 
 
-def torque_residual(s: Steps, needed: InverseDynamics) -> np.ndarray:
+def torque_residual(s: DynamicsInputs, needed: InverseDynamics) -> np.ndarray:
     """Measured torque minus inverse dynamics (M, J) [N m], NaN where a foot is loaded."""
     return np.where(s.swings, smooth_121(s.tau - needed.torque), np.nan)
 
 
-def wrench_residual(s: Steps, needed: InverseDynamics, robot: Robot) -> np.ndarray:
+def wrench_residual(s: DynamicsInputs, needed: InverseDynamics, robot: Robot) -> np.ndarray:
     """Wrench of the feet on the base minus inverse dynamics (M, 6), in B; NaN where unsteady."""
-    return np.where(s.steady[:, None], smooth_121(unbalanced(s, needed, robot)), np.nan)
+    return np.where(s.steady[:, None], smooth_121(unbalanced_wrench(s, needed, robot)), np.nan)
 
 
-def unbalanced(s: Steps, needed: InverseDynamics, robot: Robot) -> np.ndarray:
+def unbalanced_wrench(s: DynamicsInputs, needed: InverseDynamics, robot: Robot) -> np.ndarray:
     """Wrench (M, 6), in B, of the standing feet on the base minus inverse dynamics.
 
     The leg rows of the equation of motion give each standing foot's force: J^T f = inverse dynamics
     - measured torque.
     """
-    return given_by_feet(s, s.q, needed.torque - s.tau, robot).sum(axis=1) - needed.wrench
+    return standing_feet_wrenches(s, s.q, needed.torque - s.tau, robot).sum(axis=1) - needed.wrench
 
 
-def given_by_feet(s: Steps, q: np.ndarray, taken: np.ndarray, robot: Robot) -> np.ndarray:
+def standing_feet_wrenches(
+    s: DynamicsInputs, q: np.ndarray, taken: np.ndarray, robot: Robot
+) -> np.ndarray:
     """Wrench (M, L, 6) of each standing foot on the base, at angles q (M, J).
 
     taken (M, J): J^T f, torques by inverse dynamics minus measured ones.

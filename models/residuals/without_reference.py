@@ -18,14 +18,14 @@ from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.log import Log, joint_velocity
 from surefoot.sim.robot import Robot
 
-LEVELLED = 1.0
+LEVELLING_WINDOW = 1.0
 """Averaging time of the specific force for the vertical [s]: accelerations of a walk average to a
 few hundredths of gravity, and the vertical only affects the contact point of a rolling foot.
 """
 
 
-def can_reckon(log: Log) -> bool:
-    """Whether a log has what `reckoned_by_legs` needs."""
+def can_dead_reckon(log: Log) -> bool:
+    """Whether a log has what `with_dead_reckoning` needs."""
     return all(map(log.has, ("imu", "q", "contact"))) and bool(log.contact.any())
 
 
@@ -34,10 +34,10 @@ def motion_without_reference(log: Log, robot: Robot) -> ReferenceMotion:
 
     No foot stands or swings where the log lacks IMU, angles or contacts.
     """
-    if not can_reckon(log):
+    if not can_dead_reckon(log):
         motion = reference_motion(log, robot.limbs, fixed=True)
         return replace(motion, lifted=motion.standing, by_reference=False)
-    reckoned = reckoned_by_legs(log, robot)
+    reckoned = with_dead_reckoning(log, robot)
     motion = within_windows(reference_motion(reckoned, robot.limbs), reckoned, robot)
     nothing = np.zeros((len(log.t), 3))
     unknown = np.full_like(nothing, np.nan)
@@ -46,13 +46,13 @@ def motion_without_reference(log: Log, robot: Robot) -> ReferenceMotion:
     )
 
 
-def reckoned_by_legs(log: Log, robot: Robot) -> Log:
+def with_dead_reckoning(log: Log, robot: Robot) -> Log:
     """Replace a log's reference by dead reckoning.
 
     The velocity is the mean over the standing feet, up is the direction of the mean specific force,
     and the heading is the integral of the gyro. The log of a walk needs IMU, angles and contacts.
     """
-    up = uniform_filter1d(log.accel, max(1, round(LEVELLED * log.rate)), axis=0)
+    up = uniform_filter1d(log.accel, max(1, round(LEVELLING_WINDOW * log.rate)), axis=0)
     up /= np.linalg.norm(up, axis=1, keepdims=True)
     by_foot = leg_velocity(robot, log.q, joint_velocity(log), log.gyro, up, log.contact)
     count = log.contact.sum(axis=1)

@@ -38,7 +38,7 @@ from surefoot.scenarios.reporting.tables import metrics_row, to_csv, to_markdown
 from surefoot.scenarios.viewer.recording import write_recording
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.common.progress import bar as drawn_bar
-from surefoot.sim.ground.kept import ground_of_log
+from surefoot.sim.ground.ground_metadata import ground_of_log
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot

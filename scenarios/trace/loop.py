@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from surefoot.models.attribution.evidence import candidates_code
+from surefoot.models.attribution.evidence import candidates_digest
 from surefoot.models.observer.observer import ObserverError
 from surefoot.scenarios.cache import contents_digest
 from surefoot.scenarios.estimate.compare import compare_log
@@ -93,7 +93,7 @@ def loop(
     recipe = {
         "log": contents_digest(log),
         "robot": [robot.name, robot.digest],
-        "code": [sources_digest(_MODULE), candidates_code()],
+        "code": [sources_digest(_MODULE), candidates_digest()],
         "seed": seed,
         "gait": asdict(load_as_walked().gait),
         "declared": None if declared is None else [e.as_dict() for e in declared],

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from surefoot.models.attribution.coarse_reference import as_coarse, coarseness
+from surefoot.models.attribution.reference_sampling import reference_sampling, resample_reference
 from surefoot.models.realism.card import CARD_DIMENSIONS, Card, realism_card
 from surefoot.models.realism.quantities import period
 from surefoot.models.realism.walk_view import WalkView
@@ -164,8 +164,10 @@ def seen_as(log: Log, measured: Log, seed: Sequence[int]) -> Log:
     lacking = tuple(prefix for group, prefix in groups.items() if not measured.has(group))
     kept = [c for c in log.frame if not str(c).startswith(lacking)]
     reduced = replace(log, frame=log.frame[kept])
-    coarse = coarseness(measured)
-    return as_coarse(reduced, coarse, np.random.default_rng(seed)) if coarse else reduced
+    sampling = reference_sampling(measured)
+    return (
+        resample_reference(reduced, sampling, np.random.default_rng(seed)) if sampling else reduced
+    )
 
 
 def _walks(

@@ -124,7 +124,7 @@ def sections(found: Trace) -> list[Section]:
             "No fit has used these logs. Zeros, biases and clock offsets are fitted to each log, "
             "before and after."
         )
-        against = "".join(f"\n\n{one}." for one in found.held_out.against)
+        against = "".join(f"\n\n{one}." for one in found.held_out.worsened)
         table = _levels(found.held_out.channels)
         parts.append(Section("Held-out logs", held_out + against, table=table))
         parts += _filters(

@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from surefoot.models.attribution.diagnose import cases_of, diagnose
+from surefoot.models.attribution.diagnose import diagnose, logs_under_model
 from surefoot.models.attribution.evidence import LogUnderModel
-from surefoot.models.attribution.noise_floor import Unchanged
+from surefoot.models.attribution.noise_floor import RunVariation
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.scenarios.cache import contents_digest
 from surefoot.scenarios.estimate.run import Learnt
@@ -39,7 +39,7 @@ def trace(
     settings: TraceSettings | None = None,
     holdout: Sequence[Log] = (),
     warnings: Sequence[str] = (),
-    since: Unchanged | None = None,
+    since: RunVariation | None = None,
 ) -> Trace:
     """Find which effect `robot` lacks as a model of the logs, and what adding it changes.
 
@@ -95,7 +95,7 @@ def trace_logs(
     learnt: Learnt | None = None,
     settings: TraceSettings = DEFAULT,
     holdout: Sequence[Log] = (),
-    since: Unchanged | None = None,
+    since: RunVariation | None = None,
 ) -> Trace:
     """`trace` without writing files.
 
@@ -118,14 +118,16 @@ def trace_logs(
     stretches: tuple[BeforeAfter, ...] = ()
     unseen: tuple[BeforeAfter, ...] = ()
     if found.attribution is not None:
-        cases = [run.case for run in found.runs] or cases_of(logs, robot, declared or (), settings)
+        cases = [run.case for run in found.runs] or logs_under_model(
+            logs, robot, declared or (), settings
+        )
         stretches = _filtered(cases, found.effects, learnt, settings.report_share)
         held_out = [run.case for run in found.held_out.runs] if found.held_out else []
         unseen = _filtered(held_out, found.effects, learnt, 1.0)
     filters, unseen_filters = mean_metrics(stretches), mean_metrics(unseen)
     harm = (
-        *_harm(filters, settings.harm),
-        *(f"held out: {one}" for one in _harm(unseen_filters, settings.harm)),
+        *_harm(filters, settings.harm_ratio),
+        *(f"held out: {one}" for one in _harm(unseen_filters, settings.harm_ratio)),
     )
     report(1.0)
     known = vars(replace(found, notes=found.notes + harm))

@@ -4,14 +4,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from surefoot.models.attribution.noise_floor import Unchanged
+from surefoot.models.attribution.noise_floor import RunVariation
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import protect
 from surefoot.sim.common.limits import bounded_json
 from surefoot.sim.effects import Effect
 
 
-def unchanged_beside(effects_file: Path, declared: Sequence[Effect]) -> Unchanged | None:
+def unchanged_beside(effects_file: Path, declared: Sequence[Effect]) -> RunVariation | None:
     """Read it from the trace.json beside a file of effects, if that trace found these and had
     enough runs.
 
@@ -30,7 +30,7 @@ def unchanged_beside(effects_file: Path, declared: Sequence[Effect]) -> Unchange
         one = said["unchanged"]
         differ = {(str(x["name"]), str(x["target"])): _size(x["deviation"]) for x in one["differ"]}
         left = {str(name): _size(level) for name, level in one["left"].items()}
-        return Unchanged(int(one["runs"]), differ, left)
+        return RunVariation(int(one["runs"]), differ, left)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
         raise SurefootError(f"{file}: 'unchanged' is damaged; trace the runs again") from None
 

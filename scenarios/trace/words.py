@@ -124,7 +124,7 @@ def summary(found: Trace) -> str:
     lines += [f"  since {why}" for why in found.reasons]
     lines += [f"  lacks {size_in_words(one)}" for one in found.found]
     for number, run in enumerate(found.runs, 1):
-        own = [one for one in run.zeros if one.effect in run.taken]
+        own = [one for one in run.zeros if one.effect in run.compensated]
         lines += [f"  run {number} has {size_in_words(one)}" for one in own]
     lines += [f"  or {r['name']} {r['target']} (overlap {r['overlap']:.2f})" for r in found.rivals]
     if found.rivals:

@@ -14,7 +14,7 @@ from surefoot.sim.log.schema import JOINTS
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario
 from surefoot.sim.scenario_catalog import bundled_scenarios
-from surefoot.sim.walk import SETTLE, Plan, plan
+from surefoot.sim.walk import SETTLING_TIME, Plan, plan
 
 COURSE_RATE = 50.0  # Hz, of the poses of a preview
 
@@ -51,9 +51,9 @@ def write_preview(
 def _course_log(made: Plan) -> Log:
     """The robot in its home pose, moved along the course over the ground."""
     course = made.course
-    ticks = np.searchsorted(course.t, np.arange(SETTLE, course.t[-1], 1.0 / COURSE_RATE))
+    ticks = np.searchsorted(course.t, np.arange(SETTLING_TIME, course.t[-1], 1.0 / COURSE_RATE))
     x, y, yaw = course.pose[ticks].T
-    z = np.array([height(made.ground.relief, *at) for at in zip(x, y, strict=True)])
+    z = np.array([height(made.ground.height_map, *at) for at in zip(x, y, strict=True)])
     p_GI = np.column_stack([x, y, z + made.gait.height]) + made.robot.p_BI
     half = 0.5 * yaw
     columns = {"t": np.arange(len(ticks)) / COURSE_RATE}

@@ -28,7 +28,7 @@ from surefoot.scenarios.viewer.scene import (
 from surefoot.scenarios.viewer.series import write_errors, write_feet, write_update, write_velocity
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
-from surefoot.sim.ground.kept import ground_of_log
+from surefoot.sim.ground.ground_metadata import ground_of_log
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot

@@ -26,8 +26,8 @@ from surefoot.scenarios.viewer.shapes import (
     rerun_quaternion,
 )
 from surefoot.sim.common.stamps import rows_every
+from surefoot.sim.ground.ground_metadata import thinned
 from surefoot.sim.ground.height_map import height
-from surefoot.sim.ground.kept import thinned
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.ground.tiles import add_ground
 from surefoot.sim.log import Log
@@ -93,7 +93,7 @@ def write_ground(
             stream.log(f"{root}/field_{geom}", height_field(model, int(geom), color), static=True)
     stream.log("world/ground/grid", _grid(ground, half), static=True)
     for k, patch in enumerate(ground.patches):
-        above = height(ground.relief, patch.center_x, patch.center_y) + 0.02
+        above = height(ground.height_map, patch.center_x, patch.center_y) + 0.02
         label = rr.Points3D(
             [[patch.center_x, patch.center_y, above]],
             colors=[rgba(friction_color(patch.mu))],
@@ -112,7 +112,7 @@ def _grid(ground: Ground, half: float) -> rr.LineStrips3D:
     lines = []
     for place in places:
         for x, y in ((along, np.full(len(along), place)), (np.full(len(along), place), along)):
-            z = np.array([height(ground.relief, *at) for at in zip(x, y, strict=True)])
+            z = np.array([height(ground.height_map, *at) for at in zip(x, y, strict=True)])
             lines.append(np.column_stack([x, y, z + _ABOVE]).astype(np.float32))
     return rr.LineStrips3D(lines, colors=[_GRID_LINE], radii=[_pixels(0.4)])
 
@@ -122,7 +122,7 @@ def write_shadow(stream: rr.RecordingStream, log: Log, robot: Robot, ground: Gro
     rows = np.arange(0, len(log.t), max(1, round(log.rate / POSE_RATE)))
     R_GB = log.ref_R_GI[rows] @ robot.R_BI.T
     p = log.ref_p[rows] - R_GB @ robot.p_BI
-    p[:, 2] = [height(ground.relief, x, y) + _ABOVE for x, y, _ in p]
+    p[:, 2] = [height(ground.height_map, x, y) + _ABOVE for x, y, _ in p]
     yaw = np.arctan2(R_GB[:, 1, 0], R_GB[:, 0, 0])
     zero, one = np.zeros(len(rows)), np.ones(len(rows))
     cos, sin = np.cos(yaw), np.sin(yaw)

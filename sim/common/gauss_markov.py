@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.signal import lfilter
 
-from surefoot.sim.common.drawn_later import drawn_later
+from surefoot.sim.common.deferred_normals import deferred_normals
 
 
 class GaussMarkov:
@@ -22,7 +22,7 @@ class GaussMarkov:
         """
         self._keep = np.exp(-1.0 / (time * rate))
         self._drive = sigma * np.sqrt(1.0 - self._keep**2)
-        self._rng = drawn_later(rng, 3 * n)
+        self._rng = deferred_normals(rng, 3 * n)
         self._first: np.ndarray | None = rng.normal(0.0, sigma, 3)
         self._state = np.zeros((1, 3))
 

@@ -19,10 +19,10 @@ from numba.core import config, event
 from surefoot.sim.common.files import cache_folder
 from surefoot.sim.common.sources import sources_digest
 
-UNUSED = 30 * 86400.0
+KERNEL_LIFETIME = 30 * 86400.0
 """s after which machine code that was not loaded is deleted."""
 
-COMPILED_IN = 75.0
+COMPILE_TIME = 75.0
 """s of one core at 3 GHz, measured: what a walk and the filters `leg` and `imu` need to be
 compiled; a walk alone needs 28 s of them."""
 
@@ -79,13 +79,13 @@ def _sweep(root: Path) -> None:
     _swept.add(root)
     for stamp in root.glob("*/used"):
         try:
-            if time.time() - stamp.stat().st_mtime > UNUSED:
+            if time.time() - stamp.stat().st_mtime > KERNEL_LIFETIME:
                 shutil.rmtree(stamp.parent, ignore_errors=True)
         except OSError:
             continue
 
 
-class _SaysOnce(event.Listener):
+class _CompilationNotice(event.Listener):
     """Says on a terminal why nothing moves while kernels are compiled for the first time."""
 
     def __init__(self):
@@ -93,11 +93,11 @@ class _SaysOnce(event.Listener):
 
     def on_start(self, event: event.Event) -> None:
         if not self._said and sys.stderr.isatty():
-            print(f"compiling once, up to {COMPILED_IN:.0f} s", file=sys.stderr, flush=True)
+            print(f"compiling once, up to {COMPILE_TIME:.0f} s", file=sys.stderr, flush=True)
         self._said = True
 
     def on_end(self, event: event.Event) -> None:
         return
 
 
-event.register("numba:compile", _SaysOnce())
+event.register("numba:compile", _CompilationNotice())

@@ -66,7 +66,7 @@ class Effect:
     the noise of a derivative.
     """
 
-    takes_loads: ClassVar[bool] = False
+    uses_loads: ClassVar[bool] = False
     """Whether `compensate` takes the loads of joints or feet from the log, in which all other
     effects must be compensated before.
     """
@@ -164,7 +164,7 @@ class Effect:
         return cls.starts or (cls.step_of(target),)
 
     @classmethod
-    def inside(cls, target: str) -> tuple[float, float]:
+    def interior_bounds(cls, target: str) -> tuple[float, float]:
         """The bounds, reduced by a little more than a step at each end, for derivatives within
         them.
         """
@@ -187,14 +187,14 @@ class Effect:
         return cls.channels
 
     @classmethod
-    def is_another(cls, target: str, robot: Robot) -> bool:
+    def equals_another(cls, target: str, robot: Robot) -> bool:
         """Whether the effect is indistinguishable on this machine from another one, which `trace`
         tries instead.
         """
         return False
 
     @classmethod
-    def is_certain(cls, target: str, robot: Robot) -> bool:
+    def is_always_present(cls, target: str, robot: Robot) -> bool:
         """Whether every real machine has the effect and this model lacks it, so that only its size
         is unknown.
         """

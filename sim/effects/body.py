@@ -142,7 +142,7 @@ class LegHeading(Effect):
         return log, replace(robot, legs=legs._replace(offset=offset, rotation=rotation))
 
     @classmethod
-    def is_another(cls, target: str, robot: Robot) -> bool:
+    def equals_another(cls, target: str, robot: Robot) -> bool:
         # Rotation about the axis of the first hinge is equivalent to an encoder offset of that
         # joint.
         leg, axis = leg_and_axis(cls(target, 0.0), robot)
@@ -200,7 +200,7 @@ class FootRolling(Effect):
         return log, replace(robot, foot_radius=robot.foot_radius + added)
 
     @classmethod
-    def is_certain(cls, target: str, robot: Robot) -> bool:
+    def is_always_present(cls, target: str, robot: Robot) -> bool:
         return target == "all" and robot.limbs.point_feet and not robot.foot_radius.any()
 
 

@@ -156,11 +156,11 @@ def compensate_all(effects: Iterable[Effect], log: Log, robot: M) -> tuple[Log, 
     """Compensate all `effects`: the log and robot as a model sees them that knows of these.
 
     Effects that no model can compensate (`Effect.is_compensated`) stay in the log; those that take
-    loads from the log come last (`Effect.takes_loads`). The machine may have a fixed base if no
+    loads from the log come last (`Effect.uses_loads`). The machine may have a fixed base if no
     effect changes its body.
     """
     known: Any = robot
-    for one in sorted(effects, key=lambda e: e.takes_loads):
+    for one in sorted(effects, key=lambda e: e.uses_loads):
         if one.is_compensated():
             log, known = one.compensate(log, known)
     return log, known

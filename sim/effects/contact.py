@@ -13,7 +13,7 @@ from surefoot.sim.effects.base import Effect, with_columns
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative
-from surefoot.sim.physics.leg_loads import STICKING
+from surefoot.sim.physics.leg_loads import STICTION_RATE
 from surefoot.sim.robot import Robot
 
 
@@ -62,7 +62,7 @@ class CoulombFriction(Effect):
             joint.frictionloss += self.value
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        return _less_torque(log, robot, self, lambda rate: np.tanh(rate / STICKING)), robot
+        return _less_torque(log, robot, self, lambda rate: np.tanh(rate / STICTION_RATE)), robot
 
 
 class Armature(Effect):

@@ -41,7 +41,7 @@ class LegCompliance(Effect):
     needs = ("q",)
     step = 2e-5
     chain_rule = "readings"
-    takes_loads = True
+    uses_loads = True
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         for joint in self.members(robot.limbs):
@@ -70,7 +70,7 @@ class FootElasticity(Effect):
     needs = ("q", "contact")
     step = 1e-6
     chain_rule = "readings"
-    takes_loads = True
+    uses_loads = True
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         for leg in range(len(robot.limbs.legs)):
@@ -79,7 +79,7 @@ class FootElasticity(Effect):
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         force_B, along = foot_loads_B(log, robot), np.eye(3)[list(self._axes())]
         # The springs rotate with the last link; in the home pose their axes are the base's.
-        links_B = log.once(
+        links_B = log.cached(
             "last links", log.columns_of("q"), lambda: _last_links_B(robot, log.q), robot.legs
         )
         at_home = _last_links_B(robot, robot.q_home[None])

@@ -234,13 +234,13 @@ class ContactDelay(Effect):
         return target == "touchdown"
 
     @classmethod
-    def is_certain(cls, target: str, robot: Robot) -> bool:
+    def is_always_present(cls, target: str, robot: Robot) -> bool:
         # A pad takes some time to spring back and cross a threshold.
         return target == "liftoff" and not robot.extras.liftoff_late
 
     @classmethod
-    def inside(cls, target: str) -> tuple[float, float]:
-        low, high = super().inside(target)
+    def interior_bounds(cls, target: str) -> tuple[float, float]:
+        low, high = super().interior_bounds(target)
         return (low if target == "touchdown" else 1.1 * cls.step), high
 
 
@@ -277,7 +277,7 @@ def reference_lag(log: Log, most: float) -> float:
 
     Where their correlation is largest, to the row.
     """
-    return log.once(f"reference lag within {most}", _TURNING, lambda: _reference_lag(log, most))
+    return log.cached(f"reference lag within {most}", _TURNING, lambda: _reference_lag(log, most))
 
 
 def _reference_lag(log: Log, most: float) -> float:
@@ -298,7 +298,7 @@ def reference_lag_drift(log: Log, most: float) -> float:
     Median slope of the lags of pieces of the log (Theil-Sen). 0 if its 95 % interval contains 0, as
     it does if the pieces rotate too little to show a lag.
     """
-    return log.once(f"reference drift within {most}", _TURNING, lambda: _lag_drift(log, most))
+    return log.cached(f"reference drift within {most}", _TURNING, lambda: _lag_drift(log, most))
 
 
 def _lag_drift(log: Log, most: float) -> float:

@@ -14,7 +14,7 @@ from surefoot.sim.common.kernels import kernel
 from surefoot.sim.gait.irregular import stride_at
 from surefoot.sim.gait.options import PLAIN_GAIT, GaitOptions
 from surefoot.sim.gait.patterns import pattern_named
-from surefoot.sim.gait.stance_control import eased, stiffen, support
+from surefoot.sim.gait.stance_control import load_share, stiffen, support
 from surefoot.sim.gait.state import REACHING, STANCE, SWING, Command, Feet, Gait, LegMemory
 from surefoot.sim.gait.swing import swing
 from surefoot.sim.ground.height_map import HeightMap, height, normal, surface
@@ -22,15 +22,15 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import FootMotion, foot_motion, leg_forward, sole_motion
 
 STEEPEST = 0.6  # slope that the body follows at most
-SLIDING = 0.2  # m/s over the ground from which the way of a loaded foot counts
-SLID = 0.02  # of the leg's length, such a way of all feet on the mean from which they slide
+SLIDING_SPEED = 0.2  # m/s over the ground from which the way of a loaded foot counts
+SLIDING_DISTANCE = 0.02  # of the leg's length: mean way of all feet from which they slide
 
 
 class Controller(NamedTuple):
     """A trot controller: the robot's gait, the ground, and its memory."""
 
     gait: Gait
-    relief: HeightMap
+    height_map: HeightMap
     memory: LegMemory
 
 
@@ -102,11 +102,11 @@ def tick(legs, controller, state, target, torque):
         target: (6,) x, y [m], yaw [rad] and their velocities: forward, lateral, yaw rate.
         torque: (12,) N m, written.
     """
-    gait, relief, memory = controller
+    gait, height_map, memory = controller
     t, base, q, dq, load = state
     yaw = np.arctan2(base.R[1, 0], base.R[0, 0])
     command = _command(base, yaw, target)
-    ground = ground_below(gait, relief, base.p, yaw)
+    ground = ground_below(gait, height_map, base.p, yaw)
     feet = Feet(
         np.empty((4, 3)),
         np.empty((4, 3)),
@@ -126,7 +126,7 @@ def tick(legs, controller, state, target, torque):
         motion = FootMotion(place, feet.velocity[leg], feet.jacobian[leg], spin)
         foot_motion(base, dq[own], foot, J, axes, motion)
         up = feet.normal[leg]
-        up[0], up[1], up[2] = normal(relief, place[0], place[1])
+        up[0], up[1], up[2] = normal(height_map, place[0], place[1])
         radius = gait.foot_radius[leg]
         sole_motion(feet.velocity[leg], spin, radius, up, feet.sole_velocity[leg])
         phase = 0.0
@@ -142,7 +142,7 @@ def tick(legs, controller, state, target, torque):
         else:
             feet.progress[leg] = (phase - gait.duty) / (1.0 - gait.duty)
             feet.mode[leg] = SWING
-            above = place[2] - radius - height(relief, place[0], place[1])
+            above = place[2] - radius - height(height_map, place[0], place[1])
             low = above < 0.5 * radius + 0.04 * gait.leg_length
             if feet.progress[leg] > 0.6 and load[leg] > loaded and low:
                 feet.mode[leg] = STANCE  # early touchdown: the ground is already carrying
@@ -152,7 +152,7 @@ def tick(legs, controller, state, target, torque):
                 memory.bump[leg] = 0.0
         memory.mode[leg] = SWING if feet.mode[leg] == SWING else STANCE
     if gait.slip_care > 0.0:
-        take_care(controller, state, loaded, command, feet)
+        slow_down_when_sliding(controller, state, loaded, command, feet)
     if gait.sway > 0.0 and t >= gait.start:
         sway_body(controller, state, (np.cos(yaw), np.sin(yaw)), command, feet)
     swing(controller, base, command, feet, torque)
@@ -176,7 +176,7 @@ def _command(base, yaw, target):
 
 
 @kernel
-def take_care(controller, state, loaded, command, feet):
+def slow_down_when_sliding(controller, state, loaded, command, feet):
     """While loaded feet slide, reduce the commanded velocity by the base's shortfall from it.
 
     The shortfall is averaged over a stride, so the response to swaying is unchanged. The command is
@@ -202,10 +202,12 @@ def take_care(controller, state, loaded, command, feet):
             # In the first quarter of the stance the leg is still being loaded, and yields.
             if feet.progress[leg] < 0.25:
                 memory.way[leg] = 0.0
-            elif speed > SLIDING and load[leg] > loaded:
-                memory.way[leg] = min(memory.way[leg] + speed * dt, 3.0 * SLID * gait.leg_length)
+            elif speed > SLIDING_SPEED and load[leg] > loaded:
+                memory.way[leg] = min(
+                    memory.way[leg] + speed * dt, 3.0 * SLIDING_DISTANCE * gait.leg_length
+                )
     # A single foot that slips off an edge does not mean slippery ground.
-    if memory.way.mean() > SLID * gait.leg_length:
+    if memory.way.mean() > SLIDING_DISTANCE * gait.leg_length:
         memory.slid[0] = t
     part = min(dt / gait.period, 1.0)
     slides = t - memory.slid[0] < gait.period
@@ -236,7 +238,7 @@ def sway_body(controller, state, heading, command, feet):
     total, x, y = 1e-3, 0.0, 0.0
     for leg in range(4):
         if feet.mode[leg] != SWING:
-            part = eased(gait, feet.progress[leg])
+            part = load_share(gait, feet.progress[leg])
             total += part
             x += part * (gait.nominal_B[leg, 0] - gait.nominal_B[:, 0].mean())
             y += part * (gait.nominal_B[leg, 1] - gait.nominal_B[:, 1].mean())
@@ -252,7 +254,7 @@ def sway_body(controller, state, heading, command, feet):
 
 
 @kernel
-def ground_below(gait, relief, p, yaw):
+def ground_below(gait, height_map, p, yaw):
     """Height [m] and slopes along x and y of the plane that fits the ground under the body best.
 
     On a grid over the stance and a little beyond, on which stairs look like their mean slope.
@@ -264,7 +266,7 @@ def ground_below(gait, relief, p, yaw):
     for i in range(-4, 5):
         for j in range(-1, 2):
             x, y = reach * i / 4.0, aside * j
-            z, _, _ = surface(relief, p[0] + c * x - s * y, p[1] + s * x + c * y)
+            z, _, _ = surface(height_map, p[0] + c * x - s * y, p[1] + s * x + c * y)
             level += z / 27.0
             forward += x * z
             lateral += y * z

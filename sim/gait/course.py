@@ -21,7 +21,7 @@ class Course:
     velocity: np.ndarray  # (N, 3) forward, lateral [m/s], yaw rate [rad/s], along the heading
 
 
-def lay_course(
+def integrate_course(
     segments: Sequence[Segment], dt: float, stand: float, laps: int = 1, lead: float = 0.0
 ) -> Course:
     """Integrate the segments from the origin, with ramps between their velocities.
@@ -41,10 +41,10 @@ def lay_course(
 def course_ticks(
     segments: Sequence[Segment], dt: float, stand: float, laps: int = 1, lead: float = 0.0
 ) -> int:
-    """Number of rows of `lay_course`.
+    """Number of rows of `integrate_course`.
 
     Args:
-        segments, dt, stand, laps, lead: as for `lay_course`.
+        segments, dt, stand, laps, lead: as for `integrate_course`.
     """
     return sum(rows for rows, _ in _stretches(segments, dt, stand, laps, lead))
 
@@ -57,10 +57,10 @@ def course_pieces(
     lead: float,
     rows: int,
 ) -> Iterator[Course]:
-    """The rows of `lay_course` in pieces of `rows`, using the memory of one piece.
+    """The rows of `integrate_course` in pieces of `rows`, using the memory of one piece.
 
     Args:
-        segments, dt, stand, laps, lead: as for `lay_course`.
+        segments, dt, stand, laps, lead: as for `integrate_course`.
         rows: of a piece; the last one may be shorter.
     """
     step = np.array([ACCELERATION, ACCELERATION, TURN_ACCELERATION]) * dt
@@ -83,7 +83,7 @@ def _stretches(
     [rad/s].
 
     Args:
-        segments, dt, stand, laps, lead: as for `lay_course`.
+        segments, dt, stand, laps, lead: as for `integrate_course`.
     """
     yield round((lead + stand) / dt), (0.0, 0.0, 0.0)
     for _ in range(laps):

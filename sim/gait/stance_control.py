@@ -17,7 +17,7 @@ down.
 
 
 @kernel
-def eased(gait, progress):
+def load_share(gait, progress):
     """Share (0 to 1) of its load that a foot bears, ramped up and down over its stance."""
     return min(1.0, min(progress / gait.unloading, (1.0 - progress) / gait.unloading))
 
@@ -91,7 +91,7 @@ def support(controller, ground, base, command, feet, torque):
     for i in range(n):
         leg = standing[i]
         r[i] = feet.place[leg] - com - gait.foot_radius[leg] * feet.normal[leg]
-        effort[i] = 1e-3 / max(eased(gait, feet.progress[leg]), 0.05) ** 2
+        effort[i] = 1e-3 / max(load_share(gait, feet.progress[leg]), 0.05) ** 2
     forces = stance_forces(r, wrench, weight, effort)
     floor, ceiling = 0.03 * gait.mass * GRAVITY, 1.5 * gait.mass * GRAVITY
     for i in range(n):

@@ -11,9 +11,9 @@ from surefoot.sim.ground.height_map import height, normal, surface
 # ahead of the foot, and one behind it, towards which the shin leans when descending.
 BRINK, RISER, SHIN = 0.07, 0.14, 0.17
 EDGE_JUMP = 0.04  # of the leg's length: ground that jumps by more is an edge
-SETTLED = 0.4  # share of the swing after which a foothold stays on its step
-LIFT = 0.6  # share of the swing in which the foot climbs to, or falls from, another height
-ROOM = 0.04  # of the leg's length, between the sole and what it passes over
+FOOTHOLD_FIXED = 0.4  # share of the swing after which a foothold stays on its step
+CLIMB_SHARE = 0.6  # share of the swing in which the foot climbs to, or falls from, another height
+SWING_CLEARANCE = 0.04  # of the leg's length, between the sole and what it passes over
 
 
 @kernel
@@ -56,12 +56,12 @@ def swing(controller, base, command, feet, torque):
                 want[0] += c * aside[0] - s * aside[1]
                 want[1] += s * aside[0] + c * aside[1]
             place_foot(controller, leg, want, (c, s), u)
-            rise_over(controller, leg)
+            set_swing_height(controller, leg)
             # Minimum-jerk horizontally; up and down along a smooth bump that lands softly.
             for a in range(3):
                 start = memory.lift_off[leg, a]
                 span = memory.foothold[leg, a] - start
-                part, pace = (u, 1.0) if a < 2 else lift_part(span, u)
+                part, pace = (u, 1.0) if a < 2 else climb_progress(span, u)
                 blend = part * part * part * (10.0 - 15.0 * part + 6.0 * part * part)
                 slope = 30.0 * (part * (1.0 - part)) ** 2
                 bend = 60.0 * part * (1.0 - part) * (1.0 - 2.0 * part)
@@ -90,11 +90,11 @@ def swing(controller, base, command, feet, torque):
 
 
 @kernel
-def lift_part(span, u):
+def climb_progress(span, u):
     """Completed share of a change of height, and its rate: up before across, across before down."""
     if span > 0.0:
-        return min(u / LIFT, 1.0), 1.0 / LIFT
-    return max((u - 1.0 + LIFT) / LIFT, 0.0), 1.0 / LIFT
+        return min(u / CLIMB_SHARE, 1.0), 1.0 / CLIMB_SHARE
+    return max((u - 1.0 + CLIMB_SHARE) / CLIMB_SHARE, 0.0), 1.0 / CLIMB_SHARE
 
 
 @kernel
@@ -108,24 +108,24 @@ def place_foot(controller, leg, want, heading, u):
         heading: cosine and sine of the base's yaw.
         u: completed share of the swing; late in it, the foothold stays on its step.
     """
-    gait, relief = controller.gait, controller.relief
+    gait, height_map = controller.gait, controller.height_map
     foothold = controller.memory.foothold[leg]
     length = gait.leg_length
     x, y = want
-    x += _off_edges(relief, x, y, 0, heading[0], length)
-    y += _off_edges(relief, x, y, 1, heading[1], length)
-    z = height(relief, x, y) + gait.foot_radius[leg] / normal(relief, x, y)[2]
-    if u < SETTLED or abs(z - foothold[2]) < EDGE_JUMP * length:
+    x += _off_edges(height_map, x, y, 0, heading[0], length)
+    y += _off_edges(height_map, x, y, 1, heading[1], length)
+    z = height(height_map, x, y) + gait.foot_radius[leg] / normal(height_map, x, y)[2]
+    if u < FOOTHOLD_FIXED or abs(z - foothold[2]) < EDGE_JUMP * length:
         foothold[0], foothold[1], foothold[2] = x, y, z
 
 
 @kernel
-def _off_edges(relief, x, y, axis, heading, length):
+def _off_edges(height_map, x, y, axis, heading, length):
     """Displacement along `axis` (0: x, 1: y) that leaves enough distance to the edges on both sides
     [m].
 
     Args:
-        relief: HeightMap of the ground.
+        height_map: HeightMap of the ground.
         x: of the foothold in G [m].
         y: of the foothold in G [m].
         axis: 0 for x, 1 for y.
@@ -135,7 +135,7 @@ def _off_edges(relief, x, y, axis, heading, length):
     low, high = -1.0, 1.0
     for side in (-1.0, 1.0):
         riser = RISER if side * heading > -0.5 else SHIN
-        distance, rises = _edge(relief, x, y, axis, side, SHIN * length, EDGE_JUMP * length)
+        distance, rises = _edge(height_map, x, y, axis, side, SHIN * length, EDGE_JUMP * length)
         lacking = (riser if rises else BRINK) * length - distance
         if side < 0.0:
             low = max(low, lacking)
@@ -147,13 +147,13 @@ def _off_edges(relief, x, y, axis, heading, length):
 
 
 @kernel
-def _edge(relief, x, y, axis, side, reach, jump):
+def _edge(height_map, x, y, axis, side, reach, jump):
     """Distance [m] to the next edge from (x, y) towards `side` of `axis`, and whether it rises.
 
     Twice the reach if there is none within it.
 
     Args:
-        relief: HeightMap of the ground.
+        height_map: HeightMap of the ground.
         x: of the foothold in G [m].
         y: of the foothold in G [m].
         axis: 0 for x, 1 for y.
@@ -161,16 +161,16 @@ def _edge(relief, x, y, axis, side, reach, jump):
         reach: of the search [m].
         jump: height that counts as an edge [m].
     """
-    z, slope_x, slope_y = surface(relief, x, y)
+    z, slope_x, slope_y = surface(height_map, x, y)
     slope = (slope_x if axis == 0 else slope_y) * side
     near = 0.0
     for k in range(1, 4):
         far = reach * k / 3.0
-        off = _along(relief, x, y, axis, side * far) - z - slope * far
+        off = _along(height_map, x, y, axis, side * far) - z - slope * far
         if abs(off) > jump:
             for _ in range(4):
                 middle = 0.5 * (near + far)
-                if abs(_along(relief, x, y, axis, side * middle) - z - slope * middle) > jump:
+                if abs(_along(height_map, x, y, axis, side * middle) - z - slope * middle) > jump:
                     far = middle
                 else:
                     near = middle
@@ -180,38 +180,38 @@ def _edge(relief, x, y, axis, side, reach, jump):
 
 
 @kernel
-def _along(relief, x, y, axis, distance):
+def _along(height_map, x, y, axis, distance):
     """Height [m] of the ground at a distance from a point along an axis.
 
     Args:
-        relief: HeightMap of the ground.
+        height_map: HeightMap of the ground.
         x: of the point in G [m].
         y: of the point in G [m].
         axis: 0 for x, 1 for y.
         distance: signed [m].
     """
-    return height(relief, x + distance, y) if axis == 0 else height(relief, x, y + distance)
+    return height(height_map, x + distance, y) if axis == 0 else height(height_map, x, y + distance)
 
 
 @kernel
-def rise_over(controller, leg):
+def set_swing_height(controller, leg):
     """Set the height of the swing's bump so that the sole clears the ground between its ends.
 
     Ground that rises evenly between the ends needs only the plain swing.
     """
-    gait, relief, memory = controller.gait, controller.relief, controller.memory
+    gait, height_map, memory = controller.gait, controller.height_map, controller.memory
     start, end = memory.lift_off[leg], memory.foothold[leg]
-    radius, room = gait.foot_radius[leg], ROOM * gait.leg_length
+    radius, room = gait.foot_radius[leg], SWING_CLEARANCE * gait.leg_length
     apex, uneven = 0.0, False
     for k in range(4, 17):
         u = 0.05 * k
         blend = u * u * u * (10.0 - 15.0 * u + 6.0 * u * u)
         x = start[0] + blend * (end[0] - start[0])
         y = start[1] + blend * (end[1] - start[1])
-        sole = height(relief, x, y) + radius
+        sole = height(height_map, x, y) + radius
         climb = end[2] - start[2]
         uneven |= abs(sole - start[2] - blend * climb) > 0.015 * gait.leg_length
-        part, _ = lift_part(climb, u)
+        part, _ = climb_progress(climb, u)
         lifted = part * part * part * (10.0 - 15.0 * part + 6.0 * part * part)
         lack = sole + room - start[2] - lifted * climb
         apex = max(apex, lack / (64.0 * (u * (1.0 - u)) ** 3))

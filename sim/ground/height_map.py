@@ -21,13 +21,13 @@ class HeightMap(NamedTuple):
 
 
 @kernel
-def surface(relief, x, y):
+def surface(height_map, x, y):
     """Height [m] and its slopes along x and y at the point (x, y) [m]; zeros beyond the floor."""
-    for k in range(len(relief.strips) - 1, -1, -1):
-        s = relief.strips[k]
+    for k in range(len(height_map.strips) - 1, -1, -1):
+        s = height_map.strips[k]
         if s[0] <= x <= s[1] and s[2] <= y <= s[3]:
             if s[8] >= 0.0:
-                return _rough(relief.nodes, s, x, y)
+                return _rough(height_map.nodes, s, x, y)
             along_x = s[4] == 0.0
             length = s[1] - s[0] if along_x else s[3] - s[2]
             u = (x - s[0]) / length if along_x else (y - s[2]) / length
@@ -41,15 +41,15 @@ def surface(relief, x, y):
 
 
 @kernel
-def height(relief, x, y):
+def height(height_map, x, y):
     """Height [m] of the ground at (x, y) [m]."""
-    return surface(relief, x, y)[0]
+    return surface(height_map, x, y)[0]
 
 
 @kernel
-def normal(relief, x, y):
+def normal(height_map, x, y):
     """Unit normal of the ground at (x, y) [m], three numbers in G."""
-    _, a, b = surface(relief, x, y)
+    _, a, b = surface(height_map, x, y)
     scale = 1.0 / np.sqrt(1.0 + a * a + b * b)
     return -a * scale, -b * scale, scale
 
@@ -72,10 +72,10 @@ def _rough(nodes, s, x, y):
 
 
 @kernel
-def surfaces(relief, x, y):
+def surfaces(height_map, x, y):
     """Heights (N,) [m] and unit normals (N, 3) at the points x, y (N,) [m]."""
     z, n = np.empty(len(x)), np.empty((len(x), 3))
     for k in range(len(x)):
-        z[k] = height(relief, x[k], y[k])
-        n[k, 0], n[k, 1], n[k, 2] = normal(relief, x[k], y[k])
+        z[k] = height(height_map, x[k], y[k])
+        n[k, 0], n[k, 1], n[k, 2] = normal(height_map, x[k], y[k])
     return z, n

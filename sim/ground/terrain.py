@@ -244,7 +244,7 @@ class Ground:
         return (Strip((-h, 0.0), (h, 0.0), 2 * h), *self.strips, *self.fields)
 
     @cached_property
-    def relief(self) -> HeightMap:
+    def height_map(self) -> HeightMap:
         """Height and normal of this ground, for compiled code."""
         rows, nodes, used = [], [], 0
         for layer in self.layers:

@@ -26,7 +26,7 @@ from surefoot.sim.log import Log, LogError, Meta
 from surefoot.sim.log.reference import Poses
 from surefoot.sim.log.schema import check_frame, joint_names, joint_prefix, leg_names
 from surefoot.sim.robot.catalog import SUFFIXES
-from surefoot.sim.robot.model_of_log import kept_model
+from surefoot.sim.robot.model_of_log import model_metadata
 from surefoot.sim.sensors.contact import contact_from_force
 
 _UNIT_TOLERANCE = 1e-2
@@ -127,7 +127,7 @@ def _log_from_tables(main: Columns, reference: Poses | None, rules: ImportMap, n
 def _robot_file(robot: str | None) -> dict[str, dict[str, str]]:
     """Metadata of a robot that the map names by a file."""
     file = Path(robot or "")
-    return kept_model(file.stem, file) if file.suffix in SUFFIXES and is_file(file) else {}
+    return model_metadata(file.stem, file) if file.suffix in SUFFIXES and is_file(file) else {}
 
 
 def _rate(t: np.ndarray) -> float:

@@ -15,7 +15,7 @@ LONG_GAP = 0.1
 """Shortest gap that is reported [s]: two steps of a stream at 20 Hz."""
 _GAP = 3.0
 """Least length of such a gap in usual intervals."""
-_FASTER = 1.5
+_AVERAGING_RATIO = 1.5
 """Ratio to the log's rate from which an IMU is averaged over a row instead of interpolated."""
 
 
@@ -46,7 +46,7 @@ def on_clock(t: np.ndarray, streams: Mapping[str, Stamped], where: str) -> Colum
             table[name] = values[inside]
         elif is_event(name):
             table[name] = values[np.searchsorted(stamps, t[inside], "right") - 1]
-        elif name.startswith(("gyro_", "accel_")) and _rate(stamps) > _FASTER * _rate(t):
+        elif name.startswith(("gyro_", "accel_")) and _rate(stamps) > _AVERAGING_RATIO * _rate(t):
             table[name] = means(t[inside], stamps, values)
         else:
             table[name] = np.interp(t[inside], stamps, values)

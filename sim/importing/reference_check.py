@@ -14,9 +14,9 @@ _MISCOUNTED = {1: (2.0,), 2: (1 / 2, 3 / 2), 3: (2 / 3,)}
 one too many or too few. Only these can be told from a gait: even stamps of a body that moves in
 jerks have every other ratio too, and so have steps of more frames.
 """
-_NEAR = 0.12
+_RATIO_TOLERANCE = 0.12
 """Tolerance of such a ratio: less than half of the distance between two of them."""
-_AROUND = 3
+_NEIGHBOURS = 3
 """Number of steps on either side whose median is the surrounding speed; a step of the gait is much
 longer.
 """
@@ -38,7 +38,7 @@ _FEW_DOUBTFUL = 0.03
 """Share of doubtful stamps that chance and gait explain."""
 _SHOWN_DOUBTFUL = 5e-4
 """Share below which doubtful stamps are not reported, as it would print as 0.0 %."""
-_OUTLYING = 8.0
+_JUMP_RATIO = 8.0
 """Ratio of a jump to the usual change of speed; noise of a reference stays below it."""
 
 
@@ -140,7 +140,7 @@ class ReferenceCheck:
 def check_reference(poses: Poses) -> ReferenceCheck:
     """Check the K samples of a reference by themselves."""
     step = np.diff(poses.t)
-    if len(step) < 2 * _AROUND + 1:
+    if len(step) < 2 * _NEIGHBOURS + 1:
         return ReferenceCheck(len(poses.t), 0.0, 0, 0, 0, 0, 0, float(step.max(initial=0.0)))
     miscounted, judged = miscounts(poses)
     _, around = _speeds(poses)
@@ -164,7 +164,7 @@ def check_reference(poses: Poses) -> ReferenceCheck:
 def _jump(poses: Poses, step: int) -> Jump:
     """The jump over a step, including the adjacent steps."""
     a, b = max(step - 1, 0), min(step + 2, len(poses.t) - 1)
-    around = slice(max(a - _AROUND, 0), b + _AROUND + 1)
+    around = slice(max(a - _NEIGHBOURS, 0), b + _NEIGHBOURS + 1)
     t, p = poses.t[around], poses.p[around]
     beside = np.ones(len(t) - 1, dtype=bool)
     beside[a - around.start : b - around.start] = False
@@ -194,7 +194,7 @@ def miscounts(poses: Poses) -> tuple[np.ndarray, np.ndarray]:
     ratio = speed / np.maximum(around, _SLOWEST)
     off = np.zeros(len(ratio), dtype=bool)
     for count, ratios in _MISCOUNTED.items():
-        near = np.any([np.abs(ratio / one - 1.0) < _NEAR for one in ratios], axis=0)
+        near = np.any([np.abs(ratio / one - 1.0) < _RATIO_TOLERANCE for one in ratios], axis=0)
         off |= near & (frames == count)
     return off & judged, judged
 
@@ -212,7 +212,7 @@ def jumps(poses: Poses) -> np.ndarray:
         change = rate - _median_around(rate)
         usual = 1.4826 * np.median(np.abs(change))
         far = (change / step > limit) & (change * step > least)
-        found |= far & (change > _OUTLYING * usual)
+        found |= far & (change > _JUMP_RATIO * usual)
     return found
 
 
@@ -245,6 +245,6 @@ def _speeds(poses: Poses) -> tuple[np.ndarray, np.ndarray]:
 
 def _median_around(x: np.ndarray) -> np.ndarray:
     """Median (M,) of the _AROUND values on either side of each of x (M,), without itself."""
-    padded = np.pad(x, _AROUND, constant_values=np.nan)
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * _AROUND + 1)
-    return np.nanmedian(np.delete(windows, _AROUND, axis=1), axis=1)
+    padded = np.pad(x, _NEIGHBOURS, constant_values=np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * _NEIGHBOURS + 1)
+    return np.nanmedian(np.delete(windows, _NEIGHBOURS, axis=1), axis=1)

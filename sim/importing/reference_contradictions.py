@@ -4,10 +4,10 @@ import numpy as np
 
 from surefoot.sim.importing.reference_noise import (
     FEWEST_SAMPLES,
-    UNLIKE_TURNING,
-    turning_missed,
+    MOST_MISSED_ROTATION,
+    missed_rotation,
 )
-from surefoot.sim.log.dead_reckoning import beside_imu
+from surefoot.sim.log.dead_reckoning import compare_with_imu
 from surefoot.sim.log.derived import derivative
 from surefoot.sim.log.reference import Poses
 
@@ -46,8 +46,8 @@ def contradicted(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, poses: Pose
     known = np.flatnonzero((poses.t > t[1]) & (poses.t < t[-1]))
     if len(known) < FEWEST_SAMPLES:
         return found
-    beside = beside_imu(t, gyro, accel, poses.rows(known))
-    if turning_missed(beside) > UNLIKE_TURNING:
+    beside = compare_with_imu(t, gyro, accel, poses.rows(known))
+    if missed_rotation(beside) > MOST_MISSED_ROTATION:
         return found
     half = max(0.5 * _WINDOW, 2.0 * float(np.median(np.diff(beside.t))))
     v = derivative(beside.t, beside.path, 0.5 * _WINDOW, causal=False)

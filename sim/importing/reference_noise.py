@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from surefoot.sim.common.kernels import kernel
-from surefoot.sim.log.dead_reckoning import BesideImu, beside_imu
+from surefoot.sim.log.dead_reckoning import ReferenceVsImu, compare_with_imu
 from surefoot.sim.log.derived import REFERENCE_WINDOW, derivative
 from surefoot.sim.log.reference import Poses
 
@@ -40,7 +40,7 @@ _TURN_WINDOW = 0.08
 """Interval over which angular rates are compared [s]: short compared with a stride, some samples
 long.
 """
-UNLIKE_TURNING = 0.5
+MOST_MISSED_ROTATION = 0.5
 """Share of the gyro's rotation that a reference may miss; beyond it, it is of another body or
 clock. Noise of a walking robot's motion capture leaves a few hundredths.
 """
@@ -95,8 +95,8 @@ def reference_noise(
     poses = poses.rows(slice(extra, extra + _LONGEST))
     if len(poses.t) < FEWEST_SAMPLES:
         return None
-    beside = beside_imu(t, gyro, accel, poses)
-    if turning_missed(beside) > UNLIKE_TURNING:
+    beside = compare_with_imu(t, gyro, accel, poses)
+    if missed_rotation(beside) > MOST_MISSED_ROTATION:
         return None
     velocity = derivative(poses.t, poses.p, REFERENCE_WINDOW, causal=False)
     tables = (np.diff(poses.t, prepend=poses.t[0]), beside.path - beside.path[0])
@@ -122,14 +122,14 @@ def reference_noise(
     )
 
 
-def turning_missed(beside: BesideImu) -> float:
+def missed_rotation(beside: ReferenceVsImu) -> float:
     """Share of the gyro's rotation that the reference does not have; over 1 for another body's."""
     other = derivative(beside.t, beside.turn, _TURN_WINDOW, causal=False)
     turning = np.sum(np.var(beside.omega, axis=0))
     return float(np.sum(np.var(other, axis=0)) / max(turning, 1e-12))
 
 
-def _angle(beside: BesideImu, stamp: float) -> float:
+def _angle(beside: ReferenceVsImu, stamp: float) -> float:
     """Standard deviation of a sample's attitude [rad], about each axis.
 
     From the changes, between samples, of its rotation relative to the gyro's integral, less the

@@ -5,9 +5,9 @@ import numpy as np
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.importing.clock import jitter_line
 from surefoot.sim.importing.reference_check import check_reference, without_jumps
-from surefoot.sim.importing.reference_noise import FEWEST_SAMPLES, reference_noise, turning_missed
+from surefoot.sim.importing.reference_noise import FEWEST_SAMPLES, missed_rotation, reference_noise
 from surefoot.sim.log import Log
-from surefoot.sim.log.dead_reckoning import beside_imu
+from surefoot.sim.log.dead_reckoning import compare_with_imu
 from surefoot.sim.log.reference import Poses, reference_poses
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import machine_for_log
@@ -32,7 +32,7 @@ def reference_lines(log: Log, poses: Poses | None = None) -> tuple[str, ...]:
     noise = reference_noise(log.t, log.gyro, log.accel, within)
     if noise:
         return (*lines, noise.line)
-    missed = turning_missed(beside_imu(log.t, log.gyro, log.accel, within))
+    missed = missed_rotation(compare_with_imu(log.t, log.gyro, log.accel, within))
     by = f"{100 * missed:.0f} % of it" if missed < 1.0 else "more than it turns"
     return (
         *lines,

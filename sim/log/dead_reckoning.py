@@ -16,14 +16,14 @@ from surefoot.sim.common.kernels import kernel
 from surefoot.sim.log.derived import local_quadratic
 from surefoot.sim.log.reference import Poses
 
-_DRIFT = 0.5
+_DRIFT_WINDOW = 0.5
 """Time constant for which the gyro is trusted relative to the poses [s]: its noise rotates it by
 less than 0.01 degrees in this time, and the poses' noise averages out.
 """
 
 
 @dataclass(frozen=True)
-class BesideImu:
+class ReferenceVsImu:
     """K poses relative to the IMU's integrals.
 
     Attributes:
@@ -44,7 +44,9 @@ class BesideImu:
     omega: np.ndarray
 
 
-def beside_imu(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, poses: Poses) -> BesideImu:
+def compare_with_imu(
+    t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, poses: Poses
+) -> ReferenceVsImu:
     """Compare poses of the IMU frame with the integrals of the IMU.
 
     The poses must lie within the times t (N,) [s] of the IMU's rows; gyro (N, 3) [rad/s] and accel
@@ -59,7 +61,7 @@ def beside_imu(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, poses: Poses)
     correction = Rotation.from_matrix(poses.R @ np.swapaxes(at_poses, 1, 2))
     mean = correction.mean()
     turn = (correction * mean.inv()).as_rotvec()
-    drift = local_quadratic(poses.t, turn, _DRIFT)[0]
+    drift = local_quadratic(poses.t, turn, _DRIFT_WINDOW)[0]
     R_GI = (Rotation.from_rotvec(drift) * mean).as_matrix() @ at_poses
     at_rows = np.column_stack([np.interp(t, poses.t, x) for x in drift.T])
     R_rows = (Rotation.from_rotvec(at_rows) * mean).as_matrix() @ turned
@@ -70,7 +72,7 @@ def beside_imu(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, poses: Poses)
     steps = velocity[:-1] * dt[:, None] + 0.5 * force * dt[:, None] ** 2
     travelled = np.concatenate([zero, np.cumsum(steps, axis=0)])
     travelled = travelled[row] + velocity[row] * after + 0.5 * force[row] * after**2
-    return BesideImu(poses.t, turn, drift, poses.p - travelled, R_GI, omega)
+    return ReferenceVsImu(poses.t, turn, drift, poses.p - travelled, R_GI, omega)
 
 
 @kernel

@@ -145,7 +145,7 @@ def joint_velocity(log: Log, causal: bool = False) -> np.ndarray:
     def made() -> np.ndarray:
         return derivative(log.t, log.q, JOINT_WINDOW, causal)
 
-    return log.once(f"joint velocity {causal}", log.columns_of("q"), made)
+    return log.cached(f"joint velocity {causal}", log.columns_of("q"), made)
 
 
 def reference_velocity(log: Log, causal: bool = False) -> np.ndarray:
@@ -160,7 +160,7 @@ def reference_velocity(log: Log, causal: bool = False) -> np.ndarray:
     def made() -> np.ndarray:
         return derivative(log.t, log.ref_p, REFERENCE_WINDOW, causal)
 
-    return log.once(f"reference velocity {causal}", log.columns_of("reference"), made)
+    return log.cached(f"reference velocity {causal}", log.columns_of("reference"), made)
 
 
 def with_velocities(log: Log, causal: bool = False) -> Log:

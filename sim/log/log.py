@@ -53,7 +53,7 @@ class Log:
     """One walk: `frame` has one float64 column each (`t`, `gyro_x`, `q_FL_hip` ...) and one row per
     sample.
 
-    The properties return new contiguous arrays in SI units, unless the log caches them (`keeping`);
+    The properties return new contiguous arrays in SI units, unless the log caches them (`caching`);
     each raises LogError where its columns are missing. J joints and L legs are those that the
     columns name. A quadruped's are in canonical order (leg-major over FL, FR, RL, RR), so that its
     `q.reshape(N, 4, 3)` is (row, leg, joint).
@@ -62,7 +62,7 @@ class Log:
     frame: pd.DataFrame
     meta: Meta
     name: str = "log"
-    _kept: ClassVar[dict[str, tuple[frozenset[str], tuple[Any, ...], Any]] | None] = None
+    _cache: ClassVar[dict[str, tuple[frozenset[str], tuple[Any, ...], Any]] | None] = None
     """Cached values by name: the columns and objects that each depends on, and its value."""
 
     @classmethod
@@ -86,10 +86,10 @@ class Log:
         except SurefootError as error:
             raise LogError(str(error)) from error
 
-    def keeping(self) -> Log:
+    def caching(self) -> Log:
         """The same log with cached arrays, which must not be written to."""
         log = replace(self)
-        object.__setattr__(log, "_kept", {})
+        object.__setattr__(log, "_cache", {})
         return log
 
     def with_columns(self, columns: Mapping[str, np.ndarray]) -> Log:
@@ -99,12 +99,12 @@ class Log:
         vars(log)["columns"] = self.columns | {n: np.asarray(x) for n, x in columns.items()}
         if self.columns.keys() >= columns.keys():
             vars(log).update(joints=self.joints, legs=self.legs)
-        if self._kept is not None:
-            kept = {k: v for k, v in self._kept.items() if v[0].isdisjoint(columns)}
-            object.__setattr__(log, "_kept", kept)
+        if self._cache is not None:
+            kept = {k: v for k, v in self._cache.items() if v[0].isdisjoint(columns)}
+            object.__setattr__(log, "_cache", kept)
         return log
 
-    def once(self, what: str, columns: Iterable[str], make: Callable[[], T], *given: Any) -> T:
+    def cached(self, what: str, columns: Iterable[str], make: Callable[[], T], *given: Any) -> T:
         """A value computed from some columns, cached if the log caches its arrays.
 
         Args:
@@ -113,15 +113,15 @@ class Log:
             make: computes it.
             given: other objects that it depends on; it is recomputed if these are not identical.
         """
-        if self._kept is None:
+        if self._cache is None:
             return make()
-        known = self._kept.get(what)
+        known = self._cache.get(what)
         if known is None or not all(a is b for a, b in zip(known[1], given, strict=True)):
-            self._kept[what] = known = frozenset(columns), given, make()
+            self._cache[what] = known = frozenset(columns), given, make()
         return known[2]
 
     def columns_of(self, *groups: str) -> tuple[str, ...]:
-        """The columns of these groups (see `require`) and of time, for `once`."""
+        """The columns of these groups (see `require`) and of time, for `cached`."""
         names = (group_columns(group, self.joints, self.legs) for group in groups)
         return ("t", *(name for own in names for name in own))
 
@@ -160,7 +160,7 @@ class Log:
             # Column by column: selecting them together takes pandas several times as long.
             return np.column_stack([np.asarray(self.columns[n], dtype=float) for n in names])
 
-        return self.once(names[0] if names else group, names, stacked)
+        return self.cached(names[0] if names else group, names, stacked)
 
     def _joint_array(self, prefix: str) -> np.ndarray:
         return self._array(prefix, [f"{prefix}_{joint}" for joint in self.joints])
@@ -196,7 +196,7 @@ class Log:
     @property
     def t(self) -> np.ndarray:
         """Time (N,), s, strictly increasing."""
-        return self.once("t", ["t"], lambda: np.array(self.frame["t"], dtype=float))
+        return self.cached("t", ["t"], lambda: np.array(self.frame["t"], dtype=float))
 
     @property
     def gyro(self) -> np.ndarray:
@@ -242,7 +242,7 @@ class Log:
     def contact(self) -> np.ndarray:
         """Feet in contact (N, L), bool, as the robot senses it."""
         names = self.columns_of("contact")
-        return self.once("contact", names, lambda: self._leg_array("contact", "contact") > 0.5)
+        return self.cached("contact", names, lambda: self._leg_array("contact", "contact") > 0.5)
 
     @property
     def force(self) -> np.ndarray:
@@ -273,7 +273,7 @@ class Log:
     def ref_R_GI(self) -> np.ndarray:
         """Reference attitude (N, 3, 3)."""
         names = self.columns_of("reference")
-        return self.once("ref_R_GI", names, lambda: matrix_from_quaternion(self.ref_q))
+        return self.cached("ref_R_GI", names, lambda: matrix_from_quaternion(self.ref_q))
 
     @property
     def ref_v(self) -> np.ndarray:

@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 from surefoot.sim.common.quaternion import matrix_from_quaternion, quaternion_from_matrix
 from surefoot.sim.log.log import Log
 
-_BEND = 1e-6
+_KINK = 1e-6
 """Change of velocity between rows that is a kink [m/s]; rounding changes it by 1e-12."""
-_RUN = 10
+_KINK_ROWS = 10
 """Consecutive rows with a kink from which every row is a sample; a slower reference has a kink at
 two rows per sample, and is straight between. At rest, neither has kinks.
 """
@@ -47,9 +47,9 @@ def reference_poses(log: Log) -> Poses:
     """
     t, p, q = log.t, log.ref_p, log.ref_q
     slope = np.diff(p, axis=0) / np.diff(t)[:, None]
-    bent = 1 + np.flatnonzero(np.linalg.norm(np.diff(slope, axis=0), axis=1) > _BEND)
+    bent = 1 + np.flatnonzero(np.linalg.norm(np.diff(slope, axis=0), axis=1) > _KINK)
     groups = np.split(bent, np.flatnonzero(np.diff(bent) > 1) + 1)
-    in_runs = sum(len(one) for one in groups if len(one) > _RUN)
+    in_runs = sum(len(one) for one in groups if len(one) > _KINK_ROWS)
     if len(bent) < 3 or in_runs > 0.5 * len(bent):
         ok = log.ref_ok
         return Poses(t[ok], p[ok], q[ok])

@@ -148,7 +148,7 @@ class Meta:
             as w, x, y, z, foot_radius in m, feet: body or site by leg), and of its ground
             (ground_evenness in m); `file`, the model's own file if no name stands for it
             (`sim.robot.model_of_log`); `ground`, if it includes height fields from a file
-            (`sim.ground.kept`).
+            (`sim.ground.ground_metadata`).
         warnings: about what was not plausible on import, one line each (`sim.plausibility`).
     """
 

@@ -30,10 +30,10 @@ _mj_inverse = types.ExternalFunction(
     "mj_inverseSkip", types.void(types.uintp, types.uintp, types.intc, types.intc)
 )
 # What MuJoCo need not recompute: nothing, all that depends on positions, or on positions and rates.
-_ALL = int(mujoco.mjtStage.mjSTAGE_NONE)
-_SAME_PLACES = int(mujoco.mjtStage.mjSTAGE_POS)
-_SAME_RATES = int(mujoco.mjtStage.mjSTAGE_VEL)
-_CHANGED = (
+_SKIP_NOTHING = int(mujoco.mjtStage.mjSTAGE_NONE)
+_SKIP_POSITIONS = int(mujoco.mjtStage.mjSTAGE_POS)
+_SKIP_VELOCITIES = int(mujoco.mjtStage.mjSTAGE_VEL)
+_CHANGED_FIELDS = (
     *("body_pos", "body_quat", "body_mass"),
     *("body_ipos", "body_iquat", "body_inertia", "body_sameframe"),
 )
@@ -59,7 +59,7 @@ class BodyChanges(NamedTuple):
     links: tuple[LinkChange, ...] = ()
 
 
-AS_DRAWN = BodyChanges()
+UNCHANGED_BODY = BodyChanges()
 
 
 def body_changes(robot: Machine) -> BodyChanges:
@@ -101,7 +101,7 @@ class Dynamics:
         dq: np.ndarray,
         ddq: np.ndarray,
         base: np.ndarray | None = None,
-        changes: BodyChanges = AS_DRAWN,
+        changes: BodyChanges = UNCHANGED_BODY,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Wrench on the base (N, 6) [N, N m] in B about its origin, and joint torques (N, J) [N m].
 
@@ -121,7 +121,7 @@ class Dynamics:
         dq: np.ndarray,
         ddq: np.ndarray,
         base: np.ndarray | None = None,
-        changes: BodyChanges = AS_DRAWN,
+        changes: BodyChanges = UNCHANGED_BODY,
         step: float = 1e-5,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Forward differences of `inverse` with respect to each joint's angle, rate and
@@ -165,7 +165,7 @@ class Dynamics:
     def _changed(self, changes: BodyChanges) -> Iterator[None]:
         """Context with the joints' frames and the links changed in the model."""
         model = self.model
-        as_drawn = {name: getattr(model, name).copy() for name in _CHANGED}
+        as_drawn = {name: getattr(model, name).copy() for name in _CHANGED_FIELDS}
         if changes.turn is not None:
             assert changes.drawn is not None  # the three go together
             assert changes.placed is not None
@@ -230,7 +230,7 @@ def _sweep(memory, Q, V, A, out):
     model, data, qpos, qvel, qacc, force = memory
     for k in range(len(Q)):
         qpos[:], qvel[:], qacc[:] = Q[k], V[k], A[k]
-        _mj_inverse(model, data, _ALL, 1)
+        _mj_inverse(model, data, _SKIP_NOTHING, 1)
         out[k] = force
 
 
@@ -252,21 +252,21 @@ def _sweep_about(memory, Q, V, A, qpos_adr, dof_adr, step, out):
     here = np.empty(len(force))
     for k in range(len(Q)):
         qpos[:], qvel[:], qacc[:] = Q[k], V[k], A[k]
-        _mj_inverse(model, data, _ALL, 1)
+        _mj_inverse(model, data, _SKIP_NOTHING, 1)
         here[:] = force
         # From the least recomputation to the most.
         for j in range(len(dof_adr)):
             qacc[dof_adr[j]] += step
-            _mj_inverse(model, data, _SAME_RATES, 1)
+            _mj_inverse(model, data, _SKIP_VELOCITIES, 1)
             out[2, j, k] = (force - here) / step
             qacc[:] = A[k]
         for j in range(len(dof_adr)):
             qvel[dof_adr[j]] += step
-            _mj_inverse(model, data, _SAME_PLACES, 1)
+            _mj_inverse(model, data, _SKIP_POSITIONS, 1)
             out[1, j, k] = (force - here) / step
             qvel[:] = V[k]
         for j in range(len(dof_adr)):
             qpos[qpos_adr[j]] += step
-            _mj_inverse(model, data, _ALL, 1)
+            _mj_inverse(model, data, _SKIP_NOTHING, 1)
             out[0, j, k] = (force - here) / step
             qpos[:] = Q[k]

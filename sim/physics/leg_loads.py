@@ -7,14 +7,14 @@ from surefoot.sim.log.derived import derivative
 from surefoot.sim.physics.inverse_dynamics import dynamics_of
 from surefoot.sim.physics.momentum_balance import (
     ACCELERATION_WINDOW,
+    load_parameters,
     momentum_balance,
-    parts_of,
-    taken_by_motion,
+    rigid_body_wrench,
 )
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
 
-STICKING = 0.03
+STICTION_RATE = 0.03
 """Rate below which dry friction is smoothed [rad/s]: a few times the noise of a measured rate."""
 
 
@@ -30,7 +30,9 @@ def joint_loads(log: Log, robot: Machine) -> np.ndarray:
     friction.
     """
     columns = log.columns_of("q", "dq", "tau", "imu", "contact", "force")
-    return log.once("joint loads", columns, lambda: _joint_loads(log, robot), *parts_of(robot))
+    return log.cached(
+        "joint loads", columns, lambda: _joint_loads(log, robot), *load_parameters(robot)
+    )
 
 
 def _joint_loads(log: Log, robot: Machine) -> np.ndarray:
@@ -44,7 +46,7 @@ def _joint_loads(log: Log, robot: Machine) -> np.ndarray:
         for name in ("dof_armature", "dof_damping", "dof_frictionloss")
     )
     ddq = derivative(log.t, dq, ACCELERATION_WINDOW, causal=False)
-    return torque - rotor * ddq - viscous * dq - dry * np.tanh(dq / STICKING)
+    return torque - rotor * ddq - viscous * dq - dry * np.tanh(dq / STICTION_RATE)
 
 
 def foot_loads_B(log: Log, robot: Robot) -> np.ndarray:
@@ -54,13 +56,15 @@ def foot_loads_B(log: Log, robot: Robot) -> np.ndarray:
     momentum balance.
     """
     columns = log.columns_of("q", "dq", "tau", "imu", "contact", "force")
-    return log.once("foot loads", columns, lambda: _foot_loads_B(log, robot), *parts_of(robot))
+    return log.cached(
+        "foot loads", columns, lambda: _foot_loads_B(log, robot), *load_parameters(robot)
+    )
 
 
 def _foot_loads_B(log: Log, robot: Robot) -> np.ndarray:
     if not log.has("tau") or not robot.limbs.point_feet:
         return momentum_balance(log, robot).force
-    _, needed = taken_by_motion(log, robot)
+    _, needed = rigid_body_wrench(log, robot)
     J = np.einsum("ij,nljk->nlik", robot.R_BI, robot.feet_jacobian_I(log.q))
     taken = (needed - log.tau)[:, robot.legs.joints]
     force = np.linalg.solve(np.swapaxes(J, 2, 3), taken[..., None])[..., 0]

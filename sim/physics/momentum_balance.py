@@ -24,15 +24,15 @@ from surefoot.sim.robot.fixed_base import Machine
 
 ACCELERATION_WINDOW = 0.04
 """Window for the differentiation of rates [s]: passes 25 Hz, the rate of a foot's loading."""
-LOADING = 0.01
+LOADING_TIME = 0.01
 """Standard deviation of the time in which a foot takes up load, and of the result's smoothing
 [s].
 """
-LIGHT_TOUCH = 0.05
+LEAST_CONTACT_SHARE = 0.05
 """Share of a foot sensor's reading in stance below which the foot has no contact: drift and
 hysteresis of force sensors are a few hundredths of their range.
 """
-SLACK = 1e-3
+WRENCH_TOLERANCE = 1e-3
 """Share of the largest wrench of all feet below which a component is not required of them: two feet
 cannot produce a moment about the line between them.
 """
@@ -57,10 +57,12 @@ def momentum_balance(log: Log, robot: Robot) -> MomentumBalance:
     """
     log.require("imu", "q", "contact")
     columns = log.columns_of("q", "dq", "imu", "contact", "force")
-    return log.once("balance of momentum", columns, lambda: _balanced(log, robot), *parts_of(robot))
+    return log.cached(
+        "balance of momentum", columns, lambda: _balanced(log, robot), *load_parameters(robot)
+    )
 
 
-def parts_of(robot: Machine) -> tuple[Any, ...]:
+def load_parameters(robot: Machine) -> tuple[Any, ...]:
     """The parts of a model that loads depend on, as objects that are identical until they
     change.
     """
@@ -70,8 +72,8 @@ def parts_of(robot: Machine) -> tuple[Any, ...]:
 
 
 def _balanced(log: Log, robot: Robot) -> MomentumBalance:
-    wrench, needed = taken_by_motion(log, robot)
-    smooth = LOADING * log.rate
+    wrench, needed = rigid_body_wrench(log, robot)
+    smooth = LOADING_TIME * log.rate
     loaded = _loaded_by_force(log)
     if loaded is None:
         # Ramped from zero at a contact's ends to one within the stance.
@@ -103,16 +105,16 @@ def _loaded_by_force(log: Log) -> np.ndarray | None:
         if not full > rest:
             return None
         loaded[:, leg] = (force[:, leg] - rest) / (full - rest)
-    return np.maximum(loaded - LIGHT_TOUCH, 0.0) / (1.0 - LIGHT_TOUCH)
+    return np.maximum(loaded - LEAST_CONTACT_SHARE, 0.0) / (1.0 - LEAST_CONTACT_SHARE)
 
 
-def taken_by_motion(log: Log, robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+def rigid_body_wrench(log: Log, robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     """Inverse dynamics without foot forces: wrench (N, 6) [N, N m] on the base, in B about its
     origin, and joint torques (N, J) [N m].
     """
     t, dq = log.t, joint_velocity(log)
     omega, accel = (
-        gaussian_filter1d(x @ robot.R_BI.T, LOADING * log.rate, axis=0)
+        gaussian_filter1d(x @ robot.R_BI.T, LOADING_TIME * log.rate, axis=0)
         for x in (log.gyro, log.accel)
     )
     ddq, spin = (derivative(t, x, ACCELERATION_WINDOW, causal=False) for x in (dq, omega))
@@ -137,7 +139,11 @@ def _least_forces(
     asked = np.concatenate([wrench[:, :3], wrench[:, 3:] / length], axis=1)
     AW = (A * weight[:, None, :, None]).reshape(n, 6, -1)
     S = AW @ A.reshape(n, 6, -1).transpose(0, 2, 1)
-    S += SLACK * np.maximum(np.trace(S, axis1=1, axis2=2), 1e-9)[:, None, None] * np.eye(6)
+    S += (
+        WRENCH_TOLERANCE
+        * np.maximum(np.trace(S, axis1=1, axis2=2), 1e-9)[:, None, None]
+        * np.eye(6)
+    )
     return np.einsum("nij,ni->nj", AW, np.linalg.solve(S, asked[..., None])[..., 0]).reshape(
         n, legs, 3
     )

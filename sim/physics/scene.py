@@ -27,7 +27,7 @@ class World:
     dof_adr: np.ndarray  # (12,)
     touch_adr: np.ndarray  # (4,) into sensordata
     start: np.ndarray  # (nq,) standing at the origin
-    relief: HeightMap  # of the ground
+    height_map: HeightMap  # of the ground
     springs: Springs  # of an elastic robot
 
 
@@ -120,8 +120,8 @@ def build_world(robot: Robot, ground: Ground, spec: mujoco.MjSpec | None = None)
     qpos_adr = np.array([joint.qposadr[0] for joint in joints])
     home_B = robot.feet_I(robot.q_home[None])[0] @ robot.R_BI.T + robot.p_BI
     start = model.qpos0.copy()
-    relief = ground.relief
-    start[:7] = _standing_pose(relief, float(np.max(robot.foot_radius - home_B[:, 2])))
+    height_map = ground.height_map
+    start[:7] = _standing_pose(height_map, float(np.max(robot.foot_radius - home_B[:, 2])))
     start[qpos_adr] = robot.q_home
     return World(
         model=model,
@@ -129,16 +129,16 @@ def build_world(robot: Robot, ground: Ground, spec: mujoco.MjSpec | None = None)
         dof_adr=np.array([joint.dofadr[0] for joint in joints]),
         touch_adr=np.array([model.sensor(f"touch_{leg}").adr[0] for leg in LEGS]),
         start=start,
-        relief=relief,
+        height_map=height_map,
         springs=springs_of(model, robot.joint_names),
     )
 
 
-def _standing_pose(relief: HeightMap, stand: float) -> np.ndarray:
+def _standing_pose(height_map: HeightMap, stand: float) -> np.ndarray:
     """Position and attitude (7,) of a base that stands `stand` [m] above the slope at the
     origin.
     """
-    z, slope_x, slope_y = surface(relief, 0.0, 0.0)
+    z, slope_x, slope_y = surface(height_map, 0.0, 0.0)
     turn = np.array([-slope_y, slope_x, 0.0])
     steep = np.hypot(slope_x, slope_y)
     half = 0.5 * np.arctan(steep)

@@ -27,7 +27,7 @@ from surefoot.sim.ground.height_map import HeightMap, height
 from surefoot.sim.physics.scene import TIMESTEP, World
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import BaseMotion
-from surefoot.sim.sensors.streams import Give, Motion
+from surefoot.sim.sensors.streams import Motion, SpringDeflection
 
 STEPS_PER_TICK = 2  # the controller runs at 250 Hz
 UPRIGHT = 0.5  # cosine of the tilt from which a robot has fallen
@@ -231,13 +231,13 @@ def trot(
     """
     target = np.column_stack([course.pose, course.velocity])
     legs, load = memory or at_rest(gait)
-    controller = Controller(gait, world.relief, legs)
+    controller = Controller(gait, world.height_map, legs)
     body = mj_views(world, data)
     for first in range(0, ticks, TICKS_AT_ONCE):
         last = min(first + TICKS_AT_ONCE, ticks)
         fell = _stepper(body, robot.legs, controller, load, course.t, target, trace, (first, last))
         if fell >= 0:
-            t, how = float(course.t[fell]), _how_it_fell(body, gait, world.relief)
+            t, how = float(course.t[fell]), _how_it_fell(body, gait, world.height_map)
             end = course.t[-1] if seconds is None else seconds
             words = f"robot {robot.name} fell at {t:.2f} s of {end:.0f} s, {how}"
             walked = first_steps(trace, fell * STEPS_PER_TICK)
@@ -267,7 +267,7 @@ def _stepper(body, legs, controller, load, t, target, trace, ticks):
         R = rotation(qpos[3], qpos[4], qpos[5], qpos[6])
         for j in range(12):
             q[j], dq[j] = qpos[body.qpos_adr[j]], qvel[body.dof_adr[j]]
-        if has_fallen(controller.gait, controller.relief, qpos, R) or body.unstable.any():
+        if has_fallen(controller.gait, controller.height_map, qpos, R) or body.unstable.any():
             return i
         base = BaseMotion(qpos[:3].copy(), R, qvel[:3].copy(), qvel[3:6].copy())
         base = estimated_base(controller.gait, base, i)
@@ -303,20 +303,20 @@ def rotation(w, x, y, z):
 
 
 @kernel(nogil=True)
-def has_fallen(gait, relief, p, R):
+def has_fallen(gait, height_map, p, R):
     """Whether the base at p (3,) [m] with attitude R (3, 3) is tilted by more than 60 degrees, or
     low.
     """
-    return R[2, 2] < UPRIGHT or p[2] - height(relief, p[0], p[1]) < 0.4 * gait.height
+    return R[2, 2] < UPRIGHT or p[2] - height(height_map, p[0], p[1]) < 0.4 * gait.height
 
 
-def _how_it_fell(body: MjViews, gait: Gait, relief: HeightMap) -> str:
+def _how_it_fell(body: MjViews, gait: Gait, height_map: HeightMap) -> str:
     """Describe where and why the robot fell."""
     x, y, z = body.qpos[:3]
     where = f"at ({x:.1f}, {y:.1f}) m: "
     if body.unstable.any():
         return where + "the simulation became unstable"
-    upright, above = rotation(*body.qpos[3:7])[2, 2], z - height(relief, x, y)
+    upright, above = rotation(*body.qpos[3:7])[2, 2], z - height(height_map, x, y)
     if upright < UPRIGHT:
         tilt = np.rad2deg(np.arccos(max(upright, -1.0)))
         return where + f"the base tilted by {tilt:.0f} degrees"
@@ -338,7 +338,7 @@ def motion_of(world: World, trace: Recording, first: int = 0) -> Motion:
             for states, more in ((qpos, 1), (qvel, 0))
         )
         on_link = [np.einsum("lij,nlj->nli", springs.axes, x) for x in (foot, foot_rate)]
-        give = Give(q, dq, *on_link)
+        give = SpringDeflection(q, dq, *on_link)
     return Motion(
         t=np.arange(first, first + len(qpos)) * TIMESTEP,
         p_GB=qpos[:, :3],

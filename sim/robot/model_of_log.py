@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from surefoot.sim.log import Log
 
 
-def kept_model(name: str, file: Path) -> dict[str, dict[str, str]]:
+def model_metadata(name: str, file: Path) -> dict[str, dict[str, str]]:
     """Entries of `Meta.model` for a robot; empty if its name identifies it."""
     if known_robots().get(name) == file:
         return {}
@@ -65,5 +65,5 @@ def of_robot(log: "Log", robot: str | Path | None) -> "Log":
         return log
     file = robot_file(robot)
     model = {key: value for key, value in log.meta.model.items() if key != "file"}
-    model |= kept_model(file.stem, file)
+    model |= model_metadata(file.stem, file)
     return replace(log, meta=replace(log.meta, robot=file.stem, model=model))

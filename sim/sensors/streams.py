@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from surefoot.sim.common.drawn_later import drawn_later
+from surefoot.sim.common.deferred_normals import deferred_normals
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gauss_markov import GaussMarkov
 from surefoot.sim.common.gravity import GRAVITY_G
@@ -79,7 +79,7 @@ class Sensors:
                 raise SurefootError(f"{name} is a share, from 0 to 1; is {getattr(self, name):g}")
 
 
-class Give(NamedTuple):
+class SpringDeflection(NamedTuple):
     """How far springs are from rest: joints ahead of their motors, feet in the frames of the legs'
     last links."""
 
@@ -106,14 +106,14 @@ class Motion:
     tau: np.ndarray  # (N, 12) N m, over each step
     command: np.ndarray  # (N, 12) N m, that the motors were asked for
     force: np.ndarray  # (N, 4) N, normal foot force over each step
-    give: Give | None = None  # of a robot with springs
+    give: SpringDeflection | None = None  # of a robot with springs
 
     def after(self, time: float) -> "Motion":
         """The motion from `time` [s] on, its clock starting there."""
         first = int(np.searchsorted(self.t, time))
         names = [f.name for f in fields(self) if f.name != "give"]
         parts = {name: getattr(self, name)[first:] for name in names}
-        give = self.give and Give(*(part[first:] for part in self.give))
+        give = self.give and SpringDeflection(*(part[first:] for part in self.give))
         return Motion(**parts | {"t": self.t[first:] - self.t[first]}, give=give)
 
 
@@ -173,7 +173,7 @@ def ideal_streams(motion: Motion, robot: Robot) -> Streams:
     carry the attitude and velocity of one state exactly to the next's.
     """
     R_GI, _, v_GI = imu_motion(motion, robot)
-    gyro, accel = between_states(motion.t, R_GI, v_GI)
+    gyro, accel = imu_between_states(motion.t, R_GI, v_GI)
     return Streams(
         t=motion.t[1:],
         gyro=gyro,
@@ -186,14 +186,14 @@ def ideal_streams(motion: Motion, robot: Robot) -> Streams:
     )
 
 
-def between_states(
+def imu_between_states(
     t: np.ndarray, R_GI: np.ndarray, v_GI: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rates [rad/s] and specific forces [m/s^2] (N, 3) in I, constant between one state and the
     next, that carry attitudes R_GI (N + 1, 3, 3) and velocities v_GI (N + 1, 3) [m/s] through the
     times t (N + 1,) [s]; it turns by less than pi in between."""
     dt = np.diff(t)[:, None]
-    turn = _turns(R_GI)
+    turn = _rotation_steps(R_GI)
     felt = np.einsum("nji,nj->ni", R_GI[:-1], np.diff(v_GI, axis=0) / dt - GRAVITY_G)
     return turn / dt, _before_turning(turn, felt)
 
@@ -221,7 +221,7 @@ class SensorErrors:
             rng, n, rate, s, (s.accel_noise, s.accel_turn_on, s.accel_instability, s.accel_range)
         )
         self._dq, self._tau, self._force = (
-            (drawn_later(rng, n * columns), size)
+            (deferred_normals(rng, n * columns), size)
             for columns, size in (
                 (joints, s.velocity_noise),
                 (joints, s.torque_noise),
@@ -230,7 +230,7 @@ class SensorErrors:
         )
         self._offset, self._step = rng.normal(0.0, s.encoder_offset, joints), s.encoder_step
 
-    def on(self, streams: Streams) -> Streams:
+    def apply(self, streams: Streams) -> Streams:
         """The next piece of perfect readings with their errors."""
 
         def noisy(reading: np.ndarray, of: tuple[np.random.Generator, float]) -> np.ndarray:
@@ -241,8 +241,8 @@ class SensorErrors:
             q = np.round(q / self._step) * self._step
         return replace(
             streams,
-            gyro=self._gyro.on(streams.gyro),
-            accel=self._accel.on(streams.accel),
+            gyro=self._gyro.apply(streams.gyro),
+            accel=self._accel.apply(streams.accel),
             q=q,
             dq=noisy(streams.dq, self._dq),
             tau=noisy(streams.tau, self._tau),
@@ -274,11 +274,11 @@ class _ImuErrors:
         density, turn_on, instability, self._range = sizes
         self._turn_on = rng.normal(0.0, turn_on, 3)
         self._bias = GaussMarkov(rng, n, instability, sensors.instability_time, rate)
-        self._noise, self._sigma = drawn_later(rng, 3 * n), density * np.sqrt(rate)
+        self._noise, self._sigma = deferred_normals(rng, 3 * n), density * np.sqrt(rate)
         self._rate, self._bandwidth = rate, sensors.imu_bandwidth
         self._filtered: np.ndarray | None = None
 
-    def on(self, reading: np.ndarray) -> np.ndarray:
+    def apply(self, reading: np.ndarray) -> np.ndarray:
         """The next (N, 3) of the true value in I with its errors."""
         bias = self._turn_on + self._bias.next(len(reading))
         noisy = reading + bias + self._noise.normal(0.0, self._sigma, reading.shape)
@@ -289,10 +289,10 @@ class _ImuErrors:
         return np.clip(np.round(noisy / step) * step, -self._range, self._range)
 
 
-def corrupt(streams: Streams, sensors: Sensors, rng: np.random.Generator) -> Streams:
+def add_sensor_errors(streams: Streams, sensors: Sensors, rng: np.random.Generator) -> Streams:
     """The readings with every sensor's errors, drawn from `rng`; noise is a density, per rtHz."""
     shape = len(streams.t), streams.q.shape[1], streams.force.shape[1]
-    return SensorErrors(sensors, rng, shape, streams.rate).on(streams)
+    return SensorErrors(sensors, rng, shape, streams.rate).apply(streams)
 
 
 def sensed_contact(
@@ -327,7 +327,7 @@ class ContactSwitch:
 
 
 @kernel(nogil=True)
-def _turns(R):
+def _rotation_steps(R):
     """Rotation vectors (N, 3) [rad] from each attitude (N + 1, 3, 3) to the next, below pi."""
     turn = np.empty((len(R) - 1, 3))
     for k in range(len(turn)):

@@ -37,7 +37,7 @@ from surefoot.sim.physics.stepper import (
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.legs import JOINTS
 from surefoot.sim.scenario import Scenario
-from surefoot.sim.walk import SETTLE, plan, record
+from surefoot.sim.walk import SETTLING_TIME, plan, record
 
 try:
     from dm_control.mujoco import Physics
@@ -49,7 +49,7 @@ except ModuleNotFoundError as error:
     ) from error
 
 SETTLING_PERIODS = (
-    round(SETTLE / TIMESTEP) // STEPS_PER_TICK
+    round(SETTLING_TIME / TIMESTEP) // STEPS_PER_TICK
 )  # control periods before the log begins
 TOLERANCE = 0.5  # m/s and rad/s, of the reward
 
@@ -133,7 +133,7 @@ class WalkingEnvironment(dm_env.Environment):
         motors = _Motors(self._kp, self._kd, self._robot.torque_limit)
         _drive(self._body, self._trace, first, torque, wanted, motors)
         qpos = self._body.qpos
-        fell = has_fallen(self._plan.gait, self._plan.world.relief, qpos, rotation(*qpos[3:7]))
+        fell = has_fallen(self._plan.gait, self._plan.world.height_map, qpos, rotation(*qpos[3:7]))
         fell |= bool(self._body.unstable.any())
         self._over = fell or self._k == len(self._wanted)
         observation = self._observation()
@@ -187,7 +187,7 @@ class WalkingEnvironment(dm_env.Environment):
         body, course = self._body, self._plan.course
         i = min(self._k // STEPS_PER_TICK, len(course.t) - 1)
         return OrderedDict(
-            time=np.array(self._k * TIMESTEP - SETTLE),  # s since the log began
+            time=np.array(self._k * TIMESTEP - SETTLING_TIME),  # s since the log began
             position=body.qpos[:3].copy(),  # m, of the base in G
             orientation=body.qpos[3:7].copy(),  # w, x, y, z of B in G
             velocity=body.qvel[:3].copy(),  # m/s, in G

@@ -14,7 +14,7 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect
 from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.physics.stepper import simulate_in_pieces
-from surefoot.sim.walk import PIECE_TICKS, SETTLE, STEPS_PER_TICK, Plan, Sensing
+from surefoot.sim.walk import PIECE_TICKS, SETTLING_TIME, STEPS_PER_TICK, Plan, Sensing
 
 _AT_ONCE = 1 << 20
 LONG_WALK = 1800.0
@@ -53,15 +53,19 @@ def walk_in_pieces(
     """
     if why := needs_whole(made):
         raise SurefootError(f"scenario {made.scenario.name}: cannot be walked in pieces: {why}")
-    settled = int(np.searchsorted(np.arange(2.0 * SETTLE / TIMESTEP) * TIMESTEP, SETTLE))
+    settled = int(
+        np.searchsorted(np.arange(2.0 * SETTLING_TIME / TIMESTEP) * TIMESTEP, SETTLING_TIME)
+    )
     rows = made.ticks * STEPS_PER_TICK - settled
     sensing = Sensing(made, rows, _rate(settled, rows))
     pieces = made.course_pieces(ticks)
     for motion in simulate_in_pieces(
         made.world, made.robot, made.gait, pieces, made.seconds, progress
     ):
-        begins = motion.t[0] <= SETTLE
-        motion = motion.after(SETTLE) if begins else replace(motion, t=motion.t - SETTLE)
+        begins = motion.t[0] <= SETTLING_TIME
+        motion = (
+            motion.after(SETTLING_TIME) if begins else replace(motion, t=motion.t - SETTLING_TIME)
+        )
         if len(motion.tau):
             yield sensing.of(motion)
 
@@ -71,7 +75,7 @@ def _rate(settled: int, rows: int) -> float:
     counts: Counter[float] = Counter()
     for first in range(0, rows - 1, _AT_ONCE):
         steps = np.arange(first, min(first + _AT_ONCE, rows - 1) + 1) + settled + 1
-        values, count = np.unique(np.diff(steps * TIMESTEP - SETTLE), return_counts=True)
+        values, count = np.unique(np.diff(steps * TIMESTEP - SETTLING_TIME), return_counts=True)
         counts.update(dict(zip(values.tolist(), count.tolist(), strict=True)))
     order = sorted(counts)
     upto = np.cumsum([counts[value] for value in order])

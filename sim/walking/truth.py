@@ -33,17 +33,17 @@ def foot_truth(motion: Motion, robot: Robot, ground: Ground) -> tuple[np.ndarray
         joints, joint_rates, slid, rate = (part[1:] for part in motion.give)
         q, dq = q + joints, dq + joint_rates
     own = robot.legs._replace(foot=robot.legs.foot.copy())
-    slip, touching = _soles(own, ground.relief, robot.foot_radius, bases, q, dq, slid, rate)
+    slip, touching = _soles(own, ground.height_map, robot.foot_radius, bases, q, dq, slid, rate)
     slip[motion.force <= LOADED * robot.mass * GRAVITY] = 0.0
     return slip, ground.friction(touching[..., 0], touching[..., 1])
 
 
 @kernel(nogil=True)
-def _soles(legs, relief, radius, bases, q, dq, slid, slid_rate):
+def _soles(legs, height_map, radius, bases, q, dq, slid, slid_rate):
     """Speeds (N, 4) along the ground of the feet's contact points, and these points (N, 4, 2).
 
     Args:
-        legs, relief, radius: of the robot and the ground, radius (4,) [m]; legs.foot is scratch.
+        legs, height_map, radius: of robot and ground, radius (4,) [m]; legs.foot is scratch.
         bases: a BaseMotion of N rows.
         q, dq: (N, 12) rad, rad/s.
         slid, slid_rate: (N, 4, 3) m, m/s: how far feet are from their places on their links, in
@@ -70,7 +70,7 @@ def _soles(legs, relief, radius, bases, q, dq, slid, slid_rate):
             if len(slid):
                 ahead -= foot
                 velocity += R[k] @ ahead
-            up[0], up[1], up[2] = normal(relief, place[0], place[1])
+            up[0], up[1], up[2] = normal(height_map, place[0], place[1])
             # The contact point lies below the centre along the ground's normal, not along gravity.
             sole_motion(velocity, spin, radius[leg], up, sole_v)
             rise = sole_v[0] * up[0] + sole_v[1] * up[1] + sole_v[2] * up[2]

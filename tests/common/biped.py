@@ -13,7 +13,7 @@ from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import feet
-from surefoot.sim.sensors.streams import between_states
+from surefoot.sim.sensors.streams import imu_between_states
 
 LEG = """<body name="{s}_yaw_link" pos="0 {y} -.05"><joint name="{s}_hip_yaw" axis="0 0 1"/>{m}
 <body name="{s}_roll_link"><joint name="{s}_hip_roll" axis="1 0 0"/>{m}
@@ -66,7 +66,7 @@ def biped_log(robot: Robot, seconds: float = 16.0, built: Robot | None = None, *
     q[:, robot.limbs.joints.index("waist")] = 0.3 * np.sin(2 * np.pi * 0.4 * t)
     R_GI, p_GI = R_GB @ robot.R_BI, p_GB + R_GB @ robot.p_BI
     v_GI = np.gradient(p_GI, t, axis=0)
-    gyro, accel = between_states(t, R_GI, v_GI)
+    gyro, accel = imu_between_states(t, R_GI, v_GI)
     dq = np.gradient(q, t, axis=0)
     offset = np.array([encoder.get(joint, 0.0) for joint in robot.limbs.joints])
     rng = np.random.default_rng(0)

@@ -57,5 +57,5 @@ def made_of(t, table, X, Z):
         X=tuple(sparse(X[..., i], table) for i in range(X.shape[2])),
         Z=tuple(sparse(Z[..., i], table) for i in range(Z.shape[2])),
         limits=np.full(6, 1.0),
-        stands_for=(None,) * 6,
+        described_by=(None,) * 6,
     )

@@ -10,12 +10,12 @@ from numpy.testing import assert_allclose
 
 from surefoot.models.attribution.data import dead_contacts
 from surefoot.models.attribution.fit import design, fit, loss, normal_equations, overlap
-from surefoot.models.attribution.noise_floor import NoiseFloor, Repeat
+from surefoot.models.attribution.noise_floor import FloorWalk, NoiseFloor
 from surefoot.models.attribution.refinement import contenders
 from surefoot.models.attribution.robust_weights import robust_weights, slips
-from surefoot.models.attribution.selection import Candidate, distinct, judge
+from surefoot.models.attribution.selection import Candidate, distinct, evaluate_candidates
 from surefoot.models.attribution.settings import DEFAULT
-from surefoot.models.bootstrap import block_draws
+from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.models.residuals.jacobians import sparse
 from surefoot.sim.effects import known_effects
 from surefoot.sim.log import Log, Meta
@@ -43,7 +43,7 @@ def whitened(one, floor=NOISE):
 
 
 def judged(one, chosen=(), floor=NO_WALKS, explained=None):
-    return judge(
+    return evaluate_candidates(
         whitened(one), floor, chosen, explained or {}, one.layout.limbs, np.random.default_rng(0)
     )
 
@@ -108,7 +108,7 @@ def test_a_few_near_the_best_are_tried_on_the_true_residual():
     tried = contenders(whitened(one), found, ())
     assert tried[0] is found[0]
     assert len(tried) <= DEFAULT.contenders
-    assert all(one.earned and one.gain > DEFAULT.close_behind * tried[0].gain for one in tried)
+    assert all(one.earned and one.gain > DEFAULT.near_best_share * tried[0].gain for one in tried)
 
 
 def test_one_that_explains_more_is_tried_even_where_it_is_not_sure_of_itself():
@@ -154,7 +154,7 @@ def test_what_the_declared_model_fakes_is_taken_off():
         data = design(evidence((0.002, 0, 0, 0), seed=k))
         believed = robust_weights(data, NOISE)
         sums = normal_equations(data, NOISE, believed.weight).total()
-        walks.append(Repeat(data.evidence, believed, sums))
+        walks.append(FloorWalk(data.evidence, believed, sums))
     floor = NoiseFloor(NOISE, tuple(walks), "three walks")
     assert not any(c.earned for c in judged(evidence((0.002, 0, 0, 0), seed=7), floor=floor))
     best = judged(evidence((0.010, 0, 0, 0), seed=7), floor=floor)[0]
@@ -244,7 +244,7 @@ def test_a_bias_stays_within_what_is_declared():
 
 def test_the_block_bootstrap_has_the_spread_of_block_sums():
     sums = np.array([1.0, 5.0, 9.0])
-    drawn = block_draws(3, np.random.default_rng(0), 4000) @ sums
+    drawn = block_bootstrap_counts(3, np.random.default_rng(0), 4000) @ sums
     assert drawn.mean() == pytest.approx(15.0, rel=0.02)
     assert drawn.std() == pytest.approx(np.sqrt(3 * np.var(sums)), rel=0.05)
 

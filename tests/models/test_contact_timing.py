@@ -7,7 +7,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 from surefoot.models.attribution.evidence import linearise, log_under_model, table_of
-from surefoot.models.residuals.contact_timing import MOVES, USUAL, contact_timing, moments
+from surefoot.models.residuals.contact_timing import (
+    STANDING_SPEED,
+    USUAL_DELAY,
+    contact_timing,
+    motion_changes,
+)
 from surefoot.models.residuals.layout import layout_for
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
@@ -44,14 +49,16 @@ def test_moments_are_those_at_which_a_foot_stops_and_starts():
     speed = np.clip(ramp, 0.0, 1.0) + 0.05
     stands = (t < 0.12) | (t > 0.41)
     changes = 1 + np.flatnonzero(stands[1:] != stands[:-1])
-    at, when, lifts = moments(t, stands, speed, changes, 40, 25)
+    at, when, lifts = motion_changes(t, stands, speed, changes, 40, 25)
     assert lifts.tolist() == [True, False]
-    early = (MOVES - 0.05) / 20.0
+    early = (STANDING_SPEED - 0.05) / 20.0
     assert_allclose(when, [0.103 + early, 0.397 - early], atol=1e-9)
     assert (np.abs(t[at] - when) <= 0.002).all()
     # Too slow ever to be seen to move, and one whose reference has a hole.
-    assert np.isnan(moments(t, stands, 0.5 * MOVES + 0 * t, changes, 40, 25)[1]).all()
-    assert np.isnan(moments(t, stands, np.full(400, np.nan), changes, 40, 25)[1]).all()
+    assert np.isnan(
+        motion_changes(t, stands, 0.5 * STANDING_SPEED + 0 * t, changes, 40, 25)[1]
+    ).all()
+    assert np.isnan(motion_changes(t, stands, np.full(400, np.nan), changes, 40, 25)[1]).all()
 
 
 def test_each_change_is_in_the_bin_in_which_the_foot_stopped_or_started(plain):
@@ -64,7 +71,7 @@ def test_each_change_is_in_the_bin_in_which_the_foot_stopped_or_started(plain):
             bins = np.flatnonzero(np.isfinite(late[:, leg + 4 * lifts]))
             assert len(bins) > 5
             own = told[~log.contact[change, leg] == bool(lifts)]
-            when = own[:, None] - late[bins, leg + 4 * lifts] - USUAL[lifts]
+            when = own[:, None] - late[bins, leg + 4 * lifts] - USUAL_DELAY[lifts]
             row = 1.0 / log.rate  # the one nearest to the moment counts
             inside = (when > log.t[first[bins]] - row) & (when < log.t[first[bins + 1]] + row)
             assert inside.any(axis=0).all()
@@ -88,7 +95,7 @@ def test_feet_that_already_move_are_not_asked_where_contacts_end_late(plain):
     """Rows in which a foot counts as standing are those of the log whose contacts are not late, and
     the residual of its velocity is as there."""
     late = case_with(effect("contact_delay", "liftoff", 0.04))
-    rows = late.frame.standing
+    rows = late.motion.standing
     # Each step is late by its own time.
     assert (rows & ~plain.frame.standing).sum() < 0.08 * rows.sum()
     assert rows.sum() > 0.9 * plain.frame.standing.sum()
@@ -103,11 +110,11 @@ def test_a_foot_that_bounces_has_landed_once():
     speed = np.where((t > 0.1) & (t < 0.2), 1.0, 0.0)
     stands = (t < 0.095) | ((t > 0.189) & (t < 0.193)) | (t > 0.201)
     changes = 1 + np.flatnonzero(stands[1:] != stands[:-1])
-    _, when, lifts = moments(t, stands, speed, changes, 40, 25)
+    _, when, lifts = motion_changes(t, stands, speed, changes, 40, 25)
     assert np.isfinite(when[~lifts]).tolist() == [True, False]
     behind = t[changes[~lifts]][0] - when[~lifts][0]
     assert behind == pytest.approx(-0.01, abs=2e-3)
-    _, when, lifts = moments(t, stands, speed, changes, 40, 0)
+    _, when, lifts = motion_changes(t, stands, speed, changes, 40, 0)
     assert np.isfinite(when[~lifts]).all(), "else this tests nothing"
 
 

@@ -8,7 +8,7 @@ import pytest
 from surefoot.models.attribution.evidence import all_keys, linearise, log_under_model
 from surefoot.models.attribution.fit import design
 from surefoot.models.attribution.noise_floor import noise_floor
-from surefoot.models.attribution.refinement import Data, known_between_rows, rerank
+from surefoot.models.attribution.refinement import RefinementData, interpolation_weights, rerank
 from surefoot.models.attribution.robust_weights import robust_weights
 from surefoot.models.attribution.selection import Candidate
 from surefoot.models.attribution.split import FIT, SELECT
@@ -35,7 +35,7 @@ def data_of(case, floor):
     whole = design(linearise([case], (), all_keys(case)))
     evidence = whole.evidence
     part = np.where(np.floor(evidence.t / 4).astype(int) % 2 == 0, FIT, SELECT)
-    return Data([case], floor, evidence, (), robust_weights(whole, floor.sigma), part)
+    return RefinementData([case], floor, evidence, (), robust_weights(whole, floor.sigma), part)
 
 
 def candidate(name, target, size):
@@ -71,16 +71,16 @@ def test_the_other_stream_is_no_rival_where_it_leaves_more(floor, late, other):
 
 def test_shocks_of_the_imu_and_of_torques_lose_weight_and_nothing_else_does(floor):
     data = data_of(case_with(), floor)
-    weight, command = known_between_rows(data), data.evidence.layout.of("command")
+    weight, command = interpolation_weights(data), data.evidence.layout.of("command")
     others = np.setdiff1d(np.arange(6, weight.shape[1]), command)
     assert np.all(weight[:, others] == 1.0)
     # The robot stands before it walks.
     assert weight[:10, command].min() > 0.9
     assert weight[:, command].min() < 0.1
     case = data.cases[0]
-    quiet = (case.frame.standing.all(axis=1)).astype(float)
-    bins = np.add.reduceat(quiet, case.frame.first) == case.frame.count
+    quiet = (case.motion.standing.all(axis=1)).astype(float)
+    bins = np.add.reduceat(quiet, case.motion.first) == case.motion.count
     assert np.median(weight[bins, :6]) > 0.4
     assert weight[:, 3:6].min() < 0.02
     still = replace(data, cases=[replace(case, fixed=True)])
-    assert np.all(known_between_rows(still)[:, :6] == 1.0)
+    assert np.all(interpolation_weights(still)[:, :6] == 1.0)

@@ -26,7 +26,7 @@ def case():
 
 
 def test_rolling_takes_drift_away_and_too_much_of_it_adds(case):
-    radius, every = float(ROBOT.foot_radius[0]), np.ones(len(case.frame.t), dtype=bool)
+    radius, every = float(ROBOT.foot_radius[0]), np.ones(len(case.motion.t), dtype=bool)
     right, far = (effect("foot_rolling", "all", k * radius) for k in (1.0, 1.6))
     points, rolls = (linearise([case], known, ()) for known in ([], [right]))
     assert not adds_drift([case], points, points, [right], every)
@@ -37,7 +37,7 @@ def test_rolling_takes_drift_away_and_too_much_of_it_adds(case):
 
 
 def test_the_drift_that_walks_of_the_model_have_is_none_that_an_effect_adds(case):
-    every, less = np.ones(len(case.frame.t), dtype=bool), effect("foot_rolling", "all", -0.004)
+    every, less = np.ones(len(case.motion.t), dtype=bool), effect("foot_rolling", "all", -0.004)
     model = log_under_model(case.log, ROBOT)
     floor = noise_floor([model])
     declared = linearise([model], [], ())
@@ -56,12 +56,12 @@ def louder(floor, *times):
         replace(
             one, evidence=replace(one.evidence, table=times[i % len(times)] * one.evidence.table)
         )
-        for i, one in enumerate(floor.repeats)
+        for i, one in enumerate(floor.walks)
     ]
-    return replace(floor, repeats=tuple(repeats))
+    return replace(floor, walks=tuple(repeats))
 
 
 def test_an_effect_of_the_imu_alone_adds_none(case):
-    every = np.ones(len(case.frame.t), dtype=bool)
+    every = np.ones(len(case.motion.t), dtype=bool)
     declared = linearise([case], [], ())
     assert not adds_drift([case], declared, declared, [effect("accel_bias", "x", 0.3)], every)

@@ -5,12 +5,12 @@ import pytest
 
 from surefoot.models.attribution.evidence import all_keys, linearise, log_under_model
 from surefoot.models.attribution.fit import design
-from surefoot.models.attribution.harm import harmful_in
-from surefoot.models.attribution.levels import channel_levels, without_bias
+from surefoot.models.attribution.harm import find_harmful_effect
+from surefoot.models.attribution.levels import channel_levels, without_nuisance
 from surefoot.models.attribution.noise_floor import noise_floor
-from surefoot.models.attribution.refinement import Data
+from surefoot.models.attribution.refinement import RefinementData
 from surefoot.models.attribution.robust_weights import robust_weights
-from surefoot.models.attribution.search import explained_on_the_body
+from surefoot.models.attribution.search import approximate_gains
 from surefoot.models.attribution.split import split_of
 from surefoot.models.residuals.registry import channels as known_channels
 from surefoot.sim.effects import effect
@@ -33,11 +33,11 @@ def data_with(case, *effects):
     evidence = linearise([case], effects, all_keys(case))
     split, floor = split_of([case]), noise_floor([case])
     weights = robust_weights(design(evidence), floor.sigma)
-    return Data([case], floor, evidence, effects, weights, split.part)
+    return RefinementData([case], floor, evidence, effects, weights, split.part)
 
 
 def found(case, *effects):
-    return harmful_in(data_with(case, *effects))
+    return find_harmful_effect(data_with(case, *effects))
 
 
 def test_what_is_there_harms_nothing(case):
@@ -57,7 +57,7 @@ def test_bins_that_were_not_there_before_do_no_harm(case):
     """Undone late touch-downs leave whole stances, which the log as it is has not."""
     data = data_with(case)
     everywhere = np.ones(len(data.evidence.t), dtype=bool)
-    before = without_bias(data.evidence, data.robust_weights, everywhere)
+    before = without_nuisance(data.evidence, data.robust_weights, everywhere)
     first = slice(None, len(before) // 2), data.evidence.layout.of("leg_velocity")
     after = before.copy()
     after[first] *= 20.0
@@ -73,9 +73,9 @@ def test_bins_that_were_not_there_before_do_no_harm(case):
 def test_what_a_sensor_explains_costs_no_other_effect_its_place(case):
     """Its error is undone exactly: nothing is left that another effect could stand for."""
     scale, heavy = effect("gyro_scale", "z", 0.1), effect("payload", "all", 2.0)
-    assert explained_on_the_body(data_with(case, scale)) == {}
-    alone = explained_on_the_body(data_with(case, heavy))
-    beside = explained_on_the_body(data_with(case, scale, heavy))
+    assert approximate_gains(data_with(case, scale)) == {}
+    alone = approximate_gains(data_with(case, heavy))
+    beside = approximate_gains(data_with(case, scale, heavy))
     assert abs(alone["base_wrench"]) > 100.0  # a load that is not there explains nothing
     assert beside["base_wrench"] == pytest.approx(alone["base_wrench"], rel=0.2)
     assert abs(beside["imu_gyro"]) < 1e-6 * abs(beside["base_wrench"])

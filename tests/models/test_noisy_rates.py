@@ -28,8 +28,8 @@ def swinging(rate_noise):
 
 def test_angles_serve_where_rates_are_noisier_and_nowhere_else():
     noisy, quiet, none = (log_under_model(swinging(x), PENDULUM) for x in (1.0, 1e-3, None))
-    assert noisy.frame.rates_of_angles
-    assert not quiet.frame.rates_of_angles
+    assert noisy.motion.rates_of_angles
+    assert not quiet.motion.rates_of_angles
     layout = layout_for(PENDULUM.limbs)
     torque, rate = layout.of("joint_torque"), layout.of("joint_rate")
     tables = [table_of(case, ()) for case in (noisy, none)]

@@ -7,9 +7,9 @@ from numpy.testing import assert_allclose
 
 from surefoot.models.attribution.fit import design, normal_equations
 from surefoot.models.attribution.noise_floor import NoiseFloor
-from surefoot.models.attribution.priors import PRIORS, prior_of, surprise
+from surefoot.models.attribution.priors import PRIORS, prior_of, prior_penalty
 from surefoot.models.attribution.robust_weights import robust_weights
-from surefoot.models.attribution.selection import judge
+from surefoot.models.attribution.selection import evaluate_candidates
 from surefoot.sim.effects import known_effects
 from surefoot.sim.robot.limbs import QUADRUPED
 
@@ -28,9 +28,9 @@ def test_a_size_costs_what_a_normal_density_says():
     within = PRIORS["gyro_scale"].within
     density = [np.exp(-0.5 * (1.96 * x / within) ** 2) for x in (0.0, 0.16)]
     assert_allclose(
-        surprise("gyro_scale", "z", 0.16, QUADRUPED), -2 * np.log(density[1] / density[0])
+        prior_penalty("gyro_scale", "z", 0.16, QUADRUPED), -2 * np.log(density[1] / density[0])
     )
-    assert surprise("gyro_scale", "z", within, QUADRUPED) == pytest.approx(1.96**2)
+    assert prior_penalty("gyro_scale", "z", within, QUADRUPED) == pytest.approx(1.96**2)
 
 
 def test_an_effect_of_ones_own_says_how_large_it_is():
@@ -53,7 +53,7 @@ def test_a_gyro_scale_that_no_gyro_has_needs_more_than_chance():
         weights = robust_weights(data, noise)
         part = np.floor(one.t / 4).astype(int) % 2
         sums = normal_equations(data, weights.sigma, weights.weight, part)
-        best = judge(
+        best = evaluate_candidates(
             sums, NoiseFloor(noise, (), "none"), (), {}, QUADRUPED, np.random.default_rng(0)
         )
         return next(c for c in best if c.key == ("gyro_scale", "x"))

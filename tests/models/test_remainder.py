@@ -25,7 +25,7 @@ def case():
 
 def formed(signal=None, column=1):
     """The form of white noise, with `signal` (a regressor's name) on one column of the gyro."""
-    bins = len(case().frame.t)
+    bins = len(case().motion.t)
     left = 1e-3 * np.random.default_rng(0).normal(size=(bins, 52))
     if signal:
         names, values = regressor_library([case()])
@@ -33,7 +33,7 @@ def formed(signal=None, column=1):
     trusted = RobustWeights(
         np.ones(52), np.ones((bins, 52)), np.zeros((bins, 4), bool), 0.0, np.ones(52)
     )
-    seen = (case().frame.t // 2).astype(int) % 2 == 0
+    seen = (case().motion.t // 2).astype(int) % 2 == 0
     return sparse_regression([case()], left, trusted, ["imu_gyro"], seen, ~seen)
 
 

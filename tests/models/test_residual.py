@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from surefoot.models.residuals.binning import EDGE, reference_motion
+from surefoot.models.residuals.binning import STANCE_MARGIN, reference_motion
 from surefoot.models.residuals.layout import layout_for
 from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.models.residuals.residual import ResidualTable, residual
@@ -128,7 +128,7 @@ def test_stance_edges_are_left_out():
     contact = np.zeros((100, 4), bool)
     contact[20:60, 0] = True
     contact[:, 1] = True
-    inside = inside_stances(t, contact, EDGE, EDGE)
+    inside = inside_stances(t, contact, STANCE_MARGIN, STANCE_MARGIN)
     assert np.flatnonzero(inside[:, 0]).tolist() == list(range(23, 57))
     assert inside[:, 1].all()
     assert not inside[:, 2:].any()

@@ -37,7 +37,7 @@ KEYS = [
     (kind.name, target)
     for kind in CHAINED
     for target in one_of_each_kind(
-        [t for t in kind.single_targets(QUADRUPED) if not kind.is_another(t, SPOT)]
+        [t for t in kind.single_targets(QUADRUPED) if not kind.equals_another(t, SPOT)]
     )
     + list(kind.group_targets(QUADRUPED))[:1]
 ]

@@ -13,8 +13,18 @@ from surefoot.models.residuals.foot_loads import foot_loads
 from surefoot.models.residuals.jacobians import Regressor, explained_share
 from surefoot.models.residuals.layout import layout_for
 from surefoot.models.residuals.residual import residual
-from surefoot.models.residuals.soft_ground import Stances, _follow, _follow_all, swept
-from surefoot.models.residuals.torques import InverseDynamics, Steps, steps_of, unbalanced
+from surefoot.models.residuals.soft_ground import (
+    Stances,
+    _add_stances,
+    _integrate_stance,
+    acceleration_at_constant_rates,
+)
+from surefoot.models.residuals.torques import (
+    DynamicsInputs,
+    InverseDynamics,
+    dynamics_inputs,
+    unbalanced_wrench,
+)
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
@@ -63,12 +73,14 @@ def test_a_foot_sinks_as_a_critically_damped_spring_does():
     t, T, speed, give, load = 1e-4 * np.arange(5001), 0.05, 0.4, 5.0, 200.0
     end = SOLIMP[1] * T
     depth, v = np.zeros(len(t)), np.zeros((len(t), 3))
-    _follow(t, np.zeros((len(t), 4)), 0, len(t), 0.0, np.array([0.3, 0, -speed]), give, T, depth, v)
+    _integrate_stance(
+        t, np.zeros((len(t), 4)), 0, len(t), 0.0, np.array([0.3, 0, -speed]), give, T, depth, v
+    )
     assert_allclose(depth, speed * t * np.exp(-t / end), atol=0.01 * depth.max())
     assert_allclose(v[:, 0], 0.3 * np.exp(-2.0 * t / end), atol=0.003)
     assert_allclose(v[1:, 2], -np.diff(depth) / np.diff(t), atol=1e-9)
     rows = np.tile([0.2, 0.0, 0.0, load], (len(t), 1))
-    _follow(t, rows, 0, len(t), 0.0, np.zeros(3), give, T, depth, v)
+    _integrate_stance(t, rows, 0, len(t), 0.0, np.zeros(3), give, T, depth, v)
     assert depth[-1] == pytest.approx((1 / SOLIMP[1] - 1) * give * load * end**2 / SOLIMP[1], 1e-3)
     assert v[-1, 0] == pytest.approx(0.2 * end / 2, 1e-3)
 
@@ -80,12 +92,12 @@ def test_a_landed_stance_moves_the_foot_by_what_it_sinks():
     stances = Stances(np.array([0, 200]), np.array([150, 400]), np.ones(2, dtype=bool), landing)
     rows, height = np.tile([0.0, 0.0, 0.0, 100.0], (400, 1)), np.zeros(400)
     depth, v = np.zeros(400), np.zeros((400, 3))
-    _follow_all(t, height, rows, stances, 5.0, 0.02, 1.0, depth, v)
+    _add_stances(t, height, rows, stances, 5.0, 0.02, 1.0, depth, v)
     assert depth.max() > 1e-3
     assert not depth[150:200].any()
     for a, b in ((0, 150), (200, 400)):
         assert_allclose(v[a + 1 : b, 2], -np.diff(depth[a:b]) / np.diff(t[a:b]), atol=1e-9)
-    _follow_all(t, height, rows, stances, 5.0, 0.02, -1.0, depth, v)
+    _add_stances(t, height, rows, stances, 5.0, 0.02, -1.0, depth, v)
     assert_allclose(depth, 0.0, atol=1e-12)
     assert_allclose(v, 0.0, atol=1e-12)
 
@@ -101,19 +113,19 @@ def test_feet_give_the_base_what_their_legs_do_not_take():
     for leg, joints in enumerate(robot.legs.joints):
         taken[:, joints] = np.einsum("nij,ni->nj", J[:, leg], force[:, leg])
     every, up = np.ones((5, 4), dtype=bool), np.tile([0.0, 0.0, 1.0], (5, 1))
-    steps = Steps(
+    steps = DynamicsInputs(
         q, q, q, needed.torque - taken, np.zeros((5, 9)), up, every, every, every[:, 0],
         np.tile(robot.foot_radius, (5, 1)),
     )  # fmt: skip
-    found = unbalanced(steps, needed, robot) + wrench
+    found = unbalanced_wrench(steps, needed, robot) + wrench
     assert_allclose(found[:, :3], force.sum(axis=1), atol=1e-9)
 
 
 def test_what_the_rates_alone_do_is_what_mujoco_says(on_soft_ground):
     robot, log = on_soft_ground
-    frame = log_under_model(log, robot).frame
+    frame = log_under_model(log, robot).motion
     bins, world = binned(log, robot, frame), build_world(robot, Ground(0.8))
-    ours, model = swept(robot, bins), world.model
+    ours, model = acceleration_at_constant_rates(robot, bins), world.model
     data = mujoco.MjData(model)
     for k in range(50, 150, 20):
         R_GB = bins.R_GI[k] @ robot.R_BI.T
@@ -133,9 +145,9 @@ def test_what_the_rates_alone_do_is_what_mujoco_says(on_soft_ground):
 
 def test_a_foots_load_is_read_from_its_legs_torques(on_soft_ground):
     robot, log = on_soft_ground
-    frame = log_under_model(log, robot).frame
+    frame = log_under_model(log, robot).motion
     bins = binned(log, robot, frame)
-    steps = steps_of(bins, robot)
+    steps = dynamics_inputs(bins, robot)
     of_torques = foot_loads(log, robot, frame, bins, steps)
     shared = foot_loads(log, robot, frame, replace(bins, tau=np.full_like(bins.tau, np.nan)), steps)
     inside, true = frame.standing, log.force
@@ -153,7 +165,7 @@ def test_a_model_that_knows_of_soft_ground_finds_the_feet_where_they_are(on_soft
     if not torques:
         kept = [c for c in log.frame if not str(c).startswith("tau_")]
         log = Log(log.frame[kept], log.meta, log.name)
-    frame = replace(log_under_model(log, robot).frame, level=True)
+    frame = replace(log_under_model(log, robot).motion, level=True)
     left = {
         size: residual(log, knowing(robot, size), frame).table
         for size in (0.0, 0.9 * SOFT, SOFT, 1.1 * SOFT)
@@ -177,7 +189,7 @@ def typical(values: np.ndarray) -> float:
 def test_a_model_of_hard_ground_says_what_it_said(on_soft_ground):
     """The form vanishes with the softness: no step where a candidate is first varied."""
     robot, log = on_soft_ground
-    frame = replace(log_under_model(log, robot).frame, level=True)
+    frame = replace(log_under_model(log, robot).motion, level=True)
     hard, nearly = (residual(log, knowing(robot, size), frame).table for size in (0.0, 1e-6))
     legs = layout_for(robot.limbs).of("imu_gyro", "imu_accel", "leg_velocity", "foot_height")
     assert_allclose(nearly[:, legs], hard[:, legs], atol=1e-5)
@@ -188,7 +200,7 @@ def test_derivatives_by_readings_know_of_the_depth(on_soft_ground):
     lever of its leg, and the other feet's by nothing."""
     robot, log = on_soft_ground
     case = log_under_model(log, knowing(robot, SOFT))
-    case = replace(case, frame=replace(case.frame, level=True))
+    case = replace(case, motion=replace(case.motion, level=True))
     (one,) = linearise([case], (), [("encoder_offset", "FL_calf")]).X
     own, *others = layout_for(robot.limbs).of("foot_height")
     assert own in one.columns

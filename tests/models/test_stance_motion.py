@@ -12,7 +12,11 @@ from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.attribution.robust_weights import correlated_entries
 from surefoot.models.residuals.binning import BIN, reference_motion
 from surefoot.models.residuals.leg_velocity import leg_velocity
-from surefoot.models.residuals.stance_motion import FEWEST, stance_displacement, stance_means
+from surefoot.models.residuals.stance_motion import (
+    FEWEST_STANCE_BINS,
+    stance_displacement,
+    stance_means,
+)
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
@@ -31,7 +35,7 @@ def test_a_mean_stands_in_the_middle_of_its_stance():
     rng = np.random.default_rng(0)
     t = BIN * np.arange(40.0)
     there = np.zeros((40, 2), dtype=bool)
-    there[3:10, 0] = there[20:29, 0] = there[12 : 12 + FEWEST - 1, 1] = True
+    there[3:10, 0] = there[20:29, 0] = there[12 : 12 + FEWEST_STANCE_BINS - 1, 1] = True
     t[20:] += 1.0
     values = np.where(there[..., None], rng.standard_normal((40, 2, 3)), np.nan)
     means = stance_means(t, values, there)
@@ -96,4 +100,6 @@ def test_only_the_floor_own_noise_counts_as_what_contacts_fake():
     faked = SimpleNamespace(variance_inflation=np.full(2, 100.0))
     floor = NoiseFloor(np.array([1.0, 1.0]), (faked,), "")  # type: ignore[arg-type]
     alike = np.array([4.0, 4.0])
-    assert_allclose(floor.counted(np.array([1.0, 20.0]), alike) ** 2, [100.0, 100 + 399 * 4.0])
+    assert_allclose(
+        floor.effective_noise(np.array([1.0, 20.0]), alike) ** 2, [100.0, 100 + 399 * 4.0]
+    )

@@ -6,7 +6,7 @@ from surefoot.models.attribution.found import Found
 from surefoot.models.attribution.held_out import HeldOutRuns
 from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.models.attribution.outside_forces import Push
-from surefoot.models.attribution.search import _none
+from surefoot.models.attribution.search import _is_insignificant
 from surefoot.models.attribution.verdict import verdict_of
 from surefoot.sim.effects import effect
 
@@ -72,7 +72,7 @@ def test_a_scale_that_no_sensor_has_stands_for_another_effect():
 def test_a_held_out_run_may_say_otherwise():
     against = HeldOutRuns({}, (), ("held-out run 1: link_length FL_calf makes foot_height worse",))
     name, reasons = verdict([CALF], 2.0, 1.0, against)
-    assert (name, reasons) == ("none_of_these", against.against)
+    assert (name, reasons) == ("none_of_these", against.worsened)
     assert verdict([CALF], 2.0, 1.0, HeldOutRuns({}, (), ()))[0] == "attributed"
 
 
@@ -96,8 +96,8 @@ def test_outside_forces_are_no_effect_of_the_robot(found, away, name):
 def test_what_every_machine_has_is_left_out_only_where_it_is_as_little_as_can_be():
     late = effect("contact_delay", "liftoff", 0.0145)
     unsure, sure = Found(late, (-0.0002, 0.029)), Found(late, (0.001, 0.028))
-    assert _none(unsure, certain=False)
-    assert not _none(unsure, certain=True)
-    assert not _none(sure, certain=False)
-    least = effect("contact_delay", "liftoff", type(late).inside("liftoff")[0])
-    assert _none(Found(least, (0.001, 0.002)), certain=True)
+    assert _is_insignificant(unsure, certain=False)
+    assert not _is_insignificant(unsure, certain=True)
+    assert not _is_insignificant(sure, certain=False)
+    least = effect("contact_delay", "liftoff", type(late).interior_bounds("liftoff")[0])
+    assert _is_insignificant(Found(least, (0.001, 0.002)), certain=True)

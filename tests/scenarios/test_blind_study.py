@@ -7,7 +7,7 @@ from surefoot.models.attribution.diagnose import Diagnosis
 from surefoot.models.attribution.friction import FootFriction
 from surefoot.scenarios.studies.blind import study
 from surefoot.scenarios.studies.blind.outside_effects import OUTSIDE_EFFECTS
-from surefoot.scenarios.studies.blind.plan import PLAN, cases
+from surefoot.scenarios.studies.blind.plan import PLAN, draw_cases
 from surefoot.scenarios.studies.blind.report import (
     made_worse,
     names_both_twins,
@@ -18,7 +18,7 @@ from surefoot.scenarios.studies.blind.report import (
     write_report_of,
 )
 from surefoot.scenarios.studies.blind.study import run_blind_study
-from surefoot.scenarios.studies.blind.trial import ground_and_course, over_floor, standing_part
+from surefoot.scenarios.studies.blind.trial import ground_and_course, size_over_floor, standing_part
 from surefoot.sim.common.toml import read_toml
 from surefoot.sim.effects import CATALOGUE, effect
 from surefoot.sim.robot import Robot
@@ -42,7 +42,7 @@ def record(verdict="attributed", found=(), rivals=(), kind="single", effects=(TR
 
 
 def test_the_plan_has_the_whole_catalogue_and_the_kinds_it_must():
-    planned = cases(read_toml(PLAN, "study"))
+    planned = draw_cases(read_toml(PLAN, "study"))
     single = [c.effects[0].name for c in planned if c.kind == "single"]
     assert len(single) >= 200
     assert {single.count(name) for name in CATALOGUE} == {6}
@@ -57,7 +57,7 @@ def test_the_plan_has_the_whole_catalogue_and_the_kinds_it_must():
     assert all(len(c.effects) == 2 for c in planned if c.kind == "together")
     assert all(not c.effects for c in planned if c.kind == "clean")
     assert min(c.seed for c in planned) > 404
-    assert planned == cases(read_toml(PLAN, "study"))
+    assert planned == draw_cases(read_toml(PLAN, "study"))
 
 
 def test_the_pilot_draws_alike_and_shares_nothing_with_the_study():
@@ -69,7 +69,7 @@ def test_the_pilot_draws_alike_and_shares_nothing_with_the_study():
     for key in ("robots", "seeds"):
         assert not set(pilot["walk"][key]) & set(study_plan["walk"][key])
     assert pilot["seed"] != study_plan["seed"]
-    assert {c.kind for c in cases(pilot)} >= {"single", "clean", "outside", "together"}
+    assert {c.kind for c in draw_cases(pilot)} >= {"single", "clean", "outside", "together"}
 
 
 def test_half_a_point_for_the_truth_among_two():
@@ -114,8 +114,8 @@ def test_lost_friction_shows_where_feet_slide():
     """Feet that used a friction of 0.2 of 0.8 without sliding would have hidden three quarters."""
     held = FootFriction(limit=None, interval=(0.2, np.inf), slides=0, everywhere=False, held=0.2)
     found = Diagnosis(verdict="no_residual", channels={}, friction=held)
-    assert over_floor(found, effect("foot_slip", "all", 0.6)) == pytest.approx(0.8)
-    assert over_floor(found, effect("foot_slip", "all", 0.9)) == pytest.approx(1.2)
+    assert size_over_floor(found, effect("foot_slip", "all", 0.6)) == pytest.approx(0.8)
+    assert size_over_floor(found, effect("foot_slip", "all", 0.9)) == pytest.approx(1.2)
 
 
 def test_twins_must_both_be_named():

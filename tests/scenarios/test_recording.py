@@ -206,14 +206,14 @@ def test_the_shadow_lies_on_the_ground_below_the_trunk(walk, tmp_path):
     ground = Ground(0.8, strips=(ramp,))
     contents = written(tmp_path / "ramp.rrd", walk, ground=ground)
     p = contents.values("/world/shadow", "Transform3D:translation")[:, 0]
-    above = [z - height(ground.relief, x, y) for x, y, z in p]
+    above = [z - height(ground.height_map, x, y) for x, y, z in p]
     np.testing.assert_allclose(above, 0.01, atol=1e-5)
     robot = contents.values("/world/robot", "Transform3D:translation")[:, 0]
     np.testing.assert_allclose(p[:, :2], robot[:, :2], atol=1e-5)
     assert "/world/ground/friction_0.80/box_edges" in contents.static
     (lines,) = contents.static["/world/ground/grid"]["LineStrips3D:strips"]
     x, y, z = np.concatenate(lines).T
-    off = [b - height(ground.relief, *a) for *a, b in zip(x, y, z, strict=True)]
+    off = [b - height(ground.height_map, *a) for *a, b in zip(x, y, z, strict=True)]
     assert np.quantile(np.abs(np.array(off) - 0.01), 0.99) < 1e-5  # all but at the ramp's edges
 
 

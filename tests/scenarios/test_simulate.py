@@ -20,7 +20,7 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects.file import load_effects
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
-from surefoot.sim.walk import SETTLE
+from surefoot.sim.walk import SETTLING_TIME
 
 COURSE = """
 name = "short"
@@ -82,7 +82,9 @@ def test_a_fall_says_where_and_why_and_keeps_its_walk(folder, capsys):
     out = capsys.readouterr().out
     assert re.search(r"fell: .* s at \(-?\d.*\) m: the base (tilted|sank)", out)
     log = Log.read(folder / "walks" / "_dataset" / "falls" / "cliff_0.parquet")
-    assert log.t[-1] == pytest.approx(read_index(folder / "walks").fell_at[0] - SETTLE, abs=0.01)
+    assert log.t[-1] == pytest.approx(
+        read_index(folder / "walks").fell_at[0] - SETTLING_TIME, abs=0.01
+    )
     assert not list((folder / "walks").glob("*.parquet"))
 
 

@@ -214,4 +214,4 @@ def test_what_was_found_beside_a_rest_is_put_to_use_with_caution():
 @pytest.mark.long
 def test_a_size_that_rounding_takes_to_its_bound_is_walked_within_it():
     floor = noise_floor([log_under_model(log_with(), ROBOT)])
-    assert noise_floor_with(floor, [effect("link_length", "RL_thigh", 0.02996)]).repeats
+    assert noise_floor_with(floor, [effect("link_length", "RL_thigh", 0.02996)]).walks

@@ -66,7 +66,7 @@ def test_two_runs_share_sizes_and_have_zeros_of_their_own(of_two_runs):
 
 def test_a_held_out_run_agrees_and_has_a_zero_of_its_own(of_two_runs):
     held_out = of_two_runs.held_out
-    assert held_out.against == ()
+    assert held_out.worsened == ()
     torque = held_out.channels["joint_torque"]
     assert torque.after < 0.75 * torque.before
     (zero,) = held_out.runs[0].zeros
@@ -80,7 +80,7 @@ def test_a_held_out_run_without_the_effect_says_so():
     assert names(found) == [("armature", "shoulder")]
     assert found.verdict != "attributed"
     assert found.held_out is not None
-    (why,) = found.held_out.against
+    (why,) = found.held_out.worsened
     assert why == "held-out run 1: armature shoulder makes joint_torque worse"
     assert why in found.reasons
 
@@ -139,12 +139,12 @@ def test_what_has_changed_stands_out_from_what_unchanged_runs_differ_by(tmp_path
     logs = [run(0, armature=0.01), run(1, armature=0.03), run(2, armature=0.05)]
     out = tmp_path / "calibrated"
     before = trace(logs, PENDULUM, out, declared=[])
-    assert before.unchanged is not None
+    assert before.run_variation is not None
     declared = load_effects(out / "effects.toml")
     since = unchanged_beside(out / "effects.toml", declared)
     assert since is not None
-    assert since == before.unchanged
-    assert since.differ["armature", "shoulder"] == pytest.approx(0.02, rel=0.5)
+    assert since == before.run_variation
+    assert since.size_spread["armature", "shoulder"] == pytest.approx(0.02, rel=0.5)
     one_more = run(3, armature=0.05)
     assert names(trace_logs([one_more], PENDULUM, declared=declared)) != []
     again = trace_logs([one_more], PENDULUM, declared=declared, since=since)
@@ -168,7 +168,7 @@ def test_another_traces_runs_say_nothing_and_damaged_ones_are_one_line(tmp_path)
     file.write_text(json.dumps(said | {"unchanged": {**sizes, "left": {"joint_torque": 0.5}}}))
     known = unchanged_beside(tmp_path / "effects.toml", [ROTOR])
     assert known is not None
-    assert known.differ == {("armature", "shoulder"): 0.01}
+    assert known.size_spread == {("armature", "shoulder"): 0.01}
     assert unchanged_beside(tmp_path / "effects.toml", []) is None
     for damaged in (sizes, {**sizes, "left": {"joint_torque": -1}}, {**sizes, "left": []}, 3):
         file.write_text(json.dumps(said | {"unchanged": damaged}))

@@ -8,7 +8,12 @@ from pushes import pushed
 
 from surefoot.estimator.evaluation.trajectory import reference
 from surefoot.models.attribution.evidence import linearise, log_under_model
-from surefoot.models.attribution.friction import FootFriction, friction_of, slip_notes, slip_of
+from surefoot.models.attribution.friction import (
+    FootFriction,
+    estimate_friction,
+    slip_effect,
+    slip_notes,
+)
 from surefoot.models.attribution.outside_forces import outside_forces, pushed_bins
 from surefoot.models.attribution.settings import DEFAULT
 from surefoot.models.residuals.binning import BIN
@@ -36,7 +41,7 @@ def slipped():
 
 
 def friction(log):
-    return friction_of([log_under_model(log, ROBOT)], np.random.default_rng(0))
+    return estimate_friction([log_under_model(log, ROBOT)], np.random.default_rng(0))
 
 
 def test_feet_that_slide_show_how_much_friction_is_lost(slipped):
@@ -44,7 +49,7 @@ def test_feet_that_slide_show_how_much_friction_is_lost(slipped):
     assert found is not None
     assert found.limit == pytest.approx(0.12, rel=0.1)
     assert found.everywhere
-    (one,) = slip_of(found, DEFAULT)
+    (one,) = slip_effect(found, DEFAULT)
     assert (one.effect.name, one.effect.value) == ("foot_slip", pytest.approx(0.85, abs=0.02))
     assert one.interval[0] - 0.01 < 0.85 < one.interval[1] + 0.01
 
@@ -52,7 +57,7 @@ def test_feet_that_slide_show_how_much_friction_is_lost(slipped):
 def test_feet_that_hold_show_only_how_much_friction_there_is_at_least(log):
     found = friction(log)
     assert found is not None
-    assert (found.limit, slip_of(found, DEFAULT)) == (None, ())
+    assert (found.limit, slip_effect(found, DEFAULT)) == (None, ())
     assert 0.05 < found.held < 0.8
     (note,) = slip_notes(found, True, DEFAULT)
     assert f"coefficient of friction of up to {found.held:.2f}" in note
@@ -60,7 +65,7 @@ def test_feet_that_hold_show_only_how_much_friction_there_is_at_least(log):
 
 def test_slides_in_one_place_are_no_loss_all_over():
     patched = FootFriction(0.12, (0.11, 0.13), slides=12, everywhere=False, held=0.2)
-    assert slip_of(patched, DEFAULT) == ()
+    assert slip_effect(patched, DEFAULT) == ()
     (note,) = slip_notes(patched, True, DEFAULT)
     assert note.endswith("in places; feet that stuck used up to 0.20")
 
@@ -68,15 +73,15 @@ def test_slides_in_one_place_are_no_loss_all_over():
 def test_feet_that_hold_with_more_do_not_slide():
     """What elastic legs make of a walk of the Go1's model: feet that seem to slide at nothing."""
     elastic = FootFriction(0.041, (0.038, 0.044), slides=140, everywhere=True, held=0.136)
-    assert slip_of(elastic, DEFAULT) == ()
-    assert slip_of(replace(elastic, held=0.045), DEFAULT) != ()
+    assert slip_effect(elastic, DEFAULT) == ()
+    assert slip_effect(replace(elastic, held=0.045), DEFAULT) != ()
 
 
 @pytest.mark.parametrize(("held", "interval"), [(0.3, (0.11, 0.13)), (0.12, (0.09, 0.2))])
 def test_slides_that_contradict_the_feet_that_stick_are_not_lost_friction(held, interval):
     """As a delay makes them: feet seem to move while they push, at any share of their force."""
     odd = FootFriction(0.12, interval, slides=40, everywhere=True, held=held)
-    assert slip_of(odd, DEFAULT) == ()
+    assert slip_effect(odd, DEFAULT) == ()
     assert "may look like sliding" in slip_notes(odd, True, DEFAULT)[0]
 
 
@@ -85,8 +90,8 @@ def test_slides_that_contradict_the_feet_that_stick_are_not_lost_friction(held, 
 )
 def test_another_effect_is_not_taken_for_lost_friction(log, one):
     altered, known = effect(*one).compensate(log, ROBOT)
-    found = friction_of([log_under_model(altered, known)], np.random.default_rng(0))
-    assert slip_of(found, DEFAULT) == ()
+    found = estimate_friction([log_under_model(altered, known)], np.random.default_rng(0))
+    assert slip_effect(found, DEFAULT) == ()
 
 
 def test_without_torques_friction_is_not_identifiable(log):

@@ -69,14 +69,14 @@ def test_a_command_that_is_not_followed_shows_as_a_velocity_error():
 def test_grounds_fit_the_robot():
     for scenario in grounds_for(spot()):
         assert sum(s.duration for s in scenario.segments) * scenario.laps >= 58.0
-    hill = grounds_for(spot())[1].ground.relief
+    hill = grounds_for(spot())[1].ground.height_map
     assert np.hypot(*_steepest(hill)) == pytest.approx(SLOPE)
 
 
-def _steepest(relief) -> tuple[float, float]:
+def _steepest(height_map) -> tuple[float, float]:
     from surefoot.sim.ground.height_map import surface
 
-    _, a, b = surface(relief, 3.0, 0.0)
+    _, a, b = surface(height_map, 3.0, 0.0)
     return a, b
 
 

@@ -41,7 +41,7 @@ def the_trot(made):
     """The bundled controller as a policy: what a user's own would be."""
     memory, torque = standing(), np.zeros(12)
     memory.touched[:] = True  # standing already
-    controller = Controller(made.gait, made.world.relief, memory)
+    controller = Controller(made.gait, made.world.height_map, memory)
     ticks = iter(range(SETTLING_PERIODS, len(made.course.t)))
     targets = np.column_stack([made.course.pose, made.course.velocity])
 

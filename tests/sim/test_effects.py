@@ -161,7 +161,7 @@ def test_files_give_back_what_was_saved(tmp_path_factory, data):
     name = data.draw(st.sampled_from(sorted(CATALOGUE)))
     kind = CATALOGUE[name]
     target = data.draw(st.sampled_from(kind.targets_on(QUADRUPED)))
-    bounds = kind.inside(target) if kind.is_compensated() else kind.bounds
+    bounds = kind.interior_bounds(target) if kind.is_compensated() else kind.bounds
     one = effect(name, target, data.draw(st.floats(*bounds)))
     path = tmp_path_factory.mktemp("effects") / "e.toml"
     save_effects(path, [one])

@@ -6,7 +6,7 @@ import pytest
 from surefoot.sim.gait.controller import Controller, gait_for, ground_below, tick
 from surefoot.sim.gait.stance_control import stance_forces
 from surefoot.sim.gait.state import LegMemory, RobotState, standing
-from surefoot.sim.gait.swing import lift_part, place_foot, rise_over
+from surefoot.sim.gait.swing import climb_progress, place_foot, set_swing_height
 from surefoot.sim.ground.height_map import height
 from surefoot.sim.ground.terrain import Ground, Strip
 from surefoot.sim.robot import Robot
@@ -15,12 +15,14 @@ from surefoot.sim.robot.kinematics import BaseMotion
 SPOT = Robot.load("spot_class")
 GAIT = gait_for(SPOT, 0.0)
 RISER, TREAD = 0.12, 0.32
-STAIRS = Ground(0.8, (), 20.0, (Strip((1.0, 0.0), (4.2, 0.0), 4.0, (0.0, 1.2), steps=10),)).relief
+STAIRS = Ground(
+    0.8, (), 20.0, (Strip((1.0, 0.0), (4.2, 0.0), 4.0, (0.0, 1.2), steps=10),)
+).height_map
 
 
-def on(relief) -> Controller:
+def on(height_map) -> Controller:
     """A controller on this ground, the robot standing."""
-    return Controller(GAIT, relief, standing())
+    return Controller(GAIT, height_map, standing())
 
 
 def test_four_feet_make_any_wrench():
@@ -32,7 +34,7 @@ def test_four_feet_make_any_wrench():
 
 
 def test_the_ground_below_a_slope_is_the_slope():
-    slope = Ground(0.8, (), 30.0, (Strip((-9.0, 0.0), (9.0, 0.0), 30.0, (0.0, 3.6)),)).relief
+    slope = Ground(0.8, (), 30.0, (Strip((-9.0, 0.0), (9.0, 0.0), 30.0, (0.0, 3.6)),)).height_map
     for yaw in (0.0, 0.7, 2.5):
         level, slope_x, slope_y = ground_below(GAIT, slope, np.array([1.0, 0.4, 0.0]), yaw)
         assert level == pytest.approx(height(slope, 1.0, 0.4), abs=1e-12)
@@ -80,7 +82,7 @@ def swing_path(memory: LegMemory) -> tuple[np.ndarray, np.ndarray]:
 
     start, end = memory.lift_off[0], memory.foothold[0]
     climb = end[2] - start[2]
-    lifted = np.array([blend(lift_part(climb, v)[0]) for v in u])
+    lifted = np.array([blend(climb_progress(climb, v)[0]) for v in u])
     x = start[0] + blend(u) * (end[0] - start[0])
     return x, start[2] + lifted * climb + 64.0 * (u * (1.0 - u)) ** 3 * memory.bump[0]
 
@@ -92,16 +94,16 @@ def test_a_swing_clears_the_stairs_between_its_ends(there, down):
     ends = [(x, height(STAIRS, x, 0.0) + radius) for x in (0.8, there)]
     trot = on(STAIRS)
     trot.memory.lift_off[0, [0, 2]], trot.memory.foothold[0, [0, 2]] = ends[::-1] if down else ends
-    rise_over(trot, 0)
+    set_swing_height(trot, 0)
     x, z = swing_path(trot.memory)
     ground = np.array([height(STAIRS, a, 0.0) for a in x])
     assert (z - radius - ground)[1:-1].min() > -1e-3
 
 
 def test_on_flat_ground_the_swing_is_the_plain_one():
-    trot = on(Ground(0.8).relief)
+    trot = on(Ground(0.8).height_map)
     trot.memory.lift_off[0], trot.memory.foothold[0] = (0.0, 0.0, 0.036), (0.4, 0.0, 0.036)
-    rise_over(trot, 0)
+    set_swing_height(trot, 0)
     assert trot.memory.bump[0] == GAIT.clearance
 
 
@@ -113,7 +115,7 @@ def test_a_standing_robot_is_held_by_its_weight():
     load = np.full(4, SPOT.mass * 9.81 / 4)
     base = BaseMotion(p, np.eye(3), np.zeros(3), np.zeros(3))
     state = RobotState(0.0, base, SPOT.q_home, np.zeros(12), load)
-    tick(SPOT.legs, on(Ground(0.8).relief)._replace(gait=gait), state, np.zeros(6), torque)
+    tick(SPOT.legs, on(Ground(0.8).height_map)._replace(gait=gait), state, np.zeros(6), torque)
     J_B = SPOT.feet_jacobian_I(SPOT.q_home[None])[0]
     J_B = np.einsum("ij,ljk->lik", SPOT.R_BI, J_B)
     push = [-np.linalg.solve(J.T, t) for J, t in zip(J_B, torque.reshape(4, 3), strict=True)]

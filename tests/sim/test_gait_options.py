@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.gait.controller import SLID, Controller, gait_for, take_care
+from surefoot.sim.gait.controller import (
+    SLIDING_DISTANCE,
+    Controller,
+    gait_for,
+    slow_down_when_sliding,
+)
 from surefoot.sim.gait.irregular import estimated_base, irregular, stride_at
 from surefoot.sim.gait.options import PLAIN_GAIT, GaitOptions
 from surefoot.sim.gait.state import STANCE, Command, Feet, RobotState, standing
@@ -177,13 +182,13 @@ def test_care_stops_a_robot_and_never_turns_it_back():
     )
     base = BaseMotion(np.zeros(3), np.eye(3), np.array([-1.0, 0.0, 0.0]), np.zeros(3))
     for sliding, wanted in (([1.0] * 4, 0.0), ([3.0, 0.0, 0.0, 0.0], 0.5)):
-        controller = Controller(gait, plan(COURSE, SPOT, 0).world.relief, standing())
-        controller.memory.way[:] = np.array(sliding) * 1.1 * SLID * gait.leg_length
+        controller = Controller(gait, plan(COURSE, SPOT, 0).world.height_map, standing())
+        controller.memory.way[:] = np.array(sliding) * 1.1 * SLIDING_DISTANCE * gait.leg_length
         went = []
         for t in np.arange(1.0, 6.0, 0.004):
             state = RobotState(t, base, np.zeros(12), np.zeros(12), np.full(4, 100.0))
             command = Command(np.array([0.5, 0.0, 0.0]), 0.0, np.zeros(2), np.zeros(2))
-            take_care(controller, state, 10.0, command, feet)
+            slow_down_when_sliding(controller, state, 10.0, command, feet)
             went.append(command.v[0])
         assert min(went) >= -1e-12
         assert went[-1] == pytest.approx(wanted, abs=0.01)

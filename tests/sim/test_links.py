@@ -90,11 +90,13 @@ def test_a_leg_turned_about_its_hips_axis_is_an_error_of_the_hips_encoder():
         wrong = q.copy()
         wrong[:, SPOT.limbs.joints.index(f"{target[:2]}_hip")] += 0.05
         there, by_encoder = turned.feet_I(q), SPOT.feet_I(wrong)
-        assert kind.is_another(target, SPOT) == np.allclose(there, by_encoder, rtol=0, atol=1e-9)
-        assert kind.is_another(target, SPOT) == target.endswith("x")
+        assert kind.equals_another(target, SPOT) == np.allclose(
+            there, by_encoder, rtol=0, atol=1e-9
+        )
+        assert kind.equals_another(target, SPOT) == target.endswith("x")
 
 
 def test_inertias_that_logs_show_are_no_bound():
     """Less than 1e-3 kg m^2 of a calf is seen; a size at its bound is never found."""
     for name in ("link_inertia", "armature"):
-        assert CATALOGUE[name].inside("FL_calf")[0] < 1e-4
+        assert CATALOGUE[name].interior_bounds("FL_calf")[0] < 1e-4

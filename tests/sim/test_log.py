@@ -95,14 +95,16 @@ def test_arrays_are_contiguous_and_in_canonical_order():
 
 
 def test_a_log_that_keeps_its_arrays_makes_those_again_whose_columns_change():
-    log = make_log().keeping()
+    log = make_log().caching()
     q, tau = log.q, log.tau
     moved = log.with_columns({"q_FL_hip": log.columns["q_FL_hip"] + 1.0})
     assert log.q is q
     assert moved.tau is tau
     np.testing.assert_array_equal(moved.q[:, 0], log.q[:, 0] + 1.0)
     np.testing.assert_array_equal(moved.q, replace(moved).q)
-    made = [moved.once("sum", ["t"], lambda x=x: x, given) for x, given in enumerate((log, log, 1))]
+    made = [
+        moved.cached("sum", ["t"], lambda x=x: x, given) for x, given in enumerate((log, log, 1))
+    ]
     assert made == [0, 0, 2]
 
 

@@ -12,8 +12,8 @@ from scipy.interpolate import RegularGridInterpolator
 from test_terrain import rays
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.ground.ground_metadata import MOST_POINTS, ground_metadata, ground_of_log, thinned
 from surefoot.sim.ground.height_map import surfaces
-from surefoot.sim.ground.kept import MOST_POINTS, ground_of_log, kept_ground, thinned
 from surefoot.sim.ground.terrain import Ground, HeightField, Patch
 from surefoot.sim.ground.tiles import add_ground
 from surefoot.sim.log import Log, Meta
@@ -66,13 +66,13 @@ def test_heights_are_the_files_and_those_that_mujoco_collides_with(tmp_path):
     spec = mujoco.MjSpec()
     add_ground(spec, made)
     z, mu = rays(spec.compile(), x, y)
-    found, normals = surfaces(made.relief, x, y)
+    found, normals = surfaces(made.height_map, x, y)
     np.testing.assert_allclose(found, z, atol=2e-6)
     np.testing.assert_array_equal(made.friction(x, y), mu)
     assert set(mu) == {0.8, 0.2}
     # The file's own points exactly, and between them as far as two triangles bend from a cell.
     at = np.meshgrid(X, Y)
-    own = surfaces(made.relief, *(part.ravel() for part in at))[0]
+    own = surfaces(made.height_map, *(part.ravel() for part in at))[0]
     np.testing.assert_allclose(own, HILLS.ravel(), atol=1e-12)
     inside = (abs(x - 1.5) < 2.5) & (abs(y) < 1.5)
     between = RegularGridInterpolator((Y, X), HILLS)(np.column_stack([y, x])[inside])
@@ -117,7 +117,7 @@ def test_a_mesh_is_its_upper_surface(tmp_path):
     x, y = np.random.default_rng(0).uniform([0.5, -1.0], [3.5, 2.0], (500, 2)).T
     tent = 0.4 * np.clip(1.0 - np.maximum(abs(x - 2.0), abs(y - 0.5)), 0.0, None)
     # Two ridges of the four run across the diagonals of the cells, half a rise off at most.
-    np.testing.assert_allclose(surfaces(made.relief, x, y)[0], tent, atol=0.0201)
+    np.testing.assert_allclose(surfaces(made.height_map, x, y)[0], tent, atol=0.0201)
     nodes = np.abs(np.linspace(-1.0, 1.0, 21))
     own = 0.4 * (1.0 - np.maximum(nodes[:, None], nodes))
     np.testing.assert_allclose(made.fields[0].heights, own, atol=1e-12)
@@ -142,7 +142,7 @@ def test_a_robot_walks_over_it_and_its_log_keeps_the_ground(tmp_path):
     feet = log.ref_p[:, None] + np.einsum("nij,nlj->nli", log.ref_R_GI, ROBOT.feet_I(log.q))
     stands = log.contact & (log.force > 100.0)
     x, y, sole = (feet[..., a][stands] for a in range(3))
-    z, normal = surfaces(made.ground.relief, x, y)
+    z, normal = surfaces(made.ground.height_map, x, y)
     above = (sole - z) * normal[:, 2] - ROBOT.foot_radius[0]
     assert np.ptp(z) > 0.05
     assert abs(np.median(above)) < 0.002
@@ -172,9 +172,9 @@ def test_many_points_are_drawn_by_fewer():
     (fewer,) = thinned(Ground(0.8, fields=(field,))).fields
     assert fewer.heights.size <= MOST_POINTS
     at = np.random.default_rng(0).uniform([0.1, 0.1], [8.9, 6.9], (200, 2)).T
-    z, own = (surfaces(Ground(0.8, fields=(f,)).relief, *at)[0] for f in (fewer, field))
+    z, own = (surfaces(Ground(0.8, fields=(f,)).height_map, *at)[0] for f in (fewer, field))
     np.testing.assert_allclose(z, own, atol=1e-4)
-    assert len(kept_ground(Ground(0.8, fields=(field,)))["ground"]["fields"][0]["levels"]) < 1e6
+    assert len(ground_metadata(Ground(0.8, fields=(field,)))["ground"]["fields"][0]["levels"]) < 1e6
 
 
 def test_a_course_of_another_robot_keeps_its_hills_slopes(tmp_path):
@@ -258,11 +258,11 @@ def test_a_walk_over_any_bundled_course_keeps_its_ground():
     for name in bundled_scenarios():
         scenario = Scenario.load(name)
         ground = plan(scenario, Robot.load(str(scenario.robot)), 0).ground
-        log = Log(pd.DataFrame({"t": [0.0, 1.0]}), Meta(1.0, model=kept_ground(ground)))
+        log = Log(pd.DataFrame({"t": [0.0, 1.0]}), Meta(1.0, model=ground_metadata(ground)))
         kept = ground_of_log(log)
         assert kept is not None
         assert kept.patches == ground.patches
         (x, y), half = np.random.default_rng(0).uniform(-1.0, 1.0, (2, 500)), ground.half_size
-        there = surfaces(ground.relief, half * x, half * y)[0]
-        drawn = surfaces(kept.relief, half * x, half * y)[0]
+        there = surfaces(ground.height_map, half * x, half * y)[0]
+        drawn = surfaces(kept.height_map, half * x, half * y)[0]
         assert np.quantile(np.abs(drawn - there), 0.98) < 1e-5, name

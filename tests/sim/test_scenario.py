@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
-from surefoot.sim.gait.course import lay_course
+from surefoot.sim.gait.course import integrate_course
 from surefoot.sim.ground.height_map import surfaces
 from surefoot.sim.scenario import Scenario, drawn
 from surefoot.sim.scenario_catalog import bundled_scenarios
@@ -99,11 +99,11 @@ HIGHEST_RISER = 0.13  # m: shins strike the edges of stairs from 15 cm on
 )
 def test_no_course_leads_over_a_pit_or_a_wall(path):
     scenario = Scenario.load(path)
-    relief = drawn(scenario, np.random.default_rng(0)).scenario.ground.relief
-    course = lay_course(scenario.segments, 0.01, scenario.stand, scenario.laps)
+    height_map = drawn(scenario, np.random.default_rng(0)).scenario.ground.height_map
+    course = integrate_course(scenario.segments, 0.01, scenario.stand, scenario.laps)
     x, y, yaw = course.pose.T
     for aside in (-0.7, -0.35, 0.0, 0.35, 0.7):
-        z, _ = surfaces(relief, x - aside * np.sin(yaw), y + aside * np.cos(yaw))
+        z, _ = surfaces(height_map, x - aside * np.sin(yaw), y + aside * np.cos(yaw))
         assert np.abs(np.diff(z)).max() < HIGHEST_RISER
 
 

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.low_pass import low_pass
-from surefoot.sim.sensors.streams import Sensors, Streams, corrupt, sensed_contact
+from surefoot.sim.sensors.streams import Sensors, Streams, add_sensor_errors, sensed_contact
 
 WEIGHT = 300.0  # N
 RATE = 500.0  # Hz
@@ -56,8 +56,8 @@ def test_contact_is_wrong_as_often_as_told(streams):
 
 
 def test_encoder_offsets_are_constant_and_leave_the_other_sensors_alone(streams):
-    plain = corrupt(streams, Sensors(), rng())
-    shifted = corrupt(streams, Sensors(encoder_offset=0.02), rng())
+    plain = add_sensor_errors(streams, Sensors(), rng())
+    shifted = add_sensor_errors(streams, Sensors(encoder_offset=0.02), rng())
     offset = shifted.q[0] - plain.q[0]
     assert 0.005 < np.std(offset) < 0.05
     assert_allclose(shifted.q - plain.q, np.tile(offset, (len(plain.t), 1)), atol=1e-12)
@@ -82,8 +82,8 @@ def test_low_pass_starts_at_rest():
 
 
 def test_imu_bandwidth_takes_vibration_away_and_leaves_the_mean(streams):
-    narrow = corrupt(streams, Sensors(imu_bandwidth=10.0), rng())
-    wide = corrupt(streams, Sensors(), rng())
+    narrow = add_sensor_errors(streams, Sensors(imu_bandwidth=10.0), rng())
+    wide = add_sensor_errors(streams, Sensors(), rng())
     assert narrow.gyro.std() < 0.4 * wide.gyro.std()
     assert_allclose(narrow.accel.mean(0), wide.accel.mean(0), atol=2e-3)
     assert_array_equal(narrow.q, wide.q)

@@ -54,7 +54,7 @@ def test_height_and_friction_are_those_of_the_compiled_scene():
     rng = np.random.default_rng(1)
     x, y = rng.uniform(-10, 10, (2, 20000))
     z, mu = rays(spec.compile(), x, y)
-    np.testing.assert_allclose(surfaces(world.relief, x, y)[0], z, atol=2e-6)
+    np.testing.assert_allclose(surfaces(world.height_map, x, y)[0], z, atol=2e-6)
     np.testing.assert_array_equal(world.friction(x, y), mu)
 
 
@@ -82,21 +82,25 @@ def test_tiles_never_overlap():
 
 @pytest.mark.parametrize("strip", [STRIPS[0], STRIPS[4], ROUGH.roughened(np.random.default_rng(3))])
 def test_normal_is_the_derivative_of_the_height(strip):
-    relief = Ground(0.8, (), 12.0, (strip,)).relief
+    height_map = Ground(0.8, (), 12.0, (strip,)).height_map
     x0, x1, y0, y1 = strip.rectangle
     rng = np.random.default_rng(4)
     e = 1e-6
     for x, y in rng.uniform([x0 + 0.1, y0 + 0.1], [x1 - 0.1, y1 - 0.1], (50, 2)):
-        slope_x = (height(relief, x + e, y) - height(relief, x - e, y)) / (2 * e)
-        slope_y = (height(relief, x, y + e) - height(relief, x, y - e)) / (2 * e)
-        n = np.array(normal(relief, x, y))
+        slope_x = (height(height_map, x + e, y) - height(height_map, x - e, y)) / (2 * e)
+        slope_y = (height(height_map, x, y + e) - height(height_map, x, y - e)) / (2 * e)
+        n = np.array(normal(height_map, x, y))
         assert np.linalg.norm(n) == pytest.approx(1.0, abs=1e-12)
         np.testing.assert_allclose(n, np.array([-slope_x, -slope_y, 1.0]) * n[2], atol=1e-6)
 
 
 def test_stairs_are_the_same_from_either_end():
-    up = Ground(0.8, (), 9.0, (Strip((0.0, 0.0), (3.0, 0.0), 2.0, (0.0, 1.2), steps=10),)).relief
-    down = Ground(0.8, (), 9.0, (Strip((3.0, 0.0), (0.0, 0.0), 2.0, (1.2, 0.0), steps=10),)).relief
+    up = Ground(
+        0.8, (), 9.0, (Strip((0.0, 0.0), (3.0, 0.0), 2.0, (0.0, 1.2), steps=10),)
+    ).height_map
+    down = Ground(
+        0.8, (), 9.0, (Strip((3.0, 0.0), (0.0, 0.0), 2.0, (1.2, 0.0), steps=10),)
+    ).height_map
     for x in np.linspace(-0.5, 3.5, 97):
         assert height(up, x, 0.1) == pytest.approx(height(down, x, 0.1), abs=1e-12)
     assert height(up, 0.01, 0.0) == pytest.approx(0.12)

@@ -9,7 +9,7 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.effects import effect
 from surefoot.sim.gait.controller import gait_for
-from surefoot.sim.gait.course import lay_course
+from surefoot.sim.gait.course import integrate_course
 from surefoot.sim.ground.height_map import height
 from surefoot.sim.ground.terrain import Ground, Patch, Strip
 from surefoot.sim.physics.scene import TIMESTEP, build_world
@@ -75,7 +75,7 @@ def test_another_seed_gives_another(log):
 def test_imu_rows_integrate_back_to_the_reference():
     """Row k carries the state of row k - 1 exactly to that of row k (Hartley et al. 2020)."""
     world = build_world(SPOT, TERRAIN)
-    course = lay_course(SCENARIO.segments, TIMESTEP * STEPS_PER_TICK, 1.0)
+    course = integrate_course(SCENARIO.segments, TIMESTEP * STEPS_PER_TICK, 1.0)
     motion = simulate(world, SPOT, gait_for(SPOT, 1.0), course)
     streams = ideal_streams(motion, SPOT)
     R_GI, p_GI, v_GI = imu_motion(motion, SPOT)
@@ -118,7 +118,7 @@ def test_standing_feet_are_on_the_ground(perfect):
     )
     for leg in range(4):
         loaded = perfect.force[:, leg] > 60.0
-        ground = np.array([height(TERRAIN.relief, x, y) for x, y in feet_G[loaded, leg, :2]])
+        ground = np.array([height(TERRAIN.height_map, x, y) for x, y in feet_G[loaded, leg, :2]])
         above = feet_G[loaded, leg, 2] - SPOT.foot_radius[leg] - ground
         assert np.percentile(np.abs(above), 99) < 0.004
     assert feet_G[-1, :, 2].min() > 0.1

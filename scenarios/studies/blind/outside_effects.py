@@ -13,7 +13,7 @@ from surefoot.sim.effects.base import AXES, Effect
 from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.streams import Streams
 
-OF_AN_ENCODER = (
+ENCODER_CHANNELS = (
     *("leg_velocity", "stance_velocity", "stance_displacement", "foot_height"),
     *("base_wrench", "joint_torque"),
 )
@@ -28,7 +28,7 @@ class EncoderEccentricity(Effect):
     name = "encoder_eccentricity"
     unit = "rad"
     bounds = (0.0, 0.1)
-    channels = OF_AN_ENCODER
+    channels = ENCODER_CHANNELS
     targets = "joint"
     gear = 6.0
 
@@ -65,7 +65,7 @@ class MagnetCrosstalk(Effect):
     name = "magnet_crosstalk"
     unit = "rad"
     bounds = (0.0, 0.1)
-    channels = OF_AN_ENCODER
+    channels = ENCODER_CHANNELS
     targets = "joint"
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:

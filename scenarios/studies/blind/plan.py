@@ -38,7 +38,7 @@ class Case:
     standing: bool = False
 
 
-def cases(plan: Mapping[str, Any]) -> list[Case]:
+def draw_cases(plan: Mapping[str, Any]) -> list[Case]:
     """Draw every case of a plan from its seed."""
     rng = np.random.default_rng(plan["seed"])
     walks = [(r, s) for s in plan["walk"]["seeds"] for r in plan["walk"]["robots"]]
@@ -51,21 +51,21 @@ def cases(plan: Mapping[str, Any]) -> list[Case]:
 
     def drawn(name: str, sizes: Sequence[float], of_group: bool = False) -> Effect:
         robot, _ = walks[len(found) % len(walks)]
-        return _drawn(name, sizes, rng, study_robot(robot), of_group)
+        return _draw_effect(name, sizes, rng, study_robot(robot), of_group)
 
     # In turns, so that a study that is stopped early has covered all kinds alike.
     for turn in range(plan["each"]):
         for name in known:
             add("single", [drawn(name, plan["sizes"][name], turn in plan["group_turns"])])
-        for _ in range(_share(plan["clean"], turn, plan["each"])):
+        for _ in range(_count_in_turn(plan["clean"], turn, plan["each"])):
             add("clean")
-        for k in range(_share(plan["outside"] * len(OUTSIDE_EFFECTS), turn, plan["each"])):
+        for k in range(_count_in_turn(plan["outside"] * len(OUTSIDE_EFFECTS), turn, plan["each"])):
             name = list(OUTSIDE_EFFECTS)[(turn + k) % len(OUTSIDE_EFFECTS)]
             add("outside", [drawn(name, plan["outside_sizes"][name])])
-        for _ in range(_share(plan["together"], turn, plan["each"])):
+        for _ in range(_count_in_turn(plan["together"], turn, plan["each"])):
             first, second = rng.choice(known, 2, replace=False)
             add("together", [drawn(n, plan["sizes"][n]) for n in (first, second)])
-        for k in range(_share(plan["confounded"], turn, plan["each"])):
+        for k in range(_count_in_turn(plan["confounded"], turn, plan["each"])):
             pair = plan["twins"][(turn + k) % len(plan["twins"])]
             name, target = pair["of"][0].split()
             one = effect(name, target, np.exp(rng.uniform(*np.log(pair["size"]))))
@@ -73,12 +73,12 @@ def cases(plan: Mapping[str, Any]) -> list[Case]:
     return found
 
 
-def _share(count: int, turn: int, turns: int) -> int:
+def _count_in_turn(count: int, turn: int, turns: int) -> int:
     """How many of `count` belong to this turn."""
     return count * (turn + 1) // turns - count * turn // turns
 
 
-def _drawn(
+def _draw_effect(
     name: str, size: Sequence[float], rng: np.random.Generator, robot: Robot, of_group: bool
 ) -> Effect:
     """Draw size, sign and target of an effect; the target is a group of parts if requested and
@@ -95,7 +95,7 @@ def _drawn(
     value = float(np.exp(rng.uniform(*np.log(size))))
     sign = rng.choice([-1.0, 1.0])
     several = tuple(kind.group_targets(QUADRUPED)) if of_group else ()
-    single = [t for t in kind.single_targets(QUADRUPED) if not kind.is_another(t, robot)]
+    single = [t for t in kind.single_targets(QUADRUPED) if not kind.equals_another(t, robot)]
     target = str(rng.choice(several or single))
     # Delays are never negative.
     both = kind.bounds[0] < 0 and not name.endswith("_delay")

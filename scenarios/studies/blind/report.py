@@ -15,7 +15,7 @@ from surefoot.scenarios.reporting.palette import AFTER, INK
 from surefoot.scenarios.reporting.palette import OUTSIDE as MISSED
 from surefoot.scenarios.reporting.plotting import new_figure, set_title
 from surefoot.scenarios.studies.blind.outside_effects import OUTSIDE_EFFECTS
-from surefoot.scenarios.studies.blind.plan import PLAN, cases
+from surefoot.scenarios.studies.blind.plan import PLAN, draw_cases
 from surefoot.scenarios.studies.pages import origin_of, write_page, write_results
 from surefoot.sim.common.toml import read_toml
 from surefoot.sim.effects import CATALOGUE
@@ -49,7 +49,7 @@ def write_report_of(
 
 def plan_prose(plan: Mapping[str, Any], finished: int) -> str:
     """What the plan draws, and how much of it is done."""
-    planned = cases(plan)
+    planned = draw_cases(plan)
     count = Counter(case.kind for case in planned)
     robots, seeds = plan["walk"]["robots"], plan["walk"]["seeds"]
     grouped = sum(

@@ -11,11 +11,11 @@ from typing import Any
 
 import tyro
 
-from surefoot.models.attribution.evidence import candidates_code
+from surefoot.models.attribution.evidence import candidates_digest
 from surefoot.scenarios.cache import finished_case, read_case
 from surefoot.scenarios.cli.options import Out
 from surefoot.scenarios.stages import processes, stage
-from surefoot.scenarios.studies.blind.plan import PLAN, Case, cases, study_robot
+from surefoot.scenarios.studies.blind.plan import PLAN, Case, draw_cases, study_robot
 from surefoot.scenarios.studies.blind.report import write_report_of
 from surefoot.scenarios.studies.blind.trial import run_case
 from surefoot.sim.common.toml import read_toml
@@ -35,7 +35,7 @@ def run_blind_study(
     groups: dict[tuple, list[Case]] = {}
     records: dict[int, dict[str, Any]] = {}
     left = float("inf") if at_most is None else at_most
-    for case in cases(drawn):
+    for case in draw_cases(drawn):
         row = read_case(folder, _name(case), _inputs(case, drawn), _MODULE)
         if row is not None:
             records[case.number] = row
@@ -72,7 +72,7 @@ def _name(case: Case) -> str:
 def _inputs(case: Case, plan: dict[str, Any]) -> dict[str, Any]:
     effects = [e.as_dict() for e in case.effects]
     drawn = {"kind": case.kind, "robot": case.robot, "seed": case.seed, "effects": effects}
-    known = {"candidates": candidates_code(), "model": study_robot(case.robot).digest}
+    known = {"candidates": candidates_digest(), "model": study_robot(case.robot).digest}
     return drawn | known | {"standing": case.standing, "walk": plan["walk"]}
 
 

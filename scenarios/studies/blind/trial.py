@@ -18,7 +18,7 @@ from surefoot.sim.log import Log
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 
-STAND = 20.0
+STANDING_TIME = 20.0
 """s that a robot stands whose log has an effect that standing does not distinguish from another."""
 
 
@@ -28,7 +28,7 @@ def ground_and_course(seed: int, standing: bool, plan: Path = PLAN) -> Scenario:
     w = read_toml(plan, "study")["walk"]
     if standing:
         # A last step or two, since a walk without any is none; `standing_part` cuts them off.
-        return Scenario("stand", (Segment(0.5),), Ground(0.8), stand=STAND)
+        return Scenario("stand", (Segment(0.5),), Ground(0.8), stand=STANDING_TIME)
     rng = np.random.default_rng([seed, 7])
     segments = tuple(
         Segment(
@@ -67,17 +67,17 @@ def run_case(case: Case, plan: Path = PLAN) -> dict[str, Any]:
     result = found.as_dict()
     record |= {key: result.get(key) for key in ("verdict", "rivals", "remainder", "channels")}
     record["effects_found"] = result["effects"]
-    record["over_floor"] = [over_floor(found, one) for one in case.effects]
+    record["over_floor"] = [size_over_floor(found, one) for one in case.effects]
     return record
 
 
 def standing_part(log: Log) -> Log:
     """The log up to its first step: a few samples of stepping would distinguish the twins."""
-    still = log.t - log.t[0] < STAND - 0.5
+    still = log.t - log.t[0] < STANDING_TIME - 0.5
     return replace(log, frame=log.frame[still])
 
 
-def over_floor(found: Diagnosis, one: Effect) -> float | None:
+def size_over_floor(found: Diagnosis, one: Effect) -> float | None:
     """An effect's size over the least that this log could show of it; None where unknown.
 
     Of friction that is the share that may be lost before feet slide. Zero for an effect that is no

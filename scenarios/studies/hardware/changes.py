@@ -22,7 +22,7 @@ from surefoot.scenarios.studies.hardware.drives import FIRST
 from surefoot.scenarios.studies.hardware.impulses import SizeKey, WindowRows, window_rows
 from surefoot.scenarios.studies.hardware.shared_sizes import Calibration, HeldOutRun
 from surefoot.sim.effects import known_effects
-from surefoot.sim.effects.contact import STICKING
+from surefoot.sim.effects.contact import STICTION_RATE
 from surefoot.sim.log import Log
 from surefoot.sim.physics.inertia import LinkChange
 from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
@@ -121,7 +121,7 @@ def with_change(log: Log, machine: FixedBase, key: SizeKey, size: float) -> Log:
     smooth = CubicSpline(t, q)
     q, dq, ddq = (smooth(log.t, order) for order in range(3))
     if name == "coulomb_friction":
-        added = size * np.tanh(dq / STICKING) * (np.arange(len(log.joints)) == j)
+        added = size * np.tanh(dq / STICTION_RATE) * (np.arange(len(log.joints)) == j)
     else:
         change = LinkChange(j, mass=size)
         if name == "link_com":

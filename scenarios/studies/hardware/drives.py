@@ -14,8 +14,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
-from surefoot.models.bootstrap import block_draws
-from surefoot.sim.effects.contact import STICKING
+from surefoot.models.bootstrap import block_bootstrap_counts
+from surefoot.sim.effects.contact import STICTION_RATE
 from surefoot.sim.log import Log
 from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
 from surefoot.sim.robot.fixed_base import Machine
@@ -117,7 +117,7 @@ def balance(log: Log, machine: Machine, width: float, stops: float = 0.0) -> Bal
 
     gravity, rigid = torque(none, none), torque(dq, ddq)
     inertia = torque(none, ddq) - gravity
-    sense = np.tanh(dq / STICKING)
+    sense = np.tanh(dq / STICTION_RATE)
     terms = {
         "torque_scale": rigid,
         "torque_bias": np.ones_like(q),
@@ -178,7 +178,7 @@ def fit_sizes(
     values = _solved(G.sum(axis=0))
     if not samples:
         return Sizes(tuple(names), values, np.full((len(names), 2), np.nan))
-    counts = block_draws(len(G), rng, samples)
+    counts = block_bootstrap_counts(len(G), rng, samples)
     drawn = np.array([_solved(np.tensordot(one, G, 1)) for one in counts])
     interval = np.percentile(drawn, [2.5, 97.5], axis=0).T.reshape(-1, 2)
     return Sizes(tuple(names), values, interval)
@@ -215,7 +215,7 @@ def level_interval(
 
 def ratio_interval(top: np.ndarray, bottom: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """95 % interval (2,) of sum(top) / sum(bottom) over blocks (B,), by bootstrap."""
-    draws = block_draws(len(top), rng)
+    draws = block_bootstrap_counts(len(top), rng)
     return np.percentile((draws @ top) / (draws @ bottom), [2.5, 97.5])
 
 

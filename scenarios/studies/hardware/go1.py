@@ -15,7 +15,7 @@ from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.estimator.metrics import align_first, evaluate
 from surefoot.models.attribution.evidence import log_under_model, table_of
 from surefoot.models.attribution.split import split_of
-from surefoot.models.bootstrap import block_draws
+from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.models.residuals.layout import layout_for
 from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.scenarios.estimate.run import Learnt
@@ -49,7 +49,7 @@ def stance_profile(log: Log, robot: Robot, effects: Sequence[Effect]) -> np.ndar
     """Speed (TENTHS, K) [m/s] that a foot which the log calls standing has, by the legs and the
     reference: root mean square over walking, by tenths of the stance and leg."""
     log, robot = compensate_all(effects, log, robot)
-    frame = log_under_model(log, robot).frame
+    frame = log_under_model(log, robot).motion
     robot = replace(robot, foot_radius=np.maximum(robot.foot_radius, 0.0))
     standing = log.contact & log.ref_ok[:, None]
     v = leg_velocity(robot, log.q, joint_velocity(log), log.gyro, frame.up_I, standing)
@@ -70,7 +70,7 @@ def shares_table(log: Log, robot: Robot, found: Trace, seed: int = 0) -> pd.Data
     rng = np.random.default_rng(seed)
     case = log_under_model(log, robot)
     late = split_of([case]).report
-    block = np.floor(case.frame.t / BLOCK).astype(int)[late]
+    block = np.floor(case.motion.t / BLOCK).astype(int)[late]
     velocity = layout_for(robot.limbs).channels["leg_velocity"]
 
     def squares(chosen: Sequence[Effect]) -> tuple[np.ndarray, np.ndarray]:
@@ -84,7 +84,7 @@ def shares_table(log: Log, robot: Robot, found: Trace, seed: int = 0) -> pd.Data
         )
 
     before, count = squares(())
-    draws = block_draws(len(before), rng)
+    draws = block_bootstrap_counts(len(before), rng)
     rows = []
     for words, chosen in ladder(found.effects, robot, late_ends(found)):
         after, _ = squares(chosen)
@@ -105,7 +105,7 @@ def rolling_table(log: Log, robot: Robot, seed: int = 0) -> pd.DataFrame:
     """Radius of the feet by parts of the stance: what the body's forward and lateral velocity say,
     each by least squares over walking, with intervals by blocks."""
     rng = np.random.default_rng(seed)
-    frame = log_under_model(log, robot).frame
+    frame = log_under_model(log, robot).motion
     phase = np.column_stack([stance_phase(contact) for contact in log.contact.T])
     walks = (np.linalg.norm(frame.v_I, axis=1) > WALKING) & log.ref_ok
     dq, up = joint_velocity(log), frame.up_I

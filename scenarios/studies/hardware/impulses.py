@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 
 from surefoot.sim.effects import compensate_all, effect, known_effects
-from surefoot.sim.effects.contact import STICKING
+from surefoot.sim.effects.contact import STICTION_RATE
 from surefoot.sim.effects.targets import AXES
 from surefoot.sim.log import Log
 from surefoot.sim.physics.inertia import LinkChange
@@ -103,7 +103,7 @@ def window_rows(log: Log, machine: FixedBase, length: float) -> WindowRows:
         # The first hinge's rotor turns as its link does.
         if j and np.ptp(log.tau[:, j]) > 0.0:
             terms["rotor inertia", joint] = _only(through.rate @ log.dq, j)
-        terms["dry friction", joint] = _only(through.mean @ np.tanh(log.dq / STICKING), j)
+        terms["dry friction", joint] = _only(through.mean @ np.tanh(log.dq / STICTION_RATE), j)
         terms["viscous friction", joint] = _only(through.mean @ log.dq, j)
     changes: dict[SizeKey, np.ndarray] = {}
     for name in CHANGES:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surefoot.models.bootstrap import block_draws
+from surefoot.models.bootstrap import block_bootstrap_counts
 
 FAST = 7.0
 """rad/s: norm of all joints' rates from which a row's own time is estimated."""
@@ -43,7 +43,7 @@ def row_times(q: np.ndarray, dq: np.ndarray, rng: np.random.Generator) -> RowTim
     """The times between the rows of q (N, J) [rad] with rates dq (N, J) [rad/s]."""
     turned, rate = np.diff(q, axis=0), 0.5 * (dq[1:] + dq[:-1])
     block = np.arange(len(turned)) // ROWS_OF_BLOCK
-    counts = block_draws(block[-1] + 1, rng)
+    counts = block_bootstrap_counts(block[-1] + 1, rng)
     many = np.arange(len(turned)) // TOGETHER
     far, whole = _sums(many, turned), _sums(many, rate)
     top = _sums(block[::TOGETHER], far * whole)

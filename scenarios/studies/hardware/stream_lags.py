@@ -8,7 +8,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from surefoot.models.attribution.evidence import log_under_model
-from surefoot.models.bootstrap import block_draws
+from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.models.residuals.binning import ReferenceMotion
 from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.scenarios.studies.hardware.drives import BLOCK
@@ -37,7 +37,7 @@ class Lag:
 
 def lags(log: Log, robot: Robot, seed: int = 0) -> tuple[Lag, ...]:
     """The streams against the motion capture, each by another part of its motion."""
-    frame, rng = log_under_model(log, robot).frame, np.random.default_rng(seed)
+    frame, rng = log_under_model(log, robot).motion, np.random.default_rng(seed)
     walks = np.linalg.norm(frame.v_I, axis=1) > WALKING
     block = np.floor((log.t - log.t[0]) / BLOCK).astype(int)
     costs = {
@@ -60,7 +60,7 @@ def _least(
     """Where the cost (S, N), summed over these rows, is least, with the bootstrap's interval."""
     numbers = np.unique(block[rows])
     sums = np.array([cost[:, rows & (block == b)].sum(axis=1) for b in numbers])
-    counts = block_draws(len(sums), rng)
+    counts = block_bootstrap_counts(len(sums), rng)
     found = [_valley(c) for c in counts @ sums]
     low, high = np.percentile(found, [2.5, 97.5])
     return _valley(sums.sum(axis=0)), (float(low), float(high))

@@ -27,7 +27,7 @@ from surefoot.sim.physics.stepper import STEPS_PER_TICK
 from surefoot.sim.robot.catalog import known_robots
 from surefoot.sim.scenario import Scenario
 from surefoot.sim.sensors.streams import Motion
-from surefoot.sim.walk import SETTLE, Fallen, Plan, plan, record, simulate
+from surefoot.sim.walk import SETTLING_TIME, Fallen, Plan, plan, record, simulate
 from surefoot.sim.walking.batch import Job, known_robot, on_threads
 from surefoot.sim.walking.truth import SLIPPING
 
@@ -136,7 +136,9 @@ def walked(job: Job, progress: Callable[[float], None] | None = None) -> WalkRow
     try:
         motion = simulate(made.world, robot, made.gait, made.course, progress)
     except Fallen as fall:
-        return WalkRow(robot.name, job.scenario.name, job.seed, 1, duration=fall.time - SETTLE)
+        return WalkRow(
+            robot.name, job.scenario.name, job.seed, 1, duration=fall.time - SETTLING_TIME
+        )
     log = record(made, motion)
     between = thread_time()
     if job.seed == 0:
@@ -164,13 +166,13 @@ def velocity_error(made: Plan, motion: Motion) -> float:
 
     Both as means over MEAN_OVER, from the end of settling on.
     """
-    ticks = slice(round(SETTLE / TIMESTEP), None, STEPS_PER_TICK)
+    ticks = slice(round(SETTLING_TIME / TIMESTEP), None, STEPS_PER_TICK)
     ahead = motion.R_GB[ticks, :2, 0]
     ahead = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
     aside = np.column_stack([-ahead[:, 1], ahead[:, 0]])
     v = motion.v_GB[ticks, :2]
     moved = np.column_stack([(v * ahead).sum(axis=1), (v * aside).sum(axis=1)])
-    wanted = made.course.velocity[round(SETTLE / TIMESTEP / STEPS_PER_TICK) :, :2]
+    wanted = made.course.velocity[round(SETTLING_TIME / TIMESTEP / STEPS_PER_TICK) :, :2]
     n = min(len(moved), len(wanted))
     window = round(MEAN_OVER / (TIMESTEP * STEPS_PER_TICK))
     total = np.cumsum(np.vstack([np.zeros(2), moved[:n] - wanted[:n]]), axis=0)

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from surefoot.models.attribution.coarse_reference import (
-    Coarse,
-    as_coarse,
-    coarseness,
+from surefoot.models.attribution.reference_sampling import (
+    ReferenceSampling,
     reference_notes,
+    reference_sampling,
+    resample_reference,
 )
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
@@ -23,14 +23,14 @@ def log():
 
 
 def test_a_reference_with_a_sample_a_row_is_not_coarse(log):
-    assert coarseness(log) is None
+    assert reference_sampling(log) is None
 
 
 def test_samples_and_their_noise_are_found_again(log):
     rng = np.random.default_rng(0)
     intervals = tuple(rng.choice([0.0083, 0.0167, 0.025], 1000))
-    true = Coarse(intervals, 0.8e-3, 1.5e-3, 2e-3)
-    found = coarseness(as_coarse(log, true, rng))
+    true = ReferenceSampling(intervals, 0.8e-3, 1.5e-3, 2e-3)
+    found = reference_sampling(resample_reference(log, true, rng))
     assert found is not None
     seen = np.sum(np.cumsum(intervals) < log.t[-1] - log.t[0])
     assert len(found.intervals) == pytest.approx(seen, rel=0.01)
@@ -42,16 +42,16 @@ def test_samples_and_their_noise_are_found_again(log):
 
 def test_without_an_imu_only_the_samples_are_known(log):
     rng = np.random.default_rng(1)
-    coarse = as_coarse(log, Coarse((0.02,) * 50, 1e-3, 1e-3), rng)
-    names = [n for n in coarse.frame if str(n).startswith(("gyro_", "accel_"))]
-    bare = type(coarse)(coarse.frame.drop(columns=names), coarse.meta, coarse.name)
-    found = coarseness(bare)
+    sampling = resample_reference(log, ReferenceSampling((0.02,) * 50, 1e-3, 1e-3), rng)
+    names = [n for n in sampling.frame if str(n).startswith(("gyro_", "accel_"))]
+    bare = type(sampling)(sampling.frame.drop(columns=names), sampling.meta, sampling.name)
+    found = reference_sampling(bare)
     assert found is not None
     assert (found.position, found.angle) == (0.0, 0.0)
 
 
 def test_a_reference_without_error_keeps_the_motion(log):
-    seen = as_coarse(log, Coarse((0.01,), 0.0, 0.0), np.random.default_rng(2))
+    seen = resample_reference(log, ReferenceSampling((0.01,), 0.0, 0.0), np.random.default_rng(2))
     assert_allclose(seen.ref_p, log.ref_p, atol=5e-4)
     assert_allclose(seen.ref_R_GI, log.ref_R_GI, atol=4e-3)
 
@@ -59,13 +59,15 @@ def test_a_reference_without_error_keeps_the_motion(log):
 def test_a_reference_with_a_noisy_sample_a_row_is_seen_by_the_floor(log):
     """As motion capture logged with an IMU is; a simulated one, with velocities, is not."""
     slow = log.rows(slice(None, None, 5))
-    noisy = as_coarse(slow, Coarse((), 0.6e-3, 1e-3, 1e-3), np.random.default_rng(3))
+    noisy = resample_reference(
+        slow, ReferenceSampling((), 0.6e-3, 1e-3, 1e-3), np.random.default_rng(3)
+    )
     names = [n for n in noisy.frame if str(n).startswith("ref_v")]
     measured = type(noisy)(noisy.frame.drop(columns=names), noisy.meta, noisy.name)
-    found = coarseness(measured)
+    found = reference_sampling(measured)
     assert found is not None
     assert found.intervals == ()
     assert found.position == pytest.approx(0.6e-3, rel=0.35)
-    assert coarseness(noisy) is None
+    assert reference_sampling(noisy) is None
     assert any("included in the noise floor" in note for note in reference_notes(measured, found))
     assert reference_notes(noisy, None) == ()

@@ -7,7 +7,7 @@ import numpy as np
 _AT_ONCE = 1 << 16  # numbers: half a megabyte
 
 
-def drawn_later(rng: np.random.Generator, count: int) -> np.random.Generator:
+def deferred_normals(rng: np.random.Generator, count: int) -> np.random.Generator:
     """A generator of the next `count` normal numbers of `rng`, which is left behind them.
 
     How far a normal number takes a generator is not known before it is drawn: they are drawn twice.

@@ -57,7 +57,7 @@ class _Kept:
     fields: tuple[_Field, ...] = ()
 
 
-def kept_ground(ground: Ground) -> dict[str, Any]:
+def ground_metadata(ground: Ground) -> dict[str, Any]:
     """What `Meta.model` keeps of a ground."""
     rough = [HeightField(s.rectangle, s.nodes(), s.mu) for s in ground.strips if s.rough]
     drawn = thinned(replace(ground, fields=(*rough, *ground.fields)))

@@ -21,7 +21,7 @@ from surefoot.sim.log.reference import reference_poses
 
 
 @dataclass(frozen=True)
-class Coarse:
+class ReferenceSampling:
     """Sampling and noise of a reference.
 
     Attributes:
@@ -37,7 +37,7 @@ class Coarse:
     stamp: float = 0.0
 
 
-def coarseness(log: Log, settings: TraceSettings = DEFAULT) -> Coarse | None:
+def reference_sampling(log: Log, settings: TraceSettings = DEFAULT) -> ReferenceSampling | None:
     """Estimate the sampling and noise of a log's reference.
 
     None where it has too few samples, or one in every row and a velocity of its own, as simulated
@@ -52,21 +52,21 @@ def coarseness(log: Log, settings: TraceSettings = DEFAULT) -> Coarse | None:
     intervals = () if every_row else tuple(np.round(np.diff(poses.t), 6))
     noise = reference_noise(log.t, log.gyro, log.accel, poses) if log.has("imu") else None
     if noise is None:
-        return None if every_row else Coarse(intervals, 0.0, 0.0)
-    return Coarse(intervals, noise.position, noise.angle, noise.stamp)
+        return None if every_row else ReferenceSampling(intervals, 0.0, 0.0)
+    return ReferenceSampling(intervals, noise.position, noise.angle, noise.stamp)
 
 
-def as_coarse(log: Log, coarse: Coarse, rng: np.random.Generator) -> Log:
-    """Resample the reference of a log, with noise and interpolation as in `coarse`."""
+def resample_reference(log: Log, sampling: ReferenceSampling, rng: np.random.Generator) -> Log:
+    """Resample the reference of a log, with noise and interpolation as in `sampling`."""
     t = then = log.t
-    if coarse.intervals:
-        repeats = int(np.ceil((t[-1] - t[0]) / sum(coarse.intervals)))
-        then = t[0] + np.cumsum(np.tile(coarse.intervals, repeats))
+    if sampling.intervals:
+        repeats = int(np.ceil((t[-1] - t[0]) / sum(sampling.intervals)))
+        then = t[0] + np.cumsum(np.tile(sampling.intervals, repeats))
         then = np.concatenate([t[:1], then[then < t[-1]], t[-1:]])
-    seen = np.clip(then + rng.normal(0.0, coarse.stamp, len(then)), t[0], t[-1])
+    seen = np.clip(then + rng.normal(0.0, sampling.stamp, len(then)), t[0], t[-1])
     p_GI = _at(seen, t, log.ref_p)
-    p_GI += rng.normal(0.0, coarse.position, p_GI.shape)
-    turned = Rotation.from_rotvec(rng.normal(0.0, coarse.angle, p_GI.shape))
+    p_GI += rng.normal(0.0, sampling.position, p_GI.shape)
+    turned = Rotation.from_rotvec(rng.normal(0.0, sampling.angle, p_GI.shape))
     R_GI = Slerp(t, Rotation.from_matrix(log.ref_R_GI))(seen) * turned
     q_GI = quaternion_from_matrix(Slerp(then, R_GI)(t).as_matrix())
     path = _at(t, then, p_GI)
@@ -75,18 +75,19 @@ def as_coarse(log: Log, coarse: Coarse, rng: np.random.Generator) -> Log:
     return with_columns(log, columns)
 
 
-def reference_notes(log: Log, coarse: Coarse | None) -> tuple[str, ...]:
+def reference_notes(log: Log, sampling: ReferenceSampling | None) -> tuple[str, ...]:
     """Notes on a measured reference: wrong samples, their noise, and any error of its clock or
     tracked point that the IMU alone reveals.
     """
-    if coarse is None:
+    if sampling is None:
         return ()
     notes = list(check_reference(reference_poses(log)).faults)
     if not log.has("imu"):
         return tuple(notes)
     notes.append(
-        f"reference: noise of {1e3 * coarse.position:.2g} mm, {np.degrees(coarse.angle):.2g} deg "
-        f"and {1e3 * coarse.stamp:.2g} ms, included in the noise floor"
+        f"reference: noise of {1e3 * sampling.position:.2g} mm, "
+        f"{np.degrees(sampling.angle):.2g} deg and {1e3 * sampling.stamp:.2g} ms, "
+        "included in the noise floor"
     )
     found = align(log, most=_MOST)
     late, far = abs(found.offset), float(np.linalg.norm(found.p_IM))

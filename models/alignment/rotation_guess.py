@@ -24,7 +24,7 @@ _PEAKS = 12
 
 
 @dataclass(frozen=True)
-class Turning:
+class RotationGuess:
     """A guess: seconds to add to the reference's stamps; R_IM (3, 3) from the tracked body M to the
     IMU I; the gyro's bias (3,) [rad/s]; the share of its turning that is not the reference's."""
 
@@ -34,7 +34,9 @@ class Turning:
     missed: float
 
 
-def guess_by_turning(t: np.ndarray, gyro: np.ndarray, poses: Poses, most: float) -> Turning | None:
+def guess_from_rotation(
+    t: np.ndarray, gyro: np.ndarray, poses: Poses, most: float
+) -> RotationGuess | None:
     """The best guess within offsets of +-`most` [s]; None where none has _OVERLAP.
 
     t (N,) [s] and gyro (N, 3) [rad/s] are the IMU's.
@@ -53,7 +55,9 @@ def guess_by_turning(t: np.ndarray, gyro: np.ndarray, poses: Poses, most: float)
     peak = np.flatnonzero((scores[1:-1] >= scores[:-2]) & (scores[1:-1] > scores[2:])) + 1
     peak = peak[np.isfinite(scores[peak])]
     best = peak[np.argsort(-scores[peak], kind="stable")[:_PEAKS]]
-    tried = [_compared(here, a, there, b, lags[k] + n * _STEP) for k in best for n in range(-6, 7)]
+    tried = [
+        _guess_at_offset(here, a, there, b, lags[k] + n * _STEP) for k in best for n in range(-6, 7)
+    ]
     return min((one for one in tried if one), key=lambda one: one.missed, default=None)
 
 
@@ -87,9 +91,9 @@ def _correlations(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.where(count * _STEP >= _OVERLAP, both / size, -np.inf)
 
 
-def _compared(
+def _guess_at_offset(
     here: np.ndarray, a: np.ndarray, there: np.ndarray, b: np.ndarray, offset: float
-) -> Turning | None:
+) -> RotationGuess | None:
     """How well rates b, at the times `there` plus `offset`, can be turned into rates a at `here`.
 
     Args:
@@ -112,4 +116,4 @@ def _compared(
     if turned == 0.0:
         return None
     missed = float(np.sum((a - b @ R.T) ** 2) / turned)
-    return Turning(float(offset), R, mean_a - R @ mean_b, missed)
+    return RotationGuess(float(offset), R, mean_a - R @ mean_b, missed)

@@ -24,7 +24,7 @@ _HEAD = 8  # bytes, rows and columns, of MuJoCo's own height fields
 _SOLID, _FACET = 84, 50  # bytes, head and triangle of a binary STL
 
 
-def own_ground(
+def ground_from_file(
     folder: Path,
     name: str,
     center: tuple[float, float],

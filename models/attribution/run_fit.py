@@ -16,39 +16,39 @@ from surefoot.models.attribution.evidence import (
 from surefoot.models.attribution.fit import design, fit, normal_equations
 from surefoot.models.attribution.found import Found
 from surefoot.models.attribution.noise_floor import NoiseFloor
-from surefoot.models.attribution.refinement import Data, clipped
+from surefoot.models.attribution.refinement import RefinementData, with_clipped_size
 from surefoot.models.attribution.split import FIT, SELECT
 from surefoot.sim.effects import Effect, compensate_all, effect
 
-ZERO_ROUNDS = 3
+OFFSET_ITERATIONS = 3
 """Gauss-Newton iterations: the residual is slightly nonlinear in a clock offset of milliseconds."""
-BIASES = tuple((f"{sensor}_bias", axis) for sensor in ("gyro", "accel") for axis in "xyz")
+IMU_BIASES = tuple((f"{sensor}_bias", axis) for sensor in ("gyro", "accel") for axis in "xyz")
 
 
 @dataclass(frozen=True)
-class Run:
+class FittedRun:
     """Effects of one run's own.
 
     Attributes:
-        case: the run's log with `taken` compensated.
+        case: the run's log with `compensated` compensated.
         zeros: all of them, with 95 % intervals.
-        taken: those compensated; the others are turn-on biases, which every fit and filter
+        compensated: those compensated; the others are turn-on biases, which every fit and filter
             estimates.
     """
 
     case: LogUnderModel
     zeros: tuple[Found, ...]
-    taken: tuple[Effect, ...]
+    compensated: tuple[Effect, ...]
 
 
-def run_of(
+def fit_run(
     case: LogUnderModel,
     effects: Sequence[Effect],
     start: Sequence[Effect],
     floor: NoiseFloor,
     weight: np.ndarray,
     sigma: np.ndarray,
-) -> Run:
+) -> FittedRun:
     """Fit a run's own effects beside the shared ones, and compensate those in `start`.
 
     Args:
@@ -59,22 +59,24 @@ def run_of(
         weight: (M, W) of the log's bins, zero where they must not be used.
         sigma: (W,) noise of each column.
     """
-    taken = list(start)
+    compensated = list(start)
     legged = case.log.has("imu") and not case.fixed
     own = [(e.name, e.target) for e in start]
-    keys = [*own, *(key for key in BIASES if legged and key not in own)]
+    keys = [*own, *(key for key in IMU_BIASES if legged and key not in own)]
     zeros: tuple[Found, ...] = ()
-    for _ in range(ZERO_ROUNDS if start else 1):
-        known = linearise([case], [*effects, *taken], keys)
-        zeros = _sizes(known, keys, taken, floor, weight, sigma)
-        taken = [one.effect for one in zeros if (one.effect.name, one.effect.target) in own]
-    if not taken:
-        return Run(case, zeros, ())
-    without = compensate_all(taken, case.log, case.robot)
-    return Run(log_under_model(*without, case.settings), zeros, tuple(taken))
+    for _ in range(OFFSET_ITERATIONS if start else 1):
+        known = linearise([case], [*effects, *compensated], keys)
+        zeros = _fitted_sizes(known, keys, compensated, floor, weight, sigma)
+        compensated = [one.effect for one in zeros if (one.effect.name, one.effect.target) in own]
+    if not compensated:
+        return FittedRun(case, zeros, ())
+    without = compensate_all(compensated, case.log, case.robot)
+    return FittedRun(log_under_model(*without, case.settings), zeros, tuple(compensated))
 
 
-def runs_of(known: Data, effects: Sequence[Effect], own: Sequence[Effect]) -> tuple[Run, ...]:
+def fit_runs(
+    known: RefinementData, effects: Sequence[Effect], own: Sequence[Effect]
+) -> tuple[FittedRun, ...]:
     """Fit each log's own effects on all but the part that only reports.
 
     Args:
@@ -85,12 +87,12 @@ def runs_of(known: Data, effects: Sequence[Effect], own: Sequence[Effect]) -> tu
     weights, log = known.robust_weights, known.evidence.log
     weight = np.where(np.isin(known.part, (FIT, SELECT))[:, None], weights.weight, 0.0)
     return tuple(
-        run_of(case, effects, own, known.floor, weight[log == i], weights.sigma)
+        fit_run(case, effects, own, known.floor, weight[log == i], weights.sigma)
         for i, case in enumerate(known.cases)
     )
 
 
-def _sizes(
+def _fitted_sizes(
     known: Evidence,
     keys: Sequence[Key],
     about: Sequence[Effect],
@@ -108,18 +110,18 @@ def _sizes(
         weight: (M, W).
         sigma: (W,).
     """
-    sums = normal_equations(design(known), floor.counted(sigma), weight)
+    sums = normal_equations(design(known), floor.effective_noise(sigma), weight)
     # A run's bias is a constant to be estimated, not a draw from the data sheet's distribution.
-    sums = replace(sums, limits=np.where([k in keys for k in sums.stands_for], 0.0, sums.limits))
+    sums = replace(sums, limits=np.where([k in keys for k in sums.described_by], 0.0, sums.limits))
     fitted = fit(sums, keys)
     at = {(e.name, e.target): e.value for e in about}
     found = []
     for i, key in enumerate(keys):
         offset, spread = floor.sizes([k for k in keys if k != key], key)
-        one = clipped(effect(*key, 0.0), at.get(key, 0.0) + fitted.sizes[i] - offset)
-        many = len(floor.repeats)
+        one = with_clipped_size(effect(*key, 0.0), at.get(key, 0.0) + fitted.sizes[i] - offset)
+        many = len(floor.walks)
         chance = t.ppf(0.975, many - 1) * spread if many > 1 else 0.0
-        faked = 1.96 * floor.doubt(key, offset)
+        faked = 1.96 * floor.size_uncertainty(key, offset)
         error = 1.96 * np.sqrt(fitted.covariance[i, i])
         half = float(np.sqrt(error**2 + chance**2 + faked**2))
         found.append(Found(one, (one.value - half, one.value + half)))

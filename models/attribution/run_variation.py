@@ -12,25 +12,25 @@ import numpy as np
 from surefoot.models.attribution.evidence import Evidence, all_keys, linearise
 from surefoot.models.attribution.fit import design, fit, normal_equations
 from surefoot.models.attribution.levels import trimmed_rms
-from surefoot.models.attribution.noise_floor import NoiseFloor, Unchanged
+from surefoot.models.attribution.noise_floor import NoiseFloor, RunVariation
 from surefoot.models.attribution.robust_weights import RobustWeights
-from surefoot.models.attribution.zeros import Run
+from surefoot.models.attribution.run_fit import FittedRun
 from surefoot.sim.effects import Effect
 
 FEWEST_RUNS = 3
 """Runs needed to estimate the variation."""
-LIKE_OTHERS = 4
+PRIOR_FREEDOM = 4
 """Prior degrees of freedom, from all candidates, in the variance of one candidate."""
 
 
-def unchanged(
-    runs: Sequence[Run],
+def run_variation(
+    runs: Sequence[FittedRun],
     effects: Sequence[Effect],
     floor: NoiseFloor,
     known: Evidence,
     left: np.ndarray,
     weights: RobustWeights,
-) -> Unchanged | None:
+) -> RunVariation | None:
     """Estimate the variation between runs with `effects` compensated; None of too few runs.
 
     A candidate's variance is shrunk towards that of all, each in units of its noise (Smyth,
@@ -46,7 +46,7 @@ def unchanged(
     """
     if len(runs) < FEWEST_RUNS:
         return None
-    count, sigma = len(runs), floor.counted(weights.sigma)
+    count, sigma = len(runs), floor.effective_noise(weights.sigma)
     keys = [k for k in all_keys(runs[0].case) if all(k in all_keys(r.case) for r in runs)]
     size, precision = np.empty((2, count, len(keys)))
     for number, run in enumerate(runs):
@@ -58,7 +58,7 @@ def unchanged(
     told = precision > 0.0
     typical = np.median((square * precision)[told]) if told.any() else 0.0
     others = typical / np.where(told, precision, np.inf)
-    variance = (count * square + LIKE_OTHERS * others) / (count - 1 + LIKE_OTHERS)
+    variance = (count * square + PRIOR_FREEDOM * others) / (count - 1 + PRIOR_FREEDOM)
     deviation = np.sqrt(variance * (1.0 + 1.0 / count))
     differ = {k: float(one) for k, one in zip(keys, deviation, strict=True)}
     most = {}
@@ -67,4 +67,4 @@ def unchanged(
         levels = [trimmed_rms(part) for part in parts if np.isfinite(part).any()]
         if levels:
             most[name] = 2.0 * max(levels) - min(levels)
-    return Unchanged(count, differ, most)
+    return RunVariation(count, differ, most)
