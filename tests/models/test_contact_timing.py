@@ -62,8 +62,8 @@ def test_moments_are_those_at_which_a_foot_stops_and_starts():
 
 
 def test_each_change_is_in_the_bin_in_which_the_foot_stopped_or_started(plain):
-    log, first = plain.log, plain.frame.first
-    late = contact_timing(log, ROBOT, plain.frame)
+    log, first = plain.log, plain.motion.first
+    late = contact_timing(log, ROBOT, plain.motion)
     for leg in range(4):
         change = changes(log.contact[:, leg])
         told = 0.5 * (log.t[change] + log.t[change - 1])
@@ -97,8 +97,8 @@ def test_feet_that_already_move_are_not_asked_where_contacts_end_late(plain):
     late = case_with(effect("contact_delay", "liftoff", 0.04))
     rows = late.motion.standing
     # Each step is late by its own time.
-    assert (rows & ~plain.frame.standing).sum() < 0.08 * rows.sum()
-    assert rows.sum() > 0.9 * plain.frame.standing.sum()
+    assert (rows & ~plain.motion.standing).sum() < 0.08 * rows.sum()
+    assert rows.sum() > 0.9 * plain.motion.standing.sum()
     velocities = layout_for(QUADRUPED).channels["leg_velocity"]
     worst = [np.nanmax(np.abs(table_of(case, ())[:, velocities])) for case in (plain, late)]
     assert worst[1] < 1.5 * worst[0]
