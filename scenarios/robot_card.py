@@ -59,7 +59,7 @@ def _card(robot: Robot) -> RobotCard:
     turned = not np.allclose(robot.R_BI, np.eye(3))
     imu = f"site {robot.imu}" if robot.imu else "none in the model: the base frame stands for it"
     lines = [
-        f"{robot.name}: {robot.mass:.2f} kg, legs of {_leg_length(robot):.3f} m",
+        f"{robot.name}: {robot.mass:.2f} kg, legs of {robot.leg_length:.3f} m",
         f"file: {robot.file}",
         f"base: body '{robot.base_name}'",
         f"IMU: {imu}, at {_numbers(robot.p_BI)} m in the base" + ", turned" * turned,
@@ -91,7 +91,7 @@ def _card(robot: Robot) -> RobotCard:
         "name": robot.name,
         "file": robot.file,
         "mass": robot.mass,
-        "leg_length": _leg_length(robot),
+        "leg_length": robot.leg_length,
         "imu": robot.imu,
         "p_BI": robot.p_BI,
         "R_BI": robot.R_BI,
@@ -100,16 +100,6 @@ def _card(robot: Robot) -> RobotCard:
         "feet": feet,
     }
     return RobotCard("\n".join([*lines, "", to_markdown(joints), "", to_markdown(feet)]), values)
-
-
-def _leg_length(robot: Robot) -> float:
-    """Length [m] of the first leg when straight, from its second hinge to the foot's centre; from
-    its first where it has no more than two.
-    """
-    legs = robot.legs
-    count = int(legs.joint_count[0])
-    links = legs.offset[0, 2 if count > 2 else 1 : count]
-    return float(np.linalg.norm(links, axis=1).sum() + np.linalg.norm(legs.foot[0]))
 
 
 def _why_not(robot: Robot) -> str:

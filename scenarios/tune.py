@@ -26,7 +26,7 @@ from surefoot.estimator.metrics import Metrics, evaluate
 from surefoot.scenarios.cache import finished_case
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_code, estimator_named
-from surefoot.scenarios.estimate.run import declared_model, estimated, refuse_without_robot
+from surefoot.scenarios.estimate.run import declared_model, estimated
 from surefoot.scenarios.estimate.tuned import Parameters, Tuned, read_tuned, tuned, tuned_file
 from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.scenarios.stages import processes, stage
@@ -128,7 +128,6 @@ def tune(
     of_robot: dict[str, list[Path]] = {}
     for path in paths:
         log = Log.read(path)
-        refuse_without_robot(log, robot)
         of_robot.setdefault(Robot.for_log(log, robot).name, []).append(path)
     searches = {
         (known, name): (

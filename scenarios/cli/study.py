@@ -60,7 +60,6 @@ class TraceCommand:
     force: Force = False
 
     def run(self) -> None:
-        from surefoot.scenarios.estimate.run import refuse_without_robot
         from surefoot.scenarios.reporting.progress import percent_bar
         from surefoot.scenarios.trace.long_logs import note_on_blocks, read_in_blocks
         from surefoot.scenarios.trace.run import trace
@@ -80,11 +79,9 @@ class TraceCommand:
             raise SurefootError(
                 f"the logs are of {' and '.join(robots)}: trace one robot at a time"
             )
-        for log in [*logs, *held_out]:
-            refuse_without_robot(log, self.robot)
-        robot = machine_for_log(logs[0], self.robot)
-        # The first block of a long log is checked, as `estimate` checks its first minutes.
         first = [blocks[0] for blocks in (*read, *read_holdout)]
+        robot, *_ = [machine_for_log(log, self.robot) for log in first]
+        # The first block of a long log is checked, as `estimate` checks its first minutes.
         warnings = not_plausible(first, self.robot, self.strict)
         # A trace must not depend on the names of its logs, so its notes number them.
         notes = tuple(
@@ -127,7 +124,6 @@ class LoopCommand:
     force: Force = False
 
     def run(self) -> None:
-        from surefoot.scenarios.estimate.run import refuse_without_robot
         from surefoot.scenarios.reporting.tables import to_markdown
         from surefoot.scenarios.trace.loop import loop
         from surefoot.sim.effects.file import load_effects
@@ -135,7 +131,6 @@ class LoopCommand:
         from surefoot.sim.robot import Robot
 
         log = Log.read(self.log)
-        refuse_without_robot(log, self.robot)
         robot = Robot.for_log(log, self.robot)
         declared = None if self.declared is None else load_effects(self.declared)
         held_out = read_logs(self.holdout) if self.holdout else []
@@ -177,7 +172,6 @@ class Realism:
     force: Force = False
 
     def run(self) -> None:
-        from surefoot.scenarios.estimate.run import refuse_without_robot
         from surefoot.scenarios.experiments.as_walked import load_as_walked
         from surefoot.scenarios.reporting.progress import percent_bar
         from surefoot.scenarios.reporting.tables import to_markdown
@@ -187,7 +181,6 @@ class Realism:
         from surefoot.sim.robot import Robot
 
         log = Log.read(self.log)
-        refuse_without_robot(log, self.robot)
         robot = Robot.for_log(log, self.robot)
         effects = load_effects(self.effects) if self.effects else ()
         with percent_bar("walking") as bar:

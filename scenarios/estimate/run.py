@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 from time import perf_counter
 from typing import Any, TypeVar, cast
 
@@ -33,7 +32,6 @@ from surefoot.scenarios.estimate.tuned import Parameters, tuned
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import compensate_all, declared_effects
 from surefoot.sim.log import Log
-from surefoot.sim.robot.model_of_log import robot_of_log
 from surefoot.sim.robot.robot import NO_ROBOT, Robot
 
 _R = TypeVar("_R", Robot, Robot | None)
@@ -129,13 +127,6 @@ _compiled: set[str] = set()
 def robot_of(log: Log, name: str | None = None) -> Robot | None:
     """The robot `name`, or else the log's own (`Robot.for_log`); None without either."""
     return Robot.for_log(log, name) if name or log.meta.robot else None
-
-
-def refuse_without_robot(log: Log, name: str | Path | None = None) -> None:
-    """Raise SurefootError, with the log's name, where neither it nor `name` says which robot."""
-    if not (name or robot_of_log(log)):
-        feet = "; where its feet are is enough for estimate, compare and align, but not here"
-        raise SurefootError(f"{log.name}: {NO_ROBOT}{feet if log.has('foot') else ''}")
 
 
 def declared_model(log: Log, robot: _R) -> tuple[Log, _R]:

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from surefoot.scenarios.estimate.run import refuse_without_robot
 from surefoot.scenarios.viewer.recording import write_recording
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.height_map import height
@@ -35,7 +34,6 @@ def write_preview(
     """
     if Path(source).suffix == ".parquet":
         log = Log.read(source)
-        refuse_without_robot(log, robot)
         write_recording(path, log, Robot.for_log(log, robot), {}, force=force)
         return
     if source not in bundled_scenarios() and Path(source).suffix != ".toml":

@@ -24,11 +24,16 @@ from surefoot.sim.common.limits import bounded_text, check_limit, check_toml_key
 T = TypeVar("T")
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0)]
+SampleRate = Annotated[float, msgspec.Meta(gt=0, le=1e6)]
+"""Hz. A million is beyond any sensor of a robot."""
 Level = Annotated[float, msgspec.Meta(gt=0, lt=1)]
 Count = Annotated[int, msgspec.Meta(ge=1, le=2**53)]
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=1000)]
-FileName = Annotated[str, msgspec.Meta(pattern=r"^\w[\w .+=(),-]{0,99}$")]
-"""A name that becomes part of a file's: letters, digits and a few signs, so no path."""
+_DEVICE = r"(?i:con|prn|aux|nul|com\d|lpt\d)(\.|$)"
+FileName = Annotated[str, msgspec.Meta(pattern=rf"^(?!{_DEVICE})\w[\w .+=(),-]{{0,99}}$")]
+"""A name that becomes part of a file's: letters, digits and a few signs, so no path, and no name
+that Windows reserves for a device.
+"""
 Seed = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
 
 _Place = tuple[str | int, ...]  # keys, and the indices of tables in their arrays

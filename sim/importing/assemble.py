@@ -192,11 +192,9 @@ def _motor_law(rules: ImportMap, joints: tuple[str, ...]) -> dict[str, list[floa
     law: dict[str, list[float]] = {}
     for key, gains in rules.motor_law.items():
         if isinstance(gains, dict):
-            if set(gains) != set(joints):
-                odd = sorted(set(gains) ^ set(joints))[0]
-                raise SurefootError(
-                    f"{rules.path}: [motor_law] {key}: joint {odd!r} is odd one out"
-                )
+            for joint in sorted(set(gains) ^ set(joints)):
+                what = "has no gain" if joint in joints else "is not a joint of the log"
+                raise SurefootError(f"{rules.path}: [motor_law] {key}: {joint!r} {what}")
             law[key] = [gains[joint] for joint in joints]
         else:
             law[key] = [gains] * len(joints)

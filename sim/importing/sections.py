@@ -2,19 +2,25 @@
 
 import math
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.toml import Name, NonNegative, Positive
+from surefoot.sim.common.toml import Name, NonNegative, SampleRate
 from surefoot.sim.importing.columns import ColumnEntry, Entries, check_sign
+from surefoot.sim.robot.catalog import SUFFIXES
 
 EVENNESS = 4e-3 / 3
 """Default unevenness of the ground [m]: DIN 18202, table 3, group 3 allows finished floors 4 mm
 between points a metre apart, taken as three standard deviations. A log simulated elsewhere has
 evenness = 0.
 """
+_FARTHEST = 100.0
+"""Distance of a sensor or a tracked body from the robot's base beyond which a map errs [m]."""
+FootRadius = Annotated[float, msgspec.Meta(ge=0, le=1.0)]
+Debounce = Annotated[float, msgspec.Meta(ge=0, le=1.0)]
 OneCharacter = Annotated[str, msgspec.Meta(pattern=r"^[^\r\n\"]\Z")]
 """Within a line, and no quotation mark."""
 
@@ -40,7 +46,7 @@ class Source:
     """File name, relative to the main file; "{name}" in it is the main file's name without its
     suffix.
     """
-    rate: Positive | None = None
+    rate: SampleRate | None = None
     """Rate of the rows [Hz], for a file without times."""
     t: Name | ColumnEntry | None = None
     """Times of a further file, on the log's clock after unit and offset."""
@@ -92,6 +98,7 @@ class ReferenceTable(Source):
     """
 
     def __post_init__(self):
+        _check_near("p_IM", self.p_IM)
         check_unit("q_IM", self.q_IM)
         check_unit("q_GW", self.q_GW)
         if self.frame == "base" and (any(self.p_IM) or any(self.q_IM[1:])):
@@ -108,7 +115,7 @@ class RobotTable:
     """Position of the IMU in the base frame [m]; by default the file's."""
     imu_orientation: tuple[float, float, float, float] | None = None
     """Attitude (w, x, y, z) of the IMU in the base frame; by default the file's."""
-    foot_radius: NonNegative | None = None
+    foot_radius: FootRadius | None = None
     """Radius on which the feet roll [m]; by default the file's, which `import` then reports; 0 for
     points.
     """
@@ -120,6 +127,11 @@ class RobotTable:
     """By joint [rad]."""
 
     def __post_init__(self):
+        if Path(self.name).suffix not in SUFFIXES and Path(self.name).name != self.name:
+            raise SurefootError(
+                f"name: {self.name!r} is neither a robot's name nor an MJCF or URDF"
+            )
+        _check_near("imu_position", self.imu_position or ())
         if self.imu_orientation is not None:
             check_unit("imu_orientation", self.imu_orientation)
         for joint, sign in self.joint_sign.items():
@@ -161,7 +173,7 @@ class ContactTable:
     """
     offset: float | dict[str, float] = 0.0
     """Subtracted first."""
-    debounce: NonNegative = 0.0
+    debounce: Debounce = 0.0
     """Time above `on` before a foot stands [s]."""
 
     def by_leg(self, legs: tuple[str, ...]) -> dict[str, tuple[float, float, float]]:
@@ -195,7 +207,7 @@ class MotorLaw:
 class EvenTable:
     """[even]: resampling to an even rate, and interpolation of held streams."""
 
-    rate: Positive | None = None
+    rate: SampleRate | None = None
     """Rate of the rows [Hz]; by default the median of the recording."""
     held: tuple[Name, ...] = ()
     """Kinds of columns ("q", "dq", "gyro", ...) that repeat a reading until the next: rows between
@@ -216,6 +228,12 @@ def check_unit(key: str, q: tuple[float, ...]) -> None:
     """Raise SurefootError unless q is of unit length, within the rounding of written numbers."""
     if abs(sum(c * c for c in q) - 1.0) > 1e-4:
         raise SurefootError(f"{key} is not a unit quaternion (w, x, y, z)")
+
+
+def _check_near(key: str, position: tuple[float, ...]) -> None:
+    """Raise SurefootError where a position on the robot is far away from it."""
+    if math.hypot(*position) > _FARTHEST:
+        raise SurefootError(f"{key} is {math.hypot(*position):.3g} m away, {_FARTHEST:g} m at most")
 
 
 def _as_kept(key: str, value: Any) -> Any:

@@ -13,7 +13,7 @@ from surefoot.sim.robot.catalog import robot_file
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.robot.model_file import compiled_model
 from surefoot.sim.robot.model_of_log import robot_of_log
-from surefoot.sim.robot.robot import NO_ROBOT, DeclaredExtras, Robot
+from surefoot.sim.robot.robot import DeclaredExtras, Robot
 
 BUNDLED_MACHINES = bundled("surefoot.sim.robot", "machines")
 
@@ -77,12 +77,7 @@ def machine_for_log(log: Log, name: str | Path | None = None) -> Machine:
     """
     chosen = name or robot_of_log(log)
     if not chosen:
-        if not log.has("foot"):
-            raise SurefootError(NO_ROBOT)
-        raise SurefootError(
-            f"{log.name}: names no robot; where its feet are is enough for estimate, compare and "
-            "align, but not here: say with --robot which model has its joints"
-        )
+        return Robot.for_log(log)  # which says what the log lacks
     machine = load_machine(chosen, log.meta.model.get("feet"))
     if isinstance(machine, Robot):
         return Robot.for_log(log, chosen)

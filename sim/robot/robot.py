@@ -109,10 +109,14 @@ class Robot:
 
     @classmethod
     def for_log(cls, log: Log, name: str | Path | None = None) -> "Robot":
-        """The robot `name`, or else the one the log names, with the values of the log's map."""
+        """The robot `name`, or else the one the log names, with the values of the log's map.
+
+        Raises SurefootError where neither says which robot.
+        """
         chosen = name or robot_of_log(log)
         if not chosen:
-            raise SurefootError(NO_ROBOT)
+            feet = "; its foot positions suffice for estimate, compare and align, but not here"
+            raise SurefootError(f"{log.name}: {NO_ROBOT}{feet if log.has('foot') else ''}")
         mapped = log.meta.model
         robot = cls.load(chosen, mapped.get("feet")).in_order_of(log)
         if "p_BI" in mapped:
@@ -188,9 +192,12 @@ class Robot:
 
     @cached_property
     def leg_length(self) -> float:
-        """Length [m] of the straight leg from the thigh joint to the foot's centre."""
-        legs = self.legs
-        return float(np.linalg.norm(legs.offset[0, 2]) + np.linalg.norm(legs.foot[0]))
+        """Length [m] of the first leg when straight, from its second hinge to the foot's centre;
+        from its first where it has no more than two.
+        """
+        legs, count = self.legs, int(self.legs.joint_count[0])
+        links = legs.offset[0, 2 if count > 2 else 1 : count]
+        return float(np.linalg.norm(links, axis=1).sum() + np.linalg.norm(legs.foot[0]))
 
     @cached_property
     def inertial(self) -> tuple[float, np.ndarray, np.ndarray, float]:

@@ -145,7 +145,7 @@ def test_commands_run_without_a_robot_and_say_what_needs_one(tmp_path, capsys, f
     assert {result.filter for result in results} == {"leg", "leg_slip", "imu"}
     assert "radar_leg" in left_out
     said = str(stopped("trace", str(path), "-o", str(tmp_path / "traced")))
-    assert "enough for estimate, compare and align, but not here" in said
+    assert "its foot positions suffice for estimate, compare and align, but not here" in said
 
 
 def test_what_is_missing_is_one_line(tmp_path, feet):
