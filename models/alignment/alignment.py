@@ -1,5 +1,7 @@
-"""Clock, place and rotation of a measured reference against a log's IMU, before legs are looked
-at."""
+"""Alignment of a measured reference with a log's IMU: clock offset, position and rotation.
+
+It uses no legs, so a trace can rely on it.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -23,30 +25,45 @@ from surefoot.sim.log import Log
 from surefoot.sim.log.reference import Poses, reference_poses
 
 LARGEST_OFFSET = 10.0
-"""s up to which a clock is looked for: two programs that are started by hand."""
+"""Largest clock offset searched for [s]: two programs that are started by hand."""
 _FEWEST_SAMPLES = 15
-"""Samples of the reference without which there is no fit: as many as it has unknowns."""
+"""Least number of samples of the reference for a fit: as many as it has unknowns."""
 HALVES_TOLERANCE = 5e-3
-"""s by which the clocks of both halves of a log may differ: half a sample at 100 Hz."""
+"""Largest difference of the clock offsets of a log's halves [s]: half a sample at 100 Hz."""
 MOST_ROTATION_MISSED = 0.15
-"""Share of the gyro's turning that may not be the tracked body's: what gyros that are read at 100
-Hz miss of a walk stays below a tenth; a body that wobbles or another one's is above."""
+"""Largest share of the gyro's rotation that the tracked body may lack. A gyro read at 100 Hz misses
+less than a tenth of a walk's rotation; a loose body, or another one, lacks more.
+"""
 _FORCE_SHIFT = 5.0
-"""m/s^2, half of gravity, by which an accelerometer's mean may differ from the force that the
-reference implies: no bias is so large, a rotation that is a first guess hides less, gravity of the
-wrong sign is more."""
+"""Largest difference of the accelerometer's mean from the specific force of the reference [m/s^2]:
+half of gravity. A bias is smaller, as is the effect of the first guess of the rotation; gravity
+with the wrong sign is larger.
+"""
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """How a tracked body M was placed against the IMU I; half widths are of 95 % intervals. offset
-    [s]: to add to the reference's stamps; halves (2,) [s]: by each half of the log; p_IM (3,) [m]:
-    M's origin in I; R_IM (3, 3): from M's axes to I's, its half width [rad]; bias_gyro [rad/s],
-    bias_accel [m/s^2] (3,); tilt (2,) [rad]: by which the reference's vertical leans to x and y;
-    turn_missed: share of the gyro's turning that is not the body's; accel_sign, accel_offset (3,)
-    [m/s^2]: what the accelerometer must be multiplied by, and what be added, to be a specific
-    force; samples: of the reference; fitted: residuals; faults: what should not be believed, in
-    words.
+    """Clock offset, position and rotation of a tracked body M relative to the IMU I.
+
+    Half widths are those of 95 % intervals.
+
+    Attributes:
+        offset: to add to the reference's stamps [s].
+        offset_half_width: [s].
+        halves: offsets fitted to each half of the log (2,) [s].
+        p_IM: M's origin in I (3,) [m].
+        p_IM_half_width: (3,) [m].
+        R_IM: rotation from M's axes to I's (3, 3).
+        R_IM_half_width: (3,) [rad].
+        bias_gyro: (3,) [rad/s].
+        bias_accel: (3,) [m/s^2].
+        tilt: of the reference's vertical, along x and y (2,) [rad].
+        turn_missed: share of the gyro's rotation that the tracked body does not have.
+        accel_sign: factor of each axis that makes the accelerometer a specific force (3,).
+        accel_offset: to add to it (3,) [m/s^2].
+        samples: number of samples of the reference.
+        fitted: residuals of the fit.
+        faults: reasons to doubt the result, in words.
     """
 
     offset: float
@@ -73,7 +90,7 @@ class Alignment:
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """In words, faults last."""
+        """The result in words, faults last."""
         angles = np.degrees(Rotation.from_matrix(self.R_IM).as_rotvec())
         first, second = 1e3 * self.halves
         return (
@@ -91,7 +108,7 @@ class Alignment:
 
     @property
     def map_lines(self) -> tuple[str, ...]:
-        """What an import map needs to do the same."""
+        """Lines of an import map that apply the same alignment."""
         return (
             "[reference]",
             f"offset = {self.offset:.5f} # s",
@@ -100,7 +117,7 @@ class Alignment:
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON: every number in SI."""
+        """The result as plain JSON types, in SI units."""
         numbers = {k: v for k, v in vars(self).items() if k not in ("fitted", "faults", "R_IM")}
         values = {name: np.asarray(x).tolist() for name, x in numbers.items()}
         return {**values, "q_IM": self.q_IM.tolist(), "faults": list(self.faults)}
@@ -109,15 +126,15 @@ class Alignment:
 def align(
     log: Log, poses: Poses | None = None, most: float = LARGEST_OFFSET, seed: int = 0
 ) -> Alignment:
-    """Find clock, place and rotation of a reference from IMU and reference alone.
+    """Find clock offset, position and rotation of a reference, from IMU and reference alone.
 
     Args:
         log: with an IMU.
-        poses: of the tracked body, on its own clock; the log's own reference where left out.
-        most: largest offset of the clock that is looked for [s].
-        seed: of the bootstrap that intervals come from.
+        poses: of the tracked body, on its own clock; by default the log's own reference.
+        most: largest clock offset searched for [s].
+        seed: of the bootstrap of the intervals.
 
-    Raises SurefootError where the log has no IMU, or no reference, or they share too little.
+    Raises SurefootError if the log has no IMU or no reference, or they overlap too little.
     """
     log.require("imu")
     poses = without_jumps(reference_poses(log) if poses is None else poses)
@@ -138,7 +155,7 @@ def align(
     found, width = fitted.placement, fitted.half_width
     halves = found.offset + fitted.halves[:, 0]
     turning = np.sum(np.var(readings.gyro, axis=0))
-    # The median of the rest: impacts that an IMU's filter smears are no other body.
+    # The median of the residual, since impacts smeared by the IMU's filter are not another body.
     missed = 3.0 * (1.4826 * np.median(np.abs(fitted.rates))) ** 2 / turning
     return Alignment(
         offset=found.offset,
@@ -161,8 +178,10 @@ def align(
 
 
 def aligned_log(log: Log, alignment: Alignment, poses: Poses | None = None) -> Log:
-    """The log with ref_p and ref_q of the IMU frame on the IMU's clock; its metadata say what was
-    done. `poses` are those that were aligned; rows outside them are cut."""
+    """The log with ref_p and ref_q of the IMU frame on the IMU's clock, noted in its metadata.
+
+    `poses` are those that were aligned, by default the log's own; rows outside them are cut.
+    """
     poses = reference_poses(log) if poses is None else poses
     late = Poses(poses.t + alignment.offset, poses.p, poses.q)
     at_imu = mounted(late, alignment.p_IM, alignment.R_IM)
@@ -178,9 +197,11 @@ def aligned_log(log: Log, alignment: Alignment, poses: Poses | None = None) -> L
 def _accelerometer(
     felt: np.ndarray, moved: np.ndarray, lever: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Sign (3,) of each axis of the accelerometer, and what to add to it (3,) [m/s^2], as far as
-    its readings are no specific force: conventions differ. The arguments are as of
-    `specific_forces`."""
+    """Sign (3,) and offset (3,) [m/s^2] that make the accelerometer's readings a specific force,
+    since conventions differ.
+
+    The arguments are the results of `specific_forces`.
+    """
     sign, shift = np.ones(3), np.zeros(3)
     for axis in range(3):
         columns = np.column_stack([moved[:, axis], lever[:, axis], np.ones(len(felt))])

@@ -1,9 +1,11 @@
-"""Clock, place and rotation of a tracked body together, by least squares over smoothed poses.
- At every sample of the reference a quadratic is fitted to those around it: to the turn that poses
-have beside the gyro's integral, whose slope is a rate, and to the path that they have beside the
-twice integrated specific force, whose second derivative is an acceleration. Both sides go through
-the same samples and the same fit, so that smoothing and gaps cancel. Where clock, rotation, place
-and biases are right, nothing but noise is left.
+"""Joint least-squares fit of a tracked body's clock offset, position and rotation.
+
+The poses are compared with the integrals of the IMU (`sim.log.dead_reckoning`). At each sample of
+the reference, a quadratic is fitted to the neighbouring samples of two differences: that of the
+poses' attitude and the integrated gyro, whose slope is an angular rate, and that of the poses'
+position and the twice integrated specific force, whose second derivative is an acceleration. IMU
+and reference pass through the same samples and the same fit, so smoothing and gaps cancel. If clock
+offset, rotation, position and biases are correct, only noise remains.
 """
 
 from dataclasses import dataclass, replace
@@ -20,32 +22,42 @@ from surefoot.sim.log.derived import local_quadratic
 from surefoot.sim.log.reference import Poses
 
 _TURN_WINDOW = 0.08
-"""s of the fits to turns."""
+"""Window of the fits to attitudes [s]."""
 _PATH_WINDOW = 0.1
-"""s of the fits to paths: they smooth positions as a Gaussian of 20 ms does."""
+"""Window of the fits to positions [s]; it smooths like a Gaussian of 20 ms."""
 _FEWEST = 5
-"""Samples in a window: one of a sparser reference is longer."""
+"""Least number of samples in a window; for a sparser reference the window is longer."""
 _PRIOR = {"bias_gyro": 0.05, "bias_accel": 0.3, "p_IM": 1.0, "tilt": 0.02}
-"""Standard deviations [rad/s, m/s^2, m, rad] of what a log may not tell: biases of uncalibrated
-MEMS sensors, a body's size, and a motion capture's floor that was levelled by eye."""
+"""Prior standard deviations [rad/s, m/s^2, m, rad] of parameters that a log may not determine:
+biases of uncalibrated MEMS sensors, a lever arm within a body's size, and the tilt of a motion
+capture whose floor was levelled by eye.
+"""
 _OUTLIER = 2.0
 """Standard deviations beyond which a row loses weight (Huber)."""
 _BLOCK = 1.0
-"""s of the blocks of the bootstrap: some strides, which hardly resemble the next."""
+"""Length of the blocks of the bootstrap [s]: some strides, which are nearly independent."""
 _MOST_ITERATIONS = 12
-"""Gauss-Newton steps at most."""
+"""Maximum number of Gauss-Newton steps."""
 _CLOCK_TOLERANCE = 1e-6
-"""s by which the clock still moves when it has converged."""
+"""Change of the clock offset at which the fit has converged [s]."""
 _DIFFERENCE_STEPS = np.array([1e-3] + [1e-3] * 3 + [1e-3] * 3)
-"""Steps of the differences by clock [s], rotation [rad] and gyro bias [rad/s]: far below what
-bends."""
+"""Steps of the finite differences for clock offset [s], rotation [rad] and gyro bias [rad/s], small
+enough for the residual to be linear.
+"""
 
 
 @dataclass(frozen=True)
 class Placement:
-    """Seconds to add to the reference's stamps; R_IM (3, 3) from the tracked body M to the IMU I;
-    biases (3,) of gyro [rad/s] and accelerometer [m/s^2]; p_IM (3,) [m], M's origin in I; tilt (2,)
-    [rad] by which the reference's vertical leans to x and y."""
+    """Parameters of the fit, for a tracked body M and the IMU I.
+
+    Attributes:
+        offset: to add to the reference's stamps [s].
+        R_IM: rotation from M to I (3, 3).
+        bias_gyro: (3,) [rad/s].
+        bias_accel: (3,) [m/s^2].
+        p_IM: M's origin in I (3,) [m].
+        tilt: of the reference's vertical, along x and y (2,) [rad].
+    """
 
     offset: float
     R_IM: np.ndarray
@@ -55,7 +67,9 @@ class Placement:
     tilt: np.ndarray
 
     def moved(self, step: np.ndarray) -> "Placement":
-        """This and a step (15,): clock, rotation about axes of M, biases, place, tilt."""
+        """The parameters after a step (15,): clock offset, rotation about axes of M, biases of gyro
+        and accelerometer, position, tilt.
+        """
         return Placement(
             self.offset + float(step[0]),
             self.R_IM @ Rotation.from_rotvec(step[1:4]).as_matrix(),
@@ -68,10 +82,18 @@ class Placement:
 
 @dataclass(frozen=True)
 class PlacementFit:
-    """The placement; half the width (15,) of 95 % intervals, in the order of `Placement.moved`; the
-    steps (2, 15) that each half of the log would go from it; residuals at the samples' times
-    t (K,) [s] of the IMU: rates (K, 3) [rad/s] and accelerations (K, 3) [m/s^2], in I; lever
-    (K, 3, 3): what these are larger by, per metre of p_IM, with the point taken for the IMU."""
+    """Result of the fit.
+
+    Attributes:
+        placement: the parameters.
+        half_width: of their 95 % intervals (15,), in the order of `Placement.moved`.
+        halves: steps from them that each half of the log alone would take (2, 15).
+        t: times of the samples on the IMU's clock (K,) [s].
+        rates: residual of the angular rate, in I (K, 3) [rad/s].
+        accelerations: residual of the acceleration, in I (K, 3) [m/s^2].
+        lever: change of these accelerations per metre of p_IM if the tracked point were taken to be
+            the IMU (K, 3, 3).
+    """
 
     placement: Placement
     half_width: np.ndarray
@@ -84,8 +106,9 @@ class PlacementFit:
 
 @dataclass(frozen=True)
 class Readings:
-    """An IMU's t (N,) [s], gyro and accel (N, 3), and the poses of a tracked body on its own
-    clock."""
+    """Readings of an IMU, t (N,) [s], gyro and accel (N, 3), and the poses of a tracked body on
+    another clock.
+    """
 
     t: np.ndarray
     gyro: np.ndarray
@@ -93,8 +116,9 @@ class Readings:
     poses: Poses
 
     def within(self, offset: float) -> "Readings":
-        """Those poses that lie within the IMU's times where their clock is late by `offset` [s],
-        with a margin for the clock to move."""
+        """The readings with only the poses that lie within the IMU's times after adding `offset`
+        [s] to their stamps, with a margin for changes of the offset.
+        """
         at = self.poses.t + offset
         inside = (at > self.t[1] + 0.05) & (at < self.t[-1] - 0.05)
         return replace(self, poses=self.poses.rows(inside))
@@ -103,9 +127,12 @@ class Readings:
 def placement_residual(
     readings: Readings, at: Placement
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rates [rad/s] and accelerations [m/s^2] (K, 6), in I, that samples have beside the IMU under
-    a placement; what these change by per metre of p_IM (K, 3, 3) and the attitudes R_GI (K, 3,
-    3)."""
+    """Residual of the K samples for given parameters.
+
+    Returns:
+        Differences of angular rate [rad/s] and acceleration [m/s^2] between reference and IMU, in I
+        (K, 6); their change per metre of p_IM (K, 3, 3); attitudes R_GI (K, 3, 3).
+    """
     poses = readings.poses
     q_GI = quaternion_from_matrix(poses.R @ at.R_IM.T)
     mounted = Poses(poses.t + at.offset, poses.p, q_GI)
@@ -125,9 +152,11 @@ def placement_residual(
 
 
 def specific_forces(readings: Readings, at: Placement) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Specific forces (K, 3) [m/s^2] in I: as the accelerometer has them, and as the motion of the
-    tracked point implies them; what these change by per metre of p_IM (K, 3, 3). All smoothed
-    alike.
+    """Specific forces in I, all smoothed in the same way.
+
+    Returns:
+        Those of the accelerometer (K, 3) [m/s^2]; those that follow from the motion of the tracked
+        point (K, 3) [m/s^2]; the change of the latter per metre of p_IM (K, 3, 3).
     """
     inside = readings.within(at.offset)
     rows, lever, R_GI = placement_residual(inside, at)
@@ -140,7 +169,7 @@ def specific_forces(readings: Readings, at: Placement) -> tuple[np.ndarray, np.n
 
 
 def fit_placement(readings: Readings, start: Placement, rng: np.random.Generator) -> PlacementFit:
-    """The likeliest placement, from one that is right to a stride's fraction."""
+    """Maximum a-posteriori parameters, from a start that is accurate to a fraction of a stride."""
     prior = np.concatenate([np.zeros(4), *(np.full(n, _PRIOR[k] ** -2.0) for k, n in _PRIORS)])
     now, rounds = start, 0
     while True:
@@ -176,8 +205,9 @@ _PRIORS = (("bias_gyro", 3), ("bias_accel", 3), ("p_IM", 3), ("tilt", 2))
 
 
 def _linearised(readings: Readings, at: Placement) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Residuals (K, 6), their derivatives (K, 6, 15) and the times (K,) [s] of the samples that
-    have enough others around."""
+    """Residuals (K, 6), their derivatives (K, 6, 15) and times (K,) [s], of the samples with enough
+    neighbours.
+    """
     rows, lever, R_GI = placement_residual(readings, at)
     columns = np.zeros((len(rows), 6, 15))
     for k, size in enumerate(_DIFFERENCE_STEPS):
@@ -196,7 +226,9 @@ def _linearised(readings: Readings, at: Placement) -> tuple[np.ndarray, np.ndarr
 
 
 def _normal_equations(rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of each sample, J'WJ (K, 15, 15) and -J'We (K, 15): each kind of row by its own spread."""
+    """J'WJ (K, 15, 15) and -J'We (K, 15) of each sample, rates and accelerations each weighted by
+    their own spread.
+    """
     weight = np.empty_like(rows)
     for part in (slice(0, 3), slice(3, 6)):
         spread = 1.4826 * np.median(np.abs(rows[:, part])) + 1e-12

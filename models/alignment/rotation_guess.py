@@ -1,7 +1,9 @@
-"""A first guess of clock and rotation: what turns how fast, and about which axes.
- The speed of turning does not depend on axes, so that its correlation over all offsets finds the
-clock to a sample. Walking is periodic: several peaks are kept, and the rates themselves, turned by
-the rotation that fits them best (Kabsch, Acta Crystallographica A 32, 1976), tell them apart.
+"""First guess of the clock offset and rotation of a reference, from the angular rates of both.
+
+The norm of the angular rate does not depend on the axes, so its correlation over all offsets gives
+the clock offset to a sample. Walking is periodic, so several peaks of the correlation are kept. For
+each, the rates are rotated by the best rotation (Kabsch, Acta Crystallographica A 32, 1976), and
+the peak with the smallest difference is taken.
 """
 
 from dataclasses import dataclass
@@ -14,19 +16,25 @@ from scipy.spatial.transform import Rotation
 from surefoot.sim.log.reference import Poses
 
 _STEP = 0.005
-"""s between the offsets that are tried: a fraction of a sample of motion capture."""
+"""Step between the offsets tried [s]: a fraction of a sample of motion capture."""
 _SMOOTH = 0.06
-"""s over which rates are averaged: a sample dropped or a stamp off by a frame hardly matters."""
+"""Averaging time of the rates [s]; a lost sample or a stamp off by a frame then hardly matters."""
 _OVERLAP = 3.0
-"""s that IMU and reference share at least: some strides."""
+"""Least common time of IMU and reference [s]: some strides."""
 _PEAKS = 12
-"""Offsets whose rates are compared: strides of a walk within ten seconds."""
+"""Number of offsets whose rates are compared: the strides within ten seconds."""
 
 
 @dataclass(frozen=True)
 class RotationGuess:
-    """A guess: seconds to add to the reference's stamps; R_IM (3, 3) from the tracked body M to the
-    IMU I; the gyro's bias (3,) [rad/s]; the share of its turning that is not the reference's."""
+    """A first guess of a reference's clock offset and rotation.
+
+    Attributes:
+        offset: to add to the reference's stamps [s].
+        R_IM: rotation (3, 3) from the tracked body M to the IMU I.
+        bias: of the gyro (3,) [rad/s].
+        missed: share of the gyro's rotation that the reference does not have.
+    """
 
     offset: float
     R_IM: np.ndarray
@@ -37,12 +45,13 @@ class RotationGuess:
 def guess_from_rotation(
     t: np.ndarray, gyro: np.ndarray, poses: Poses, most: float
 ) -> RotationGuess | None:
-    """The best guess within offsets of +-`most` [s]; None where none has _OVERLAP.
+    """The best guess with an offset within +-`most` [s]; None if IMU and reference have too little
+    time in common.
 
-    t (N,) [s] and gyro (N, 3) [rad/s] are the IMU's.
+    t (N,) [s] and gyro (N, 3) [rad/s] are those of the IMU.
     """
     middle, rates = rates_of(poses)
-    # A body that is taken for another, or turned about, for some frames has impossible rates.
+    # A tracker that confuses bodies or flips an attitude for some frames gives impossible rates.
     fastest = 1.5 * np.linalg.norm(gyro, axis=1).max()
     size = np.maximum(np.linalg.norm(rates, axis=1), 1e-12)
     rates = rates * np.minimum(1.0, fastest / size)[:, None]
@@ -62,15 +71,16 @@ def guess_from_rotation(
 
 
 def rates_of(poses: Poses) -> tuple[np.ndarray, np.ndarray]:
-    """Angular rates (K - 1, 3) [rad/s] of the tracked body, in it, and the times (K - 1,)
-    midway."""
+    """Angular rates (K - 1, 3) [rad/s] of the tracked body, in its own frame, and their times
+    (K - 1,), midway between the poses.
+    """
     R = Rotation.from_quat(poses.q, scalar_first=True)
     rates = (R[:-1].inv() * R[1:]).as_rotvec() / np.diff(poses.t)[:, None]
     return 0.5 * (poses.t[1:] + poses.t[:-1]), rates
 
 
 def smoothed(at: np.ndarray, t: np.ndarray, rates: np.ndarray) -> np.ndarray:
-    """Means (M, 3) over _SMOOTH seconds about the times `at` (M,) of rates (K, 3) at t (K,)."""
+    """Means (M, 3) of rates (K, 3), given at t (K,), over _SMOOTH seconds about the times `at`."""
     turned = cumulative_trapezoid(rates, t, axis=0, initial=0.0)
     low, high = np.clip(at - _SMOOTH / 2, t[0], t[-1]), np.clip(at + _SMOOTH / 2, t[0], t[-1])
     change = [np.interp(high, t, x) - np.interp(low, t, x) for x in turned.T]
@@ -79,8 +89,9 @@ def smoothed(at: np.ndarray, t: np.ndarray, rates: np.ndarray) -> np.ndarray:
 
 
 def _correlations(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Correlation of a (A,) with b (B,) at every shift (A + B - 1,), over what they share; minus
-    infinity where that is less than _OVERLAP."""
+    """Correlation of a (A,) with b (B,) over their overlap at each shift (A + B - 1,); minus
+    infinity where the overlap is shorter than _OVERLAP.
+    """
     back, one_a, one_b = b[::-1], np.ones_like(a), np.ones_like(b)
     count = np.round(fftconvolve(one_a, one_b))
     sum_a, sum_b = fftconvolve(a, one_b), fftconvolve(one_a, back)
@@ -94,7 +105,7 @@ def _correlations(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def _guess_at_offset(
     here: np.ndarray, a: np.ndarray, there: np.ndarray, b: np.ndarray, offset: float
 ) -> RotationGuess | None:
-    """How well rates b, at the times `there` plus `offset`, can be turned into rates a at `here`.
+    """The best rotation from rates b, at the times `there` plus `offset`, to rates a at `here`.
 
     Args:
         here: (A,) times of the IMU [s].

@@ -42,9 +42,9 @@ def test_samples_and_their_noise_are_found_again(log):
 
 def test_without_an_imu_only_the_samples_are_known(log):
     rng = np.random.default_rng(1)
-    sampling = resample_reference(log, ReferenceSampling((0.02,) * 50, 1e-3, 1e-3), rng)
-    names = [n for n in sampling.frame if str(n).startswith(("gyro_", "accel_"))]
-    bare = type(sampling)(sampling.frame.drop(columns=names), sampling.meta, sampling.name)
+    resampled = resample_reference(log, ReferenceSampling((0.02,) * 50, 1e-3, 1e-3), rng)
+    names = [n for n in resampled.frame if str(n).startswith(("gyro_", "accel_"))]
+    bare = type(resampled)(resampled.frame.drop(columns=names), resampled.meta, resampled.name)
     found = reference_sampling(bare)
     assert found is not None
     assert (found.position, found.angle) == (0.0, 0.0)
