@@ -20,7 +20,7 @@ ROBOTS = bundled("surefoot.scenarios.studies.blind", "robots")
 
 @lru_cache(maxsize=16)
 def study_robot(name: str) -> Robot:
-    """A robot that only the study has, or a known one."""
+    """A robot of the study's own folder, or else a known one."""
     own = ROBOTS / f"{name}.xml"
     return known_robot(str(own) if own.is_file() else name)
 
@@ -53,7 +53,7 @@ def draw_cases(plan: Mapping[str, Any]) -> list[Case]:
         robot, _ = walks[len(found) % len(walks)]
         return _draw_effect(name, sizes, rng, study_robot(robot), of_group)
 
-    # In turns, so that a study that is stopped early has covered all kinds alike.
+    # Interleaved, so that a study stopped early has covered all kinds alike.
     for turn in range(plan["each"]):
         for name in known:
             add("single", [drawn(name, plan["sizes"][name], turn in plan["group_turns"])])
@@ -74,7 +74,7 @@ def draw_cases(plan: Mapping[str, Any]) -> list[Case]:
 
 
 def _count_in_turn(count: int, turn: int, turns: int) -> int:
-    """How many of `count` belong to this turn."""
+    """Number of cases in this turn if `count` are spread evenly over `turns`."""
     return count * (turn + 1) // turns - count * turn // turns
 
 

@@ -1,4 +1,4 @@
-"""The blind study scored: each of its rules, tables by effect, size and case, and two figures."""
+"""Report of the blind study: its rules, tables by effect, size and case, and two figures."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -25,14 +25,16 @@ Record = Mapping[str, Any]
 Rows = list[dict[str, Any]]
 CASE_KINDS = ("single", "clean", "outside", "together", "twins")
 NOT_NAMED = ("nothing", "another target", "confounded")
-"""Columns of the confusion matrix beside the effects."""
+"""Further columns of the confusion matrix, for logs whose effect was not found."""
 
 
 def write_report_of(
     out: Path, records: Sequence[Record], page: Path | None = None, plan: Path = PLAN
 ) -> str:
-    """Write report.html, table.md and cases.csv of a plan, and the page; returns the tables as
-    text."""
+    """Write report.html, table.md, cases.csv and, if given, the page of a plan's results.
+
+    Returns the tables as text.
+    """
     walked = [r for r in records if "fell" not in r]
     of = {kind: [r for r in walked if r["kind"] == kind] for kind in CASE_KINDS}
     drawn = read_toml(plan, "study")
@@ -48,7 +50,7 @@ def write_report_of(
 
 
 def plan_prose(plan: Mapping[str, Any], finished: int) -> str:
-    """What the plan draws, and how much of it is done."""
+    """Describe the cases of a plan, and how many are finished."""
     planned = draw_cases(plan)
     count = Counter(case.kind for case in planned)
     robots, seeds = plan["walk"]["robots"], plan["walk"]["seeds"]
@@ -71,7 +73,7 @@ def plan_prose(plan: Mapping[str, Any], finished: int) -> str:
 
 
 def plan_table(plan: Mapping[str, Any]) -> Rows:
-    """A row an effect: the ends between which its size is drawn."""
+    """One row for each effect: the limits between which its size is drawn."""
     kinds = {**CATALOGUE, **OUTSIDE_EFFECTS}
     return [
         {
@@ -87,7 +89,7 @@ def plan_table(plan: Mapping[str, Any]) -> Rows:
 
 
 def results(of: Mapping[str, Sequence[Record]], records: Sequence[Record]) -> list[Section]:
-    """Results of the cases that are finished."""
+    """Sections on the results of the finished cases."""
     return [
         Section("Rules and results", RULES_PROSE, rules(records)),
         Section(
@@ -128,23 +130,26 @@ RULES_PROSE = (
 
 
 def named(record: Record) -> list[tuple[str, str]]:
-    """Effects that the trace named, strongest first."""
+    """Name and target of the effects that the trace found, strongest first."""
     return [(e["name"], e["target"]) for e in record["effects_found"]]
 
 
 def truth(record: Record) -> list[tuple[str, str]]:
-    """Effects that were put in."""
+    """Name and target of the effects that were injected."""
     return [(e["name"], e["target"]) for e in record["effects"]]
 
 
 def rivals(record: Record) -> list[tuple[str, str]]:
-    """Effects that the trace could not distinguish from the one that it named."""
+    """Name and target of the effects that the trace could not distinguish from the one it found."""
     return [(r["name"], r["target"]) for r in record.get("rivals") or ()]
 
 
 def points(record: Record) -> float:
-    """Of a log with one effect: 1 for the right effect and target first, a half where it is one of
-    at most two that a `confounded` names, else 0."""
+    """Score of a log with one effect.
+
+    1 if the right effect and target are named first, 1/2 if the verdict is `confounded` and names
+    them among at most two, else 0.
+    """
     first, true = named(record)[:1], truth(record)[0]
     if record["verdict"] == "confounded":
         among = {*first, *rivals(record)}
@@ -153,7 +158,9 @@ def points(record: Record) -> float:
 
 
 def sized(record: Record) -> bool | None:
-    """Whether the size of the right effect is within a tenth, or within its interval."""
+    """Whether the size found is within 10 % of the true one, or its interval contains that; None
+    if another effect was named first.
+    """
     if named(record)[:1] != truth(record)[:1]:
         return None
     found, true = record["effects_found"][0], record["effects"][0]["value"]
@@ -162,15 +169,18 @@ def sized(record: Record) -> bool | None:
 
 
 def right_channel(record: Record) -> bool:
-    """Of an effect that is in no catalogue: `none_of_these`, and the form of what is left, or else
-    the channel that stands furthest above its floor, is in a channel that the effect shows in."""
+    """Whether the trace of a log with an effect outside the catalogue is right: the verdict is
+    `none_of_these`, and `main_channel` is one that the effect shows in.
+    """
     if record["verdict"] != "none_of_these":
         return False
     return main_channel(record) in OUTSIDE_EFFECTS[record["effects"][0]["name"]].channels
 
 
 def main_channel(record: Record) -> str:
-    """The channel of the form of what is left, or else the one furthest above its floor."""
+    """The channel whose unexplained residual has a form, or else the one furthest above its noise
+    floor.
+    """
     if record.get("remainder"):
         return record["remainder"][0]["channel"]
     above = {
@@ -182,19 +192,21 @@ def main_channel(record: Record) -> str:
 
 
 def names_both_twins(record: Record) -> bool:
-    """Of effects that a standing robot cannot distinguish: `confounded`, both named."""
+    """Whether the verdict on a standing robot is `confounded`, and both effects that cannot be
+    distinguished there are named.
+    """
     twin = tuple(record["twin"].split())
     both = {truth(record)[0], twin} <= {*named(record), *rivals(record)}
     return record["verdict"] == "confounded" and both
 
 
 def names_all(record: Record) -> bool:
-    """Whether every effect that was put in was named."""
+    """Whether every injected effect was found."""
     return set(truth(record)) <= set(named(record))
 
 
 def below_floor(record: Record) -> bool:
-    """Whether an effect is smaller than this log could show."""
+    """Whether an injected effect is smaller than the least size that its log could show."""
     return any(over is not None and over < 1.0 for over in record["over_floor"])
 
 
@@ -210,7 +222,7 @@ def share(hits: Sequence[float | bool]) -> str:
 
 
 def rules(records: Sequence[Record]) -> Rows:
-    """The study's rules, what each asks for, and what was measured."""
+    """The study's rules: what each requires, and what was measured."""
     walked = [r for r in records if "fell" not in r]
     single, clean, outside, together, twins = (
         [r for r in walked if r["kind"] == kind] for kind in CASE_KINDS
@@ -246,8 +258,9 @@ def rules(records: Sequence[Record]) -> Rows:
 
 
 def made_worse(walked: Sequence[Record]) -> list[bool]:
-    """Of the logs in which effects were named: whether they leave more of some channel than before,
-    by a tenth, and more than any walk of its floor."""
+    """For each log in which effects were found: whether compensation raised the residual of a
+    channel by more than 10 %, and above that of every walk of the noise floor.
+    """
     return [
         any(
             c["after"] > max(1.1 * c["before"], c["highest"] or 0.0) for c in r["channels"].values()
@@ -258,7 +271,9 @@ def made_worse(walked: Sequence[Record]) -> list[bool]:
 
 
 def named_first(record: Record) -> str:
-    """The effect named first, or of NOT_NAMED why the right one does not count as found."""
+    """The effect named first or, if it is the right one but does not count, the reason from
+    NOT_NAMED.
+    """
     first = named(record)[0][0] if named(record) else "nothing"
     if first == truth(record)[0][0] and points(record) < 1.0:
         return "confounded" if record["verdict"] == "confounded" else "another target"
@@ -266,7 +281,7 @@ def named_first(record: Record) -> str:
 
 
 def by_effect(single: Sequence[Record]) -> Rows:
-    """A row an effect: how often it was found, how well sized, and what was named instead."""
+    """One row for each effect: how often it and its size were found, and what was named instead."""
     rows = []
     for name in dict.fromkeys(truth(r)[0][0] for r in single):
         own = [r for r in single if truth(r)[0][0] == name]
@@ -285,7 +300,7 @@ def by_effect(single: Sequence[Record]) -> Rows:
 
 
 def by_size(single: Sequence[Record]) -> Rows:
-    """A row a range of size over floor."""
+    """One row for each range of the size relative to the least that the log could show."""
     rows = []
     for low, high in pairwise((0.0, 1.0, 2.0, 5.0, 20.0, float("inf"))):
         over = [(r, r["over_floor"][0]) for r in single if r["over_floor"][0] is not None]
@@ -298,7 +313,9 @@ def by_size(single: Sequence[Record]) -> Rows:
 
 
 def details(of: Mapping[str, Sequence[Record]]) -> dict[str, Rows]:
-    """A table of each kind of case, a row a log: of single effects those that were missed."""
+    """A table for each kind of case, with one row per log; of the logs with one effect, only those
+    that were missed.
+    """
     return {
         "Every miss": [
             _short(r) | {"size over floor": r["over_floor"][0]}
@@ -318,7 +335,7 @@ def details(of: Mapping[str, Sequence[Record]]) -> dict[str, Rows]:
 
 
 def confusion(single: Sequence[Record]) -> Figure:
-    """Which effect was put in against which was named first, as counts."""
+    """Confusion matrix: the true effect against the one named first, as counts."""
     names = list(CATALOGUE)
     columns = [*names, *NOT_NAMED]
     counts = np.zeros((len(names), len(columns)))
@@ -342,7 +359,7 @@ def confusion(single: Sequence[Record]) -> Figure:
 
 
 def sizes(single: Sequence[Record]) -> Figure:
-    """The size found over the size put in, against how far the effect stands above its floor."""
+    """Ratio of the size found to the true size, against the true size over the noise floor."""
     figure, axes = new_figure(size=(7.5, 4.2))
     ax = axes[0, 0]
     least, most = 0.5, 1.5

@@ -1,7 +1,7 @@
-"""The blind study of `trace`: logs with one undeclared effect each, and the effects that it names.
+"""The blind study of `trace`: logs with undeclared effects, and the effects that it finds.
 
-`study.toml` says what is drawn. Each finished case is a row, so that a study that was stopped goes
-on where it was; `python -m surefoot.scenarios.studies.blind.study -o DIR` runs it and reports.
+`study.toml` is the plan. A finished case is stored, so a stopped study resumes. Run it, and write
+its report, by `python -m surefoot.scenarios.studies.blind.study -o DIR`.
 """
 
 from collections.abc import Sequence
@@ -26,10 +26,10 @@ _MODULE = "surefoot.scenarios.studies.blind.trial"
 def run_blind_study(
     folder: Path, workers: int = 1, at_most: int | None = None, plan: Path = PLAN
 ) -> list[dict[str, Any]]:
-    """The records of the finished cases of a plan, after at most so many more were run.
+    """Run up to `at_most` unfinished cases of a plan; returns the records of all finished ones.
 
-    Each finished case is a file of `folder`, so that a study that was stopped goes on. A walk's
-    cases are run by one worker, for they share its noise floor.
+    Each finished case is a file in `folder`, so a stopped study resumes. Cases of the same walk are
+    run by one worker, since they share its noise floor.
     """
     drawn = read_toml(plan, "study")
     groups: dict[tuple, list[Case]] = {}
@@ -41,7 +41,7 @@ def run_blind_study(
             records[case.number] = row
         elif left > 0:
             left -= 1
-            # Groups of a few turns: a study that is stopped early has seen as much of each effect.
+            # Small groups, so that a study stopped early has covered all effects alike.
             key = case.number // 80, case.robot, case.seed
             groups.setdefault(key, []).append(case)
     with processes(workers) as pool:
@@ -78,19 +78,19 @@ def _inputs(case: Case, plan: dict[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class BlindStudy:
-    """Run the blind study of trace, or go on with it, and write its report."""
+    """Run or resume the blind study of trace, and write its report."""
 
     out: Out = Path("out/blind_study")
     """Folder of the report."""
     data: Path | None = None
-    """Folder of finished cases; `cases` in the output where left out."""
+    """Folder of finished cases; by default `cases` in the output folder."""
     workers: int = 2
     at_most: int | None = None
-    """Cases to run in this sitting, of those that are not finished; 0 for the report alone."""
+    """Number of unfinished cases to run now; 0 for the report alone."""
     page: Path | None = None
-    """Page of results to write as well, such as docs/results/blind.md."""
+    """Page of results to write too, such as docs/results/blind.md."""
     plan: Path = PLAN
-    """Other draws, courses and robots than the study's: `pilot.toml` is for development."""
+    """Another plan of draws, courses and robots; `pilot.toml` is for development."""
 
     def run(self) -> None:
         folder = self.data or self.out / "cases"

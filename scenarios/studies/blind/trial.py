@@ -1,4 +1,4 @@
-"""One case of the blind study: its walk, and what `trace` finds in it."""
+"""One case of the blind study: simulate its walk and trace it."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -19,15 +19,15 @@ from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 
 STANDING_TIME = 20.0
-"""s that a robot stands whose log has an effect that standing does not distinguish from another."""
+"""Duration of the logs of a standing robot [s], with effects that standing cannot distinguish."""
 
 
 @lru_cache(maxsize=8)
 def ground_and_course(seed: int, standing: bool, plan: Path = PLAN) -> Scenario:
-    """The walk of a seed: some stretches, and patches of little friction on the way."""
+    """The scenario of a seed: random segments, and patches of low friction along the way."""
     w = read_toml(plan, "study")["walk"]
     if standing:
-        # A last step or two, since a walk without any is none; `standing_part` cuts them off.
+        # A scenario needs a segment; `standing_part` cuts off its steps.
         return Scenario("stand", (Segment(0.5),), Ground(0.8), stand=STANDING_TIME)
     rng = np.random.default_rng([seed, 7])
     segments = tuple(
@@ -45,8 +45,10 @@ def ground_and_course(seed: int, standing: bool, plan: Path = PLAN) -> Scenario:
 
 
 def run_case(case: Case, plan: Path = PLAN) -> dict[str, Any]:
-    """Walk and trace one case of a plan: what was put in, and the verdict, effects and channels
-    found."""
+    """Simulate and trace one case of a plan.
+
+    Returns the injected effects, and the verdict, effects and channels found, as plain JSON types.
+    """
     record: dict[str, Any] = {
         "number": case.number,
         "kind": case.kind,
@@ -72,16 +74,18 @@ def run_case(case: Case, plan: Path = PLAN) -> dict[str, Any]:
 
 
 def standing_part(log: Log) -> Log:
-    """The log up to its first step: a few samples of stepping would distinguish the twins."""
+    """The log up to its first step, since a few samples of stepping would distinguish the effects
+    that standing cannot.
+    """
     still = log.t - log.t[0] < STANDING_TIME - 0.5
     return replace(log, frame=log.frame[still])
 
 
 def size_over_floor(found: Diagnosis, one: Effect) -> float | None:
-    """An effect's size over the least that this log could show of it; None where unknown.
+    """Ratio of an effect's size to the least size that this log could show; None if unknown.
 
-    Of friction that is the share that may be lost before feet slide. Zero for an effect that is no
-    candidate and leaves no channel above its noise floor.
+    For friction, that least size is the share that can be lost before the feet slide. The ratio is
+    zero for an effect that is no candidate and leaves no channel above its noise floor.
     """
     if one.name == "foot_slip" and found.friction is not None:
         return one.value / max(1.0 - found.friction.held / DEFAULT.floor_friction, 1e-3)
