@@ -1,7 +1,7 @@
-"""Pages of results, written by the command that measures; each names the code that made it.
+"""Pages of results. The command that measures writes them; each names the code that made it.
 
 `python -m surefoot.scenarios.studies.pages docs/results` lists the pages with the commit that each
-was measured on, and which have gone stale: their code has changed since, or is not known.
+was measured on. A page is stale if its code has changed since then, or is unknown.
 """
 
 import os
@@ -30,9 +30,9 @@ from surefoot.sim.common.sources import sources_digest
 
 @dataclass(frozen=True)
 class Origin:
-    """What a page was made by; empty where it is not known.
+    """Origin of a page; empty fields are unknown.
 
-    module made it, and digest is that of the module's sources and all that they import.
+    `module` made the page; `digest` is that of its source and of all that it imports.
     """
 
     commit: str = ""
@@ -49,7 +49,7 @@ class Origin:
 
 
 def origin_of(module: str, command: str) -> Origin:
-    """The origin of a page that this process makes with `module` (dotted name) by `command`."""
+    """The origin of a page that this process makes with `module` (a dotted name) and `command`."""
     machine = f"{_processor()}, {os.cpu_count()} cores"
     return Origin(
         _commit(), machine, date.today().isoformat(), command, module, sources_digest(module)
@@ -63,7 +63,7 @@ def write_results(
     tables: Mapping[str, Table],
     force: bool = False,
 ) -> str:
-    """Write a study's report.html and table.md, and a CSV of each table; returns the text of
+    """Write a study's report.html and table.md, and one CSV per table; returns the text of
     table.md.
 
     Args:
@@ -83,9 +83,10 @@ def write_results(
 
 
 def write_page(path: Path, title: str, sections: Sequence[Section], origin: Origin) -> None:
-    """Write a page of results in Markdown, its pictures beside it as PNG; replaces an older one.
+    """Write a page of results in Markdown, with its pictures next to it as PNG; replaces an older
+    one.
 
-    Raises SurefootError where another file than a page of results is in its place.
+    Raises SurefootError if another file than a page of results has this path.
     """
     check_page(path)
     parts = [f"# {title}", "\n".join(["| | |", "| --- | --- |", *_header(origin)])]
@@ -103,14 +104,14 @@ def write_page(path: Path, title: str, sections: Sequence[Section], origin: Orig
 
 
 def check_page(path: Path) -> None:
-    """Raise SurefootError where a file that is no page of results has the path of one."""
+    """Raise SurefootError if the path is that of a file other than a page of results."""
     refuse_input(path)
     if path.exists() and read_origin(path) == Origin():
         raise SurefootError(f"--page {path}: is no page of results; move it away")
 
 
 def read_origin(path: Path) -> Origin:
-    """The header of a page of results; all of it is empty where the page has none."""
+    """Read the header of a page of results; all fields are empty if it has none."""
     text = path.read_text(encoding="utf-8", errors="replace")
     found = {
         name: match.group(1)
@@ -121,7 +122,7 @@ def read_origin(path: Path) -> Origin:
 
 
 def pages_table(folder: Path) -> list[dict[str, str]]:
-    """A row for each page of a folder: what it was measured on, and whether it has gone stale."""
+    """One row for each page of a folder: the commit it was measured on, and whether it is stale."""
     rows = []
     for path in sorted(folder.glob("*.md")):
         one = read_origin(path)
@@ -141,7 +142,7 @@ def _header(origin: Origin) -> list[str]:
 
 
 def _commit() -> str:
-    """The commit, `-dirty` where files differ from it; the version where there is no checkout."""
+    """The commit, with `-dirty` if files differ from it; without a checkout, the version."""
     here = Path(__file__).resolve().parent
     described = subprocess.run(
         ["git", "describe", "--always", "--dirty", "--abbrev=7", "--exclude=*"],

@@ -1,1 +1,1 @@
-"""Three studies of real hardware."""
+"""Studies of real hardware."""

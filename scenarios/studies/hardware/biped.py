@@ -1,4 +1,4 @@
-"""A biped with flat feet: what filters make of its measured walk and sway."""
+"""A biped with flat feet: filters on its measured walk and sway."""
 
 from collections.abc import Mapping
 
@@ -18,7 +18,7 @@ FILTERS = ("leg", "leg_slip", "imu")
 
 
 def filters_table(logs: Mapping[str, Log], robot: Robot) -> pd.DataFrame:
-    """A row a log and filter: how far off it is, and whether it believes that."""
+    """One row for each log and filter: its errors and its consistency."""
     rows = []
     for run, log in logs.items():
         for name in FILTERS:
@@ -38,7 +38,7 @@ def filters_table(logs: Mapping[str, Log], robot: Robot) -> pd.DataFrame:
 
 
 def walk_figure(log: Log, robot: Robot) -> Figure:
-    """The walk's place over time: the reference, and the leg filters."""
+    """Position over time: the reference and the leg filters."""
     drawn, axes = new_figure(3, 1, (8.0, 6.0))
     truth = reference(log)
     paths = {"motion capture": (truth.t, truth.p_GI, INK)}

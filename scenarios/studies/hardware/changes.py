@@ -1,8 +1,8 @@
-"""What has changed on a machine since it was calibrated, and on which link: by one new run.
+"""Detection of a change of a machine since its calibration, from one new run.
 
-A change is one effect on one joint or link. Its size and deviation follow from the new run's rows
-by generalised least squares, with the covariance of a run in which nothing changed: noise, zeros,
-the calibration's own error, and what runs differ by.
+A change is one effect on one joint or link. Its size and standard deviation follow from the new
+run's rows by generalised least squares, with the covariance of an unchanged run: noise, zeros, the
+error of the calibration, and the variation between runs.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,18 +29,23 @@ from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
 from surefoot.sim.robot.fixed_base import FixedBase
 
 NAMED = 4.0
-"""Standard deviations beyond which a change is named. What runs differ by is known from four runs
-only, by which Student's t passes it once in 36 times, where a normal law would once in 16 000."""
+"""Standard deviations from which a change is reported. The variation between runs is estimated from
+four runs only; Student's t exceeds this value once in 36 times, a normal law once in 16 000.
+"""
 SURE = 1.645
-"""Standard deviations by which a change must exceed that to be named in 95 of 100 runs."""
+"""Standard deviations above that at which a change is reported in 95 of 100 runs."""
 LIKELY = 2.0 * np.log(20.0)
-"""Difference of squared deviations by which a rival on another link is 20 times less likely."""
+"""Difference of squared standardised sizes at which a change of another link is 20 times less
+likely.
+"""
 KINDS = ("link_mass", "link_com", "coulomb_friction", "encoder_offset")
-"""Effects that are drawn."""
+"""Kinds of the changes that are drawn."""
 DRAWN_RATIOS = (0.5, 5.0)
-"""Of a drawn size to the least that is named, in 95 of 100 runs, of the run that it is drawn on."""
+"""Range of a drawn size, relative to the least that is reported in 95 of 100 runs like the one that
+it is injected into.
+"""
 FARTHEST_COM = 0.3
-"""m; links are 0.3 m long, and no centre of mass is farther off."""
+"""Largest plausible offset of a centre of mass [m]: the links are 0.3 m long."""
 
 
 @dataclass(frozen=True)
@@ -58,23 +63,23 @@ class Change:
 
     @property
     def link(self) -> str:
-        """The joint that it is on, or that moves its link."""
+        """The joint that it concerns, or that moves the link that it concerns."""
         return link_of(self.key)
 
     @property
     def least(self) -> float:
-        """The least size that is named in 95 of 100 runs."""
+        """The least size that is reported in 95 of 100 runs."""
         return (NAMED + SURE) * self.deviation
 
 
 def link_of(key: SizeKey) -> str:
-    """The joint that an effect is on, or that moves the link that it is on."""
+    """The joint that an effect concerns, or that moves the link that it concerns."""
     name, target = key
     return target.rsplit("_", 1)[0] if name == "link_com" else target
 
 
 def every_change(before: Calibration, rows: Sequence[WindowRows]) -> list[Change]:
-    """Each change alone, as the rows of one new run have it; the most certain first."""
+    """Each possible change, fitted alone to the rows of one new run; the most significant first."""
     factor = cho_factor(before.spread(rows), lower=True)
     rest = cho_solve(factor, before.left(rows))
     found = []
@@ -86,8 +91,9 @@ def every_change(before: Calibration, rows: Sequence[WindowRows]) -> list[Change
 
 
 def named_changes(found: Sequence[Change]) -> tuple[Change, ...]:
-    """What is named of `every_change`: nothing, one change, or, where other links' cannot be told
-    from it, that and the best of each of them."""
+    """The changes to report from `every_change`: none, one or, if changes of other links are nearly
+    as likely, the best of each such link.
+    """
     first = found[0]
     if first.excess < NAMED:
         return ()
@@ -99,10 +105,10 @@ def named_changes(found: Sequence[Change]) -> tuple[Change, ...]:
 
 
 def with_change(log: Log, machine: FixedBase, key: SizeKey, size: float) -> Log:
-    """A log of the machine with one change, its noise and jolts as they were.
+    """Inject a change into a log of the machine, keeping its noise and jolts.
 
-    A zero is added to the angle; what another change asks for along the motion is added to the
-    torques, which a passive joint's log then has as well.
+    A zero is added to the angle. For any other change, the torque that it requires along the motion
+    is added, also to a passive joint's.
 
     Args:
         log: as read.
@@ -138,14 +144,14 @@ def with_change(log: Log, machine: FixedBase, key: SizeKey, size: float) -> Log:
 def drawn_changes(
     done: Sequence[HeldOutRun], each: int, rng: np.random.Generator
 ) -> list[tuple[str, SizeKey, float]]:
-    """Changes to try: run, effect and target, and size; of every kind on every link.
+    """Draw changes to inject: run, effect and target, and size, for every kind on every link.
 
-    Sizes are DRAWN_RATIOS of the least that is named, evenly in their logarithm. A kind of which a
-    link cannot have that much is left out. Masses are tied on, and friction grows.
+    Sizes are log-uniform within DRAWN_RATIOS of the least that is reported. Offsets of a centre of
+    mass beyond FARTHEST_COM are left out. Masses and friction only increase.
 
     Args:
         done: runs with the calibration by the others.
-        each: how many of a kind and link.
+        each: number of changes of each kind on each link.
         rng: draws runs, axes, sizes and signs.
     """
     least = {one.name: least_changes(one) for one in done}
@@ -165,7 +171,7 @@ def drawn_changes(
 
 
 def least_changes(one: HeldOutRun) -> dict[SizeKey, float]:
-    """The least size of each change that is named in 95 of 100 runs like this one."""
+    """The least size of each change that is reported in 95 of 100 runs like this one."""
     return {change.key: change.least for change in every_change(one.others, one.rows)}
 
 
@@ -179,9 +185,10 @@ def tried_changes(
     each: int = 5,
     seed: int = 0,
 ) -> list[dict[str, Any]]:
-    """Rows of runs as they are, of their pieces, and of drawn changes, each judged by other runs.
+    """Changes found in unchanged runs, in their pieces, and in runs with an injected change.
 
-    A finished row is kept in `folder`.
+    Each run is compared with the calibration by the other runs. A finished row is stored in
+    `folder`.
 
     Args:
         logs: by run.
@@ -190,7 +197,7 @@ def tried_changes(
         length: of the windows [s].
         folder: of finished rows.
         inputs: digests of the recordings.
-        each: drawn changes of a kind and link.
+        each: injected changes of each kind on each link.
         seed: of the draws.
     """
     others = {one.name: one.others for one in done}
@@ -226,7 +233,9 @@ def tried_changes(
 
 
 def changes_table(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
-    """A row a case: what was changed, by how much of the least that shows, and what was named."""
+    """One row for each case: the change, its size relative to the least that shows, and what was
+    reported.
+    """
     return pd.DataFrame(
         {
             "run": row["run"],
@@ -241,7 +250,7 @@ def changes_table(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
 
 
 def verdict(row: Mapping[str, Any]) -> str:
-    """Of a row: right, nothing, not alone (another link may be it as well), or wrong."""
+    """Outcome of a row: right, nothing, not alone (another link is also possible), or wrong."""
     links = [link_of(tuple(one["key"])) for one in row["named"]]
     if not links:
         return "nothing"
@@ -251,7 +260,7 @@ def verdict(row: Mapping[str, Any]) -> str:
 
 
 def counts_table(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
-    """How many cases ended how, by size, and how many of them chance alone has named."""
+    """Number of cases with each outcome, by size, and the number expected from chance alone."""
 
     def part(words: str, own: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         verdicts = [verdict(row) for row in own]
@@ -271,14 +280,15 @@ def counts_table(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
 
 
 def chance_of_a_name(row: Mapping[str, Any]) -> float:
-    """Probability that an estimate of this case's change, or of none, with the deviation that the
-    run gives it and nothing else, is beyond the threshold: of one change, its sign either way."""
+    """Probability that the estimate of this case's change exceeds the threshold, given its true
+    size and its standard deviation alone; for an unchanged run, with either sign.
+    """
     true = (NAMED + SURE) * _ratio(row) if row["key"] else 0.0
     return float(norm.cdf(true - NAMED) + norm.cdf(-true - NAMED))
 
 
 def least_table(done: Sequence[HeldOutRun]) -> pd.DataFrame:
-    """A row a change: the least size of it that is named in 95 of 100 runs, by run."""
+    """One row for each change: the least size that is reported in 95 of 100 runs, by run."""
     by_run = {one.name: least_changes(one) for one in done}
     return pd.DataFrame(
         {
@@ -291,8 +301,9 @@ def least_table(done: Sequence[HeldOutRun]) -> pd.DataFrame:
 
 
 def unchanged_table(by_length: Mapping[float, Sequence[HeldOutRun]]) -> pd.DataFrame:
-    """A row a run as it is: the change that explains most, and its size in standard deviations, by
-    windows of several lengths [s]."""
+    """One row for each unchanged run: the most significant change and its size in standard
+    deviations, by windows of several lengths [s].
+    """
     rows: dict[str, dict[str, str]] = {}
     for length, done in by_length.items():
         for one in done:
@@ -303,7 +314,7 @@ def unchanged_table(by_length: Mapping[float, Sequence[HeldOutRun]]) -> pd.DataF
 
 
 def _ratio(row: Mapping[str, Any]) -> float:
-    """Of a change's size to the least that is named in 95 of 100 runs."""
+    """Ratio of a change's size to the least that is reported in 95 of 100 runs."""
     return abs(row["size"]) / row["least"]
 
 

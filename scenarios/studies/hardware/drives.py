@@ -1,7 +1,7 @@
-"""What the torque of a drive has beyond the rigid model: a linear balance of smoothed terms.
+"""Torque of a drive beyond the rigid model: a linear balance of smoothed terms.
 
-Positions are differentiated and everything is averaged by one kernel, the measured torque too, so
-that the balance stays exact while the noise of the second derivative goes down:
+Positions are differentiated, and all terms, including the measured torque, are smoothed by the same
+kernel. The balance thus stays exact, while the noise of the second derivative decreases:
 
     tau = rigid(q, dq, ddq) + sum of sizes times terms
 """
@@ -21,17 +21,20 @@ from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
 from surefoot.sim.robot.fixed_base import Machine
 
 GRID = 0.005
-"""s, at most, between rows of the balance."""
+"""Largest spacing of the rows of the balance [s]."""
 FIRST = 0.010
-"""s: the kernel that positions go through before they are differentiated."""
+"""Width of the kernel that smooths positions before differentiation [s]."""
 BLOCK = 2.0
-"""s; errors of one block hardly resemble those of the next."""
+"""Length of the blocks of the bootstrap [s], whose errors are nearly independent."""
 TOUCHED = 6.0
-"""Robust deviations beyond which no drive did it: something touched the machine."""
+"""Robust standard deviations beyond which the residual is no drive's: something touched the
+machine.
+"""
 WORTH = 0.05
-"""Share of the squares left that a further term must take off blocks that no fit has seen."""
+"""Share of the remaining squares that a further term must explain on blocks that no fit has seen.
+"""
 AT_FLOOR = 1.2
-"""A residual is the readings' jitter up to this ratio to it."""
+"""Ratio to the readings' jitter up to which a residual is nothing but that jitter."""
 EFFECTS = {
     "torque_scale": "ratio",
     "torque_bias": "N m",
@@ -40,25 +43,32 @@ EFFECTS = {
     "coulomb_friction": "N m",
     "armature": "kg m^2",
 }
-"""Terms that an effect of the catalogue stands for, with their units."""
+"""Terms of effects in the catalogue, with their units."""
 RIVALS = {
     "gravity": "ratio",
     "inertia": "ratio",
     "load_friction": "ratio",
     "drag": "N m s^2/rad^2",
 }
-"""Terms that no effect of the catalogue stands for: heavier or longer by a share, more inertia by a
-share, dry friction that grows with the load, drag that grows with the rate's square."""
+"""Terms outside the catalogue: a mass, a length or an inertia larger by a share, dry friction
+proportional to the load, and drag proportional to the squared rate.
+"""
 
 
 @dataclass(frozen=True)
 class Balance:
-    """The torques of a log and what may make them up, smoothed by one kernel.
+    """The torques of a log and the terms that may explain them, smoothed by one kernel.
 
-    t (N,) s; tau, rigid (N, J) N m: measured, and by the declared model; terms: name -> (N, J), the
-    torque per unit of its size; good (N, J): rows to use; floor (J,) N m: standard deviation
-    that the readings' own jitter from row to row leaves of tau - rigid. Sums over several balances
-    weigh each by its `noise`.
+    Attributes:
+        name: of the log.
+        joints: their names.
+        t: times (N,) [s].
+        tau: measured torques (N, J) [N m].
+        rigid: torques of the declared model (N, J) [N m].
+        terms: name -> torque per unit of the term's size (N, J).
+        good: rows to use (N, J).
+        floor: standard deviation of tau - rigid from the jitter of the readings (J,) [N m].
+        noise: see below; sums over several balances are weighted by it.
     """
 
     name: str
@@ -70,17 +80,17 @@ class Balance:
     good: np.ndarray
     floor: np.ndarray
     noise: np.ndarray
-    """(J,) N m: robust standard deviation of what not even all terms together explain."""
+    """Robust standard deviation of what all terms together leave unexplained (J,) [N m]."""
 
     @property
     def block(self) -> np.ndarray:
-        """Number of the block (N,) that each row is in."""
+        """Number of each row's block (N,)."""
         return np.floor((self.t - self.t[0]) / BLOCK).astype(int)
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """Sizes (C,) of some terms of one joint, fitted together, with their 95 % interval (C, 2)."""
+    """Sizes (C,) of some terms of one joint, fitted together, with 95 % intervals (C, 2)."""
 
     names: tuple[str, ...]
     values: np.ndarray
@@ -88,11 +98,11 @@ class Sizes:
 
 
 def balance(log: Log, machine: Machine, width: float, stops: float = 0.0) -> Balance:
-    """The balance of a log of a machine on a fixed base, level and still.
+    """The balance of a log of a machine on a fixed base, level and at rest.
 
     width [s]: standard deviation of the Gaussian kernel. Rows of a joint within `stops` [rad] of
-    the end of its range are left out, and their neighbours: there the stop takes a part of
-    the torque. Raises LogError where the log lacks q or tau.
+    the end of its range, and their neighbours, are left out, since the stop bears a part of the
+    torque there. Raises LogError if the log lacks q or tau.
     """
     log.require("q", "tau")
     step = min(GRID, float(np.median(np.diff(log.t))))
@@ -147,8 +157,9 @@ def balance(log: Log, machine: Machine, width: float, stops: float = 0.0) -> Bal
 
 
 def ranges(model: mujoco.MjModel, dof_adr: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least and greatest angle (J,) [rad] of the joints of these degrees of freedom; infinite where
-    the model has no stop."""
+    """Lower and upper limits (J,) [rad] of the joints of these degrees of freedom; infinite where
+    the model has no stop.
+    """
     joints = model.dof_jntid[dof_adr]
     free = model.jnt_limited[joints] == 0
     low, high = model.jnt_range[joints].T
@@ -164,8 +175,7 @@ def fit_sizes(
 ) -> Sizes:
     """Least squares of these terms on the good rows of one joint.
 
-    Intervals are percentiles of bootstrap samples of blocks of all balances together; NaN where
-    there are no samples.
+    Intervals are percentiles of a bootstrap over the blocks of all balances; NaN without samples.
 
     Args:
         balances: of each log.
@@ -185,7 +195,7 @@ def fit_sizes(
 
 
 def left(one: Balance, joint: int, sizes: Sizes | None = None) -> np.ndarray:
-    """Residual torque (N,) [N m] of a joint with what was fitted taken off; NaN where not good."""
+    """Residual torque (N,) [N m] of a joint less the fitted terms; NaN where not good."""
     rest = one.tau[:, joint] - one.rigid[:, joint]
     if sizes is not None:
         for name, value in zip(sizes.names, sizes.values, strict=True):
@@ -194,7 +204,7 @@ def left(one: Balance, joint: int, sizes: Sizes | None = None) -> np.ndarray:
 
 
 def rms(rest: np.ndarray) -> float:
-    """Root mean square of a residual [its unit], NaN left out."""
+    """Root mean square of a residual [its unit], without NaN."""
     return float(np.sqrt(np.nanmean(rest**2)))
 
 
@@ -228,11 +238,12 @@ def between(value: float, interval: Sequence[float] | np.ndarray, digits: int = 
 def select(
     balances: Sequence[Balance], joint: int, names: Sequence[str], worth: float = WORTH
 ) -> tuple[str, ...]:
-    """Terms chosen one by one: each the one that most lowers the residual of blocks not fitted.
+    """Forward selection of terms: each time the one that most reduces the residual of unseen
+    blocks.
 
-    Blocks take turns: fitted on the even ones and judged on the odd, and the other way round. One
-    that takes off less than the share `worth` of the squares that are left is not worth its name,
-    and where they are down to the readings' own jitter nothing is.
+    Even blocks are fitted and odd ones evaluated, and the other way round. Selection ends when no
+    term explains the share `worth` of the remaining squares, or these are down to the readings'
+    jitter.
     """
     chosen: list[str] = []
     now = _judged(balances, joint, chosen)
@@ -249,7 +260,7 @@ def select(
 
 
 def _judged(balances: Sequence[Balance], joint: int, names: Sequence[str]) -> float:
-    """Sum of squares left of the blocks that were not fitted, each half in turn."""
+    """Sum of squares that remain on the blocks not fitted, each half in turn."""
     total = 0.0
     for side in (0, 1):
         fitted = [one.good[:, joint] & (one.block % 2 == side) for one in balances]
@@ -282,7 +293,7 @@ def _solved(G: np.ndarray) -> np.ndarray:
 
 
 def _without_touches(one: Balance, edge: int) -> Balance:
-    """The balance without stretches that not even all terms together explain."""
+    """The balance without sections that all terms together cannot explain."""
     good, noise = one.good.copy(), one.noise.copy()
     for joint in range(len(one.joints)):
         names = (*EFFECTS, *RIVALS)
@@ -299,11 +310,11 @@ def _without_touches(one: Balance, edge: int) -> Balance:
 
 
 def _floor(log: Log, dynamics, q: np.ndarray, width: float) -> np.ndarray:
-    """Standard deviation (J,) that white jitter of the readings leaves behind the kernel.
+    """Standard deviation (J,) of the balance from white jitter of the readings.
 
-    The second difference of a reading has six times its jitter's variance, and little of a motion.
-    A Gaussian kernel of width s over rows dt apart leaves the share dt / (2 s sqrt(pi)) of a
-    variance, and 3 dt / (8 s^5 sqrt(pi)) of a second derivative's.
+    The second difference of a reading has six times the variance of its jitter, and little of the
+    motion. A Gaussian kernel of width s over rows dt apart reduces a variance to the share
+    dt / (2 s sqrt(pi)), and that of a second derivative to 3 dt / (8 s^5 sqrt(pi)).
     """
     dt = float(np.median(np.diff(log.t)))
     s = float(np.hypot(width, FIRST))
@@ -325,7 +336,7 @@ def _floor(log: Log, dynamics, q: np.ndarray, width: float) -> np.ndarray:
 
 
 def _read_torque(log: Log) -> np.ndarray:
-    """The torque (N, J) without what is known exactly: the jumps of a motor law's targets."""
+    """The torque (N, J) without its noise-free part: the jumps of a motor law's targets."""
     if "tau (motor law)" not in log.meta.derived or log.meta.motor_law is None:
         return log.tau
     return log.tau - np.array(log.meta.motor_law["kp"]) * log.q_des

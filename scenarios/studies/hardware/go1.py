@@ -1,7 +1,7 @@
 """Study of a walking Go1 with motion capture: effects that the model of its legs lacks.
 
-The reference has no time stamps of its own, so that its lag against each stream is estimated
-first; then `trace` finds what is missing, and the leg filter shows its worth.
+The reference has no time stamps of its own, so its lag relative to each stream is estimated first.
+Then `trace` finds the missing effects, and the leg filter is run with and without them.
 """
 
 from collections.abc import Sequence
@@ -33,9 +33,9 @@ from surefoot.sim.sensors.stances import stance_phase
 
 TENTHS = 10
 MISSED = "#AA4499"
-"""Colour of the model with feet as large as its file says, and contacts that end early enough."""
+"""Colour of the model with effects that the trace did not find."""
 STANCES = {"all of it": (0.0, 1.0), "10 to 90 %": (0.1, 0.9), "25 to 60 %": (0.25, 0.6)}
-"""Parts of the stance that are asked how large the feet are."""
+"""Parts of the stance in which the radius of the feet is estimated."""
 SHOWN_METRICS = {k: v for k, v in METRICS.items() if k not in ("pi<gamma [%]", "NEES_att")}
 
 
@@ -102,8 +102,9 @@ def shares_table(log: Log, robot: Robot, found: Trace, seed: int = 0) -> pd.Data
 
 
 def rolling_table(log: Log, robot: Robot, seed: int = 0) -> pd.DataFrame:
-    """Radius of the feet by parts of the stance: what the body's forward and lateral velocity say,
-    each by least squares over walking, with intervals by blocks."""
+    """Radius of the feet in parts of the stance, from the forward and the lateral velocity of the
+    body, each by least squares over walking, with intervals from blocks.
+    """
     rng = np.random.default_rng(seed)
     frame = log_under_model(log, robot).motion
     phase = np.column_stack([stance_phase(contact) for contact in log.contact.T])
@@ -134,8 +135,9 @@ def rolling_table(log: Log, robot: Robot, seed: int = 0) -> pd.DataFrame:
 def ladder(
     effects: Sequence[Effect], robot: Robot, uncertain: Sequence[Effect] = ()
 ) -> list[tuple[str, list[Effect]]]:
-    """The declared model, each effect alone, all of them, and what was not found: feet as large as
-    they are drawn, and effects that were sized but `uncertain`."""
+    """Sets of effects to compare: none, each alone, all, and those not found, which are feet as
+    large as in the model's file and effects that were fitted but `uncertain`.
+    """
     steps: list[tuple[str, list[Effect]]] = [("as declared", [])]
     steps += [(f"{_named(e)} alone", [e]) for e in effects]
     steps += [("all of them", list(effects))] if len(effects) > 1 else []
@@ -146,14 +148,18 @@ def ladder(
 
 
 def late_ends(found: Trace) -> list[Effect]:
-    """Contacts that end late, as the last round sized them, unless they are among the effects."""
+    """The delay of contacts at lift-off as fitted in the last round of the search; none if it is
+    among the effects found.
+    """
     last = found.attribution.rounds[-1] if found.attribution else ()
     sized = [c.size for c in last if c.key == ("contact_delay", "liftoff")]
     return [effect("contact_delay", "liftoff", size) for size in sized if size > 0]
 
 
 def drawn_feet(effects: Sequence[Effect], robot: Robot) -> list[Effect]:
-    """What the declared model's feet lack of the file's radius, unless it is among the effects."""
+    """The difference between the file's and the declared radius of the feet, as an effect; none if
+    rolling is among the effects found.
+    """
     missing = float(np.mean(Robot.load(robot.file).foot_radius - robot.foot_radius))
     if missing <= 0 or any(e.name == "foot_rolling" for e in effects):
         return []
@@ -167,8 +173,8 @@ def _named(one: Effect) -> str:
 def leg_filter_table(
     log: Log, robot: Robot, found: Trace, shifts: Sequence[float], seed: int = 0
 ) -> pd.DataFrame:
-    """The leg filter over the whole log: as declared, with each effect, with all, with sizes drawn
-    from their intervals, and against a reference moved by `shifts` [s].
+    """Errors of the leg filter over the whole log: as declared, with each effect, with all, with
+    sizes drawn from their intervals, and against a reference shifted by `shifts` [s].
 
     Args:
         log: the measured log.
@@ -215,7 +221,9 @@ def _judged(words: str, log: Log, robot: Robot, chosen: Sequence[Effect]) -> dic
 
 
 def square_figure(log: Log, robot: Robot, found: Trace, late: Sequence[Lag]) -> Figure:
-    """The square from above, feet that slide by tenths of their stance, and the streams' lags."""
+    """Figure: the walk from above, speeds of standing feet by tenths of the stance, and lags of
+    streams.
+    """
     drawn, axes = new_figure(1, 3, (12.0, 4.2))
     above, stance, times = axes[0]
     truth = reference(log)

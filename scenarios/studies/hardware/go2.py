@@ -27,15 +27,16 @@ from surefoot.sim.log import Log
 from surefoot.sim.robot.fixed_base import Machine
 
 HANGING_WIDTH = 0.03
-"""s, of the kernel."""
+"""Width of the kernel [s]."""
 STOPS = 0.1
-"""rad from the end of a joint's range: calves lean on their stops, which give."""
+"""Distance from the end of a joint's range [rad] within which the calves lean on compliant stops.
+"""
 REPORT_SHARE = 0.35
-"""Of the log, at its end, that only reports."""
+"""Share of the log, at its end, that no fit uses."""
 SOURCE = 0.002
-"""s between the states that the robot's low level publishes (unitree_sdk2's examples: 500 Hz)."""
+"""Time between the states that the robot publishes [s] (unitree_sdk2's examples: 500 Hz)."""
 ROW_PERIODS = (0.005, 0.0044)
-"""s: the nominal period of a row, and the one that rates and positions give."""
+"""Period of a row [s]: the nominal one, and that from rates and positions."""
 JOINT_KINDS = ("hips", "thighs", "calves")
 _SMALL = ("torque_bias", "torque_delay", "viscous_friction")
 HANGING_MODELS: dict[str, tuple[str, ...]] = {
@@ -53,12 +54,14 @@ HANGING_MODELS: dict[str, tuple[str, ...]] = {
         "coulomb_friction",
     ),
 }
-"""Explanations set side by side on the part that none was fitted on."""
+"""Explanations that are compared on the part that no fit has seen."""
 
 
 @dataclass(frozen=True)
 class Drives:
-    """The drives under one period of a row: what fits and chooses, and what only reports."""
+    """The drives, given the period of a row: the part for fit and selection, and the part that
+    reports.
+    """
 
     period: float
     seen: Balance
@@ -78,13 +81,14 @@ def drives(log: Log, machine: Machine, period: float) -> Drives:
 
 
 def clock(log: Log, seed: int = 0) -> RowTimes:
-    """The rows' times, from the joints."""
+    """Estimate the times between rows from the joints."""
     return row_times(log.q, log.dq, np.random.default_rng(seed))
 
 
 def clock_table(times: RowTimes, joints: Sequence[str]) -> pd.DataFrame:
-    """A row a joint: mean time of a row by its angle and its rate, and the scale of its rate if a
-    row is 5 ms."""
+    """One row for each joint: mean time of a row by its angle and rate, and the scale of its rate
+    if a row takes 5 ms.
+    """
     rows = []
     for joint, period, interval in zip(joints, times.period, times.periods, strict=True):
         scale = [ROW_PERIODS[0] / x for x in (period, *interval[::-1])]
@@ -99,7 +103,7 @@ def clock_table(times: RowTimes, joints: Sequence[str]) -> pd.DataFrame:
 
 
 def ticks_table(times: RowTimes) -> pd.DataFrame:
-    """Rows of two lengths, and ticks of a source between them."""
+    """The two lengths of rows, as multiples of the period of the source."""
     low, high = (3.0 - share for share in times.share_interval[::-1])
     ticks = 3.0 - times.share
     row = between(1e3 * SOURCE * ticks, (1e3 * SOURCE * low, 1e3 * SOURCE * high))
@@ -117,7 +121,9 @@ def ticks_table(times: RowTimes) -> pd.DataFrame:
 
 
 def drives_table(found: Drives, seed: int = 0) -> pd.DataFrame:
-    """A row a joint: effects with intervals, and the residual torque of the part not fitted."""
+    """One row for each joint: effects with intervals, and the residual torque of the part not
+    fitted.
+    """
     rng = np.random.default_rng(seed)
     rows = []
     for j, joint in enumerate(found.seen.joints):
@@ -150,7 +156,9 @@ def _unit(effect: str) -> str:
 
 
 def hanging_rivals_table(found: Drives, seed: int = 0) -> pd.DataFrame:
-    """A row an explanation: residual torque of the part not fitted, over joints of a kind."""
+    """One row for each explanation: residual torque of the part not fitted, over joints of each
+    kind.
+    """
     rng = np.random.default_rng(seed)
     rows = []
     for words, names in HANGING_MODELS.items():
@@ -168,7 +176,7 @@ def hanging_rivals_table(found: Drives, seed: int = 0) -> pd.DataFrame:
 
 
 def hanging_figure(times: RowTimes, joints: Sequence[str], found: Drives, seed: int = 0) -> Figure:
-    """Rows' own times, each joint's mean, and the residual torque before and after."""
+    """Figure: times of single rows, each joint's mean, and the residual torque before and after."""
     drawn, axes = new_figure(1, 3, (12.0, 4.2))
     heaps, means, torque = axes[0]
     above: Any = {

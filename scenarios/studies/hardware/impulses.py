@@ -1,14 +1,14 @@
-"""The balance of torques of a chain of hinges, integrated over short windows.
+"""Torque balance of a chain of hinges, integrated over short windows.
 
-Accelerations from readings fail where torques jolt from row to row. Integrated against a window
-w(t) that starts and ends at zero the balance needs none: with the momentum p = M(q) dq,
+Accelerations cannot be derived from readings where torques jump from row to row. Integrated with a
+window w(t) that is zero at its ends, the balance does not need them. With the momentum p = M(q) dq,
 
     int w tau dt = int w (c(q, dq) + g(q) - dM/dt dq) dt - int dw/dt p dt + sizes times terms
 
-It is linear in what a chain of links with parallel axes shows of its masses: each link's first
-moment in the plane about its own hinge, and its inertia about it, the links beyond counted as
-points at the next hinge (Khalil and Dombre, "Modeling, Identification and Control of Robots",
-2002, base parameters). A link's mass itself does not show.
+It is linear in the base parameters of a chain with parallel axes: for each link, its first moment
+in the plane about its own hinge and its inertia about it, with the links beyond it counted as point
+masses at the next hinge (Khalil and Dombre, "Modeling, Identification and Control of Robots",
+2002). A link's mass itself is not observable.
 """
 
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
 from surefoot.sim.robot.fixed_base import FixedBase
 
 SizeKey = tuple[str, str]
-"""What a size is of, and of which joint or the link that it moves."""
+"""Name of a size, and the joint, or the joint that moves the link, that it belongs to."""
 UNITS_OF_TERMS = {
     **{f"first moment {axis}": "kg m" for axis in AXES},
     "inertia about the hinge": "kg m^2",
@@ -34,22 +34,25 @@ UNITS_OF_TERMS = {
     "viscous friction": "N m s/rad",
 }
 CHANGES = ("link_mass", "link_com", "encoder_offset")
-"""Effects that an owner may find changed, beside dry friction."""
+"""Effects by which a machine may change, in addition to dry friction."""
 _STEP = 1e-3
-"""m and kg m^2, by which links are changed for terms that are linear in the change."""
+"""Changes of a link [m, kg m^2] for the derivatives, which are exact since the terms are linear."""
 _SHOWS = 1e-6
-"""N m per unit; rounding leaves less."""
+"""Torque per unit [N m] from which a parameter is observable; rounding is smaller."""
 _ALONG = 1e-6
-"""s, by which the machine is moved along its motion for the rate of change of its inertia."""
+"""Time step along the motion for the rate of change of the inertia matrix [s]."""
 
 
 @dataclass(frozen=True)
 class WindowRows:
-    """A log's balance, averaged over N windows, of J joints.
+    """Torque balance of a log, averaged over N windows, for J joints.
 
-    t (N,) s: middles; rest (N, J) N m: measured torque less the declared model's; terms: name and
-    target -> (N, J), torque per unit of its size; changes: effect and target -> (N, J), the same
-    of what an owner may find changed.
+    Attributes:
+        joints: their names.
+        t: middles of the windows (N,) [s].
+        rest: measured torque minus that of the declared model (N, J) [N m].
+        terms: name and target -> torque per unit of the size (N, J).
+        changes: effect and target -> the same for effects by which the machine may change.
     """
 
     joints: tuple[str, ...]
@@ -60,13 +63,13 @@ class WindowRows:
 
     @property
     def zeros(self) -> np.ndarray:
-        """Torque (J, N, J) per rad that each joint's angle reads too much."""
+        """Change of torque (J, N, J) per rad of a zero error of each joint."""
         return np.stack([self.changes["encoder_offset", joint] for joint in self.joints])
 
 
 @dataclass(frozen=True)
 class Windows:
-    """Windows on a log's rows: weights (N, rows) of a mean, and of a mean rate of change."""
+    """Windows on a log's rows: weights (N, rows) of a mean and of a mean rate of change."""
 
     t: np.ndarray
     mean: np.ndarray
@@ -74,8 +77,12 @@ class Windows:
 
 
 def windows(t: np.ndarray, length: float) -> Windows:
-    """Hann windows of a length [s], each beginning in the middle of the one before, on rows at t
-    [s]. Integrals are by trapezoids, and the rate's by parts, so that stamps may be uneven."""
+    """Hann windows of a length [s], each starting at the middle of the one before, on rows at t
+    [s].
+
+    Integrals use the trapezoidal rule, and those of rates integration by parts, so stamps may be
+    uneven.
+    """
     middles = np.arange(t[0] + 0.5 * length, t[-1] - 0.5 * length, 0.5 * length)
     x = (t - middles[:, None]) / length
     w = np.where(np.abs(x) < 0.5, 1.0 + np.cos(2.0 * np.pi * x), 0.0)
@@ -87,10 +94,9 @@ def windows(t: np.ndarray, length: float) -> Windows:
 
 
 def window_rows(log: Log, machine: FixedBase, length: float) -> WindowRows:
-    """The balance of one log through windows of a length [s].
+    """Torque balance of one log in windows of a length [s].
 
-    A joint whose torque is always zero has no drive. Raises LogError where the log lacks q, dq or
-    tau.
+    A joint whose torque is always zero has no drive. Raises LogError if the log lacks q, dq or tau.
     """
     log.require("q", "dq", "tau")
     through = windows(log.t, length)
@@ -121,7 +127,7 @@ def window_rows(log: Log, machine: FixedBase, length: float) -> WindowRows:
 
 
 def rigid_torque(log: Log, machine: FixedBase, through: Windows) -> np.ndarray:
-    """Mean torque (N, J) [N m] in each window that the machine's masses ask for."""
+    """Mean torque (N, J) [N m] in each window that the machine's masses require."""
     dynamics, changes = dynamics_of(machine.file, machine.joint_names), body_changes(machine)
     q, dq, still = log.q, log.dq, np.zeros_like(log.q)
 
@@ -137,7 +143,9 @@ def rigid_torque(log: Log, machine: FixedBase, through: Windows) -> np.ndarray:
 
 
 def _link_steps(machine: FixedBase, j: int) -> list[tuple[str, LinkChange, float]]:
-    """What shows of the link that joint j moves: name, a change of it alone, and its size."""
+    """Observable parameters of the link that joint j moves: name, a change of it alone, and its
+    size.
+    """
     model = dynamics_of(machine.file, machine.joint_names).model
     joint = model.joint(machine.joint_names[j]).id
     body = model.jnt_bodyid[joint]
@@ -154,7 +162,7 @@ def _link_steps(machine: FixedBase, j: int) -> list[tuple[str, LinkChange, float
 
 
 def as_published(machine: FixedBase, joint: str) -> dict[str, float]:
-    """What shows of a link as its file has it: name of the size -> value."""
+    """Observable parameters of a link in its file: name -> value."""
     model = dynamics_of(machine.file, machine.joint_names).model
     hinge = model.joint(joint).id
     body = model.jnt_bodyid[hinge]
@@ -179,5 +187,5 @@ def _with_link(machine: FixedBase, change: LinkChange) -> FixedBase:
 
 
 def _only(x: np.ndarray, j: int) -> np.ndarray:
-    """The column j of (N, J), zero in the others."""
+    """Column j of x (N, J), with zeros in the others."""
     return np.where(np.arange(x.shape[1]) == j, x, 0.0)

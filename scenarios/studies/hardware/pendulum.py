@@ -1,6 +1,6 @@
-"""Study of one AK80-6 drive that swings a point mass: what effects does its rigid model lack?
+"""Study of one AK80-6 drive that swings a point mass: which effects does its rigid model lack?
 
-Every run is held out once: terms are chosen and fitted on the others, and judged on it.
+Each run is held out once: terms are selected and fitted on the others, and evaluated on it.
 """
 
 from collections.abc import Mapping
@@ -29,7 +29,7 @@ from surefoot.sim.log import Log
 from surefoot.sim.robot.fixed_base import Machine
 
 PENDULUM_WIDTH = 0.04
-"""s, of the kernel: short against the swing's quarter second, long against a row."""
+"""Width of the kernel [s]: short compared with a quarter of a swing, long compared with a row."""
 MODELS = {
     "torque scale, dry friction, armature": ("torque_scale", "coulomb_friction", "armature"),
     "without the torque scale": ("coulomb_friction", "armature"),
@@ -43,12 +43,12 @@ MODELS = {
     "and a torque delay": ("torque_scale", "coulomb_friction", "armature", "torque_delay"),
     "every term": (*EFFECTS, *RIVALS),
 }
-"""Explanations set side by side on runs that none was fitted on."""
+"""Explanations that are compared on runs that no fit has seen."""
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """One run, judged with the effects fitted on the other runs."""
+    """One run, evaluated with the effects fitted on the other runs."""
 
     run: Balance
     sizes: Sizes
@@ -57,7 +57,7 @@ class HeldOut:
 
 
 def held_out_runs(logs: Mapping[str, Log], machine: Machine, seed: int = 0) -> tuple[HeldOut, ...]:
-    """Each run with the terms that the others chose and sized."""
+    """Evaluate each run with the terms selected and fitted on the others."""
     rng = np.random.default_rng(seed)
     runs = {name: balance(log, machine, PENDULUM_WIDTH) for name, log in logs.items()}
     done = []
@@ -69,7 +69,7 @@ def held_out_runs(logs: Mapping[str, Log], machine: Machine, seed: int = 0) -> t
 
 
 def held_out_table(done: tuple[HeldOut, ...], seed: int = 0) -> pd.DataFrame:
-    """A row a run: root mean square of the residual torque, before and after."""
+    """One row for each run: root mean square of the residual torque, before and after."""
     rng = np.random.default_rng(seed)
     rows = []
     for one in done:
@@ -91,7 +91,7 @@ def held_out_table(done: tuple[HeldOut, ...], seed: int = 0) -> pd.DataFrame:
 
 
 def sizes_table(done: tuple[HeldOut, ...], seed: int = 0) -> pd.DataFrame:
-    """Sizes from all runs together, with intervals from blocks, and from each run by itself."""
+    """Sizes from all runs together, with intervals from blocks, and from each run alone."""
     rng = np.random.default_rng(seed)
     runs = [one.run for one in done]
     names = MODELS["torque scale, dry friction, armature"]
@@ -110,7 +110,7 @@ def sizes_table(done: tuple[HeldOut, ...], seed: int = 0) -> pd.DataFrame:
 
 
 def rivals_table(done: tuple[HeldOut, ...], seed: int = 0) -> pd.DataFrame:
-    """A row an explanation, fitted on three runs and judged on the fourth, each in turn."""
+    """One row for each explanation, fitted on three runs and evaluated on the fourth, in turn."""
     rng = np.random.default_rng(seed)
     rows = []
     for words, names in MODELS.items():
@@ -124,7 +124,7 @@ def rivals_table(done: tuple[HeldOut, ...], seed: int = 0) -> pd.DataFrame:
 
 
 def pendulum_figure(done: tuple[HeldOut, ...]) -> Figure:
-    """For each run held out, its torque and what is left of it."""
+    """Figure: torque and residual of each held-out run."""
     drawn, axes = new_figure(len(done), 2, (9.5, 8.0))
     for (torque, rest), one in zip(axes, done, strict=True):
         t, run = one.run.t - one.run.t[0], one.run

@@ -1,7 +1,7 @@
-"""The time between rows of a log, from joints whose angle and rate are both read.
+"""Times between the rows of a log, from joints with both angle and rate.
 
-The angle that the joints turned over a row, divided by their rate, is its duration: a log without
-time stamps, or with wrong ones, has its own clock, as good as the scale of the rates.
+The change of the joints' angles over a row, divided by their rate, is its duration. A log without
+time stamps, or with wrong ones, thus has a clock that is as accurate as the scale of the rates.
 """
 
 from dataclasses import dataclass
@@ -11,21 +11,24 @@ import numpy as np
 from surefoot.models.bootstrap import block_bootstrap_counts
 
 FAST = 7.0
-"""rad/s: norm of all joints' rates from which a row's own time is estimated."""
+"""Norm of all joints' rates from which a single row's time is estimated [rad/s]."""
 TOGETHER = 16
-"""Rows that a joint's mean time is taken over: rows of unequal length would bias single ones."""
+"""Number of rows for a joint's mean time: rows of unequal length would bias single ones."""
 ROWS_OF_BLOCK = 512
-"""Rows of a block of the bootstrap."""
+"""Number of rows in a block of the bootstrap."""
 
 
 @dataclass(frozen=True)
 class RowTimes:
-    """Times between rows by the rates that the joints report.
+    """Times between rows, from the rates that the joints report.
 
-    periods (J, 2): interval 95 % of each joint's mean time a row [s], period (J,) the mean;
-    each (N - 1,) s: every row's own time, NaN where too little moves; short, long: middles [s] of
-    the two heaps that the rows fall into; ratio: long / short; share: of short ones; the last two
-    with their 95 % intervals.
+    Attributes:
+        period: mean time of a row by each joint (J,) [s].
+        periods: its 95 % interval (J, 2) [s].
+        each: time of each single row (N - 1,) [s], NaN where too little moves.
+        short, long: centres of the two clusters of these times [s].
+        ratio: long / short, with `ratio_interval`, of 95 %.
+        share: of short rows, with `share_interval`, of 95 %.
     """
 
     period: np.ndarray
@@ -40,7 +43,7 @@ class RowTimes:
 
 
 def row_times(q: np.ndarray, dq: np.ndarray, rng: np.random.Generator) -> RowTimes:
-    """The times between the rows of q (N, J) [rad] with rates dq (N, J) [rad/s]."""
+    """Estimate the times between the rows of q (N, J) [rad] with rates dq (N, J) [rad/s]."""
     turned, rate = np.diff(q, axis=0), 0.5 * (dq[1:] + dq[:-1])
     block = np.arange(len(turned)) // ROWS_OF_BLOCK
     counts = block_bootstrap_counts(block[-1] + 1, rng)
@@ -74,7 +77,7 @@ def row_times(q: np.ndarray, dq: np.ndarray, rng: np.random.Generator) -> RowTim
 
 
 def two_heaps(x: np.ndarray) -> tuple[float, float]:
-    """Medians of the lower and the upper of two heaps of numbers (N,)."""
+    """Medians of the lower and the upper of two clusters of numbers (N,)."""
     low, high = np.quantile(x, [0.25, 0.75])
     for _ in range(20):
         below = x < 0.5 * (low + high)

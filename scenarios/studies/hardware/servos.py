@@ -1,8 +1,8 @@
-"""Servos that follow commanded angles, without a torque in the log: delay, backlash and sag.
+"""Servos that follow commanded angles, in logs without torques: delay, time constant and backlash.
 
-A servo whose angle is known only through what it was asked for is a delay, a play of its gears and
-a constant by which its load holds it off: what is left of the angle says what that misses. Beside
-it the published model of the machine is simulated with the same commands.
+Each servo is modelled by a delay, a first-order lag, a play of its gears and, per log, a constant
+offset under load. The residual of the angle shows what this model lacks. For comparison, the
+published model of the machine is simulated with the same commands.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,26 +22,27 @@ from surefoot.sim.robot.fixed_base import FixedBase
 from surefoot.sim.robot.model_file import compiled_model
 
 DELAYS = np.arange(0.0, 0.121, 0.01)
-"""s that are tried: a bus that is polled at 50 Hz, and the servo's own loop."""
+"""Delays on the grid [s]: a bus polled at 50 Hz, and the servo's own loop."""
 PLAYS = np.radians([0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.3, 1.6, 2.0, 3.0])
-"""rad that are tried, over all: hobby servos' gears have 0.3 to 1 degree, and a loop that stops
-within its dead band adds its own."""
+"""Plays on the grid [rad], in total: gears of hobby servos have 0.3 to 1 degree, and a control loop
+that stops within its dead band adds to it.
+"""
 SERVO_LAGS = np.array([0.0, 0.02, 0.04, 0.06, 0.1, 0.15, 0.22])
-"""s, time constants that are tried."""
+"""Time constants on the grid [s]."""
 DRAWN_SECONDS = 8.0
-"""s of a run that are drawn."""
+"""Duration of the part of a run that is plotted [s]."""
 
 
 @dataclass(frozen=True)
 class Servo:
-    """A joint's servo: delay [s], time constant [s] and play [rad] of what was commanded."""
+    """Model of a joint's servo: delay [s], time constant [s] and play [rad]."""
 
     delay: float
     lag: float
     play: float
 
     def angle(self, t: np.ndarray, commanded: np.ndarray) -> np.ndarray:
-        """Its angle (N,) [rad] but for a constant, from what was commanded (N,) at t (N,) [s]."""
+        """Angle (N,) [rad], up to a constant, for commanded angles (N,) at t (N,) [s]."""
         late = np.interp(t - self.delay, t, commanded)
         step = float(np.median(np.diff(t)))
         keep = np.exp(-step / self.lag) if self.lag else 0.0
@@ -51,7 +52,7 @@ class Servo:
 
 @kernel
 def with_play(angle, half):
-    """Where gears leave their output (N,) [rad], with half their play [rad], driven to angle."""
+    """Output angle (N,) [rad] of gears with a play of 2 `half` [rad], for an input `angle`."""
     out = np.empty_like(angle)
     at = angle[0]
     for k in range(len(angle)):
@@ -61,16 +62,18 @@ def with_play(angle, half):
 
 
 def fit_servo(logs: Sequence[Log], joint: int) -> Servo:
-    """The servo of the grid that leaves least of a joint's angles in these logs, each with a
-    constant of its own. All are tried: a delay, a lag and a play stand in for each other."""
+    """The servo on the grid with the smallest residual of a joint's angle in these logs, each with
+    its own constant.
+
+    All combinations are tried, since a delay, a lag and a play can replace one another.
+    """
     tried = (Servo(float(d), float(g), float(p)) for d in DELAYS for g in SERVO_LAGS for p in PLAYS)
     return min(tried, key=lambda s: sum(float(np.sum(_left(log, joint, s) ** 2)) for log in logs))
 
 
 def simulated_angles(log: Log, machine: FixedBase) -> np.ndarray:
-    """Angles (N, J) [rad] of the machine's own file, its position servos given the log's commands.
-
-    It starts where the log does.
+    """Angles (N, J) [rad] of the machine's own file, whose position servos follow the log's
+    commands from its initial state.
     """
     model = compiled_model(machine.file)
     data = mujoco.MjData(model)
@@ -91,13 +94,13 @@ def simulated_angles(log: Log, machine: FixedBase) -> np.ndarray:
 def servos_table(
     fitted: Sequence[Log], unseen: Sequence[Log], machine: FixedBase
 ) -> tuple[pd.DataFrame, tuple[Servo, ...]]:
-    """A row a joint: its servo by the fitted logs, and the error [mrad, root mean square without
-    each log's mean] of its angle in the unseen ones; the servos.
+    """One row for each joint: its servo from the fitted logs, and the error [mrad, root mean square
+    without each log's mean] of its angle in the unseen ones. Also returns the servos.
 
     Args:
         fitted: logs.
-        unseen: logs that no fit sees.
-        machine: whose file is simulated beside.
+        unseen: logs that no fit uses.
+        machine: whose file is simulated for comparison.
     """
     published = [simulated_angles(log, machine) for log in unseen]
     rows, servos = [], []
@@ -125,8 +128,9 @@ def servos_table(
 
 
 def servos_figure(log: Log, servos: Sequence[Servo], machine: FixedBase) -> Figure:
-    """A stretch of a run that no fit has seen: every joint as measured, as the published model
-    simulates it and by its servo, means taken off."""
+    """Figure: part of a run that no fit has seen, with each joint as measured, as simulated by the
+    published model, and by its servo, without means.
+    """
     drawn, axes = new_figure(len(servos), 1, (9.0, 1.7 * len(servos)))
     published, t = simulated_angles(log, machine), log.t - log.t[0]
     begin = 0.5 * t[-1]
@@ -148,7 +152,7 @@ def servos_figure(log: Log, servos: Sequence[Servo], machine: FixedBase) -> Figu
 
 
 def constants_table(logs: Mapping[str, Log]) -> pd.DataFrame:
-    """A row a joint: how far off what was commanded each log holds it in the mean [mrad]."""
+    """One row for each joint: mean difference of angle and command in each log [mrad]."""
     names = next(iter(logs.values())).joints
     return pd.DataFrame(
         {
@@ -163,8 +167,9 @@ def constants_table(logs: Mapping[str, Log]) -> pd.DataFrame:
 
 
 def ceiling_table(logs: Mapping[str, Log], servos: Sequence[Servo]) -> pd.DataFrame:
-    """A row a joint: error [mrad, root mean square] of each log by its servo, and behind the stroke
-    by the one that fits that log best, which is the least that any of the grid leaves."""
+    """One row for each joint: error [mrad, root mean square] in each log of its servo and, after
+    the slash, of the servo on the grid that fits this log best, which is a lower bound.
+    """
     names = next(iter(logs.values())).joints
     return pd.DataFrame(
         {
@@ -194,6 +199,6 @@ def _rms(parts: Sequence[np.ndarray]) -> float:
 
 
 def _range(values: Sequence[float], digits: int = 0) -> str:
-    """'60 (40 – 80)': of all logs together, and the least and most of single ones."""
+    """'60 (40 – 80)': value for all logs, then the least and largest for single ones."""
     first, *others = values
     return f"{first:.{digits}f} ({min(others):.{digits}f} – {max(others):.{digits}f})"

@@ -1,13 +1,14 @@
-"""Several runs of one chain of joints: sizes that all share, what runs differ by, and zeros.
+"""Calibration of one chain of joints from several runs: shared sizes, variation between runs,
+zeros.
 
-The balance of torques through windows (`impulses`), linear in C sizes, of each run r and log l:
+In the torque balance in windows (`impulses`), the residual of run r and log l is linear in C sizes:
 
     rest = X (c + u_r) + Z z_l + noise,  c ~ N(0, a^2 D),  u_r ~ N(0, b^2 D),  z_l ~ N(0, ZERO^2)
 
-D makes every term worth the same torque. How far sizes are off what was published (a), how far
-those of two runs differ though nothing changed (b), and each joint's noise maximise the likelihood
-of all rows (a mixed model: Laird and Ware, Biometrics 38, 1982). So what the model misses of a
-motion, which a single run would take for a size of its own, is part of what runs differ by.
+D scales all terms to the same torque. The deviation of the sizes from the published ones (a), the
+variation between runs of an unchanged machine (b), and each joint's noise maximise the likelihood
+of all rows (a mixed model: Laird and Ware, Biometrics 38, 1982). Errors of the model, which a fit
+to a single run would attribute to its sizes, are thus a part of the variation between runs.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,17 +32,21 @@ from surefoot.scenarios.studies.hardware.impulses import (
 from surefoot.sim.robot.fixed_base import FixedBase
 
 ZERO = 0.03
-"""rad, standard deviation of a zero that was set by hand, with the machine hanging or by marks."""
+"""Standard deviation of a zero that was set by hand, with the machine hanging or by marks [rad]."""
 Runs = Mapping[str, Sequence[WindowRows]]
-"""Windows of logs by the run that they are of: a run that is cut into pieces is one."""
+"""Windows of logs, by run; the pieces of a divided run belong together."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Sizes that runs share.
+    """Sizes shared by several runs.
 
-    keys: of the C sizes; value (C,), covariance (C, C); apart (C,): standard deviation by which
-    runs differ; noise (J,) [N m].
+    Attributes:
+        keys: of the C sizes.
+        value: (C,).
+        covariance: (C, C).
+        apart: standard deviation between runs (C,).
+        noise: of each joint (J,) [N m].
     """
 
     keys: tuple[SizeKey, ...]
@@ -51,22 +56,22 @@ class Calibration:
     noise: np.ndarray
 
     def left(self, logs: Sequence[WindowRows]) -> np.ndarray:
-        """Torque (R,) that the sizes leave of a run, joints of a row one after the other."""
+        """Residual torque (R,) of a run with these sizes, joint after joint."""
         return stacked_rest(logs) - stacked_terms(logs, self.keys) @ self.value
 
     def zeroed(self, logs: Sequence[WindowRows], rest: np.ndarray) -> np.ndarray:
-        """Of torque (R,) that is left of a run what zeros of its logs do not explain either."""
+        """The part of a residual torque (R,) of a run that zeros of its logs do not explain."""
         noise = np.concatenate([np.tile(self.noise**2, len(log.t)) for log in logs])
         return noise * np.linalg.solve(own_spread(logs, self.noise), rest)
 
     def spread(self, logs: Sequence[WindowRows]) -> np.ndarray:
-        """Covariance (R, R) of what is left of a run in which nothing changed."""
+        """Covariance (R, R) of the residual of an unchanged run."""
         X = stacked_terms(logs, self.keys)
         return own_spread(logs, self.noise) + X @ (self.covariance + np.diag(self.apart**2)) @ X.T
 
 
 def shared_calibration(runs: Runs) -> Calibration:
-    """The sizes that these runs share, by all of their rows."""
+    """Estimate the sizes that these runs share, from all of their rows."""
     keys = tuple(next(iter(runs.values()))[0].terms)
     y = np.concatenate([stacked_rest(own) for own in runs.values()])
     X = np.concatenate([stacked_terms(own, keys) for own in runs.values()])
@@ -100,7 +105,7 @@ def shared_calibration(runs: Runs) -> Calibration:
 
 
 def stacked_rest(logs: Sequence[WindowRows]) -> np.ndarray:
-    """What the declared model leaves (R,) of the logs of a run."""
+    """Residual torque (R,) of the declared model in the logs of a run."""
     return np.concatenate([log.rest.ravel() for log in logs])
 
 
@@ -112,7 +117,7 @@ def stacked_terms(logs: Sequence[WindowRows], keys: Sequence[SizeKey]) -> np.nda
 
 
 def own_spread(logs: Sequence[WindowRows], noise: np.ndarray) -> np.ndarray:
-    """Covariance (R, R) of a run's rows by their noise (J,) and by zeros of each log."""
+    """Covariance (R, R) of a run's rows from their noise (J,) and the zeros of each log."""
     parts = []
     for log in logs:
         Z = log.zeros.reshape(len(log.zeros), -1)
@@ -122,8 +127,9 @@ def own_spread(logs: Sequence[WindowRows], noise: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class HeldOutRun:
-    """A run, judged with the sizes of the others: its windows and what is left (N, J) [N m] of the
-    declared model, with zeros of its own alone, and with the others' sizes too."""
+    """A run, evaluated with the sizes of the others: its windows, and its residual torque (N, J) [N
+    m] with the declared model, with its own zeros fitted, and with the others' sizes as well.
+    """
 
     name: str
     others: Calibration
@@ -134,7 +140,7 @@ class HeldOutRun:
 
 
 def runs_left_out(runs: Runs) -> tuple[HeldOutRun, ...]:
-    """Each run with the sizes that the others share, and zeros of its own."""
+    """Evaluate each run with the sizes shared by the others, and its own zeros."""
     done = []
     for name, own in runs.items():
         others = shared_calibration({k: v for k, v in runs.items() if k != name})
@@ -146,7 +152,9 @@ def runs_left_out(runs: Runs) -> tuple[HeldOutRun, ...]:
 
 
 def left_out_table(done: Sequence[HeldOutRun]) -> pd.DataFrame:
-    """A row a run and joint: root mean square of the residual torque, and what fitted the zeros."""
+    """One row for each run and joint: root mean square of the residual torque, and of that to which
+    the zeros were fitted.
+    """
     return pd.DataFrame(
         {
             "run held out": one.name,
@@ -162,7 +170,8 @@ def left_out_table(done: Sequence[HeldOutRun]) -> pd.DataFrame:
 
 
 def shared_sizes_table(whole: Calibration, machine: FixedBase) -> pd.DataFrame:
-    """A row a size: as published, what the model lacks of it, and how far runs differ in it."""
+    """One row for each size: its published value, its correction, and its variation between runs.
+    """
     rows = []
     for k, (name, joint) in enumerate(whole.keys):
         value, twice = whole.value[k], 1.96 * np.sqrt(whole.covariance[k, k])
@@ -181,7 +190,9 @@ def shared_sizes_table(whole: Calibration, machine: FixedBase) -> pd.DataFrame:
 
 
 def lengths_table(calibrations: Mapping[float, Calibration]) -> pd.DataFrame:
-    """A row a size: what windows of several lengths [s] find of it, with twice its deviation."""
+    """One row for each size: its estimate with windows of several lengths [s], and twice its
+    standard deviation.
+    """
     keys = next(iter(calibrations.values())).keys
     rows = []
     for k, (name, joint) in enumerate(keys):
@@ -194,7 +205,7 @@ def lengths_table(calibrations: Mapping[float, Calibration]) -> pd.DataFrame:
 
 
 def held_out_figure(done: Sequence[HeldOutRun]) -> Figure:
-    """Of each run held out its first log: what is left of every joint's torque."""
+    """Figure: residual torque of every joint in the first log of each held-out run."""
     joints = done[0].rows[0].joints
     drawn, axes = new_figure(len(done), len(joints), (3.6 * len(joints), 1.9 * len(done)))
     for line, one in zip(axes, done, strict=True):

@@ -1,4 +1,4 @@
-"""How late is each stream of a log against its reference, where they were not stamped together?"""
+"""Lag of each stream of a log relative to its reference, if they were not stamped together."""
 
 from dataclasses import dataclass, replace
 
@@ -18,17 +18,17 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.stances import stance_phase
 
 LAGS = np.arange(-0.030, 0.0301, 0.001)
-"""s, tried by which a stream is late against the reference."""
+"""Lags on the grid, relative to the reference [s]."""
 WALKING = 0.15
-"""m/s of the base from which a row counts as walking."""
+"""Speed of the base from which a row counts as walking [m/s]."""
 MID_STANCE = (0.25, 0.6)
-"""Shares of a stance between which a foot stands if it ever does."""
+"""Part of a stance in which the foot certainly stands."""
 LAG_SPAN = 0.1  # s, over which turns and changes of velocity are compared
 
 
 @dataclass(frozen=True)
 class Lag:
-    """By how much a stream is late against the reference [s], with its 95 % interval."""
+    """Lag of a stream relative to the reference [s], with its 95 % interval."""
 
     stream: str
     late: float
@@ -36,7 +36,7 @@ class Lag:
 
 
 def lags(log: Log, robot: Robot, seed: int = 0) -> tuple[Lag, ...]:
-    """The streams against the motion capture, each by another part of its motion."""
+    """Lags of the streams relative to the motion capture, each from another part of its motion."""
     frame, rng = log_under_model(log, robot).motion, np.random.default_rng(seed)
     walks = np.linalg.norm(frame.v_I, axis=1) > WALKING
     block = np.floor((log.t - log.t[0]) / BLOCK).astype(int)
@@ -57,7 +57,7 @@ def lags(log: Log, robot: Robot, seed: int = 0) -> tuple[Lag, ...]:
 def _least(
     cost: np.ndarray, rows: np.ndarray, block: np.ndarray, rng: np.random.Generator
 ) -> tuple[float, tuple[float, float]]:
-    """Where the cost (S, N), summed over these rows, is least, with the bootstrap's interval."""
+    """The lag with the smallest cost (S, N), summed over these rows, with a bootstrap interval."""
     numbers = np.unique(block[rows])
     sums = np.array([cost[:, rows & (block == b)].sum(axis=1) for b in numbers])
     counts = block_bootstrap_counts(len(sums), rng)

@@ -1,7 +1,7 @@
-"""Studies of real machines, one command: `make study-hardware`.
+"""Studies of real machines: `make study-hardware`.
 
-Reads public recordings from a folder; a study whose recording is not there is skipped, with a line
-that says so. A finished study is kept, tables and figure, until its recording or code changes.
+They read public recordings from a folder. A study without its recording is skipped with a message.
+The tables and figure of a finished study are stored until its recording or its code changes.
 """
 
 import sys
@@ -41,7 +41,7 @@ from surefoot.sim.robot.fixed_base import FixedBase, load_machine, machine_for_l
 MEASURED = measured_folder()
 RUNS = ("ddp", "direct_collocation", "ilqr", "pd")
 STAMP_SHIFTS = (-0.005, 0.005)
-"""s: one standard deviation of the stamps of the Go1's reference, as published."""
+"""One standard deviation of the stamps of the Go1's reference, as published [s]."""
 _MODULE = "surefoot.scenarios.studies.hardware.study"
 _TITLE = "Real machines, and what their models lack"
 SCALER_DAYS = {
@@ -49,12 +49,12 @@ SCALER_DAYS = {
     "7 December": ("scaler_13", "scaler_15"),
     "15 December": ("scaler_17",),
 }
-"""Walks by the day that they were recorded on, as published."""
+"""Walks by the day of recording, as published."""
 SO101_FITTED = ("friction_gravity", "backlash_detection", "chirp_sweep")
 SO101_UNSEEN = ("multisine", "prbs_excitation", "step_response")
 RICMONK_WINDOW = 0.45
 RICMONK_WINDOWS = (0.2, 0.3, RICMONK_WINDOW, 0.6)
-"""s: torques jolt from row to row, 6 ms apart, and a swing takes 1.6 s; others beside it."""
+"""Lengths of the windows [s]: torques jump from row to row, 6 ms apart, and a swing takes 1.6 s."""
 
 
 @dataclass(frozen=True)
@@ -63,19 +63,20 @@ class HardwareStudy:
 
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     measured: Path = MEASURED
-    """Folder with a folder of each machine's recordings."""
+    """Folder that has a folder of recordings for each machine."""
     only: tuple[str, ...] = ()
-    """Of the machines, those to run; all if left out."""
+    """Machines to run; by default all."""
     data: Path | None = None
-    """Folder of finished studies, which are not run again; `cases` in the output if left out."""
+    """Folder of finished studies, which are not run again; by default `cases` in the output folder.
+    """
     page: Path | None = None
-    """Page of results to write as well, such as docs/results/hardware.md."""
+    """Page of results to write too, such as docs/results/hardware.md."""
     force: bool = False
 
 
 @dataclass(frozen=True)
 class Chapter:
-    """One study's result: words, tables by their headings, and a figure."""
+    """Result of one study: text, tables by heading, and a figure."""
 
     title: str
     words: str
@@ -84,7 +85,7 @@ class Chapter:
 
 
 def ak80_pendulum(folder: Path, options: HardwareStudy) -> Chapter:
-    """One drive: each run held out once."""
+    """One drive that swings a pendulum; each run is held out once."""
     logs = {
         run: replace(import_log(folder / f"{run}_measured.csv", "ak80_pendulum"), name=run)
         for run in RUNS
@@ -109,7 +110,7 @@ def ak80_pendulum(folder: Path, options: HardwareStudy) -> Chapter:
 
 
 def go2_in_air(folder: Path, options: HardwareStudy) -> Chapter:
-    """Twelve drives: how long a row is, and what they lack."""
+    """Twelve drives: the period of a row, and the effects that their model lacks."""
     log, machine = import_log(folder, "go2_in_air"), _known("go2")
     times = go2.clock(log)
     found = {period: go2.drives(log, machine, period) for period in go2.ROW_PERIODS}
@@ -167,7 +168,7 @@ def go1_square(folder: Path, options: HardwareStudy) -> Chapter:
 
 
 def scaler_trot(folder: Path, options: HardwareStudy) -> Chapter:
-    """Walks of closed chains, by where their feet are."""
+    """Walks of a robot with closed chains, from the logged positions of its feet."""
     files = sorted((folder / "logs").glob("*.csv"))
     recordings = {file.stem: read_recording(file, "scaler_trot") for file in files}
     walks = {name: feet.aligned_walk(one) for name, one in recordings.items()}
@@ -198,7 +199,7 @@ def scaler_trot(folder: Path, options: HardwareStudy) -> Chapter:
 
 
 def icub_biped(folder: Path, options: HardwareStudy) -> Chapter:
-    """A humanoid's metre of walking, and its sway on the spot."""
+    """A humanoid that walks a metre, and sways on the spot."""
     logs = {name: import_log(folder / f"{name}.mat", "icub_biped") for name in biped.ICUB_RUNS}
     robot = Robot.for_log(logs["walking"])
     with percent_bar("trace") as progress:
@@ -224,7 +225,7 @@ def icub_biped(folder: Path, options: HardwareStudy) -> Chapter:
 
 
 def ricmonk(folder: Path, options: HardwareStudy) -> Chapter:
-    """A chain of three links that swings: calibrated, runs held out in turn, and changed."""
+    """A swinging chain of three links: calibration, held-out runs, and injected changes."""
     logs: dict[str, list[Log]] = {}
     files = sorted((folder / "swings").glob("*.csv"))
     for file in files:
@@ -344,9 +345,9 @@ STUDIES: dict[str, Callable[[Path, HardwareStudy], Chapter]] = {
 
 
 def run_hardware(options: HardwareStudy) -> list[Section]:
-    """Run the studies whose recordings are there; returns the report that is written.
+    """Run the studies whose recordings are available; returns the sections of the report.
 
-    Raises SurefootError where a report exists (no `force`), or for an unknown name.
+    Raises SurefootError if a report exists (without `force`), or for an unknown name.
     """
     for name in options.only:
         if name not in STUDIES:
@@ -378,7 +379,7 @@ def run_hardware(options: HardwareStudy) -> list[Section]:
 
 
 def _chapter(name: str, folder: Path, options: HardwareStudy, picture: Path) -> dict[str, Any]:
-    """The row of a study; its figure goes to `picture`."""
+    """The stored row of a study; its figure is written to `picture`."""
     done = STUDIES[name](folder, options)
     save_png(done.figure, picture, force=True)
     tables = {heading: table.to_dict("records") for heading, table in done.tables.items()}
@@ -386,13 +387,13 @@ def _chapter(name: str, folder: Path, options: HardwareStudy, picture: Path) -> 
 
 
 def _contacts_as_logged(log: Log) -> Log:
-    """The log with contact_<leg> as the robot had it, which the map passes on."""
+    """The log with the robot's own contacts, which the map passes on as x_contact_<leg>."""
     columns = {f"contact_{leg}": (log.frame[f"x_contact_{leg}"] > 0.5) * 1.0 for leg in log.legs}
     return replace(log, frame=log.frame.assign(**columns))
 
 
 def _as_recorded(recording: RawRecording) -> Log:
-    """The log before its map made it even, with contacts as the robot had them."""
+    """The log before resampling to an even rate, with the robot's own contacts."""
     rules = replace(recording.rules, even=None)
     return _contacts_as_logged(replace(recording, rules=rules).without_reference().log())
 

@@ -1,8 +1,8 @@
-"""Walks whose logs say where the feet are: clocks, streams, and how far legs alone carry.
+"""Walks whose logs have positions of the feet: clocks, streams, and accuracy of leg odometry.
 
-Feet of closed chains need no model. What such a log can show is the share of its way that a
-standing foot does not give to the body: it creeps, a leg gives, or angles have another scale. One
-share is fitted on the walks of one day and judged on those of the others.
+Feet of closed chains need no leg model. Such a log shows the share by which standing feet move
+further than the body: feet creep, a leg is compliant, or angles have another scale. One share is
+fitted on the walks of one day and evaluated on those of the other days.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,42 +24,49 @@ from surefoot.sim.log.derived import JOINT_WINDOW, derivative
 from surefoot.sim.plausibility import check_log
 
 DISPLACED_OVER = 1.0
-"""s over which ways by legs and by the reference are compared: strides, whose ripple cancels."""
+"""Time over which displacements by legs and by the reference are compared [s]: some strides, whose
+ripple cancels.
+"""
 PATH_STEP = 0.5
-"""s between the samples of the reference that a path's length is of: else its noise counts."""
+"""Sampling time of the reference for the length of a path [s]; at shorter times its noise adds to
+it.
+"""
 SETTINGS = FilterSettings(
     noise=NoiseSettings(contact=0.05, kinematics=5e-3, accel=0.5),
     start=StartSettings(b_a=0.3, b_g=2e-2),
 )
-"""Of a servo robot's walk: feet that creep, readings of 60 Hz, an IMU whose zeros nobody took."""
+"""Settings for a walk with servo motors: creeping feet, readings at 60 Hz, an uncalibrated IMU."""
 
 
 @dataclass(frozen=True)
 class AlignedWalk:
-    """A walk on its IMU's clock: the log with contacts by its gait, and how it was aligned."""
+    """A walk on its IMU's clock: the log with contacts from its gait, and its alignment."""
 
     log: Log
     alignment: Alignment
 
 
 def aligned_walk(recording: RawRecording) -> AlignedWalk:
-    """A recording whose reference has a clock and axes of its own. Raises SurefootError where it
-    has none, or they share too little."""
+    """Align a recording whose reference has its own clock and axes.
+
+    Raises SurefootError if it has no reference, or IMU and reference overlap too little.
+    """
     log = recording.without_reference().log()
     found = align(log, recording.poses)
     return AlignedWalk(aligned_log(log, found, recording.poses), found)
 
 
 def travel_share(logs: Sequence[Log]) -> float:
-    """Share of the way by standing legs that bodies do not go: least squares of horizontal
-    displacements over DISPLACED_OVER seconds."""
+    """Share by which the displacement by standing legs exceeds the body's: least squares of
+    horizontal displacements over DISPLACED_OVER seconds.
+    """
     both = [_displacements(log) for log in logs]
     legs, body = (np.concatenate([one[k] for one in both]) for k in (0, 1))
     return 1.0 - float(np.sum(legs * body) / np.sum(legs**2))
 
 
 def with_share(log: Log, share: float) -> Log:
-    """The log with the feet's ways along the ground shorter by a share, about their medians."""
+    """The log with horizontal positions of the feet scaled down by a share, about their medians."""
     middle = np.median(log.foot_I, axis=0)
     feet_I = log.foot_I.copy()
     feet_I[..., :2] = middle[:, :2] + (1.0 - share) * (feet_I - middle)[..., :2]
@@ -72,7 +79,7 @@ def with_share(log: Log, share: float) -> Log:
 
 
 def end_error(log: Log, estimate: Trajectory) -> float:
-    """Error at the end [% of the path], along the ground, place and yaw aligned at the start."""
+    """Horizontal error at the end [% of the path], with position and yaw aligned at the start."""
     truth = reference(log)
     p_GI = np.column_stack([np.interp(estimate.t, truth.t, x) for x in truth.p_GI.T])
     turn = truth.R_GI[0] @ estimate.R_GI[0].T
@@ -87,7 +94,9 @@ def end_error(log: Log, estimate: Trajectory) -> float:
 
 
 def alignment_table(walks: Mapping[str, AlignedWalk]) -> pd.DataFrame:
-    """A row a walk: clock by the whole log and by each half, and where the tracked body is."""
+    """One row for each walk: clock offset from the whole log and from each half, and position of
+    the tracked body.
+    """
     rows = []
     for name, walk in walks.items():
         one = walk.alignment
@@ -107,8 +116,9 @@ def alignment_table(walks: Mapping[str, AlignedWalk]) -> pd.DataFrame:
 
 
 def findings_table(logs: Sequence[Log]) -> pd.DataFrame:
-    """What is not plausible in logs as they were recorded, with the line of the map that mends it;
-    equal findings of several logs in one row."""
+    """What is implausible in logs as recorded, with the map line that corrects it; equal findings
+    of several logs share a row.
+    """
     seen: dict[tuple[str, str, str], dict[str, None]] = {}
     for log in logs:
         for one in check_log(log):
@@ -123,12 +133,12 @@ def findings_table(logs: Sequence[Log]) -> pd.DataFrame:
 def end_errors_table(
     walks: Mapping[str, AlignedWalk], logged: Mapping[str, Log], days: Mapping[str, Sequence[str]]
 ) -> pd.DataFrame:
-    """A row a model of the feet: the leg filter's end error [% of the path] on each walk, and on
-    those that the model's share was not fitted on.
+    """One row for each model of the feet: the leg filter's end error [% of the path] on each walk,
+    and on those to which the model's share was not fitted.
 
     Args:
         walks: by name.
-        logged: the same with contacts as they were logged.
+        logged: the same with the robot's own contacts.
         days: names of the walks of each recording day.
     """
     cases: dict[str, tuple[float, Sequence[str]]] = {"contacts by the gait": (0.0, ())}
@@ -142,7 +152,9 @@ def end_errors_table(
 
 
 def paths_figure(walks: Mapping[str, AlignedWalk], share: float) -> Figure:
-    """Each walk from above: the reference, and the leg filter without and with the share."""
+    """Figure: each walk from above, with the reference and the leg filter without and with the
+    share.
+    """
     drawn, axes = new_figure(1, len(walks), (2.4 * len(walks), 3.4))
     for ax, (name, walk) in zip(axes[0], walks.items(), strict=True):
         truth = reference(walk.log)
@@ -186,8 +198,9 @@ def _errors_row(
 
 
 def _displacements(log: Log) -> tuple[np.ndarray, np.ndarray]:
-    """Horizontal displacements (K, 2) [m] over DISPLACED_OVER seconds: by standing legs, and of the
-    reference."""
+    """Horizontal displacements (K, 2) [m] over DISPLACED_OVER seconds, by standing legs and by the
+    reference.
+    """
     t, feet_I = log.t, log.foot_I
     dfeet_I = derivative(t, feet_I.reshape(len(t), -1), JOINT_WINDOW, causal=False)
     v_I = -(dfeet_I.reshape(feet_I.shape) + np.cross(log.gyro[:, None], feet_I))

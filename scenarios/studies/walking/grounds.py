@@ -1,4 +1,4 @@
-"""A minute on each kind of ground that a quadruped should walk, scaled to its legs."""
+"""A minute of walking on each kind of ground, scaled to the robot's legs."""
 
 import numpy as np
 

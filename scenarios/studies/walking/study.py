@@ -1,4 +1,4 @@
-"""How robots walk: every robot over four grounds, every course on several seeds, in one table.
+"""How robots walk: every robot on four grounds, and every course with several seeds, in one table.
 
 After each walk the bare engine steps the same model through the same torques, on the same thread.
 """
@@ -74,17 +74,18 @@ def walking_study(
     page: Path | None = None,
     force: bool = False,
 ) -> list[WalkRow]:
-    """Write `walking.md` and `walking.csv` (one row a walk) into `out`; returns the walks.
+    """Write `walking.md` and `walking.csv` (one row per walk) into `out`; returns the walks.
 
     Args:
-        out: folder of the two.
-        robots: names or MJCF files, each over its four grounds with seed 0.
-        courses: scenario files, each on its own robot. Where neither robots nor courses are given:
-            every known robot, and the courses of both suites.
-        seeds: of each course, from 0.
-        workers: walks at once, each on a thread.
-        data: folder of finished walks; `walks` in `out` where left out.
-        page: page of results (Markdown) to write as well.
+        out: folder.
+        robots: names or MJCF files, each on its four grounds with seed 0.
+        courses: scenario files, each with its own robot. With neither robots nor courses: every
+            known
+            robot, and the courses of both suites.
+        seeds: number of seeds of each course, from 0.
+        workers: number of walks at a time, each on a thread.
+        data: folder of finished walks; by default `walks` in `out`.
+        page: page of results (Markdown) to write too.
         force: overwrite walking.md and walking.csv.
     """
     if not robots and not courses:
@@ -126,9 +127,9 @@ def walking_study(
 
 
 def walked(job: Job, progress: Callable[[float], None] | None = None) -> WalkRow:
-    """Make one walk, measure it, and with seed 0 time the bare engine on the same work.
+    """Simulate and measure one walk and, with seed 0, time the bare engine on the same work.
 
-    Time is the thread's own: that of a core with nothing else to do.
+    Time is that of the thread: as if a core had nothing else to do.
     """
     robot = known_robot(job.robot)
     began = thread_time()
@@ -162,9 +163,9 @@ def walked(job: Job, progress: Callable[[float], None] | None = None) -> WalkRow
 
 
 def velocity_error(made: Plan, motion: Motion) -> float:
-    """RMS [m/s] of the base's velocity along and across its heading less the commanded one.
+    """RMS [m/s] of the base's velocity minus the commanded one, along and across the heading.
 
-    Both as means over MEAN_OVER, from the end of settling on.
+    Both are means over MEAN_OVER, after settling.
     """
     ticks = slice(round(SETTLING_TIME / TIMESTEP), None, STEPS_PER_TICK)
     ahead = motion.R_GB[ticks, :2, 0]
@@ -181,7 +182,7 @@ def velocity_error(made: Plan, motion: Motion) -> float:
 
 
 def report(walks: Sequence[WalkRow]) -> str:
-    """The table in Markdown, and what its columns mean."""
+    """The table in Markdown, with the meaning of its columns."""
     return f"# {_TITLE}\n\n{to_markdown(_lines(walks))}\n\n{LEGEND}\n"
 
 
@@ -213,7 +214,7 @@ def _line(walks: Sequence[WalkRow]) -> dict[str, Any]:
 
 
 def _case(job: Job) -> str:
-    """The name of a walk's finished case."""
+    """Name of a walk's finished case."""
     return re.sub(r"\W+", "_", f"{known_robot(job.robot).name} {job.scenario.name} {job.seed}")
 
 
