@@ -1,1 +1,1 @@
-"""What every room needs: errors, files, quaternions, sources and compiled kernels."""
+"""Used by all packages: errors, files, quaternions, sources and compiled kernels."""

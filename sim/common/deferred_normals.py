@@ -1,4 +1,4 @@
-"""Random numbers that one generator would draw in long arrays in turn, drawn in pieces."""
+"""Normal random numbers drawn in pieces, equal to those drawn in long arrays one after the other."""
 
 from copy import deepcopy
 
@@ -8,9 +8,10 @@ _AT_ONCE = 1 << 16  # numbers: half a megabyte
 
 
 def deferred_normals(rng: np.random.Generator, count: int) -> np.random.Generator:
-    """A generator of the next `count` normal numbers of `rng`, which is left behind them.
+    """A copy of `rng` for its next `count` normal numbers; `rng` itself is advanced past them.
 
-    How far a normal number takes a generator is not known before it is drawn: they are drawn twice.
+    The state of a generator after some normal numbers is not known in advance, so they are drawn
+    twice.
     """
     own = deepcopy(rng)
     for first in range(0, count, _AT_ONCE):

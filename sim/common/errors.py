@@ -1,15 +1,15 @@
-"""The one error that a user is meant to read, and the check that every seed passes."""
+"""The error for bad input, and the check of seeds."""
 
 from collections.abc import Iterable
 from difflib import get_close_matches
 
 
 class SurefootError(ValueError):
-    """Bad input, said in one line that names the file, column or option at fault."""
+    """Bad input: a message of one line that names the file, column or option at fault."""
 
 
 def check_seed(seed: int) -> None:
-    """Raise SurefootError for a seed that no generator takes."""
+    """Raise SurefootError for a seed that generators do not accept."""
     if seed < 0:
         raise SurefootError(f"--seed {seed}: must not be negative")
     if seed > 2**53:
@@ -17,6 +17,6 @@ def check_seed(seed: int) -> None:
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
-    """`; did you mean 'go1'?` where one of the known names is near, else nothing."""
+    """`; did you mean 'go1'?` if a known name is similar, else ""."""
     near = get_close_matches(str(name)[:100], list(known), n=1)
     return f"; did you mean '{near[0]}'?" if near else ""

@@ -1,8 +1,8 @@
-"""Files that are either whole or not there: every writer of the product goes through here.
+"""Atomic writing of files and folders; every output of surefoot is written by these functions.
 
-What a command writes is listed in a manifest, `.surefoot.jsonl`, in the folder it is written to.
-`--force` replaces what the manifest lists for that command, as it was written, and nothing else;
-what a command reads is never written over.
+What a command writes is listed in a manifest, `.surefoot.jsonl`, in the folder that it writes to.
+`--force` replaces only unchanged files that the manifest lists for the same command. The inputs of
+a command are never overwritten.
 """
 
 import hashlib
@@ -24,10 +24,10 @@ MANIFEST = ".surefoot.jsonl"
 
 
 def cache_folder() -> Path:
-    """Where compiled kernels and long studies keep their files: $SUREFOOT_CACHE, or else the
-    user's cache folder.
+    """Folder of compiled kernels and long studies: $SUREFOOT_CACHE, or else the user's cache
+    folder.
 
-    Kernels are machine code: raises SurefootError for a folder that others can write to.
+    Kernels are machine code, so a folder that others can write to raises SurefootError.
     """
     chosen = os.environ.get("SUREFOOT_CACHE")
     folder = Path(chosen) if chosen else user_cache_path("surefoot", appauthor=False)
@@ -36,9 +36,9 @@ def cache_folder() -> Path:
 
 
 def private_folder(folder: Path) -> None:
-    """Make a cache's folder, which others can read at most.
+    """Create a cache folder that others can only read.
 
-    Raises SurefootError where somebody else owns it or can write to it.
+    Raises SurefootError if another user owns it or can write to it.
     """
     try:
         folder.mkdir(mode=0o755, parents=True, exist_ok=True)
@@ -58,19 +58,21 @@ def bundled(package: str, name: str) -> Path:
 
 
 def is_file(path: str | Path) -> bool:
-    """Whether a file is there. False for a name that no file can have, such as one that is too
-    long, where `Path.is_file` raises OSError."""
+    """Whether a file exists. False for an impossible name, such as one that is too long, for which
+    `Path.is_file` raises OSError.
+    """
     return os.path.isfile(path)
 
 
 def is_there(path: str | Path) -> bool:
-    """Whether a file or folder is there. False for a name that none can have, as in `is_file`."""
+    """Whether a file or folder exists. False for an impossible name, as in `is_file`."""
     return os.path.exists(path)
 
 
 def measured_folder() -> Path:
-    """Where recordings of real robots lie: $SUREFOOT_MEASURED, or else `shared/measured` beside
-    the checkout; it need not exist."""
+    """Folder of recordings of real robots: $SUREFOOT_MEASURED, or else `shared/measured` beside the
+    checkout; it need not exist.
+    """
     chosen = os.environ.get("SUREFOOT_MEASURED")
     checkout = Path(str(files("surefoot"))).resolve().parent
     return Path(chosen) if chosen else checkout.parent / "shared" / "measured"
@@ -78,8 +80,7 @@ def measured_folder() -> Path:
 
 @dataclass
 class _Run:
-    """A command of the command line under way, the files and folders that it reads, and those of
-    its outputs that are there and whole."""
+    """The command that is running, its input files and folders, and its finished outputs."""
 
     command: str
     inputs: dict[tuple[int, int], Path] = field(default_factory=dict)
@@ -91,7 +92,7 @@ _run: _Run | None = None
 
 @contextmanager
 def command_run(command: str, inputs: Iterable[Path] = ()) -> Iterator[_Run]:
-    """While it lasts, files are written as those of `command`, and never over its inputs."""
+    """Context in which files are written in the name of `command`, and never over its inputs."""
     global _run
     before, _run = _run, _Run(command)
     try:
@@ -103,17 +104,19 @@ def command_run(command: str, inputs: Iterable[Path] = ()) -> Iterator[_Run]:
 
 
 def protect(path: str | Path) -> None:
-    """Let the command under way never write over a file, or one in a folder, that it reads."""
+    """Register a file, or a folder with its files, as an input that the running command must not
+    overwrite.
+    """
     identity = _identity(Path(path))
     if _run is not None and identity is not None:
         _run.inputs[identity] = Path(path)
 
 
 def refuse_overwrite(path: str | Path, force: bool) -> None:
-    """Raise SurefootError where `path` may not be written: called before long work starts.
+    """Raise SurefootError if `path` may not be written. Called before long work starts.
 
-    That is where it exists, unless `force`; and of a command, where it is one of its inputs, or
-    with `force` something else than what the same command wrote there.
+    Without `force`, an existing path may not be written. A command may never write over its inputs
+    and, with `force`, only over its own unchanged outputs.
     """
     path = Path(path)
     refuse_input(path)
@@ -128,8 +131,9 @@ def refuse_overwrite(path: str | Path, force: bool) -> None:
 
 
 def refuse_input(path: Path) -> None:
-    """Raise SurefootError where nothing can be written at a path, or a command reads what is there,
-    by whatever name."""
+    """Raise SurefootError if nothing can be written at a path, or it is an input of the running
+    command, by whatever name.
+    """
     identity = _identity(path)
     if identity is None:
         _check_place(path)
@@ -138,7 +142,7 @@ def refuse_input(path: Path) -> None:
 
 
 def _identity(path: Path) -> tuple[int, int] | None:
-    """Device and number of a file, links followed; None where there is none."""
+    """Device and number of a file, following links; None if there is none."""
     try:
         found = path.stat()
     except (FileNotFoundError, NotADirectoryError):
@@ -155,7 +159,7 @@ def _short(path: Path) -> str:
 
 
 def _check_place(path: Path) -> None:
-    """Raise SurefootError where nothing can be written at a path that does not exist."""
+    """Raise SurefootError if a path does not exist and nothing can be written there."""
     if path.is_symlink():
         raise SurefootError(f"{path}: is a link to nothing")
     for parent in path.absolute().parents:
@@ -168,7 +172,9 @@ def _check_place(path: Path) -> None:
 
 
 def manifest_entries(folder: Path) -> dict[str, dict[str, str]]:
-    """File, relative to the folder -> digest of each content written there -> command."""
+    """Entries of a folder's manifest: file, relative to the folder -> digest of each content ->
+    command.
+    """
     found: dict[str, dict[str, str]] = {}
     try:
         lines = (folder / MANIFEST).read_text(encoding="utf-8").splitlines()
@@ -184,7 +190,9 @@ def manifest_entries(folder: Path) -> dict[str, dict[str, str]]:
 
 
 def _entries_of(path: Path) -> dict[str, str]:
-    """Digest -> command of what was written at a path, by the manifest of any folder above it."""
+    """Digest -> command of the contents written at a path, from the manifests of all folders above
+    it.
+    """
     whole = Path(os.path.abspath(path))
     found: dict[str, str] = {}
     for folder in whole.parents:
@@ -203,7 +211,7 @@ def _check_made(path: Path, command: str) -> None:
 
 
 def check_unchanged(path: str | Path) -> None:
-    """Raise SurefootError where a manifest lists a file with other contents than it has."""
+    """Raise SurefootError if a file's content is not one that a manifest lists for it."""
     made = _entries_of(Path(path))
     if made and file_digest(path) not in made:
         raise SurefootError(f"{path}: was changed or damaged since it was made")
@@ -216,7 +224,7 @@ def file_digest(path: str | Path) -> str:
 
 
 def check_space(path: Path, needed: float) -> None:
-    """Raise SurefootError where the disk of a path has less than `needed` bytes free."""
+    """Raise SurefootError if the disk of a path has less than `needed` bytes free."""
     there = next(folder for folder in (path, *path.absolute().parents) if folder.is_dir())
     free = shutil.disk_usage(there).free
     if free < needed:
@@ -226,7 +234,7 @@ def check_space(path: Path, needed: float) -> None:
 
 
 def clear_debris(paths: Iterable[Path]) -> None:
-    """Remove those `.tmp` whose writer was killed; what a live one writes stays."""
+    """Remove those of the `.tmp` paths whose process has ended."""
     for path in paths:
         number = path.stem.rpartition(".")[2]
         if path.suffix != ".tmp" or not number.isdigit():
@@ -244,10 +252,10 @@ def clear_debris(paths: Iterable[Path]) -> None:
 
 @contextmanager
 def whole_file(path: str | Path, force: bool = False) -> Iterator[Path]:
-    """Yield a temporary path beside `path`; on success it is synced and takes its place at once.
+    """Yield a temporary path beside `path`; on success the file is synced and renamed to `path`.
 
-    A reader never sees half a file, and a killed writer leaves at most a hidden `.tmp` behind.
-    Raises SurefootError where `refuse_overwrite` does, or where it cannot be written.
+    A reader never sees a partial file, and a killed process leaves at most a hidden `.tmp`. Raises
+    SurefootError as `refuse_overwrite` does, or if the file cannot be written.
     """
     path = Path(path)
     refuse_overwrite(path, force)
@@ -259,9 +267,10 @@ def whole_file(path: str | Path, force: bool = False) -> Iterator[Path]:
 
 
 def _list_replaced(path: Path, temporary: Path) -> None:
-    """List a file before it takes its place: a kill in between leaves no file without a line.
+    """List a file in the manifest before it is renamed, so that a kill in between leaves no
+    unlisted file.
 
-    One that a program, and no command, puts in the place of a command's stays the command's.
+    A file that a program writes over a command's output remains listed as that command's.
     """
     maker = _run.command if _run is not None else _last_maker(path)
     if maker:
@@ -274,7 +283,9 @@ def _last_maker(path: Path) -> str | None:
 
 @contextmanager
 def kept_file(path: Path) -> Iterator[Path]:
-    """`whole_file` of a cache or of a state to go on from: replaces an older one, is not listed."""
+    """Like `whole_file`, for caches and states to resume from: replaces an older file, and is not
+    listed.
+    """
     with _replaced(path) as temporary:
         yield temporary
 
@@ -297,9 +308,9 @@ def _replaced(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def folder_of(path: Path) -> Iterator[None]:
-    """Make the folder that a file or folder is to be in; what was made for it and stays empty goes.
+    """Create the parent folders of a path; new ones that remain empty are removed again.
 
-    Raises OSError where it cannot be made.
+    Raises OSError if one cannot be created.
     """
     missing = [folder for folder in path.parents if not folder.exists()]
     try:
@@ -315,10 +326,10 @@ def folder_of(path: Path) -> Iterator[None]:
 
 @contextmanager
 def whole_folder(out: str | Path, force: bool = False) -> Iterator[Path]:
-    """Yield a temporary folder beside `out`; on success what is in it goes to `out`, and with
-    `force` takes the place of all that the same command wrote there.
+    """Yield a temporary folder beside `out`; on success its contents are moved to `out`. With
+    `force` they replace everything that the same command wrote there.
 
-    Where it fails, `out` stays as it was. Raises SurefootError where a file of `out` is in the way.
+    On failure `out` is left as it was. Raises SurefootError if a file of `out` is in the way.
     """
     out = Path(os.path.realpath(out))
     staging = out.with_name(f".{out.name}.{os.getpid()}.tmp")
@@ -373,9 +384,9 @@ def _as_made(path: Path, digests: dict[str, str]) -> bool:
 
 
 def refuse_full(out: Path, force: bool) -> None:
-    """Raise SurefootError where `out` is a file, or a folder that holds something.
+    """Raise SurefootError if `out` is a file, or a folder that is not empty.
 
-    With `force` it may hold what the same command wrote there, and files of other names.
+    With `force` the folder may have outputs of the same command, and files of other names.
     """
     if _identity(out) is None:
         _check_place(out)
@@ -400,7 +411,7 @@ def refuse_full(out: Path, force: bool) -> None:
 
 
 def _list(folder: Path, command: str, digests: dict[str, str]) -> None:
-    """Append files, relative to the folder, to its manifest."""
+    """Append files, given relative to the folder, to its manifest."""
     folder.mkdir(parents=True, exist_ok=True)
     entries = ({"file": n, "sha256": d, "command": command} for n, d in digests.items())
     path = folder / MANIFEST
@@ -410,7 +421,7 @@ def _list(folder: Path, command: str, digests: dict[str, str]) -> None:
 
 
 def _is_temporary(path: Path) -> bool:
-    """Whether a path is itself to be renamed, or lies in a folder that is."""
+    """Whether a path is temporary, or inside a temporary folder."""
     return any(part.startswith(".") and part.endswith(".tmp") for part in path.parts)
 
 

@@ -7,18 +7,19 @@ from surefoot.sim.common.deferred_normals import deferred_normals
 
 
 class GaussMarkov:
-    """A stationary first-order Gauss-Markov process of three axes, drawn in pieces: the numbers are
-    those of one that is drawn whole."""
+    """A stationary first-order Gauss-Markov process of three axes, drawn in pieces. The numbers do
+    not depend on the pieces.
+    """
 
     def __init__(self, rng: np.random.Generator, n: int, sigma: float, time: float, rate: float):
-        """`rng` is left where drawing the whole process leaves it.
+        """Advances `rng` as drawing the whole process would.
 
         Args:
             rng: random generator.
-            n: rows in all.
+            n: total number of rows.
             sigma: stationary standard deviation, in the unit of the result.
             time: correlation time [s].
-            rate: rows a second [Hz].
+            rate: sampling rate [Hz].
         """
         self._keep = np.exp(-1.0 / (time * rate))
         self._drive = sigma * np.sqrt(1.0 - self._keep**2)
@@ -27,7 +28,7 @@ class GaussMarkov:
         self._state = np.zeros((1, 3))
 
     def next(self, rows: int) -> np.ndarray:
-        """The next (rows, 3) of it."""
+        """The next rows of the process, (rows, 3)."""
         drive = self._rng.normal(0.0, self._drive, (rows, 3))
         if self._first is not None:
             drive[0], self._first = self._first, None
@@ -42,9 +43,9 @@ def gauss_markov(
 
     Args:
         rng: random generator.
-        n: rows.
+        n: number of rows.
         sigma: stationary standard deviation, in the unit of the result.
         time: correlation time [s].
-        rate: rows a second [Hz].
+        rate: sampling rate [Hz].
     """
     return GaussMarkov(rng, n, sigma, time, rate).next(n)

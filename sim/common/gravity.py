@@ -1,8 +1,8 @@
-"""Gravity, as every world, sensor and filter has it."""
+"""Gravity, for simulation, sensors and filters."""
 
 import numpy as np
 
 GRAVITY = 9.81
-"""Magnitude [m/s^2]; it points along -z of G."""
+"""Magnitude [m/s^2]."""
 GRAVITY_G = np.array([0.0, 0.0, -GRAVITY])
-"""Its vector in G [m/s^2]."""
+"""Gravity in G [m/s^2]; z of G points up."""

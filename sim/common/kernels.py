@@ -1,8 +1,8 @@
-"""`kernel` compiles a function with numba and keeps the machine code in the user's cache folder.
+"""`kernel` compiles a function with numba and caches the machine code in the user's cache folder.
 
-numba's own cache looks at a kernel's own file alone: a kernel that calls one of another file keeps
-the old code of that one after an edit or an upgrade, in silence. Here the folder's name is a digest
-of the kernel's module and of all that it imports.
+numba's own cache only checks a kernel's own file. If a kernel calls one from another file, and that
+file changes, numba silently runs the old code. Here the name of the cache folder is a digest of the
+kernel's module and of all modules that it imports.
 """
 
 import shutil
@@ -20,22 +20,23 @@ from surefoot.sim.common.files import cache_folder
 from surefoot.sim.common.sources import sources_digest
 
 KERNEL_LIFETIME = 30 * 86400.0
-"""s after which machine code that was not loaded is deleted."""
+"""Time after which unused machine code is deleted [s]."""
 
 COMPILE_TIME = 75.0
-"""s of one core at 3 GHz, measured: what a walk and the filters `leg` and `imu` need to be
-compiled; a walk alone needs 28 s of them."""
+"""Measured time to compile a walk and the filters `leg` and `imu` on one core at 3 GHz [s]; a walk
+alone takes 28 s.
+"""
 
 _lock = Lock()
 _swept: set[Path] = set()
 
 
 def kernel(function: Any = None, *, signature: str | None = None, **options: Any) -> Any:
-    """Compile a function: `numba.njit` with a cache that forgets what has changed.
+    """Compile a function: `numba.njit` with a cache that notices changes in imported modules.
 
     Args:
-        function: what is decorated, where the decorator is used without parentheses.
-        signature: of the arguments, to compile at once instead of at the first call.
+        function: the decorated function, if the decorator is used without parentheses.
+        signature: of the arguments, to compile immediately instead of at the first call.
         options: of `numba.njit`, such as nogil and error_model.
     """
     if function is None:
@@ -53,7 +54,7 @@ def kernel(function: Any = None, *, signature: str | None = None, **options: Any
 
 
 def _folder(function: Callable) -> Path:
-    """Where the machine code of a function's module lies."""
+    """Folder for the machine code of a function's module."""
     module = sys.modules.get(function.__module__)
     file = getattr(module, "__file__", None) or function.__code__.co_filename
     root = cache_folder() / "kernels"
@@ -86,7 +87,7 @@ def _sweep(root: Path) -> None:
 
 
 class _CompilationNotice(event.Listener):
-    """Says on a terminal why nothing moves while kernels are compiled for the first time."""
+    """Prints a line on a terminal while kernels are compiled for the first time."""
 
     def __init__(self):
         self._said = False

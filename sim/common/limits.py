@@ -1,7 +1,7 @@
-"""How much a file that comes in may ask for: checked before anything is allocated.
+"""Limits on the size and contents of input files, checked before memory is allocated.
 
-The defaults are far beyond what any walk of a robot needs, and small enough that a hostile file is
-refused in seconds. SUREFOOT_LIMITS raises or lowers them: `SUREFOOT_LIMITS="memory=32e9,rows=1e9"`.
+The defaults are far beyond what a robot's walk needs, and small enough to refuse a hostile file in
+seconds. SUREFOOT_LIMITS changes them: `SUREFOOT_LIMITS="memory=32e9,rows=1e9"`.
 """
 
 import json
@@ -18,51 +18,52 @@ from surefoot.sim.common.errors import SurefootError
 
 VARIABLE = "SUREFOOT_LIMITS"
 _SMALL = 256e6
-"""bytes in memory that a packed file may have whatever its size."""
+"""Bytes in memory that a packed file may have whatever its size."""
 _DOTTED = re.compile(r"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){65}")
 
 
 @dataclass(frozen=True)
 class Limits:
-    """The largest amounts that an input may ask for, each with what it is meant to admit."""
+    """Upper limits for inputs, each with an example of what it admits."""
 
     text: float = 4e6
-    """bytes of a TOML, JSON or XML file; the largest of the house's own have 0.1 MB."""
+    """Bytes of a TOML, JSON or XML file; the largest bundled ones have 0.1 MB."""
     terrain: float = 100e6
-    """bytes of a file of heights, or of a mesh, that is walked on."""
+    """Bytes of a file of heights, or of a mesh, for the ground."""
     recording: float = 64e9
-    """bytes of a log, CSV file or bag: a day at 1 kHz as text."""
+    """Bytes of a log, CSV file or bag: a day at 1 kHz as text."""
     memory: float = 8e9
-    """bytes of a table in memory as float64: three hours of 90 columns at 1 kHz."""
+    """Bytes of a table in memory as float64: three hours of 90 columns at 1 kHz."""
     unpacked: float = 100.0
-    """times the size of a packed file that it may have in memory, beyond 256 MB: zeros are packed a
-    thousandfold, sensors' readings by some times."""
+    """Ratio of bytes in memory to the size of a packed file, beyond 256 MB. Zeros are packed a
+    thousandfold, sensor readings only several times.
+    """
     piece: float = 1e9
-    """bytes of a row group, which is decoded at once; ours have 32 768 rows, some 25 MB."""
+    """Bytes of a row group, which is decoded at once; surefoot writes 32 768 rows, some 25 MB."""
     rows: float = 4e8
-    """rows of a log: four days at 1 kHz."""
+    """Rows of a log: four days at 1 kHz."""
     columns: float = 4096
-    """columns of a log or CSV file; a humanoid's log has some 400."""
+    """Columns of a log or CSV file; a humanoid's log has some 400."""
     magnitude: float = 1e12
-    """of any reading, in SI units: beyond it squares lose what they are added to."""
+    """Magnitude of a reading, in SI units; sums of larger squares lose all precision."""
     items: float = 1e5
-    """entries of an array in a file, segments of a course, row groups of a log."""
+    """Entries of an array in a file, segments of a course, row groups of a log."""
     bodies: float = 1e4
-    """bodies, shapes, joints and sites of a model; pieces of ground."""
+    """Bodies, shapes, joints and sites of a model; pieces of ground."""
     arena: float = 1e9
-    """bytes that a model may ask MuJoCo for."""
+    """Bytes that a model may request from MuJoCo."""
     walk: float = 86400.0
-    """s of one simulated walk."""
+    """Duration of one simulated walk [s]."""
     walks: float = 1e5
-    """walks of one command."""
+    """Walks of one command."""
     cells: float = 1e7
-    """points of a height field or a texture."""
+    """Points of a height field or a texture."""
     workers: float = 1024
-    """threads or processes of one command."""
+    """Threads or processes of one command."""
 
 
 def limits() -> Limits:
-    """The limits in force. Raises SurefootError where SUREFOOT_LIMITS cannot be read."""
+    """The current limits. Raises SurefootError if SUREFOOT_LIMITS cannot be parsed."""
     return _limits(os.environ.get(VARIABLE, ""))
 
 
@@ -83,9 +84,9 @@ def _limits(text: str) -> Limits:
 
 
 def check_limit(name: str, amount: float, what: str) -> None:
-    """Raise SurefootError where an amount is beyond the limit of that name.
+    """Raise SurefootError if an amount exceeds the limit of that name.
 
-    what: begins the message, with file and key: "map.toml: [a] rows".
+    what: start of the message, with file and key: "map.toml: [a] rows".
     """
     assert name in {f.name for f in fields(Limits)}
     most = getattr(limits(), name)
@@ -94,10 +95,10 @@ def check_limit(name: str, amount: float, what: str) -> None:
 
 
 def admitted(path: str | Path, limit: str = "text", what: str = "") -> Path:
-    """The path of a regular file no larger than a limit, links followed.
+    """Check that a path is a regular file within a size limit, following links; returns the path.
 
-    Raises SurefootError, one line that starts with `what` and the path, for one that is not there,
-    a folder, a pipe or a device, and one that is too large.
+    Raises SurefootError, in one line that starts with `what` and the path, for a missing file, a
+    folder, a pipe, a device, or a file that is too large.
     """
     name = f"{what} {path}".lstrip()
     try:
@@ -113,7 +114,7 @@ def admitted(path: str | Path, limit: str = "text", what: str = "") -> Path:
 
 
 def bounded_text(path: str | Path, what: str = "") -> str:
-    """The text of a UTF-8 file of bounded size. Raises SurefootError as `admitted` does."""
+    """Read a UTF-8 text file of limited size. Raises SurefootError as `admitted` does."""
     name = f"{what} {path}".lstrip()
     try:
         return admitted(path, "text", what).read_text(encoding="utf-8-sig")
@@ -124,9 +125,9 @@ def bounded_text(path: str | Path, what: str = "") -> str:
 
 
 def bounded_json(path: str | Path, what: str = "") -> Any:
-    """What a JSON file of bounded size and depth holds.
+    """Read a JSON file of limited size and depth.
 
-    Raises SurefootError, one line that starts with `what` and the path.
+    Raises SurefootError, in one line that starts with `what` and the path.
     """
     try:
         return parse_json(bounded_text(path, what))
@@ -135,7 +136,7 @@ def bounded_json(path: str | Path, what: str = "") -> Any:
 
 
 def parse_json(text: str | bytes) -> Any:
-    """What a JSON text holds. Raises SurefootError for one that is none, too long or too deep."""
+    """Parse a JSON text. Raises SurefootError if it is invalid, too long or nested too deeply."""
     check_limit("text", len(text), "JSON: bytes")
     try:
         return json.loads(text)
@@ -146,14 +147,14 @@ def parse_json(text: str | bytes) -> Any:
 
 
 def check_unpacked(path: Path, size: float, what: str, at_once: bool = True) -> None:
-    """Raise SurefootError where a packed file would have too many bytes in memory: for its own
-    size, and where all of it is read at once, by themselves.
+    """Raise SurefootError if a packed file would take too much memory, relative to its size and, if
+    it is read at once, in total.
 
     Args:
         path: of the file.
         size: bytes in memory.
-        what: begins the message, with the file: "log.npz: bytes of arrays".
-        at_once: whether all of it is read at once.
+        what: start of the message, with the file: "log.npz: bytes of arrays".
+        at_once: whether the file is read at once.
     """
     if at_once:
         check_limit("memory", size, what)
@@ -162,7 +163,7 @@ def check_unpacked(path: Path, size: float, what: str, at_once: bool = True) -> 
 
 
 def most_unpacked(path: Path) -> float:
-    """Bytes in memory that a packed file may have at most, for its own size."""
+    """Largest number of bytes in memory for a packed file of this size."""
     return _SMALL + limits().unpacked * path.stat().st_size
 
 
@@ -171,6 +172,6 @@ class _NotJson(SurefootError):
 
 
 def check_toml_keys(text: str) -> None:
-    """Raise SurefootError for keys of more than 64 dots, whose parsing takes the square of it."""
+    """Raise SurefootError for keys of more than 64 dots, whose parsing takes quadratic time."""
     if _DOTTED.search(text):
         raise SurefootError("a key has more than 64 dots")

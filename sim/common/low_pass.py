@@ -1,25 +1,26 @@
-"""The first-order low-pass of sensors."""
+"""First-order low-pass filter of sensors."""
 
 import numpy as np
 from scipy.signal import lfilter
 
 
 def low_pass(x: np.ndarray, time: float, rate: float) -> np.ndarray:
-    """x (N, K), `rate` samples a second, behind a first-order low-pass of time constant `time` [s],
-    at rest on its first sample."""
+    """Filter x (N, K), sampled at `rate` [Hz], with a first-order low-pass of time constant `time`
+    [s], in equilibrium with its first sample.
+    """
     return low_pass_from(None, x, time, rate)[0] if time > 0.0 else x
 
 
 def low_pass_from(
     state: np.ndarray | None, x: np.ndarray, time: float, rate: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`low_pass` of a piece of the readings, and its state at the end.
+    """Apply `low_pass` to a piece of the readings; also returns its state at the end.
 
     Args:
-        state: at the end of the piece before; None at the first one.
-        x: (N, K) readings.
-        time: the low-pass's time constant [s], above zero.
-        rate: samples a second [Hz].
+        state: at the end of the previous piece; None for the first.
+        x: readings (N, K).
+        time: time constant [s], above zero.
+        rate: sampling rate [Hz].
     """
     keep = np.exp(-1.0 / (time * rate))
     return lfilter(

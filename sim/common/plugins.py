@@ -1,12 +1,12 @@
-"""What users add in packages of their own, found by the entry points of installed distributions.
+"""Plug-ins: classes of users, found by the entry points of installed packages.
 
-A package offers one by a line of its metadata, in pyproject.toml
+A package offers a plug-in by a line in its pyproject.toml,
 
     [project.entry-points."surefoot.effects"]
     tilt = "my_package:Tilt"
 
-and from then on it stands in every list beside those that come with surefoot. A single file offers
-its own for one run, `surefoot --plugin FILE.py ...`, by a dict of groups:
+and from then on it appears in every list, like the bundled ones. A single file offers plug-ins for
+one run, `surefoot --plugin FILE.py ...`, by a dictionary of groups:
 
     PLUGINS = {"surefoot.effects": {"tilt": Tilt}}
 """
@@ -25,10 +25,10 @@ from surefoot.sim.common.files import is_file
 
 
 class Registry(Mapping[str, Any]):
-    """Name -> member of a group: those that come with surefoot, then those that users add.
+    """Name -> member of a group: the bundled ones, then the plug-ins.
 
-    Names are listed without an import; a member is imported when it is looked up, so that one that
-    is broken stops only what uses it.
+    Names are listed without importing. A member is imported when it is looked up, so a broken
+    plug-in affects only those who use it.
     """
 
     def __init__(
@@ -38,13 +38,13 @@ class Registry(Mapping[str, Any]):
         needs: tuple[str, ...] = (),
         check: Callable[[str, Any], None] = lambda name, member: None,
     ):
-        """What a group holds.
+        """Define a group.
 
         Args:
             group: of entry points, such as "surefoot.effects".
-            bundled: name -> member that comes with surefoot, or "module:attribute" of it.
-            needs: attributes that each member added must have.
-            check: raises SurefootError saying what is wrong with a name and the member added.
+            bundled: name -> bundled member, or its "module:attribute".
+            needs: attributes that each plug-in must have.
+            check: raises SurefootError for an invalid name or plug-in.
         """
         self.group, self.bundled, self.needs, self.check = group, bundled, needs, check
 
@@ -60,9 +60,9 @@ class Registry(Mapping[str, Any]):
     def __getitem__(self, name: str) -> Any:
         """The member of that name.
 
-        Raises KeyError where there is none, and SurefootError, one line that names the plugin,
-        where it cannot be imported, lacks an attribute, fails the check, or bears the name of
-        another.
+        Raises KeyError if there is none. Raises SurefootError, in one line that names the plug-in,
+        if it cannot be imported, lacks an attribute, fails the check, or has the name of another
+        member.
         """
         points = plugins(self.group).get(name, ())
         if name in self.bundled:
@@ -90,7 +90,7 @@ class Registry(Mapping[str, Any]):
         return member
 
     def usable(self) -> tuple[dict[str, Any], dict[str, str]]:
-        """Name -> member of those that can be used, and name -> what is wrong with any other."""
+        """Name -> member, of those that can be used, and name -> reason, of the others."""
         members, broken = {}, {}
         for name in self:
             try:
@@ -102,9 +102,9 @@ class Registry(Mapping[str, Any]):
 
 @cache
 def plugins(group: str) -> dict[str, tuple[EntryPoint, ...]]:
-    """Name -> entry points of what users add to `group`, sorted by name, nothing imported yet.
+    """Name -> entry points of the plug-ins in `group`, sorted by name, without importing them.
 
-    More than one where packages disagree on what the name means.
+    There is more than one if packages use the same name.
     """
     for file in filter(None, os.environ.get(FILES, "").split(os.pathsep)):
         if file not in _LOADED:
@@ -117,10 +117,10 @@ def plugins(group: str) -> dict[str, tuple[EntryPoint, ...]]:
 
 
 FILES = "SUREFOOT_PLUGINS"
-"""Environment variable: plugin files that every process loads, between os.pathsep."""
+"""Environment variable: plug-in files that every process loads, separated by os.pathsep."""
 _LOADED: set[str] = set()
 _OF_FILES: dict[str, list[EntryPoint]] = {}
-"""Group -> entry points of the files that this process was given."""
+"""Group -> entry points from the plug-in files of this process."""
 PLUGIN_GROUPS = tuple(
     f"surefoot.{kind}"
     for kind in ("estimators", "effects", "channels", "architectures", "calibrators", "gaits")
@@ -128,10 +128,10 @@ PLUGIN_GROUPS = tuple(
 
 
 def load_plugin(file: str | Path) -> None:
-    """Run a Python file of the user's and list what its PLUGINS name.
+    """Run a user's Python file and register the members of its PLUGINS.
 
-    Only a person names such a file: nothing that is read from a log, a scenario or a map does.
-    Raises SurefootError where it cannot be run, or offers nothing.
+    Only users name such files; logs, scenarios and maps cannot. Raises SurefootError if the file
+    cannot be run or has no plug-ins.
     """
     path = Path(file)
     if not is_file(path) or path.suffix != ".py":
@@ -164,7 +164,7 @@ def load_plugin(file: str | Path) -> None:
 
 
 def with_plugins(arguments: Sequence[str]) -> list[str]:
-    """The arguments of a command without `--plugin FILE`, whose files are loaded."""
+    """Load the files of `--plugin FILE` options, and return the other arguments."""
     others, rest = [], iter(arguments)
     for one in rest:
         if one == "--plugin" or one.startswith("--plugin="):

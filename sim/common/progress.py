@@ -1,4 +1,4 @@
-"""Bars of progress: drawn on a terminal; a line a minute where a file or a pipe takes them."""
+"""Progress bars: drawn on a terminal, else one line a minute."""
 
 import sys
 from typing import Any, TextIO
@@ -6,11 +6,11 @@ from typing import Any, TextIO
 from tqdm import tqdm
 
 A_MINUTE = 60.0
-"""s between lines where nobody watches, and before the first."""
+"""Time before the first line and between lines if the output is no terminal [s]."""
 
 
 def bar(iterable: Any = None, **options: Any) -> Any:
-    """`tqdm.tqdm`, that draws on a terminal alone. Takes and gives what that does."""
+    """`tqdm.tqdm`, as a bar on a terminal and in lines elsewhere."""
     if sys.stderr.isatty():
         return tqdm(iterable, **options)
     quiet = {"mininterval": A_MINUTE, "maxinterval": A_MINUTE, "delay": A_MINUTE, "ncols": 79}
@@ -18,7 +18,7 @@ def bar(iterable: Any = None, **options: Any) -> Any:
 
 
 class _Lines:
-    """A stream to which every drawing of a bar is a line of its own."""
+    """A stream that turns every update of a bar into a line."""
 
     def __init__(self, stream: TextIO):
         self._stream = stream

@@ -1,4 +1,6 @@
-"""Unit quaternions (w, x, y, z) to rotation matrices and back: the only place that converts."""
+"""Conversion between unit quaternions (w, x, y, z) and rotation matrices; the only place that does
+it.
+"""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -19,14 +21,18 @@ def quaternion_from_matrix(R: np.ndarray) -> np.ndarray:
 
 
 def check_rotation(R: np.ndarray) -> None:
-    """Raise ValueError for a matrix (3, 3) that is no rotation: stretched, skewed or a mirror."""
+    """Raise ValueError if a matrix (3, 3) is not a rotation: scaled, skewed or a reflection."""
     if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0:
         raise ValueError("R_BI is not a rotation")
 
 
 def slerp(t: np.ndarray, q: np.ndarray, then: np.ndarray) -> np.ndarray:
-    """Attitudes (M, 4), w >= 0, at times `then` (M,) [s] of a body that turns evenly, the short way
-    round, from one of q (N, 4) at t (N,) [s] to the next (Shoemake 1985)."""
+    """Interpolate attitudes q (N, 4), given at t (N,) [s], to the times `then` (M,) [s] (Shoemake
+    1985).
+
+    Rotates at a constant rate and by the shorter way between neighbours; returns (M, 4) with w >=
+    0.
+    """
     q = q / np.linalg.norm(q, axis=1, keepdims=True)
     at = np.clip(np.searchsorted(t, then, side="right") - 1, 0, len(t) - 2)
     share = (then - t[at]) / (t[at + 1] - t[at])

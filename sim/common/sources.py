@@ -1,8 +1,9 @@
-"""Which sources a module is made of: its own and those of every module that it imports in turn.
+"""The sources that a module depends on: its own and those of all modules that it imports, directly
+or not.
 
-Compiled kernels and products of long runs are kept under a digest of their code: docstrings, lines
-of comment and empty lines may change. What is installed, numpy say, and the standard library do not
-count, but for the package that the module itself is of.
+Compiled kernels and results of long runs are stored with a digest of their code. Docstrings,
+comment lines and empty lines do not count, nor do installed packages (such as numpy) and the
+standard library, except for the package of the module itself.
 """
 
 import ast
@@ -23,10 +24,10 @@ _MEMBER = re.compile(r"([\w.]+):[\w.]+")
 
 
 def code_digest(*members: Any) -> str:
-    """SHA-256 of the code that classes, functions or instances are made of.
+    """SHA-256 of the code of classes, functions or instances.
 
-    That is `sources_digest` of the modules that define them, in whatever order they are given. A
-    product that depends on what a user chose by name, an effect say, is kept under it.
+    It combines `sources_digest` of the modules that define them, independent of their order. It
+    identifies results that depend on what a user chose by name, such as effects.
     """
     modules = sorted({member.__module__ for member in members})
     files = (getattr(sys.modules.get(module), "__file__", None) for module in modules)
@@ -36,10 +37,10 @@ def code_digest(*members: Any) -> str:
 
 @cache
 def sources_digest(module: str, file: str | None = None) -> str:
-    """SHA-256 of the names of `imported_sources` and the lines of each that are code.
+    """SHA-256 of the names of `imported_sources` and of their code lines.
 
-    Of a module without any, one typed at a prompt say, it is another in each process: what cannot
-    be compared is made again.
+    For a module without a source file, such as one typed at a prompt, it differs between processes,
+    so that its results are never reused.
     """
     sources = imported_sources(module, file)
     if not sources:
@@ -51,16 +52,16 @@ def sources_digest(module: str, file: str | None = None) -> str:
 
 
 def imported_sources(module: str, file: str | None = None) -> dict[str, Path]:
-    """Name -> source file of a module and of all that it imports in turn.
+    """Name -> source file, for a module and all modules that it imports, directly or not.
 
     Args:
-        module: its dotted name; a name that no source has yields nothing.
-        file: its source, where Python cannot find it by name: a script, a test.
+        module: its dotted name; without a source file the result is empty.
+        file: its source, for a script or a test that Python cannot find by name.
 
-    Counts imports inside functions, relative ones, every package that a name lies in, compiled
-    modules, what a Registry names as "module:attribute", and what a package imports by such a
-    string of a dictionary once its key is asked for; not imports for type checkers alone. Other
-    imports that are made of strings are not seen.
+    Includes imports inside functions, relative imports, the packages that contain a module,
+    compiled modules, "module:attribute" entries of a Registry, and modules that a package imports
+    on request by such an entry of a dictionary. Imports for type checkers only are excluded.
+    Imports by other strings are not detected.
     """
     found: dict[str, Path] = {}
     waiting = [module]
@@ -85,7 +86,9 @@ def imported_sources(module: str, file: str | None = None) -> dict[str, Path]:
 
 
 class _Contents(NamedTuple):
-    """Level, module and names of each import; key -> module of its dictionaries; lines of code."""
+    """Contents of a source: level, module and names of each import; dictionaries of key -> module;
+    lines of code.
+    """
 
     imports: tuple[tuple[int, str, tuple[str, ...]], ...]
     late: dict[str, str]
@@ -93,7 +96,9 @@ class _Contents(NamedTuple):
 
 
 def _counts(top: str, own: str) -> bool:
-    """Whether a top-level package is the library's, the module's `own`, or not installed."""
+    """Whether a top-level package counts: surefoot, the module's `own` one, or one that is not
+    installed.
+    """
     if top in (LIBRARY, own):
         return True
     folders = () if top in sys.stdlib_module_names else _folders(top)
@@ -101,7 +106,7 @@ def _counts(top: str, own: str) -> bool:
 
 
 def _imported_late(base: str, names: tuple[str, ...], own: str) -> list[str]:
-    """Modules that a package imports when it is asked for the names; "*" asks for all."""
+    """Modules that a package imports when these names are requested; "*" stands for all."""
     path = _source(base) if _counts(base.partition(".")[0], own) else None
     late = _contents(path).late if path else {}
     return [late[name] for name in (late if "*" in names else names) if name in late]
@@ -153,7 +158,7 @@ def _parsed(path: Path, _changed: int, _size: int) -> _Contents:
 
 
 def _code(source: bytes, texts: Iterable[ast.expr | ast.Expr]) -> bytes:
-    """The lines of a source without docstrings, lines of comment and empty ones."""
+    """The lines of a source without docstrings, comment lines and empty lines."""
     lines = dict(enumerate(source.splitlines(), 1))
     within: set[int] = set()  # a string of several lines, where "#" begins no comment
     for node in texts:
@@ -170,14 +175,14 @@ def _code(source: bytes, texts: Iterable[ast.expr | ast.Expr]) -> bytes:
 
 
 def _is_docstring(node: ast.expr | ast.Expr, lines: Mapping[int, bytes]) -> bool:
-    """Whether a string stands alone on its lines, and is no more than a remark."""
+    """Whether a string is a statement by itself on its lines."""
     before = lines[node.lineno][: node.col_offset]
     after = lines[node.end_lineno or node.lineno][node.end_col_offset :]
     return isinstance(node, ast.Expr) and not before.strip() and not after.split(b"#")[0].strip()
 
 
 def _member(node: ast.AST) -> str:
-    """The module of a "module:attribute", empty for anything else."""
+    """The module of a "module:attribute" string, "" for anything else."""
     value = node.value if isinstance(node, ast.Constant) else None
     found = _MEMBER.fullmatch(value) if isinstance(value, str) else None
     return found[1] if found else ""
@@ -198,7 +203,9 @@ def _source(module: str) -> Path | None:
 
 @cache
 def _folders(top: str) -> tuple[Path, ...]:
-    """The folders of a top-level package, several of a namespace, or the file of a module."""
+    """The folders of a top-level package (several for a namespace package), or the file of a
+    module.
+    """
     try:
         spec = find_spec(top)
     except (ImportError, ValueError):  # `__main__`, and modules that were loaded without a spec

@@ -1,10 +1,9 @@
-"""TOML files as typed models: frozen dataclasses whose annotations are the schema.
+"""TOML files as typed data: frozen dataclasses whose annotations are the schema.
 
-A field without a default is required, a key that no field has is an error. Ranges go into the
-annotation (`Annotated[float, msgspec.Meta(gt=0)]`, or `Positive` and its like below), choices are a
-`Literal`, and what concerns several keys is checked in the dataclass's `__post_init__`, which
-raises SurefootError. `OTHER_WORDS`, where a dataclass has it, are keys that it lacks -> what is
-meant by them.
+A field without a default is required; an unknown key is an error. Ranges are part of the annotation
+(`Annotated[float, msgspec.Meta(gt=0)]`, or aliases such as `Positive`), choices are a `Literal`.
+Conditions on several keys are checked in the dataclass's `__post_init__`, which raises
+SurefootError. The optional `OTHER_WORDS` maps likely wrong keys to the correct ones.
 """
 
 import re
@@ -31,8 +30,8 @@ Count = Annotated[int, msgspec.Meta(ge=1, le=2**53)]
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=1000)]
 _DEVICE = r"(?i:con|prn|aux|nul|com\d|lpt\d)(\.|$)"
 FileName = Annotated[str, msgspec.Meta(pattern=rf"^(?!{_DEVICE})\w[\w .+=(),-]{{0,99}}$")]
-"""A name that becomes part of a file's: letters, digits and a few signs, so no path, and no name
-that Windows reserves for a device.
+"""A name that becomes part of a file name: letters, digits and a few signs, and none that Windows
+reserves for a device.
 """
 Seed = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
 
@@ -48,7 +47,9 @@ _WORDS = {
 
 
 def read_toml(path: str | Path, what: str = "") -> dict[str, Any]:
-    """The tables of a TOML file. Raises SurefootError, one line that starts with `what`, path."""
+    """Read the tables of a TOML file. Raises SurefootError in one line that starts with `what` and
+    the path.
+    """
     name = f"{what} {path}".lstrip()
     text = bounded_text(path, what)
     try:
@@ -61,11 +62,11 @@ def read_toml(path: str | Path, what: str = "") -> dict[str, Any]:
 
 
 def read_typed(path: str | Path, kind: type[T], what: str = "") -> T:
-    """A TOML file as an instance of `kind`: a dataclass, or a dict of them by name.
+    """Read a TOML file as an instance of `kind`: a dataclass, or a dict of them by name.
 
-    Raises SurefootError, one line that starts with `what` and the path and names section and key,
-    for a file that is not there, a key that is unknown or missing, and a value of the wrong type or
-    out of range.
+    Raises SurefootError, in one line that starts with `what` and the path and names section and
+    key, for a missing file, an unknown or missing key, and a value of the wrong type or out of
+    range.
     """
     table = read_toml(path, what)
     try:
@@ -75,7 +76,7 @@ def read_typed(path: str | Path, kind: type[T], what: str = "") -> T:
 
 
 def typed(table: dict[str, Any], kind: type[T]) -> T:
-    """The tables of a file as an instance of `kind`. Raises SurefootError as `read_typed` does."""
+    """Convert tables to an instance of `kind`. Raises SurefootError as `read_typed` does."""
     return _typed(table, kind, ())
 
 
@@ -120,7 +121,7 @@ def _dataclass(table: dict[str, Any], kind: Any, place: _Place) -> Any:
 
 
 def _leaf(value: Any, kind: Any, arms: tuple[Any, ...], place: _Place) -> Any:
-    """A number, a string, a choice, or an array of a fixed length."""
+    """Convert a number, a string, a choice, or an array of fixed length."""
     try:
         found = msgspec.convert(value, kind)
     except msgspec.ValidationError as error:
@@ -133,7 +134,7 @@ def _leaf(value: Any, kind: Any, arms: tuple[Any, ...], place: _Place) -> Any:
 
 
 def _shown(value: Any) -> str:
-    """A value as an error shows it, its middle left out where it is long."""
+    """A value for an error message, shortened in the middle if it is long."""
     if isinstance(value, int) and abs(value) >= 2**63:
         return f"a number of {value.bit_length()} bits"
     return reprlib.repr(value) if isinstance(value, list | dict) else _short(repr(value))
@@ -144,7 +145,9 @@ def _short(text: str) -> str:
 
 
 def _expected(error: str, arms: tuple[Any, ...]) -> str:
-    """What msgspec's error says was expected, in the words of TOML; the choices of a literal."""
+    """The expected type according to msgspec's error, in the terms of TOML; the choices of a
+    literal.
+    """
     choices = [str(c) for arm in arms if get_origin(arm) is Literal for c in get_args(arm)]
     if choices:
         return f"one of {', '.join(choices)}"
@@ -166,7 +169,7 @@ def _element(place: _Place, index: int, item: Any) -> _Place:
 
 
 def _section(place: _Place) -> str:
-    """A table's name as the file writes it, `[a.b] `; of an array of tables `[[a.b]] 2 `."""
+    """A table's name as in the file, `[a.b] `; for an array of tables, `[[a.b]] 2 `."""
     text, names = "", []
     for step in place:
         if isinstance(step, int):
@@ -177,7 +180,7 @@ def _section(place: _Place) -> str:
 
 
 def _key(place: _Place) -> str:
-    """A key's name behind that of its section."""
+    """A key's name after that of its section."""
     if not place or isinstance(place[-1], int):
         return _section(place).rstrip() or "the file"
     return f"{_section(place[:-1])}{place[-1]}"
