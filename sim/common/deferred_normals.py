@@ -1,4 +1,4 @@
-"""Normal random numbers drawn in pieces, equal to those drawn in long arrays one after the other."""
+"""Normal random numbers drawn in pieces, equal to those drawn in long arrays in turn."""
 
 from copy import deepcopy
 

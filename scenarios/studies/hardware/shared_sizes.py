@@ -170,7 +170,7 @@ def left_out_table(done: Sequence[HeldOutRun]) -> pd.DataFrame:
 
 
 def shared_sizes_table(whole: Calibration, machine: FixedBase) -> pd.DataFrame:
-    """One row for each size: its published value, its correction, and its variation between runs."""
+    """One row for each size: published value, correction, and variation between runs."""
     rows = []
     for k, (name, joint) in enumerate(whole.keys):
         value, twice = whole.value[k], 1.96 * np.sqrt(whole.covariance[k, k])
