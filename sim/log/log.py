@@ -1,4 +1,4 @@
-"""The Log: one walk as one Parquet file, the only data passed between the rooms.
+"""The Log: one walk as one Parquet file, the only data passed between the packages.
 
 A row holds gyro and accel as means over (t[k-1], t[k]], and joints, contacts and reference at t[k]:
 a filter predicts over row k, then updates with row k. `sim.log.schema` defines what is valid.

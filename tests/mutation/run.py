@@ -221,7 +221,7 @@ def write_mutants_page(
         "tests that import the module and least else, until one fails."
     )
     sections = [
-        Section("Share killed", f"{words}\n\n{how}", _counts(rows, reasons, "room")),
+        Section("Share killed", f"{words}\n\n{how}", _counts(rows, reasons, "folder")),
         Section("By kind of change", "", _counts(rows, reasons, "kind")),
         Section("By file", "", _counts(rows, reasons, "file")),
         Section(
@@ -277,10 +277,10 @@ def _change(row: Mapping[str, Any]) -> dict[str, Any]:
 def _counts(
     rows: list[dict[str, Any]], reasons: Mapping[str, Reason], by: str
 ) -> list[dict[str, Any]]:
-    """A row for each file, kind or room."""
+    """A row for each file, kind or folder."""
     counts: dict[str, Counter[str]] = {}
     for row in rows:
-        name = str(Path(row["file"]).parent) if by == "room" else row[by]
+        name = str(Path(row["file"]).parent) if by == "folder" else row[by]
         counts.setdefault(name, Counter())[_kind(row, reasons)] += 1
     return [
         {
