@@ -1,4 +1,4 @@
-"""Scenario files: a course, the ground under it, and what a seed may vary. TOML as typed models."""
+"""Scenario files: a course, the ground, and what a seed varies; TOML as typed data."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
@@ -24,15 +24,15 @@ ROLES: tuple[Role, ...] = get_args(Role)
 Friction = Annotated[float, msgspec.Meta(ge=0.01, le=3.0)]
 Factor = Annotated[float, msgspec.Meta(ge=0.01, le=100.0)]
 Speed = Annotated[float, msgspec.Meta(ge=-20.0, le=20.0)]
-"""m/s or rad/s: twice as fast as anything with legs."""
+"""[m/s or rad/s]; twice as fast as any legged robot."""
 SHORTEST_SEGMENT = 0.004
-"""s, a tick of the controller."""
+"""Shortest segment [s]: a tick of the controller."""
 Length = Annotated[float, msgspec.Meta(gt=0.0, le=1e5)]
 
 
 @dataclass(frozen=True)
 class Segment:
-    """A stretch of the course at one commanded velocity of the base."""
+    """A section of the course with one commanded velocity of the base."""
 
     duration: float  # s
     forward: float = 0.0  # m/s
@@ -42,10 +42,11 @@ class Segment:
 
 @dataclass(frozen=True)
 class Ranges:
-    """What a seed draws, uniformly, each a factor or an amount about the file's own value.
+    """Ranges from which a seed draws uniformly, each a factor on, or an offset from, the file's own
+    value.
 
-    The bumps of rough strips are always drawn. Without any of these seeds walk alike, and only the
-    sensors' noise differs.
+    The bumps of rough strips are always drawn. Without ranges, walks of different seeds differ in
+    these bumps and in sensor noise only.
     """
 
     mu: tuple[Factor, Factor] = (1.0, 1.0)  # factor on every friction coefficient
@@ -68,7 +69,7 @@ class Ranges:
 
 @dataclass(frozen=True)
 class Scenario:
-    """A walk to be made: where, how fast, on what ground, with which sensors."""
+    """A walk to simulate: course, speed, ground and sensors."""
 
     name: str
     segments: tuple[Segment, ...]
@@ -110,7 +111,7 @@ class Scenario:
 
 @dataclass(frozen=True)
 class DrawnScenario:
-    """What a seed made of a scenario."""
+    """A scenario with the random draws of a seed."""
 
     scenario: Scenario
     period: float  # factors on the gait's numbers
@@ -120,7 +121,7 @@ class DrawnScenario:
 
 
 def drawn(scenario: Scenario, rng: np.random.Generator) -> DrawnScenario:
-    """The scenario with its ranges, and the bumps of rough strips, drawn from `rng`."""
+    """Draw a scenario's ranges, and the bumps of its rough strips, from `rng`."""
     r, ground = scenario.ranges, scenario.ground
     mu = rng.uniform(*r.mu)
     speeds = rng.uniform(*r.speed, size=len(scenario.segments))
@@ -158,7 +159,9 @@ def drawn(scenario: Scenario, rng: np.random.Generator) -> DrawnScenario:
 
 
 def _on(patch: Patch, layer: Layer) -> bool:
-    """Whether a patch lies on a height field's lattice; that of rough strips is everywhere."""
+    """Whether a patch overlaps a layer of heights; always for rough strips, whose lattice is the same
+    everywhere.
+    """
     if isinstance(layer, Strip):
         return True
     x0, x1, y0, y1 = layer.rectangle
@@ -173,7 +176,7 @@ def _drawn_strip(strip: Strip, mu: float, rough: float, rng: np.random.Generator
 
 @dataclass(frozen=True)
 class _SegmentEntry:
-    """A segment as a file has it, by time, length or angle; or `repeat` rounds of others."""
+    """A segment in a file, by time, length or angle; or `repeat` repetitions of other segments."""
 
     duration: Length | None = None  # s
     distance: Length | None = None  # m
@@ -207,7 +210,7 @@ class _SegmentEntry:
 
     @property
     def count(self) -> int:
-        """How many segments it stands for."""
+        """Number of segments, repetitions included."""
         return (self.repeat or 0) * sum(one.count for one in self.segment) or 1
 
     def segments(self) -> Iterator[Segment]:
@@ -228,7 +231,7 @@ class _SegmentEntry:
 
 @dataclass(frozen=True)
 class _PatchEntry:
-    """A rectangle of another friction."""
+    """A rectangle of different friction."""
 
     center: tuple[float, float]  # m
     size: tuple[Length, Length]  # m, along x and y
@@ -237,22 +240,24 @@ class _PatchEntry:
 
 @dataclass(frozen=True)
 class _StripEntry(Strip):
-    """A straight stretch of ground of its own height: level, a ramp, stairs, or rough."""
+    """A straight section of ground: level, a ramp, stairs, or rough."""
 
     mu: Friction | None = None  # friction coefficient; the ground's where left out
 
 
 @dataclass(frozen=True)
 class _HeightFieldEntry:
-    """Ground of your own on floor and strips: a grid of heights, whose rows lie along y and whose
-    columns along x, or a mesh, whose upper surface counts."""
+    """Your own ground on floor and strips: a grid of heights, with rows along y and columns along
+    x, or a mesh, of which the upper surface counts.
+    """
 
     file: Name  # in the scenario's folder: .png, .npy, .csv or .hf (MuJoCo's), .obj or .stl
     center: tuple[float, float] = (0.0, 0.0)  # m, of a grid; where the origin of a mesh lies
     size: tuple[Length, Length] | None = None  # m, of a grid, along x and y
     heights: tuple[float, float] | None = None
-    """m, what a grid's lowest and highest number stand for; they are metres where left out. A
-    picture needs it."""
+    """m, of a grid's lowest and highest number; by default the numbers are metres. Required for
+    a picture.
+    """
     spacing: Length | None = None  # m, of the points at which a mesh's height is taken; 0.05
     mu: Friction | None = None  # friction coefficient; the ground's where left out
 
@@ -277,7 +282,7 @@ class _GroundTable:
                 raise SurefootError(f"patch: its center {patch.center} lies beyond half_size")
 
     def ground(self, folder: Path) -> Ground:
-        """The ground, of whose files those are relative to the scenario's folder."""
+        """The ground; its files are relative to the scenario's folder."""
         fields = []
         for k, entry in enumerate(self.height_field, 1):
             try:
@@ -295,7 +300,7 @@ class _GroundTable:
 
 @dataclass(frozen=True)
 class _File:
-    """What is at the top of the file."""
+    """Keys at the top of the file."""
 
     name: FileName | None = None  # the file's own where left out
     robot: Name | None = None  # that walks; another may be given on the command line

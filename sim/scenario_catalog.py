@@ -1,4 +1,4 @@
-"""Where a scenario's file lies, by name or path."""
+"""Files of scenarios, by name or path."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ from surefoot.sim.common.files import bundled, is_file
 
 
 def bundled_scenarios() -> dict[str, Path]:
-    """Names of the scenarios that come with surefoot, such as "demo/walk", and their files."""
+    """Names and files of the bundled scenarios, such as "demo/walk"."""
     files = bundled("surefoot.scenarios", "courses").glob("*/*.toml")
     return {f"{file.parent.name}/{file.stem}": file for file in sorted(files)}
 
@@ -15,7 +15,7 @@ def bundled_scenarios() -> dict[str, Path]:
 def scenario_file(name_or_path: str | Path, folder: Path = Path()) -> Path:
     """The file of a scenario: a path, relative to `folder`, or the name of a bundled one.
 
-    Raises SurefootError, listing the names, where it is neither.
+    Raises SurefootError, listing the names, if it is neither.
     """
     path, known = folder / name_or_path, bundled_scenarios()
     found = path if is_file(path) else known.get(str(name_or_path))

@@ -1,8 +1,8 @@
-"""A course that was drawn for one robot, as a robot of other legs walks it.
+"""Scaling of a course to a robot of another size.
 
-Dynamic similarity: lengths go with the leg, times and speeds with its root, so that Froude number,
-slopes and friction stay what they are (Alexander, "The gaits of bipedal and quadrupedal animals",
-IJRR 1984).
+By dynamic similarity, lengths scale with the leg, times and speeds with its square root, so that
+the Froude number, slopes and friction stay the same (Alexander, "The gaits of bipedal and
+quadrupedal animals", IJRR 1984).
 """
 
 from dataclasses import replace
@@ -14,12 +14,15 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario
 
 SLIP_CARE = 0.5
-"""The least `slip_care` of a robot that a course was not drawn for. Short legs recover from slides
-of fewer centimetres: without any, those of 0.4 m fall on sheets that ones of 0.66 m cross."""
+"""Least `slip_care` on a course made for another robot. Short legs recover only from shorter
+slides: without it, legs of 0.4 m fall on sheets that legs of 0.66 m cross.
+"""
 
 
 def course_for(scenario: Scenario, robot: Robot) -> Scenario:
-    """The scenario for this robot: as written where it names no other, or one that is not known."""
+    """The scenario scaled to this robot; unchanged if it names no other robot, or an unknown
+    one.
+    """
     if scenario.robot in (None, robot.name):
         return scenario
     try:
@@ -33,7 +36,7 @@ def course_for(scenario: Scenario, robot: Robot) -> Scenario:
 
 
 def _scaled(scenario: Scenario, k: float) -> Scenario:
-    """The scenario `k` times as large."""
+    """The scenario scaled by `k`."""
     root = k**0.5
     segments = tuple(
         replace(
@@ -70,13 +73,15 @@ def _scaled_ground(ground: Ground, k: float) -> Ground:
 
 
 def _scaled_field(field: HeightField, k: float) -> HeightField:
-    """Its edges stay where those of strips beside it do."""
+    """The field scaled by `k`; its edges still meet those of adjacent strips."""
     x0, x1, y0, y1 = (_on_lattice(k * edge) for edge in field.rectangle)
     return replace(field, rectangle=(x0, x1, y0, y1), heights=k * field.heights)
 
 
 def _scaled_strip(strip: Strip, k: float) -> Strip:
-    """Its edges stay on the lattice that rough ground asks for, and so on its neighbours'."""
+    """The strip scaled by `k`; its edges stay on the lattice of rough ground, and so do its
+    neighbours'.
+    """
     x0, x1, y0, y1 = (_on_lattice(k * edge) for edge in strip.rectangle)
     if strip.axis == 0:
         low, high, middle, width = x0, x1, 0.5 * (y0 + y1), y1 - y0

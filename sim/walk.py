@@ -1,4 +1,4 @@
-"""One walk: a scenario, a robot and a seed become a Log."""
+"""Simulation of one walk: from a scenario, a robot and a seed to a Log."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -45,20 +45,21 @@ __all__ = ["STEPS_PER_TICK", "Fallen", "Plan", "plan", "record", "simulate", "wa
 
 SETTLING_TIME = 3.0  # s of standing before the log begins: a robot is switched on at rest
 BYTES_A_STEP = 3e3
-"""of memory: states, readings and truth of a walk, and the copies that are made of them."""
+"""Memory per time step [bytes]: states, readings and truth of a walk, and their copies."""
 PIECE_TICKS = 1 << 13
-"""Ticks of a piece of a long walk, half a minute: 50 MB."""
+"""Controller ticks in a piece of a long walk: half a minute, 50 MB."""
 SHORTEST_WALK = 0.1
-"""s of a log that a fall leaves."""
+"""Shortest log that is kept of a fall [s]."""
 SLIDE_MARGIN = 2.0
-"""How much harder a motor may damp a sliding foot than a rigid leg would, for the inertia that it
-moves at once. Read each tick T, a damper of rate r is stable for r T < 1; of rigid legs it is
-0.3."""
+"""Factor by which the damping of a sliding foot may exceed that for a rigid leg, because of the
+inertia that the motor moves at once. A damper of rate r, updated each tick T, is stable for
+r T < 1; for rigid legs it is 0.3.
+"""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Everything that a scenario, a robot, a seed and effects determine before the first step."""
+    """Everything that scenario, robot, seed and effects determine before the first step."""
 
     scenario: Scenario  # as written, at the size of the robot; `draw` holds it as drawn
     robot: Robot
@@ -73,9 +74,9 @@ class Plan:
 
     @cached_property
     def course(self) -> Course:
-        """The whole of the course, a row a tick.
+        """The whole course, one row per tick.
 
-        Raises SurefootError where a walk along it does not fit into memory.
+        Raises SurefootError if a walk along it does not fit into memory.
         """
         what = f"scenario {self.scenario.name}: bytes of a walk of {self.seconds:.0f} s"
         check_limit("memory", BYTES_A_STEP * self.seconds / TIMESTEP, what)
@@ -83,17 +84,17 @@ class Plan:
         return whole
 
     def course_pieces(self, ticks: int) -> Iterator[Course]:
-        """The course in turn, so many ticks at a time."""
+        """The course in pieces of so many ticks."""
         return course_pieces(*_course_arguments(self.scenario, self.draw), ticks)
 
     @cached_property
     def ticks(self) -> int:
-        """Of the controller, from settling to the end."""
+        """Number of controller ticks, from settling to the end."""
         return course_ticks(*_course_arguments(self.scenario, self.draw))
 
     @property
     def seconds(self) -> float:
-        """Of the walk, settling included."""
+        """Duration of the walk, settling included [s]."""
         return self.ticks * TIMESTEP * STEPS_PER_TICK
 
 
@@ -105,19 +106,19 @@ def walk(
     declared: bool = True,
     progress: Callable[[float], None] | None = None,
 ) -> Log:
-    """Walk the scenario and record what the robot's sensors read, at 500 Hz.
+    """Simulate a walk and record the robot's sensors at 500 Hz.
 
     Args:
-        scenario: the course, the ground and the sensors; one that names another robot is brought
-            to the size of this one's legs (`surefoot.sim.similar_course`).
-        robot: who walks.
-        seed: of everything that is drawn; the same seed gives the same log, bit for bit.
+        scenario: course, ground and sensors; one for another robot is scaled to this one's legs
+            (`surefoot.sim.similar_course`).
+        robot: that walks.
+        seed: of all random draws; the same seed gives the same log, bit for bit.
         effects: injected into the simulated world (its MjSpec) or the sensor streams.
         declared: whether the log's metadata list the effects.
-        progress: called with the share that is done.
+        progress: called with the share done.
 
-    Raises Fallen, which says when, where and why, if the robot falls; `fallen_log` is its walk
-    until then.
+    Raises Fallen, with time, place and reason, if the robot falls; `fallen_log` is the walk until
+    then.
     """
     made = plan(scenario, robot, seed, effects, declared)
     return record(made, simulate(made.world, robot, made.gait, made.course, progress))
@@ -130,13 +131,13 @@ def plan(
     effects: Sequence[Effect] = (),
     declared: bool = True,
 ) -> Plan:
-    """Draw what the seed decides, compile the world and lay the course.
+    """Make the seed's random draws, compile the world and compute the course.
 
     Args:
         scenario: ground, segments and ranges.
         robot: its declared description.
-        seed: of everything random.
-        effects: hidden changes of robot, ground and sensors.
+        seed: of all random draws.
+        effects: undeclared changes of robot, ground and sensors.
         declared: whether the log's metadata list the effects.
     """
     if scenario.sensors.rate > 1.0 / TIMESTEP:
@@ -190,13 +191,13 @@ def plan(
 def _course_arguments(
     scenario: Scenario, draw: DrawnScenario
 ) -> tuple[Sequence[Segment], float, float, int, float]:
-    """What `integrate_course` takes of a scenario, settling included."""
+    """Arguments of `integrate_course` for a scenario, settling included."""
     dt = TIMESTEP * STEPS_PER_TICK
     return draw.scenario.segments, dt, scenario.stand, scenario.laps, SETTLING_TIME
 
 
 def record(made: Plan, motion: Motion) -> Log:
-    """What the sensors say of a motion through the planned world, from the end of settling on."""
+    """Record the sensors along a motion in the planned world, from the end of settling on."""
     motion = motion.after(SETTLING_TIME)
     frame = Sensing(made, len(motion.tau), rate_of(motion.t[1:])).of(motion)
     meta, sensors = meta_of(made), made.scenario.sensors
@@ -206,11 +207,14 @@ def record(made: Plan, motion: Motion) -> Log:
 
 
 class Sensing:
-    """The sensors of a planned walk, whose motion may come in pieces: the readings are those of a
-    walk that is sensed whole, but for effects that alter streams, which take a whole walk."""
+    """The sensors of a planned walk, whose motion may come in pieces.
+
+    The readings do not depend on the pieces, except with effects that alter streams, which need the
+    whole walk at once.
+    """
 
     def __init__(self, made: Plan, rows: int, rate: float):
-        """`rows` of the log, and how many a second [Hz], before it is sampled."""
+        """`rows`: of the whole log; `rate`: before resampling [Hz]."""
         self._made, robot = made, made.robot
         self._mounted = robot
         for effect in made.effects:
@@ -221,7 +225,7 @@ class Sensing:
         self._as_simulated = _as_simulated(made)
 
     def of(self, motion: Motion) -> pd.DataFrame:
-        """The next rows: the steps between the states of a motion."""
+        """The next rows, for the steps between the states of a motion."""
         robot, effects = self._made.robot, self._made.effects
         reference = reference_of(motion, robot)
         for effect in effects:
@@ -236,7 +240,7 @@ class Sensing:
 
 
 def meta_of(made: Plan) -> Meta:
-    """What the log of a planned walk says of itself."""
+    """Metadata of the log of a planned walk."""
     robot = made.robot
     return Meta(
         rate=made.scenario.sensors.rate or 1.0 / TIMESTEP,
@@ -250,7 +254,7 @@ def meta_of(made: Plan) -> Meta:
 
 
 def fallen_log(made: Plan, fall: Fallen) -> Log | None:
-    """The log of a walk until its fall; None of one that fell before its log began."""
+    """The log of a walk until its fall; None if it fell before its log began."""
     motion = fall.motion
     enough = motion is not None and len(motion.t) and motion.t[-1] > SETTLING_TIME + SHORTEST_WALK
     return record(made, motion) if motion is not None and enough else None
@@ -262,7 +266,7 @@ def _versions() -> dict[str, str]:
 
 
 def _as_simulated(made: Plan) -> Robot:
-    """The robot with the legs and soles that the world has, effects included: truth is theirs."""
+    """The robot with the legs and soles of the simulated world, effects included, for the truth."""
     tree = find_legs(made.world.model, made.robot.name)
     return replace(made.robot, legs=tree.constants, foot_radius=tree.foot_radius)
 
@@ -276,8 +280,8 @@ def _frame(
         streams: sensor readings of N rows.
         contact: (N, L) bool.
         reference: motion of the IMU in G.
-        slip: (N, L) [m/s], speed of loaded feet over the ground.
-        mu: (N, L), friction under each foot.
+        slip: speed of loaded feet over the ground (N, L) [m/s].
+        mu: friction under each foot (N, L).
     """
     groups = {
         "t": streams.t[:, None],

@@ -1,7 +1,7 @@
-"""Every architecture of the observer compared, on both suites, over seeds: `make study-observer`.
+"""Comparison of the observer's architectures, on both suites, over seeds: `make study-observer`.
 
-Each suite trains on one sequence, as in the paper, and is tested on two courses of other ground.
-Everything is kept in the folder: walks, and a row for each training. Killed, it goes on from there.
+As in the paper, each suite trains on one sequence; tests are on two courses with other ground.
+Walks, and a row for each training, are stored in the folder, so that a killed run resumes.
 """
 
 from dataclasses import dataclass
@@ -43,7 +43,7 @@ DIRECTIONS = ("forward", "lateral", "vertical", "all")
 
 @dataclass(frozen=True)
 class SuiteWalks:
-    """Scenario files below this folder: one to train on, and those to test on."""
+    """Scenario files below this folder: one for training, and those for tests."""
 
     folder: str
     train: str
@@ -58,23 +58,23 @@ SUITE_WALKS = {
 
 @dataclass(frozen=True)
 class ObserverStudy:
-    """Train every network on both suites and test it; a table of errors over the seeds."""
+    """Train and test every network on both suites: a table of errors over the seeds."""
 
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     seeds: int = 3
     steps: int = Schedule.steps
-    """Steps of training, the same for all."""
+    """Training steps, the same for all networks."""
     loss: str = "mse"
     inputs: tuple[str, ...] = ("q,dq,tau", "tau,feet")
-    """What networks read, each compared: the paper's, and leg odometry of the robot's drawing."""
+    """Inputs of the networks to compare: the paper's, and leg odometry of the robot's model."""
     data: Path | None = None
-    """Folder of finished trainings; `trainings` in the output where left out."""
+    """Folder of finished trainings; by default `trainings` in the output folder."""
     page: Path | None = None
-    """Page of results to write as well, such as docs/results/observers.md."""
+    """Page of results to write too, such as docs/results/observers.md."""
 
 
 def observer_study(options: ObserverStudy) -> pd.DataFrame:
-    """Run what is not yet there, write table.md and table.csv, and return the table."""
+    """Run what is missing, write table.md and table.csv, and return the table."""
     logs = {name: _logs(suite, options.out) for name, suite in SUITE_WALKS.items()}
     digests = {
         name: [[contents_digest(log), Robot.for_log(log).digest] for log in own.values()]
@@ -110,7 +110,9 @@ def observer_study(options: ObserverStudy) -> pd.DataFrame:
 
 
 def mean_and_spread(rows: pd.DataFrame) -> pd.DataFrame:
-    """A row a suite, inputs and network: mean over the seeds and, after ±, their spread."""
+    """One row for each suite, inputs and network: mean over the seeds and, after ±, standard
+    deviation.
+    """
     found = []
     for key, group in rows.groupby(["suite", "inputs", "model"], sort=False):
         suite, inputs, model = cast("tuple[str, str, str]", key)
@@ -126,7 +128,7 @@ def mean_and_spread(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def _logs(suite: SuiteWalks, out: Path) -> dict[str, Log]:
-    """The suite's logs, walked if they are not there, as the declared model sees them."""
+    """The suite's logs with declared effects compensated; simulated if they do not exist yet."""
     names = (suite.train, *suite.tests)
     files = [COURSES / suite.folder / f"{name}.toml" for name in names]
     rows = simulate_all(files, out / "logs")
@@ -147,12 +149,12 @@ def _trained_and_tested(
     seed: int,
     options: ObserverStudy,
 ) -> dict[str, object]:
-    """One observer's row: size, CPU time and RMSE on the tests.
+    """Train and test one observer: its size, CPU time and RMSE on the tests.
 
     Args:
         logs: by name.
         suite: names of the logs to train and test on.
-        inputs: what the network reads.
+        inputs: of the network.
         model: name of the architecture.
         seed: of weights and windows.
         options: loss and steps.
@@ -178,7 +180,7 @@ def _trained_and_tested(
 
 
 def _rmse(errors: np.ndarray) -> np.ndarray:
-    """Root mean squares (4,), m/s: of each axis, and of the error's length."""
+    """Root mean squares (4,) [m/s]: of each axis, and of the error's norm."""
     squares = (errors**2).mean(axis=0)
     return np.sqrt([*squares, squares.sum()])
 

@@ -1,1 +1,1 @@
-"""What the robot walks on: terrain, its height map, and its geoms."""
+"""Ground: terrain, its height map, and its geoms in MuJoCo."""

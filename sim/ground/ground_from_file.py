@@ -1,8 +1,7 @@
-"""Ground of the user's own, from a file: a grid of heights, or a mesh that is looked at from above.
+"""Ground from a user's file: a grid of heights, or a mesh of which the upper surface counts.
 
-Either becomes a `HeightField`, the one surface that the robot is collided with, that its controller
-knows and that the truth is computed on. MuJoCo collides a mesh as its convex hull, which is no
-ground to walk on.
+Either becomes a `HeightField`, which is used for collision, by the controller, and for the truth in
+the log. MuJoCo collides a mesh as its convex hull, which is unsuitable as ground.
 """
 
 from array import array
@@ -19,7 +18,7 @@ from surefoot.sim.common.limits import admitted, check_limit
 from surefoot.sim.ground.terrain import Extent, HeightField
 
 MESH_SPACING = 0.05
-"""m, between the heights that are taken of a mesh where none is asked for: a foot is as wide."""
+"""Default spacing of the heights taken from a mesh [m]: the width of a foot."""
 _HEAD = 8  # bytes, rows and columns, of MuJoCo's own height fields
 _SOLID, _FACET = 84, 50  # bytes, head and triangle of a binary STL
 
@@ -33,19 +32,19 @@ def ground_from_file(
     spacing: float | None,
     mu: float | None,
 ) -> HeightField:
-    """The ground of a file: a grid (.png, .npy, .csv, .hf) or a mesh (.obj, .stl).
+    """Read the ground from a file: a grid (.png, .npy, .csv, .hf) or a mesh (.obj, .stl).
 
     Args:
-        folder: of the scenario's file, in which the file must lie.
-        name: path below it.
-        center: of a grid in G [m]; of a mesh, where its origin lies.
-        size: of a grid along x and y, from its first point to its last [m].
-        heights: that the lowest and the highest number of a grid stand for [m], as MuJoCo scales
-            height fields; None where the numbers are metres.
+        folder: of the scenario's file, which must contain the file.
+        name: path relative to it.
+        center: position of a grid's centre, or of a mesh's origin, in G [m].
+        size: of a grid along x and y, from the first point to the last [m].
+        heights: of the lowest and the highest number of a grid [m], as MuJoCo scales height fields;
+            None if the numbers are metres.
         spacing: of the points at which a mesh's height is taken [m].
         mu: friction coefficient; None for the floor's.
 
-    Raises SurefootError, one line with the file, where it cannot be read or does not lie there.
+    Raises SurefootError, in one line with the file, if it cannot be read or is outside the folder.
     """
     try:
         path = (folder / name).resolve()
@@ -71,7 +70,7 @@ def ground_from_file(
 
 
 def _scaled(grid: np.ndarray, heights: tuple[float, float] | None, is_picture: bool) -> np.ndarray:
-    """The numbers of a grid (rows along y, columns along x) as heights [m]."""
+    """Convert the numbers of a grid (rows along y, columns along x) to heights [m]."""
     if grid.ndim != 2 or grid.dtype.kind not in "fiu":
         raise SurefootError("needs numbers in rows and columns")
     grid = grid.astype(float)
@@ -84,7 +83,7 @@ def _scaled(grid: np.ndarray, heights: tuple[float, float] | None, is_picture: b
 
 
 def _picture(path: Path) -> np.ndarray:
-    """Grey levels of a PNG, whose first row lies at the largest y."""
+    """Grey levels of a PNG; its first row is at the largest y."""
     from PIL import Image
 
     with Image.open(path, formats=("PNG",)) as image:
@@ -105,7 +104,7 @@ def _table(path: Path) -> np.ndarray:
 
 
 def _mujoco_field(path: Path) -> np.ndarray:
-    """MuJoCo's own format: numbers of rows and columns as int32, then the rows as float32."""
+    """MuJoCo's format: numbers of rows and columns as int32, then the rows as float32."""
     with path.open("rb") as stream:
         rows, columns = np.frombuffer(stream.read(_HEAD).ljust(_HEAD, b"\0"), "<i4").tolist()
         if min(rows, columns) < 1 or path.stat().st_size != _HEAD + 4 * rows * columns:
@@ -114,7 +113,9 @@ def _mujoco_field(path: Path) -> np.ndarray:
 
 
 def _obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (V, 3) [m] and triangles (F, 3) of a Wavefront OBJ; polygons are cut into fans."""
+    """Vertices (V, 3) [m] and triangles (F, 3) of a Wavefront OBJ; polygons are divided into
+    fans.
+    """
     vertices, triangles = array("d"), array("q")
     with path.open(encoding="utf-8", errors="replace") as stream:
         for line in stream:
@@ -166,13 +167,13 @@ _MESHES: dict[str, Callable[[Path], tuple[np.ndarray, np.ndarray]]] = {".obj": _
 def _from_above(
     vertices: np.ndarray, triangles: np.ndarray, origin: tuple[float, float], spacing: float
 ) -> tuple[Extent, np.ndarray]:
-    """The rectangle about a mesh, and the height (nx, ny) [m] of its upper surface at points that
-    lie about `spacing` apart; 0, the floor's, where it has none.
+    """The rectangle around a mesh, and the height (nx, ny) [m] of its upper surface at points about
+    `spacing` apart; 0, the floor's height, where the mesh has none.
 
     Args:
-        vertices: (V, 3) [m], from the origin.
+        vertices: (V, 3) [m], relative to the origin.
         triangles: (F, 3), indices of vertices.
-        origin: where the origin lies in G [m].
+        origin: position of the origin in G [m].
         spacing: between points [m].
     """
     if not len(triangles):
@@ -202,13 +203,13 @@ def _from_above(
 
 @kernel
 def _raise_to(top, corners, first, last, step):
-    """Raise heights to those of the triangles above them.
+    """Raise the heights of a grid to the triangles above them.
 
     Args:
-        top: (nx, ny) [m], changed.
-        corners: (F, 3, 3) [m], of triangles, from the grid's first point.
-        first, last: (F, 2), of the points that may lie in a triangle.
-        step: (2,) [m], between points.
+        top: heights (nx, ny) [m], changed.
+        corners: of the triangles, relative to the grid's first point (F, 3, 3) [m].
+        first, last: indices of the grid points that may lie in each triangle (F, 2).
+        step: spacing of the grid (2,) [m].
     """
     for k in range(len(corners)):
         a, b, c = corners[k]

@@ -1,7 +1,7 @@
-"""The ground that a log keeps of its walk: enough to draw it, wherever its files have gone.
+"""Ground in the metadata of a log, so that it can be drawn without its files.
 
-The metadata of a log hold the ground as its seed drew it, rough strips as height fields; heights
-to a part in 65 535 of their range, at fewer points where there are many.
+It is the ground as drawn by the seed, with rough strips as height fields. Heights are stored in
+16 bits of their range, and thinned out where there are many.
 """
 
 import base64
@@ -24,8 +24,9 @@ if TYPE_CHECKING:
 
 GROUND_KEY = "ground"
 MOST_POINTS = 2**18
-"""Of all height fields of a drawing: half a megabyte of a log's metadata, a mesh that is turned
-without delay."""
+"""Largest number of height field points for drawing: half a megabyte of metadata, and a mesh that
+can be rotated smoothly.
+"""
 _LEVELS = 2**16 - 1
 
 
@@ -58,7 +59,7 @@ class _Kept:
 
 
 def ground_metadata(ground: Ground) -> dict[str, Any]:
-    """What `Meta.model` keeps of a ground."""
+    """Entries of `Meta.model` for a ground."""
     rough = [HeightField(s.rectangle, s.nodes(), s.mu) for s in ground.strips if s.rough]
     drawn = thinned(replace(ground, fields=(*rough, *ground.fields)))
     patches = [[p.center_x, p.center_y, p.size_x, p.size_y, p.mu] for p in ground.patches]
@@ -79,9 +80,9 @@ def ground_metadata(ground: Ground) -> dict[str, Any]:
 
 
 def ground_of_log(log: "Log") -> Ground | None:
-    """The ground that a log keeps, to be drawn; None of one that keeps none.
+    """The ground in a log's metadata, for drawing; None if there is none.
 
-    Raises SurefootError where it cannot be read.
+    Raises SurefootError if it cannot be read.
     """
     if GROUND_KEY not in log.meta.model:
         return None
@@ -99,7 +100,7 @@ def ground_of_log(log: "Log") -> Ground | None:
 
 
 def thinned(ground: Ground, most: int = MOST_POINTS) -> Ground:
-    """The ground with height fields of at most about so many points in all, to be drawn."""
+    """The ground with its height fields reduced to about `most` points in total, for drawing."""
     points = sum(field.heights.size for field in ground.fields)
     if points <= most:
         return ground

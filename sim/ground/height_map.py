@@ -1,4 +1,6 @@
-"""Height and normal of the ground at a point, compiled: one truth for controller and logs."""
+"""Height and normal of the ground at a point, compiled; used by the controller and for logs
+alike.
+"""
 
 from typing import NamedTuple
 
@@ -10,7 +12,7 @@ LATTICE = 0.1  # m, between the nodes of rough ground
 
 
 class HeightMap(NamedTuple):
-    """A list of strips as numbers; where they overlap the last one counts.
+    """Strips as arrays; where they overlap, the last one counts.
 
     A row of `strips`: x0, x1, y0, y1, axis (0: x, 1: y), heights at the lower and upper end of that
     axis, number of steps, offset into `nodes` (-1: smooth), nodes along x, nodes along y.
@@ -22,7 +24,7 @@ class HeightMap(NamedTuple):
 
 @kernel
 def surface(height_map, x, y):
-    """Height [m] and its slopes along x and y at the point (x, y) [m]; zeros beyond the floor."""
+    """Height [m] and slopes along x and y at the point (x, y) [m]; zeros outside the floor."""
     for k in range(len(height_map.strips) - 1, -1, -1):
         s = height_map.strips[k]
         if s[0] <= x <= s[1] and s[2] <= y <= s[3]:
@@ -56,7 +58,9 @@ def normal(height_map, x, y):
 
 @kernel
 def _rough(nodes, s, x, y):
-    """On a lattice whose cells are two triangles each, as MuJoCo collides height fields."""
+    """Height and slopes on a lattice whose cells are two triangles each, as in MuJoCo's height
+    fields.
+    """
     nx, ny = int(s[9]), int(s[10])
     dx, dy = (s[1] - s[0]) / (nx - 1), (s[3] - s[2]) / (ny - 1)
     i = min(int((x - s[0]) / dx), nx - 2)

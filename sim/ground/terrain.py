@@ -1,10 +1,9 @@
-"""The ground as a list of strips along the world's axes: level, sloping, stepped or rough; and
-height fields of the user's own on them.
+"""The ground: a floor, strips along the world's axes (level, sloping, stepped or rough), and height
+fields.
 
-Where strips overlap the last one counts, and the floor lies below them all. Friction patches
-change the coefficient of whatever is on top. One description serves everyone:
-`sim.ground.height_map`
-answers height and normal from it, `sim.ground.tiles` turns it into MuJoCo geoms.
+Where strips overlap, the last one counts. Friction patches change the friction of the surface on
+top. `sim.ground.height_map` computes heights and normals from this description, `sim.ground.tiles`
+the geoms for MuJoCo.
 """
 
 import hashlib
@@ -21,11 +20,11 @@ from surefoot.sim.common.limits import check_limit
 from surefoot.sim.ground.height_map import LATTICE, HeightMap
 
 HIGHEST_STRIP, ROUGHEST = 1e3, 1.0
-"""m, of a strip's ends and of its bumps, over which no leg reaches."""
+"""Largest height of a strip's ends, and of its bumps, beyond any leg's reach [m]."""
 FINEST_SPACING = 0.002
-"""m, between points of a height field: a foot of 2 cm lies over hundreds of its cells."""
+"""Least spacing of a height field's points [m]: a foot of 2 cm covers hundreds of its cells."""
 COARSEST = 100.0
-"""m, largest grain: bumps of a hundred metres are slopes."""
+"""Largest grain [m]: bumps of a hundred metres are slopes."""
 Extent = tuple[float, float, float, float]  # x0, x1, y0, y1 [m]
 
 
@@ -45,19 +44,20 @@ class Patch:
         return x - w, x + w, y - h, y + h
 
     def snapped(self, layer: "Layer") -> "Patch":
-        """The patch with its edges on the lattice of a layer of heights."""
+        """The patch with its edges moved to the lattice of a layer of heights."""
         x0, x1, y0, y1 = (layer.on_lattice(e, k // 2) for k, e in enumerate(self.rectangle))
         return Patch(0.5 * (x0 + x1), 0.5 * (y0 + y1), x1 - x0, y1 - y0, self.mu)
 
 
 @dataclass(frozen=True)
 class Strip:
-    """Ground from the middle of one edge to the middle of the opposite one, along x or y.
+    """Ground from the middle of one edge of a rectangle to the middle of the opposite one, along x
+    or y.
 
-    Its surface goes from the first height to the second in a plane, or by `steps` equal risers;
-    the upper end's tread has the upper height. `rough` > 0 lays bumps of up to that height on the
-    plane, which a seed draws (`roughened`). `mu` None takes the floor's.
-    Raises SurefootError for a strip that cannot be built.
+    Its surface is a plane from the first height to the second, or has `steps` equal risers; the
+    tread at the upper end has the upper height. With `rough` > 0, the plane has bumps of up to that
+    height, drawn by the seed (`roughened`). `mu` None is the floor's. Raises SurefootError for an
+    impossible strip.
     """
 
     start: tuple[float, float]  # m
@@ -97,7 +97,7 @@ class Strip:
 
     @property
     def axis(self) -> int:
-        """0 where the strip runs along x, 1 along y."""
+        """0 if the strip runs along x, 1 along y."""
         return int(self.start[0] == self.end[0])
 
     @property
@@ -109,7 +109,7 @@ class Strip:
         return float(lower[0]), float(upper[0]), float(lower[1]), float(upper[1])
 
     def facets(self) -> Iterator[tuple[Extent, float, float]]:
-        """Rectangles with the heights of their lower and upper ends along the axis."""
+        """Its rectangles, each with the heights of its lower and upper end along the axis."""
         x0, x1, y0, y1 = self.rectangle
         low, high = (x0, x1) if self.axis == 0 else (y0, y1)
         z_low, z_high = self.ends
@@ -126,13 +126,13 @@ class Strip:
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Heights [m] at the ends of lower and of higher coordinate."""
+        """Heights [m] at the ends with the smaller and the larger coordinate."""
         first, last = self.heights
         forward = self.start[self.axis] < self.end[self.axis]
         return (first, last) if forward else (last, first)
 
     def roughened(self, rng: np.random.Generator) -> "Strip":
-        """The strip with its bumps drawn from `rng`, level with its plane at the edges."""
+        """The strip with bumps drawn from `rng`, which vanish at its edges."""
         if not self.rough:
             return self
         x0, x1, y0, y1 = self.rectangle
@@ -146,7 +146,7 @@ class Strip:
         return replace(self, bumps=self.rough * bumps)
 
     def nodes(self) -> np.ndarray:
-        """Heights (nx, ny) [m] of a rough strip's lattice, plane and bumps together."""
+        """Heights (nx, ny) [m] on a rough strip's lattice: plane plus bumps."""
         if self.bumps is None:
             raise SurefootError("a rough strip has no bumps yet: draw them with roughened(rng)")
         u = np.linspace(0.0, 1.0, self.bumps.shape[self.axis])
@@ -155,20 +155,20 @@ class Strip:
 
     @property
     def on_grid(self) -> bool:
-        """Whether its heights are those of `nodes`."""
+        """Whether its heights are given by `nodes`."""
         return self.rough > 0.0
 
     def on_lattice(self, edge: float, _axis: int) -> float:
-        """The nearest line of the lattice of rough strips, which is one for all of them [m]."""
+        """The nearest line of the lattice that all rough strips share [m]."""
         return round(edge / LATTICE) * LATTICE
 
 
 @dataclass(frozen=True)
 class HeightField:
-    """Ground of given heights at equally spaced points of a rectangle, edges included, and two
-    triangles a cell between them, as MuJoCo collides height fields.
+    """Ground given by heights at equally spaced points of a rectangle, including its edges. Each
+    cell is two triangles, as in MuJoCo's height fields.
 
-    Two of the same digest are the same. Raises SurefootError for one that cannot be built.
+    Fields with the same digest are equal. Raises SurefootError for an impossible field.
     """
 
     rectangle: Extent
@@ -195,12 +195,12 @@ class HeightField:
 
     @property
     def spacing(self) -> tuple[float, float]:
-        """Between its points, along x and y [m]."""
+        """Spacing of its points along x and y [m]."""
         (x0, x1, y0, y1), (nx, ny) = self.rectangle, self.heights.shape
         return (x1 - x0) / (nx - 1), (y1 - y0) / (ny - 1)
 
     def facets(self) -> Iterator[tuple[Extent, float, float]]:
-        """Its rectangle, the one that there is to cut; its heights are those of `nodes`."""
+        """Its only rectangle; the heights are those of `nodes`."""
         yield self.rectangle, 0.0, 0.0
 
     def nodes(self) -> np.ndarray:
@@ -208,7 +208,7 @@ class HeightField:
         return self.heights
 
     def on_lattice(self, edge: float, axis: int) -> float:
-        """The nearest line along which the field can be cut [m], beyond its edges too."""
+        """The nearest line [m] along which the field can be divided, also outside its edges."""
         low, step = self.rectangle[2 * axis], self.spacing[axis]
         return low + round((edge - low) / step) * step
 
@@ -218,8 +218,9 @@ Layer = Strip | HeightField
 
 @dataclass(frozen=True)
 class Ground:
-    """A floor of friction `mu` at height zero, strips on it, height fields on these, and patches
-    of other friction."""
+    """A floor of friction `mu` at height zero, with strips on it, height fields on these, and
+    patches of other friction.
+    """
 
     mu: float
     patches: tuple[Patch, ...] = ()
@@ -245,7 +246,7 @@ class Ground:
 
     @cached_property
     def height_map(self) -> HeightMap:
-        """Height and normal of this ground, for compiled code."""
+        """Heights and normals of this ground, for compiled code."""
         rows, nodes, used = [], [], 0
         for layer in self.layers:
             shape, offset = (0, 0), -1

@@ -1,7 +1,7 @@
-"""The ground as MuJoCo geoms: tiles that abut and never overlap, each of one friction.
+"""The ground as MuJoCo geoms: tiles that touch but never overlap, each of one friction.
 
-A patch laid over a floor would be two contacts, so every strip is cut where a later strip hides it
-and where a patch changes its friction.
+Overlapping geoms would give two contacts, so strips are divided along the edges of patches and of
+the strips that cover them.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,8 +25,9 @@ GREY, ICY = (0.5, 0.5, 0.48, 1), (0.55, 0.75, 0.9, 1)
 
 
 def add_ground(spec: mujoco.MjSpec, ground: Ground) -> None:
-    """Lay the ground into `spec`. Raises SurefootError where a strip or a height field covers part
-    of a rough strip or another height field."""
+    """Add the ground to `spec`. Raises SurefootError if a strip or a height field covers a part of
+    a rough strip or of another height field.
+    """
     layers = ground.layers
     for k, layer in enumerate(layers):
         hidden = [later.rectangle for later in layers[k + 1 :]]
@@ -68,9 +69,10 @@ def _add_box(
     z_high: float,
     geom: dict,
 ) -> None:
-    """A box whose upper face is one tile of a facet.
+    """Add a box whose upper face is one tile of a facet.
 
-    The box of a slope leans, so its high end needs a strip of the same height to lean into.
+    The box of a slope is tilted, so its upper end needs a neighbour of the same height to overlap
+    with.
 
     Args:
         spec: of the world, edited.
@@ -102,7 +104,7 @@ def _add_box(
 
 
 def _add_field(spec: mujoco.MjSpec, layer: Layer, tile: Extent, geom: dict) -> None:
-    """The part `tile` of a layer of heights, on the layer's own lattice."""
+    """Add the part `tile` of a layer of heights, on the layer's own lattice."""
     x0, x1, y0, y1 = tile
     nodes = layer.nodes()
     left, right, front, back = layer.rectangle
@@ -134,14 +136,14 @@ def _cut(
     patches: Sequence[tuple[Extent, float]],
     snap: _Snap | None,
 ) -> list[tuple[Extent, float]]:
-    """The visible part of a rectangle, in abutting tiles with their friction.
+    """Divide the visible part of a rectangle into adjacent tiles, each with its friction.
 
     Args:
         rectangle: (x0, x1, y0, y1) in G [m].
         mu: friction outside the patches.
         hidden: rectangles that others cover.
-        patches: rectangles with a friction of their own, the last one counts.
-        snap: the line of a layer's lattice that is nearest to an edge, of one of heights.
+        patches: rectangles with their own friction; the last one counts.
+        snap: function to the lattice line nearest to an edge, for a layer of heights.
     """
     hidden = [r for r in hidden if _overlap(rectangle, r)]
     patches = [(r, m) for r, m in patches if _overlap(rectangle, r)]

@@ -1,1 +1,1 @@
-"""What sensors read of a motion."""
+"""Sensors of a simulated robot."""

@@ -3,23 +3,23 @@
 import numpy as np
 
 SHORTEST_FLIGHT = 0.05
-"""s in the air from which a foot has swung; after less it has only bounced."""
+"""Time in the air from which a foot has swung [s]; after less it has only bounced."""
 
 
 def contact_from_force(
     t: np.ndarray, force: np.ndarray, on: float, off: float, debounce: float
 ) -> np.ndarray:
-    """Whether a foot stands (N,).
+    """Contact (N,) of a foot from its force.
 
-    A foot stands once the force has stayed above `on` for `debounce` seconds, and lifts as soon as
-    it falls below `off`; rows to come are not used. The first row needs no debounce.
+    Contact begins once the force has stayed above `on` for `debounce` seconds, and ends as soon as
+    it falls below `off`. Later rows are not used. The first row needs no debouncing.
 
     Args:
         t: (N,) [s].
         force: (N,), less its offset, in the sensor's own unit.
-        on: threshold of standing, in that unit.
-        off: threshold of lifting, off <= on.
-        debounce: time above `on` before a foot stands [s].
+        on: threshold of contact, in that unit.
+        off: threshold of lift-off, off <= on.
+        debounce: time above `on` before contact begins [s].
     """
     above = force > on
     # The start of the run of rows above `on` that each row belongs to.
@@ -34,8 +34,10 @@ def contact_from_force(
 
 
 def swings(t: np.ndarray, stands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First rows of a foot's swings and of the stances after them (K,); a foot that is up for no
-    longer than SHORTEST_FLIGHT has bounced. t (N,) [s]; stands (N,) bool."""
+    """First rows of a foot's swings, and of the stances after them (K,).
+
+    A foot that is up for no longer than SHORTEST_FLIGHT has bounced. t (N,) [s]; stands (N,) bool.
+    """
     lifts = 1 + np.flatnonzero(stands[:-1] & ~stands[1:])
     lands = 1 + np.flatnonzero(~stands[:-1] & stands[1:])
     lands = lands[lands > lifts[0]] if len(lifts) else lands[:0]

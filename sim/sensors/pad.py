@@ -1,9 +1,9 @@
-"""A foot's pad and its switch: contacts that are sensed late, each step by its own time, or early.
+"""A foot's pad and contact switch, whose contacts begin or end late, or begin early.
 
-A pad must be squeezed before its switch closes: a contact begins when the load has given it an
-impulse. Unloaded, it springs back slowly: the reading falls with a lag of first order, and a
-contact ends when it has come down to the threshold. A pad that is long and soft touches the ground
-before the foot carries anything.
+A contact begins late because the pad must be compressed first: the load must have given it an
+impulse. It ends late because the unloaded pad recovers slowly: the reading falls with a first-order
+lag down to the threshold. It begins early if a long, soft pad touches the ground before the foot is
+loaded. The delay thus varies from step to step.
 """
 
 from collections.abc import Callable
@@ -14,19 +14,19 @@ from surefoot.sim.common.kernels import kernel
 from surefoot.sim.sensors.contact import swings
 
 TOUCHING = 1.5
-"""Times its threshold, load on a pad that is only touched."""
+"""Load on a pad that only touches, as a multiple of its threshold."""
 RECOVERY = 0.03
-"""s, time constant with which a squeezed pad comes back in the air: within any swing."""
+"""Time constant of a compressed pad's recovery in the air [s], shorter than any swing."""
 
 
 def begin_late(t: np.ndarray, force: np.ndarray, threshold: float, late: float) -> np.ndarray:
-    """What is read (N, L) [N] by feet whose contacts begin late.
+    """Readings (N, L) [N] of feet whose contacts begin late.
 
     Args:
         t: (N,) [s].
-        force: (N, L) [N], loads on the feet.
+        force: loads on the feet (N, L) [N].
         threshold: of contact [N].
-        late: mean lateness over all steps [s].
+        late: mean delay over all steps [s].
     """
     dt = float(np.median(np.diff(t)))
     keep = float(np.exp(-dt / RECOVERY))
@@ -39,7 +39,7 @@ def begin_late(t: np.ndarray, force: np.ndarray, threshold: float, late: float) 
 
 
 def begin_early(t: np.ndarray, force: np.ndarray, threshold: float, early: float) -> np.ndarray:
-    """What is read (N, L) [N] by feet whose contacts begin early, as of `begin_late`."""
+    """Readings (N, L) [N] of feet whose contacts begin early; arguments as of `begin_late`."""
     read, rows = force.copy(), round(early / float(np.median(np.diff(t))))
     for leg, stands in enumerate((force > threshold).T):
         for land in swings(t, stands)[1]:
@@ -49,7 +49,7 @@ def begin_early(t: np.ndarray, force: np.ndarray, threshold: float, early: float
 
 
 def end_late(t: np.ndarray, force: np.ndarray, threshold: float, late: float) -> np.ndarray:
-    """What is read (N, L) [N] by feet whose contacts end late, as of `begin_late`."""
+    """Readings (N, L) [N] of feet whose contacts end late; arguments as of `begin_late`."""
     dt = float(np.median(np.diff(t)))
 
     def read(lag: float) -> np.ndarray:
@@ -67,15 +67,15 @@ def _read_late(
     late: float,
     begins: bool,
 ) -> np.ndarray:
-    """The reading (N, L) of the pad with which contacts are late by `late` on the mean.
+    """Readings (N, L) of the pad whose contacts have a mean delay of `late`, found by bisection.
 
     Args:
-        read: the reading of a pad of some size.
-        most: a size that is surely too large.
+        read: readings of a pad of some size.
+        most: a size that is certainly too large.
         t: (N,) [s].
         loaded: (N, L) bool.
         threshold: of contact [N].
-        late: mean lateness [s].
+        late: mean delay [s].
         begins: whether contacts begin late, or end late.
     """
     edges = [swings(t, stands)[begins] for stands in loaded.T]
@@ -93,22 +93,24 @@ def _read_late(
 
 
 def _first(stands: np.ndarray, rows: np.ndarray, what: bool) -> np.ndarray:
-    """The first row from each of `rows` (K,) on at which `stands` (N,) is as `what`; N without."""
+    """For each of `rows` (K,), the first row from it on at which `stands` (N,) equals `what`; N
+    if none.
+    """
     at = np.append(np.flatnonzero(stands == what), len(stands))
     return at[np.searchsorted(at, rows)]
 
 
 @kernel
 def _squeezed(force, dt, threshold, impulse, keep):
-    """The loads (N, L) of feet whose pads have got their impulse, else nothing. Feet that stand
-    from the first row on have theirs.
+    """The loads (N, L) of feet whose pads have received their impulse, zero of the others. Feet
+    that stand in the first row have received theirs.
 
     Args:
         force: (N, L) [N].
         dt: time between rows [s].
         threshold: of contact [N].
         impulse: that closes the switch [N s].
-        keep: share of it that is left after a row in the air.
+        keep: share of it that remains after a row in the air.
     """
     out = force.copy()
     for leg in range(force.shape[1]):
@@ -125,8 +127,9 @@ def _squeezed(force, dt, threshold, impulse, keep):
 
 @kernel
 def _springs_back(force, keep):
-    """The loads (N, L), followed at once where they grow, by a lag of first order where they fall;
-    `keep` of the difference is left a row."""
+    """The loads (N, L), followed immediately where they rise, and with a first-order lag where they
+    fall; `keep` of the difference remains after a row.
+    """
     out = force.copy()
     for leg in range(force.shape[1]):
         for k in range(1, len(force)):

@@ -1,15 +1,15 @@
-"""A log at a lower rate than it was simulated at, as a robot's own would be."""
+"""Resampling of a simulated log to a lower rate, like that of a real robot."""
 
 import numpy as np
 import pandas as pd
 
 
 def sampled(frame: pd.DataFrame, rate: float, averages: bool) -> pd.DataFrame:
-    """The columns of a simulated log at `rate` [Hz], below its own.
+    """The columns of a simulated log at `rate` [Hz], which is below the simulated one.
 
-    Angles, forces and reference are as at the new times, contacts as they were last reported. An
-    IMU that `averages` gives means over the new samples, so that nothing is folded back and
-    integrals are kept; one that does not gives its filtered reading at the time.
+    Angles, forces and reference are interpolated to the new times, contacts keep their last value.
+    If `averages`, the IMU gives means over the new samples, which avoids aliasing and keeps
+    integrals; else its filtered reading at that time.
     """
     t = frame["t"].to_numpy()
     before = 2.0 * t[0] - t[1]

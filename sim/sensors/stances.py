@@ -1,4 +1,4 @@
-"""Stances of feet from their contacts: where each begins and ends, and how far a row is into it."""
+"""Stances of feet, from their contacts."""
 
 import numpy as np
 
@@ -6,26 +6,28 @@ from surefoot.sim.sensors.contact import SHORTEST_FLIGHT
 
 
 def changes(stands: np.ndarray) -> np.ndarray:
-    """Rows (K,) from which a contact (N,) is another than before."""
+    """Rows (K,) at which a contact (N,) differs from the row before."""
     return 1 + np.flatnonzero(stands[1:] != stands[:-1])
 
 
 def stances(stands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First row, and one past the last, of every unbroken contact of stands (N,) bool."""
+    """First row, and one past the last, of every uninterrupted contact in stands (N,) bool."""
     edges = np.diff(np.concatenate([[0], stands.astype(int), [0]]))
     return np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
 
 
 def stances_between_swings(t: np.ndarray, stands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same of t (N,) [s] and stands (N,), where a foot that bounces, being up for no longer
-    than SHORTEST_FLIGHT, is in one stance all the while."""
+    """The same for t (N,) [s] and stands (N,), where bounces, no longer than SHORTEST_FLIGHT, do
+    not interrupt a stance.
+    """
     first, end = stances(stands)
     swung = t[first[1:]] - t[end[:-1] - 1] > SHORTEST_FLIGHT
     return first[np.insert(swung, 0, True)[: len(first)]], end[np.append(swung, True)[: len(end)]]
 
 
 def inside_stances(t: np.ndarray, contact: np.ndarray, begin: float, end: float) -> np.ndarray:
-    """Rows and feet (N, L) that stand, farther than `begin` and `end` [s] from those of the stance.
+    """Rows and feet (N, L) in stance, more than `begin` and `end` [s] away from its beginning and
+    end.
 
     t (N,) [s]; contact (N, L) bool.
     """
@@ -42,7 +44,7 @@ def inside_stances(t: np.ndarray, contact: np.ndarray, begin: float, end: float)
 
 
 def stance_phase(stands: np.ndarray) -> np.ndarray:
-    """Share (N,) of its stance that has passed at each row of stands (N,) bool; NaN in the air."""
+    """Phase (N,) of the stance at each row of stands (N,) bool, from 0 to 1; NaN in the air."""
     phase = np.full(len(stands), np.nan)
     for begin, end in zip(*stances(stands), strict=True):
         phase[begin:end] = (np.arange(end - begin) + 0.5) / (end - begin)

@@ -1,4 +1,4 @@
-"""From the simulated motion to what the robot's sensors would read."""
+"""Sensor readings of a simulated motion."""
 
 from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
@@ -14,11 +14,11 @@ from surefoot.sim.common.low_pass import low_pass_from
 from surefoot.sim.robot import Robot
 
 SLOWEST = 20.0
-"""Hz, below which a log does not show a stride."""
+"""Rate below which a log does not resolve a stride [Hz]."""
 FASTEST_LOG = 1e4
-"""Hz, beyond which no sensor of a robot is read."""
+"""Rate beyond that of any robot's sensor [Hz]."""
 LARGEST_ERROR = 1e6
-"""Of any size of a sensor's errors, in SI units: far beyond any sensor."""
+"""Largest size of any sensor error, in SI units: far beyond any sensor."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +80,9 @@ class Sensors:
 
 
 class SpringDeflection(NamedTuple):
-    """How far springs are from rest: joints ahead of their motors, feet in the frames of the legs'
-    last links."""
+    """Deflection of springs: of the joints relative to their motors, and of the feet in the frames
+    of the legs' last links.
+    """
 
     q: np.ndarray  # (N, J) rad
     dq: np.ndarray  # (N, J) rad/s
@@ -91,9 +92,9 @@ class SpringDeflection(NamedTuple):
 
 @dataclass(frozen=True)
 class Motion:
-    """A recorded motion: N + 1 states a timestep apart and what acted between them.
+    """A recorded motion: N + 1 states one time step apart, and the torques and forces between them.
 
-    Joints are where their motors are; springs add what they give.
+    Joint angles are those of the motors; `give` has the deflection of springs.
     """
 
     t: np.ndarray  # (N + 1,) s
@@ -109,7 +110,7 @@ class Motion:
     give: SpringDeflection | None = None  # of a robot with springs
 
     def after(self, time: float) -> "Motion":
-        """The motion from `time` [s] on, its clock starting there."""
+        """The motion from `time` [s] on, with that as time zero."""
         first = int(np.searchsorted(self.t, time))
         names = [f.name for f in fields(self) if f.name != "give"]
         parts = {name: getattr(self, name)[first:] for name in names}
@@ -119,7 +120,9 @@ class Motion:
 
 @dataclass(frozen=True)
 class Streams:
-    """What perfect sensors would read; row k covers (t[k-1], t[k]] for the IMU, is at t[k] else."""
+    """Readings of perfect sensors. Row k of the IMU covers (t[k-1], t[k]]; the others are at
+    t[k].
+    """
 
     t: np.ndarray  # (N,) s
     gyro: np.ndarray  # (N, 3) rad/s
@@ -133,18 +136,18 @@ class Streams:
 
     @property
     def rate(self) -> float:
-        """Samples a second."""
+        """Sampling rate [Hz]."""
         return rate_of(self.t)
 
 
 def rate_of(t: np.ndarray) -> float:
-    """Samples a second of those at t (N,) [s]."""
+    """Sampling rate [Hz] of the times t (N,) [s]."""
     return float(1.0 / np.median(np.diff(t)))
 
 
 @dataclass(frozen=True)
 class Reference:
-    """The motion of the nominal IMU frame as measured from outside, at the rows of the streams."""
+    """Measured motion of the nominal IMU frame, at the rows of the streams."""
 
     t: np.ndarray  # (N,) s
     R_GI: np.ndarray  # (N, 3, 3)
@@ -153,7 +156,7 @@ class Reference:
 
 
 def reference_of(motion: Motion, robot: Robot) -> Reference:
-    """The motion itself, as an outside measurement without error sees it."""
+    """The true motion as a reference without errors."""
     R_GI, p_GI, v_GI = imu_motion(motion, robot)
     return Reference(motion.t[1:], R_GI[1:], p_GI[1:], v_GI[1:])
 
@@ -167,10 +170,10 @@ def imu_motion(motion: Motion, robot: Robot) -> tuple[np.ndarray, np.ndarray, np
 
 
 def ideal_streams(motion: Motion, robot: Robot) -> Streams:
-    """Perfect readings of every sensor, one row a step.
+    """Readings of perfect sensors, one row per step.
 
     An IMU integrates between its samples, so its rows are the constant rate and specific force that
-    carry the attitude and velocity of one state exactly to the next's.
+    take the attitude and velocity of one state exactly to those of the next.
     """
     R_GI, _, v_GI = imu_motion(motion, robot)
     gyro, accel = imu_between_states(motion.t, R_GI, v_GI)
@@ -189,9 +192,10 @@ def ideal_streams(motion: Motion, robot: Robot) -> Streams:
 def imu_between_states(
     t: np.ndarray, R_GI: np.ndarray, v_GI: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rates [rad/s] and specific forces [m/s^2] (N, 3) in I, constant between one state and the
-    next, that carry attitudes R_GI (N + 1, 3, 3) and velocities v_GI (N + 1, 3) [m/s] through the
-    times t (N + 1,) [s]; it turns by less than pi in between."""
+    """Angular rates [rad/s] and specific forces [m/s^2] (N, 3) in I, constant between states, that
+    lead exactly through attitudes R_GI (N + 1, 3, 3) and velocities v_GI (N + 1, 3) [m/s] at the
+    times t (N + 1,) [s]. The rotation between two states is less than pi.
+    """
     dt = np.diff(t)[:, None]
     turn = _rotation_steps(R_GI)
     felt = np.einsum("nji,nj->ni", R_GI[:-1], np.diff(v_GI, axis=0) / dt - GRAVITY_G)
@@ -199,19 +203,20 @@ def imu_between_states(
 
 
 class SensorErrors:
-    """The errors of every sensor over a walk whose readings come in pieces: the numbers are those
-    of a walk that is read whole."""
+    """Errors of all sensors over a walk, added in pieces; the numbers do not depend on the
+    pieces.
+    """
 
     def __init__(
         self, sensors: Sensors, rng: np.random.Generator, shape: tuple[int, int, int], rate: float
     ):
-        """`rng` is left where `sensed_contact` draws on.
+        """Advances `rng` to where `sensed_contact` continues.
 
         Args:
             sensors: sizes of the errors; noise is a density, per rtHz.
             rng: random generator.
-            shape: rows of the walk, joints and legs.
-            rate: rows a second [Hz].
+            shape: numbers of rows, joints and legs.
+            rate: sampling rate [Hz].
         """
         s, (n, joints, legs) = sensors, shape
         self._gyro = _ImuErrors(
@@ -231,7 +236,7 @@ class SensorErrors:
         self._offset, self._step = rng.normal(0.0, s.encoder_offset, joints), s.encoder_step
 
     def apply(self, streams: Streams) -> Streams:
-        """The next piece of perfect readings with their errors."""
+        """Add the errors to the next piece of perfect readings."""
 
         def noisy(reading: np.ndarray, of: tuple[np.random.Generator, float]) -> np.ndarray:
             return reading + of[0].normal(0.0, of[1], reading.shape)
@@ -251,7 +256,7 @@ class SensorErrors:
 
 
 class _ImuErrors:
-    """Bias, noise, bandwidth and resolution of one triad."""
+    """Bias, noise, bandwidth and resolution of three axes."""
 
     def __init__(
         self,
@@ -261,15 +266,16 @@ class _ImuErrors:
         sensors: Sensors,
         sizes: tuple[float, float, float, float],
     ):
-        """`rng` is left behind all that the triad draws.
+        """Advances `rng` past all draws of these axes.
 
         Args:
             rng: random generator.
-            n: rows of the walk.
-            rate: of them [Hz].
+            n: number of rows.
+            rate: sampling rate [Hz].
             sensors: bandwidth, and the correlation time of the bias.
-            sizes: density of the white noise [unit/sqrt(Hz)], standard deviations of the bias at
-                power-on and of its Gauss-Markov part, and range, to 16 bits, in the reading's unit.
+            sizes: density of the white noise [unit/sqrt(Hz)], standard deviations of the turn-on
+                bias and
+                of its Gauss-Markov part, and range, to 16 bits, in the reading's unit.
         """
         density, turn_on, instability, self._range = sizes
         self._turn_on = rng.normal(0.0, turn_on, 3)
@@ -279,7 +285,7 @@ class _ImuErrors:
         self._filtered: np.ndarray | None = None
 
     def apply(self, reading: np.ndarray) -> np.ndarray:
-        """The next (N, 3) of the true value in I with its errors."""
+        """Add the errors to the next true values in I (N, 3)."""
         bias = self._turn_on + self._bias.next(len(reading))
         noisy = reading + bias + self._noise.normal(0.0, self._sigma, reading.shape)
         if self._bandwidth:
@@ -290,7 +296,7 @@ class _ImuErrors:
 
 
 def add_sensor_errors(streams: Streams, sensors: Sensors, rng: np.random.Generator) -> Streams:
-    """The readings with every sensor's errors, drawn from `rng`; noise is a density, per rtHz."""
+    """Add every sensor's errors to the readings, drawn from `rng`; noise is a density, per rtHz."""
     shape = len(streams.t), streams.q.shape[1], streams.force.shape[1]
     return SensorErrors(sensors, rng, shape, streams.rate).apply(streams)
 
@@ -298,25 +304,26 @@ def add_sensor_errors(streams: Streams, sensors: Sensors, rng: np.random.Generat
 def sensed_contact(
     streams: Streams, weight: float, sensors: Sensors, rng: np.random.Generator
 ) -> np.ndarray:
-    """Whether each foot is reported in contact (N, 4), on a robot of `weight` [N].
+    """Sensed contact (N, 4) of each foot of a robot of `weight` [N].
 
-    A threshold on the measured force, reported late, and wrong on samples drawn from `rng`.
+    The measured force compared with a threshold, delayed, and wrong in samples drawn from `rng`.
     """
     return ContactSwitch(sensors, rng, weight, streams.rate).read(streams)
 
 
 class ContactSwitch:
-    """`sensed_contact` of a walk whose readings come in pieces."""
+    """`sensed_contact` for a walk whose readings come in pieces."""
 
     def __init__(self, sensors: Sensors, rng: np.random.Generator, weight: float, rate: float):
-        """`rng` is drawn from as pieces are read; the robot has a `weight` [N], its log a `rate`
-        [Hz]."""
+        """Draws from `rng` as pieces are read; `weight` of the robot [N], `rate` of the log
+        [Hz].
+        """
         self._sensors, self._rng, self._weight = sensors, rng, weight
         self._late = round(sensors.contact_delay * rate)
         self._before: np.ndarray | None = None  # the last rows of the piece before
 
     def read(self, streams: Streams) -> np.ndarray:
-        """Whether each foot is reported in contact (N, L) in the next piece."""
+        """Sensed contact (N, L) of each foot in the next piece."""
         stands = streams.force > self._sensors.contact_threshold * self._weight
         if self._before is None:
             self._before = np.repeat(stands[:1], self._late, axis=0)
@@ -328,7 +335,7 @@ class ContactSwitch:
 
 @kernel(nogil=True)
 def _rotation_steps(R):
-    """Rotation vectors (N, 3) [rad] from each attitude (N + 1, 3, 3) to the next, below pi."""
+    """Rotation vectors (N, 3) [rad] between successive attitudes (N + 1, 3, 3), below pi."""
     turn = np.empty((len(R) - 1, 3))
     for k in range(len(turn)):
         A, B = R[k], R[k + 1]
@@ -348,10 +355,11 @@ def _rotation_steps(R):
 
 @kernel(nogil=True)
 def _before_turning(turn, felt):
-    """The force (N, 3) whose mean, seen from a frame that turns by `turn` (N, 3) rad, is `felt`.
+    """The constant force (N, 3) whose mean is `felt` in a frame that rotates by `turn` (N, 3)
+    [rad].
 
-    Solves Gamma_1(turn) x = felt, Gamma_1 the mean of exp(s turn) over s in (0, 1) (Hartley et al.
-    2020): the inverse is 1 - W / 2 + c W W.
+    Solves Gamma_1(turn) x = felt, where Gamma_1 is the mean of exp(s turn) over s in (0, 1)
+    (Hartley et al. 2020). The inverse is 1 - W / 2 + c W W.
     """
     x = np.empty_like(felt)
     for k in range(len(turn)):

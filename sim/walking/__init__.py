@@ -1,1 +1,3 @@
-"""Walks: many at once, as an environment, like a measured one, seen by a radar; and their truth."""
+"""Walks: in batches, as an environment, in the style of a measured one, with a radar; and their
+truth.
+"""

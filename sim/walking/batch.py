@@ -1,7 +1,7 @@
-"""Many walks at once: each on a thread of its own, in compiled code that holds no lock.
+"""Many walks at once, each on its own thread, in compiled code that releases Python's lock.
 
-Walks do not share anything, so that robots, grounds and courses may all differ within a batch, and
-each gives the bits that it gives alone.
+Walks share nothing, so robots, grounds and courses may differ within a batch, and each walk is
+equal, bit for bit, to the same walk alone.
 """
 
 import threading
@@ -23,7 +23,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Job:
-    """A walk to be made: what `sim.walk.walk` asks for, with the robot by its name or file."""
+    """Arguments of `sim.walk.walk`, with the robot by its name or file."""
 
     scenario: Scenario
     robot: str
@@ -34,7 +34,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Walked:
-    """A walk that was made, with what the seed drew for it."""
+    """A finished walk, with its plan."""
 
     job: Job
     plan: Plan
@@ -42,11 +42,11 @@ class Walked:
 
 
 class _Stopped(Exception):
-    """The batch is over; its walks need not go on."""
+    """The batch has ended, so its remaining walks stop."""
 
 
 def walk_job(job: Job, progress: Callable[[float], None] | None = None) -> Walked:
-    """Make one walk; a fall is a result too. `progress` is called with the share done."""
+    """Simulate one walk; a fall is a result too. `progress` is called with the share done."""
     return walk_planned(job, plan_of(job), progress)
 
 
@@ -56,7 +56,7 @@ def plan_of(job: Job) -> Plan:
 
 
 def walk_planned(job: Job, made: Plan, progress: Callable[[float], None] | None = None) -> Walked:
-    """Make the walk of a job along its plan, as `walk_job`."""
+    """Simulate the walk of a job along its plan, as `walk_job` does."""
     try:
         motion = simulate(made.world, made.robot, made.gait, made.course, progress)
     except Fallen as fall:
@@ -66,7 +66,7 @@ def walk_planned(job: Job, made: Plan, progress: Callable[[float], None] | None 
 
 @lru_cache(maxsize=16)
 def known_robot(name_or_path: str) -> Robot:
-    """`Robot.load`, remembered."""
+    """`Robot.load`, cached."""
     return Robot.load(name_or_path)
 
 
@@ -76,9 +76,9 @@ def walk_batch(
     threads: int = 1,
     progress: Callable[[float], None] | None = None,
 ) -> Iterator[T]:
-    """Walk the jobs on `threads` threads; yields what `use` makes of each, in order of finishing.
+    """Simulate the jobs on `threads` threads; yields the results of `use`, in order of finishing.
 
-    `use` runs on the walk's own thread, so that writing files does not wait in line either.
+    `use` is called with each walk on the walk's own thread, so writing files is parallel too.
     `progress` is called with the share of the whole batch. An error, or leaving the iterator early,
     stops the walks in progress within a second of simulated time.
     """
@@ -91,9 +91,10 @@ def on_threads(
     threads: int = 1,
     progress: Callable[[float], None] | None = None,
 ) -> Iterator[T]:
-    """`work(item, report)` of every item on `threads` threads, in order of finishing.
+    """Run `work(item, report)` for every item on `threads` threads; yields results in order of
+    finishing.
 
-    `work` calls `report` with the share done; there it is stopped too once the batch is over.
+    `work` calls `report` with the share done, which raises once the batch has ended.
     """
     shares = [0.0] * len(items)
     stop, guard = threading.Event(), threading.Lock()

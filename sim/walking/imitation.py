@@ -1,7 +1,7 @@
-"""Walks like one that was measured: its speeds and turns, its gait and posture, on flat ground.
+"""Walks in the style of a measured one: its speeds and turns, gait and posture, on flat ground.
 
-An observer that is trained in simulation alone should see the motions that it will be asked about:
-not the same walk, but the same style of walking.
+An observer trained in simulation only should see motions like those that it will be used on: not
+the same walk, but the same style.
 """
 
 from dataclasses import dataclass, replace
@@ -17,20 +17,21 @@ from surefoot.sim.scenario import Ranges, Scenario, Segment
 from surefoot.sim.sensors.stances import stances_between_swings
 
 PIECE = 1.0
-"""s: the walk's velocities are taken as means over pieces this long, and keep their order."""
+"""Length of the pieces over which the walk's velocities are averaged [s]."""
 STRETCH = 3
-"""Pieces that stay together where the order is drawn anew."""
+"""Number of consecutive pieces that stay together in a random order."""
 SPREAD = 0.1
-"""Share by which speed, period and clearance are varied about the measured ones."""
+"""Relative variation of speed, period and clearance about the measured ones."""
 POSTURE = (0.05, 0.15, 0.2)
-"""rad, largest shifts of hip, thigh and calf, all legs alike, about the measured posture: an
-observer trained on one posture mistakes another for a speed."""
+"""Largest shifts of hip, thigh and calf, the same for all legs, from the measured posture [rad]. An
+observer trained on a single posture mistakes another one for a speed.
+"""
 LONGEST_STRIDE = 2.0
-"""s from which a foot that lands again has paused."""
+"""Time between touchdowns beyond which a foot has paused [s]."""
 MOVING = 0.05
-"""m/s, mean speed of the base over half a second from which it walks."""
+"""Mean speed of the base over half a second from which it walks [m/s]."""
 PERIODS, CLEARANCES = (0.6, 1.6), (0.5, 2.0)
-"""Factors on the controller's own gait beyond which it would not walk."""
+"""Range of factors on the controller's own gait within which it walks."""
 
 
 @dataclass(frozen=True)
@@ -44,9 +45,10 @@ class WalkingStyle:
 
 
 def walking_style(log: Log, robot: Robot) -> WalkingStyle:
-    """Read from the reference's velocities and, where the log has them, contacts and joints.
+    """The style of a walk, from the velocities of its reference and, if available, contacts and
+    joints.
 
-    Raises SurefootError where the reference covers too little of the walk.
+    Raises SurefootError if the reference covers too little of the walk.
     """
     twists = body_twists(log)
     if len(twists) < STRETCH:
@@ -81,7 +83,7 @@ def walking_style(log: Log, robot: Robot) -> WalkingStyle:
 
 
 def style_of(style: WalkingStyle, robot: Robot, speed: float, turn: float) -> WalkingStyle:
-    """The style for another robot, in its own period and posture.
+    """The style for another robot, with that robot's own period and posture.
 
     Args:
         style: of the measured walk.
@@ -93,11 +95,11 @@ def style_of(style: WalkingStyle, robot: Robot, speed: float, turn: float) -> Wa
 
 
 def replica(style: WalkingStyle, robot: Robot, name: str) -> tuple[Scenario, Robot]:
-    """A walk in the style of a measured one, piece by piece in its own order, nothing varied, from
-    the first piece in which it moves to the last: a measured robot stands before and after, the
-    simulated one would step in place.
+    """A walk in the style of a measured one, with its pieces in their own order and nothing varied.
 
-    Returns the scenario and the robot that stands in the measured posture.
+    It lasts from the first moving piece to the last: before and after, the measured robot stands,
+        while the simulated one would step in place. Returns the scenario, and the robot in the
+        measured posture.
     """
     moves = np.flatnonzero(np.hypot(*style.twists[:, :2].T) > MOVING)
     walks = style.twists[moves[0] : moves[-1] + 1] if len(moves) else style.twists
@@ -111,15 +113,15 @@ def replica(style: WalkingStyle, robot: Robot, name: str) -> tuple[Scenario, Rob
 def imitation(
     style: WalkingStyle, robot: Robot, name: str, duration: float, rng: np.random.Generator
 ) -> tuple[Scenario, Robot]:
-    """A walk in the style of a measured one, its stretches in a random order.
+    """A walk in the style of a measured one, with its pieces in a random order.
 
-    Returns the scenario and the robot that stands in about the measured posture.
+    Returns the scenario, and the robot in a posture close to the measured one.
 
     Args:
         style: of the measured walk.
         robot: that walks.
         name: of the scenario.
-        duration: about [s].
+        duration: approximate [s].
         rng: draws order and posture.
     """
     groups = [style.twists[i : i + STRETCH] for i in range(0, len(style.twists), STRETCH)]
@@ -144,7 +146,9 @@ def imitation(
 
 
 def slower(scenario: Scenario, factor: float) -> Scenario:
-    """The same course at a share of its velocities, for a robot that falls at the measured ones."""
+    """The same course at a fraction of its velocities, for a robot that falls at the measured
+    ones.
+    """
     segments = tuple(
         Segment(s.duration, s.forward * factor, s.lateral * factor, s.turn * factor)
         for s in scenario.segments
@@ -153,7 +157,9 @@ def slower(scenario: Scenario, factor: float) -> Scenario:
 
 
 def body_twists(log: Log) -> np.ndarray:
-    """Mean forward, lateral velocity [m/s] and turn [rad/s] of each PIECE with a reference."""
+    """Mean forward and lateral velocity [m/s] and yaw rate [rad/s] of each PIECE with a
+    reference.
+    """
     t, ok, R, v = log.t, log.ref_ok, log.ref_R_GI, reference_velocity(log)
     yaw = np.unwrap(np.arctan2(R[:, 1, 0], R[:, 0, 0]))
     c, s = np.cos(yaw), np.sin(yaw)
@@ -169,7 +175,7 @@ def body_twists(log: Log) -> np.ndarray:
 
 
 def moving(log: Log) -> np.ndarray:
-    """Rows (N,) at which the base moves, the reference smoothed over half a second."""
+    """Rows (N,) at which the base moves, by the reference averaged over half a second."""
     v = reference_velocity(log)
     n = max(1, round(0.5 * log.rate))
     smooth = np.stack([np.convolve(v[:, a], np.full(n, 1 / n), "same") for a in range(2)])
@@ -177,9 +183,10 @@ def moving(log: Log) -> np.ndarray:
 
 
 def strides(t: np.ndarray, stands: np.ndarray) -> np.ndarray:
-    """Times (K, 3) [s] of each stride of a foot: it lands, lifts, lands again; pauses are left out.
+    """Times (K, 3) [s] of each stride of a foot: touchdown, lift-off, next touchdown. Pauses are
+    left out.
 
-    t (N,) [s]; stands (N,) bool. A foot that bounces has not lifted.
+    t (N,) [s]; stands (N,) bool. A bounce is no lift-off.
     """
     first, end = stances_between_swings(t, stands)
     # A stance that the log begins with landed before.
@@ -189,6 +196,6 @@ def strides(t: np.ndarray, stands: np.ndarray) -> np.ndarray:
 
 
 def _period(log: Log) -> float | None:
-    """Median time [s] between touchdowns of one leg, None where there are none."""
+    """Median time between touchdowns of a leg [s]; None without touchdowns."""
     each = np.concatenate([strides(log.t, stands) for stands in log.contact.T])
     return float(np.median(each[:, 2] - each[:, 0])) if len(each) else None

@@ -1,6 +1,6 @@
-"""A walk of hours in the memory of minutes: simulated, sensed and given piece by piece.
+"""Long walks, simulated and recorded in pieces with the memory of one piece.
 
-The rows are those of a walk that is made whole.
+The rows are equal to those of a walk simulated at once.
 """
 
 from collections import Counter
@@ -18,11 +18,11 @@ from surefoot.sim.walk import PIECE_TICKS, SETTLING_TIME, STEPS_PER_TICK, Plan, 
 
 _AT_ONCE = 1 << 20
 LONG_WALK = 1800.0
-"""s. A longer walk is made in pieces: whole it would take gigabytes."""
+"""Duration from which a walk is simulated in pieces [s]; at once it would take gigabytes."""
 
 
 def needs_whole(made: Plan) -> str:
-    """Why a walk cannot be made in pieces, in words; empty where it can."""
+    """Why a walk cannot be simulated in pieces; "" if it can."""
     altering = [
         effect.name
         for effect in made.effects
@@ -42,9 +42,10 @@ def needs_whole(made: Plan) -> str:
 def walk_in_pieces(
     made: Plan, progress: Callable[[float], None] | None = None, ticks: int = PIECE_TICKS
 ) -> Iterator[pd.DataFrame]:
-    """The rows of the planned walk's log in turn, as `sim.walk.record` gives them of all.
+    """Yield the rows of the planned walk's log, equal to those of `sim.walk.record`, in pieces.
 
-    Raises Fallen behind the last row before a fall, and SurefootError where `needs_whole` says why.
+    Raises Fallen after the last row before a fall, and SurefootError with the reason of
+    `needs_whole`.
 
     Args:
         made: the plan.
@@ -71,7 +72,9 @@ def walk_in_pieces(
 
 
 def _rate(settled: int, rows: int) -> float:
-    """`rate_of` the log's stamps, which rounding makes a few bits uneven, without all of them."""
+    """`rate_of` the whole log's stamps, which rounding makes slightly uneven, without computing
+    them all.
+    """
     counts: Counter[float] = Counter()
     for first in range(0, rows - 1, _AT_ONCE):
         steps = np.arange(first, min(first + _AT_ONCE, rows - 1) + 1) + settled + 1

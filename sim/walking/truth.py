@@ -1,4 +1,6 @@
-"""What only a simulation knows: the speed of each loaded foot over the ground, and its friction."""
+"""Truth of a simulation: the speed of each loaded foot over the ground, and the friction under
+it.
+"""
 
 import numpy as np
 
@@ -18,13 +20,13 @@ from surefoot.sim.sensors.streams import Motion
 
 LOADED = 0.02  # of the robot's weight, on one foot
 SLIPPING = 0.05
-"""m/s, speed over the ground from which a loaded foot counts as slipping."""
+"""Speed over the ground from which a loaded foot slips [m/s]."""
 
 
 def foot_truth(motion: Motion, robot: Robot, ground: Ground) -> tuple[np.ndarray, np.ndarray]:
-    """Per row and leg: speed of the loaded foot's contact point over the ground [m/s], and mu.
+    """Speed of each loaded foot's contact point over the ground [m/s], and mu, per row and leg.
 
-    A rolling foot does not slip: the speed is that of its contact point, not of its centre.
+    A rolling foot does not slip, since its contact point does not move over the ground.
     """
     bases = BaseMotion(motion.p_GB[1:], motion.R_GB[1:], motion.v_GB[1:], motion.w_B[1:])
     q, dq = motion.q[1:], motion.dq[1:]
@@ -40,14 +42,16 @@ def foot_truth(motion: Motion, robot: Robot, ground: Ground) -> tuple[np.ndarray
 
 @kernel(nogil=True)
 def _soles(legs, height_map, radius, bases, q, dq, slid, slid_rate):
-    """Speeds (N, 4) along the ground of the feet's contact points, and these points (N, 4, 2).
+    """Speeds (N, 4) of the feet's contact points along the ground, and the positions of these (N,
+    4, 2).
 
     Args:
         legs, height_map, radius: of robot and ground, radius (4,) [m]; legs.foot is scratch.
         bases: a BaseMotion of N rows.
         q, dq: (N, 12) rad, rad/s.
-        slid, slid_rate: (N, 4, 3) m, m/s: how far feet are from their places on their links, in
-            the links' frames; no row where they are fixed.
+        slid, slid_rate: displacement of the feet relative to their links, in the links' frames, and
+            its
+            rate (N, 4, 3) [m, m/s]; empty if they are fixed.
     """
     p, R, v, w = bases
     n = len(p)
