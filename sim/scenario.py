@@ -159,8 +159,8 @@ def drawn(scenario: Scenario, rng: np.random.Generator) -> DrawnScenario:
 
 
 def _on(patch: Patch, layer: Layer) -> bool:
-    """Whether a patch overlaps a layer of heights; always for rough strips, whose lattice is the same
-    everywhere.
+    """Whether a patch overlaps a layer of heights; always for rough strips, which share a
+    lattice.
     """
     if isinstance(layer, Strip):
         return True
