@@ -1,1 +1,1 @@
-"""The loop closed: a trace, its report, and what the effect found does to simulation."""
+"""Traces of measured logs, their reports, and the simulation of the effects found."""

@@ -1,4 +1,4 @@
-"""Figures of a trace: what is left over before and after, and which effect would explain it."""
+"""Figures of a trace: residuals before and after, and the gain of each candidate."""
 
 from collections.abc import Collection, Mapping
 from math import ceil
@@ -19,8 +19,9 @@ def residuals(
     """RMS residual of each channel before and after, with its noise floor, each in its own unit.
 
     Args:
-        channels: name -> {"before", "after", "noise_floor", "unit"}, as in trace.json, and
-            "label", what to call it instead of its name; a value may be None where it is not known.
+        channels: name -> {"before", "after", "noise_floor", "unit"}, as in trace.json, and "label",
+            to
+            print instead of the name; a value may be None if unknown.
         title: above the figure.
     """
     rows = max(1, ceil(len(channels) / _COLUMNS))
@@ -58,14 +59,14 @@ def candidate_gains(
     title: str = "What each candidate effect, alone, would explain of the residual",
     at_most: int = 15,
 ) -> Figure:
-    """Bars of held-out gain by candidate, the best first, the chosen ones in colour.
+    """Bars of the held-out gain of each candidate, the best first, with the chosen ones in colour.
 
     Args:
         gains: effect -> gain (1 explains all, below 0 makes it worse), or (gain, low, high)
             with the ends of its interval.
-        chosen: the effects that entered the model.
+        chosen: the effects that were added to the model.
         title: above the figure.
-        at_most: bars drawn; the axis says how many candidates there are.
+        at_most: number of bars; the axis states the number of candidates.
     """
     values = {name: np.atleast_1d(np.asarray(g, dtype=float)) for name, g in gains.items()}
     order = sorted(values, key=lambda name: -values[name][0])

@@ -1,4 +1,4 @@
-"""How much the effects found change each filter: run without them in the model, then with them."""
+"""Influence of the effects found on each filter: its errors without and with them in the model."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -35,15 +35,15 @@ REPORTED = (
     "nees_attitude",
 )
 DEAD_RECKONING = "dead_reckoning"
-"""Listed among the filters: leg odometry alone, integrated with the reference's attitude."""
+"""Listed among the filters: leg odometry, integrated with the reference's attitude."""
 
 
 @dataclass(frozen=True)
 class BeforeAfter:
-    """One filter on one stretch of a log: by the declared model, and with the effects compensated.
+    """One filter on a part of a log, with the declared model and with the effects compensated.
 
     Pairs are (before, after). drift: error of the last position over the length of the path [m/m].
-    lost: why the estimate should not be trusted; empty where it can be.
+    lost: why the estimate should not be trusted; "" if it can be.
     """
 
     filter: str
@@ -58,19 +58,20 @@ class BeforeAfter:
 def before_and_after(
     log: Log, robot: Robot, effects: Sequence[Effect], learnt: Learnt, begin: float, end: float
 ) -> list[BeforeAfter]:
-    """Run every filter for which log and `learnt` suffice on one stretch, without and with effects.
+    """Run every filter for which log and `learnt` suffice on a part of a log, without and with
+    effects.
 
-    Filters start from the reference at the stretch's first row. Empty where the stretch is too
-    short. The whole log is compensated before it is cut, since the size of some effects depends on
-    the time since the log began.
+    Filters start from the reference at the part's first row. Returns nothing if the part is too
+    short. The whole log is compensated before the part is taken, since some effects depend on the
+    time since the log began.
 
     Args:
         log: the measured log.
         robot: as declared.
         effects: to compensate.
         learnt: observers and bounds.
-        begin: of the stretch, in the log's time [s].
-        end: of the stretch [s].
+        begin: of the part, in the log's time [s].
+        end: of the part [s].
     """
     compensated, corrected = compensate_all(effects, log, robot)
     plain_part, compensated_part = stretch(log, begin, end), stretch(compensated, begin, end)
@@ -101,14 +102,14 @@ def before_and_after(
 def _compared(
     name: str, log: Log, truth: Trajectory, before: Trajectory, after: Trajectory
 ) -> BeforeAfter:
-    """Both estimates against the reference.
+    """Compare both estimates with the reference.
 
     Args:
         name: of the filter.
-        log: the stretch.
+        log: the part of the log.
         truth: its reference.
-        before: estimate by the declared model.
-        after: estimate with the effects.
+        before: estimate with the declared model.
+        after: estimate with the effects compensated.
     """
     metrics = evaluate(truth, before), evaluate(truth, after)
     drifts = drift(truth, before), drift(truth, after)
@@ -116,8 +117,9 @@ def _compared(
 
 
 def drift(truth: Trajectory, estimate: Trajectory) -> float:
-    """Error of the last position after aligning the first poses, over the path's length [m/m]; NaN
-    of a path shorter than the segments of the relative error: who sways has gone nowhere."""
+    """Error of the last position, after aligning the first poses, over the path's length [m/m]. NaN
+    for a path shorter than the segments of the relative error, such as that of a swaying robot.
+    """
     truth, estimate = matched(truth, estimate)
     off = align_first(truth, estimate).p_GI[-1] - truth.p_GI[-1]
     length = path_length(truth.t, truth.p_GI)
@@ -125,8 +127,9 @@ def drift(truth: Trajectory, estimate: Trajectory) -> float:
 
 
 def dead_reckoned(log: Log, robot: Robot) -> Trajectory:
-    """Leg odometry: the mean velocity by the standing feet, turned by the reference's attitude and
-    integrated. While no foot stands, the last velocity in the IMU's frame is held."""
+    """Leg odometry: the mean velocity by the standing feet, rotated by the reference's attitude and
+    integrated. While no foot stands, the last velocity in the IMU's frame is held.
+    """
     R_GI, stands = log.ref_R_GI, log.contact
     omega = log.gyro if log.has("imu") else np.zeros((len(log.t), 3))
     v_I = leg_velocity(robot, log.q, joint_velocity(log), omega, R_GI[:, 2], stands)
@@ -140,7 +143,7 @@ def dead_reckoned(log: Log, robot: Robot) -> Trajectory:
 
 
 def filtered(name: str, log: Log, robot: Robot, learnt: Learnt) -> Trajectory:
-    """One filter's estimate over a log, up to where it diverged.
+    """One filter's estimate over a log, until it diverged.
 
     Raises SurefootError naming what the log or `learnt` lacks for it.
     """
@@ -150,15 +153,15 @@ def filtered(name: str, log: Log, robot: Robot, learnt: Learnt) -> Trajectory:
 
 
 def doubts(name: str, log: Log, robot: Robot, estimate: Trajectory) -> str:
-    """Why a filter's estimate over a log should not be trusted; empty where it can be."""
+    """Why a filter's estimate over a log should not be trusted; "" if it can be."""
     run = [summary_of_run(estimate, log)]
     return health_of(run, estimator_named(name), robot, log).sentence(name)
 
 
 def stretch(log: Log, begin: float, end: float) -> Log | None:
-    """The log from its first row with a reference after `begin` [s] until `end` [s].
+    """The part of a log from the first row with a reference after `begin` [s] until `end` [s].
 
-    None where that is less than a second.
+    None if it is shorter than a second.
     """
     rows = np.flatnonzero((log.t >= begin) & (log.t <= end))
     good = rows[log.ref_ok[rows]]
@@ -169,7 +172,9 @@ def stretch(log: Log, begin: float, end: float) -> Log | None:
 
 
 def mean_metrics(stretches: Sequence[BeforeAfter]) -> dict[str, dict[str, dict[str, float]]]:
-    """Filter -> "before" or "after" -> metric (REPORTED and "drift") -> its mean over stretches."""
+    """Filter -> "before" or "after" -> metric (REPORTED and "drift") -> its mean over parts of
+    logs.
+    """
     means: dict[str, dict[str, dict[str, float]]] = {}
     for name in dict.fromkeys(one.filter for one in stretches):
         own = [one for one in stretches if one.filter == name]

@@ -1,6 +1,7 @@
 """The gait of simulated walks: the controller's plain one, or one measured on a real robot.
 
-The realism card decides, by which walks are more like the log; no filter's error enters.
+The one whose walks are more like the log, by the realism card, is chosen. No error of a filter is
+used.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,8 +21,8 @@ from surefoot.sim.robot import Robot
 class GaitChoice:
     """A choice between the two gaits.
 
-    walked: whether the measured gait was chosen; words: why; rows: of the chosen gait's realism
-    card, empty where the log is not enough for a card.
+    walked: whether the measured gait was chosen; words: the reason; rows: of the chosen gait's
+        realism card, empty if the log is too short for a card.
     """
 
     walked: bool
@@ -40,14 +41,15 @@ def choose_gait(
     seed: int,
     progress: Callable[[float], None] = lambda share: None,
 ) -> GaitChoice:
-    """Choose the gait whose realism card has more rows `like` than `unlike` the log's.
+    """Choose the gait by realism cards.
 
-    The score is the number of `like` less that of `unlike`; a tie goes to the plain gait.
+    The score of a card is its number of `like` rows minus that of `unlike` ones; on a tie the plain
+    gait is chosen.
 
     Args:
         log: the measured log.
         robot: as declared.
-        effects: that the simulated robot has.
+        effects: of the simulated robot.
         seed: of the walks.
         progress: called with the share done, 0 to 1.
     """

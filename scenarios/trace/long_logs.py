@@ -1,7 +1,7 @@
-"""Logs that are too long to be traced whole: twenty one-minute blocks stand for them.
+"""Logs too long to be traced as a whole, represented by twenty blocks of one minute.
 
-Each block counts as a run of its own, so that zeros and clocks, which drift within hours, are
-fitted to each. A file is read in pieces, in the memory of a few blocks.
+Each block is treated as a separate run: zeros and clocks, which drift within hours, are fitted to
+each. A file is read in pieces, with the memory of a few blocks.
 """
 
 from collections.abc import Iterable, Iterator
@@ -16,7 +16,7 @@ from surefoot.sim.log import Log, LogReader
 TRACED_BLOCKS = 20
 """Number of blocks, spread evenly from the first row to the last."""
 TRACED_BLOCK = 60.0
-"""s, duration of a block."""
+"""Length of a block [s]."""
 
 
 def in_blocks(log: Log) -> list[Log]:
@@ -25,9 +25,9 @@ def in_blocks(log: Log) -> list[Log]:
 
 
 def read_in_blocks(path: str | Path) -> list[Log]:
-    """The log of a file, or its blocks if it is longer than all of them together.
+    """Read a log from a file, or its blocks if it is longer than all of them together.
 
-    Raises LogError, one line with file, column and row, at the first fault anywhere in the file.
+    Raises LogError, in one line with file, column and row, at the first fault anywhere in the file.
     """
     reader = LogReader(path)
     seconds = TRACED_BLOCK if _is_long(reader.rows, reader.meta.rate) else np.inf
@@ -35,7 +35,7 @@ def read_in_blocks(path: str | Path) -> list[Log]:
 
 
 def note_on_blocks(logs: Iterable[list[Log]]) -> tuple[str, ...]:
-    """A sentence if any of the logs, each given by its blocks, was cut."""
+    """A sentence if any of the logs, each given by its blocks, was divided."""
     cut = [blocks for blocks in logs if len(blocks) > 1]
     if not cut:
         return ()
@@ -48,7 +48,9 @@ def note_on_blocks(logs: Iterable[list[Log]]) -> tuple[str, ...]:
 
 
 def _blocks(pieces: Iterable[Log], rate: float, rows: int) -> list[Log]:
-    """The blocks of a log of so many rows, from its consecutive pieces; a short log's one piece."""
+    """The blocks of a log of so many rows, from its consecutive pieces; for a short log, its
+    only piece.
+    """
     if not _is_long(rows, rate):
         return list(pieces)
     length = _rows(rate)

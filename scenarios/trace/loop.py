@@ -1,11 +1,12 @@
-"""Close the loop: trace a measured log, simulate with what was found, train anew, estimate again.
+"""Close the loop: trace a measured log, simulate the effects found, train observers, estimate
+again.
 
 Up to three worlds are simulated. In `before` the robot is as declared. In `effects` it also has the
-effects that the trace found. In `after` it also walks in the measured gait; where the plain gait is
-more like the log, `after` has the effects alone and there is no `effects`.
+effects that the trace found. In `after` it has them and walks in the measured gait. If the plain
+gait is more like the log, `after` has the effects only, and there is no `effects`.
 
 In each world the robot walks in the style of the measured log (`sim.walking.imitation`), observers
-are trained and calibrated on those walks alone, and every filter estimates the measured log with
+are trained and calibrated on these walks only, and every filter estimates the measured log with
 that world's model and observers.
 """
 
@@ -66,12 +67,12 @@ def loop(
     holdout: Sequence[Log] = (),
     page: Path | None = None,
 ) -> tuple[pd.DataFrame, tuple[LoopWorld, ...]]:
-    """Close the loop on one log into `out`; a run that was killed goes on where it stopped.
+    """Close the loop on one log and write the results into `out`; a killed run resumes.
 
-    Returns the table, one row a filter with each metric in each world, and the worlds: `before`
-    alone where nothing was found and the plain gait is the better one. Raises LogError where the
-    log lacks IMU, joints or reference, and SurefootError where `out` holds another loop's files and
-    `force` is not given.
+    Returns the table, with one row per filter and each metric in each world, and the worlds: only
+        `before` if no effect was found and the plain gait is better. Raises LogError if the log
+        lacks IMU, joints or reference, and SurefootError if `out` has files of another loop and
+        `force` is not given.
 
     Args:
         log: the measured log.
@@ -79,11 +80,12 @@ def loop(
         out: folder.
         seed: of trace, walks and training.
         force: whether the files of another loop may be replaced.
-        plan: how much to walk and train.
+        plan: amount of walks and training.
         declared: effects that belong to the model, beyond those that the log declares; the trace
             then asks what has changed since (see `trace`).
-        holdout: logs of the same machine that no fit sees, on which what was found is judged.
-        page: page of results (Markdown) to write as well.
+        holdout: logs of the same machine, on which the effects found are evaluated and nothing is
+            fitted.
+        page: page of results (Markdown) to write too.
     """
     check_seed(seed)
     log.require("imu", "q", "reference")
@@ -132,9 +134,9 @@ def loop(
 
 
 def inputs_of(log: Log) -> str:
-    """Inputs of an observer for this log: feet by leg odometry, and torques where it has them.
+    """Inputs of an observer for this log: leg odometry of the feet and, if available, torques.
 
-    Leg odometry by the declared model transfers from simulation to the robot better than joint
+    Leg odometry with the declared model transfers better from simulation to the robot than joint
     angles do.
     """
     return "tau,feet" if log.has("tau") else "feet"
@@ -148,7 +150,7 @@ def _traced(
     declared: Sequence[Effect] | None,
     holdout: Sequence[Log],
 ) -> tuple[Effect, ...]:
-    """The effects found on the log, and its own zeros and clocks; traced unless that was done.
+    """The effects found on the log, and its own zeros and clocks; traced unless already done.
 
     Args:
         log: the measured log.
@@ -156,7 +158,7 @@ def _traced(
         out: folder of the trace.
         seed: of the trace.
         declared: effects already in the model (see `trace`).
-        holdout: logs that no fit sees.
+        holdout: logs on which nothing is fitted.
     """
     if not (out / "trace.json").exists():
         with percent_bar("trace") as progress:
@@ -180,12 +182,12 @@ def _traced(
 
 
 def _gait(log: Log, robot: Robot, effects: Sequence[Effect], kept: Path, seed: int) -> GaitChoice:
-    """The gait of the simulated walks; chosen unless that was done.
+    """The gait of the simulated walks; chosen unless already done.
 
     Args:
         log: the measured log.
         robot: as declared.
-        effects: that the simulated robot has.
+        effects: of the simulated robot.
         kept: file of the choice.
         seed: of the walks that are compared.
     """
@@ -199,7 +201,7 @@ def _gait(log: Log, robot: Robot, effects: Sequence[Effect], kept: Path, seed: i
 def _compensated(log: Log, robot: Robot, effects: Sequence[Effect]) -> tuple[Log, Robot]:
     """The measured log and the robot with the effects compensated, and with joint rates.
 
-    The log declares no effects any more, so that nothing compensates them twice.
+    The log no longer declares any effects, so that none is compensated twice.
     """
     declaring = replace(log, meta=replace(log.meta, effects=tuple(e.as_dict() for e in effects)))
     compensated, model = declared_model(declaring, robot)
@@ -217,19 +219,19 @@ def _learnt(
     seed: int,
     plan: TrainingPlan,
 ) -> tuple[Learnt, ErrorParts]:
-    """Observers and bounds from walks of a robot with the effects; trained unless that was done.
+    """Observers and bounds from walks of a robot with the effects; trained unless already done.
 
-    Beside them, the parts of the observer's errors on the simulated walk of the calibration.
+    Also returns the parts of the observer's errors on the simulated walk of the calibration.
 
     Args:
         style: of the measured walk.
-        log: the measured log, whose columns decide what the observers read.
+        log: the measured log, whose columns determine the observers' inputs.
         robot: as declared.
-        effects: that the simulated robot has.
+        effects: of the simulated robot.
         gait: of the walks.
         out: folder of this world.
         seed: of walks and training.
-        plan: how much to walk and train.
+        plan: amount of walks and training.
     """
     done = out / "done"
     if not done.exists():
@@ -258,7 +260,7 @@ def _from_measured(
         robot: with the effects compensated.
         kept: file of the result.
         seed: of the training.
-        plan: how much to train.
+        plan: amount of training.
     """
     if not kept.exists():
         try:

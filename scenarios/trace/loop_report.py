@@ -1,4 +1,4 @@
-"""The files that `surefoot loop` writes: tables, a report, a page of results and a recording."""
+"""Output files of `surefoot loop`: tables, a report, a page of results and a recording."""
 
 import json
 from collections.abc import Sequence
@@ -48,11 +48,11 @@ LOOP_METRICS = {
 
 @dataclass(frozen=True)
 class LoopWorld:
-    """One simulated world of the loop, and the measured log estimated with what was learnt in it.
+    """One simulated world of the loop, and the estimates of the measured log with its observers.
 
-    name: "before", "effects" or "after"; effects: of the robot in it; learnt: observers and bounds
-    from its walks; comparison: every filter on the measured log; simulated: parts of the observer's
-    errors on a simulated walk that it was not trained on.
+    name: "before", "effects" or "after"; effects: of the simulated robot; learnt: observers and
+        bounds from its walks; comparison: every filter on the measured log; simulated: parts of the
+        observer's errors on a simulated walk that it was not trained on.
     """
 
     name: str
@@ -83,10 +83,10 @@ def write_loop(
         robot: as declared.
         worlds: `before` first.
         out: folder.
-        gait: of the last world's walks, and why.
+        gait: of the last world's walks, and the reason for it.
         trained_on_measured: RMS errors (3,) [m/s] of observers trained on the measured walk itself,
             or why there are none.
-        page: page of results to write as well.
+        page: page of results to write too.
     """
     table = pd.DataFrame(_rows(worlds))
     for name, text in (("table.md", to_markdown(table) + "\n"), ("table.csv", to_csv(table))):
@@ -123,7 +123,9 @@ def _of_observers(
     measured: dict[str, ErrorParts],
     trained_on_measured: list[float] | str,
 ) -> list[Section]:
-    """The observers' errors in simulation and on the measured walk, and their bounds' coverage."""
+    """Sections on the observers' errors, in simulation and on the measured walk, and on the
+    coverage of their bounds.
+    """
     words = (
         "Root mean square [m/s] of the mse observer's errors while the robot moves, forward, "
         "lateral, vertical; half the width of its bounds; the share of errors within them. "
@@ -189,7 +191,7 @@ def _three(values: Sequence[float] | np.ndarray) -> str:
 
 
 def _of_trace(found: dict[str, Any]) -> list[Section]:
-    """What a trace.json says of its channels, as sections of the loop's report."""
+    """Sections on the channels of a trace.json."""
     words = "".join(f"Since {why}.\n\n" for why in found["reasons"])
     whole = Section("The trace", f"{words}All of it: trace/report.html.")
     words = "On the end of the log, which no fit has seen."
@@ -250,7 +252,7 @@ def _summary(world: LoopWorld, measured: ErrorParts) -> dict[str, Any]:
 
 
 def _trajectories(worlds: Sequence[LoopWorld]) -> dict[str, Trajectory]:
-    """Estimates of the first world and of the last, for the pictures."""
+    """Estimates of the first and the last world, for the figures."""
     ends = {worlds[0].name: worlds[0], worlds[-1].name: worlds[-1]}
     return {
         f"{r.filter} {world.name}": r.trajectory

@@ -1,6 +1,7 @@
-"""Split an observer's velocity errors into parts: a constant, with the motion, slow, fast, ...
+"""Parts of an observer's velocity errors: a constant, a part linear in the motion, slow and fast
+ones.
 
-The loop prints the parts on a measured walk beside those in simulation.
+The loop reports the parts on a measured walk and in simulation.
 """
 
 from dataclasses import dataclass
@@ -20,10 +21,11 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.walking.imitation import moving
 
 _SLOW, _FAST = 1.0, 0.2
-"""s, lengths of the running means that give the slow part and the part from stride to stride: two
-strides of a trot, and less than half of one."""
+"""Lengths of the running means [s] that give the slow part and the part from stride to stride: two
+strides of a trot, and less than half of one.
+"""
 STRIDE_BINS = 5 * len(QUARTERS)
-"""Bins of a stride's phase."""
+"""Number of bins of a stride's phase."""
 _STANDING = "standing"
 ERROR_PARTS = {
     "constant": "the mean",
@@ -33,7 +35,7 @@ ERROR_PARTS = {
     "from stride to stride": f"a running mean over {_FAST:g} s of what is left then",
     "fast": "the rest",
 }
-"""Parts of the errors while the robot moves, each taken of what those before it leave over."""
+"""Parts of the errors while the robot moves, each of what the parts before it leave."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,9 @@ class ErrorParts:
     rms: dict[str, list[float]]
 
     def table(self, other: "ErrorParts") -> list[dict[str, object]]:
-        """A row a part: these errors as the simulated ones, `other` as the measured ones."""
+        """One row for each part: these errors as the simulated ones, `other` as the measured
+        ones.
+        """
         rows = []
         for name, simulated in self.rms.items():
             row: dict[str, object] = {"part": name}
@@ -60,7 +64,7 @@ class ErrorParts:
     def excess(self, measured: "ErrorParts") -> dict[str, float]:
         """Share of each of ERROR_PARTS in the excess of the measured squared errors over these.
 
-        All axes together, largest share first; a part that is not larger when measured has 0.
+        Over all axes, largest share first; a part that is not larger when measured has 0.
         """
         beyond = {
             name: max(0.0, float(np.sum(np.square(measured.rms[name]) - np.square(self.rms[name]))))
@@ -74,7 +78,7 @@ class ErrorParts:
 def error_parts(observer: Observer, log: Log, robot: Robot | None = None) -> ErrorParts:
     """Parts of an observer's errors on a log, in the frame of its IMU.
 
-    robot: the model of the log's robot; Robot.for_log where left out.
+    robot: the model of the log's robot; by default Robot.for_log.
     """
     rows, errors = prediction_errors(observer, log, robot)
     moves = moving(log)[rows]

@@ -99,8 +99,8 @@ def unexplained_in_words(found: Trace) -> list[str]:
 
 
 def beyond_bounds(found: Trace) -> list[str]:
-    """The two effects that would explain most of what is left, but with sizes that this kind of
-    effect cannot have, one line each; none where the trace explains the log.
+    """The two effects that would explain most of the remaining residual, but only with impossible
+    sizes, one line each; none if the trace explains the log.
     """
     if found.verdict != "none_of_these" or found.attribution is None:
         return []
