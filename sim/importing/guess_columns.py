@@ -148,7 +148,7 @@ def _joint_columns(file: RecordedFile, machine: Machine | None, commands: bool) 
     found = {
         name: one
         for name, one in _of(file, "q", "dq", "tau").items()
-        if not (one.axis or one.reference or (one.leg and one.leg in poses))
+        if one.joint or not (one.axis or one.reference or (one.leg and one.leg in poses))
     }
     raw = {(one.kind, one.commanded) for one in found.values() if not one.filtered}
     found = {
@@ -156,10 +156,10 @@ def _joint_columns(file: RecordedFile, machine: Machine | None, commands: bool) 
         for name, one in found.items()
         if not (one.filtered and (one.kind, one.commanded) in raw)
     }
-    named = any(one.part or one.leg for one in found.values() if one.kind == "q")
+    named = any(one.part or one.leg or one.joint for one in found.values() if one.kind == "q")
     joints: _Joints = {}
     for name, one in found.items():
-        if named and not (one.part or one.leg):
+        if named and not (one.part or one.leg or one.joint):
             continue
         kind = one.kind
         if one.commanded or commands:
@@ -177,6 +177,8 @@ def _joint_of(
 ) -> tuple[str, _JointColumn]:
     """The joint of a column, among all `found` columns of joints."""
     one = found[name]
+    if one.joint:
+        return one.joint, _JointColumn(name, "")
     leg = _leg(one.leg, {n.leg for n in found.values() if n.leg})
     alike = [n for n in found.values() if n.kind == one.kind and n.commanded == one.commanded]
     if leg:

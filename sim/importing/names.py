@@ -91,6 +91,7 @@ class Named:
         leg: FL, FR, RL, RR, left or right.
         written: the leg as written in the name.
         part: the joint's name without the leg's; hip, thigh or calf for FL to RR.
+        joint: of the robot's file, where its name occurs.
         place: index in a list.
         limb: number of the leg.
         axis: of a vector.
@@ -104,6 +105,7 @@ class Named:
     leg: str = ""
     written: str = ""
     part: str = ""
+    joint: str = ""
     place: int | None = None
     limb: int | None = None
     axis: str = ""

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from surefoot.sim.importing.names import Named, by_their_legs, read_name
 from surefoot.sim.importing.recording import is_bag, is_text, read_table
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.table import RecordedTable, column_readings, columns_of
+from surefoot.sim.log.schema import JOINTS
 from surefoot.sim.robot.fixed_base import Machine
 
 _RATES = (8.0, 5000.0)
@@ -161,7 +162,7 @@ def column_of_times(columns: Mapping[str, np.ndarray], names: Mapping[str, Named
 
 
 def _names(columns: Iterable[str], machine: Machine | None) -> dict[str, Named]:
-    return by_their_legs({name: read_name(_in_our_words(name, machine)) for name in columns})
+    return by_their_legs({name: _read(name, machine) for name in columns})
 
 
 def _by_clock(columns: Mapping[str, np.ndarray]) -> list[dict[str, np.ndarray]]:
@@ -190,13 +191,32 @@ def _plain(text: str) -> str:
     return re.sub(r"[^A-Za-z0-9_-]+", "_", text)
 
 
+def _read(name: str, machine: Machine | None) -> Named:
+    """Interpret a name in which a joint of the robot's file may occur.
+
+    Words of the joint's own name say nothing about the column: "wrist_rotation_joint_effort".
+    """
+    for joint in sorted(machine.limbs.joints if machine else (), key=len, reverse=True):
+        alone = _alone(joint)
+        if joint not in JOINTS and re.search(alone, name, re.IGNORECASE):
+            rest, whole = read_name(re.sub(alone, " ", name, flags=re.IGNORECASE)), read_name(name)
+            if (found := rest if rest.kind else whole).kind in ("q", "dq", "tau"):
+                return replace(found, joint=joint, leg=whole.leg)
+    return read_name(_in_our_words(name, machine))
+
+
+def _alone(word: str) -> str:
+    """A pattern for a word that is not a part of another."""
+    return rf"(?<![A-Za-z0-9]){re.escape(word)}(?![A-Za-z0-9])"
+
+
 def _in_our_words(name: str, machine: Machine | None) -> str:
     """Replace the joint's name of the robot's file in a column's name by ours."""
     if machine is None:
         return name
     both = zip(machine.joint_names, machine.limbs.joints, strict=True)
     for theirs, ours in sorted(both, key=lambda pair: -len(pair[0])):
-        alone = rf"(?<![A-Za-z0-9]){re.escape(theirs)}(?![A-Za-z0-9])"
+        alone = _alone(theirs)
         if theirs != ours and re.search(alone, name, re.IGNORECASE):
             return re.sub(alone, ours, name, flags=re.IGNORECASE)
     return name

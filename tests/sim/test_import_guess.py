@@ -301,6 +301,36 @@ def test_joints_are_known_by_the_names_of_the_robots_file(tmp_path, walked):
     np.testing.assert_allclose(log.ref_p, walked.ref_p[::5], atol=1e-9)
 
 
+def test_the_joints_of_an_arm_are_those_of_its_file(tmp_path):
+    """Words of their own names, such as "rotation" and "lift", say nothing about a column."""
+    joints = ["torso_lift_joint", "arm_1_joint", "wrist_rotation_joint"]
+    link = (
+        '<link name="l{}"><inertial><mass value="1"/><inertia ixx=".1" iyy=".1" izz=".1" '
+        'ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    )
+    text = link.format(0)
+    for k, joint in enumerate(joints):
+        text += (
+            f'<joint name="{joint}" type="revolute"><parent link="l{k}"/><child link="l{k + 1}"/>'
+            '<limit lower="-1" upper="1" effort="9" velocity="9"/><axis xyz="0 1 0"/></joint>'
+        ) + link.format(k + 1)
+    arm = tmp_path / "arm.urdf"
+    arm.write_text(f'<robot name="arm">{text}</robot>')
+    t = 0.01 * np.arange(1000)
+    files = []
+    for kind, wave in (("position", np.sin), ("velocity", np.cos), ("effort", np.cos)):
+        columns = {f"- {joint}_{kind}": wave(t + k) for k, joint in enumerate(joints)}
+        files.append(tmp_path / f"{kind}.csv")
+        pd.DataFrame({"t": t} | columns).to_csv(files[-1], index=False)
+    found = drafted(guess_map(files, str(arm)))
+    label = {"position": "", "velocity": "velocity:", "effort": "effort:"}
+    assert {name: column for name, (column, *_) in found.items()} == {"t": "t"} | {
+        f"{ours}_{joint}": f"{label[kind]}- {joint}_{kind}"
+        for ours, kind in (("q", "position"), ("dq", "velocity"), ("tau", "effort"))
+        for joint in joints
+    }
+
+
 def test_a_file_of_which_nothing_is_used_is_asked_about(tmp_path):
     t = 0.01 * np.arange(200)
     pd.DataFrame({"time": t, "angle_knee": np.sin(t)}).to_csv(tmp_path / "run.csv", index=False)
