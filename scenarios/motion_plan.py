@@ -172,9 +172,9 @@ def plan_text(found: dict[Key, dict[str, Shown]]) -> str:
     record = [f"{name}, {np.ceil(s):.0f} s" for name, s in recordings_to_make(found).items()]
     return (
         f"{to_markdown(motion_table(found))}\n\n"
-        f"record at least: {'; '.join(record) or 'none of these motions shows any of them'}\n\n"
-        "seconds: of that motion, until the deviation of the effect's size is a tenth of what 19 "
-        "of 20 machines stay below, all other effects unknown too. hidden by: the effect whose "
-        "size errs with it. Simulated, with noise of single readings alone: take several times as "
-        "long."
+        f"record at least: {'; '.join(record) or 'none of these motions reveals any of them'}\n\n"
+        "seconds: duration of the motion at which the standard deviation of the effect's size is a "
+        "tenth of the size that 19 of 20 machines stay below, with all other effects unknown too. "
+        "hidden by: the effect whose size has the most correlated error. These durations are from "
+        "simulation with independent noise only: record several times as long."
     )

@@ -53,7 +53,7 @@ SPACE = 4_000_000
 def guarded(name: str, command: Any) -> Iterator[None]:
     """Context in which the command has its output to itself and cannot overwrite its inputs.
 
-    Raises SurefootError where an input is missing, an output is an input or is being written by
+    Raises SurefootError if an input is missing, an output is an input or is being written by
     another run, the disk is full, or others can write to the cache.
     """
     given = {f.name: getattr(command, f.name) for f in fields(command)}
@@ -148,10 +148,10 @@ def _locked(lock: Path, out: Path) -> Iterator[None]:
 def how_to_go_on(name: str, written: Sequence[str] = ()) -> str:
     """Message of an interrupted command; written: outputs that already existed."""
     if written:
-        return f"interrupted; {', '.join(written)} was written already, --force makes it anew"
+        return f"interrupted; {', '.join(written)} was already written, --force replaces it"
     if name in GOES_ON:
-        return "interrupted; the same command goes on from what is done"
-    return "interrupted; nothing was written, the same command begins anew"
+        return "interrupted; run the same command to continue"
+    return "interrupted; nothing was written, the same command starts again"
 
 
 def plain_terminals() -> None:

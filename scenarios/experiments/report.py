@@ -48,9 +48,9 @@ from surefoot.sim.common.files import clear_debris, refuse_overwrite, whole_file
 
 PATHS = "Paths: "
 LEARNT = (
-    "Averages over the test sequences. inputs: what the observers read, q,dq,tau in the paper; "
-    "feet: leg odometry of the robot as drawn. method: how each axis' bound is calibrated, "
-    "conformal at gamma^(1/3), outer at its 99 % quantile."
+    "Averages over the test sequences. inputs: of the observers, q,dq,tau in the paper; feet is "
+    "leg odometry with the robot as drawn. method: of the calibration of each axis' bound, "
+    "conformal at gamma^(1/3) or outer at its 99 % quantile."
 )
 
 
@@ -87,7 +87,7 @@ def experiment(
     if seeds is not None:
         found = found.with_seeds(tuple(seed_range(seeds)))
     if (out / "report.html").exists() and not force:
-        raise SurefootError(f"-o {out}: holds a finished run; give --force to write it again")
+        raise SurefootError(f"-o {out}: has a finished run; give --force to write it again")
     for name in ("results.csv", "results.parquet", "averages.csv", "report.md", "report.html"):
         refuse_overwrite(out / name, force=True)
     folder = cache or out / "cache"
@@ -151,7 +151,7 @@ def report_sections(
     ]
     learnt = by_learning(rows, found)
     if len(learnt):
-        pages.append(Section("What observers read, and how bounds are calibrated", LEARNT, learnt))
+        pages.append(Section("Inputs of observers, and calibration methods", LEARNT, learnt))
     if found.published:
         pages += _published(found.published)
     pictures = _pictures(main, found.gammas[0])
@@ -161,8 +161,8 @@ def report_sections(
     swept = sweep(rows, found)
     if len(found.gammas) + len(found.sweep.gammas) > 1 and len(swept):
         picture = Picture(
-            gamma_sweep(swept, "How much γ matters, on average over the test sequences"),
-            "Each gamma has bounds calibrated for it; filters that use no bounds do not change.",
+            gamma_sweep(swept, "Influence of γ, on average over the test sequences"),
+            "Bounds are calibrated for each γ; filters without bounds do not depend on it.",
         )
         save_picture(picture, out / "figures" / "gamma.png")
         pages.append(Section("The level γ", "", swept, (picture,)))
@@ -186,8 +186,8 @@ def falls(outcome: Outcome, condition: str) -> str:
         return ""
     walks = "; ".join(f"{name} (seed {', '.join(own)})" for name, own in seeds.items())
     return (
-        f"The robot fell, so that there is nothing to estimate or to learn from: {walks}. What "
-        "learns from such a walk has no row under that seed."
+        f"The robot fell on these walks: {walks}. There is nothing to estimate or to learn from, "
+        "so filters that learn from such a walk have no row under that seed."
     )
 
 
@@ -216,8 +216,8 @@ def _sizes(condition: Condition) -> tuple:
 def _published(name: str) -> list[Section]:
     rows, both, note = published(name)
     text = (
-        f"{note}\n\nThe averages are given as printed and once more from the rows, since the two "
-        "need not agree. Simulated and real figures are not to be ranked with each other."
+        f"{note}\n\nThe averages are given as printed and as computed from the rows, since the two "
+        "do not always agree. Do not rank simulated and real figures against each other."
     )
     return [
         Section("The paper's own figures, of real robots", text, both),
@@ -231,22 +231,22 @@ def _pictures(main: pd.DataFrame, gamma: float) -> dict[str, Picture]:
     pictures = {
         "ape": Picture(
             by_sequence(shown, "APE_trans [m]", "Position error by sequence"),
-            "A dot a seed, the bar their mean; sequences in bold are those tested on.",
+            "One dot per seed; the bar is their mean. Test sequences are in bold.",
         ),
         "ape_rot": Picture(
             by_sequence(shown, "APE_rot [deg]", "Attitude error by sequence"),
-            "The same of attitude.",
+            "The same for the attitude.",
         ),
         "nees": Picture(
             by_sequence(shown, "NEES_pos", "Consistency: NEES of position", band),
-            "The grey band is within a factor of two of 3; to its right a filter is overconfident.",
+            "The grey band is within a factor of two of 3; right of it a filter is overconfident.",
         ),
     }
     if shown["coverage [%]"].notna().any():
         title = "Share of velocity errors within the bounds"
         pictures["coverage"] = Picture(
             by_sequence(shown, "coverage [%]", title, (100.0 * gamma, 100.0), log=False),
-            "Bounds are calibrated on one sequence, to hold at γ or more: the grey band.",
+            "Bounds are calibrated on one sequence to a coverage of γ or more: the grey band.",
         )
     return pictures
 
@@ -266,7 +266,7 @@ def _walks(outcome: Outcome, found: Experiment, out: Path) -> list[Section]:
             pictures.append(picture)
         if series:
             title = (
-                f"Distance from the truth, dashed: the filter's own three sigma; {condition.name}"
+                f"Distance from the truth; dashed: the filter's own three sigma; {condition.name}"
             )
             picture = Picture(errors_figure(series, title), "Errors over time.")
             save_picture(picture, out / "figures" / f"errors_{_slug(condition.name)}.png")

@@ -38,7 +38,7 @@ def write_calibration_report(
 ) -> list[Section]:
     """Write report.html, its tables (.md, .csv) and the mixing curve into a folder.
 
-    Raises SurefootError where a log does not match the observer.
+    Raises SurefootError if a log does not match the observer.
 
     Args:
         out: the folder.
@@ -77,8 +77,8 @@ def _pictures(bounds: Bounds) -> dict[str, Picture]:
     if bounds.mixing is not None:
         pictures["mixing"] = Picture(
             mixing_curve(bounds.mixing),
-            "Dependence of errors on earlier ones. Peaks that do not decay are the stride: under a "
-            "gait with a fixed period errors repeat with it, however far apart.",
+            "Dependence of errors on earlier ones. Peaks that do not decay come from the stride: "
+            "with a gait of fixed period, errors repeat in every stride.",
         )
     return pictures
 
@@ -102,9 +102,7 @@ def _sections(
     bounds = calibration.bounds
     sections = [
         Section("The bounds", _bounds_prose(bounds)),
-        Section(
-            "How far apart errors are taken", _mixing_prose(bounds), None, _only(pictures, "mixing")
-        ),
+        Section("Spacing of the errors", _mixing_prose(bounds), None, _only(pictures, "mixing")),
         Section("Methods", METHODS_PROSE, tables["methods"]),
     ]
     tests = [walk.errors for walk in others if walk.role == "test" and len(walk.errors)]
@@ -127,15 +125,15 @@ def _sections(
 
 
 METHODS_PROSE = (
-    "Each from the same errors, at the same joint level; the shape of a joint score "
-    "is fixed on the first quarter of the log and ranked on the rest. The filters' update takes a "
-    "box: of an ellipsoid the box around it, which holds at least as much and is wider than need "
-    "be. The mean over the test walks counts each walk once."
+    "All methods use the same errors and the same joint level. The shape of a joint score is "
+    "determined on the first quarter of the log, its size on the rest. The filters' update uses a "
+    "box; for an ellipsoid it is the enclosing box, which has at least its coverage and is wider "
+    "than necessary. In the mean over the test walks, each walk counts once."
 )
 CASES_PROSE = (
-    "All test walks together. Intervals count one error for each block of K samples in which the "
-    "case occurs; the worst walk is the one on which the case, occurring in five blocks at least, "
-    "is covered least."
+    "All test walks together. The intervals count one error for each block of K samples in which "
+    "the case occurs. The worst walk is the one with the lowest coverage of the case, of those "
+    "where it occurs in at least five blocks."
 )
 
 
@@ -143,10 +141,10 @@ def _bounds_prose(bounds: Bounds) -> str:
     x, y, z = bounds.epsilon
     sure = "" if bounds.confidence is None else f", with confidence {bounds.confidence:g}"
     return (
-        f"|error| <= {x:.4f}, {y:.4f}, {z:.4f} m/s (forward, lateral, vertical), all three with "
-        f"probability {bounds.gamma:g}{sure}: method {bounds.method}, {bounds.n} errors, "
-        f"{bounds.K} steps of 10 ms apart. The statement is about walks like {bounds.log}; the "
-        "tables below say what became of it elsewhere."
+        f"|error| <= {x:.4f}, {y:.4f}, {z:.4f} m/s (forward, lateral, vertical), jointly with "
+        f"probability {bounds.gamma:g}{sure}. They are from {bounds.n} errors, {bounds.K} steps of "
+        f"10 ms apart, by the method {bounds.method}. The statement is about walks like "
+        f"{bounds.log}; the tables below show the coverage on other walks."
     )
 
 
@@ -154,13 +152,13 @@ def _mixing_prose(bounds: Bounds) -> str:
     if bounds.mixing is None:
         return f"K = {bounds.K} was given."
     text = (
-        f"K = {bounds.K}: the first lag at which the beta-mixing coefficient of no axis is above "
-        f"{bounds.mixing.threshold:g}, the estimate's own floor taken off."
+        f"K = {bounds.K}: the first lag at which the beta-mixing coefficients of all axes, less "
+        f"the floor of their estimate, are at most {bounds.mixing.threshold:g}."
     )
     if not bounds.mixing.mixed:
         text += (
-            " No lag up to the longest comes down that far: K is where the coefficient is lowest, "
-            "and there are fewer independent errors than are counted."
+            " There is no such lag: K is that of the lowest coefficient, and fewer of the errors "
+            "are independent than are counted."
         )
     return text
 
@@ -168,18 +166,19 @@ def _mixing_prose(bounds: Bounds) -> str:
 def _shift_prose(tables: dict[str, pd.DataFrame]) -> str:
     found = tables["coverage"]
     lost = [] if "bounds" not in found else list(found.walk[found.bounds == "lost"])
-    verdict = f"Coverage is lost on {', '.join(lost)}." if lost else "Coverage is lost nowhere."
+    verdict = f"Coverage is lost on {', '.join(lost)}." if lost else "Coverage is lost on no walk."
     return (
-        f"{verdict} Lost: the whole 95 % interval lies below the level. The interval counts one "
-        "error for each K samples.\n\n"
-        "The alarm needs no truth: it watches the size of the filter's innovations, a second at a "
-        f"time, against those of the calibration. On a walk like that one it is raised with "
-        f"probability {FALSE_ALARM:g} at most. It tests likeness, not coverage.\n\n"
-        "Two ways to go on without truth. Widened: once the alarm is raised, bounds grow as "
-        "innovations have (by, the mean factor). Weighted: calibration errors count by how alike "
-        "the inputs are, with the volume relative to these bounds; no bound where the calibration "
-        "has too few seconds like this walk. Neither sees an error that stays the same and leaves "
-        "no mark on the inputs."
+        f"{verdict} Coverage is lost if the whole 95 % interval lies below the level. The interval "
+        "counts one error for each K samples.\n\n"
+        "The alarm needs no reference: it compares the size of the filter's innovations, second by "
+        "second, with that in the calibration. On a walk like that one it is raised with a "
+        f"probability of at most {FALSE_ALARM:g}. It tests whether walks are alike, not the "
+        "coverage.\n\n"
+        "Two remedies need no reference either. Widened: after the alarm, the bounds grow with the "
+        "innovations (by: the mean factor). Weighted: calibration errors are weighted by the "
+        "similarity of the inputs (volume: relative to these bounds); there are no bounds if the "
+        "calibration has too few seconds like this walk. Neither notices a persistent error that "
+        "does not affect the inputs."
     )
 
 

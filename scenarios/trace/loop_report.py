@@ -127,10 +127,10 @@ def _of_observers(
     coverage of their bounds.
     """
     words = (
-        "Root mean square [m/s] of the mse observer's errors while the robot moves, forward, "
-        "lateral, vertical; half the width of its bounds; the share of errors within them. "
-        "Recalibrated: bounds from the first half of the measured walk, and what they hold of the "
-        "second, which they have not seen."
+        "Errors of the mse observer while the robot moves (root mean square, forward, lateral, "
+        "vertical), half widths of its bounds, and the share of errors within them. Recalibrated: "
+        "bounds from the first half of the measured walk, and the share of the second half's "
+        "errors within them."
     )
     rows: list[dict[str, Any]] = []
     for world in worlds:
@@ -148,23 +148,24 @@ def _of_observers(
             }
         )
         words += (
-            "\n\nThe last row is an observer that has seen the robot: trained on one half of the "
-            "measured walk, judged on the other, each in turn. Where observers trained in "
-            "simulation err by more, the simulation lacks something; the rest cannot be learnt "
-            "from a walk as short as this one."
+            "\n\nThe last row is an observer trained on one half of the measured walk and "
+            "evaluated on the other, each in turn. If observers trained in simulation have larger "
+            "errors, the simulation lacks something. The remaining errors cannot be learnt from a walk as "
+            "short as this one."
         )
     last = worlds[-1]
     parts = (
-        f"Errors of the mse observer, {last.name}, root mean square [m/s]. Those while the robot "
-        "moves are the sum of the parts below: "
+        f"Errors of the mse observer in the world `{last.name}`, root mean square [m/s]. Those "
+        "while the robot moves are the sum of these parts: "
     )
     parts += "; ".join(f"{name}, {what}" for name, what in ERROR_PARTS.items()) + "."
     shares = last.simulated.excess(measured[last.name])
-    parts += "\n\nOf the squares that the measured errors have beyond the simulated ones, "
-    parts += ", ".join(f"{100 * x:.0f} % are {name}" for name, x in shares.items()) + "."
+    parts += "\n\nShare of each part in the excess of the measured squared errors over the "
+    parts += "simulated ones: "
+    parts += ", ".join(f"{name} {100 * x:.0f} %" for name, x in shares.items()) + "."
     return [
         Section("Observers, simulated and measured", words, pd.DataFrame(rows)),
-        Section("What the errors are made of", parts, last.simulated.table(measured[last.name])),
+        Section("Parts of the errors", parts, last.simulated.table(measured[last.name])),
     ]
 
 
@@ -192,13 +193,13 @@ def _three(values: Sequence[float] | np.ndarray) -> str:
 
 def _of_trace(found: dict[str, Any]) -> list[Section]:
     """Sections on the channels of a trace.json."""
-    words = "".join(f"Since {why}.\n\n" for why in found["reasons"])
-    whole = Section("The trace", f"{words}All of it: trace/report.html.")
-    words = "On the end of the log, which no fit has seen."
+    words = "".join(f"Because {why}.\n\n" for why in found["reasons"])
+    whole = Section("The trace", f"{words}The full report is trace/report.html.")
+    words = "On the last part of the log, which no fit uses."
     parts = [("Residuals", words, found["channels"])]
     if held_out := found.get("holdout"):
         words = "".join(f"{one}.\n\n" for one in held_out["against"])
-        words += "Logs of which no fit has seen anything."
+        words += "Logs that no fit uses."
         parts.append(("Held-out logs", words, held_out["channels"]))
     of_channels = [Section(title, prose, _channel_rows(c)) for title, prose, c in parts if c]
     return [whole, *nested(of_channels)]
@@ -267,13 +268,13 @@ def _prose(found: dict[str, Any], worlds: Sequence[LoopWorld]) -> str:
     zeros = [one for run in found["runs"] for one in run if one["compensated"]]
     added = [form.format(**effect) for effect in (*found["effects"], *zeros)]
     text = f"The trace's verdict: {found['verdict']}. "
-    text += f"Put into the simulation: {'; '.join(added)}." if added else "Nothing to add."
+    text += f"Added to the simulation: {'; '.join(added)}." if added else "Nothing was added."
     if warned := caution(found):
         text += f"\n\n{warned[0].upper()}{warned[1:]}."
     text += (
-        "\n\nObservers are trained and calibrated in simulation alone, on walks in the style of "
-        "the measured one; the coverage column is the share of the measured errors within the "
-        "bounds, and the level asked for holds only as far as the simulation is like the robot."
+        "\n\nObservers are trained and calibrated in simulation only, on walks in the style of the "
+        "measured one. The coverage is the share of the measured errors within the bounds; their "
+        "level holds only as far as the simulation is like the robot."
     )
     for world in worlds:
         for name, why in world.comparison.left_out.items():
@@ -286,9 +287,9 @@ def _pictures(log: Log, worlds: Sequence[LoopWorld], drawn: dict[str, Trajectory
     errors = {name: error_series(truth, t, 20.0) for name, t in drawn.items()}
     paths = (
         Picture(trajectories(log, errors), "The walk from above, aligned at the start."),
-        Picture(height_figure(log, errors), "Height over time: no sensor on board measures it."),
+        Picture(height_figure(log, errors), "Height over time; no sensor measures it."),
     )
-    sections = [Section("Where each estimate went", pictures=paths)]
+    sections = [Section("Paths of the estimates", pictures=paths)]
     for world in worlds:
         seen, bounds = world.comparison.prediction, world.comparison.bounds
         robot = world.comparison.robot

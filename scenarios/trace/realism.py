@@ -200,7 +200,7 @@ def _walks(
         except Fallen as fall:
             fallen = fall
     raise SurefootError(
-        f"realism: in simulation {robot.name} falls in the manner of the log, even at "
+        f"realism: {robot.name} falls in simulation when it walks in the style of the log, even at "
         f"{100 * REALISM_PACES[-1]:.0f} % of its speed ({fallen})"
     )
 
@@ -212,17 +212,17 @@ def card_sections(found: Sequence[WalkComparison]) -> list[Section]:
         card, log = one.card, one.measured.log
         counts = ", ".join(f"{n} {word}" for word, n in card.counts.items())
         words = (
-            f"{log.name}, {len(one.measured.clock)} strides, beside {len(one.simulated)} simulated "
-            f"walks of {one.simulated[0].robot.name} at {100 * one.pace:.0f} % of its velocities, "
-            f"with columns, rate and reference as the log's. Rows: {counts}. Intervals of 95 % "
-            "are from drawing strides anew; `like` means that all of the difference's interval is "
-            "within the tolerance, `unlike` that none is. Tolerances were set before any walk."
+            f"{log.name}, with {len(one.measured.clock)} strides, compared with "
+            f"{len(one.simulated)} simulated walks of {one.simulated[0].robot.name} at "
+            f"{100 * one.pace:.0f} % of its velocities, with the columns, rate and reference of "
+            f"the log. Number of rows: {counts}. The 95 % intervals are from a bootstrap over "
+            "strides. A row is `like` if the whole interval of the difference is within the tolerance, and "
+            "`unlike` if none of it is. Tolerances were set before any walk."
         )
         if one.simulated[0].robot.name != one.measured.robot.name:
             words += (
-                "\n\nThe simulated robot is another than the measured one: what was measured, and "
-                "tolerances, are carried to it by leg length and stride period, and it walks at "
-                "velocities carried so."
+                "\n\nThe simulated robot is not the measured one. Measured values, tolerances and "
+                "velocities are scaled to it by leg length and stride period."
             )
         if card.missing:
             words += "\n\nMissing: " + "; ".join(f"{n} ({why})" for n, why in card.missing.items())

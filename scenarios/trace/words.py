@@ -11,9 +11,9 @@ from surefoot.scenarios.trace.result import Filters, Trace
 from surefoot.sim.effects import Effect, known_effects
 
 VERDICTS = {
-    "attributed": "traced to what the model lacks; what is left is at the noise floor",
+    "attributed": "traced to effects that the model lacks; the remaining residual is noise",
     "confounded": "the residual has more than one explanation that these data cannot distinguish",
-    "none_of_these": "a residual is left that no effect of the catalogue explains",
+    "none_of_these": "a residual remains that no effect of the catalogue explains",
     "not_identifiable": "the data cannot identify an effect",
     "no_residual": "the model explains the log down to its noise floor",
 }
@@ -25,24 +25,24 @@ _MOTIONS = {
     "gyro_scale": "turn the body about that axis, both ways and at several rates",
     "joint_delay": "change the gait's frequency: a delay's error grows with it",
     "imu_delay": "shake the body at several frequencies: a delay's error grows with them",
-    "reference_delay": "change speed often: a late reference errs where the motion changes",
-    "clock_scale": "log for longer: clocks drift apart without end",
+    "reference_delay": "change speed often: a delay's error grows with the acceleration",
+    "clock_scale": "record a longer log: the difference of the clocks keeps growing",
     "encoder_scale": "bend the joint over its whole range: a scale's error grows with the angle",
     "hip_offset": "turn on the spot and walk sideways, crouched and tall",
-    "gyro_bias": "tilt the body and hold it: a bias stays, what goes with gravity turns along",
+    "gyro_bias": "tilt the body and hold it: a bias stays, an effect of gravity changes",
     "gyro_g_sensitivity": "tilt the body and hold it: gravity along the axis then changes",
     "accel_bias": "tilt the body and hold it: a bias stays, gravity along the axis changes",
     "accel_scale": "tilt the body and hold it, best upside down: gravity along the axis changes",
     "imu_position": "turn fast about each axis: a lever arm's error grows with the rate squared",
-    "leg_compliance": "stand on the leg and lift it: a spring gives with the load",
-    "foot_elasticity": "stand and shift the weight from foot to foot: a foot gives with its load",
-    "leg_heading": "walk forwards and sideways: a turned leg errs across its motion",
-    "link_mass": "move the joint fast and slowly, and hold it level: mass weighs, inertia resists",
+    "leg_compliance": "stand on the leg and lift it: a compliant leg yields under load",
+    "foot_elasticity": "stand and shift the weight from foot to foot: a foot yields under load",
+    "leg_heading": "walk forwards and sideways: the error of a rotated leg is across its motion",
+    "link_mass": "move the joint fast and slowly, and hold it level: only a mass has weight",
     "link_com": "move the joint fast and slowly, in several attitudes of the link",
-    "link_inertia": "move the joint fast and slowly: inertia resists acceleration alone",
-    "rate_delay": "swing the legs faster: a late rate errs where it changes",
+    "link_inertia": "move the joint fast and slowly: an inertia only resists acceleration",
+    "rate_delay": "swing the legs faster: a delay's error grows with the acceleration",
     "command_delay": "change the commanded torques fast",
-    "backlash": "load the joint one way and the other at one angle",
+    "backlash": "load the joint in both directions at the same angle",
     "mounting_rotation": "walk in every direction, crouched and tall",
     "contact_delay": "change the gait's frequency and speed",
     "soft_ground": "walk on hard ground",
@@ -90,10 +90,10 @@ def target_in_words(one: Effect) -> str:
 def unexplained_in_words(found: Trace) -> list[str]:
     """The three strongest correlations of the unexplained residual, one line each."""
     return [
-        f"  {100 * r.share:.0f} % of what is left in {r.channel} {r.column} goes with "
-        f"{', '.join(r.regressors)}"
+        f"  {100 * r.share:.0f} % of the remaining residual in {r.channel} {r.column} is explained "
+        f"by {', '.join(r.regressors)}"
         if r.regressors
-        else f"  nothing simple goes with what is left in {r.channel} {r.column}"
+        else f"  no regressor explains the remaining residual in {r.channel} {r.column}"
         for r in found.unexplained[:3]
     ]
 
@@ -113,7 +113,8 @@ def beyond_bounds(found: Trace) -> list[str]:
         low, high = (factor * x for x in kind.bounds)
         lines.append(
             f"  {one.key[0]} {one.key[1]} of {factor * one.size:+.3g} {unit} would explain "
-            f"{100 * one.share:.0f} % of what is left, but its bounds are {low:.3g} and {high:.3g}"
+            f"{100 * one.share:.0f} % of the remaining residual, but its bounds are {low:.3g} and "
+            f"{high:.3g}"
         )
     return lines
 
@@ -121,7 +122,7 @@ def beyond_bounds(found: Trace) -> list[str]:
 def summary(found: Trace) -> str:
     """The output of `surefoot trace`."""
     lines = [f"verdict: {found.verdict}: {VERDICTS[found.verdict]}"]
-    lines += [f"  since {why}" for why in found.reasons]
+    lines += [f"  because {why}" for why in found.reasons]
     lines += [f"  lacks {size_in_words(one)}" for one in found.found]
     for number, run in enumerate(found.runs, 1):
         own = [one for one in run.zeros if one.effect in run.compensated]
@@ -132,11 +133,11 @@ def summary(found: Trace) -> str:
     lines += beyond_bounds(found)
     lines += unexplained_in_words(found)
     if found.channels:
-        lines.append("residual on the part that no fit has seen (root mean square of 20 ms means):")
+        lines.append("residual on the part used by no fit (root mean square of means over 20 ms):")
         lines += _channel_lines(found.channels) + _filter_lines(found.filters)
         lines += _lost_lines(found.stretches)
     if found.held_out:
-        lines.append("on held-out logs, of which no fit has seen anything:")
+        lines.append("on held-out logs, used by no fit:")
         lines += _channel_lines(found.held_out.channels) + _filter_lines(found.unseen_filters)
     if "leg_velocity" in found.channels:
         lines.append(f"masked as slipping: {100 * found.masked_share:.1f} % of stance time")
@@ -190,7 +191,7 @@ def caution(found: Mapping[str, Any]) -> str:
     if found["verdict"] != "none_of_these" or not found["effects"]:
         return ""
     harm = [note for note in found["notes"] if note.endswith("with the effects found")]
-    words = "caution: a residual is left, and the effects found may stand in for its cause"
+    words = "caution: a residual remains, and the effects found may stand in for its cause"
     return "; ".join([words, *harm])
 
 

@@ -293,7 +293,7 @@ def test_two_runs_into_one_folder(inputs, tmp_path):
     first.terminate()
     _, err = first.communicate(timeout=60)
     assert first.returncode == 128 + signal.SIGTERM, err[-2000:]
-    assert "the same command goes on from what is done" in err
+    assert "run the same command to continue" in err
     assert "Traceback" not in err
     assert not lock.exists()
 

@@ -52,8 +52,8 @@ def library():
 """
 DEFAULT = {"SIGINT": "default_int_handler"}
 BEFORE = "surefoot: interrupted before it began"
-WITHIN = "surefoot: interrupted; nothing was written, the same command begins anew"
-WRITTEN = "out.csv was written already, --force makes it anew"
+WITHIN = "surefoot: interrupted; nothing was written, the same command starts again"
+WRITTEN = "out.csv was already written, --force replaces it"
 STAGES = {
     "at the first import": ("SIGTERM", IMPORTED, BEFORE),
     "within": ("SIGINT", command(within=SOON), WITHIN),

@@ -154,7 +154,7 @@ def test_the_folder_holds_tables_report_figures_and_recordings(grid, rows):
 
 
 def test_a_finished_run_is_not_written_over(grid, rows):
-    with pytest.raises(SurefootError, match="holds a finished run; give --force"):
+    with pytest.raises(SurefootError, match="has a finished run; give --force"):
         experiment(grid / "grid.toml", grid / "out")
 
 
@@ -211,7 +211,7 @@ def test_other_inputs_and_methods_are_tables_beside(grid, rows, tmp_path):
     first = shown_first(more, Experiment.load(grid / "further.toml"))
     same = shown_first(rows, Experiment.load(grid / "grid.toml"))
     assert len(first) == len(same)
-    assert "What observers read" in (out / "report.md").read_text()
+    assert "Inputs of observers" in (out / "report.md").read_text()
 
 
 @pytest.mark.parametrize(

@@ -91,7 +91,7 @@ def test_an_effect_outside_its_bounds_is_mentioned_and_not_named():
     assert found.verdict == "none_of_these"
     assert "coulomb_friction" not in {one.name for one in found.effects}
     (told,) = (line for line in summary(found).splitlines() if "coulomb_friction" in line)
-    assert "shoulder of +15 N m would explain 100 % of what is left" in told
+    assert "shoulder of +15 N m would explain 100 % of the remaining residual" in told
     assert told.endswith("its bounds are 0 and 10")
 
 

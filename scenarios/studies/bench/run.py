@@ -100,8 +100,8 @@ def bench(rounds: int, only: Sequence[str] = (), page: Path | None = None) -> st
             rows += [ratio.as_row() for ratio in ROWS[name](rounds, progress)]
     if page:
         text = (
-            "Each ratio is taken in one run, ours and its peer in turn, the smallest time of "
-            f"{rounds} rounds counting. gtsam is the extra `gtsam`."
+            "Each ratio is measured in one run, with ours and its peer in turn; the smallest of "
+            f"{rounds} times counts for each. gtsam is the extra `gtsam`."
         )
         write_page(
             page, "Speed", [Section("Ratios", text, rows)], origin_of(__name__, "surefoot bench")
