@@ -150,8 +150,8 @@ def _of_observers(
         words += (
             "\n\nThe last row is an observer trained on one half of the measured walk and "
             "evaluated on the other, each in turn. If observers trained in simulation have larger "
-            "errors, the simulation lacks something. The remaining errors cannot be learnt from a walk as "
-            "short as this one."
+            "errors, the simulation lacks something. The remaining errors cannot be learnt from "
+            "a walk as short as this one."
         )
     last = worlds[-1]
     parts = (

@@ -216,8 +216,8 @@ def card_sections(found: Sequence[WalkComparison]) -> list[Section]:
             f"{len(one.simulated)} simulated walks of {one.simulated[0].robot.name} at "
             f"{100 * one.pace:.0f} % of its velocities, with the columns, rate and reference of "
             f"the log. Number of rows: {counts}. The 95 % intervals are from a bootstrap over "
-            "strides. A row is `like` if the whole interval of the difference is within the tolerance, and "
-            "`unlike` if none of it is. Tolerances were set before any walk."
+            "strides. A row is `like` if the whole interval of the difference is within the "
+            "tolerance, and `unlike` if none of it is. Tolerances were set before any walk."
         )
         if one.simulated[0].robot.name != one.measured.robot.name:
             words += (
