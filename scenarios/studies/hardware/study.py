@@ -99,12 +99,12 @@ def ak80_pendulum(folder: Path, options: HardwareStudy) -> Chapter:
         rivals: pendulum.rivals_table(done),
     }
     words = (
-        "What does a drive do that its rigid model does not? A public recording of one AK80-6 that "
-        "swings a rod (dfki-ric-underactuated-lab/torque_limited_simple_pendulum). The torque that "
-        "the drive reports, less that of the model with the published masses, both through one "
-        f"kernel of {1e3 * pendulum.PENDULUM_WIDTH:g} ms; each run is held out once, and terms are "
-        "chosen and sized on the others. A rod that is heavier by a share is the same equation as "
-        "a torque scale: only another load would tell them apart."
+        "Which effects does the rigid model of a drive lack? The recording is of one AK80-6 that "
+        "swings a rod (dfki-ric-underactuated-lab/torque_limited_simple_pendulum). The residual is "
+        "the torque that the drive reports minus that of the model with the published masses, both "
+        f"smoothed by a kernel of {1e3 * pendulum.PENDULUM_WIDTH:g} ms. Each run is held out once; "
+        "terms are selected and fitted on the others. A heavier rod and a torque scale give the "
+        "same equation; only another load would distinguish them."
     )
     return Chapter("AK80-6 pendulum", words, tables, pendulum.pendulum_figure(done))
 
@@ -125,15 +125,16 @@ def go2_in_air(folder: Path, options: HardwareStudy) -> Chapter:
         nominal
     )
     words = (
-        "Are rows as long as they are said to be, and what do the drives lack? A Go2 hung up, "
-        "without time stamps (lupinjia/genesis_lr), its torque by the motor law that the map "
-        "declares. Positions against rates give the time of a row, joint by joint and row by row; "
-        f"then the balance of torques, through a kernel of {1e3 * go2.HANGING_WIDTH:g} ms, chosen "
-        f"and sized on the first {1 - go2.REPORT_SHARE:.0%} and reported on the rest. Rows within "
-        f"{go2.STOPS:g} rad of a joint's stop are left out. The base is taken to hang still. A "
-        "row takes as long for every joint: what joints differ by in the first table is the rates' "
-        "own, their scale or filter, and nothing that a drive lacks; the motor law takes them as "
-        "they are logged."
+        "Is the period of the rows as stated, and which effects does the model of the drives lack? "
+        "The log is of a suspended Go2, without time stamps (lupinjia/genesis_lr); its torques "
+        "follow from the motor law in the map. Positions and rates together give the period of "
+        "each row, by each joint. The torque balance is smoothed by a kernel of "
+        f"{1e3 * go2.HANGING_WIDTH:g} ms; terms are selected and fitted on the first "
+        f"{1 - go2.REPORT_SHARE:.0%} of the log and evaluated on the rest. Rows within "
+        f"{go2.STOPS:g} rad of a joint's stop are left out, and the base is assumed to be at rest. "
+        "Since a row takes the same time for all joints, their differences in the first table are "
+        "errors of the rates, such as a scale or a filter, and not of the drives. The motor law "
+        "uses the rates as logged."
     )
     return Chapter("Go2 in the air", words, tables, go2.hanging_figure(times, log.joints, nominal))
 
@@ -150,19 +151,18 @@ def go1_square(folder: Path, options: HardwareStudy) -> Chapter:
         )
     tables = {
         "Streams against the reference": go1.lags_table(late),
-        "How large the feet are, by the part of the stance that is asked": go1.rolling_table(
-            log, robot
-        ),
-        "Velocity by standing legs, on the third that only reports": go1.shares_table(
+        "Radius of the feet, estimated in parts of the stance": go1.rolling_table(log, robot),
+        "Velocity by standing legs, on the third used by no fit": go1.shares_table(
             log, robot, found
         ),
         "Leg filter over the whole walk": go1.leg_filter_table(log, robot, found, STAMP_SHIFTS),
     }
     drawn = go1.square_figure(log, robot, found, late)
     words = (
-        "What does the kinematic model lack, against motion capture? A Go1 that trots around a "
-        "square (mrsp/serow); its reference's stamps are rebuilt. Each stream's lag first, then "
-        "`trace`, then the leg filter with what was found and with what was not.\n\n"
+        "Which effects does the kinematic model lack, compared with motion capture? A Go1 trots "
+        "around a square (mrsp/serow); the stamps of its reference were reconstructed. The tables "
+        "show the lag of each stream, the result of `trace`, and the leg filter with the effects "
+        "found and with those not found.\n\n"
     )
     return Chapter("Go1 around a square", words + summary(found), tables, drawn)
 
@@ -182,18 +182,18 @@ def scaler_trot(folder: Path, options: HardwareStudy) -> Chapter:
         "Leg filter: error at the end of the walk": feet.end_errors_table(walks, logged, days),
     }
     words = (
-        "How far do legs alone carry a robot of closed chains? SCALER, a quadruped of "
-        "five-bar legs, trots two metres (AlexS28/OptiState); the log says where its feet "
-        "are. Clocks come from IMU and reference, without the forces; contacts from the gait, "
-        "without them too: the lower diagonal stands. Legs go further than the body. One "
-        "share for all feet and walks is fitted to ways of one second on the walks of a day "
-        "and judged on the others. How late the feet come is set in the map, by how their "
-        "velocities resemble the reference's on three walks of two days; it is not fitted "
-        "anew. The rule of the gait and the filter's noise were chosen with the end errors of "
-        "all seven walks in view: what the legs are worth on a walk that nothing was chosen "
-        "on, other walks must say. Whether feet creep, legs give or angles are scaled cannot be "
-        "told: no channel of these logs but the reference shows where a standing foot is. Feet "
-        "that stop on a force plate or under a camera would tell."
+        "How accurate is leg odometry with closed chains? SCALER, a quadruped with five-bar legs, "
+        "trots two metres (AlexS28/OptiState); the logs have the positions of its feet. Clock "
+        "offsets are from IMU and reference, contacts from the gait (the lower diagonal stands); "
+        "neither uses the forces. The displacement by legs is larger than the body's. One share "
+        "for all feet and walks is fitted to displacements over one second on the walks of one day "
+        "and evaluated on the others. The delay of the feet is set in the map, from the "
+        "correlation of their velocities with the reference's on three walks of two days, and is "
+        "not fitted again. The rule for contacts and the filter's noise were chosen with the end "
+        "errors of all seven walks known, so the accuracy on a new walk remains to be measured. "
+        "Creeping feet, compliant legs and a scale of the angles cannot be distinguished, since "
+        "only the reference shows where a standing foot is. A force plate or a camera at the feet "
+        "would distinguish them."
     )
     return Chapter("SCALER, seven walks", words, tables, feet.paths_figure(walks, share))
 
@@ -215,10 +215,10 @@ def icub_biped(folder: Path, options: HardwareStudy) -> Chapter:
         "Filters over the whole log": biped.filters_table(logs, robot),
     }
     words = (
-        "How well do flat feet carry a humanoid? iCub, with Vicon on its clock "
-        "(ami-iit/paper_ramadoss_2021_icra_proprioceptive-base-estimator), imported as published. "
-        "The trace is of the sway; the walk is barely as long as a trace needs. Torques are not "
-        "logged, so that masses and drives cannot be told.\n\n"
+        "How accurate is leg odometry with the flat feet of a humanoid? The logs are of iCub, with "
+        "Vicon on its clock (ami-iit/paper_ramadoss_2021_icra_proprioceptive-base-estimator), "
+        "imported as published. The sway is traced, since the walk is barely long enough. Torques "
+        "are not logged, so masses and drives cannot be identified.\n\n"
     )
     figure = biped.walk_figure(logs["walking"], robot)
     return Chapter("iCub, a walk and a sway", words + summary(found), tables, figure)
@@ -255,37 +255,37 @@ def ricmonk(folder: Path, options: HardwareStudy) -> Chapter:
         "The same, beyond what is published, through windows of other lengths": (
             shared_sizes.lengths_table(whole)
         ),
-        "What has changed? How often the right link is named": changes.counts_table(tried),
+        "Injected changes: how often the right link is named": changes.counts_table(tried),
         "The least change that is named in 95 of 100 runs like these": changes.least_table(done),
-        "The largest change in runs as they are, by the length of the windows": (
+        "The largest change in the unchanged runs, by the length of the windows": (
             changes.unchanged_table(by_length)
         ),
-        "Every change that was tried": changes.changes_table(tried),
+        "Every injected change": changes.changes_table(tried),
     }
     words = (
-        "What does the published model of a brachiating robot lack, and what could its owner find "
-        "changed? RicMonk swings from bar to bar (DFKI, Underactuated Lab): a passive hinge at the "
-        "bar (hook, which moves the gripping arm), a drive that turns the tail, which is the body, "
-        "and one that turns the free arm (phi). The balance of torques is integrated over windows "
-        f"of {RICMONK_WINDOW:g} s, so that it needs no acceleration. Sizes are shared by all runs, "
-        "zeros of the joints are each swing's own; each run is held out once, and sized by the "
-        "others alone. A link's mass itself does not show in a plane: sizes are its first moment "
-        "about its hinge and its inertia, with all links beyond it as points at the next hinge. "
-        "All masses heavier by a share, and torques that read too low by it, are one and the same: "
-        "weighing the robot would tell them apart. A dry friction below zero is none, and the "
-        "hook's sizes move with the length of the windows: bars that give, and a hook that is not "
-        "quite a pin, are not modelled, and the hook's sizes stand in for them.\n\n"
-        "Then one run is new: its rows are judged by the covariance of runs in which nothing "
-        f"changed, and the change that explains most is named beyond {changes.NAMED:g} standard "
+        "Which effects does the published model of a brachiating robot lack, and which changes of "
+        "the robot could be detected? RicMonk swings from bar to bar (DFKI, Underactuated Lab). It "
+        "has a passive hinge at the bar (hook, which moves the gripping arm), a drive for the "
+        "tail, which is the body, and one for the free arm (phi). The torque balance is integrated over "
+        f"windows of {RICMONK_WINDOW:g} s, so it needs no accelerations. Sizes are shared by all "
+        "runs; zeros of the joints are fitted to each swing. Each run is held out once, with sizes "
+        "from the others. A link's mass itself is not observable in a plane; the sizes are its "
+        "first moment about its hinge and its inertia, with all links beyond it as points at the "
+        "next hinge. Heavier masses throughout, and torques that read too low by the same share, "
+        "are equivalent; weighing the robot would distinguish them. A negative dry friction has no "
+        "physical meaning, and the hook's sizes depend on the length of the windows. Compliant "
+        "bars and a loose hook are not modelled, and the hook's sizes absorb them.\n\n"
+        "Then one run is taken as new. Its rows are compared with the covariance of unchanged "
+        f"runs, and the most significant change is named beyond {changes.NAMED:g} standard "
         "deviations. Changes of every kind and link are drawn, from half to five times the least "
-        "that is named in 95 of 100 runs, and put into a measured run, its noise and jolts as they "
-        "are; of those below it chance still names some, of those at the threshold every second, "
-        "and the first table has how many were to be expected. A change is put in as a zero into "
-        "the angle, all others as the torque that they ask for along the motion, "
-        "the passive hook's too. Changes that no link can have (a centre of mass more than "
-        f"{changes.FARTHEST_COM:g} m off) are left out. The length of the windows and the "
-        "threshold were chosen with these five runs in view, the unchanged ones too: what they are "
-        "worth, runs that nothing was chosen on must say."
+        "that is named in 95 of 100 runs, and injected into a measured run, keeping its noise and "
+        "jolts. Some smaller changes are named by chance, and half of those at the threshold; the "
+        "first table has the expected numbers. A zero is added to the angle; for all other changes "
+        "the torque that they require along the motion is added, also to the passive hook. "
+        "Impossible changes (a centre of mass shifted by more than "
+        f"{changes.FARTHEST_COM:g} m) are left out. The length of the windows and the threshold "
+        "were chosen with all five runs known, so their performance on new runs remains to be "
+        "measured."
     )
     return Chapter("RicMonk, five runs", words, tables, shared_sizes.held_out_figure(done))
 
@@ -312,22 +312,22 @@ def so101(folder: Path, options: HardwareStudy) -> Chapter:
             holdout=unseen,
         )
     tables = {
-        "Servos by three runs, and their angles in the other three": table,
-        "Error by run [mrad]: of the servo by three runs / of the best servo for that run alone": (
+        "Servos fitted to three runs, and their errors in the other three": table,
+        "Error by run [mrad]: servo fitted to three runs / best servo for that run alone": (
             servos.ceiling_table(logs, found)
         ),
-        "Held off what was commanded, in the mean [mrad]": servos.constants_table(logs),
+        "Mean difference of angle and command [mrad]": servos.constants_table(logs),
         "What is not plausible in the logs": feet.findings_table(list(logs.values())),
     }
     words = (
-        "What do hobby servos do that their model does not? An SO-101 arm follows commanded "
-        "excitations (isaac-sim2real/sage). Its torques are magnitudes of an unknown unit, so that "
-        "a torque scale cannot be told, nor friction in N m: a servo is a delay, a time constant "
-        "and a play, each joint's by three runs, with what single runs say in brackets; a value at "
-        "the end of what was tried says no more than that. Errors are of three other runs. No such "
-        "servo follows the sweep of frequencies, not even one fitted to it alone, and its large "
-        "errors decide the servo by three runs; what that costs on the others is in the table of "
-        "errors by run.\n\n"
+        "Which effects does the model of hobby servos lack? An SO-101 arm follows commanded "
+        "excitations (isaac-sim2real/sage). Its torques are magnitudes in an unknown unit, so "
+        "neither a torque scale nor friction in N m can be identified. A servo is modelled by a "
+        "delay, a time constant and a play, fitted for each joint to three runs; the range over "
+        "single runs is in brackets. A value at the end of the grid is only a bound. Errors are "
+        "those in three other runs. No such servo follows the sweep of frequencies, not even one "
+        "fitted to it alone, and its large errors dominate the fit to three runs; the table of "
+        "errors by run shows the effect on the other runs.\n\n"
     )
     figure = servos.servos_figure(unseen[0], found, machine)
     return Chapter("SO-101, six servos", words + summary(traced), tables, figure)
