@@ -43,6 +43,8 @@ BOUNDED = {
     "budget": "items",
 }
 """Options that are counts -> name of their limit."""
+LARGEST = 2**53
+"""Whole number up to which a float is exact; one of 400 digits is no float at all."""
 GOES_ON = {"simulate", "train", "experiment", "suite", "loop", "montecarlo", "walking", "tune"}
 """Commands that continue after an interruption when run again."""
 SPACE = 4_000_000
@@ -64,6 +66,9 @@ def guarded(name: str, command: Any) -> Iterator[None]:
     inputs = [path for value in read.values() for path in _paths(value)]
     refuse_unnamed(read)
     cache_folder()
+    for option, value in given.items():
+        if isinstance(value, int) and abs(value) > LARGEST:
+            raise SurefootError(f"--{option}: must not be beyond 2^53")
     for option, limit in BOUNDED.items():
         if isinstance(given.get(option), int):
             check_limit(limit, given[option], f"--{option}")

@@ -46,6 +46,7 @@ from surefoot.scenarios.estimate.contract import Estimator
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
 from surefoot.scenarios.estimate.tuned import Parameters
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.limits import check_toml_keys
 from surefoot.sim.common.quaternion import matrix_from_quaternion
 from surefoot.sim.common.toml import Positive, read_toml, typed
 from surefoot.sim.log import Log
@@ -153,12 +154,13 @@ def read_settings(path: Path | None, lines: Sequence[str] = ()) -> FilterSetting
         raise SurefootError(f"{where}: {error}") from None
     for line in lines:
         try:
+            check_toml_keys(line)
             _merge(table, tomllib.loads(line))
             typed(table, FilterSettings)
-        except tomllib.TOMLDecodeError:
-            raise SurefootError(f"--set {line}: write it as noise.gyro=1e-3") from None
         except SurefootError as error:
             raise SurefootError(f"--set {line}: {error}") from None
+        except (ValueError, RecursionError):  # of TOML, of too many digits, of arrays too deep
+            raise SurefootError(f"--set {line}: write it as noise.gyro=1e-3") from None
     return typed(table, FilterSettings)
 
 
