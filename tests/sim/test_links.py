@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import CATALOGUE, effect
 from surefoot.sim.log import Log
 from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
@@ -94,6 +95,23 @@ def test_a_leg_turned_about_its_hips_axis_is_an_error_of_the_hips_encoder():
             there, by_encoder, rtol=0, atol=1e-9
         )
         assert kind.equals_another(target, SPOT) == target.endswith("x")
+
+
+@pytest.mark.parametrize(
+    ("name", "target", "least", "most"),
+    [
+        ("link_mass", "FL_calf", -0.5, 5.0),
+        ("link_com", "FL_calf_z", -0.1, 0.1),
+        ("link_inertia", "FL_calf", 0.0, 0.5),
+    ],
+)
+def test_what_a_file_of_effects_may_say_of_a_link(name, target, least, most):
+    """A bound is part of the file's format: what was written at it must stay readable."""
+    for value in (least, most):
+        assert effect(name, target, value).value == value
+    for value in (least - 0.01, most + 0.01):
+        with pytest.raises(SurefootError, match=name):
+            effect(name, target, value)
 
 
 def test_inertias_that_logs_show_are_no_bound():
