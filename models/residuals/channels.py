@@ -264,8 +264,8 @@ class ContactTiming(Channel):
     of_events = True
     level_spread: ClassVar[Mapping[str, float]] = {"touchdown": 0.0015, "liftoff": 0.006}
     """On models of seven robots, contacts begin within 1 ms of one another, 3 ms earlier where a
-    landing foot slides (friction 0.3), and end within 12 ms (`contact_timing.USUAL`); these count
-    as two standard deviations [s].
+    landing foot slides (friction 0.3), and end within 12 ms (`contact_timing.USUAL_DELAY`); these
+    count as two standard deviations [s].
     """
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
