@@ -193,8 +193,8 @@ def _motor_law(rules: ImportMap, joints: tuple[str, ...]) -> dict[str, list[floa
     for key, gains in rules.motor_law.items():
         if isinstance(gains, dict):
             for joint in sorted(set(gains) ^ set(joints)):
-                what = "has no gain" if joint in joints else "is not a joint of the log"
-                raise SurefootError(f"{rules.path}: [motor_law] {key}: {joint!r} {what}")
+                what = "has no gain" if joint in joints else "is not in the log"
+                raise SurefootError(f"{rules.path}: [motor_law] {key}: joint {joint!r} {what}")
             law[key] = [gains[joint] for joint in joints]
         else:
             law[key] = [gains] * len(joints)
