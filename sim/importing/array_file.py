@@ -5,7 +5,7 @@ No code in a file is executed, and a file that declares itself larger than a log
 
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -34,11 +34,11 @@ def read_npz(path: Path) -> RecordedTable:
         if path.suffix == ".npy":
             found = np.load(path, mmap_mode="r", allow_pickle=False)
             _bounded(path, found.size * found.dtype.itemsize)
-            return RecordedTable(path, _arrays({"array": np.array(found)}))
+            return _table(path, {"array": np.array(found)})
         with np.load(path, allow_pickle=False) as file:
             members = file.zip.infolist()
             _bounded(path, sum(one.file_size for one in members))
-            return RecordedTable(path, _arrays({name: file[name] for name in file.files}))
+            return _table(path, {name: file[name] for name in file.files})
 
 
 def read_mat(path: Path) -> RecordedTable:
@@ -48,9 +48,7 @@ def read_mat(path: Path) -> RecordedTable:
     with _one_line(path):
         _bounded(path, _inflated(path))
         found = scipy.io.loadmat(path, squeeze_me=True)
-        return RecordedTable(
-            path, _arrays({n: v for n, v in found.items() if not n.startswith("__")})
-        )
+        return _table(path, {n: v for n, v in found.items() if not n.startswith("__")})
 
 
 def read_hdf5(path: Path) -> RecordedTable:
@@ -59,7 +57,7 @@ def read_hdf5(path: Path) -> RecordedTable:
     Links, groups nested deeper than 20 and MATLAB's objects are ignored. Raises SurefootError where
     there is nothing but objects, whose numbers MATLAB stores in a form that it does not publish.
     """
-    cells: dict[str, np.ndarray] = {}
+    arrays: dict[str, np.ndarray] = {}
     with _one_line(path), h5py.File(path, "r") as file:
         found = [
             (n, d) for n, d in _datasets(file, "", {file}) if d.shape and not n.startswith("#")
@@ -79,9 +77,8 @@ def read_hdf5(path: Path) -> RecordedTable:
                 raise SurefootError(f"{path}: {name} lies in another file, which is not read")
             if node.dtype.kind in "fiub" or node.dtype.names:
                 values = node[()]
-                cells |= _arrays({name: values.T if "MATLAB_class" in node.attrs else values})
-        cells |= _matlab_strings(file)
-    return RecordedTable(path, cells)
+                arrays[name] = values.T if "MATLAB_class" in node.attrs else values
+        return _table(path, arrays | _matlab_strings(file))
 
 
 def _class_of(node: h5py.Dataset) -> str:
@@ -129,7 +126,21 @@ def _matlab_strings(file: h5py.File) -> dict[str, np.ndarray]:
     }
 
 
-def _arrays(found: dict[str, object]) -> dict[str, np.ndarray]:
+def _table(path: Path, found: Mapping[str, object]) -> RecordedTable:
+    """The table of a file's contents; raises SurefootError where they are of several episodes."""
+    cells = _arrays(found)
+    deep = {n: v for n, v in found.items() if isinstance(v, np.ndarray) and v.ndim == 3}
+    several = {n: v for n, v in deep.items() if n not in cells and v.size}
+    for name, (episodes, rows, _) in ((n, v.shape) for n, v in several.items()):
+        if all(one.shape[:2] == (episodes, rows) for one in cells.values()):
+            raise SurefootError(
+                f"{path}: {name} is of {episodes} episodes of {rows} rows, and a log is of one: "
+                "save each to a file of its own"
+            )
+    return RecordedTable(path, cells)
+
+
+def _arrays(found: Mapping[str, object]) -> dict[str, np.ndarray]:
     """Columns (N,) and (N, K) of a file's contents; fields of structs under their own names."""
     cells: dict[str, np.ndarray] = {}
     for name, value in found.items():

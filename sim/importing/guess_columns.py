@@ -287,7 +287,11 @@ def _feet_entries(
         plain = {n: one for n, one in own.items() if not one.part}
         # A word that all names begin with belongs to the robot and is ignored.
         own = own if not plain and len({one.leg for one in own.values()}) == len(own) else plain
-        counted = [n for n, one in found.items() if one.kind == kind and _is_counted(one)]
+        lists: dict[str, list[str]] = {}
+        for name, one in found.items():
+            if one.kind == kind and _is_counted(one):
+                lists.setdefault(one.part, []).append(name)
+        counted = lists.get("") or (next(iter(lists.values())) if len(lists) == 1 else [])
         if not own and len(counted) == len(legs):
             counted.sort(key=lambda n: found[n].place or found[n].limb or 0)
             prefix = _contact_or_force(file, kind, counted)
@@ -337,7 +341,7 @@ def _contact_or_force(file: RecordedFile, kind: str, names: Sequence[str]) -> st
 
 def _is_counted(one: Named) -> bool:
     """Whether a foot's column has a number instead of a leg's name."""
-    return not (one.leg or one.part or one.axis or (one.place is None and one.limb is None))
+    return not (one.leg or one.axis or (one.place is None and one.limb is None))
 
 
 def _other_side(joint: str) -> str:

@@ -14,7 +14,7 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import measured_folder
 from surefoot.sim.importing.array_file import read_hdf5, read_mat
 from surefoot.sim.importing.recorded_file import recorded_files
-from surefoot.sim.importing.recording import import_log, read_recording
+from surefoot.sim.importing.recording import import_log, read_recording, read_table
 from surefoot.sim.importing.report import import_lines
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.streams import held_streams
@@ -401,6 +401,21 @@ def test_the_only_episode_of_a_file_has_its_rows(tmp_path):
     (drafted,) = recorded_files(tmp_path / "run.h5", None)
     assert drafted.t is not None
     assert drafted.t.theirs == "recordings/time[0]"
+
+
+@pytest.mark.parametrize("form", ["h5", "npz", "mat"])
+def test_a_file_of_several_episodes_is_refused_in_one_line(tmp_path, form):
+    """A log is of one; which of them would be read is not guessed."""
+    arrays = {"time": np.zeros((2, 9)), "gyro": np.zeros((2, 9, 3)), "q": np.zeros((2, 9, 12))}
+    run = tmp_path / f"run.{form}"
+    if form == "h5":
+        with h5py.File(run, "w") as file:
+            for name, values in arrays.items():
+                file[name] = values
+    else:
+        np.savez(run, **arrays) if form == "npz" else scipy.io.savemat(run, arrays)
+    with pytest.raises(SurefootError, match="gyro is of 2 episodes of 9 rows"):
+        read_table(run, Source())
 
 
 def test_objects_of_matlab_are_named_and_not_read(tmp_path):

@@ -554,6 +554,22 @@ def test_a_reading_goes_before_its_filtered_copy_and_commands_are_commands(tmp_p
     assert main["tau_ff_joint0"][3] == "this, or tau_des1?"
 
 
+@pytest.mark.parametrize("group", ["", "recordings/"])
+def test_counted_contacts_are_drafted_whatever_group_they_are_in(tmp_path, group):
+    """As gym-quadruped writes them, beside forces that are vectors."""
+    t = 0.01 * np.arange(400)
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        file[f"{group}time"] = t[None, :, None]
+        file[f"{group}imu_gyro"] = np.sin(t[:, None] + np.arange(3))[None]
+        file[f"{group}contact_state"] = (np.sin(9.0 * t[:, None] + np.arange(4)) > 0.0)[None]
+        file[f"{group}contact_forces"] = np.ones((1, 400, 12))
+    entries = [e for e in guess_map([tmp_path / "run.h5"]).main if e.name.startswith("contact_")]
+    assert [(e.name, e.theirs) for e in entries] == [
+        (f"contact_{leg}", f"{group}contact_state[{k}]") for k, leg in enumerate(LEGS)
+    ]
+    assert all(e.doubt for e in entries)
+
+
 def test_contacts_of_six_legs_are_known_by_the_words_of_their_joints(tmp_path):
     """Legs of other than four or two are named after their first body."""
     legs = {
