@@ -6,6 +6,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 from scipy.spatial import ConvexHull
@@ -149,11 +150,20 @@ def portrait(robot: Robot) -> Figure:
         axes.annotate("IMU", imu, (5, 5), textcoords="offset points", color=OUTSIDE)
         axes.set_aspect("equal")
         axes.margins(0.1)
-        axes.locator_params(axis="x", nbins=7)  # more touch each other in the narrow view
+        _space_numbers(axes)
         axes.set_xlabel("forward [m]" if across == 0 else "left [m]")
         axes.set_ylabel("up [m]")
         set_title(axes, f"{robot.name}, seen from {title}")
     return figure
+
+
+def _space_numbers(axes: Axes) -> None:
+    """Widen the view of a slim robot, and number no more steps than fit side by side below it."""
+    (low, high), height = axes.get_xlim(), float(np.ptp(axes.get_ylim()))
+    spare = max(0.5 * height - (high - low), 0.0)
+    axes.set_xlim(low - 0.5 * spare, high + 0.5 * spare)
+    shape = (high - low + spare) / height
+    axes.locator_params(axis="x", nbins=int(np.clip(7.0 * shape, 3, 7)))
 
 
 def _numbers(values: np.ndarray) -> str:

@@ -1,8 +1,11 @@
 """What `surefoot robots` says of legs with other than three hinges."""
 
+from itertools import pairwise
+
 import pytest
 
-from surefoot.scenarios.robot_card import robot_card
+from surefoot.scenarios.robot_card import portrait, robot_card
+from surefoot.sim.robot import Robot
 
 LINK = '<joint name="{name}" axis="0 1 0"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
 
@@ -30,3 +33,17 @@ def test_a_leg_of_any_number_of_hinges_has_its_length(tmp_path, links, length):
     card = robot_card(str(file), None)
     assert card.values["leg_length"] == pytest.approx(length)
     assert f"legs of {length:.3f} m" in card.text
+
+
+@pytest.mark.parametrize("link", [0.1, 0.4, 1.0])
+def test_numbers_below_a_tall_robot_do_not_touch(tmp_path, link):
+    file = tmp_path / "robot.xml"
+    file.write_text(two_legs([link, link]))
+    figure = portrait(Robot.load(str(file)))
+    figure.canvas.draw()
+    for axes in figure.axes:
+        low, high = axes.get_xlim()
+        ticks = zip(axes.get_xticks(), axes.get_xticklabels(), strict=True)
+        boxes = [label.get_window_extent() for at, label in ticks if low <= at <= high]
+        assert len(boxes) >= 2
+        assert all(left.x1 < right.x0 for left, right in pairwise(boxes))
