@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from surefoot.models.noise.allan import AxisNoise, Density
 from surefoot.models.noise.rest import RestNoise, rest_noise
-from surefoot.scenarios.reporting.plotting import new_figure, save_png, set_title
+from surefoot.scenarios.reporting.plotting import legend_below, new_figure, save_png, set_title
 from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.sim.common.files import refuse_overwrite, whole_file
 from surefoot.sim.log import Log
@@ -96,7 +96,7 @@ def allan_figure(found: RestNoise) -> Figure:
             ax.plot(tau, fitted, color=color)
         ax.set(xscale="log", yscale="log", xlabel="averaging time [s]", ylabel=f"[{unit}]")
         set_title(ax, f"{'Gyro' if name == 'gyro' else 'Accelerometer'}: Allan deviation")
-        ax.legend(frameon=False)
+    legend_below(figure, axes[0, 0])
     return figure
 
 

@@ -18,7 +18,7 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.robot.fixed_base import FixedBase, load_machine
 from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.robot.model_file import compiled_model
-from surefoot.sim.robot.robot import Robot
+from surefoot.sim.robot.robot import IMU_SITES, Robot
 
 _CORNERS = np.array(np.meshgrid(*3 * [[-1.0, 1.0]])).reshape(3, -1).T
 
@@ -58,7 +58,7 @@ def _card(robot: Robot) -> RobotCard:
     model = compiled_model(robot.file)
     walks = robot.limbs == QUADRUPED and bool(np.isfinite(robot.torque_limit).all())
     turned = not np.allclose(robot.R_BI, np.eye(3))
-    imu = f"site {robot.imu}" if robot.imu else "none in the model: the base frame stands for it"
+    imu = f"site {robot.imu}" if robot.imu else f"{_no_imu(model)}: the base frame stands for it"
     lines = [
         f"{robot.name}: {robot.mass:.2f} kg, legs of {robot.leg_length:.3f} m",
         f"file: {robot.file}",
@@ -101,6 +101,17 @@ def _card(robot: Robot) -> RobotCard:
         "feet": feet,
     }
     return RobotCard("\n".join([*lines, "", to_markdown(joints), "", to_markdown(feet)]), values)
+
+
+def _no_imu(model: mujoco.MjModel) -> str:
+    """Why the base has no IMU: it is on another body, such as a torso above a waist, or missing."""
+    gyros = model.sensor_objid[model.sensor_type == mujoco.mjtSensor.mjSENS_GYRO]
+    named = (mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name) for name in IMU_SITES)
+    for site in (*gyros, *named):
+        if site >= 0:
+            body = model.body(model.site_bodyid[site]).name
+            return f"site {model.site(site).name} is on {body}, not on the base"
+    return "none in the model"
 
 
 def _why_not(robot: Robot) -> str:

@@ -137,6 +137,7 @@ def errors_figure(
     series: Mapping[str, Mapping[str, pd.DataFrame]], title: str, columns: int = 3
 ) -> Figure:
     """One panel per sequence: distance from the truth and, dashed, the filter's three sigma."""
+    columns = max(min(columns, len(series)), 1)
     lines = -(-len(series) // columns)
     figure, axes = new_figure(lines, columns, size=(10.0, 2.2 * lines + 0.8))
     for ax in axes.flat[len(series) :]:
@@ -152,6 +153,7 @@ def errors_figure(
                 line = {"color": color, "linewidth": 0.8, "linestyle": (0, (4, 2)), "alpha": 0.8}
                 ax.plot(part["t"], 3.0 * part["sigma"], **line)
         ax.set_ylim(0.0, 1.15 * top if top else 1.0)
+        ax.set_xlabel("time [s]")
         set_title(ax, name, 9.0)
     for ax in axes[:, 0]:
         ax.set_ylabel("error [m]")

@@ -265,9 +265,8 @@ def _walks(outcome: Outcome, found: Experiment, out: Path) -> list[Section]:
             save_picture(picture, out / "figures" / f"{name}_{_slug(condition.name)}.png")
             pictures.append(picture)
         if series:
-            title = (
-                f"Distance from the truth; dashed: the filter's own three sigma; {condition.name}"
-            )
+            what = "distance between estimate and truth, and each filter's own 3σ (dashed)"
+            title = f"{condition.name}: {what}"
             picture = Picture(errors_figure(series, title), "Errors over time.")
             save_picture(picture, out / "figures" / f"errors_{_slug(condition.name)}.png")
             pages.append(Section(PATHS + condition.name, "", None, (picture, *pictures)))

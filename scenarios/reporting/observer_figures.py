@@ -133,7 +133,7 @@ def mixing_curve(
     Bold lines are the excess over the estimator's floor, from which K is determined; pale ones are
     the raw histogram estimate. `rate` [Hz] is that of the samples.
     """
-    figure, axes = new_figure(size=(7.0, 4.0))
+    figure, axes = new_figure(size=(7.0, 4.4))
     ax = axes[0, 0]
     for k, (axis, word) in enumerate(NAMED_AXES):
         style = ("-", "--", ":")[k]
@@ -154,7 +154,7 @@ def mixing_curve(
     ax.set(xlabel=f"lag [samples of {1e3 / rate:g} ms]", ylabel="β(lag)", ylim=(0, None))
     ax.set_xlim(0, mixing.lags[-1])
     set_title(ax, title if mixing.mixed else f"{title}\n(does not come down to {level:g})")
-    ax.legend(fontsize=8.5, frameon=False)
+    legend_below(figure, ax, columns=3)
     return figure
 
 

@@ -1,5 +1,6 @@
 """Entries of an import map for one file of a recording, from names and values of its columns."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +18,7 @@ from surefoot.sim.importing.guess_units import (
     unit_of_rates,
 )
 from surefoot.sim.importing.layout import is_number
-from surefoot.sim.importing.names import Named, words_of
+from surefoot.sim.importing.names import Named, read_name, words_of
 from surefoot.sim.importing.recorded_file import RecordedFile
 from surefoot.sim.log.schema import JOINTS, LEGS
 from surefoot.sim.robot.fixed_base import Machine
@@ -289,10 +290,11 @@ def _feet_entries(
         own = own if not plain and len({one.leg for one in own.values()}) == len(own) else plain
         lists: dict[str, list[str]] = {}
         for name, one in found.items():
-            if one.kind == kind and _is_counted(one):
-                lists.setdefault(one.part, []).append(name)
-        counted = lists.get("") or (next(iter(lists.values())) if len(lists) == 1 else [])
-        if not own and len(counted) == len(legs):
+            if one.kind == kind and _is_counted(name, one):
+                lists.setdefault(re.sub(r"[0-9]+", "", name), []).append(name)
+        of_legs = [names for names in lists.values() if len(names) == len(legs)]
+        counted = of_legs[0] if len(of_legs) == 1 else []
+        if not own and counted:
             counted.sort(key=lambda n: found[n].place or found[n].limb or 0)
             prefix = _contact_or_force(file, kind, counted)
             entries += [
@@ -339,9 +341,10 @@ def _contact_or_force(file: RecordedFile, kind: str, names: Sequence[str]) -> st
     return "force" if kind == "contact" and not binary else kind
 
 
-def _is_counted(one: Named) -> bool:
-    """Whether a foot's column has a number instead of a leg's name."""
-    return not (one.leg or one.axis or (one.place is None and one.limb is None))
+def _is_counted(name: str, one: Named) -> bool:
+    """Whether a foot's column, in any group of a file, has a number instead of a leg's name."""
+    own = read_name(name.rpartition("/")[2])
+    return not (one.leg or own.part or one.axis or (one.place is None and one.limb is None))
 
 
 def _other_side(joint: str) -> str:

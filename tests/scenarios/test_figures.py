@@ -13,7 +13,7 @@ from surefoot.estimator.evaluation.trajectory import reference
 from surefoot.models.calibration.mixing import mixing
 from surefoot.scenarios.estimate.error_series import error_series
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
-from surefoot.scenarios.experiments.figures import by_sequence, paths
+from surefoot.scenarios.experiments.figures import by_sequence, errors_figure, paths
 from surefoot.scenarios.reporting import figures, observer_figures
 from surefoot.scenarios.reporting.palette import estimator_color, estimator_label, estimator_line
 from surefoot.scenarios.reporting.plotting import png, save_png
@@ -96,6 +96,20 @@ def test_no_legend_is_cut_off_where_every_estimator_is_drawn(walk, errors):
         assert whole.x0 <= box.x0
         assert box.x1 <= whole.x1
         assert whole.y0 <= box.y0
+
+
+def test_legends_stand_outside_the_curves(drawn):
+    assert [name for name, one in drawn.items() if any(ax.get_legend() for ax in one.axes)] == []
+
+
+@pytest.mark.parametrize(("sequences", "columns"), [(1, 1), (2, 2), (5, 3)])
+def test_errors_over_time_leave_no_empty_column(sequences, columns):
+    part = pd.DataFrame({"t": [0.0, 1.0], "distance": [0.0, 0.1], "sigma": [0.1, 0.1]})
+    figure = errors_figure({f"walk {k}": {"leg": part} for k in range(sequences)}, "Errors")
+    shown = [ax for ax in figure.axes if ax.get_visible()]
+    assert len(shown) == sequences
+    assert shown[0].get_subplotspec().get_gridspec().ncols == columns
+    assert all(ax.get_xlabel() == "time [s]" for ax in shown)
 
 
 def test_heights_and_paths_are_those_of_the_walk(drawn, walk, errors):

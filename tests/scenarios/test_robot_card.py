@@ -47,3 +47,15 @@ def test_numbers_below_a_tall_robot_do_not_touch(tmp_path, link):
         boxes = [label.get_window_extent() for at, label in ticks if low <= at <= high]
         assert len(boxes) >= 2
         assert all(left.x1 < right.x0 for left, right in pairwise(boxes))
+
+
+def test_an_imu_above_the_waist_is_named(tmp_path):
+    torso = """<body name="torso"><joint name="waist" axis="0 0 1"/><site name="imu"/>
+        <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></body></worldbody>
+        <sensor><gyro site="imu"/></sensor>"""
+    file = tmp_path / "robot.xml"
+    file.write_text(two_legs([0.3, 0.4]))
+    assert "IMU: none in the model: the base frame" in robot_card(str(file), None).text
+    file.write_text(two_legs([0.3, 0.4]).replace("</body></worldbody>", torso))
+    text = robot_card(str(file), None).text
+    assert "IMU: site imu is on torso, not on the base: the base frame stands for it" in text
