@@ -78,7 +78,7 @@ def _card(robot: Robot) -> RobotCard:
         }
         for j, (joint, own) in enumerate(zip(robot.limbs.joints, robot.joint_names, strict=True))
     ]
-    feet_B = robot.feet_I(robot.q_home[None])[0] @ robot.R_BI.T + robot.p_BI
+    feet_B = _feet_at_home(robot)
     feet = [
         {
             "leg": leg,
@@ -101,6 +101,11 @@ def _card(robot: Robot) -> RobotCard:
         "feet": feet,
     }
     return RobotCard("\n".join([*lines, "", to_markdown(joints), "", to_markdown(feet)]), values)
+
+
+def _feet_at_home(robot: Robot) -> np.ndarray:
+    """Feet (L, 3) in the home pose, in the base [m]."""
+    return robot.feet_I(robot.q_home[None])[0] @ robot.R_BI.T + robot.p_BI
 
 
 def _no_imu(model: mujoco.MjModel) -> str:
@@ -134,6 +139,7 @@ def portrait(robot: Robot) -> Figure:
     def in_base(points: np.ndarray) -> np.ndarray:
         return (np.atleast_2d(points) - p) @ R
 
+    feet_B = _feet_at_home(robot)
     figure, sides = new_figure(1, 2, (9.0, 4.2))
     for axes, across, title in zip(sides[0], (0, 1), ("its left", "the front"), strict=True):
         for geom in np.flatnonzero(model.geom_bodyid > 0):
@@ -145,11 +151,9 @@ def portrait(robot: Robot) -> Figure:
             axes.add_patch(Polygon(hull, facecolor=TRUTH, edgecolor=INK, alpha=0.15, linewidth=0.4))
         for leg, chain in enumerate(robot.limbs.chains):
             hinges = [data.xanchor[model.joint(robot.joint_names[j]).id] for j in chain]
-            body = model.body(robot.foot_bodies[leg]).id
-            foot = data.xpos[body] + data.xmat[body].reshape(3, 3) @ robot.foot_places[leg]
-            line = in_base(np.array([*hinges, foot]))[:, [across, 2]]
+            line = np.array([*in_base(np.array(hinges)), feet_B[leg]])[:, [across, 2]]
             axes.plot(*line.T, "o-", color=INK, markersize=3.0, linewidth=1.2)
-            radius, near = robot.foot_radius[leg], in_base(foot)[0, 1 - across] >= 0.0
+            radius, near = robot.foot_radius[leg], feet_B[leg, 1 - across] >= 0.0
             axes.add_patch(Circle(line[-1], radius, facecolor="none", edgecolor=INK))
             if near:  # those behind would be named on top of it
                 name = robot.limbs.legs[leg]

@@ -4,6 +4,7 @@ from itertools import pairwise
 
 import pytest
 
+from surefoot.scenarios.reporting.plotting import png
 from surefoot.scenarios.robot_card import portrait, robot_card
 from surefoot.sim.robot import Robot
 
@@ -40,7 +41,7 @@ def test_numbers_below_a_tall_robot_do_not_touch(tmp_path, link):
     file = tmp_path / "robot.xml"
     file.write_text(two_legs([link, link]))
     figure = portrait(Robot.load(str(file)))
-    figure.canvas.draw()
+    png(figure)
     for axes in figure.axes:
         low, high = axes.get_xlim()
         ticks = zip(axes.get_xticks(), axes.get_xticklabels(), strict=True)
