@@ -17,7 +17,7 @@ from surefoot.scenarios.trace.result import Filters, Trace
 from surefoot.scenarios.trace.words import (
     VERDICTS,
     beyond_bounds,
-    size_in_words,
+    sizes_in_words,
     unexplained_in_words,
 )
 from surefoot.scenarios.viewer.recording import write_recording
@@ -65,14 +65,14 @@ def sections(found: Trace) -> list[Section]:
         Section(
             "Verdict",
             f"{found.verdict}: {VERDICTS[found.verdict]}.\n\n" + "\n\n".join(_sentences(found)),
-            table=_sizes(found.found) or None,
+            table=_sizes(found, found.found) or None,
         )
     ]
     if found.runs:
         rows = [
             {"run": number, **row}
             for number, run in enumerate(found.runs, 1)
-            for row in _sizes(run.zeros)
+            for row in _sizes(found, run.zeros)
         ]
         words = "Zeros and clocks differ from run to run, so they are not counted as effects."
         parts.append(Section("Zeros and clocks of each run", words, table=rows))
@@ -173,7 +173,7 @@ def channel_rows(levels: Mapping[str, ChannelLevel]) -> dict[str, dict[str, Any]
 
 def _sentences(found: Trace) -> list[str]:
     lines = [f"Since {why}." for why in found.reasons]
-    lines += [f"Lacks {size_in_words(one)}." for one in found.found]
+    lines += [f"Lacks {one}." for one in sizes_in_words(found, found.found)]
     lines += [
         f"Or {r['name']} {r['target']}: their regressors overlap by {r['overlap']:.2f}."
         for r in found.rivals
@@ -194,7 +194,7 @@ def _note_lines(notes: Sequence[str]) -> list[str]:
     return lines
 
 
-def _sizes(found: Sequence[Found]) -> list[dict[str, Any]]:
+def _sizes(found: Trace, ones: Sequence[Found]) -> list[dict[str, Any]]:
     """One row per effect, with as many digits as distinguish the ends of its interval."""
     return [
         {
@@ -203,9 +203,9 @@ def _sizes(found: Sequence[Found]) -> list[dict[str, Any]]:
             "value": f"{f.effect.value:.4g}",
             "low": f"{f.interval[0]:.4g}",
             "high": f"{f.interval[1]:.4g}",
-            "unit": f.effect.unit,
+            "unit": found.unit_of(f.effect.name, f.effect.target, f.effect.unit),
         }
-        for f in found
+        for f in ones
     ]
 
 

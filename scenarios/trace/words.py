@@ -59,18 +59,25 @@ def motion_to_distinguish(names: Sequence[str]) -> str:
     return "; ".join(dict.fromkeys(_MOTIONS.get(name, "more varied motion") for name in names))
 
 
-def size_in_words(found: Found) -> str:
-    """An effect with its size and interval, in a suitable unit.
+def size_in_words(found: Found, unit: str) -> str:
+    """An effect with its size and interval, in a suitable multiple of its unit.
 
     For example 'encoder_offset FL_thigh +19.8 mrad (95 % interval +19.1 .. +20.4)'.
     """
     one = found.effect
-    factor, unit = _SCALE.get(one.unit, (1.0, one.unit))
+    factor, unit = _SCALE.get(unit, (1.0, unit))
     low, high = (factor * x for x in found.interval)
     return (
         f"{one.name} {target_in_words(one)} {factor * one.value:+.3g} {unit} "
         f"(95 % interval {low:+.3g} .. {high:+.3g})"
     )
+
+
+def sizes_in_words(found: Trace, ones: Sequence[Found]) -> list[str]:
+    """Effects of a trace with their sizes (`size_in_words`)."""
+    return [
+        size_in_words(f, found.unit_of(f.effect.name, f.effect.target, f.effect.unit)) for f in ones
+    ]
 
 
 def target_in_words(one: Effect) -> str:
@@ -80,10 +87,11 @@ def target_in_words(one: Effect) -> str:
     kind = type(one).targets
     if not type(one).groups or isinstance(kind, tuple):
         return one.target
+    several = "links" if one.name.startswith("link_") else _PLURALS[kind]
     if one.target == "all":
-        return f"of all {_PLURALS[kind]}"
+        return f"of all {several}"
     if one.target in ("left", "right", "front", "rear"):
-        return f"of the {one.target} {_PLURALS[kind]}"
+        return f"of the {one.target} {several}"
     return f"of every {one.target}" if one.target in ("hip", "thigh", "calf") else one.target
 
 
@@ -109,7 +117,8 @@ def beyond_bounds(found: Trace) -> list[str]:
     lines = []
     for one in sorted(out, key=lambda c: -c.share)[:2]:
         kind = known_effects()[one.key[0]]
-        factor, unit = _SCALE.get(kind.unit, (1.0, kind.unit))
+        unit = found.unit_of(*one.key, kind.unit)
+        factor, unit = _SCALE.get(unit, (1.0, unit))
         low, high = (factor * x for x in kind.bounds)
         lines.append(
             f"  {one.key[0]} {one.key[1]} of {factor * one.size:+.3g} {unit} would explain "
@@ -123,10 +132,10 @@ def summary(found: Trace) -> str:
     """The output of `surefoot trace`."""
     lines = [f"verdict: {found.verdict}: {VERDICTS[found.verdict]}"]
     lines += [f"  because {why}" for why in found.reasons]
-    lines += [f"  lacks {size_in_words(one)}" for one in found.found]
+    lines += [f"  lacks {one}" for one in sizes_in_words(found, found.found)]
     for number, run in enumerate(found.runs, 1):
         own = [one for one in run.zeros if one.effect in run.compensated]
-        lines += [f"  run {number} has {size_in_words(one)}" for one in own]
+        lines += [f"  run {number} has {one}" for one in sizes_in_words(found, own)]
     lines += [f"  or {r['name']} {r['target']} (overlap {r['overlap']:.2f})" for r in found.rivals]
     if found.rivals:
         lines.append(f"  to distinguish them: {found.motion}")

@@ -1,13 +1,17 @@
 """One drive on a bench: what its rigid model lacks is found from torque, angle and rate alone."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pandas as pd
 import pytest
 
+from surefoot.models.attribution.found import Found
 from surefoot.scenarios.trace.run import trace_logs
 from surefoot.scenarios.trace.words import summary
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.effects import effect
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.physics.inverse_dynamics import dynamics_of
 from surefoot.sim.robot import Robot
@@ -93,6 +97,26 @@ def test_an_effect_outside_its_bounds_is_mentioned_and_not_named():
     (told,) = (line for line in summary(found).splitlines() if "coulomb_friction" in line)
     assert "shoulder of +15 N m would explain 100 % of the remaining residual" in told
     assert told.endswith("its bounds are 0 and 10")
+
+
+def test_what_a_slide_lacks_is_in_metres_and_newtons(tmp_path):
+    """A cart that carries a pendulum."""
+    (tmp_path / "cart.xml").write_text(
+        '<mujoco><worldbody><body><joint name="cart" type="slide" axis="1 0 0"/>'
+        '<geom size=".1" mass="1"/><body><joint name="pole" type="hinge" axis="0 1 0"/>'
+        '<geom size=".1" pos="0 0 .5" mass="1"/></body></body></worldbody></mujoco>'
+    )
+    t = np.arange(0.0, 1.0, 0.01)
+    columns = {f"{kind}_{joint}": np.sin(t) for kind in ("q", "tau") for joint in ("cart", "pole")}
+    log = Log(pd.DataFrame({"t": t} | columns), Meta(100.0), "short")
+    found = trace_logs([log], load_machine(tmp_path / "cart.xml"))
+    assert found.slides == ("cart",)
+    named = tuple(
+        Found(effect("coulomb_friction", joint, 3.0), (2.0, 4.0)) for joint in ("cart", "pole")
+    )
+    found = replace(found, found=named)
+    assert [one["unit"] for one in found.as_dict()["effects"]] == ["N", "N m"]
+    assert "coulomb_friction cart +3 N (95 % interval" in summary(found)
 
 
 def test_too_short_a_log_is_not_identifiable():

@@ -24,7 +24,9 @@ def test_channels_that_lack_columns_share_a_sentence():
 
 
 def test_an_interval_has_digits_that_tell_its_ends_apart():
-    (row,) = _sizes([Found(effect("imu_rotation", "y", 0.035012), (0.034642, 0.035381))])
+    trace = Trace(verdict="attributed", channels={}, filters={})
+    one = Found(effect("imu_rotation", "y", 0.035012), (0.034642, 0.035381))
+    (row,) = _sizes(trace, [one])
     assert (row["low"], row["value"], row["high"]) == ("0.03464", "0.03501", "0.03538")
 
 

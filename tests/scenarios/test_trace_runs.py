@@ -123,10 +123,12 @@ def test_the_command_takes_declared_effects_and_held_out_logs(tmp_path, capsys):
         ("foot_rolling", "all", "foot_rolling of all legs +6 mm"),
         ("foot_rolling", "FL", "foot_rolling FL +6 mm"),
         ("payload", "all", "payload all +0.006 kg"),
+        ("link_mass", "all", "link_mass of all links +0.006 kg"),
     ],
 )
 def test_targets_read_as_one_would_say_them(name, target, words):
-    assert size_in_words(Found(effect(name, target, 0.006), (0.0, 0.01))).startswith(words)
+    one = effect(name, target, 0.006)
+    assert size_in_words(Found(one, (0.0, 0.01)), one.unit).startswith(words)
 
 
 def test_a_held_out_log_is_no_log_to_fit_on(tmp_path):
