@@ -66,10 +66,10 @@ def read_hdf5(path: Path) -> RecordedTable:
         found = [(n, d) for n, d in found if n not in objects]
         if objects and not found:
             name, kind = next(iter(objects.items()))
-            arrays = f": t = {name}.Time; data = {name}.Data; save('arrays.mat', 't', 'data')"
+            remedy = f": t = {name}.Time; data = {name}.Data; save('arrays.mat', 't', 'data')"
             raise SurefootError(
                 f"{path}: {name} is a MATLAB {kind}, which only MATLAB can read; there, save its "
-                f"arrays{arrays if kind == 'timeseries' else ''}"
+                f"arrays{remedy if kind == 'timeseries' else ''}"
             )
         _bounded(path, sum(node.size * node.dtype.itemsize for _, node in found))
         for name, node in found:
