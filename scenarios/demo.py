@@ -78,7 +78,7 @@ def _run(out: Path, seed: int) -> tuple[pd.DataFrame, Trace, Effect]:
         learnt = learn([logs["train"]], logs["calibrate"], out, seed)
         print("\nevery filter, on a walk that nothing was trained on")
         comparison = compare_log(logs["walk"], robot, learnt)
-        print("\ntracing the walk with an effect that its log does not declare, begun meanwhile")
+        print("\nwaiting for the trace of a walk with an effect that its log does not declare")
         found = tracing.result()
     # The ground as drawn with this seed, in contrast to that in the file.
     ground = plan(_scenario("walk"), robot, _seed("walk", seed)).draw.scenario.ground

@@ -104,9 +104,8 @@ def sections(found: Trace) -> list[Section]:
             chosen if k < len(chosen) else (),
             title=f"Round {k + 1}: share of the residual explained on held-out blocks",
         )
-        fitted = f"with the {k} effects found before" if k > 1 else "with the effect found before"
-        caption = f"Candidates fitted along {fitted}." if k else "Candidates fitted alone."
-        pictures.append(Picture(figure, caption))
+        before = "along with the effects found in earlier rounds" if k else "alone"
+        pictures.append(Picture(figure, f"Candidates fitted {before}."))
     if pictures:
         words = (
             "Each candidate is fitted on some blocks of the log and judged on others. In each "

@@ -70,7 +70,9 @@ _FILLER = _words(
     " data estimator sensor header msg value raw leg ang per est estimate estimated lin is in flag"
     " field"
 )
-_NO_PART = _COMMANDED | _FILTERED | _NOT_READ | _FILLER
+_QUALIFIERS = _COMMANDED | _FILTERED | _NOT_READ
+_NO_PART = _QUALIFIERS | _FILLER
+"""Words that are no part of a joint's name."""
 _TURNING = _words("ang rot rotational imu body")
 _RATES = _words("vel velocity rate rates speed")
 _KINDS_OF_VECTORS = {
@@ -146,13 +148,11 @@ def read_name(name: str) -> Named:
     vectors = any(word in tuple("xyz") or word.isdigit() for word in words)
     for word in words:
         letters, digits = re.fullmatch(r"([a-z]*)([0-9]*).*", word).groups()  # pyright: ignore
-        if digits and letters in _COMMANDED | _FILTERED | _NOT_READ:
+        if digits and letters in _QUALIFIERS:
             place = int(digits)
             continue
         vector = re.fullmatch(r"(ang|w|omega|gyro|gyr|g|a|acc|accel|q|quat|p|pos|t)([wxyz])", word)
-        if word in _COMMANDED | _FILTERED | _NOT_READ | _FILLER or (
-            word in _REFERENCE and len(words) > 1
-        ):
+        if word in _NO_PART or (word in _REFERENCE and len(words) > 1):
             continue
         if word.isdigit():
             place = int(word)
