@@ -5,6 +5,7 @@ and damping (`sim.physics.springs`); a model that compensates a spring takes the
 """
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -13,6 +14,7 @@ from surefoot.sim.effects.base import Effect, with_columns
 from surefoot.sim.log import Log
 from surefoot.sim.log.derived import local_quadratic
 from surefoot.sim.physics.leg_loads import foot_loads_B, joint_loads, knows_loads
+from surefoot.sim.physics.momentum_balance import load_parameters
 from surefoot.sim.physics.springs import add_foot_springs, add_joint_spring
 from surefoot.sim.robot import Robot
 
@@ -48,8 +50,14 @@ class LegCompliance(Effect):
             add_joint_spring(spec, robot.joint_names[robot.limbs.joints.index(joint)], self.value)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        given = -self.value * joint_loads(log, robot)
-        return _moved(log, given, self.members(robot.limbs)), robot
+        columns = log.columns_of("q", "dq", "tau", "imu", "contact", "force")
+        deflection = log.cached(
+            "deflection of joints",
+            columns,
+            lambda: _deflection(log, -joint_loads(log, robot)),
+            *load_parameters(robot),
+        )
+        return _deflected(log, self.value, deflection, self.members(robot.limbs)), robot
 
     @classmethod
     def is_compensated_on(cls, log: Log) -> bool:
@@ -77,24 +85,14 @@ class FootElasticity(Effect):
             add_foot_springs(spec, robot, leg, self._axes(), self.value)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        force_B, along = foot_loads_B(log, robot), np.eye(3)[list(self._axes())]
-        # The springs rotate with the last link; in the home pose their axes are the base's.
-        links_B = log.cached(
-            "last links", log.columns_of("q"), lambda: _last_links_B(robot, log.q), robot.legs
+        columns = log.columns_of("q", "dq", "tau", "imu", "contact", "force")
+        deflection = log.cached(
+            f"deflection of feet, {self.target}",
+            columns,
+            lambda: _deflection(log, _angles_of_yielding_feet(log, robot, self._axes())),
+            *load_parameters(robot),
         )
-        at_home = _last_links_B(robot, robot.q_home[None])
-        axes_B = links_B @ np.swapaxes(at_home, 2, 3) @ along.T
-        given_B = np.einsum("nlia,nlja,nlj->nli", axes_B, axes_B, self.value * force_B)
-        # Express the deflection as joint angles, since these are what a model reads.
-        J_I = robot.feet_jacobian_I(log.q)
-        given_I = np.einsum("ji,nlj->nli", robot.R_BI, given_B)[..., None]
-        # A leg with more than three joints uses the least-norm solution.
-        three = robot.limbs.point_feet
-        by_leg = (np.linalg.solve(J_I, given_I) if three else np.linalg.pinv(J_I) @ given_I)[..., 0]
-        turned = np.zeros_like(log.q)
-        for leg, chain in enumerate(robot.limbs.chains):
-            turned[:, chain] = by_leg[:, leg, : len(chain)]
-        return _moved(log, turned, log.joints), robot
+        return _deflected(log, self.value, deflection, log.joints), robot
 
     @classmethod
     def is_compensated_on(cls, log: Log) -> bool:
@@ -102,6 +100,40 @@ class FootElasticity(Effect):
 
     def _axes(self) -> tuple[int, ...]:
         return (2,) if self.target == "normal" else (0, 1)
+
+
+class Deflection(NamedTuple):
+    """Motion of the joints with a compliance of one.
+
+    Attributes:
+        angle: (N, J) [rad].
+        rate: (N, J) [rad/s].
+    """
+
+    angle: np.ndarray
+    rate: np.ndarray
+
+
+def _angles_of_yielding_feet(log: Log, robot: Robot, axes: tuple[int, ...]) -> np.ndarray:
+    """Change of the joints' angles (N, J) [rad] by which a model has its feet where feet are that
+    yield by 1 m/N along these axes of the base.
+    """
+    force_B, along = foot_loads_B(log, robot), np.eye(3)[list(axes)]
+    # The springs rotate with the last link; in the home pose their axes are the base's.
+    links_B = log.cached(
+        "last links", log.columns_of("q"), lambda: _last_links_B(robot, log.q), robot.legs
+    )
+    at_home = _last_links_B(robot, robot.q_home[None])
+    axes_B = links_B @ np.swapaxes(at_home, 2, 3) @ along.T
+    given_B = (axes_B @ (np.swapaxes(axes_B, 2, 3) @ force_B[..., None]))[..., 0]
+    J_I, given_I = robot.feet_jacobian_I(log.q), (given_B @ robot.R_BI)[..., None]
+    # A leg with more than three joints uses the least-norm solution.
+    three = robot.limbs.point_feet
+    by_leg = (np.linalg.solve(J_I, given_I) if three else np.linalg.pinv(J_I) @ given_I)[..., 0]
+    turned = np.zeros_like(log.q)
+    for leg, chain in enumerate(robot.limbs.chains):
+        turned[:, chain] = by_leg[:, leg, : len(chain)]
+    return turned
 
 
 def _last_links_B(robot: Robot, q: np.ndarray) -> np.ndarray:
@@ -116,14 +148,20 @@ def _last_links_B(robot: Robot, q: np.ndarray) -> np.ndarray:
     return np.stack(columns, axis=3)
 
 
-def _moved(log: Log, by: np.ndarray, joints: tuple[str, ...]) -> Log:
-    """Add `by` (N, J) [rad] to the angles of some joints, and its slope to their rates."""
-    columns, smooth = {}, local_quadratic(log.t, by, LOAD_WINDOW)[0]
+def _deflection(log: Log, angle: np.ndarray) -> Deflection:
+    """The deflection with these angles (N, J) [rad]."""
+    # A difference between rows would amplify the load's noise beyond that of the rate.
+    smooth = local_quadratic(log.t, angle, LOAD_WINDOW)[0]
+    return Deflection(angle, np.gradient(smooth, log.t, axis=0))
+
+
+def _deflected(log: Log, compliance: float, by: Deflection, joints: tuple[str, ...]) -> Log:
+    """Deflect some joints of a log."""
+    columns = {}
     for joint in joints:
         at = log.joints.index(joint)
-        columns[f"q_{joint}"] = log.columns[f"q_{joint}"] + by[:, at]
+        columns[f"q_{joint}"] = log.columns[f"q_{joint}"] + compliance * by.angle[:, at]
         if f"dq_{joint}" in log.frame:
-            # A difference between rows would amplify the load's noise beyond that of the rate.
-            slope = np.gradient(smooth[:, at], log.t)
-            columns[f"dq_{joint}"] = log.columns[f"dq_{joint}"] + slope
+            rate = log.columns[f"dq_{joint}"] + compliance * by.rate[:, at]
+            columns[f"dq_{joint}"] = rate
     return with_columns(log, columns)

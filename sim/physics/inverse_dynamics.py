@@ -24,11 +24,19 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
 from surefoot.sim.robot.model_file import compiled_model
 
-_address = ctypes.cast(mujoco_library().mj_inverseSkip, ctypes.c_void_p).value
-binding.add_symbol("mj_inverseSkip", _address)
-_mj_inverse = types.ExternalFunction(
-    "mj_inverseSkip", types.void(types.uintp, types.uintp, types.intc, types.intc)
-)
+
+def _mujoco_function(name: str, *arguments: types.Type) -> types.ExternalFunction:
+    """A function of MuJoCo's library on a model and its data, callable from compiled code."""
+    address = ctypes.cast(getattr(mujoco_library(), name), ctypes.c_void_p).value
+    binding.add_symbol(name, address)
+    return types.ExternalFunction(name, types.void(types.uintp, types.uintp, *arguments))
+
+
+_mj_inverse = _mujoco_function("mj_inverseSkip", types.intc, types.intc)
+_mj_kinematics = _mujoco_function("mj_kinematics")
+_mj_comPos = _mujoco_function("mj_comPos")
+_mj_comVel = _mujoco_function("mj_comVel")
+_mj_rne = _mujoco_function("mj_rne", types.intc, types.uintp)
 # What MuJoCo need not recompute: nothing, all that depends on positions, or on positions and rates.
 _SKIP_NOTHING = int(mujoco.mjtStage.mjSTAGE_NONE)
 _SKIP_POSITIONS = int(mujoco.mjtStage.mjSTAGE_POS)
@@ -113,6 +121,25 @@ class Dynamics:
         out = np.empty((len(q), self.model.nv))
         with self._changed(changes):
             _sweep(self._memory, *motion, out)
+        return self._wrench(out), out[:, self.dof_adr]
+
+    def rigid_bodies(
+        self,
+        q: np.ndarray,
+        dq: np.ndarray,
+        ddq: np.ndarray,
+        base: np.ndarray | None = None,
+        changes: BodyChanges = UNCHANGED_BODY,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """`inverse` without what the joints add: rotor inertia, damping, springs and dry friction.
+
+        Four times as fast. `changes` do not affect what the joints add, so that the difference
+        between two bodies is the same as that of `inverse`.
+        """
+        motion = self._motion(q, dq, ddq, base)
+        out = np.empty((len(q), self.model.nv))
+        with self._changed(changes):
+            _rigid_sweep(self._memory, *motion, out)
         return self._wrench(out), out[:, self.dof_adr]
 
     def derivatives(
@@ -232,6 +259,18 @@ def _sweep(memory, Q, V, A, out):
         qpos[:], qvel[:], qacc[:] = Q[k], V[k], A[k]
         _mj_inverse(model, data, _SKIP_NOTHING, 1)
         out[k] = force
+
+
+@kernel(nogil=True)
+def _rigid_sweep(memory, Q, V, A, out):
+    """Generalised forces of N motions by recursive Newton-Euler; arguments as of `_sweep`."""
+    model, data, qpos, qvel, qacc, _ = memory
+    for k in range(len(Q)):
+        qpos[:], qvel[:], qacc[:] = Q[k], V[k], A[k]
+        _mj_kinematics(model, data)
+        _mj_comPos(model, data)
+        _mj_comVel(model, data)
+        _mj_rne(model, data, 1, out.ctypes.data + k * out.strides[0])
 
 
 @kernel(nogil=True)
