@@ -5,7 +5,7 @@ held at the origin with its axes along the world's, so that its force and moment
 """
 
 import ctypes
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
@@ -25,7 +25,7 @@ from surefoot.sim.robot.fixed_base import Machine
 from surefoot.sim.robot.model_file import compiled_model
 
 
-def _mujoco_function(name: str, *arguments: types.Type) -> types.ExternalFunction:
+def _mujoco_function(name: str, *arguments: types.Type) -> Callable[..., None]:
     """A function of MuJoCo's library on a model and its data, callable from compiled code."""
     address = ctypes.cast(getattr(mujoco_library(), name), ctypes.c_void_p).value
     binding.add_symbol(name, address)
@@ -135,6 +135,13 @@ class Dynamics:
 
         Four times as fast. `changes` do not affect what the joints add, so that the difference
         between two bodies is the same as that of `inverse`.
+
+        Args:
+            q: (N, J) [rad].
+            dq: (N, J) [rad/s].
+            ddq: (N, J) [rad/s^2].
+            base: (N, 9) in B, as for `inverse`.
+            changes: as for `inverse`.
         """
         motion = self._motion(q, dq, ddq, base)
         out = np.empty((len(q), self.model.nv))
@@ -263,7 +270,15 @@ def _sweep(memory, Q, V, A, out):
 
 @kernel(nogil=True)
 def _rigid_sweep(memory, Q, V, A, out):
-    """Generalised forces of N motions by recursive Newton-Euler; arguments as of `_sweep`."""
+    """Generalised forces of N motions on the rigid bodies alone, by recursive Newton-Euler.
+
+    Args:
+        memory: as of `_sweep`.
+        Q: (N, nq), positions.
+        V: (N, nv), velocities.
+        A: (N, nv), accelerations.
+        out: (N, nv), filled.
+    """
     model, data, qpos, qvel, qacc, _ = memory
     for k in range(len(Q)):
         qpos[:], qvel[:], qacc[:] = Q[k], V[k], A[k]

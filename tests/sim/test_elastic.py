@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from surefoot.sim.effects import effect
-from surefoot.sim.effects.elastic import _last_links_B, _moved
+from surefoot.sim.effects.elastic import _deflection, _last_links_B
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.physics.leg_loads import foot_loads_B, joint_loads
@@ -68,10 +68,10 @@ def test_a_model_that_knows_the_spring_has_the_joints_angles_again(calves, torqu
 def test_how_fast_a_spring_gives_is_not_smoothed_away():
     """Of rates that a model adds too little of, springs would seem softer than they are."""
     t, w = 0.002 * np.arange(1000), 2 * np.pi * 10.0
-    still = pd.DataFrame({"t": t, "q_joint": 0.0, "dq_joint": 0.0})
-    moved = _moved(Log(still, Meta(500.0)), np.sin(w * t)[:, None], ("joint",))
-    assert_allclose(moved.q[:, 0], np.sin(w * t))
-    amplitude = 2 * np.mean(moved.dq[50:-50, 0] * np.cos(w * t[50:-50]))
+    log = Log(pd.DataFrame({"t": t}), Meta(500.0))
+    deflection = _deflection(log, np.sin(w * t)[:, None])
+    assert_allclose(deflection.angle[:, 0], np.sin(w * t))
+    amplitude = 2 * np.mean(deflection.rate[50:-50, 0] * np.cos(w * t[50:-50]))
     assert amplitude == pytest.approx(w, rel=0.03)  # a mean over 0.03 s leaves 0.86 of it
 
 

@@ -66,3 +66,25 @@ def test_slopes_skip_work_and_nothing_else():
             after = dynamics.inverse(q, dq, ddq, base, shift)
             for slope, there, here in zip(slopes, after, before, strict=True):
                 assert_array_equal(slope[kind, joint], (there - here) / step)
+
+
+@pytest.mark.parametrize(("name", "target", "value"), [
+    ("link_mass", "FL_calf", 0.05), ("link_inertia", "RR_thigh", 0.01),
+    ("link_length", "FR_thigh", 0.02), ("leg_heading", "RL_z", 0.03),
+])  # fmt: skip
+def test_the_rigid_bodies_alone_tell_two_bodies_apart(name, target, value):
+    """What a joint adds (spot's have rotors, damping and dry friction) is the same in both."""
+    robot, rng = Robot.load("spot_class"), np.random.default_rng(7)
+    dynamics = dynamics_of(robot.file, robot.joint_names)
+    q, dq, ddq = rng.standard_normal((3, 6, 12))
+    motion = q, dq, 20.0 * ddq, rng.standard_normal((6, 9))
+    known = effect(name, target, value).compensate(None, robot)[1]  # type: ignore[arg-type]
+    changes = body_changes(known)
+    whole, bodies = dynamics.inverse(*motion), dynamics.rigid_bodies(*motion)
+    changed, others = (
+        f(*motion, changes=changes) for f in (dynamics.inverse, dynamics.rigid_bodies)
+    )
+    assert np.abs(whole[1] - bodies[1]).max() > 1.0
+    for part in (0, 1):
+        assert np.abs(changed[part] - whole[part]).max() > 1e-3
+        assert_allclose(changed[part] - whole[part], others[part] - bodies[part], atol=1e-10)
