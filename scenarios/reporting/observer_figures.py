@@ -117,6 +117,7 @@ def error_bounds(
             f"{axis} ({word}), ε = {epsilon[k]:.3g} m/s\ninside: {', '.join(shares)}", fontsize=9
         )
         ax.set(xlabel="|error| [m/s]", xlim=(0, edge), ylim=(0, 101))
+        ax.locator_params(axis="x", nbins=5)  # more would touch
     axes[0, 0].set_ylabel("errors that are smaller [%]")
     figure.suptitle(title, x=0.01, ha="left", fontsize=11)
     legend_below(figure, axes[0, 0])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from figure_numbers import assert_numbers_apart
 
 from surefoot.models.calibration.error_statistics import error_statistics
 from surefoot.scenarios.reporting.observer_errors import bound_words, error_section, error_words
@@ -78,3 +79,10 @@ def test_the_motivating_figure_fits_a_gaussian_to_each(errors):
             assert density.max() == pytest.approx(1 / np.sqrt(2 * np.pi) / e.std(), rel=0.02)
         share = 100 * (np.abs(biased[:, k]) <= EPSILON[k]).mean()
         assert f"test {share:.1f} %" in ax.get_title()
+
+
+@pytest.mark.parametrize("widest", [0.02, 0.0375, 0.06])
+def test_numbers_below_the_errors_do_not_touch(errors, widest):
+    largest = np.quantile(np.abs(errors[0]), 0.995, axis=0)
+    train = errors[0] * widest / largest
+    assert_numbers_apart(error_bounds(train, train, 0.5 * np.full(3, widest), 0.8))
