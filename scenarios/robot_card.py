@@ -6,13 +6,12 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 from scipy.spatial import ConvexHull
 
 from surefoot.scenarios.reporting.palette import INK, OUTSIDE, TRUTH
-from surefoot.scenarios.reporting.plotting import new_figure, save_png, set_title
+from surefoot.scenarios.reporting.plotting import new_figure, save_png, set_title, show_to_scale
 from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.robot.fixed_base import FixedBase, load_machine
@@ -163,22 +162,15 @@ def portrait(robot: Robot) -> Figure:
         imu = robot.p_BI[[across, 2]]
         axes.plot(*imu, "s", color=OUTSIDE, markersize=5.0)
         axes.annotate("IMU", imu, (5, 5), textcoords="offset points", color=OUTSIDE)
-        axes.set_aspect("equal")
         axes.margins(0.1)
-        _space_numbers(axes)
         axes.set_xlabel("forward [m]" if across == 0 else "left [m]")
         axes.set_ylabel("up [m]")
         set_title(axes, f"{robot.name}, seen from {title}")
+    limits = np.array([[axes.get_xlim(), axes.get_ylim()] for axes in sides[0]])
+    middle, half = limits.mean(axis=2), 0.5 * np.ptp(limits, axis=2).max(axis=0)
+    for axes, centre in zip(sides[0], middle, strict=True):  # both at one scale and height
+        show_to_scale(axes, centre - half, centre + half)
     return figure
-
-
-def _space_numbers(axes: Axes) -> None:
-    """Widen the view of a slim robot, and number no more steps than fit side by side below it."""
-    (low, high), height = axes.get_xlim(), float(np.ptp(axes.get_ylim()))
-    spare = max(0.5 * height - (high - low), 0.0)
-    axes.set_xlim(low - 0.5 * spare, high + 0.5 * spare)
-    shape = (high - low + spare) / height
-    axes.locator_params(axis="x", nbins=int(np.clip(7.0 * shape, 3, 7)))
 
 
 def _numbers(values: np.ndarray) -> str:

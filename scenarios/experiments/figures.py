@@ -17,7 +17,14 @@ from surefoot.scenarios.reporting.palette import (
     estimator_label,
     estimator_line,
 )
-from surefoot.scenarios.reporting.plotting import label_decades, legend_below, new_figure, set_title
+from surefoot.scenarios.reporting.plotting import (
+    label_decades,
+    legend_below,
+    limit_to_errors,
+    new_figure,
+    set_title,
+    show_to_scale,
+)
 
 NOMINAL = 3.0  # NEES of a three-dimensional error
 FACTOR = 2.0  # from the nominal value that still counts as consistent
@@ -117,20 +124,27 @@ def paths(series: Mapping[str, pd.DataFrame], title: str) -> Figure:
     above.plot(truth["ref_x"][0], truth["ref_y"][0], "o", color=INK, markersize=6)
     above.set(xlabel="x [m]", ylabel="y [m]")
     # Estimates that left the picture must not compress the others.
-    for ax, x, y, keep in ((above, "ref_x", "ref_y", 0.35), (height, "t", "ref_z", None)):
-        low = np.array([truth[x].min(), truth[y].min()])
-        high = np.array([truth[x].max(), truth[y].max()])
-        margin = 0.35 * max(np.max(high - low), 2.0) if keep else max(high[1] - low[1], 2.0)
-        ax.set_ylim(low[1] - margin, high[1] + margin)
-        if keep:
-            ax.set_xlim(low[0] - margin, high[0] + margin)
-    above.set_aspect("equal")
+    path = truth[["ref_x", "ref_y"]].to_numpy()
+    margin = 0.35 * max(np.max(np.ptp(path, axis=0)), 2.0)
+    show_to_scale(above, path.min(axis=0) - margin, path.max(axis=0) + margin)
+    height.set_ylim(*_height_limits(series))
     height.set(xlabel="time [s]", ylabel="height z [m]")
     set_title(above, "From above")
     set_title(height, "Height of the IMU")
     figure.suptitle(title, x=0.01, ha="left", fontsize=11)
     legend_below(figure, above, columns=5)
     return figure
+
+
+def _height_limits(series: Mapping[str, pd.DataFrame]) -> tuple[float, float]:
+    """Lowest and highest z of truth and estimates, but of none that is ten times as far off as the
+    best.
+    """
+    off = {name: (part["p_z"] - part["ref_z"]).abs().max() for name, part in series.items()}
+    near = [part for name, part in series.items() if off[name] <= 10.0 * min(off.values())]
+    z = np.concatenate([part[["p_z", "ref_z"]].to_numpy().ravel() for part in near])
+    margin = 0.05 * max(np.ptp(z), 0.02)
+    return z.min() - margin, z.max() + margin
 
 
 def errors_figure(
@@ -152,7 +166,7 @@ def errors_figure(
             if "sigma" in part:
                 line = {"color": color, "linewidth": 0.8, "linestyle": (0, (4, 2)), "alpha": 0.8}
                 ax.plot(part["t"], 3.0 * part["sigma"], **line)
-        ax.set_ylim(0.0, 1.15 * top if top else 1.0)
+        limit_to_errors(ax, top)
         ax.set_xlabel("time [s]")
         set_title(ax, name, 9.0)
     for ax in axes[:, 0]:

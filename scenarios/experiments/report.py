@@ -260,14 +260,19 @@ def _walks(outcome: Outcome, found: Experiment, out: Path) -> list[Section]:
         for name, by_filter in series.items():
             picture = Picture(
                 paths(by_filter, f"{name}, {condition.name}"),
-                f"{name}, seed {found.seeds[0]}: truth and estimates, aligned at the start.",
+                f"{name}, seed {found.seeds[0]}: truth and estimates, aligned at the start. "
+                "Estimates ten times as far off as the best leave the panels.",
             )
             save_picture(picture, out / "figures" / f"{name}_{_slug(condition.name)}.png")
             pictures.append(picture)
         if series:
             what = "distance between estimate and truth, and each filter's own 3σ (dashed)"
             title = f"{condition.name}: {what}"
-            picture = Picture(errors_figure(series, title), "Errors over time.")
+            picture = Picture(
+                errors_figure(series, title),
+                f"Each sequence of seed {found.seeds[0]}. A filter whose error exceeds its 3σ is "
+                "overconfident.",
+            )
             save_picture(picture, out / "figures" / f"errors_{_slug(condition.name)}.png")
             pages.append(Section(PATHS + condition.name, "", None, (picture, *pictures)))
     return pages

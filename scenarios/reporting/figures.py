@@ -19,7 +19,13 @@ from surefoot.scenarios.reporting.palette import (
     estimator_line,
     friction_color,
 )
-from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
+from surefoot.scenarios.reporting.plotting import (
+    legend_below,
+    limit_to_errors,
+    new_figure,
+    set_title,
+    show_to_scale,
+)
 from surefoot.sim.ground.terrain import HeightField
 from surefoot.sim.log import Log, reference_velocity
 
@@ -75,8 +81,8 @@ def trajectories(
     ax.plot(*log.ref_p[0, :2], "o", color=INK, markersize=8, label="Start", linestyle="none")
     ax.plot(*log.ref_p[-1, :2], "s", color=INK, markersize=7, label="True end", linestyle="none")
     ax.plot([], [], "X", color=INK, markersize=7, label="Estimated end", linestyle="none")
-    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]")
-    ax.set_aspect("equal")
+    ax.set(xlabel="x [m]", ylabel="y [m]")
+    show_to_scale(ax, low, high)
     set_title(ax, title)
     legend_below(figure, ax, columns=2)
     return figure
@@ -177,8 +183,7 @@ def position_error(
     if errors:
         ax.set_xlim(min(e.t[0] for e in errors.values()), max(e.t[-1] for e in errors.values()))
     ax.set(xlabel="time [s]", ylabel="position error [m]")
-    # A wide 3 sigma must not flatten the errors themselves.
-    ax.set_ylim(0.0, min(ax.get_ylim()[1], 4.0 * top) if top else None)
+    limit_to_errors(ax, top)
     set_title(ax, title)
     legend_below(figure, ax, columns=2)
     return figure

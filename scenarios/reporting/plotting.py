@@ -75,6 +75,34 @@ def label_decades(axis: Axis) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
+def show_to_scale(ax: Axes, low: Sequence[float], high: Sequence[float]) -> None:
+    """Show at least the rectangle from `low` to `high`, (x, y), at one scale in x and y.
+
+    The axes keep their place: where they would shrink to the rectangle instead, a constrained
+    layout cuts off titles.
+    """
+    ax.set_xlim(low[0], high[0], auto=True)  # fixed limits would be warned of when widened
+    ax.set_ylim(low[1], high[1], auto=True)
+    ax.dataLim.set_points(np.array([low, high]))  # limits are narrowed to those of the data
+    ax.set_aspect("equal", adjustable="datalim")
+
+
+def limit_to_errors(ax: Axes, largest: float) -> None:
+    """Let y begin at 0 and end at four times the largest error, or where the highest curve does.
+
+    A wide 3σ would otherwise flatten the errors; where it leaves the axes, a note in the corner
+    says how far it goes.
+    """
+    highest = ax.dataLim.y1
+    room = 4.0 * largest
+    if 0.0 < room < highest:
+        ax.set_ylim(0.0, room)
+        look = {"fontsize": 7.5, "ha": "left", "va": "top", "xycoords": "axes fraction"}
+        ax.annotate(f"3σ up to {highest:.3g} m", (0.01, 0.99), **look)
+    elif highest > 0.0:
+        ax.set_ylim(0.0, 1.05 * highest)
+
+
 def legend_below(figure: Figure, ax: Axes, columns: int = 4) -> None:
     """Add one legend below the whole figure, where it hides no data."""
     handles, labels = ax.get_legend_handles_labels()

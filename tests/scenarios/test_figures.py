@@ -1,6 +1,7 @@
 """Figures show the numbers they are given, with units, and are the same twice."""
 
 from itertools import pairwise
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -98,6 +99,23 @@ def test_no_legend_is_cut_off_where_every_estimator_is_drawn(walk, errors):
         assert whole.y0 <= box.y0
 
 
+@pytest.mark.parametrize("path", [(4.0, 4.0), (20.0, 2.0), (2.0, 20.0)])
+def test_a_path_of_any_shape_leaves_room_for_title_and_legend(path):
+    ends = np.linspace(0.0, 1.0, 9)[:, None] * (*path, 0.0)
+    log: Any = SimpleNamespace(ref_p=ends)
+    estimate: Any = SimpleNamespace(p_GI=ends + 0.1, distance=np.full(9, 0.2))
+    figure = figures.trajectories(log, {"leg": estimate, "coverage": estimate})
+    png(figure)
+    (ax,), (legend,) = figure.axes, figure.legends
+    with_title = ax.get_tightbbox()
+    assert with_title is not None
+    assert with_title.y1 <= figure.bbox.y1
+    assert legend.get_window_extent().y1 <= ax.xaxis.label.get_window_extent().y0
+    (low, high), (bottom, top) = ax.get_xlim(), ax.get_ylim()
+    assert low <= 0.0 <= path[0] <= high
+    assert bottom <= 0.0 <= path[1] <= top
+
+
 def test_legends_stand_outside_the_curves(drawn):
     assert [name for name, one in drawn.items() if any(ax.get_legend() for ax in one.axes)] == []
 
@@ -110,6 +128,27 @@ def test_errors_over_time_leave_no_empty_column(sequences, columns):
     assert len(shown) == sequences
     assert len({round(ax.get_position().x0, 3) for ax in figure.axes}) == columns
     assert all(ax.get_xlabel() == "time [s]" for ax in shown)
+
+
+@pytest.mark.parametrize("sigma", [0.01, 0.1, 0.5])
+def test_three_sigma_is_shown_whole_or_said_to_be_cut_off(sigma):
+    part = pd.DataFrame({"t": [0.0, 1.0], "distance": [0.0, 0.1], "sigma": [0.0, sigma]})
+    figure = errors_figure({"walk": {"leg": part}}, "Errors")
+    top = figure.axes[0].get_ylim()[1]
+    assert 0.1 < top <= 0.4
+    assert (top >= 3.0 * sigma) != (f"3σ up to {3.0 * sigma:g} m" in words(figure))
+
+
+def test_the_height_panel_fits_the_estimates_but_those_that_are_lost():
+    z = np.linspace(0.0, 1.0, 50)
+    part = pd.DataFrame({"t": z, "ref_x": z, "ref_y": z, "ref_z": 0.3, "p_x": z, "p_y": z})
+    series = {
+        name: part.assign(p_z=0.3 - far * z)
+        for name, far in (("leg", 0.05), ("coverage", 0.2), ("imu", 40.0))
+    }
+    low, high = paths(series, "A walk").axes[1].get_ylim()
+    assert 0.05 < low < 0.1
+    assert 0.3 < high < 0.35
 
 
 def test_heights_and_paths_are_those_of_the_walk(drawn, walk, errors):

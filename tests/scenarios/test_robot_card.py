@@ -1,8 +1,10 @@
 """What `surefoot robots` says of legs with other than three hinges."""
 
+import numpy as np
 import pytest
 from figure_numbers import assert_numbers_apart
 
+from surefoot.scenarios.reporting.plotting import png
 from surefoot.scenarios.robot_card import portrait, robot_card
 from surefoot.sim.robot import Robot
 
@@ -39,6 +41,17 @@ def test_numbers_below_a_tall_robot_do_not_touch(tmp_path, link):
     file = tmp_path / "robot.xml"
     file.write_text(two_legs([link, link]))
     assert_numbers_apart(portrait(Robot.load(str(file))))
+
+
+def test_both_views_of_a_robot_are_at_one_scale_and_height(tmp_path):
+    file = tmp_path / "robot.xml"
+    file.write_text(two_legs([0.2, 0.2]))
+    figure = portrait(Robot.load(str(file)))
+    png(figure)
+    left, front = figure.axes
+    assert left.get_ylim() == pytest.approx(front.get_ylim())
+    scales = [np.diff(ax.get_xlim())[0] / ax.get_window_extent().width for ax in figure.axes]
+    assert scales[0] == pytest.approx(scales[1])
 
 
 def test_an_imu_above_the_waist_is_named(tmp_path):
