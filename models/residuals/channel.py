@@ -31,7 +31,6 @@ from surefoot.models.residuals.torques import (
     InverseDynamics,
     dynamics_inputs,
     inverse_dynamics,
-    rigid_body_dynamics,
 )
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
@@ -100,11 +99,6 @@ class ResidualInputs:
     def inverse_dynamics(self) -> InverseDynamics | None:
         """Inverse dynamics of the motion; None where the log has no torques."""
         return inverse_dynamics(self.steps, self.robot) if self.log.has("tau") else None
-
-    @cached_property
-    def rigid_body_dynamics(self) -> InverseDynamics:
-        """Inverse dynamics of the bodies alone."""
-        return rigid_body_dynamics(self.steps, self.robot)
 
     @cached_property
     def leg_velocities(self) -> np.ndarray | None:

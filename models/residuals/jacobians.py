@@ -18,9 +18,9 @@ from surefoot.models.residuals.torques import (
     DynamicsInputs,
     InverseDynamics,
     dilate,
+    inverse_dynamics,
     inverse_dynamics_jacobians,
     load_wrench,
-    rigid_body_dynamics,
     slope,
     smooth_121,
     standing_feet_wrenches,
@@ -249,11 +249,7 @@ def wrt_robot(parts: ResidualTable, robot: Machine, one: Machine, step: float) -
             more = load_wrench(inputs.steps, one) - load_wrench(inputs.steps, robot)
             needed = replace(needed, wrench=needed.wrench + more)
         else:
-            bodies, others = inputs.rigid_body_dynamics, rigid_body_dynamics(inputs.steps, one)
-            needed = InverseDynamics(
-                needed.wrench + others.wrench - bodies.wrench,
-                needed.torque + others.torque - bodies.torque,
-            )
+            needed = inverse_dynamics(inputs.steps, one)
     same = unchanged_channels(robot, one)
     again = [n for n, channel in channels().items() if not (channel.of_events or n in same)]
     table = filled(parts.layout, inputs.under_model(one, needed), again)

@@ -5,7 +5,6 @@ the change of a rate over them. Joint rates are too noisy for a single bin, so t
 equation is smoothed over three, with weights 1/4, 1/2, 1/4.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -107,24 +106,10 @@ def inverse_dynamics(s: DynamicsInputs, robot: Machine, every: bool = False) -> 
 
     Bins that no residual needs are zero, unless `every` bin is requested.
     """
-    return _on_bins(s, robot, dynamics_of(robot.file, robot.joint_names).inverse, every)
-
-
-def rigid_body_dynamics(s: DynamicsInputs, robot: Machine) -> InverseDynamics:
-    """`inverse_dynamics` of the bodies alone, without what the joints add (`rigid_bodies`)."""
-    return _on_bins(s, robot, dynamics_of(robot.file, robot.joint_names).rigid_bodies)
-
-
-def _on_bins(
-    s: DynamicsInputs,
-    robot: Machine,
-    forces: Callable[..., tuple[np.ndarray, np.ndarray]],
-    every: bool = False,
-) -> InverseDynamics:
-    """Wrench and torques by `forces` on the bins that a residual needs, or on `every` bin."""
     use = np.flatnonzero(dilate(s.swings.any(axis=1) | s.steady) | every)
+    dynamics = dynamics_of(robot.file, robot.joint_names)
     wrench, torque = np.zeros((len(s.q), 6)), np.zeros_like(s.q)
-    wrench[use], torque[use] = forces(
+    wrench[use], torque[use] = dynamics.inverse(
         s.q[use], s.dq[use], s.ddq[use], s.base[use], body_changes(robot)
     )
     return InverseDynamics(wrench + load_wrench(s, robot), torque)

@@ -1,7 +1,9 @@
 """Inverse dynamics of a robot over many rows: the joint torques and base wrench of a motion.
 
-MuJoCo's `mj_inverse` without contacts and joint limits, in one compiled loop. A floating base is
-held at the origin with its axes along the world's, so that its force and moment result in B.
+MuJoCo's `mj_inverse` without contacts, joint limits and equality constraints, in one compiled loop.
+Of the steps of `mj_inverse` only those are taken that the result needs, which is twice as fast: no
+mass matrix, and dry friction in closed form. A floating base is held at the origin with its axes
+along the world's, so that its force and moment result in B.
 """
 
 import ctypes
@@ -32,15 +34,13 @@ def _mujoco_function(name: str, *arguments: types.Type) -> Callable[..., None]:
     return types.ExternalFunction(name, types.void(types.uintp, types.uintp, *arguments))
 
 
-_mj_inverse = _mujoco_function("mj_inverseSkip", types.intc, types.intc)
 _mj_kinematics = _mujoco_function("mj_kinematics")
 _mj_comPos = _mujoco_function("mj_comPos")
+_mj_tendon = _mujoco_function("mj_tendon")
 _mj_comVel = _mujoco_function("mj_comVel")
+_mj_passive = _mujoco_function("mj_passive")
+_mj_fwdVelocity = _mujoco_function("mj_fwdVelocity")
 _mj_rne = _mujoco_function("mj_rne", types.intc, types.uintp)
-# What MuJoCo need not recompute: nothing, all that depends on positions, or on positions and rates.
-_SKIP_NOTHING = int(mujoco.mjtStage.mjSTAGE_NONE)
-_SKIP_POSITIONS = int(mujoco.mjtStage.mjSTAGE_POS)
-_SKIP_VELOCITIES = int(mujoco.mjtStage.mjSTAGE_VEL)
 _CHANGED_FIELDS = (
     *("body_pos", "body_quat", "body_mass"),
     *("body_ipos", "body_iquat", "body_inertia", "body_sameframe"),
@@ -123,32 +123,6 @@ class Dynamics:
             _sweep(self._memory, *motion, out)
         return self._wrench(out), out[:, self.dof_adr]
 
-    def rigid_bodies(
-        self,
-        q: np.ndarray,
-        dq: np.ndarray,
-        ddq: np.ndarray,
-        base: np.ndarray | None = None,
-        changes: BodyChanges = UNCHANGED_BODY,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """`inverse` without what the joints add: rotor inertia, damping, springs and dry friction.
-
-        Four times as fast. `changes` do not affect what the joints add, so that the difference
-        between two bodies is the same as that of `inverse`.
-
-        Args:
-            q: (N, J) [rad].
-            dq: (N, J) [rad/s].
-            ddq: (N, J) [rad/s^2].
-            base: (N, 9) in B, as for `inverse`.
-            changes: as for `inverse`.
-        """
-        motion = self._motion(q, dq, ddq, base)
-        out = np.empty((len(q), self.model.nv))
-        with self._changed(changes):
-            _rigid_sweep(self._memory, *motion, out)
-        return self._wrench(out), out[:, self.dof_adr]
-
     def derivatives(
         self,
         q: np.ndarray,
@@ -218,10 +192,58 @@ class Dynamics:
                 getattr(model, name)[:] = values
 
     @property
-    def _memory(self) -> tuple:
-        """Addresses of model and data, and the input and output arrays of `data`."""
+    def _memory(self) -> "_Memory":
         model, d = self.model, self.data
-        return model._address, d._address, d.qpos, d.qvel, d.qacc, d.qfrc_inverse
+        where = model._address, d._address, model.ntendon > 0
+        state = d.qpos, d.qvel, d.qacc, d.qfrc_passive
+        return _Memory(*where, *state, model.dof_armature, *_dry_friction(model))
+
+
+class _Memory(NamedTuple):
+    """What a sweep reads and writes.
+
+    Attributes:
+        model: address of MuJoCo's model.
+        data: address of its data.
+        tendons: whether it has any.
+        qpos: (nq,), view of the data, as are `qvel`, `qacc` and `passive` (nv,).
+        qvel: velocities.
+        qacc: accelerations.
+        passive: forces of springs and dampers.
+        rotor: inertia of the rotors (nv,).
+        dry: dry friction (nv,).
+        stiff: dry friction per acceleration (nv,), below its limit.
+        lead: acceleration that counts as much as a velocity of one (nv,) [1/s].
+    """
+
+    model: int
+    data: int
+    tendons: bool
+    qpos: np.ndarray
+    qvel: np.ndarray
+    qacc: np.ndarray
+    passive: np.ndarray
+    rotor: np.ndarray
+    dry: np.ndarray
+    stiff: np.ndarray
+    lead: np.ndarray
+
+
+def _dry_friction(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Dry friction of each degree of freedom: limit, force per acceleration, and acceleration per
+    velocity, (nv,) each.
+
+    As a constraint of MuJoCo, friction is the force a + b v over R within its limit, where a is the
+    acceleration, v the velocity, R = (1 - d) / d of the inverse inertia, d the impedance at rest,
+    and b the damping of a reference that is critically damped (MuJoCo documentation, "Computation",
+    on constraints).
+    """
+    least, most = mujoco.mjMINIMP, mujoco.mjMAXIMP
+    d, d_most = np.clip(model.dof_solimp[:, 0], least, most), model.dof_solimp[:, 1]
+    R = np.maximum((1.0 - d) / d * model.dof_invweight0, mujoco.mjMINVAL)
+    time, direct = model.dof_solref[:, 0], -model.dof_solref[:, 1]
+    b = np.where(time > 0.0, 2.0 / np.maximum(time, 2.0 * model.opt.timestep), direct)
+    return model.dof_frictionloss, 1.0 / R, b / np.clip(d_most, least, most)
 
 
 @lru_cache(maxsize=16)
@@ -255,37 +277,17 @@ def _sweep(memory, Q, V, A, out):
     """Generalised forces of N motions.
 
     Args:
-        memory: MuJoCo's model and data, and views of qpos, qvel, qacc and qfrc_inverse.
+        memory: a _Memory.
         Q: (N, nq), positions.
         V: (N, nv), velocities.
         A: (N, nv), accelerations.
         out: (N, nv), filled.
     """
-    model, data, qpos, qvel, qacc, force = memory
     for k in range(len(Q)):
-        qpos[:], qvel[:], qacc[:] = Q[k], V[k], A[k]
-        _mj_inverse(model, data, _SKIP_NOTHING, 1)
-        out[k] = force
-
-
-@kernel(nogil=True)
-def _rigid_sweep(memory, Q, V, A, out):
-    """Generalised forces of N motions on the rigid bodies alone, by recursive Newton-Euler.
-
-    Args:
-        memory: as of `_sweep`.
-        Q: (N, nq), positions.
-        V: (N, nv), velocities.
-        A: (N, nv), accelerations.
-        out: (N, nv), filled.
-    """
-    model, data, qpos, qvel, qacc, _ = memory
-    for k in range(len(Q)):
-        qpos[:], qvel[:], qacc[:] = Q[k], V[k], A[k]
-        _mj_kinematics(model, data)
-        _mj_comPos(model, data)
-        _mj_comVel(model, data)
-        _mj_rne(model, data, 1, out.ctypes.data + k * out.strides[0])
+        memory.qpos[:], memory.qvel[:], memory.qacc[:] = Q[k], V[k], A[k]
+        _take_positions(memory)
+        _take_velocities(memory)
+        _fill_forces(memory, out[k])
 
 
 @kernel(nogil=True)
@@ -293,7 +295,7 @@ def _sweep_about(memory, Q, V, A, qpos_adr, dof_adr, step, out):
     """Forward differences of the generalised forces of N motions by each joint.
 
     Args:
-        memory: MuJoCo's model and data, and views of qpos, qvel, qacc and qfrc_inverse.
+        memory: a _Memory.
         Q: (N, nq), positions.
         V: (N, nv), velocities.
         A: (N, nv), accelerations.
@@ -302,25 +304,57 @@ def _sweep_about(memory, Q, V, A, qpos_adr, dof_adr, step, out):
         step: of the differences [rad, rad/s, rad/s^2].
         out: (3, J, N, nv), filled: by angle, rate and acceleration.
     """
-    model, data, qpos, qvel, qacc, force = memory
-    here = np.empty(len(force))
+    qpos, qvel, qacc = memory.qpos, memory.qvel, memory.qacc
+    here, there = np.empty(len(qvel)), np.empty(len(qvel))
     for k in range(len(Q)):
         qpos[:], qvel[:], qacc[:] = Q[k], V[k], A[k]
-        _mj_inverse(model, data, _SKIP_NOTHING, 1)
-        here[:] = force
+        _take_positions(memory)
+        _take_velocities(memory)
+        _fill_forces(memory, here)
         # From the least recomputation to the most.
         for j in range(len(dof_adr)):
             qacc[dof_adr[j]] += step
-            _mj_inverse(model, data, _SKIP_VELOCITIES, 1)
-            out[2, j, k] = (force - here) / step
+            _fill_forces(memory, there)
+            out[2, j, k] = (there - here) / step
             qacc[:] = A[k]
         for j in range(len(dof_adr)):
             qvel[dof_adr[j]] += step
-            _mj_inverse(model, data, _SKIP_POSITIONS, 1)
-            out[1, j, k] = (force - here) / step
+            _take_velocities(memory)
+            _fill_forces(memory, there)
+            out[1, j, k] = (there - here) / step
             qvel[:] = V[k]
         for j in range(len(dof_adr)):
             qpos[qpos_adr[j]] += step
-            _mj_inverse(model, data, _SKIP_NOTHING, 1)
-            out[0, j, k] = (force - here) / step
+            _take_positions(memory)
+            _take_velocities(memory)
+            _fill_forces(memory, there)
+            out[0, j, k] = (there - here) / step
             qpos[:] = Q[k]
+
+
+@kernel(nogil=True)
+def _take_positions(memory):
+    """Bring what depends on positions up to date."""
+    _mj_kinematics(memory.model, memory.data)
+    _mj_comPos(memory.model, memory.data)
+    _mj_tendon(memory.model, memory.data)
+
+
+@kernel(nogil=True)
+def _take_velocities(memory):
+    """Bring what depends on positions and velocities up to date."""
+    if memory.tendons:
+        _mj_fwdVelocity(memory.model, memory.data)  # with their rates, and more
+    else:
+        _mj_comVel(memory.model, memory.data)
+        _mj_passive(memory.model, memory.data)
+
+
+@kernel(nogil=True)
+def _fill_forces(memory, force):
+    """Fill in the generalised forces (nv,) of the motion in memory."""
+    _mj_rne(memory.model, memory.data, 1, force.ctypes.data)
+    for i in range(len(force)):
+        a, v, most = memory.qacc[i], memory.qvel[i], memory.dry[i]
+        rubbed = (a + memory.lead[i] * v) * memory.stiff[i]
+        force[i] += memory.rotor[i] * a - memory.passive[i] + min(max(rubbed, -most), most)
