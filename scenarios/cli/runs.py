@@ -13,7 +13,7 @@ from typing import Any
 
 from surefoot.scenarios.cli.named import refuse_unnamed
 from surefoot.scenarios.cli.signals import Interrupted, unwrapped
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import LARGEST_WHOLE, SurefootError
 from surefoot.sim.common.files import (
     cache_folder,
     check_space,
@@ -43,8 +43,6 @@ BOUNDED = {
     "budget": "items",
 }
 """Options that are counts -> name of their limit."""
-LARGEST = 2**53
-"""Whole number up to which a float is exact; one of 400 digits is no float at all."""
 GOES_ON = {"simulate", "train", "experiment", "suite", "loop", "montecarlo", "walking", "tune"}
 """Commands that continue after an interruption when run again."""
 SPACE = 4_000_000
@@ -67,7 +65,7 @@ def guarded(name: str, command: Any) -> Iterator[None]:
     refuse_unnamed(read)
     cache_folder()
     for option, value in given.items():
-        if isinstance(value, int) and abs(value) > LARGEST:
+        if isinstance(value, int) and abs(value) > LARGEST_WHOLE:
             raise SurefootError(f"--{option}: must not be beyond 2^53")
     for option, limit in BOUNDED.items():
         if isinstance(given.get(option), int):

@@ -1,7 +1,10 @@
-"""The error for bad input, and the check of seeds."""
+"""The error for bad input, and the check of whole numbers."""
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+
+LARGEST_WHOLE = 2**53
+"""Whole number up to which a float is exact."""
 
 
 class SurefootError(ValueError):
@@ -12,7 +15,7 @@ def check_seed(seed: int) -> None:
     """Raise SurefootError for a seed that generators do not accept."""
     if seed < 0:
         raise SurefootError(f"--seed {seed}: must not be negative")
-    if seed > 2**53:
+    if seed > LARGEST_WHOLE:
         raise SurefootError("--seed: must not be beyond 2^53")
 
 

@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 import msgspec
 import numpy as np
 
-from surefoot.sim.common.errors import SurefootError, did_you_mean
+from surefoot.sim.common.errors import LARGEST_WHOLE, SurefootError, did_you_mean
 from surefoot.sim.common.limits import bounded_text, check_limit, check_toml_keys
 
 T = TypeVar("T")
@@ -26,14 +26,14 @@ NonNegative = Annotated[float, msgspec.Meta(ge=0)]
 SampleRate = Annotated[float, msgspec.Meta(gt=0, le=1e6)]
 """Hz. A million is beyond any sensor of a robot."""
 Level = Annotated[float, msgspec.Meta(gt=0, lt=1)]
-Count = Annotated[int, msgspec.Meta(ge=1, le=2**53)]
+Count = Annotated[int, msgspec.Meta(ge=1, le=LARGEST_WHOLE)]
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=1000)]
 _DEVICE = r"(?i:con|prn|aux|nul|com\d|lpt\d)(\.|$)"
 FileName = Annotated[str, msgspec.Meta(pattern=rf"^(?!{_DEVICE})\w[\w .+=(),-]{{0,99}}$")]
 """A name that becomes part of a file name: letters, digits and a few signs, and none that Windows
 reserves for a device.
 """
-Seed = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
+Seed = Annotated[int, msgspec.Meta(ge=0, le=LARGEST_WHOLE)]
 
 _Place = tuple[str | int, ...]  # keys, and the indices of tables in their arrays
 _WORDS = {
