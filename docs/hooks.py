@@ -33,6 +33,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     files.append(File.generated(config, "results/index.md", content=_results()))
     files.append(File.generated(config, "reference/maps.md", content=_maps()))
     files.append(File.generated(config, "reference/scenario_files.md", content=_scenario_files()))
+    filters, effects = _catalogues()
+    files.append(File.generated(config, "reference/filters.md", content=filters))
+    files.append(File.generated(config, "reference/effects.md", content=effects))
     return files
 
 
@@ -89,6 +92,14 @@ def _scenario_files() -> str:
         ("[sensors]", Sensors),
     ]
     return keys_page("Scenario files", words, tables)
+
+
+def _catalogues() -> tuple[str, str]:
+    """The filters with their parameters, and the effects."""
+    sys.path[:0] = [str(ROOT), str(ROOT / "docs")]
+    from catalogues import effects_page, filters_page
+
+    return filters_page(), effects_page()
 
 
 def _moved(source: str) -> str:

@@ -90,7 +90,7 @@ def figure(log: Log, poses: Poses, found: Alignment) -> Figure:
         ax = axes[3, column]
         set_title(ax, title, 9.0)
         ax.plot(fitted.t[shown], np.linalg.norm(rest[shown], axis=1), color=color, linewidth=1.0)
-        ax.set_ylabel("acceleration left [m/s²]")
+        ax.set_ylabel("unexplained [m/s²]")
         ax.set_xlabel("time [s]")
         ax.set_ylim(0.0, 1.05 * np.linalg.norm(fitted.accelerations + lever, axis=1)[shown].max())
     legend_below(drawn, axes[0, 1])

@@ -101,7 +101,7 @@ class Alignment:
             f"(+-{_numbers(1e3 * self.p_IM_half_width, 0)})",
             f"rotation: ({_numbers(angles, 1)}) deg from the tracked body's axes to the IMU's "
             f"(+-{_numbers(np.degrees(self.R_IM_half_width), 1)})",
-            f"turning: {100 * self.turn_missed:.1f} % of the gyro's is not the tracked body's; "
+            f"turning: the tracked body misses {100 * self.turn_missed:.1f} % of the gyro's; "
             f"gyro bias ({_numbers(1e3 * self.bias_gyro, 1)}) mrad/s",
             *(f"doubtful: {fault}" for fault in self.faults),
         )

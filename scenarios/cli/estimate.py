@@ -82,6 +82,7 @@ class Train:
     """PyTorch device for the training, such as cuda or mps; the observer runs on the CPU."""
     robot: RobotName = None
     seed: int = 0
+    """Seed of the initial weights and of the order of the windows."""
     strict: Strict = False
     as_json: Json = False
     force: Force = False
@@ -254,7 +255,8 @@ class Estimate:
             print("\n" + to_markdown(health.table()))
         b_a, b_g = health.biases[:3].max(), health.biases[3:].max()
         print(
-            f"\nbiases moved by {b_a:.1f} (accelerometer) and {b_g:.1f} (gyro) deviations at most"
+            f"\nbiases moved by at most {b_a:.1f} (accelerometer) and {b_g:.1f} (gyro) standard "
+            "deviations of their priors"
         )
 
 

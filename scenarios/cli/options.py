@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from surefoot.sim.log import Log
 
 Out = Annotated[Path, arg(aliases=["-o"])]
-Force = Annotated[bool, arg(help="Overwrite what is there.")]
+Force = Annotated[bool, arg(help="Replace what an earlier run of this command wrote.")]
 RobotName = Annotated[
-    str | None, arg(help="Name or MJCF file of the robot; the log's own where left out.")
+    str | None, arg(help="Name of the robot, or its MJCF or URDF; the log's own where left out.")
 ]
 Declared = Annotated[
     Path | None,
@@ -46,7 +46,7 @@ SettingLines = Annotated[
     UseAppendAction[tuple[str, ...]],
     arg(name="set", help="A line of such a file, as noise.gyro=1e-3; may be given several times."),
 ]
-Workers = Annotated[int, arg(help="How much runs at once on this machine.")]
+Workers = Annotated[int, arg(help="Number of processes on this machine.")]
 Json = Annotated[bool, arg(name="json", help="Print the results as JSON.")]
 Strict = Annotated[
     bool, arg(help="Stop where a log's numbers are not plausible, instead of warning.")

@@ -6,6 +6,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, UseAppendAction, arg
 
+from surefoot.scenarios.cli.named import EFFECT_NAMES
 from surefoot.scenarios.cli.options import (
     BoundsFiles,
     Cluster,
@@ -35,6 +36,7 @@ class Demo:
     out: Out = Path("out/demo")
     """Folder for all outputs."""
     seed: int = 0
+    """Seed of walks and trainings."""
     force: Force = False
 
     def run(self) -> None:
@@ -304,7 +306,7 @@ class Walking:
 
     out: Out
     robot: UseAppendAction[tuple[str, ...]] = ()
-    """Name or MJCF file, walked over flat ground, a slope, a slippery patch and stairs."""
+    """Name, MJCF or URDF; it walks on flat ground, a slope, a slippery patch and stairs."""
     course: UseAppendAction[tuple[str, ...]] = ()
     """Scenario (file or bundled name), walked by its own robot with every seed."""
     seeds: int = 5
@@ -402,8 +404,10 @@ class PlanCommand:
 
     robot: str
     """Name or file of the robot, a quadruped that walks in simulation."""
-    effects: Annotated[Positional[tuple[str, ...]], arg(metavar="EFFECT...")]
-    """Names of effects, such as encoder_offset; `surefoot trace` searches for all of them."""
+    effects: Annotated[
+        Positional[tuple[str, ...]],
+        arg(metavar="EFFECT...", help=f"Any of {', '.join(EFFECT_NAMES)}, or your own."),
+    ]
     as_json: Json = False
 
     def run(self) -> None:

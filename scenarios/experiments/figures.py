@@ -53,7 +53,8 @@ def by_sequence(
     filters = list(rows["filter"].unique())
     size = (5.2 * len(conditions) + 1.0, 0.42 * len(names) + 1.9)
     figure, axes = new_figure(1, len(conditions), size=size)
-    offsets = dict(zip(filters, np.linspace(-0.32, 0.32, max(len(filters), 2)), strict=False))
+    half = 0.32 if len(filters) > 1 else 0.0
+    offsets = dict(zip(filters, np.linspace(-half, half, len(filters)), strict=True))
     for ax, condition in zip(axes[0], conditions, strict=True):
         part = rows[rows["condition"] == condition]
         if band:

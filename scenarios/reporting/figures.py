@@ -102,7 +102,7 @@ def height_figure(
             error.p_GI[:, 2],
             color=estimator_color(name),
             linestyle=estimator_line(name),
-            label=f"{estimator_label(name)} ({error.position[-1, 2]:+.2f} m at the end)",
+            label=f"{estimator_label(name)} ({error.position[-1, 2]:+.3f} m at the end)",
         )
     ax.set(xlabel="time [s]", ylabel="height z [m]", xlim=(t[0], t[-1]))
     set_title(ax, title)

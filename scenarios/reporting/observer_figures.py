@@ -147,7 +147,7 @@ def mixing_curve(
             linewidth=1.9,
             label=f"{axis} ({word})",
         )
-    ax.plot([], [], color="#BDBDBD", linewidth=1.0, label="before the floor is taken off")
+    ax.plot([], [], color="#BDBDBD", linewidth=1.0, label="before subtracting the floor")
     level = mixing.threshold
     ax.axhline(level, color=BOUNDS, linewidth=1.2, linestyle=(0, (4, 2)), label=f"β = {level:g}")
     delay = f"{1e3 * mixing.K / rate:g} ms"

@@ -64,12 +64,15 @@ def set_title(ax: Axes, text: str, size: float = 10.5) -> None:
 def label_decades(axis: Axis) -> None:
     """Label a logarithmic axis, after plotting, with as many plain numbers as there is room for.
 
-    1, 2 and 5 in each decade if the axis covers at most a decade and a half, 1 and 3 up to three,
-    else 1 only; matplotlib's own labels within a decade overlap.
+    Six in each decade if the axis covers at most one, 1, 2 and 5 up to a decade and a half, 1 and 3
+    up to three, else 1 only; matplotlib's own labels within a decade overlap.
     """
     low, high = axis.get_view_interval()
     decades = float(np.log10(high / low))
-    steps = (1.0, 2.0, 5.0) if decades <= 1.5 else (1.0, 3.0) if decades <= 3.0 else (1.0,)
+    if decades <= 1.0:
+        steps = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
+    else:
+        steps = (1.0, 2.0, 5.0) if decades <= 1.5 else (1.0, 3.0) if decades <= 3.0 else (1.0,)
     axis.set_major_locator(LogLocator(subs=steps))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
@@ -88,17 +91,18 @@ def show_to_scale(ax: Axes, low: Sequence[float], high: Sequence[float]) -> None
 
 
 def limit_to_errors(ax: Axes, largest: float) -> None:
-    """Let y begin at 0 and end at four times the largest error, or where the highest curve does.
+    """Let y begin at 0 and end at six times the largest error, or where the highest curve does.
 
     A wide 3σ would otherwise flatten the errors; where it leaves the axes, a note in the corner
     says how far it goes.
     """
     highest = ax.dataLim.y1
-    room = 4.0 * largest
+    room = 6.0 * largest
     if 0.0 < room < highest:
         ax.set_ylim(0.0, room)
-        look = {"fontsize": 7.5, "ha": "left", "va": "top", "xycoords": "axes fraction"}
-        ax.annotate(f"3σ up to {highest:.3g} m", (0.01, 0.99), **look)
+        look = {"fontsize": 7.5, "ha": "left", "va": "top", "transform": ax.transAxes}
+        box = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0}
+        ax.text(0.01, 0.98, f"3σ up to {highest:.3g} m", bbox=box, **look)
     elif highest > 0.0:
         ax.set_ylim(0.0, 1.05 * highest)
 
