@@ -118,6 +118,7 @@ class InvariantFilter:
         gyro (3,) [rad/s] and accel (3,) [m/s^2], both in I, are means over the dt > 0 [s] that ends
         now.
         """
+        # One compiled call checks and propagates. What it refuses is converted or reported below.
         try:
             done = propagate_checked(
                 self._mean,
@@ -203,6 +204,7 @@ class InvariantFilter:
             return update_velocity_persistent(
                 self._mean, self._covariance, v_I, cov, self._persistent, self._counts
             )
+        # As in `predict`: the compiled check first.
         try:
             distance = update_velocity_checked(self._mean, self._covariance, 0, v_I, cov)
         except TypeError:

@@ -137,7 +137,7 @@ def plan(
         scenario: ground, segments and ranges.
         robot: its declared description.
         seed: of all random draws.
-        effects: undeclared changes of robot, ground and sensors.
+        effects: changes of robot, ground and sensors.
         declared: whether the log's metadata list the effects.
     """
     if scenario.sensors.rate > 1.0 / TIMESTEP:

@@ -39,7 +39,7 @@ class Estimation:
         stamp, w, a = message.header.stamp, message.angular_velocity, message.linear_acceleration
         gyro, accel = np.array([w.x, w.y, w.z]), np.array([a.x, a.y, a.z])
         now = 10**9 * stamp.sec + stamp.nanosec
-        # Since the first message: as a float, a time since the epoch is good to 0.2 us alone.
+        # Relative to the first message: floats resolve seconds since the epoch to 0.2 us only.
         self.began = now if self.began is None else self.began
         t = 1e-9 * (now - self.began)
         sample = surefoot.Sample(t, gyro, accel, contact=self.contact, **self.joints)

@@ -56,8 +56,8 @@ def error_statistics(errors: np.ndarray, K: int | None = None) -> tuple[AxisErro
     K = mixing(errors).K if K is None else K
     if len(errors) // K < FEWEST_ERRORS:
         raise SurefootError(
-            f"{len(errors)} errors, {K} apart, are {len(errors) // K} independent ones; statistics "
-            f"take {FEWEST_ERRORS}"
+            f"{len(errors)} errors, of which every {K}th is independent, are too few for "
+            f"statistics: {len(errors) // K} independent ones, {FEWEST_ERRORS} are needed"
         )
     return tuple(_axis(e, K) for e in errors.T)
 

@@ -239,7 +239,8 @@ def _pictures(main: pd.DataFrame, gamma: float) -> dict[str, Picture]:
         ),
         "nees": Picture(
             by_sequence(shown, "NEES_pos", "Consistency: NEES of position", band),
-            "The grey band is within a factor of two of 3; right of it a filter is overconfident.",
+            "The grey band is within a factor of two of 3. A filter to the right of it is "
+            "overconfident, one to the left underconfident.",
         ),
     }
     if shown["coverage [%]"].notna().any():

@@ -77,7 +77,7 @@ def test_what_was_put_in_is_found():
 
 
 def test_too_few_errors_are_refused():
-    with pytest.raises(SurefootError, match="19 independent ones; statistics take 20"):
+    with pytest.raises(SurefootError, match="19 independent ones, 20 are needed"):
         error_statistics(np.zeros((199, 3)), K=10)
 
 
