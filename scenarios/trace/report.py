@@ -105,7 +105,11 @@ def sections(found: Trace) -> list[Section]:
             title=f"Round {k + 1}: share of the residual explained on held-out blocks",
         )
         before = "along with the effects found in earlier rounds" if k else "alone"
-        pictures.append(Picture(figure, f"Candidates fitted {before}."))
+        caption = (
+            f"Candidates fitted {before}. Lines are 95 % intervals of a bootstrap over blocks; "
+            "where blocks differ, they may extend beyond 100 %."
+        )
+        pictures.append(Picture(figure, caption))
     if pictures:
         words = (
             "Each candidate is fitted on some blocks of the log and judged on others. In each "

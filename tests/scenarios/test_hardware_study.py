@@ -62,7 +62,8 @@ def test_a_finished_study_is_kept_until_its_recording_changes(tmp_path, monkeypa
 
     def chapter(*_) -> Chapter:
         ran.append(1)
-        return Chapter("One", "Words.", {"Sizes": pd.DataFrame({"a": [1.5]})}, new_figure()[0])
+        sizes = {"Sizes": pd.DataFrame({"a": [1.5]})}
+        return Chapter("One", "Words.", sizes, new_figure()[0], "What it shows.")
 
     monkeypatch.setitem(STUDIES, "ak80_pendulum", chapter)
     options = HardwareStudy(
@@ -72,6 +73,7 @@ def test_a_finished_study_is_kept_until_its_recording_changes(tmp_path, monkeypa
     assert tables == [[{"a": 1.5}]] * 2
     assert len(ran) == 1
     assert not read_origin(tmp_path / "page.md").stale
+    assert "What it shows." in (tmp_path / "page.md").read_text()
     (tmp_path / "cases" / "ak80_pendulum.png").unlink()
     run_hardware(options)
     (folder / "run.csv").write_text("2")

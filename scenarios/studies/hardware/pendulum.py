@@ -139,10 +139,8 @@ def pendulum_figure(done: tuple[HeldOut, ...]) -> Figure:
         set_title(torque, f"{run.name}: torque")
         rest.plot(t, one.before, "--", color=BEFORE)
         rest.plot(t, one.after, color=AFTER)
-        rest.set_ylabel("left [N m]")
-        set_title(
-            rest, f"what is left: {rms(one.before):.2f} N m before, {rms(one.after):.2f} after"
-        )
+        rest.set_ylabel("residual [N m]")
+        set_title(rest, f"residual: {rms(one.before):.2f} N m before, {rms(one.after):.2f} after")
     for ax in axes[-1]:
         ax.set_xlabel("time [s]")
     legend_below(drawn, axes[0, 0], 3)

@@ -220,6 +220,6 @@ def held_out_figure(done: Sequence[HeldOutRun]) -> Figure:
     for ax in axes[-1]:
         ax.set_xlabel("time [s]")
     for ax in axes[:, 0]:
-        ax.set_ylabel("left [N m]")
+        ax.set_ylabel("residual [N m]")
     legend_below(drawn, axes[0, 0], 2)
     return drawn

@@ -76,12 +76,13 @@ class HardwareStudy:
 
 @dataclass(frozen=True)
 class Chapter:
-    """Result of one study: text, tables by heading, and a figure."""
+    """Result of one study: text, tables by heading, and a figure with its caption."""
 
     title: str
     words: str
     tables: dict[str, pd.DataFrame]
     figure: Figure
+    caption: str
 
 
 def ak80_pendulum(folder: Path, options: HardwareStudy) -> Chapter:
@@ -106,7 +107,11 @@ def ak80_pendulum(folder: Path, options: HardwareStudy) -> Chapter:
         "terms are selected and fitted on the others. A heavier rod and a torque scale give the "
         "same equation; only another load would distinguish them."
     )
-    return Chapter("AK80-6 pendulum", words, tables, pendulum.pendulum_figure(done))
+    caption = (
+        "A row per run. Left: the torque that the drive reports, and those that the model needs "
+        "without and with the effects that were fitted to the other runs. Right: the residuals."
+    )
+    return Chapter("AK80-6 pendulum", words, tables, pendulum.pendulum_figure(done), caption)
 
 
 def go2_in_air(folder: Path, options: HardwareStudy) -> Chapter:
@@ -136,7 +141,12 @@ def go2_in_air(folder: Path, options: HardwareStudy) -> Chapter:
         "errors of the rates, such as a scale or a filter, and not of the drives. The motor law "
         "uses the rates as logged."
     )
-    return Chapter("Go2 in the air", words, tables, go2.hanging_figure(times, log.joints, nominal))
+    caption = (
+        "Left: periods of the rows, of which there are two. Middle: mean period by joint, with its "
+        "interval, and the stated one. Right: residual torque of each joint before and after."
+    )
+    figure = go2.hanging_figure(times, log.joints, nominal)
+    return Chapter("Go2 in the air", words, tables, figure, caption)
 
 
 def go1_square(folder: Path, options: HardwareStudy) -> Chapter:
@@ -164,7 +174,11 @@ def go1_square(folder: Path, options: HardwareStudy) -> Chapter:
         "show the lag of each stream, the result of `trace`, and the leg filter with the effects "
         "found and with those not found.\n\n"
     )
-    return Chapter("Go1 around a square", words + summary(found), tables, drawn)
+    caption = (
+        "Left: motion capture, and the leg filter before and after. Middle: RMS speed over the "
+        "ground of feet sensed to stand. Right: lag of each stream, with its 95 % interval."
+    )
+    return Chapter("Go1 around a square", words + summary(found), tables, drawn, caption)
 
 
 def scaler_trot(folder: Path, options: HardwareStudy) -> Chapter:
@@ -195,7 +209,9 @@ def scaler_trot(folder: Path, options: HardwareStudy) -> Chapter:
         "only the reference shows where a standing foot is. A force plate or a camera at the feet "
         "would distinguish them."
     )
-    return Chapter("SCALER, seven walks", words, tables, feet.paths_figure(walks, share))
+    caption = "Each walk from above: motion capture, and the leg filter with and without the share."
+    figure = feet.paths_figure(walks, share)
+    return Chapter("SCALER, seven walks", words, tables, figure, caption)
 
 
 def icub_biped(folder: Path, options: HardwareStudy) -> Chapter:
@@ -221,7 +237,8 @@ def icub_biped(folder: Path, options: HardwareStudy) -> Chapter:
         "are not logged, so masses and drives cannot be identified.\n\n"
     )
     figure = biped.walk_figure(logs["walking"], robot)
-    return Chapter("iCub, a walk and a sway", words + summary(found), tables, figure)
+    caption = "Position on the walk: motion capture, and two filters of the legs."
+    return Chapter("iCub, a walk and a sway", words + summary(found), tables, figure, caption)
 
 
 def ricmonk(folder: Path, options: HardwareStudy) -> Chapter:
@@ -288,7 +305,11 @@ def ricmonk(folder: Path, options: HardwareStudy) -> Chapter:
         "were chosen with all five runs known, so their performance on new runs remains to be "
         "measured."
     )
-    return Chapter("RicMonk, five runs", words, tables, shared_sizes.held_out_figure(done))
+    caption = (
+        "Residual of each run (row) by joint (column): with only its own zeros fitted, and with "
+        "the sizes from the other runs."
+    )
+    return Chapter("RicMonk, five runs", words, tables, shared_sizes.held_out_figure(done), caption)
 
 
 def so101(folder: Path, options: HardwareStudy) -> Chapter:
@@ -331,7 +352,11 @@ def so101(folder: Path, options: HardwareStudy) -> Chapter:
         "errors by run shows the effect on the other runs.\n\n"
     )
     figure = servos.servos_figure(unseen[0], found, machine)
-    return Chapter("SO-101, six servos", words + summary(traced), tables, figure)
+    caption = (
+        "Angles in a run that no fit used: measured, by the published model, and by a servo with "
+        "delay, time constant and play."
+    )
+    return Chapter("SO-101, six servos", words + summary(traced), tables, figure, caption)
 
 
 STUDIES: dict[str, Callable[[Path, HardwareStudy], Chapter]] = {
@@ -368,7 +393,7 @@ def run_hardware(options: HardwareStudy) -> list[Section]:
         if not picture.exists():
             (data / f"{name}.json").unlink(missing_ok=True)
         row = finished_case(data, name, inputs, _MODULE, make)
-        figure = Picture(picture.read_bytes(), row["title"])
+        figure = Picture(picture.read_bytes(), row["caption"])
         sections.append(Section(row["title"], row["words"], pictures=(figure,)))
         sections += [Section(heading, table=rows) for heading, rows in row["tables"].items()]
     if sections:
@@ -384,7 +409,7 @@ def _chapter(name: str, folder: Path, options: HardwareStudy, picture: Path) -> 
     done = STUDIES[name](folder, options)
     save_png(done.figure, picture, force=True)
     tables = {heading: table.to_dict("records") for heading, table in done.tables.items()}
-    return {"title": done.title, "words": done.words, "tables": tables}
+    return {"title": done.title, "words": done.words, "tables": tables, "caption": done.caption}
 
 
 def _contacts_as_logged(log: Log) -> Log:
