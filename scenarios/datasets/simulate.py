@@ -114,10 +114,9 @@ def simulate_all(
     index = write_index(out, journal.present())
     made = [row for job in jobs if (row := journal.find(job))]
     fallen = [(job, row) for job in jobs if (row := journal.find(job)) and row.falls]
-    print(
-        f"{len(made) - len(fallen)} logs in {out} ({len(jobs) - len(todo)} walks were there "
-        f"already), {len(fallen)} falls; index: {index}"
-    )
+    earlier = len(jobs) - len(todo)
+    kept = f" ({earlier} walks are from an earlier run)" if earlier else ""
+    print(f"{len(made) - len(fallen)} logs in {out}{kept}; {len(fallen)} falls; index: {index}")
     for job, row in fallen:
         walk = f"{row.scenario}, {row.robot}, seed {row.seed}"
         print(f"fell: {walk}, at {row.fell_at:.1f} s {row.fall}")
