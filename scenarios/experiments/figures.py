@@ -105,7 +105,11 @@ def gamma_sweep(table: pd.DataFrame, title: str) -> Figure:
             dots = {"marker": "o", "markersize": 4}
             ax.plot(part["gamma"], part[column], style, **dots, color=color, label=label)
         ax.set(xlabel="γ", ylabel=column)
-        ax.set_ylim(0.0, None)
+        if column == "NEES_pos":  # differs between filters by orders of magnitude
+            ax.set_yscale("log")
+            label_decades(ax.yaxis)
+        else:
+            ax.set_ylim(0.0, None)
     figure.suptitle(title, x=0.01, ha="left", fontsize=11)
     legend_below(figure, axes[0, 0], columns=3)
     return figure
