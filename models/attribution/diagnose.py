@@ -147,6 +147,7 @@ def diagnose(
     by the joints alone; the notes name what only a reference would show.
     """
     check_seed(seed)
+    # The logs under the declared model. Zeros and clocks of several logs belong to each log.
     model = declared or ()
     several = len(logs) > 1 or declared is not None
     settings = replace(settings, per_run_offsets=several)
@@ -157,6 +158,7 @@ def diagnose(
         reasons = (cannot,)
         return Diagnosis(verdict="not_identifiable", reasons=reasons, channels={}, notes=reasons)
     progress(0.02)
+    # The noise floor, then the search for effects: once, or twice where feet slide.
     friction = estimate_friction(cases, np.random.default_rng(seed))
     slip = slip_effect(friction, settings)
     while True:
@@ -174,12 +176,14 @@ def diagnose(
         slip = slip_effect(friction, settings)
         if slip:
             break
+    # Effects of single logs, apart from those of the machine, are fitted to each log.
     own = [f.effect for f in result.found if several and is_per_run(f.effect.name)]
     found = (*(f for f in result.found if f.effect not in own), *slip)
     effects = [one.effect for one in found]
     weights = result.robust_weights
     known = RefinementData(cases, result.floor, result.evidence, effects, weights, split.part)
     runs = fit_runs(known, effects, own) if several else ()
+    # Residuals before and after, and where outside forces act, which is left out of the verdict.
     now, used = [run.case for run in runs] or cases, split.fit | split.select
     before = linearise(now, (), ())
     after = linearise(now, effects, ()) if own else result.evidence
@@ -192,6 +196,7 @@ def diagnose(
         f for f in found if pushes and not _still_explains(f.effect, effects, now, result, unpushed)
     ]
     found = tuple(f for f in found if f not in gone)
+    # The verdict, on the part that no fit has seen and on held-out logs.
     judge = split.report & ~pushed
     channels = channel_levels(plainly[judge], left[judge], after, result.floor)
     held_out = None
@@ -210,6 +215,7 @@ def diagnose(
         if by_feet:
             names = ", ".join(f"{one.name} {one.target}" for one in by_feet)
             verdict, reasons = "confounded", (f"{names}: {ONLY_BETWEEN_FEET}",)
+    # The form of what no effect explains.
     unexplained: tuple[Unexplained, ...] = ()
     if verdict == "none_of_these":
         above = [name for name, c in channels.items() if not c.at_floor or c.worse]
