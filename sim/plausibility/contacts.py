@@ -29,6 +29,10 @@ BOUNCES = 0.1
 """Time for which a foot may bounce at touchdown or lift-off [s]; on ice, seven times within some
 rows.
 """
+MISSES, MOST_SURE = 0.7, 16
+"""Share of the touchdowns and lifts of most feet below which a contact misses steps, and the least
+number of them: eight strides.
+"""
 HIGHER = 0.005
 """Height of feet in contact above lifted ones to report [m]; trotting robots lift by 30 to 80
 mm.
@@ -37,6 +41,20 @@ _CLEAR = 0.3
 """Correlation of contact with height from which it is inverted: clean walks have -0.4 to -0.9, on
 stairs and slopes too, since heights are relative to the body.
 """
+
+
+def missed(view: LogView) -> Iterator[Finding]:
+    """Check that feet touch down about as often as each other."""
+    log = view.log
+    if not log.has("contact") or len(log.legs) < 3 or not view.comparable:
+        return
+    changes = np.array([_lasting(view.t, contact) for contact in log.contact.T])
+    usual = float(np.median(changes))
+    rare = (changes > 0) & (changes < MISSES * usual) & (usual >= MOST_SURE)
+    for i in np.flatnonzero(rare):
+        told = f"changes {changes[i]} times, where most feet do {usual:.0f} times"
+        cause = "a threshold that lighter steps do not reach, or a leg that is held up"
+        yield Finding((f"contact_{log.legs[i]}",), told, cause)
 
 
 def dead(view: LogView) -> Iterator[Finding]:
@@ -124,7 +142,9 @@ def inverted(view: LogView) -> Iterator[Finding]:
     if heights is None:
         return
     difference, alike = heights
-    wrong = np.flatnonzero((np.diag(difference) > HIGHER) & (np.diag(alike) > _CLEAR))
+    lifted = np.array([_lasting(view.t, contact) for contact in view.log.contact.T])
+    wrong = (np.diag(difference) > HIGHER) & (np.diag(alike) > _CLEAR)
+    wrong = np.flatnonzero(wrong & (lifted >= OTHERS_CHANGE))
     if wrong.size:
         columns = tuple(f"contact_{view.log.legs[i]}" for i in wrong)
         higher = 1e3 * np.diag(difference)[wrong].mean()

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from surefoot.sim.common.gravity import GRAVITY, GRAVITY_G
+from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.plausibility.axes import (
     AXIS_NAMES,
     GAIN,
@@ -16,6 +17,8 @@ from surefoot.sim.plausibility.axes import (
     match_axes,
 )
 from surefoot.sim.plausibility.finding import Finding
+from surefoot.sim.plausibility.noise import noise_of
+from surefoot.sim.plausibility.place import of_another_point
 from surefoot.sim.plausibility.view import STEP, LogView
 
 ZERO_G = 0.8
@@ -58,6 +61,10 @@ _GOES_WELL = 0.9
 """Correlation from which single axes are compared in scale."""
 LATE_ACCEL, LATEST_ACCEL = 0.03, 0.5
 """Smallest delay of an accelerometer that is reported, and largest that is searched for [s]."""
+SHAKES = 0.05
+"""Least standard deviation of the accelerations along axes that are compared [m/s^2]: 0.5 in walks;
+0.01, of the order of noise, in turns on the spot.
+"""
 QUIET = 0.35
 """Least size of an accelerometer's signal relative to the motion's: 0.6 in clean walks."""
 SAME_SIZE = 1e-3
@@ -70,13 +77,31 @@ NOISY = 0.2
 """Noise of a gyro between rows [rad/s]: data sheets have 0.01 (MPU-6050, 0.05 deg/s behind a
 filter, 0.005 deg/s/√Hz), logs of a Go1 and a SCALER 0.03 including vibration.
 """
+NOISY_ACCEL = 2.0
+"""The same of an accelerometer [m/s^2]: data sheets have 0.06 (MPU-6050, 400 ug/sqrt(Hz), over
+250 Hz), logs of a Go1, a SCALER and an iCub 0.3 to 0.6 including vibration.
+"""
 _BLOCK = 2.0
 """Averaging time of a gyro's bias [s], four strides."""
 _AXES_P = tuple(f"ref_p_{a}" for a in AXIS_NAMES)
 _AXES_GYRO = tuple(f"gyro_{a}" for a in AXIS_NAMES)
 _AXES_ACCEL = tuple(f"accel_{a}" for a in AXIS_NAMES)
 _DEGREE = 180.0 / np.pi
-_IN_DEGREES = 'gyro_x, gyro_y, gyro_z = { ..., unit = "deg/s" }'
+_UNITS_OF_ACCEL = {
+    "g": 1.0,
+    "ft/s^2": GRAVITY / 0.3048,
+    "cm/s^2": 1e2 * GRAVITY,
+    "mg": 1e3,
+    "mm/s^2": 1e3 * GRAVITY,
+}
+"""Gravity in other units."""
+_UNITS_OF_GYRO = {
+    "deg/s": _DEGREE,
+    "rpm": 60.0 / (2.0 * np.pi),
+    "mrad/s": 1e3,
+    "turns/s": 0.5 / np.pi,
+}
+"""1 rad/s in other units."""
 
 
 def gravity(view: LogView) -> Iterator[Finding]:
@@ -111,12 +136,11 @@ def gravity(view: LogView) -> Iterator[Finding]:
 
 def _unit_of_accel(size: float, spread: float) -> tuple[str, str] | None:
     """Cause and map line where the magnitude is gravity in another unit."""
-    if 0.7 < size < 1.3:
-        return "in g, not m/s^2", 'accel_x, accel_y, accel_z = { ..., unit = "g" }'
-    if 700.0 < size < 1300.0:
-        return "in mg, not m/s^2", ""
-    if 7e3 < size < 1.3e4:
-        return "in mm/s^2, not m/s^2", ""
+    unit, one = min(_UNITS_OF_ACCEL.items(), key=lambda one: abs(np.log(max(size, 1e-9) / one[1])))
+    if abs(np.log(max(size, 1e-9) / one)) < np.log(1.3 if unit == "g" else 1.1):
+        known = unit in UNITS["accel"]
+        line = f'accel_x, accel_y, accel_z = {{ ..., unit = "{unit}" }}' if known else ""
+        return f"in {unit}, not m/s^2", line
     if 0.8 < size / GRAVITY**2 < 1.2:
         return "multiplied by gravity twice", ""
     if size < 0.2 * GRAVITY and spread > 0.0:
@@ -171,7 +195,11 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
     accel, felt = view.accel[view.ok], view.felt[view.ok]
     in_body = match_axes(accel, felt)
     late, shifted = lag_of(accel, felt, STEP, LATEST_ACCEL)
-    if abs(late) > LATE_ACCEL and shifted > max(0.6, in_body.own.mean() + 0.1):
+    # Strides repeat: half of one later, an axis that sways is its negative.
+    in_world = match_axes(view.ref_a[view.ok], view.R_GI.apply(view.accel)[view.ok] + GRAVITY_G)
+    fits = max(in_body.own.mean() + 0.1, in_body.best.mean(), in_world.best.mean())
+    delayed = abs(late) > LATE_ACCEL and shifted > max(0.6, fits)
+    if delayed and not of_another_point(view):
         told = f"{abs(late):.2f} s {'late' if late > 0 else 'early'} against the reference's motion"
         cause = "another clock, or a filter, of the accelerometer or of ref_p"
         yield Finding((*_AXES_ACCEL, *_AXES_P), told, cause)
@@ -186,15 +214,16 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
         told = f"has {size:.2f} of the accelerations of the reference's motion"
         yield Finding(_AXES_ACCEL, told, "filtered, or gravity alone")
         return
-    in_world = match_axes(view.ref_a[view.ok], view.R_GI.apply(view.accel)[view.ok] + GRAVITY_G)
     # If gravity shows that z is upright, it is the reference's that is not.
-    if in_world.wrong and (in_world.best.mean() >= in_body.best.mean() or in_world.wrong == (2,)):
+    if _shakes(view, in_world) and (
+        in_world.best.mean() >= in_body.best.mean() or in_world.wrong == (2,)
+    ):
         columns = tuple(f"ref_p_{AXIS_NAMES[i]}" for i in in_world.wrong)
         told = f"correlation with the accelerometer {_of(in_world, in_world.own)}"
         down = "z is down (north-east-down): " if in_world.sign[2] < 0 else ""
         lines = _lines("ref_p", in_world)
         yield Finding(columns, told, f"{down}{in_world.words}", lines)
-    elif in_body.wrong:
+    elif _shakes(view, in_body):
         columns = tuple(_AXES_ACCEL[i] for i in in_body.wrong)
         told = f"correlation with the reference's motion {_of(in_body, in_body.own)}"
         yield Finding(columns, told, in_body.words, _lines("accel", in_body))
@@ -218,6 +247,12 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
             yield Finding((_AXES_ACCEL[i],), told, cause)
 
 
+def _shakes(view: LogView, match: AxesMatch) -> bool:
+    """Whether a match has wrong axes, and the reference shakes along these."""
+    shaken = np.minimum(view.ref_a[view.ok].std(axis=0), view.felt[view.ok].std(axis=0))
+    return bool(match.wrong) and float(shaken[list(match.wrong)].min()) > SHAKES
+
+
 def gyro_unit(view: LogView) -> Iterator[Finding]:
     """Check that a gyro measures something, in rad/s."""
     if not view.log.has("imu") or not view.comparable:
@@ -228,7 +263,26 @@ def gyro_unit(view: LogView) -> Iterator[Finding]:
         yield Finding(_AXES_GYRO, told, cause)
     elif rms > TUMBLING:
         told = f"root mean square {rms:.3g} rad/s"
-        yield Finding(_AXES_GYRO, told, "in deg/s, not rad/s", _IN_DEGREES)
+        mean, other = (x.mean(axis=0) for x in (view.log.gyro, view.log.accel))
+        if abs(np.linalg.norm(mean) / GRAVITY - 1.0) < 0.1 and np.linalg.norm(other) < rms / 3.0:
+            columns = (*_AXES_GYRO, *_AXES_ACCEL)
+            yield Finding(columns, f"{told}, gravity in its mean", "gyro and accelerometer swapped")
+            return
+        factor = _DEGREE
+        if view.compares_turning and view.gyro_match.alike:
+            factor = view.gyro_match.scaled
+            told += f", {factor:.3g} times as fast as the reference turns"
+        yield Finding(_AXES_GYRO, told, *_scaled_gyro(factor))
+
+
+def _scaled_gyro(factor: float) -> tuple[str, str]:
+    """Cause and map line for a gyro with `factor` times the true rate."""
+    unit, one = min(_UNITS_OF_GYRO.items(), key=lambda one: abs(np.log(factor / one[1])))
+    if abs(factor / one - 1.0) > 0.2:
+        return "scaled", ""
+    known = unit in UNITS["gyro"]
+    line = f'gyro_x, gyro_y, gyro_z = {{ ..., unit = "{unit}" }}' if known else ""
+    return f"in {unit}, not rad/s", line
 
 
 def gyro(view: LogView) -> Iterator[Finding]:
@@ -270,10 +324,7 @@ def gyro(view: LogView) -> Iterator[Finding]:
         yield Finding((_AXES_GYRO[weak[0]],), told, "scaled")
     elif abs(factor - 1.0) > GYRO_SCALED:
         told = f"{factor:.3g} times as fast as the reference turns"
-        if abs(factor / _DEGREE - 1.0) < 0.2:
-            yield Finding(_AXES_GYRO, told, "in deg/s, not rad/s", _IN_DEGREES)
-        else:
-            yield Finding(_AXES_GYRO, told, "scaled")
+        yield Finding(_AXES_GYRO, told, *_scaled_gyro(factor))
     off = (view.gyro - view.turning)[view.ok]
     blocks = np.array_split(off, max(1, round(len(off) * STEP / _BLOCK)))
     apart, means = off.mean(axis=0), np.array([one.mean(axis=0) for one in blocks])
@@ -289,14 +340,14 @@ def gyro_noise(view: LogView) -> Iterator[Finding]:
     """Check the noise of a gyro, from third differences, which hold little of a body's smooth
     rotation.
     """
-    if not view.log.has("imu") or not view.comparable:
-        return
-    # Third differences of white noise have 20 times its variance; the median ignores impacts.
-    rough = np.median(np.abs(np.diff(view.log.gyro, n=3, axis=0)), axis=0) / 0.6745 / np.sqrt(20.0)
-    if (noisy := np.flatnonzero(rough > NOISY)).size:
-        told = f"{rough[noisy].max():.2f} rad/s from row to row"
-        cause = "noise of a broken sensor, or readings of several samples mixed up"
-        yield Finding(tuple(_AXES_GYRO[i] for i in noisy), told, cause)
+    if view.log.has("imu") and view.comparable:
+        yield from noise_of(view.log.gyro, _AXES_GYRO, NOISY, "rad/s")
+
+
+def accel_noise(view: LogView) -> Iterator[Finding]:
+    """Check the noise of an accelerometer, in the same way."""
+    if view.log.has("imu") and view.comparable:
+        yield from noise_of(view.log.accel, _AXES_ACCEL, NOISY_ACCEL, "m/s^2")
 
 
 def _turned(gyro: np.ndarray, turning: np.ndarray) -> np.ndarray | None:

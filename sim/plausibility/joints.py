@@ -6,6 +6,7 @@ import numpy as np
 
 from surefoot.sim.log.schema import JOINTS, LEGS
 from surefoot.sim.plausibility.finding import Finding
+from surefoot.sim.plausibility.noise import noise_of
 from surefoot.sim.plausibility.view import LogView
 
 _DEGREE = 180.0 / np.pi
@@ -34,6 +35,10 @@ a measured Go1.
 """
 _SEVERAL = 6
 """Number of joints from which some torques are negative in any motion."""
+NOISY_RATE = 1.5
+"""Noise of a joint's rate between rows [rad/s]: one count of 12 bits in a row of 1 ms."""
+_ANOTHERS = 0.05
+"""Least excess of a rate's correlation with the change of another joint over that with its own."""
 _MOVES, _STIRS = 0.2, 0.02
 """RMS rate [rad/s] below which a joint's rate is not compared: if it does not correlate with its
 angle's derivative, and if it does, unlike noise.
@@ -74,7 +79,16 @@ def rates(view: LogView) -> Iterator[Finding]:
             cause = "its sign, or its angle's, changes on the way"
             yield Finding((f"dq_{names[i]}",), f"{told} the other way round", cause)
     bad = [i for i in np.flatnonzero(own < RATE_ALIKE).tolist() if i not in said]
-    flipped = [i for i in bad if own[i] < -(0.8 if slow[i] else RATE_ALIKE)]
+    others = np.abs(alike - np.diag(own)).argmax(axis=1)
+    swapped = [
+        i
+        for i in range(len(moves))
+        if not slow[i]
+        and others[others[i]] == i
+        and min(_excess(alike, i, others[i]), _excess(alike, others[i], i)) > _ANOTHERS
+    ]
+    bad = [*dict.fromkeys([*bad, *(i for i in swapped if i not in said)])]
+    flipped = [i for i in bad if own[i] < -(0.8 if slow[i] else RATE_ALIKE) and i not in swapped]
     bad = [i for i in bad if not slow[i]]
     scale = float(np.median(slope[np.abs(own) > RATE_ALIKE])) if flipped else 1.0
     for i in [i for i in flipped if slope[i] < _INVERTED * scale]:
@@ -118,6 +132,12 @@ def rates(view: LogView) -> Iterator[Finding]:
         yield Finding((f"dq_{names[i]}",), told, "scaled, or its angle is", line)
 
 
+def rate_noise(view: LogView) -> Iterator[Finding]:
+    """Check the noise of joint rates."""
+    if view.log.has("dq") and view.comparable:
+        yield from noise_of(view.log.dq, [f"dq_{j}" for j in view.log.joints], NOISY_RATE, "rad/s")
+
+
 def sign_change(
     at: np.ndarray, logged: np.ndarray, moved: np.ndarray, always: float = _ALWAYS
 ) -> float | None:
@@ -140,6 +160,13 @@ def sign_change(
     if before * after >= 0.0 or least < _TURNED * whole or abs(before - after) < always * whole:
         return None
     return float(at[k])
+
+
+def _excess(alike: np.ndarray, i: int, other: int) -> float:
+    """How much better rate i correlates with another joint's change than with its own, of either
+    sign; alike (J, J).
+    """
+    return float(abs(alike[i, other]) - abs(alike[i, i]))
 
 
 def _scaled_rates(columns: tuple[str, ...], typical: float, told: str) -> Finding:

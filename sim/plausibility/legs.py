@@ -24,6 +24,10 @@ measured Go1, each wrong one has at least 1.66 times as much as the right one.
 """
 MENDED_JOINTS = 0.5
 """The same for signs and order of joints, with more alternatives: 2.2 times."""
+FAIR, AS_GOOD = 0.1, 3.0
+"""Misfit of a leg of which nothing is wrong, and largest ratio of a corrected leg's misfit to that
+of the worst of these; where there is none, any correction is accepted.
+"""
 CLEARER = 0.9
 """Improvement required over an alternative that exchanges fewer legs, which is tried first."""
 DUTY = 0.48
@@ -104,7 +108,8 @@ class Moving:
             count = np.maximum(on.sum(axis=1, keepdims=True), 1)
             truth = np.sum(np.where(on[:, :, None], u, 0.0), axis=1) / count
         on = on & (np.linalg.norm(truth, axis=1) > _MOVES)[:, None]
-        if on.sum() < _FEWEST:
+        # Feet of a leg that swings move together, too: without a truth it takes some strides.
+        if on.sum() < _FEWEST * (1 if self.truth is not None else 2):
             return float("nan")
         missed = np.sort(np.sum((u - truth[:, None]) ** 2, axis=2)[on])[: int(0.9 * on.sum())]
         size = np.broadcast_to(np.sum(truth**2, axis=1)[:, None], on.shape)[on]
@@ -178,33 +183,47 @@ def _late(view: LogView, legs: Stance, moving: Moving) -> Finding | None:
 
 
 def _late_parts(view: LogView, legs: Stance, moving: Moving) -> list[Finding]:
-    """Find a delay of contacts relative to joints, and of single legs relative to the others."""
-    u = legs.body_velocity(moving.gyro)
+    """Find a delay of contacts relative to joints, of all or of one, and of single legs relative to
+    the others."""
+    u, names = legs.body_velocity(moving.gyro), view.log.legs
+    every = list(range(len(names)))
 
-    def contacts_later(late: float) -> float:
-        rows = np.searchsorted(view.t, view.at[legs.which] + late)
-        return moving.misfit(u, view.log.contact[np.clip(rows, 0, len(view.t) - 1)])
+    def of_contacts(which: list[int]) -> tuple[float, float]:
+        def left(late: float) -> float:
+            rows = np.searchsorted(view.t, view.at[legs.which] + late)
+            contact = view.log.contact[np.clip(rows, 0, len(view.t) - 1)]
+            return moving.misfit(u[:, which], contact[:, which])
 
-    late, share = _lag(contacts_later, LATEST_PART)
+        return _lag(left, LATEST_PART)
+
+    def of_leg(i: int) -> tuple[float, float]:
+        def left(late: float) -> float:
+            then = _earlier(view, legs, moving, late)
+            return then.misfit(legs.body_velocity(then.gyro)[:, [i]], legs.contact[:, [i]])
+
+        return _lag(left, LATEST_PART)
+
+    late, share = of_contacts(every)
     if abs(late) > LATE_PART and share < MENDED:
-        columns = tuple(f"contact_{leg}" for leg in view.log.legs)
+        columns = tuple(f"contact_{leg}" for leg in names)
         told = f"standing feet move {1.0 / share:.1f} times less (squared) {abs(late):.2f} s "
         told += "earlier" if late > 0 else "later"
         cause = "a filter, or another clock" if late > 0 else "early, or the joints are late"
         return [Finding(columns, told, cause)]
     found = []
-    for i, leg in enumerate(view.log.legs):
-
-        def leg_later(late: float, i: int = i) -> float:
-            then = _earlier(view, legs, moving, late)
-            one = legs.body_velocity(then.gyro)[:, [i]]
-            return then.misfit(one, legs.contact[:, [i]])
-
-        late, share = _lag(leg_later, LATEST_PART)
-        if abs(late) > LATE_PART and share < MENDED:
+    for i, leg in enumerate(names):
+        late, share = of_leg(i)
+        of_contact, by_contact = of_contacts([i])
+        if by_contact < share and abs(of_contact) > LATE_PART and by_contact < MENDED:
+            which = "earlier" if of_contact > 0 else "later"
+            told = f"the foot moves {1.0 / by_contact:.1f} times less (squared) "
+            told += f"{abs(of_contact):.2f} s {which}"
+            cause = f"{'late' if of_contact > 0 else 'early'}, unlike the other contacts"
+            found.append(Finding((f"contact_{leg}",), told, cause))
+        elif abs(late) > LATE_PART and share < MENDED:
             told = f"{leg} moves {abs(late):.2f} s {'after' if late > 0 else 'before'} the body"
             found.append(Finding((f"q_{leg}", f"contact_{leg}"), told, "a clock of its own"))
-    return found if 2 * len(found) <= len(view.log.legs) else []
+    return found if 2 * len(found) <= len(names) else []
 
 
 def _earlier(view: LogView, legs: Stance, moving: Moving, late: float) -> Moving:
@@ -222,6 +241,8 @@ def _lag(left: Callable[[float], float], latest: float) -> tuple[float, float]:
     if not np.isfinite(misfits).any() or not base > 0.0:
         return 0.0, 1.0
     best = int(np.nanargmin(misfits))
+    if best in (0, len(tried) - 1):
+        return 0.0, 1.0  # no minimum
     return float(tried[best]), float(misfits[best] / base)
 
 
@@ -261,11 +282,11 @@ def _swapped(
             if left < CLEARER * best[0]:
                 best = (left, pick, what)
     left, order, what = best
-    if moving.truth is not None and legs.contact.mean() < DUTY:
-        # In a trot, the other diagonal stands while this one is lifted, so both interpretations
-        # fit.
+    if moving.truth is not None:
+        # In a trot, the other diagonal stands while this one is lifted, so both may fit.
         inverted = moving.misfit(u[:, own, own], ~legs.contact)
-        if inverted < MENDED * base and inverted < 3.0 * left:
+        likelier = 3.0 if legs.contact.mean() < DUTY else 1.0 / 3.0
+        if inverted < MENDED * base and inverted < likelier * left:
             told = f"standing feet move {base / inverted:.1f} times less (squared) when put right"
             columns = tuple(f"contact_{leg}" for leg in names)
             finding = Finding(columns, told, "inverted: 1 means lifted")
@@ -338,10 +359,12 @@ def _misread(
             for i in bad:
                 if left[i] < best[i][0]:
                     best[i] = (float(left[i]), order, signs)
+    good = base[base < FAIR]
+    as_good = AS_GOOD * max(float(good.max()), MISFIT) if good.size else np.inf
     found: dict[tuple[tuple[int, ...], tuple[float, ...]], list[int]] = {}
     for i in bad:
         left, order, signs = best[i]
-        if order and left < MENDED_JOINTS * base[i]:
+        if order and left < min(MENDED_JOINTS * base[i], as_good):
             found.setdefault((order, signs), []).append(int(i))
     mended = base.copy()
     for which in found.values():

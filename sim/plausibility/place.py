@@ -44,12 +44,31 @@ _AXES_P = tuple(f"ref_p_{a}" for a in AXIS_NAMES)
 
 
 def point(view: LogView) -> Iterator[Finding]:
-    """Check that the reference tracks the IMU; another point of the body accelerates as it rotates.
+    """Check that the reference tracks the IMU: other points accelerate as the body rotates."""
+    if not view.trusts_reference:
+        return
+    p_IM, explained = _tracked_point(view)
+    if _is_elsewhere(p_IM, explained):
+        where = ", ".join(f"{x:.2f}" for x in p_IM.round(2) + 0.0)
+        told = f"{100 * explained:.0f} % of what the accelerometer differs by"
+        cause = f"of a point at ({where}) m in the IMU's axes, not of the IMU"
+        yield Finding(_AXES_P, told, cause, f"[reference] p_IM, moved by [{where}]; surefoot align")
+
+
+def of_another_point(view: LogView) -> bool:
+    """Whether another point explains what accelerometer and trusted reference differ by."""
+    return _is_elsewhere(*_tracked_point(view))
+
+
+def _is_elsewhere(p_IM: np.ndarray, explained: float) -> bool:
+    return bool(np.linalg.norm(p_IM) > FARTHEST_POINT) and explained > ARM_EXPLAINS
+
+
+def _tracked_point(view: LogView) -> tuple[np.ndarray, float]:
+    """The point p_IM (3,) [m], and the share of the difference from the accelerometer it explains.
 
     Least squares for p_IM and a constant in a_M = a_I + (alpha x + omega x omega x) p_IM.
     """
-    if not view.trusts_reference:
-        return
     turning, speeding_up = _cross(view.gyro), _cross(np.gradient(view.gyro, STEP, axis=0))
     arm = (speeding_up + turning @ turning)[view.ok]
     missed = (view.felt - view.accel)[view.ok]
@@ -57,11 +76,7 @@ def point(view: LogView) -> Iterator[Finding]:
     arm = arm - arm.mean(axis=0)
     p_IM = np.linalg.lstsq(arm.reshape(-1, 3), missed.reshape(-1), rcond=None)[0]
     explained = 1.0 - np.sum((missed - arm @ p_IM) ** 2) / max(float(np.sum(missed**2)), 1e-12)
-    if np.linalg.norm(p_IM) > FARTHEST_POINT and explained > ARM_EXPLAINS:
-        where = ", ".join(f"{x:.2f}" for x in p_IM.round(2) + 0.0)
-        told = f"{100 * explained:.0f} % of what the accelerometer differs by"
-        cause = f"of a point at ({where}) m in the IMU's axes, not of the IMU"
-        yield Finding(_AXES_P, told, cause, f"[reference] p_IM, moved by [{where}]; surefoot align")
+    return p_IM, float(explained)
 
 
 def motion(view: LogView) -> Iterator[Finding]:

@@ -6,9 +6,10 @@ import numpy as np
 
 from surefoot.sim.importing.reference_check import check_reference
 from surefoot.sim.log.reference import reference_poses
-from surefoot.sim.plausibility.axes import AXIS_NAMES, match_axes
+from surefoot.sim.plausibility.attitude import LATE, LATEST
+from surefoot.sim.plausibility.axes import AXIS_NAMES, lag_of, match_axes
 from surefoot.sim.plausibility.finding import Finding
-from surefoot.sim.plausibility.view import LogView
+from surefoot.sim.plausibility.view import STEP, LogView
 
 FASTEST_LEGS = 12.0
 """Speed that no legged robot has reached [m/s] (WildCat, 8.9 m/s, Boston Dynamics 2013)."""
@@ -16,7 +17,12 @@ VELOCITY_OFF = 0.15
 """Relative difference of velocities from the derivative of positions, or of accelerations from the
 accelerometer: averaging over a stride and a lever arm cause several percent.
 """
-_UNITS = {1e3: "mm", 1e2: "cm", 1.0 / 0.3048: "feet"}
+_UNITS = {"mm": 1e3, "cm": 1e2, "inches": 1.0 / 0.0254, "feet": 1.0 / 0.3048}
+"""1 m in other units."""
+_SURELY = 0.9
+"""Correlation from which a delay is the cause."""
+DEAD = 0.05
+"""Standard deviation of the change of a position [m/s] from which its velocity must vary, too."""
 _P = tuple(f"ref_p_{a}" for a in AXIS_NAMES)
 _V = tuple(f"ref_v_{a}" for a in AXIS_NAMES)
 _Q = tuple(f"ref_q_{a}" for a in "wxyz")
@@ -61,15 +67,20 @@ def velocity(view: LogView) -> Iterator[Finding]:
     moved = view.ref_v[view.ok]
     if np.sqrt(np.mean(np.sum(moved**2, axis=1))) < 0.05 and np.abs(logged).max() < 1.0:
         return
+    still = np.ptp(view.log.ref_v, axis=0) == 0.0
+    dead = np.flatnonzero(still & (moved.std(axis=0) > DEAD))
+    if 0 < dead.size < 3:
+        told = "one value in every row while positions change"
+        yield Finding(tuple(_V[i] for i in dead), told, "not measured")
     size = float(np.sqrt(np.sum(logged**2) / max(np.sum(moved**2), 1e-12)))
     missed = float(np.sum((logged - moved) ** 2) / max(np.sum(moved**2), 1e-12))
     if missed < VELOCITY_OFF:
         return
     told = f"{size:.3g} times the change of positions"
     if abs(np.log(max(size, 1e-9))) > np.log1p(VELOCITY_OFF):
-        unit = _unit(size)
-        cause = f"in {unit}/s, not m/s" if unit else "scaled, or positions are"
-        line = _unit_line(_V, f"{unit}/s" if unit else "")
+        unit = "km/h" if abs(size / 3.6 - 1.0) < 0.04 else f"{_unit(size)}/s"
+        cause = f"in {unit}, not m/s" if unit != "/s" else "scaled, or positions are"
+        line = _unit_line(_V, unit)
         yield Finding(_V, told, cause, line)
         return
     told = f"{100 * missed:.0f} % of its mean square is not the change of positions"
@@ -77,6 +88,12 @@ def velocity(view: LogView) -> Iterator[Finding]:
         yield Finding(_V, told, "in the body's axes, not the world's")
         return
     match = match_axes(logged, moved)
+    late, shifted = lag_of(logged, moved, STEP, LATEST)
+    if abs(late) > LATE and shifted > max(_SURELY, match.best.mean()):
+        told = f"{1e3 * abs(late):.0f} ms {'late' if late > 0 else 'early'}"
+        told += " against the change of ref_p"
+        yield Finding(_V, told, "a filter, or stamps of another clock")
+        return
     columns = tuple(_V[i] for i in match.wrong) or _V
     words = match.words or "another clock, another body, or a filter that lags"
     yield Finding(columns, told, words)
@@ -84,10 +101,11 @@ def velocity(view: LogView) -> Iterator[Finding]:
 
 def _unit(factor: float) -> str:
     """Unit of lengths that are about `factor` times those in metres; "" for none."""
-    return next((u for f, u in _UNITS.items() if abs(np.log(max(factor, 1e-9) / f)) < 0.1), "") or (
-        # For a speed: walks have 0.1 to 3 m/s.
-        ("mm" if factor > 90.0 else "cm") if factor > FASTEST_LEGS else ""
-    )
+    unit, one = min(_UNITS.items(), key=lambda known: abs(np.log(max(factor, 1e-9) / known[1])))
+    if abs(np.log(max(factor, 1e-9) / one)) < 0.1:
+        return unit
+    # For a speed: walks have 0.1 to 3 m/s.
+    return ("mm" if factor > 90.0 else "cm") if factor > FASTEST_LEGS else ""
 
 
 def _unit_line(columns: tuple[str, ...], unit: str) -> str:

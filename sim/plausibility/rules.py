@@ -25,6 +25,8 @@ from surefoot.sim.plausibility.finding import Finding, Rule
 from surefoot.sim.plausibility.view import LogView
 from surefoot.sim.robot.fixed_base import Machine
 
+_UNITS = {"gyro": "rad/s", "accel": "m/s²", "q": "rad"}
+
 RULES = (
     Rule(
         "rows",
@@ -63,6 +65,36 @@ RULES = (
         "one of two columns of the map names the wrong one of theirs",
         (),
         streams.copies,
+    ),
+    Rule(
+        "overflow",
+        "steps of gyro and angles from row to row with the range of their readings",
+        f"{streams.LEAST_OVERFLOWS} steps over {streams.FROM_END_TO_END:.0%} of it, not back at "
+        "once, of " + ", ".join(f"{most:g} {_UNITS[k]}" for k, most in streams.OVERFLOWS.items()),
+        "what has mass passes the middle of a range on its way to the other end",
+        "a sensor of larger range, or wider numbers; wrap for angles",
+        (),
+        streams.overflows,
+    ),
+    Rule(
+        "saturated",
+        "readings of IMU and joint rates with their largest",
+        f"{streams.CLIPPED} rows at exactly it, and three times as many as near it",
+        "a sensor's noise spreads what does not clip",
+        "a sensor of larger range; filters take clipped readings for true ones",
+        (),
+        streams.saturated,
+    ),
+    Rule(
+        "coarse",
+        "readings of gyro, accelerometer and angles with each other",
+        "nothing between readings that are "
+        + ", ".join(f"{streams.COARSE[k]:g} {u}" for k, u in _UNITS.items())
+        + " apart",
+        "fifty times what sensors of 16 bits and encoders of 12 bits have",
+        "record more digits",
+        (),
+        streams.coarse,
     ),
     Rule(
         "gyro's unit",
@@ -174,6 +206,24 @@ RULES = (
         imu.gyro_noise,
     ),
     Rule(
+        "accelerometer's noise",
+        "the accelerometer with itself from row to row",
+        f"{imu.NOISY_ACCEL:g} m/s²",
+        "data sheets have a fiftieth, walking robots a quarter, with what shakes them",
+        "leave the log out, or the axis; a filter takes such noise for 0.1 m/s²",
+        ("t", "accel"),
+        imu.accel_noise,
+    ),
+    Rule(
+        "noise of rates",
+        "joint rates with themselves from row to row",
+        f"{joints.NOISY_RATE:g} rad/s",
+        "encoders of 12 bits, read at 1 kHz and not filtered, have as much",
+        "filter them, or leave them out: surefoot derives them from angles, and says so",
+        ("t", "dq"),
+        joints.rate_noise,
+    ),
+    Rule(
         "gyro and legs",
         "without a reference: the gyro with the turning of lines between standing feet",
         f"another order or sign of axes that leaves {imu.LEFT:.0%} of what is unexplained, or less",
@@ -263,6 +313,16 @@ RULES = (
         "[contact] debounce, or a threshold that is further from the noise",
         ("t", "contact"),
         contacts.flickering,
+    ),
+    Rule(
+        "missed steps",
+        "the number of changes of each contact with that of the others",
+        f"less than {contacts.MISSES:g} of it, where the others change {contacts.MOST_SURE} times "
+        "or more",
+        "in every gait each foot steps once a stride",
+        "the threshold of [contact] for that foot",
+        ("t", "contact"),
+        contacts.missed,
     ),
     Rule(
         "zeros",
@@ -370,15 +430,6 @@ RULES = (
         drives.followed,
     ),
     Rule(
-        "saturated",
-        "readings of IMU and joint rates with their largest",
-        f"{streams.CLIPPED} rows at exactly it, and three times as many as near it",
-        "a sensor's noise spreads what does not clip",
-        "a sensor of larger range; filters take clipped readings for true ones",
-        (),
-        streams.saturated,
-    ),
-    Rule(
         "held",
         "rows of a sensor with the rows before",
         f"repeated so often that it has {streams.SLOWER:g} of the rate of the rows",
@@ -424,7 +475,15 @@ RULES = (
         streams.derived,
     ),
 )
-_MINOR = ("single rows", "reference's samples", "saturated", "held", "interpolated", "late")
+_MINOR = (
+    "single rows",
+    "reference's samples",
+    "saturated",
+    "coarse",
+    "held",
+    "interpolated",
+    "late",
+)
 """Rules that skip columns in doubt, and put none in doubt themselves."""
 
 

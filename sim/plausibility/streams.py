@@ -6,13 +6,14 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from surefoot.sim.importing.streams import LateStream, delay_between, held_streams, late_streams
 from surefoot.sim.log.derived import JOINT_WINDOW, REFERENCE_WINDOW, derivative
 from surefoot.sim.log.schema import joint_prefix
 from surefoot.sim.plausibility.attitude import LATE
 from surefoot.sim.plausibility.finding import Finding
-from surefoot.sim.plausibility.view import LogView
+from surefoot.sim.plausibility.view import MEAN, LogView
 
 LATE_RATE = 4e-3
 """Delay of joint rates relative to the derivative of their angles [s]: two samples at 500 Hz."""
@@ -39,6 +40,16 @@ CLIPPED = 5
 """Rows at exactly the largest value from which a sensor is saturated; there must also be three
 times as many as in the 3 % of its span below.
 """
+COARSE = {"gyro": 0.05, "accel": 0.5, "q": 0.02}
+"""Least difference of two readings that is reported, by kind [rad/s, m/s^2, rad]: fifty times what
+sensors of 16 bits and encoders of 12 bits have.
+"""
+OVERFLOWS = {"gyro": 4.0, "q": 1.0}
+"""Least step from row to row that is an overflow, by kind [rad/s, rad]: nothing with mass does it.
+Accelerometers do, at impacts.
+"""
+FROM_END_TO_END, LEAST_OVERFLOWS = 0.9, 3
+"""Least step relative to the readings' whole range, and least number of such steps."""
 SPIKE = 12.0
 """Ratio to the 99 % quantile of the deviation from the median of five rows."""
 SPIKES = {
@@ -119,7 +130,8 @@ def _others_move(
     frame = view.log.frame
     twin = {"q": f"dq_{name[2:]}", "dq": f"q_{name[3:]}"}.get(kind)
     if twin in frame and np.ptp(frame[twin].to_numpy()[first : last + 1]) > 0.0:
-        return _moves(frame[twin].to_numpy(), first, last)
+        rows = 2 * round(0.5 * MEAN * view.log.rate) + 1  # a mean, so that noise is no motion
+        return _moves(uniform_filter1d(frame[twin].to_numpy(), rows), first, last)
     others = [s for s in siblings if s != name]
     moving = [s for s in others if _moves(frame[s].to_numpy(), first, last)]
     if len(moving) >= max(1, 0.5 * len(others)):
@@ -162,9 +174,12 @@ def _turns_meanwhile(view: LogView, name: str, kind: str, first: int, last: int)
     if in_degrees or not change < _OTHER_UNIT * rate < _OTHER_UNIT**2 * change:
         return False
     if kind == "q":
-        # Without its mean, since rates of a joint at rest may have an offset.
-        turned = np.cumsum((other - other.mean())[rows] * np.gradient(t))
-        return float(np.ptp(turned)) > max(RESTS, 3.0 * count) + _STRAY * float(t[-1] - t[0])
+        # Rates of a joint at rest may have an offset, but a joint that moved has a mean, too.
+        turned = min(
+            float(np.ptp(np.cumsum((other - offset)[rows] * np.gradient(t))))
+            for offset in (0.0, other.mean())
+        )
+        return turned > max(RESTS, 3.0 * count) + _STRAY * float(t[-1] - t[0])
     seconds = t - t[0]
     return float(np.ptp(other[rows] - x[first] * seconds)) > max(RESTS, 3.0 * count * seconds[-1])
 
@@ -272,6 +287,35 @@ def _explains(view: LogView, late: LateStream) -> bool:
     return float(np.sum((shifted - witness) ** 2)) < 0.5 * float(np.sum((x - witness) ** 2))
 
 
+def coarse(view: LogView) -> Iterator[Finding]:
+    """Check that readings resolve what they measure."""
+    for kind, columns in _kinds(view, tuple(COARSE)).items():
+        readings = [np.unique(view.log.frame[name].to_numpy()) for name in columns]
+        least = [float(np.diff(x).min(initial=np.inf)) for x in readings]
+        found = [n for n, x in zip(columns, least, strict=True) if COARSE[kind] < x < np.inf]
+        if found:
+            told = f"readings are {min(x for x in least if x > COARSE[kind]):.3g} apart or more"
+            yield Finding(tuple(found), told, "rounded, or the numbers of a sensor not converted")
+
+
+def overflows(view: LogView) -> Iterator[Finding]:
+    """Check that readings do not go on at the other end of their range."""
+    even = np.diff(view.t) < 2.0 * np.median(np.diff(view.t)) if len(view.t) > 2 else False
+    for kind, columns in _kinds(view, tuple(OVERFLOWS)).items():
+        for name in columns:
+            x = view.log.frame[name].to_numpy()
+            steps, span = np.abs(np.diff(x)), float(np.ptp(x))
+            over = even & (steps > max(FROM_END_TO_END * span, OVERFLOWS[kind]))
+            over[1:-1] &= ~(over[:-2] | over[2:])  # a row there and back is a spike
+            if np.sum(over) < LEAST_OVERFLOWS or not _varied(x):
+                continue
+            told = f"{np.sum(over)} steps from one end of its range to the other, {span:.3g} away"
+            turns = kind == "q" and abs(span / _WHOLE_TURN - 1.0) < 0.05
+            cause = "an angle that starts again after a turn" if turns else "numbers that overflow"
+            line = f"{name} = {{ ..., wrap = {_WHOLE_TURN:.6g} }}" if turns else ""
+            yield Finding((name,), told, cause, line)
+
+
 def saturated(view: LogView) -> Iterator[Finding]:
     """Check that readings do not accumulate at their largest value."""
     for columns in _kinds(view, ("gyro", "accel", "dq")).values():
@@ -281,7 +325,10 @@ def saturated(view: LogView) -> Iterator[Finding]:
                 top = float(y.max())
                 span = top - float(np.median(y))
                 at_top = int(np.sum(y == top))
-                below = int(np.sum((y < top) & (y > top - 0.03 * span)))
+                # A coarse sensor may have no reading within 3 % of it.
+                next_to_it = float(y[y < top].max(initial=-np.inf))
+                near = max(0.03 * span, 1.5 * (top - next_to_it))
+                below = int(np.sum((y < top) & (y > top - near)))
                 times = int(np.sum(np.diff((y == top).astype(int)) > 0))
                 if (
                     span > 0
@@ -305,8 +352,10 @@ def spikes(view: LogView) -> Iterator[Finding]:
             if len(x) < 50 or not np.ptp(x):
                 continue
             off = np.abs(x - _median5(x))
-            if _drop_outs(x) >= DROPS:
-                dropped.append((name, _drop_outs(x)))
+            # Drives report no rate below some speed.
+            zeros = _drop_outs(x, most=2 if kind in ("dq", "tau") else None)
+            if zeros >= DROPS:
+                dropped.append((name, zeros))
                 continue
             least = SPIKES[kind]
             if kind in ("q", "dq", "tau"):
@@ -441,14 +490,24 @@ def _median5(x: np.ndarray) -> np.ndarray:
     return np.median(np.stack([padded[i : i + len(x)] for i in range(5)]), axis=0)
 
 
-def _drop_outs(x: np.ndarray) -> int:
-    """Number of rows that are exactly 0 while the median around them is far from it.
+def _drop_outs(x: np.ndarray, most: int | None = None) -> int:
+    """Number of rows at exactly 0 that x (N,) leaps to and from, of runs of at most `most` rows.
 
     0 if as many rows are nearly 0, as in coarsely quantised streams that cross it.
     """
-    if np.mean(x == 0.0) > 0.5:
+    zero = x == 0.0
+    if np.mean(zero) > 0.5:
         return 0
-    usual = np.quantile(np.abs(np.diff(x)), 0.9)
-    far = np.abs(_median5(x)) > 3.0 * usual
-    dropped = int(np.sum((x == 0.0) & far))
-    return dropped if dropped > np.sum((x != 0.0) & (np.abs(x) < usual) & far) else 0
+    steps = np.abs(np.diff(x))
+    count = float(steps[steps > 0.0].min(initial=np.inf))
+    far = 3.0 * max(float(np.quantile(steps, 0.9)), count)
+    edges = np.flatnonzero(np.diff(zero)) + 1
+    edges = edges[1 if zero[0] else 0 :]
+    first, last = edges[: len(edges) // 2 * 2].reshape(-1, 2).T
+    leaps = np.minimum(np.abs(x[first - 1]), np.abs(x[last])) > far
+    if most is not None:
+        leaps &= last - first <= most
+    dropped = int(np.sum((last - first)[leaps]))
+    usual = np.quantile(steps, 0.9)
+    nearly = (x != 0.0) & (np.abs(x) < usual) & (np.abs(_median5(x)) > 3.0 * usual)
+    return dropped if dropped > np.sum(nearly) else 0

@@ -44,6 +44,11 @@ def test_a_clean_walk_without_a_reference_is_plausible(log):
     assert found_in(without(log, "ref_")) == []
 
 
+def test_the_beginning_of_a_walk_is_plausible(log):
+    """Its joints rest for a second, between two counts of their encoders."""
+    assert found_in(log.rows(log.t < 1.5)) == []
+
+
 def test_feet_that_bounce_are_no_noise_about_a_threshold(log):
     changed = bouncing(log)
     rate = np.abs(np.diff(changed.contact.astype(int), axis=0)).sum(axis=0) / log.t[-1]
@@ -317,6 +322,50 @@ def leg_odometry(log: Log) -> Log:
     return vectors(ref_p=p, ref_v=v_GI)(log)
 
 
+def scrambled(log: Log) -> Log:
+    """Gyro and accelerometer read as each other."""
+    return vectors(gyro=log.accel, accel=log.gyro)(log)
+
+
+def noisy(size: float, *prefixes: str) -> Callable[[Log], Log]:
+    def change(log: Log) -> Log:
+        rng = np.random.default_rng(0)
+        names = columns_of(log, *prefixes)
+        return edited(log, **{c: log.frame[c] + rng.normal(0.0, size, len(log.t)) for c in names})
+
+    return change
+
+
+def rounded(step: float, *prefixes: str) -> Callable[[Log], Log]:
+    return lambda log: edited(
+        log, **{c: step * np.round(log.frame[c] / step) for c in columns_of(log, *prefixes)}
+    )
+
+
+def overflowing(log: Log) -> Log:
+    return edited(log, gyro_x=(20.0 * log.frame["gyro_x"] + 4.0) % 8.0 - 4.0)
+
+
+def within_a_turn(log: Log) -> Log:
+    q = log.frame["q_FL_calf"]
+    return edited(log, q_FL_calf=(q - q.median()) % (2.0 * np.pi))
+
+
+def disconnected(log: Log) -> Log:
+    """A leg's joints at zero for a while."""
+    frame = log.frame.copy()
+    frame.loc[2000:2150, columns_of(log, "q_RL", "dq_RL", "tau_RL")] = 0.0
+    return replace(log, frame=frame)
+
+
+def every_second_step(log: Log) -> Log:
+    contact = log.frame["contact_FR"].to_numpy().copy()
+    down, up = (np.flatnonzero(np.diff(contact) == change) for change in (1.0, -1.0))
+    for first in down[::2]:
+        contact[first : up[up > first].min(initial=len(contact)) + 1] = 0.0
+    return edited(log, contact_FR=contact)
+
+
 z_down = both(times(-1, "ref_p_y", "ref_v_y"), times(-1, "ref_p_z", "ref_v_z"))
 
 CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
@@ -468,6 +517,25 @@ CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
         lambda log: edited(log, **{c: log.frame[c].abs() for c in columns_of(log, "tau_")}),
         "magnitudes", "without their sign"),
     "contacts that flicker": (noisy_contacts, "flickering", "debounce"),
+    "gyro in rpm": (times(30.0 / np.pi, "gyro"), "gyro", 'unit = "rpm"'),
+    "gyro and accelerometer swapped": (
+        scrambled, "gyro's unit", "gyro_x to accel_z: gyro and accelerometer swapped"),
+    "gyro that overflows": (overflowing, "overflow", "gyro_x: numbers that overflow"),
+    "gyro rounded": (rounded(0.1, "gyro"), "coarse", "readings are 0.1 apart"),
+    "accelerometer in cm/s^2": (times(100.0, "accel"), "gravity", "in cm/s^2"),
+    "accelerometer in mg": (times(1e3 / 9.80665, "accel"), "gravity", 'unit = "mg"'),
+    "accelerometer in ft/s^2": (times(1.0 / 0.3048, "accel"), "gravity", "in ft/s^2"),
+    "accelerometer that is noise": (
+        noisy(4.0, "accel"), "accelerometer's noise", "accel_x, accel_y, accel_z"),
+    "a rate that is noise": (noisy(3.0, "dq_FL_calf"), "noise of rates", "dq_FL_calf"),
+    "an angle within a turn": (within_a_turn, "overflow", "q_FL_calf = { ..., wrap = 6.28"),
+    "a leg disconnected for a while": (disconnected, "spikes", "q_RL_hip, q_RL_thigh, q_RL_calf"),
+    "a contact late": (late(0.1, "contact_RR"), "legs", "contact_RR: late, unlike the other"),
+    "a contact that misses steps": (every_second_step, "missed steps", "contact_FR"),
+    "velocities in km/h": (times(3.6, "ref_v"), "reference's velocity", "in km/h"),
+    "velocities in inches/s": (times(39.37, "ref_v"), "reference's velocity", "in inches/s"),
+    "no velocity along an axis": (
+        constant(0.0, "ref_v_x"), "reference's velocity", "ref_v_x: not measured"),
     "gyro held": (
         lambda log: edited(
             log, **{c: np.repeat(log.frame[c].to_numpy()[::4], 4)[: len(log.t)] for c in GYRO}
