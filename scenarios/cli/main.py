@@ -64,7 +64,8 @@ COMMANDS: dict[str, type] = {
 }
 
 
-ABOUT = """A testbed for legged state estimation from proprioception alone.
+ABOUT = """A testbed for legged state estimation from proprioception alone. Begin with `surefoot
+demo`, which runs the whole chain in a few minutes.
 
 --version prints the version. --plugin FILE.py, given with any command and as often as needed, adds
 the estimators, effects, channels, architectures, calibrators and gaits of your own that the file
@@ -73,19 +74,20 @@ NO_TORCH = "observers need PyTorch, which is not installed: the extra surefoot[l
 
 
 def _parsed(arguments: Sequence[str]) -> tuple[str, Any]:
-    """Parse the command and its name; exits, like tyro, after --help or an error.
+    """Parse the command and its name; exits, like tyro, after --help or an error. Without
+    arguments, help is printed.
 
     If the command's name comes first, only its parser is built: that is faster, and suggestions for
     a mistyped option are from this command.
     """
-    first, *rest = arguments or [""]
+    first, *rest = arguments = list(arguments) or ["--help"]
     config = (FlagCreatePairsOff, OmitArgPrefixes)
     if first == "--version":
         print(f"surefoot {surefoot.__version__}")
         sys.exit()
     if first in COMMANDS:
         return first, tyro.cli(COMMANDS[first], prog=f"surefoot {first}", args=rest, config=config)
-    if first and not first.startswith("-"):
+    if not first.startswith("-"):
         hint = did_you_mean(first, COMMANDS) or ";"
         print(f"surefoot: no command '{first}'{hint} `surefoot --help` lists them", file=sys.stderr)
         sys.exit(2)

@@ -36,6 +36,11 @@ def ended(arguments: str) -> str | int | None:
     return stop.value.code
 
 
+def test_without_a_command_the_commands_are_listed(capsys):
+    assert not ended("")
+    assert "Begin with `surefoot demo`" in capsys.readouterr().out
+
+
 def test_version(capsys):
     assert not ended("--version")
     assert capsys.readouterr().out.strip() == f"surefoot {surefoot.__version__}"
