@@ -183,7 +183,7 @@ class Calibrate:
         x, y, z = bounds.epsilon
         print(
             f"{self.out}: |error| <= {x:.4f}, {y:.4f}, {z:.4f} m/s jointly at gamma "
-            f"{bounds.gamma:g} ({bounds.method}, ranked at {bounds.level_per_axis:.4f}), from "
+            f"{bounds.gamma:g} ({bounds.method}, quantile {bounds.level_per_axis:.4f}), from "
             f"{bounds.n} errors {bounds.K} steps apart"
         )
         if bounds.mixing is not None and not bounds.mixing.mixed:
