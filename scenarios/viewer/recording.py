@@ -54,6 +54,16 @@ _ERRORS = (
     "- **Errors**: estimate minus truth. Bands, and thin lines of the distance, are three of the "
     "filter's own standard deviations: a consistent filter stays inside them nearly always."
 )
+_DOTS = "- **Dots on the ground**: where feet stood; magenta where one slipped."
+_VELOCITY = "- **Velocity and bounds**: velocity of the IMU along its own axes."
+_PREDICTED = (
+    " The observer's prediction lies midway between its calibrated bounds, the band; magenta marks "
+    "true velocities outside them."
+)
+_FEET = (
+    "- **Feet**: stance of each foot, magenta while a loaded foot slides faster than "
+    f"{SLIPPING} m/s."
+)
 _ERROR_RATE = 20.0  # Hz; errors and paths change over seconds, not over milliseconds
 
 
@@ -100,7 +110,8 @@ def write_recording(
         blueprint = _layout(log, robot, tuple(trajectories), bool(records), tab)
         stream.send_blueprint(blueprint, make_active=False)
         stream.send_recording_name(str(log.meta.scenario or Path(path).stem))
-        about = rr.TextDocument(_about(log, robot, errors), media_type="text/markdown")
+        text = _about(log, robot, errors, prediction is not None)
+        about = rr.TextDocument(text, media_type="text/markdown")
         stream.log("/about", about, static=True)
         stream.log("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         corners = log.ref_p.min(axis=0), log.ref_p.max(axis=0)
@@ -153,9 +164,9 @@ def _layout(
     )
 
 
-def _about(log: Log, robot: Robot, errors: Mapping[str, ErrorSeries]) -> str:
-    """Explanation for the viewer in Markdown, with each estimator's error at the end of the
-    walk.
+def _about(log: Log, robot: Robot, errors: Mapping[str, ErrorSeries], has_observer: bool) -> str:
+    """Explanation in Markdown of what the recording shows, with each estimator's error at the end
+    of the walk.
     """
     ends = [f"| {estimator_label(n)} | {e.distance[-1]:.2f} m |" for n, e in errors.items()]
     shown = [estimator_label(name) for name in shown_at_first(tuple(errors))]
@@ -164,19 +175,17 @@ def _about(log: Log, robot: Robot, errors: Mapping[str, ErrorSeries]) -> str:
         [
             f"# {log.meta.scenario or 'A walk'} by {robot.name}, {log.t[-1] - log.t[0]:.1f} s",
             "",
-            "The robot and the grey line are the truth (of a measured log: the reference).",
+            "The robot and the grey line show the reference: the truth of a simulated walk, the "
+            "measured motion of a real one, or the course before it is walked.",
             "",
             *([_BOXES, "", *table] if errors else []),
-            *([_AT_FIRST.format(", ".join(shown)), ""] if len(shown) < len(errors) else []),
+            *([_AT_FIRST.format("; ".join(shown)), ""] if len(shown) < len(errors) else []),
             "- **Ground**: the paler and bluer, the more slippery; labels give the friction "
             "coefficient.",
-            "- **Dots on the ground**: where feet stood; magenta where one slipped.",
-            "- **Velocity and bounds**: velocity of the IMU along its own axes. The observer's "
-            "prediction lies midway between its calibrated bounds, the band; magenta marks true "
-            "velocities outside them.",
+            *([_DOTS] if log.has("contact") else []),
+            _VELOCITY + (_PREDICTED if has_observer else ""),
             *([_ERRORS] if errors else []),
-            f"- **Feet**: stance of each foot, magenta while a loaded foot slides faster than "
-            f"{SLIPPING} m/s.",
+            *([_FEET] if log.has("contact") else []),
             "",
             "Space plays and pauses; drag and scroll turn and zoom; a double click resets a view.",
         ]
