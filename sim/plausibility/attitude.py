@@ -82,6 +82,16 @@ OTHER_READINGS = (
         "[reference] q_IM = [0, 1, 0, 0]",
         lambda R: R * _NED,
     ),
+    Reading(
+        "its heading turns clockwise",
+        "ref_yaw = { ..., sign = -1 }, of the angles it was made of",
+        lambda R: Rotation.from_euler("ZYX", R.as_euler("ZYX") * [-1.0, 1.0, 1.0]),
+    ),
+    Reading(
+        "roll and pitch are exchanged",
+        "ref_roll and ref_pitch exchanged, of the angles it was made of",
+        lambda R: Rotation.from_euler("ZYX", R.as_euler("ZYX")[:, [0, 2, 1]]),
+    ),
     Reading("the world's y is up", "turn it by 90 deg about x", lambda R: _Y_UP * R),
     Reading(
         "the world's z is down and y up", "turn it by -90 deg about x", lambda R: _Y_UP.inv() * R

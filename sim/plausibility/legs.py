@@ -30,6 +30,8 @@ of the worst of these; where there is none, any correction is accepted.
 """
 CLEARER = 0.9
 """Improvement required over an alternative that exchanges fewer legs, which is tried first."""
+OFFSETS = np.array([-0.8, -0.7, -0.6, -0.5, -0.4, -0.3, -0.2, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8])
+"""Offsets of joints that are tried [rad]: an encoder's zero is set to some degrees."""
 DUTY = 0.48
 """Mean duty factor: half and more in walks and trots."""
 HOPELESS = 0.6
@@ -115,18 +117,20 @@ class Moving:
         size = np.broadcast_to(np.sum(truth**2, axis=1)[:, None], on.shape)[on]
         return float(missed.mean() / size.mean())
 
+    def misfits(self, legs: Stance) -> np.ndarray:
+        """The misfit of each leg (L,), at the same times."""
+        u, each = legs.body_velocity(self.gyro), range(legs.contact.shape[1])
+        return np.array([self.misfit(u[:, [i]], legs.contact[:, [i]]) for i in each])
+
 
 def kinematics(view: LogView) -> Iterator[Finding]:
     """Check that all legs in contact and the reference agree on the body's velocity."""
     legs = view.stance
     if legs is None or not view.log.has("imu") or len(view.log.legs) < 2:
         return
-    gyro = view.gyro[legs.which]
+    moving = _turning(view, legs)
+    gyro, truth = moving.gyro, moving.truth
     used = view.ok[legs.which] if view.log.has("reference") else np.ones(len(gyro), bool)
-    truth = view.v_I[legs.which] if view.trusts_reference else None
-    rate = np.linalg.norm(gyro, axis=1)
-    turning = rate > np.quantile(rate, _TURNING)
-    moving = Moving(gyro, truth, used & turning)
     u = legs.body_velocity(gyro)
     base = moving.misfit(u, legs.contact)
     found: list[Finding] = []
@@ -147,6 +151,15 @@ def kinematics(view: LogView) -> Iterator[Finding]:
         told = f"standing feet have {100 * base:.0f} % of the body's velocity, squared"
         cause = "wrong joints, contacts or robot; or it slides"
         yield Finding(("q", "contact"), told, cause)
+
+
+def _turning(view: LogView, legs: Stance) -> Moving:
+    """The motion that legs are compared with, used where the body turns most."""
+    gyro = view.gyro[legs.which]
+    used = view.ok[legs.which] if view.log.has("reference") else np.ones(len(gyro), bool)
+    truth = view.v_I[legs.which] if view.trusts_reference else None
+    rate = np.linalg.norm(gyro, axis=1)
+    return Moving(gyro, truth, used & (rate > np.quantile(rate, _TURNING)))
 
 
 def climbing(view: LogView) -> Iterator[Finding]:
@@ -335,16 +348,8 @@ def _misread(
     size = len(chains[0])
     if any(len(chain) != size for chain in chains) or size > 3:
         return 1.0, []
-    used = np.flatnonzero(moving.used)
-    some = used[np.unique(np.linspace(0, len(used) - 1, _TRIED).astype(int))]
-    few, moving, q = legs.at(some), moving.rows(some), view.log.q
-
-    def missed(moved: Stance) -> np.ndarray:
-        u = moved.body_velocity(moving.gyro)
-        each = range(len(chains))
-        return np.array([moving.misfit(u[:, [i]], few.contact[:, [i]]) for i in each])
-
-    base = missed(few)
+    (few, moving), q = _few(legs, moving), view.log.q
+    base = moving.misfits(few)
     bad = np.flatnonzero(base > MISFIT)
     best: list[tuple[float, tuple[int, ...], tuple[float, ...]]] = [
         (float(x), (), ()) for x in base
@@ -355,7 +360,7 @@ def _misread(
             for chain in chains:
                 columns[list(chain)] = [chain[k] for k in order]
                 sign[list(chain)] = signs
-            left = missed(few.with_joints(robot, q, columns, sign))
+            left = moving.misfits(few.with_joints(robot, q, columns, sign))
             for i in bad:
                 if left[i] < best[i][0]:
                     best[i] = (float(left[i]), order, signs)
@@ -373,6 +378,50 @@ def _misread(
         _misread_finding(view.log.joints, chains, which, order, signs, base, best)
         for (order, signs), which in found.items()
     ]
+
+
+def _few(legs: Stance, moving: Moving) -> tuple[Stance, Moving]:
+    """Feet and motion at some of the times, at which alternatives are tried."""
+    used = np.flatnonzero(moving.used)
+    some = used[np.unique(np.linspace(0, len(used) - 1, _TRIED).astype(int))]
+    return legs.at(some), moving.rows(some)
+
+
+def zeros_of_most(view: LogView) -> Iterator[Finding]:
+    """Check that the angles of most legs count from where the model's do.
+
+    `joints.zeros` finds that of a single joint.
+    """
+    legs, robot, log = view.stance, view.robot, view.log
+    if legs is None or robot is None or log.has("foot") or not view.trusts_reference:
+        return
+    chains = robot.limbs.chains
+    size = len(chains[0])
+    few, moving = _few(legs, _turning(view, legs))
+    base = moving.misfits(few)
+    if any(len(chain) != size for chain in chains) or not np.median(base) > MISFIT:
+        return
+    misfits = np.empty((size, len(OFFSETS), len(chains)))
+    for k, n in np.ndindex(misfits.shape[:2]):
+        offset = np.zeros(log.q.shape[1])
+        offset[[chain[k] for chain in chains]] = OFFSETS[n]
+        misfits[k, n] = moving.misfits(few.with_joints(robot, log.q, offset=offset))
+    if not np.isfinite(misfits).all():
+        return
+    left = misfits.min(axis=1) / base  # by joint of a leg, and leg
+    mended = (left < MENDED) & (base > MISFIT)
+    kinds = [k for k in np.argsort(np.median(left, axis=1)) if 2 * mended[k].sum() > len(chains)]
+    columns, told = [], []
+    for k in kinds:
+        which = np.flatnonzero(mended[k])
+        columns += [f"q_{log.joints[chains[i][k]]}" for i in which]
+        added = sorted({float(OFFSETS[misfits[k, :, i].argmin()]) for i in which})
+        gain = 1.0 / float(np.median(left[k, which]))
+        told.append(f"{gain:.1f} times with {' or '.join(f'{x:+g}' for x in added)} rad added")
+    if columns:
+        told = f"standing feet move less (squared): {', else '.join(told)}"
+        line = "[robot.joint_offset] of one joint of each leg"
+        yield Finding(tuple(columns), told, "other zeros than the model's", line)
 
 
 def _misread_finding(

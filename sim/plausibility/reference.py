@@ -26,6 +26,7 @@ DEAD = 0.05
 _P = tuple(f"ref_p_{a}" for a in AXIS_NAMES)
 _V = tuple(f"ref_v_{a}" for a in AXIS_NAMES)
 _Q = tuple(f"ref_q_{a}" for a in "wxyz")
+_GYRO = tuple(f"gyro_{a}" for a in AXIS_NAMES)
 
 
 def even_samples(view: LogView) -> Iterator[Finding]:
@@ -44,8 +45,18 @@ def attitude(view: LogView) -> Iterator[Finding]:
     fault = view.attitude
     if fault is None:
         return
+    if fault.late and _accelerometer_agrees(view, fault.late):
+        told = f"{fault.evidence}, and the accelerometer does not"
+        yield Finding(_GYRO, told, "a filter, or another clock, of the gyro alone")
+        return
     columns = (*_P, *_Q) if fault.late else _Q
     yield Finding(columns, fault.evidence, fault.cause, fault.map_line)
+
+
+def _accelerometer_agrees(view: LogView, late: float) -> bool:
+    """Whether the accelerometer contradicts a delay [s] of the reference against the gyro."""
+    late_by_force, alike = lag_of(view.accel[view.ok], view.felt[view.ok], STEP, LATEST)
+    return alike > _SURELY and abs(late_by_force) < 0.5 * abs(late)
 
 
 def position(view: LogView) -> Iterator[Finding]:

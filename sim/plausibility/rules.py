@@ -344,6 +344,17 @@ RULES = (
         legs.climbing,
     ),
     Rule(
+        "zeros of most legs",
+        "the velocity that the body has if feet in contact stand with that of the reference, as "
+        "angles are and moved",
+        f"{legs.OFFSETS[legs.OFFSETS > 0][0]:g} rad or more, of the same joint of most legs, that "
+        f"leave {legs.MENDED:g} of the mean square",
+        "zeros are set to some degrees",
+        "joint_offset",
+        ("t", "gyro", "q", "contact", "ref", "foot"),
+        legs.zeros_of_most,
+    ),
+    Rule(
         "reference from legs",
         "the velocity of ref_p with that by feet in contact",
         f"alike to {place.MADE_OF_LEGS:.0%}",

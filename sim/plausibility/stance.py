@@ -50,12 +50,26 @@ class Stance:
         )  # fmt: skip
 
     def with_joints(
-        self, robot: Robot, q: np.ndarray, columns: np.ndarray, sign: np.ndarray
+        self,
+        robot: Robot,
+        q: np.ndarray,
+        columns: np.ndarray | None = None,
+        sign: np.ndarray | float = 1.0,
+        offset: np.ndarray | float = 0.0,
     ) -> "Stance":
-        """The feet for angles q (N, J) read from other columns (J,), with signs (J,)."""
+        """The feet for other readings of the joints.
+
+        Args:
+            robot: the robot.
+            q: (N, J) angles of the log [rad].
+            columns: that angles are read from (J,); their own by default.
+            sign: (J,) of what is read.
+            offset: (J,) [rad] added to it.
+        """
+        which = np.arange(q.shape[1]) if columns is None else columns
 
         def feet(rows: np.ndarray) -> np.ndarray:
-            return robot.feet_I(q[np.ix_(rows, columns)] * sign)
+            return robot.feet_I(q[np.ix_(rows, which)] * sign + offset)
 
         return replace(self, foot=feet(self.rows[1]), rate=foot_rates(feet, self.rows, self.span))
 

@@ -121,6 +121,23 @@ def attitude(read: Callable[[Rotation], Rotation]) -> Callable[[Log], Log]:
     return change
 
 
+def euler_angles(read: Callable[..., tuple[np.ndarray, ...]]) -> Callable[[Log], Log]:
+    """Attitudes with other Euler angles, given yaw, pitch and roll."""
+
+    def change(R: Rotation) -> Rotation:
+        return Rotation.from_euler("ZYX", np.column_stack(read(*R.as_euler("ZYX").T)))
+
+    return attitude(change)
+
+
+def from_another_zero(offset: float, kind: str) -> Callable[[Log], Log]:
+    def change(log: Log) -> Log:
+        names = [c for c in columns_of(log, "q_") if c.endswith(kind)]
+        return edited(log, **{c: log.frame[c] + offset for c in names})
+
+    return change
+
+
 def imu_turned(R: Rotation) -> Callable[[Log], Log]:
     def change(log: Log) -> Log:
         gyro, accel = R.apply(log.gyro), R.apply(log.accel)
@@ -532,6 +549,17 @@ CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
     "a leg disconnected for a while": (disconnected, "spikes", "q_RL_hip, q_RL_thigh, q_RL_calf"),
     "a contact late": (late(0.1, "contact_RR"), "legs", "contact_RR: late, unlike the other"),
     "a contact that misses steps": (every_second_step, "missed steps", "contact_FR"),
+    "all calves from another zero": (
+        from_another_zero(0.3, "_calf"), "zeros of most legs", "-0.3 rad added"),
+    "all thighs from another zero": (
+        from_another_zero(-0.2, "_thigh"), "zeros of most legs", "+0.2 rad added"),
+    "gyro late": (late(0.06, "gyro"), "reference's attitude", "gyro_x, gyro_y, gyro_z: a filter"),
+    "a heading that turns clockwise": (
+        euler_angles(lambda yaw, pitch, roll: (-yaw, pitch, roll)),
+        "reference's attitude", "heading turns clockwise"),
+    "roll and pitch swapped": (
+        euler_angles(lambda yaw, pitch, roll: (yaw, roll, pitch)),
+        "reference's attitude", "roll and pitch are exchanged"),
     "velocities in km/h": (times(3.6, "ref_v"), "reference's velocity", "in km/h"),
     "velocities in inches/s": (times(39.37, "ref_v"), "reference's velocity", "in inches/s"),
     "no velocity along an axis": (
