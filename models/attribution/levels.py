@@ -98,9 +98,11 @@ def channel_levels(
         ]
         own = float(np.sqrt(np.mean(np.square(level)))) if level else None
         most = 2.0 * max(level) - min(level) if level else np.inf
-        if channel.of_events and level:
-            known_values = np.concatenate([part[:, columns].ravel() for part in floors])
-            most *= 1.0 + 2.0 * scatter_of_rms(known_values, np.isfinite(after[:, columns]).sum())
+        if level:
+            square = np.concatenate([part[:, columns].ravel() for part in floors]) ** 2
+            # A log has few changes of contact, and some are far outliers.
+            kept = square[np.isfinite(square)] if channel.of_events else _bulk(square)
+            most *= 1.0 + 2.0 * scatter_of_rms(kept, np.isfinite(after[:, columns]).sum())
         if own is None and not floor.walks:
             own = float(np.sqrt(np.mean(floor.sigma[columns] ** 2)))
             # Noise of neighbouring bins is correlated, so n bins determine the RMS to about
@@ -183,19 +185,24 @@ def _end_of_walk(one: FloorWalk) -> np.ndarray:
     return without_nuisance(one.evidence, one.robust_weights, use)[~use]
 
 
-def scatter_of_rms(values: np.ndarray, count: int) -> float:
-    """Relative standard deviation of the RMS of `count` independent draws from the distribution of
-    `values`: sqrt((kurtosis - 1) / (4 count)).
+def scatter_of_rms(square: np.ndarray, count: int) -> float:
+    """Relative standard deviation of the RMS of `count` independent draws from a distribution.
 
-    A log has few changes of contact, and some are far outliers.
+    sqrt((kurtosis - 1) / (4 count)), the kurtosis by samples (K,) of the distribution's square.
     """
-    square = values[np.isfinite(values)] ** 2
     kurtosis = np.mean(square**2) / max(np.mean(square) ** 2, 1e-300)
     return float(np.sqrt(max(kurtosis - 1.0, 0.0) / (4.0 * max(count, 1))))
 
 
 def trimmed_rms(values: np.ndarray) -> float:
     """Root mean square of the finite values without the largest 1 %; NaN if there are none."""
-    # A few bins with an impact between two samples would otherwise dominate a torque's RMS.
-    square = np.sort(values[np.isfinite(values)] ** 2)
-    return float(np.sqrt(square[: max(1, round(0.99 * len(square)))].mean()))
+    return float(np.sqrt(_bulk(values**2).mean()))
+
+
+def _bulk(square: np.ndarray) -> np.ndarray:
+    """The finite squares without the largest 1 %.
+
+    A few bins with an impact between two samples would otherwise dominate a torque's RMS.
+    """
+    square = np.sort(square[np.isfinite(square)])
+    return square[: max(1, round(0.99 * len(square)))]

@@ -48,6 +48,19 @@ Groups = tuple[str, ...]
 
 
 @dataclass(frozen=True)
+class FloorCourse:
+    """Commanded forward and lateral velocity [m/s] and yaw rate [rad/s] of a walk, in steps of 1 s.
+
+    Attributes:
+        lead_in: walked before the section, so that the gait has settled as it has in the log.
+        section: of the log; empty where the robot stands on all feet throughout.
+    """
+
+    lead_in: Twists = ()
+    section: Twists = ()
+
+
+@dataclass(frozen=True)
 class FloorWalk:
     """One simulated walk of the declared model.
 
@@ -70,7 +83,7 @@ class FloorPlan:
 
     Attributes:
         file: the robot's model.
-        courses: commanded velocities, one course for each walk.
+        courses: of the walks.
         groups: groups of columns that the logs have.
         evenness: standard deviation of the ground's height from a plane [m].
         sampling: sampling and noise of the reference, if measured.
@@ -79,7 +92,7 @@ class FloorPlan:
     """
 
     file: Path
-    courses: tuple[Twists, ...]
+    courses: tuple[FloorCourse, ...]
     groups: Groups
     evenness: float
     sampling: ReferenceSampling | None
@@ -339,12 +352,10 @@ def _with_reference(case: LogUnderModel) -> Log:
     return with_dead_reckoning(log, robot)
 
 
-def courses(logs: Sequence[Log], settings: TraceSettings = DEFAULT) -> list[Twists]:
-    """Commanded forward and lateral velocity [m/s] and yaw rate [rad/s] in steps of 1 s, for each
-    walk; empty where the robot stands on all feet throughout.
-    """
+def courses(logs: Sequence[Log], settings: TraceSettings = DEFAULT) -> list[FloorCourse]:
+    """Courses of the walks: sections of the logs, evenly spaced, each with what came before it."""
     if all(log.has("contact") and np.mean(log.contact) > settings.standing_share for log in logs):
-        return [()] * settings.floor_walks
+        return [FloorCourse()] * settings.floor_walks
     # Rounded to two decimals, so that nearly equal courses share one simulated walk.
     motion = [
         (round(float(forward), 2), round(float(lateral), 2), round(float(turn), 2))
@@ -352,38 +363,53 @@ def courses(logs: Sequence[Log], settings: TraceSettings = DEFAULT) -> list[Twis
         if log.has("reference")
         for forward, lateral, turn in body_twists(log)
     ]
+    if not motion:
+        return []
     length = max(1, min(round(settings.floor_seconds / PIECE), len(motion)))
-    starts = np.linspace(0, len(motion) - length, settings.floor_walks).round().astype(int)
-    return [tuple(motion[start : start + length]) for start in starts] if motion else []
+    last = len(motion) - length
+    before = min(round(settings.floor_lead_in / PIECE), last)
+    starts = np.linspace(before, last, settings.floor_walks).round().astype(int)
+    return [
+        FloorCourse(tuple(motion[start - before : start]), tuple(motion[start : start + length]))
+        for start in starts
+    ]
 
 
 @lru_cache(maxsize=16)
 def _floor_walk(
-    plan: FloorPlan, course: Twists, seed: int, effects: tuple[Effect, ...], known: tuple[str, ...]
+    plan: FloorPlan,
+    course: FloorCourse,
+    seed: int,
+    effects: tuple[Effect, ...],
+    known: tuple[str, ...],
 ) -> FloorWalk | None:
     """One walk, fitted with the `known` effects; None where the robot falls at every speed.
 
     Args:
         plan: robot file, groups of columns and settings.
-        course: (forward, lateral, yaw rate) of each segment [m/s, m/s, rad/s]; empty for standing.
+        course: to walk.
         seed: of the walk.
         effects: with which the walk is simulated.
         known: names of the effects that the fit may use.
     """
     robot, s = declared(plan.file), plan.settings
-    for slower in (1.0, 0.6, 0.3) if course else (1.0,):
+    twists, stands = (*course.lead_in, *course.section), not course.section
+    for slower in (1.0,) if stands else (1.0, 0.6, 0.3):
         segments = tuple(
             Segment(PIECE, forward * slower, lateral * slower, turn * slower)
-            for forward, lateral, turn in course or ((0.0, 0.0, 0.0),)
+            for forward, lateral, turn in twists or ((0.0, 0.0, 0.0),)
         )
-        stand = s.floor_stand if course else s.floor_seconds
+        stand = s.floor_seconds if stands else s.floor_stand
         scenario = Scenario("floor", segments, ground_of(segments, plan.evenness, s), stand=stand)
         try:
             log = walk(scenario, robot, seed, (*plan.ground, *effects), declared=False)
         except SurefootError:  # fallen, or a size that leaves it no foot
             continue
-        if not course:
-            log = replace(log, frame=log.frame[log.t - log.t[0] < s.floor_seconds - s.floor_stand])
+        since = log.t - log.t[0]
+        if stands:
+            log = log.rows(since < s.floor_seconds - s.floor_stand)
+        elif course.lead_in:
+            log = log.rows(since >= s.floor_stand + PIECE * len(course.lead_in))
         log = _with_groups(log, plan.groups)
         if plan.sampling:
             log = resample_reference(log, plan.sampling, np.random.default_rng(seed))

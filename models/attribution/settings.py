@@ -98,6 +98,10 @@ class TraceSettings:
     """Number of simulated walks for the noise floor."""
     floor_seconds: float = 12.0
     """Length of each of them [s]."""
+    floor_lead_in: float = 4.0
+    """Part of a walk before a section that is simulated and not used [s]: the first steps after
+    standing load the feet less.
+    """
     floor_friction: float = 0.8
     """Coefficient of friction of their ground."""
     floor_stand: float = 0.5

@@ -43,11 +43,11 @@ def test_a_channel_is_at_its_floor_up_to_what_walks_reach():
     assert not ChannelLevel(3.0, 1.3, 1.0, "m", 1.2).at_floor
 
 
-def test_the_level_of_a_few_events_scatters_as_drawn_ones_do():
+def test_the_level_of_a_few_values_scatters_as_drawn_ones_do():
     rng = np.random.default_rng(0)
     for values in (rng.normal(size=4000), rng.standard_t(6, size=4000)):
         drawn = np.sqrt(np.mean(rng.choice(values, (3000, 60)) ** 2, axis=1))
-        assert scatter_of_rms(values, 60) == pytest.approx(drawn.std() / drawn.mean(), rel=0.1)
+        assert scatter_of_rms(values**2, 60) == pytest.approx(drawn.std() / drawn.mean(), rel=0.1)
 
 
 def test_a_few_events_are_worse_only_by_more_than_chance():
