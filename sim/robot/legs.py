@@ -1,10 +1,11 @@
 """Find the legs of a robot in its kinematic tree: chains of hinges that end in a foot.
 
-A foot is a colliding sphere that rolls, or the flat underside of colliding boxes and meshes.
+A foot is a colliding sphere that rolls, the end of a mesh or capsule where a leg has at most three
+hinges, or the flat underside of colliding boxes, meshes and lying rods.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -24,7 +25,14 @@ SOLE_LEVEL = 0.01
 """Largest height difference of shapes that form a sole together [m]."""
 SHORTEST_LINK = 0.01
 """Distance below which hinges form one joint with several axes, without a link between [m]."""
-FLAT = (int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_MESH))
+POINT_HINGES = 3
+"""Hinges of a leg that can position a point but not level a sole."""
+ROUND = 0.1
+"""Share of its radius by which a wheel may be oval, or off its axle."""
+_SPHERE, _MESH = int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_MESH)
+_FLAT = (int(mujoco.mjtGeom.mjGEOM_BOX), _MESH)
+_CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
+_RODS = (_CAPSULE, int(mujoco.mjtGeom.mjGEOM_CYLINDER))
 _CORNERS = np.array(np.meshgrid(*3 * [[-1.0, 1.0]])).reshape(3, -1).T
 
 
@@ -49,6 +57,7 @@ class _Foot:
     radius: float = 0.0
     sole: tuple[float, float] = (0.0, 0.0)
     bottom: float = np.inf  # m, height of its lowest point in the home pose
+    rod: bool = False  # of capsules or cylinders, which also serve as shanks and arms
 
 
 def find_legs(model: mujoco.MjModel, name: str, feet: Mapping[str, str] | None = None) -> LegTree:
@@ -73,8 +82,9 @@ def find_legs(model: mujoco.MjModel, name: str, feet: Mapping[str, str] | None =
         chains, found = _standing_chains(model, data, base, name)
         order, legs = _named_by_place(model, base, chains, name)
         chains, found = [chains[i] for i in order], [found[i] for i in order]
-    for foot in found:
+    for chain, foot in zip(chains, found, strict=True):
         _refuse_what_is_no_hinge(model, base, foot.body, name)
+        _refuse_wheel(model, data, chain[-1], name)
     joints = [joint for chain in chains for joint in chain]
     if len(set(joints)) < len(joints):
         raise SurefootError(
@@ -116,20 +126,23 @@ def _standing_chains(
     """The chains that end in a foot, and their feet."""
     chains = [_chain_to(model, int(model.jnt_bodyid[j]), base) for j in _last_hinges(model)]
     feet = [_foot_of(model, data, base, chain) for chain in chains]
-    soles = _sole_frames(model, data) if not any(feet) else []
+    pairs = [(c, f) for c, f in zip(chains, feet, strict=True) if f is not None]
+    sure = [(chain, foot) for chain, foot in pairs if not foot.rod]
+    soles = [] if sure else _sole_frames(model, data)
     if soles:  # a description without shapes
         return [_chain_to(model, foot.body, base) for foot in soles], soles
-    pairs = [(c, f) for c, f in zip(chains, feet, strict=True) if f is not None]
-    quadruped = len(pairs) == 4 and all(len(chain) == 3 for chain, _ in pairs)
-    if pairs and not quadruped:
+    quadruped = len(sure) == 4 and all(len(chain) == 3 for chain, _ in sure)
+    if quadruped:
+        pairs = sure
+    elif pairs:
         lowest = min(foot.bottom for _, foot in pairs)
         highest = lowest + STANDING * max(float(data.xpos[base][2]) - lowest, 0.0)
         pairs = [(chain, foot) for chain, foot in pairs if foot.bottom <= max(highest, lowest)]
     if not pairs:
         raise SurefootError(
             f"robot {name}: none of its {len(chains)} chains of hinges ends in a colliding sphere, "
-            "box or mesh for a foot; add a sphere geom at the end of each leg, or name the feet in "
-            "the map"
+            "box, capsule or mesh for a foot; add a sphere geom at the end of each leg, or name "
+            "the feet in the map"
         )
     return [chain for chain, _ in pairs], [foot for _, foot in pairs]
 
@@ -192,6 +205,29 @@ def _refuse_what_is_no_hinge(model: mujoco.MjModel, base: int, foot: int, name: 
             )
 
 
+def _refuse_wheel(model: mujoco.MjModel, data: mujoco.MjData, hinge: int, name: str) -> None:
+    """Raise SurefootError where a round mesh turns about the last hinge of a leg.
+
+    Args:
+        model: compiled.
+        data: in the home pose.
+        hinge: the last of a leg.
+        name: of the robot, for messages.
+    """
+    axle, link = data.xaxis[hinge], int(model.jnt_bodyid[hinge])
+    of_link = (model.geom_bodyid == link) & (model.geom_type == _MESH)
+    for geom in np.flatnonzero(of_link & _collides(model)).tolist():
+        along = np.abs(data.geom_xmat[geom].reshape(3, 3).T @ axle)
+        across = np.delete(model.geom_aabb[geom, 3:], np.argmax(along))
+        off = np.linalg.norm(np.cross(axle, data.geom_xpos[geom] - data.xanchor[hinge]))
+        oval = max(float(np.ptp(across)), float(off))
+        if along.max() > 0.95 and oval < ROUND * across.max():
+            raise SurefootError(
+                f"robot {name}: joint {model.joint(hinge).name} of a leg is the axle of a wheel: "
+                "legs end in feet; a log with foot positions does without them"
+            )
+
+
 def _is_spring(model: mujoco.MjModel, joint: int) -> bool:
     """Whether a joint is a spring: a slide, or a second hinge about the same axis on its body."""
     if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
@@ -213,36 +249,126 @@ def _foot_of(
     """The foot on the last link of a chain.
 
     The sphere farthest from its hinge, unless flat shapes or other spheres reach as low; then the
-    underside of all of these.
+    underside of all of these. Without spheres and flat shapes, capsules or lying cylinders.
     """
     link = int(model.jnt_bodyid[chain[-1]])
-    collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    solid = np.flatnonzero(collides).tolist()
+    solid = np.flatnonzero(_collides(model)).tolist()
     shapes = [g for g in solid if _is_fixed_to(model, model.geom_bodyid[g], link)]
-    spheres = [g for g in shapes if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_SPHERE]
-    flat = [g for g in shapes if model.geom_type[g] in FLAT]
+    spheres = [g for g in shapes if model.geom_type[g] == _SPHERE]
+    flat = [g for g in shapes if model.geom_type[g] in _FLAT]
     if not spheres + flat:
-        return None
-    lowest = {g: _corners_G(model, data, g)[:, 2].min() for g in spheres + flat}
+        return _foot_of_rods(model, data, base, chain, shapes)
+    hinge, axle = data.xanchor[chain[-1]], data.xaxis[chain[-1]]
+    if not spheres and len(chain) <= POINT_HINGES:
+        reach = {g: np.linalg.norm(_points_G(model, data, g) - hinge, axis=1).max() for g in flat}
+        last = max(flat, key=lambda g: float(reach[g]))
+        if model.geom_type[last] == _MESH:
+            centre_G, radius = _tip(_points_G(model, data, last) - hinge, axle)
+            return _ball(data, int(model.geom_bodyid[last]), hinge + centre_G, radius)
+    lowest = {g: float(_points_G(model, data, g)[:, 2].min()) for g in spheres + flat}
     if spheres:
-        hinge = data.xanchor[chain[-1]]
         ball = max(spheres, key=lambda g: float(np.linalg.norm(data.geom_xpos[g] - hinge)))
         rivals = [g for g in lowest if g != ball and lowest[g] < lowest[ball] + SOLE_LEVEL]
-        # Three hinges can position a point but not level a sole.
-        if not rivals or len(chain) <= 3:
+        if not rivals or len(chain) <= POINT_HINGES:
             place, radius = model.geom_pos[ball].copy(), float(model.geom_size[ball, 0])
             return _Foot(int(model.geom_bodyid[ball]), place, radius, bottom=lowest[ball])
     floor = min(lowest.values())
     return _sole(model, data, base, [g for g in lowest if lowest[g] < floor + SOLE_LEVEL])
 
 
+def _foot_of_rods(
+    model: mujoco.MjModel, data: mujoco.MjData, base: int, chain: list[int], shapes: list[int]
+) -> _Foot | None:
+    """The underside of lying rods if the leg can level it, else the far end of a capsule; None if
+    there is neither. An upright cylinder, or one about a hinge, may be a wheel.
+
+    Args:
+        model: compiled.
+        data: in the home pose.
+        base: the floating body.
+        chain: the joints of the leg.
+        shapes: all that collide on its last link.
+    """
+    hinge = data.xanchor[chain[-1]]
+    rods = [g for g in shapes if model.geom_type[g] in _RODS]
+    lying = [g for g in rods if abs(data.geom_xmat[g, 8]) < 0.5 and not _is_about(data, g, chain)]
+    if len(chain) > POINT_HINGES and lying:
+        lowest = {g: float(_points_G(model, data, g)[:, 2].min()) for g in lying}
+        floor = min(lowest.values())
+        shapes = [g for g in lying if lowest[g] < floor + SOLE_LEVEL]
+        return replace(_sole(model, data, base, shapes), rod=True)
+    ends = [
+        (
+            data.geom_xpos[g]
+            + side * model.geom_size[g, 1] * data.geom_xmat[g].reshape(3, 3)[:, 2],
+            g,
+        )
+        for g in rods
+        for side in (-1.0, 1.0)
+        if model.geom_type[g] == _CAPSULE
+    ]
+    if not ends:
+        return None
+    centre_G, last = max(ends, key=lambda end: float(np.linalg.norm(end[0] - hinge)))
+    body, radius = int(model.geom_bodyid[last]), float(model.geom_size[last, 0])
+    return replace(_ball(data, body, centre_G, radius), rod=True)
+
+
+def _is_about(data: mujoco.MjData, rod: int, chain: list[int]) -> bool:
+    """Whether a rod's middle is on the axis of the last hinge, like that of a wheel or motor."""
+    off = np.cross(data.xaxis[chain[-1]], data.geom_xpos[rod] - data.xanchor[chain[-1]])
+    return float(np.linalg.norm(off)) < SHORTEST_LINK
+
+
+def _ball(data: mujoco.MjData, body: int, centre_G: np.ndarray, radius: float) -> _Foot:
+    """A round foot.
+
+    Args:
+        data: in the home pose.
+        body: that carries it.
+        centre_G: (3,) m in G.
+        radius: m.
+    """
+    place = data.xmat[body].reshape(3, 3).T @ (centre_G - data.xpos[body])
+    return _Foot(body, place, radius, bottom=float(centre_G[2]) - radius)
+
+
+def _tip(points: np.ndarray, axle: np.ndarray) -> tuple[np.ndarray, float]:
+    """Centre (3,) [m] and radius [m] of the ball in the end of a shape that turns about an axle.
+
+    The ball is as wide in the plane of the leg as the part of the shape that is no farther from its
+    end than the radius.
+
+    Args:
+        points: of the shape (N, 3) [m], relative to the axle.
+        axle: unit vector (3,).
+    """
+    swung = points - np.outer(points @ axle, axle)
+    along = swung[np.argmax(np.linalg.norm(swung, axis=1))]
+    along, radius = along / np.linalg.norm(along), np.inf
+    centre = points.mean(axis=0)
+    for _ in range(100):
+        across = np.cross(axle, along)
+        reach = points @ along
+        end = points[reach >= reach.max() - 1.01 * radius]
+        middle = 0.5 * (end.min(axis=0) + end.max(axis=0))
+        low, high = (end @ across).min(), (end @ across).max()
+        before, radius = radius, min(radius, 0.5 * float(high - low))
+        in_plane = (reach.max() - radius) * along + 0.5 * (low + high) * across
+        centre = in_plane + (middle @ axle) * axle
+        if radius > 0.999 * before:
+            break
+        along = in_plane / np.linalg.norm(in_plane)
+    return centre, radius
+
+
 def _sole(model: mujoco.MjModel, data: mujoco.MjData, base: int, shapes: list[int]) -> _Foot:
     """The underside of some shapes of one link: that of their bounding box along the lowest's
     axes.
     """
-    points_G = np.concatenate([_corners_G(model, data, g) for g in shapes])
-    first = min(shapes, key=lambda g: float(_corners_G(model, data, g)[:, 2].min()))
-    axes_G = data.geom_xmat[first].reshape(3, 3)
+    points_G = np.concatenate([_points_G(model, data, g) for g in shapes])
+    first = min(shapes, key=lambda g: float(_points_G(model, data, g)[:, 2].min()))
+    axes_G = _axes_G(model, data, first)
     down = int(np.argmax(np.abs(axes_G[2])))
     along = points_G @ axes_G
     low, high = along.min(axis=0), along.max(axis=0)
@@ -299,12 +425,40 @@ def _is_fixed_to(model: mujoco.MjModel, body: int, link: int) -> bool:
     return int(body) == link
 
 
-def _corners_G(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> np.ndarray:
-    """Corners (8, 3) [m] in G of a shape's bounding box along its own axes."""
+def _collides(model: mujoco.MjModel) -> np.ndarray:
+    """Whether each shape (G,) touches others, in general or as one of a pair.
+
+    Without any that does, as in a robot whose contacts its scenes declare, each that is no mesh.
+    """
+    collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    collides[model.pair_geom1] = collides[model.pair_geom2] = True
+    return collides if collides.any() else model.geom_type != _MESH
+
+
+def _points_G(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> np.ndarray:
+    """Vertices (N, 3) [m] in G of a mesh, or corners of another shape's bounding box."""
+    if model.geom_type[geom] == _MESH:
+        mesh = model.mesh(int(model.geom_dataid[geom]))
+        first, count = int(mesh.vertadr[0]), int(mesh.vertnum[0])
+        points = model.mesh_vert[first : first + count].astype(float)
+        return data.geom_xpos[geom] + points @ data.geom_xmat[geom].reshape(3, 3).T
     middle, half = np.split(model.geom_aabb[geom], 2)
-    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE:  # as low however it is turned
+    if model.geom_type[geom] == _SPHERE:  # as low however it is turned
         return data.geom_xpos[geom] + half * _CORNERS
-    return data.geom_xpos[geom] + (middle + half * _CORNERS) @ data.geom_xmat[geom].reshape(3, 3).T
+    return data.geom_xpos[geom] + (middle + half * _CORNERS) @ _axes_G(model, data, geom).T
+
+
+def _axes_G(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> np.ndarray:
+    """Axes (3, 3) of a shape, in columns, in G; of a rod, which is round, with one horizontal."""
+    axes_G = data.geom_xmat[geom].reshape(3, 3)
+    if model.geom_type[geom] not in _RODS:
+        return axes_G
+    rod = axes_G[:, 2]
+    side = np.cross([0.0, 0.0, 1.0], rod)
+    if (length := float(np.linalg.norm(side))) < 1e-9:
+        return axes_G
+    side /= length
+    return np.column_stack([side, np.cross(rod, side), rod])
 
 
 def _named_by_place(

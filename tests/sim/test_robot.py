@@ -95,6 +95,20 @@ def odd_robot(places, foot="sphere", motors=True) -> str:
     return MODEL.format(legs=legs, actuators=f"<actuator>{drives}</actuator>" if motors else "")
 
 
+def disc(radius: float) -> str:
+    """Vertices of a disc that turns about y."""
+    turned = np.arange(16) * np.pi / 8
+    rim = zip(radius * np.cos(turned), radius * np.sin(turned), strict=True)
+    return " ".join(f"{x:.4f} {y} {z:.4f}" for x, z in rim for y in (-0.02, 0.02))
+
+
+def with_mesh(text: str, vertices: str, pos: str, also: str = "") -> str:
+    """A robot whose feet are this mesh, and have other shapes beside it."""
+    asset = f'<asset><mesh name="foot" vertex="{vertices}"/></asset><worldbody>'
+    shape = f'mesh="foot" pos="{pos}"/>{also}'
+    return text.replace("<worldbody>", asset).replace('size=".02 .02 .02" pos="0 0 -.2"/>', shape)
+
+
 CORNERS = [(-0.2, -0.1), (0.2, -0.1), (-0.2, 0.1), (0.2, 0.1)]
 
 
@@ -106,13 +120,73 @@ def test_names_and_order_in_the_file_do_not_matter(tmp_path):
     assert robot.joint_names[9:] == ("h0", "t0", "c0")
 
 
+def test_a_mesh_foot_is_the_end_of_the_mesh_that_reaches_farthest(tmp_path):
+    """A bounding box has corners where a round foot has nothing, and a shank beside it that lies
+    level in the model's zero pose has them lower than the foot."""
+    path = tmp_path / "odd.xml"
+    shank = '<geom type="box" size=".1 .02 .03" pos=".1 0 0"/>'
+    text = with_mesh(odd_robot(CORNERS, foot="mesh"), disc(0.03), "0.2 0 0", shank)
+    path.write_text(text)
+    robot = Robot.load(path)
+    np.testing.assert_allclose(robot.foot_radius, 0.03, rtol=0.03)
+    np.testing.assert_allclose(robot.foot_places, [[0.2, 0.0, 0.0]] * 4, atol=1e-3)
+
+
+def test_a_leg_that_is_a_capsule_stands_on_its_end(tmp_path):
+    path = tmp_path / "odd.xml"
+    path.write_text(odd_robot(CORNERS, foot="capsule"))
+    robot = Robot.load(path)
+    np.testing.assert_allclose(robot.foot_radius, 0.02)
+    np.testing.assert_allclose(robot.foot_places, [[0.0, 0.0, -0.22]] * 4, atol=1e-12)
+
+
+FOOT_RODS = [f'pos=".03 {y} -.05" quat=".70384 .06777 .70384 .06777"' for y in (-0.02, 0.02)]
+BIPED = """<mujoco><default><geom {touch}/></default><worldbody>
+<geom name="floor" type="plane" size="1 1 1"/><body><freejoint/><geom size=".1"/>
+<body pos="0 .3 .3"><joint name="arm" axis="0 1 0"/><geom type="capsule" size=".02 .1"/></body>
+{legs}</body></worldbody><contact>{pairs}</contact></mujoco>"""
+
+
+@pytest.mark.parametrize(("rod", "half"), [("capsule", 0.09), ("cylinder", 0.08)])
+@pytest.mark.parametrize("touching", ["all", "pairs", "by the scene"])
+def test_lying_rods_are_the_sole_of_a_leg_that_can_level_it(tmp_path, rod, half, touching):
+    """They are turned about their length at random, touch the ground perhaps by pairs alone, which
+    a scene may declare, and the arms of the robot are of capsules too."""
+    legs, pairs = "", ""
+    for side, y in (("left", 0.1), ("right", -0.1)):
+        names = [f"{side}{i}" for i in range(2)]
+        foot = "".join(
+            f'<geom name="{name}" type="{rod}" size=".01 .08" {at}/>'
+            for name, at in zip(names, FOOT_RODS, strict=True)
+        )
+        for part in ("ankle", "knee", "thigh", "hip"):
+            joint = f'<joint name="{side}_{part}" axis="{int(part == "hip")} 1 0"/>'
+            shank = "" if part == "ankle" else '<geom size=".01"/>'
+            foot = f'<body pos="0 0 -.2">{joint}{shank}{foot}</body>'
+        legs += f'<body pos="0 {y} 0">{foot}</body>'
+        pairs += "".join(f'<pair geom1="{name}" geom2="floor"/>' for name in names)
+    alone = 'contype="0" conaffinity="0"'
+    path = tmp_path / "biped.xml"
+    path.write_text(
+        BIPED.format(
+            touch="" if touching == "all" else alone,
+            legs=legs,
+            pairs=pairs if touching == "pairs" else "",
+        )
+    )
+    robot = Robot.load(path)
+    assert robot.limbs.legs == ("left", "right")
+    np.testing.assert_allclose(robot.sole, [[half, 0.03]] * 2, atol=1e-4)
+    np.testing.assert_allclose(robot.foot_places, [[0.03, 0.0, -0.06]] * 2, atol=1e-4)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
         (MODEL.format(legs="", actuators=""), "none of its 0 chains"),
         (odd_robot([(0.1, 0.1), (0.2, 0.1), (0.3, 0.1), (0.4, 0.1)]), "front, rear"),
-        (odd_robot(CORNERS, foot="capsule"), "for a foot"),
         (odd_robot(CORNERS, foot="cylinder"), "for a foot"),  # of a wheel
+        (with_mesh(odd_robot(CORNERS, foot="mesh"), disc(0.08), "0 0 0"), "the axle of a wheel"),
         (
             odd_robot(CORNERS).replace('name="c0" axis', 'name="c0" type="slide" axis'),
             "joint c0 of a leg slides",
