@@ -25,7 +25,7 @@ from surefoot.scenarios.trace.result import Trace
 from surefoot.scenarios.trace.run import trace
 from surefoot.scenarios.trace.words import summary
 from surefoot.sim.common.errors import SurefootError, check_seed
-from surefoot.sim.common.files import refuse_full, whole_folder
+from surefoot.sim.common.files import check_space, refuse_full, whole_folder
 from surefoot.sim.effects import Effect, effect
 from surefoot.sim.effects.file import save_effects
 from surefoot.sim.log import Log
@@ -33,6 +33,8 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario
 from surefoot.sim.walk import plan, walk
 
+DEMO_SPACE = 1e8
+"""Bytes that the folder of a demo takes, and a fifth more."""
 WALKS = ("train", "calibrate", "walk")
 
 UNDECLARED: tuple[tuple[str, tuple[str, ...], tuple[float, float]], ...] = (
@@ -54,6 +56,7 @@ def demo(out: Path, seed: int = 0, force: bool = False) -> pd.DataFrame:
     started = perf_counter()
     check_seed(seed)
     refuse_full(out, force)
+    check_space(out, DEMO_SPACE)
     with whole_folder(out, force) as folder:
         results, found, hidden = _run(folder, seed)
     print("\n" + to_markdown(results))

@@ -9,6 +9,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import fields
 from glob import escape
 from pathlib import Path
+from shutil import get_terminal_size
 from typing import Any
 
 from surefoot.scenarios.cli.named import refuse_unnamed
@@ -23,6 +24,9 @@ from surefoot.sim.common.files import (
     refuse_input,
 )
 from surefoot.sim.common.limits import check_limit
+
+NARROWEST = 20
+"""Columns of a terminal below which help would take minutes to wrap."""
 
 try:
     import fcntl
@@ -158,7 +162,13 @@ def how_to_go_on(name: str, written: Sequence[str] = ()) -> str:
 
 
 def plain_terminals() -> None:
-    """Print characters that a terminal does not support as question marks, without errors."""
+    """Print characters that a terminal does not support as question marks, without errors; nothing
+    where a stream is closed.
+    """
+    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115
+    sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
+    if get_terminal_size().columns < NARROWEST:
+        os.environ["COLUMNS"] = str(NARROWEST)
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")

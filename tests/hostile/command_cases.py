@@ -68,7 +68,6 @@ OPTIONS = [
     ("a filter of 5000 letters", f"estimate walk.parquet --filter {'f' * 5000}", "filter"),
     ("an unknown command", "obliterate walk.parquet", "obliterate"),
     ("an unknown option", "estimate walk.parquet --filter imu --fast", "--fast"),
-    ("no command", "", "surefoot"),
     ("logs of no number", "compare -o new", "log"),
     ("the same log twice", "compare walk.parquet walk.parquet -o new", "same name"),
     ("an unknown robot", "estimate walk.parquet --filter leg --robot unicorn", "unicorn"),
