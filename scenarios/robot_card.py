@@ -16,7 +16,7 @@ from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.robot.fixed_base import FixedBase, load_machine
 from surefoot.sim.robot.limbs import QUADRUPED
-from surefoot.sim.robot.model_file import compiled_model
+from surefoot.sim.robot.model_file import compiled_model, missing_visuals
 from surefoot.sim.robot.robot import IMU_SITES, Robot
 
 _CORNERS = np.array(np.meshgrid(*3 * [[-1.0, 1.0]])).reshape(3, -1).T
@@ -65,6 +65,8 @@ def _card(robot: Robot) -> RobotCard:
         f"IMU: {imu}, at {_numbers(robot.p_BI)} m in the base" + ", turned" * turned,
         "walks in simulation" if walks else f"does not walk in simulation: {_why_not(robot)}",
     ]
+    if missing := missing_visuals(robot.file):
+        lines.append(f"visuals left out, as their files are missing: {', '.join(missing)}")
     joints = [
         {
             "joint": joint,

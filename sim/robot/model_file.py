@@ -1,9 +1,12 @@
-"""Read a robot's model: MJCF as it is, URDF with a floating base and without its meshes."""
+"""Read a robot's model: MJCF without visuals whose files are missing, URDF with a floating base and
+without its meshes.
+"""
 
 from pathlib import Path
 from xml.etree import ElementTree
 
 import mujoco
+import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.robot.model_gate import check_compiled, check_model_file
@@ -23,13 +26,28 @@ def model_spec(file: Path) -> mujoco.MjSpec:
 
     MuJoCo welds the root link of a URDF to the world and omits its mass; here it floats, unless it
     is called `world`, which the file need not declare. Links that are fixed to others remain
-    separate bodies, so that a sole or a sensor's frame is found by its name.
+    separate bodies, so that a sole or a sensor's frame is found by its name. Textures, and meshes
+    that neither collide nor have mass, are left out of an MJCF where their files are missing.
     """
+    return _spec(file)[0]
+
+
+def missing_visuals(file: Path) -> tuple[str, ...]:
+    """Files of textures and meshes that are missing, and without which the model is read.
+
+    Raises SurefootError in one clear line.
+    """
+    return _spec(file)[1]
+
+
+def _spec(file: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
+    """The MjSpec of a file, and the files of visuals without which it is."""
     check_model_file(file)
     try:
         if file.suffix == ".urdf":
-            return mujoco.MjSpec.from_string(_floating(file))
-        return mujoco.MjSpec.from_file(str(file))
+            return mujoco.MjSpec.from_string(_floating(file)), ()
+        spec = mujoco.MjSpec.from_file(str(file))
+        return spec, _leave_out_visuals(spec, file.parent)
     except (ValueError, OSError, RuntimeError, ElementTree.ParseError, mujoco.FatalError) as error:
         raise _unreadable(file, error) from None
 
@@ -41,11 +59,58 @@ def compiled_model(file: Path) -> mujoco.MjModel:
         if file.suffix == ".urdf":
             model = model_spec(file).compile()
         else:
-            model = mujoco.MjModel.from_xml_path(str(file))
+            model = _compiled_mjcf(file)
     except (ValueError, RuntimeError, mujoco.FatalError, MemoryError) as error:
         raise _unreadable(file, error) from None
     check_compiled(file, model)
     return model
+
+
+def _compiled_mjcf(file: Path) -> mujoco.MjModel:
+    try:
+        return mujoco.MjModel.from_xml_path(str(file))
+    except ValueError:
+        spec, left_out = _spec(file)
+        if not left_out:
+            raise
+        return spec.compile()
+
+
+def _leave_out_visuals(spec: mujoco.MjSpec, folder: Path) -> tuple[str, ...]:
+    """Remove the visuals whose files are missing; returns those files.
+
+    Args:
+        spec: of the model.
+        folder: that paths in the model are relative to.
+    """
+    left_out = []
+    for texture in list(spec.textures):
+        if texture.file and not (folder / spec.compiler.texturedir / texture.file).is_file():
+            left_out.append(texture.file)
+            for material in spec.materials:
+                material.textures = ["" if n == texture.name else n for n in material.textures]
+            spec.delete(texture)
+    paired = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)}
+    for mesh in list(spec.meshes):
+        if not mesh.file or (folder / spec.compiler.meshdir / mesh.file).is_file():
+            continue
+        users = [geom for geom in spec.geoms if geom.meshname == mesh.name]
+        if not any(_has_effect(geom, spec) or geom.name in paired for geom in users):
+            left_out.append(mesh.file)
+            for geom in users:
+                spec.delete(geom)
+            spec.delete(mesh)
+    return tuple(left_out)
+
+
+def _has_effect(geom: mujoco.MjsGeom, spec: mujoco.MjSpec) -> bool:
+    """Whether a shape collides or adds to its body's inertia."""
+    from_shapes = {
+        mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE: True,
+        mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE: False,
+    }.get(spec.compiler.inertiafromgeom, not geom.parent.explicitinertial)
+    massless = geom.mass == 0.0 or (np.isnan(geom.mass) and geom.density == 0.0)
+    return bool(geom.contype or geom.conaffinity or (from_shapes and not massless))
 
 
 def _unreadable(file: Path, error: Exception) -> SurefootError:

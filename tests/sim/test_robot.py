@@ -253,6 +253,41 @@ def test_the_imu_is_where_the_gyro_sits_whatever_it_is_called(tmp_path):
     np.testing.assert_allclose(robot.R_BI, np.diag([-1.0, -1.0, 1.0]), atol=1e-12)
 
 
+def with_visuals(inertial: str, shape: str) -> str:
+    """A robot with a texture and a mesh whose files are missing."""
+    files = """<asset><texture name="skin" type="2d" file="skin.png"/>
+    <mesh name="hull" file="hull.stl"/><material name="metal" texture="skin"/></asset>"""
+    shapes = f'<freejoint/>{inertial}<geom type="mesh" mesh="hull" material="metal" {shape}/>'
+    text = odd_robot(CORNERS).replace("<worldbody>", f"{files}<worldbody>")
+    return text.replace("<freejoint/>", shapes).replace(
+        'size=".2 .1 .1"/>', 'size=".2 .1 .1" material="metal"/>'
+    )
+
+
+INERTIAL = '<inertial pos="0 0 0" mass="5" diaginertia=".1 .1 .1"/>'
+UNSEEN = 'contype="0" conaffinity="0"'
+
+
+@pytest.mark.parametrize(("inertial", "density"), [(INERTIAL, 1000), ("", 0)])
+def test_visuals_whose_files_are_missing_are_left_out(tmp_path, inertial, density):
+    path, whole = tmp_path / "odd.xml", tmp_path / "whole.xml"
+    path.write_text(with_visuals(inertial, f'{UNSEEN} density="{density}"'))
+    whole.write_text(odd_robot(CORNERS).replace("<freejoint/>", f"<freejoint/>{inertial}"))
+    robot = Robot.load(path)
+    assert robot.mass == Robot.load(whole).mass
+    assert robot.spec().compile().ngeom == compiled_model(whole).ngeom
+    assert "files are missing: skin.png, hull.stl" in robot_card(str(path), None).text
+    assert "missing" not in robot_card(str(whole), None).text
+
+
+@pytest.mark.parametrize(("inertial", "shape"), [(INERTIAL, ""), ("", UNSEEN)])
+def test_a_missing_mesh_that_collides_or_weighs_is_refused(tmp_path, inertial, shape):
+    path = tmp_path / "odd.xml"
+    path.write_text(with_visuals(inertial, shape))
+    with pytest.raises(SurefootError, match=r"hull\.stl"):
+        Robot.load(path)
+
+
 def test_a_urdf_need_not_declare_the_world(tmp_path):
     """Some readers of URDF know the world without its link: a machine that is fixed to it."""
     weld = '<joint name="weld" type="fixed"><parent link="world"/><child link="base"/></joint>'
