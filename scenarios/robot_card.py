@@ -15,11 +15,10 @@ from surefoot.scenarios.reporting.plotting import new_figure, save_png, set_titl
 from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.robot.fixed_base import FixedBase, load_machine
+from surefoot.sim.robot.legs import outline_G
 from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.robot.model_file import compiled_model, missing_visuals
 from surefoot.sim.robot.robot import IMU_SITES, Robot
-
-_CORNERS = np.array(np.meshgrid(*3 * [[-1.0, 1.0]])).reshape(3, -1).T
 
 
 @dataclass(frozen=True)
@@ -144,10 +143,7 @@ def portrait(robot: Robot) -> Figure:
     figure, sides = new_figure(1, 2, (9.0, 4.2))
     for axes, across, title in zip(sides[0], (0, 1), ("its left", "the front"), strict=True):
         for geom in np.flatnonzero(model.geom_bodyid > 0):
-            middle, half = np.split(model.geom_aabb[geom], 2)
-            turn = data.geom_xmat[geom].reshape(3, 3)
-            corners = data.geom_xpos[geom] + (middle + half * _CORNERS) @ turn.T
-            outline = in_base(corners)[:, [across, 2]]
+            outline = in_base(outline_G(model, data, int(geom)))[:, [across, 2]]
             hull = outline[ConvexHull(outline, qhull_options="QJ").vertices]
             axes.add_patch(Polygon(hull, facecolor=TRUTH, edgecolor=INK, alpha=0.15, linewidth=0.4))
         for leg, chain in enumerate(robot.limbs.chains):

@@ -15,7 +15,7 @@ from surefoot.sim.log.schema import JOINTS, LEGS
 from surefoot.sim.robot.kinematics import Legs
 from surefoot.sim.robot.limbs import QUADRUPED, Limbs
 
-__all__ = ["JOINTS", "LEGS", "LegTree", "find_legs"]
+__all__ = ["JOINTS", "LEGS", "LegTree", "find_legs", "outline_G"]
 
 STANDING = 0.3
 """Largest height of a foot in the model's home pose, relative to the base's; hands and heads are
@@ -260,12 +260,12 @@ def _foot_of(
         return _foot_of_rods(model, data, base, chain, shapes)
     hinge, axle = data.xanchor[chain[-1]], data.xaxis[chain[-1]]
     if not spheres and len(chain) <= POINT_HINGES:
-        reach = {g: np.linalg.norm(_points_G(model, data, g) - hinge, axis=1).max() for g in flat}
+        reach = {g: np.linalg.norm(outline_G(model, data, g) - hinge, axis=1).max() for g in flat}
         last = max(flat, key=lambda g: float(reach[g]))
         if model.geom_type[last] == _MESH:
-            centre_G, radius = _tip(_points_G(model, data, last) - hinge, axle)
+            centre_G, radius = _tip(outline_G(model, data, last) - hinge, axle)
             return _ball(data, int(model.geom_bodyid[last]), hinge + centre_G, radius)
-    lowest = {g: float(_points_G(model, data, g)[:, 2].min()) for g in spheres + flat}
+    lowest = {g: float(outline_G(model, data, g)[:, 2].min()) for g in spheres + flat}
     if spheres:
         ball = max(spheres, key=lambda g: float(np.linalg.norm(data.geom_xpos[g] - hinge)))
         rivals = [g for g in lowest if g != ball and lowest[g] < lowest[ball] + SOLE_LEVEL]
@@ -293,7 +293,7 @@ def _foot_of_rods(
     rods = [g for g in shapes if model.geom_type[g] in _RODS]
     lying = [g for g in rods if abs(data.geom_xmat[g, 8]) < 0.5 and not _is_about(data, g, chain)]
     if len(chain) > POINT_HINGES and lying:
-        lowest = {g: float(_points_G(model, data, g)[:, 2].min()) for g in lying}
+        lowest = {g: float(outline_G(model, data, g)[:, 2].min()) for g in lying}
         floor = min(lowest.values())
         shapes = [g for g in lying if lowest[g] < floor + SOLE_LEVEL]
         return replace(_sole(model, data, base, shapes), rod=True)
@@ -366,8 +366,8 @@ def _sole(model: mujoco.MjModel, data: mujoco.MjData, base: int, shapes: list[in
     """The underside of some shapes of one link: that of their bounding box along the lowest's
     axes.
     """
-    points_G = np.concatenate([_points_G(model, data, g) for g in shapes])
-    first = min(shapes, key=lambda g: float(_points_G(model, data, g)[:, 2].min()))
+    points_G = np.concatenate([outline_G(model, data, g) for g in shapes])
+    first = min(shapes, key=lambda g: float(outline_G(model, data, g)[:, 2].min()))
     axes_G = _axes_G(model, data, first)
     down = int(np.argmax(np.abs(axes_G[2])))
     along = points_G @ axes_G
@@ -435,8 +435,14 @@ def _collides(model: mujoco.MjModel) -> np.ndarray:
     return collides if collides.any() else model.geom_type != _MESH
 
 
-def _points_G(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> np.ndarray:
-    """Vertices (N, 3) [m] in G of a mesh, or corners of another shape's bounding box."""
+def outline_G(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> np.ndarray:
+    """Vertices (N, 3) [m] in G of a mesh, or corners of another shape's bounding box.
+
+    Args:
+        model: compiled.
+        data: with the poses of its shapes.
+        geom: the shape.
+    """
     if model.geom_type[geom] == _MESH:
         mesh = model.mesh(int(model.geom_dataid[geom]))
         first, count = int(mesh.vertadr[0]), int(mesh.vertnum[0])
