@@ -108,6 +108,10 @@ def build_world(robot: Robot, ground: Ground, spec: mujoco.MjSpec | None = None)
     scene.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     scene.option.impratio = 100.0
     scene.option.noslip_iterations = 0
+    # Models for parallel simulation allow a single iteration, with which robots fall.
+    usual = mujoco.MjSpec().option
+    for name in ("solver", "iterations", "ls_iterations", "tolerance", "ls_tolerance"):
+        setattr(scene.option, name, getattr(usual, name))
     add_ground(scene, ground)
     try:
         model = scene.compile()

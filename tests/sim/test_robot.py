@@ -10,7 +10,9 @@ from good_texts import URDF
 
 from surefoot.scenarios.robot_card import robot_card
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log, Meta
+from surefoot.sim.physics.scene import build_world
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.catalog import downloadable_robots, known_robots, robot_file
 from surefoot.sim.robot.fixed_base import FixedBase, load_machine, machine_for_log
@@ -286,6 +288,17 @@ def test_a_missing_mesh_that_collides_or_weighs_is_refused(tmp_path, inertial, s
     path.write_text(with_visuals(inertial, shape))
     with pytest.raises(SurefootError, match=r"hull\.stl"):
         Robot.load(path)
+
+
+def test_the_solver_of_a_walk_is_not_the_robots(tmp_path):
+    """Models for parallel simulation ask for one iteration, with which robots fall at once."""
+    path = tmp_path / "odd.xml"
+    option = '<option solver="CG" iterations="1" ls_iterations="4" tolerance="1e-3"/>'
+    path.write_text(odd_robot(CORNERS).replace("<worldbody>", f"{option}<worldbody>"))
+    given = build_world(Robot.load(path), Ground(0.8)).model.opt
+    usual = mujoco.MjSpec().option
+    for name in ("solver", "iterations", "ls_iterations", "tolerance"):
+        assert getattr(given, name) == getattr(usual, name)
 
 
 def test_a_urdf_need_not_declare_the_world(tmp_path):
