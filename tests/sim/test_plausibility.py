@@ -1,5 +1,6 @@
 """One short walk, made nonsense in many ways: each is noticed, by the right rule and name."""
 
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -10,6 +11,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from surefoot.sim.common.low_pass import low_pass
+from surefoot.sim.gait.options import GaitOptions
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.plausibility import RULES, check_log
@@ -577,6 +579,30 @@ def test_nonsense_is_noticed_by_the_right_name(log, name):
     found = found_in(change(log))
     assert any(line.startswith(f"{rule}: ") and words in line for line in found), found
     assert len(found) <= 3, "a rule is not asked about what an earlier one doubts"
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "first"), [("mini_cheetah", 0), ("hyqreal2", 1)])
+def test_nonsense_is_noticed_on_other_robots(name, first, monkeypatch):
+    """Every other case on each of two robots, a small and a large one."""
+    robot = Robot.load(name)
+    monkeypatch.setattr(sys.modules[__name__], "SPOT", robot)
+    log = walk(Scenario("plain", COURSE, Ground(0.8)), robot, 5)
+    assert found_in(log, robot) == []
+    cases = list(CASES)[first::2]
+    assert [case for case in cases if not found_in(CASES[case][0](log), robot)] == []
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("pattern", ["trot", "pace", "walk"])
+def test_clean_walks_are_plausible_wherever_they_are_cut(pattern):
+    segments = Segment(5.0, 0.4), Segment(4.0, 0.0, turn=0.4)
+    gait = GaitOptions(pattern=pattern)
+    log = walk(Scenario("plain", segments, Ground(0.8), gait=gait), SPOT, 5)
+    for begin, end in ((0.0, 1.5), (0.0, 3.0), (2.0, 6.0), (6.0, 8.0), (0.0, 10.0)):
+        part = log.rows((log.t >= begin) & (log.t < end))
+        assert (begin, end, found_in(part)) == (begin, end, [])
+        assert (begin, end, found_in(without(part, "ref_"))) == (begin, end, [])
 
 
 @pytest.mark.parametrize("name", ["go1", "mini_cheetah"])
