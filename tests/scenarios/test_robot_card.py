@@ -54,6 +54,19 @@ def test_both_views_of_a_robot_are_at_one_scale_and_height(tmp_path):
     assert scales[0] == pytest.approx(scales[1])
 
 
+def test_a_mesh_is_drawn_by_its_outline(tmp_path):
+    """The box around a turned mesh reaches farther up and down than the mesh."""
+    lens = ".3 0 0 -.3 0 0 0 .02 0 0 -.02 0 0 0 .1 0 0 -.1"
+    asset = f'<asset><mesh name="lens" vertex="{lens}"/></asset><worldbody>'
+    shape = '<freejoint/><geom type="mesh" mesh="lens" pos="0 0 2" euler="0 45 0"/>'
+    text = two_legs([0.2, 0.2]).replace("<worldbody>", asset).replace("<freejoint/>", shape)
+    file = tmp_path / "robot.xml"
+    file.write_text(text)
+    side = portrait(Robot.load(str(file))).axes[0]
+    highest = np.asarray(side.patches[0].get_path().vertices)[:, 1].max()
+    assert highest == pytest.approx(2.0 + 0.3 * np.sqrt(0.5), abs=1e-6)
+
+
 def test_an_imu_above_the_waist_is_named(tmp_path):
     torso = """<body name="torso"><joint name="waist" axis="0 0 1"/><site name="imu"/>
         <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></body></worldbody>
