@@ -24,8 +24,8 @@ class ChannelLevel:
     noise_floor: float | None
     unit: str
     highest: float = np.inf
-    """Upper limit of the noise floor: the highest of the simulated walks plus their range or, where
-    noise alone is the floor, two standard errors above it.
+    """Upper limit of the noise floor: the highest of the simulated walks plus their range and a
+    standard error (two of events) or, where noise alone is the floor, two standard errors above it.
     """
     settings: TraceSettings = DEFAULT
     evaluation_only: bool = False
@@ -80,10 +80,7 @@ def channel_levels(
         known: evidence whose columns these are.
         floor: noise floor of the model with the effects.
     """
-    floors = [
-        without_nuisance(one.evidence, one.robust_weights, np.ones(len(one.evidence.t), dtype=bool))
-        for one in floor.walks
-    ]
+    floors = [_settled(one) for one in floor.walks]
     ahead = [_end_of_walk(one) for one in floor.walks] if floor.evenness else floors
     levels = {}
     for name, columns in known.layout.channels.items():
@@ -100,9 +97,12 @@ def channel_levels(
         most = 2.0 * max(level) - min(level) if level else np.inf
         if level:
             square = np.concatenate([part[:, columns].ravel() for part in floors]) ** 2
+            count = np.isfinite(after[:, columns]).sum()
             # A log has few changes of contact, and some are far outliers.
-            kept = square[np.isfinite(square)] if channel.of_events else _bulk(square)
-            most *= 1.0 + 2.0 * scatter_of_rms(kept, np.isfinite(after[:, columns]).sum())
+            if channel.of_events:
+                most *= 1.0 + 2.0 * scatter_of_rms(square[np.isfinite(square)], count)
+            else:
+                most *= 1.0 + scatter_of_rms(_bulk(square), count)
         if own is None and not floor.walks:
             own = float(np.sqrt(np.mean(floor.sigma[columns] ** 2)))
             # Noise of neighbouring bins is correlated, so n bins determine the RMS to about
@@ -174,6 +174,13 @@ def channel_gains(
             left = [loss(one, fit(one, (), errors=False).vector) for one in sums]
             gains[name] = left[0] - left[1]
     return gains
+
+
+def _settled(one: FloorWalk) -> np.ndarray:
+    """Residual (M, W) of a walk without its first steps; all of a short one."""
+    t, settling = one.evidence.t, one.evidence.settings.settling
+    left = without_nuisance(one.evidence, one.robust_weights, np.ones(len(t), dtype=bool))
+    return left[t > t[0] + settling] if t[-1] - t[0] > 2.0 * settling else left
 
 
 def _end_of_walk(one: FloorWalk) -> np.ndarray:

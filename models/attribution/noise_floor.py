@@ -48,19 +48,6 @@ Groups = tuple[str, ...]
 
 
 @dataclass(frozen=True)
-class FloorCourse:
-    """Commanded forward and lateral velocity [m/s] and yaw rate [rad/s] of a walk, in steps of 1 s.
-
-    Attributes:
-        lead_in: walked before the section, so that the gait has settled as it has in the log.
-        section: of the log; empty where the robot stands on all feet throughout.
-    """
-
-    lead_in: Twists = ()
-    section: Twists = ()
-
-
-@dataclass(frozen=True)
 class FloorWalk:
     """One simulated walk of the declared model.
 
@@ -83,7 +70,7 @@ class FloorPlan:
 
     Attributes:
         file: the robot's model.
-        courses: of the walks.
+        courses: commanded velocities, one course for each walk.
         groups: groups of columns that the logs have.
         evenness: standard deviation of the ground's height from a plane [m].
         sampling: sampling and noise of the reference, if measured.
@@ -92,7 +79,7 @@ class FloorPlan:
     """
 
     file: Path
-    courses: tuple[FloorCourse, ...]
+    courses: tuple[Twists, ...]
     groups: Groups
     evenness: float
     sampling: ReferenceSampling | None
@@ -352,10 +339,12 @@ def _with_reference(case: LogUnderModel) -> Log:
     return with_dead_reckoning(log, robot)
 
 
-def courses(logs: Sequence[Log], settings: TraceSettings = DEFAULT) -> list[FloorCourse]:
-    """Courses of the walks: sections of the logs, evenly spaced, each with what came before it."""
+def courses(logs: Sequence[Log], settings: TraceSettings = DEFAULT) -> list[Twists]:
+    """Commanded forward and lateral velocity [m/s] and yaw rate [rad/s] in steps of 1 s, for each
+    walk; empty where the robot stands on all feet throughout.
+    """
     if all(log.has("contact") and np.mean(log.contact) > settings.standing_share for log in logs):
-        return [FloorCourse()] * settings.floor_walks
+        return [()] * settings.floor_walks
     # Rounded to two decimals, so that nearly equal courses share one simulated walk.
     motion = [
         (round(float(forward), 2), round(float(lateral), 2), round(float(turn), 2))
@@ -363,53 +352,38 @@ def courses(logs: Sequence[Log], settings: TraceSettings = DEFAULT) -> list[Floo
         if log.has("reference")
         for forward, lateral, turn in body_twists(log)
     ]
-    if not motion:
-        return []
     length = max(1, min(round(settings.floor_seconds / PIECE), len(motion)))
-    last = len(motion) - length
-    before = min(round(settings.floor_lead_in / PIECE), last)
-    starts = np.linspace(before, last, settings.floor_walks).round().astype(int)
-    return [
-        FloorCourse(tuple(motion[start - before : start]), tuple(motion[start : start + length]))
-        for start in starts
-    ]
+    starts = np.linspace(0, len(motion) - length, settings.floor_walks).round().astype(int)
+    return [tuple(motion[start : start + length]) for start in starts] if motion else []
 
 
 @lru_cache(maxsize=16)
 def _floor_walk(
-    plan: FloorPlan,
-    course: FloorCourse,
-    seed: int,
-    effects: tuple[Effect, ...],
-    known: tuple[str, ...],
+    plan: FloorPlan, course: Twists, seed: int, effects: tuple[Effect, ...], known: tuple[str, ...]
 ) -> FloorWalk | None:
     """One walk, fitted with the `known` effects; None where the robot falls at every speed.
 
     Args:
         plan: robot file, groups of columns and settings.
-        course: to walk.
+        course: (forward, lateral, yaw rate) of each segment [m/s, m/s, rad/s]; empty for standing.
         seed: of the walk.
         effects: with which the walk is simulated.
         known: names of the effects that the fit may use.
     """
     robot, s = declared(plan.file), plan.settings
-    twists, stands = (*course.lead_in, *course.section), not course.section
-    for slower in (1.0,) if stands else (1.0, 0.6, 0.3):
+    for slower in (1.0, 0.6, 0.3) if course else (1.0,):
         segments = tuple(
             Segment(PIECE, forward * slower, lateral * slower, turn * slower)
-            for forward, lateral, turn in twists or ((0.0, 0.0, 0.0),)
+            for forward, lateral, turn in course or ((0.0, 0.0, 0.0),)
         )
-        stand = s.floor_seconds if stands else s.floor_stand
+        stand = s.floor_stand if course else s.floor_seconds
         scenario = Scenario("floor", segments, ground_of(segments, plan.evenness, s), stand=stand)
         try:
             log = walk(scenario, robot, seed, (*plan.ground, *effects), declared=False)
         except SurefootError:  # fallen, or a size that leaves it no foot
             continue
-        since = log.t - log.t[0]
-        if stands:
-            log = log.rows(since < s.floor_seconds - s.floor_stand)
-        elif course.lead_in:
-            log = log.rows(since >= s.floor_stand + PIECE * len(course.lead_in))
+        if not course:
+            log = replace(log, frame=log.frame[log.t - log.t[0] < s.floor_seconds - s.floor_stand])
         log = _with_groups(log, plan.groups)
         if plan.sampling:
             log = resample_reference(log, plan.sampling, np.random.default_rng(seed))

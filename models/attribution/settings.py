@@ -98,10 +98,6 @@ class TraceSettings:
     """Number of simulated walks for the noise floor."""
     floor_seconds: float = 12.0
     """Length of each of them [s]."""
-    floor_lead_in: float = 4.0
-    """Part of a walk before a section that is simulated and not used [s]: the first steps after
-    standing load the feet less.
-    """
     floor_friction: float = 0.8
     """Coefficient of friction of their ground."""
     floor_stand: float = 0.5
@@ -171,6 +167,10 @@ class TraceSettings:
     contender_size_ratio: float = 2.0
     """Least ratio of size to spread of a contender that earned no place."""
 
+    settling: float = 4.0
+    """Beginning of the floor's walks that does not count for levels [s]: feet are steadier in the
+    first steps after standing.
+    """
     at_floor_ratio: float = 1.05
     """Ratio to the upper limit of the floor's walks up to which a channel is at its floor."""
     worse_ratio: float = 1.02
