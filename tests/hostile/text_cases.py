@@ -299,7 +299,8 @@ ROBOT = [
     ("a range upside down", 'armature="0.01"', 'armature="0.01" limited="true" range="1 -1"', "range"),
     ("an attitude of nothing", 'pos="0 0 1"', 'pos="0 0 1" quat="0 0 0 0"', "quat"),
     ("gravity of no number", "<worldbody>", '<option gravity="0 0 nan"/><worldbody>', "gravity"),
-    ("a mesh of an address", "</asset>", '<mesh name="m" file="http://example.com/m.stl"/></asset>', "example"),
+    ("a mesh of an address", "</asset>", '<mesh name="m" file="http://example.com/m.stl"/></asset>'
+     '<worldbody><geom type="mesh" mesh="m"/></worldbody>', "example"),
     ("a comment without an end", "<worldbody>", "<!-- <worldbody>", "XML"),
     ("a class of nobody", 'name="arm"', 'name="arm" childclass="ghost"', "childclass"),
 ]
