@@ -1,9 +1,9 @@
 """Inverse dynamics of a robot over many rows: the joint torques and base wrench of a motion.
 
-MuJoCo's `mj_inverse` without contacts, joint limits and equality constraints, in one compiled loop.
-Of the steps of `mj_inverse` only those are taken that the result needs, which is twice as fast: no
-mass matrix, and dry friction in closed form. A floating base is held at the origin with its axes
-along the world's, so that its force and moment result in B.
+MuJoCo's `mj_inverse` in one compiled loop, without contacts, joint limits, equality constraints,
+and inertia and dry friction of tendons. Of its steps only those are taken that the result needs,
+which is twice as fast: no mass matrix, and dry friction in closed form. A floating base is held at
+the origin with its axes along the world's, so that its force and moment result in B.
 """
 
 import ctypes
@@ -205,7 +205,7 @@ class _Memory(NamedTuple):
     Attributes:
         model: address of MuJoCo's model.
         data: address of its data.
-        tendons: whether it has any.
+        tendons: whether the model has tendons.
         qpos: (nq,), view of the data, as are `qvel`, `qacc` and `passive` (nv,).
         qvel: velocities.
         qacc: accelerations.
