@@ -164,6 +164,31 @@ def test_the_quickest_tests_are_chosen_whatever_file_they_lie_in(place):
     assert [test.id for test in chosen[quick]] == ["q"]
 
 
+def test_tests_that_name_a_neighbour_of_the_module_come_before_those_of_commands(
+    tmp_path, monkeypatch
+):
+    texts = {
+        "sim/inner.py": "",
+        "sim/outer.py": "from surefoot.sim.inner import VALUE\n",
+        "sim/inner_other.py": "",
+        "tests/own.py": "from surefoot.sim import inner\n",
+        "tests/near.py": "from surefoot.sim.outer import run\n",
+        "tests/command.py": "from surefoot.main import main\n",
+        "tests/other.py": "from surefoot.sim.inner_other import run\n",
+    }
+    for name, text in texts.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+    sources = {"own": 9, "near": 8, "command": 2}
+    imports = {
+        tmp_path / f"tests/{name}.py": frozenset({"surefoot.sim.inner", *map(str, range(count))})
+        for name, count in sources.items()
+    } | {tmp_path / "tests/other.py": frozenset()}
+    monkeypatch.setattr("trial._imports_of_tests", lambda *_: imports)
+    nearest = Workplace(tmp_path, tmp_path, read_plan(PLAN)).nearest_tests("surefoot.sim.inner")
+    assert [path.stem for path in nearest] == ["own", "near", "command"]
+
+
 def covering(name: str, seconds: float) -> Covering:
     return Covering(name, seconds, frozenset({"estimator/tiny.py:same"}))
 

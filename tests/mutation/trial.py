@@ -15,6 +15,7 @@ import ctypes
 import inspect
 import json
 import os
+import re
 import resource
 import shutil
 import signal
@@ -107,15 +108,15 @@ class Workplace:
             shutil.copy2(source, path)
 
     def nearest_tests(self, module: str) -> list[Path]:
-        """Test files that import a module in turn, first those that name it, then by how little
-        else they import."""
+        """Test files that import a module in turn: first those that name it, then those that name
+        a module that does, and of these first those that import little else."""
+        beside = [name for name, path in _modules(self.root).items() if _names(path, module)]
         found = []
         for path, sources in _imports_of_tests(self.root, tuple(self.plan.tests)).items():
-            text = path.read_text(encoding="utf-8")
-            package, _, last = module.rpartition(".")
-            named = module in text or f"from {package} import {last}" in text
+            named = _names(path, module)
             if named or module in sources:
-                found.append((not named, len(sources), path))
+                near = any(_names(path, name) for name in beside)
+                found.append((0 if named else 1 if near else 2, len(sources), path))
         return [path for *_, path in sorted(found)]
 
     def covering(self, path: Path, interpreted: bool) -> list[Covering]:
@@ -403,12 +404,26 @@ def _imports_of_tests(root: Path, folders: tuple[str, ...]) -> dict[Path, frozen
 
 
 @cache
+def _modules(root: Path) -> dict[str, Path]:
+    """Module -> its source."""
+    paths = (path for room in ROOMS for path in sorted((root / room).rglob("*.py")))
+    return {dotted(path.relative_to(root).as_posix()): path for path in paths}
+
+
+@cache
+def _names(path: Path, module: str) -> bool:
+    """Whether a source names a module."""
+    package, _, last = module.rpartition(".")
+    text = path.read_text(encoding="utf-8")
+    apart = rf"from {re.escape(package)} import [^\n]*\b{last}\b"
+    return re.search(rf"{re.escape(module)}\b|{apart}", text) is not None
+
+
+@cache
 def _kernel_sources(root: Path) -> dict[str, frozenset[str]]:
     """Module with kernels -> modules that it imports in turn."""
-    found = {}
-    for room in ROOMS:
-        for path in sorted((root / room).rglob("*.py")):
-            if f"from {KERNELS} import" in path.read_text(encoding="utf-8"):
-                module = dotted(path.relative_to(root).as_posix())
-                found[module] = frozenset(imported_sources(module))
-    return found
+    return {
+        name: frozenset(imported_sources(name))
+        for name, path in _modules(root).items()
+        if f"from {KERNELS} import" in path.read_text(encoding="utf-8")
+    }
