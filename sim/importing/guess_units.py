@@ -99,9 +99,9 @@ def unit_of_gyro(
     by_name = next(iter(named)) if len(named) == 1 and named <= set(UNITS["gyro"]) else ""
     by_size = "rad/s" if size < 12.0 else "deg/s"
     unit = by_name or by_size
-    if t is not None and accel is not None:
-        dt = max(float(np.median(np.diff(t))), 1e-6)
-        width = max(int(0.5 / dt), 1)
+    dt = 1.0 if t is None else max(float(np.median(np.diff(t))), 1e-6)
+    width = max(int(0.5 / dt), 1)
+    if t is not None and accel is not None and len(t) > 2 * width:
         smooth = np.column_stack([_smoothed(x, width) for x in accel.T])
         up = smooth / np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-9)
         turned = np.gradient(up, t, axis=0)[width:-width]
@@ -163,8 +163,8 @@ def stride_in_turns(
         left: angles (N,) of the left legs' thighs, in any unit.
         right: of the right legs'.
     """
-    edges = np.arange(t[0], t[-1], _STRIDES)
-    parts = np.split(np.arange(len(t)), np.searchsorted(t, edges[1:]))
+    window = np.floor((t - t[0]) / _STRIDES)
+    parts = np.split(np.arange(len(t)), np.flatnonzero(np.diff(window)) + 1)
     parts = [rows for rows in parts if len(rows) > 10]
     sizes = [[np.mean([np.std(v[rows]) for v in side]) for rows in parts] for side in (left, right)]
     turning = np.array([yaw[rows].mean() for rows in parts])

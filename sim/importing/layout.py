@@ -42,7 +42,10 @@ def layout_of(path: Path) -> dict[str, Any]:
     width = len(rows[-1])
     first = next(k for k, row in enumerate(rows) if len(row) == width)
     # A comment as wide as the table contains its column names.
-    after = next(k for k in range(first, len(rows)) if not lines[k].lstrip().startswith(COMMENTS))
+    plain = (k for k in range(first, len(rows)) if not lines[k].lstrip().startswith(COMMENTS))
+    after = next(plain, None)
+    if after is None:
+        return {}
     named = [k for k in range(after) if len(rows[k]) == width and width > 1]
     found: dict[str, Any] = {}
     begin = named[-1] if named else max(after, first)

@@ -96,7 +96,8 @@ def _first_line(path: Path, source: Source, encoding: str) -> tuple[list[str], s
         apart = source.header and names[:1] != [] and names[0] in COMMENTS
         names = names[apart:]
     else:
-        names = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+        row = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+        names = [name.strip() for name in row]
     if not any(names):
         raise SurefootError(f"{path}: line {source.skip + 1}: no header")
     check_limit("columns", len(names), f"{path}: cells of the header")

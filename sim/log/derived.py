@@ -38,7 +38,7 @@ def local_quadratic(
 
     At each of t (N,) [s], from the rows within `window` seconds, centred on t[k] or, if `causal`,
     ending there. A window has at least three rows if the log has them; with two, the fit is a line,
-    and a row without a past (causal, k = 0) is at rest.
+    and a row without a past (causal, k = 0, or after a gap of 600 000 rows) is at rest.
     """
     n = len(t)
     ahead = 0.0 if causal else 0.5 * window
@@ -89,6 +89,8 @@ def _quadratics(t, x, first, last, scale):
             adjugate[0, 2] = adjugate[2, 0] = m1 * m3 - m2 * m2
             adjugate[1, 2] = adjugate[2, 1] = m1 * m2 - m0 * m3
             scaled = m1 * adjugate[1, 0] + m2 * adjugate[1, 1] + m3 * adjugate[1, 2]
+            if scaled <= 1e-12 * m0 * m2 * m4:
+                continue  # a row of the window lies so far away that rounding decides
         elif m0 == 2.0:
             adjugate[0, 0], adjugate[1, 1] = m2, m0
             adjugate[0, 1] = adjugate[1, 0] = -m1

@@ -24,6 +24,7 @@ from surefoot.scenarios.export import export
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects.file import load_effects
 from surefoot.sim.importing.bag import bag_fields
+from surefoot.sim.importing.guess import guess_map
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.recording import import_log
 from surefoot.sim.log import Log
@@ -46,6 +47,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "walk.parquet": Log.read,
     "trajectory.parquet": Trajectory.read,
     "run.mcap": bag_fields,
+    "named.csv": lambda path: guess_map([path]),
 }
 RECORDINGS: dict[str, Callable[[Path], object]] = {
     "run.json": lambda path: path.write_text(replaced("0.1")),
@@ -112,6 +114,9 @@ def _whole(name: str, good: Path, folder: Path) -> Path:
         (folder / "recording.toml").write_text(MAP)
         RECORDINGS[name](folder / name)
         READERS[name](folder / name)
+        return folder / name
+    if name == "named.csv":
+        Log.read(good / "walk.parquet").frame[:50].to_csv(folder / name, index=False)
         return folder / name
     if name == "run.mcap":
         export(good / "walk.parquet", folder / name)

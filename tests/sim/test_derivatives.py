@@ -60,6 +60,14 @@ def test_short_logs_are_finite(n, causal):
     np.testing.assert_allclose(found, 0.0, atol=1e-9)
 
 
+@pytest.mark.parametrize("causal", [False, True])
+def test_a_day_without_rows_is_no_division_by_zero(causal):
+    t = np.arange(40) / 500.0
+    x = np.sin(7.0 * t)[:, None]
+    found = derivative(t + 8.6e4 * (t > 0.04), x, 0.025, causal)
+    assert np.abs(found).max() < 7.1
+
+
 def test_velocities_are_logged_ones_first_and_marked_when_derived():
     t = np.arange(100) / 400.0
     columns = {"t": t, "q_knee": t**2}

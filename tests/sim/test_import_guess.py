@@ -376,6 +376,9 @@ def test_the_outer_legs_go_further_in_turns(walked):
     assert further > 0.1
     assert swapped < -0.1
     assert stride_in_turns(t, 0.0 * yaw, left, right) is None
+    # A stamp that jumps by 30 000 years makes no array of as many seconds.
+    jumps = np.append(t[:-1], 1e12)
+    assert stride_in_turns(jumps, yaw, left, right) == pytest.approx(further, rel=0.01)
 
 
 def test_swapped_legs_a_wrong_gravity_and_a_wrong_rate_are_asked_about(tmp_path, walked):

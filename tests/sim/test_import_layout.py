@@ -61,6 +61,28 @@ def test_a_text_is_read_as_it_is_laid_out(tmp_path, before, options, layout):
     np.testing.assert_allclose(log.ref_p[:, 0], 0.1 * T, atol=1e-6)
 
 
+def test_blanks_around_a_name_are_no_part_of_it(tmp_path):
+    rows = "\n".join(",".join(map(str, row)) for row in IMU.to_numpy())
+    (tmp_path / "run.csv").write_text(" ,\t".join(map(str, IMU)) + " \n" + rows + "\n")
+    log, draft = imported(tmp_path, "run.csv")
+    assert [entry.theirs for entry in draft.main] == [entry.name for entry in draft.main]
+    np.testing.assert_allclose(log.gyro, IMU.to_numpy()[:, 1:4], atol=1e-9)
+
+
+def test_a_text_of_comments_alone_has_no_times(tmp_path):
+    (tmp_path / "run.csv").write_text("# t,gyro_x\n# 0.0,1.0\n# 0.1,1.0\n")
+    assert layout_of(tmp_path / "run.csv") == {}
+    assert "t" not in {entry.name for entry in guess_map([tmp_path / "run.csv"]).main}
+
+
+@pytest.mark.parametrize("rows", [2, 3, 5, 20, 70])
+def test_a_few_rows_are_drafted(tmp_path, rows):
+    """Fewer than the windows in which units are looked for."""
+    IMU[:rows].to_csv(tmp_path / "run.csv", index=False)
+    drafted = {entry.name for entry in guess_map([tmp_path / "run.csv"]).main}
+    assert drafted >= {f"gyro_{axis}" for axis in "xyz"}
+
+
 def test_the_files_of_euroc_and_a_trajectory_of_tum_go_in_as_they_are(tmp_path):
     imu = IMU.assign(t=(1.4e18 + 1e9 * T).astype(np.int64)).rename(columns=EUROC)
     imu.to_csv(tmp_path / "imu0.csv", index=False)
