@@ -345,7 +345,7 @@ class _Linear:
         elif rule is not None:
             change = wrt_robot(self.parts, self.robot, robot, step)
         else:
-            change = self._by_difference(log, robot, step)
+            change = self._by_difference(key, log, robot, step)
         one = self._to_reading_scale(self._events_only(key, sparse(change, self.parts.table)))
         return Regressor(one.columns, -one.values)
 
@@ -396,8 +396,8 @@ class _Linear:
         Removes the changes of other channels, which come from stances with more or fewer samples,
         and events that were lost or matched to a neighbour.
         """
-        names = known_effects()[key[0]].channels_of(key[1])
-        if not all(name in channels() and channels()[name].of_events for name in names):
+        names = _event_channels(key)
+        if not names:
             return one
         own = np.isin(one.columns, self.parts.layout.of(*names))
         values, step = one.values[:, own], known_effects()[key[0]].step_of(key[1])
@@ -405,13 +405,14 @@ class _Linear:
             one.columns[own], np.where(np.abs(step * values) < CHANGE_WINDOW, values, 0.0)
         )
 
-    def _by_difference(self, log: Log, robot: Machine, step: float) -> np.ndarray:
+    def _by_difference(self, key: Key, log: Log, robot: Machine, step: float) -> np.ndarray:
         motion, same = self.motion, ()
         if log is self.log:
             same = unchanged_channels(self.robot, robot)
         elif _changes_motion(changed_columns(self.log, log)):
             motion = replace(motion_under_model(log, robot, self.case.fixed), level=motion.level)
-        again = [name for name in self.parts.names if name not in same]
+        only = _event_channels(key) or self.parts.names
+        again = [name for name in self.parts.names if name in only and name not in same]
         return (residual(log, robot, motion, again).table - self.parts.table) / step
 
     def nuisance_regressors(self) -> list[tuple[Regressor, float, Key | None]]:
@@ -436,6 +437,13 @@ class _Linear:
                 one = self._to_reading_scale(Regressor(which, there * values))
                 out.append((one, np.inf, None))
         return out
+
+
+def _event_channels(key: Key) -> tuple[str, ...]:
+    """Channels of an effect that shows only in the times of events; none for any other."""
+    names = known_effects()[key[0]].channels_of(key[1])
+    of_events = all(name in channels() and channels()[name].of_events for name in names)
+    return tuple(names) if of_events else ()
 
 
 def _changes_motion(columns: Sequence[str]) -> bool:

@@ -165,8 +165,10 @@ def normal_equations(
         place = np.concatenate([[0], 1 + which])
         A = np.column_stack([data.y[rows, column], X]) / sigma[column]
         A = A * np.sqrt(weight[rows, column])[:, None]
-        own = [A[i:j].T @ A[i:j] for i, j in zip(begin, end, strict=True)]
-        G[:, place[:, None], place] += own
+        # Block by block, since adding to all at once strides through memory.
+        entry = (place[:, None] * size + place).ravel()
+        for sums, i, j in zip(G.reshape(len(G), -1), begin, end, strict=True):
+            sums[entry] += (A[i:j].T @ A[i:j]).ravel()
     known = np.count_nonzero(weight[:, evidence.layout.fitted], axis=1)
     entries = np.array([known[i : i + n].sum() for i, n in zip(first, many, strict=True)], float)
     parts = part[first].astype(int)

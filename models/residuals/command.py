@@ -22,14 +22,20 @@ class CommandedTorque(Channel):
         return per_joint("command", self.unit, limbs)
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
-        log = inputs.log
-        asked = commanded_torque(log)
-        if asked is None or not log.has("tau"):
-            return None
-        if late := inputs.robot.extras.command_late:
-            then = log.t - late
-            asked = np.column_stack([np.interp(then, log.t, column) for column in asked.T])
-        return bin_mean(inputs.motion)(log.tau - asked)
+        log, late = inputs.log, inputs.robot.extras.command_late
+        law = ("q_des", "dq_des", "q", "dq") if log.meta.motor_law else ()
+
+        def made() -> np.ndarray | None:
+            asked = commanded_torque(log)
+            if asked is None or not log.has("tau"):
+                return None
+            if late:
+                then = log.t - late
+                asked = np.column_stack([np.interp(then, log.t, column) for column in asked.T])
+            return bin_mean(inputs.motion)(log.tau - asked)
+
+        columns = log.columns_of("tau", "tau_ff", *law)
+        return log.cached("torque less the command", columns, made, late, inputs.motion.first)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
         return sensors.torque_noise / np.sqrt(rows_of_bin(rate))

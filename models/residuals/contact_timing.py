@@ -47,7 +47,8 @@ def contact_timing(log: Log, robot: Robot, motion: ReferenceMotion) -> np.ndarra
         "speed of touching points",
         log.columns_of("q", "dq", "imu", "contact", "reference", "ref_v"),
         lambda: speed_over_ground(log, robot, motion, near_changes(turns, motion, rows)),
-        *(motion, robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI),
+        *(motion.R_GI, motion.v_I, motion.gyro, motion.ok),
+        *(robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI),
     )
     late = np.full((len(motion.first), 2 * len(turns)), np.nan)
     # A debounced contact begins late by the debounce time.

@@ -7,6 +7,8 @@ from surefoot.models.residuals.torques import DynamicsInputs, inverse_dynamics
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.log import Log
+from surefoot.sim.physics.leg_loads import load_columns
+from surefoot.sim.physics.momentum_balance import load_parameters
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import leg_forward
 
@@ -26,6 +28,17 @@ def foot_loads(
         bins: means over bins of torques and standing feet.
         steps: inputs of inverse dynamics.
     """
+    return log.cached(
+        "foot loads along the normal",
+        load_columns(log),
+        lambda: _foot_loads(log, robot, motion, bins, steps),
+        *(motion, robot.extras.payload, *load_parameters(robot)),
+    )
+
+
+def _foot_loads(
+    log: Log, robot: Robot, motion: ReferenceMotion, bins: Bins, steps: DynamicsInputs
+) -> np.ndarray:
     stands = log.contact
     if not np.isfinite(bins.tau).any() or not robot.limbs.point_feet:
         weight = -GRAVITY_G[2] * (robot.mass + robot.extras.payload)

@@ -13,8 +13,13 @@ import numpy as np
 from surefoot.sim.effects.base import Effect, with_columns
 from surefoot.sim.log import Log
 from surefoot.sim.log.derived import local_quadratic
-from surefoot.sim.physics.leg_loads import foot_loads_B, joint_loads, knows_loads
-from surefoot.sim.physics.momentum_balance import load_parameters
+from surefoot.sim.physics.leg_loads import (
+    foot_loads_B,
+    joint_loads,
+    knows_loads,
+    load_columns,
+)
+from surefoot.sim.physics.momentum_balance import feet_jacobian_B, load_parameters
 from surefoot.sim.physics.springs import add_foot_springs, add_joint_spring
 from surefoot.sim.robot import Robot
 
@@ -50,10 +55,9 @@ class LegCompliance(Effect):
             add_joint_spring(spec, robot.joint_names[robot.limbs.joints.index(joint)], self.value)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        columns = log.columns_of("q", "dq", "tau", "imu", "contact", "force")
         deflection = log.cached(
             "deflection of joints",
-            columns,
+            load_columns(log),
             lambda: _deflection(log, -joint_loads(log, robot)),
             *load_parameters(robot),
         )
@@ -85,10 +89,9 @@ class FootElasticity(Effect):
             add_foot_springs(spec, robot, leg, self._axes(), self.value)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        columns = log.columns_of("q", "dq", "tau", "imu", "contact", "force")
         deflection = log.cached(
             f"deflection of feet, {self.target}",
-            columns,
+            load_columns(log),
             lambda: _deflection(log, _angles_of_yielding_feet(log, robot, self._axes())),
             *load_parameters(robot),
         )
@@ -119,17 +122,21 @@ def _angles_of_yielding_feet(log: Log, robot: Robot, axes: tuple[int, ...]) -> n
     load moves feet that yield by 1 m/N along these axes of the base.
     """
     force_B, along = foot_loads_B(log, robot), np.eye(3)[list(axes)]
+    rows, legs = np.nonzero(force_B.any(axis=2))
     # The springs rotate with the last link; in the home pose their axes are the base's.
     links_B = log.cached(
         "last links", log.columns_of("q"), lambda: _last_links_B(robot, log.q), robot.legs
     )
     at_home = _last_links_B(robot, robot.q_home[None])
-    axes_B = links_B @ np.swapaxes(at_home, 2, 3) @ along.T
-    given_B = (axes_B @ (np.swapaxes(axes_B, 2, 3) @ force_B[..., None]))[..., 0]
-    J_I, given_I = robot.feet_jacobian_I(log.q), (given_B @ robot.R_BI)[..., None]
+    axes_B = links_B[rows, legs] @ (np.swapaxes(at_home, 2, 3) @ along.T)[0, legs]
+    given_B = axes_B @ (np.swapaxes(axes_B, 1, 2) @ force_B[rows, legs, :, None])
+    J_B = feet_jacobian_B(log, robot)
+    by_leg, J = np.zeros((*J_B.shape[:2], J_B.shape[3])), J_B[rows, legs]
     # A leg with more than three joints uses the least-norm solution.
     three = robot.limbs.point_feet
-    by_leg = (np.linalg.solve(J_I, given_I) if three else np.linalg.pinv(J_I) @ given_I)[..., 0]
+    by_leg[rows, legs] = (np.linalg.solve(J, given_B) if three else np.linalg.pinv(J) @ given_B)[
+        ..., 0
+    ]
     turned = np.zeros_like(log.q)
     for leg, chain in enumerate(robot.limbs.chains):
         turned[:, chain] = by_leg[:, leg, : len(chain)]

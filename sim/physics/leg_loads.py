@@ -7,6 +7,7 @@ from surefoot.sim.log.derived import derivative
 from surefoot.sim.physics.inverse_dynamics import dynamics_of
 from surefoot.sim.physics.momentum_balance import (
     ACCELERATION_WINDOW,
+    feet_jacobian_B,
     load_parameters,
     momentum_balance,
     rigid_body_wrench,
@@ -23,15 +24,22 @@ def knows_loads(log: Log) -> bool:
     return log.has("tau") or (log.has("imu") and log.has("contact"))
 
 
+def load_columns(log: Log) -> tuple[str, ...]:
+    """The columns of a log that loads of joints and feet depend on."""
+    return log.columns_of("q", "dq", "tau", "imu", "contact", "force")
+
+
 def joint_loads(log: Log, robot: Machine) -> np.ndarray:
     """Torque (N, J) [N m] that each motor transmits to its link.
 
     The motor's torque, as logged or else from the momentum balance, less rotor inertia and declared
     friction.
     """
-    columns = log.columns_of("q", "dq", "tau", "imu", "contact", "force")
     return log.cached(
-        "joint loads", columns, lambda: _joint_loads(log, robot), *load_parameters(robot)
+        "joint loads",
+        load_columns(log),
+        lambda: _joint_loads(log, robot),
+        *load_parameters(robot),
     )
 
 
@@ -55,9 +63,11 @@ def foot_loads_B(log: Log, robot: Robot) -> np.ndarray:
     From logged torques for legs of three joints, J^T f = inverse dynamics - torque, else from the
     momentum balance.
     """
-    columns = log.columns_of("q", "dq", "tau", "imu", "contact", "force")
     return log.cached(
-        "foot loads", columns, lambda: _foot_loads_B(log, robot), *load_parameters(robot)
+        "foot loads",
+        load_columns(log),
+        lambda: _foot_loads_B(log, robot),
+        *load_parameters(robot),
     )
 
 
@@ -65,7 +75,8 @@ def _foot_loads_B(log: Log, robot: Robot) -> np.ndarray:
     if not log.has("tau") or not robot.limbs.point_feet:
         return momentum_balance(log, robot).force
     _, needed = rigid_body_wrench(log, robot)
-    J = np.einsum("ij,nljk->nlik", robot.R_BI, robot.feet_jacobian_I(log.q))
-    taken = (needed - log.tau)[:, robot.legs.joints]
-    force = np.linalg.solve(np.swapaxes(J, 2, 3), taken[..., None])[..., 0]
-    return np.where(log.contact[:, :, None], force, 0.0)
+    stands = log.contact
+    J, taken = feet_jacobian_B(log, robot)[stands], (needed - log.tau)[:, robot.legs.joints]
+    force = np.zeros((*stands.shape, 3))
+    force[stands] = np.linalg.solve(np.swapaxes(J, 1, 2), taken[stands][..., None])[..., 0]
+    return force

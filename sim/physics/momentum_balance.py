@@ -71,6 +71,16 @@ def load_parameters(robot: Machine) -> tuple[Any, ...]:
     return robot.legs, robot.R_BI, robot.p_BI, robot.extras.links
 
 
+def feet_jacobian_B(log: Log, robot: Robot) -> np.ndarray:
+    """Jacobian of each foot by its own leg's joints (N, L, 3, P) in B [m/rad]."""
+    return log.cached(
+        "Jacobians of the feet",
+        log.columns_of("q"),
+        lambda: robot.R_BI @ robot.feet_jacobian_I(log.q),
+        *(robot.legs, robot.R_BI),
+    )
+
+
 def _balanced(log: Log, robot: Robot) -> MomentumBalance:
     wrench, needed = rigid_body_wrench(log, robot)
     smooth = LOADING_TIME * log.rate
@@ -81,7 +91,7 @@ def _balanced(log: Log, robot: Robot) -> MomentumBalance:
         loaded = np.maximum(2 * standing - 1, 0) * log.contact
     feet_B = robot.feet_I(log.q) @ robot.R_BI.T + robot.p_BI
     force = _least_forces(wrench, feet_B, loaded, robot.leg_length)
-    J = np.einsum("ij,nljk->nlik", robot.R_BI, robot.feet_jacobian_I(log.q))
+    J = feet_jacobian_B(log, robot)
     by_leg, given = np.einsum("nlik,nli->nlk", J, force), np.zeros_like(needed)
     for leg, chain in enumerate(robot.limbs.chains):
         given[:, chain] = by_leg[:, leg, : len(chain)]
