@@ -134,11 +134,6 @@ class NormalEquations:
         own = -vector[[first + i for i, one in enumerate(self.deviation_of) if one == key]]
         return np.append(own, -own.sum())
 
-    def total(self) -> "NormalEquations":
-        """Sum all blocks into one: enough for sizes, not for their covariance."""
-        entries = self.entries.sum(keepdims=True)
-        return replace(self, G=self.G.sum(0, keepdims=True), entries=entries, part=self.part[:1])
-
 
 def normal_equations(
     data: Design, sigma: np.ndarray, weight: np.ndarray, part: np.ndarray | None = None
@@ -156,9 +151,37 @@ def normal_equations(
     label = np.where(part < 0, -1, turns)
     # The rows of a block are contiguous: `many` of them from `first` on.
     blocks, first, many = np.unique(label, return_index=True, return_counts=True)
-    blocks, first, many = (x[blocks >= 0] for x in (blocks, first, many))
-    size = 1 + data.size
-    G = np.zeros((len(blocks), size, size))
+    first, many = (x[blocks >= 0] for x in (first, many))
+    return _summed(data, sigma, weight, part, first, many)
+
+
+def total_normal_equations(data: Design, sigma: np.ndarray, weight: np.ndarray) -> NormalEquations:
+    """Sum a design over all bins: enough for sizes, not for their covariance."""
+    bins = len(data.y)
+    part = np.zeros(bins, dtype=int)
+    return _summed(data, sigma, weight, part, np.array([0]), np.array([bins]))
+
+
+def _summed(
+    data: Design,
+    sigma: np.ndarray,
+    weight: np.ndarray,
+    part: np.ndarray,
+    first: np.ndarray,
+    many: np.ndarray,
+) -> NormalEquations:
+    """Normal equations of K blocks.
+
+    Args:
+        data: the design.
+        sigma: noise of the columns (W,).
+        weight: of the entries (M, W).
+        part: part of the split that each bin belongs to (M,).
+        first: first bin of each block (K,).
+        many: number of its bins (K,).
+    """
+    evidence, size = data.evidence, 1 + data.size
+    G = np.zeros((len(first), size, size))
     for column in evidence.layout.fitted:
         rows, X, which = data.rows[column], data.X[column], data.which[column]
         begin, end = np.searchsorted(rows, first), np.searchsorted(rows, first + many)

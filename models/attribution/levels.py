@@ -5,7 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from surefoot.models.attribution.evidence import Evidence
-from surefoot.models.attribution.fit import design, fit, loss, normal_equations
+from surefoot.models.attribution.fit import (
+    design,
+    fit,
+    loss,
+    normal_equations,
+    total_normal_equations,
+)
 from surefoot.models.attribution.noise_floor import FloorWalk, NoiseFloor
 from surefoot.models.attribution.robust_weights import RobustWeights
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
@@ -144,7 +150,7 @@ def _by_chance(before: np.ndarray, after: np.ndarray) -> bool:
 def without_nuisance(evidence: Evidence, weights: RobustWeights, use: np.ndarray) -> np.ndarray:
     """Residual table (M, W) less the nuisance parameters as fitted on `use`; NaN where masked."""
     data = design(evidence.only(()))
-    sums = normal_equations(data, weights.sigma, weights.weight, np.where(use, 0, -1)).total()
+    sums = total_normal_equations(data, weights.sigma, weights.weight * use[:, None])
     vector = fit(sums, (), errors=False).vector
     left = np.where(data.there, data.y - data.explained(-vector[1:]), np.nan)
     return np.where(weights.weight > 0, left, np.nan)

@@ -19,7 +19,7 @@ from surefoot.models.attribution.evidence import (
     linearise,
     log_under_model,
 )
-from surefoot.models.attribution.fit import NormalEquations, design, fit, normal_equations
+from surefoot.models.attribution.fit import NormalEquations, design, fit, total_normal_equations
 from surefoot.models.attribution.reference_sampling import (
     ReferenceSampling,
     reference_sampling,
@@ -392,7 +392,7 @@ def _floor_walk(
         # The same minimum noise as for the log, so that channels have the same relative weight.
         weights = robust_weights(data, _least_noise(data.evidence.layout))
         beyond = variance_inflation(data, weights)
-        sums = normal_equations(data, weights.sigma * np.sqrt(beyond), weights.weight).total()
+        sums = total_normal_equations(data, weights.sigma * np.sqrt(beyond), weights.weight)
         # The candidates' regressors are no longer needed.
         return FloorWalk(data.evidence.only(()), weights, sums, beyond)
     return None

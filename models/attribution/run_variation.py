@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from surefoot.models.attribution.evidence import Evidence, all_keys, linearise
-from surefoot.models.attribution.fit import design, fit, normal_equations
+from surefoot.models.attribution.fit import design, fit, total_normal_equations
 from surefoot.models.attribution.levels import trimmed_rms
 from surefoot.models.attribution.noise_floor import NoiseFloor, RunVariation
 from surefoot.models.attribution.robust_weights import RobustWeights
@@ -51,7 +51,7 @@ def run_variation(
     size, precision = np.empty((2, count, len(keys)))
     for number, run in enumerate(runs):
         table = design(linearise([run.case], effects, keys))
-        sums = normal_equations(table, sigma, weights.weight[known.log == number]).total()
+        sums = total_normal_equations(table, sigma, weights.weight[known.log == number])
         size[number] = [fit(sums, [key], errors=False).sizes[0] for key in keys]
         precision[number] = np.diag(sums.whole)[1 : 1 + len(keys)]
     square, precision = np.mean(size**2, axis=0), precision.mean(axis=0)

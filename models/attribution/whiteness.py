@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from surefoot.models.attribution.fit import Design, fit, normal_equations
+from surefoot.models.attribution.fit import Design, fit, total_normal_equations
 from surefoot.models.attribution.robust_weights import RobustWeights
 from surefoot.models.residuals.registry import channels
 
@@ -17,7 +17,7 @@ def variance_inflation(data: Design, weights: RobustWeights) -> np.ndarray:
     independent values. The effective noise of a column is sigma times the square root of this
     factor.
     """
-    sums = normal_equations(data, weights.sigma, weights.weight).total()
+    sums = total_normal_equations(data, weights.sigma, weights.weight)
     free = fit(sums, (), errors=False).vector[1:]
     left = np.where(data.there, data.y - data.explained(-free), np.nan)
     layout = data.evidence.layout

@@ -28,27 +28,26 @@ def foot_loads(
         bins: means over bins of torques and standing feet.
         steps: inputs of inverse dynamics.
     """
+
+    def made() -> np.ndarray:
+        stands = log.contact
+        if not np.isfinite(bins.tau).any() or not robot.limbs.point_feet:
+            weight = -GRAVITY_G[2] * (robot.mass + robot.extras.payload)
+            return weight * stands / np.maximum(stands.sum(axis=1, keepdims=True), 1)
+        taken = inverse_dynamics(steps, robot, every=True).torque
+        every = np.ones_like(bins.standing)
+        from_motion = normal_forces(robot.legs, steps.q, steps.up_B, every, taken)
+        up_B = motion.R_GI[:, 2] @ robot.R_BI.T
+        motor = normal_forces(robot.legs, at_torques(log.q, motion), up_B, stands, log.tau)
+        rows = np.column_stack([np.interp(log.t, bins.t, one) for one in from_motion.T])
+        return np.where(stands, np.maximum(rows - motor, 0.0), 0.0)
+
     return log.cached(
         "foot loads along the normal",
         load_columns(log),
-        lambda: _foot_loads(log, robot, motion, bins, steps),
+        made,
         *(motion, robot.extras.payload, *load_parameters(robot)),
     )
-
-
-def _foot_loads(
-    log: Log, robot: Robot, motion: ReferenceMotion, bins: Bins, steps: DynamicsInputs
-) -> np.ndarray:
-    stands = log.contact
-    if not np.isfinite(bins.tau).any() or not robot.limbs.point_feet:
-        weight = -GRAVITY_G[2] * (robot.mass + robot.extras.payload)
-        return weight * stands / np.maximum(stands.sum(axis=1, keepdims=True), 1)
-    taken = inverse_dynamics(steps, robot, every=True).torque
-    from_motion = normal_forces(robot.legs, steps.q, steps.up_B, np.ones_like(bins.standing), taken)
-    up_B = motion.R_GI[:, 2] @ robot.R_BI.T
-    motor = normal_forces(robot.legs, at_torques(log.q, motion), up_B, stands, log.tau)
-    rows = np.column_stack([np.interp(log.t, bins.t, one) for one in from_motion.T])
-    return np.where(stands, np.maximum(rows - motor, 0.0), 0.0)
 
 
 @kernel

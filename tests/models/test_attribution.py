@@ -9,7 +9,14 @@ from known_evidence import BINS, KEYS, NOISE, WIDTH, evidence
 from numpy.testing import assert_allclose
 
 from surefoot.models.attribution.data import dead_contacts
-from surefoot.models.attribution.fit import design, fit, loss, normal_equations, overlap
+from surefoot.models.attribution.fit import (
+    design,
+    fit,
+    loss,
+    normal_equations,
+    overlap,
+    total_normal_equations,
+)
 from surefoot.models.attribution.noise_floor import FloorWalk, NoiseFloor
 from surefoot.models.attribution.refinement import contenders
 from surefoot.models.attribution.robust_weights import robust_weights, slips
@@ -153,7 +160,7 @@ def test_what_the_declared_model_fakes_is_taken_off():
     for k in (1, 2, 3):
         data = design(evidence((0.002, 0, 0, 0), seed=k))
         believed = robust_weights(data, NOISE)
-        sums = normal_equations(data, NOISE, believed.weight).total()
+        sums = total_normal_equations(data, NOISE, believed.weight)
         walks.append(FloorWalk(data.evidence, believed, sums))
     floor = NoiseFloor(NOISE, tuple(walks), "three walks")
     assert not any(c.earned for c in judged(evidence((0.002, 0, 0, 0), seed=7), floor=floor))
