@@ -7,6 +7,7 @@ Science Robotics 2024, 10 to 50 ms. The bounds follow them; wider ones were chos
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -277,14 +278,39 @@ def reference_lag(log: Log, most: float) -> float:
 
     Where their correlation is largest, to the row.
     """
-    return log.cached(f"reference lag within {most}", _TURNING, lambda: _reference_lag(log, most))
+    return log.cached(
+        f"reference lag within {most}", _TURNING, lambda: _turning_lag(_turning(log), most)
+    )
 
 
-def _reference_lag(log: Log, most: float) -> float:
-    turning = Rotation.from_quat(log.ref_q, scalar_first=True)
-    row = float(np.mean(np.diff(log.t)))
-    turned = (turning[:-1].inv() * turning[1:]).as_rotvec() / np.diff(log.t)[:, None]
-    gyro = 0.5 * (log.gyro[1:] + log.gyro[:-1])
+class _Turning(NamedTuple):
+    """Rotation of a body by its reference and by its gyro, in the K steps between rows.
+
+    Attributes:
+        duration: of each step (K,) [s].
+        reference: angular rate by the reference (K, 3) [rad/s].
+        gyro: angular rate by the gyro (K, 3) [rad/s].
+    """
+
+    duration: np.ndarray
+    reference: np.ndarray
+    gyro: np.ndarray
+
+    def steps(self, which: slice) -> "_Turning":
+        return _Turning(*(x[which] for x in self))
+
+
+def _turning(log: Log) -> _Turning:
+    def made() -> _Turning:
+        turning, steps = Rotation.from_quat(log.ref_q, scalar_first=True), np.diff(log.t)
+        turned = (turning[:-1].inv() * turning[1:]).as_rotvec() / steps[:, None]
+        return _Turning(steps, turned, 0.5 * (log.gyro[1:] + log.gyro[:-1]))
+
+    return log.cached("turning by reference and gyro", _TURNING, made)
+
+
+def _turning_lag(turning: _Turning, most: float) -> float:
+    row, turned, gyro = float(np.mean(turning.duration)), turning.reference, turning.gyro
     both = [x - x.mean(axis=0) for x in (turned, gyro)]
     shared = np.sum([correlate(a, b) for a, b in zip(*(x.T for x in both), strict=True)], axis=0)
     lags = correlation_lags(len(turned), len(gyro)) * row
@@ -305,11 +331,12 @@ def _lag_drift(log: Log, most: float) -> float:
     duration = log.t[-1] - log.t[0]
     pieces = max(FEWEST_LAGS, round(duration / LAG_PIECE))
     ends = np.linspace(0, len(log.t), pieces + 1).round().astype(int)
-    parts = [replace(log, frame=log.frame[i:j]) for i, j in pairwise(ends) if j - i > 2]
+    parts = [(i, j) for i, j in pairwise(ends) if j - i > 2]
     if len(parts) < FEWEST_LAGS:
         return 0.0
-    lags = [_reference_lag(part, most * duration) for part in parts]
-    drift = theilslopes(lags, [part.t.mean() for part in parts])
+    turning = _turning(log)
+    lags = [_turning_lag(turning.steps(slice(i, j - 1)), most * duration) for i, j in parts]
+    drift = theilslopes(lags, [log.t[i:j].mean() for i, j in parts])
     return float(drift.slope) if drift.low_slope * drift.high_slope > 0.0 else 0.0
 
 

@@ -6,8 +6,7 @@ which is twice as fast: no mass matrix, and dry friction in closed form. A float
 the origin with its axes along the world's, so that its force and moment result in B.
 """
 
-import ctypes
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
@@ -16,31 +15,22 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from llvmlite import binding
 from numba import types
 
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.physics.inertia import LinkChange, change_links
-from surefoot.sim.physics.stepper import mujoco_library
+from surefoot.sim.physics.stepper import mujoco_function
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
 from surefoot.sim.robot.model_file import compiled_model
 
-
-def _mujoco_function(name: str, *arguments: types.Type) -> Callable[..., None]:
-    """A function of MuJoCo's library on a model and its data, callable from compiled code."""
-    address = ctypes.cast(getattr(mujoco_library(), name), ctypes.c_void_p).value
-    binding.add_symbol(name, address)
-    return types.ExternalFunction(name, types.void(types.uintp, types.uintp, *arguments))
-
-
-_mj_kinematics = _mujoco_function("mj_kinematics")
-_mj_comPos = _mujoco_function("mj_comPos")
-_mj_tendon = _mujoco_function("mj_tendon")
-_mj_comVel = _mujoco_function("mj_comVel")
-_mj_passive = _mujoco_function("mj_passive")
-_mj_fwdVelocity = _mujoco_function("mj_fwdVelocity")
-_mj_rne = _mujoco_function("mj_rne", types.intc, types.uintp)
+_mj_kinematics = mujoco_function("mj_kinematics")
+_mj_comPos = mujoco_function("mj_comPos")
+_mj_tendon = mujoco_function("mj_tendon")
+_mj_comVel = mujoco_function("mj_comVel")
+_mj_passive = mujoco_function("mj_passive")
+_mj_fwdVelocity = mujoco_function("mj_fwdVelocity")
+_mj_rne = mujoco_function("mj_rne", types.intc, types.uintp)
 _CHANGED_FIELDS = (
     *("body_pos", "body_quat", "body_mass"),
     *("body_ipos", "body_iquat", "body_inertia", "body_sameframe"),

@@ -56,9 +56,14 @@ def mujoco_library() -> ctypes.CDLL:
     return ctypes.CDLL(str(next(f for g in ("libmujoco*", "mujoco.dll") for f in folder.glob(g))))
 
 
-binding.add_symbol("mj_step", ctypes.cast(mujoco_library().mj_step, ctypes.c_void_p).value)
-# Compiled code refers to the function by its name, so that it can be cached.
-_mj_step = types.ExternalFunction("mj_step", types.void(types.uintp, types.uintp))
+def mujoco_function(name: str, *arguments: types.Type) -> Callable[..., None]:
+    """A function of MuJoCo's library on a model and its data, callable from compiled code."""
+    binding.add_symbol(name, ctypes.cast(getattr(mujoco_library(), name), ctypes.c_void_p).value)
+    # Compiled code refers to the function by its name, so that it can be cached.
+    return types.ExternalFunction(name, types.void(types.uintp, types.uintp, *arguments))
+
+
+_mj_step = mujoco_function("mj_step")
 
 
 class MjViews(NamedTuple):
