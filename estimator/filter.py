@@ -15,7 +15,7 @@ from surefoot.estimator.core.checks import (
     vector,
 )
 from surefoot.estimator.core.copies import copy_corner
-from surefoot.estimator.core.propagation import propagate, propagate_checked
+from surefoot.estimator.core.propagation import PROPAGATE_CHECKED, propagate, propagate_checked
 from surefoot.estimator.core.state import EXTRA, FilterNoise, NavState
 from surefoot.estimator.evaluation.innovation_sums import empty_sums, windows_of
 from surefoot.estimator.evaluation.trajectory import Trajectory, UpdateRecord
@@ -41,10 +41,14 @@ from surefoot.estimator.updates.bias_states import (
 )
 from surefoot.estimator.updates.coverage import update_coverage_within
 from surefoot.estimator.updates.outliers import REJECTED, UNLIMITED, fresh_counts
-from surefoot.estimator.updates.velocity import update_velocity, update_velocity_checked
+from surefoot.estimator.updates.velocity import (
+    UPDATE_VELOCITY_CHECKED,
+    update_velocity,
+    update_velocity_checked,
+)
 from surefoot.estimator.updates.velocity_output import add_velocity, note_velocity
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.kernels import kernel
+from surefoot.sim.common.kernels import compile_for, kernel
 
 
 class CoverageSettings(NamedTuple):
@@ -100,6 +104,8 @@ class InvariantFilter:
         noise: FilterNoise | None = None,
         persistent: PersistentError | None = None,
     ):
+        compile_for(propagate_checked, PROPAGATE_CHECKED)
+        compile_for(update_velocity_checked, UPDATE_VELOCITY_CHECKED)
         self._noise = (noise or FilterNoise()).packed()
         covariance = spd("covariance", covariance, 15)
         self._persistent = None if persistent is None else persistent.model()

@@ -226,8 +226,13 @@ def _add_rows(M, columns, rotation_columns, dt: float):
 
 
 # A call from Python costs more than the arithmetic of a step, and checks in Python more than the
-# call. With a signature, it accepts C-contiguous float arrays only (TypeError otherwise).
-@kernel(signature="b1(f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, f8[:,::1], f8[:,::1], f8[:,::1])")
+# call. Compiled for one signature, it accepts C-contiguous float arrays only (TypeError otherwise).
+PROPAGATE_CHECKED = (
+    "b1(f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, f8[:,::1], f8[:,::1], f8[:,::1])"
+)
+
+
+@kernel
 def propagate_checked(mean, covariance, gyro, accel, dt, noise, columns, rotation_columns) -> bool:
     """`propagate` with checks of sample and state; returns False, with nothing changed, if they
     fail.

@@ -76,7 +76,10 @@ def gaussian_update(mean, covariance, contacts: int, PHt, S, residual, measureme
 
 
 # Checks and update in one call, like `propagate_checked`, for a robot's own loop.
-@kernel(signature="f8(f8[:,::1], f8[:,::1], i8, f8[::1], f8[:,::1])")
+UPDATE_VELOCITY_CHECKED = "f8(f8[:,::1], f8[:,::1], i8, f8[::1], f8[:,::1])"
+
+
+@kernel
 def update_velocity_checked(mean, covariance, contacts, v_I, cov) -> float:
     """`update_velocity` with checks of measurement and state; returns -1, with nothing changed, if
     they fail.

@@ -163,7 +163,7 @@ def tick(legs, controller, state, target, torque):
         torque[i] = min(max(torque[i], -gait.torque_limit[i]), gait.torque_limit[i])
 
 
-@kernel
+@kernel(inline="always")
 def _command(base, yaw, target):
     """The target's velocities, corrected to return the base to its place and heading."""
     c, s = np.cos(target[2]), np.sin(target[2])
@@ -175,7 +175,7 @@ def _command(base, yaw, target):
     return Command(v, turn, np.zeros(2), np.zeros(2))
 
 
-@kernel
+@kernel(inline="always")
 def slow_down_when_sliding(controller, state, loaded, command, feet):
     """While loaded feet slide, reduce the commanded velocity by the base's shortfall from it.
 
@@ -218,7 +218,7 @@ def slow_down_when_sliding(controller, state, loaded, command, feet):
         command.v[a] -= memory.given_up[a]
 
 
-@kernel
+@kernel(inline="always")
 def sway_body(controller, state, heading, command, feet):
     """Let the body sway, so that each standing foot bears load.
 
@@ -253,7 +253,7 @@ def sway_body(controller, state, heading, command, feet):
         command.sway[a] = memory.sway[a]
 
 
-@kernel
+@kernel(inline="always")
 def ground_below(gait, height_map, p, yaw):
     """Height [m] and slopes along x and y of the plane that fits the ground under the body best.
 

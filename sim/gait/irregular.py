@@ -46,7 +46,7 @@ def irregular(
     return gait._replace(**drawn)
 
 
-@kernel
+@kernel(inline="always")
 def estimated_base(gait, base, tick):
     """The controller's estimate of the base's motion at a tick (its index).
 
@@ -68,7 +68,7 @@ def estimated_base(gait, base, tick):
     return BaseMotion(p, R, v, w)
 
 
-@kernel
+@kernel(inline="always")
 def stride_at(gait, t, leg):
     """Index of the stride that a leg is in at time t [s], counted from its touchdown, and the share
     of it that has passed.

@@ -22,7 +22,7 @@ def load_share(gait, progress):
     return min(1.0, min(progress / gait.unloading, (1.0 - progress) / gait.unloading))
 
 
-@kernel
+@kernel(inline="always")
 def stance_forces(r, wrench, weight, effort):
     """Foot forces (n, 3) at lever arms r (n, 3) that best produce `wrench` (6,).
 
@@ -44,7 +44,7 @@ def stance_forces(r, wrench, weight, effort):
     return np.linalg.solve(H, WA.T @ wrench).reshape(n, 3)
 
 
-@kernel
+@kernel(inline="always")
 def support(controller, ground, base, command, feet, torque):
     """Distribute the wrench that controls height, attitude and course over the standing feet.
 
@@ -111,7 +111,7 @@ def support(controller, ground, base, command, feet, torque):
         )
 
 
-@kernel
+@kernel(inline="always")
 def stiffen(controller, state, command, feet, torque):
     """Add joint PD torques of standing legs to the feed-forward torques of the wrench.
 

@@ -16,7 +16,7 @@ CLIMB_SHARE = 0.6  # share of the swing in which the foot climbs to, or falls fr
 SWING_CLEARANCE = 0.04  # of the leg's length, between the sole and what it passes over
 
 
-@kernel
+@kernel(inline="always")
 def swing(controller, base, command, feet, torque):
     """Operational-space PD of swinging feet towards their footholds.
 
@@ -97,7 +97,7 @@ def climb_progress(span, u):
     return max((u - 1.0 + CLIMB_SHARE) / CLIMB_SHARE, 0.0), 1.0 / CLIMB_SHARE
 
 
-@kernel
+@kernel(inline="always")
 def place_foot(controller, leg, want, heading, u):
     """Set the foothold of a leg on the ground near the desired one, away from edges.
 
@@ -119,7 +119,7 @@ def place_foot(controller, leg, want, heading, u):
         foothold[0], foothold[1], foothold[2] = x, y, z
 
 
-@kernel
+@kernel(inline="always")
 def _off_edges(height_map, x, y, axis, heading, length):
     """Displacement along `axis` (0: x, 1: y) that leaves enough distance to the edges on both sides
     [m].
@@ -146,7 +146,7 @@ def _off_edges(height_map, x, y, axis, heading, length):
     return min(max(0.0, low), high)
 
 
-@kernel
+@kernel(inline="always")
 def _edge(height_map, x, y, axis, side, reach, jump):
     """Distance [m] to the next edge from (x, y) towards `side` of `axis`, and whether it rises.
 
@@ -193,7 +193,7 @@ def _along(height_map, x, y, axis, distance):
     return height(height_map, x + distance, y) if axis == 0 else height(height_map, x, y + distance)
 
 
-@kernel
+@kernel(inline="always")
 def set_swing_height(controller, leg):
     """Set the height of the swing's bump so that the sole clears the ground between its ends.
 

@@ -1,17 +1,63 @@
-"""What a terminal is told while kernels are compiled for the first time."""
+"""What a user is told while kernels are compiled, and what a compiled kernel accepts."""
 
 import sys
 
+import numpy as np
 import pytest
 
-from surefoot.sim.common.kernels import COMPILE_TIME, _CompilationNotice
+from surefoot.sim.common.kernels import (
+    COMPILE_TIME,
+    QUIET_TIME,
+    _CompilationNotice,
+    compile_for,
+    kernel,
+)
+
+SAID = f"compiling once, up to {COMPILE_TIME:.0f} s\n"
 
 
-@pytest.mark.parametrize("terminal", [True, False])
-def test_compiling_is_said_once_and_to_a_terminal_alone(monkeypatch, capsys, terminal):
+@pytest.mark.parametrize(
+    ("terminal", "seconds", "said"),
+    [
+        (True, 0.0, SAID),
+        (False, QUIET_TIME / 2, ""),
+        (False, QUIET_TIME * 2, SAID),
+    ],
+)
+def test_compiling_is_said_once_to_a_terminal_or_if_it_takes_long(
+    monkeypatch, capsys, terminal, seconds, said
+):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
-    listener = _CompilationNotice()
+    now = [0.0]
+    listener = _CompilationNotice(lambda: now[0])
     for _ in range(2):
         listener.on_start(None)  # type: ignore[arg-type]
-    said = f"compiling once, up to {COMPILE_TIME:.0f} s\n"
-    assert capsys.readouterr().err == said * terminal
+        now[0] += seconds
+        for _ in range(2):  # functions that the kernel calls
+            listener.on_start(None)  # type: ignore[arg-type]
+            listener.on_end(None)  # type: ignore[arg-type]
+        listener.on_end(None)  # type: ignore[arg-type]
+    assert capsys.readouterr().err == said
+
+
+def test_many_short_compilations_are_not_one_long_one(monkeypatch, capsys):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: False)
+    now = [0.0]
+    listener = _CompilationNotice(lambda: now[0])
+    for _ in range(10):
+        listener.on_start(None)  # type: ignore[arg-type]
+        listener.on_end(None)  # type: ignore[arg-type]
+        now[0] += QUIET_TIME
+    assert capsys.readouterr().err == ""
+
+
+def test_a_kernel_compiled_for_a_signature_refuses_other_arguments():
+    @kernel
+    def total(x):
+        return x.sum()
+
+    compile_for(total, "f8(f8[::1])")
+    compile_for(total, "f8(f8[::1])")  # a second time changes nothing
+    assert total(np.ones(3)) == 3.0
+    with pytest.raises(TypeError):
+        total(np.ones((3, 2))[:, 0])
