@@ -69,9 +69,11 @@ def _quadratics(t, x, first, last, scale):
         scale: unit of time for the fit [s].
     """
     out = np.zeros((3, *x.shape))
-    out[0] = x
     adjugate = np.zeros((3, 3))
     for k in range(len(t)):
+        # Element by element: assigning a slice takes three seconds to compile.
+        for d in range(x.shape[1]):
+            out[0, k, d] = x[k, d]
         m1 = m2 = m3 = m4 = 0.0
         m0 = float(last[k] - first[k] + 1)
         for row in range(first[k], last[k] + 1):
