@@ -121,6 +121,7 @@ def build_world(robot: Robot, ground: Ground, spec: mujoco.MjSpec | None = None)
         raise SurefootError(
             f"robot {robot.name}: MuJoCo cannot build its world: {reason}"
         ) from None
+    _refuse_untouching_feet(model, robot)
     joints = [model.joint(name) for name in robot.joint_names]
     qpos_adr = np.array([joint.qposadr[0] for joint in joints])
     home_B = robot.feet_I(robot.q_home[None])[0] @ robot.R_BI.T + robot.p_BI
@@ -137,6 +138,20 @@ def build_world(robot: Robot, ground: Ground, spec: mujoco.MjSpec | None = None)
         height_map=height_map,
         springs=springs_of(model, robot.joint_names),
     )
+
+
+def _refuse_untouching_feet(model: mujoco.MjModel, robot: Robot) -> None:
+    """Raise SurefootError for a foot that would fall through the ground, as where only the pairs of
+    a scene declare its contacts.
+    """
+    collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    touching = set(model.body_weldid[model.geom_bodyid[collides]].tolist())
+    for leg, body in zip(LEGS, robot.foot_bodies, strict=True):
+        if int(model.body(body).weldid[0]) not in touching:
+            raise SurefootError(
+                f"robot {robot.name}: no shape of foot {leg} touches the ground: contype and "
+                f'conaffinity are 0 on body {body}; give its foot contype="1"'
+            )
 
 
 def _standing_pose(height_map: HeightMap, stand: float) -> np.ndarray:

@@ -86,10 +86,10 @@ def find_legs(model: mujoco.MjModel, name: str, feet: Mapping[str, str] | None =
         _refuse_what_is_no_hinge(model, base, foot.body, name)
         _refuse_wheel(model, data, chain[-1], name)
     joints = [joint for chain in chains for joint in chain]
-    if len(set(joints)) < len(joints):
+    if shared := [joint for joint in dict.fromkeys(joints) if joints.count(joint) > 1]:
         raise SurefootError(
-            f"robot {name}: two legs share a hinge; the floating base must be the body that they "
-            "both hang from"
+            f"robot {name}: legs share hinge {model.joint(shared[0]).name}, which must not be: put "
+            "the free joint on the body from which each leg hangs on its own"
         )
     joints += [j for j in _other_joints(model, base) if j not in joints]
     return LegTree(

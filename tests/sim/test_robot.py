@@ -206,6 +206,14 @@ def test_lying_rods_are_the_sole_of_a_leg_that_can_level_it(tmp_path, rod, half,
             ),
             "a closed loop",
         ),
+        (
+            odd_robot(CORNERS)
+            .replace(
+                '<body name="h0"', '<body><joint name="waist"/><geom size=".1"/><body name="h0"'
+            )
+            .replace("</worldbody>", "</body></worldbody>"),
+            "legs share hinge waist",
+        ),
         ("<mujoco", "cannot read"),
     ],
 )
@@ -299,6 +307,16 @@ def test_the_solver_of_a_walk_is_not_the_robots(tmp_path):
     usual = mujoco.MjSpec().option
     for name in ("solver", "iterations", "ls_iterations", "tolerance"):
         assert getattr(given, name) == getattr(usual, name)
+
+
+def test_a_foot_that_touches_by_its_scene_alone_is_not_walked(tmp_path):
+    """Its legs are read from the shapes at their ends, but it would fall through other ground."""
+    path = tmp_path / "odd.xml"
+    path.write_text(odd_robot(CORNERS).replace("<geom ", f"<geom {UNSEEN} "))
+    robot = Robot.load(path)
+    with pytest.raises(SurefootError, match="no shape of foot FL touches the ground") as error:
+        build_world(robot, Ground(0.8))
+    assert "\n" not in str(error.value)
 
 
 def test_a_urdf_need_not_declare_the_world(tmp_path):
