@@ -209,25 +209,20 @@ def diagnose(
         found, channels, bool(curves), result.rivals, held_out, pushes, gone, result.harmful
     )
     if verdict == "attributed" and not all(case.motion.by_reference for case in cases):
-        by_feet = [
-            f.effect for f in found if "leg_velocity" in f.effect.channels_of(f.effect.target)
-        ]
-        if by_feet:
-            names = ", ".join(f"{one.name} {one.target}" for one in by_feet)
-            verdict, reasons = "confounded", (f"{names}: {ONLY_BETWEEN_FEET}",)
+        shown = _shown_between_feet(found)
+        verdict, reasons = ("confounded", shown) if shown else (verdict, reasons)
     # The form of what no effect explains.
     unexplained: tuple[Unexplained, ...] = ()
     if verdict == "none_of_these":
-        above = [name for name, c in channels.items() if not c.at_floor or c.worse]
-        above.sort(key=lambda name: -channels[name].after / channels[name].highest)
         unexplained = tuple(
             Unexplained(one.channel, one.joint, (f"curve_of_angle_{one.joint}",), one.share)
             for one in curves
-        ) + sparse_regression(now, left, weights, above, split.fit, split.select)
+        ) + sparse_regression(now, left, weights, _above_floor(channels), split.fit, split.select)
     if declared is not None and verdict == "not_identifiable":
         # Without a significant effect, no change is reported; the reasons say so.
         found = ()
     dead = dict.fromkeys(note for log in logs if (note := dead_contacts(log, settings)))
+    excluded = [words for one in pushes if (words := one.in_words()) not in reasons]
     progress(1.0)
     return Diagnosis(
         verdict=verdict,
@@ -248,17 +243,27 @@ def diagnose(
             *dead,
             *data_notes(cases, floor),
             *slip_notes(friction, "leg_velocity" in channels, settings),
-            *(
-                f"excluded from the verdict: {why}"
-                for p in pushes
-                if (why := p.in_words()) not in reasons
-            ),
+            *(f"excluded from the verdict: {words}" for words in excluded),
             *_result_notes(found, channels),
             *_run_variation_notes(since, channels),
         ),
         unexplained=unexplained,
         run_variation=run_variation(runs, effects, result.floor, after, left, weights),
     )
+
+
+def _shown_between_feet(found: Sequence[Found]) -> tuple[str, ...]:
+    """A reason that names the effects which show only as motion of feet against each other."""
+    effects = [one.effect for one in found]
+    by_feet = [e for e in effects if "leg_velocity" in e.channels_of(e.target)]
+    names = ", ".join(f"{one.name} {one.target}" for one in by_feet)
+    return (f"{names}: {ONLY_BETWEEN_FEET}",) if by_feet else ()
+
+
+def _above_floor(channels: dict[str, ChannelLevel]) -> list[str]:
+    """Channels above their floor, or worse than before, the farthest above first."""
+    above = [name for name, c in channels.items() if not c.at_floor or c.worse]
+    return sorted(above, key=lambda name: -channels[name].after / channels[name].highest)
 
 
 def _still_explains(
