@@ -36,6 +36,7 @@ class Cluster:
 
     def __init__(self, folder: Path, workers: int):
         self.folder, self.processes = folder, []
+        folder.mkdir(exist_ok=True)
         file = folder / "scheduler.json"
         self.run("dask_scheduler", f"--no-dashboard --port 0 --scheduler-file {file}")
         while not file.exists():
@@ -101,6 +102,30 @@ def test_a_worker_dies_half_way_and_no_bit_differs(cluster):
     assert digests("far") == digests("near")
     assert len(digests("far")) == 5
     pd.testing.assert_frame_equal(read_index(Path("far")), read_index(Path("near")))
+
+
+@pytest.mark.long
+def test_a_scheduler_that_dies_is_one_line_and_on_another_the_walks_go_on(cluster, tmp_path):
+    def kill() -> None:
+        while not list(Path("far").glob("*.parquet")):
+            time.sleep(0.005)
+        cluster.stop()
+
+    killer = threading.Thread(target=kill, daemon=True)
+    killer.start()
+    with pytest.raises(SurefootError, match=r"--cluster tcp://127\.0\.0\.1") as error:
+        simulate_all([Path("short.toml")], Path("far"), seeds="0:6", cluster=cluster.address)
+    killer.join(timeout=1.0)
+    assert "\n" not in str(error.value)
+    assert 1 <= len(first := digests("far")) < 6
+    again = Cluster(tmp_path / "again", workers=1)
+    try:
+        simulate_all([Path("short.toml")], Path("far"), seeds="0:6", cluster=again.address)
+    finally:
+        again.stop()
+    assert first.items() <= digests("far").items()
+    simulate_all([Path("short.toml")], Path("near"), seeds="0:6")
+    assert digests("far") == digests("near")
 
 
 def test_a_cluster_that_is_not_there_is_one_line(tmp_path, monkeypatch):

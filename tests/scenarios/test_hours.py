@@ -46,6 +46,20 @@ for name, arguments in (
     found[name] = {"MB": peak, "CPU s": time.process_time() - begun}
 print(json.dumps(found))
 """
+STEP = """robot = "spot_class"
+stand = 0.1
+[[segment]]
+duration = 0.2
+forward = 0.3
+[ranges]
+mu = [0.8, 1.2]
+"""
+DATASET = """
+import resource, sys
+from surefoot.scenarios.cli.main import main
+main(["simulate", "step.toml", "--seeds", sys.argv[1], "--workers", "2", "-o", "walks"])
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0)
+"""
 MORE = {"simulate": 150.0, "estimate": 500.0}
 """MB that a walk of any length may take beyond one of two minutes: lists of a few numbers a minute,
 what the allocator does not give back, and the hundred thousand estimates that are judged."""
@@ -73,6 +87,24 @@ def test_memory_is_flat_and_time_linear(tmp_path, minutes):
               f"2 min: {short[name]['MB']:.0f} MB, {short[name]['CPU s']:.0f} CPU s")  # fmt: skip
         assert found["MB"] < short[name]["MB"] + MORE[name]
         assert found["CPU s"] < 1.5 * minutes / 2 * short[name]["CPU s"]
+
+
+@pytest.mark.slow
+def test_a_thousand_walks_take_the_memory_of_twenty(tmp_path):
+    """And those that are there already are neither walked again nor lost."""
+    (tmp_path / "step.toml").write_text(STEP)
+
+    def peak(seeds: str) -> float:
+        command = [sys.executable, "-c", DATASET, seeds]
+        ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+        return float(ran.stdout.splitlines()[-1])
+
+    few, many = peak("0:20"), peak("0:1000")
+    print(f"20 walks: {few:.0f} MB at most, 1000 walks: {many:.0f} MB")
+    assert many < few + 100.0
+    index = read_index(tmp_path / "walks")
+    assert sorted(index.seed) == list(range(1000))
+    assert all((tmp_path / "walks" / file).is_file() for file in index.file)
 
 
 def test_a_long_walk_has_the_row_of_a_short_one(tmp_path, monkeypatch):
