@@ -18,11 +18,10 @@ def entry_point() -> None:
     try:
         try:
             arguments = with_plugins(sys.argv[1:])
+            # Only now, for the choices of options are determined when their commands are imported.
+            from surefoot.scenarios.cli.main import main
         except SurefootError as error:
             sys.exit(f"surefoot: {error}")
-        # Only now, since the choices of options are determined when their commands are imported.
-        from surefoot.scenarios.cli.main import main
-
         main(arguments)
     finally:
         ignore_signals()

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.limits import admitted
 from surefoot.sim.importing.bag import RECEIVED, bag_fields, read_bag
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.draft import Entry
@@ -63,6 +64,7 @@ def recorded_files(path: Path, machine: Machine | None) -> list[RecordedFile]:
     """
     if is_bag(path):
         return _of_bag(path, machine)
+    admitted(path, "recording")
     layout = layout_of(path) if is_text(path) else {}
     table = read_table(path, Source(**layout))
     columns = columns_of(table)

@@ -101,6 +101,8 @@ OPTIONS = [
     ("a plugin of 2000 letters", f"--plugin {'p' * 2000}.py info walk.parquet", "--plugin"),
     ("a map of 2000 letters", f"import csv data.csv --map {'m' * 2000}.toml -o new.parquet", "ak80"),
     ("a recording of 2000 letters", f"import csv {'r' * 2000}.csv --map map.toml -o new.parquet", "file"),
+    ("a recording to draft from that is a pipe", "import pipe --guess", "regular"),
+    ("a recording to draft from that is a device", "import /dev/zero --guess", "regular"),
     ("half a run", "tune walk.parquet -o new --budget 0.5", "--budget"),
     ("a page below a file", "realism walk.parquet -o new --page mine.txt/page.md", "mine.txt"),
 ]

@@ -173,6 +173,13 @@ def test_a_file_that_is_no_plugin_is_one_line(tmp_path, text, message):
     assert len(run.stderr.splitlines()) == 1
 
 
+def test_a_plugin_of_the_environment_that_is_none_is_one_line(tmp_path, monkeypatch):
+    monkeypatch.setenv("SUREFOOT_PLUGINS", "gone.py")
+    run = command(tmp_path, "robots")
+    assert (run.returncode, run.stderr.count("\n")) == (1, 1), run.stderr
+    assert "gone.py: no such Python file" in run.stderr
+
+
 def test_help_names_what_it_takes(capsys):
     usages = {"plan": "EFFECT...", "simulate": "SCENARIO...", "trace": "LOG..."}
     for command, usage in usages.items():
