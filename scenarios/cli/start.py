@@ -7,6 +7,9 @@ from surefoot.scenarios.cli.signals import catch_signals, hand_over_lost, ignore
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.plugins import with_plugins
 
+THREADS = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
+"""Variables whose errors the libraries that read them report by a traceback."""
+
 
 def entry_point() -> None:
     """The command line; during the imports, which take a second, there is nothing to undo."""
@@ -17,6 +20,7 @@ def entry_point() -> None:
     sys.unraisablehook = hand_over_lost
     try:
         try:
+            _check_threads()
             arguments = with_plugins(sys.argv[1:])
             # Only now, for the choices of options are determined when their commands are imported.
             from surefoot.scenarios.cli.main import main
@@ -25,3 +29,12 @@ def entry_point() -> None:
         main(arguments)
     finally:
         ignore_signals()
+
+
+def _check_threads() -> None:
+    """Raise SurefootError for a number of threads in the environment that is none."""
+    for name in THREADS:
+        text = os.environ.get(name, "1")
+        levels = [level.strip() for level in text.split(",")]  # of nested threads, as OpenMP has it
+        if not all(level.isdecimal() and int(level) > 0 for level in levels):
+            raise SurefootError(f"{name} must be a whole number above zero, is '{text}'")

@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -96,6 +97,21 @@ def test_what_is_not_there_is_said_before_anything_is_imported(line, message, tm
     assert (run.returncode, run.stdout.split()) == (1, [])
     (said,) = run.stderr.splitlines()
     assert message in said
+
+
+@pytest.mark.parametrize("variable", ["OMP_NUM_THREADS=banana", "NUMBA_NUM_THREADS=0"])
+def test_a_number_of_threads_that_is_none_is_one_line(variable):
+    """numba and numexpr would each end the process by a traceback of their own."""
+    name, _, value = variable.partition("=")
+    done = subprocess.run(
+        [sys.executable, "-m", "surefoot", "--version"],
+        env=os.environ | {name: value},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1
+    assert done.stderr == f"surefoot: {name} must be a whole number above zero, is '{value}'\n"
 
 
 def test_the_effects_that_are_known_early_are_those_of_the_catalogue():
