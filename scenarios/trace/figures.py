@@ -20,8 +20,7 @@ def residuals(
 
     Args:
         channels: name -> {"before", "after", "noise_floor", "unit"}, as in trace.json, and "label",
-            to
-            print instead of the name; a value may be None if unknown.
+            to print instead of the name; a value may be None if unknown.
         title: above the figure.
     """
     rows = max(1, ceil(len(channels) / _COLUMNS))
@@ -32,7 +31,9 @@ def residuals(
             value = channel.get(key)
             if value is not None:
                 ax.bar(k, value, 0.65, color=color, label=f"RMS {key}")
-                above = {"xytext": (0, 1), "textcoords": "offset points"}
+                above = {"xytext": (0, 2), "textcoords": "offset points"}
+                # A noise floor just above a bar would otherwise strike the number out.
+                above["bbox"] = {"color": ax.get_facecolor(), "pad": 0.5}
                 text, place = f"{value:.3g}", (k, value)
                 ax.annotate(text, place, ha="center", va="bottom", fontsize=8, **above)
         floor = channel.get("noise_floor")
@@ -41,7 +42,7 @@ def residuals(
                 floor, color=OUTSIDE, linewidth=1.4, linestyle=(0, (4, 2)), label="noise floor"
             )
         set_title(ax, channel.get("label") or name.replace("_", " "), 9.5)
-        ax.set_ylabel(f"RMS [{channel.get('unit', '')}]")
+        ax.set_ylabel(f"RMS [{channel.get('unit', '')}]".replace("^2", "²"))
         ax.set_xticks([0, 1], ["before", "after"])
         ax.set_xlim(-0.6, 1.6)
         ax.set_ylim(0, 1.15 * ax.get_ylim()[1])

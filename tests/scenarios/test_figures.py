@@ -120,6 +120,17 @@ def test_legends_stand_outside_the_curves(drawn):
     assert [name for name, one in drawn.items() if any(ax.get_legend() for ax in one.axes)] == []
 
 
+def test_a_noise_floor_does_not_strike_out_the_number_of_a_bar():
+    channel = {"before": 0.3, "after": 0.1, "noise_floor": 0.105, "unit": "m/s^2"}
+    (ax,) = trace_figures.residuals({"imu_accel": channel}).axes
+    (floor,) = ax.get_lines()
+    assert ax.get_ylabel() == "RMS [m/s²]"
+    assert len(ax.texts) == 2
+    for number in ax.texts:
+        assert number.get_bbox_patch() is not None
+        assert number.get_zorder() > floor.get_zorder()
+
+
 @pytest.mark.parametrize(("sequences", "columns"), [(1, 1), (2, 2), (5, 3)])
 def test_errors_over_time_leave_no_empty_column(sequences, columns):
     part = pd.DataFrame({"t": [0.0, 1.0], "distance": [0.0, 0.1], "sigma": [0.1, 0.1]})
