@@ -117,6 +117,7 @@ def delay_between(
     """
     if len(t) < _FEWEST_ROWS:
         return 0.0
+    t = _with_short_gaps(t, 2.0 * latest)
     dt = float(np.median(np.diff(t)))
     even = np.arange(t[0], t[-1], dt)
     a, b = (_even(even, t, x) for x in (late, witness))
@@ -132,6 +133,12 @@ def delay_between(
     before, top, after = alike[best - 1 : best + 2]
     bend = before - 2.0 * top + after
     return dt * float(shifts[best] + (0.5 * (before - after) / bend if bend else 0.0))
+
+
+def _with_short_gaps(t: np.ndarray, longest: float) -> np.ndarray:
+    """Times (N,) [s] with gaps of at most `longest`: no rows are compared across longer ones."""
+    more = np.maximum(np.diff(t) - longest, 0.0)
+    return t - np.concatenate([[0.0], np.cumsum(more)]) if more.any() else t
 
 
 def _repeated(t: np.ndarray, x: np.ndarray) -> float:

@@ -238,7 +238,7 @@ def test_coverage_is_split_by_what_the_log_tells(mse_observer, walks):
         frame[f"slip_{leg}"] = np.where((t > 20) & (t < 30) & (i == 1), 0.3, 0.01)
         frame[f"mu_{leg}"] = 0.8
         frame[f"contact_{leg}"] = (np.floor(4 * t) % 2 == i % 2).astype(float)
-    height = np.interp(t, [0, 40, 50, 60], [0, 0, 5, 5])
+    height = np.interp(t, [0, 40, 50, 54, 56, 60], [0, 0, 5, 5, 4, 4])
     frame["ref_p_z"], frame["ref_p_x"], frame["ref_p_y"] = height, t, 0.0
     marked = replace(log, frame=frame)
     rows = np.arange(0, n, 5)
@@ -253,7 +253,7 @@ def test_coverage_is_split_by_what_the_log_tells(mse_observer, walks):
     assert found["slip", "a foot slips"].n == pytest.approx(50, abs=1)
     assert found["terrain", "climbing"].time == pytest.approx(1 / 6, abs=0.04)
     assert found["terrain", "climbing"].joint == 1.0
-    assert ("terrain", "descending") not in found
+    assert found["terrain", "descending"].time == pytest.approx(2 / 60, abs=0.04)
     assert ("ground", "friction below 0.4") not in found
     quarters = [c for (split, _), c in found.items() if split == "stride"]
     assert [c.time for c in quarters] == pytest.approx([0.25] * 4, abs=0.02)

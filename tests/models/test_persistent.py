@@ -12,7 +12,9 @@ from synthetic import Body
 
 from surefoot.models.calibration.bias_model import (
     BiasModel,
+    _correlation,
     _innovations,
+    _mixing,
     _smoothed,
     estimate_bias_model,
 )
@@ -95,6 +97,21 @@ def test_the_likelihood_is_the_dense_gaussian_one():
     assert s == pytest.approx(y @ cho_solve(V, y) / n)
     assert value == pytest.approx(-0.5 * n * np.log(s) - np.log(np.diag(V[0])).sum())
     assert _smoothed(y, ratio, phi) == pytest.approx(C @ cho_solve(V, y))
+
+
+def test_axes_that_are_one_keep_a_twentieth_of_their_variance_apart():
+    """Eigenvalues 3, 0 and 0 become 3, 0.05 and 0.05, of unit diagonal again."""
+    y = np.repeat(np.random.default_rng(5).standard_normal((50, 1)), 3, axis=1)
+    found = _correlation(y, np.arange(50) == 0, 0.9, 1e9)
+    assert found == pytest.approx(np.where(np.eye(3), 1.0, (3.0 - 0.05) / (3.0 + 0.10)), abs=1e-6)
+
+
+def test_a_sequence_shorter_than_a_block_has_only_its_mean_taken_off():
+    errors = 1.0 + np.random.default_rng(6).standard_normal((7, 3))
+    found = _mixing(errors, np.empty((0, 3)), 10, np.ones(3), 0.9)
+    assert found == pytest.approx(errors - errors.mean(axis=0))
+    one = _mixing(errors, errors.mean(axis=0)[None], 7, np.ones(3), 0.9)
+    assert one == pytest.approx(errors - 0.5 * errors.mean(axis=0))  # a prior as large as its noise
 
 
 def test_correlated_axes_are_seen():

@@ -13,7 +13,12 @@ from surefoot.models.calibration.calibrate import region_of
 from surefoot.models.calibration.conformal import BoundsError, rank
 from surefoot.models.calibration.mixing import mixing
 from surefoot.models.calibration.regions import Region, calibrator, mahalanobis
-from surefoot.models.calibration.scenario_box import discards, log_failure, scenario_box
+from surefoot.models.calibration.scenario_box import (
+    _discarded_box,
+    discards,
+    log_failure,
+    scenario_box,
+)
 from surefoot.models.registry import CALIBRATORS
 
 TRIALS = 1000
@@ -200,6 +205,12 @@ def test_the_scenario_box_is_the_linear_program_of_what_is_kept(seed, n):
     rows = np.vstack([-np.eye(3)] * len(kept))
     solved = linprog(np.ones(3), rows, -kept.ravel(), bounds=(None, None))
     assert np.exp(solved.x) == pytest.approx(box, rel=1e-7)
+
+
+def test_what_frees_most_is_discarded_first():
+    """A sample that is the largest of two axes, before one that is larger on a third."""
+    sizes = np.array([[2.0, 2.0, 1.0], [1.0, 1.0, 3.0], [1.0, 1.0, 1.0]])
+    assert _discarded_box(sizes, 1).tolist() == [1.0, 1.0, 3.0]
 
 
 def test_the_discarding_bound_by_hand():

@@ -106,6 +106,18 @@ def test_equal_weights_are_split_conformal():
         assert ours == conformal_quantile(scores[:, None], level)[0]
 
 
+def test_a_walk_like_the_calibration_counts_as_one_second_more():
+    """All seconds alike: the level is that of split conformal on seconds, not on errors."""
+    seconds = 20
+    x = np.ones((seconds * UPDATES_OF_BLOCK, 1))
+    errors = np.random.default_rng(5).standard_normal((len(x), 3))
+    scale = np.sqrt((errors**2).mean(axis=0))
+    scores = np.sort((np.abs(errors) / scale).max(axis=1))
+    found = weighted_bounds(errors, x, x, 0.8)
+    rank = np.ceil(0.8 * (seconds + 1) / seconds * len(x)).astype(int)
+    assert found == pytest.approx(scores[rank - 1] * scale)
+
+
 def test_ratios_are_those_of_the_densities():
     rng = np.random.default_rng(6)
     a, b = rng.standard_normal((2000, 1)), 1.0 + rng.standard_normal((2000, 1))

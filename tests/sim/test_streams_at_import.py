@@ -1,5 +1,7 @@
 """Streams that are held between slower samples, or late, are recognised."""
 
+import tracemalloc
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -40,6 +42,18 @@ def test_neither_whole_counts_nor_rest_are_held():
     still = np.where(T < 4.0, 0.0, angle(T, rng))
     resting = np.where(T < 4.0, 0.3, angle(T, rng))
     assert held_streams(log_of(q_knee=counted, x_a=still, x_b=resting)) == ()
+
+
+def test_an_hour_without_rows_is_not_filled_with_them():
+    """A grid at their rate would have 1.4 million rows, all but 3200 of them between two."""
+    early, now = angle(T), angle(T - 8e-3)
+    stamps = T + 3600.0 * (T > 4.0)
+    tracemalloc.start()
+    delay = delay_between(stamps, now[:, None], early[:, None])
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert delay == pytest.approx(8e-3, abs=2e-4)
+    assert most < 5e6
 
 
 @pytest.mark.parametrize("late", [8e-3, -5e-3, 0.0])
