@@ -123,3 +123,7 @@ def test_bad_input_is_one_clear_line():
         ego_velocity(np.ones((4, 3)), np.ones(3), 0.03)
     with pytest.raises(SurefootError, match="noise"):
         ego_velocity(np.ones((4, 3)), np.ones(4), 0.0)
+    with pytest.raises(SurefootError, match="noise: inf"):
+        ego_velocity(np.ones((4, 3)), np.ones(4), np.inf)
+    with pytest.raises(SurefootError, match="angle_noise"):
+        ego_velocity(np.ones((4, 3)), np.ones(4), 0.1, (0.0, -0.1))

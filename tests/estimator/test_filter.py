@@ -218,6 +218,12 @@ def test_bad_input_is_one_clear_line(walk, rows):
             ),
             "rows: must increase",
         ),
+        (
+            lambda: run_coverage(
+                walk.t, walk.gyro, walk.accel, rows, walk.v_I[rows], 0 * EPSILON, 0.8, state, P
+            ),
+            "every bound must be > 0",
+        ),
     ):
         with pytest.raises(SurefootError, match=words) as caught:
             call()

@@ -53,6 +53,18 @@ def test_the_covariance_is_lifted_by_the_gain(case):
     assert_allclose(found, P + K @ (z_cov - S) @ K.T, atol=1e-12)
 
 
+@pytest.mark.parametrize(("relative", "kept"), [(1.05e-8, 0.0), (0.95e-8, 1e-12)])
+def test_of_a_noise_below_a_hundred_millionth_something_is_kept(relative, kept):
+    """Of the trace of the prior, in the output: there the posterior is a difference of eight
+    digits, and a share of the prior is added to it."""
+    state, P = NavState(), np.diag(np.repeat([1e-2, 1.0, 1.0, 1e-4, 1e-4], 3))
+    noise = 3.0 * relative
+    mean, covariance = state.pack(), P.copy()
+    update_velocity(mean, covariance, 0, state.v_I, noise * np.eye(3))
+    wanted = noise / (1.0 + noise) + kept
+    assert_allclose(np.diag(covariance)[3:6], wanted, rtol=1e-6)
+
+
 def test_a_lift_is_an_exact_observation_and_what_is_put_back(case):
     """Sigma_z+ = 0 is Kalman's update without noise; K Sigma_z+ K^T comes on top of it."""
     state, P, v_I, z_cov = case

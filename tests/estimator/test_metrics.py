@@ -12,6 +12,7 @@ from surefoot.estimator.core import lie
 from surefoot.estimator.core.state import NavState, retract
 from surefoot.estimator.evaluation.trajectory import Trajectory, TrajectoryError, UpdateRecord
 from surefoot.estimator.metrics import (
+    _normalised,
     align_first,
     evaluate,
     matched,
@@ -188,6 +189,16 @@ def test_nees_is_3_for_errors_drawn_from_the_covariance():
     result = evaluate(truth, estimate)
     for value in (result.nees_position, result.nees_velocity, result.nees_attitude):
         assert value == pytest.approx(3.0, abs=4 * np.sqrt(6 / n))
+
+
+def test_a_normalised_error_has_no_unit():
+    """The same in metres and in micrometres, but for the first sample, to which one aligns."""
+    rng = np.random.default_rng(12)
+    error, A = rng.normal(size=(5, 3)), rng.normal(size=(5, 3, 3))
+    J, S = np.tile(np.eye(3), (5, 1, 1)), A @ np.swapaxes(A, 1, 2) + np.eye(3)
+    plain = _normalised(error, J, S)
+    assert np.isnan(plain).tolist() == [True, False, False, False, False]
+    assert_allclose(_normalised(1e-6 * error, J, 1e-12 * S), plain, rtol=1e-9)
 
 
 def test_share_of_active_updates(pair):

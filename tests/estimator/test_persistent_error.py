@@ -196,6 +196,10 @@ def test_outliers_cost_it_less_than_the_same_filter_without_a_largest_error():
         assert found[kind, 0.15] < 6.0
 
 
+def test_a_window_may_be_of_one():
+    assert PersistentError(np.eye(3), window=1).model().window == 1
+
+
 @pytest.mark.parametrize(
     ("values", "says"),
     [

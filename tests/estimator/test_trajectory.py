@@ -148,6 +148,16 @@ def test_a_gyro_bias_is_read_where_the_log_starts_still(shaken, known):
     assert (std.b_g < GRAVITY_STD.b_g) == known
 
 
+def test_a_bias_read_at_rest_is_as_sure_as_its_independent_readings():
+    """50 a second, for half a second: the largest axis' spread, of however many rows."""
+    bare = log(motion(1.0, 500.0))
+    turns = 0.01 * (-1.0) ** np.arange(len(bare.t))
+    still = {f"accel_{a}": 0.0 * turns + 9.81 * (a == "z") for a in "xyz"}
+    gyro = {f"gyro_{a}": size * turns for a, size in zip("xyz", (1.0, 0.5, 0.0), strict=True)}
+    _, std = still_gyro_bias(Log(bare.frame.assign(**still, **gyro), bare.meta), GRAVITY_STD)
+    assert std.b_g == pytest.approx(0.01 / np.sqrt(25.0), rel=0.01)
+
+
 def test_level_turns_the_force_upwards():
     rng = np.random.default_rng(0)
     for force in [*rng.normal(size=(20, 3)), np.array([1.0, 0, 0]), np.array([0, 0, -1.0])]:

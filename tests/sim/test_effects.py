@@ -168,6 +168,18 @@ def test_files_give_back_what_was_saved(tmp_path_factory, data):
     assert load_effects(path) == (one,)
 
 
+@pytest.mark.parametrize("name", sorted(CATALOGUE))
+def test_bounds_are_those_of_either_sign_and_leave_room_for_a_step(name):
+    kind = CATALOGUE[name]
+    low, high = kind.bounds
+    # Contacts are sensed late rather than early; a link may weigh six times as much, and half.
+    assert low in (0.0, -high) or name in ("contact_delay", "link_mass")
+    if kind.is_compensated() and name != "contact_delay":  # no touch-down is sensed early
+        for target in kind.single_targets(QUADRUPED):
+            inner, step = kind.interior_bounds(target), kind.step_of(target)
+            assert_allclose([inner[0] - low, high - inner[1]], 1.1 * step)
+
+
 def test_a_file_of_no_effects(tmp_path):
     save_effects(tmp_path / "none.toml", [])
     assert load_effects(tmp_path / "none.toml") == ()

@@ -15,7 +15,7 @@ from surefoot.sim.common.files import measured_folder
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.importing.draft import Draft
 from surefoot.sim.importing.guess import guess_map
-from surefoot.sim.importing.guess_units import stride_in_turns
+from surefoot.sim.importing.guess_units import stride_in_turns, unit_of_gyro
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.names import by_their_legs, read_name
 from surefoot.sim.importing.recording import import_log
@@ -350,6 +350,15 @@ def test_names_that_say_nothing_are_asked_about_and_give_no_log(tmp_path, monkey
     with pytest.raises(SystemExit, match="names no column but the times"):
         main("import run.csv --map map.toml -o log.parquet".split())
     assert not Path("log.parquet").exists()
+
+
+@pytest.mark.parametrize(("most", "unit"), [(11.8, "rad/s"), (12.4, "deg/s")])
+def test_without_an_accelerometer_a_gyro_s_unit_is_told_by_its_size(most, unit):
+    """No walking robot turns by 12 rad/s, which are two turns a second."""
+    gyro = np.column_stack([np.linspace(-most, most, 999), np.zeros((999, 2))])
+    gyro[:40, 0] = most  # its 99th percentile
+    gyro = np.tile(gyro[:, :1], (1, 3))
+    assert unit_of_gyro(None, gyro, None, set())[0] == unit
 
 
 def test_what_export_writes_is_drafted_and_comes_back(tmp_path, walked):

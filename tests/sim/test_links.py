@@ -83,6 +83,18 @@ def test_a_turned_leg_has_the_feet_of_the_compiled_model(target):
     assert np.abs(simulated - SPOT.feet_I(q)).max() > 5e-3
 
 
+def test_a_leg_whose_file_gives_angles_is_turned_too():
+    """MuJoCo takes angles before a quaternion."""
+    spec = robot_spec(SPOT)
+    spec.joint("FL_hip").parent.alt.euler = [0.0, 0.0, 0.0]
+    effect("leg_heading", "FL_z", 0.05).edit_spec(spec, SPOT)
+    found = feet(
+        find_legs(spec.compile(), "spot").constants, SPOT.q_home[None], SPOT.R_BI, SPOT.p_BI
+    )
+    _, known = effect("leg_heading", "FL_z", 0.05).compensate(LOG, SPOT)
+    assert_allclose(known.feet_I(SPOT.q_home[None]), found[0], atol=1e-9)
+
+
 def test_a_leg_turned_about_its_hips_axis_is_an_error_of_the_hips_encoder():
     q = np.random.default_rng(0).uniform(-0.5, 0.5, (5, 12))
     kind = CATALOGUE["leg_heading"]

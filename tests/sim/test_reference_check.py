@@ -53,6 +53,20 @@ def test_frames_that_were_miscounted_are_found():
     assert found.jumps == 0
 
 
+@pytest.mark.parametrize(("stamped", "covered"), [(1, 2), (2, 1), (2, 3), (3, 2)])
+def test_a_step_that_counts_a_frame_too_many_or_too_few_is_found(stamped, covered):
+    """In one of twenty samples of a body that moves evenly."""
+    frames = np.ones(400, dtype=int)
+    frames[10::20] = stamped
+    moved = np.where(frames == 1, 1, covered)
+    if stamped == 1:
+        moved[10::20] = covered
+    t, x = (0.01 * np.concatenate([[0], np.cumsum(n)]) for n in (frames, moved))
+    p = np.column_stack([x, 0.0 * x, 0.0 * x])
+    found = check_reference(Poses(t, p, np.tile([1.0, 0.0, 0.0, 0.0], (len(t), 1))))
+    assert found.miscounted == 20
+
+
 @pytest.mark.parametrize("share", [0.5, 1.5])
 def test_a_body_that_moves_in_jerks_has_no_miscounted_frames(share):
     """Servos that are told where to go at 25 Hz: of four frames, one is covered at another speed,
