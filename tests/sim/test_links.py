@@ -86,7 +86,7 @@ def test_a_turned_leg_has_the_feet_of_the_compiled_model(target):
 def test_a_leg_whose_file_gives_angles_is_turned_too():
     """MuJoCo takes angles before a quaternion."""
     spec = robot_spec(SPOT)
-    spec.joint("FL_hip").parent.alt.euler = [0.0, 0.0, 0.0]
+    spec.joint("FL_hip").parent.alt.type = mujoco.mjtOrientation.mjORIENTATION_EULER
     effect("leg_heading", "FL_z", 0.05).edit_spec(spec, SPOT)
     found = feet(
         find_legs(spec.compile(), "spot").constants, SPOT.q_home[None], SPOT.R_BI, SPOT.p_BI
