@@ -10,11 +10,14 @@ from synthetic import synthetic_walk
 
 from surefoot.models.residuals import feet
 from surefoot.models.residuals.binning import BIN, angles_are_quieter, mean_rate_of_change
+from surefoot.models.residuals.channels import STANCE_BINS
 from surefoot.models.residuals.command import CommandedTorque
 from surefoot.models.residuals.contact_timing import near_changes
 from surefoot.models.residuals.feet import level_ground
+from surefoot.models.residuals.registry import CHANNELS
 from surefoot.models.residuals.torques import dynamics_inputs
 from surefoot.sim.log import Log, Meta
+from surefoot.sim.sensors.streams import Sensors
 
 RATE = 500.0
 T = 7.0 + np.arange(200) / RATE
@@ -43,6 +46,22 @@ def test_the_quieter_of_angles_and_rates_is_known(angles, rates, quieter):
     motion = binned(True)
     assert angles_are_quieter(Log(frame, Meta(RATE)), motion) is quieter
     assert not angles_are_quieter(Log(frame.drop(columns="dq_a"), Meta(RATE)), motion)
+
+
+def test_noise_is_that_of_means_of_rows():
+    """Four times the rows, half the noise; a stance's mean is that of its bins, and what a foot
+    moves within it that mean times its time."""
+    sensors = Sensors()
+    noise = {
+        name: [CHANNELS[name]().noise(sensors, rate, 0.0) for rate in (500.0, 2000.0)]
+        for name in ("leg_velocity", "stance_velocity", "joint_rate", "joint_torque", "base_wrench")
+    }
+    for name, (at_500, at_2000) in noise.items():
+        assert at_2000 == pytest.approx(0.5 * at_500), name
+    stance = noise["stance_velocity"][0]
+    assert stance == pytest.approx(noise["leg_velocity"][0] / np.sqrt(STANCE_BINS))
+    moved = CHANNELS["stance_displacement"]().noise(sensors, 500.0, 0.0)
+    assert moved == pytest.approx(stance * STANCE_BINS * BIN)
 
 
 def test_rows_near_a_change_are_those_within_so_many():

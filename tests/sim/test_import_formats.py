@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import measured_folder
 from surefoot.sim.importing.array_file import read_hdf5, read_mat
+from surefoot.sim.importing.json_file import read_json
 from surefoot.sim.importing.recorded_file import recorded_files
 from surefoot.sim.importing.recording import import_log, read_recording, read_table
 from surefoot.sim.importing.report import import_lines
@@ -416,6 +417,21 @@ def test_a_file_of_several_episodes_is_refused_in_one_line(tmp_path, form):
         np.savez(run, **arrays) if form == "npz" else scipy.io.savemat(run, arrays)
     with pytest.raises(SurefootError, match="gyro is of 2 episodes of 9 rows"):
         read_table(run, Source())
+
+
+@pytest.mark.parametrize("deep", [20, 21])
+def test_lists_are_found_within_twenty_records(tmp_path, deep):
+    """No recording is deeper, and nothing is searched without an end."""
+    names = [f"k{k}" for k in range(deep)]
+    text = json.dumps([0.0, 1.0])
+    for name in reversed(names):
+        text = f'{{"{name}": {text}}}'
+    (tmp_path / "run.json").write_text(text)
+    if deep > 20:
+        with pytest.raises(SurefootError, match="no records and no lists"):
+            read_json(tmp_path / "run.json")
+    else:
+        assert read_json(tmp_path / "run.json").cells[".".join(names)].tolist() == [0.0, 1.0]
 
 
 def test_objects_of_matlab_are_named_and_not_read(tmp_path):
