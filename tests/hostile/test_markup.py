@@ -1,7 +1,10 @@
 """Names of logs, filters and scenarios are words of a report, never its code."""
 
+import shutil
+import subprocess
 from html import escape
 from html.parser import HTMLParser
+from pathlib import Path
 
 import pytest
 from forked import copied
@@ -14,6 +17,21 @@ EVIL = (
     *("<script>alert(1)</script>", "<img src=x onerror=alert(1)>", '"><svg onload=alert(1)>'),
     *("javascript:alert(1)", "</title><script>", "<!--", "&lt;script&gt;", "'onmouseover='x"),
 )
+
+RUNS = "document.documentElement.setAttribute(`ran`,`yes`)"
+ATTACKS = (
+    f"<script>{RUNS}</script>",
+    f'<img src=x onerror="{RUNS}">',
+    f'"><svg onload="{RUNS}">',
+    f"</title></style><script>{RUNS}</script>",
+    f"--><script>{RUNS}</script>",
+    f"]]><script>{RUNS}</script>",
+    f'<iframe srcdoc="<script>parent.{RUNS}</script>">',
+    f'<details open ontoggle="{RUNS}">',
+    f"' type='image' src='x' onerror='{RUNS}",
+)
+BROWSERS = ("chromium-headless-shell", "chromium", "google-chrome")
+BROWSER = next(filter(None, map(shutil.which, BROWSERS)), None)
 
 
 class Seen(HTMLParser):
@@ -42,6 +60,31 @@ def test_no_word_is_code():
     assert hostile.attributes == plain.attributes
     assert "<script" not in page.lower()
     assert "<script" not in to_html(rows).lower()
+
+
+@pytest.mark.long
+@pytest.mark.skipif(BROWSER is None, reason="no browser: chromium-headless-shell")
+def test_no_word_is_run_by_a_browser(tmp_path):
+    """Each attack is run in a page that takes it as it is, and none in a report."""
+    page = tmp_path / "page.html"
+    for attack in ATTACKS:
+        page.write_text(f"<title>a</title><input value='{attack}'><p>{attack}")
+        assert 'ran="yes"' in rendered(page), attack
+    every = [*ATTACKS, *map(escape, ATTACKS)]
+    rows = [{attack: attack, "filter": attack} for attack in every]
+    sections = [Section(attack, f"{attack}\n\n{attack}", rows) for attack in every]
+    page.write_text(html_report("".join(every), sections))
+    assert 'ran="yes"' not in rendered(page)
+
+
+def rendered(page: Path) -> str:
+    """A page's elements after its scripts have run."""
+    command = [str(BROWSER), "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom"]
+    done = subprocess.run(
+        [*command, page.as_uri()], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert "</html>" in done.stdout
+    return done.stdout
 
 
 @pytest.mark.long
