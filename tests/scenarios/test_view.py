@@ -6,6 +6,7 @@ import pytest
 
 from surefoot.scenarios.viewer.view import recording_file, view
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import command_run, whole_file
 
 
 @pytest.mark.parametrize(
@@ -48,6 +49,16 @@ def test_the_server_listens_on_this_machine_alone(tmp_path, monkeypatch, web):
     assert command[command.index("--bind") + 1] == "127.0.0.1"
     assert ("--web-viewer" in command) == web
     assert command[-1] == str(path)
+
+
+def test_a_recording_that_was_altered_is_not_shown(tmp_path, monkeypatch):
+    monkeypatch.setattr(subprocess, "run", lambda *_, **__: pytest.fail("it is shown"))
+    path = tmp_path / "walk.rrd"
+    with command_run("trace", ()), whole_file(path) as temporary:
+        temporary.write_bytes(b"RRF2....")
+    path.write_bytes(b"RRF2...,")
+    with pytest.raises(SurefootError, match="was changed or damaged"):
+        view(path)
 
 
 def test_a_viewer_that_fails_is_an_error(tmp_path, monkeypatch):
