@@ -8,9 +8,15 @@ from tyro.conf import Positional, arg
 
 from surefoot.scenarios.cli.named import file_there
 from surefoot.scenarios.cli.options import (
+    NEEDED,
+    OPTIONAL,
     Cluster,
     Force,
     Json,
+    Logs,
+    OptionalNamed,
+    OptionalOut,
+    OptionalPath,
     Out,
     RobotName,
     Strict,
@@ -45,11 +51,11 @@ class Simulate:
     ]
     out: Out
     """Folder for the logs."""
-    robot: str | None = None
+    robot: OptionalNamed = None
     """Robot to walk; by default the scenario's own."""
     seeds: str = "0"
     """One seed, or a range such as 0:8."""
-    effects: Path | None = None
+    effects: OptionalPath = None
     """File of effects (TOML) to inject into the walks."""
     undeclared: bool = False
     """Omit the effects from the logs' metadata; truth.toml beside the logs lists them."""
@@ -82,13 +88,13 @@ class Import:
     suffixes.
     """
 
-    files: Annotated[Positional[tuple[str, ...]], arg(metavar="FILE...")]
+    files: Annotated[Positional[tuple[str, ...]], arg(metavar="FILE...", help_behavior_hint=NEEDED)]
     """The main file, or the folder that contains it, then further files that the map does not name.
     A leading `csv` or `bag` is ignored.
     """
-    map: str | None = None
+    map: OptionalNamed = None
     """Map file (TOML), or the name of a bundled one."""
-    out: Annotated[Path | None, arg(aliases=["-o"])] = None
+    out: OptionalOut = None
     """File for the log (.parquet) or, with --guess, for the map (.toml)."""
     guess: bool = False
     """Draft a map of the files instead, with a question for each doubt; printed without -o."""
@@ -167,7 +173,7 @@ class Export:
 class Info:
     """Show what a log contains, the quality of its reference, and what is implausible."""
 
-    logs: Annotated[Positional[tuple[Path, ...]], arg(metavar="LOG...")]
+    logs: Logs
     robot: RobotName = None
     strict: Strict = False
     as_json: Json = False
@@ -227,7 +233,7 @@ class Align:
     """A log; or with --map a recording, of which all poses are used, as read by `import`."""
     out: Out
     """Folder for alignment.json, alignment.png and aligned.parquet."""
-    map: str | None = None
+    map: OptionalNamed = None
     """Map of the recording (TOML), or the name of a bundled one."""
     robot: RobotName = None
     most: float = 10.0
@@ -253,7 +259,7 @@ class View:
     robot: RobotName = None
     seed: int = 0
     """Seed of a course and its ground."""
-    out: Annotated[Path | None, arg(aliases=["-o"])] = None
+    out: OptionalOut = None
     """File for the recording of a log or a scenario (.rrd), instead of opening it."""
     force: Force = False
 
@@ -294,9 +300,9 @@ class View:
 class Robots:
     """List the known robots, or show what is read from one of them or from a file."""
 
-    robot: Annotated[Positional[str], arg(metavar="NAME|FILE")] = ""
+    robot: Annotated[Positional[str], arg(metavar="NAME|FILE", help_behavior_hint=OPTIONAL)] = ""
     """Robot of which to show legs, limits, masses, feet, IMU and home pose."""
-    out: Annotated[Path | None, arg(aliases=["-o"])] = None
+    out: OptionalOut = None
     """File for a picture of that robot (.png)."""
     as_json: Json = False
     force: Force = False
@@ -333,7 +339,7 @@ class New:
     kind: Positional[Literal["estimator"]]
     name: Positional[str]
     """Name of the estimator: lower-case letters, digits and underscores."""
-    out: Annotated[Path | None, arg(aliases=["-o"])] = None
+    out: OptionalOut = None
     """Folder for it; by default NAME."""
     force: Force = False
 

@@ -9,10 +9,16 @@ from tyro.conf import Positional, arg
 
 from surefoot.models.registry import ARCHITECTURES, CALIBRATORS, LOSSES
 from surefoot.scenarios.cli.options import (
+    OPTIONAL,
     BoundsFiles,
     Force,
     Json,
+    Logs,
     Observers,
+    OptionalFloat,
+    OptionalInt,
+    OptionalOut,
+    OptionalPath,
     Out,
     RobotName,
     SettingLines,
@@ -56,7 +62,7 @@ Method = Annotated[one_of(CALIBRATORS), arg(help_behavior_hint=_labels)]
 class Train:
     """Train a velocity observer on one or more logs; an interrupted training is resumed."""
 
-    logs: Annotated[Positional[tuple[Path, ...]], arg(metavar="LOG...")]
+    logs: Logs
     """Logs of at least ten seconds, with a reference."""
     out: Out
     """File for the observer."""
@@ -72,9 +78,9 @@ class Train:
     """Maximum steps of the training; it stops earlier if the validation no longer improves."""
     batch: int = 4
     """Windows of ten seconds in each step."""
-    rate: float | None = None
+    rate: OptionalFloat = None
     """Largest learning rate; by default the architecture's own."""
-    width: int | None = None
+    width: OptionalInt = None
     """Width of the network's layers; by default the architecture's own, with some 20 000
     weights.
     """
@@ -135,13 +141,13 @@ class Calibrate:
     """Method, which determines what the bounds state."""
     confidence: float = 0.95
     """Confidence of scenario bounds, over possible calibrations."""
-    K: int | None = None
+    K: OptionalInt = None
     """Steps of 10 ms between errors taken as independent; by default from the mixing curve."""
-    report: Path | None = None
+    report: OptionalPath = None
     """Folder for a report: mixing curve, methods, and coverage on the walks of --on."""
-    on: tuple[Path, ...] = ()
+    on: Annotated[tuple[Path, ...], arg(metavar="LOG...", help_behavior_hint=OPTIONAL)] = ()
     """Logs on which the report evaluates the bounds."""
-    page: Path | None = None
+    page: OptionalPath = None
     """Page of results to write besides the report, such as docs/results/bounds.md."""
     robot: RobotName = None
     strict: Strict = False
@@ -207,7 +213,7 @@ class Estimate:
     robot: RobotName = None
     observer: Observers = ()
     bounds: BoundsFiles = ()
-    out: Annotated[Path | None, arg(aliases=["-o"])] = None
+    out: OptionalOut = None
     """Trajectory with covariances (.parquet); a .tum file is written beside it."""
     settings: SettingsFile = None
     set_lines: SettingLines = ()
@@ -266,7 +272,7 @@ class NoiseCommand:
 
     log: Annotated[Positional[Path], arg(metavar="LOG")]
     """A log with a rest, of a minute or more for the random walks of biases."""
-    out: Annotated[Path | None, arg(aliases=["-o"])] = None
+    out: OptionalOut = None
     """Settings (.toml) for --settings; the Allan deviations are plotted in a .png beside it."""
     as_json: Json = False
     force: Force = False
@@ -284,7 +290,7 @@ class NoiseCommand:
 class Compare:
     """Run every filter that the inputs allow on every log: table, figures, report, recordings."""
 
-    logs: Annotated[Positional[tuple[Path, ...]], arg(metavar="LOG...")]
+    logs: Logs
     out: Out
     observer: Observers = ()
     bounds: BoundsFiles = ()

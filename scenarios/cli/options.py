@@ -8,7 +8,7 @@ from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from tyro.conf import UseAppendAction, arg
+from tyro.conf import Positional, UseAppendAction, arg
 from tyro.extras import literal_type_from_choices
 
 from surefoot.sim.common.errors import SurefootError
@@ -16,21 +16,47 @@ from surefoot.sim.common.errors import SurefootError
 if TYPE_CHECKING:
     from surefoot.sim.log import Log
 
+OPTIONAL = "(optional)"
+NEEDED = "(required)"
+"""What help says of options that may be left out, and of lists that must not be empty: tyro would
+print `(default: None)` and `(default: )`."""
+
+Logs = Annotated[Positional[tuple[Path, ...]], arg(metavar="LOG...", help_behavior_hint=NEEDED)]
+# Each has a metavar, since tyro would print `{None}|PATH`.
+OptionalPath = Annotated[Path | None, arg(metavar="PATH", help_behavior_hint=OPTIONAL)]
+OptionalOut = Annotated[
+    Path | None, arg(aliases=["-o"], metavar="PATH", help_behavior_hint=OPTIONAL)
+]
+OptionalNamed = Annotated[str | None, arg(metavar="NAME|FILE", help_behavior_hint=OPTIONAL)]
+OptionalSeeds = Annotated[str | None, arg(metavar="SEEDS", help_behavior_hint=OPTIONAL)]
+OptionalInt = Annotated[int | None, arg(metavar="INT", help_behavior_hint=OPTIONAL)]
+OptionalFloat = Annotated[float | None, arg(metavar="FLOAT", help_behavior_hint=OPTIONAL)]
 Out = Annotated[Path, arg(aliases=["-o"])]
 Force = Annotated[bool, arg(help="Replace what an earlier run of this command wrote.")]
 RobotName = Annotated[
-    str | None, arg(help="Name of the robot, or its MJCF or URDF; the log's own where left out.")
+    str | None,
+    arg(
+        help="Name of the robot, or its MJCF or URDF; the log's own where left out.",
+        metavar="NAME|FILE",
+        help_behavior_hint=OPTIONAL,
+    ),
 ]
 Declared = Annotated[
     Path | None,
     arg(
         help="Effects (TOML, such as a trace's effects.toml) that belong to the model: what is "
-        "traced is what has changed since. Zeros and clocks are then the log's own."
+        "traced is what has changed since. Zeros and clocks are then the log's own.",
+        metavar="PATH",
+        help_behavior_hint=OPTIONAL,
     ),
 ]
 Holdout = Annotated[
     tuple[Path, ...],
-    arg(help="Logs of the same machine that no fit sees and that judge what was found."),
+    arg(
+        help="Logs of the same machine that no fit sees and that judge what was found.",
+        metavar="LOG...",
+        help_behavior_hint=OPTIONAL,
+    ),
 ]
 Observers = Annotated[
     UseAppendAction[tuple[Path, ...]],
@@ -40,7 +66,12 @@ BoundsFiles = Annotated[
     UseAppendAction[tuple[Path, ...]], arg(help="Bounds; each belongs to one observer.")
 ]
 SettingsFile = Annotated[
-    Path | None, arg(help="Noise, priors and start of the filters (TOML), as `noise` writes it.")
+    Path | None,
+    arg(
+        help="Noise, priors and start of the filters (TOML), as `noise` writes it.",
+        metavar="PATH",
+        help_behavior_hint=OPTIONAL,
+    ),
 ]
 SettingLines = Annotated[
     UseAppendAction[tuple[str, ...]],
@@ -52,7 +83,12 @@ Strict = Annotated[
     bool, arg(help="Stop where a log's numbers are not plausible, instead of warning.")
 ]
 Cluster = Annotated[
-    str | None, arg(help="Address of a Dask scheduler to run on, such as tcp://127.0.0.1:8786.")
+    str | None,
+    arg(
+        help="Address of a Dask scheduler to run on, such as tcp://127.0.0.1:8786.",
+        metavar="ADDRESS",
+        help_behavior_hint=OPTIONAL,
+    ),
 ]
 
 

@@ -8,13 +8,19 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from surefoot.scenarios.cli.named import EFFECT_NAMES
 from surefoot.scenarios.cli.options import (
+    NEEDED,
     BoundsFiles,
     Cluster,
     Declared,
     Force,
     Holdout,
     Json,
+    Logs,
     Observers,
+    OptionalInt,
+    OptionalNamed,
+    OptionalPath,
+    OptionalSeeds,
     Out,
     RobotName,
     Strict,
@@ -49,7 +55,7 @@ class Demo:
 class TraceCommand:
     """Find the effect that a model lacks; reports errors before and after it is added."""
 
-    logs: Annotated[Positional[tuple[Path, ...]], arg(metavar="LOG...")]
+    logs: Logs
     """Logs of one robot, traced together."""
     out: Out
     """Folder for trace.json, effects.toml, report.html and trace.rrd."""
@@ -121,7 +127,7 @@ class LoopCommand:
     holdout: Holdout = ()
     seed: int = 0
     """Seed of walks, training and intervals."""
-    page: Path | None = None
+    page: OptionalPath = None
     """Page of results to write as well, such as docs/results/loop.md."""
     force: Force = False
 
@@ -159,17 +165,17 @@ class Realism:
     out: Out
     """Folder for realism.json, realism.csv, drift.csv, table.md and report.html."""
     robot: RobotName = None
-    effects: Path | None = None
+    effects: OptionalPath = None
     """File of effects (TOML) for the simulated robot."""
     as_walked: bool = False
     """Also compare walks with the gait, sensors and effects measured on a real robot; the effects
     are those of --effects if given.
     """
-    walker: str | None = None
+    walker: OptionalNamed = None
     """Another robot to simulate; measured values are scaled to it."""
     seed: int = 0
     """Seed of the walks and the intervals."""
-    page: Path | None = None
+    page: OptionalPath = None
     """Page of results to write as well, such as docs/results/realism.md."""
     force: Force = False
 
@@ -212,15 +218,15 @@ class GridOptions:
     out: Out
     """Folder for tables, report and recordings."""
     workers: Workers = 1
-    seeds: str | None = None
+    seeds: OptionalSeeds = None
     """One seed, or a range such as 0:8; by default the file's (three in a suite)."""
-    cache: Path | None = None
+    cache: OptionalPath = None
     """Folder of intermediate products, reused by later runs; by default `cache` in the output."""
     recordings: bool = True
     """Write a rerun recording of each sequence."""
-    page: Path | None = None
+    page: OptionalPath = None
     """Page of results to write as well, such as docs/results/suite_spot.md."""
-    data: Path | None = None
+    data: OptionalPath = None
     """Folder of finished rows, one for each walk, which are reused; such as docs/data/spot."""
     force: bool = False
     """Write tables and report again; cached products are reused."""
@@ -268,15 +274,15 @@ class Montecarlo:
     """Reproduce the paper's runtime-accuracy and consistency tables, with further regimes."""
 
     out: Out
-    trials: int | None = None
+    trials: OptionalInt = None
     """Trials in each regime; by default those of montecarlo.toml."""
-    seed: int | None = None
-    workers: int | None = None
+    seed: OptionalInt = None
+    workers: OptionalInt = None
     """Processes on this machine; by default one for each core."""
     cluster: Cluster = None
-    data: Path | None = None
+    data: OptionalPath = None
     """Folder of finished regimes, which are reused; by default `cases` in the output."""
-    page: Path | None = None
+    page: OptionalPath = None
     """Page of results to write as well, such as docs/results/montecarlo.md."""
     force: Force = False
 
@@ -312,9 +318,9 @@ class Walking:
     seeds: int = 5
     """Seeds of each course, from 0."""
     workers: Workers = 1
-    data: Path | None = None
+    data: OptionalPath = None
     """Folder of finished walks, which are reused; by default `walks` in the output."""
-    page: Path | None = None
+    page: OptionalPath = None
     """Page of results to write as well, such as docs/results/walking.md."""
     force: Force = False
 
@@ -345,7 +351,7 @@ class Tune:
     Writes tuned.toml, which every command reads if $SUREFOOT_TUNED names it.
     """
 
-    logs: Annotated[Positional[tuple[Path, ...]], arg(metavar="LOG...")]
+    logs: Logs
     """Logs with a reference, not used to train observers or calibrate bounds."""
     out: Out
     """Folder for tuned.toml, tuned.md (errors before and after) and finished searches."""
@@ -389,7 +395,7 @@ class Bench:
     """Repetitions of each pair, alternating; the shortest counts."""
     only: UseAppendAction[tuple[str, ...]] = ()
     """Items to run; by default all."""
-    page: Path | None = None
+    page: OptionalPath = None
     """Page of results to write as well, such as docs/results/bench.md."""
 
     def run(self) -> None:
@@ -406,7 +412,11 @@ class PlanCommand:
     """Name or file of the robot, a quadruped that walks in simulation."""
     effects: Annotated[
         Positional[tuple[str, ...]],
-        arg(metavar="EFFECT...", help=f"Any of {', '.join(EFFECT_NAMES)}, or your own."),
+        arg(
+            metavar="EFFECT...",
+            help=f"Any of {', '.join(EFFECT_NAMES)}, or your own.",
+            help_behavior_hint=NEEDED,
+        ),
     ]
     as_json: Json = False
 

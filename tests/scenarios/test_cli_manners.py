@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 import surefoot
-from surefoot.scenarios.cli.main import main
+from surefoot.scenarios.cli.main import COMMANDS, main
 from surefoot.scenarios.cli.named import EFFECT_NAMES
 from surefoot.sim.common import progress
 from surefoot.sim.effects import CATALOGUE
@@ -88,7 +88,7 @@ def test_what_is_not_there_is_said_before_anything_is_imported(line, message, tm
     """Those that take a second or more to import are what a slip of the pen should not wait for."""
     (tmp_path / "here.csv").write_text("t,a\n0,1\n")
     script = (
-        "import sys; from surefoot.scenarios.cli.main import main\n"
+        "import sys; from surefoot.scenarios.cli.main import COMMANDS, main\n"
         "try: main()\n"
         "finally: print(*[m for m in ('torch', 'pandas', 'mujoco', 'numba') if m in sys.modules])"
     )
@@ -202,3 +202,11 @@ def test_help_names_what_it_takes(capsys):
         with pytest.raises(SystemExit):
             main([command, "--help"])
         assert usage in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_is_in_words_and_not_in_pythons(command, capsys):
+    """Left to itself, tyro prints `{None}|PATH`, `(default: None)` and `(default: )`."""
+    assert not ended(f"{command} --help")
+    text = capsys.readouterr().out
+    assert [word for word in ("None", "default: )", "default: '')") if word in text] == []
