@@ -12,8 +12,10 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled, measured_folder
+from surefoot.sim.importing.assemble import _rate
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.map import ImportMap
+from surefoot.sim.importing.map_catalog import bundled_maps, map_file
 from surefoot.sim.importing.recording import import_log
 from surefoot.sim.importing.reference import interpolate_reference
 from surefoot.sim.importing.report import import_lines
@@ -207,6 +209,18 @@ def test_contact_is_the_state_machine_it_says(force, debounce):
     np.testing.assert_array_equal(found, expected)
 
 
+@pytest.mark.parametrize("name", ["go1_square", "go1_square.toml"])
+def test_a_bundled_map_is_known_by_its_name(name):
+    assert map_file(name) == bundled_maps()["go1_square"]
+    with pytest.raises(SurefootError, match="no such import map"):
+        map_file(f"elsewhere/{name}")
+
+
+@pytest.mark.parametrize("t", [[0.0, 0.01], [0.0, 0.01, 0.02, 0.09]])
+def test_the_rate_of_two_rows_and_more_is_that_of_their_steps(t):
+    assert _rate(np.array(t)) == 100.0
+
+
 @pytest.mark.parametrize(
     ("file", "old", "new", "said"),
     [
@@ -237,6 +251,7 @@ def test_contact_is_the_state_machine_it_says(force, debounce):
         ("map.toml", "FL = 30", "FL = 60", "[contact] off is above on for FL"),
         ("map.toml", "FL = 30, ", "", "[contact.off] FL is missing"),
         ("map.toml", 'name = "hopper"', "", "[robot] name is missing"),
+        ("map.toml", '"hopper"', '"../hopper"', "name: '../hopper' is neither a robot's name nor"),
         ("map.toml", "0.0, 1.0]", "0.0, 2.0]", "not a unit quaternion"),
         ("map.toml", "{ knee = -1 }", "{ ankle = -1 }", "[robot] joint 'ankle' has no column"),
         ("map.toml", "kp = { knee", "kp = { ankle", "[motor_law] kp: joint 'ankle'"),

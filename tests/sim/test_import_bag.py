@@ -12,6 +12,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from surefoot.scenarios.cli.main import main
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.importing import bag
 from surefoot.sim.importing.bag import read_bag
 from surefoot.sim.importing.recorded_file import recorded_files
 from surefoot.sim.importing.recording import import_log
@@ -154,6 +155,21 @@ def test_a_fault_is_one_line_that_names_it(tmp_path, old, new, said):
         import_log(bag, map_file)
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_columns_are_those_of_the_first_message_of_each_topic(tmp_path, monkeypatch):
+    """A bag of hours is not read to its end for their names."""
+    seen, whole = [], bag._fields
+
+    def counted(message, place):
+        if not place:
+            seen.append(type(message).__name__)
+        return whole(message, place)
+
+    monkeypatch.setattr(bag, "_fields", counted)
+    fields = bag.bag_fields(write_bag(tmp_path / "run", "ros2"))
+    assert len(seen) == len(set(seen)) == len(TYPES)
+    assert {one.partition(":")[0] for one in fields} == set(TYPES)
 
 
 def test_what_is_no_bag_is_said_in_one_line(tmp_path, map_file):

@@ -361,6 +361,25 @@ def test_without_an_accelerometer_a_gyro_s_unit_is_told_by_its_size(most, unit):
     assert unit_of_gyro(None, gyro, None, set())[0] == unit
 
 
+def test_counted_feet_are_in_the_order_of_their_numbers(tmp_path):
+    """Whatever the order of their columns."""
+    t = np.arange(400) / 100.0
+    columns = {"t": t} | {f"gyro_{a}": 0.1 * np.sin(t) for a in "xyz"}
+    columns |= {f"contact_{k}": (np.sin(9.0 * t + k) > 0.0).astype(float) for k in (2, 0, 3, 1)}
+    pd.DataFrame(columns).to_csv(tmp_path / "run.csv", index=False)
+    drafted = {e.name: e.theirs for e in guess_map([tmp_path / "run.csv"]).main}
+    assert [drafted[f"contact_{leg}"] for leg in LEGS] == [f"contact_{k}" for k in range(4)]
+
+
+def test_a_gyro_that_reads_twice_as_much_is_still_in_rad():
+    """A body that turns once in 2.5 s about x, as its accelerometer says."""
+    t = np.arange(2000) / 100.0
+    zero = 0.0 * t
+    accel = 9.81 * np.column_stack([zero, np.sin(2.5 * t), np.cos(2.5 * t)])
+    gyro = np.column_stack([zero + 5.0, zero, zero])
+    assert unit_of_gyro(t, gyro, accel, set()) == ("rad/s", "")
+
+
 def test_what_export_writes_is_drafted_and_comes_back(tmp_path, walked):
     start = replace(walked, frame=walked.frame[:1000])
     start.write(tmp_path / "log.parquet")

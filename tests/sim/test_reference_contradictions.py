@@ -7,7 +7,7 @@ from motions import attitude, motion, position
 from surefoot.sim.common.files import measured_folder
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.importing.recording import read_recording
-from surefoot.sim.importing.reference_contradictions import contradicted
+from surefoot.sim.importing.reference_contradictions import _closed, contradicted
 from surefoot.sim.importing.report import import_lines
 from surefoot.sim.log.reference import Poses
 
@@ -65,3 +65,14 @@ def test_the_go1_stands_up_slower_than_its_stamps_say():
     log = recording.log()
     assert log.t[0] > known.t[wrong][-1]
     assert any("accelerometer contradicts them" in line for line in import_lines(log, known, wrong))
+
+
+def test_good_sections_of_less_than_a_second_are_bad():
+    """Between bad ones, and none at either end that is bad itself."""
+    t = 0.1 * np.arange(60)
+    bad = np.zeros(60, dtype=bool)
+    bad[[0, 5, 30, 59]] = True
+    wanted = bad.copy()
+    wanted[1:5] = True
+    assert _closed(t, bad).tolist() == wanted.tolist()
+    assert _closed(t, ~bad).tolist() == np.ones(60, dtype=bool).tolist()
