@@ -36,12 +36,27 @@ def refuse_unnamed(given: Mapping[str, Any]) -> None:
                 file_there(one)
             elif isinstance(one, str) and one and option in _LOOKED_UP:
                 _LOOKED_UP[option](one)
+    for option in _LOGS & given.keys():
+        value = given[option]
+        for one in value if isinstance(value, tuple) else (value,):
+            _refuse_recording(one)
 
 
 def file_there(path: str | Path) -> None:
     """Raise SurefootError where there is neither a file nor a folder."""
     if not is_there(path):
         raise SurefootError(f"{path}: no such file")
+
+
+def _refuse_recording(path: Path) -> None:
+    """Raise SurefootError for a file that still has to be imported."""
+    if path.suffix == ".parquet" or not is_file(path):
+        return
+    with path.open("rb") as stream:
+        if stream.read(4) != b"PAR1":
+            raise SurefootError(
+                f"{path}: not a log, which is a Parquet file; `surefoot import` makes one of it"
+            )
 
 
 def _machine_file(name: str) -> None:
@@ -61,6 +76,8 @@ def _known_effect(name: str) -> None:
         raise SurefootError(f"unknown effect '{name}'; known: {', '.join(known)}{hint}")
 
 
+_LOGS = {"log", "logs", "holdout", "on"}
+"""Options that are logs."""
 _LOOKED_UP = {
     "filter": _known_filter,
     "robot": _machine_file,
