@@ -14,9 +14,10 @@ from surefoot.scenarios.reporting.palette import INK, OUTSIDE, TRUTH
 from surefoot.scenarios.reporting.plotting import new_figure, save_png, set_title, show_to_scale
 from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.physics.scene import build_world
 from surefoot.sim.robot.fixed_base import FixedBase, load_machine
 from surefoot.sim.robot.legs import outline_G
-from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.robot.model_file import compiled_model, missing_visuals
 from surefoot.sim.robot.robot import IMU_SITES, Robot
 
@@ -54,7 +55,7 @@ def robot_card(name_or_path: str, picture: Path | None, force: bool = False) -> 
 
 def _card(robot: Robot) -> RobotCard:
     model = compiled_model(robot.file)
-    walks = robot.limbs == QUADRUPED and bool(np.isfinite(robot.torque_limit).all())
+    why_not = _why_not(robot)
     turned = not np.allclose(robot.R_BI, np.eye(3))
     imu = f"site {robot.imu}" if robot.imu else f"{_no_imu(model)}: the base frame stands for it"
     lines = [
@@ -62,7 +63,7 @@ def _card(robot: Robot) -> RobotCard:
         f"file: {robot.file}",
         f"base: body '{robot.base_name}'",
         f"IMU: {imu}, at {_numbers(robot.p_BI)} m in the base" + ", turned" * turned,
-        "walks in simulation" if walks else f"does not walk in simulation: {_why_not(robot)}",
+        f"does not walk in simulation: {why_not}" if why_not else "walks in simulation",
     ]
     if missing := missing_visuals(robot.file):
         lines.append(f"visuals left out, as their files are missing: {', '.join(missing)}")
@@ -96,7 +97,7 @@ def _card(robot: Robot) -> RobotCard:
         "imu": robot.imu,
         "p_BI": robot.p_BI,
         "R_BI": robot.R_BI,
-        "walks": walks,
+        "walks": not why_not,
         "joints": joints,
         "feet": feet,
     }
@@ -120,10 +121,12 @@ def _no_imu(model: mujoco.MjModel) -> str:
 
 
 def _why_not(robot: Robot) -> str:
-    if robot.limbs != QUADRUPED:
-        return "only quadrupeds of three hinges a leg do"
-    open_ended = np.flatnonzero(~np.isfinite(robot.torque_limit))
-    return f"no torque limit for joint {robot.joint_names[open_ended[0]]}"
+    """Why simulation refuses the robot, in its own words; empty if it can walk."""
+    try:
+        build_world(robot, Ground(mu=1.0))
+    except SurefootError as error:
+        return str(error).removeprefix(f"robot {robot.name}: ")
+    return ""
 
 
 def portrait(robot: Robot) -> Figure:

@@ -317,6 +317,15 @@ def test_a_foot_that_touches_by_its_scene_alone_is_not_walked(tmp_path):
     with pytest.raises(SurefootError, match="no shape of foot FL touches the ground") as error:
         build_world(robot, Ground(0.8))
     assert "\n" not in str(error.value)
+    assert "does not walk in simulation: no shape of foot FL" in robot_card(str(path), None).text
+
+
+def test_a_joint_without_a_torque_limit_is_named_and_not_walked(tmp_path):
+    path = tmp_path / "odd.xml"
+    path.write_text(odd_robot(CORNERS, motors=False))
+    with pytest.raises(SurefootError, match="no torque limit for joint h3; give its actuator a"):
+        build_world(Robot.load(path), Ground(0.8))
+    assert "does not walk in simulation: no torque limit" in robot_card(str(path), None).text
 
 
 def test_a_urdf_need_not_declare_the_world(tmp_path):
