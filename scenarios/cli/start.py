@@ -1,6 +1,7 @@
 """Entry point of the process, in which a signal is one line from the first import to the end."""
 
 import os
+import re
 import sys
 
 from surefoot.scenarios.cli.signals import catch_signals, hand_over_lost, ignore_signals
@@ -32,9 +33,10 @@ def entry_point() -> None:
 
 
 def _check_threads() -> None:
-    """Raise SurefootError for a number of threads in the environment that is none."""
+    """Raise SurefootError for a number of threads in the environment that is none; an empty one is
+    as if it were not set.
+    """
     for name in THREADS:
-        text = os.environ.get(name, "1")
-        levels = [level.strip() for level in text.split(",")]  # of nested threads, as OpenMP has it
-        if not all(level.isdecimal() and int(level) > 0 for level in levels):
+        text = os.environ.get(name, "").strip()
+        if text and not re.fullmatch("0*[1-9][0-9]{0,5}", text):
             raise SurefootError(f"{name} must be a whole number above zero, is '{text}'")

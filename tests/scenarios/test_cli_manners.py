@@ -93,7 +93,7 @@ def test_what_is_not_there_is_said_before_anything_is_imported(line, message, tm
     """Those that take a second or more to import are what a slip of the pen should not wait for."""
     (tmp_path / "here.csv").write_text("t,a\n0,1\n")
     script = (
-        "import sys; from surefoot.scenarios.cli.main import COMMANDS, main\n"
+        "import sys; from surefoot.scenarios.cli.main import main\n"
         "try: main()\n"
         "finally: print(*[m for m in ('torch', 'pandas', 'mujoco', 'numba') if m in sys.modules])"
     )
@@ -104,19 +104,31 @@ def test_what_is_not_there_is_said_before_anything_is_imported(line, message, tm
     assert message in said
 
 
-@pytest.mark.parametrize("variable", ["OMP_NUM_THREADS=banana", "NUMBA_NUM_THREADS=0"])
+@pytest.mark.parametrize(
+    "variable", ["OMP_NUM_THREADS=banana", "OMP_NUM_THREADS=2,1", "NUMBA_NUM_THREADS=0"]
+)
 def test_a_number_of_threads_that_is_none_is_one_line(variable):
     """numba and numexpr would each end the process by a traceback of their own."""
     name, _, value = variable.partition("=")
-    done = subprocess.run(
+    done = version_with(name, value)
+    assert done.returncode == 1
+    assert done.stderr == f"surefoot: {name} must be a whole number above zero, is '{value}'\n"
+
+
+@pytest.mark.parametrize("name", ["OMP_NUM_THREADS", "NUMBA_NUM_THREADS"])
+def test_an_empty_number_of_threads_is_as_if_it_were_not_set(name):
+    done = version_with(name, "")
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def version_with(name: str, value: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
         [sys.executable, "-m", "surefoot", "--version"],
         env=os.environ | {name: value},
         capture_output=True,
         text=True,
         check=False,
     )
-    assert done.returncode == 1
-    assert done.stderr == f"surefoot: {name} must be a whole number above zero, is '{value}'\n"
 
 
 def test_the_effects_that_are_known_early_are_those_of_the_catalogue():
