@@ -23,8 +23,8 @@ KERNEL_LIFETIME = 30 * 86400.0
 """Time after which unused machine code is deleted [s]."""
 
 COMPILE_TIME = 75.0
-"""Measured time to compile a walk and the filters `leg` and `imu` on one core at 3 GHz [s]; a walk
-alone takes 28 s.
+"""Upper limit of the time to compile a walk and the filters `leg` and `imu` on one core [s]; a walk
+and `leg` were measured at 46 s, a walk alone at 30 s.
 """
 
 QUIET_TIME = 3.0
@@ -40,9 +40,9 @@ def kernel(function: Any = None, **options: Any) -> Any:
     Args:
         function: the decorated function, if the decorator is used without parentheses.
         options: of `numba.njit`, such as nogil and error_model. A function with inline="always" is
-            compiled as a part of its callers. That saves a fifth of the time to compile a gait, if
-            each function is called from one place; a function with many callers would be compiled
-            many times.
+            compiled as a part of its callers. For the gait, where each function is called from one
+            place, that saves a seventh of the time to compile a walk; a function with many callers
+            would be compiled many times.
     """
     if function is None:
         return lambda f: kernel(f, **options)
