@@ -112,7 +112,9 @@ def _read(file: Path, map: str | None) -> tuple[Log, Poses]:
 
 def _busiest(shared: np.ndarray, gyro: np.ndarray, t: np.ndarray) -> float:
     """Start of the _SHOWN seconds, within the shared times, in which the IMU rotates most."""
-    starts = np.arange(shared[0], max(shared[-1] - _SHOWN, shared[0] + 0.1), 0.5)
+    latest = max(shared[-1] - _SHOWN, shared[0] + 0.1)
+    starts = shared[0] + 0.5 * np.unique(np.floor((shared - shared[0]) / 0.5))
+    starts = starts[starts < latest]
     turned = np.cumsum(np.sum(gyro**2, axis=1))
     within = np.interp(starts + _SHOWN, t, turned) - np.interp(starts, t, turned)
     return float(starts[np.argmax(within)])

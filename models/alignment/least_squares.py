@@ -184,7 +184,8 @@ def fit_placement(readings: Readings, start: Placement, rng: np.random.Generator
         now, rounds = now.moved(step), rounds + 1
         if rounds == _MOST_ITERATIONS:
             break
-    block = np.floor((t - t[0]) / _BLOCK).astype(int)
+    # Blocks without samples, in a gap, do not count.
+    block = np.unique(np.floor((t - t[0]) / _BLOCK), return_inverse=True)[1]
     count = int(block[-1]) + 1
     of_blocks = np.zeros((count, 15, 16))
     np.add.at(of_blocks, block, np.concatenate([sums, against[:, :, None]], axis=2))

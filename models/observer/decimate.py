@@ -47,7 +47,10 @@ def observer_rows(log: Log) -> np.ndarray:
             f"{log.name}: sampled at {log.rate:g} Hz, the observer needs {RATE:g} Hz at least"
         )
     step = 1.0 / RATE
-    grid = t[0] + step * np.arange(int((t[-1] - t[0]) / step + 1e-3) + 1)
+    # Only grid points next to a row: over a gap of hours the whole grid would not fit into memory.
+    last = int((t[-1] - t[0]) / step + 1e-3)
+    below = np.floor((t - t[0]) / step).astype(int)
+    grid = t[0] + step * np.unique(np.clip([below, below + 1], 0, last))
     after = np.clip(np.searchsorted(t, grid), 1, max(len(t) - 1, 1))
     before = after - 1
     after = np.minimum(after, len(t) - 1)

@@ -1,5 +1,6 @@
 """Clock, place and rotation of a tracked body: planted, and found within their intervals."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -140,3 +141,17 @@ def test_clocks_that_were_started_apart_are_found(name):
     assert abs(np.diff(found.halves)[0]) < 5e-3
     assert found.offset_half_width < 2e-3
     assert found.faults == ()
+
+
+def test_a_gap_of_weeks_takes_no_memory(log):
+    """Each half of the walk has its poses; the second is said to be weeks later."""
+    poses = tracked(log, 3.7)
+    middle, gap = 7.0, 2e6
+    late = log.with_columns({"t": np.where(log.t < middle, log.t, log.t + gap)})
+    t = np.where(poses.t + 3.7 < middle, poses.t, poses.t + gap)
+    tracemalloc.start()
+    found = align(late, replace(poses, t=t))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 200e6  # a grid over the gap has 3 GB for each axis
+    assert found.offset == pytest.approx(3.7, abs=2e-3)

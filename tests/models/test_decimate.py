@@ -1,5 +1,7 @@
 """100 Hz out of any rate, causally, with the delay that is stated."""
 
+import tracemalloc
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -85,6 +87,17 @@ def test_a_gap_has_no_updates():
     assert np.diff(t[rows]).max() == pytest.approx(0.142, abs=0.006)
     assert np.diff(t[rows]).min() >= 0.005
     assert np.all(np.isfinite(decimate(t, t[:, None], rows)))
+
+
+def test_a_gap_of_months_takes_no_memory():
+    t = np.arange(1000) / 500
+    short, long = (np.concatenate([t, t + gap]) for gap in (10.0, 1e7))
+    tracemalloc.start()
+    rows = observer_rows(log_at(long, 500.0))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1e6  # a grid over the gap has 8 GB
+    assert np.array_equal(rows, observer_rows(log_at(short, 500.0)))
 
 
 def test_a_slow_log_is_refused():
