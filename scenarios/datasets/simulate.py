@@ -23,7 +23,13 @@ from surefoot.scenarios.datasets.index import (
 )
 from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.sim.common.errors import SurefootError, check_seed
-from surefoot.sim.common.files import check_space, clear_debris, refuse_overwrite, whole_file
+from surefoot.sim.common.files import (
+    check_space,
+    clear_debris,
+    force_option,
+    refuse_overwrite,
+    whole_file,
+)
 from surefoot.sim.common.limits import check_limit
 from surefoot.sim.common.sources import code_digest
 from surefoot.sim.effects import Effect
@@ -223,7 +229,8 @@ def _guard_truth(out: Path, hidden: tuple[Effect, ...], journal: Journal, force:
     text = f"{to_toml(hidden)}\n# made with code {code_digest(*map(type, hidden))}\n"
     if hidden and truth.exists() and not force and truth.read_text(encoding="utf-8") != text:
         raise SurefootError(
-            f"{truth}: holds other effects, or other code of them; give another folder, or --force"
+            f"{truth}: holds other effects, or other code of them; give another folder, or "
+            f"{force_option()}"
         )
     if hidden and (force or not truth.exists()):
         with whole_file(truth, force) as temporary:
@@ -242,7 +249,7 @@ def _done(journal: Journal, job: Job) -> bool:
     if row and row.recipe != recipe(job):
         raise SurefootError(
             f"{path}: was made from another scenario, robot, effects or code; give another "
-            "folder, or --force to make it again"
+            f"folder, or {force_option()} to make it again"
         )
     if row or not path.exists():
         return row is not None

@@ -44,7 +44,13 @@ from surefoot.scenarios.reporting.html import (
 from surefoot.scenarios.reporting.tables import to_csv, to_markdown
 from surefoot.scenarios.studies.pages import origin_of, write_page
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import clear_debris, refuse_overwrite, whole_file, whole_folder
+from surefoot.sim.common.files import (
+    clear_debris,
+    force_option,
+    refuse_overwrite,
+    whole_file,
+    whole_folder,
+)
 
 PATHS = "Paths: "
 LEARNT = (
@@ -87,7 +93,9 @@ def experiment(
     if seeds is not None:
         found = found.with_seeds(tuple(seed_range(seeds)))
     if (out / "report.html").exists() and not force:
-        raise SurefootError(f"-o {out}: has a finished run; give --force to write it again")
+        raise SurefootError(
+            f"-o {out}: has a finished run; give {force_option()} to write it again"
+        )
     for name in ("results.csv", "results.parquet", "averages.csv", "report.md", "report.html"):
         refuse_overwrite(out / name, force=True)
     folder = cache or out / "cache"

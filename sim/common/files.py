@@ -125,9 +125,14 @@ def refuse_overwrite(path: str | Path, force: bool) -> None:
     if not path.exists():
         return
     if not force:
-        raise SurefootError(f"{path}: exists already; give --force (force=True) to overwrite it")
+        raise SurefootError(f"{path}: exists already; give {force_option()} to overwrite it")
     if _run is not None:
         _check_made(path, _run.command)
+
+
+def force_option() -> str:
+    """How to ask for overwriting: on the command line, or in Python."""
+    return "--force" if _run is not None else "force=True"
 
 
 def refuse_input(path: Path) -> None:
@@ -396,7 +401,9 @@ def refuse_full(out: Path, force: bool) -> None:
     if not any(path.name != MANIFEST for path in out.iterdir()):
         return
     if not force:
-        raise SurefootError(f"-o {out}: is not empty; give --force to overwrite what is in it")
+        raise SurefootError(
+            f"-o {out}: is not empty; give {force_option()} to overwrite what is in it"
+        )
     if _run is None:
         return
     own = [n for n, e in manifest_entries(out).items() if _run.command in e.values()]

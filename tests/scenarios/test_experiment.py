@@ -154,7 +154,7 @@ def test_the_folder_holds_tables_report_figures_and_recordings(grid, rows):
 
 
 def test_a_finished_run_is_not_written_over(grid, rows):
-    with pytest.raises(SurefootError, match="has a finished run; give --force"):
+    with pytest.raises(SurefootError, match="has a finished run; give force=True"):
         experiment(grid / "grid.toml", grid / "out")
 
 

@@ -15,6 +15,7 @@ from surefoot.sim.common.files import (
     command_run,
     manifest_entries,
     refuse_full,
+    refuse_overwrite,
     whole_file,
     whole_folder,
 )
@@ -30,6 +31,15 @@ def fill(folder, texts, command="make", force=True):
         for name, text in texts.items():
             (made / name).parent.mkdir(exist_ok=True)
             (made / name).write_text(text)
+
+
+def test_force_is_named_as_the_caller_would_give_it(tmp_path):
+    path = tmp_path / "a.txt"
+    write(path, "one")
+    with pytest.raises(SurefootError, match="give --force to overwrite it"):
+        write(path, "two", force=False)
+    with pytest.raises(SurefootError, match="give force=True to overwrite it"):
+        refuse_overwrite(path, force=False)
 
 
 def test_force_replaces_what_the_same_command_made(tmp_path):
