@@ -8,6 +8,7 @@ from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
 from surefoot.scenarios.studies.bench.items import check_item
 from surefoot.sim.common.errors import SurefootError, did_you_mean
 from surefoot.sim.common.files import bundled, is_file, is_there
+from surefoot.sim.common.log_file import check_first_bytes
 from surefoot.sim.common.plugins import plugins
 from surefoot.sim.importing.map_catalog import map_file
 from surefoot.sim.robot.catalog import robot_file
@@ -50,13 +51,8 @@ def file_there(path: str | Path) -> None:
 
 def _refuse_recording(path: Path) -> None:
     """Raise SurefootError for a file that still has to be imported."""
-    if path.suffix == ".parquet" or not is_file(path):
-        return
-    with path.open("rb") as stream:
-        if stream.read(4) != b"PAR1":
-            raise SurefootError(
-                f"{path}: not a log, which is a Parquet file; `surefoot import` makes one of it"
-            )
+    if is_file(path):
+        check_first_bytes(path)
 
 
 def _machine_file(name: str) -> None:

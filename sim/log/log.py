@@ -22,6 +22,7 @@ import pyarrow.parquet as pq
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.common.limits import admitted, check_limit, check_unpacked
+from surefoot.sim.common.log_file import check_first_bytes
 from surefoot.sim.common.quaternion import matrix_from_quaternion
 from surefoot.sim.log.schema import (
     DIGEST_KEY,
@@ -39,7 +40,6 @@ from surefoot.sim.log.schema import (
 )
 
 T = TypeVar("T")
-MAGIC = b"PAR1"
 ROW_GROUP = 1 << 15
 """Rows in a row group of a file: a minute at 500 Hz."""
 
@@ -365,11 +365,9 @@ class LogReader:
         """Raises LogError, one line, where the file, its columns' types or its metadata are bad."""
         try:
             self.path = admitted(path, "recording")
+            check_first_bytes(self.path)  # Arrow looks at the last four bytes alone
         except SurefootError as error:
             raise LogError(str(error)) from None
-        with self.path.open("rb") as stream:
-            if stream.read(len(MAGIC)) != MAGIC:  # Arrow looks at the last four bytes alone
-                raise LogError(f"{path}: not a whole Parquet file, damaged in its first bytes")
         with self._opened() as file:
             self.rows = file.metadata.num_rows
             self.columns: tuple[str, ...] = tuple(file.schema_arrow.names)

@@ -1,6 +1,7 @@
 """The Log: what is written is read back exactly, and nothing broken gets in."""
 
 import json
+import re
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -408,3 +409,14 @@ def test_a_reader_refuses_what_read_refuses(tmp_path):
             LogReader(tmp_path / name)
     with pytest.raises(LogError, match="metadata: rate is missing"):
         LogReader(written(make_log(), tmp_path / "bad.parquet", {"schema": SCHEMA}))
+
+
+def test_a_recording_read_as_a_log_is_told_what_it_is(tmp_path):
+    for name, message in (
+        ("walk.csv", "walk.csv: not a log, which is a Parquet file; `surefoot import`"),
+        ("walk.rrd", "walk.rrd: not a log, which is a Parquet file; `surefoot import`"),
+        ("walk.parquet", "walk.parquet: not a whole Parquet file, damaged in its first bytes"),
+    ):
+        (tmp_path / name).write_text("t,gyro_x\n0,1\n")
+        with pytest.raises(LogError, match=re.escape(message)):
+            Log.read(tmp_path / name)
