@@ -1,5 +1,6 @@
 """Entry point of the process, in which a signal is one line from the first import to the end."""
 
+import importlib
 import os
 import re
 import sys
@@ -10,6 +11,9 @@ from surefoot.sim.common.plugins import with_plugins
 
 THREADS = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
 """Variables whose errors the libraries that read them report by a traceback."""
+
+BACKENDS = {"MPLBACKEND": "matplotlib", "MUJOCO_GL": "mujoco"}
+"""Variables that name a way to draw -> module that fails to be imported if it has no such one."""
 
 
 def entry_point() -> None:
@@ -22,6 +26,8 @@ def entry_point() -> None:
     try:
         try:
             _check_threads()
+            _check_date()
+            _check_backends()
             arguments = with_plugins(sys.argv[1:])
             # Only now, for the choices of options are determined when their commands are imported.
             from surefoot.scenarios.cli.main import main
@@ -40,3 +46,30 @@ def _check_threads() -> None:
         text = os.environ.get(name, "").strip()
         if text and not re.fullmatch("0*[1-9][0-9]{0,5}", text):
             raise SurefootError(f"{name} must be a whole number above zero, is '{text}'")
+
+
+def _check_date() -> None:
+    """Raise SurefootError for a SOURCE_DATE_EPOCH that is no number of seconds; an empty one is as
+    if it were not set.
+    """
+    text = os.environ.get("SOURCE_DATE_EPOCH")
+    if text is None:
+        return
+    if not text.strip():
+        del os.environ["SOURCE_DATE_EPOCH"]
+    elif not re.fullmatch("[0-9]{1,11}", text.strip()):
+        raise SurefootError(f"SOURCE_DATE_EPOCH must be a whole number of seconds, is '{text}'")
+
+
+def _check_backends() -> None:
+    """Raise SurefootError for a backend that its library does not know; the library is imported
+    only where the user has chosen one.
+    """
+    for name, library in BACKENDS.items():
+        text = os.environ.get(name)
+        if not text or text == "disable":
+            continue
+        try:
+            importlib.import_module(library)
+        except Exception as error:
+            raise SurefootError(f"{name}='{text}': {library} has no such backend") from error

@@ -27,12 +27,11 @@ from surefoot.scenarios.cli.options import (
     Workers,
     learnt_from,
     not_plausible,
-    one_of,
     print_json,
     read_logs,
 )
 from surefoot.scenarios.experiments.catalog import SUITES, experiment_file
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, did_you_mean
 
 
 @dataclass(frozen=True)
@@ -263,9 +262,12 @@ class ExperimentCommand(GridOptions):
 class Suite(GridOptions):
     """Reproduce the paper's two tables on the simulated suites, from simulation to table."""
 
-    name: Positional[one_of(SUITES)]  # pyright: ignore[reportInvalidTypeForm]
+    name: Annotated[Positional[str], arg(metavar=f"{{{','.join(SUITES)}}}")]
 
     def run(self) -> None:
+        if self.name not in SUITES:
+            known = f"known: {', '.join(SUITES)}{did_you_mean(self.name, SUITES)}"
+            raise SurefootError(f"unknown suite '{self.name}'; {known}")
         self.experiment(self.name)
 
 

@@ -121,6 +121,34 @@ def test_an_empty_number_of_threads_is_as_if_it_were_not_set(name):
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.parametrize("name", ["MUJOCO_GL", "MPLBACKEND", "SOURCE_DATE_EPOCH"])
+def test_nonsense_in_a_variable_that_libraries_read_is_one_line(name):
+    done = version_with(name, "banana")
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()
+    assert line.startswith(f"surefoot: {name}")
+    assert "'banana'" in line
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("SOURCE_DATE_EPOCH", "0"), ("SOURCE_DATE_EPOCH", ""), ("MPLBACKEND", "svg")],
+)
+def test_what_libraries_accept_in_a_variable_is_accepted(name, value):
+    environment = os.environ | {name: value}
+    arguments = [sys.executable, "-m", "surefoot", "robots", "spot_class"]
+    done = subprocess.run(arguments, env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_mistyped_suite_is_corrected(tmp_path):
+    with pytest.raises(SystemExit) as stopped:
+        main(["suite", "spott", "-o", str(tmp_path / "out")])
+    assert "unknown suite 'spott'; known: spot, vision60; did you mean 'spot'?" in str(
+        stopped.value.code
+    )
+
+
 def version_with(name: str, value: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-m", "surefoot", "--version"],
