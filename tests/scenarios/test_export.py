@@ -115,5 +115,5 @@ def test_text_keeps_every_digit_and_nothing_is_overwritten(files):
         export(files / "log.parquet", files / "log.csv")
     with pytest.raises(SurefootError, match="the ending says the format"):
         export(files / "log.parquet", files / "log.txt")
-    with pytest.raises(SurefootError, match="not a whole Parquet file"):
+    with pytest.raises(SurefootError, match="not a log, which is a Parquet file"):
         export(files / "log.csv", files / "other.csv")
