@@ -152,6 +152,8 @@ def align(
     sign, shift = _accelerometer(felt, moved, lever)
     readings = replace(readings, accel=accel * sign + shift)
     fitted = fit_placement(readings, start, np.random.default_rng(seed))
+    if fitted is None:
+        raise too_little
     found, width = fitted.placement, fitted.half_width
     halves = found.offset + fitted.halves[:, 0]
     turning = np.sum(np.var(readings.gyro, axis=0))

@@ -8,7 +8,8 @@ and reference pass through the same samples and the same fit, so smoothing and g
 offset, rotation, position and biases are correct, only noise remains.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -27,6 +28,8 @@ _PATH_WINDOW = 0.1
 """Window of the fits to positions [s]; it smooths like a Gaussian of 20 ms."""
 _FEWEST = 5
 """Least number of samples in a window; for a sparser reference the window is longer."""
+_LONGEST_STEP = 0.25
+"""Time without readings from which an IMU is not integrated [s]: legs swing forward in it."""
 _PRIOR = {"bias_gyro": 0.05, "bias_accel": 0.3, "p_IM": 1.0, "tilt": 0.02}
 """Prior standard deviations [rad/s, m/s^2, m, rad] of parameters that a log may not determine:
 biases of uncalibrated MEMS sensors, a lever arm within a body's size, and the tilt of a motion
@@ -115,13 +118,21 @@ class Readings:
     accel: np.ndarray
     poses: Poses
 
-    def within(self, offset: float) -> "Readings":
-        """The readings with only the poses that lie within the IMU's times after adding `offset`
-        [s] to their stamps, with a margin for changes of the offset.
+    def sections(self, offset: float) -> list["Readings"]:
+        """The parts between gaps of the IMU, each with the poses that lie within its times after
+        adding `offset` [s] to their stamps, with a margin for changes of the offset. Parts with too
+        few poses for a fit are left out.
         """
-        at = self.poses.t + offset
-        inside = (at > self.t[1] + 0.05) & (at < self.t[-1] - 0.05)
-        return replace(self, poses=self.poses.rows(inside))
+        gaps = np.flatnonzero(np.diff(self.t) > _LONGEST_STEP) + 1
+        found = []
+        for first, last in pairwise([0, *gaps, len(self.t)]):
+            t, at = self.t[first:last], self.poses.t + offset
+            inside = (at > t[min(1, len(t) - 1)] + 0.05) & (at < t[-1] - 0.05)
+            if inside.sum() > _FEWEST:
+                rows = slice(first, last)
+                poses = self.poses.rows(inside)
+                found.append(Readings(t, self.gyro[rows], self.accel[rows], poses))
+        return found
 
 
 def placement_residual(
@@ -158,23 +169,34 @@ def specific_forces(readings: Readings, at: Placement) -> tuple[np.ndarray, np.n
         Those of the accelerometer (K, 3) [m/s^2]; those that follow from the motion of the tracked
         point (K, 3) [m/s^2]; the change of the latter per metre of p_IM (K, 3, 3).
     """
-    inside = readings.within(at.offset)
-    rows, lever, R_GI = placement_residual(inside, at)
-    t = inside.poses.t
-    sparse = _FEWEST * float(np.median(np.diff(t)))
-    bend = local_quadratic(t, inside.poses.p, max(_PATH_WINDOW, sparse))[2] - GRAVITY_G
-    moved = np.einsum("kji,kj->ki", R_GI, bend)
-    around = (t > t[0] + _PATH_WINDOW) & (t < t[-1] - _PATH_WINDOW)
-    return (moved - rows[:, 3:])[around], moved[around], lever[around]
+    found = []
+    for part in readings.sections(at.offset):
+        rows, lever, R_GI = placement_residual(part, at)
+        t = part.poses.t
+        sparse = _FEWEST * float(np.median(np.diff(t)))
+        bend = local_quadratic(t, part.poses.p, max(_PATH_WINDOW, sparse))[2] - GRAVITY_G
+        moved = np.einsum("kji,kj->ki", R_GI, bend)
+        around = (t > t[0] + _PATH_WINDOW) & (t < t[-1] - _PATH_WINDOW)
+        found.append(((moved - rows[:, 3:])[around], moved[around], lever[around]))
+    if not found:
+        return np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3, 3))
+    felt, moved, lever = (np.concatenate(one) for one in zip(*found, strict=True))
+    return felt, moved, lever
 
 
-def fit_placement(readings: Readings, start: Placement, rng: np.random.Generator) -> PlacementFit:
-    """Maximum a-posteriori parameters, from a start that is accurate to a fraction of a stride."""
+def fit_placement(
+    readings: Readings, start: Placement, rng: np.random.Generator
+) -> PlacementFit | None:
+    """Maximum a-posteriori parameters, from a start that is accurate to a fraction of a stride;
+    None if they lead to where IMU and reference have nothing in common.
+    """
     prior = np.concatenate([np.zeros(4), *(np.full(n, _PRIOR[k] ** -2.0) for k, n in _PRIORS)])
     now, rounds = start, 0
     while True:
-        inside = readings.within(now.offset)
-        rows, columns, t = _linearised(inside, now)
+        parts = [_linearised(part, now) for part in readings.sections(now.offset)]
+        if not parts:
+            return None
+        rows, columns, t = (np.concatenate(one) for one in zip(*parts, strict=True))
         sums, against = _normal_equations(rows, columns)
         known = np.concatenate([np.zeros(4), now.bias_gyro, now.bias_accel, now.p_IM, now.tilt])
         pull = prior * known
