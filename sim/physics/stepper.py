@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 from llvmlite import binding
 from numba import types
+from scipy.spatial.transform import Rotation
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY
@@ -328,12 +329,34 @@ def _how_it_fell(body: MjViews, gait: Gait, height_map: HeightMap) -> str:
     return where + f"the base sank to {above:.2f} m, of {gait.height:.2f} m when it stands"
 
 
+def at_time_of_rates(qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
+    """Positions (N, nq) of a robot with hinges and slides, half a time step before those of the
+    simulation, which are qpos (N, nq) with the rates qvel (N, nv).
+
+    MuJoCo steps positions by the rates at the end of a step (semi-implicit Euler). Taken at the
+    same time, positions are half a step ahead of the rates: each change of position is then that
+    of the later rate instead of the mean of both. A log with such rows has a delay between its
+    reference and its accelerometer, and between angles and their rates, that no robot has.
+    """
+    back = -0.5 * TIMESTEP
+    turned = Rotation.from_quat(qpos[:, 3:7], scalar_first=True) * Rotation.from_rotvec(
+        back * qvel[:, 3:6]
+    )
+    return np.column_stack(
+        [
+            qpos[:, :3] + back * qvel[:, :3],
+            turned.as_quat(scalar_first=True),
+            qpos[:, 7:] + back * qvel[:, 6:],
+        ]
+    )
+
+
 def motion_of(world: World, trace: Recording, first: int = 0) -> Motion:
     """Convert recorded states to a motion of the base and the joints in canonical order.
 
     `first` is the index of the first state in the walk.
     """
-    qpos, qvel, springs = trace.qpos, trace.qvel, world.springs
+    qpos, qvel, springs = at_time_of_rates(trace.qpos, trace.qvel), trace.qvel, world.springs
     give = None
     if springs.any():
         # A free base has one more element in qpos than in qvel.

@@ -81,7 +81,6 @@ def test_a_walk_as_declared_lacks_nothing(slippery):
     found = trace_logs([log_with(slippery=slippery)], ROBOT)
     assert found.verdict == "no_residual"
     assert found.effects == ()
-    # Integration makes every walk's rates look half a step late: the floor knows by how much.
     assert found.attribution is not None
     late = next(c for c in found.attribution.rounds[0] if c.key == ("joint_delay", "all"))
     assert abs(late.size) < 2e-4

@@ -252,6 +252,7 @@ def missing_torque(world: World, motion) -> tuple[np.ndarray, np.ndarray, np.nda
     swing = np.flatnonzero((motion.force[:, LEG] == 0) & (np.abs(rate[1:]) > 1.0))
     for k in swing:
         data.qpos[:], data.qvel[:] = qpos[k], qvel[k]
+        mujoco.mj_integratePos(model, data.qpos, data.qvel, 0.5 * TIMESTEP)  # as simulated
         data.qacc[:] = (qvel[k + 1] - qvel[k]) / TIMESTEP
         mujoco.mj_inverse(model, data)
         torque.append(motion.tau[k, J] - data.qfrc_inverse[world.dof_adr[J]])
