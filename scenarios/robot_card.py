@@ -18,7 +18,7 @@ from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.physics.scene import build_world
 from surefoot.sim.robot.fixed_base import FixedBase, load_machine
 from surefoot.sim.robot.legs import outline_G
-from surefoot.sim.robot.model_file import compiled_model, missing_visuals
+from surefoot.sim.robot.model_file import changes_on_reading, compiled_model
 from surefoot.sim.robot.robot import IMU_SITES, Robot
 
 
@@ -46,6 +46,7 @@ def robot_card(name_or_path: str, picture: Path | None, force: bool = False) -> 
         text = f"{robot.name}: a machine on a fixed base, joints {joints}\nfile: {robot.file}"
         if robot.legless:
             text += f"\nno legs: {robot.legless}"
+        text = "\n".join([text, *changes_on_reading(robot.file)])
         values = {"name": robot.name, "file": robot.file, "joints": robot.joint_names}
         return RobotCard(text, values)
     if picture is not None:
@@ -65,8 +66,7 @@ def _card(robot: Robot) -> RobotCard:
         f"IMU: {imu}, at {_numbers(robot.p_BI)} m in the base" + ", turned" * turned,
         f"does not walk in simulation: {why_not}" if why_not else "walks in simulation",
     ]
-    if missing := missing_visuals(robot.file):
-        lines.append(f"visuals left out, as their files are missing: {', '.join(missing)}")
+    lines += changes_on_reading(robot.file)
     joints = [
         {
             "joint": joint,

@@ -19,6 +19,10 @@ _NO_MASS, _NO_INERTIA = 1e-6, 1e-12
 """Mass [kg] and moment of inertia [kg m^2] below which a URDF's link is a mere frame, of a sensor
 say: those of a milligram a millimetre across. MuJoCo refuses such moments.
 """
+_LEAST_MASS, _LEAST_INERTIA = 1e-6, 1e-10
+"""Mass [kg] and moment of inertia [kg m^2] of a URDF's link that turns on a joint but has neither,
+such as the middle of a universal joint: a milligram a centimetre across.
+"""
 
 
 def model_spec(file: Path) -> mujoco.MjSpec:
@@ -28,12 +32,14 @@ def model_spec(file: Path) -> mujoco.MjSpec:
     is called `world`, which the file need not declare. Links that are fixed to others remain
     separate bodies, so that a sole or a sensor's frame is found by its name. Textures, and meshes
     that neither collide nor have mass, are left out of an MJCF where their files are missing.
+    Moments of inertia of a URDF that no body can have, and links that turn but have no mass, are
+    mended, since other readers of URDF take them; `changes_on_reading` names them.
     """
     return _spec(file)[0]
 
 
-def missing_visuals(file: Path) -> tuple[str, ...]:
-    """Files of textures and meshes that are missing, and without which the model is read.
+def changes_on_reading(file: Path) -> tuple[str, ...]:
+    """What the model that is read has otherwise than its file, in words.
 
     Raises SurefootError in one clear line.
     """
@@ -41,13 +47,15 @@ def missing_visuals(file: Path) -> tuple[str, ...]:
 
 
 def _spec(file: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
-    """The MjSpec of a file, and the files of visuals without which it is."""
+    """The MjSpec of a file, and `changes_on_reading`."""
     check_model_file(file)
     try:
         if file.suffix == ".urdf":
-            return mujoco.MjSpec.from_string(_floating(file)), ()
+            return _urdf_spec(file)
         spec = mujoco.MjSpec.from_file(str(file))
-        return spec, _leave_out_visuals(spec, file.parent)
+        missing = _leave_out_visuals(spec, file.parent)
+        without = f"visuals left out, as their files are missing: {', '.join(missing)}"
+        return spec, (without,) if missing else ()
     except (ValueError, OSError, RuntimeError, ElementTree.ParseError, mujoco.FatalError) as error:
         raise _unreadable(file, error) from None
 
@@ -70,8 +78,8 @@ def _compiled_mjcf(file: Path) -> mujoco.MjModel:
     try:
         return mujoco.MjModel.from_xml_path(str(file))
     except ValueError:
-        spec, left_out = _spec(file)
-        if not left_out:
+        spec, changes = _spec(file)
+        if not changes:
             raise
         return spec.compile()
 
@@ -129,9 +137,47 @@ def _is_a_frame(inertial: ElementTree.Element) -> bool:
     return float(mass.get("value", "inf")) < _NO_MASS and max(moments) < _NO_INERTIA
 
 
-def _floating(file: Path) -> str:
-    """The URDF's text with a floating root and without meshes."""
-    robot = ElementTree.parse(file).getroot()
+def _urdf_spec(file: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
+    """The MjSpec of a URDF with a floating root, and what was mended of its inertias."""
+    robot, changes = ElementTree.parse(file).getroot(), []
+    uneven = [
+        link.get("name", "")
+        for link in robot.findall("link")
+        if (moments := _principal_moments(link)) is not None and sum(moments[:2]) < moments[2]
+    ]
+    spec = mujoco.MjSpec.from_string(_floating(robot))
+    if uneven:
+        spec.compiler.balanceinertia = True
+        changes.append(
+            "one moment of inertia exceeds the sum of the others, which no body has; their mean is "
+            f"taken for all three of {', '.join(uneven)}"
+        )
+    try:
+        spec.copy().compile()
+    except ValueError as error:
+        if "mass and inertia of moving bodies" not in str(error):
+            raise
+        spec.compiler.boundmass, spec.compiler.boundinertia = _LEAST_MASS, _LEAST_INERTIA
+        changes.append("links that turn on a joint but have no mass were given a milligram")
+    return spec, tuple(changes)
+
+
+def _principal_moments(link: ElementTree.Element) -> np.ndarray | None:
+    """Principal moments of inertia (3,) of a URDF's link [kg m^2], the largest last; None if it has
+    none.
+    """
+    inertia = link.find("inertial/inertia")
+    if inertia is None:
+        return None
+    pairs = ["xx", "xy", "xz", "xy", "yy", "yz", "xz", "yz", "zz"]
+    values = [float(inertia.get(f"i{pair}", "0")) for pair in pairs]
+    return np.linalg.eigvalsh(np.reshape(values, (3, 3)))
+
+
+def _floating(robot: ElementTree.Element) -> str:
+    """The text of a URDF's root element, which is changed, with a floating root and without
+    meshes.
+    """
     for link in robot.findall("link"):
         for shape in (*link.findall("visual"), *link.findall("collision")):
             if shape.find("geometry/mesh") is not None:

@@ -18,7 +18,7 @@ from surefoot.sim.robot.catalog import downloadable_robots, known_robots, robot_
 from surefoot.sim.robot.fixed_base import FixedBase, load_machine, machine_for_log
 from surefoot.sim.robot.home_pose import stands
 from surefoot.sim.robot.legs import LEGS
-from surefoot.sim.robot.model_file import compiled_model
+from surefoot.sim.robot.model_file import changes_on_reading, compiled_model
 
 ROBOTS = sorted(known_robots())
 
@@ -346,6 +346,28 @@ def test_a_frame_with_next_to_no_inertia_is_a_frame(tmp_path):
     file = tmp_path / "arm.urdf"
     file.write_text(URDF.replace("</robot>", f"{imu}</robot>"))
     assert compiled_model(file).body("imu").mass[0] == 0.0
+
+
+def test_inertias_of_a_urdf_that_no_body_has_are_mended_and_named(tmp_path):
+    """Drawn by hand, as in many robots' files, which other readers take as they are."""
+    joint = (
+        '<link name="middle"/><joint name="yaw" type="continuous"><parent link="arm"/>'
+        '<child link="middle"/></joint>'
+    )
+    text = URDF.replace('izz="0.1"', 'izz="0.4"').replace("</robot>", f"{joint}</robot>")
+    assert text.count('izz="0.4"') == 2
+    file = tmp_path / "arm.urdf"
+    file.write_text(text)
+    model = compiled_model(file)
+    np.testing.assert_allclose(model.body("arm").inertia, 0.2)  # the mean: their sum stays
+    assert model.body("arm").mass[0] == 1.0
+    assert 0.0 < model.body("middle").mass[0] < 1e-5
+    card = robot_card(file, None).text
+    assert "exceeds the sum of the others" in card
+    assert "taken for all three of base, arm" in card
+    assert "links that turn on a joint but have no mass" in card
+    file.write_text(URDF)
+    assert changes_on_reading(file) == ()
 
 
 def test_a_log_with_feet_is_of_no_machine_on_a_fixed_base(tmp_path):
